@@ -1,0 +1,40 @@
+# One command sets up and runs the main job (make demo), one sets up and passes the tests (make test).
+# Needs only Python >= 3.11 and make.
+PYTHON ?= python3
+VENV   := .venv
+PY     := $(VENV)/bin/python
+STAMP  := $(VENV)/.installed
+
+.PHONY: setup demo test test-slow lint lock bench clean
+
+setup: $(STAMP)
+
+$(STAMP): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "Python 3.11 or newer is needed, this is " + sys.version.split()[0] + "; run: make setup PYTHON=python3.11")'
+	$(PYTHON) -m venv $(VENV)
+	$(PY) -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	@touch $(STAMP)
+
+demo: setup
+	$(VENV)/bin/uqharness campaign run campaigns/demo/campaign.toml --out campaigns/demo/results
+	$(VENV)/bin/uqharness campaign report campaigns/demo/results
+
+lint: setup
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/mypy
+
+test: setup lint
+	$(PY) -m pytest -n 2 -m "not slow"
+
+test-slow: setup
+	$(PY) -m pytest -n 2 -m slow
+
+bench: setup
+	$(PY) -m uqharness.benchmark
+
+lock:
+	$(PYTHON) -m piptools compile --no-emit-find-links --quiet --strip-extras --extra dev --output-file requirements.lock pyproject.toml
+
+clean:
+	rm -rf $(VENV) campaigns/*/results .pytest_cache .mypy_cache .ruff_cache
