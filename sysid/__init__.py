@@ -1,0 +1,1 @@
+"""Flight logs, identification and model-form uncertainty. Knows nothing of JSBSim."""

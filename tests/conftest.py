@@ -1,0 +1,24 @@
+"""Fixtures shared by the tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import pytest
+
+from uqharness import engine
+from uqharness.aircraft import PROJECT_ROOT
+
+
+@pytest.fixture(scope="session")
+def load_mission() -> Callable[..., Any]:
+    """A function that loads scripts/<name>.xml at 100 Hz and sets properties; nothing has been run yet."""
+
+    def load(properties: Mapping[str, float] | None = None, script: str = "loiter") -> Any:
+        fdm = engine.open_script(PROJECT_ROOT, PROJECT_ROOT / "scripts" / f"{script}.xml", 0.01)
+        for name, value in (properties or {}).items():
+            fdm[name] = value
+        return fdm
+
+    return load

@@ -1,0 +1,256 @@
+"""Find an aircraft and read its card: which JSBSim property is which control, and what open loop means."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lxml import etree
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from uqharness import engine
+from uqharness.errors import BadInputError
+from uqharness.preflight import ensure_loadable
+
+PROJECT_ROOT = Path(__file__).resolve().parent.parent
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+
+class InputCard(_Strict):
+    """One control: the command property, its unit, the sign and the servo table (microseconds -> unit).
+
+    ``selected`` is the command that counts after the aircraft's own selection (autopilot or pilot), ``position`` the surface; both
+    are optional and both are only read.
+    """
+
+    property: str
+    selected: str | None = None
+    position: str | None = None
+    unit: str = "norm"
+    positive: str = ""
+    limits: tuple[float, float] = (-1.0, 1.0)
+    servo_pwm: tuple[tuple[float, float], ...] = ()
+
+
+class MetricCard(_Strict):
+    """True and noise-laden property of one error signal."""
+
+    true: str
+    measured: str | None = None
+
+
+class ParameterCard(_Strict):
+    """An identifiable property: first guess, bounds, unit and source."""
+
+    initial: float | None = None
+    bounds: tuple[float, float] | None = None
+    unit: str = "1"
+    source: str = ""
+
+
+class _AircraftSection(_Strict):
+    name: str
+    xml: str
+    dt_s: float = Field(default=0.01, gt=0, le=0.1)
+
+
+class _ReferenceSection(_Strict):
+    S_m2: float | None = Field(default=None, gt=0)
+    b_m: float | None = Field(default=None, gt=0)
+    c_m: float | None = Field(default=None, gt=0)
+
+
+class _SensorSection(_Strict):
+    position_m: Mapping[str, tuple[float, float, float]] = {}
+    noise_std: Mapping[str, float] = {}
+
+
+class Card(_Strict):
+    """airframe.toml, validated."""
+
+    aircraft: _AircraftSection
+    reference: _ReferenceSection = _ReferenceSection()
+    inputs: Mapping[str, InputCard] = {}
+    modes: Mapping[str, Mapping[str, float]] = {}
+    outputs: Mapping[str, str] = {}
+    metrics: Mapping[str, MetricCard] = {}
+    parameters: Mapping[str, ParameterCard] = {}
+    sensors: _SensorSection = _SensorSection()
+
+
+# JSBSim's own command properties, for an aircraft that comes without a card.
+_STANDARD_INPUTS = {
+    "elevator": InputCard(property="fcs/elevator-cmd-norm", positive="nose down"),
+    "aileron": InputCard(property="fcs/aileron-cmd-norm", positive="right wing down"),
+    "rudder": InputCard(property="fcs/rudder-cmd-norm", positive="nose left"),
+    "throttle": InputCard(property="fcs/throttle-cmd-norm", positive="more thrust", limits=(0.0, 1.0)),
+}
+
+
+@dataclass(frozen=True)
+class Aircraft:
+    """A JSBSim aircraft on disk. ``folder`` holds ``<name>.xml``, its systems and, perhaps, airframe.toml."""
+
+    name: str
+    folder: Path
+    card: Card
+    engine_path: Path
+    systems_path: Path
+
+    @property
+    def xml(self) -> Path:
+        return self.folder / self.card.aircraft.xml
+
+    @property
+    def dt_s(self) -> float:
+        return self.card.aircraft.dt_s
+
+
+def find_aircraft(name_or_folder: str | Path) -> Aircraft:
+    """The aircraft of that folder, or of that name under ./aircraft, the project's aircraft/ or JSBSim's own.
+
+    Raises BadInputError naming what was looked at and what there is.
+    """
+    given = Path(name_or_folder)
+    roots = [Path.cwd() / "aircraft", PROJECT_ROOT / "aircraft", engine.default_root() / "aircraft"]
+    candidates = [given] if given.is_dir() else []
+    if len(given.parts) == 1:
+        candidates += [root / given for root in roots]
+    for folder in candidates:
+        if folder.is_dir():
+            return _read_aircraft(folder.resolve())
+    known = sorted({path.name for root in roots[:2] if root.is_dir() for path in root.iterdir() if path.is_dir()})
+    raise BadInputError(
+        f"aircraft '{name_or_folder}' not found: it is neither a folder nor a name under aircraft/ "
+        f"(there: {', '.join(known) or 'none'}) or in JSBSim's own collection"
+    )
+
+
+def _read_aircraft(folder: Path) -> Aircraft:
+    card_file = folder / "airframe.toml"
+    if card_file.is_file():
+        card = read_card(card_file)
+    else:
+        xml = folder / f"{folder.name}.xml"
+        if not xml.is_file():
+            raise BadInputError(
+                f"{folder}: no airframe.toml and no {folder.name}.xml, so this is not a JSBSim aircraft folder"
+            )
+        card = Card(aircraft=_AircraftSection(name=folder.name, xml=xml.name), inputs=_STANDARD_INPUTS)
+    xml = folder / card.aircraft.xml
+    if not xml.is_file():
+        raise BadInputError(f'{card_file}: [aircraft] xml = "{card.aircraft.xml}", but {xml} does not exist')
+    root = folder.parent.parent
+    own_engine, own_systems = root / "engine", root / "systems"
+    stock = engine.default_root()
+    return Aircraft(
+        name=xml.stem,
+        folder=folder,
+        card=card,
+        engine_path=own_engine if own_engine.is_dir() else stock / "engine",
+        systems_path=own_systems if own_systems.is_dir() else stock / "systems",
+    )
+
+
+def read_card(path: Path) -> Card:
+    """Read and validate airframe.toml. Raises BadInputError with file, key and what is allowed."""
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise BadInputError(f"{path}: not valid TOML: {error}") from None
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        return Card.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise BadInputError(f"{path}: {key}: {first['msg']}; received {first.get('input')!r}") from None
+
+
+def reference_lengths(aircraft: Aircraft) -> tuple[float, float, float]:
+    """Wing area S [m2], span b [m] and chord c [m]: the card's, else the XML's metrics."""
+    reference = aircraft.card.reference
+    if reference.S_m2 and reference.b_m and reference.c_m:
+        return reference.S_m2, reference.b_m, reference.c_m
+    fdm = open_aircraft(aircraft)
+    return (
+        reference.S_m2 or fdm["metrics/Sw-sqft"] * 0.3048**2,
+        reference.b_m or fdm["metrics/bw-ft"] * 0.3048,
+        reference.c_m or fdm["metrics/cbarw-ft"] * 0.3048,
+    )
+
+
+def open_aircraft(aircraft: Aircraft, dt_s: float | None = None) -> Any:
+    """A fresh ``FGFDMExec`` of the aircraft in its open-loop mode, nothing run. Raises BadInputError."""
+    check_loadable(aircraft)
+    with staged(aircraft) as (root, path):
+        fdm = engine.open_fdm(
+            root, aircraft.name, dt_s or aircraft.dt_s, path, aircraft.engine_path, aircraft.systems_path
+        )
+    for name, value in aircraft.card.modes.get("open_loop", {}).items():
+        engine.set_property(fdm, name, value)
+    return fdm
+
+
+def check_loadable(aircraft: Aircraft) -> None:
+    """BadInputError if loading the aircraft would end the interpreter; see preflight. Cheap when nothing has changed on disk."""
+    stamp = (aircraft.folder, max(path.stat().st_mtime_ns for path in aircraft.folder.rglob("*.xml")))
+    if stamp not in _loadable:
+        ensure_loadable(
+            aircraft.folder, aircraft.name, content_hash(aircraft), aircraft.engine_path, aircraft.systems_path
+        )
+        _loadable.add(stamp)
+
+
+_loadable: set[tuple[Path, int]] = set()
+
+
+class staged:
+    """Context with a root and an aircraft path where the aircraft's folder bears the name of its XML, as JSBSim wants it."""
+
+    def __init__(self, aircraft: Aircraft) -> None:
+        self._aircraft = aircraft
+        self._temporary: Any = None
+
+    def __enter__(self) -> tuple[Path, Path]:
+        folder = self._aircraft.folder
+        if folder.name == self._aircraft.name:
+            return folder.parent.parent, folder.parent
+        self._temporary = tempfile.TemporaryDirectory(prefix="uqharness-")
+        path = Path(self._temporary.name) / "aircraft"
+        path.mkdir()
+        (path / self._aircraft.name).symlink_to(folder, target_is_directory=True)
+        return path.parent, path
+
+    def __exit__(self, *_: object) -> None:
+        if self._temporary is not None:
+            self._temporary.cleanup()
+
+
+def content_hash(aircraft: Aircraft) -> str:
+    """SHA-256 over every XML and TOML file of the aircraft's folder, names included; the identity a campaign is tied to."""
+    digest = hashlib.sha256()
+    for path in sorted(aircraft.folder.rglob("*")):
+        if path.suffix in {".xml", ".toml"} and path.is_file():
+            digest.update(path.relative_to(aircraft.folder).as_posix().encode() + b"\0")
+            digest.update(path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def parse_xml(path: Path) -> etree._ElementTree:
+    """Parse an XML file with line numbers; BadInputError with file and line if it is not well formed."""
+    try:
+        return etree.parse(str(path), etree.XMLParser(remove_comments=False, resolve_entities=False))
+    except etree.XMLSyntaxError as error:
+        raise BadInputError(f"{path}:{error.lineno}: not well-formed XML: {error.msg}") from None
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None

@@ -1,0 +1,187 @@
+"""Run a campaign: fly what is missing, keep what is done, write the tables."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from uqharness.campaign_manifest import describe, read_manifest, refuse_if_different, write_manifest
+from uqharness.campaign_spec import CampaignSpec
+from uqharness.campaign_tables import write_tables
+from uqharness.cases import Case, Mission, build_cases
+from uqharness.errors import BadInputError
+from uqharness.executor import Executor, FlightFunction, ProcessExecutor, usable_cores
+from uqharness.store import Store, run_lock
+
+VALIDATION_S = 5.0
+"""Flight time of the check that the model flies at all, made in a throw-away process before any case."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """State of a run once a batch is durable. ``flown_s`` and ``elapsed_s`` are of this run, ``done`` of the campaign."""
+
+    cases: int
+    done: int
+    done_before: int
+    failed: int
+    flown_s: float
+    elapsed_s: float
+    workers: int
+
+    @property
+    def eta_s(self) -> float | None:
+        """Seconds to go at this run's rate; None before the first case."""
+        new = self.done - self.done_before
+        return None if new == 0 else self.elapsed_s / new * (self.cases - self.done)
+
+    @property
+    def hours_per_core_hour(self) -> float:
+        """Flight hours flown per core hour of this run, burn-in included."""
+        return self.flown_s / (self.elapsed_s * self.workers) if self.elapsed_s > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class CampaignSummary:
+    """Outcome of a run: all cases, how many were done before, and the number by status."""
+
+    folder: Path
+    cases: int
+    done_before: int
+    statuses: dict[str, int]
+    progress: Progress
+
+    @property
+    def failed(self) -> int:
+        return sum(number for status, number in self.statuses.items() if status != "ok")
+
+
+def find_mission(spec: CampaignSpec) -> Mission:
+    """Locate and hash what the campaign flies: relative to its own file, else as ``uqharness fly`` finds it."""
+    from uqharness.aircraft import content_hash, find_aircraft
+    from uqharness.mission import find_script
+
+    beside = spec.path.resolve().parent
+    named, script_named = beside / spec.campaign.aircraft, beside / spec.campaign.mission
+    aircraft = find_aircraft(named if named.is_dir() else spec.campaign.aircraft)
+    script = script_named if script_named.is_file() else find_script(spec.campaign.mission)
+    script_hash = hashlib.sha256(script.read_bytes()).hexdigest()
+    return Mission(aircraft.folder, content_hash(aircraft), script.resolve(), script_hash)
+
+
+def run_campaign(
+    spec: CampaignSpec,
+    out_dir: str | Path,
+    workers: int | None = None,
+    executor: Executor | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+    fly: FlightFunction | None = None,
+    mission: Mission | None = None,
+    command: str = "",
+) -> CampaignSummary:
+    """Fly the campaign's missing cases into ``out_dir`` and write its tables; the same call resumes.
+
+    A case counts once it is on the disk. A flight that fails is a counted row with its reason. Raises BadInputError for an
+    unusable model or folder, a folder of another campaign, and a second run in the same folder; KeyboardInterrupt passes, with
+    everything finished so far kept.
+    """
+    if fly is None:
+        from uqharness.flight import fly as fly_mission
+
+        fly = fly_mission
+    mission = mission or find_mission(spec)
+    cases = build_cases(spec, mission)
+    executor = executor or ProcessExecutor(usable_cores() if workers is None else workers)
+    folder = _folder(Path(out_dir))
+    with run_lock(folder):
+        manifest = describe(spec, mission, len(cases), command)
+        if (folder / "manifest.json").exists():
+            refuse_if_different(folder, read_manifest(folder), manifest)
+        else:
+            _refuse_foreign(folder)
+        write_manifest(folder, manifest)
+        with Store(folder) as store:
+            try:
+                summary = _fly_missing(folder, store, cases, executor, fly, on_progress)
+            except BaseException:
+                write_manifest(folder, manifest | {"state": "interrupted"})
+                raise
+            write_tables(folder, spec, cases, store.outcomes())
+        write_manifest(folder, manifest | {"state": "complete"})
+    return summary
+
+
+def validate_model(fly: FlightFunction, case: Case) -> None:
+    """Fly the first seconds of a case in a process of its own, so that a model that ends the interpreter ends only that.
+
+    Raises BadInputError with the reason when the model cannot be flown.
+    """
+    brief = dataclasses.replace(case.flight, duration_s=min(VALIDATION_S, case.flight.duration_s), burn_in_s=0.0)
+    throwaway = ProcessExecutor(1, timeout_s=lambda flight: 120.0, retries=0)
+    for batch in throwaway.run(fly, [("validation", brief)]):
+        for outcome in batch:
+            if outcome.bad_input:
+                raise BadInputError(outcome.reason)
+            # A flight that was flown and went wrong (into the ground, say) is a result, and the campaign's to count.
+            if outcome.status in ("crashed", "timeout") and outcome.flown_s == 0.0:
+                raise BadInputError(
+                    f"aircraft {brief.aircraft.name} with {brief.script.name}: the check flight before the campaign failed: "
+                    f"{outcome.reason}; try: uqharness fly {brief.aircraft.name} --out check.csv"
+                )
+
+
+def _folder(path: Path) -> Path:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be made: {error.strerror or error}; choose another --out") from None
+    return path
+
+
+def _refuse_foreign(folder: Path) -> None:
+    others = sorted(item.name for item in folder.iterdir() if item.name != "run.lock")
+    if others:
+        raise BadInputError(f"{folder}: not empty and not a campaign folder (it has {others[0]}); choose another --out")
+
+
+def _fly_missing(
+    folder: Path,
+    store: Store,
+    cases: Sequence[Case],
+    executor: Executor,
+    fly: FlightFunction,
+    on_progress: Callable[[Progress], None] | None,
+) -> CampaignSummary:
+    finished = store.finished()
+    missing = [case for case in cases if case.case_id not in finished]
+    statuses: Counter[str] = store.statuses()
+    done_before = len(cases) - len(missing)
+    flown_s = 0.0
+    if missing:
+        validate_model(fly, missing[0])
+    started = time.monotonic()
+
+    def progress() -> Progress:
+        done = statuses.total()
+        elapsed_s = time.monotonic() - started
+        return Progress(len(cases), done, done_before, done - statuses["ok"], flown_s, elapsed_s, executor.workers)
+
+    if missing:
+        batches = executor.run(fly, ((case.case_id, case.flight) for case in missing))
+        try:
+            for batch in batches:
+                store.add(batch)
+                statuses.update(outcome.status for outcome in batch)
+                flown_s += sum(outcome.flown_s for outcome in batch)
+                if on_progress is not None:
+                    on_progress(progress())
+        finally:
+            close = getattr(batches, "close", None)
+            if close is not None:
+                close()
+    return CampaignSummary(folder, len(cases), done_before, dict(sorted(statuses.items())), progress())

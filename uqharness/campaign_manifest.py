@@ -1,0 +1,113 @@
+"""manifest.json: what a campaign folder belongs to, and the refusal to mix two campaigns in one folder."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import uqharness
+from uqharness.campaign_spec import CampaignSpec
+from uqharness.cases import Mission
+from uqharness.errors import BadInputError
+
+MANIFEST = "manifest.json"
+_FORMAT = 1
+# A change in one of these may change a flight; the others are recorded for the reader.
+_BINDING_VERSIONS = ("uqharness", "jsbsim", "numpy")
+_RECORDED_VERSIONS = ("scipy", "pyarrow", "pandas")
+
+
+def versions() -> dict[str, str]:
+    """Versions of this program, of what it flies with and of what writes its tables."""
+    found = {"uqharness": uqharness.__version__, "python": platform.python_version()}
+    for name in (*_BINDING_VERSIONS[1:], *_RECORDED_VERSIONS):
+        found[name] = metadata.version(name)
+    return found
+
+
+def describe(spec: CampaignSpec, mission: Mission, cases: int, command: str) -> dict[str, Any]:
+    """Manifest of a campaign that is about to run."""
+    return {
+        "format": _FORMAT,
+        "state": "running",
+        "command": command,
+        "seed": spec.campaign.seed,
+        "cases": cases,
+        "campaign": spec.as_dict(),
+        "versions": versions(),
+        "hashes": {"aircraft": mission.aircraft_hash, "script": mission.script_hash},
+    }
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """Manifest of a campaign folder. Raises BadInputError if there is none or it cannot be read."""
+    path = folder / MANIFEST
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise BadInputError(
+            f"{folder}: not a campaign folder (no {MANIFEST}); "
+            "make one with: uqharness campaign run CAMPAIGN.toml --out DIR"
+        ) from None
+    except (OSError, ValueError) as error:
+        raise BadInputError(f"{path}: cannot be read: {error}") from None
+    if not isinstance(manifest, dict) or manifest.get("format") != _FORMAT:
+        raise BadInputError(f"{path}: written by another version of uqharness, or not by uqharness")
+    return manifest
+
+
+def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
+    """Write it whole or not at all."""
+    write_atomically(folder / MANIFEST, (json.dumps(manifest, indent=2) + "\n").encode())
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Replace a file so that a reader, or a crash, finds the old one or the new one. Raises BadInputError."""
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        with temporary.open("wb") as handle:
+            handle.write(content)
+            handle.flush()
+            os.fsync(handle.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def refuse_if_different(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
+    """BadInputError naming every difference that makes the folder's flights no part of the campaign now asked for."""
+    differences = [
+        f"{name} {old['versions'].get(name)} then, {new['versions'].get(name)} now"
+        for name in _BINDING_VERSIONS
+        if old["versions"].get(name) != new["versions"].get(name)
+    ]
+    was, now = _flat(old["campaign"]), _flat(new["campaign"])
+    for key in sorted(was.keys() | now.keys()):
+        if key not in ("campaign.aircraft", "campaign.mission") and was.get(key) != now.get(key):
+            section, _, name = key.partition(".")
+            differences.append(f"[{section}] {name} was {json.dumps(was.get(key))}, is {json.dumps(now.get(key))}")
+    for name, setting in (("aircraft", "aircraft"), ("script", "mission")):
+        before, after = old["hashes"][name], new["hashes"][name]
+        if before != after:
+            what = now.get(f"campaign.{setting}")
+            differences.append(f"the content of the {name} ({what}) has changed: {before[:12]} then, {after[:12]} now")
+    if differences:
+        raise BadInputError(
+            f"{folder}: this folder holds another campaign: {'; '.join(differences)}. "
+            "Choose another --out, or restore what changed"
+        )
+
+
+def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            found |= _flat(value, f"{prefix}{key}.")
+        else:
+            found[f"{prefix}{key}"] = value
+    return found

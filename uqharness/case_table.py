@@ -1,0 +1,120 @@
+"""cases.parquet: one row per flight, in case order, the same bytes for the same results."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from uqharness.campaign_manifest import write_atomically
+from uqharness.cases import Case
+from uqharness.errors import BadInputError
+from uqharness.executor import CaseOutcome
+from uqharness.flight_spec import COEFFICIENTS
+
+CASES = "cases.parquet"
+
+ERROR_METRICS = tuple(
+    f"{quantity}_{statistic}_{unit}{suffix}"
+    for suffix in ("", "_measured")
+    for quantity, unit in (("cross_track", "m"), ("altitude", "m"), ("speed", "mps"))
+    for statistic in ("median", "mean", "max")
+)
+"""Statistics of |error| over a flight, true and (``_measured``) as the noise-laden sensors saw it."""
+
+
+def excursion_columns(radii_m: Iterable[float]) -> tuple[str, ...]:
+    """Names of the excursion counts: horizontal distance first, then the 3-D ones."""
+    radii = tuple(radii_m)
+    return tuple(f"excursions_{radius:g}m" for radius in radii) + tuple(f"excursions_{radius:g}m_3d" for radius in radii)
+
+
+def build_table(cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> pa.Table:
+    """Table of the cases that have an outcome.
+
+    ``duration_s`` is scored time: of a flight that failed, what it flew of it. Such a flight has no error statistics (they
+    would be those of a shorter flight), but keeps its counts so far.
+    """
+    by_id = {outcome.case_id: outcome for outcome in outcomes}
+    radii = cases[0].flight.excursion_radius_m if cases else ()
+    schema = _schema(radii)
+    columns: dict[str, list[Any]] = {name: [] for name in schema.names}
+    for case in cases:
+        outcome = by_id.get(case.case_id)
+        if outcome is None:
+            continue
+        for name, value in _row(case, outcome, radii).items():
+            columns[name].append(value)
+    return pa.table([pa.array(columns[field.name], field.type) for field in schema], schema=schema)
+
+
+def write_table(table: pa.Table, path: Path) -> None:
+    """Write parquet with every option that moves a byte fixed. Raises BadInputError."""
+    buffer = io.BytesIO()
+    pq.write_table(
+        table,
+        buffer,
+        version="2.6",
+        data_page_version="1.0",
+        compression="zstd",
+        compression_level=3,
+        use_dictionary=True,
+        write_statistics=True,
+        row_group_size=65536,
+        store_schema=False,
+    )
+    write_atomically(path, buffer.getvalue())
+
+
+def read_table(path: Path) -> pa.Table:
+    """Read a table of a campaign. Raises BadInputError."""
+    try:
+        return pq.read_table(path)
+    except FileNotFoundError:
+        raise BadInputError(f"{path}: not there; run the campaign first: uqharness campaign run") from None
+    except (OSError, pa.ArrowException) as error:
+        raise BadInputError(f"{path}: not a readable parquet file: {error}") from None
+
+
+def _schema(radii_m: Sequence[float]) -> pa.Schema:
+    text, real, whole = pa.string(), pa.float64(), pa.int64()
+    fields = [("case_id", text), ("epistemic_id", text), *((f"level_{name}", real) for name in COEFFICIENTS)]
+    fields += [("aleatory_id", whole), ("wind_mps", real), ("turbulence", text), ("seed", whole), ("duration_s", real)]
+    fields += [("status", text), ("reason", text), *((name, real) for name in ERROR_METRICS)]
+    fields += [(name, whole) for name in excursion_columns(radii_m)]
+    fields += [("loss_of_control", whole), ("extrapolated_share", real)]
+    return pa.schema(fields)
+
+
+def _row(case: Case, outcome: CaseOutcome, radii_m: Sequence[float]) -> dict[str, Any]:
+    ok = outcome.status == "ok"
+    flight = case.flight
+    scored_s = flight.duration_s if ok else min(max(outcome.flown_s - flight.burn_in_s, 0.0), flight.duration_s)
+    row: dict[str, Any] = {
+        "case_id": case.case_id,
+        "epistemic_id": case.epistemic_id,
+        "aleatory_id": case.aleatory_id,
+        "wind_mps": case.wind_mps,
+        "turbulence": case.turbulence,
+        "seed": case.seed,
+        "duration_s": scored_s,
+        "status": outcome.status,
+        "reason": outcome.reason or "; ".join(f"{name}: {why}" for name, why in sorted(outcome.undefined.items())),
+    }
+    row |= {f"level_{name}": case.levels.get(name) for name in COEFFICIENTS}
+    row |= {name: _finite(outcome, name) if ok else None for name in (*ERROR_METRICS, "extrapolated_share")}
+    for name in (*excursion_columns(radii_m), "loss_of_control"):
+        value = _finite(outcome, name)
+        row[name] = None if value is None else round(value)
+    return row
+
+
+def _finite(outcome: CaseOutcome, name: str) -> float | None:
+    """A metric, or None (null in the table) where it is undefined."""
+    value = outcome.metrics.get(name, math.nan)
+    return value if math.isfinite(value) else None

@@ -1,0 +1,52 @@
+"""The command line: builds the parser, turns errors into one line and an exit code.
+
+Exit codes: 0 done, 1 ran but the answer is no, 2 bad input, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+
+from uqharness import __version__, campaign_commands, fly_command, margins_command, modes_command
+from uqharness.errors import BadInputError
+
+
+def build_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="uqharness",
+        description="How far can a flight model be trusted, and what does that do to the aircraft's performance?",
+    )
+    parser.add_argument("--version", action="version", version=f"uqharness {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for module in (fly_command, modes_command, margins_command, campaign_commands):
+        module.register(commands)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; the process's exit code."""
+    arguments = build_parser().parse_args(argv)
+    try:
+        code = int(arguments.handler(arguments))
+        sys.stdout.flush()
+        return code
+    except BadInputError as error:
+        print(f"uqharness: error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("uqharness: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader of our output has left (head, less): that is no error, but flushing at exit would complain.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        print(f"uqharness: error: {error.filename or 'file system'}: {error.strerror or error}", file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,335 @@
+"""Fly cases, in this process or in many, and survive what they do: crash the interpreter, hang, raise, diverge.
+
+Each worker has a pipe of its own and no lock is shared, so that a worker may be killed at any instant (by a signal, by the
+system for want of memory, by its own abort) without harm to another, and the case it was flying is known for certain.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import itertools
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from typing import Any, Protocol
+
+from uqharness.errors import BadInputError
+from uqharness.flight_spec import STATUSES, FlightResult, FlightSpec
+
+FlightFunction = Callable[[FlightSpec], FlightResult]
+
+BATCH_S = 0.25
+"""Longest time that a finished case waits to be handed on."""
+
+_QUEUED_PER_WORKER = 2
+_RETRIES = 1
+# Death by SIGKILL or SIGTERM comes from outside (a scheduler, a user, want of memory) and says less about the case.
+_RETRIES_AFTER_OUTSIDE_KILL = 4
+_OUTSIDE_SIGNALS = (-9, -15)
+_START_FAILURES_ALLOWED = 3
+# One thread per worker: BLAS would start one per core in each, and they would fight.
+_SINGLE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class CaseOutcome:
+    """What is kept of one flight: its result without the signals. ``bad_input``: refused as input, not flown."""
+
+    case_id: str
+    status: str
+    reason: str
+    flown_s: float
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    undefined: Mapping[str, str] = field(default_factory=dict)
+    bad_input: bool = False
+
+
+class Executor(Protocol):
+    """Flies (case id, flight) pairs; yields outcomes in any order, in batches no older than about BATCH_S, some empty."""
+
+    workers: int
+
+    def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]: ...
+
+
+def attempt(fly: FlightFunction, case_id: str, flight: FlightSpec) -> CaseOutcome:
+    """Fly one case; whatever it raises becomes a crashed outcome with its reason."""
+    try:
+        result = fly(flight)
+        if result.status not in STATUSES:
+            raise ValueError(f"the flight function returned status '{result.status}', not one of {', '.join(STATUSES)}")
+        return CaseOutcome(
+            case_id,
+            result.status,
+            result.reason,
+            float(result.flown_s),
+            {name: float(value) for name, value in result.metrics.items()},
+            dict(result.undefined),
+        )
+    except BadInputError as error:
+        return CaseOutcome(case_id, "crashed", _one_line(str(error)), 0.0, bad_input=True)
+    except Exception as error:
+        return CaseOutcome(case_id, "crashed", _one_line(f"{type(error).__name__}: {error}"), 0.0)
+
+
+def usable_cores() -> int:
+    """Cores this process may use, which in a container or under a scheduler are fewer than the machine has."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def default_timeout_s(flight: FlightSpec) -> float:
+    """Seconds after which a flight counts as hung: 60 plus a tenth of the flown time, some 100 times what it should need."""
+    return 60.0 + 0.1 * (flight.duration_s + flight.burn_in_s)
+
+
+class SerialExecutor:
+    """Flies in this very process: for debugging. A case that ends the interpreter ends the campaign (and resumes)."""
+
+    workers = 1
+
+    def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]:
+        batch: list[CaseOutcome] = []
+        handed_on = time.monotonic()
+        for case_id, flight in flights:
+            batch.append(attempt(fly, case_id, flight))
+            if time.monotonic() - handed_on >= BATCH_S:
+                yield batch
+                batch, handed_on = [], time.monotonic()
+        yield batch
+
+
+@dataclass
+class _Task:
+    case_id: str
+    flight: FlightSpec
+    failures: int = 0
+    outside_kills: int = 0
+
+
+@dataclass
+class _Worker:
+    process: Any
+    pipe: Connection
+    tasks: deque[_Task] = field(default_factory=deque)
+    ready: bool = False
+    head_since: float = 0.0
+
+
+class ProcessExecutor:
+    """Flies in ``workers`` processes; each case has a time limit, and a second chance if its worker dies or hangs.
+
+    ``start_method`` is spawn (default, safe everywhere), forkserver or fork. ``timeout_s`` maps a flight to seconds.
+    """
+
+    def __init__(
+        self,
+        workers: int,
+        start_method: str = "spawn",
+        timeout_s: Callable[[FlightSpec], float] = default_timeout_s,
+        retries: int = _RETRIES,
+    ) -> None:
+        if workers < 1:
+            raise BadInputError(f"workers = {workers}: must be at least 1")
+        if start_method not in multiprocessing.get_all_start_methods():
+            known = ", ".join(multiprocessing.get_all_start_methods())
+            raise BadInputError(f"start method '{start_method}': this system has {known}")
+        self.workers = workers
+        self._context: Any = multiprocessing.get_context(start_method)
+        self._timeout_s = timeout_s
+        self._retries = retries
+        self._start_failures = 0
+
+    def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]:
+        source = (_Task(case_id, flight) for case_id, flight in flights)
+        again: deque[_Task] = deque()
+        pool: list[_Worker] = []
+        self._start_failures = 0
+        with _single_threaded_children():
+            try:
+                yield from self._loop(fly, source, again, pool)
+            finally:
+                _stop(pool)
+
+    def _loop(
+        self, fly: FlightFunction, source: Iterator[_Task], again: deque[_Task], pool: list[_Worker]
+    ) -> Iterator[list[CaseOutcome]]:
+        batch: list[CaseOutcome] = []
+        handed_on = time.monotonic()
+        while True:
+            self._feed(fly, source, again, pool)
+            busy = [worker for worker in pool if worker.tasks]
+            if not busy:
+                break
+            wait([item for worker in pool for item in (worker.pipe, worker.process.sentinel)], timeout=BATCH_S)
+            for worker in list(pool):
+                alive = worker.process.is_alive()  # asked before reading, so that nothing sent before death is missed
+                batch += self._receive(worker)
+                if not alive:
+                    pool.remove(worker)
+                    batch += self._bury(worker, again)
+                elif worker.ready and worker.tasks:
+                    limit = self._timeout_s(worker.tasks[0].flight)
+                    if time.monotonic() - worker.head_since > limit:
+                        pool.remove(worker)
+                        batch += self._give_up(worker, again, limit)
+            if time.monotonic() - handed_on >= BATCH_S:
+                yield batch
+                batch, handed_on = [], time.monotonic()
+        yield batch
+
+    def _feed(self, fly: FlightFunction, source: Iterator[_Task], again: deque[_Task], pool: list[_Worker]) -> None:
+        """Top up every worker, the emptiest first; start a worker only for a case that needs one."""
+        tasks = itertools.chain(_drained(again), source)
+        for depth in range(_QUEUED_PER_WORKER):
+            for slot in range(self.workers):
+                if slot < len(pool) and len(pool[slot].tasks) > depth:
+                    continue
+                task = next(tasks, None)
+                if task is None:
+                    return
+                if slot >= len(pool):
+                    pool.append(self._start(fly))
+                    slot = len(pool) - 1
+                _send(pool[slot], task)
+
+    def _start(self, fly: FlightFunction) -> _Worker:
+        ours, theirs = self._context.Pipe()
+        process = self._context.Process(target=_work, args=(theirs, fly), daemon=True)
+        process.start()
+        # Held open here, the other end would hide the worker's death.
+        theirs.close()
+        return _Worker(process, ours)
+
+    def _receive(self, worker: _Worker) -> list[CaseOutcome]:
+        received: list[CaseOutcome] = []
+        with contextlib.suppress(EOFError, OSError):
+            while worker.pipe.poll():
+                message = worker.pipe.recv()
+                worker.head_since = time.monotonic()
+                if message is None:
+                    worker.ready, self._start_failures = True, 0
+                else:
+                    worker.tasks.popleft()
+                    received.append(message)
+        return received
+
+    def _bury(self, worker: _Worker, again: deque[_Task]) -> list[CaseOutcome]:
+        worker.process.join()
+        code = worker.process.exitcode
+        worker.pipe.close()
+        if not worker.ready:
+            self._start_failures += 1
+            if self._start_failures > _START_FAILURES_ALLOWED and code not in _OUTSIDE_SIGNALS:
+                raise BadInputError(f"worker processes end before they start ({_describe(code)}); see their message above")
+            again.extendleft(reversed(worker.tasks))
+            return []
+        outside = code in _OUTSIDE_SIGNALS
+        return self._second_chance(worker, again, outside, "crashed", f"the worker process ended: {_describe(code)}")
+
+    def _give_up(self, worker: _Worker, again: deque[_Task], limit_s: float) -> list[CaseOutcome]:
+        worker.process.kill()
+        worker.process.join()
+        worker.pipe.close()
+        return self._second_chance(worker, again, False, "timeout", f"no result after {limit_s:g} s")
+
+    def _second_chance(
+        self, worker: _Worker, again: deque[_Task], outside: bool, status: str, reason: str
+    ) -> list[CaseOutcome]:
+        """The case at the head of the dead worker's queue gets the blame; those behind it were not begun."""
+        if not worker.tasks:
+            return []
+        guilty = worker.tasks.popleft()
+        again.extendleft(reversed(worker.tasks))
+        guilty.failures += not outside
+        guilty.outside_kills += outside
+        if guilty.failures <= self._retries and guilty.outside_kills <= _RETRIES_AFTER_OUTSIDE_KILL:
+            again.appendleft(guilty)
+            return []
+        times = guilty.failures + guilty.outside_kills
+        return [CaseOutcome(guilty.case_id, status, f"{reason} (tried {times} times)", 0.0)]
+
+
+def _drained(queue: deque[_Task]) -> Iterator[_Task]:
+    while queue:
+        yield queue.popleft()
+
+
+def _send(worker: _Worker, task: _Task) -> None:
+    if not worker.tasks:
+        worker.head_since = time.monotonic()
+    worker.tasks.append(task)
+    # A worker that died meanwhile is found, with its queue, by the loop.
+    with contextlib.suppress(OSError):
+        worker.pipe.send((task.case_id, task.flight))
+
+
+def _stop(pool: list[_Worker]) -> None:
+    """End the workers at once. What they were flying has not been counted and will be flown again."""
+    for worker in pool:
+        worker.process.kill()
+    for worker in pool:
+        worker.process.join()
+        worker.pipe.close()
+    pool.clear()
+
+
+def _describe(code: int | None) -> str:
+    if code is None or code >= 0:
+        return f"exit code {code}"
+    try:
+        return f"signal {-code} ({signal.Signals(-code).name})"
+    except ValueError:
+        return f"signal {-code}"
+
+
+@contextlib.contextmanager
+def _single_threaded_children() -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in _SINGLE_THREAD}
+    os.environ.update(dict.fromkeys(_SINGLE_THREAD, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _work(pipe: Connection, fly: FlightFunction) -> None:
+    """A worker's life: take a case, fly it, send the outcome; end with the parent."""
+    # Ctrl-C reaches the whole group; the parent decides what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_follow_parent, daemon=True).start()
+    # Python's own crash report would be noise: the parent records the signal.
+    if faulthandler.is_enabled():
+        faulthandler.disable()
+    try:
+        pipe.send(None)
+        while True:
+            case_id, flight = pipe.recv()
+            pipe.send(attempt(fly, case_id, flight))
+    except (EOFError, OSError):
+        return
+
+
+def _follow_parent() -> None:
+    """End this process when its parent has gone, even in the middle of a flight."""
+    parent, number = multiprocessing.parent_process(), os.getppid()
+    while parent is not None:
+        parent.join(timeout=1.0)
+        if not parent.is_alive() or os.getppid() != number:
+            os._exit(1)

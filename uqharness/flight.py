@@ -1,0 +1,271 @@
+"""Fly one mission: conditions and seeds in, recorded signals and scores out. The campaign's hot loop is here."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from itertools import repeat
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness import engine
+from uqharness.aircraft import Aircraft, content_hash, find_aircraft
+from uqharness.dryden import dryden_gusts
+from uqharness.errors import BadInputError
+from uqharness.flight_spec import TURBULENCE_W20_KT, FlightResult, FlightSpec
+from uqharness.loiter_metrics import absolute_statistics, count_excursions, lost_control
+from uqharness.mission import StagedMission, find_script, refuse_conflicts
+from uqharness.properties import FT, Source
+
+_HOST_GUSTS = ("u-mps", "v-mps", "w-mps", "p-rad_sec", "q-rad_sec", "r-rad_sec")
+_CONDITION_PROPERTIES = (
+    "air/wind-mps",
+    "air/wind-from-deg",
+    "air/turbulence-w20-kt",
+    "air/turbulence-source",
+    "sensor/noise",
+    "simulation/randomseed",
+    "atmosphere/randomseed",
+)
+# JSBSim's generator maps seed 0 onto seed 1 and takes 31 bits.
+_MAX_SEED = 2**31 - 2
+
+
+def fly(spec: FlightSpec) -> FlightResult:
+    """Fly one mission and score it.
+
+    A flight that goes wrong (not finite, into the ground, an exception in flight) is a FlightResult with its status and reason.
+    Raises BadInputError for what cannot start: unknown aircraft, script or property, impossible values.
+    """
+    mission = _staged(str(spec.aircraft), str(spec.script), _fingerprint(spec))
+    aircraft = mission.aircraft
+    signals = {key: Source(card.true) for key, card in aircraft.card.metrics.items()}
+    signals |= {
+        f"{key}_measured": Source(card.measured) for key, card in aircraft.card.metrics.items() if card.measured
+    }
+    signals |= {"phi_rad": Source("attitude/phi-rad"), "alpha_rad": Source("aero/alpha-rad")}
+    recorded = record_mission(mission, spec, signals, optional={"extrapolated": Source("uq/extrapolated")})
+    return _score(spec, recorded, aircraft)
+
+
+def _fingerprint(spec: FlightSpec) -> str:
+    # A worker that lives for days must notice that somebody edited the aircraft: the staged copy is keyed by what it was made from.
+    script = find_script(spec.script)
+    return f"{content_hash(find_aircraft(spec.aircraft))}-{script.stat().st_mtime_ns}"
+
+
+@lru_cache(maxsize=8)
+def _staged(aircraft: str, script: str, fingerprint: str) -> StagedMission:
+    return StagedMission(find_aircraft(aircraft), find_script(script))
+
+
+class Recorded:
+    """Signals of one flight as flown so far, and how it ended."""
+
+    def __init__(
+        self, names: Sequence[str], rows: NDArray[np.float64], status: str, reason: str, flown_s: float
+    ) -> None:
+        self.status = status
+        self.reason = reason
+        self.flown_s = flown_s
+        self.signals: dict[str, NDArray[np.float64]] = {name: rows[:, column] for column, name in enumerate(names)}
+
+
+def record_mission(
+    mission: StagedMission,
+    spec: FlightSpec,
+    signals: Mapping[str, Source],
+    optional: Mapping[str, Source] | None = None,
+    keep_burn_in: bool = False,
+) -> Recorded:
+    """Fly ``spec`` and record ``signals`` (and those of ``optional`` that exist) at ``spec.record_rate_hz``.
+
+    Rows are taken after a step, so the accelerations of a row have seen the command of that row. Raises BadInputError.
+    """
+    fdm = mission.open()
+    dt_s = fdm.get_delta_t()
+    stride = _stride(spec, dt_s)
+    set_conditions(fdm, mission, spec)
+    engine.run_ic(fdm)
+    present = {name: source for name, source in (optional or {}).items() if _exists(fdm, source)}
+    table = {"time_s": Source("simulation/sim-time-sec"), **signals, **present}
+    read = _reader(fdm, table)
+    burn = 0 if keep_burn_in else math.ceil(round(spec.burn_in_s / (dt_s * stride), 9))
+    total_s = spec.duration_s + (spec.burn_in_s if keep_burn_in else 0.0)
+    wanted = math.ceil(round(total_s / (dt_s * stride), 9))
+    advance = _advance(fdm, spec, mission.aircraft, dt_s, (burn + wanted) * stride)
+    rows = np.full((wanted + 1, len(table)), np.nan)
+    height = engine.handle(fdm, "position/h-agl-ft").get_double_value
+    speed = engine.handle(fdm, "velocities/vt-fps").get_double_value
+    status, reason, done = "ok", "", 0
+    if burn == 0:
+        rows[0] = read()
+        done = 1
+    else:
+        rows = rows[:-1]
+    try:
+        for block in range(burn + wanted):
+            advance(stride)
+            if not math.isfinite(speed() + height()):
+                status, reason = "diverged", f"the state was no longer finite at {_clock(fdm)}"
+                break
+            if height() <= 0.0:
+                status, reason = "crashed", f"hit the ground at {_clock(fdm)}"
+                break
+            if block >= burn:
+                rows[done] = read()
+                done += 1
+    except engine.RuntimeFailure as error:
+        status, reason = "crashed", engine.explain(fdm, error)
+    return Recorded(list(table), rows[:done], status, reason, float(fdm.get_sim_time()))
+
+
+def _clock(fdm: Any) -> str:
+    return f"{fdm.get_sim_time():.1f} s"
+
+
+def _stride(spec: FlightSpec, dt_s: float) -> int:
+    stride = round(1.0 / (spec.record_rate_hz * dt_s))
+    if stride < 1 or abs(stride * spec.record_rate_hz * dt_s - 1.0) > 1e-6:
+        raise BadInputError(
+            f"record rate {spec.record_rate_hz:g} Hz: the step is {dt_s:g} s, {1 / dt_s:g} Hz divided by a whole number is possible"
+        )
+    return stride
+
+
+def _exists(fdm: Any, source: Source) -> bool:
+    manager = fdm.get_property_manager()
+    return bool(manager.hasNode(source.property) and (source.over is None or manager.hasNode(source.over)))
+
+
+def _reader(fdm: Any, table: Mapping[str, Source]) -> Callable[[], list[float]]:
+    engine.require(fdm, [source.property for source in table.values()])
+    plain = all(source.factor == 1.0 and source.over is None for source in table.values())
+    getters = [engine.handle(fdm, source.property).get_double_value for source in table.values()]
+    if plain:
+        return lambda: [get() for get in getters]
+    factors = [source.factor for source in table.values()]
+    over = [engine.handle(fdm, source.over).get_double_value if source.over else None for source in table.values()]
+    return lambda: [
+        get() * factor if divisor is None else get() * factor / divisor()
+        for get, factor, divisor in zip(getters, factors, over, strict=True)
+    ]
+
+
+def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
+    """Set seeds, wind, turbulence, noise and properties of ``spec`` on a mission just opened. Raises BadInputError."""
+    if spec.turbulence not in TURBULENCE_W20_KT:
+        raise BadInputError(f"turbulence '{spec.turbulence}': allowed are {', '.join(TURBULENCE_W20_KT)}")
+    if spec.turbulence_source not in ("jsbsim", "spec"):
+        raise BadInputError(f"turbulence source '{spec.turbulence_source}': allowed are jsbsim, spec")
+    for name in ("seed_turbulence", "seed_noise"):
+        if not 0 <= getattr(spec, name) <= _MAX_SEED:
+            raise BadInputError(f"{name} = {getattr(spec, name)}: an integer from 0 to {_MAX_SEED} is needed")
+    refuse_conflicts(mission.script, [*_CONDITION_PROPERTIES, *spec.properties])
+    # Asked by what the systems publish: a script that sets air/wind-mps makes that property whether anything reads it or not.
+    has_air = fdm.get_property_manager().hasNode("air/wind-north-fps")
+    if not has_air and (spec.wind_mps or spec.turbulence != "none"):
+        raise BadInputError(
+            f"aircraft '{mission.aircraft.name}' has no air system (property air/wind-north-fps), so no wind or turbulence; "
+            'add <system file="air"/> to its XML'
+        )
+    fdm["simulation/randomseed"] = spec.seed_noise
+    fdm["atmosphere/randomseed"] = spec.seed_turbulence
+    if has_air:
+        fdm["air/wind-mps"] = spec.wind_mps
+        fdm["air/wind-from-deg"] = spec.wind_from_deg
+        fdm["air/turbulence-w20-kt"] = TURBULENCE_W20_KT[spec.turbulence]
+        fdm["air/turbulence-source"] = 0.0 if spec.turbulence_source == "jsbsim" else 1.0
+    if fdm.get_property_manager().hasNode("sensor/V-mps"):
+        fdm["sensor/noise"] = float(spec.sensor_noise)
+    elif spec.sensor_noise:
+        raise BadInputError(f"aircraft '{mission.aircraft.name}' has no sensors system (property sensor/V-mps)")
+    for name, value in spec.properties.items():
+        engine.set_property(fdm, name, value)
+    # The script's start is an airspeed; over the ground the aircraft moves with the wind as well.
+    toward = math.radians(spec.wind_from_deg + 180.0)
+    if spec.wind_mps:
+        north, east = fdm["ic/vn-fps"], fdm["ic/ve-fps"]
+        fdm["ic/vn-fps"] = north + spec.wind_mps * math.cos(toward) / FT
+        fdm["ic/ve-fps"] = east + spec.wind_mps * math.sin(toward) / FT
+
+
+def _advance(fdm: Any, spec: FlightSpec, aircraft: Aircraft, dt_s: float, steps: int) -> Callable[[int], None]:
+    """A function that runs n steps; with host-supplied turbulence it feeds the gusts step by step."""
+    run = fdm.run
+    if spec.turbulence == "none" or spec.turbulence_source == "jsbsim":
+
+        def plain(count: int) -> None:
+            for _ in repeat(None, count):
+                run()
+
+        return plain
+    gusts = dryden_gusts(
+        steps,
+        dt_s,
+        V_mps=max(float(fdm["velocities/vt-fps"]) * FT, 1.0),
+        h_m=max(float(fdm["position/h-agl-ft"]) * FT, 3.048),
+        W20_kt=TURBULENCE_W20_KT[spec.turbulence],
+        b_m=float(fdm["metrics/bw-ft"]) * FT,
+        seed=spec.seed_turbulence,
+    )
+    columns = (gusts.u_mps, gusts.v_mps, gusts.w_mps, gusts.p_radps, gusts.q_radps, gusts.r_radps)
+    feed = zip(*(column.tolist() for column in columns), strict=True)
+    set_u, set_v, set_w, set_p, set_q, set_r = (
+        engine.handle(fdm, f"air/host/{name}").set_double_value for name in _HOST_GUSTS
+    )
+
+    def fed(count: int) -> None:
+        for _ in repeat(None, count):
+            u, v, w, p, q, r = next(feed)
+            set_u(u), set_v(v), set_w(w), set_p(p), set_q(q), set_r(r)
+            run()
+
+    return fed
+
+
+def _score(spec: FlightSpec, recorded: Recorded, aircraft: Aircraft) -> FlightResult:
+    units = {"cross_track": "m", "altitude": "m", "speed": "mps", "distance_3d": "m"}
+    metrics: dict[str, float] = {}
+    undefined: dict[str, str] = {}
+    complete = recorded.status == "ok"
+    for key, unit in units.items():
+        if key == "distance_3d":
+            continue
+        for suffix in ("", "_measured"):
+            values = recorded.signals.get(key + suffix)
+            names = [f"{key}_{kind}_{unit}{suffix}" for kind in ("median", "mean", "max")]
+            if values is None or not complete:
+                why = recorded.reason if values is not None else f"the card names no {key}{suffix} under [metrics]"
+                metrics |= dict.fromkeys(names, math.nan)
+                undefined |= dict.fromkeys(names, why)
+            else:
+                metrics |= dict(zip(names, absolute_statistics(values), strict=True))
+    for radius in spec.excursion_radius_m:
+        for key, suffix in (("cross_track", ""), ("distance_3d", "_3d")):
+            values = recorded.signals.get(key)
+            name = f"excursions_{radius:g}m{suffix}"
+            if values is None:
+                metrics[name], undefined[name] = math.nan, f"the card names no {key} under [metrics]"
+            else:
+                # What was flown counts, however the flight ended: a campaign bounds the rest from above.
+                metrics[name] = float(count_excursions(values, radius, spec.rearm_m))
+    altitude = recorded.signals.get("altitude", np.zeros(0))
+    lost = not complete or lost_control(
+        recorded.signals["phi_rad"],
+        recorded.signals["alpha_rad"],
+        altitude if altitude.size else np.zeros_like(recorded.signals["phi_rad"]),
+    )
+    metrics["loss_of_control"] = float(lost)
+    outside = recorded.signals.get("extrapolated")
+    if outside is None or outside.size == 0:
+        metrics["extrapolated_share"], undefined["extrapolated_share"] = (
+            math.nan,
+            "the aircraft publishes no uq/extrapolated",
+        )
+    else:
+        metrics["extrapolated_share"] = float(np.mean(outside > 0.5))
+    return FlightResult(recorded.status, recorded.reason, recorded.flown_s, metrics, undefined, recorded.signals)

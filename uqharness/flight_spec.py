@@ -1,0 +1,64 @@
+"""What defines one simulated flight, and what comes back from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+TURBULENCE_W20_KT: Mapping[str, float] = MappingProxyType(
+    {"none": 0.0, "light": 15.0, "moderate": 30.0, "severe": 45.0}
+)
+"""Wind at 20 ft for each intensity, knots (MIL-F-8785C 3.7.3.2, Fig 7)."""
+
+COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
+"""Body-axis force and moment coefficients, in the order in which they are always listed."""
+
+STATUSES = ("ok", "diverged", "crashed", "timeout")
+
+
+@dataclass(frozen=True)
+class FlightSpec:
+    """One flight of a mission script, complete: the same spec gives the same bytes in any process.
+
+    ``duration_s`` is scored and follows ``burn_in_s``, which is flown and not scored. ``seed_turbulence`` and ``seed_noise`` are
+    the streams of the air and of the sensors (any integers >= 0). ``properties`` are set after loading, before initialising
+    (levels, bounds, coefficients, gains); they win over the script's own run properties.
+    """
+
+    aircraft: Path
+    script: Path
+    duration_s: float
+    burn_in_s: float = 0.0
+    wind_mps: float = 0.0
+    wind_from_deg: float = 270.0
+    turbulence: str = "none"
+    turbulence_source: str = "jsbsim"
+    sensor_noise: bool = False
+    seed_turbulence: int = 0
+    seed_noise: int = 0
+    properties: Mapping[str, float] = field(default_factory=dict)
+    excursion_radius_m: tuple[float, ...] = (15.0, 25.0)
+    rearm_m: float = 2.0
+    record_rate_hz: float = 10.0
+
+
+@dataclass(frozen=True)
+class FlightResult:
+    """Outcome of one flight.
+
+    ``status`` is one of STATUSES; ``reason`` says why it is not ``ok``. ``metrics`` holds finite numbers, or NaN where the
+    quantity is undefined (the reason is then in ``undefined[name]``). ``signals`` is the record of the scored part,
+    (samples,) arrays at ``record_rate_hz`` by name, ``time_s`` included; empty if it was not kept.
+    """
+
+    status: str
+    reason: str
+    flown_s: float
+    metrics: Mapping[str, float]
+    undefined: Mapping[str, str]
+    signals: Mapping[str, NDArray[np.float64]]

@@ -1,0 +1,171 @@
+"""``uqharness fly``: one flight of a script, recorded as a flight log."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from uqharness import properties
+from uqharness.aircraft import Aircraft, find_aircraft
+from uqharness.errors import BadInputError
+from uqharness.flight import Recorded, record_mission
+from uqharness.flight_spec import TURBULENCE_W20_KT, FlightSpec
+from uqharness.mission import StagedMission, find_script, read_script
+from uqharness.properties import Source
+from uqharness.record_writer import FORMATS, write_record
+
+_EXAMPLE = """examples:
+  uqharness fly espaaro --script scripts/doublet-elevator.xml --out doublet.csv
+  uqharness fly espaaro --duration-s 600 --wind-mps 3 --wind-from-deg 270 --turbulence moderate --seed 7 --noise --out x.parquet
+  uqharness fly espaaro --set aero/Cm_q=-10 --set uq/active=1 --set uq/CX/level=1 --out changed.csv
+"""
+_OPTIONAL = {
+    "north_m": Source("nav/north-m"),
+    "east_m": Source("nav/east-m"),
+    "cross_track_m": Source("nav/cross-track-m"),
+}
+
+
+def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = commands.add_parser(
+        "fly",
+        help="one flight, recorded",
+        description="Fly a run script once and write the flight record (SI, body axes; see docs/commands.md).",
+        epilog=_EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("aircraft", metavar="AIRCRAFT", help="name under aircraft/ or a folder")
+    parser.add_argument(
+        "--script", default="loiter", metavar="S", help="run script, a path or a name under scripts/ (default loiter)"
+    )
+    parser.add_argument(
+        "--duration-s", type=float, metavar="T", help="length of the flight (default: the script's end)"
+    )
+    parser.add_argument("--wind-mps", type=float, default=None, metavar="W", help="steady wind (default 0)")
+    parser.add_argument(
+        "--wind-from-deg", type=float, default=None, metavar="D", help="direction it blows from, true (default 270)"
+    )
+    parser.add_argument(
+        "--turbulence", choices=tuple(TURBULENCE_W20_KT), default=None, help="MIL-F-8785C intensity (default none)"
+    )
+    parser.add_argument(
+        "--turbulence-source", choices=("jsbsim", "spec"), default="jsbsim", help="which Dryden model (default jsbsim)"
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of turbulence and noise (default 0)")
+    parser.add_argument(
+        "--noise", action="store_true", help="sensor noise, in what the autopilot is told and in the record"
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="PROP=VALUE",
+        dest="settings",
+        help="set a property before the flight; repeatable",
+    )
+    parser.add_argument("--rate-hz", type=float, default=50.0, metavar="R", help="rows per second (default 50)")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="flight record: .csv or .parquet")
+    parser.add_argument("--json", action="store_true", help="machine-readable summary")
+    parser.set_defaults(handler=_run)
+
+
+def _run(args: argparse.Namespace) -> int:
+    if args.out.suffix not in FORMATS:
+        raise BadInputError(f"--out {args.out}: the format follows the name's ending, {' or '.join(FORMATS)}")
+    aircraft = find_aircraft(args.aircraft)
+    script = read_script(find_script(args.script))
+    spec = _spec(args, aircraft, script.path, script.end_s)
+    with StagedMission(aircraft, script.path) as mission:
+        table = {name: source for name, source in properties.sources(aircraft).items() if name != "time_s"}
+        recorded = record_mission(mission, spec, table, _OPTIONAL, keep_burn_in=True)
+    record = to_record(recorded, aircraft, spec, script.path.stem)
+    write_record(record, args.out)
+    summary = {
+        "status": recorded.status,
+        "reason": recorded.reason,
+        "flown_s": recorded.flown_s,
+        "rows": len(record),
+        "out": str(args.out),
+    }
+    if args.json:
+        print(json.dumps(summary))
+    else:
+        end = "" if recorded.status == "ok" else f", {recorded.status}: {recorded.reason}"
+        print(f"{args.out}: {len(record)} rows, {recorded.flown_s:.1f} s{end}")
+    return 0 if recorded.status == "ok" else 1
+
+
+def _spec(args: argparse.Namespace, aircraft: Aircraft, script: Path, end_s: float) -> FlightSpec:
+    duration = end_s if args.duration_s is None else args.duration_s
+    for name, value, low, high in (
+        ("--duration-s", duration, 0.0, 1e6),
+        ("--wind-mps", args.wind_mps or 0.0, -1e-9, 100.0),
+        ("--rate-hz", args.rate_hz, 0.0, 1e5),
+    ):
+        if not (math.isfinite(value) and low < value <= high):
+            raise BadInputError(f"{name} {value:g}: a number above {max(low, 0):g} and up to {high:g} is needed")
+    if args.wind_from_deg is not None and not math.isfinite(args.wind_from_deg):
+        raise BadInputError(f"--wind-from-deg {args.wind_from_deg}: an angle in degrees is needed")
+    # Turbulence and noise are two streams; the second is drawn from the first so that one number gives both.
+    turbulence, noise = (
+        int(x) for x in np.random.SeedSequence(_seed(args.seed)).generate_state(2, np.uint32) % (2**31 - 2)
+    )
+    return FlightSpec(
+        aircraft=aircraft.folder,
+        script=script,
+        duration_s=duration,
+        wind_mps=args.wind_mps or 0.0,
+        wind_from_deg=270.0 if args.wind_from_deg is None else args.wind_from_deg,
+        turbulence=args.turbulence or "none",
+        turbulence_source=args.turbulence_source,
+        sensor_noise=args.noise,
+        seed_turbulence=turbulence,
+        seed_noise=noise,
+        properties=parse_settings(args.settings),
+        record_rate_hz=args.rate_hz,
+    )
+
+
+def _seed(value: int) -> int:
+    if value < 0:
+        raise BadInputError(f"--seed {value}: an integer of at least 0 is needed")
+    return value
+
+
+def parse_settings(settings: list[str]) -> dict[str, float]:
+    """``PROP=VALUE`` pairs as a dict. Raises BadInputError for anything else."""
+    parsed: dict[str, float] = {}
+    for text in settings:
+        name, equals, value = text.partition("=")
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not equals or not name or not math.isfinite(number):
+            raise BadInputError(f"--set {text}: PROP=VALUE with a finite number is needed, such as --set aero/Cm_q=-10")
+        parsed[name] = number
+    return parsed
+
+
+def to_record(recorded: Recorded, aircraft: Aircraft, spec: FlightSpec, manoeuvre: str) -> pd.DataFrame:
+    """The flight record of a recorded flight: heights from the start, headings within 0..2 pi, noise where asked for."""
+    columns = dict(recorded.signals)
+    columns["h_m"] = columns["h_m"] - columns["h_m"][0]
+    if spec.sensor_noise:
+        for name, std in aircraft.card.sensors.noise_std.items():
+            if name in columns:
+                # One stream a channel, named by the channel: adding a sensor changes no other's noise.
+                stream = np.random.Generator(
+                    np.random.Philox(np.random.SeedSequence([spec.seed_noise, zlib.crc32(name.encode())]))
+                )
+                columns[name] = columns[name] + std * stream.standard_normal(columns[name].size)
+    columns["psi_rad"] = np.mod(columns["psi_rad"], 2.0 * np.pi)
+    frame = pd.DataFrame(columns)
+    frame["manoeuvre"] = manoeuvre
+    return frame

@@ -1,0 +1,151 @@
+"""Run scripts: find one, check it against what a host wants to vary, and stage a copy for any aircraft folder and duration."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lxml import etree
+
+from uqharness import engine
+from uqharness.aircraft import PROJECT_ROOT, Aircraft, check_loadable, parse_xml
+from uqharness.errors import BadInputError
+
+ENDLESS_S = 1e9
+"""End written into a staged script: the host counts steps itself."""
+
+
+@dataclass(frozen=True)
+class Script:
+    """What a host needs to know of a run script."""
+
+    path: Path
+    aircraft: str
+    initialize: str
+    end_s: float
+    dt_s: float
+    event_properties: tuple[tuple[str, int], ...]
+    run_properties: tuple[str, ...]
+
+
+def find_script(name_or_path: str | Path) -> Path:
+    """The script file of that path, or of that name under ./scripts or the project's scripts/. Raises BadInputError."""
+    given = Path(name_or_path)
+    candidates = [given, given.with_suffix(".xml")]
+    for root in (Path.cwd(), PROJECT_ROOT):
+        candidates += [root / given, root / "scripts" / given, (root / "scripts" / given).with_suffix(".xml")]
+    for path in candidates:
+        if path.is_file():
+            return path.resolve()
+    known = sorted(path.stem for path in (PROJECT_ROOT / "scripts").glob("*.xml"))
+    raise BadInputError(
+        f"script '{name_or_path}' not found: no such file, and scripts/ has {', '.join(known) or 'none'}"
+    )
+
+
+def read_script(path: Path) -> Script:
+    """Parse a run script. Raises BadInputError with file and line."""
+    root = parse_xml(path).getroot()
+    if root.tag != "runscript":
+        raise BadInputError(
+            f"{path}:{root.sourceline}: the root element is <{root.tag}>, a run script begins with <runscript>"
+        )
+    use, run = root.find("use"), root.find("run")
+    if use is None or run is None:
+        raise BadInputError(
+            f"{path}:{root.sourceline}: a run script needs <use aircraft=... initialize=...> and <run end=... dt=...>"
+        )
+    numbers = {key: _number(path, run, key) for key in ("end", "dt")}
+    return Script(
+        path=path,
+        aircraft=use.get("aircraft", ""),
+        initialize=use.get("initialize", ""),
+        end_s=numbers["end"],
+        dt_s=numbers["dt"],
+        event_properties=tuple((item.get("name", ""), _line(item)) for item in run.iterfind("event/set")),
+        run_properties=tuple((item.text or "").strip() for item in run.iterfind("property")),
+    )
+
+
+def _line(element: etree._Element) -> int:
+    line = element.sourceline
+    return line if isinstance(line, int) else 0
+
+
+def _number(path: Path, element: etree._Element, key: str) -> float:
+    text = element.get(key)
+    try:
+        value = float(text if text is not None else "")
+    except ValueError:
+        raise BadInputError(
+            f"{path}:{element.sourceline}: <run {key}=...> is {text!r}, a positive number of seconds is needed"
+        ) from None
+    if not 0.0 < value < float("inf"):
+        raise BadInputError(
+            f"{path}:{element.sourceline}: <run {key}=...> is {text!r}, a positive number of seconds is needed"
+        )
+    return value
+
+
+def refuse_conflicts(script: Script, varied: Iterable[str]) -> None:
+    """BadInputError if an event sets a property that the host varies: the event would silently win."""
+    wanted = set(varied)
+    for name, line in script.event_properties:
+        if name in wanted:
+            raise BadInputError(
+                f"{script.path}:{line}: an event sets {name}, which this run varies; "
+                'set it as <property value="...">' + name + "</property> within <run> instead"
+            )
+
+
+class StagedMission:
+    """A script made ready for an aircraft in any folder; opens fresh instances until closed.
+
+    The copy differs from the script in three ways: it uses this aircraft, it has no end unless
+    ``end_s`` gives one (the host counts), and it writes no output
+    files. Not safe to share between processes; cheap to make.
+    """
+
+    def __init__(self, aircraft: Aircraft, script_path: Path, end_s: float = ENDLESS_S) -> None:
+        check_loadable(aircraft)
+        self.aircraft = aircraft
+        self.script = read_script(script_path)
+        self._folder = tempfile.TemporaryDirectory(prefix="uqharness-")
+        root = Path(self._folder.name)
+        (root / "aircraft").mkdir()
+        (root / "aircraft" / aircraft.name).symlink_to(aircraft.folder, target_is_directory=True)
+        tree = parse_xml(script_path)
+        document = tree.getroot()
+        use, run = document.find("use"), document.find("run")
+        assert use is not None
+        assert run is not None
+        use.set("aircraft", aircraft.name)
+        run.set("end", repr(end_s))
+        for output in document.findall("output"):
+            document.remove(output)
+        self._staged = root / "script.xml"
+        tree.write(str(self._staged), encoding="UTF-8", xml_declaration=True)
+
+    def open(self, dt_s: float | None = None) -> Any:
+        """A fresh ``FGFDMExec`` with script, aircraft and initial conditions loaded, nothing run. Raises BadInputError."""
+        root = self._staged.parent
+        try:
+            return engine.open_script(
+                root, self._staged, dt_s or self.aircraft.dt_s, root / "aircraft", self.aircraft.engine_path,
+                self.aircraft.systems_path,
+            )  # fmt: skip
+        except BadInputError as error:
+            # The reader knows their own file, not the copy.
+            raise BadInputError(str(error).replace(str(self._staged), str(self.script.path))) from None
+
+    def close(self) -> None:
+        self._folder.cleanup()
+
+    def __enter__(self) -> StagedMission:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -1,0 +1,178 @@
+"""P-boxes and excursion rates with their limits, from samples alone. Pure: arrays in, arrays out.
+
+A p-box is the envelope of the distribution functions of the epistemic samples (corners). Its band adds what a finite number of
+flights leaves open, simultaneously over all corners and values. A flight that failed, or whose metric is undefined, is bounded,
+never dropped: it counts as +inf for the lower side and as -inf for the upper side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+Array = NDArray[np.float64]
+
+MAX_POINTS = 512
+"""Rows of a p-box; beyond that many distinct values the grid is thinned. The rows that remain are exact."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Flights of one epistemic sample in one condition: known ``values`` (n,) and the number that are not known."""
+
+    epistemic_id: str
+    values: Array
+    unknown: int = 0
+
+    @property
+    def size(self) -> int:
+        return int(self.values.size) + self.unknown
+
+
+@dataclass(frozen=True)
+class PBox:
+    """Envelope at ``value`` (n,): P(X <= value) lies in [lower, upper], with the band at the stated confidence.
+
+    Between two rows the lower side is that of the row to the left, the upper side at most that of the row to the right.
+    ``corner_*`` (n,) name the epistemic sample that sets each side (the first, where several do).
+    """
+
+    value: Array
+    lower: Array
+    upper: Array
+    band_lower: Array
+    band_upper: Array
+    corner_lower: NDArray[np.str_]
+    corner_upper: NDArray[np.str_]
+
+    def quantile(self, probability: float) -> tuple[float, float]:
+        """Interval of the p-box's quantile; the right end is inf where failures or chance leave it open."""
+        return _first(self.value, self.upper, probability), _first(self.value, self.lower, probability)
+
+    def band_quantile(self, probability: float) -> tuple[float, float]:
+        """The same for the band: -inf or inf where too few flights were flown to say."""
+        left = _first(self.value, self.band_upper, probability)
+        if left == self.value[0]:
+            left = -np.inf
+        return left, _first(self.value, self.band_lower, probability)
+
+
+def _first(value: Array, probability: Array, wanted: float) -> float:
+    reached = np.flatnonzero(probability >= wanted - 1e-12)
+    return float(value[reached[0]]) if reached.size else float("inf")
+
+
+def ecdf(sorted_values: Array, at: Array) -> Array:
+    """Number of ``sorted_values`` (n,) that are <= each of ``at`` (m,)."""
+    return np.searchsorted(sorted_values, at, side="right").astype(float)
+
+
+def band_half_width(flights: int, corners: int, confidence: float) -> float:
+    """Half-width around an empirical distribution that holds for all values and all corners at once.
+
+    Bonferroni over the corners on the exact distribution of Kolmogorov's statistic, a little narrower than the DKW bound
+    sqrt(ln(2 corners / (1 - confidence)) / (2 flights)). Corners that share random numbers need no independence for it.
+    """
+    if flights < 1:
+        return 1.0
+    return float(min(1.0, stats.kstwo.isf((1.0 - confidence) / corners, flights)))
+
+
+def pbox(samples: Sequence[Sample], confidence: float = 0.95, max_points: int = MAX_POINTS) -> PBox:
+    """P-box of the samples. ValueError if there is none, one is empty, or no value is known."""
+    if not samples or any(sample.size == 0 for sample in samples):
+        raise ValueError("a p-box needs at least one epistemic sample, each with at least one flight")
+    pooled = np.unique(np.concatenate([sample.values for sample in samples]))
+    if pooled.size == 0 or not np.all(np.isfinite(pooled)):
+        raise ValueError("a p-box needs at least one known value, and known values must be finite")
+    if pooled.size > max_points:
+        pooled = pooled[np.unique(np.linspace(0, pooled.size - 1, max_points).round().astype(int))]
+    width = {size: band_half_width(size, len(samples), confidence) for size in {sample.size for sample in samples}}
+    lower = np.empty((len(samples), pooled.size))
+    upper = np.empty_like(lower)
+    margin = np.empty((len(samples), 1))
+    for row, sample in enumerate(samples):
+        below = ecdf(np.sort(sample.values), pooled)
+        lower[row] = below / sample.size
+        upper[row] = (below + sample.unknown) / sample.size
+        margin[row] = width[sample.size]
+    names = np.array([sample.epistemic_id for sample in samples])
+    return PBox(
+        value=pooled,
+        lower=lower.min(axis=0),
+        upper=upper.max(axis=0),
+        band_lower=np.clip((lower - margin).min(axis=0), 0.0, 1.0),
+        band_upper=np.clip((upper + margin).max(axis=0), 0.0, 1.0),
+        corner_lower=names[lower.argmin(axis=0)],
+        corner_upper=names[upper.argmax(axis=0)],
+    )
+
+
+def poisson_limits(events: int, hours: float, confidence: float = 0.95) -> tuple[float, float]:
+    """Exact (Garwood) two-sided limits of a rate per hour from ``events`` in ``hours``."""
+    if hours <= 0.0:
+        return 0.0, float("inf")
+    tail = (1.0 - confidence) / 2.0
+    low = stats.chi2.ppf(tail, 2 * events) / (2.0 * hours) if events > 0 else 0.0
+    return float(low), float(stats.chi2.isf(tail, 2 * events + 2) / (2.0 * hours))
+
+
+def poisson_upper(events: int, hours: float, confidence: float = 0.95) -> float:
+    """Exact one-sided upper limit of a rate per hour: what ``events`` in ``hours`` prove."""
+    return float(stats.chi2.isf(1.0 - confidence, 2 * events + 2) / (2.0 * hours)) if hours > 0.0 else float("inf")
+
+
+@dataclass(frozen=True)
+class ExcursionRate:
+    """Excursions of one epistemic sample in one condition.
+
+    ``events`` were counted; ``events_upper`` adds one for each flight that failed or has no count. ``rate`` and ``rate_upper``
+    per hour go with them. ``limits`` are exact Poisson limits of this sample alone; ``simultaneous`` hold for all corners at
+    once, so also for the best and the worst picked among them.
+    """
+
+    epistemic_id: str
+    flights: int
+    failed: int
+    hours: float
+    events: int
+    events_upper: int
+    rate: float
+    rate_upper: float
+    limits: tuple[float, float]
+    simultaneous: tuple[float, float]
+
+
+def excursion_rate(
+    epistemic_id: str, counts: Sequence[int | None], failed: int, hours: float, corners: int, confidence: float = 0.95
+) -> ExcursionRate:
+    """Rate from ``counts``, one per flight (None = unknown), of which ``failed`` flights failed, in ``hours`` of scored flight.
+
+    Lower limits rest on what was counted, upper limits on what may have happened.
+    """
+    events = sum(count for count in counts if count is not None)
+    unknown = sum(count is None for count in counts)
+    # A failed flight is an excursion beyond those it had, whether or not it has a count.
+    events_upper = events + max(failed, unknown)
+    strict = 1.0 - (1.0 - confidence) / corners
+    return ExcursionRate(
+        epistemic_id,
+        len(counts),
+        failed,
+        hours,
+        events,
+        events_upper,
+        events / hours if hours > 0 else 0.0,
+        events_upper / hours if hours > 0 else float("inf"),
+        (poisson_limits(events, hours, confidence)[0], poisson_limits(events_upper, hours, confidence)[1]),
+        (poisson_limits(events, hours, strict)[0], poisson_limits(events_upper, hours, strict)[1]),
+    )
+
+
+def best_and_worst(rates: Sequence[ExcursionRate]) -> tuple[ExcursionRate, ExcursionRate]:
+    """The corner with the fewest counted excursions per hour and that with the most possible ones; the first of equals."""
+    return min(rates, key=lambda item: item.rate), max(rates, key=lambda item: item.rate_upper)

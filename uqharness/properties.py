@@ -1,0 +1,72 @@
+"""Signals of a flight record and the JSBSim properties they come from: one table, with the factor to SI."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from uqharness.aircraft import Aircraft
+
+FT = 0.3048
+LBF_PER_SLUG_TO_MPS2 = 0.3048
+"""Force in lbf over mass in slugs is ft/s2."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """signal = factor * property (divided by ``over``, if given)."""
+
+    property: str
+    factor: float = 1.0
+    over: str | None = None
+
+
+# Specific force is total force without gravity over mass, at the CG: JSBSim's own a-pilot properties are one frame old, and a
+# record promises that the acceleration of a sample has already seen the command of that sample.
+STANDARD: Mapping[str, Source] = MappingProxyType(
+    {
+        "time_s": Source("simulation/sim-time-sec"),
+        "V_mps": Source("velocities/vt-fps", FT),
+        "alpha_rad": Source("aero/alpha-rad"),
+        "beta_rad": Source("aero/beta-rad"),
+        "phi_rad": Source("attitude/phi-rad"),
+        "theta_rad": Source("attitude/theta-rad"),
+        "psi_rad": Source("attitude/psi-rad"),
+        "p_radps": Source("velocities/p-rad_sec"),
+        "q_radps": Source("velocities/q-rad_sec"),
+        "r_radps": Source("velocities/r-rad_sec"),
+        "ax_mps2": Source("forces/fbx-total-lbs", LBF_PER_SLUG_TO_MPS2, "inertia/mass-slugs"),
+        "ay_mps2": Source("forces/fby-total-lbs", LBF_PER_SLUG_TO_MPS2, "inertia/mass-slugs"),
+        "az_mps2": Source("forces/fbz-total-lbs", LBF_PER_SLUG_TO_MPS2, "inertia/mass-slugs"),
+        "h_m": Source("position/h-sl-ft", FT),
+        "vn_mps": Source("velocities/v-north-fps", FT),
+        "ve_mps": Source("velocities/v-east-fps", FT),
+        "vd_mps": Source("velocities/v-down-fps", FT),
+        "rho_kgpm3": Source("atmosphere/rho-slugs_ft3", 515.378818),
+    }
+)
+
+_UNIT_TO_RECORD = {"deg": 1.0, "pct": 1.0, "rad": 57.29577951308232, "norm": 1.0}
+_COLUMN = {"elevator": "elevator_deg", "aileron": "aileron_deg", "rudder": "rudder_deg", "throttle": "throttle_pct"}
+
+
+def sources(aircraft: Aircraft) -> dict[str, Source]:
+    """The record's signals for this aircraft: the standard table, the card's outputs, commands and measured surfaces.
+
+    A normalised command (unit "norm") becomes degrees or percent through the card's ``servo``-free convention: 1 is 100 % of a
+    throttle; for a surface it is left as it stands and named ``<surface>_norm``, because no throw is known.
+    """
+    table = dict(STANDARD)
+    for signal, name in aircraft.card.outputs.items():
+        table[signal] = Source(name)
+    for control, card in aircraft.card.inputs.items():
+        column = _COLUMN.get(control, f"{control}_{card.unit}")
+        factor = _UNIT_TO_RECORD.get(card.unit, 1.0)
+        if card.unit == "norm":
+            column, factor = ("throttle_pct", 100.0) if control == "throttle" else (f"{control}_norm", 1.0)
+        selected = card.selected or card.property
+        table[column] = Source(selected, factor)
+        if card.position is not None and column.endswith("_deg"):
+            table[column.replace("_deg", "_pos_deg")] = Source(card.position, factor)
+    return table
