@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -87,6 +88,14 @@ def steady(spec: FlightSpec) -> FlightResult:
     return FlightResult("ok", "", spec.burn_in_s + spec.duration_s, metrics, {}, {})
 
 
+_TRIVIAL = dict.fromkeys([*ERROR_METRICS, *EXCURSIONS, "loss_of_control", "extrapolated_share"], 0.0)
+
+
+def trivial(spec: FlightSpec) -> FlightResult:
+    """Costs nothing, so that what is left is the harness."""
+    return FlightResult("ok", "", spec.burn_in_s + spec.duration_s, _TRIVIAL | {"cross_track_max_m": 1.0}, {}, {})
+
+
 def slow(spec: FlightSpec) -> FlightResult:
     time.sleep(0.02)
     return steady(spec)
@@ -105,7 +114,9 @@ def hazardous(spec: FlightSpec) -> FlightResult:
     if kind == 1:
         os.kill(os.getpid(), signal.SIGSEGV)
     if kind == 2:
-        return FlightResult("diverged", "the state was no longer finite at 90.0 s", 90.0, {"excursions_15m": 2.0}, {}, {})
+        return FlightResult(
+            "diverged", "the state was no longer finite at 90.0 s", 90.0, {"excursions_15m": 2.0}, {}, {}
+        )
     if kind == 3:
         raise RuntimeError("a flight that raises")
     if kind == 4:
@@ -113,10 +124,19 @@ def hazardous(spec: FlightSpec) -> FlightResult:
     return steady(spec)
 
 
+def hazardous_but_alive(spec: FlightSpec) -> FlightResult:
+    """The hazards that leave the process alive."""
+    return hazardous(spec) if _nth(spec) in (2, 3) else steady(spec)
+
+
 def hangs_sometimes(spec: FlightSpec) -> FlightResult:
     if _nth(spec) == 0:
         time.sleep(3600)
     return steady(spec)
+
+
+def diverges(spec: FlightSpec) -> FlightResult:
+    return FlightResult("diverged", "the state was no longer finite at 61.0 s", 61.0, {}, {}, {})
 
 
 def aborts_always(spec: FlightSpec) -> FlightResult:
@@ -127,6 +147,26 @@ def refuses(spec: FlightSpec) -> FlightResult:
     from uqharness.errors import BadInputError
 
     raise BadInputError("property 'uq/active' does not exist in this model")
+
+
+def reports_threads(spec: FlightSpec) -> FlightResult:
+    names = {"omp": "OMP_NUM_THREADS", "openblas": "OPENBLAS_NUM_THREADS"}
+    return FlightResult("ok", "", 1.0, {key: float(os.environ[name]) for key, name in names.items()}, {}, {})
+
+
+def _end_at_once() -> None:
+    sys.stderr = open(os.devnull, "w")  # noqa: SIM115
+    os._exit(7)
+
+
+class NotThere:
+    """A flight function that ends the process which unpickles it."""
+
+    def __reduce__(self) -> tuple[Callable[[], None], tuple[()]]:
+        return _end_at_once, ()
+
+    def __call__(self, spec: FlightSpec) -> FlightResult:
+        raise NotImplementedError
 
 
 def undefined_speed(spec: FlightSpec) -> FlightResult:

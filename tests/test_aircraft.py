@@ -229,7 +229,6 @@ def test_misspelt_and_illegal_property_names_are_refused():
     fdm = open_aircraft(find_aircraft("espaaro"))
     with pytest.raises(BadInputError, match=r"did you mean aero/Cm_q"):
         engine.set_property(fdm, "aero/Cmq", -1.0)
-    # JSBSim's own parser would end the interpreter at this name.
     with pytest.raises(BadInputError, match="not a legal"):
         engine.set_property(fdm, "aero/Cm_p^2", -1.0)
 

@@ -40,7 +40,10 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         "--hours", type=float, metavar="H", help="flight hours per corner and condition, in place of [aleatory] flights"
     )
     run.add_argument(
-        "--start-method", choices=("spawn", "forkserver", "fork"), default="spawn", help="of the processes (default spawn)"
+        "--start-method",
+        choices=("spawn", "forkserver", "fork"),
+        default="spawn",
+        help="of the processes (default spawn)",
     )
     run.add_argument("--serial", action="store_true", help="fly in this process, for debugging")
     run.set_defaults(handler=_run)
@@ -77,9 +80,7 @@ def _run(args: argparse.Namespace) -> int:
     workers = usable_cores() if args.workers is None else args.workers
     executor: Executor = SerialExecutor() if args.serial else ProcessExecutor(workers, args.start_method)
     with ProgressView() as view:
-        summary = run_campaign(
-            spec, args.out, executor=executor, on_progress=view.update, command=_command_line(args)
-        )
+        summary = run_campaign(spec, args.out, executor=executor, on_progress=view.update, command=_command_line(args))
     print(json.dumps(_as_json(summary)) if args.json else _sentence(summary))
     return 0
 
@@ -116,7 +117,9 @@ def _sentence(summary: CampaignSummary) -> str:
         text += f", {summary.done_before} of them before this run"
     text += f", {_failures(summary.statuses)}"
     if new:
-        text += f"; {progress.flown_s / 3600.0:.2f} flight h in {clock(progress.elapsed_s)} on {progress.workers} workers"
+        text += (
+            f"; {progress.flown_s / 3600.0:.2f} flight h in {clock(progress.elapsed_s)} on {progress.workers} workers"
+        )
         text += f", {progress.hours_per_core_hour:.0f} flight h per core h"
     return text
 

@@ -241,12 +241,11 @@ def _explain(text: str, data: dict[str, Any], error: dict[str, Any]) -> tuple[in
         return line, f"{name}: unknown {'section' if len(location) == 1 else 'key'}; {hint}allowed: {', '.join(known)}"
     if error["type"] == "missing":
         return line, f"{name}: required and not there"
-    message = error["msg"].removeprefix("Value error, ")
-    message = message[0].lower() + message[1:]
+    message = error["msg"].removeprefix("Value error, ").replace("Input should", "must")
     received = error.get("input")
-    # A whole section echoed back would bury the sentence.
-    shown = "" if isinstance(received, dict) and len(location) == 1 else f"; received {_toml(received)}"
-    return line, f"{name}: {message.replace('input should be', 'must be')}{shown}"
+    # A whole table echoed back would bury the sentence, which names the part that matters.
+    shown = "" if isinstance(received, dict) else f"; received {_toml(received)}"
+    return line, f"{name}: {message}{shown}"
 
 
 def _known_keys(section: tuple[Any, ...]) -> list[str]:

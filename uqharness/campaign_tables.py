@@ -41,6 +41,11 @@ class Condition:
     def label(self) -> str:
         return f"{self.wind_mps:g} m/s {self.turbulence}"
 
+    @property
+    def words(self) -> str:
+        air = "no" if self.turbulence == "none" else self.turbulence
+        return f"{self.wind_mps:g} m/s wind and {air} turbulence"
+
 
 @dataclass(frozen=True)
 class ExcursionCell:
@@ -115,10 +120,9 @@ def _rate(name: str, group: pd.DataFrame, column: str, corners: int) -> Excursio
 
 def _pbox_table(frame: pd.DataFrame) -> pa.Table:
     text, real = pa.string(), pa.float64()
-    schema = pa.schema(
-        [("metric", text), ("condition", text), *((name, real) for name in ("value", "lower", "upper"))]
-        + [("band_lower", real), ("band_upper", real), ("corner_lower", text), ("corner_upper", text)]
-    )
+    names = ("value", "lower", "upper", "band_lower", "band_upper")
+    fields = [("metric", text), ("condition", text), *((name, real) for name in names)]
+    schema = pa.schema([*fields, ("corner_lower", text), ("corner_upper", text)])
     parts = []
     for metric, condition, box in pboxes(frame):
         rows = box.value.size

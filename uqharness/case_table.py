@@ -31,7 +31,9 @@ ERROR_METRICS = tuple(
 def excursion_columns(radii_m: Iterable[float]) -> tuple[str, ...]:
     """Names of the excursion counts: horizontal distance first, then the 3-D ones."""
     radii = tuple(radii_m)
-    return tuple(f"excursions_{radius:g}m" for radius in radii) + tuple(f"excursions_{radius:g}m_3d" for radius in radii)
+    return tuple(f"excursions_{radius:g}m" for radius in radii) + tuple(
+        f"excursions_{radius:g}m_3d" for radius in radii
+    )
 
 
 def build_table(cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> pa.Table:

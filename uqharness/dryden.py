@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -203,14 +204,9 @@ def _lateral(n: int, dt: float, T: float, T_span: float, rng: np.random.Generato
     w = sqrt(T) (1 + sqrt(3) T s)/(1 + T s)^2 noise = sqrt(T) (sqrt(3) z1 + (1 - sqrt(3)) z2).
     The transition matrix is lower triangular: three passes of lfilter.
     """
-    to_w = np.sqrt(T) * np.array([np.sqrt(3.0), 1.0 - np.sqrt(3.0), 0.0])
-    A = np.array([[-1.0 / T, 0.0, 0.0], [1.0 / T, -1.0 / T, 0.0], to_w / T_span])
-    A[2, 2] = -1.0 / T_span
-    B = np.array([1.0 / T, 0.0, 0.0])
-    step, factor = _discretise(A, B, dt)
-    stationary = solve_continuous_lyapunov(A, -np.outer(B, B))
+    to_w, step, factor, spread = _lateral_matrices(dt, T, T_span)
     noise = rng.standard_normal((n, 3))
-    start = cholesky(stationary, lower=True) @ noise[0]
+    start = spread @ noise[0]
     # Sums written out: a threaded matrix product may round differently with the number of threads.
     states = np.empty((3, n))
     for i in range(3):
@@ -224,6 +220,17 @@ def _lateral(n: int, dt: float, T: float, T_span: float, rng: np.random.Generato
     return w, (w - states[2]) / T_span
 
 
+@lru_cache(maxsize=64)
+def _lateral_matrices(dt: float, T: float, T_span: float) -> tuple[Array, Array, Array, Array]:
+    """Output row of w, transition matrix, factor of the step's noise, factor of the stationary covariance."""
+    to_w = np.sqrt(T) * np.array([np.sqrt(3.0), 1.0 - np.sqrt(3.0), 0.0])
+    A = np.array([[-1.0 / T, 0.0, 0.0], [1.0 / T, -1.0 / T, 0.0], to_w / T_span])
+    A[2, 2] = -1.0 / T_span
+    B = np.array([1.0 / T, 0.0, 0.0])
+    step, factor = _discretise(A, B, dt)
+    return to_w, step, factor, cholesky(solve_continuous_lyapunov(A, -np.outer(B, B)), lower=True)
+
+
 def _discretise(A: Array, B: Array, dt: float) -> tuple[Array, Array]:
     """Transition matrix and a factor R with R'R = covariance of the noise gathered in one step.
 
@@ -231,14 +238,10 @@ def _discretise(A: Array, B: Array, dt: float) -> tuple[Array, Array]:
     the shortest time constant; longer ones are cut up) and factored by QR without forming it: it is all but singular.
     """
     pieces = max(1, int(np.ceil(dt * np.max(np.abs(A)))))
-    edges = np.linspace(0.0, dt, pieces + 1)
     half = 0.5 * dt / pieces
-    rows = [
-        np.sqrt(half * weight) * (expm(A * (left + half * (1.0 + node))) @ B)
-        for left in edges[:-1]
-        for node, weight in zip(_NODES, _WEIGHTS, strict=True)
-    ]
-    return expm(A * dt), qr(np.array(rows), mode="r")[0][: len(B)]
+    times = (2.0 * half * np.arange(pieces)[:, None] + half * (1.0 + _NODES)).ravel()
+    rows = np.sqrt(half * np.tile(_WEIGHTS, pieces))[:, None] * (expm(A * times[:, None, None]) @ B)
+    return expm(A * dt), qr(rows, mode="r")[0][: len(B)]
 
 
 def _positive(**values: float) -> None:

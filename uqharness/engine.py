@@ -20,6 +20,9 @@ from uqharness.errors import BadInputError
 
 JSBSIM_VERSION: str = jsbsim.__version__
 
+RuntimeFailure = RuntimeError
+"""What JSBSim throws: its own errors, which derive from it, and the bare one of an illegal property name."""
+
 _MISSING = re.compile(r"[Pp]roperty\s+\"?([^\s\"]+?)\"?\s+(?:does not exist|is not defined|not found|is undefined)")
 _LEGAL_NAME = re.compile(r"/?[A-Za-z_][\w.\-]*(\[\d+\])?(/[A-Za-z_][\w.\-]*(\[\d+\])?)*")
 
@@ -111,7 +114,7 @@ def open_fdm(
     fdm.set_dt(dt_s)
     try:
         loaded = fdm.load_model(aircraft_name)
-    except jsbsim.BaseError as error:
+    except RuntimeFailure as error:
         raise BadInputError(
             f"aircraft '{aircraft_name}': JSBSim refused its XML: {log.take() or _one_line(error)}"
         ) from None
@@ -139,7 +142,7 @@ def open_script(
     fdm.set_dt(dt_s)
     try:
         loaded = fdm.load_script(str(script), dt_s)
-    except jsbsim.BaseError as error:
+    except RuntimeFailure as error:
         raise BadInputError(f"script {script}: JSBSim refused it: {log.take() or _one_line(error)}") from None
     if not loaded:
         raise BadInputError(f"script {script}: JSBSim could not load it: {log.take() or 'no reason given'}")
@@ -169,7 +172,7 @@ def run_ic(fdm: Any) -> None:
         if fdm.run_ic():
             return
         raise BadInputError(f"JSBSim could not initialise the flight: {log.take() or 'no reason given'}")
-    except jsbsim.BaseError as error:
+    except RuntimeFailure as error:
         text = log.take() or _one_line(error)
     missing = disarm(fdm, text)
     log.take()
@@ -193,13 +196,9 @@ def disarm(fdm: Any, text: str) -> list[str]:
         try:
             fdm.run_ic()
             break
-        except jsbsim.BaseError as error:
+        except RuntimeFailure as error:
             text = _one_line(error)
     return missing
-
-
-RuntimeFailure = jsbsim.BaseError
-"""What JSBSim throws in flight (a table or switch out of range, a property that only now is missed)."""
 
 
 def explain(fdm: Any, error: BaseException) -> str:
@@ -220,7 +219,7 @@ def require(fdm: Any, names: Iterable[str]) -> None:
     manager = fdm.get_property_manager()
     for name in names:
         if not _LEGAL_NAME.fullmatch(name):
-            # An illegal name ends the interpreter inside JSBSim's parser, so it must never get there.
+            # Property trees of other JSBSim builds end the interpreter at such a name, so it must never get there.
             raise BadInputError(
                 f"property '{name}': not a legal JSBSim property name (letters, digits, _, -, / and [index])"
             )

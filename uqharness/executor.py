@@ -233,7 +233,9 @@ class ProcessExecutor:
         if not worker.ready:
             self._start_failures += 1
             if self._start_failures > _START_FAILURES_ALLOWED and code not in _OUTSIDE_SIGNALS:
-                raise BadInputError(f"worker processes end before they start ({_describe(code)}); see their message above")
+                raise BadInputError(
+                    f"worker processes end before they start ({_describe(code)}); see their message above"
+                )
             again.extendleft(reversed(worker.tasks))
             return []
         outside = code in _OUTSIDE_SIGNALS

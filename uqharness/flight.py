@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from uqharness import engine
 from uqharness.aircraft import Aircraft, content_hash, find_aircraft
-from uqharness.dryden import dryden_gusts
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import TURBULENCE_W20_KT, FlightResult, FlightSpec
 from uqharness.loiter_metrics import absolute_statistics, count_excursions, lost_control
@@ -131,7 +130,8 @@ def _stride(spec: FlightSpec, dt_s: float) -> int:
     stride = round(1.0 / (spec.record_rate_hz * dt_s))
     if stride < 1 or abs(stride * spec.record_rate_hz * dt_s - 1.0) > 1e-6:
         raise BadInputError(
-            f"record rate {spec.record_rate_hz:g} Hz: the step is {dt_s:g} s, {1 / dt_s:g} Hz divided by a whole number is possible"
+            f"record rate {spec.record_rate_hz:g} Hz: with a step of {dt_s:g} s, "
+            f"{1 / dt_s:g} Hz divided by a whole number is possible"
         )
     return stride
 
@@ -203,6 +203,9 @@ def _advance(fdm: Any, spec: FlightSpec, aircraft: Aircraft, dt_s: float, steps:
                 run()
 
         return plain
+    # Imported here: scipy.signal takes a second to load, and most flights use JSBSim's turbulence.
+    from uqharness.dryden import dryden_gusts
+
     gusts = dryden_gusts(
         steps,
         dt_s,

@@ -78,9 +78,9 @@ CALM_LOITER: Mapping[str, float] = {
     "sensor/noise": 0.0,
     "air/wind-mps": 0.0,
     "air/turbulence-w20-kt": 0.0,
-    "ap/WP_LOITER_RAD": 100.0,
+    "ap/WP_LOITER_RAD": 120.0,
     "ap/loiter-center-north-m": 0.0,
-    "ap/loiter-center-east-m": 100.0,
+    "ap/loiter-center-east-m": 120.0,
 }
 
 # A circle so wide (20 km, bank 0.14 deg) that it is a straight line.

@@ -6,6 +6,7 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import matplotlib
 
@@ -49,7 +50,7 @@ class Svg:
 
 def draw(content: PBoxFigure) -> Svg:
     """Draw a p-box: corners thin, envelope bold, band dashed, a published value dotted. Same content, same bytes."""
-    style = {
+    style: Any = {
         "svg.fonttype": "none",
         "svg.hashsalt": content.name,
         "font.family": "sans-serif",
@@ -67,7 +68,7 @@ def draw(content: PBoxFigure) -> Svg:
     }
     with matplotlib.rc_context(style):
         figure = Figure(figsize=(4.4, 3.5))
-        axes = figure.add_axes((0.125, 0.32, 0.85, 0.65))
+        axes = figure.add_axes((0.125, 0.29, 0.85, 0.68))
         _draw_axes(axes, content)
         figure.legend(loc="lower center", ncols=2, frameon=False, fontsize=8.5, handlelength=2.4, columnspacing=1.2)
         buffer = io.StringIO()
@@ -87,7 +88,9 @@ def _draw_axes(axes: Axes, content: PBoxFigure) -> None:
         label = "one corner each" if number == 0 and len(content.samples) > 1 else None
         axes.step(x, y, where="post", color=_CURVE, linewidth=0.5, alpha=0.45, label=label, zorder=2)
     x = np.concatenate([[left], box.value, [right]])
-    lower, upper = _between(0.0, box.lower), _between(0.0, box.upper)
+    # Unknown flights may lie below every value that was seen.
+    unseen = max(sample.unknown / sample.size for sample in content.samples)
+    lower, upper = _between(0.0, box.lower), _between(unseen, box.upper)
     axes.fill_between(x, lower, upper, step="post", color=_CURVE, alpha=0.12, linewidth=0, zorder=1)
     axes.step(x, upper, where="post", color=_CURVE, linewidth=2.2, label="p-box (envelope)", zorder=4)
     axes.step(x, lower, where="post", color=_CURVE, linewidth=2.2, zorder=4)
@@ -95,9 +98,25 @@ def _draw_axes(axes: Axes, content: PBoxFigure) -> None:
     for band in (box.band_lower, box.band_upper):
         label = "95 % band, all corners" if band is box.band_lower else None
         first = band[0] if band is box.band_upper else 0.0
-        axes.step(x, _between(first, band), where="post", color=_INK, linewidth=1.1, linestyle=(0, (5, 2)), label=label, zorder=3)
+        axes.step(
+            x,
+            _between(first, band),
+            where="post",
+            color=_INK,
+            linewidth=1.1,
+            linestyle=(0, (5, 2)),
+            label=label,
+            zorder=3,
+        )
     if content.published is not None:
-        axes.axvline(content.published, color=_MARK, linewidth=2.0, linestyle=(0, (1, 1.2)), label=content.published_label, zorder=5)
+        axes.axvline(
+            content.published,
+            color=_MARK,
+            linewidth=2.0,
+            linestyle=(0, (1, 1.2)),
+            label=content.published_label,
+            zorder=5,
+        )
     axes.set_xlim(left, right)
     axes.set_ylim(-0.01, 1.01)
     axes.set_xlabel(content.axis)

@@ -1,7 +1,8 @@
 """Load an unknown model in a process of its own first: some mistakes in its XML end the interpreter instead of raising.
 
-JSBSim 1.3.3 dies of a segmentation fault at an unknown function operation and aborts at an illegal property name. What has
-once been loaded is remembered by its content, so the check costs half a second per changed aircraft and nothing afterwards.
+JSBSim 1.3.3 dies of a segmentation fault at an unknown function operation, and aborts when a model that reads an undefined property
+is destroyed. What has once been loaded is remembered by its content, so the check costs half a second per changed aircraft and
+nothing afterwards.
 """
 
 from __future__ import annotations

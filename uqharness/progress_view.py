@@ -6,7 +6,7 @@ import sys
 from types import TracebackType
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn
 from rich.progress import Progress as Bar
 
 from uqharness.campaign import Progress
@@ -18,7 +18,7 @@ class ProgressView:
     def __init__(self, console: Console | None = None) -> None:
         self._console = console or Console(stderr=True, file=sys.stderr)
         self._bar: Bar | None = None
-        self._task = None
+        self._task: TaskID | None = None
 
     def __enter__(self) -> ProgressView:
         if self._console.is_terminal:

@@ -13,7 +13,15 @@ import pandas as pd
 from markupsafe import Markup
 
 from uqharness.campaign_manifest import read_manifest, write_atomically
-from uqharness.campaign_tables import CONFIDENCE, Condition, ExcursionCell, conditions, excursion_cells, in_condition, samples
+from uqharness.campaign_tables import (
+    CONFIDENCE,
+    Condition,
+    ExcursionCell,
+    conditions,
+    excursion_cells,
+    in_condition,
+    samples,
+)
 from uqharness.case_table import CASES, read_table
 from uqharness.errors import BadInputError
 from uqharness.pbox import ExcursionRate, PBox, best_and_worst, pbox, poisson_upper
@@ -81,7 +89,7 @@ def write_report(folder: Path) -> Report:
         name=Path(campaign["campaign"]["aircraft"]).name,
         asked=_asked(frame, campaign),
         verdict=verdict,
-        figures=[(item.title, item.condition.label, Markup(item.svg.inline)) for item in findings if item.svg],
+        figures=[(item.title, item.condition.words, Markup(item.svg.inline)) for item in findings if item.svg],
         undrawn=max(0, len(conditions(frame)) - CONDITIONS_DRAWN),
         medians=[_median_row(item) for item in findings],
         excursions=[_excursion_row(cell) for cell in cells],
@@ -168,20 +176,21 @@ def _verdict(
     """The answer in words with numbers: the hardest condition, its medians, its excursions, and what failed."""
     hardest = _hardest(conditions(frame))
     duration = campaign["aleatory"]["duration_s"]
-    sentences = []
-    for item in findings:
-        if item.condition == hardest and not (item.measured and item.published is None):
-            sentences.append(_median_sentence(item, duration))
+    sentences = [f"Hardest condition flown: {hardest.words}."]
+    for quantity, _, _ in _QUANTITIES:
+        both = [item for item in findings if item.condition == hardest and item.quantity == quantity]
+        if both:
+            sentences.append(_median_sentence(both, duration))
     for cell in cells:
         if cell.condition == hardest and cell.distance == "horizontal":
             sentences.append(_excursion_sentence(cell))
     failed = int((frame["status"] != "ok").sum())
-    counted = "all flights ended as planned" if not failed else (
-        f"{failed} failed; they are bounded at the worst, not dropped"
-    )
+    counted = f"{failed} failed; they are bounded at the worst, not dropped" if failed else "all ended as planned"
     sentences.append(f"Of {len(frame)} flights, {counted}.")
     losses = int(frame["loss_of_control"].fillna(0).sum())
-    sentences.append(f"Control was lost in {losses} of them." if losses else "Control was lost in none that was scored.")
+    sentences.append(
+        f"Control was lost in {losses} of them." if losses else "Control was lost in none that was scored."
+    )
     return sentences
 
 
@@ -190,18 +199,23 @@ def _hardest(found: list[Condition]) -> Condition:
     return max(found, key=lambda item: (order.index(item.turbulence), item.wind_mps))
 
 
-def _median_sentence(item: _Finding, duration_s: float) -> str:
-    low, high = item.box.quantile(0.5)
+def _median_sentence(both: list[_Finding], duration_s: float) -> str:
+    """One quantity, true and (where there is one) measured, against the published flight."""
+    parts = []
+    for item in sorted(both, key=lambda finding: finding.measured):
+        low, high = item.box.quantile(0.5)
+        parts.append(f"{_span(low, high)} {item.unit} {'as measured' if item.measured else 'in truth'}")
     text = (
-        f"In {item.condition.label} turbulence the median {item.words} error of a {duration_s:g} s flight"
-        f"{', as measured,' if item.measured else ''} is typically {_span(low, high)} {item.unit}, "
-        f"depending on the corner; single flights ran from {item.box.value[0]:.3g} to {item.box.value[-1]:.3g} {item.unit}"
+        f"Median {both[0].words} error of a typical {duration_s:g} s flight, best to worst corner: {', '.join(parts)}"
     )
-    if item.published is not None:
-        inside = item.box.value[0] <= item.published <= item.box.value[-1]
-        side = "below" if item.published < item.box.value[0] else "above"
-        where = "lies inside that range" if inside else f"lies {side} every one of them"
-        text += f"; the published flight's {item.published:g} {item.unit} {where}"
+    for item in both:
+        if item.published is not None:
+            low, high = item.box.value[0], item.box.value[-1]
+            where = "within" if low <= item.published <= high else "below" if item.published < low else "above"
+            text += (
+                f"; the published flight's {item.published:g} {item.unit} lies {where} what single flights measured, "
+            )
+            text += f"{low:.3g} to {high:.3g} {item.unit}"
     return text + "."
 
 
@@ -213,7 +227,7 @@ def _span(low: float, high: float) -> str:
 
 def _excursion_sentence(cell: ExcursionCell) -> str:
     best, worst = best_and_worst(cell.rates)
-    text = f"Excursions beyond {cell.radius_m:g} m per flight hour in {cell.condition.label} turbulence: "
+    text = f"Excursions beyond {cell.radius_m:g} m per flight hour: "
     text += f"{best.rate:.3g} at the best corner, {worst.rate_upper:.3g} at the worst"
     text += f" ({CONFIDENCE:.0%} limits over all corners {best.simultaneous[0]:.2g} to {worst.simultaneous[1]:.3g}; "
     return text.replace("%", " %") + f"{worst.hours:.3g} h per corner)."

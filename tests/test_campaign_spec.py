@@ -1,0 +1,145 @@
+"""campaign.toml: what is accepted, and that each kind of mistake is named with its line."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.campaign_fakes import CAMPAIGN
+from uqharness.campaign_spec import read_campaign
+from uqharness.errors import BadInputError
+
+
+def read(tmp_path, text):
+    path = tmp_path / "campaign.toml"
+    path.write_text(text)
+    return read_campaign(path)
+
+
+def line_of(text, fragment):
+    return next(number for number, line in enumerate(text.splitlines(), 1) if fragment in line)
+
+
+def test_reads_a_campaign_and_fills_in_defaults(tmp_path):
+    spec = read(tmp_path, CAMPAIGN)
+    assert spec.campaign.seed == 7
+    assert spec.aleatory.wind_mps == (3.0,)
+    assert spec.aleatory.turbulence == ("moderate",)
+    assert spec.aleatory.sensor_noise is True
+    assert spec.epistemic.bounds["CZ"] == (-0.05, 0.05)
+    assert spec.metrics.excursion_radius_m == (15.0, 25.0)
+    assert spec.stop.rule == "flights"
+
+
+def test_lists_and_asymmetric_bounds(tmp_path):
+    text = CAMPAIGN.replace("wind_mps = 3", "wind_mps = [0, 1.5]").replace('"moderate"', '["light", "severe"]')
+    spec = read(tmp_path, text.replace("CX = 0.008", "CX = [-0.001, 0.008]"))
+    assert spec.aleatory.wind_mps == (0.0, 1.5)
+    assert spec.aleatory.turbulence == ("light", "severe")
+    assert spec.epistemic.bounds["CX"] == (-0.001, 0.008)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fragments"),
+    [
+        ("seed = 7", "sede = 7", ["sede: unknown key", "did you mean seed?", "allowed: aircraft, mission, seed"]),
+        ("[aleatory]", "[aleotory]", ["[aleotory]: unknown section", "did you mean aleatory?"]),
+        ("seed = 7", 'seed = "seven"', ["[campaign] seed", "integer", 'received "seven"']),
+        ("seed = 7", "seed = -1", ["[campaign] seed", "greater than or equal to 0", "received -1"]),
+        ("seed = 7", "seed = true", ["[campaign] seed", "received true"]),
+        ("flights = 3", "flights = 0", ["[aleatory] flights", "greater than or equal to 1", "received 0"]),
+        ("duration_s = 150", "duration_s = nan", ["[aleatory] duration_s", "finite", "received nan"]),
+        ("wind_mps = 3", "wind_mps = [3, 300]", ["[aleatory] wind_mps", "60", "received 300"]),
+        ("wind_mps = 3", "wind_mps = [3, 3]", ["[aleatory] wind_mps", "none twice"]),
+        ("wind_mps = 3", "wind_mps = []", ["[aleatory] wind_mps", "at least one"]),
+        ('"moderate"', '"heavy"', ["[aleatory] turbulence", "'light'", 'received "heavy"']),
+        ('"jsbsim"', '"xplane"', ["turbulence_source", "'spec'", 'received "xplane"']),
+        ('method = "corners"', 'method = "walk"', ['method = "walk" is not available yet', '"corners"', '"none"']),
+        ('method = "corners"', 'method = "sobol"', ["[epistemic] method", "'corners'", 'received "sobol"']),
+        ('method = "corners"', 'method = "levels"', ["levels", "[0, 0.5, 1]"]),
+        ("CX = 0.008", "CX = -0.008", ["bounds", "CX = -0.008", "half-width"]),
+        ("CX = 0.008", "CX = [0.001, 0.008]", ["bounds", "lower <= 0 <= upper"]),
+        ("CX = 0.008", 'CX = "wide"', ["bounds", "number (±) or a pair"]),
+        ("CX = 0.008", "Cx = 0.008", ["bounds", "Cx", "'CX'"]),
+        ("CX = 0.008, ", "", ["bounds lack CX"]),
+    ],
+)
+def test_each_mistake_is_named_with_its_line(tmp_path, old, new, fragments):
+    text = CAMPAIGN.replace(old, new)
+    assert text != CAMPAIGN
+    with pytest.raises(BadInputError) as caught:
+        read(tmp_path, text)
+    message = str(caught.value)
+    for fragment in fragments:
+        assert fragment in message, message
+    if new and "method" not in new and "bounds lack" not in message:
+        assert f"campaign.toml:{line_of(text, new)}: " in message, message
+
+
+def test_missing_key_points_at_its_section(tmp_path):
+    text = CAMPAIGN.replace("seed = 7\n", "")
+    with pytest.raises(BadInputError, match=rf":{line_of(text, '[campaign]')}: \[campaign\] seed: required"):
+        read(tmp_path, text)
+
+
+def test_missing_section_is_named(tmp_path):
+    with pytest.raises(BadInputError, match=r":1: \[epistemic\]: required"):
+        read(tmp_path, CAMPAIGN.partition("[epistemic]")[0])
+
+
+def test_all_mistakes_are_listed_at_once(tmp_path):
+    text = CAMPAIGN.replace("seed = 7", "seed = -1").replace("flights = 3", "flights = 0")
+    with pytest.raises(BadInputError) as caught:
+        read(tmp_path, text)
+    assert len(str(caught.value).splitlines()) == 2
+
+
+def test_bad_toml_names_the_line(tmp_path):
+    text = CAMPAIGN.replace("flights = 3", "flights = = 3")
+    with pytest.raises(BadInputError, match=rf"campaign.toml:{line_of(text, 'flights')}: not valid TOML"):
+        read(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("addition", "fragment"),
+    [
+        ('[stop]\nrule = "decide"\n', 'rule = "decide" is not available yet; use "flights"'),
+        ('[aleatory.variables."inertia/ixx"]\nmean = 1\n', "[aleatory] variables is not available yet"),
+        ('[epistemic.parameters]\nfit = "fit.json"\n', "[epistemic] parameters is not available yet"),
+        ("[metrics]\nrearm_m = 15\n", "less than the smallest radius, 15 m"),
+    ],
+)
+def test_what_is_planned_or_inconsistent(tmp_path, addition, fragment):
+    with pytest.raises(BadInputError) as caught:
+        read(tmp_path, CAMPAIGN + "\n" + addition)
+    assert fragment in str(caught.value)
+
+
+def test_bounds_from_a_file_are_refused_for_now(tmp_path):
+    head, _, _ = CAMPAIGN.partition("bounds =")
+    with pytest.raises(BadInputError, match="bounds from a file are not available yet"):
+        read(tmp_path, head + 'bounds = "model-form.json"\n')
+
+
+def test_unreadable_files(tmp_path):
+    with pytest.raises(BadInputError, match="cannot be read"):
+        read_campaign(tmp_path / "absent.toml")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(BadInputError, match="UTF-8"):
+        read_campaign(tmp_path / "binary.toml")
+
+
+def test_hours_set_the_number_of_flights(tmp_path):
+    spec = read(tmp_path, CAMPAIGN)
+    assert spec.with_hours(1.0).aleatory.flights == 24
+    assert spec.with_hours(0.001).aleatory.flights == 1
+    for hours in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(BadInputError, match="--hours"):
+            spec.with_hours(hours)
+
+
+def test_the_demo_campaign_is_valid():
+    from uqharness.aircraft import PROJECT_ROOT
+
+    spec = read_campaign(PROJECT_ROOT / "campaigns" / "demo" / "campaign.toml")
+    assert spec.epistemic.method == "corners"
+    assert set(spec.epistemic.bounds) == set(spec.epistemic.coefficients)
