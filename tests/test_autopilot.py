@@ -208,7 +208,9 @@ def test_capture_in_strong_wind(load_mission, wind_from_deg):
 
 
 def test_holds_the_loiter_in_7_mps_wind_and_severe_turbulence(mission):
-    fdm = mission({"air/wind-mps": 7, "air/turbulence-w20-kt": 45, "simulation/randomseed": 5, "atmosphere/randomseed": 6})
+    fdm = mission(
+        {"air/wind-mps": 7, "air/turbulence-w20-kt": 45, "simulation/randomseed": 5, "atmosphere/randomseed": 6}
+    )
     fly(fdm, 120.0, TRACK)
     rows = np.abs(fly(fdm, 600.0, (*TRACK, *ATTITUDE)))
     assert np.isfinite(rows).all()
@@ -240,7 +242,13 @@ def test_engages_without_a_bump(load_mission):
     fdm = start(load_mission(CALM_STRAIGHT, "trim"))
     # On the circle that the controller flies, which is wider than the one commanded.
     fdm["ap/loiter-center-east-m"] = CALM_STRAIGHT["ap/WP_LOITER_RAD"] * fdm["ap/EAS2TAS"] ** 2
-    names = ("fcs/elevator-pos-deg", "fcs/aileron-pos-deg", "fcs/rudder-pos-deg", "fcs/throttle-pos-pct", "attitude/theta-deg")
+    names = (
+        "fcs/elevator-pos-deg",
+        "fcs/aileron-pos-deg",
+        "fcs/rudder-pos-deg",
+        "fcs/throttle-pos-pct",
+        "attitude/theta-deg",
+    )
     before = fly(fdm, 5.0, names, every=1)[-1]
     fdm["ap/engaged"] = 1
     after = fly(fdm, 1.0, names, every=1)

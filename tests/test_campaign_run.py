@@ -210,6 +210,18 @@ def test_changed_files_are_refused_by_name(tmp_path):
         run(tmp_path, "out", flights=5)
 
 
+def test_an_edit_during_the_run_spoils_the_folder(tmp_path):
+    def edit(progress):
+        (tmp_path / "loiter.xml").write_text("<runscript> </runscript>")
+
+    with pytest.raises(BadInputError, match="edited while this campaign flew"):
+        run(tmp_path, "out", on_progress=edit)
+    assert not (tmp_path / "out" / CASES).exists()
+    # campaign_file restores the script; the flights of the other one are still in the folder.
+    with pytest.raises(BadInputError, match="remove the folder"):
+        run(tmp_path, "out")
+
+
 def test_a_folder_of_something_else_is_refused(tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "thesis.tex").write_text("mine")

@@ -12,8 +12,8 @@ import pytest
 
 from uqharness.campaign_manifest import read_manifest, refuse_if_different, write_manifest
 from uqharness.errors import BadInputError
-from uqharness.executor import CaseOutcome
 from uqharness.store import JOURNAL, Store, is_running, run_lock
+from uqharness.worker import CaseOutcome
 
 
 def outcome(number, status="ok", **metrics):

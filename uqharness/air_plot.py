@@ -36,7 +36,7 @@ def plot_air(flights: Sequence[Seen], path: Path) -> None:
             axes.set_xlabel("frequency, Hz")
         if name == "u":
             axes.legend(fontsize=8)
-    figure.savefig(path, metadata={"Date": None})
+    figure.savefig(path, metadata={"Date": None, "Creator": None} if path.suffix == ".svg" else None)
 
 
 def _smoothed(frequency: np.ndarray, density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import time
@@ -9,17 +10,21 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from uqharness.campaign_manifest import describe, read_manifest, refuse_if_different, write_manifest
 from uqharness.campaign_spec import CampaignSpec
 from uqharness.campaign_tables import write_tables
 from uqharness.cases import Case, Mission, build_cases
 from uqharness.errors import BadInputError
-from uqharness.executor import Executor, FlightFunction, ProcessExecutor, usable_cores
+from uqharness.executor import Executor, ProcessExecutor, usable_cores
 from uqharness.store import Store, run_lock
+from uqharness.worker import FlightFunction
 
 VALIDATION_S = 5.0
 """Flight time of the check that the model flies at all, made in a throw-away process before any case."""
+
+_SPOILT = "spoilt"
 
 
 @dataclass(frozen=True)
@@ -94,6 +99,7 @@ def run_campaign(
         from uqharness.flight import fly as fly_mission
 
         fly = fly_mission
+    given = mission is not None
     mission = mission or find_mission(spec)
     cases = build_cases(spec, mission)
     executor = executor or ProcessExecutor(usable_cores() if workers is None else workers)
@@ -101,7 +107,10 @@ def run_campaign(
     with run_lock(folder):
         manifest = describe(spec, mission, len(cases), command)
         if (folder / "manifest.json").exists():
-            refuse_if_different(folder, read_manifest(folder), manifest)
+            old = read_manifest(folder)
+            refuse_if_different(folder, old, manifest)
+            if old["state"] == _SPOILT:
+                raise _spoilt(folder)
         else:
             _refuse_foreign(folder)
         write_manifest(folder, manifest)
@@ -109,8 +118,11 @@ def run_campaign(
             try:
                 summary = _fly_missing(folder, store, cases, executor, fly, on_progress)
             except BaseException:
-                write_manifest(folder, manifest | {"state": "interrupted"})
+                # On a full disk this fails too, and the first reason is the one to hear.
+                with contextlib.suppress(BadInputError):
+                    write_manifest(folder, manifest | {"state": "interrupted"})
                 raise
+            _refuse_if_edited(folder, manifest, mission if given else find_mission(spec))
             write_tables(folder, spec, cases, store.outcomes())
         write_manifest(folder, manifest | {"state": "complete"})
     return summary
@@ -133,6 +145,20 @@ def validate_model(fly: FlightFunction, case: Case) -> None:
                     f"aircraft {brief.aircraft.name} with {brief.script.name}: the check flight before the campaign failed: "
                     f"{outcome.reason}; try: uqharness fly {brief.aircraft.name} --out check.csv"
                 )
+
+
+def _refuse_if_edited(folder: Path, manifest: dict[str, Any], mission: Mission) -> None:
+    """Flights before and after an edit would stand in one table under one hash."""
+    if manifest["hashes"] != {"aircraft": mission.aircraft_hash, "script": mission.script_hash}:
+        write_manifest(folder, manifest | {"state": _SPOILT})
+        raise _spoilt(folder)
+
+
+def _spoilt(folder: Path) -> BadInputError:
+    return BadInputError(
+        f"{folder}: the aircraft or the script was edited while this campaign flew, so its flights are of both versions; "
+        "remove the folder and run again"
+    )
 
 
 def _folder(path: Path) -> Path:

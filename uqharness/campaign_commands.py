@@ -79,8 +79,16 @@ def _run(args: argparse.Namespace) -> int:
         spec = spec.with_hours(args.hours)
     workers = usable_cores() if args.workers is None else args.workers
     executor: Executor = SerialExecutor() if args.serial else ProcessExecutor(workers, args.start_method)
-    with ProgressView() as view:
-        summary = run_campaign(spec, args.out, executor=executor, on_progress=view.update, command=_command_line(args))
+    try:
+        with ProgressView() as view:
+            summary = run_campaign(
+                spec, args.out, executor=executor, on_progress=view.update, command=_command_line(args)
+            )
+    except KeyboardInterrupt:
+        print(
+            f"{args.out}: stopped; every finished flight is kept, the same command goes on from here", file=sys.stderr
+        )
+        raise
     print(json.dumps(_as_json(summary)) if args.json else _sentence(summary))
     return 0
 
@@ -157,7 +165,8 @@ def _report(args: argparse.Namespace) -> int:
 
     report = write_report(args.folder)
     if args.json:
-        print(json.dumps({"report": str(report.path), "figures": [str(path) for path in report.figures]}))
+        found = {"report": str(report.path), "figures": [str(path) for path in report.figures]}
+        print(json.dumps(found | {"verdict": list(report.verdict)}))
     else:
         print(f"{report.path}: written, with {len(report.figures)} figures")
         for sentence in report.verdict:

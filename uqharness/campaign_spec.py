@@ -6,7 +6,6 @@ Errors name file, line, what was received and what is allowed.
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 import re
 import tomllib
@@ -18,6 +17,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import COEFFICIENTS, TURBULENCE_W20_KT
+from uqharness.toml_errors import as_toml, explain, line_of
 
 DEFAULT_TURBULENCE_SOURCE: Literal["jsbsim", "spec"] = "jsbsim"
 """Model of the air where campaign.toml names none."""
@@ -201,7 +201,7 @@ def read_campaign(path: str | Path) -> CampaignSpec:
         try:
             document = _Document.model_validate(data)
         except ValidationError as error:
-            problems = [_explain(text, data, dict(item)) for item in error.errors()]
+            problems = [explain(_Document, text, data, dict(item)) for item in error.errors()]
         else:
             return CampaignSpec(path, text, *(getattr(document, name) for name in _Document.model_fields))
     lines = [f"{path}:{line}: {message}" for line, message in sorted(problems)]
@@ -216,82 +216,17 @@ def _not_yet(text: str, data: dict[str, Any]) -> list[tuple[int, str]]:
         if isinstance(table, dict) and table.get(key) in values:
             allowed = ", ".join(f'"{item}"' for item in _allowed(section, key))
             message = f'[{section}] {key} = "{table[key]}" is not available yet; use {allowed}'
-            problems.append((_line_of(text, (section, key)), message))
+            problems.append((line_of(text, (section, key)), message))
     for section, key in (("aleatory", "variables"), ("epistemic", "parameters"), ("epistemic", "samples")):
         table = data.get(section)
         if isinstance(table, dict) and key in table:
-            problems.append((_line_of(text, (section, key)), f"[{section}] {key} is not available yet; remove it"))
+            problems.append((line_of(text, (section, key)), f"[{section}] {key} is not available yet; remove it"))
     return problems
 
 
 def _allowed(section: str, key: str) -> tuple[str, ...]:
     annotation = _Document.model_fields[section].annotation.model_fields[key].annotation  # type: ignore[union-attr]
     return tuple(annotation.__args__)
-
-
-def _explain(text: str, data: dict[str, Any], error: dict[str, Any]) -> tuple[int, str]:
-    """(line, sentence) of one pydantic error."""
-    location = _real_path(data, error["loc"], missing_too=error["type"] == "missing")
-    line = _line_of(text, location)
-    name = " ".join([f"[{location[0]}]", ".".join(map(str, location[1:]))]).strip() if location else "the file"
-    if error["type"] == "extra_forbidden":
-        known = _known_keys(location[:-1])
-        near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]}? " if near else ""
-        return line, f"{name}: unknown {'section' if len(location) == 1 else 'key'}; {hint}allowed: {', '.join(known)}"
-    if error["type"] == "missing":
-        return line, f"{name}: required and not there"
-    message = error["msg"].removeprefix("Value error, ").replace("Input should", "must")
-    received = error.get("input")
-    # A whole table echoed back would bury the sentence, which names the part that matters.
-    shown = "" if isinstance(received, dict) else f"; received {_toml(received)}"
-    return line, f"{name}: {message}{shown}"
-
-
-def _known_keys(section: tuple[Any, ...]) -> list[str]:
-    model: Any = _Document
-    for name in section:
-        model = model.model_fields[name].annotation
-    return list(model.model_fields)
-
-
-def _real_path(data: Any, location: tuple[Any, ...], missing_too: bool) -> tuple[Any, ...]:
-    """``location`` without pydantic's own marks (names of union members): the part that exists in the file."""
-    found: list[Any] = []
-    for position, part in enumerate(location):
-        in_list = isinstance(data, list) and isinstance(part, int) and part < len(data)
-        if in_list or (isinstance(data, dict) and part in data):
-            data = data[part]
-            found.append(part)
-        elif missing_too and position == len(location) - 1:
-            found.append(part)
-    return tuple(found)
-
-
-def _line_of(text: str, location: tuple[Any, ...]) -> int:
-    """Line of a key; of its section's header where the key is missing; 1 where that is missing too."""
-    if not location:
-        return 1
-    section_line, section, best = 1, "", 0
-    for number, raw in enumerate(text.splitlines(), start=1):
-        line = raw.strip()
-        header = re.match(r"\[+\s*([^\]]+?)\s*\]+", line)
-        if header:
-            section = re.sub(r"[\"'\s]", "", header.group(1))
-            if section == str(location[0]) or section.startswith(f"{location[0]}."):
-                section_line = number if section == location[0] or section_line == 1 else section_line
-                if len(location) > 1 and section == f"{location[0]}.{location[1]}":
-                    return number
-            continue
-        if section == location[0] and len(location) > 1:
-            if re.match(rf"[\"']?{re.escape(str(location[1]))}[\"']?\s*[=.]", line):
-                best = number
-            # A key within an inline table that spans lines is nearer the mistake than the table's first line.
-            if best and len(location) > 2 and re.search(rf"\b{re.escape(str(location[2]))}\s*=", line):
-                return number
-        elif not section and re.match(rf"[\"']?{re.escape(str(location[0]))}[\"']?\s*[=.]", line):
-            return number
-    return best or section_line
 
 
 def _interval(name: str, item: Any) -> Any:
@@ -301,19 +236,13 @@ def _interval(name: str, item: Any) -> Any:
             raise ValueError(f"{name} = {item:g}: a single bound is a half-width and cannot be negative")
         return (-float(item), float(item))
     if not (isinstance(item, list) and len(item) == 2 and all(map(_is_number, item))):
-        raise ValueError(f"{name} = {_toml(item)}: must be a number (±) or a pair [lower, upper]")
+        raise ValueError(f"{name} = {as_toml(item)}: must be a number (±) or a pair [lower, upper]")
     if not item[0] <= 0 <= item[1]:
-        raise ValueError(f"{name} = {_toml(item)}: must have lower <= 0 <= upper, so that the model itself lies inside")
+        raise ValueError(
+            f"{name} = {as_toml(item)}: must have lower <= 0 <= upper, so that the model itself lies inside"
+        )
     return (float(item[0]), float(item[1]))
 
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, (tuple, list)):
-        return "[" + ", ".join(map(_toml, value)) + "]"
-    return f'"{value}"' if isinstance(value, str) else str(value)

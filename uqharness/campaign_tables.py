@@ -16,8 +16,8 @@ from uqharness.campaign_manifest import write_atomically
 from uqharness.campaign_spec import CampaignSpec
 from uqharness.case_table import CASES, ERROR_METRICS, build_table, write_table
 from uqharness.cases import Case
-from uqharness.executor import CaseOutcome
 from uqharness.pbox import ExcursionRate, PBox, Sample, best_and_worst, excursion_rate, pbox
+from uqharness.worker import CaseOutcome
 
 PBOXES = "pbox.parquet"
 EXCURSIONS = "excursions.csv"

@@ -14,8 +14,8 @@ import pyarrow.parquet as pq
 from uqharness.campaign_manifest import write_atomically
 from uqharness.cases import Case
 from uqharness.errors import BadInputError
-from uqharness.executor import CaseOutcome
 from uqharness.flight_spec import COEFFICIENTS
+from uqharness.worker import CaseOutcome
 
 CASES = "cases.parquet"
 

@@ -7,48 +7,34 @@ system for want of memory, by its own abort) without harm to another, and the ca
 from __future__ import annotations
 
 import contextlib
-import faulthandler
 import itertools
 import multiprocessing
 import os
 import signal
-import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from typing import Any, Protocol
 
 from uqharness.errors import BadInputError
-from uqharness.flight_spec import STATUSES, FlightResult, FlightSpec
-
-FlightFunction = Callable[[FlightSpec], FlightResult]
+from uqharness.flight_spec import FlightSpec
+from uqharness.worker import CaseOutcome, FlightFunction, attempt, work
 
 BATCH_S = 0.25
 """Longest time that a finished case waits to be handed on."""
 
 _QUEUED_PER_WORKER = 2
+# A flight that diverges is not flown again: the same spec gives the same bytes. A worker's death may have been another's fault.
 _RETRIES = 1
 # Death by SIGKILL or SIGTERM comes from outside (a scheduler, a user, want of memory) and says less about the case.
 _RETRIES_AFTER_OUTSIDE_KILL = 4
 _OUTSIDE_SIGNALS = (-9, -15)
 _START_FAILURES_ALLOWED = 3
+_START_S = 120.0
 # One thread per worker: BLAS would start one per core in each, and they would fight.
 _SINGLE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
-
-
-@dataclass(frozen=True)
-class CaseOutcome:
-    """What is kept of one flight: its result without the signals. ``bad_input``: refused as input, not flown."""
-
-    case_id: str
-    status: str
-    reason: str
-    flown_s: float
-    metrics: Mapping[str, float] = field(default_factory=dict)
-    undefined: Mapping[str, str] = field(default_factory=dict)
-    bad_input: bool = False
 
 
 class Executor(Protocol):
@@ -59,35 +45,11 @@ class Executor(Protocol):
     def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]: ...
 
 
-def attempt(fly: FlightFunction, case_id: str, flight: FlightSpec) -> CaseOutcome:
-    """Fly one case; whatever it raises becomes a crashed outcome with its reason."""
-    try:
-        result = fly(flight)
-        if result.status not in STATUSES:
-            raise ValueError(f"the flight function returned status '{result.status}', not one of {', '.join(STATUSES)}")
-        return CaseOutcome(
-            case_id,
-            result.status,
-            result.reason,
-            float(result.flown_s),
-            {name: float(value) for name, value in result.metrics.items()},
-            dict(result.undefined),
-        )
-    except BadInputError as error:
-        return CaseOutcome(case_id, "crashed", _one_line(str(error)), 0.0, bad_input=True)
-    except Exception as error:
-        return CaseOutcome(case_id, "crashed", _one_line(f"{type(error).__name__}: {error}"), 0.0)
-
-
 def usable_cores() -> int:
     """Cores this process may use, which in a container or under a scheduler are fewer than the machine has."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
 
 
 def default_timeout_s(flight: FlightSpec) -> float:
@@ -180,8 +142,8 @@ class ProcessExecutor:
                 if not alive:
                     pool.remove(worker)
                     batch += self._bury(worker, again)
-                elif worker.ready and worker.tasks:
-                    limit = self._timeout_s(worker.tasks[0].flight)
+                elif worker.tasks:
+                    limit = self._timeout_s(worker.tasks[0].flight) if worker.ready else _START_S
                     if time.monotonic() - worker.head_since > limit:
                         pool.remove(worker)
                         batch += self._give_up(worker, again, limit)
@@ -207,7 +169,7 @@ class ProcessExecutor:
 
     def _start(self, fly: FlightFunction) -> _Worker:
         ours, theirs = self._context.Pipe()
-        process = self._context.Process(target=_work, args=(theirs, fly), daemon=True)
+        process = self._context.Process(target=work, args=(theirs, fly), daemon=True)
         process.start()
         # Held open here, the other end would hide the worker's death.
         theirs.close()
@@ -309,29 +271,3 @@ def _single_threaded_children() -> Iterator[None]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
-
-
-def _work(pipe: Connection, fly: FlightFunction) -> None:
-    """A worker's life: take a case, fly it, send the outcome; end with the parent."""
-    # Ctrl-C reaches the whole group; the parent decides what it means.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_follow_parent, daemon=True).start()
-    # Python's own crash report would be noise: the parent records the signal.
-    if faulthandler.is_enabled():
-        faulthandler.disable()
-    try:
-        pipe.send(None)
-        while True:
-            case_id, flight = pipe.recv()
-            pipe.send(attempt(fly, case_id, flight))
-    except (EOFError, OSError):
-        return
-
-
-def _follow_parent() -> None:
-    """End this process when its parent has gone, even in the middle of a flight."""
-    parent, number = multiprocessing.parent_process(), os.getppid()
-    while parent is not None:
-        parent.join(timeout=1.0)
-        if not parent.is_alive() or os.getppid() != number:
-            os._exit(1)

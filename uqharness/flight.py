@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from itertools import repeat
+from itertools import islice, repeat
 from typing import Any
 
 import numpy as np
@@ -222,9 +222,13 @@ def _advance(fdm: Any, spec: FlightSpec, aircraft: Aircraft, dt_s: float, steps:
     )
 
     def fed(count: int) -> None:
-        for _ in repeat(None, count):
-            u, v, w, p, q, r = next(feed)
-            set_u(u), set_v(v), set_w(w), set_p(p), set_q(q), set_r(r)
+        for u, v, w, p, q, r in islice(feed, count):
+            set_u(u)
+            set_v(v)
+            set_w(w)
+            set_p(p)
+            set_q(q)
+            set_r(r)
             run()
 
     return fed

@@ -19,7 +19,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from uqharness.errors import BadInputError
-from uqharness.executor import CaseOutcome
+from uqharness.worker import CaseOutcome
 
 JOURNAL = "journal.sqlite"
 LOCK = "run.lock"

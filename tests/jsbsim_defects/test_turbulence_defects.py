@@ -135,5 +135,25 @@ def test_h_default_milspec_filters_are_a_third_too_strong_where_aircraft_answer(
         assert rows[component].band_ratios[3] == pytest.approx(1.36, abs=0.1), component
 
 
+def test_i_second_order_filters_drift_when_the_airspeed_answers_to_the_gust(folder: Path) -> None:
+    # An aircraft that accelerates with the side gust (here by 0.3 1/s of it, as a banked one does) makes each white-noise sample
+    # meet one gain on its way in and another on its way out: v gets a mean, though it is symmetric and V hardly moves.
+    mean = {}
+    for coupling in (0.3, -0.3):
+        fdm = turbulent(folder, {}, replace(CALM, dt_s=0.02))
+        v_gust, speed = (
+            engine.handle(fdm, name).get_double_value for name in ("atmosphere/turb-east-fps", "velocities/v-north-fps")
+        )
+        command = engine.handle(fdm, "pin/north-fps").set_double_value
+        initial, total, n = speed(), 0.0, 25_000
+        for _ in range(n):
+            fdm.run()
+            # The pin's force is 5 (command - speed): acceleration = coupling v - (V - V0)/2 s
+            command(speed() + (coupling * v_gust() - 0.5 * (speed() - initial)) / 5.0)
+            total += v_gust()
+        mean[coupling] = total / n
+    assert mean[0.3] - mean[-0.3] < -1.0  # ft/s, of a sigma of 6.9; the same noise in both
+
+
 def test_specified_sigma_used_above() -> None:
     assert dryden_sigma("w", 22.2, 100.0, W20_FPS * FT_M / 0.514444, 3.66) / FT_M == pytest.approx(5.0, rel=1e-4)
