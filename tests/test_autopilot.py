@@ -225,7 +225,7 @@ def test_holds_the_loiter_in_7_mps_wind_and_severe_turbulence(mission):
 
 
 def test_medians_at_3_mps_and_moderate_turbulence_are_of_the_published_kind(mission):
-    """Published flight: altitude 2.16 m, speed 0.61 m/s; cross track 9.41 m at another radius and elevation (docs/autopilot.md)."""
+    """Published flight: altitude 2.16 m, speed 0.61 m/s; cross track 9.41 m at an unknown radius and elevation."""
     fdm = mission()
     fly(fdm, 120.0, TRACK)
     names = ("sensor/cross-track-m", "sensor/altitude-error-m", "sensor/speed-error-mps")

@@ -2,9 +2,9 @@
 
 Three loops take turns in one process, each flying the same minutes of the loiter in wind, turbulence and sensor noise:
 
-a  the bare ``while run()`` loop of the aircraft's own XML, plugin, air and sensors on, nothing recorded;
+a  the bare ``while run()`` loop of the aircraft's own XML, plugin, air (JSBSim's turbulence) and sensors on, nothing recorded;
 b  the same without the plugin (its system and its functions taken out of a copy of the XML);
-c  the harness: conditions, recording, scoring and storage of the result.
+c  the harness with a campaign's default air: conditions, recording, scoring and storage of the result.
 
 Processor time is counted, the least of all rounds is quoted, and ratios are what to compare: machines are noisy.
 """
@@ -25,7 +25,7 @@ from uqharness import engine
 from uqharness.aircraft import Aircraft, find_aircraft, parse_xml
 from uqharness.executor import attempt
 from uqharness.flight import fly, set_conditions
-from uqharness.flight_spec import COEFFICIENTS, FlightSpec
+from uqharness.flight_spec import COEFFICIENTS, DEFAULT_TURBULENCE_SOURCE, FlightSpec
 from uqharness.mission import StagedMission, find_script
 from uqharness.store import Store
 
@@ -90,11 +90,13 @@ def measure(aircraft_name: str, duration_s: float, rounds: int, source: str) -> 
         aircraft.folder, find_script("loiter"), duration_s, wind_mps=3.0, turbulence="moderate", turbulence_source=source,
         sensor_noise=True, seed_turbulence=11, seed_noise=12, properties=deltas,
     )  # fmt: skip
+    # Without a host JSBSim has only its own turbulence: that is the air of the bare loops, whatever the harness flies.
+    bare = replace(spec, turbulence_source="jsbsim")
     with tempfile.TemporaryDirectory(prefix="uqharness-") as name:
         folder = Path(name)
         loops = {
-            "a": bare_loop(aircraft, spec),
-            "b": bare_loop(without_plugin(aircraft, folder), replace(spec, properties={})),
+            "a": bare_loop(aircraft, bare),
+            "b": bare_loop(without_plugin(aircraft, folder), replace(bare, properties={})),
             "c": harness_loop(spec, folder),
         }
         best = dict.fromkeys(loops, float("inf"))
@@ -120,7 +122,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--aircraft", default="espaaro")
     parser.add_argument("--duration-s", type=float, default=900.0, help="flight per round and loop (default 900)")
     parser.add_argument("--rounds", type=int, default=5, help="rounds; the least time counts (default 5)")
-    parser.add_argument("--turbulence-source", choices=("jsbsim", "spec"), default="jsbsim")
+    parser.add_argument("--turbulence-source", choices=("jsbsim", "spec"), default=DEFAULT_TURBULENCE_SOURCE)
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(argv)
     figures = measure(args.aircraft, args.duration_s, args.rounds, args.turbulence_source)

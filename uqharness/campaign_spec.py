@@ -16,11 +16,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from uqharness.errors import BadInputError
-from uqharness.flight_spec import COEFFICIENTS, TURBULENCE_W20_KT
+from uqharness.flight_spec import COEFFICIENTS, DEFAULT_TURBULENCE_SOURCE, TURBULENCE_W20_KT
 from uqharness.toml_errors import as_toml, explain, line_of
-
-DEFAULT_TURBULENCE_SOURCE: Literal["jsbsim", "spec"] = "jsbsim"
-"""Model of the air where campaign.toml names none."""
 
 _NOT_YET = {
     ("epistemic", "method"): ("lhs", "white", "walk"),

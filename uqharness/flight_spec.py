@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,9 @@ TURBULENCE_W20_KT: Mapping[str, float] = MappingProxyType(
     {"none": 0.0, "light": 15.0, "moderate": 30.0, "severe": 45.0}
 )
 """Wind at 20 ft for each intensity, knots (MIL-F-8785C 3.7.3.2, Fig 7)."""
+
+DEFAULT_TURBULENCE_SOURCE: Literal["jsbsim", "spec"] = "spec"
+"""Which Dryden model flies unless asked otherwise: the one without a mean gust in a turn (docs/air.md)."""
 
 COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 """Body-axis force and moment coefficients, in the order in which they are always listed."""
@@ -37,7 +41,7 @@ class FlightSpec:
     wind_mps: float = 0.0
     wind_from_deg: float = 270.0
     turbulence: str = "none"
-    turbulence_source: str = "jsbsim"
+    turbulence_source: str = DEFAULT_TURBULENCE_SOURCE
     sensor_noise: bool = False
     seed_turbulence: int = 0
     seed_noise: int = 0

@@ -7,18 +7,21 @@ import json
 import math
 import zlib
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from uqharness import properties
 from uqharness.aircraft import Aircraft, find_aircraft
 from uqharness.errors import BadInputError
 from uqharness.flight import Recorded, record_mission
-from uqharness.flight_spec import TURBULENCE_W20_KT, FlightSpec
+from uqharness.flight_spec import DEFAULT_TURBULENCE_SOURCE, TURBULENCE_W20_KT, FlightSpec
 from uqharness.mission import StagedMission, find_script, read_script
 from uqharness.properties import Source
 from uqharness.record_writer import FORMATS, write_record
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _EXAMPLE = """examples:
   uqharness fly espaaro --script scripts/doublet-elevator.xml --out doublet.csv
@@ -55,7 +58,10 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         "--turbulence", choices=tuple(TURBULENCE_W20_KT), default=None, help="MIL-F-8785C intensity (default none)"
     )
     parser.add_argument(
-        "--turbulence-source", choices=("jsbsim", "spec"), default="jsbsim", help="which Dryden model (default jsbsim)"
+        "--turbulence-source",
+        choices=("jsbsim", "spec"),
+        default=DEFAULT_TURBULENCE_SOURCE,
+        help="which Dryden model (default %(default)s)",
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of turbulence and noise (default 0)")
     parser.add_argument(
@@ -155,6 +161,9 @@ def parse_settings(settings: list[str]) -> dict[str, float]:
 
 def to_record(recorded: Recorded, aircraft: Aircraft, spec: FlightSpec, manoeuvre: str) -> pd.DataFrame:
     """The flight record of a recorded flight: heights from the start, headings within 0..2 pi, noise where asked for."""
+    # Imported here: a second of loading that no other command should pay.
+    import pandas as pd
+
     columns = dict(recorded.signals)
     columns["h_m"] = columns["h_m"] - columns["h_m"][0]
     if spec.sensor_noise:
