@@ -1,0 +1,203 @@
+"""Extended Kalman filter over many lanes at once: perturbed parameters and segments run side by side.
+
+Prediction by Runge-Kutta 4 at the data rate, its transition matrix by central differences through the whole step; the
+measurement's by central differences of g. Jategaonkar (2015), ch. 5, eqs for the time-varying filter; Joseph's update.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sysid.checks import Array
+
+ModelFunction = Callable[[Array, Array, Array], Any]
+
+
+@dataclass(frozen=True)
+class Model:
+    """dx/dt = f(x, u, theta), y = g(x, u, theta) in lanes: x (nx, L), u (nu, L), theta (k, L).
+
+    broadcasts: f and g take the lane axis as it is; else they are called lane by lane with vectors.
+    """
+
+    f: ModelFunction
+    g: ModelFunction
+    states: int
+    outputs: int
+    broadcasts: bool
+
+    def rate(self, x: Array, u: Array, theta: Array) -> Array:
+        """f in lanes, (nx, L)."""
+        return self._call(self.f, x, u, theta, self.states)
+
+    def output(self, x: Array, u: Array, theta: Array) -> Array:
+        """g in lanes, (m, L)."""
+        return self._call(self.g, x, u, theta, self.outputs)
+
+    def _call(self, function: ModelFunction, x: Array, u: Array, theta: Array, rows: int) -> Array:
+        if self.broadcasts:
+            return np.asarray(function(x, u, theta), dtype=float)
+        out = np.empty((rows, x.shape[1]))
+        for lane in range(x.shape[1]):
+            out[:, lane] = np.asarray(function(x[:, lane], u[:, lane], theta[:, lane]), dtype=float).ravel()
+        return out
+
+    def step(self, x: Array, u0: Array, u1: Array, theta: Array, dt: Array) -> Array:
+        """Runge-Kutta 4 from u0 to u1 (linear in between; u1 = u0 for held inputs)."""
+        middle = 0.5 * (u0 + u1)
+        k1 = self.rate(x, u0, theta)
+        k2 = self.rate(x + 0.5 * dt * k1, middle, theta)
+        k3 = self.rate(x + 0.5 * dt * k2, middle, theta)
+        k4 = self.rate(x + dt * k3, u1, theta)
+        return np.asarray(x + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
+
+
+def make_model(f: ModelFunction, g: ModelFunction, x: Array, u: Array, theta: Array, outputs: int) -> Model:
+    """The Model of f and g around x (nx,), u (nu,), theta (k,); finds out whether they broadcast over a lane axis.
+
+    Raises ValueError when f or g fail on single vectors, or return the wrong length or values that are not finite.
+    """
+    for name, function, rows in (("f", f, x.size), ("g", g, outputs)):
+        try:
+            value = np.asarray(function(x.copy(), u.copy(), theta.copy()), dtype=float)
+        except Exception as error:
+            raise ValueError(
+                f"{name}(x, u, theta) raised {type(error).__name__}: {error}, for x of {x.size}, u of {u.size}, theta of "
+                f"{theta.size} elements at the first sample; it must accept these"
+            ) from error
+        if value.size != rows:
+            raise ValueError(f"{name}(x, u, theta) returned {value.size} value(s); it must return {rows}")
+        if not np.isfinite(value).all():
+            raise ValueError(
+                f"{name}(x, u, theta) is not finite at x0, theta0: {value.ravel().tolist()}; choose another start"
+            )
+    lanes = next(size for size in (7, 11, 13, 17, 19) if size not in (x.size, u.size, theta.size, outputs))
+    shift = 1.0 + 1e-3 * np.arange(lanes)
+    xs, us, thetas = x[:, None] * shift + 1e-4 * np.arange(lanes), u[:, None] * shift, theta[:, None] * shift
+    looped = Model(f, g, x.size, outputs, False)
+    together = Model(f, g, x.size, outputs, True)
+    try:
+        with np.errstate(all="ignore"):
+            same = all(
+                np.shape(whole := getattr(together, kind)(xs, us, thetas)) == (rows, lanes)
+                and np.allclose(whole, getattr(looped, kind)(xs, us, thetas), rtol=1e-10, atol=1e-13, equal_nan=True)
+                for kind, rows in (("rate", x.size), ("output", outputs))
+            )
+    except Exception:  # whatever a function written for vectors does with a lane axis, it means: not vectorised
+        same = False
+    return together if same else looped
+
+
+@dataclass(frozen=True)
+class Record:
+    """Segments padded to one length n: u (n, nu, s), z (n, m, s) with NaN where missing or padded, dt (n-1, s)."""
+
+    u: Array
+    z: Array
+    dt: Array
+    lengths: tuple[int, ...]
+    held: bool
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """e (n, m, W) zero where missing, S (n, m, m, W) its covariance with unit rows there; lanes W = points x segments."""
+
+    e: Array
+    s: Array
+
+
+def run_filter(
+    model: Model,
+    record: Record,
+    theta: Array,
+    q: Array,
+    r: Array,
+    x0: Array,
+    p0: Array,
+    difference: Array,
+    every: int = 1,
+) -> Innovations | None:
+    """Filter every point through every segment; None if a value stops being finite.
+
+    theta (k, P) parameters, q (nx, P) process-noise variances per second, r (m, P) measurement standard deviations,
+    x0 (nx, P, s), p0 (nx, nx) initial covariance, difference (nx,) state steps for Jacobians, renewed at `every` sample.
+    """
+    n, m, segments = record.z.shape
+    points, nx = theta.shape[1], model.states
+    lanes = points * segments
+    lane_theta = np.repeat(theta, segments, axis=1)
+    wide_theta = np.tile(lane_theta, 2 * nx + 1)
+    x = x0.reshape(nx, lanes).copy()
+    P = np.broadcast_to(p0, (lanes, nx, nx)).copy()
+    Q = np.zeros((lanes, nx, nx))
+    Q[:, np.arange(nx), np.arange(nx)] = np.repeat(q.T, segments, axis=0)
+    R = np.zeros((lanes, m, m))
+    R[:, np.arange(m), np.arange(m)] = np.repeat(r.T**2, segments, axis=0)
+    eye, unit = np.eye(nx), np.eye(m)
+    offsets = np.concatenate([np.zeros((1, nx)), np.diag(difference), -np.diag(difference)])  # (2nx+1, nx)
+    e_all, s_all = np.empty((n, m, lanes)), np.empty((n, m, m, lanes))
+    seen_all = np.isfinite(record.z)
+    z_all = np.where(seen_all, record.z, 0.0)
+    phi = np.broadcast_to(eye, (lanes, nx, nx))
+    H = np.zeros((lanes, m, nx))
+
+    def spread(value: Array) -> Array:
+        """Lanes at x, x + d_i, x - d_i, one block after the other."""
+        return np.asarray((value[None, :, :] + offsets[:, :, None]).transpose(1, 0, 2).reshape(nx, -1))
+
+    def jacobian(wide: Array) -> tuple[Array, Array]:
+        """(centre (rows, lanes), Jacobian (lanes, rows, nx)) from the function's values on spread lanes."""
+        blocks = wide.reshape(wide.shape[0], 2 * nx + 1, lanes)
+        slope = (blocks[:, 1 : nx + 1] - blocks[:, nx + 1 :]) / (2.0 * difference)[None, :, None]
+        return blocks[:, 0], slope.transpose(2, 0, 1)
+
+    with np.errstate(all="ignore"):
+        for k in range(n):
+            u = np.tile(record.u[k], points)
+            fresh = k % every == 0
+            if fresh:
+                y, H = jacobian(model.output(spread(x), np.tile(u, 2 * nx + 1), wide_theta))
+            else:
+                y = model.output(x, u, lane_theta)
+            seen = seen_all[k]
+            all_seen = bool(seen.all())
+            e = np.tile(z_all[k], points) - y
+            Hk, Rk = H, R
+            if not all_seen:
+                # A missing output: no innovation, no sensitivity, unit variance, so that it adds nothing to the likelihood.
+                there = np.tile(seen, points)
+                e = np.where(there, e, 0.0)
+                Hk = np.where(there.T[:, :, None], H, 0.0)
+                Rk = np.where(there.T[:, :, None], R, unit)
+            PH = P @ Hk.transpose(0, 2, 1)
+            S = Hk @ PH + Rk
+            e_all[k], s_all[k] = e, S.transpose(1, 2, 0)
+            try:
+                gain = np.linalg.solve(S, PH.transpose(0, 2, 1)).transpose(0, 2, 1)
+            except np.linalg.LinAlgError:
+                return None
+            x = x + (gain @ e.T[:, :, None])[:, :, 0].T
+            if k == n - 1:
+                break
+            keep = eye - gain @ Hk
+            P = keep @ P @ keep.transpose(0, 2, 1) + gain @ Rk @ gain.transpose(0, 2, 1)
+            u1 = u if record.held else np.tile(record.u[k + 1], points)
+            dt = np.tile(record.dt[k], points)
+            if fresh:
+                wide = model.step(
+                    spread(x), np.tile(u, 2 * nx + 1), np.tile(u1, 2 * nx + 1), wide_theta, np.tile(dt, 2 * nx + 1)
+                )
+                x, phi = jacobian(wide)
+            else:
+                x = model.step(x, u, u1, lane_theta, dt)
+            P = phi @ P @ phi.transpose(0, 2, 1) + Q * dt[:, None, None]
+            if k % 100 == 0 and not (np.abs(x) < 1e100).all():
+                return None
+    if not (np.isfinite(e_all).all() and np.isfinite(s_all).all() and (np.abs(e_all) < 1e100).all()):
+        return None
+    return Innovations(e_all, s_all)

@@ -1,0 +1,246 @@
+"""The innovations' likelihood as a function of one parameter vector: packing, cost, gradient, Fisher information."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.checks import Array
+from sysid.ekf import Innovations, Model, Record, run_filter
+from sysid.gaussnewton import Linearisation
+
+LANES = 600  # points x segments filtered side by side, bounded for memory
+TARGET = 1e-3  # wanted rms change of the whitened innovations under a difference step
+LOG_STEP = 1e-3
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Order of the vector: free theta, Q of noisy states, ln r, initial states segment by segment.
+
+    Q enters as a variance with zero as its bound: there its gradient tells whether the data want any (as a logarithm it
+    would run away along a flat valley), and Fisher scoring is nearly exact in variances. R has no such bound.
+    """
+
+    theta0: Array
+    columns: NDArray[np.intp]
+    noisy: NDArray[np.intp]
+    outputs: int
+    states: int
+    segments: int
+    with_x0: bool
+
+    @property
+    def process(self) -> slice:
+        """Where the process-noise variances stand."""
+        return slice(self.columns.size, self.columns.size + self.noisy.size)
+
+    @property
+    def logs(self) -> slice:
+        """Where the logarithms of the measurement noise stand."""
+        return slice(self.process.stop, self.process.stop + self.outputs)
+
+    def pack(self, theta: Array, q: Array, r: Array, x0: Array) -> Array:
+        parts = [theta[self.columns], q[self.noisy], np.log(r)]
+        return np.concatenate([*parts, x0.T.ravel()] if self.with_x0 else parts)
+
+    def unpack(self, vector: Array, x0: Array) -> tuple[Array, Array, Array, Array]:
+        """theta (k,), Q (nx,) variances per second, r (m,) standard deviations, x0 (nx, s)."""
+        theta, q = self.theta0.copy(), np.zeros(self.states)
+        a, b = self.columns.size, self.columns.size + self.noisy.size
+        theta[self.columns] = vector[:a]
+        q[self.noisy] = vector[a:b]
+        r = np.exp(vector[b : b + self.outputs])
+        if self.with_x0:
+            x0 = vector[b + self.outputs :].reshape(self.segments, self.states).T
+        return theta, q, r, x0
+
+    def limits(self, lower: Array, upper: Array, scale: Array, spread: Array) -> tuple[Array, Array]:
+        """Bounds of the whole vector: Q from 0 to a thousand times the states' scale, r within 1e-5 and 10 of the spread."""
+        low = [lower[self.columns], np.zeros(self.noisy.size), np.log(1e-5 * spread)]
+        high = [upper[self.columns], (1e3 * scale[self.noisy]) ** 2, np.log(1e1 * spread)]
+        extra = [np.full(self.segments * self.states, np.inf)] if self.with_x0 else []
+        return np.concatenate(low + [-part for part in extra]), np.concatenate(high + extra)
+
+    def names(self, labels: tuple[str, ...]) -> list[str]:
+        out = [labels[i] for i in self.columns] + [f"Q of state {i}" for i in self.noisy]
+        out += [f"ln r of output {i}" for i in range(self.outputs)]
+        if self.with_x0:
+            out += [f"x0[{i}] of segment {s}" for s in range(self.segments) for i in range(self.states)]
+        return out
+
+
+@dataclass
+class State:
+    """Innovations at a point, and, once linearised, their derivatives, whitened by the point's own covariance.
+
+    factor (N, m, m) with factor S factor' = 1; we (N, m); wE (N, m, K); N = n x segments, segment-major.
+    """
+
+    base: Innovations
+    factor: Array
+    white: Array
+    sensitivity: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+
+
+@dataclass
+class FilterProblem:
+    """The cost over the packed vector; keeps the adapted difference steps and counts the filter runs."""
+
+    model: Model
+    record: Record
+    layout: Layout
+    initial: Array
+    p0: Array
+    difference: Array
+    every: int
+    state_scale: Array
+    step: Array | None = None
+    runs: int = 0
+
+    def _filter(self, vectors: list[Array]) -> Innovations | None:
+        parts = [self.layout.unpack(vector, self.initial) for vector in vectors]
+        self.runs += len(vectors)
+        return run_filter(
+            self.model,
+            self.record,
+            np.column_stack([part[0] for part in parts]),
+            np.column_stack([part[1] for part in parts]),
+            np.column_stack([part[2] for part in parts]),
+            np.stack([part[3] for part in parts], axis=1),
+            self.p0,
+            self.difference,
+            self.every,
+        )
+
+    def cost_of(self, theta: Array, q: Array, r: Array) -> float | None:
+        answer = self.evaluate(self.layout.pack(theta, q, r, self.initial))
+        return None if answer is None else answer[0]
+
+    def _rows(self, innovations: Innovations, point: int) -> tuple[Array, Array]:
+        """e (N, m) and S (N, m, m) of one point, segment-major."""
+        s = self.record.z.shape[2]
+        lanes = slice(point * s, (point + 1) * s)
+        m = innovations.e.shape[1]
+        e = innovations.e[:, :, lanes].transpose(2, 0, 1).reshape(-1, m)
+        return e, innovations.s[:, :, :, lanes].transpose(3, 0, 1, 2).reshape(-1, m, m)
+
+    def evaluate(self, vector: Array) -> tuple[float, State] | None:
+        """J of the module's first equation, None where the filter fails."""
+        found = self._filter([vector])
+        if found is None:
+            return None
+        e, s = self._rows(found, 0)
+        try:
+            lower = np.linalg.cholesky(s)
+        except np.linalg.LinAlgError:
+            return None
+        m = e.shape[1]
+        factor = np.linalg.solve(lower, np.broadcast_to(np.eye(m), lower.shape))
+        white = (factor @ e[:, :, None])[:, :, 0]
+        cost = 0.5 * float(np.sum(white**2)) + float(np.sum(np.log(np.diagonal(lower, axis1=1, axis2=2))))
+        return (cost, State(found, factor, white)) if np.isfinite(cost) else None
+
+    def _first_steps(self, vector: Array) -> Array:
+        step = 1e-4 * np.where(vector != 0.0, np.abs(vector), 1.0)
+        step[self.layout.process] = 1e-3 * np.maximum(vector[self.layout.process], 1e-6 * self.state_scale[self.layout.noisy] ** 2)
+        step[self.layout.logs] = LOG_STEP
+        if self.layout.with_x0:
+            step[self.layout.logs.stop :] = 1e-3 * np.tile(self.state_scale, self.layout.segments)
+        return step
+
+    def linearise(self, vector: Array, state: State, central: bool) -> Linearisation:
+        """Gradient and information of the module's equations, by central differences of innovations and covariances."""
+        if self.step is None:
+            self.step = self._first_steps(vector)
+        size = vector.size
+        n_rows, m = state.white.shape
+        dE, dS = np.zeros((n_rows, m, size)), np.zeros((n_rows, size, m, m))
+        pending = list(range(size))
+        for attempt in range(5):
+            again: list[int] = []
+            block = max(1, LANES // (2 * self.record.z.shape[2]))
+            for first in range(0, len(pending), block):
+                some = pending[first : first + block]
+                again += self._differences(vector, state, some, dE, dS, attempt == 4)
+            pending = again
+            if not pending:
+                break
+        gradient = -(
+            np.einsum("na,nak->k", state.white, dE)
+            + 0.5 * np.einsum("nkaa->k", dS)
+            - 0.5 * np.einsum("na,nkab,nb->k", state.white, dS, state.white, optimize=True)
+        )
+        flat, trace = dE.reshape(-1, size), dS.transpose(1, 0, 2, 3).reshape(size, -1)
+        information = flat.T @ flat + 0.5 * trace @ trace.T
+        state.sensitivity = dE
+        cost = 0.5 * float(np.sum(state.white**2)) - float(
+            np.sum(np.log(np.abs(np.diagonal(state.factor, axis1=1, axis2=2))))
+        )
+
+        def predict(delta: Array) -> float:
+            return cost - float(gradient @ delta) + 0.5 * float(delta @ information @ delta)
+
+        return Linearisation(gradient, information, predict)
+
+    def _differences(self, vector: Array, state: State, some: list[int], dE: Array, dS: Array, last: bool) -> list[int]:
+        """Fill the whitened derivatives of the parameters `some`; return those whose step was bad."""
+        assert self.step is not None
+        points = []
+        for index in some:
+            for sign in (1.0, -1.0):
+                point = vector.copy()
+                point[index] += sign * self.step[index]
+                points.append(point)
+        found = self._filter(points)
+        if found is None:
+            if len(some) > 1:  # one bad point spoils the batch: find it
+                half = len(some) // 2
+                return [
+                    index
+                    for part in (some[:half], some[half:])
+                    for index in self._differences(vector, state, part, dE, dS, last)
+                ]
+            self.step[some[0]] *= 0.03
+            return list(some)
+        again = []
+        logs = range(*self.layout.logs.indices(vector.size))
+        for place, index in enumerate(some):
+            e_up, s_up = self._rows(found, 2 * place)
+            e_down, s_down = self._rows(found, 2 * place + 1)
+            width = 2.0 * self.step[index]
+            dE[:, :, index] = (state.factor @ ((e_up - e_down) / width)[:, :, None])[:, :, 0]
+            dS[:, index] = state.factor @ ((s_up - s_down) / width) @ state.factor.transpose(0, 2, 1)
+            if index in logs:
+                continue
+            change = float(np.sqrt(np.mean(dE[:, :, index] ** 2) + np.mean(dS[:, index] ** 2))) * self.step[index]
+            if change <= 1e-11:
+                limit = 1e2 * max(abs(vector[index]), 1.0)
+                if self.step[index] < limit and not last:
+                    self.step[index] = min(1e3 * self.step[index], limit)
+                    again.append(index)
+                else:
+                    dE[:, :, index], dS[:, index] = 0.0, 0.0
+            elif not 1e-5 < change < 3e-2 and not last:
+                self.step[index] *= TARGET / change
+                again.append(index)
+            else:
+                self.step[index] *= float(np.clip(TARGET / change, 0.1, 10.0))
+        return again
+
+    def whitened(self, state: State) -> tuple[list[Array], list[Array]]:
+        """Per segment: sensitivities of the innovations (n, m, K), zero where missing, and whitened innovations, NaN there.
+
+        The sign is that of a model output's sensitivity, minus the innovation's.
+        """
+        n, m, segments = self.record.z.shape
+        sensitivity = -state.sensitivity.reshape(segments, n, m, -1)
+        white = state.white.reshape(segments, n, m)
+        pieces, whites = [], []
+        for index, length in enumerate(self.record.lengths):
+            there = np.isfinite(self.record.z[:length, :, index])
+            pieces.append(np.where(there[:, :, None], sensitivity[index, :length], 0.0))
+            whites.append(np.where(there, white[index, :length], np.nan))
+        return pieces, whites

@@ -1,0 +1,233 @@
+"""Output error: maximum likelihood for measurement noise alone.
+
+    J(theta) = 1/2 sum_i [z(i) - y(i)]' R^-1 [z(i) - y(i)] + N/2 ln det R
+
+with R at its own maximum-likelihood value for every theta (relaxation), so that the cost followed is the concentrated
+likelihood and falls at every accepted step. Klein, V. and Morelli, E. A., "Aircraft System Identification" (2006), ch. 6;
+Jategaonkar, R. V., "Flight Vehicle System Identification", 2nd ed. (2015), ch. 4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sysid.checks import Array, as_bounds, as_free, as_names, as_parameters, as_segments, is_many
+from sysid.gaussnewton import Linearisation, minimise
+from sysid.noise import Noise, concentrated, residual_noise
+from sysid.report import Findings, judge
+from sysid.results import OutputErrorFit, split
+from sysid.sensitivities import MapLike, SafeSimulation, first_steps, sensitivities
+
+
+@dataclass
+class _OutputErrorProblem:
+    """The cost over the free parameters; counts simulations and keeps the adapted difference steps."""
+
+    simulation: SafeSimulation
+    measured: Array
+    full_theta: Array
+    columns: list[int]
+    limits: tuple[Array, Array]
+    spread: Array
+    full: bool
+    map_: MapLike | None
+    step: Array
+    runs: int = 0
+    last_failure: str = ""
+    sensitivity: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+
+    @property
+    def floor(self) -> Array:
+        return 1e-9 * self.spread
+
+    def whole(self, theta: Array) -> Array:
+        out = self.full_theta.copy()
+        out[self.columns] = theta
+        return out
+
+    def noise(self, outputs: Array) -> Noise:
+        return residual_noise(self.measured - outputs, self.floor, self.full)
+
+    def evaluate(self, theta: Array) -> tuple[float, Array] | None:
+        self.runs += 1
+        outputs = self.simulation(self.whole(theta))
+        if isinstance(outputs, str):
+            self.last_failure = outputs
+            return None
+        return concentrated(self.measured - outputs, self.noise(outputs)), outputs
+
+    def linearise(self, theta: Array, outputs: Array, central: bool) -> Linearisation:
+        found = sensitivities(
+            self.simulation, self.whole(theta), outputs, self.step, self.columns, self.limits, self.spread,
+            central=central, map_=self.map_,
+        )  # fmt: skip
+        self.step, self.runs = found.step, self.runs + found.runs
+        self.sensitivity = found.sensitivity
+        residual = self.measured - outputs
+        white, scaled = self.noise(outputs).whiten(residual, found.sensitivity)
+        assert scaled is not None
+        flat = scaled.reshape(-1, len(self.columns))
+
+        def predict(delta: Array) -> float:
+            expected = residual - found.sensitivity @ delta
+            return concentrated(expected, residual_noise(expected, self.floor, self.full))
+
+        # M = sum S' R^-1 S,  g = sum S' R^-1 v: one Gauss-Newton step is M^-1 g (method.md section 3 with its sign repaired)
+        return Linearisation(flat.T @ white.ravel(), flat.T @ flat, predict)
+
+
+def output_error(
+    simulate: Callable[[Array], Any],
+    theta0: ArrayLike,
+    measured: Any,
+    *,
+    names: Sequence[str] | None = None,
+    bounds: Any = None,
+    free: Any = None,
+    noise: str = "diagonal",
+    map: MapLike | None = None,
+    differences: str = "auto",
+    max_iterations: int = 100,
+    tolerance: float = 1e-4,
+) -> OutputErrorFit:
+    """Estimate theta (k,) such that simulate(theta) comes closest to `measured`.
+
+    simulate       theta (k,) -> (n, m) array, or a list of them, one per segment, at the measured samples, in the units of
+                   `measured`. It may raise or return NaN at a trial point: that step is rejected and a shorter one tried.
+    theta0         (k,) start; zeros are fine, but simulate(theta0) must be finite
+    measured       (n, m) or (n,) array, or a list of them; NaN = not measured (dropout)
+    names          k unique names, default theta0, theta1, ...
+    bounds         k pairs (lower, upper), None = open; or two vectors; or {name: (lower, upper)}
+    free           names, indices or a mask of the parameters to estimate; the others stay at theta0
+    noise          "diagonal" (independent outputs) or "full"
+    map            callable like the built-in map(function, points), e.g. a process pool's: runs the perturbed simulations
+    differences    "central"; "auto" takes forward differences between the first iteration and the last ones
+    max_iterations, tolerance: stop when the next step is shorter than `tolerance` standard errors
+
+    Returns an OutputErrorFit. `std` is corrected for coloured residuals (Morelli and Klein, see coloured.py), `std_crb`
+    is the Cramer-Rao bound. Parameters that the data do not determine, or that end on a bound, are "not-identified":
+    their std is NaN and fit.reason says why; the others are still estimated.
+
+    Raises ValueError when inputs disagree, theta0 lies outside the bounds, there are fewer measured values than
+    parameters, or the simulation fails at theta0. A failure to converge is no exception: see converged and warnings.
+    """
+    theta = as_parameters(theta0)
+    labels = as_names(names, theta.size, "theta")
+    lower, upper = as_bounds(bounds, theta, labels)
+    mask = as_free(free, labels)
+    segments = as_segments(measured, "measured", dropouts=True)
+    if noise not in ("diagonal", "full"):
+        raise ValueError(f'noise is {noise!r}; allowed are "diagonal" and "full"')
+    if differences not in ("auto", "central"):
+        raise ValueError(f'differences is {differences!r}; allowed are "auto" and "central"')
+    stacked = np.concatenate(segments)
+    counts = np.isfinite(stacked).sum(axis=0)
+    if (counts == 0).any():
+        raise ValueError(
+            f"measured output(s) {np.flatnonzero(counts == 0).tolist()} hold no sample at all; leave them out"
+        )
+    columns = [int(index) for index in np.flatnonzero(mask)]
+    if counts.sum() <= len(columns):
+        raise ValueError(
+            f"{int(counts.sum())} measured values for {len(columns)} parameters; measure more or free fewer"
+        )
+    with np.errstate(invalid="ignore"):
+        spread = np.nanstd(stacked, axis=0)
+    size = np.nanmax(np.abs(stacked), axis=0)
+    spread = np.where(spread > 1e-12 * size, spread, np.where(size > 0.0, size, 1.0))
+
+    simulation = SafeSimulation(simulate, tuple(part.shape[0] for part in segments), stacked.shape[1])
+    problem = _OutputErrorProblem(
+        simulation,
+        stacked,
+        theta,
+        columns,
+        (lower, upper),
+        spread,
+        noise == "full",
+        map,
+        first_steps(theta, lower, upper),
+    )
+    start = problem.evaluate(theta[columns])
+    if start is None:
+        raise ValueError(
+            f"the simulation fails at theta0: {problem.last_failure}; start from values that can be simulated"
+        )
+    best = minimise(
+        problem, theta[columns], start, lower[columns], upper[columns],
+        tolerance=tolerance, max_iterations=max_iterations, always_central=differences == "central",
+    )  # fmt: skip
+
+    # Sensitivities at the answer itself, central: the last iteration's may belong to the point before.
+    again = problem.evaluate(best.theta)
+    assert again is not None
+    line = problem.linearise(best.theta, again[1], True)
+    residual = stacked - again[1]
+    edges = [0, *np.cumsum([part.shape[0] for part in segments]).tolist()]
+    findings = judge(
+        theta=best.theta,
+        gradient=line.gradient,
+        sensitivity=problem.sensitivity,
+        residual=residual,
+        motion=again[1],
+        edges=edges,
+        names=tuple(labels[index] for index in columns),
+        bounds=(lower[columns], upper[columns]),
+        floor=problem.floor,
+        full=problem.full,
+        method="output error",
+    )
+    return _assemble(theta, columns, labels, best, problem, findings, split(residual, edges), is_many(measured))
+
+
+def _assemble(
+    theta: Array, columns: list[int], labels: tuple[str, ...], best: Any, problem: _OutputErrorProblem,
+    findings: Findings, residual: list[Array], many: bool,
+) -> OutputErrorFit:  # fmt: skip
+    """The findings over the free parameters, spread over all of them."""
+    k = theta.size
+    out = theta.copy()
+    out[columns] = best.theta
+    cov, crb, vif = np.full((k, k), np.nan), np.full((k, k), np.nan), np.full(k, np.inf)
+    cov[np.ix_(columns, columns)] = findings.cov
+    crb[np.ix_(columns, columns)] = findings.cov_crb
+    vif[columns] = findings.vif
+    status, reason = dict.fromkeys(labels, "fixed"), dict.fromkeys(labels, "held at theta0 (free=)")
+    for position, index in enumerate(columns):
+        status[labels[index]] = "identified" if findings.identified[position] else "not-identified"
+        reason[labels[index]] = findings.reason[position]
+    warnings = list(findings.warnings)
+    converged = best.converged and bool(findings.identified.any())
+    if not best.converged:
+        warnings.insert(0, f"not converged: {best.message}")
+    elif not converged:
+        warnings.insert(0, "not converged: no parameter is identified at the point reached; try another start")
+    if best.failed:
+        warnings.append(
+            f"{best.failed} trial point(s) could not be simulated and were rejected: {problem.last_failure}"
+        )
+    return OutputErrorFit(
+        names=labels,
+        theta=out,
+        std=np.sqrt(np.diagonal(cov)),
+        std_crb=np.sqrt(np.diagonal(crb)),
+        cov=cov,
+        cov_crb=crb,
+        status=status,
+        reason=reason,
+        vif=vif,
+        noise_cov=findings.noise.cov,
+        residual=residual if many else residual[0],
+        whiteness=findings.colour.p_value,
+        converged=converged,
+        warnings=warnings,
+        iterations=best.iterations,
+        n_simulations=problem.runs,
+        cost=best.cost,
+        cost_history=np.array(best.cost_history),
+    )
