@@ -7,8 +7,9 @@ for inputs and gusts held over each sample (matrix exponential).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy import signal
@@ -22,7 +23,7 @@ QS = 0.5 * RHO * V0**2 * S
 DT = 0.02
 DEG = np.pi / 180.0
 
-# name: true value (E-SPAARO flight estimates, dissertation Table 2.6; CX_V, CZ_V, Cm_0-like biases: see LON_BIASES)
+# E-SPAARO flight estimates (dissertation Table 2.6); CX_V, CZ_V and CZ_q, which it does not print, of usual size.
 LON_TRUTH = {
     "CX_alpha": 0.30, "CX_V": -0.12, "CZ_alpha": -3.34, "CZ_V": -0.60, "CZ_q": -4.0, "CZ_de": 0.036,
     "Cm_alpha": -0.487, "Cm_q": -13.8, "Cm_de": -0.014,
@@ -38,57 +39,80 @@ LON_NOISE = np.array([0.5, 0.1 * DEG, 0.2 * DEG, 0.5 * DEG, 0.16, 0.16])
 LAT_NOISE = np.array([0.1 * DEG, 0.2 * DEG, 0.2 * DEG, 0.5 * DEG, 0.16])
 
 
-def longitudinal(theta: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """A (4, 4), B (4, 1), C (6, 4), D (6, 1), state bias (4,), output bias (6,) for theta in the order of LON_TRUTH + LON_BIASES.
-
-    States V, alpha, q, theta: airspeed and vane, so that they include the gust. Outputs V, alpha, q, theta, ax, az.
-    """
-    cxa, cxv, cza, czv, czq, czd, cma, cmq, cmd, bx, bz, bq = theta
-    k, m = QS / MASS, QS * C / IYY
-    qh = C / (2.0 * V0)
-    ax = np.array([k * cxv / V0, k * cxa, 0.0, 0.0])
-    az = np.array([k * czv / V0, k * cza, k * czq * qh, 0.0])
-    moment = np.array([0.0, m * cma, m * cmq * qh, 0.0])
-    A = np.vstack([ax + [0, 0, 0, -G], az / V0 + [0, 0, 1, 0], moment, [0, 0, 1, 0]])
-    Bm = np.array([[0.0], [k * czd / V0], [m * cmd], [0.0]])
-    Cm = np.vstack([np.eye(4), ax, az])
-    D = np.array([[0.0], [0.0], [0.0], [0.0], [0.0], [k * czd]])
-    return A, Bm, Cm, D, np.array([bx, bz / V0, bq, 0.0]), np.array([0.0, 0.0, 0.0, 0.0, bx, bz])
+def _longitudinal_accelerations(x: Any, u: Any, theta: Any) -> tuple[Any, Any]:
+    """Perturbation specific forces ax, az at the CG, m/s2."""
+    cxa, cxv, cza, czv, czq, czd, _, _, _, bx, bz, _ = theta
+    ax = QS / MASS * (cxv * x[0] / V0 + cxa * x[1]) + bx
+    az = QS / MASS * (czv * x[0] / V0 + cza * x[1] + czq * C / (2.0 * V0) * x[2] + czd * u[0]) + bz
+    return ax, az
 
 
-def lateral(theta: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """As `longitudinal`: states beta, p, r, phi; inputs aileron, rudder; outputs beta, p, r, phi, ay; LAT_TRUTH + LAT_BIASES."""
-    cyb, cyp, cyr, cyd, clb, clp, clr, cla, cld, cnb, cnp, cnr, cna, cnd, by, bp, br = theta
-    k, m, h = QS / MASS, QS * B, B / (2.0 * V0)
-    ay = k * np.array([cyb, cyp * h, cyr * h, 0.0])
-    inverse = np.linalg.inv(np.array([[IXX, -IXZ], [-IXZ, IZZ]]))
-    moments = inverse @ (m * np.array([[clb, clp * h, clr * h, 0.0], [cnb, cnp * h, cnr * h, 0.0]]))
-    surfaces = inverse @ (m * np.array([[cla, cld], [cna, cnd]]))
-    A = np.vstack([ay / V0 + [0, 0, -1, G / V0], moments[0], moments[1], [0, 1, 0, 0]])
-    Bm = np.vstack([[0.0, k * cyd / V0], surfaces, [0.0, 0.0]])
-    Cm = np.vstack([np.eye(4), ay])
-    D = np.vstack([np.zeros((4, 2)), [0.0, k * cyd]])
-    return A, Bm, Cm, D, np.array([by / V0, bp, br, 0.0]), np.array([0.0, 0.0, 0.0, 0.0, by])
+def longitudinal_rate(x: Any, u: Any, theta: Any) -> Array:
+    """dx/dt of V, alpha, q, theta (m/s, rad, rad/s, rad); airspeed and vane, so that they include the gust; u = elevator."""
+    ax, az = _longitudinal_accelerations(x, u, theta)
+    cma, cmq, cmd, bias = theta[6], theta[7], theta[8], theta[11]
+    moment = QS * C / IYY * (cma * x[1] + cmq * C / (2.0 * V0) * x[2] + cmd * u[0]) + bias
+    return np.array([ax - G * x[3], az / V0 + x[2], moment, 0.0 * moment + x[2]])
+
+
+def longitudinal_output(x: Any, u: Any, theta: Any) -> Array:
+    """V, alpha, q, theta, ax, az."""
+    ax, az = _longitudinal_accelerations(x, u, theta)
+    return np.array([x[0] + 0.0 * ax, x[1] + 0.0 * ax, x[2] + 0.0 * ax, x[3] + 0.0 * ax, ax, az])
+
+
+def _lateral_acceleration(x: Any, u: Any, theta: Any) -> Any:
+    h = B / (2.0 * V0)
+    return QS / MASS * (theta[0] * x[0] + theta[1] * h * x[1] + theta[2] * h * x[2] + theta[3] * u[1]) + theta[14]
+
+
+def lateral_rate(x: Any, u: Any, theta: Any) -> Array:
+    """dx/dt of beta, p, r, phi (rad, rad/s, rad/s, rad); u = aileron, rudder."""
+    _, _, _, _, clb, clp, clr, cla, cld, cnb, cnp, cnr, cna, cnd, _, bias_p, bias_r = theta
+    h, ay = B / (2.0 * V0), _lateral_acceleration(x, u, theta)
+    roll = QS * B * (clb * x[0] + clp * h * x[1] + clr * h * x[2] + cla * u[0] + cld * u[1])
+    yaw = QS * B * (cnb * x[0] + cnp * h * x[1] + cnr * h * x[2] + cna * u[0] + cnd * u[1])
+    det = IXX * IZZ - IXZ**2
+    p_dot = (IZZ * roll + IXZ * yaw) / det + bias_p
+    r_dot = (IXZ * roll + IXX * yaw) / det + bias_r
+    return np.array([ay / V0 - x[2] + G / V0 * x[3], p_dot, r_dot, x[1] + 0.0 * p_dot])
+
+
+def lateral_output(x: Any, u: Any, theta: Any) -> Array:
+    """beta, p, r, phi, ay."""
+    ay = _lateral_acceleration(x, u, theta)
+    return np.array([x[0] + 0.0 * ay, x[1] + 0.0 * ay, x[2] + 0.0 * ay, x[3] + 0.0 * ay, ay])
+
+
+def matrices(plane: Plane, theta: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """A (4, 4), B (4, nu), state bias (4,), C (m, 4), D (m, nu), output bias (m,), read off the (linear) equations."""
+    probes = 4 + plane.inputs + 1
+    x, u = np.zeros((4, probes)), np.zeros((plane.inputs, probes))
+    x[:, :4], u[:, 4:-1] = np.eye(4), np.eye(plane.inputs)
+    lanes = theta[:, None] * np.ones(probes)
+    out = []
+    for function in (plane.rate, plane.output):
+        value = function(x, u, lanes)
+        bias = value[:, -1]
+        out += [value[:, :4] - bias[:, None], value[:, 4:-1] - bias[:, None], bias]
+    return out[0], out[1], out[2], out[3], out[4], out[5]
 
 
 @dataclass(frozen=True)
 class Plane:
-    """One of the two motions: names, true values, model, noise (m,), which states a gust drives and with which length."""
+    """One of the two motions: names, true values, noise (m,), and its equations, which also take lanes."""
 
     name: str
     truth: dict[str, float]
     biases: dict[str, float]
     noise: Array
-    gust_states: tuple[int, ...]
     inputs: int
+    rate: Callable[[Any, Any, Any], Array]
+    output: Callable[[Any, Any, Any], Array]
 
     @property
     def names(self) -> list[str]:
         return [*self.truth, *self.biases]
-
-    @property
-    def model(self):  # type: ignore[no-untyped-def]
-        return longitudinal if self.name == "longitudinal" else lateral
 
     def draw(self, rng: np.random.Generator) -> tuple[Array, Array]:
         """True values, +-25 % about the nominal ones and biases of sensor size, and a start off by up to 30 % (biases 0)."""
@@ -99,8 +123,8 @@ class Plane:
         return np.concatenate([true, biases]), np.concatenate([start, np.zeros(len(self.biases))])
 
 
-LONGITUDINAL = Plane("longitudinal", LON_TRUTH, LON_BIASES, LON_NOISE, (0, 1), 1)
-LATERAL = Plane("lateral", LAT_TRUTH, LAT_BIASES, LAT_NOISE, (0,), 2)
+LONGITUDINAL = Plane("longitudinal", LON_TRUTH, LON_BIASES, LON_NOISE, 1, longitudinal_rate, longitudinal_output)
+LATERAL = Plane("lateral", LAT_TRUTH, LAT_BIASES, LAT_NOISE, 2, lateral_rate, lateral_output)
 
 
 def manoeuvres(plane: Plane, lengths: list[int]) -> list[Array]:
@@ -122,7 +146,7 @@ def manoeuvres(plane: Plane, lengths: list[int]) -> list[Array]:
 
 def simulate(plane: Plane, theta: Array, inputs: list[Array], gusts: list[Array] | None = None) -> list[Array]:
     """Outputs (n, m) a segment from zero perturbation; gusts (n, 4): increments of the states by moving air."""
-    A, Bm, Cm, D, xb, yb = plane.model(theta)
+    A, Bm, xb, Cm, D, yb = matrices(plane, theta)
     n = A.shape[0]
     nu = Bm.shape[1]
     joint = np.zeros((n + nu + 1, n + nu + 1))
@@ -204,5 +228,3 @@ def fly(
     clean = simulate(plane, theta, inputs, gusts)
     return inputs, [part + rng.normal(size=part.shape) * plane.noise for part in clean]
 
-
-__all__ = ["LATERAL", "LONGITUDINAL", "Plane", "dryden", "fly", "manoeuvres", "pairwise", "simulate"]
