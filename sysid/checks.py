@@ -48,7 +48,8 @@ def as_segments(value: Any, what: str, *, dropouts: bool) -> list[Array]:
             row, column = np.argwhere(bad)[0]
             cure = "mark dropouts as NaN" if dropouts else "repair or cut these samples"
             raise ValueError(
-                f"{where} holds {int(bad.sum())} value(s) that are not finite, first at row {row}, column {column}; {cure}"
+                f"{where} holds {int(bad.sum())} value(s) that are not finite, first at row {row}, "
+                f"column {column}; {cure}"
             )
     return parts
 

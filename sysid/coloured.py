@@ -21,7 +21,7 @@ from sysid.checks import Array
 
 
 def autocovariance(segments: list[Array], max_lag: int) -> Array:
-    """Biased autocovariance at lags 0..max_lag of one series given in segments (n,), NaN = missing; its own unit squared.
+    """Biased autocovariance at lags 0..max_lag of one series in segments (n,), NaN = missing; unit squared.
 
     Lag products never cross segments. With samples missing, each lag is averaged over the pairs that exist and then
     given the bias factor of the complete record, which keeps multi-rate channels meaningful.
@@ -42,7 +42,7 @@ def autocovariance(segments: list[Array], max_lag: int) -> Array:
 
 
 def autoregression(covariance: Array, n: int) -> tuple[Array, float]:
-    """Coefficients a (p,) of v(t) = sum a_i v(t-i) + e and var(e), by Levinson's recursion, order by Schwarz's criterion.
+    """Coefficients a (p,) of v(t) = sum a_i v(t-i) + e and var(e): Levinson's recursion, Schwarz's criterion.
 
     covariance (L+1,) from lag 0; n samples behind it. A white series gets order 0. Orders beyond a lag at which the
     sequence stops being positive definite (missing samples) are not considered.
@@ -96,7 +96,7 @@ def _cross_covariance(parts: list[Array], max_lag: int) -> tuple[Array, Array]:
 
 
 def residual_models(residual: list[Array]) -> tuple[list[Array], Array]:
-    """Per output the autoregression (p,) of the residual and its innovation variance (m,); residual (n, m) a segment."""
+    """Per output the autoregression (p,) of the residual and its innovation variance (m,); (n, m) a segment."""
     models, variances = [], []
     for channel in range(residual[0].shape[1]):
         series = [part[:, channel] for part in residual]
@@ -122,7 +122,7 @@ def coloured_information(sensitivity: list[Array], residual: list[Array]) -> Arr
     for channel, model in enumerate(models):
         shape[:, channel] = 1.0 / np.fft.rfft(np.concatenate(([1.0], -model)), size)
 
-    # What whitening output by output leaves between the outputs: e's cross-covariances, tapered (Bartlett), if significant.
+    # What whitening each output leaves between outputs: cross-covariances of e, tapered (Bartlett), if significant.
     gamma = np.diag(variances).astype(complex)[None].repeat(frequencies, axis=0)
     if m > 1:
         n = sum(part.shape[0] for part in residual)
@@ -153,7 +153,7 @@ def coloured_information(sensitivity: list[Array], residual: list[Array]) -> Arr
     bracket = np.zeros((k, k))
     for part in sensitivity:
         wave = np.fft.rfft(part, size, axis=0)
-        # (MK) by Parseval: sum_ij s(i)' r(i-j) s(j) = mean over frequency of S^H P S; padding makes it linear, not cyclic.
+        # (MK) by Parseval: sum_ij s(i)' r(i-j) s(j) = mean over frequency of S^H P S; padded, so not cyclic.
         bracket += np.einsum("fak,f,fab,fbl->kl", np.conj(wave), weight, spectrum, wave, optimize=True).real
     return 0.5 * (bracket + bracket.T)
 

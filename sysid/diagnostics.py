@@ -48,7 +48,7 @@ def _slow_share(segments: list[Array]) -> float:
 
 
 def _explained(residual: list[Array], motion: list[Array]) -> Array:
-    """Adjusted share (m,) of each residual that is a quadratic function of the simulated motion (cross products left out
+    """Adjusted share (m,) of each residual that is a quadratic function of the simulated motion (no cross products
     beyond 6 outputs); what turbulence does is no function of it, what a wrong model does is."""
     stacked, outputs = np.concatenate(residual), np.concatenate(motion)
     m = outputs.shape[1]
@@ -128,9 +128,11 @@ def colour_warnings(found: Colour, std: Array, std_crb: Array, method: str) -> l
     cure = {
         "output error": "Output error assumes neither: its estimates may be biased by more than its bounds and its "
         "Cramer-Rao bounds are too small; use filter_error, or measured alpha, beta and V as inputs",
-        "filter error": "The filter's model does not explain the data: add process noise to more states, or revise f and g",
+        "filter error": "The filter's model does not explain the data: give more states noise, or revise f and g",
     }[method]
     return [
-        (f"coloured residuals: process noise (turbulence) or wrong model form. {evidence}; {cause}. Coloured standard errors "
-        f"are {median:.2g} times the Cramer-Rao bounds (median; largest {largest:.2g}). {cure}.")
+        (
+            f"coloured residuals: process noise (turbulence) or wrong model form. {evidence}; {cause}. Coloured "
+            f"standard errors are {median:.2g} times the Cramer-Rao bounds (median; largest {largest:.2g}). {cure}."
+        )
     ]

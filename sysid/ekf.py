@@ -66,8 +66,8 @@ def make_model(f: ModelFunction, g: ModelFunction, x: Array, u: Array, theta: Ar
             value = np.asarray(function(x.copy(), u.copy(), theta.copy()), dtype=float)
         except Exception as error:
             raise ValueError(
-                f"{name}(x, u, theta) raised {type(error).__name__}: {error}, for x of {x.size}, u of {u.size}, theta of "
-                f"{theta.size} elements at the first sample; it must accept these"
+                f"{name}(x, u, theta) raised {type(error).__name__}: {error}, for x of {x.size}, u of {u.size}, "
+                f"theta of {theta.size} elements at the first sample; it must accept these"
             ) from error
         if value.size != rows:
             raise ValueError(f"{name}(x, u, theta) returned {value.size} value(s); it must return {rows}")
@@ -105,27 +105,24 @@ class Record:
 
 @dataclass(frozen=True)
 class Innovations:
-    """e (n, m, W) zero where missing, S (n, m, m, W) its covariance with unit rows there; lanes W = points x segments."""
+    """Per sample, output and lane (n, m, W), lanes = points x segments: raw, the innovation z - g(predicted x), NaN if
+    missing; e, what is new in an output given those before it in the same sample (0 where missing); s, its variance
+    (1 there). With S the covariance of the raw innovations, S = L L', e/sqrt(s) = L^-1 raw and ln det S = sum ln s."""
 
+    raw: Array
     e: Array
     s: Array
 
 
 def run_filter(
-    model: Model,
-    record: Record,
-    theta: Array,
-    q: Array,
-    r: Array,
-    x0: Array,
-    p0: Array,
-    difference: Array,
-    every: int = 1,
+    model: Model, record: Record, theta: Array, q: Array, r: Array, x0: Array, p0: Array, difference: Array, every: int
 ) -> Innovations | None:
     """Filter every point through every segment; None if a value stops being finite.
 
     theta (k, P) parameters, q (nx, P) process-noise variances per second, r (m, P) measurement standard deviations,
-    x0 (nx, P, s), p0 (nx, nx) initial covariance, difference (nx,) state steps for Jacobians, renewed at `every` sample.
+    x0 (nx, P, s), p0 (nx, nx) initial covariance, difference (nx,) state steps of the Jacobians, renewed each `every`.
+    The update takes the outputs one by one, which for uncorrelated noise is the joint update without an inverse
+    (Kaminski, Bryson and Schmidt, IEEE Trans. Automatic Control 16, 1971).
     """
     n, m, segments = record.z.shape
     points, nx = theta.shape[1], model.states
@@ -133,71 +130,63 @@ def run_filter(
     lane_theta = np.repeat(theta, segments, axis=1)
     wide_theta = np.tile(lane_theta, 2 * nx + 1)
     x = x0.reshape(nx, lanes).copy()
-    P = np.broadcast_to(p0, (lanes, nx, nx)).copy()
-    Q = np.zeros((lanes, nx, nx))
-    Q[:, np.arange(nx), np.arange(nx)] = np.repeat(q.T, segments, axis=0)
-    R = np.zeros((lanes, m, m))
-    R[:, np.arange(m), np.arange(m)] = np.repeat(r.T**2, segments, axis=0)
-    eye, unit = np.eye(nx), np.eye(m)
-    offsets = np.concatenate([np.zeros((1, nx)), np.diag(difference), -np.diag(difference)])  # (2nx+1, nx)
-    e_all, s_all = np.empty((n, m, lanes)), np.empty((n, m, m, lanes))
-    seen_all = np.isfinite(record.z)
-    z_all = np.where(seen_all, record.z, 0.0)
-    phi = np.broadcast_to(eye, (lanes, nx, nx))
-    H = np.zeros((lanes, m, nx))
+    P = np.repeat(p0[:, :, None], lanes, axis=2)
+    Q, R = np.repeat(q, segments, axis=1), np.repeat(r**2, segments, axis=1)
+    diagonal = np.arange(nx)
+    offsets = np.concatenate([np.zeros((nx, 1)), np.diag(difference), -np.diag(difference)], axis=1)  # (nx, 2nx+1)
+    two = (2.0 * difference)[None, :, None]
+    raw, e_all, s_all = (np.empty((n, m, lanes)) for _ in range(3))
+    complete = np.asarray(np.isfinite(record.z).all(axis=2))
+    phi, H = np.zeros((nx, nx, lanes)), np.zeros((m, nx, lanes))
 
     def spread(value: Array) -> Array:
         """Lanes at x, x + d_i, x - d_i, one block after the other."""
-        return np.asarray((value[None, :, :] + offsets[:, :, None]).transpose(1, 0, 2).reshape(nx, -1))
+        return np.asarray((value[:, None, :] + offsets[:, :, None]).reshape(nx, -1))
 
     def jacobian(wide: Array) -> tuple[Array, Array]:
-        """(centre (rows, lanes), Jacobian (lanes, rows, nx)) from the function's values on spread lanes."""
+        """(centre (rows, lanes), Jacobian (rows, nx, lanes)) from the function's values on spread lanes."""
         blocks = wide.reshape(wide.shape[0], 2 * nx + 1, lanes)
-        slope = (blocks[:, 1 : nx + 1] - blocks[:, nx + 1 :]) / (2.0 * difference)[None, :, None]
-        return blocks[:, 0], slope.transpose(2, 0, 1)
+        return blocks[:, 0], (blocks[:, 1 : nx + 1] - blocks[:, nx + 1 :]) / two
 
     with np.errstate(all="ignore"):
         for k in range(n):
-            u = np.tile(record.u[k], points)
             fresh = k % every == 0
+            copies = points * (2 * nx + 1) if fresh else points
+            u = np.tile(record.u[k], copies)
             if fresh:
-                y, H = jacobian(model.output(spread(x), np.tile(u, 2 * nx + 1), wide_theta))
+                y, H = jacobian(model.output(spread(x), u, wide_theta))
             else:
                 y = model.output(x, u, lane_theta)
-            seen = seen_all[k]
-            all_seen = bool(seen.all())
-            e = np.tile(z_all[k], points) - y
-            Hk, Rk = H, R
-            if not all_seen:
-                # A missing output: no innovation, no sensitivity, unit variance, so that it adds nothing to the likelihood.
-                there = np.tile(seen, points)
-                e = np.where(there, e, 0.0)
-                Hk = np.where(there.T[:, :, None], H, 0.0)
-                Rk = np.where(there.T[:, :, None], R, unit)
-            PH = P @ Hk.transpose(0, 2, 1)
-            S = Hk @ PH + Rk
-            e_all[k], s_all[k] = e, S.transpose(1, 2, 0)
-            try:
-                gain = np.linalg.solve(S, PH.transpose(0, 2, 1)).transpose(0, 2, 1)
-            except np.linalg.LinAlgError:
-                return None
-            x = x + (gain @ e.T[:, :, None])[:, :, 0].T
+            raw[k] = np.tile(record.z[k], points) - y
+            predicted = x
+            for j in range(m):
+                h = H[j]
+                e = raw[k, j] - np.einsum("aw,aw->w", h, x - predicted)
+                PH = np.einsum("abw,bw->aw", P, h)
+                s = np.einsum("aw,aw->w", h, PH) + R[j]
+                gain = PH / s
+                if not complete[k, j]:
+                    # A missing output: no innovation, no gain, unit variance: it adds nothing to the likelihood.
+                    missing = np.isnan(raw[k, j])
+                    e, s, gain = np.where(missing, 0.0, e), np.where(missing, 1.0, s), np.where(missing, 0.0, gain)
+                e_all[k, j], s_all[k, j] = e, s
+                x = x + gain * e
+                P = P - gain[:, None] * PH[None]
             if k == n - 1:
                 break
-            keep = eye - gain @ Hk
-            P = keep @ P @ keep.transpose(0, 2, 1) + gain @ Rk @ gain.transpose(0, 2, 1)
-            u1 = u if record.held else np.tile(record.u[k + 1], points)
-            dt = np.tile(record.dt[k], points)
+            u1 = u if record.held else np.tile(record.u[k + 1], copies)
+            dt = np.tile(record.dt[k], copies)
             if fresh:
-                wide = model.step(
-                    spread(x), np.tile(u, 2 * nx + 1), np.tile(u1, 2 * nx + 1), wide_theta, np.tile(dt, 2 * nx + 1)
-                )
-                x, phi = jacobian(wide)
+                x, phi = jacobian(model.step(spread(x), u, u1, wide_theta, dt))
             else:
                 x = model.step(x, u, u1, lane_theta, dt)
-            P = phi @ P @ phi.transpose(0, 2, 1) + Q * dt[:, None, None]
+            P = np.einsum("abw,bcw->acw", phi, P)
+            P = np.einsum("abw,cbw->acw", P, phi)
+            P[diagonal, diagonal] += Q * dt[:lanes]
             if k % 100 == 0 and not (np.abs(x) < 1e100).all():
                 return None
-    if not (np.isfinite(e_all).all() and np.isfinite(s_all).all() and (np.abs(e_all) < 1e100).all()):
+    if not (
+        np.isfinite(e_all).all() and (np.abs(e_all) < 1e100).all() and np.isfinite(s_all).all() and (s_all > 0).all()
+    ):
         return None
-    return Innovations(e_all, s_all)
+    return Innovations(raw, e_all, s_all)

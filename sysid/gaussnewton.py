@@ -59,7 +59,7 @@ class Minimum:
 def damped_step(
     gradient: Array, information: Array, damping: float, down: Array, up: Array, allowed: NDArray[np.bool_]
 ) -> Array:
-    """The damped step (k,) within [-down, up]; parameters that would leave are put on their bound and the rest re-solved."""
+    """The damped step (k,) within [-down, up]; those that would leave are put on their bound, the rest re-solved."""
     k = gradient.size
     step, fixed = np.zeros(k), ~allowed
     for _ in range(k + 1):
@@ -93,7 +93,7 @@ def minimise(
     max_iterations: int,
     always_central: bool,
 ) -> Minimum:
-    """From theta0 (k,), whose evaluation is `start`, down to where the undamped step is `tolerance` standard errors long."""
+    """From theta0 (k,), whose evaluation is `start`, to where the undamped step is `tolerance` standard errors long."""
     theta, (cost, state) = theta0.copy(), start
     history, damping, growth = [cost], DAMPING, 2.0
     rejected = failed = 0

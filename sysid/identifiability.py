@@ -1,7 +1,7 @@
 """Which parameters the data can tell apart: rank of the scaled information, variance inflation, and who goes with whom.
 
 Belsley, Kuh and Welsch, "Regression Diagnostics" (1980): columns scaled to unit length, the singular directions of the
-scaled matrix, variance inflation. A parameter that takes part in a direction without information has no estimate at all,
+scaled matrix, variance inflation. A parameter that takes part in a direction without information has no estimate,
 whatever its formal bound; the others keep theirs (estimable functions).
 """
 
@@ -64,7 +64,7 @@ def assess(information: Array, names: tuple[str, ...], tolerance: float = RANK_T
 def _inflation_notes(
     values: Array, vectors: Array, inverse: Array, names: list[str], reason: list[str], index: NDArray[np.intp]
 ) -> list[str]:
-    """One sentence for every near-collinear set: variance inflation above the limit, and the weakest direction's members."""
+    """One sentence if variance inflation exceeds the limit: by how much, and the weakest direction's members."""
     inflation = np.diagonal(inverse)
     worst = [i for i in np.argsort(-inflation) if inflation[i] > INFLATION_WARNING and not reason[index[i]]]
     if not worst:
@@ -72,8 +72,10 @@ def _inflation_notes(
     share = np.abs(vectors[:, 0]) / np.abs(vectors[:, 0]).max()
     group = [names[i] for i in np.argsort(-share) if share[i] > 0.2]
     return [
-        (f"near-collinear: {', '.join(group)} (variance inflation up to {inflation[worst[0]]:.3g}, condition index "
-        f"{np.sqrt(values[-1] / values[0]):.3g}); their bounds are wide for that reason")
+        (
+            f"near-collinear: {', '.join(group)} (variance inflation up to {inflation[worst[0]]:.3g}, condition index "
+            f"{np.sqrt(values[-1] / values[0]):.3g}); their bounds are wide for that reason"
+        )
     ]
 
 

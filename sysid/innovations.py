@@ -58,7 +58,7 @@ class Layout:
         return theta, q, r, x0
 
     def limits(self, lower: Array, upper: Array, scale: Array, spread: Array) -> tuple[Array, Array]:
-        """Bounds of the whole vector: Q from 0 to a thousand times the states' scale, r within 1e-5 and 10 of the spread."""
+        """Bounds of the whole vector: Q up to (a thousand states' scales)^2, r within 1e-5 and 10 of the spread."""
         low = [lower[self.columns], np.zeros(self.noisy.size), np.log(1e-5 * spread)]
         high = [upper[self.columns], (1e3 * scale[self.noisy]) ** 2, np.log(1e1 * spread)]
         extra = [np.full(self.segments * self.states, np.inf)] if self.with_x0 else []
@@ -74,15 +74,18 @@ class Layout:
 
 @dataclass
 class State:
-    """Innovations at a point, and, once linearised, their derivatives, whitened by the point's own covariance.
-
-    factor (N, m, m) with factor S factor' = 1; we (N, m); wE (N, m, K); N = n x segments, segment-major.
-    """
+    """Innovations at a point, their deviation and whitened values (N, m), N = n x segments, segment-major; and, once
+    linearised, their whitened derivatives (N, m, K)."""
 
     base: Innovations
-    factor: Array
+    deviation: Array
     white: Array
     sensitivity: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+
+
+def _cost(white: Array, deviation: Array) -> float:
+    """1/2 sum [e^2/s + ln s] from e/sqrt(s) and sqrt(s)."""
+    return 0.5 * float(np.sum(white**2)) + float(np.sum(np.log(deviation)))
 
 
 @dataclass
@@ -119,33 +122,25 @@ class FilterProblem:
         answer = self.evaluate(self.layout.pack(theta, q, r, self.initial))
         return None if answer is None else answer[0]
 
-    def _rows(self, innovations: Innovations, point: int) -> tuple[Array, Array]:
-        """e (N, m) and S (N, m, m) of one point, segment-major."""
-        s = self.record.z.shape[2]
-        lanes = slice(point * s, (point + 1) * s)
-        m = innovations.e.shape[1]
-        e = innovations.e[:, :, lanes].transpose(2, 0, 1).reshape(-1, m)
-        return e, innovations.s[:, :, :, lanes].transpose(3, 0, 1, 2).reshape(-1, m, m)
+    def _rows(self, values: Array, point: int) -> Array:
+        """One point's lanes of e or s (n, m, W) as (N, m), segment-major."""
+        n, m, segments = self.record.z.shape
+        return values[:, :, point * segments : (point + 1) * segments].transpose(2, 0, 1).reshape(n * segments, m)
 
     def evaluate(self, vector: Array) -> tuple[float, State] | None:
-        """J of the module's first equation, None where the filter fails."""
+        """J of filtererror.py, None where the filter fails."""
         found = self._filter([vector])
         if found is None:
             return None
-        e, s = self._rows(found, 0)
-        try:
-            lower = np.linalg.cholesky(s)
-        except np.linalg.LinAlgError:
-            return None
-        m = e.shape[1]
-        factor = np.linalg.solve(lower, np.broadcast_to(np.eye(m), lower.shape))
-        white = (factor @ e[:, :, None])[:, :, 0]
-        cost = 0.5 * float(np.sum(white**2)) + float(np.sum(np.log(np.diagonal(lower, axis1=1, axis2=2))))
-        return (cost, State(found, factor, white)) if np.isfinite(cost) else None
+        deviation = np.sqrt(self._rows(found.s, 0))
+        white = self._rows(found.e, 0) / deviation
+        return _cost(white, deviation), State(found, deviation, white)
 
     def _first_steps(self, vector: Array) -> Array:
         step = 1e-4 * np.where(vector != 0.0, np.abs(vector), 1.0)
-        step[self.layout.process] = 1e-3 * np.maximum(vector[self.layout.process], 1e-6 * self.state_scale[self.layout.noisy] ** 2)
+        step[self.layout.process] = 1e-3 * np.maximum(
+            vector[self.layout.process], 1e-6 * self.state_scale[self.layout.noisy] ** 2
+        )
         step[self.layout.logs] = LOG_STEP
         if self.layout.with_x0:
             step[self.layout.logs.stop :] = 1e-3 * np.tile(self.state_scale, self.layout.segments)
@@ -157,7 +152,7 @@ class FilterProblem:
             self.step = self._first_steps(vector)
         size = vector.size
         n_rows, m = state.white.shape
-        dE, dS = np.zeros((n_rows, m, size)), np.zeros((n_rows, size, m, m))
+        dE, dS = np.zeros((n_rows, m, size)), np.zeros((n_rows, m, size))
         pending = list(range(size))
         for attempt in range(5):
             again: list[int] = []
@@ -168,17 +163,11 @@ class FilterProblem:
             pending = again
             if not pending:
                 break
-        gradient = -(
-            np.einsum("na,nak->k", state.white, dE)
-            + 0.5 * np.einsum("nkaa->k", dS)
-            - 0.5 * np.einsum("na,nkab,nb->k", state.white, dS, state.white, optimize=True)
-        )
-        flat, trace = dE.reshape(-1, size), dS.transpose(1, 0, 2, 3).reshape(size, -1)
-        information = flat.T @ flat + 0.5 * trace @ trace.T
+        e, flat, trace = state.white.ravel(), dE.reshape(-1, size), dS.reshape(-1, size)
+        gradient = -(e @ flat + 0.5 * trace.sum(axis=0) - 0.5 * (e**2) @ trace)
+        information = flat.T @ flat + 0.5 * trace.T @ trace
         state.sensitivity = dE
-        cost = 0.5 * float(np.sum(state.white**2)) - float(
-            np.sum(np.log(np.abs(np.diagonal(state.factor, axis1=1, axis2=2))))
-        )
+        cost = _cost(state.white, state.deviation)
 
         def predict(delta: Array) -> float:
             return cost - float(gradient @ delta) + 0.5 * float(delta @ information @ delta)
@@ -208,21 +197,20 @@ class FilterProblem:
         again = []
         logs = range(*self.layout.logs.indices(vector.size))
         for place, index in enumerate(some):
-            e_up, s_up = self._rows(found, 2 * place)
-            e_down, s_down = self._rows(found, 2 * place + 1)
             width = 2.0 * self.step[index]
-            dE[:, :, index] = (state.factor @ ((e_up - e_down) / width)[:, :, None])[:, :, 0]
-            dS[:, index] = state.factor @ ((s_up - s_down) / width) @ state.factor.transpose(0, 2, 1)
+            up, down = 2 * place, 2 * place + 1
+            dE[:, :, index] = (self._rows(found.e, up) - self._rows(found.e, down)) / (width * state.deviation)
+            dS[:, :, index] = (self._rows(found.s, up) - self._rows(found.s, down)) / (width * state.deviation**2)
             if index in logs:
                 continue
-            change = float(np.sqrt(np.mean(dE[:, :, index] ** 2) + np.mean(dS[:, index] ** 2))) * self.step[index]
+            change = float(np.sqrt(np.mean(dE[:, :, index] ** 2) + np.mean(dS[:, :, index] ** 2))) * self.step[index]
             if change <= 1e-11:
                 limit = 1e2 * max(abs(vector[index]), 1.0)
                 if self.step[index] < limit and not last:
                     self.step[index] = min(1e3 * self.step[index], limit)
                     again.append(index)
                 else:
-                    dE[:, :, index], dS[:, index] = 0.0, 0.0
+                    dE[:, :, index], dS[:, :, index] = 0.0, 0.0
             elif not 1e-5 < change < 3e-2 and not last:
                 self.step[index] *= TARGET / change
                 again.append(index)
@@ -231,7 +219,7 @@ class FilterProblem:
         return again
 
     def whitened(self, state: State) -> tuple[list[Array], list[Array]]:
-        """Per segment: sensitivities of the innovations (n, m, K), zero where missing, and whitened innovations, NaN there.
+        """Per segment: sensitivities of the innovations (n, m, K), zero where missing; white innovations, NaN there.
 
         The sign is that of a model output's sensitivity, minus the innovation's.
         """

@@ -3,7 +3,7 @@
     J(theta) = 1/2 sum_i [z(i) - y(i)]' R^-1 [z(i) - y(i)] + N/2 ln det R
 
 with R at its own maximum-likelihood value for every theta (relaxation), so that the cost followed is the concentrated
-likelihood and falls at every accepted step. Klein, V. and Morelli, E. A., "Aircraft System Identification" (2006), ch. 6;
+likelihood and falls at every accepted step. Klein and Morelli, "Aircraft System Identification" (2006), ch. 6;
 Jategaonkar, R. V., "Flight Vehicle System Identification", 2nd ed. (2015), ch. 4.
 """
 
@@ -77,7 +77,7 @@ class _OutputErrorProblem:
             expected = residual - found.sensitivity @ delta
             return concentrated(expected, residual_noise(expected, self.floor, self.full))
 
-        # M = sum S' R^-1 S,  g = sum S' R^-1 v: one Gauss-Newton step is M^-1 g (method.md section 3 with its sign repaired)
+        # M = sum S' R^-1 S,  g = sum S' R^-1 v: one Gauss-Newton step is M^-1 g
         return Linearisation(flat.T @ white.ravel(), flat.T @ flat, predict)
 
 
@@ -97,15 +97,15 @@ def output_error(
 ) -> OutputErrorFit:
     """Estimate theta (k,) such that simulate(theta) comes closest to `measured`.
 
-    simulate       theta (k,) -> (n, m) array, or a list of them, one per segment, at the measured samples, in the units of
-                   `measured`. It may raise or return NaN at a trial point: that step is rejected and a shorter one tried.
+    simulate       theta (k,) -> (n, m) array, or a list of them, one per segment, at the measured samples, in the units
+                   of `measured`. It may raise or return NaN at a trial point: a shorter step is tried.
     theta0         (k,) start; zeros are fine, but simulate(theta0) must be finite
     measured       (n, m) or (n,) array, or a list of them; NaN = not measured (dropout)
     names          k unique names, default theta0, theta1, ...
     bounds         k pairs (lower, upper), None = open; or two vectors; or {name: (lower, upper)}
     free           names, indices or a mask of the parameters to estimate; the others stay at theta0
     noise          "diagonal" (independent outputs) or "full"
-    map            callable like the built-in map(function, points), e.g. a process pool's: runs the perturbed simulations
+    map            like the built-in map(function, points), e.g. a process pool's: runs the perturbed simulations
     differences    "central"; "auto" takes forward differences between the first iteration and the last ones
     max_iterations, tolerance: stop when the next step is shorter than `tolerance` standard errors
 

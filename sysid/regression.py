@@ -36,8 +36,9 @@ def checked_regressors(X: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
     bad = ~np.isfinite(regressors).all(axis=1) | ~np.isfinite(response)
     if bad.any():
         raise ValueError(
-            f"{int(bad.sum())} of {bad.size} rows of X, y hold NaN or infinity, first row {int(np.flatnonzero(bad)[0])}; "
-            "drop or repair them (dropping rows breaks the record: pass the pieces as segments=)"
+            f"{int(bad.sum())} of {bad.size} rows of X, y hold NaN or infinity, first row "
+            f"{int(np.flatnonzero(bad)[0])}; repair them, or drop them and pass "
+            "the lengths of the pieces as segments="
         )
     n, k = regressors.shape
     if n <= k:
@@ -166,7 +167,7 @@ def _warnings(
     ratio = ratio[np.isfinite(ratio)]
     if p_value < WHITENESS_LEVEL and ratio.size and not 0.8 < float(np.median(ratio)) < 1.25:
         out.append(
-            f"coloured residual (Ljung-Box p = {p_value:.1g}): standard errors are {np.median(ratio):.2g} times the white "
-            f"ones (median; largest {ratio.max():.2g}); use std, not std_white"
+            f"coloured residual (Ljung-Box p = {p_value:.1g}): standard errors are {np.median(ratio):.2g} times the "
+            f"white ones (median; largest {ratio.max():.2g}); use std, not std_white"
         )
     return out

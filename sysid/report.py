@@ -29,6 +29,24 @@ class Findings:
     warnings: list[str]
 
 
+def outward(theta: Array, gradient: Array, lower: Array, upper: Array) -> NDArray[np.bool_]:
+    """(k,): at a bound, with minus the cost's gradient pointing beyond it."""
+    return np.asarray(((theta >= upper) & (gradient > 0.0)) | ((theta <= lower) & (gradient < 0.0)))
+
+
+def at_bound(value: float, lower: float, upper: float) -> str:
+    """The reason given for a parameter held at a bound."""
+    side, bound = ("upper", upper) if value >= upper else ("lower", lower)
+    return f"at its {side} bound {bound:g}: the data pull it beyond, the bound decides its value"
+
+
+def idle_bound(std: float, width: float) -> str:
+    """The reason given when the bounds alone (uniform, std width/sqrt(12)) say more than the data; "" otherwise."""
+    if np.isfinite(width) and std > width / np.sqrt(12.0):
+        return f"standard error {std:.3g} exceeds what its bounds alone say ({width:.3g} wide)"
+    return ""
+
+
 def judge(
     *,
     theta: Array,
@@ -43,15 +61,15 @@ def judge(
     full: bool,
     method: str,
 ) -> Findings:
-    """Bounds and warnings at the optimum theta (k,): sensitivity (N, m, k), residual and motion (N, m), edges of segments,
+    """Bounds and warnings at the optimum theta (k,): sensitivity (N, m, k), residual and motion (N, m), segment edges,
     gradient (k,) of minus the cost, by which an active bound is told from one merely touched."""
     lower, upper = bounds
-    held = ((theta >= upper) & (gradient > 0.0)) | ((theta <= lower) & (gradient < 0.0))
+    held = outward(theta, gradient, lower, upper)
     inside = np.flatnonzero(~held)
     there = np.isfinite(residual)
     sensitivity = np.where(there[:, :, None], sensitivity, 0.0)[:, :, inside]
 
-    # Degrees of freedom: each output has spent its share of the leverage, sum_i S_a D S_a'/R_aa; with one output it is k.
+    # Degrees of freedom: each output has spent its share of the leverage, sum_i S_a D S_a'/R_aa; one output: k.
     noise = residual_noise(residual, floor, full)
     gate = _gate(noise, residual, sensitivity, names, inside)
     _, scaled = noise.whiten(residual, sensitivity)
@@ -76,19 +94,14 @@ def judge(
     cov_crb[np.ix_(inside, inside)] = masked_covariance(crb, gate.identified)
     vif[inside] = gate.vif
     reason = [""] * k
-    for position, index in enumerate(inside):
+    for position, index in enumerate(inside.tolist()):
         reason[index] = gate.reason[position]
     warnings = list(gate.notes)
-    for index in np.flatnonzero(held):
-        side, value = ("upper", upper[index]) if theta[index] >= upper[index] else ("lower", lower[index])
-        reason[index] = f"at its {side} bound {value:g}: the data pull it beyond, the bound decides its value"
-    width = upper - lower
-    with np.errstate(invalid="ignore"):
-        idle = np.isfinite(width) & (np.sqrt(np.diagonal(cov)) > width / np.sqrt(12.0))
-    for index in np.flatnonzero(idle):
-        reason[index] = (
-            f"standard error {np.sqrt(cov[index, index]):.3g} exceeds what its bounds alone say ({width[index]:.3g} wide)"
-        )
+    for index in range(k):
+        if held[index]:
+            reason[index] = at_bound(theta[index], lower[index], upper[index])
+        else:
+            reason[index] = reason[index] or idle_bound(float(np.sqrt(cov[index, index])), upper[index] - lower[index])
     identified = np.array([not text for text in reason])
     cov, cov_crb = masked_covariance(cov, identified), masked_covariance(cov_crb, identified)
     warnings += [f"{names[i]} not identified: {reason[i]}" for i in range(k) if reason[i]]

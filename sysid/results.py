@@ -16,7 +16,7 @@ class OutputErrorFit:
 
     theta (k,)             estimate, each in its parameter's unit; a parameter not identified stays at (or drifts little
                            from) its start and has no standard error
-    std, std_crb (k,)      one standard error: corrected for coloured residuals / Cramer-Rao as it stands; NaN if not identified
+    std, std_crb (k,)      corrected for coloured residuals / Cramer-Rao bound; NaN if not identified
     cov, cov_crb (k, k)    their covariances, NaN in the rows and columns of parameters that are not identified
     status, reason         per name: "identified" | "not-identified" | "fixed", and why
     noise_cov (m, m)       residual covariance, corrected for the degrees of freedom spent
@@ -50,7 +50,7 @@ class OutputErrorFit:
 class FilterErrorFit(OutputErrorFit):
     """As OutputErrorFit, residual being the one-step innovations, and:
 
-    process_noise_cov (x, x)  diagonal spectral density Q of the process noise, state unit^2 per second (variance Q dt a step)
+    process_noise_cov (x, x)  diagonal spectral density Q of the process noise, state unit^2/s (variance Q dt a step)
     noise_cov (m, m)          measurement noise R
     process_noise_std (x,)    standard error of diag Q; NaN where Q is zero: the data ask for no noise there
     x0                        initial state (x,) used, one a segment
@@ -91,7 +91,7 @@ class SelectionStep:
 
     action     "enter" | "remove" | "stop"          name, index: the regressor judged
     partial_f  its partial F under white residuals   effective_f  the same with the coloured standard error: the decider
-    threshold  what effective_f was held against     r2, press, pse  of the model after the step (y unit^2 for the last two)
+    threshold  what effective_f was held against     r2, press, pse  of the model after the step
     """
 
     action: str

@@ -122,7 +122,7 @@ class _Data:
         )
 
     def best_entry(self, chosen: list[int], threshold: float) -> tuple[int, float, float] | None:
-        """(index, partial F, effective F): the first of the SHORTLIST best that passes, else the best one that does not."""
+        """(index, partial F, effective F): the first of the SHORTLIST best that passes, else the best."""
         q = self.basis(chosen)
         rest = self.y - q @ (q.T @ self.y)
         ssr = float(rest @ rest)

@@ -1,6 +1,6 @@
 """Output sensitivities by finite differences of a simulation that may fail.
 
-A step is sized by what it does to the outputs, not by the parameter's magnitude: about TARGET of an output's own spread.
+A step is sized by what it does to the outputs, not by the parameter's magnitude: a small part of an output's spread.
 So parameters of any unit, and starts at zero, need no hint.
 """
 
@@ -43,7 +43,7 @@ class SafeSimulation:
         return self.stacked(value)
 
     def stacked(self, value: Any) -> Array | str:
-        """Outputs of any permitted form as one (N, m) array; a sentence if the form is wrong or values are not finite."""
+        """Outputs of any permitted form as one (N, m) array; a sentence if the form is wrong or values not finite."""
         try:
             parts = [np.asarray(part, dtype=float) for part in (value if is_many(value) else [value])]
         except (TypeError, ValueError) as error:

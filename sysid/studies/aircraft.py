@@ -1,6 +1,6 @@
 """Known truth for the studies: linear longitudinal and lateral motion of an E-SPAARO-like aircraft, with turbulence.
 
-Perturbations about level flight at 22.2 m/s in sea-level air, stability axes taken along x body at trim. Derivatives are
+Perturbations about level flight at 22.2 m/s in sea-level air, x body along the flight path at trim. Derivatives are
 nondimensional, as in the body-axis build-up CX CZ Cm / CY Cl Cn; surfaces in degrees. The motion is integrated exactly
 for inputs and gusts held over each sample (matrix exponential).
 """
@@ -30,7 +30,8 @@ LON_TRUTH = {
 }  # fmt: skip
 LAT_TRUTH = {
     "CY_beta": -0.298, "CY_p": -0.075, "CY_r": 0.135, "CY_dr": 0.0023, "Cl_beta": -0.01, "Cl_p": -0.296, "Cl_r": 0.0094,
-    "Cl_da": 0.0024, "Cl_dr": -0.0003, "Cn_beta": 0.0473, "Cn_p": -0.0225, "Cn_r": -0.075, "Cn_da": -7e-6, "Cn_dr": -0.0011,
+    "Cl_da": 0.0024, "Cl_dr": -0.0003, "Cn_beta": 0.0473, "Cn_p": -0.0225, "Cn_r": -0.075,
+    "Cn_da": -7e-6, "Cn_dr": -0.0011,
 }  # fmt: skip
 LON_BIASES = {"bias_ax": 0.0, "bias_az": 0.0, "bias_qdot": 0.0}
 LAT_BIASES = {"bias_ay": 0.0, "bias_pdot": 0.0, "bias_rdot": 0.0}
@@ -48,7 +49,7 @@ def _longitudinal_accelerations(x: Any, u: Any, theta: Any) -> tuple[Any, Any]:
 
 
 def longitudinal_rate(x: Any, u: Any, theta: Any) -> Array:
-    """dx/dt of V, alpha, q, theta (m/s, rad, rad/s, rad); airspeed and vane, so that they include the gust; u = elevator."""
+    """dx/dt of V, alpha, q, theta (m/s, rad, rad/s, rad); V and vane include the gust; u = elevator."""
     ax, az = _longitudinal_accelerations(x, u, theta)
     cma, cmq, cmd, bias = theta[6], theta[7], theta[8], theta[11]
     moment = QS * C / IYY * (cma * x[1] + cmq * C / (2.0 * V0) * x[2] + cmd * u[0]) + bias
@@ -115,7 +116,7 @@ class Plane:
         return [*self.truth, *self.biases]
 
     def draw(self, rng: np.random.Generator) -> tuple[Array, Array]:
-        """True values, +-25 % about the nominal ones and biases of sensor size, and a start off by up to 30 % (biases 0)."""
+        """True values +-25 % about nominal, biases of sensor size, and a start off by up to 30 % (biases 0)."""
         nominal = np.array(list(self.truth.values()))
         true = nominal * rng.uniform(0.75, 1.25, nominal.size)
         start = nominal * rng.uniform(0.7, 1.3, nominal.size)
@@ -169,7 +170,9 @@ def simulate(plane: Plane, theta: Array, inputs: list[Array], gusts: list[Array]
     return out
 
 
-def dryden(plane: Plane, lengths: list[int], wind_kt: float, rng: np.random.Generator, height_m: float = 100.0) -> list[Array]:
+def dryden(
+    plane: Plane, lengths: list[int], wind_kt: float, rng: np.random.Generator, height_m: float = 100.0
+) -> list[Array]:
     """Increments (n, 4) a segment of the air-relative states as Dryden gusts change (MIL-F-8785C, low altitude).
 
     wind_kt: wind at 20 ft, 15 = light. Longitudinal: u_g on V, w_g on alpha; lateral: v_g on beta. First and second
@@ -227,4 +230,3 @@ def fly(
     gusts = dryden(plane, lengths, wind_kt, rng) if wind_kt > 0.0 else None
     clean = simulate(plane, theta, inputs, gusts)
     return inputs, [part + rng.normal(size=part.shape) * plane.noise for part in clean]
-

@@ -57,13 +57,15 @@ class Draw:
 
 
 def run_seed(case: Case, seed: int, lengths: list[int]) -> Draw:
-    """Fly one flight of `lengths` samples a segment and identify it; the stream depends on seed, plane and air alone."""
+    """Fly one flight of `lengths` samples a segment and identify it; its stream follows from seed, plane and air."""
     rng = np.random.default_rng([seed, case.plane.inputs, int(case.wind_kt)])
     truth, start = case.plane.draw(rng)
     inputs, measured = aircraft.fly(case.plane, truth, lengths, case.wind_kt, rng)
     began = time.perf_counter()
     if case.method == "output_error":
-        fit = output_error(lambda theta: aircraft.simulate(case.plane, theta, inputs), start, measured, names=case.plane.names)
+        fit = output_error(
+            lambda theta: aircraft.simulate(case.plane, theta, inputs), start, measured, names=case.plane.names
+        )
     else:
         times = [np.arange(n) * aircraft.DT for n in lengths]
         fit = filter_error(
@@ -73,7 +75,9 @@ def run_seed(case: Case, seed: int, lengths: list[int]) -> Draw:
     return Draw(truth, fit, time.perf_counter() - began)
 
 
-def run_case(case: Case, seeds: int, lengths: list[int], tick: Callable[[str], None] = lambda text: None) -> pd.DataFrame:
+def run_case(
+    case: Case, seeds: int, lengths: list[int], tick: Callable[[str], None] = lambda text: None
+) -> pd.DataFrame:
     """The case's table: a row a parameter and a pooled one. Columns: see `tabulate`."""
     draws = []
     for seed in range(seeds):
@@ -101,7 +105,9 @@ def tabulate(case: Case, draws: list[Draw]) -> pd.DataFrame:
         "seconds": float(np.mean([draw.seconds for draw in draws])),
     }
     rows = []
-    for column, name in [*enumerate(case.plane.names), (slice(None), "pooled")]:
+    everything = list(range(len(case.plane.names)))
+    columns = [*([index] for index in everything), everything]
+    for column, name in zip(columns, [*case.plane.names, "pooled"], strict=True):
         n = int(counted[:, column].sum())
         level = per_name if name != "pooled" else FAMILY_LEVEL
         low, high = binomial_range(n, 0.95, level)
@@ -116,7 +122,9 @@ def tabulate(case: Case, draws: list[Draw]) -> pd.DataFrame:
                 "crb_coverage_pct": 100.0 * float(hit_crb[:, column].sum()) / max(n, 1),
                 "low": low,
                 "high": high,
-                "inside": bool(93.0 <= 100.0 * covered / max(n, 1) <= 97.0) if name == "pooled" else low <= covered <= high,
+                "inside": bool(93.0 <= 100.0 * covered / max(n, 1) <= 97.0)
+                if name == "pooled"
+                else low <= covered <= high,
                 "median_error_over_true_pct": 100.0 * float(np.median(np.abs(error[:, column] / truth[:, column]))),
                 "std_over_crb": float(np.nanmedian((std / crb)[:, column])) if n else float("nan"),
                 **fits,
