@@ -19,13 +19,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sysid.checks import Array, as_bounds, as_free, as_names, as_parameters, is_many
+from sysid.checks import as_bounds, as_free, as_names, as_parameters, is_many
 from sysid.ekf import ModelFunction, make_model
 from sysid.filterinput import measurement_noise, noisy_states, output_spread, positive_vector, read_record, state_scale
 from sysid.filterreport import assemble
 from sysid.gaussnewton import minimise
 from sysid.innovations import FilterProblem, Layout
 from sysid.results import FilterErrorFit
+
+FIRST_NOISE = (1e-3, 1e-2, 1e-1, 1.0)  # first guesses of process noise, in the states' scale per sqrt(s)
 
 
 def filter_error(
@@ -103,11 +105,11 @@ def filter_error(
         state_scale=scale,
     )  # fmt: skip
     process = (
-        positive_vector(process_noise_start, nx, "process_noise_start")
-        if process_noise_start is not None
-        else _process_noise(problem, theta, measurement, scale)
+        positive_vector(process_noise_start, nx, "process_noise_start") if process_noise_start is not None else None
     )
-    start_point = layout.pack(theta, process**2, measurement, initial)
+    tried = [(factor * scale) ** 2 for factor in FIRST_NOISE]
+    q = process**2 if process is not None else problem.best_process_noise(theta, tried, measurement)
+    start_point = layout.pack(theta, q, measurement, initial)
     low, high = layout.limits(lower, upper, scale, spread)
     start_point = np.clip(start_point, low, high)
     start = problem.evaluate(start_point)
@@ -117,14 +119,3 @@ def filter_error(
         problem, start_point, start, low, high, tolerance=tolerance, max_iterations=max_iterations, always_central=True
     )
     return assemble(problem, best, labels, low, high, record, is_many(z))
-
-
-def _process_noise(problem: FilterProblem, theta: Array, measurement: Array, scale: Array) -> Array:
-    """First guess (nx,): the best of a few multiples of the states' scale, tried side by side."""
-    candidates = [1e-3, 1e-2, 1e-1, 1.0]
-    best, best_cost = candidates[1], np.inf
-    for factor in candidates:
-        answer = problem.cost_of(theta, (factor * scale) ** 2, measurement)
-        if answer is not None and answer < best_cost:
-            best, best_cost = factor, answer
-    return best * scale

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,6 +14,7 @@ from sysid.gaussnewton import Linearisation
 
 LANES = 600  # points x segments filtered side by side, bounded for memory
 TARGET = 1e-3  # wanted rms change of the whitened innovations under a difference step
+ROUGHLY = (1e-7, 0.1)  # a change outside this range is repeated with another step: a filter pass is dear
 LOG_STEP = 1e-3
 
 
@@ -75,11 +77,12 @@ class Layout:
 @dataclass
 class State:
     """Innovations at a point, their deviation and whitened values (N, m), N = n x segments, segment-major; and, once
-    linearised, their whitened derivatives (N, m, K)."""
+    linearised, their whitened derivatives (N, m, K). along: the base holds the perturbed points after its first."""
 
     base: Innovations
     deviation: Array
     white: Array
+    along: bool
     sensitivity: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
 
@@ -118,9 +121,16 @@ class FilterProblem:
             self.every,
         )
 
-    def cost_of(self, theta: Array, q: Array, r: Array) -> float | None:
-        answer = self.evaluate(self.layout.pack(theta, q, r, self.initial))
-        return None if answer is None else answer[0]
+    def best_process_noise(self, theta: Array, candidates: list[Array], r: Array) -> Array:
+        """Of the candidate Q (nx,), all filtered side by side, the one with the lowest cost."""
+        found = self._filter([self.layout.pack(theta, q, r, self.initial) for q in candidates])
+        if found is None:
+            return candidates[-1]  # the most noise: the filter that trusts the model least
+        costs = []
+        for point in range(len(candidates)):
+            deviation = np.sqrt(self._rows(found.s, point))
+            costs.append(_cost(self._rows(found.e, point) / deviation, deviation))
+        return candidates[int(np.argmin(costs))]
 
     def _rows(self, values: Array, point: int) -> Array:
         """One point's lanes of e or s (n, m, W) as (N, m), segment-major."""
@@ -128,13 +138,41 @@ class FilterProblem:
         return values[:, :, point * segments : (point + 1) * segments].transpose(2, 0, 1).reshape(n * segments, m)
 
     def evaluate(self, vector: Array) -> tuple[float, State] | None:
-        """J of filtererror.py, None where the filter fails."""
-        found = self._filter([vector])
+        """J of filtererror.py, None where the filter fails.
+
+        Once steps are known, the perturbed points ride along: a filter pass costs little more for more lanes, and most
+        points tried are accepted and differenced next.
+        """
+        points, along = [vector], False
+        if self.step is not None and (2 * vector.size + 1) * self.record.z.shape[2] <= LANES:
+            points, along = [vector, *self._perturbed(vector, range(vector.size))], True
+        found = self._filter(points)
+        if found is None and along:
+            found, along = self._filter([vector]), False
         if found is None:
             return None
         deviation = np.sqrt(self._rows(found.s, 0))
         white = self._rows(found.e, 0) / deviation
-        return _cost(white, deviation), State(found, deviation, white)
+        return _cost(white, deviation), State(found, deviation, white, along)
+
+    def _perturbed(self, vector: Array, some: Iterable[int]) -> list[Array]:
+        """Points a step up and a step down for each of `some`, in turn."""
+        assert self.step is not None
+        points = []
+        for index in some:
+            for shift in self._shifts(vector, index):
+                point = vector.copy()
+                point[index] += shift
+                points.append(point)
+        return points
+
+    def _shifts(self, vector: Array, index: int) -> tuple[float, float]:
+        """Up and down a step; no variance is taken below zero."""
+        assert self.step is not None
+        step = float(self.step[index])
+        process = self.layout.process
+        down = min(step, float(vector[index])) if process.start <= index < process.stop else step
+        return step, -down
 
     def _first_steps(self, vector: Array) -> Array:
         step = 1e-4 * np.where(vector != 0.0, np.abs(vector), 1.0)
@@ -154,12 +192,14 @@ class FilterProblem:
         n_rows, m = state.white.shape
         dE, dS = np.zeros((n_rows, m, size)), np.zeros((n_rows, m, size))
         pending = list(range(size))
-        for attempt in range(5):
+        if state.along:
+            pending = self._extract(vector, state, state.base, 1, pending, dE, dS, False)
+        for attempt in range(4):
             again: list[int] = []
             block = max(1, LANES // (2 * self.record.z.shape[2]))
             for first in range(0, len(pending), block):
                 some = pending[first : first + block]
-                again += self._differences(vector, state, some, dE, dS, attempt == 4)
+                again += self._differences(vector, state, some, dE, dS, attempt == 3)
             pending = again
             if not pending:
                 break
@@ -177,13 +217,7 @@ class FilterProblem:
     def _differences(self, vector: Array, state: State, some: list[int], dE: Array, dS: Array, last: bool) -> list[int]:
         """Fill the whitened derivatives of the parameters `some`; return those whose step was bad."""
         assert self.step is not None
-        points = []
-        for index in some:
-            for sign in (1.0, -1.0):
-                point = vector.copy()
-                point[index] += sign * self.step[index]
-                points.append(point)
-        found = self._filter(points)
+        found = self._filter(self._perturbed(vector, some))
         if found is None:
             if len(some) > 1:  # one bad point spoils the batch: find it
                 half = len(some) // 2
@@ -194,11 +228,27 @@ class FilterProblem:
                 ]
             self.step[some[0]] *= 0.03
             return list(some)
+        return self._extract(vector, state, found, 0, some, dE, dS, last)
+
+    def _extract(
+        self,
+        vector: Array,
+        state: State,
+        found: Innovations,
+        first: int,
+        some: list[int],
+        dE: Array,
+        dS: Array,
+        last: bool,
+    ) -> list[int]:  # fmt: skip
+        """Derivatives from the lanes of perturbed points, the first of them number `first`; returns those to repeat."""
+        assert self.step is not None
         again = []
         logs = range(*self.layout.logs.indices(vector.size))
         for place, index in enumerate(some):
-            width = 2.0 * self.step[index]
-            up, down = 2 * place, 2 * place + 1
+            shifts = self._shifts(vector, index)
+            width = shifts[0] - shifts[1]
+            up, down = first + 2 * place, first + 2 * place + 1
             dE[:, :, index] = (self._rows(found.e, up) - self._rows(found.e, down)) / (width * state.deviation)
             dS[:, :, index] = (self._rows(found.s, up) - self._rows(found.s, down)) / (width * state.deviation**2)
             if index in logs:
@@ -211,7 +261,7 @@ class FilterProblem:
                     again.append(index)
                 else:
                     dE[:, :, index], dS[:, :, index] = 0.0, 0.0
-            elif not 1e-5 < change < 3e-2 and not last:
+            elif not ROUGHLY[0] < change < ROUGHLY[1] and not last:
                 self.step[index] *= TARGET / change
                 again.append(index)
             else:
