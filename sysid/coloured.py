@@ -19,6 +19,8 @@ import numpy as np
 
 from sysid.checks import Array
 
+CROSS_LAGS = 40  # longest lag, in samples, at which one output's innovation is looked for in another's
+
 
 def autocovariance(segments: list[Array], max_lag: int) -> Array:
     """Biased autocovariance at lags 0..max_lag of one series in segments (n,), NaN = missing; unit squared.
@@ -122,18 +124,21 @@ def coloured_information(sensitivity: list[Array], residual: list[Array]) -> Arr
     for channel, model in enumerate(models):
         shape[:, channel] = 1.0 / np.fft.rfft(np.concatenate(([1.0], -model)), size)
 
-    # What whitening each output leaves between outputs: cross-covariances of e, tapered (Bartlett), if significant.
+    # What whitening each output leaves between outputs: cross-covariances of e, if significant.
     gamma = np.diag(variances).astype(complex)[None].repeat(frequencies, axis=0)
     if m > 1:
         n = sum(part.shape[0] for part in residual)
-        lags = int(min(4.0 * (n / 100.0) ** (2.0 / 9.0), n // 10))
+        lags = min(CROSS_LAGS, n // 10, min(part.shape[0] for part in residual) - 1)
         total, pairs = _cross_covariance([_innovations(part, models) for part in residual], lags)
         own = np.sqrt(np.diagonal(total[0] / np.maximum(pairs[0], 1.0)))
         with np.errstate(divide="ignore", invalid="ignore"):
             correlation = np.where(pairs > 20, total / np.maximum(pairs, 1.0) / np.outer(own, own), 0.0)
         correlation[~np.isfinite(correlation)] = 0.0
         off = ~np.eye(m, dtype=bool)
-        if np.any(np.abs(correlation[:, off]) * np.sqrt(np.maximum(pairs[:, off], 1.0)) > 4.0):
+        strong = np.abs(correlation[:, off]) * np.sqrt(np.maximum(pairs[:, off], 1.0)) > 4.0
+        if strong.any():
+            last = int(np.flatnonzero(strong.any(axis=1))[-1])
+            lags = min(lags, 2 * last)  # kept in full up to the last significant lag, then let go linearly
             deviation = np.sqrt(variances)
             omega = np.exp(-2j * np.pi * np.arange(frequencies) / size)
             gamma = np.repeat((correlation[0] * np.outer(deviation, deviation))[None], frequencies, axis=0).astype(
@@ -141,7 +146,8 @@ def coloured_information(sensitivity: list[Array], residual: list[Array]) -> Arr
             )
             gamma[:, np.arange(m), np.arange(m)] = variances
             for lag in range(1, lags + 1):
-                block = (1.0 - lag / (lags + 1.0)) * correlation[lag] * np.outer(deviation, deviation)
+                taper = min(1.0, (lags + 1.0 - lag) / (lags + 1.0 - last))
+                block = taper * correlation[lag] * np.outer(deviation, deviation)
                 block[np.arange(m), np.arange(m)] = 0.0
                 turn = (omega**lag)[:, None, None]
                 gamma += block * turn + block.T * np.conj(turn)

@@ -21,7 +21,7 @@ from sysid.gaussnewton import Linearisation, minimise
 from sysid.noise import Noise, concentrated, residual_noise
 from sysid.report import Findings, judge
 from sysid.results import OutputErrorFit, split
-from sysid.sensitivities import MapLike, SafeSimulation, first_steps, sensitivities
+from sysid.sensitivities import TARGET, MapLike, SafeSimulation, first_steps, roughness, sensitivities, target_for
 
 
 @dataclass
@@ -38,6 +38,7 @@ class _OutputErrorProblem:
     map_: MapLike | None
     step: Array
     runs: int = 0
+    target: float | None = None
     last_failure: str = ""
     sensitivity: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
@@ -64,9 +65,16 @@ class _OutputErrorProblem:
     def linearise(self, theta: Array, outputs: Array, central: bool) -> Linearisation:
         found = sensitivities(
             self.simulation, self.whole(theta), outputs, self.step, self.columns, self.limits, self.spread,
-            central=central, map_=self.map_,
+            central=central, map_=self.map_, target=self.target or TARGET,
         )  # fmt: skip
         self.step, self.runs = found.step, self.runs + found.runs
+        if self.target is None:  # steps are sized now: find out how small they may be
+            small = np.zeros_like(self.step)
+            small[self.columns] = 1e-3 * self.step[self.columns]
+            rough, runs = roughness(
+                self.simulation, self.whole(theta), outputs, small, self.limits, self.spread, self.map_
+            )
+            self.target, self.runs = target_for(rough), self.runs + runs
         self.sensitivity = found.sensitivity
         residual = self.measured - outputs
         white, scaled = self.noise(outputs).whiten(residual, found.sensitivity)
@@ -93,7 +101,7 @@ def output_error(
     map: MapLike | None = None,
     differences: str = "auto",
     max_iterations: int = 100,
-    tolerance: float = 1e-4,
+    tolerance: float = 1e-5,
 ) -> OutputErrorFit:
     """Estimate theta (k,) such that simulate(theta) comes closest to `measured`.
 

@@ -6,6 +6,7 @@ So parameters of any unit, and starts at zero, need no hint.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,8 +16,9 @@ from numpy.typing import NDArray
 
 from sysid.checks import Array, is_many
 
-TARGET = 3e-4  # wanted change of the most affected output, in its spread: truncation ~ TARGET^2, round-off ~ eps/TARGET
-WITHIN = (1e-6, 1e-2)  # a change outside this range is repeated with another step
+TARGET = 3e-4  # first wanted change of the most affected output, in its spread; then `target_for` its roughness
+TARGETS = (3e-5, 3e-2)  # range of wanted changes: truncation ~ target^2, rounding ~ roughness / target
+WITHIN = (3e-3, 30.0)  # a change outside this range of the wanted one is repeated with another step
 NO_EFFECT = 1e-11  # a smaller change at the largest step tried is rounding, not an effect
 HUGE = 1e100  # outputs beyond this are a diverged simulation; their squares must not overflow
 
@@ -94,10 +96,12 @@ def sensitivities(
     *,
     central: bool,
     map_: MapLike | None,
+    target: float = TARGET,
 ) -> Differences:
     """d(outputs)/d(theta) at `theta`, whose outputs are `base` (N, m).
 
     Central differences, or forward ones; one-sided at a bound or where one side fails. spread (m,) scales the outputs.
+    target: wanted change of the most affected output, in its spread.
     A parameter whose every perturbed run fails gets effect False.
     """
     step = step.copy()
@@ -157,17 +161,48 @@ def sensitivities(
                     again.append(position)
                 else:
                     step[j] = 1e-4 * unit
-            elif not WITHIN[0] <= change <= WITHIN[1] and attempt < 5:
-                wanted = step[j] * TARGET / change
+            elif not WITHIN[0] <= change / target <= WITHIN[1] and attempt < 5:
+                wanted = step[j] * target / change
                 room = upper[j] - lower[j]
                 wanted = min(wanted, 0.01 * room) if np.isfinite(room) else wanted
                 if not 0.5 < wanted / step[j] < 2.0:
                     step[j] = wanted
                     again.append(position)
             else:
-                step[j] *= float(np.clip(TARGET / change, 0.1, 10.0))
+                step[j] *= float(np.clip(target / change, 0.1, 10.0))
         pending = again
         if not pending:
             break
     out[:, :, ~effect] = 0.0
     return Differences(out, step, effect, runs)
+
+
+def roughness(
+    simulation: SafeSimulation, theta: Array, base: Array, small: Array, limits: tuple[Array, Array], spread: Array,
+    map_: MapLike | None,
+) -> tuple[float, int]:  # fmt: skip
+    """How far the outputs are from smooth in theta, in their spread (rms), and the simulations it took to find out.
+
+    Six points along small (k,) steps away from theta: a smooth function leaves nothing in high differences, rounding,
+    iterated trims and printed decimals do. More, J. J. and Wild, S. M., SIAM J. Sci. Comput. 33 (2011), eq. (2.4).
+    """
+    lower, upper = limits
+    inward = np.where(theta + 7.0 * small > upper, -small, small)
+    points = [theta + count * inward for count in range(1, 7)]
+    points = [np.clip(point, lower, upper) for point in points]
+    answers = run_all(simulation, points, map_)
+    if any(isinstance(answer, str) for answer in answers):
+        return 0.0, len(points)
+    table = np.stack([base, *(answer for answer in answers if not isinstance(answer, str))])
+    found = []
+    for order in range(1, 6):
+        table = np.diff(table, axis=0)
+        if order >= 4:
+            factor = math.factorial(order) ** 2 / math.factorial(2 * order)
+            found.append(np.sqrt(factor * np.mean(table**2, axis=(0, 1))) / spread)
+    return float(np.min(found, axis=0).max()), len(points)
+
+
+def target_for(rough: float) -> float:
+    """The output change at which a central difference's truncation and rounding balance, about roughness^(1/3)."""
+    return float(np.clip(np.cbrt(rough), *TARGETS))
