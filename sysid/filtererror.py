@@ -50,7 +50,7 @@ def filter_error(
     hold: str = "linear",
     jacobian_every: int = 4,
     max_iterations: int = 60,
-    tolerance: float = 1e-3,
+    tolerance: float = 1e-2,
 ) -> FilterErrorFit:
     """Estimate theta (k,) of dx/dt = f(x, u, theta) + w, z = g(x, u, theta) + v from flights in turbulence.
 

@@ -20,6 +20,7 @@ S = TypeVar("S")
 
 LOST = 1e-10  # eigenvalues of the scaled information below this share of the largest get no step
 DAMPING = 1e-4  # first lambda: nearly Gauss-Newton
+NEAR = 0.05  # standard errors: as near as an imprecise or slowly settling likelihood need be called
 TRIALS = 14  # rejected steps in one iteration before giving up
 
 
@@ -145,7 +146,7 @@ def minimise(
                 central, damping, growth, stalled = True, DAMPING, 2.0, 0  # forward differences may be what failed
                 continue
             # With an imprecise simulation the slope never vanishes: close enough in standard errors is converged.
-            converged = decrement < 0.05
+            converged = decrement < NEAR
             message = f"no lower cost found; the next step would be {decrement:.1e} standard errors long"
             break
         central = decrement < 0.5
