@@ -11,17 +11,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sysid.checks import Array, as_bounds, as_free, as_names, as_parameters, as_segments, is_many
-from sysid.gaussnewton import Linearisation, minimise
+from sysid.gaussnewton import Linearisation, Minimum, minimise
 from sysid.noise import Noise, concentrated, residual_noise
 from sysid.report import Findings, judge
 from sysid.results import OutputErrorFit, split
 from sysid.sensitivities import TARGET, MapLike, SafeSimulation, first_steps, roughness, sensitivities, target_for
+
+HORIZONS = (0.1, 0.2, 0.4)  # shares of each segment fitted first when the whole leads nowhere
 
 
 @dataclass
@@ -166,17 +169,25 @@ def output_error(
         raise ValueError(
             f"the simulation fails at theta0: {problem.last_failure}; start from values that can be simulated"
         )
-    best = minimise(
-        problem, theta[columns], start, lower[columns], upper[columns],
-        tolerance=tolerance, max_iterations=max_iterations, always_central=differences == "central",
-    )  # fmt: skip
+    edges = [0, *np.cumsum([part.shape[0] for part in segments]).tolist()]
+    limits = (lower[columns], upper[columns])
+
+    def descend(point: Array, state: tuple[float, Array], iterations: int, length: float) -> Minimum:
+        return minimise(
+            problem, point, state, *limits,
+            tolerance=length, max_iterations=iterations, always_central=differences == "central",
+        )  # fmt: skip
+
+    best = descend(theta[columns], start, max_iterations, tolerance)
+    if _lost(problem, best):
+        other = _from_short_horizons(problem, theta[columns], edges, descend, max_iterations, tolerance)
+        best = other if other is not None and other.cost < best.cost else best
 
     # Sensitivities at the answer itself, central: the last iteration's may belong to the point before.
     again = problem.evaluate(best.theta)
     assert again is not None
     line = problem.linearise(best.theta, again[1], True)
     residual = stacked - again[1]
-    edges = [0, *np.cumsum([part.shape[0] for part in segments]).tolist()]
     findings = judge(
         theta=best.theta,
         gradient=line.gradient,
@@ -191,6 +202,42 @@ def output_error(
         method="output error",
     )
     return _assemble(theta, columns, labels, best, problem, findings, split(residual, edges), is_many(measured))
+
+
+def _lost(problem: _OutputErrorProblem, best: Minimum) -> bool:
+    """Not converged, or at a point where no output is explained even to 70 %: not the minimum that was meant."""
+    found = problem.evaluate(best.theta)
+    if found is None:
+        return True
+    left = np.nanmean((problem.measured - found[1]) ** 2, axis=0) / problem.spread**2
+    return not best.converged or bool(left.min() > 0.3)
+
+
+def _from_short_horizons(
+    problem: _OutputErrorProblem, theta: Array, edges: list[int], descend: Callable[..., Minimum],
+    max_iterations: int, tolerance: float,
+) -> Minimum | None:  # fmt: skip
+    """The minimum reached from theta (k,) by way of the first tenth, third and whole of every segment.
+
+    Far from the truth a long simulation says little about where to go: it diverges, or swings out of phase. Its
+    beginning is nearly linear in the parameters.
+    """
+    complete = problem.measured
+    try:
+        for share in HORIZONS:
+            problem.measured = complete.copy()
+            for first, last in pairwise(edges):
+                problem.measured[first + max(int(share * (last - first)), 1) : last] = np.nan
+            if not (np.isfinite(problem.measured).sum(axis=0) > theta.size).all():
+                continue
+            start = problem.evaluate(theta)
+            if start is None:
+                return None
+            theta = descend(theta, start, 20, 0.1).theta
+    finally:
+        problem.measured = complete
+    start = problem.evaluate(theta)
+    return None if start is None else descend(theta, start, max_iterations, tolerance)
 
 
 def _assemble(

@@ -159,8 +159,28 @@ def test_a_simulation_that_fails_or_diverges_at_trial_points_is_stepped_around()
         output_error(fragile, [6.0, 3.0, 1.0, 0.0], measured)
 
 
+def test_an_all_zero_start_of_an_unstable_looking_model_is_brought_home():
+    elevator = np.sign(np.sin(T * 2.0)) * (T < 6.0)
+    matrix = np.array([[1.0, 1.0], [0.0, 0.0]])
+
+    def short_period(theta):
+        x, out = np.zeros(2), np.empty((T.size, 2))
+        for k in range(T.size):
+            out[k] = x
+            matrix[:] = [[theta[0], 1.0], [theta[1], theta[2]]]
+            x = x + 0.02 * (matrix @ x + [0.0, theta[3] * elevator[k]])
+        return out
+
+    truth = np.array([-2.0, -8.0, -3.0, -10.0])
+    measured = short_period(truth) + np.random.default_rng(8).normal(size=(T.size, 2)) * [0.01, 0.02]
+    fit = output_error(short_period, np.zeros(4), measured)
+    assert fit.converged
+    assert (np.abs(fit.theta - truth) < 4.5 * fit.std).all()
+    assert (np.diff(fit.cost_history) <= 0.0).all()
+
+
 def test_no_convergence_is_said():
-    fit = output_error(lambda theta: decay(theta, T), [0.1, 5.0, 0.0, 0.0], noisy(6), max_iterations=2)
+    fit = output_error(lambda theta: decay(theta, T), [0.1, 5.0, 0.0, 0.0], noisy(6), max_iterations=1)
     assert not fit.converged
     assert "not converged" in fit.warnings[0]
 
