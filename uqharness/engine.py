@@ -93,10 +93,19 @@ def default_root() -> Path:
     return Path(jsbsim.get_default_root_dir())
 
 
-def _new(root: Path) -> Any:
-    _collect()
+def _new(
+    root: Path, dt_s: float, aircraft: str | Path | None, engine: str | Path | None, systems: str | Path | None
+) -> Any:
+    _collect().take()
     fdm = jsbsim.FGFDMExec(str(root))
     fdm.set_debug_level(0)
+    if aircraft is not None:
+        fdm.set_aircraft_path(str(aircraft))
+    if engine is not None:
+        fdm.set_engine_path(str(engine))
+    if systems is not None:
+        fdm.set_systems_path(str(systems))
+    fdm.set_dt(dt_s)
     return fdm
 
 
@@ -116,10 +125,7 @@ def open_fdm(
     Raises BadInputError with file and line when JSBSim does not accept the model.
     """
     log = _collect()
-    log.take()
-    fdm = _new(Path(root_dir))
-    _set_paths(fdm, aircraft_path, engine_path, systems_path)
-    fdm.set_dt(dt_s)
+    fdm = _new(Path(root_dir), dt_s, aircraft_path, engine_path, systems_path)
     try:
         loaded = fdm.load_model(aircraft_name)
     except RuntimeFailure as error:
@@ -144,10 +150,7 @@ def open_script(
 ) -> Any:
     """A fresh ``FGFDMExec`` with a run script, its aircraft and its initial conditions loaded, and nothing run."""
     log = _collect()
-    log.take()
-    fdm = _new(Path(root_dir))
-    _set_paths(fdm, aircraft_path, engine_path, systems_path)
-    fdm.set_dt(dt_s)
+    fdm = _new(Path(root_dir), dt_s, aircraft_path, engine_path, systems_path)
     try:
         loaded = fdm.load_script(str(script), dt_s)
     except RuntimeFailure as error:
@@ -157,15 +160,6 @@ def open_script(
     # A model may carry <output> elements of its own; a host records for itself.
     fdm.disable_output()
     return fdm
-
-
-def _set_paths(fdm: Any, aircraft: str | Path | None, engine: str | Path | None, systems: str | Path | None) -> None:
-    if aircraft is not None:
-        fdm.set_aircraft_path(str(aircraft))
-    if engine is not None:
-        fdm.set_engine_path(str(engine))
-    if systems is not None:
-        fdm.set_systems_path(str(systems))
 
 
 def run_ic(fdm: Any) -> None:
