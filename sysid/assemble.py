@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from sysid import flight_phase
 from sysid.airframe_card import AirframeCard
 from sysid.channels import Channel, Times, resolve
+from sysid.flight_modes import MANOEUVRE_TEXT, PLANE_MODES
 from sysid.flight_record import FlightRecord, Metadata
 from sysid.log_checks import check_channels, check_record
 from sysid.log_errors import Finding, LogError
@@ -28,10 +29,6 @@ FloatArray = NDArray[np.float64]
 _GRID_CHANNELS = ("p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
 _CIRCULAR = {"phi_rad", "psi_rad"}
 _MAX_ROWS = 40_000_000
-# ArduPlane's mode numbers (its documentation's table).
-_PLANE_MODES = {0: "MANUAL", 1: "CIRCLE", 2: "STABILIZE", 3: "TRAINING", 4: "ACRO", 5: "FBWA", 6: "FBWB", 7: "CRUISE",
-                8: "AUTOTUNE", 10: "AUTO", 11: "RTL", 12: "LOITER", 13: "TAKEOFF", 14: "AVOID_ADSB", 15: "GUIDED",
-                17: "QSTABILIZE", 18: "QHOVER", 19: "QLOITER", 20: "QLAND", 21: "QRTL", 24: "THERMAL"}  # fmt: skip
 
 
 def assemble(
@@ -57,6 +54,9 @@ def assemble(
     columns = _on_grid(channels, grid)
     if "mode" in columns:
         columns["mode"] = _mode_names(columns["mode"], raw)
+    labels = _manoeuvres(raw, grid)
+    if labels is not None:
+        columns["manoeuvre"] = labels
     phase = _phase(raw, channels, columns, grid, signal_map.servos, times)
     estimates = tuple(n for n, c in channels.items() if c.estimate)
     step = float(np.median(np.diff(grid)))
@@ -101,7 +101,7 @@ def _grid(raw: RawLog, channels: Mapping[str, Channel]) -> FloatArray:
         raise LogError(f"{span:.0f} s at {1 / step:.0f} Hz would be more than {_MAX_ROWS} rows; cut the log into parts")
     # Stamps jitter by microseconds: a step of a round number of microseconds keeps the grid on the samples.
     step = round(step, 6) or step
-    return best.time_s[0] + step * np.arange(int(np.floor(span / step + 0.25)) + 1)
+    return np.round(best.time_s[0] + step * np.arange(int(np.floor(span / step + 0.25)) + 1), 9)
 
 
 def _on_grid(channels: Mapping[str, Channel], grid: FloatArray) -> dict[str, NDArray[Any]]:
@@ -200,10 +200,20 @@ def _phase(
 
 def _mode_names(numbers: FloatArray, raw: RawLog) -> NDArray[Any]:
     plane = raw.dialect.startswith("dataflash") or raw.facts.get("mav_type") == 1.0
-    known = _PLANE_MODES if plane else {}
+    known = PLANE_MODES if plane else {}
     unique, inverse = np.unique(np.where(np.isfinite(numbers), numbers, -1), return_inverse=True)
     names = ["" if u < 0 else known.get(int(u), f"mode {int(u)}") for u in unique]
     return np.array(names, dtype=object)[inverse]
+
+
+def _manoeuvres(raw: RawLog, grid: FloatArray) -> NDArray[Any] | None:
+    """Labels from texts such as "manoeuvre pitch-doublet" ... "manoeuvre end", which our own logs carry."""
+    marks = [(t, text.removeprefix(MANOEUVRE_TEXT)) for t, text in raw.texts if text.startswith(MANOEUVRE_TEXT)]
+    if not marks:
+        return None
+    names = np.array(["", *("" if name == "end" else name for _, name in marks)], dtype=object)
+    half = 0.5 * float(np.median(np.diff(grid)))
+    return names[np.searchsorted(np.array([t for t, _ in marks]), grid + half, side="right")]
 
 
 def _start(raw: RawLog) -> dict[str, float]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 JUMP_S = 3600.0  # a step this long inside one log is a wrong clock, not a dropout
+SAME_S = 2e-6  # times this close are one: stamps are whole microseconds
 GAP_STEPS = 2.5  # a step longer than this many usual steps is a gap
 
 
@@ -98,6 +99,10 @@ def interpolate(time_s: FloatArray, values: FloatArray, gaps: FloatArray, grid_s
     """Linear interpolation of (n,) samples onto (m,) grid times; NaN outside the samples and inside every gap."""
     out = np.interp(grid_s, time_s, values, left=np.nan, right=np.nan)
     out[inside(gaps, grid_s)] = np.nan
+    # A grid time on a sample takes the sample: rounding in the last digit must not spread a neighbour's NaN.
+    near = np.clip(np.searchsorted(time_s, grid_s - SAME_S), 0, len(time_s) - 1)
+    same = np.abs(time_s[near] - grid_s) <= SAME_S
+    out[same] = values[near[same]]
     return out
 
 
