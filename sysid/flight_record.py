@@ -208,7 +208,7 @@ class FlightRecord:
             raise LogError("no such file", path)
         try:
             frame, meta = _read_parquet(path) if _starts_with(path, b"PAR1") else _read_csv(path)
-        except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError, pa.ArrowException) as e:
+        except (OSError, ValueError, KeyError, TypeError, OverflowError, pa.ArrowException) as e:
             raise LogError(f"not a readable flight record ({type(e).__name__}: {_one_line(e)})", path) from None
         try:
             metadata = Metadata.from_json(meta) if meta else Metadata(source=path.name, dialect="record")
@@ -237,15 +237,14 @@ def _one_line(error: Exception) -> str:
 def _read_parquet(path: Path) -> tuple[pd.DataFrame, str]:
     table = pq.read_table(path)
     meta = (table.schema.metadata or {}).get(_METADATA_KEY, b"")
-    return table.to_pandas(), meta.decode("utf-8")
+    return table.to_pandas(ignore_metadata=True), meta.decode("utf-8")
 
 
 def _read_csv(path: Path) -> tuple[pd.DataFrame, str]:
     with path.open(encoding="utf-8") as handle:
         first = handle.readline()
     meta = first.removeprefix("# flight_record").strip() if first.startswith("# flight_record") else ""
-    # `time_s` in text keeps every digit only with the exact parser.
-    return pd.read_csv(path, comment="#", float_precision="round_trip", keep_default_na=True), meta
+    return pd.read_csv(path, comment="#"), meta
 
 
 def _column(series: pd.Series, name: str, path: Path) -> NDArray[Any]:

@@ -40,8 +40,8 @@ def read_csv(path: Path, jsbsim: bool = False) -> RawLog:
     jsbsim  property names lose a leading /fdm/jsbsim/ and are turned into SI by their suffix
     """
     try:
-        frame = pd.read_csv(path, comment="#", skipinitialspace=True, low_memory=False, float_precision="round_trip")
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError, ValueError) as e:
+        frame = pd.read_csv(path, comment="#", skipinitialspace=True, low_memory=False)
+    except (OSError, ValueError, OverflowError) as e:
         raise LogError(f"not a readable CSV table ({' '.join(str(e).split())[:160]})", path) from None
     return _from_frame(frame, path, jsbsim)
 
@@ -49,8 +49,8 @@ def read_csv(path: Path, jsbsim: bool = False) -> RawLog:
 def read_parquet(path: Path) -> RawLog:
     """As `read_csv`, for Parquet."""
     try:
-        frame = pq.read_table(path).to_pandas()
-    except (pa.ArrowException, OSError, ValueError, KeyError) as e:
+        frame = pq.read_table(path).to_pandas(ignore_metadata=True)
+    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, OverflowError) as e:
         raise LogError(f"not a readable Parquet file ({' '.join(str(e).split())[:160]})", path) from None
     return _from_frame(frame, path, False)
 

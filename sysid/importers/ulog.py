@@ -24,8 +24,9 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
     chatter = io.StringIO()
     try:
         # pyulog prints what it finds corrupt; it belongs into the findings, not onto the terminal.
-        with contextlib.redirect_stdout(chatter), np.errstate(all="ignore"):
-            log = ULog(str(path), None if wanted is None else sorted(wanted), disable_str_exceptions=True)
+        # Given an open file, since pyulog leaves a file open that it opened itself and could not read.
+        with path.open("rb") as handle, contextlib.redirect_stdout(chatter), np.errstate(all="ignore"):
+            log = ULog(handle, None if wanted is None else sorted(wanted), disable_str_exceptions=True)
     except Exception as e:  # pyulog meets damage with whatever its parsing runs into
         raise LogError(
             f"damaged or not a ULog file ({type(e).__name__}: {' '.join(str(e).split())[:120]}); copy the log again",
