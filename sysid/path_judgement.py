@@ -8,42 +8,35 @@ from numpy.typing import NDArray
 from sysid.path_smoother import Pass
 
 FloatArray = NDArray[np.float64]
-# A standard error above this tells nothing: such sensors and winds are known to be off by no more anyway.
-USELESS = {
-    "bias_ax": 1.0, "bias_ay": 1.0, "bias_az": 1.0, "bias_p": 0.03, "bias_q": 0.03, "bias_r": 0.03,
-    "scale_V": 0.1, "bias_V": 3.0, "scale_alpha": 0.15, "bias_alpha": 0.03, "scale_beta": 0.15, "bias_beta": 0.03,
-    "wind_n": 3.0, "wind_e": 3.0, "wind_d": 1.0,
+# What such sensors and winds may be off by before anything is measured, one standard deviation. It keeps the search out
+# of nonsense (a vane of scale -1 shows whatever is wanted) and is wide beside what any useful flight gives.
+PRIOR_STD = {
+    "bias_ax": 1.0, "bias_ay": 1.0, "bias_az": 1.0, "bias_p": 0.05, "bias_q": 0.05, "bias_r": 0.05,
+    "scale_V": 0.15, "bias_V": 3.0, "scale_alpha": 0.25, "bias_alpha": 0.05, "scale_beta": 0.25, "bias_beta": 0.05,
+    "wind_n": 10.0, "wind_e": 10.0, "wind_d": 2.0,
 }  # fmt: skip
-# Wide enough to say nothing: ten times that.
-PRIOR_STD = {name: 10.0 * size for name, size in USELESS.items()}
-COLLINEAR = 30.0  # standard error over that with all other parameters known
+LEARNT = 0.5  # a flight that does not even halve the prior standard deviation says nothing
+COLLINEAR = 5.0  # standard error over that with all other parameters known
 _LAGS = 100
 
 
-def judge(names: tuple[str, ...], cov: FloatArray) -> tuple[str, str] | None:
-    """(name, reason) of the parameter that is least known when one is not identified, else None. cov is (k, k)."""
-    if not names:
-        return None
-    std = np.sqrt(np.maximum(np.diag(cov), 0.0))
-    scale = np.maximum(std, 1e-300)
-    correlation = cov / np.outer(scale, scale)
-    conditional = scale / np.sqrt(np.maximum(np.diag(np.linalg.pinv(correlation, hermitian=True)), 1.0))
-    ratio = scale / conditional
-    excess = np.array([s / USELESS[n] for s, n in zip(std, names, strict=True)])
-    rho = np.abs(correlation - np.diag(np.diag(correlation)))
-    if excess.max() > 1.0:
-        i = int(np.argmax(excess))
-        text = f"standard error {std[i]:.3g} is above {USELESS[names[i]]:g}: the flight says nothing about it"
-        if ratio[i] > 5.0:
-            text += f"; it cannot be told apart from {names[int(np.argmax(rho[i]))]}"
-        return names[i], text
-    if ratio.max() > COLLINEAR:
-        i = int(np.argmax(ratio))
-        partner = names[int(np.argmax(rho[i]))]
-        return names[
-            i
-        ], f"collinear with {partner}: its standard error is {ratio[i]:.0f} times that with the others known"
-    return None
+def judge(names: tuple[str, ...], cov: FloatArray) -> dict[str, str]:
+    """Name -> reason for every parameter that is not identified; `cov` is their (k, k) covariance."""
+    std = np.sqrt(np.maximum(np.diag(cov), 1e-300))
+    correlation = cov / np.outer(std, std)
+    known_rest = 1.0 / np.sqrt(np.maximum(np.diag(np.linalg.pinv(correlation, hermitian=True)), 1.0))
+    out = {}
+    for i, name in enumerate(names):
+        limit = LEARNT * PRIOR_STD[name]
+        if std[i] <= limit:
+            continue
+        text = f"standard error {std[i]:.3g} is above {limit:g}: the flight says nothing about it"
+        if 1.0 / known_rest[i] > COLLINEAR:
+            rho = np.abs(correlation[i])
+            rho[i] = 0.0
+            text += f"; it is collinear with {names[int(np.argmax(rho))]}"
+        out[name] = text
+    return out
 
 
 def long_run_variance(passes: list[Pass], channel: int | None = None) -> float:

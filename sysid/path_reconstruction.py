@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from sysid.flight_record import FlightRecord
 from sysid.log_errors import LogError
 from sysid.path_data import FIRST_NOISE, NOISE_FLOOR, PathData, build, first_path, input_noise, thinned
+from sysid.path_excitation import possible
 from sysid.path_judgement import PRIOR_STD, judge, long_run_variance
 from sysid.path_kinematics import INPUT_BIASES, INPUTS, NAMES, OUTPUTS, SENSOR_TERMS, STATES, WIND, outputs
 from sysid.path_smoother import Noise, Pass, run
@@ -35,7 +36,8 @@ _D = len(STATES)
 
 @dataclass(frozen=True)
 class PathParameter:
-    """One estimate. Not identified: value and std are NaN, the parameter stood at zero, `reason` says why.
+    """One estimate. Not identified: value and std are NaN and `reason` says why; it is carried along with what such
+    sensors are off by anyway (path_judgement.PRIOR_STD), so that the other parameters' standard errors allow for it.
 
     std  standard error, widened where the innovations are not white; std_crb  without that widening
     """
@@ -106,19 +108,15 @@ def reconstruct_path(
     if not rate >= 0.95 * MIN_RATE_HZ:
         raise LogError(f"rates and accelerations at {rate:.1f} Hz cannot be integrated; at least {MIN_RATE_HZ:g} Hz")
     data = build(thinned(record), min_s, max_s, arm_m, delays_s, use_estimates)
-    names, refused = _possible(free, data)
+    data, names, refused = possible(free, data)
     search = _Search(data, wind_walk)
-    while True:
-        mean, cov, passes, converged = search.solve(names)
-        inflation = max(1.0, long_run_variance(passes))
-        index = [NAMES.index(n) for n in names]
-        block = cov[np.ix_(index, index)]
-        worst = judge(names, block * inflation)
-        if worst is None:
-            break
-        # One at a time: of two that cannot be told apart the other may be well determined alone.
-        refused[worst[0]] = worst[1]
-        names = tuple(n for n in names if n != worst[0])
+    mean, cov, passes, converged = search.solve({n: PRIOR_STD[n] for n in names})
+    inflation = max(1.0, long_run_variance(passes))
+    index = [NAMES.index(n) for n in names]
+    refused |= judge(names, inflation * cov[np.ix_(index, index)])
+    names = tuple(n for n in names if n not in refused)
+    index = [NAMES.index(n) for n in names]
+    block = cov[np.ix_(index, index)]
     values = {n: float(mean[NAMES.index(n)]) for n in names}
     std_crb = np.sqrt(np.diag(block))
     estimates = {
@@ -155,15 +153,18 @@ class _Search:
         if wind_walk is None and any(c in data.channels for c in ("vn_mps", "north_m")):
             self.choices.append((_with_wind_walk, WIND_WALKS))
 
-    def solve(self, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, list[Pass], bool]:
-        """Augmented mean and covariance at the end, the passes over all stretches, and whether it settled."""
+    def solve(self, prior: Mapping[str, float]) -> tuple[FloatArray, FloatArray, list[Pass], bool]:
+        """Augmented mean and covariance at the end, the passes over all stretches, and whether it settled.
+
+        prior  parameter -> standard deviation before the flight; what is not named stands at zero
+        """
         before = np.full(len(NAMES), np.inf)
         for i in range(_PASSES):
-            mean, cov, passes = self._sweep(names, self.noise, smooth=True)
-            self._update(passes, mean, names)
+            mean, cov, passes = self._sweep(prior, self.noise, smooth=True)
+            self._update(passes, mean)
             if i == 1:
-                self._choose_walks(names)
-            index = [NAMES.index(n) for n in names]
+                self._choose_walks(prior)
+            index = [NAMES.index(n) for n in prior]
             change = np.abs(mean - before)[index]
             settled = bool(np.all(change <= 0.1 * np.sqrt(np.diag(cov)[index])))
             before = mean
@@ -171,24 +172,26 @@ class _Search:
                 break
         return mean, cov, passes, settled
 
-    def _sweep(self, names: tuple[str, ...], noise: Noise, smooth: bool) -> tuple[FloatArray, FloatArray, list[Pass]]:
+    def _sweep(
+        self, prior: Mapping[str, float], noise: Noise, smooth: bool
+    ) -> tuple[FloatArray, FloatArray, list[Pass]]:
         """All stretches in turn: sensor errors and wind are carried from one to the next, the state begins anew."""
         mean, cov = np.zeros(len(NAMES)), np.zeros((len(NAMES), len(NAMES)))
-        for n in names:
-            cov[NAMES.index(n), NAMES.index(n)] = PRIOR_STD[n] ** 2
+        for n, std in prior.items():
+            cov[NAMES.index(n), NAMES.index(n)] = std**2
         passes = []
         for stretch, nominal in zip(self.data.stretches, self.nominal, strict=True):
             start = mean.copy()
             start[:_D] = nominal[:_D, 0]
-            prior = cov.copy()
-            prior[:_D, :], prior[:, :_D] = 0.0, 0.0
-            prior[:_D, :_D] = np.diag(_STATE_STD**2)
-            found = run(stretch, nominal, start, prior, noise, self.data.dt_s, smooth)
+            fresh = cov.copy()
+            fresh[:_D, :], fresh[:, :_D] = 0.0, 0.0
+            fresh[:_D, :_D] = np.diag(_STATE_STD**2)
+            found = run(stretch, nominal, start, fresh, noise, self.data.dt_s, smooth)
             passes.append(found)
             mean, cov = found.mean, found.cov
         return mean, cov, passes
 
-    def _update(self, passes: list[Pass], mean: FloatArray, names: tuple[str, ...]) -> None:
+    def _update(self, passes: list[Pass], mean: FloatArray) -> None:
         fixed = [NAMES.index(n) for n in (*INPUT_BIASES, *SENSOR_TERMS)]
         for k, found in enumerate(passes):
             path = found.path.copy()
@@ -204,13 +207,13 @@ class _Search:
         levels[compared] = np.sqrt(np.nanmean(joined[compared], axis=1))
         self.noise = replace(self.noise, outputs=np.maximum(levels, floor))
 
-    def _choose_walks(self, names: tuple[str, ...]) -> None:
+    def _choose_walks(self, prior: Mapping[str, float]) -> None:
         """Gusts and wandering gyro biases by the likelihood of the innovations, each from none upwards."""
         for with_walk, candidates in self.choices:
             likely = -np.inf
             for walk in candidates:
                 noise = with_walk(self.noise, walk)
-                total = sum(p.loglik for p in self._sweep(names, noise, smooth=False)[2])
+                total = sum(p.loglik for p in self._sweep(prior, noise, smooth=False)[2])
                 # A walk has to earn its keep: two units of log likelihood for one parameter.
                 if total <= likely + 2.0:
                     break
@@ -233,21 +236,6 @@ def _with_gyro_walk(noise: Noise, walk: float) -> Noise:
 
 def _with_wind_walk(noise: Noise, walk: float) -> Noise:
     return replace(noise, wind_walk=walk)
-
-
-def _possible(free: Sequence[str], data: PathData) -> tuple[tuple[str, ...], dict[str, str]]:
-    """Leave out parameters of sensors that are not there."""
-    needs = {"V": "V_mps", "alpha": "alpha_rad", "beta": "beta_rad"}
-    names, left_out = [], {}
-    for name in dict.fromkeys(free):
-        kind, _, sensor = name.partition("_")
-        if kind in ("scale", "bias") and sensor in needs and needs[sensor] not in data.channels:
-            left_out[name] = f"no measured {needs[sensor]} to compare with"
-        elif kind == "wind" and not {"vn_mps", "north_m"} & set(data.channels):
-            left_out[name] = "no ground velocity and no position"
-        else:
-            names.append(name)
-    return tuple(names), left_out
 
 
 def _warnings(fit: Mapping[str, Mapping[str, float]], inflation: float, converged: bool, walk: float) -> list[str]:

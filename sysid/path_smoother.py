@@ -29,7 +29,7 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations. inputs (6,) per step; outputs (12,); wind_walk in m/s, gyro_walk in rad/s per root second."""
+    """Standard deviations. inputs (6,) per step; outputs (12,); wind_walk (m/s), gyro_walk (rad/s) per root second."""
 
     inputs: FloatArray
     outputs: FloatArray
