@@ -19,9 +19,7 @@ Columns = dict[str, NDArray[Any]]
 ALWAYS = frozenset({"PARM", "MSG", "MODE", "VER", "ARM", "EV", "ORGN"})
 # VER.BU, the number of the firmware's build type.
 _BUILD = {1: "ArduRover", 2: "ArduCopter", 3: "ArduPlane", 4: "AntennaTracker", 7: "ArduSub", 12: "Blimp", 13: "Heli"}
-_VEHICLE = re.compile(
-    r"^(APM:)?(Ardu|APM ?)(Plane|Copter|Rover|Sub)|^(AntennaTracker|Blimp|Rover|APMrover)", re.IGNORECASE
-)
+_VEHICLE = re.compile(r"^(Ardu|APM[: ]?)(Plane|Copter|Rover|Sub)|^(AntennaTracker|Blimp|Rover)", re.IGNORECASE)
 
 
 def assemble(

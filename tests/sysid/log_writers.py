@@ -50,12 +50,14 @@ def write_tlog(path: Path, record: FlightRecord, every: int = 5, mav_type: int =
         def get(name: str, k: int = k) -> float:
             return float(record[name][k])
 
+        pwm = [1500 + round(20 * get(n)) for n in ("aileron_deg", "elevator_deg")]
+        pwm += [1000 + round(10 * get("throttle_pct")), 1500 + round(20 * get("rudder_deg"))]
         messages = [
             mavlink.MAVLink_attitude_message(
                 ms, *(get(n) for n in ("phi_rad", "theta_rad", "psi_rad", "p_radps", "q_radps", "r_radps"))
             ),
             mavlink.MAVLink_vfr_hud_message(get("V_mps"), get("V_mps"), 0, 50, get("h_m"), -get("vd_mps")),
-            mavlink.MAVLink_servo_output_raw_message(us % 2**32, 0, 1500, 1520, 1500, 1480, 0, 0, 0, 0),
+            mavlink.MAVLink_servo_output_raw_message(us % 2**32, 0, *pwm, 0, 0, 0, 0),
             mavlink.MAVLink_global_position_int_message(
                 ms, 370000000, -760000000, 0, int(get("h_m") * 1e3),
                 *(int(get(n) * 100) for n in ("vn_mps", "ve_mps", "vd_mps")), 0
