@@ -6,7 +6,7 @@ times). Commands are held onto it, everything else is interpolated, nothing acro
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -40,6 +40,8 @@ def assemble(
 
     Raises LogError when the log has none of the channels a record is made of.
     """
+    raw = replace(raw, messages=dict(raw.messages))  # ours to empty as the work proceeds
+    start = _start(raw)
     times = Times(raw)
     servos, findings = _servo_channels(raw, signal_map.servos, card, times)
     sources: dict[str, Callable[[], Channel | None]] = {
@@ -53,9 +55,12 @@ def assemble(
     about: dict[str, tuple[str, float, bool]] = {}
     checked: set[str] = set()
     mode_changes = np.array([])
+    last_use = _last_use(signal_map)
     for name in SIGNALS:
-        # One channel at a time: a big log must not be in memory as messages, channels and columns all at once.
+        # One channel at a time, and what no later one needs is dropped: a big log must not be in memory as messages,
+        # channels and columns all at once.
         channel = sources[name]() if name in sources else None
+        _drop(raw, last_use.get(name, ()))  # the channel holds its own copy
         if channel is None:
             continue
         findings += check_channel(channel, step, checked)
@@ -77,7 +82,7 @@ def assemble(
         vehicle=raw.vehicle,
         aircraft="" if card is None else card.name,
         grid_hz=round(1.0 / step, 6),
-        start=_start(raw),
+        start=start,
         native_hz={n: round(rate, 4) for n, (_, rate, _) in about.items() if np.isfinite(rate)},
         channels={n: label for n, (label, _, _) in about.items()},
         estimates=tuple(n for n, (_, _, estimate) in about.items() if estimate),
@@ -91,6 +96,29 @@ def assemble(
         *check_record(record, phase.free_s),
     ]
     return FlightRecord(record.columns, replace(meta, findings=tuple(findings)))
+
+
+def _last_use(signal_map: SignalMap) -> dict[str, list[str]]:
+    """signal -> messages that no later signal of the vocabulary's order may need (servo outputs stay)."""
+    last: dict[str, str] = {}
+    for name in SIGNALS:
+        for entry in signal_map.entries.get(name, ()):
+            last[entry.message] = name
+            if entry.times is not None:
+                last[entry.times[0]] = name
+    if signal_map.servos is not None:
+        last.pop(signal_map.servos.message, None)
+    out: dict[str, list[str]] = {}
+    for message, name in last.items():
+        out.setdefault(name, []).append(message)
+    return out
+
+
+def _drop(raw: RawLog, messages: Iterable[str]) -> None:
+    kept = raw.messages
+    assert isinstance(kept, dict)
+    for key in [k for k in kept if k[0] in messages]:
+        del kept[key]
 
 
 def _grid(raw: RawLog, sources: Mapping[str, Callable[[], Channel | None]], map_name: str, source: str) -> FloatArray:
