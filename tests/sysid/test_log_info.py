@@ -18,7 +18,8 @@ from sysid.log_errors import LogError
 from sysid.log_import import import_log
 from sysid.log_info import log_info
 from sysid.signal_map import parse_map, shipped_dialects, shipped_map
-from sysid.vocabulary import SIGNALS, markdown_table
+from sysid.vocabulary import SIGNALS
+from sysid.vocabulary_table import markdown_table
 
 
 def purposes(record: FlightRecord) -> dict[str, tuple[bool, str]]:
