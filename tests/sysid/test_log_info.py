@@ -164,7 +164,7 @@ def test_bad_maps_are_refused_with_the_place(text: str, message: str) -> None:
     ("text", "message"),
     [
         ("[inputs.elevator]\nservo_pwm = [[1500, 0]]", "two or more pairs"),
-        ("[inputs.elevator]\nlimit = [1, 2]\nservo_pwm = [[1000, 0], [2000, 1]]", "unknown keys"),
+        ("[inputs.elevator]\nlimit = [1, 2]\nservo_pwm = [[1000, 0], [2000, 1]]", "did you mean limits"),
         ("[inputs.elevator]\nlimits = [5, -5]\nservo_pwm = [[1000, 0], [2000, 1]]", "low, high"),
         ("[inputs.elevator]\nservo_pwm = { neutral = 1500 }", "linear form"),
         ("[inputs.elevator]\nchannel = 0\nservo_pwm = [[1000, 0], [2000, 1]]", "servo output from 1"),
