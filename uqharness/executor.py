@@ -33,6 +33,7 @@ _RETRIES_AFTER_OUTSIDE_KILL = 4
 _OUTSIDE_SIGNALS = (-9, -15)
 _START_FAILURES_ALLOWED = 3
 _START_S = 120.0
+_GOODBYE_S = 2.0
 # One thread per worker: BLAS would start one per core in each, and they would fight.
 _SINGLE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
@@ -243,10 +244,14 @@ def _send(worker: _Worker, task: _Task) -> None:
 def _stop(pool: list[_Worker]) -> None:
     """End the workers at once. What they were flying has not been counted and will be flown again."""
     for worker in pool:
-        worker.process.kill()
-    for worker in pool:
-        worker.process.join()
         worker.pipe.close()
+        if worker.tasks or not worker.ready:
+            worker.process.kill()
+    for worker in pool:
+        # An idle worker ends by itself when its pipe closes, and then tidies its temporary files away.
+        worker.process.join(_GOODBYE_S)
+        worker.process.kill()
+        worker.process.join()
     pool.clear()
 
 
