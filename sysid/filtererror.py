@@ -1,0 +1,121 @@
+"""Filter error: maximum likelihood for process and measurement noise, by the innovations of an extended Kalman filter.
+
+    J = 1/2 sum_i [e(i)' S(i)^-1 e(i) + ln det S(i)]
+
+over theta, the process noise Q, the logarithm of the measurement noise and, if asked, the initial states, by Fisher
+scoring:
+
+    dJ/da   = sum e_a' S^-1 e + 1/2 tr(S^-1 S_a) - 1/2 e' S^-1 S_a S^-1 e                                  (gradient)
+    M_ab    = sum e_a' S^-1 e_b + 1/2 tr(S^-1 S_a S^-1 S_b)                                                (information)
+
+Maine, R. E. and Iliff, K. W., NASA RP-1168 (1986), ch. 5-6; Jategaonkar (2015), ch. 5; Astrom, Automatica 16 (1980).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sysid.checks import as_bounds, as_free, as_names, as_parameters, is_many
+from sysid.ekf import ModelFunction, make_model
+from sysid.filterinput import measurement_noise, noisy_states, output_spread, positive_vector, read_record, state_scale
+from sysid.filterreport import assemble
+from sysid.gaussnewton import minimise
+from sysid.innovations import FilterProblem, Layout
+from sysid.results import FilterErrorFit
+
+FIRST_NOISE = (1e-3, 1e-2, 1e-1, 1.0)  # first guesses of process noise, in the states' scale per sqrt(s)
+
+
+def filter_error(
+    f: ModelFunction,
+    g: ModelFunction,
+    x0: Any,
+    theta0: ArrayLike,
+    u: Any,
+    z: Any,
+    t: Any,
+    *,
+    names: Sequence[str] | None = None,
+    bounds: Any = None,
+    free: Any = None,
+    process_noise: Any = None,
+    process_noise_start: ArrayLike | None = None,
+    noise_start: ArrayLike | None = None,
+    x0_std: ArrayLike | None = None,
+    estimate_x0: bool = False,
+    hold: str = "linear",
+    jacobian_every: int = 4,
+    max_iterations: int = 60,
+    tolerance: float = 1e-2,
+) -> FilterErrorFit:
+    """Estimate theta (k,) of dx/dt = f(x, u, theta) + w, z = g(x, u, theta) + v from flights in turbulence.
+
+    f, g           vectors in, vectors out: x (nx,), u (nu,), theta (k,). Written with elementwise operations on x[i],
+                   u[i], theta[i] (no branching on values) they are evaluated for many parameter sets at once: faster.
+    x0             (nx,) initial state, or a list, one a segment
+    u, z, t        (n, nu), (n, m), (n,) [s], or lists of them, one a segment; NaN in z = dropout. u may be None
+    names, bounds, free: of theta, as in output_error
+    process_noise  indices or mask of the states that have noise, default all
+    process_noise_start (nx,), noise_start (m,): starting standard deviations (state unit per sqrt(s); output unit)
+    x0_std         (nx,) uncertainty of x0; default: as wide as the outputs' own spread, so that x0 matters little
+    estimate_x0    estimate the initial states too (one set a segment); x0_std then defaults to a thousandth
+    hold           "linear" (measured surfaces, inputs interpolated between samples) or "zoh" (commands held)
+    jacobian_every renew the filter's Jacobians at every so many samples (default 4: a tenth of a second at 40 Hz;
+                   1 renews them at every sample)
+
+    Returns a FilterErrorFit: as output_error's, residual = innovations, plus process_noise_cov (nx, nx).
+    Raises ValueError for disagreeing inputs, times that do not increase, models that fail at x0, theta0.
+    """
+    theta = as_parameters(theta0)
+    labels = as_names(names, theta.size, "theta")
+    lower, upper = as_bounds(bounds, theta, labels)
+    columns = np.flatnonzero(as_free(free, labels))
+    if not isinstance(jacobian_every, int) or jacobian_every < 1:
+        raise ValueError(f"jacobian_every is {jacobian_every!r}; give a whole number of samples, 1 or more")
+    if hold not in ("linear", "zoh"):
+        raise ValueError(f'hold is {hold!r}; allowed are "linear" and "zoh"')
+    record, initial = read_record(x0, u, z, t, hold == "zoh")
+    _n, m, segments = record.z.shape
+    nx = initial.shape[0]
+    counts = np.isfinite(record.z).sum(axis=(0, 2))
+    if (counts == 0).any():
+        raise ValueError(f"z output(s) {np.flatnonzero(counts == 0).tolist()} hold no sample at all; leave them out")
+    if counts.sum() <= columns.size:
+        raise ValueError(
+            f"{int(counts.sum())} measured values for {columns.size} parameters; measure more or free fewer"
+        )
+    model = make_model(f, g, initial[:, 0], record.u[0, :, 0], theta, m)
+    noisy = noisy_states(process_noise, nx)
+
+    spread = output_spread(record)
+    measurement = (
+        positive_vector(noise_start, m, "noise_start") if noise_start is not None else measurement_noise(record)
+    )
+    scale = state_scale(model, record, theta, initial, spread)
+    deviation = positive_vector(x0_std, nx, "x0_std") if x0_std is not None else scale * (1e-3 if estimate_x0 else 1.0)
+    layout = Layout(theta, columns, noisy, m, nx, segments, estimate_x0)
+    problem = FilterProblem(
+        model=model, record=record, layout=layout, initial=initial, p0=np.diag(deviation**2),
+        difference=1e-5 * np.maximum(scale, np.abs(initial).max(axis=1)),
+        every=jacobian_every,
+        state_scale=scale,
+    )  # fmt: skip
+    process = (
+        positive_vector(process_noise_start, nx, "process_noise_start") if process_noise_start is not None else None
+    )
+    tried = [(factor * scale) ** 2 for factor in FIRST_NOISE]
+    q = process**2 if process is not None else problem.best_process_noise(theta, tried, measurement)
+    start_point = layout.pack(theta, q, measurement, initial)
+    low, high = layout.limits(lower, upper, scale, spread)
+    start_point = np.clip(start_point, low, high)
+    start = problem.evaluate(start_point)
+    if start is None:
+        raise ValueError("the filter diverges at theta0; start from other values, or from a larger noise_start")
+    best = minimise(
+        problem, start_point, start, low, high, tolerance=tolerance, max_iterations=max_iterations, always_central=True
+    )
+    return assemble(problem, best, labels, low, high, record, is_many(z))

@@ -1,0 +1,284 @@
+"""The innovations' likelihood as a function of one parameter vector: packing, cost, gradient, Fisher information."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.checks import Array
+from sysid.ekf import Innovations, Model, Record, run_filter
+from sysid.gaussnewton import Linearisation
+
+LANES = 600  # points x segments filtered side by side, bounded for memory
+TARGET = 1e-3  # wanted rms change of the whitened innovations under a difference step
+ROUGHLY = (1e-7, 0.1)  # a change outside this range is repeated with another step: a filter pass is dear
+LOG_STEP = 1e-3
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Order of the vector: free theta, Q of noisy states, ln r, initial states segment by segment.
+
+    Q enters as a variance with zero as its bound: there its gradient tells whether the data want any (as a logarithm it
+    would run away along a flat valley), and Fisher scoring is nearly exact in variances. R has no such bound.
+    """
+
+    theta0: Array
+    columns: NDArray[np.intp]
+    noisy: NDArray[np.intp]
+    outputs: int
+    states: int
+    segments: int
+    with_x0: bool
+
+    @property
+    def process(self) -> slice:
+        """Where the process-noise variances stand."""
+        return slice(self.columns.size, self.columns.size + self.noisy.size)
+
+    @property
+    def logs(self) -> slice:
+        """Where the logarithms of the measurement noise stand."""
+        return slice(self.process.stop, self.process.stop + self.outputs)
+
+    def pack(self, theta: Array, q: Array, r: Array, x0: Array) -> Array:
+        parts = [theta[self.columns], q[self.noisy], np.log(r)]
+        return np.concatenate([*parts, x0.T.ravel()] if self.with_x0 else parts)
+
+    def unpack(self, vector: Array, x0: Array) -> tuple[Array, Array, Array, Array]:
+        """theta (k,), Q (nx,) variances per second, r (m,) standard deviations, x0 (nx, s)."""
+        theta, q = self.theta0.copy(), np.zeros(self.states)
+        a, b = self.columns.size, self.columns.size + self.noisy.size
+        theta[self.columns] = vector[:a]
+        q[self.noisy] = vector[a:b]
+        r = np.exp(vector[b : b + self.outputs])
+        if self.with_x0:
+            x0 = vector[b + self.outputs :].reshape(self.segments, self.states).T
+        return theta, q, r, x0
+
+    def limits(self, lower: Array, upper: Array, scale: Array, spread: Array) -> tuple[Array, Array]:
+        """Bounds of the whole vector: Q up to (a thousand states' scales)^2, r within 1e-5 and 10 of the spread."""
+        low = [lower[self.columns], np.zeros(self.noisy.size), np.log(1e-5 * spread)]
+        high = [upper[self.columns], (1e3 * scale[self.noisy]) ** 2, np.log(1e1 * spread)]
+        extra = [np.full(self.segments * self.states, np.inf)] if self.with_x0 else []
+        return np.concatenate(low + [-part for part in extra]), np.concatenate(high + extra)
+
+    def names(self, labels: tuple[str, ...]) -> list[str]:
+        out = [labels[i] for i in self.columns] + [f"Q of state {i}" for i in self.noisy]
+        out += [f"ln r of output {i}" for i in range(self.outputs)]
+        if self.with_x0:
+            out += [f"x0[{i}] of segment {s}" for s in range(self.segments) for i in range(self.states)]
+        return out
+
+
+@dataclass
+class State:
+    """Innovations at a point, their deviation and whitened values (N, m), N = n x segments, segment-major; and, once
+    linearised, their whitened derivatives (N, m, K). along: the base holds the perturbed points after its first."""
+
+    base: Innovations
+    deviation: Array
+    white: Array
+    along: bool
+    sensitivity: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+
+
+def _cost(white: Array, deviation: Array) -> float:
+    """1/2 sum [e^2/s + ln s] from e/sqrt(s) and sqrt(s)."""
+    return 0.5 * float(np.sum(white**2)) + float(np.sum(np.log(deviation)))
+
+
+@dataclass
+class FilterProblem:
+    """The cost over the packed vector; keeps the adapted difference steps and counts the filter runs."""
+
+    model: Model
+    record: Record
+    layout: Layout
+    initial: Array
+    p0: Array
+    difference: Array
+    every: int
+    state_scale: Array
+    step: Array | None = None
+    runs: int = 0
+
+    def _filter(self, vectors: list[Array]) -> Innovations | None:
+        parts = [self.layout.unpack(vector, self.initial) for vector in vectors]
+        self.runs += len(vectors)
+        return run_filter(
+            self.model,
+            self.record,
+            np.column_stack([part[0] for part in parts]),
+            np.column_stack([part[1] for part in parts]),
+            np.column_stack([part[2] for part in parts]),
+            np.stack([part[3] for part in parts], axis=1),
+            self.p0,
+            self.difference,
+            self.every,
+        )
+
+    def best_process_noise(self, theta: Array, candidates: list[Array], r: Array) -> Array:
+        """Of the candidate Q (nx,), all filtered side by side, the one with the lowest cost."""
+        found = self._filter([self.layout.pack(theta, q, r, self.initial) for q in candidates])
+        if found is None:
+            return candidates[-1]  # the most noise: the filter that trusts the model least
+        costs = []
+        for point in range(len(candidates)):
+            deviation = np.sqrt(self._rows(found.s, point))
+            costs.append(_cost(self._rows(found.e, point) / deviation, deviation))
+        return candidates[int(np.argmin(costs))]
+
+    def _rows(self, values: Array, point: int) -> Array:
+        """One point's lanes of e or s (n, m, W) as (N, m), segment-major."""
+        n, m, segments = self.record.z.shape
+        return values[:, :, point * segments : (point + 1) * segments].transpose(2, 0, 1).reshape(n * segments, m)
+
+    def evaluate(self, vector: Array) -> tuple[float, State] | None:
+        """J of filtererror.py, None where the filter fails.
+
+        Once steps are known, the perturbed points ride along: a filter pass costs little more for more lanes, and most
+        points tried are accepted and differenced next.
+        """
+        points, along = [vector], False
+        if self.step is not None and (2 * vector.size + 1) * self.record.z.shape[2] <= LANES:
+            points, along = [vector, *self._perturbed(vector, range(vector.size))], True
+        found = self._filter(points)
+        if found is None and along:
+            found, along = self._filter([vector]), False
+        if found is None:
+            return None
+        deviation = np.sqrt(self._rows(found.s, 0))
+        white = self._rows(found.e, 0) / deviation
+        return _cost(white, deviation), State(found, deviation, white, along)
+
+    def _perturbed(self, vector: Array, some: Iterable[int]) -> list[Array]:
+        """Points a step up and a step down for each of `some`, in turn."""
+        assert self.step is not None
+        points = []
+        for index in some:
+            for shift in self._shifts(vector, index):
+                point = vector.copy()
+                point[index] += shift
+                points.append(point)
+        return points
+
+    def _shifts(self, vector: Array, index: int) -> tuple[float, float]:
+        """Up and down a step; no variance is taken below zero."""
+        assert self.step is not None
+        step = float(self.step[index])
+        process = self.layout.process
+        down = min(step, float(vector[index])) if process.start <= index < process.stop else step
+        return step, -down
+
+    def _first_steps(self, vector: Array) -> Array:
+        step = 1e-4 * np.where(vector != 0.0, np.abs(vector), 1.0)
+        step[self.layout.process] = 1e-3 * np.maximum(
+            vector[self.layout.process], 1e-6 * self.state_scale[self.layout.noisy] ** 2
+        )
+        step[self.layout.logs] = LOG_STEP
+        if self.layout.with_x0:
+            step[self.layout.logs.stop :] = 1e-3 * np.tile(self.state_scale, self.layout.segments)
+        return step
+
+    def linearise(self, vector: Array, state: State, central: bool) -> Linearisation:
+        """Gradient and information of the module's equations, by central differences of innovations and covariances."""
+        if self.step is None:
+            self.step = self._first_steps(vector)
+        size = vector.size
+        n_rows, m = state.white.shape
+        dE, dS = np.zeros((n_rows, m, size)), np.zeros((n_rows, m, size))
+        pending = list(range(size))
+        if state.along:
+            pending = self._extract(vector, state, state.base, 1, pending, dE, dS, False)
+        for attempt in range(4):
+            again: list[int] = []
+            block = max(1, LANES // (2 * self.record.z.shape[2]))
+            for first in range(0, len(pending), block):
+                some = pending[first : first + block]
+                again += self._differences(vector, state, some, dE, dS, attempt == 3)
+            pending = again
+            if not pending:
+                break
+        e, flat, trace = state.white.ravel(), dE.reshape(-1, size), dS.reshape(-1, size)
+        gradient = -(e @ flat + 0.5 * trace.sum(axis=0) - 0.5 * (e**2) @ trace)
+        information = flat.T @ flat + 0.5 * trace.T @ trace
+        state.sensitivity = dE
+        cost = _cost(state.white, state.deviation)
+
+        def predict(delta: Array) -> float:
+            return cost - float(gradient @ delta) + 0.5 * float(delta @ information @ delta)
+
+        return Linearisation(gradient, information, predict)
+
+    def _differences(self, vector: Array, state: State, some: list[int], dE: Array, dS: Array, last: bool) -> list[int]:
+        """Fill the whitened derivatives of the parameters `some`; return those whose step was bad."""
+        assert self.step is not None
+        found = self._filter(self._perturbed(vector, some))
+        if found is None:
+            if len(some) > 1:  # one bad point spoils the batch: find it
+                half = len(some) // 2
+                return [
+                    index
+                    for part in (some[:half], some[half:])
+                    for index in self._differences(vector, state, part, dE, dS, last)
+                ]
+            self.step[some[0]] *= 0.03
+            return list(some)
+        return self._extract(vector, state, found, 0, some, dE, dS, last)
+
+    def _extract(
+        self,
+        vector: Array,
+        state: State,
+        found: Innovations,
+        first: int,
+        some: list[int],
+        dE: Array,
+        dS: Array,
+        last: bool,
+    ) -> list[int]:  # fmt: skip
+        """Derivatives from the lanes of perturbed points, the first of them number `first`; returns those to repeat."""
+        assert self.step is not None
+        again = []
+        logs = range(*self.layout.logs.indices(vector.size))
+        for place, index in enumerate(some):
+            shifts = self._shifts(vector, index)
+            width = shifts[0] - shifts[1]
+            up, down = first + 2 * place, first + 2 * place + 1
+            dE[:, :, index] = (self._rows(found.e, up) - self._rows(found.e, down)) / (width * state.deviation)
+            dS[:, :, index] = (self._rows(found.s, up) - self._rows(found.s, down)) / (width * state.deviation**2)
+            if index in logs:
+                continue
+            change = float(np.sqrt(np.mean(dE[:, :, index] ** 2) + np.mean(dS[:, :, index] ** 2))) * self.step[index]
+            if change <= 1e-11:
+                limit = 1e2 * max(abs(vector[index]), 1.0)
+                if self.step[index] < limit and not last:
+                    self.step[index] = min(1e3 * self.step[index], limit)
+                    again.append(index)
+                else:
+                    dE[:, :, index], dS[:, :, index] = 0.0, 0.0
+            elif not ROUGHLY[0] < change < ROUGHLY[1] and not last:
+                self.step[index] *= TARGET / change
+                again.append(index)
+            else:
+                self.step[index] *= float(np.clip(TARGET / change, 0.1, 10.0))
+        return again
+
+    def whitened(self, state: State) -> tuple[list[Array], list[Array]]:
+        """Per segment: sensitivities of the innovations (n, m, K), zero where missing; white innovations, NaN there.
+
+        The sign is that of a model output's sensitivity, minus the innovation's.
+        """
+        n, m, segments = self.record.z.shape
+        sensitivity = -state.sensitivity.reshape(segments, n, m, -1)
+        white = state.white.reshape(segments, n, m)
+        pieces, whites = [], []
+        for index, length in enumerate(self.record.lengths):
+            there = np.isfinite(self.record.z[:length, :, index])
+            pieces.append(np.where(there[:, :, None], sensitivity[index, :length], 0.0))
+            whites.append(np.where(there, white[index, :length], np.nan))
+        return pieces, whites

@@ -1,0 +1,1 @@
+"""Studies that measure the estimators against known truth."""
