@@ -1,8 +1,10 @@
 """Flight logs, identification and model-form uncertainty. Knows nothing of JSBSim."""
 
 from sysid.filtererror import filter_error
+from sysid.flight_record import FlightRecord
+from sysid.log_errors import LogError
 from sysid.outputerror import output_error
 from sysid.regression import equation_error
 from sysid.selection import stepwise
 
-__all__ = ["equation_error", "filter_error", "output_error", "stepwise"]
+__all__ = ["FlightRecord", "LogError", "equation_error", "filter_error", "output_error", "stepwise"]

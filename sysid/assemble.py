@@ -1,0 +1,237 @@
+"""RawLog + signal map + airframe card -> FlightRecord on one grid. Pure: no files are touched here.
+
+The grid is uniform at the usual rate of the fastest of the rate and acceleration channels (for tables: their own
+times). Commands are held onto it, everything else is interpolated, nothing across a gap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid import flight_phase
+from sysid.airframe_card import AirframeCard
+from sysid.channels import Channel, Times, resolve
+from sysid.flight_modes import MANOEUVRE_TEXT, PLANE_MODES
+from sysid.flight_record import FlightRecord, Metadata
+from sysid.log_checks import check_channels, check_record
+from sysid.log_errors import Finding, LogError
+from sysid.raw_log import RawLog
+from sysid.servo import controls, deflection, elevator_channel
+from sysid.signal_map import ServoOutputs, SignalMap
+from sysid.time_base import hold, interpolate
+from sysid.vocabulary import COMMANDS, SIGNALS
+
+FloatArray = NDArray[np.float64]
+_GRID_CHANNELS = ("p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
+_CIRCULAR = {"phi_rad", "psi_rad"}
+_MAX_ROWS = 40_000_000
+
+
+def assemble(
+    raw: RawLog, signal_map: SignalMap, card: AirframeCard | None, source: str = "", sha256: str = ""
+) -> FlightRecord:
+    """Build the record of a whole log, with everything the checks found in its metadata.
+
+    Raises LogError when the log has none of the channels a record is made of.
+    """
+    times = Times(raw)
+    channels: dict[str, Channel] = {}
+    for name, candidates in signal_map.entries.items():
+        found = resolve(raw, name, candidates, times)
+        if found is not None:
+            channels[name] = found
+    servo_channels, findings = _servo_channels(raw, signal_map.servos, card, times)
+    for name, found in servo_channels.items():
+        channels.setdefault(name, found)
+    if not any(name in channels for name in SIGNALS if name not in ("mode", "manoeuvre")):
+        have = ", ".join(sorted({m for m, _ in raw.messages})[:20])
+        raise LogError(f"no signal of the map '{signal_map.name}' is in this log; it has {have}; give a --map", source)
+    grid = _grid(raw, channels)
+    columns = _on_grid(channels, grid)
+    if "mode" in columns:
+        columns["mode"] = _mode_names(columns["mode"], raw)
+    labels = _manoeuvres(raw, grid)
+    if labels is not None:
+        columns["manoeuvre"] = labels
+    phase = _phase(raw, channels, columns, grid, signal_map.servos, times)
+    estimates = tuple(n for n, c in channels.items() if c.estimate)
+    step = float(np.median(np.diff(grid)))
+    meta = Metadata(
+        source=source,
+        sha256=sha256,
+        dialect=raw.dialect,
+        vehicle=raw.vehicle,
+        aircraft="" if card is None else card.name,
+        grid_hz=round(1.0 / step, 6),
+        start=_start(raw),
+        native_hz={n: round(c.rate_hz, 4) for n, c in channels.items() if np.isfinite(c.rate_hz)},
+        channels={n: c.label for n, c in channels.items()},
+        estimates=estimates,
+        free_flight_s=() if phase.free_s is None else (phase.free_s,),
+    )
+    record = FlightRecord({"time_s": grid, **columns}, meta)
+    findings = [
+        *raw.findings,
+        *findings,
+        Finding("flight-phase", "", "info", phase.why, {} if phase.tow_s is None else {"tow_end_s": phase.tow_s[1]}),
+        *check_channels(raw, channels, step),
+        *check_record(record, phase.free_s),
+    ]
+    return FlightRecord(record.columns, _with_findings(meta, findings))
+
+
+def _with_findings(meta: Metadata, findings: list[Finding]) -> Metadata:
+    return Metadata(**{**meta.__dict__, "findings": tuple(findings)})
+
+
+def _grid(raw: RawLog, channels: Mapping[str, Channel]) -> FloatArray:
+    base = [channels[n] for n in _GRID_CHANNELS if n in channels] or list(channels.values())
+    best = max(base, key=lambda c: c.rate_hz if np.isfinite(c.rate_hz) else 0.0)
+    if ("csv", 0) in raw.messages:
+        return best.time_s
+    step = best.clean.step_s
+    if not np.isfinite(step) or step <= 0:
+        raise LogError("no channel has two samples; the log is too short to use")
+    span = best.time_s[-1] - best.time_s[0]
+    if span / step > _MAX_ROWS:
+        raise LogError(f"{span:.0f} s at {1 / step:.0f} Hz would be more than {_MAX_ROWS} rows; cut the log into parts")
+    # Stamps jitter by microseconds: a step of a round number of microseconds keeps the grid on the samples.
+    step = round(step, 6) or step
+    return np.round(best.time_s[0] + step * np.arange(int(np.floor(span / step + 0.25)) + 1), 9)
+
+
+def _on_grid(channels: Mapping[str, Channel], grid: FloatArray) -> dict[str, NDArray[Any]]:
+    out: dict[str, NDArray[Any]] = {}
+    for name, c in channels.items():
+        if name == "mode":
+            at = np.searchsorted(c.time_s, grid, side="right") - 1
+            out[name] = np.where(at >= 0, c.values[np.maximum(at, 0)], np.nan)
+        elif len(c.time_s) == len(grid) and np.array_equal(c.time_s, grid):
+            out[name] = c.values
+        elif name in COMMANDS:
+            out[name] = hold(c.time_s, c.values, c.clean.gaps, grid, c.clean.step_s)
+        elif name in _CIRCULAR:
+            out[name] = _interpolate_angle(name, c, grid)
+        else:
+            out[name] = interpolate(c.time_s, c.values, c.clean.gaps, grid)
+    return out
+
+
+def _interpolate_angle(name: str, c: Channel, grid: FloatArray) -> FloatArray:
+    sine = interpolate(c.time_s, np.sin(c.values), c.clean.gaps, grid)
+    good = np.isfinite(c.values)
+    turned = c.values.copy()
+    turned[good] = np.unwrap(c.values[good])
+    out = interpolate(c.time_s, turned, c.clean.gaps, grid)
+    out = np.mod(out, 2 * np.pi) if name == "psi_rad" else np.mod(out + np.pi, 2 * np.pi) - np.pi
+    return np.where(np.isfinite(sine), out, np.nan)
+
+
+def _servo_channels(
+    raw: RawLog, outputs: ServoOutputs | None, card: AirframeCard | None, times: Times
+) -> tuple[dict[str, Channel], list[Finding]]:
+    if outputs is None or (outputs.message, outputs.instance) not in raw.messages:
+        return {}, []
+    key = (outputs.message, outputs.instance)
+    table, cleaned = raw.messages[key], times.of(key)
+    if int(cleaned.keep.sum()) < 2:
+        return {}, []
+    wanted, findings = controls(card, raw.parameters)
+    if card is None:
+        text = "servo outputs are logged but no card says what angles they mean: give --aircraft, or tables in --map"
+        findings.append(Finding("no-card", outputs.message, "warning", text, {}))
+    out = {}
+    for name, control in wanted.items():
+        fields = [servo_field(outputs, raw.dialect, channel) for channel, _, _ in control.parts]
+        if not all(f in table.fields for f in fields):
+            continue
+        parts = [table.fields[f][cleaned.keep].astype(np.float64) for f in fields]
+        values = sum(
+            (w * deflection(pwm, servo) for pwm, (_, servo, w) in zip(parts, control.parts, strict=True)),
+            start=np.zeros(int(cleaned.keep.sum())),
+        )
+        if np.isfinite(values).any():
+            label = f"{outputs.message} {control.label}"
+            out[name] = Channel(name, label, table.time_s[cleaned.keep], values, cleaned, False)
+    return out, findings
+
+
+def servo_field(outputs: ServoOutputs, dialect: str, channel: int) -> str:
+    """Field name of servo output `channel` (counted from 1; PX4 counts from 0)."""
+    return outputs.field.format(n=channel - 1 if dialect == "ulog" else channel)
+
+
+def _phase(
+    raw: RawLog,
+    channels: Mapping[str, Channel],
+    columns: Mapping[str, NDArray[Any]],
+    grid: FloatArray,
+    outputs: ServoOutputs | None,
+    times: Times,
+) -> flight_phase.FlightPhase:
+    speed = columns.get("V_mps")
+    if speed is None and "vn_mps" in columns and "ve_mps" in columns:
+        speed = np.hypot(columns["vn_mps"], columns["ve_mps"])
+    elevator = columns.get("elevator_deg")
+    if elevator is None and outputs is not None and (outputs.message, outputs.instance) in raw.messages:
+        key = (outputs.message, outputs.instance)
+        field = servo_field(outputs, raw.dialect, elevator_channel(raw.parameters))
+        cleaned = times.of(key)
+        if field in raw.messages[key].fields and int(cleaned.keep.sum()) > 1:
+            pwm = raw.messages[key].fields[field][cleaned.keep].astype(np.float64)
+            elevator = hold(raw.messages[key].time_s[cleaned.keep], pwm, cleaned.gaps, grid, cleaned.step_s)
+    mode = channels.get("mode")
+    changes = mode.time_s if mode is not None else np.array([])
+    if mode is not None and len(mode.values) > 1:
+        changes = mode.time_s[1:][np.diff(mode.values) != 0]
+    return flight_phase.find(
+        grid,
+        np.full(len(grid), np.nan) if speed is None else speed,
+        columns.get("h_m"),
+        columns.get("q_radps"),
+        elevator,
+        changes,
+    )
+
+
+def _mode_names(numbers: FloatArray, raw: RawLog) -> NDArray[Any]:
+    plane = raw.dialect.startswith("dataflash") or raw.facts.get("mav_type") == 1.0
+    known = PLANE_MODES if plane else {}
+    unique, inverse = np.unique(np.where(np.isfinite(numbers), numbers, -1), return_inverse=True)
+    names = ["" if u < 0 else known.get(int(u), f"mode {int(u)}") for u in unique]
+    return np.array(names, dtype=object)[inverse]
+
+
+def _manoeuvres(raw: RawLog, grid: FloatArray) -> NDArray[Any] | None:
+    """Labels from texts such as "manoeuvre pitch-doublet" ... "manoeuvre end", which our own logs carry."""
+    marks = [(t, text.removeprefix(MANOEUVRE_TEXT)) for t, text in raw.texts if text.startswith(MANOEUVRE_TEXT)]
+    if not marks:
+        return None
+    names = np.array(["", *("" if name == "end" else name for _, name in marks)], dtype=object)
+    half = 0.5 * float(np.median(np.diff(grid)))
+    return names[np.searchsorted(np.array([t for t, _ in marks]), grid + half, side="right")]
+
+
+def _start(raw: RawLog) -> dict[str, float]:
+    for message, lat, lon, alt, scale in (
+        ("GPS", "Lat", "Lng", "Alt", 1.0),
+        ("GLOBAL_POSITION_INT", "lat", "lon", "alt", 1e-7),
+        ("vehicle_gps_position", "lat", "lon", "alt", 1e-7),
+    ):
+        table = raw.messages.get((message, 0))
+        if table is None or lat not in table.fields or lon not in table.fields:
+            continue
+        fix = np.flatnonzero(np.abs(table.fields[lat].astype(float)) > 0)
+        if len(fix):
+            start = {
+                "lat_deg": float(table.fields[lat][fix[0]]) * scale,
+                "lon_deg": float(table.fields[lon][fix[0]]) * scale,
+            }
+            if alt in table.fields:
+                start["alt_m"] = float(table.fields[alt][fix[0]]) * (1.0 if scale == 1.0 else 1e-3)
+            return start
+    return {}

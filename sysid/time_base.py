@@ -1,0 +1,129 @@
+"""Time stamps as they are and as they can be used: spikes, steps back, underflow, repeats and gaps. Pure numerics."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+JUMP_S = 3600.0  # a step this long inside one log is a wrong clock, not a dropout
+SAME_S = 2e-6  # times this close are one: stamps are whole microseconds
+GAP_STEPS = 2.5  # a step longer than this many usual steps is a gap
+
+
+@dataclass(frozen=True)
+class CleanTime:
+    """Usable part of one message's time stamps.
+
+    keep       (n,) True for the records to use; `time_s[keep]` increases strictly
+    step_s     usual step (median), NaN below two records
+    backwards  records dropped because their time ran backwards, underflowed or jumped
+    repeats    records dropped because their time equals the one before
+    dropped_s  span of time lost by a jump of the clock
+    gaps       (g, 2) start and end of every step longer than GAP_STEPS usual steps
+    """
+
+    keep: NDArray[np.bool_]
+    step_s: float
+    backwards: int
+    repeats: int
+    dropped_s: float
+    gaps: FloatArray
+
+
+def clean(time_s: FloatArray) -> CleanTime:
+    """Decide which records of a message can be placed in time.
+
+    Where time runs backwards the longest set of records in increasing order is kept, so that one spike costs one
+    record and a second recording appended to the first costs the shorter of the two.
+    """
+    keep = np.isfinite(time_s) & (np.abs(time_s) < 1e11)
+    total = len(time_s)
+    index = np.flatnonzero(keep)
+    if len(index) and np.any(np.diff(time_s[index]) < 0):
+        index = index[_longest_increasing(time_s[index])]
+    dropped_s = 0.0
+    jumps = np.flatnonzero(np.diff(time_s[index]) > JUMP_S) if len(index) > 1 else np.array([], dtype=int)
+    if len(jumps):
+        blocks = np.split(index, jumps + 1)
+        index = max(blocks, key=len)
+        dropped_s = float(sum(time_s[b[-1]] - time_s[b[0]] for b in blocks) - (time_s[index[-1]] - time_s[index[0]]))
+    backwards = total - len(index)
+    fresh = np.ones(len(index), dtype=bool)
+    if len(index) > 1:
+        fresh[1:] = np.diff(time_s[index]) > 0
+    repeats = int(np.sum(~fresh))
+    index = index[fresh]
+    keep = np.zeros(total, dtype=bool)
+    keep[index] = True
+    used = time_s[index]
+    step = float(np.median(np.diff(used))) if len(used) > 1 else float("nan")
+    return CleanTime(keep, step, backwards, repeats, dropped_s, gaps_of(used, step))
+
+
+def gaps_of(time_s: FloatArray, step_s: float) -> FloatArray:
+    """(g, 2) start and end of every step longer than GAP_STEPS times `step_s`."""
+    if len(time_s) < 3 or not np.isfinite(step_s):
+        return np.zeros((0, 2))
+    wide = np.flatnonzero(np.diff(time_s) > GAP_STEPS * step_s)
+    return np.stack([time_s[wide], time_s[wide + 1]], axis=1)
+
+
+def _longest_increasing(values: FloatArray) -> NDArray[np.int64]:
+    """Indices of a longest non-decreasing subsequence (patience sorting, n log n)."""
+    tails: list[float] = []
+    tail_index: list[int] = []
+    previous = np.full(len(values), -1, dtype=np.int64)
+    for i, value in enumerate(values.tolist()):
+        at = bisect_right(tails, value)
+        if at:
+            previous[i] = tail_index[at - 1]
+        if at == len(tails):
+            tails.append(value)
+            tail_index.append(i)
+        else:
+            tails[at] = value
+            tail_index[at] = i
+    chain = []
+    i = tail_index[-1] if tail_index else -1
+    while i >= 0:
+        chain.append(i)
+        i = int(previous[i])
+    return np.array(chain[::-1], dtype=np.int64)
+
+
+def interpolate(time_s: FloatArray, values: FloatArray, gaps: FloatArray, grid_s: FloatArray) -> FloatArray:
+    """Linear interpolation of (n,) samples onto (m,) grid times; NaN outside the samples and inside every gap."""
+    out = np.interp(grid_s, time_s, values, left=np.nan, right=np.nan)
+    out[inside(gaps, grid_s)] = np.nan
+    # A grid time on a sample takes the sample: rounding in the last digit must not spread a neighbour's NaN.
+    near = np.clip(np.searchsorted(time_s, grid_s - SAME_S), 0, len(time_s) - 1)
+    same = np.abs(time_s[near] - grid_s) <= SAME_S
+    out[same] = values[near[same]]
+    return out
+
+
+def hold(time_s: FloatArray, values: NDArray, gaps: FloatArray, grid_s: FloatArray, step_s: float) -> NDArray:
+    """Zero-order hold onto the grid: the newest sample not later than the grid time (a quarter of a grid step of
+    tolerance, so that stamps of one loop count as one). NaN before the first sample, inside gaps after one usual step,
+    and more than GAP_STEPS steps after the last sample."""
+    tolerance = 0.25 * float(np.median(np.diff(grid_s))) if len(grid_s) > 1 else 0.0
+    at = np.searchsorted(time_s, grid_s + tolerance, side="right") - 1
+    out = values[np.maximum(at, 0)].copy()
+    missing = at < 0
+    if len(time_s) > 1 and np.isfinite(step_s):
+        held_from = np.column_stack([gaps[:, 0] + step_s, gaps[:, 1]]) if len(gaps) else gaps
+        missing |= inside(held_from, grid_s + tolerance) | (grid_s > time_s[-1] + GAP_STEPS * step_s)
+    out[missing] = np.nan if out.dtype != object else ""
+    return out
+
+
+def inside(gaps: FloatArray, grid_s: FloatArray) -> NDArray[np.bool_]:
+    """(m,) True where a grid time lies strictly inside one of the (g, 2) gaps."""
+    if not len(gaps):
+        return np.zeros(len(grid_s), dtype=bool)
+    at = np.searchsorted(gaps[:, 0], grid_s, side="left") - 1
+    return (at >= 0) & (grid_s < gaps[np.maximum(at, 0), 1])

@@ -1,0 +1,89 @@
+"""The one vocabulary: every signal a flight record may hold, its unit, sign and plausible range.
+
+Where a signal comes from in each log dialect stands in `signal_maps/*.toml`; `python -m sysid.vocabulary` prints both
+as the table of docs/logs.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One column of a flight record.
+
+    kind  "state" (interpolated), "heading" (interpolated on the circle), "command" (held) or "label" (text, held)
+    low, high  range outside which the value is taken for a wrong unit or a broken sensor, in the signal's own unit
+    core  True for the columns of the contract that every complete record has
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    kind: str
+    low: float
+    high: float
+    core: bool = True
+
+
+_INF = float("inf")
+_SIGNALS = (
+    Signal("time_s", "s", "log time, increasing", "state", -_INF, _INF),
+    Signal("V_mps", "m/s", "true airspeed", "state", -5.0, 150.0),
+    Signal("alpha_rad", "rad", "angle of attack, + nose above the air path", "state", -1.6, 1.6),
+    Signal("beta_rad", "rad", "sideslip, + air from the right", "state", -1.6, 1.6),
+    Signal("phi_rad", "rad", "roll angle, + right wing down", "state", -3.1417, 3.1417),
+    Signal("theta_rad", "rad", "pitch angle, + nose up", "state", -1.5709, 1.5709),
+    Signal("psi_rad", "rad", "true heading, + clockwise from north, 0 to 2 pi", "heading", -0.001, 6.2833),
+    Signal("p_radps", "rad/s", "roll rate, + right wing down", "state", -20.0, 20.0),
+    Signal("q_radps", "rad/s", "pitch rate, + nose up", "state", -20.0, 20.0),
+    Signal("r_radps", "rad/s", "yaw rate, + nose right", "state", -20.0, 20.0),
+    Signal("ax_mps2", "m/s2", "specific force at the sensor, + forward", "state", -160.0, 160.0),
+    Signal("ay_mps2", "m/s2", "specific force at the sensor, + right", "state", -160.0, 160.0),
+    Signal("az_mps2", "m/s2", "specific force at the sensor, + down (level: -9.8)", "state", -160.0, 160.0),
+    Signal("h_m", "m", "height above the start point, + up", "state", -500.0, 20000.0),
+    Signal("elevator_deg", "deg", "elevator command, + trailing edge down (nose down)", "command", -90.0, 90.0),
+    Signal("aileron_deg", "deg", "aileron command, + rolls right", "command", -90.0, 90.0),
+    Signal("rudder_deg", "deg", "rudder command, + trailing edge left (nose left)", "command", -90.0, 90.0),
+    Signal("throttle_pct", "%", "throttle command, 0 to 100", "command", -5.0, 105.0),
+    Signal("elevator_pos_deg", "deg", "elevator, measured", "state", -90.0, 90.0, False),
+    Signal("aileron_pos_deg", "deg", "aileron, measured", "state", -90.0, 90.0, False),
+    Signal("rudder_pos_deg", "deg", "rudder, measured", "state", -90.0, 90.0, False),
+    Signal("north_m", "m", "position north of the start point", "state", -1e6, 1e6, False),
+    Signal("east_m", "m", "position east of the start point", "state", -1e6, 1e6, False),
+    Signal("vn_mps", "m/s", "ground velocity, north", "state", -200.0, 200.0, False),
+    Signal("ve_mps", "m/s", "ground velocity, east", "state", -200.0, 200.0, False),
+    Signal("vd_mps", "m/s", "ground velocity, down", "state", -200.0, 200.0, False),
+    Signal("rpm", "1/min", "propeller speed, measured", "state", -10.0, 60000.0, False),
+    Signal("rho_kgpm3", "kg/m3", "air density", "state", 0.3, 1.6, False),
+    Signal("manoeuvre", "-", "name of the manoeuvre, empty between them", "label", -_INF, _INF, False),
+    # Beyond the contract: what loiter metrics need, and the flight mode.
+    Signal("mode", "-", "flight mode, the autopilot's own name or number", "label", -_INF, _INF, False),
+    Signal("cross_track_m", "m", "cross-track error of the autopilot's guidance", "state", -1e5, 1e5, False),
+    Signal("h_demand_m", "m", "height demand above the start point", "command", -500.0, 20000.0, False),
+    Signal("V_demand_mps", "m/s", "demanded airspeed, true", "command", -5.0, 150.0, False),
+)
+
+SIGNALS: dict[str, Signal] = {s.name: s for s in _SIGNALS}
+CORE = tuple(s.name for s in _SIGNALS if s.core)
+LABELS = frozenset(s.name for s in _SIGNALS if s.kind == "label")
+COMMANDS = frozenset(s.name for s in _SIGNALS if s.kind == "command")
+SURFACES = ("elevator_deg", "aileron_deg", "rudder_deg")
+
+
+def markdown_table() -> str:
+    """The vocabulary joined with the shipped signal maps, one row per signal."""
+    from sysid.signal_map import shipped_dialects, shipped_map
+
+    maps = {dialect: shipped_map(dialect) for dialect in shipped_dialects()}
+    lines = ["| signal | unit | meaning | " + " | ".join(maps) + " |", "|---" * (3 + len(maps)) + "|"]
+    for signal in _SIGNALS:
+        labels = [dict.fromkeys(entry.label for entry in m.entries.get(signal.name, ())) for m in maps.values()]
+        cells = [" or ".join(found) or "-" for found in labels]
+        lines.append(f"| `{signal.name}` | {signal.unit} | {signal.meaning} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    print(markdown_table())
