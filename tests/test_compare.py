@@ -88,5 +88,6 @@ def test_logs_are_read_under_the_same_errors(tmp_path, capsys):
     assert error.startswith("uqharness: error: ")
     assert error.count("\n") == 1
     fly((("pitch-doublet", 22.0),), seconds=3.0).write(tmp_path / "r.csv")
-    assert main(["log", "import", str(tmp_path / "r.csv"), "--aircraft", "espaaro", "--out", str(tmp_path / "r.parquet"), "--no-cache"]) == 0
+    assert main(["log", "import", str(tmp_path / "r.csv"), "--aircraft", "espaaro", "--out", str(tmp_path / "r.parquet"),
+                 "--no-cache"]) == 0  # fmt: skip
     assert (tmp_path / "r.parquet").is_file()

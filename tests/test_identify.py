@@ -1,4 +1,4 @@
-"""identify: known truth recovered from flights that JSBSim did not make, and the round trip log - identify - XML - re-flown flight."""
+"""identify: known truth recovered from flights JSBSim did not make; the round trip log - identify - XML - re-flown flight."""
 
 from __future__ import annotations
 
@@ -121,7 +121,8 @@ def test_a_model_without_pitch_damping_does_not_reach_the_floor_and_the_report_s
 
 
 def test_what_a_flight_does_not_tell_is_said_and_left_alone(flights, tmp_path):
-    code = main(["identify", "espaaro", "--flight", str(flights / "pitch.parquet"), "--params", "aero/Cm_q,Cm_alpha,aero/Cn_da,CZ_q",
+    asked = "aero/Cm_q,Cm_alpha,aero/Cn_0,aero/Cn_da"
+    code = main(["identify", "espaaro", "--flight", str(flights / "pitch.parquet"), "--params", asked,
                  "--out", str(tmp_path / "id"), "--workers", "1", "--no-figures"])  # fmt: skip
     assert code == 0
     fit = json.loads((tmp_path / "id" / "fit.json").read_text())
@@ -185,7 +186,10 @@ def test_bad_input_is_one_line_and_exit_code_2(flights, tmp_path, capsys):
 
 
 def test_a_value_is_edited_in_place_and_nowhere_else():
-    text = '<!-- <property value="1">a/b</property> -->\n  <property  value = \'2\' >a/b</property>\t<!-- old -->\r\n<property value="3">a/bc</property>'
+    text = (
+        '<!-- <property value="1">a/b</property> -->\n  <property  value = \'2\' >a/b</property>\t<!-- old -->'
+        '\r\n<property value="3">a/bc</property>'
+    )
     done = with_value(text, "a/b", Estimate(-0.5, "x -- y"))
     assert done == (
         '<!-- <property value="1">a/b</property> -->\n  <property  value = \'-0.5\' >a/b</property>\t<!-- old -->'
