@@ -212,6 +212,26 @@ def test_bad_arguments_are_one_line(tmp_path, capsys, extra):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("aero/CX=1", "the model computes it"),
+        ("velocities/p-rad_sec=1", "the model computes it"),
+        ("air/wind-mps=5", "--wind-mps"),
+        ("air/turbulence-w20-kt=45", "--turbulence"),
+        ("simulation/dt=0.02", "card"),
+    ],
+)
+def test_a_setting_that_would_move_nothing_is_refused(tmp_path, capsys, setting, message):
+    assert main(command(tmp_path / "x.csv", "--set", setting)) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_script_made_for_another_aircraft_is_refused_in_words(tmp_path, capsys):
+    assert main(["fly", "c172x", "--out", str(tmp_path / "x.csv")]) == 2
+    assert "initial conditions 'cruise'" in capsys.readouterr().err
+
+
 def test_out_must_be_writable_and_known(tmp_path, capsys):
     assert main(command(tmp_path / "x.xls")) == 2
     assert main(command(tmp_path / "none" / "x.csv")) == 2

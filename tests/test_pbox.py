@@ -162,6 +162,9 @@ def test_rates_bound_failed_flights_from_above():
     assert rate.simultaneous[1] > rate.limits[1]
     nothing = excursion_rate("c", [None], failed=1, hours=0.0, corners=1)
     assert nothing.rate_upper == math.inf
+    # No hours, no rate: undefined is not zero, and it is never the best.
+    assert math.isnan(nothing.rate)
+    assert best_and_worst([nothing, rate])[0] is rate
 
 
 def test_best_and_worst():

@@ -136,6 +136,40 @@ def test_a_trim_that_does_not_exist_is_a_reported_result(capsys):
     assert "no trim" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("bank_deg", [0, 30, 60, -60, 75])
+def test_the_named_modes_are_the_eigenvalues_each_once(bank_deg):
+    aircraft = find_aircraft("espaaro")
+    model = linearise(aircraft, find_trim(aircraft, SteadyCondition(22.2, bank_rad=math.radians(bank_deg))))
+    named = [
+        value
+        for m in modes(model)
+        for value in ([complex(m.real, m.imag)] + [complex(m.real, -m.imag)] * (m.imag != 0))
+    ]
+    assert np.sort_complex(np.array(named)) == pytest.approx(np.sort_complex(np.linalg.eigvals(model.A)), abs=1e-9)
+
+
+def test_a_stock_aircraft_with_piston_engine_and_propeller_trims():
+    aircraft = find_aircraft("c172x")
+    slow, fast = (find_trim(aircraft, SteadyCondition(V, altitude_m=1000.0)) for V in (45.0, 55.0))
+    assert slow.converged, slow.reason
+    assert fast.converged, fast.reason
+    # JSBSim's own full trim holds 55.6 m/s with the throttle at 0.78.
+    assert fast.controls["throttle"] == pytest.approx(0.78, abs=0.02)
+    assert fast.controls["throttle"] > slow.controls["throttle"] + 0.05
+    assert fast.thrust_N > 0.0
+
+
+def test_wind_moves_the_path_and_not_the_trim(capsys):
+    arguments = ["modes", "espaaro", "--speed-mps", "22.2", "--json"]
+    assert main([*arguments, "--wind-mps", "5", "--wind-from-deg", "270"]) == 0
+    windy = json.loads(capsys.readouterr().out)
+    assert main(arguments) == 0
+    calm = json.loads(capsys.readouterr().out)
+    assert windy["modes"] == calm["modes"]
+    assert windy["trim"]["v_east_mps"] - calm["trim"]["v_east_mps"] == pytest.approx(5.0)
+    assert main([*arguments, "--wind-mps", "nan"]) == 2
+
+
 def test_modes_command_json(capsys):
     assert main(["modes", "espaaro", "--speed-mps", "22.2", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)

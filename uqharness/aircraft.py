@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import tempfile
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from lxml import etree
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from uqharness import engine
 from uqharness.errors import BadInputError
@@ -34,12 +35,19 @@ class InputCard(_Strict):
     property: str
     selected: str | None = None
     position: str | None = None
-    unit: str = "norm"
+    unit: Literal["deg", "rad", "pct", "norm"] = "norm"
     positive: str = ""
     limits: tuple[float, float] = (-1.0, 1.0)
     # Read by sysid.airframe_card, which turns servo microseconds into angles; here they only have to be allowed.
     servo_pwm: tuple[tuple[float, float], ...] | Mapping[str, float] = ()
     channel: int | None = Field(default=None, ge=1, le=32)
+
+    @field_validator("limits")
+    @classmethod
+    def _low_then_high(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if not value[0] < value[1]:
+            raise ValueError("limits are [low, high]")
+        return value
 
 
 class MetricCard(_Strict):
@@ -122,6 +130,11 @@ class Aircraft:
         return self.folder / self.card.aircraft.xml
 
     @property
+    def has_card(self) -> bool:
+        """Whether the folder has an airframe.toml; without one, JSBSim's normalised commands are taken for the controls."""
+        return (self.folder / "airframe.toml").is_file()
+
+    @property
     def dt_s(self) -> float:
         return self.card.aircraft.dt_s
 
@@ -185,7 +198,10 @@ def read_card(path: Path) -> Card:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        raise BadInputError(f"{path}: {key}: {first['msg']}; received {first.get('input')!r}") from None
+        what = (
+            "no such key in airframe.toml; see docs/aircraft.md" if first["type"] == "extra_forbidden" else first["msg"]
+        )
+        raise BadInputError(f"{path}: {key}: {what}; received {first.get('input')!r}") from None
 
 
 def reference_lengths(aircraft: Aircraft) -> tuple[float, float, float]:
@@ -217,10 +233,42 @@ def check_loadable(aircraft: Aircraft) -> None:
     """BadInputError if loading the aircraft would end the interpreter; see preflight. Cheap when nothing has changed on disk."""
     stamp = (aircraft.folder, max(path.stat().st_mtime_ns for path in aircraft.folder.rglob("*.xml")))
     if stamp not in _loadable:
+        for path in sorted(aircraft.folder.rglob("*.xml")):
+            refuse_unknown_operations(path)
         ensure_loadable(
             aircraft.folder, aircraft.name, content_hash(aircraft), aircraft.engine_path, aircraft.systems_path
         )
         _loadable.add(stamp)
+
+
+# What JSBSim 1.3.3 computes within a <function>; anything else it drops without a word, or dies of.
+_OPERATIONS_TEXT = """
+abs acos and asin atan atan2 avg ceil cos difference eq exp floor fmod fraction ge gt ifthen integer interpolate1d le ln
+log10 log2 lt max min mod not nq or p pi pow product property quotient random rotation_alpha_local rotation_beta_local
+rotation_bf_to_wf rotation_gamma_local rotation_wf_to_bf roundmultiple sign sin sqrt sum switch t table tan todegrees
+toradians urandom v value description documentation
+"""
+_OPERATIONS = frozenset(_OPERATIONS_TEXT.split())
+_TABLES = frozenset({"table", "t"})
+
+
+def refuse_unknown_operations(path: Path) -> None:
+    """BadInputError with file and line for an operation within a function that JSBSim does not know."""
+
+    def walk(element: etree._Element) -> None:
+        for child in element.iterchildren("*"):
+            if child.tag not in _OPERATIONS:
+                near = difflib.get_close_matches(str(child.tag), sorted(_OPERATIONS), n=1)
+                hint = f"; did you mean <{near[0]}>?" if near else ""
+                raise BadInputError(
+                    f"{path}:{child.sourceline}: <{child.tag}> is no operation of a JSBSim function, and it would be left out "
+                    f"in silence{hint}"
+                )
+            if child.tag not in _TABLES:
+                walk(child)
+
+    for function in parse_xml(path).getroot().iter("function"):
+        walk(function)
 
 
 _loadable: set[tuple[Path, int]] = set()

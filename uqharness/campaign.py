@@ -18,7 +18,7 @@ from uqharness.campaign_tables import write_tables
 from uqharness.cases import Case, Mission, build_cases
 from uqharness.errors import BadInputError
 from uqharness.executor import Executor, ProcessExecutor, usable_cores
-from uqharness.store import Store, run_lock
+from uqharness.store import JOURNAL, Store, run_lock
 from uqharness.worker import FlightFunction
 
 VALIDATION_S = 5.0
@@ -106,12 +106,12 @@ def run_campaign(
     folder = _folder(Path(out_dir))
     with run_lock(folder):
         manifest = describe(spec, mission, len(cases), command)
-        if (folder / "manifest.json").exists():
+        if (folder / "manifest.json").exists() and _holds_flights(folder):
             old = read_manifest(folder)
             refuse_if_different(folder, old, manifest)
             if old["state"] == _SPOILT:
                 raise _spoilt(folder)
-        else:
+        elif not (folder / "manifest.json").exists():
             _refuse_foreign(folder)
         write_manifest(folder, manifest)
         with Store(folder) as store:
@@ -167,6 +167,14 @@ def _folder(path: Path) -> Path:
     except OSError as error:
         raise BadInputError(f"{path}: cannot be made: {error.strerror or error}; choose another --out") from None
     return path
+
+
+def _holds_flights(folder: Path) -> bool:
+    """Whether anything has been counted there: a campaign refused before its first flight may be mended and run again."""
+    if not (folder / JOURNAL).exists():
+        return False
+    with Store(folder, read_only=True) as store:
+        return sum(store.statuses().values()) > 0
 
 
 def _refuse_foreign(folder: Path) -> None:

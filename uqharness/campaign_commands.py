@@ -30,7 +30,13 @@ Writes DIR/report.html (one file, no network needed) and DIR/figures/*.svg."""
 
 def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the ``campaign`` command and its subcommands to a parser."""
-    campaign = commands.add_parser("campaign", help="nested Monte Carlo campaigns: run, status, report")
+    campaign = commands.add_parser(
+        "campaign",
+        help="nested Monte Carlo campaigns: run, status, report",
+        description="Fly a campaign over corners of model-form uncertainty, watch it, and report it.",
+        epilog=_RUN_EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     verbs = campaign.add_subparsers(dest="campaign_command", metavar="VERB", required=True)
     run = _verb(verbs, "run", "fly a campaign, or resume it", _RUN_EXAMPLE)
     run.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml", help="what to fly")

@@ -22,11 +22,19 @@ from uqharness import (
 )
 from uqharness.errors import BadInputError
 
+_EXAMPLE = """examples:
+  uqharness modes espaaro --speed-mps 22.2
+  uqharness campaign run campaigns/demo/campaign.toml --out results
+
+uqharness COMMAND --help tells the rest."""
+
 
 def build_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="uqharness",
         description="How far can a flight model be trusted, and what does that do to the aircraft's performance?",
+        epilog=_EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"uqharness {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)

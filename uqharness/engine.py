@@ -172,6 +172,10 @@ def run_ic(fdm: Any) -> None:
     log.take()
     try:
         if fdm.run_ic():
+            if not fdm["inertia/mass-slugs"] > 0.0:
+                raise BadInputError(
+                    f"the model's mass is {fdm['inertia/mass-slugs']:g} slug: a positive one is needed in <mass_balance>"
+                )
             return
         raise BadInputError(f"JSBSim could not initialise the flight: {log.take() or 'no reason given'}")
     except RuntimeFailure as error:
@@ -184,6 +188,18 @@ def run_ic(fdm: Any) -> None:
             'declare it in the XML, as <property value="0">name</property>'
         )
     raise BadInputError(f"JSBSim could not initialise the flight: {text}")
+
+
+def settle_engines(fdm: Any) -> None:
+    """Bring <propulsion> engines to the steady state of their throttles and renew the forces, the aircraft's state unmoved."""
+    fdm.get_propulsion().get_steady_state()
+    fdm.suspend_integration()
+    try:
+        fdm.run()
+    except RuntimeFailure as error:
+        raise BadInputError(explain(fdm, error)) from None
+    finally:
+        fdm.resume_integration()
 
 
 def undefined_properties(fdm: Any) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
@@ -29,6 +30,16 @@ _CONDITION_PROPERTIES = (
     "simulation/randomseed",
     "atmosphere/randomseed",
 )
+_RESERVED = {
+    "air/wind-mps": "give the wind as a condition (--wind-mps, wind_mps)",
+    "air/wind-from-deg": "give the wind as a condition (--wind-from-deg, wind_from_deg)",
+    "air/turbulence-w20-kt": "give the turbulence as a condition (--turbulence, turbulence)",
+    "air/turbulence-source": "give it as a condition (--turbulence-source, turbulence_source)",
+    "sensor/noise": "give it as a condition (--noise, sensor_noise)",
+    "simulation/randomseed": "give a seed (--seed, seed)",
+    "atmosphere/randomseed": "give a seed (--seed, seed)",
+    "simulation/dt": "the step belongs to the aircraft's card ([aircraft] dt_s)",
+}
 # JSBSim's generator maps seed 0 onto seed 1 and takes 31 bits.
 _MAX_SEED = 2**31 - 2
 
@@ -58,7 +69,9 @@ def _fingerprint(spec: FlightSpec) -> str:
 
 @lru_cache(maxsize=8)
 def _staged(aircraft: str, script: str, fingerprint: str) -> StagedMission:
-    return StagedMission(find_aircraft(aircraft), find_script(script))
+    mission = StagedMission(find_aircraft(aircraft), find_script(script))
+    atexit.register(mission.close)
+    return mission
 
 
 class Recorded:
@@ -89,6 +102,7 @@ def record_mission(
     stride = _stride(spec, dt_s)
     set_conditions(fdm, mission, spec)
     engine.run_ic(fdm)
+    _require_kept(fdm, spec.properties)
     present = {name: source for name, source in (optional or {}).items() if _exists(fdm, source)}
     table = {"time_s": Source("simulation/sim-time-sec"), **signals, **present}
     read = _reader(fdm, table)
@@ -164,6 +178,9 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
     for name in ("seed_turbulence", "seed_noise"):
         if not 0 <= getattr(spec, name) <= _MAX_SEED:
             raise BadInputError(f"{name} = {getattr(spec, name)}: an integer from 0 to {_MAX_SEED} is needed")
+    for name in spec.properties:
+        if name in _RESERVED:
+            raise BadInputError(f"property {name} is not for setting by name: {_RESERVED[name]}")
     refuse_conflicts(mission.script, [*_CONDITION_PROPERTIES, *spec.properties])
     # Asked by what the systems publish: a script that sets air/wind-mps makes that property whether anything reads it or not.
     has_air = fdm.get_property_manager().hasNode("air/wind-north-fps")
@@ -193,6 +210,17 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
         fdm["ic/ve-fps"] = east + spec.wind_mps * math.sin(toward) / FT
 
 
+def _require_kept(fdm: Any, properties: Mapping[str, float]) -> None:
+    """BadInputError for a setting that initialising has overwritten: it would move nothing, in silence."""
+    for name, value in properties.items():
+        kept = fdm[name]
+        if not name.startswith("ic/") and abs(kept - value) > 1e-9 * max(abs(value), 1.0):
+            raise BadInputError(
+                f"property {name} was set to {value:g} and stands at {kept:g} after initialising: the model computes it, "
+                "so it cannot be set"
+            )
+
+
 def _advance(fdm: Any, spec: FlightSpec, aircraft: Aircraft, dt_s: float, steps: int) -> Callable[[int], None]:
     """A function that runs n steps; with host-supplied turbulence it feeds the gusts step by step."""
     run = fdm.run
@@ -203,7 +231,7 @@ def _advance(fdm: Any, spec: FlightSpec, aircraft: Aircraft, dt_s: float, steps:
                 run()
 
         return plain
-    # Imported here: scipy.signal takes a second to load, and most flights use JSBSim's turbulence.
+    # Imported here: scipy.signal takes a second to load, and calm flights do without.
     from uqharness.dryden import dryden_gusts
 
     gusts = dryden_gusts(

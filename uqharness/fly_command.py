@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import sys
 import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -89,7 +90,16 @@ def _run(args: argparse.Namespace) -> int:
     spec = _spec(args, aircraft, script.path, script.end_s)
     with StagedMission(aircraft, script.path) as mission:
         table = {name: source for name, source in properties.sources(aircraft).items() if name != "time_s"}
-        recorded = record_mission(mission, spec, table, _OPTIONAL, keep_burn_in=True)
+        optional = dict(_OPTIONAL)
+        if not aircraft.has_card:
+            # What a card would have promised is only hoped for: a glider has no throttle.
+            controls = set(table) - set(properties.STANDARD)
+            optional |= {name: table.pop(name) for name in controls} | properties.standard_positions()
+            print(
+                f"uqharness: note: {aircraft.folder} has no airframe.toml, so the record's commands are JSBSim's fcs/...-cmd-norm",
+                file=sys.stderr,
+            )
+        recorded = record_mission(mission, spec, table, optional, keep_burn_in=True)
     record = to_record(recorded, aircraft, spec, script.path.stem)
     write_record(record, args.out)
     summary = {
@@ -111,11 +121,12 @@ def _spec(args: argparse.Namespace, aircraft: Aircraft, script: Path, end_s: flo
     duration = end_s if args.duration_s is None else args.duration_s
     for name, value, low, high in (
         ("--duration-s", duration, 0.0, 1e6),
-        ("--wind-mps", args.wind_mps or 0.0, -1e-9, 100.0),
+        ("--wind-mps", args.wind_mps or 0.0, None, 100.0),
         ("--rate-hz", args.rate_hz, 0.0, 1e5),
     ):
-        if not (math.isfinite(value) and low < value <= high):
-            raise BadInputError(f"{name} {value:g}: a number above {max(low, 0):g} and up to {high:g} is needed")
+        if not (math.isfinite(value) and (value >= 0.0 if low is None else value > low) and value <= high):
+            least = "of at least 0" if low is None else f"above {low:g}"
+            raise BadInputError(f"{name} {value:g}: a number {least} and up to {high:g} is needed")
     if args.wind_from_deg is not None and not math.isfinite(args.wind_from_deg):
         raise BadInputError(f"--wind-from-deg {args.wind_from_deg}: an angle in degrees is needed")
     # Turbulence and noise are two streams; the second is drawn from the first so that one number gives both.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -87,18 +88,28 @@ def _central(function: Callable[[float], NDArray[np.float64]], step: float) -> N
 def modes(model: LinearModel) -> list[Mode]:
     """The modes of A by name: two longitudinal pairs (short_period, phugoid), dutch_roll, roll and spiral.
 
-    Each eigenvalue is assigned to the longitudinal or the lateral set by where its eigenvector lives, so that a banked trim with
-    coupled axes is served too. A pair that has split into two real roots keeps its name on both.
+    Each eigenvalue counts once: the four whose eigenvectors are most longitudinal, conjugates kept together, make the longitudinal
+    modes. A pair that has split into two real roots keeps its name on both. In a steep turn the axes are coupled and a
+    name says only what the mode is nearest to.
     """
     values, vectors = np.linalg.eig(model.A)
     # Angles and rates are weighed against velocities by the airspeed, so that the share of each set has one unit.
-    weight = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    weight = np.ones(8)
     weight[3:] = model.trim.condition.V_mps
     energy = np.abs(vectors * weight[:, None]) ** 2
     share = energy[list(LONGITUDINAL)].sum(axis=0) / energy.sum(axis=0)
-    order = np.argsort(-share)
-    longitudinal, lateral = values[order[:4]], values[order[4:]]
-    return _longitudinal_modes(longitudinal) + _lateral_modes(lateral)
+    # A conjugate pair is one block: its upper half stands for both.
+    blocks = [[k] if value.imag == 0 else [k, int(np.argmin(np.abs(values - value.conjugate())))]
+              for k, value in enumerate(values) if value.imag >= 0]  # fmt: skip
+    choices = [
+        [k for block in chosen for k in block]
+        for count in range(2, 5)
+        for chosen in itertools.combinations(blocks, count)
+        if sum(map(len, chosen)) == 4
+    ]
+    longitudinal = max(choices, key=lambda chosen: float(share[chosen].sum()))
+    lateral = [k for k in range(8) if k not in longitudinal]
+    return _longitudinal_modes(values[longitudinal]) + _lateral_modes(values[lateral])
 
 
 def _longitudinal_modes(values: NDArray[np.complex128]) -> list[Mode]:

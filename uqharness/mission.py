@@ -113,6 +113,12 @@ class StagedMission:
         check_loadable(aircraft)
         self.aircraft = aircraft
         self.script = read_script(script_path)
+        start = aircraft.folder / self.script.initialize
+        if not any(path.is_file() for path in (start, start.with_name(start.name + ".xml"))):
+            raise BadInputError(
+                f"{script_path}: starts from the initial conditions '{self.script.initialize}', which aircraft "
+                f"'{aircraft.name}' does not have ({start}.xml); give a script made for this aircraft"
+            )
         self._folder = tempfile.TemporaryDirectory(prefix="uqharness-")
         root = Path(self._folder.name)
         (root / "aircraft").mkdir()

@@ -152,7 +152,7 @@ def excursion_rate(
 ) -> ExcursionRate:
     """Rate from ``counts``, one per flight (None = unknown), of which ``failed`` flights failed, in ``hours`` of scored flight.
 
-    Lower limits rest on what was counted, upper limits on what may have happened.
+    Lower limits rest on what was counted, upper limits on what may have happened. Without a scored hour the counted rate is NaN.
     """
     events = sum(count for count in counts if count is not None)
     unknown = sum(count is None for count in counts)
@@ -166,7 +166,7 @@ def excursion_rate(
         hours,
         events,
         events_upper,
-        events / hours if hours > 0 else 0.0,
+        events / hours if hours > 0 else float("nan"),
         events_upper / hours if hours > 0 else float("inf"),
         (poisson_limits(events, hours, confidence)[0], poisson_limits(events_upper, hours, confidence)[1]),
         (poisson_limits(events, hours, strict)[0], poisson_limits(events_upper, hours, strict)[1]),
@@ -174,5 +174,9 @@ def excursion_rate(
 
 
 def best_and_worst(rates: Sequence[ExcursionRate]) -> tuple[ExcursionRate, ExcursionRate]:
-    """The corner with the fewest counted excursions per hour and that with the most possible ones; the first of equals."""
-    return min(rates, key=lambda item: item.rate), max(rates, key=lambda item: item.rate_upper)
+    """The corner with the fewest counted excursions per hour and that with the most possible ones; the first of equals.
+
+    A corner without a scored hour has no rate (NaN) and is not the best.
+    """
+    counted = [item for item in rates if not np.isnan(item.rate)] or list(rates)
+    return min(counted, key=lambda item: item.rate), max(rates, key=lambda item: item.rate_upper)

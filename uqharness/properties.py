@@ -70,3 +70,8 @@ def sources(aircraft: Aircraft) -> dict[str, Source]:
         if card.position is not None and column.endswith("_deg"):
             table[column.replace("_deg", "_pos_deg")] = Source(card.position, factor)
     return table
+
+
+def standard_positions() -> dict[str, Source]:
+    """Surface positions by JSBSim's own properties, for an aircraft without a card; they may or may not be there."""
+    return {f"{surface}_pos_deg": Source(f"fcs/{surface}-pos-deg") for surface in ("elevator", "aileron", "rudder")}

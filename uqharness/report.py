@@ -228,6 +228,8 @@ def _span(low: float, high: float) -> str:
 def _excursion_sentence(cell: ExcursionCell) -> str:
     best, worst = best_and_worst(cell.rates)
     text = f"Excursions beyond {cell.radius_m:g} m per flight hour: "
+    if math.isnan(best.rate):
+        return text + "undefined, for no flight was scored."
     text += f"{best.rate:.3g} at the best corner, {worst.rate_upper:.3g} at the worst"
     text += f" ({CONFIDENCE:.0%} limits over all corners {best.simultaneous[0]:.2g} to {worst.simultaneous[1]:.3g}; "
     return text.replace("%", " %") + f"{worst.hours:.3g} h per corner)."
@@ -266,6 +268,8 @@ def _excursion_row(cell: ExcursionCell) -> dict[str, str]:
 
 
 def _rate(item: ExcursionRate, rate: float, events: int) -> str:
+    if math.isnan(rate):
+        return "undefined: no hours"
     if events == 0:
         return f"0 (< {poisson_upper(0, item.hours, CONFIDENCE):.2g})"
     return f"{rate:.3g} [{item.limits[0]:.2g}, {item.limits[1]:.3g}]"

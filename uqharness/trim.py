@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 from uqharness import engine
 from uqharness.aircraft import Aircraft, open_aircraft
 
-FT = 0.3048
+FT, LBF = 0.3048, 4.4482216152605
 TRIM_LATITUDE_DEG = 45.0
 """Where trims are made: there JSBSim's effective gravity is 9.806 m/s2."""
 
@@ -31,6 +31,8 @@ _ACCELERATIONS = (
     "accelerations/qdot-rad_sec2",
     "accelerations/rdot-rad_sec2",
 )
+_ENGINE_THRUSTS = ("propulsion/engine/thrust-lbs", *(f"propulsion/engine[{k}]/thrust-lbs" for k in range(1, 8)))
+_PROPELLER_RPM = "propulsion/engine/propeller-rpm"
 _SURFACES = ("elevator", "aileron", "rudder", "throttle")
 
 
@@ -55,8 +57,8 @@ class SteadyCondition:
 class Trim:
     """What was found. ``converged`` False is a result too: ``reason`` says which control ran out or what kept accelerating.
 
-    Angles in rad, rates body axes rad/s, ``controls`` in each control's own unit, ``residual`` (6,) accelerations left
-    (m/s2 and rad/s2).
+    Angles in rad, rates body axes rad/s, ``controls`` in each control's own unit, ``positions_deg`` of the surfaces that tell,
+    ``thrust_N`` and ``rpm`` NaN where the model names none, ``residual`` (6,) accelerations left (m/s2 and rad/s2).
     """
 
     condition: SteadyCondition
@@ -70,6 +72,7 @@ class Trim:
     q_radps: float
     r_radps: float
     controls: Mapping[str, float]
+    positions_deg: Mapping[str, float]
     thrust_N: float
     rpm: float
     residual: NDArray[np.float64]
@@ -115,7 +118,8 @@ def force_state(
     properties: Mapping[str, float] | None = None,
     outputs: tuple[str, ...] = (),
 ) -> tuple[NDArray[np.float64], dict[str, float]]:
-    """Accelerations (6,) [m/s2, rad/s2] of the model at a forced state in still air, and the values of ``outputs``.
+    """Accelerations (6,) [m/s2, rad/s2] of the model at a forced state in still air, and the values of those ``outputs`` that
+    the model has.
 
     Actuators stand at their commands (first frame of a fresh instance); the ground is put 300 m below. Raises BadInputError.
     """
@@ -130,27 +134,28 @@ def force_state(
     fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"] = state.u / FT, state.v / FT, state.w / FT
     fdm["ic/p-rad_sec"], fdm["ic/q-rad_sec"], fdm["ic/r-rad_sec"] = state.p, state.q, state.r
     engine.run_ic(fdm)
+    if fdm.get_propulsion().get_num_engines():
+        engine.settle_engines(fdm)
     acceleration = np.array([fdm[name] for name in _ACCELERATIONS])
     acceleration[:3] *= FT
-    return acceleration, {name: fdm[name] for name in outputs}
+    manager = fdm.get_property_manager()
+    return acceleration, {name: fdm[name] for name in outputs if manager.hasNode(name)}
 
 
 def apply_controls(fdm: Any, aircraft: Aircraft, controls: Mapping[str, float]) -> None:
-    """Set the command properties of the card's inputs; every engine's throttle for JSBSim's standard one."""
+    """Set the command properties of the card's inputs; every engine runs, and takes JSBSim's throttle where that is the input."""
+    engines = fdm.get_propulsion().get_num_engines()
+    if engines:
+        # First of all: starting the engines opens their throttles.
+        fdm["propulsion/set-running"] = -1
     for control, value in controls.items():
         card = aircraft.card.inputs.get(control)
         if card is None:
             continue
         engine.set_property(fdm, card.property, value)
         if card.property == "fcs/throttle-cmd-norm":
-            for index in range(1, fdm.get_propulsion().get_num_engines()):
+            for index in range(1, engines):
                 fdm[f"fcs/throttle-cmd-norm[{index}]"] = value
-    if fdm.get_propulsion().get_num_engines() > 0 and "propulsion/set-running" in _existing(fdm):
-        fdm["propulsion/set-running"] = -1
-
-
-def _existing(fdm: Any) -> tuple[str, ...]:
-    return ("propulsion/set-running",) if fdm.get_property_manager().hasNode("propulsion/set-running") else ()
 
 
 def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
@@ -160,7 +165,8 @@ def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
     turn, no lateral specific force. Raises BadInputError for a card without the four controls or a model that does not load.
     """
     cards = aircraft.card.inputs
-    names = [name for name in _SURFACES if name in cards]
+    exists = open_aircraft(aircraft).get_property_manager().hasNode
+    names = [name for name in _SURFACES if name in cards and (aircraft.has_card or exists(cards[name].property))]
     turning = condition.bank_rad != 0.0
     V, phi = condition.V_mps, condition.bank_rad
     spans = np.array([cards[name].limits[1] - cards[name].limits[0] for name in names])
@@ -228,7 +234,13 @@ def _result(
     state, controls, rate = unpack(x)
     left = residual(x)
     keys = {key: aircraft.card.outputs[key] for key in ("thrust_N", "rpm") if key in aircraft.card.outputs}
-    _, out = force_state(aircraft, state, controls, condition.altitude_m, condition.properties, tuple(keys.values()))
+    surfaces = {
+        name: aircraft.card.inputs[name].position or f"fcs/{name}-pos-deg" for name in names if name != "throttle"
+    }
+    wanted = (*keys.values(), *surfaces.values(), *_ENGINE_THRUSTS, _PROPELLER_RPM)
+    _, out = force_state(aircraft, state, controls, condition.altitude_m, condition.properties, wanted)
+    engines_lbf = [out[name] for name in _ENGINE_THRUSTS if name in out]
+    thrust_N = out.get(keys.get("thrust_N", ""), LBF * sum(engines_lbf) if engines_lbf else float("nan"))
     converged = bool(np.max(np.abs(left)) < 1e-6)
     at_limit = [
         name
@@ -255,8 +267,9 @@ def _result(
         q_radps=state.q,
         r_radps=state.r,
         controls=controls,
-        thrust_N=out.get(keys.get("thrust_N", ""), float("nan")),
-        rpm=out.get(keys.get("rpm", ""), float("nan")),
+        positions_deg={name: out[source] for name, source in surfaces.items() if source in out},
+        thrust_N=thrust_N,
+        rpm=out.get(keys.get("rpm", _PROPELLER_RPM), float("nan")),
         residual=left,
         velocity_ned_mps=_over_ground(state, condition.wind_ned_mps),
     )
