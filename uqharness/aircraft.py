@@ -229,6 +229,7 @@ class staged:
         path = Path(self._temporary.name) / "aircraft"
         path.mkdir()
         (path / self._aircraft.name).symlink_to(folder, target_is_directory=True)
+        engine.show_as(path / self._aircraft.name, folder)
         return path.parent, path
 
     def __exit__(self, *_: object) -> None:

@@ -60,10 +60,18 @@ class _Collector(jsbsim.FGLogger):
         """Text of what was collected, and forget it."""
         text = " ".join((place + message).strip() for _, place, message in self.entries)
         self.entries.clear()
+        for staged, real in _shown_as.items():
+            text = text.replace(staged, real)
         return re.sub(r"\s+", " ", text).strip()
 
 
 _collector: _Collector | None = None
+_shown_as: dict[str, str] = {}
+
+
+def show_as(staged: Path, real: Path) -> None:
+    """Name ``real`` in messages where JSBSim names ``staged``: the reader knows their own folder, not a copy's."""
+    _shown_as[str(staged)] = str(real)
 
 
 def _collect() -> _Collector:

@@ -117,6 +117,7 @@ class StagedMission:
         root = Path(self._folder.name)
         (root / "aircraft").mkdir()
         (root / "aircraft" / aircraft.name).symlink_to(aircraft.folder, target_is_directory=True)
+        engine.show_as(root / "aircraft" / aircraft.name, aircraft.folder)
         tree = parse_xml(script_path)
         document = tree.getroot()
         use, run = document.find("use"), document.find("run")
