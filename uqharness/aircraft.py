@@ -37,7 +37,9 @@ class InputCard(_Strict):
     unit: str = "norm"
     positive: str = ""
     limits: tuple[float, float] = (-1.0, 1.0)
-    servo_pwm: tuple[tuple[float, float], ...] = ()
+    # Read by sysid.airframe_card, which turns servo microseconds into angles; here they only have to be allowed.
+    servo_pwm: tuple[tuple[float, float], ...] | Mapping[str, float] = ()
+    channel: int | None = Field(default=None, ge=1, le=32)
 
 
 class MetricCard(_Strict):
@@ -73,6 +75,12 @@ class _SensorSection(_Strict):
     noise_std: Mapping[str, float] = {}
 
 
+class _ReplaySection(_Strict):
+    """``without_systems``: systems that do nothing in open loop; a replay leaves them out, which saves a third of its time."""
+
+    without_systems: tuple[str, ...] = ()
+
+
 class Card(_Strict):
     """airframe.toml, validated."""
 
@@ -84,6 +92,9 @@ class Card(_Strict):
     metrics: Mapping[str, MetricCard] = {}
     parameters: Mapping[str, ParameterCard] = {}
     sensors: _SensorSection = _SensorSection()
+    replay: _ReplaySection = _ReplaySection()
+    # Which servo outputs a v-tail or elevons hang on: for reading logs alone, checked by sysid.airframe_card.
+    mixing: Mapping[str, Any] = {}
 
 
 # JSBSim's own command properties, for an aircraft that comes without a card.

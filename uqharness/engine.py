@@ -192,6 +192,17 @@ def run_ic(fdm: Any) -> None:
     raise BadInputError(f"JSBSim could not initialise the flight: {text}")
 
 
+def undefined_properties(fdm: Any) -> list[str]:
+    """Names that the loaded model reads and nobody makes. Initialises the instance, which serves for nothing else afterwards."""
+    log = _collect()
+    log.take()
+    try:
+        fdm.run_ic()
+        return []
+    except RuntimeFailure as error:
+        return disarm(fdm, log.take() or _one_line(error))
+
+
 def disarm(fdm: Any, text: str) -> list[str]:
     """Create the properties whose absence ``text`` complains of until initialising no longer does; their names."""
     missing: list[str] = []

@@ -1,0 +1,147 @@
+"""How far a model is from a flight: root mean squares against noise, Theil's inequality, time shifts, worst moments. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.diagnostics import STRONG_SHARE, WHITENESS_LEVEL, colour
+
+FloatArray = NDArray[np.float64]
+FORM_SHARE = 0.6  # share of a residual that is a function of the motion above which the model's form is to blame
+
+
+def rms(values: FloatArray) -> float:
+    """Root mean square of the finite values; NaN when there are none."""
+    good = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(good**2))) if good.size else float("nan")
+
+
+def white_noise(pieces: Sequence[FloatArray]) -> float:
+    """Standard deviation of a channel's white noise, from third differences of its finite samples; NaN below 8 samples.
+
+    A third difference takes out any motion that is quadratic over four samples and multiplies the noise's variance by 20.
+    """
+    squares = [np.diff(p[np.isfinite(p)], 3) ** 2 for p in pieces if np.isfinite(p).sum() >= 8]
+    if not squares:
+        return float("nan")
+    # Median of squares: steps of surfaces and other sudden motion are few samples, and must not count as noise.
+    return float(np.sqrt(np.median(np.concatenate(squares)) / 0.454936 / 20.0))
+
+
+def channel_noise(data: Sequence[FloatArray], channels: Sequence[str], card: Mapping[str, float]) -> dict[str, float]:
+    """Noise of each channel: what its own samples show, or what the card says of the sensor, whichever is larger.
+
+    Attitudes of an autopilot are filtered and look cleaner than they are true; there the card's figure counts.
+    """
+    out = {}
+    for k, name in enumerate(channels):
+        shown = white_noise([block[:, k] for block in data])
+        stated = card.get(name, float("nan"))
+        known = [v for v in (shown, stated) if np.isfinite(v)]
+        out[name] = max(known) if known else float("nan")
+    return out
+
+
+def process_noise_shown(residual: Sequence[FloatArray], motion: Sequence[FloatArray]) -> bool:
+    """True when residuals are coloured and are no function of the simulated motion: turbulence rather than a wrong model."""
+    found = colour(list(residual), list(motion))
+    strong = (found.p_value < WHITENESS_LEVEL / len(found.p_value)) & (found.predictable > STRONG_SHARE)
+    if not strong.any():
+        return False
+    explained = found.explained[strong]
+    explained = explained[np.isfinite(explained)]
+    return bool(explained.size == 0 or explained.max() <= FORM_SHARE)
+
+
+@dataclass(frozen=True)
+class Theil:
+    """Theil's inequality coefficient, 0 perfect to 1, and what it is made of (shares that add up to 1)."""
+
+    u: float
+    bias: float
+    variance: float
+    covariance: float
+
+
+def theil(measured: FloatArray, modelled: FloatArray) -> Theil:
+    """Over the samples where both are finite. Theil, "Economic Forecasts and Policy" (1961); Jategaonkar (2015), ch. 11."""
+    good = np.isfinite(measured) & np.isfinite(modelled)
+    z, y = measured[good], modelled[good]
+    error = float(np.mean((z - y) ** 2)) if z.size else float("nan")
+    size = np.sqrt(np.mean(z**2)) + np.sqrt(np.mean(y**2)) if z.size else float("nan")
+    if not error > 0.0:
+        return Theil(error, 0.0, 0.0, 0.0) if z.size else Theil(error, error, error, error)
+    sz, sy = float(z.std()), float(y.std())
+    bias, variance = float((z.mean() - y.mean()) ** 2) / error, (sz - sy) ** 2 / error
+    return Theil(float(np.sqrt(error) / size), bias, variance, max(0.0, 1.0 - bias - variance))
+
+
+@dataclass(frozen=True)
+class Shift:
+    """How late the measured channel comes after the model's, s, its standard error, and whether that is worth a word."""
+
+    seconds: float
+    std: float
+
+
+def time_shift(measured: Sequence[FloatArray], modelled: Sequence[FloatArray], dt_s: float, at_most_s: float = 0.2) -> Shift:
+    """Delay tau that makes modelled(t - tau) fit measured(t) best, by Gauss-Newton on the model's slope, offset left free.
+
+    The standard error allows for coloured residuals by their integral time. NaN when the model does not move.
+    """
+    tau = 0.0
+    for _ in range(8):
+        top = bottom = 0.0
+        left: list[FloatArray] = []
+        slopes: list[FloatArray] = []
+        for z, y in zip(measured, modelled, strict=True):
+            if len(y) < 8 or not np.isfinite(y).all():
+                continue
+            at = np.arange(len(y))
+            moved = np.interp(at - tau / dt_s, at, y)
+            slope = -np.gradient(moved, dt_s)
+            good = np.isfinite(z)
+            if good.sum() < 8:
+                continue
+            e = z[good] - moved[good]
+            s = slope[good] - slope[good].mean()
+            e = e - e.mean()
+            top, bottom = top + float(s @ e), bottom + float(s @ s)
+            left.append(e)
+            slopes.append(s)
+        if not bottom > 0.0:
+            return Shift(float("nan"), float("nan"))
+        step = float(np.clip(top / bottom, -0.05, 0.05))
+        tau = float(np.clip(tau + step, -at_most_s, at_most_s))
+        if abs(step) < 1e-5:
+            break
+    variance = sum(float(e @ e) for e in left) / max(1, sum(e.size for e in left) - 2)
+    return Shift(tau, float(np.sqrt(variance * _integral(left) / bottom)))
+
+
+def _integral(residuals: Sequence[FloatArray]) -> float:
+    """Sum of autocorrelations up to the first zero, both sides: how many samples count as one."""
+    total, longest = 1.0, max(len(e) for e in residuals) // 3
+    power = sum(float(e @ e) for e in residuals)
+    for lag in range(1, longest):
+        r = sum(float(e[lag:] @ e[:-lag]) for e in residuals if len(e) > lag) / power if power > 0 else 0.0
+        if r <= 0.0:
+            break
+        total += 2.0 * r
+    return total
+
+
+def worst(residual: FloatArray, time_s: FloatArray, noise: float, count: int, apart_s: float) -> list[tuple[float, float]]:
+    """(time, residual) of the ``count`` largest residuals in units of noise, at least ``apart_s`` from one another."""
+    size = np.where(np.isfinite(residual), np.abs(residual), -1.0) / (noise if noise > 0 else 1.0)
+    out: list[tuple[float, float]] = []
+    for k in np.argsort(-size):
+        if len(out) == count or size[k] < 0:
+            break
+        if all(abs(time_s[k] - t) >= apart_s for t, _ in out):
+            out.append((float(time_s[k]), float(residual[k])))
+    return out

@@ -1,0 +1,118 @@
+"""The model's own forces and moments at measured states: each state forced upon it, each answer read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.force_coefficients import MassProperties
+from uqharness import engine
+from uqharness.replay import Segment
+from uqharness.replay_model import ReplayModel
+from uqharness.trim import FT, TRIM_LATITUDE_DEG, body_velocity
+
+Array = NDArray[np.float64]
+LBF_N = 4.4482216152605
+LBFT_NM = 1.3558179483314
+PSF_PA = 47.880258980336
+SLUG_KG = 14.593902937206
+_FORCES = tuple(f"forces/fb{a}-{kind}-lbs" for kind in ("total", "aero") for a in "xyz")
+_MOMENTS = tuple(f"moments/{a}-{kind}-lbsft" for kind in ("total", "aero") for a in "lmn")
+
+
+@dataclass(frozen=True)
+class ForcedModel:
+    """What the model says at n states: aerodynamic and other forces [N] and moments about the CG [N m], (n, 3) each; qbar (n,) [Pa].
+
+    ``other`` is everything but aerodynamics and gravity, thrust above all. ``coefficients`` (n, 6) CX CY CZ Cl Cm Cn.
+    """
+
+    aero_force: Array
+    other_force: Array
+    aero_moment: Array
+    other_moment: Array
+    qbar: Array
+    mass: MassProperties
+
+    @property
+    def coefficients(self) -> Array:
+        pressure = self.qbar[:, None] * self.mass.S
+        return np.hstack([self.aero_force / pressure, self.aero_moment / (pressure * self.mass.lengths)])
+
+
+def force_states(
+    model: ReplayModel, segment: Segment, states: Mapping[str, Array], controls: Array, properties: Mapping[str, float],
+    altitude_m: Array | None = None,
+) -> ForcedModel:  # fmt: skip
+    """Force V, alpha, beta, phi, theta, p, q, r (each (n,)) and controls (n, c) [record units] one after the other.
+
+    ``model`` must pass its controls straight through (`ReplayFolder` with every control ideal): a lag would remember the state
+    before. altitude_m (n,) above sea level, default the segment's throughout. Raises BadInputError.
+    """
+    fdm = model.open(segment.dt_s)
+    for name, value in properties.items():
+        engine.set_property(fdm, name, value)
+    setters = [engine.handle(fdm, model.card.inputs[c].property).set_double_value for c in model.controls]
+    height = np.full(len(controls), segment.altitude_m) if altitude_m is None else altitude_m
+    fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
+    fdm["ic/terrain-elevation-ft"] = (float(height.min()) - 2000.0) / FT
+    names = ("h-sl-ft", "phi-rad", "theta-rad", "psi-true-rad", "u-fps", "v-fps", "w-fps", "p-rad_sec", "q-rad_sec", "r-rad_sec")
+    put = [engine.handle(fdm, f"ic/{name}").set_double_value for name in names]
+    get = [engine.handle(fdm, name).get_double_value for name in (*_FORCES, *_MOMENTS, "aero/qbar-psf")]
+    raw = np.empty((len(controls), len(get)))
+    scaled = controls * np.array(model.factor)
+    for k in range(len(controls)):
+        for setter, value in zip(setters, scaled[k], strict=True):
+            setter(float(value))
+        u, v, w = body_velocity(float(states["V_mps"][k]), float(states["alpha_rad"][k]), float(states["beta_rad"][k]))
+        state = (
+            height[k] / FT, states["phi_rad"][k], states["theta_rad"][k], 0.0, u / FT, v / FT, w / FT,
+            states["p_radps"][k], states["q_radps"][k], states["r_radps"][k],
+        )  # fmt: skip
+        for setter, value in zip(put, state, strict=True):
+            setter(float(value))
+        if not fdm.run_ic():
+            raise engine.RuntimeFailure(f"JSBSim could not take the state of sample {k}")
+        raw[k] = [g() for g in get]
+    total, aero = raw[:, 0:3] * LBF_N, raw[:, 3:6] * LBF_N
+    total_moment, aero_moment = raw[:, 6:9] * LBFT_NM, raw[:, 9:12] * LBFT_NM
+    return ForcedModel(
+        aero, total - aero, aero_moment, total_moment - aero_moment, raw[:, 12] * PSF_PA, mass_properties(fdm, model)
+    )
+
+
+def mass_properties(fdm: object, model: ReplayModel) -> MassProperties:
+    """Mass, inertia and reference lengths of an initialised instance; the card's lengths win."""
+    get = fdm.__getitem__  # type: ignore[attr-defined]
+    unit = SLUG_KG * FT**2
+    inertia = np.array(
+        [[get(f"inertia/i{a}{b}-slugs_ft2") for b in "xyz"] for a in "x"]
+        + [[get("inertia/ixy-slugs_ft2"), get("inertia/iyy-slugs_ft2"), get("inertia/iyz-slugs_ft2")]]
+        + [[get("inertia/ixz-slugs_ft2"), get("inertia/iyz-slugs_ft2"), get("inertia/izz-slugs_ft2")]]
+    )
+    inertia = unit * (np.diag(np.diag(inertia)) - (inertia - np.diag(np.diag(inertia))))
+    reference = model.card.reference
+    return MassProperties(
+        float(get("inertia/mass-slugs")) * SLUG_KG, inertia,
+        reference.S_m2 or get("metrics/Sw-sqft") * FT**2,
+        reference.b_m or get("metrics/bw-ft") * FT,
+        reference.c_m or get("metrics/cbarw-ft") * FT,
+    )  # fmt: skip
+
+
+def surface_positions(model: ReplayModel, segment: Segment, names: Sequence[str]) -> Array:
+    """(n, c) where the controls stood: the record's own values where measured, else what the model's actuators make of them."""
+    from uqharness.replay import CHANNELS, fly_segment
+
+    out = segment.controls.copy()
+    known = {c: p for c, p in model.positions().items() if c in names and c not in model.measured}
+    if known:
+        flown = fly_segment(model, segment, {}, extra=tuple(known.values()))[:, len(CHANNELS) :]
+        for k, control in enumerate(known):
+            column = model.controls.index(control)
+            good = np.isfinite(flown[:, k])
+            out[good, column] = flown[good, k] / model.factor[column]
+    return out

@@ -1,0 +1,361 @@
+"""Identification of a JSBSim aircraft's parameters from flights: equation error to come near, output error by replay to settle.
+
+Output error takes a replay of every segment for its simulation; start states of the segments and sensor biases are estimated
+beside the parameters. Where the residuals show process noise (turbulence), filter error on the same model's open equations takes
+over, and the result says so.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+import uuid
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.aero_terms import regressor, split_name, variables
+from sysid.force_coefficients import demanded, smooth
+from sysid.gaps import channel_noise, process_noise_shown
+from sysid.identifiability import assess
+from sysid.outputerror import output_error
+from sysid.results import OutputErrorFit
+from uqharness.aircraft import Aircraft
+from uqharness.errors import BadInputError
+from uqharness.flights import Flight, measured_outputs, segments, states
+from uqharness.forced import ForcedModel, force_states, surface_positions
+from uqharness.replay import CHANNELS, STATES, Replay, Segment
+from uqharness.replay_model import CONTROLS, ReplayFolder, ReplayModel
+
+Array = NDArray[np.float64]
+OUTPUTS = (
+    "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps",
+    "ax_mps2", "ay_mps2", "az_mps2",
+)  # fmt: skip
+"""Channels that output error compares. Height and heading follow from the others and drift in real sensors."""
+BIASES = ("p_radps", "q_radps", "r_radps")
+_FREE_STARTS = ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps")
+_START_WIDTH = {"V_mps": 6.0, "alpha_rad": 0.2, "beta_rad": 0.2, "phi_rad": 0.3, "theta_rad": 0.2}
+_BIAS_WIDTH = {"V_mps": 5.0, "ax_mps2": 2.0, "ay_mps2": 2.0, "az_mps2": 2.0}
+_DEFAULT_WIDTH = 0.5
+_EQUATION_ERROR_PASSES = 1
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What was estimated, how, and how well it fits.
+
+    names, initial, theta, std, std_crb, status, reason  over the parameters asked for (JSBSim properties)
+    cov (k, k)        of the identified ones, in the order of ``identified``
+    nuisance          biases and start states: name -> (value, std)
+    outputs, measured, modelled  channels and their [(n, m)] arrays, one a segment; modelled includes biases
+    residual          measured minus model of the method used (innovations for filter error), one a segment
+    method            "output error" | "filter error"; simulations: replays of all segments, seconds: wall time they took
+    """
+
+    aircraft: str
+    names: tuple[str, ...]
+    initial: Array
+    theta: Array
+    std: Array
+    std_crb: Array
+    status: Mapping[str, str]
+    reason: Mapping[str, str]
+    cov: Array
+    nuisance: Mapping[str, tuple[float, float]]
+    outputs: tuple[str, ...]
+    segments: tuple[Segment, ...]
+    measured: list[Array]
+    modelled: list[Array]
+    residual: list[Array]
+    whiteness: Array
+    noise: Mapping[str, float]
+    method: str
+    converged: bool
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    simulations: int
+    seconds: float
+
+    @property
+    def identified(self) -> tuple[str, ...]:
+        return tuple(n for n in self.names if self.status[n] == "identified")
+
+
+@contextmanager
+def replay_pool(workers: int | None = None) -> Any:
+    """A `map` over worker processes, started once; the built-in one for a single worker."""
+    count = workers or max(1, min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1))
+    if count == 1:
+        yield map
+        return
+    # Small matrices: idle threads of a linear algebra library would only take the cores from the simulations.
+    before = os.environ.get("OPENBLAS_NUM_THREADS")
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    try:
+        with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
+
+            def spread(function: Callable[[Array], Any], points: Any) -> Any:
+                todo = list(points)
+                if len(todo) < 2 * count:
+                    return [function(point) for point in todo] if len(todo) == 1 else pool.map(function, todo)
+                return pool.map(function, todo, chunksize=max(1, len(todo) // (4 * count)))
+
+            yield spread
+    finally:
+        if before is None:
+            del os.environ["OPENBLAS_NUM_THREADS"]
+        else:
+            os.environ["OPENBLAS_NUM_THREADS"] = before
+
+
+def identify(
+    aircraft: Aircraft,
+    flights: Sequence[Flight],
+    measured: Sequence[str],
+    parameters: Sequence[str] | None = None,
+    *,
+    start: str = "current",
+    biases: Sequence[str] = BIASES,
+    ideal_servos: bool = False,
+    method: str = "auto",
+    workers: int | None = None,
+) -> Identification:
+    """Estimate JSBSim properties from flights.
+
+    measured    surfaces whose columns are positions (`read_flights` says which)
+    parameters  properties; default: the card's [parameters]
+    start       "initial": the card's first guesses; "current": the values in the XML
+    biases      channels with a constant sensor bias, one a flight
+    ideal_servos  surfaces follow their commands at once, whatever actuators the XML has
+    method      "auto" | "output-error" | "filter-error"
+    Raises BadInputError for unknown parameters and for a model that cannot fly the segments.
+    """
+    names = _parameter_names(aircraft, parameters)
+    ideal = tuple(c for c in CONTROLS[:3] if c not in measured) if ideal_servos else ()
+    with ReplayFolder(aircraft, measured=measured, ideal=ideal) as model:
+        cut = [s for f in flights for s in segments(f, measured, aircraft.card.sensors.position_m.get("accelerometer", (0.0, 0.0, 0.0)))]
+        initial = _initial(aircraft, model, names, start)
+        limits = _limits(aircraft, names, initial)
+        begun = time.perf_counter()
+        with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
+            near, notes = equation_error_start(model, straight, flights, cut, names, initial, limits)
+        outputs = tuple(c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights))
+        data = [block for f in flights for block in measured_outputs(f, outputs)]
+        noise = channel_noise(data, outputs, aircraft.card.sensors.noise_std)
+        with replay_pool(workers) as spread:
+            fit, layout, replay = _output_error(
+                model, cut, names, near, initial, limits, outputs, data, [b for b in biases if b in outputs], spread
+            )
+        found = _assemble(aircraft, names, initial, fit, layout, replay, cut, outputs, data, noise, notes, time.perf_counter() - begun)
+        if method == "output-error" or (method == "auto" and not process_noise_shown(fit.residual, found.modelled)):
+            return found
+        from uqharness.identify_filter import filter_route
+
+        with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
+            return filter_route(found, model, straight, flights, limits, biases)
+
+
+def _parameter_names(aircraft: Aircraft, asked: Sequence[str] | None) -> tuple[str, ...]:
+    known = list(aircraft.card.parameters)
+    if asked is None:
+        if not known:
+            raise BadInputError(
+                f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters]; name some with --params aero/Cm_q,..."
+            )
+        return tuple(known)
+    names = tuple(n if "/" in n else f"aero/{n}" for n in asked)
+    if len(set(names)) < len(names):
+        raise BadInputError(f"--params names {max(names, key=names.count)} twice")
+    return names
+
+
+def _initial(aircraft: Aircraft, model: ReplayModel, names: Sequence[str], start: str) -> Array:
+    from uqharness import engine
+
+    fdm = model.open(aircraft.dt_s)
+    engine.require(fdm, names)
+    current = np.array([fdm[name] for name in names])
+    if start == "current":
+        return current
+    card = aircraft.card.parameters
+    guesses = [card[n].initial if n in card else None for n in names]
+    return np.array([c if g is None else g for g, c in zip(guesses, current, strict=True)])
+
+
+def _limits(aircraft: Aircraft, names: Sequence[str], initial: Array) -> list[tuple[float, float]]:
+    out = []
+    for name, value in zip(names, initial, strict=True):
+        card = aircraft.card.parameters.get(name)
+        low, high = card.bounds if card is not None and card.bounds is not None else (-np.inf, np.inf)
+        if not low <= value <= high:
+            raise BadInputError(f"{name}: its start {value:g} lies outside the card's bounds [{low:g}, {high:g}]")
+        out.append((float(low), float(high)))
+    return out
+
+
+def equation_error_start(
+    model: ReplayModel, straight: ReplayModel, flights: Sequence[Flight], cut: Sequence[Segment],
+    names: Sequence[str], initial: Array, limits: Sequence[tuple[float, float]],
+) -> tuple[Array, list[str]]:  # fmt: skip
+    """Parameters (k,) at which the model's forces at the measured states come nearest to those the flight demanded.
+
+    Only parameters that are coefficient terms by name move; the others, and those that the flights do not tell apart, stay.
+    """
+    theta = initial.copy()
+    groups: dict[str, list[int]] = {}
+    for i, name in enumerate(names):
+        parsed = split_name(name)
+        if parsed is not None:
+            groups.setdefault(parsed[0], []).append(i)
+    if not groups:
+        return theta, ["equation error was left out: no parameter is a coefficient term by name"]
+    demand, said, base = [], [], []
+    for segment, (flight, piece) in zip(cut, [(f, p) for f in flights for p in f.pieces], strict=True):
+        channels = states(flight, piece)
+        forced = forced_at(model, straight, segment, channels, dict(zip(names, initial, strict=True)))
+        demand.append(demand_of(channels, forced[0], segment))
+        said.append(smooth(forced[0].coefficients, segment.dt_s))
+        base.append({k: smooth(v, segment.dt_s) for k, v in forced[1].items()})
+    notes = []
+    order = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
+    for coefficient, members in groups.items():
+        column = order.index(coefficient)
+        y = np.concatenate([d[:, column] - s[:, column] for d, s in zip(demand, said, strict=True)])
+        x = np.column_stack(
+            [np.concatenate([regressor(split_name(names[i])[1], b) for b in base]) for i in members]  # type: ignore[index]
+        )
+        gate = assess(x.T @ x, tuple(names[i] for i in members))
+        moved = [i for i, ok in zip(members, gate.identified, strict=True) if ok]
+        delta = np.linalg.lstsq(x[:, gate.identified], y, rcond=None)[0]
+        for i, d in zip(moved, delta, strict=True):
+            low, high = limits[i]
+            # A hair inside, so that output error does not start on a bound.
+            margin = 1e-6 * (high - low) if np.isfinite(high - low) else 0.0
+            theta[i] = float(np.clip(initial[i] + d, low + margin, high - margin))
+    return theta, notes
+
+
+def forced_at(
+    model: ReplayModel, straight: ReplayModel, segment: Segment, channels: Mapping[str, Array], properties: Mapping[str, float]
+) -> tuple[ForcedModel, dict[str, Array]]:
+    """The model forced to a piece's measured states, and the variables of its coefficient terms there."""
+    controls = surface_positions(model, segment, CONTROLS)
+    altitude = segment.altitude_m + (channels["h_m"] - segment.h_m) * 0.0
+    forced = force_states(straight, segment, channels, controls, properties, altitude)
+    de, da, dr = (controls[:, model.controls.index(c)] for c in ("elevator", "aileron", "rudder"))
+    found = variables(
+        channels["V_mps"], channels["alpha_rad"], channels["beta_rad"], channels["p_radps"], channels["q_radps"],
+        channels["r_radps"], de, da, dr, forced.mass.b, forced.mass.c,
+    )  # fmt: skip
+    return forced, found
+
+
+def demand_of(channels: Mapping[str, Array], forced: ForcedModel, segment: Segment) -> Array:
+    """(n, 6) coefficients that the flight demanded in a piece."""
+    return demanded(
+        np.column_stack([channels[f"a{a}_mps2"] for a in "xyz"]),
+        np.column_stack([channels[f"{a}_radps"] for a in "pqr"]),
+        forced.qbar, forced.mass, forced.other_force, forced.other_moment, segment.dt_s, np.array(segment.arm_m),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Layout:
+    """theta of the replay: parameters first, then biases and start states."""
+
+    names: tuple[str, ...]
+    bounds: list[tuple[float, float]]
+
+
+def nuisance_layout(
+    names: Sequence[str], limits: Sequence[tuple[float, float]], cut: Sequence[Segment], biases: Sequence[str],
+    outputs: Sequence[str],
+) -> Layout:  # fmt: skip
+    """Parameters, then one bias a flight and channel, then the start states of every segment."""
+    extra, bounds = [], list(limits)
+    for flight in dict.fromkeys(s.flight for s in cut):
+        for channel in biases:
+            extra.append(f"bias/{flight}/{channel}")
+            width = _BIAS_WIDTH.get(channel, 0.1)
+            bounds.append((-width, width))
+    for number in range(len(cut)):
+        for state in _FREE_STARTS:
+            if state not in outputs:
+                continue
+            extra.append(f"start/{number}/{state}")
+            width = _START_WIDTH.get(state, _DEFAULT_WIDTH)
+            bounds.append((-width, width))
+    return Layout((*names, *extra), bounds)
+
+
+def _output_error(
+    model: ReplayModel, cut: Sequence[Segment], names: Sequence[str], near: Array, initial: Array,
+    limits: Sequence[tuple[float, float]], outputs: tuple[str, ...], data: list[Array], biases: Sequence[str], spread: Any,
+) -> tuple[OutputErrorFit, Layout, Replay]:  # fmt: skip
+    layout = nuisance_layout(names, limits, cut, biases, outputs)
+    replay = Replay(model, cut, layout.names, outputs, uuid.uuid4().hex)
+    theta0 = np.zeros(len(layout.names))
+    theta0[: len(names)] = near
+    pool = None if spread is map else spread
+
+    def fit_from(theta: Array, free: list[str]) -> OutputErrorFit:
+        return output_error(
+            replay, theta, data, names=layout.names, bounds=layout.bounds, free=free, map=pool, tolerance=0.01, max_iterations=40
+        )
+
+    free = list(layout.names)
+    try:
+        fit = fit_from(theta0, free)
+    except ValueError as error:
+        if "fails at theta0" not in str(error):
+            raise BadInputError(str(error)) from None
+        theta0[: len(names)] = initial
+        try:
+            fit = fit_from(theta0, free)
+        except ValueError as again:
+            raise BadInputError(f"the model cannot fly these segments: {again}; give other start values (--start)") from None
+    lost = [n for n in names if fit.status[n] == "not-identified"]
+    if lost:
+        # What the data do not determine goes back to where it was, so that the rest is estimated beside values that will be flown.
+        theta = fit.theta.copy()
+        for n in lost:
+            theta[layout.names.index(n)] = initial[list(names).index(n)]
+        again_fit = fit_from(theta, [n for n in free if n not in lost])
+        status = {**again_fit.status, **dict.fromkeys(lost, "not-identified")}
+        reason = {**again_fit.reason, **{n: fit.reason[n] for n in lost}}
+        kept = [w for w in fit.warnings if any(w.startswith(f"{n} not identified") for n in lost)]
+        fit = replace(
+            again_fit, status=status, reason=reason, warnings=kept + again_fit.warnings,
+            n_simulations=fit.n_simulations + again_fit.n_simulations,
+        )  # fmt: skip
+    return fit, layout, replay
+
+
+def _assemble(
+    aircraft: Aircraft, names: tuple[str, ...], initial: Array, fit: OutputErrorFit, layout: Layout, replay: Replay,
+    cut: Sequence[Segment], outputs: tuple[str, ...], data: list[Array], noise: Mapping[str, float], notes: Sequence[str],
+    seconds: float,
+) -> Identification:  # fmt: skip
+    k = len(names)
+    identified = [i for i in range(k) if fit.status[names[i]] == "identified"]
+    hidden = {n: (float(fit.theta[i]), float(fit.std[i])) for i, n in enumerate(layout.names) if i >= k}
+    # A start state that two channels cannot tell apart is nobody's concern; a parameter is.
+    warnings = [w for w in fit.warnings if not w.startswith(("start/", "bias/"))]
+    assert isinstance(fit.residual, list)
+    return Identification(
+        aircraft=aircraft.name, names=names, initial=initial, theta=fit.theta[:k], std=fit.std[:k], std_crb=fit.std_crb[:k],
+        status={n: fit.status[n] for n in names}, reason={n: fit.reason[n] for n in names},
+        cov=fit.cov[np.ix_(identified, identified)], nuisance=hidden, outputs=outputs, segments=tuple(cut), measured=data,
+        modelled=replay(fit.theta), residual=fit.residual, whiteness=fit.whiteness, noise=noise, method="output error",
+        converged=fit.converged, warnings=tuple(warnings), notes=tuple(notes), simulations=fit.n_simulations, seconds=seconds,
+    )  # fmt: skip
+
+
+__all__ = ["BIASES", "CHANNELS", "OUTPUTS", "STATES", "Identification", "identify", "replay_pool"]

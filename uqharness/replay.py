@@ -1,0 +1,246 @@
+"""Replay of recorded flight by JSBSim: the record's controls in, the model's channels at the record's sample times out.
+
+Timing. A record's command k acts from sample k on: the acceleration of sample k has seen it, the rates only later. So the command
+is set before the run that arrives at sample k, and never earlier: one run too early or late is a lag in every servo.
+JSBSim's actuators (Tustin) and the second-order integrators both take a step for a ramp that began one run before, half a run
+early in the mean; half a step is therefore taken back for one run after each step, which keeps first-order errors out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness import engine
+from uqharness.properties import STANDARD
+from uqharness.replay_model import ReplayModel
+from uqharness.trim import FT, TRIM_LATITUDE_DEG, body_velocity
+
+Array = NDArray[np.float64]
+CHANNELS = (
+    "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "psi_rad",
+    "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2", "h_m",
+)  # fmt: skip
+"""Columns of a replay, in this order."""
+STATES = ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "psi_rad", "p_radps", "q_radps", "r_radps")
+"""Start state, in this order; the altitude comes besides."""
+MAX_STEP_S = 0.01
+MIN_RUNS = 2
+_CACHE_SIZE = 400
+_ANGULAR = ("accelerations/pdot-rad_sec2", "accelerations/qdot-rad_sec2", "accelerations/rdot-rad_sec2")
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One piece to fly through.
+
+    time_s (n,) equidistant; controls (n, c) in the record's units, in the model's order of controls; start (9,) as STATES;
+    altitude_m above sea level at the start; h_m what the record calls its height there; arm_m place of the accelerometers
+    from the CG.
+    """
+
+    label: str
+    flight: str
+    time_s: Array
+    controls: Array
+    start: Array
+    altitude_m: float
+    h_m: float
+    arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def dt_s(self) -> float:
+        return float(self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1)
+
+
+def runs_per_row(dt_s: float) -> int:
+    """JSBSim runs from one row to the next: at least two, none longer than MAX_STEP_S."""
+    return max(MIN_RUNS, math.ceil(dt_s / MAX_STEP_S - 1e-6))
+
+
+def fly_segment(
+    model: ReplayModel, segment: Segment, properties: Mapping[str, float], start: Array | None = None,
+    extra: Sequence[str] = (),
+) -> Array:
+    """(n, 13 + len(extra)) outputs: CHANNELS, then the properties ``extra`` in their own units.
+
+    properties are set before initialising; start (9,) replaces the segment's own. Rows after a failure in flight are NaN.
+    Raises BadInputError for a property that the model has not.
+    """
+    runs = runs_per_row(segment.dt_s)
+    fdm = model.open(segment.dt_s / runs)
+    for name, value in properties.items():
+        engine.set_property(fdm, name, value)
+    setters = _setters(fdm, model)
+    _initialise(fdm, segment, segment.start if start is None else start, setters, model)
+    read = _reader(fdm, [*extra], any(segment.arm_m))
+    rows = _advance(fdm, segment, setters, read, runs, [name in model.measured for name in model.controls], model.factor)
+    return _outputs(rows, segment, len(extra))
+
+
+def _setters(fdm: Any, model: ReplayModel) -> list[list[Any]]:
+    found = []
+    for name in model.controls:
+        prop = model.card.inputs[name].property
+        handles = [engine.handle(fdm, prop).set_double_value]
+        if prop == "fcs/throttle-cmd-norm":
+            handles += [
+                engine.handle(fdm, f"{prop}[{i}]").set_double_value
+                for i in range(1, fdm.get_propulsion().get_num_engines())
+            ]
+        found.append(handles)
+    return found
+
+
+def _initialise(fdm: Any, segment: Segment, start: Array, setters: list[list[Any]], model: ReplayModel) -> None:
+    for handles, value, factor in zip(setters, segment.controls[0], model.factor, strict=True):
+        for put in handles:
+            put(float(value) * factor)
+    V, alpha, beta, phi, theta, psi, p, q, r = (float(x) for x in start)
+    u, v, w = body_velocity(V, alpha, beta)
+    fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
+    fdm["ic/terrain-elevation-ft"] = (segment.altitude_m - 2000.0) / FT
+    fdm["ic/h-sl-ft"] = segment.altitude_m / FT
+    fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = phi, theta, psi % (2.0 * math.pi)
+    fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"] = u / FT, v / FT, w / FT
+    fdm["ic/p-rad_sec"], fdm["ic/q-rad_sec"], fdm["ic/r-rad_sec"] = p, q, r
+    if fdm.get_propulsion().get_num_engines() > 0 and fdm.get_property_manager().hasNode("propulsion/set-running"):
+        fdm["propulsion/set-running"] = -1
+    engine.run_ic(fdm)
+
+
+def _reader(fdm: Any, extra: Sequence[str], angular: bool) -> Any:
+    names = [STANDARD[c].property for c in CHANNELS]
+    names += ["inertia/mass-slugs", *(_ANGULAR if angular else ()), *extra]
+    handles = [engine.handle(fdm, name).get_double_value for name in names]
+    return lambda: [get() for get in handles]
+
+
+def _advance(
+    fdm: Any, segment: Segment, setters: list[list[Any]], read: Any, runs: int, smooth: list[bool], factor: Sequence[float]
+) -> list[list[float]]:
+    """Raw rows; ends early when JSBSim throws or the speed is no longer finite."""
+    values = (segment.controls * np.array(factor)).tolist()
+    run = fdm.run
+    out = [read()]
+    held = values[0]
+    plan = [(handles[0], handles[1:], interpolated) for handles, interpolated in zip(setters, smooth, strict=True)]
+
+    def put(numbers: list[float]) -> None:
+        for (first, others, _), value in zip(plan, numbers, strict=True):
+            first(value)
+            for other in others:
+                other(value)
+
+    try:
+        for row in range(1, len(values)):
+            now, then = values[row - 1], values[row]
+            stepped = now != held
+            for k in range(1, runs):
+                share = k / runs
+                # Positions are continuous and interpolated; commands are held, half of a new step being taken back for one run.
+                if stepped or now != then:
+                    put([
+                        a + share * (b - a) if interpolated else (0.5 * (a + h) if k == 1 else a)
+                        for (_, _, interpolated), a, b, h in zip(plan, now, then, held, strict=True)
+                    ])  # fmt: skip
+                run()
+            put(then)
+            run()
+            held = now
+            sample = read()
+            if not math.isfinite(sample[0]) or sample[0] > 1e5:
+                break
+            out.append(sample)
+    except engine.RuntimeFailure as error:
+        engine.explain(fdm, error)
+    return out
+
+
+def _outputs(rows: list[list[float]], segment: Segment, extra: int) -> Array:
+    raw = np.array(rows)
+    n, c = len(segment.time_s), len(CHANNELS)
+    out = np.full((n, c + extra), np.nan)
+    done = len(raw)
+    mass = raw[:, c]
+    for k, name in enumerate(CHANNELS):
+        source = STANDARD[name]
+        out[:done, k] = raw[:, k] * source.factor / (mass if source.over else 1.0)
+    psi = CHANNELS.index("psi_rad")
+    turned = np.unwrap(out[:done, psi])
+    # As near the start's heading as possible: measured headings are unwrapped from there.
+    out[:done, psi] = turned + 2.0 * np.pi * round((segment.start[5] - turned[0]) / (2.0 * np.pi))
+    out[:done, -1 - extra] += segment.h_m - out[0, -1 - extra]
+    if any(segment.arm_m):
+        rates, rates_dot = out[:done, 6:9], raw[:, c + 1 : c + 4]
+        arm = np.array(segment.arm_m)
+        out[:done, 9:12] += np.cross(rates_dot, arm) + np.cross(rates, np.cross(rates, arm))
+    if extra:
+        out[:done, c:] = raw[:, -extra:]
+    return out
+
+
+class Replay:
+    """simulate(theta) of a set of segments, for the estimators: picklable, with the runs of late memory kept.
+
+    theta is laid out by ``names``: JSBSim properties; ``bias/<flight>/<channel>`` added to an output; and
+    ``start/<segment number>/<state>`` added to a segment's start state. What a perturbed value does not touch is not flown again.
+    channels: which of CHANNELS are returned.
+    """
+
+    def __init__(
+        self, model: ReplayModel, segments: Sequence[Segment], names: Sequence[str], channels: Sequence[str],
+        token: str, base: Mapping[str, float] | None = None,
+    ) -> None:  # fmt: skip
+        self.model, self.segments, self.names = model, tuple(segments), tuple(names)
+        self.channels, self.token = tuple(channels), token
+        self.base = dict(base or {})
+        self._columns = [CHANNELS.index(c) for c in channels]
+        self._properties = [(i, n) for i, n in enumerate(names) if not n.startswith(("bias/", "start/"))]
+        self._biases: dict[str, list[tuple[int, int]]] = {}
+        self._starts: dict[int, list[tuple[int, int]]] = {}
+        for i, name in enumerate(names):
+            kind, _, rest = name.partition("/")
+            where, _, what = rest.rpartition("/")
+            if kind == "bias" and what in self.channels:
+                self._biases.setdefault(where, []).append((i, self.channels.index(what)))
+            elif kind == "start":
+                self._starts.setdefault(int(where), []).append((i, STATES.index(what)))
+
+    def __call__(self, theta: Array) -> list[Array]:
+        """[(n, m)] outputs, one array a segment."""
+        properties = {**self.base, **{n: float(theta[i]) for i, n in self._properties}}
+        out = []
+        for number, segment in enumerate(self.segments):
+            start = segment.start.copy()
+            for i, k in self._starts.get(number, ()):
+                start[k] += theta[i]
+            flown = self._flown(number, segment, properties, start)[:, self._columns].copy()
+            for i, k in self._biases.get(segment.flight, ()):
+                flown[:, k] += theta[i]
+            out.append(flown)
+        return out
+
+    def _flown(self, number: int, segment: Segment, properties: Mapping[str, float], start: Array) -> Array:
+        key = (self.token, number, np.array(list(properties.values())).tobytes(), start.tobytes())
+        found = _flown.get(key)
+        if found is None:
+            found = fly_segment(self.model, segment, properties, start)
+            _flown[key] = found
+            counter["rows"] += len(found)
+            while len(_flown) > _CACHE_SIZE:
+                _flown.popitem(last=False)
+        else:
+            _flown.move_to_end(key)
+        return found
+
+
+# Memory of the process, shared by unpickled copies of the same replay: perturbing one segment's start leaves the others as they were.
+_flown: OrderedDict[tuple[str, int, bytes, bytes], Array] = OrderedDict()
+counter = {"rows": 0}

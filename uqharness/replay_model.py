@@ -1,0 +1,166 @@
+"""The aircraft made ready for replay: a copy without idle systems and, where surfaces are given, without actuators.
+
+A copy, because JSBSim offers no property that takes a servo's lag away: a measured surface position must not go through the lag
+a second time. Only the copy differs; every number of the aerodynamics is the original's.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from lxml import etree
+
+from uqharness import engine
+from uqharness.aircraft import Aircraft, Card, check_loadable, parse_xml
+from uqharness.errors import BadInputError
+
+CONTROLS = ("elevator", "aileron", "rudder", "throttle")
+_ACTUATOR_DYNAMICS = ("lag", "rate_limit", "hysteresis", "deadband_width", "bias")
+# Second order for smooth motion. JSBSim's default for the rates is Euler's rule, which at 100 Hz makes roll damping 4 % too
+# strong; an identification would put the difference into the coefficients.
+_INTEGRATORS = {
+    "simulation/integrator/rate/rotational": 3.0,
+    "simulation/integrator/rate/translational": 3.0,
+    "simulation/integrator/position/rotational": 3.0,
+}
+
+
+@dataclass(frozen=True)
+class ReplayModel:
+    """What a process needs to open the copy; picklable, valid while its `ReplayFolder` is open.
+
+    ``measured`` controls whose values are positions, continuous between samples; the others are commands, held.
+    ``factor`` record unit -> property unit of each control, in the order of ``controls``.
+    """
+
+    root: Path
+    name: str
+    engine_path: Path
+    systems_path: Path
+    card: Card
+    controls: tuple[str, ...]
+    measured: tuple[str, ...]
+    factor: tuple[float, ...]
+    settings: Mapping[str, float] = field(default_factory=dict)
+
+    def open(self, dt_s: float) -> Any:
+        """A fresh ``FGFDMExec`` in the card's open-loop mode with the replay's integrators, nothing run. Raises BadInputError."""
+        fdm = engine.open_fdm(self.root, self.name, dt_s, self.root / "aircraft", self.engine_path, self.systems_path)
+        for name, value in {**self.card.modes.get("open_loop", {}), **self.settings}.items():
+            engine.set_property(fdm, name, value)
+        for name, value in _INTEGRATORS.items():
+            fdm[name] = value
+        return fdm
+
+    def positions(self) -> dict[str, str]:
+        """Control -> property of its position, of those controls whose card names one."""
+        return {c: p for c in self.controls if (p := self.card.inputs[c].position) is not None}
+
+
+class ReplayFolder:
+    """Context that holds the copy of an aircraft for replay.
+
+    measured  controls whose record columns are surface positions: their actuators pass everything through (stops remain)
+    ideal     further controls whose actuators pass everything through, though their columns are commands
+    settings  properties set on every instance
+    Raises BadInputError when the card lacks a control asked for.
+    """
+
+    def __init__(
+        self,
+        aircraft: Aircraft,
+        controls: Sequence[str] = CONTROLS,
+        measured: Sequence[str] = (),
+        ideal: Sequence[str] = (),
+        settings: Mapping[str, float] | None = None,
+    ) -> None:
+        check_loadable(aircraft)
+        missing = [name for name in controls if name not in aircraft.card.inputs]
+        if missing:
+            raise BadInputError(
+                f"aircraft '{aircraft.name}': its airframe.toml has no [inputs.{missing[0]}]; a replay needs to know which "
+                "property that control is"
+            )
+        self._temporary = tempfile.TemporaryDirectory(prefix="uqharness-")
+        root = Path(self._temporary.name)
+        copy = root / "aircraft" / aircraft.name
+        shutil.copytree(aircraft.folder, copy, symlinks=False)
+        card = aircraft.card
+        _edit(copy, aircraft.xml.name, card, (*measured, *ideal))
+        self.model = ReplayModel(
+            root, aircraft.name, aircraft.engine_path, aircraft.systems_path, card, tuple(controls), tuple(measured),
+            tuple(_factor(card, name) for name in controls), dict(settings or {}),
+        )  # fmt: skip
+        _declare_orphans(self.model, copy / aircraft.xml.name, aircraft.dt_s)
+
+    def __enter__(self) -> ReplayModel:
+        return self.model
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
+        self._temporary.cleanup()
+
+
+def _factor(card: Card, control: str) -> float:
+    """Record unit (deg, percent) to the property's unit."""
+    unit, limits = card.inputs[control].unit, card.inputs[control].limits
+    if unit == "rad":
+        return 0.017453292519943295
+    if unit != "norm":
+        return 1.0
+    if control == "throttle":
+        return 0.01
+    raise BadInputError(
+        f"[inputs.{control}] is normalised (unit norm, limits {limits}) and a record is in degrees: nothing says what throw 1 means; "
+        "give the card a property in deg or rad"
+    )
+
+
+def _edit(folder: Path, main: str, card: Card, direct: Sequence[str]) -> None:
+    """Take idle systems out of the main file, dynamics out of the actuators of ``direct`` in every file."""
+    positions = {card.inputs[name].position for name in direct} - {None}
+    for path in sorted(folder.rglob("*.xml")):
+        tree = parse_xml(path)
+        root = tree.getroot()
+        changed = False
+        if path.name == main and path.parent == folder:
+            for system in root.findall("system"):
+                if system.get("file") in card.replay.without_systems:
+                    root.remove(system)
+                    changed = True
+        for actuator in root.iter("actuator"):
+            if actuator.get("name") in positions:
+                for kind in _ACTUATOR_DYNAMICS:
+                    for element in actuator.findall(kind):
+                        actuator.remove(element)
+                        changed = True
+        if changed:
+            tree.write(str(path), encoding="UTF-8", xml_declaration=True)
+
+
+def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> None:
+    """Declare, at zero, the properties that only the systems left out used to make."""
+    fdm = engine.open_fdm(
+        model.root, model.name, dt_s, model.root / "aircraft", model.engine_path, model.systems_path
+    )
+    manager = fdm.get_property_manager()
+    names = [n for n in model.card.modes.get("open_loop", {}) if not manager.hasNode(n)]
+    names += engine.undefined_properties(fdm)
+    if not names:
+        return
+    tree = parse_xml(xml)
+    root = tree.getroot()
+    system = etree.Element("system", name="left out of the replay")
+    for name in names:
+        etree.SubElement(system, "property", value="0").text = name
+    first = next((e for e in root if e.tag in ("system", "autopilot", "flight_control", "aerodynamics")), None)
+    if first is None:
+        root.append(system)
+    else:
+        first.addprevious(system)
+    tree.write(str(xml), encoding="UTF-8", xml_declaration=True)
