@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_filter
 
 FloatArray = NDArray[np.float64]
 CUTOFF_HZ = 6.0
@@ -36,20 +35,49 @@ class MassProperties:
         return np.array([self.b, self.c, self.b])
 
 
-def window(dt_s: float, cutoff_hz: float = CUTOFF_HZ) -> int:
-    """Odd number of samples of a quadratic local fit with that cut-off at -3 dB (Schafer, IEEE Sig. Proc. Mag. 28, 2011)."""
-    half = (3.0 * 0.5 / (dt_s * cutoff_hz) + 4.6) / 3.2
-    return 2 * max(2, round(half)) + 1
+def half_width(dt_s: float, cutoff_hz: float = CUTOFF_HZ) -> int:
+    """Samples m on either side of a local fit whose smoother has lost half of a wave's power at ``cutoff_hz``.
+
+    The smoother's weights are a parabola; its transform 3 (sin x - x cos x)/x^3 is 1/sqrt(2) at x = 2 pi f m dt = 1.8.
+    """
+    return max(1, round(1.8 / (2.0 * np.pi * cutoff_hz * dt_s)))
 
 
 def smooth(values: FloatArray, dt_s: float, cutoff_hz: float = CUTOFF_HZ, derivative: int = 0) -> FloatArray:
-    """(n, ...) values or their time derivative by quadratic local fits along axis 0; shorter windows where n is small."""
-    size = window(dt_s, cutoff_hz)
-    if len(values) < size:
-        size = len(values) - 1 + len(values) % 2
-    if size < 3:
-        return np.zeros_like(values) if derivative else values
-    return np.asarray(savgol_filter(values, size, min(2, size - 1), deriv=derivative, delta=dt_s, axis=0))
+    """(n, ...) smoothed values, or their time derivative, along axis 0; narrower fits towards the ends.
+
+    The derivative is the slope of a straight line fitted to 2 m + 1 samples (Savitzky and Golay). It equals the true derivative
+    averaged with parabolic weights, and those are the weights of the smoother: so a smoothed moment and a differentiated rate
+    can be compared, even across a step of a surface.
+    """
+    n, widest = len(values), half_width(dt_s, cutoff_hz)
+    out = np.empty(np.shape(values))
+    inner = [_kernel(m, dt_s, derivative) for m in range(widest + 1)]
+    if n > 2 * widest:
+        windows = np.lib.stride_tricks.sliding_window_view(values, 2 * widest + 1, axis=0)
+        out[widest : n - widest] = windows @ inner[widest]
+    edges = [*range(min(widest, n)), *range(max(widest, n - widest), n)] if n > 2 * widest else range(n)
+    for k in edges:
+        m = min(widest, k, n - 1 - k)
+        if m == 0 and derivative:
+            a, b = (0, 1) if k == 0 else (n - 2, n - 1)
+            out[k] = (values[b] - values[a]) / dt_s if n > 1 else 0.0
+        else:
+            out[k] = np.tensordot(inner[m], values[k - m : k + m + 1], axes=1)
+    return out
+
+
+def _kernel(m: int, dt_s: float, derivative: int) -> FloatArray:
+    at = np.arange(-m, m + 1)
+    if m == 0:
+        return np.ones(1)
+    square = float(np.sum(at**2))
+    if derivative:
+        return at / (square * dt_s)
+    far = np.abs(at)
+    # Sum of j over j > |i|, and half of |i|: what the pairs (j, -j) give sample i when the derivative is summed by trapezia.
+    weight = 0.5 * (m * (m + 1) - far * (far + 1)) + 0.5 * far
+    return np.asarray(weight / square)
 
 
 def at_cg(specific_force: FloatArray, rates: FloatArray, rates_dot: FloatArray, arm_m: FloatArray) -> FloatArray:

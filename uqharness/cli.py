@@ -10,7 +10,16 @@ import os
 import sys
 from collections.abc import Sequence
 
-from uqharness import __version__, campaign_commands, fly_command, margins_command, modes_command
+from uqharness import (
+    __version__,
+    campaign_commands,
+    compare_command,
+    fly_command,
+    identify_command,
+    log_command,
+    margins_command,
+    modes_command,
+)
 from uqharness.errors import BadInputError
 
 
@@ -21,7 +30,9 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"uqharness {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for module in (fly_command, modes_command, margins_command, campaign_commands):
+    for module in (
+        fly_command, modes_command, margins_command, log_command, identify_command, compare_command, campaign_commands,
+    ):  # fmt: skip
         module.register(commands)
     return parser
 

@@ -137,10 +137,16 @@ def segments(flight: Flight, measured: Sequence[str], arm_m: tuple[float, float,
         out.append(
             Segment(
                 piece.label, flight.name, grid, np.column_stack([record[c][rows] for c in control_columns(measured)]),
-                start, _altitude(record, rows, h), h, arm_m,
+                start, _altitude(record, rows, h), h, arm_m, np.column_stack([_command(record, c, rows) for c in CONTROLS]),
             )
         )  # fmt: skip
     return out
+
+
+def _command(record: FlightRecord, control: str, rows: slice) -> Array:
+    column = _COLUMN[control]
+    known = record[column][rows] if column in record else np.full(rows.stop - rows.start, np.nan)
+    return np.asarray(known, dtype=np.float64)
 
 
 def _start(record: FlightRecord, name: str, rows: slice) -> float:

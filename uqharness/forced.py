@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ _MOMENTS = tuple(f"moments/{a}-{kind}-lbsft" for kind in ("total", "aero") for a
 
 @dataclass(frozen=True)
 class ForcedModel:
-    """What the model says at n states: aerodynamic and other forces [N] and moments about the CG [N m], (n, 3) each; qbar (n,) [Pa].
+    """What the model says at n states: aerodynamic and other forces [N], moments about the CG [N m], (n, 3) each; qbar (n,) [Pa].
 
     ``other`` is everything but aerodynamics and gravity, thrust above all. ``coefficients`` (n, 6) CX CY CZ Cl Cm Cn.
     """
@@ -84,9 +85,9 @@ def force_states(
     )
 
 
-def mass_properties(fdm: object, model: ReplayModel) -> MassProperties:
+def mass_properties(fdm: Any, model: ReplayModel) -> MassProperties:
     """Mass, inertia and reference lengths of an initialised instance; the card's lengths win."""
-    get = fdm.__getitem__  # type: ignore[attr-defined]
+    get = fdm.__getitem__
     unit = SLUG_KG * FT**2
     inertia = np.array(
         [[get(f"inertia/i{a}{b}-slugs_ft2") for b in "xyz"] for a in "x"]

@@ -140,7 +140,8 @@ def identify(
     names = _parameter_names(aircraft, parameters)
     ideal = tuple(c for c in CONTROLS[:3] if c not in measured) if ideal_servos else ()
     with ReplayFolder(aircraft, measured=measured, ideal=ideal) as model:
-        cut = [s for f in flights for s in segments(f, measured, aircraft.card.sensors.position_m.get("accelerometer", (0.0, 0.0, 0.0)))]
+        arm = aircraft.card.sensors.position_m.get("accelerometer", (0.0, 0.0, 0.0))
+        cut = [s for f in flights for s in segments(f, measured, arm)]
         initial = _initial(aircraft, model, names, start)
         limits = _limits(aircraft, names, initial)
         begun = time.perf_counter()
@@ -153,8 +154,9 @@ def identify(
             fit, layout, replay = _output_error(
                 model, cut, names, near, initial, limits, outputs, data, [b for b in biases if b in outputs], spread
             )
-        found = _assemble(aircraft, names, initial, fit, layout, replay, cut, outputs, data, noise, notes, time.perf_counter() - begun)
-        if method == "output-error" or (method == "auto" and not process_noise_shown(fit.residual, found.modelled)):
+        seconds = time.perf_counter() - begun
+        found = _assemble(aircraft, names, initial, fit, layout, replay, cut, outputs, data, noise, notes, seconds)
+        if method == "output-error" or (method == "auto" and not process_noise_shown(found.residual, found.modelled)):
             return found
         from uqharness.identify_filter import filter_route
 
@@ -216,6 +218,7 @@ def equation_error_start(
             groups.setdefault(parsed[0], []).append(i)
     if not groups:
         return theta, ["equation error was left out: no parameter is a coefficient term by name"]
+    notes: list[str] = []
     demand, said, base = [], [], []
     for segment, (flight, piece) in zip(cut, [(f, p) for f in flights for p in f.pieces], strict=True):
         channels = states(flight, piece)
@@ -223,7 +226,6 @@ def equation_error_start(
         demand.append(demand_of(channels, forced[0], segment))
         said.append(smooth(forced[0].coefficients, segment.dt_s))
         base.append({k: smooth(v, segment.dt_s) for k, v in forced[1].items()})
-    notes = []
     order = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
     for coefficient, members in groups.items():
         column = order.index(coefficient)

@@ -42,7 +42,7 @@ class Segment:
 
     time_s (n,) equidistant; controls (n, c) in the record's units, in the model's order of controls; start (9,) as STATES;
     altitude_m above sea level at the start; h_m what the record calls its height there; arm_m place of the accelerometers
-    from the CG.
+    from the CG; targets (n, c) the commands behind measured positions, NaN where there are none.
     """
 
     label: str
@@ -53,6 +53,7 @@ class Segment:
     altitude_m: float
     h_m: float
     arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    targets: Array | None = None
 
     @property
     def dt_s(self) -> float:
@@ -122,38 +123,53 @@ def _reader(fdm: Any, extra: Sequence[str], angular: bool) -> Any:
     return lambda: [get() for get in handles]
 
 
+def _between(segment: Segment, runs: int, measured: Sequence[bool]) -> Array:
+    """(n - 1, runs - 1, c) control values of the runs between rows.
+
+    A command is held, half of a new step being taken back for one run (see the module's text). A measured position goes to the next
+    one as a servo does: exponentially towards its command where that is known and explains the two, else in a straight line.
+    """
+    now, then = segment.controls[:-1], segment.controls[1:]
+    before = np.vstack([now[:1], now[:-1]])
+    out = np.repeat(now[:, None, :], runs - 1, axis=1)
+    out[:, 0, :] = 0.5 * (now + before)
+    share = (np.arange(1, runs) / runs)[None, :, None]
+    straight = now[:, None, :] + share * (then - now)[:, None, :]
+    if segment.targets is not None:
+        away, later = now - segment.targets[:-1], then - segment.targets[:-1]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            decay = later / away
+            lag = (decay > 1e-3) & (decay < 1.0) & (np.abs(away) > 1e-6)
+            bent = segment.targets[:-1, None, :] + away[:, None, :] * np.where(lag, decay, 1.0)[:, None, :] ** share
+        straight = np.where(lag[:, None, :], bent, straight)
+    return np.where(np.asarray(measured)[None, None, :], straight, out)
+
+
 def _advance(
-    fdm: Any, segment: Segment, setters: list[list[Any]], read: Any, runs: int, smooth: list[bool], factor: Sequence[float]
+    fdm: Any, segment: Segment, setters: list[list[Any]], read: Any, runs: int, measured: Sequence[bool], factor: Sequence[float]
 ) -> list[list[float]]:
     """Raw rows; ends early when JSBSim throws or the speed is no longer finite."""
-    values = (segment.controls * np.array(factor)).tolist()
+    scale = np.array(factor)
+    values = (segment.controls * scale).tolist()
+    between = (_between(segment, runs, measured) * scale).tolist()
     run = fdm.run
     out = [read()]
-    held = values[0]
-    plan = [(handles[0], handles[1:], interpolated) for handles, interpolated in zip(setters, smooth, strict=True)]
+    plan = [(handles[0], handles[1:]) for handles in setters]
+    last = values[0]
 
     def put(numbers: list[float]) -> None:
-        for (first, others, _), value in zip(plan, numbers, strict=True):
+        for (first, others), value in zip(plan, numbers, strict=True):
             first(value)
             for other in others:
                 other(value)
 
     try:
-        for row in range(1, len(values)):
-            now, then = values[row - 1], values[row]
-            stepped = now != held
-            for k in range(1, runs):
-                share = k / runs
-                # Positions are continuous and interpolated; commands are held, half of a new step being taken back for one run.
-                if stepped or now != then:
-                    put([
-                        a + share * (b - a) if interpolated else (0.5 * (a + h) if k == 1 else a)
-                        for (_, _, interpolated), a, b, h in zip(plan, now, then, held, strict=True)
-                    ])  # fmt: skip
+        for steps, then in zip(between, values[1:], strict=True):
+            for numbers in (*steps, then):
+                if numbers != last:
+                    put(numbers)
+                    last = numbers
                 run()
-            put(then)
-            run()
-            held = now
             sample = read()
             if not math.isfinite(sample[0]) or sample[0] > 1e5:
                 break
@@ -241,6 +257,6 @@ class Replay:
         return found
 
 
-# Memory of the process, shared by unpickled copies of the same replay: perturbing one segment's start leaves the others as they were.
+# Memory of the process, shared by unpickled copies of a replay: perturbing one segment's start leaves the others as they were.
 _flown: OrderedDict[tuple[str, int, bytes, bytes], Array] = OrderedDict()
 counter = {"rows": 0}

@@ -116,7 +116,7 @@ def _factor(card: Card, control: str) -> float:
     if control == "throttle":
         return 0.01
     raise BadInputError(
-        f"[inputs.{control}] is normalised (unit norm, limits {limits}) and a record is in degrees: nothing says what throw 1 means; "
+        f"[inputs.{control}] is normalised (limits {limits}) and a record is in degrees: nothing says what throw 1 means; "
         "give the card a property in deg or rad"
     )
 

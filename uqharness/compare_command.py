@@ -1,0 +1,83 @@
+"""``uqharness compare``: how far the model is from a flight, channel by channel, coefficient by coefficient."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import re
+from typing import Any
+
+from uqharness.aircraft import find_aircraft
+from uqharness.errors import BadInputError
+from uqharness.identify_command import add_flight_arguments, parse_biases, results_folder
+
+_EXAMPLE = """examples:
+  uqharness compare espaaro --flight doublets.parquet --out gap
+  uqharness compare identified/aircraft --flight flight3.bin --manoeuvres manoeuvres.csv --servos ideal --out gap
+
+DIR/compare.json, DIR/channels.csv, coefficients.csv, manoeuvres.csv, moments.csv, DIR/report.md and DIR/figures/*.svg.
+Exit code 1: the model does not reach the noise floor, that is, the rms of measured minus model is above 1.15 times the
+noise in at least one of V, alpha, beta, phi, theta, p, q, r, ax, ay, az (as far as the record has them)."""
+
+
+def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = commands.add_parser(
+        "compare",
+        help="a flight beside the model",
+        description="Replay a flight by segment and measure the gap to the model against the sensors' noise.",
+        epilog=_EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_flight_arguments(parser, many=False)
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core, 8 at most)")
+    parser.add_argument("--no-figures", action="store_true", help="leave out the figures")
+    parser.add_argument("--json", action="store_true", help="print compare.json")
+    parser.set_defaults(handler=_run)
+
+
+def _run(args: argparse.Namespace) -> int:
+    aircraft = find_aircraft(args.aircraft)
+    biases = parse_biases(args.biases)
+    if args.workers is not None and args.workers < 1:
+        raise BadInputError(f"--workers {args.workers}: at least 1")
+    if not args.out.exists() and not args.out.absolute().parent.is_dir():
+        raise BadInputError(f"--out {args.out}: the folder {args.out.absolute().parent} does not exist; create it first")
+    # Imported here: scipy and pandas take a second that --help should not pay.
+    from uqharness.compare import compare
+    from uqharness.compare_report import document_of, summary, write_tables
+    from uqharness.flights import read_flights
+
+    flights, measured = read_flights([args.flight], aircraft, args.manoeuvres, args.map)
+    found = compare(
+        aircraft, flights[0], measured, biases=biases, ideal_servos=args.servos == "ideal", workers=args.workers
+    )
+    out = results_folder(args.out)
+    document = document_of(found)
+    write_tables(found, document, out)
+    if not args.no_figures:
+        _figures(found, out)
+    print(json.dumps(document) if args.json else summary(found, out))
+    return 0 if found.reached else 1
+
+
+def _figures(found: Any, out: Any) -> None:
+    from uqharness.compare import LIMIT
+    from uqharness.replay_model import CONTROLS
+    from uqharness.replay_plot import coefficient_figure, gap_figure, segment_figure
+
+    folder = results_folder(out / "figures")
+    title = f"{found.flight} beside {found.aircraft}"
+    shown = {
+        m: {c: v for c, v in row.items() if math.isfinite(v) and found.channels[c].judged} for m, row in found.manoeuvres.items()
+    }
+    gap_figure(shown, folder / "gaps.svg", title, LIMIT)
+    coefficient_figure(
+        [s.time_s for s in found.segments], found.demanded, found.predicted, folder / "coefficients.svg", title
+    )
+    for number, segment in enumerate(found.segments):
+        name = re.sub(r"[^\w.-]+", "-", f"{number:02d}-{segment.label}")
+        segment_figure(
+            segment, found.outputs, found.measured[number], found.modelled[number], CONTROLS, folder / f"{name}.svg",
+            f"{title}: {segment.label} from {segment.time_s[0]:.1f} s",
+        )  # fmt: skip

@@ -1,0 +1,163 @@
+"""``uqharness identify``: flights in, an aircraft with estimated parameters out."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+from pathlib import Path
+
+from uqharness.aircraft import find_aircraft
+from uqharness.errors import BadInputError
+
+_EXAMPLE = """examples:
+  uqharness identify espaaro --flight doublets.parquet --out identified
+  uqharness identify espaaro --flight flight1.bin --manoeuvres manoeuvres.csv --servos ideal --out identified
+  uqharness identify espaaro --flight a.csv b.csv --params aero/Cm_q,aero/Cm_de --start initial --out identified
+
+DIR/fit.json, DIR/report.md, DIR/parameters.csv, DIR/figures/*.svg, and DIR/aircraft, which every command takes as AIRCRAFT.
+Exit code 1: the estimation did not converge, or no parameter could be identified."""
+
+
+def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = commands.add_parser(
+        "identify",
+        help="parameters from flights",
+        description="Estimate an aircraft's parameters from flight logs or records by output error (see docs/identification.md).",
+        epilog=_EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_flight_arguments(parser, many=True)
+    parser.add_argument("--params", metavar="P,P", help="JSBSim properties to estimate (default: the card's [parameters])")
+    parser.add_argument(
+        "--start", choices=("initial", "current"), default="current",
+        help="start from the card's first guesses or the XML's values (default %(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--method", choices=("auto", "output-error", "filter-error"), default="auto",
+        help="auto: filter error where output error's residuals show turbulence (default)",
+    )  # fmt: skip
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core, 8 at most)")
+    parser.add_argument("--no-figures", action="store_true", help="leave out the time histories")
+    parser.add_argument("--json", action="store_true", help="print fit.json")
+    parser.set_defaults(handler=_run)
+
+
+def add_flight_arguments(parser: argparse.ArgumentParser, many: bool) -> None:
+    """Arguments that identify and compare share."""
+    parser.add_argument("aircraft", metavar="AIRCRAFT", help="name under aircraft/ or a folder")
+    parser.add_argument(
+        "--flight", type=Path, nargs="+" if many else None, action="extend" if many else "store", required=True,
+        metavar="FILE", help="flight record (.parquet, .csv) or any log that `log import` reads" + ("; repeatable" if many else ""),
+    )  # fmt: skip
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results, made if need be")
+    parser.add_argument("--map", type=Path, metavar="MAP.toml", help="signal map of your own for logs")
+    parser.add_argument(
+        "--manoeuvres", type=Path, metavar="FILE.csv", help="table manoeuvre, start_s, end_s (and flight) that labels the flight"
+    )
+    parser.add_argument(
+        "--servos", choices=("card", "ideal"), default="card",
+        help="commands go through the aircraft's actuators, or surfaces follow them at once (default %(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--biases", metavar="C,C", help="channels with a constant sensor bias to estimate, or none (default p,q,r)"
+    )
+
+
+def parse_biases(text: str | None) -> tuple[str, ...]:
+    """Channel names of --biases; short forms p, alpha, ax stand for p_radps, alpha_rad, ax_mps2. Raises BadInputError."""
+    from uqharness.identify import BIASES, OUTPUTS
+
+    if text is None:
+        return BIASES
+    if text in ("none", ""):
+        return ()
+    short = {c.split("_")[0]: c for c in OUTPUTS}
+    names = [short.get(n.strip(), n.strip()) for n in text.split(",")]
+    unknown = [n for n in names if n not in OUTPUTS]
+    if unknown:
+        raise BadInputError(f"--biases {text}: unknown channel {unknown[0]}; allowed are none, {', '.join(short)}")
+    return tuple(dict.fromkeys(names))
+
+
+def results_folder(path: Path) -> Path:
+    """The folder, made if its parent exists. Raises BadInputError."""
+    if path.exists() and not path.is_dir():
+        raise BadInputError(f"--out {path}: exists and is no folder")
+    try:
+        path.mkdir(exist_ok=True)
+    except OSError as error:
+        raise BadInputError(f"--out {path}: cannot be made: {error.strerror}") from None
+    return path
+
+
+def _run(args: argparse.Namespace) -> int:
+    aircraft = find_aircraft(args.aircraft)
+    parameters = None if args.params is None else [p.strip() for p in args.params.split(",") if p.strip()]
+    if parameters == []:
+        raise BadInputError("--params is empty; name properties such as aero/Cm_q,aero/Cm_de, or leave it out")
+    if args.workers is not None and args.workers < 1:
+        raise BadInputError(f"--workers {args.workers}: at least 1")
+    biases = parse_biases(args.biases)
+    if not args.out.exists() and not args.out.absolute().parent.is_dir():
+        raise BadInputError(f"--out {args.out}: the folder {args.out.absolute().parent} does not exist; create it first")
+    # Imported here: scipy and pandas take a second that --help should not pay.
+    from uqharness.flights import read_flights
+    from uqharness.identify import identify
+    from uqharness.identify_report import write_results
+
+    flights, measured = read_flights(args.flight, aircraft, args.manoeuvres, args.map)
+    found = identify(
+        aircraft, flights, measured, parameters, start=args.start, biases=biases, ideal_servos=args.servos == "ideal",
+        method=args.method, workers=args.workers,
+    )  # fmt: skip
+    out = results_folder(args.out)
+    command = ["uqharness", "identify", args.aircraft, "--flight", *(p.name for p in args.flight)]
+    document = write_results(found, aircraft, [p.name for p in args.flight], command, out)
+    if not args.no_figures:
+        _figures(found, out)
+    if args.json:
+        print(json.dumps(document))
+    else:
+        print(_summary(document, [n for f in flights for n in f.notes], out))
+    return 0 if found.converged and found.identified else 1
+
+
+def _figures(found: object, out: Path) -> None:
+    from uqharness.identify import Identification
+    from uqharness.replay_model import CONTROLS
+    from uqharness.replay_plot import segment_figure
+
+    assert isinstance(found, Identification)
+    folder = results_folder(out / "figures")
+    for number, segment in enumerate(found.segments):
+        name = re.sub(r"[^\w.-]+", "-", f"{segment.flight}-{number:02d}-{segment.label}")
+        title = f"{segment.flight}, {segment.label}, from {segment.time_s[0]:.1f} s ({found.method})"
+        segment_figure(
+            segment, found.outputs, found.measured[number], found.modelled[number], CONTROLS, folder / f"{name}.svg", title
+        )
+
+
+def _summary(document: dict[str, object], notes: list[str], out: Path) -> str:
+    parameters = document["parameters"]
+    assert isinstance(parameters, dict)
+    lines = [f"{'parameter':<16}{'initial':>12}{'estimate':>12}{'std':>10}{'crb':>10}  status"]
+    for name, row in parameters.items():
+        std, crb = (f"{row[k]:.2g}" if row[k] is not None else "" for k in ("std", "std_crb"))
+        status = row["status"] if not row["reason"] else f"{row['status']}: {row['reason']}"
+        lines.append(f"{name:<16}{row['initial']:>12.5g}{row['value']:>12.5g}{std:>10}{crb:>10}  {status}")
+    fit = document["fit"]
+    assert isinstance(fit, dict)
+    shares = [f"{c} {v['rms'] / v['noise']:.2f}" for c, v in fit.items() if v["rms"] is not None and v["noise"]]
+    lines.append(f"rms over noise: {', '.join(shares)}")
+    lines += [f"note: {n}" for n in notes]
+    warnings = document["warnings"]
+    assert isinstance(warnings, list)
+    lines += [f"warning: {w}" for w in warnings]
+    lines.append(
+        f"{document['method']}, {'converged' if document['converged'] else 'NOT converged'}, "
+        f"{document['simulations']} simulations, {document['seconds']} s; results in {out}"
+    )
+    return "\n".join(lines)
+
+

@@ -1,0 +1,36 @@
+"""``uqharness log info`` and ``uqharness log import``: sysid's commands under this program's errors."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from sysid.log_errors import LogError
+from uqharness.aircraft import find_aircraft
+from uqharness.errors import BadInputError
+
+
+def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = commands.add_parser("log", help="flight logs: what is in them, records from them")
+    parser.set_defaults(handler=_run)
+    parse = parser.parse_known_args
+
+    def parse_completed(args: Any = None, namespace: Any = None) -> Any:
+        # Completed at its first use: pandas and pyarrow take a second that no other command should pay.
+        from sysid import log_commands
+
+        parser.parse_known_args = parse  # type: ignore[method-assign]
+        log_commands.add_arguments(parser.add_subparsers(dest="log_command", metavar="info|import", required=True))
+        return parse(args, namespace)
+
+    parser.parse_known_args = parse_completed  # type: ignore[method-assign]
+
+
+def _run(args: argparse.Namespace) -> int:
+    try:
+        if args.aircraft is not None and not Path(args.aircraft).is_file():
+            args.aircraft = str(find_aircraft(args.aircraft).folder)
+        return int(args.run(args))
+    except LogError as error:
+        raise BadInputError(str(error)) from None
