@@ -172,6 +172,11 @@ def script(plan: Plan) -> str:
   <use aircraft="espaaro" initialize="cruise"/>
   <run start="0" end="{plan.end_s:g}" dt="{STEP_S:g}">
     <property value="0">{MANOEUVRE_PROPERTY}</property>           <!-- 1, 2, ... during a manoeuvre -->
+    <!-- Second-order integration of the motion: JSBSim's own choice for rates is Euler's rule, which at 0.01 s acts as 4 % more
+         roll damping, and an identification from this flight would find that. -->
+    <property value="3">simulation/integrator/rate/rotational</property>
+    <property value="3">simulation/integrator/rate/translational</property>
+    <property value="3">simulation/integrator/position/rotational</property>
     <property value="1">ap/engaged</property>
     <!-- A wide circle, bank 1.4 deg. The autopilot, as ArduPlane, scales the radius by (true over equivalent airspeed)^2:
          2019 m at 100 m above the sea. -->
