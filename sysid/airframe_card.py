@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import tomllib
 from collections.abc import Mapping
@@ -79,9 +80,7 @@ def read_card(path: Path) -> AirframeCard:
     for key, value in inputs.items():
         where = f"[inputs.{key}]"
         row = _table(value, where, name)
-        unknown = sorted(set(row) - _INPUT_KEYS)
-        if unknown:
-            raise LogError(f"unknown keys {unknown}; allowed are {sorted(_INPUT_KEYS)}", name, where)
+        _refuse_slips(row, name, where)
         if "servo_pwm" in row:
             servos[key] = _servo(row, where, name)
     mixing = _table(data.get("mixing", {}), "[mixing]", name)
@@ -95,6 +94,14 @@ def read_card(path: Path) -> AirframeCard:
         sensor_position_m={k: _position(v, k, name) for k, v in positions.items()},
         noise_std=_numbers(sensors.get("noise_std", {}), "[sensors] noise_std", name),
     )
+
+
+def _refuse_slips(row: dict[str, Any], name: str, where: str) -> None:
+    """Other programs may keep keys of their own here; one that is nearly ours is a slip of the pen."""
+    for key in row:
+        near = difflib.get_close_matches(key, sorted(_INPUT_KEYS - set(row)), n=1, cutoff=0.75)
+        if key not in _INPUT_KEYS and near:
+            raise LogError(f"unknown key '{key}'; did you mean {near[0]}? Known are {sorted(_INPUT_KEYS)}", name, where)
 
 
 def _table(value: Any, where: str, name: str) -> dict[str, Any]:

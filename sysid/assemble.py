@@ -6,7 +6,9 @@ times). Commands are held onto it, everything else is interpolated, nothing acro
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,10 +19,10 @@ from sysid.airframe_card import AirframeCard
 from sysid.channels import Channel, Times, resolve
 from sysid.flight_modes import MANOEUVRE_TEXT, PLANE_MODES
 from sysid.flight_record import FlightRecord, Metadata
-from sysid.log_checks import check_channels, check_record
+from sysid.log_checks import check_channel, check_record
 from sysid.log_errors import Finding, LogError
 from sysid.raw_log import RawLog
-from sysid.servo import controls, deflection, elevator_channel
+from sysid.servo import Control, controls, deflection, elevator_channel
 from sysid.signal_map import ServoOutputs, SignalMap
 from sysid.time_base import hold, interpolate
 from sysid.vocabulary import COMMANDS, SIGNALS
@@ -38,28 +40,41 @@ def assemble(
 
     Raises LogError when the log has none of the channels a record is made of.
     """
+    raw = replace(raw, messages=dict(raw.messages))  # ours to empty as the work proceeds
+    start = _start(raw)
     times = Times(raw)
-    channels: dict[str, Channel] = {}
-    for name, candidates in signal_map.entries.items():
-        found = resolve(raw, name, candidates, times)
-        if found is not None:
-            channels[name] = found
-    servo_channels, findings = _servo_channels(raw, signal_map.servos, card, times)
-    for name, found in servo_channels.items():
-        channels.setdefault(name, found)
-    if not any(name in channels for name in SIGNALS if name not in ("mode", "manoeuvre")):
-        have = ", ".join(sorted({m for m, _ in raw.messages})[:20])
-        raise LogError(f"no signal of the map '{signal_map.name}' is in this log; it has {have}; give a --map", source)
-    grid = _grid(raw, channels)
-    columns = _on_grid(channels, grid)
-    if "mode" in columns:
-        columns["mode"] = _mode_names(columns["mode"], raw)
+    servos, findings = _servo_channels(raw, signal_map.servos, card, times)
+    sources: dict[str, Callable[[], Channel | None]] = {
+        name: partial(resolve, raw, name, candidates, times) for name, candidates in signal_map.entries.items()
+    }
+    for name, make in servos.items():
+        sources.setdefault(name, make)
+    grid = _grid(raw, sources, signal_map.name, source)
+    step = float(np.median(np.diff(grid)))
+    columns: dict[str, NDArray[Any]] = {"time_s": grid}
+    about: dict[str, tuple[str, float, bool]] = {}
+    checked: set[str] = set()
+    mode_changes = np.array([])
+    last_use = _last_use(signal_map)
+    for name in SIGNALS:
+        # One channel at a time, and what no later one needs is dropped: a big log must not be in memory as messages,
+        # channels and columns all at once.
+        channel = sources[name]() if name in sources else None
+        _drop(raw, last_use.get(name, ()))  # the channel holds its own copy
+        if channel is None:
+            continue
+        findings += check_channel(channel, step, checked)
+        columns[name] = _on_grid(channel, grid)
+        about[name] = (channel.label, channel.rate_hz, channel.estimate)
+        if name == "mode":
+            columns[name] = _mode_names(columns[name], raw)
+            mode_changes = channel.time_s[1:][np.diff(channel.values) != 0]
     labels = _manoeuvres(raw, grid)
     if labels is not None:
         columns["manoeuvre"] = labels
-    phase = _phase(raw, channels, columns, grid, signal_map.servos, times)
-    estimates = tuple(n for n, c in channels.items() if c.estimate)
-    step = float(np.median(np.diff(grid)))
+    for column in columns.values():
+        column.setflags(write=False)  # the record then shares them instead of copying
+    phase = _phase(raw, columns, signal_map.servos, times, mode_changes)
     meta = Metadata(
         source=source,
         sha256=sha256,
@@ -67,30 +82,57 @@ def assemble(
         vehicle=raw.vehicle,
         aircraft="" if card is None else card.name,
         grid_hz=round(1.0 / step, 6),
-        start=_start(raw),
-        native_hz={n: round(c.rate_hz, 4) for n, c in channels.items() if np.isfinite(c.rate_hz)},
-        channels={n: c.label for n, c in channels.items()},
-        estimates=estimates,
+        start=start,
+        native_hz={n: round(rate, 4) for n, (_, rate, _) in about.items() if np.isfinite(rate)},
+        channels={n: label for n, (label, _, _) in about.items()},
+        estimates=tuple(n for n, (_, _, estimate) in about.items() if estimate),
         free_flight_s=() if phase.free_s is None else (phase.free_s,),
     )
-    record = FlightRecord({"time_s": grid, **columns}, meta)
+    record = FlightRecord(columns, meta)
     findings = [
         *raw.findings,
-        *findings,
         Finding("flight-phase", "", "info", phase.why, {} if phase.tow_s is None else {"tow_end_s": phase.tow_s[1]}),
-        *check_channels(raw, channels, step),
+        *findings,
         *check_record(record, phase.free_s),
     ]
-    return FlightRecord(record.columns, _with_findings(meta, findings))
+    return FlightRecord(record.columns, replace(meta, findings=tuple(findings)))
 
 
-def _with_findings(meta: Metadata, findings: list[Finding]) -> Metadata:
-    return Metadata(**{**meta.__dict__, "findings": tuple(findings)})
+def _last_use(signal_map: SignalMap) -> dict[str, list[str]]:
+    """signal -> messages that no later signal of the vocabulary's order may need (servo outputs stay)."""
+    last: dict[str, str] = {}
+    for name in SIGNALS:
+        for entry in signal_map.entries.get(name, ()):
+            last[entry.message] = name
+            if entry.times is not None:
+                last[entry.times[0]] = name
+    if signal_map.servos is not None:
+        last.pop(signal_map.servos.message, None)
+    out: dict[str, list[str]] = {}
+    for message, name in last.items():
+        out.setdefault(name, []).append(message)
+    return out
 
 
-def _grid(raw: RawLog, channels: Mapping[str, Channel]) -> FloatArray:
-    base = [channels[n] for n in _GRID_CHANNELS if n in channels] or list(channels.values())
-    best = max(base, key=lambda c: c.rate_hz if np.isfinite(c.rate_hz) else 0.0)
+def _drop(raw: RawLog, messages: Iterable[str]) -> None:
+    kept = raw.messages
+    assert isinstance(kept, dict)
+    for key in [k for k in kept if k[0] in messages]:
+        del kept[key]
+
+
+def _grid(raw: RawLog, sources: Mapping[str, Callable[[], Channel | None]], map_name: str, source: str) -> FloatArray:
+    best: Channel | None = None
+    for names in (_GRID_CHANNELS, tuple(n for n in SIGNALS if n not in (*_GRID_CHANNELS, "mode"))):
+        for name in names:
+            channel = sources[name]() if name in sources else None
+            if channel is not None and (best is None or channel.rate_hz > best.rate_hz):
+                best = channel
+        if best is not None:
+            break
+    if best is None:
+        have = ", ".join(sorted({m for m, _ in raw.messages})[:20])
+        raise LogError(f"no signal of the map '{map_name}' is in this log; it has {have}; give a --map")
     if ("csv", 0) in raw.messages:
         return best.time_s
     step = best.clean.step_s
@@ -104,21 +146,17 @@ def _grid(raw: RawLog, channels: Mapping[str, Channel]) -> FloatArray:
     return np.round(best.time_s[0] + step * np.arange(int(np.floor(span / step + 0.25)) + 1), 9)
 
 
-def _on_grid(channels: Mapping[str, Channel], grid: FloatArray) -> dict[str, NDArray[Any]]:
-    out: dict[str, NDArray[Any]] = {}
-    for name, c in channels.items():
-        if name == "mode":
-            at = np.searchsorted(c.time_s, grid, side="right") - 1
-            out[name] = np.where(at >= 0, c.values[np.maximum(at, 0)], np.nan)
-        elif len(c.time_s) == len(grid) and np.array_equal(c.time_s, grid):
-            out[name] = c.values
-        elif name in COMMANDS:
-            out[name] = hold(c.time_s, c.values, c.clean.gaps, grid, c.clean.step_s)
-        elif name in _CIRCULAR:
-            out[name] = _interpolate_angle(name, c, grid)
-        else:
-            out[name] = interpolate(c.time_s, c.values, c.clean.gaps, grid)
-    return out
+def _on_grid(c: Channel, grid: FloatArray) -> NDArray[Any]:
+    if c.name == "mode":
+        at = np.searchsorted(c.time_s, grid, side="right") - 1
+        return np.where(at >= 0, c.values[np.maximum(at, 0)], np.nan)
+    if len(c.time_s) == len(grid) and np.array_equal(c.time_s, grid):
+        return c.values
+    if c.name in COMMANDS:
+        return hold(c.time_s, c.values, c.clean.gaps, grid, c.clean.step_s)
+    if c.name in _CIRCULAR:
+        return _interpolate_angle(c.name, c, grid)
+    return interpolate(c.time_s, c.values, c.clean.gaps, grid)
 
 
 def _interpolate_angle(name: str, c: Channel, grid: FloatArray) -> FloatArray:
@@ -133,31 +171,33 @@ def _interpolate_angle(name: str, c: Channel, grid: FloatArray) -> FloatArray:
 
 def _servo_channels(
     raw: RawLog, outputs: ServoOutputs | None, card: AirframeCard | None, times: Times
-) -> tuple[dict[str, Channel], list[Finding]]:
+) -> tuple[dict[str, Callable[[], Channel | None]], list[Finding]]:
     if outputs is None or (outputs.message, outputs.instance) not in raw.messages:
         return {}, []
     key = (outputs.message, outputs.instance)
-    table, cleaned = raw.messages[key], times.of(key)
-    if int(cleaned.keep.sum()) < 2:
+    if int(times.of(key).keep.sum()) < 2:
         return {}, []
     wanted, findings = controls(card, raw.parameters)
     if card is None:
         text = "servo outputs are logged but no card says what angles they mean: give --aircraft, or tables in --map"
         findings.append(Finding("no-card", outputs.message, "warning", text, {}))
-    out = {}
-    for name, control in wanted.items():
-        fields = [servo_field(outputs, raw.dialect, channel) for channel, _, _ in control.parts]
-        if not all(f in table.fields for f in fields):
-            continue
-        parts = [table.fields[f][cleaned.keep].astype(np.float64) for f in fields]
-        values = sum(
-            (w * deflection(pwm, servo) for pwm, (_, servo, w) in zip(parts, control.parts, strict=True)),
-            start=np.zeros(int(cleaned.keep.sum())),
-        )
-        if np.isfinite(values).any():
-            label = f"{outputs.message} {control.label}"
-            out[name] = Channel(name, label, table.time_s[cleaned.keep], values, cleaned, False)
-    return out, findings
+    return {n: partial(_servo_channel, raw, outputs, times, n, control) for n, control in wanted.items()}, findings
+
+
+def _servo_channel(raw: RawLog, outputs: ServoOutputs, times: Times, name: str, control: Control) -> Channel | None:
+    key = (outputs.message, outputs.instance)
+    table, cleaned = raw.messages[key], times.of(key)
+    fields = [servo_field(outputs, raw.dialect, channel) for channel, _, _ in control.parts]
+    if not all(f in table.fields for f in fields):
+        return None
+    parts = [table.fields[f][cleaned.keep].astype(np.float64) for f in fields]
+    values = sum(
+        (w * deflection(pwm, servo) for pwm, (_, servo, w) in zip(parts, control.parts, strict=True)),
+        start=np.zeros(int(cleaned.keep.sum())),
+    )
+    if not np.isfinite(values).any():
+        return None
+    return Channel(name, f"{outputs.message} {control.label}", table.time_s[cleaned.keep], values, cleaned, False)
 
 
 def servo_field(outputs: ServoOutputs, dialect: str, channel: int) -> str:
@@ -167,12 +207,12 @@ def servo_field(outputs: ServoOutputs, dialect: str, channel: int) -> str:
 
 def _phase(
     raw: RawLog,
-    channels: Mapping[str, Channel],
     columns: Mapping[str, NDArray[Any]],
-    grid: FloatArray,
     outputs: ServoOutputs | None,
     times: Times,
+    mode_changes_s: FloatArray,
 ) -> flight_phase.FlightPhase:
+    grid = columns["time_s"]
     speed = columns.get("V_mps")
     if speed is None and "vn_mps" in columns and "ve_mps" in columns:
         speed = np.hypot(columns["vn_mps"], columns["ve_mps"])
@@ -184,17 +224,13 @@ def _phase(
         if field in raw.messages[key].fields and int(cleaned.keep.sum()) > 1:
             pwm = raw.messages[key].fields[field][cleaned.keep].astype(np.float64)
             elevator = hold(raw.messages[key].time_s[cleaned.keep], pwm, cleaned.gaps, grid, cleaned.step_s)
-    mode = channels.get("mode")
-    changes = mode.time_s if mode is not None else np.array([])
-    if mode is not None and len(mode.values) > 1:
-        changes = mode.time_s[1:][np.diff(mode.values) != 0]
     return flight_phase.find(
         grid,
         np.full(len(grid), np.nan) if speed is None else speed,
         columns.get("h_m"),
         columns.get("q_radps"),
         elevator,
-        changes,
+        mode_changes_s,
     )
 
 

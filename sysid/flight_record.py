@@ -23,6 +23,7 @@ from sysid.vocabulary import LABELS, SIGNALS
 
 FloatArray = NDArray[np.float64]
 _METADATA_KEY = b"flight_record"
+_CSV_ROWS = 200_000
 
 
 @dataclass(frozen=True)
@@ -123,10 +124,13 @@ class FlightRecord:
         for name in SIGNALS:
             if name not in self.columns:
                 continue
-            values = np.array(self.columns[name], dtype=object if name in LABELS else np.float64)
+            values = np.asarray(self.columns[name], dtype=object if name in LABELS else np.float64)
             if values.shape != (n,):
                 raise LogError(f"column {name} has shape {values.shape}, time_s has ({n},)")
-            values.setflags(write=False)
+            if values.flags.writeable:
+                # A caller keeps its array; one that is read-only already is shared, which big logs need.
+                values = values.copy()
+                values.setflags(write=False)
             frozen[name] = values
         time = frozen["time_s"]
         if not np.all(np.isfinite(time)):
@@ -159,9 +163,9 @@ class FlightRecord:
         return FlightRecord({k: v[mask] for k, v in self.columns.items()}, self.metadata)
 
     def between(self, start_s: float, end_s: float) -> FlightRecord:
-        """Rows with start_s <= time_s <= end_s."""
+        """Rows with start_s <= time_s <= end_s (sharing this record's memory)."""
         t = self["time_s"]
-        return self.rows((t >= start_s) & (t <= end_s))
+        return self.rows(slice(int(np.searchsorted(t, start_s, "left")), int(np.searchsorted(t, end_s, "right"))))
 
     def with_columns(self, columns: Mapping[str, NDArray[Any]], metadata: Metadata | None = None) -> FlightRecord:
         """A copy in which `columns` are added or replaced."""
@@ -186,15 +190,18 @@ class FlightRecord:
 
     def write(self, path: Path) -> None:
         """Write Parquet (.parquet) or CSV (.csv) by suffix; LogError for any other suffix."""
-        frame = pd.DataFrame(dict(self.columns))
         if path.suffix.lower() == ".parquet":
-            table = pa.Table.from_pandas(frame, preserve_index=False)
-            meta = {**(table.schema.metadata or {}), _METADATA_KEY: self.metadata.to_json().encode()}
-            pq.write_table(table.replace_schema_metadata(meta), path)
+            # From the arrays as they are: a DataFrame would be a second copy of a big log.
+            table = pa.table(
+                {n: pa.array(v) if n not in LABELS else pa.array(v, pa.string()) for n, v in self.columns.items()}
+            )
+            pq.write_table(table.replace_schema_metadata({_METADATA_KEY: self.metadata.to_json().encode()}), path)
         elif path.suffix.lower() == ".csv":
             with path.open("w", encoding="utf-8", newline="") as handle:
                 handle.write(f"# flight_record {self.metadata.to_json()}\n")
-                frame.to_csv(handle, index=False, lineterminator="\n")
+                for start in range(0, max(1, len(self)), _CSV_ROWS):
+                    part = {n: v[start : start + _CSV_ROWS] for n, v in self.columns.items()}
+                    pd.DataFrame(part).to_csv(handle, index=False, header=start == 0, lineterminator="\n")
         else:
             raise LogError(f"cannot write suffix '{path.suffix}'; use .parquet or .csv", path)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,7 +9,6 @@ from sysid.channels import Channel
 from sysid.flight_record import FlightRecord
 from sysid.kinematic_checks import check_kinematics
 from sysid.log_errors import Finding
-from sysid.raw_log import RawLog
 from sysid.vocabulary import COMMANDS, LABELS, SIGNALS
 
 FloatArray = NDArray[np.float64]
@@ -19,24 +16,25 @@ _GUIDANCE = frozenset({"h_demand_m", "V_demand_mps", "cross_track_m"})
 _EDGE_SHARE = 1e-3  # channels start and end a few samples apart: no dropout worth a line
 
 
-def check_channels(raw: RawLog, channels: Mapping[str, Channel], grid_step_s: float) -> list[Finding]:
-    """Times, gaps, holds, wraps, ranges and estimates, channel by channel (messages once)."""
+def check_channel(c: Channel, grid_step_s: float, seen: set[str]) -> list[Finding]:
+    """Times, gaps, holds, wraps, range and origin of one channel.
+
+    seen  messages whose times were reported already; this channel's is added
+    """
     out: list[Finding] = []
-    seen: set[str] = set()
-    for name, c in channels.items():
-        message = c.label.split(".")[0].split(" ")[0]
-        if message not in seen and name != "mode":
-            seen.add(message)
-            # Guidance messages come and go with the flight mode; their gaps harm nobody.
-            severity = "info" if name in _GUIDANCE else "warning"
-            out += _times(message, c) + _gaps(message, c, severity)
-        out += _hold(name, c, grid_step_s) + _wrap(name, c) + _range(name, c)
-        if c.estimate:
-            text = (
-                f"{name} ({c.label}) is computed by the autopilot's estimator, no vane measured it. In gusts it misses"
-                " the gust angle: do not identify force or moment derivatives from it in turbulence"
-            )
-            out.append(Finding("estimate", name, "warning", text, {}))
+    message = c.label.split(".")[0].split(" ")[0]
+    if message not in seen and c.name != "mode":
+        seen.add(message)
+        # Guidance messages come and go with the flight mode; their gaps harm nobody.
+        severity = "info" if c.name in _GUIDANCE else "warning"
+        out += _times(message, c) + _gaps(message, c, severity)
+    out += _hold(c.name, c, grid_step_s) + _wrap(c.name, c) + _range(c.name, c)
+    if c.estimate:
+        text = (
+            f"{c.name} ({c.label}) is computed by the autopilot's estimator, no vane measured it. In gusts it misses"
+            " the gust angle: do not identify force or moment derivatives from it in turbulence"
+        )
+        out.append(Finding("estimate", c.name, "warning", text, {}))
     return out
 
 

@@ -81,10 +81,12 @@ def _assemble(
 ) -> FlightRecord:
     base = shipped_map(_MAP_OF[dialect]) if dialect in _MAP_OF else SignalMap(dialect, {})
     signal_map = base if user_map is None else base.overlaid(user_map)
-    raw = read_raw(path, dialect, signal_map, progress)
     try:
-        return assemble(raw, signal_map, card, path.name, digest)
+        # Handed over, not kept: the messages are dropped one by one as the record grows.
+        return assemble(read_raw(path, dialect, signal_map, progress), signal_map, card, path.name, digest)
     except LogError as e:
+        if str(path) in str(e):
+            raise
         raise LogError(str(e), path) from None
 
 

@@ -146,8 +146,8 @@ def _loiter(record: FlightRecord) -> tuple[bool, str]:
 
 def _loiter_seconds(record: FlightRecord) -> float:
     """Time in the mode LOITER (or CIRCLE), else time on turns of one sense that go round at least three times."""
-    if "mode" in record and any(str(m) for m in record["mode"]):
-        inside = np.isin(record["mode"].astype(str), ("LOITER", "CIRCLE"))
+    if "mode" in record:
+        inside = (record["mode"] == "LOITER") | (record["mode"] == "CIRCLE")
         if inside.any():
             return float(inside.sum() * record.dt_s)
     if "psi_rad" not in record:

@@ -88,12 +88,22 @@ def build(
         stride = max(1, round(1.0 / (dt * native[c]))) if native.get(c, 0.0) > 0 else 1
         moved = _earlier(record[c], delays.get(c, 0.0) / dt, c)
         # A channel slower than the grid counts once for every time it was logged.
-        measured[OUTPUTS.index(c), ::stride] = moved[::stride]
+        first = _logged_row(moved, stride)
+        measured[OUTPUTS.index(c), first::stride] = moved[first::stride]
     drive = np.stack([record[c] for c in INPUTS])
     stretches = tuple(Stretch(s, to_cg(drive[:, s], arm_m, dt), measured[:, s]) for s in rows)
     time = record["time_s"]
     spans = tuple((float(time[s.start]), float(time[s.stop - 1])) for s in rows)
     return PathData(stretches, spans, dt, tuple(names), tuple(notes))
+
+
+def _logged_row(values: FloatArray, stride: int) -> int:
+    """First of the rows at which a filled-in channel was really logged: a straight line bends at those alone."""
+    bends = np.abs(np.diff(values, 2))
+    if stride <= 1 or len(bends) < 4 * stride or not np.isfinite(bends).any():
+        return 0
+    sums = [np.nansum(bends[(first - 1) % stride :: stride]) for first in range(stride)]
+    return int(np.argmax(sums))
 
 
 def _known_delays(record: FlightRecord) -> dict[str, float]:

@@ -3,8 +3,8 @@
 The body-axis kinematics are driven by the measured accelerations and rates, stretch by stretch and never across a gap,
 and compared with V, alpha, beta, attitude, height, ground velocity and position (Klein & Morelli, Aircraft System
 Identification, ch. 10). The inertial sensors' noise is integrated with the motion, so it counts as process noise: an
-iterated Kalman smoother carries states, wind and sensor errors together. Output error without it gives bounds that
-are several times too small.
+iterated Kalman smoother carries states, wind and sensor errors together. Output error leaves that noise out, and its
+bounds are then too small.
 """
 
 from __future__ import annotations

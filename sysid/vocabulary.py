@@ -1,7 +1,7 @@
 """The one vocabulary: every signal a flight record may hold, its unit, sign and plausible range.
 
-Where a signal comes from in each log dialect stands in `signal_maps/*.toml`; `python -m sysid.vocabulary` prints both
-as the table of docs/logs.md.
+Where a signal comes from in each log dialect stands in `signal_maps/*.toml`; `python -m sysid.vocabulary_table`
+prints both as the table of docs/logs.md.
 """
 
 from __future__ import annotations
@@ -70,20 +70,3 @@ CORE = tuple(s.name for s in _SIGNALS if s.core)
 LABELS = frozenset(s.name for s in _SIGNALS if s.kind == "label")
 COMMANDS = frozenset(s.name for s in _SIGNALS if s.kind == "command")
 SURFACES = ("elevator_deg", "aileron_deg", "rudder_deg")
-
-
-def markdown_table() -> str:
-    """The vocabulary joined with the shipped signal maps, one row per signal."""
-    from sysid.signal_map import shipped_dialects, shipped_map
-
-    maps = {dialect: shipped_map(dialect) for dialect in shipped_dialects()}
-    lines = ["| signal | unit | meaning | " + " | ".join(maps) + " |", "|---" * (3 + len(maps)) + "|"]
-    for signal in _SIGNALS:
-        labels = [dict.fromkeys(entry.label for entry in m.entries.get(signal.name, ())) for m in maps.values()]
-        cells = [" or ".join(found) or "-" for found in labels]
-        lines.append(f"| `{signal.name}` | {signal.unit} | {signal.meaning} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    print(markdown_table())

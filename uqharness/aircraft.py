@@ -76,7 +76,8 @@ class _SensorSection(_Strict):
 
 
 class _ReplaySection(_Strict):
-    """``without_systems``: systems that do nothing in open loop; a replay leaves them out, which saves a third of its time."""
+    """``without_systems``: systems without effect in open loop and still air; a replay leaves them out, which
+    saves a third of its time."""
 
     without_systems: tuple[str, ...] = ()
 

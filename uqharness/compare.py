@@ -21,7 +21,7 @@ from sysid.outputerror import output_error
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
 from uqharness.flights import Flight, measured_outputs, segments, states
-from uqharness.identify import BIASES, OUTPUTS, demand_of, forced_at, nuisance_layout, replay_pool
+from uqharness.identify import BIASES, OUTPUTS, delayed, demand_of, forced_at, nuisance_layout, replay_pool
 from uqharness.replay import CHANNELS, Replay, Segment
 from uqharness.replay_model import CONTROLS, ReplayFolder, ReplayModel
 
@@ -35,12 +35,15 @@ _WORST = 20
 class ChannelGap:
     """One channel over all segments: rms of measured minus model, noise, delay of the measured channel, Theil's coefficient.
 
+    rms is what is left after the delay that was allowed for (``allowed_s``, 0 where none was estimated); shift is on top of it.
+
     ``judged`` channels decide the verdict; height and heading do not (integrals of the others, with drifting sensors).
     """
 
     rms: float
     noise: float
     judged: bool
+    allowed_s: float
     shift: Shift
     theil: Theil
 
@@ -105,8 +108,8 @@ class Comparison:
 
 
 def compare(
-    aircraft: Aircraft, flight: Flight, measured: Sequence[str], *, biases: Sequence[str] = BIASES, ideal_servos: bool = False,
-    workers: int | None = None,
+    aircraft: Aircraft, flight: Flight, measured: Sequence[str], *, biases: Sequence[str] = BIASES,
+    delays: Sequence[str] | None = None, ideal_servos: bool = False, workers: int | None = None,
 ) -> Comparison:  # fmt: skip
     """Replay a flight and measure the gap. Raises BadInputError when the model cannot fly any segment."""
     arm = aircraft.card.sensors.position_m.get("accelerometer", (0.0, 0.0, 0.0))
@@ -119,7 +122,8 @@ def compare(
     with ReplayFolder(aircraft, measured=measured, ideal=ideal) as model:
         with replay_pool(workers) as spread:
             wanted = [b for b in biases if b in judged]
-            theta, layout_names, kept, notes = _starts(model, cut, judged, data, present, wanted, spread)
+            late = delayed([flight], judged, delays)
+            theta, layout_names, kept, notes = _starts(model, cut, judged, data, present, wanted, late, spread)
         replay = Replay(model, cut, layout_names, present, uuid.uuid4().hex)
         modelled = replay(theta)
         with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
@@ -135,7 +139,10 @@ def compare(
         notes = [*notes, f"not in the record and not compared: {', '.join(missing)}"]
     return Comparison(
         aircraft=aircraft.name, flight=flight.name,
-        channels={c: _channel(k, c, data, modelled, gaps, cut, noise, c in judged) for k, c in enumerate(present)},
+        channels={
+            c: _channel(k, c, data, modelled, gaps, cut, noise, c in judged, _allowed(layout_names, theta, c))
+            for k, c in enumerate(present)
+        },
         coefficients={c: _coefficient(k, demand, said, floor) for k, c in enumerate(COEFFICIENTS)},
         manoeuvres=_by_manoeuvre(cut, gaps, present, noise),
         manoeuvre_coefficients=_by_manoeuvre(
@@ -149,11 +156,11 @@ def compare(
 
 def _starts(
     model: ReplayModel, cut: list[Segment], judged: Sequence[str], data: list[Array], present: Sequence[str],
-    biases: Sequence[str], spread: Any,
+    biases: Sequence[str], late: Mapping[str, Sequence[str]], spread: Any,
 ) -> tuple[Array, tuple[str, ...], list[bool], list[str]]:  # fmt: skip
     """Start states and biases (and their names) that bring the replay nearest; which segments the model can fly; notes."""
     columns = [list(present).index(c) for c in judged]
-    layout = nuisance_layout((), (), cut, biases, judged)
+    layout = nuisance_layout((), (), cut, biases, judged, late)
     token = uuid.uuid4().hex
     plain = Replay(model, cut, (), judged, token)
     kept = [bool(np.isfinite(y).all()) for y in plain(np.zeros(0))]
@@ -168,7 +175,7 @@ def _starts(
     ]
     flown = [s for s, ok in zip(cut, kept, strict=True) if ok]
     wanted = [z[:, columns] for z, ok in zip(data, kept, strict=True) if ok]
-    inner = nuisance_layout((), (), flown, biases, judged)
+    inner = nuisance_layout((), (), flown, biases, judged, late)
     replay = Replay(model, flown, inner.names, judged, uuid.uuid4().hex)
     fit = output_error(
         replay, np.zeros(len(inner.names)), wanted, names=inner.names, bounds=inner.bounds, tolerance=0.05, max_iterations=15,
@@ -212,13 +219,18 @@ def _coefficients(
     return demand, said, np.sqrt(np.mean(np.concatenate(change) ** 2, axis=0))
 
 
+def _allowed(names: Sequence[str], theta: Array, channel: str) -> float:
+    found = [float(v) for n, v in zip(names, theta, strict=True) if n.startswith("delay/") and n.endswith(f"/{channel}")]
+    return found[0] if found else 0.0
+
+
 def _channel(
     k: int, name: str, data: list[Array], modelled: list[Array], gaps: list[Array], cut: list[Segment],
-    noise: Mapping[str, float], judged: bool,
+    noise: Mapping[str, float], judged: bool, allowed_s: float,
 ) -> ChannelGap:  # fmt: skip
     z, y = [d[:, k] for d in data], [m[:, k] for m in modelled]
     return ChannelGap(
-        rms(np.concatenate([g[:, k] for g in gaps])), noise[name], judged,
+        rms(np.concatenate([g[:, k] for g in gaps])), noise[name], judged, allowed_s,
         time_shift(z, y, cut[0].dt_s), theil(np.concatenate(z), np.concatenate(y)),
     )  # fmt: skip
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from uqharness.aircraft import find_aircraft
 from uqharness.errors import BadInputError
-from uqharness.identify_command import add_flight_arguments, parse_biases, results_folder
+from uqharness.identify_command import add_flight_arguments, parse_channels, results_folder
 
 _EXAMPLE = """examples:
   uqharness compare espaaro --flight doublets.parquet --out gap
@@ -38,7 +38,7 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
 
 def _run(args: argparse.Namespace) -> int:
     aircraft = find_aircraft(args.aircraft)
-    biases = parse_biases(args.biases)
+    biases, delays = (parse_channels(f"--{n}", getattr(args, n)) for n in ("biases", "delays"))
     if args.workers is not None and args.workers < 1:
         raise BadInputError(f"--workers {args.workers}: at least 1")
     if not args.out.exists() and not args.out.absolute().parent.is_dir():
@@ -47,10 +47,12 @@ def _run(args: argparse.Namespace) -> int:
     from uqharness.compare import compare
     from uqharness.compare_report import document_of, summary, write_tables
     from uqharness.flights import read_flights
+    from uqharness.identify import BIASES
 
     flights, measured = read_flights([args.flight], aircraft, args.manoeuvres, args.map)
     found = compare(
-        aircraft, flights[0], measured, biases=biases, ideal_servos=args.servos == "ideal", workers=args.workers
+        aircraft, flights[0], measured, biases=BIASES if biases is None else biases, delays=delays,
+        ideal_servos=args.servos == "ideal", workers=args.workers,
     )
     out = results_folder(args.out)
     document = document_of(found)

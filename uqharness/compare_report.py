@@ -24,7 +24,7 @@ def document_of(found: Comparison) -> dict[str, Any]:
         "channels": {
             c: _clean(
                 {
-                    "rms": g.rms, "noise": g.noise, "ratio": g.ratio, "judged": g.judged, "delay_s": g.shift.seconds,
+                    "rms": g.rms, "noise": g.noise, "ratio": g.ratio, "judged": g.judged, "delay_s": g.allowed_s + g.shift.seconds,
                     "delay_std_s": g.shift.std, "theil_u": g.theil.u, "theil_bias": g.theil.bias,
                     "theil_variance": g.theil.variance, "theil_covariance": g.theil.covariance,
                 }
@@ -57,7 +57,7 @@ def channel_rows(found: Comparison) -> list[dict[str, str]]:
             "noise": f"{g.noise:.4g}",
             "ratio": f"{g.ratio:.2f}",
             "verdict": ("at the noise" if g.ratio <= LIMIT else "above") if g.judged else "not judged",
-            "delay [ms]": f"{1e3 * g.shift.seconds:.1f} +/- {1e3 * g.shift.std:.1f}",
+            "delay [ms]": f"{1e3 * (g.allowed_s + g.shift.seconds):.1f} +/- {1e3 * g.shift.std:.1f}",
             "Theil U": f"{g.theil.u:.3f}",
             "bias": f"{g.theil.bias:.2f}",
             "variance": f"{g.theil.variance:.2f}",

@@ -89,12 +89,9 @@ def mass_properties(fdm: Any, model: ReplayModel) -> MassProperties:
     """Mass, inertia and reference lengths of an initialised instance; the card's lengths win."""
     get = fdm.__getitem__
     unit = SLUG_KG * FT**2
-    inertia = np.array(
-        [[get(f"inertia/i{a}{b}-slugs_ft2") for b in "xyz"] for a in "x"]
-        + [[get("inertia/ixy-slugs_ft2"), get("inertia/iyy-slugs_ft2"), get("inertia/iyz-slugs_ft2")]]
-        + [[get("inertia/ixz-slugs_ft2"), get("inertia/iyz-slugs_ft2"), get("inertia/izz-slugs_ft2")]]
-    )
-    inertia = unit * (np.diag(np.diag(inertia)) - (inertia - np.diag(np.diag(inertia))))
+    # JSBSim publishes the elements of its inertia matrix: inertia/ixz is minus the product of inertia Ixz.
+    names = [["ixx", "ixy", "ixz"], ["ixy", "iyy", "iyz"], ["ixz", "iyz", "izz"]]
+    inertia = unit * np.array([[get(f"inertia/{n}-slugs_ft2") for n in row] for row in names])
     reference = model.card.reference
     return MassProperties(
         float(get("inertia/mass-slugs")) * SLUG_KG, inertia,

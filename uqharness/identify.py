@@ -44,7 +44,7 @@ _FREE_STARTS = ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_rad
 _START_WIDTH = {"V_mps": 6.0, "alpha_rad": 0.2, "beta_rad": 0.2, "phi_rad": 0.3, "theta_rad": 0.2}
 _BIAS_WIDTH = {"V_mps": 5.0, "ax_mps2": 2.0, "ay_mps2": 2.0, "az_mps2": 2.0}
 _DEFAULT_WIDTH = 0.5
-_EQUATION_ERROR_PASSES = 1
+_DELAY_WIDTH = 0.15
 
 
 @dataclass(frozen=True)
@@ -123,6 +123,7 @@ def identify(
     *,
     start: str = "current",
     biases: Sequence[str] = BIASES,
+    delays: Sequence[str] | None = None,
     ideal_servos: bool = False,
     method: str = "auto",
     workers: int | None = None,
@@ -133,6 +134,7 @@ def identify(
     parameters  properties; default: the card's [parameters]
     start       "initial": the card's first guesses; "current": the values in the XML
     biases      channels with a constant sensor bias, one a flight
+    delays      channels whose delay after the commands is estimated, one a flight; None: all, of flights that come from a log
     ideal_servos  surfaces follow their commands at once, whatever actuators the XML has
     method      "auto" | "output-error" | "filter-error"
     Raises BadInputError for unknown parameters and for a model that cannot fly the segments.
@@ -152,16 +154,24 @@ def identify(
         noise = channel_noise(data, outputs, aircraft.card.sensors.noise_std)
         with replay_pool(workers) as spread:
             fit, layout, replay = _output_error(
-                model, cut, names, near, initial, limits, outputs, data, [b for b in biases if b in outputs], spread
+                model, cut, names, near, initial, limits, outputs, data, [b for b in biases if b in outputs],
+                delayed(flights, outputs, delays), spread,
             )
         seconds = time.perf_counter() - begun
         found = _assemble(aircraft, names, initial, fit, layout, replay, cut, outputs, data, noise, notes, seconds)
-        if method == "output-error" or (method == "auto" and not process_noise_shown(found.residual, found.modelled)):
+        if method == "output-error" or (method == "auto" and not process_noise_shown(*_sensed(found))):
             return found
         from uqharness.identify_filter import filter_route
 
         with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
             return filter_route(found, model, straight, flights, limits, biases)
+
+
+def _sensed(found: Identification) -> tuple[list[Array], list[Array]]:
+    """Residual and motion of the channels that sensors measure directly: an estimator's attitude or wind angles have coloured
+    errors of their own, which say nothing of the air."""
+    columns = [k for k, c in enumerate(found.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")]
+    return [r[:, columns] for r in found.residual], [y[:, columns] for y in found.modelled]
 
 
 def _parameter_names(aircraft: Aircraft, asked: Sequence[str] | None) -> tuple[str, ...]:
@@ -278,15 +288,18 @@ class Layout:
 
 def nuisance_layout(
     names: Sequence[str], limits: Sequence[tuple[float, float]], cut: Sequence[Segment], biases: Sequence[str],
-    outputs: Sequence[str],
+    outputs: Sequence[str], late: Mapping[str, Sequence[str]],
 ) -> Layout:  # fmt: skip
-    """Parameters, then one bias a flight and channel, then the start states of every segment."""
+    """Parameters, one bias a flight and channel, the delays ``late`` (flight -> channels), start states of every segment."""
     extra, bounds = [], list(limits)
     for flight in dict.fromkeys(s.flight for s in cut):
         for channel in biases:
             extra.append(f"bias/{flight}/{channel}")
             width = _BIAS_WIDTH.get(channel, 0.1)
             bounds.append((-width, width))
+    for flight, channels in late.items():
+        extra += [f"delay/{flight}/{channel}" for channel in channels]
+        bounds += [(-_DELAY_WIDTH, _DELAY_WIDTH)] * len(channels)
     for number in range(len(cut)):
         for state in _FREE_STARTS:
             if state not in outputs:
@@ -297,11 +310,19 @@ def nuisance_layout(
     return Layout((*names, *extra), bounds)
 
 
+def delayed(flights: Sequence[Flight], outputs: Sequence[str], asked: Sequence[str] | None) -> dict[str, list[str]]:
+    """Flight -> channels whose delay is estimated. By default those of logs: their channels are stamped when they are written."""
+    return {
+        f.name: [c for c in outputs if (f.record.metadata.native_hz if asked is None else c in asked)] for f in flights
+    }
+
+
 def _output_error(
     model: ReplayModel, cut: Sequence[Segment], names: Sequence[str], near: Array, initial: Array,
-    limits: Sequence[tuple[float, float]], outputs: tuple[str, ...], data: list[Array], biases: Sequence[str], spread: Any,
+    limits: Sequence[tuple[float, float]], outputs: tuple[str, ...], data: list[Array], biases: Sequence[str],
+    late: Mapping[str, Sequence[str]], spread: Any,
 ) -> tuple[OutputErrorFit, Layout, Replay]:  # fmt: skip
-    layout = nuisance_layout(names, limits, cut, biases, outputs)
+    layout = nuisance_layout(names, limits, cut, biases, outputs, late)
     replay = Replay(model, cut, layout.names, outputs, uuid.uuid4().hex)
     theta0 = np.zeros(len(layout.names))
     theta0[: len(names)] = near
@@ -309,7 +330,7 @@ def _output_error(
 
     def fit_from(theta: Array, free: list[str]) -> OutputErrorFit:
         return output_error(
-            replay, theta, data, names=layout.names, bounds=layout.bounds, free=free, map=pool, tolerance=0.01, max_iterations=40
+            replay, theta, data, names=layout.names, bounds=layout.bounds, free=free, map=pool, tolerance=0.03, max_iterations=40
         )
 
     free = list(layout.names)
@@ -349,7 +370,7 @@ def _assemble(
     identified = [i for i in range(k) if fit.status[names[i]] == "identified"]
     hidden = {n: (float(fit.theta[i]), float(fit.std[i])) for i, n in enumerate(layout.names) if i >= k}
     # A start state that two channels cannot tell apart is nobody's concern; a parameter is.
-    warnings = [w for w in fit.warnings if not w.startswith(("start/", "bias/"))]
+    warnings = [w for w in fit.warnings if not w.startswith(("start/", "bias/", "delay/"))]
     assert isinstance(fit.residual, list)
     return Identification(
         aircraft=aircraft.name, names=names, initial=initial, theta=fit.theta[:k], std=fit.std[:k], std_crb=fit.std_crb[:k],

@@ -62,21 +62,27 @@ def add_flight_arguments(parser: argparse.ArgumentParser, many: bool) -> None:
     parser.add_argument(
         "--biases", metavar="C,C", help="channels with a constant sensor bias to estimate, or none (default p,q,r)"
     )
+    parser.add_argument(
+        "--delays", metavar="C,C", help="channels whose delay is estimated, or none (default: all of a log, none of a record)"
+    )
 
 
-def parse_biases(text: str | None) -> tuple[str, ...]:
-    """Channel names of --biases; short forms p, alpha, ax stand for p_radps, alpha_rad, ax_mps2. Raises BadInputError."""
-    from uqharness.identify import BIASES, OUTPUTS
+def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
+    """Channel names of an option; short forms p, alpha, ax stand for p_radps, alpha_rad, ax_mps2; None where it was not given.
+
+    Raises BadInputError.
+    """
+    from uqharness.identify import OUTPUTS
 
     if text is None:
-        return BIASES
+        return None
     if text in ("none", ""):
         return ()
     short = {c.split("_")[0]: c for c in OUTPUTS}
     names = [short.get(n.strip(), n.strip()) for n in text.split(",")]
     unknown = [n for n in names if n not in OUTPUTS]
     if unknown:
-        raise BadInputError(f"--biases {text}: unknown channel {unknown[0]}; allowed are none, {', '.join(short)}")
+        raise BadInputError(f"{option} {text}: unknown channel {unknown[0]}; allowed are none, {', '.join(short)}")
     return tuple(dict.fromkeys(names))
 
 
@@ -98,18 +104,18 @@ def _run(args: argparse.Namespace) -> int:
         raise BadInputError("--params is empty; name properties such as aero/Cm_q,aero/Cm_de, or leave it out")
     if args.workers is not None and args.workers < 1:
         raise BadInputError(f"--workers {args.workers}: at least 1")
-    biases = parse_biases(args.biases)
+    biases, delays = (parse_channels(f"--{n}", getattr(args, n)) for n in ("biases", "delays"))
     if not args.out.exists() and not args.out.absolute().parent.is_dir():
         raise BadInputError(f"--out {args.out}: the folder {args.out.absolute().parent} does not exist; create it first")
     # Imported here: scipy and pandas take a second that --help should not pay.
     from uqharness.flights import read_flights
-    from uqharness.identify import identify
+    from uqharness.identify import BIASES, identify
     from uqharness.identify_report import write_results
 
     flights, measured = read_flights(args.flight, aircraft, args.manoeuvres, args.map)
     found = identify(
-        aircraft, flights, measured, parameters, start=args.start, biases=biases, ideal_servos=args.servos == "ideal",
-        method=args.method, workers=args.workers,
+        aircraft, flights, measured, parameters, start=args.start, biases=BIASES if biases is None else biases, delays=delays,
+        ideal_servos=args.servos == "ideal", method=args.method, workers=args.workers,
     )  # fmt: skip
     out = results_folder(args.out)
     command = ["uqharness", "identify", args.aircraft, "--flight", *(p.name for p in args.flight)]

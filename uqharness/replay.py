@@ -205,8 +205,9 @@ def _outputs(rows: list[list[float]], segment: Segment, extra: int) -> Array:
 class Replay:
     """simulate(theta) of a set of segments, for the estimators: picklable, with the runs of late memory kept.
 
-    theta is laid out by ``names``: JSBSim properties; ``bias/<flight>/<channel>`` added to an output; and
-    ``start/<segment number>/<state>`` added to a segment's start state. What a perturbed value does not touch is not flown again.
+    theta is laid out by ``names``: JSBSim properties; ``bias/<flight>/<channel>`` added to an output; ``delay/<flight>/<channel>``
+    by which an output comes late, s; and ``start/<segment number>/<state>`` added to a segment's start state. What a perturbed
+    value does not touch is not flown again.
     channels: which of CHANNELS are returned.
     """
 
@@ -218,14 +219,17 @@ class Replay:
         self.channels, self.token = tuple(channels), token
         self.base = dict(base or {})
         self._columns = [CHANNELS.index(c) for c in channels]
-        self._properties = [(i, n) for i, n in enumerate(names) if not n.startswith(("bias/", "start/"))]
+        self._properties = [(i, n) for i, n in enumerate(names) if not n.startswith(("bias/", "delay/", "start/"))]
         self._biases: dict[str, list[tuple[int, int]]] = {}
+        self._delays: dict[str, list[tuple[int, int]]] = {}
         self._starts: dict[int, list[tuple[int, int]]] = {}
         for i, name in enumerate(names):
             kind, _, rest = name.partition("/")
             where, _, what = rest.rpartition("/")
             if kind == "bias" and what in self.channels:
                 self._biases.setdefault(where, []).append((i, self.channels.index(what)))
+            elif kind == "delay" and what in self.channels:
+                self._delays.setdefault(where, []).append((i, self.channels.index(what)))
             elif kind == "start":
                 self._starts.setdefault(int(where), []).append((i, STATES.index(what)))
 
@@ -238,6 +242,9 @@ class Replay:
             for i, k in self._starts.get(number, ()):
                 start[k] += theta[i]
             flown = self._flown(number, segment, properties, start)[:, self._columns].copy()
+            for i, k in self._delays.get(segment.flight, ()):
+                if theta[i] != 0.0:
+                    flown[:, k] = _late(flown[:, k], float(theta[i]) / segment.dt_s)
             for i, k in self._biases.get(segment.flight, ()):
                 flown[:, k] += theta[i]
             out.append(flown)
@@ -255,6 +262,14 @@ class Replay:
         else:
             _flown.move_to_end(key)
         return found
+
+
+def _late(values: Array, rows: float) -> Array:
+    """Values as they arrive ``rows`` rows late (early if negative), by straight lines; before the first one its slope continues."""
+    n = len(values)
+    at = np.arange(n) - rows
+    below = np.clip(np.floor(at).astype(int), 0, n - 2)
+    return np.asarray(values[below] + (at - below) * (values[below + 1] - values[below]))
 
 
 # Memory of the process, shared by unpickled copies of a replay: perturbing one segment's start leaves the others as they were.

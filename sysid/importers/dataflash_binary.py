@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.importers.dataflash_format import FMT_LENGTH, FMT_TYPE, MAGIC, Format, make_format, scaled, text
+from sysid.importers.dataflash_format import CHARACTERS, FMT_LENGTH, FMT_TYPE, MAGIC, Format, make_format, scaled, text
 from sysid.importers.dataflash_tables import ALWAYS, Columns, assemble
 from sysid.log_errors import Finding, LogError
 from sysid.raw_log import Progress, RawLog, Wanted
@@ -32,7 +32,8 @@ class _Walker:
         self.formats: dict[int, Format] = {FMT_TYPE: _FMT_FORMAT}
         self.lengths = [0] * 256
         self.lengths[FMT_TYPE] = FMT_LENGTH
-        self.collected: dict[str, dict[str, list[NDArray[Any]]]] = defaultdict(lambda: defaultdict(list))
+        # One growing buffer per field: thousands of small arrays would leave the memory in pieces.
+        self.collected: dict[str, dict[str, bytearray]] = defaultdict(lambda: defaultdict(bytearray))
         self.characters: dict[str, dict[str, str]] = {}
         self.counts: dict[str, int] = defaultdict(int)
         self.skipped_bytes = 0
@@ -119,9 +120,7 @@ class _Walker:
         starts = np.asarray(found, dtype=np.int64) + 3
         for column in keep:
             base, offset = fmt.dtype.fields[column][:2]  # type: ignore[index]
-            raw = buffer[starts[:, None] + (offset + np.arange(base.itemsize))]
-            values = raw.view(base.base if base.subdtype is None else base.subdtype[0])
-            columns[column].append(values[:, 0] if values.shape[1] == 1 else values)
+            columns[column] += buffer[starts[:, None] + (offset + np.arange(base.itemsize))].tobytes()
 
     def _fields(self, fmt: Format) -> list[str]:
         if fmt.name in ALWAYS or self.wanted is None:
@@ -135,9 +134,10 @@ class _Walker:
         """Message name -> field -> scaled array."""
         out: dict[str, Columns] = {}
         for name, columns in self.collected.items():
-            characters = self.characters[name]
-            out[name] = {c: scaled(np.concatenate(parts), characters[c]) for c, parts in columns.items()}
-            columns.clear()
+            out[name] = {
+                c: scaled(_array(data, self.characters[name][c]), self.characters[name][c])
+                for c, data in columns.items()
+            }
         return out
 
     def findings(self, size: int) -> list[Finding]:
@@ -165,6 +165,11 @@ class _Walker:
                 )
             )
         return out
+
+
+def _array(data: bytearray, character: str) -> NDArray[Any]:
+    values = np.frombuffer(data, dtype=CHARACTERS[character][0])
+    return values.reshape(-1, 32) if character == "a" else values
 
 
 def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = None) -> RawLog:

@@ -38,10 +38,12 @@ def assemble(
         if stamp is None or stamp[0] not in columns[name]:
             continue
         table = columns[name]
-        time_s = table[stamp[0]].astype(np.float64) * stamp[1]
+        time_s = table[stamp[0]] / np.float64(round(1.0 / stamp[1]))
         for instance, rows in _instances(table, fmt.instance_column):
-            fields = {c: v[rows] for c, v in table.items() if c != stamp[0]}
+            fields = {c: v[rows] for c, v in table.items() if c not in (stamp[0], fmt.instance_column)}
             messages[(name, instance)] = MessageTable(time_s[rows], fields)
+        if name not in ALWAYS:
+            del columns[name]  # the messages hold what is needed; a big log must not be there twice
     if not messages:
         raise LogError("no message carries a time stamp (TimeUS or TimeMS); nothing can be placed in time", path)
     texts = _texts(messages)
@@ -60,6 +62,8 @@ def _instances(table: Columns, column: str | None) -> list[tuple[int, Any]]:
     if column is None or column not in table:
         return [(0, slice(None))]
     numbers = table[column]
+    if len(numbers) and numbers.min() == numbers.max():
+        return [(int(numbers[0]), slice(None))]
     return [(int(i), numbers == i) for i in np.unique(numbers)]
 
 

@@ -18,7 +18,8 @@ from sysid.log_errors import LogError
 from sysid.log_import import import_log
 from sysid.log_info import log_info
 from sysid.signal_map import parse_map, shipped_dialects, shipped_map
-from sysid.vocabulary import SIGNALS, markdown_table
+from sysid.vocabulary import SIGNALS
+from sysid.vocabulary_table import markdown_table
 
 
 def purposes(record: FlightRecord) -> dict[str, tuple[bool, str]]:
@@ -163,7 +164,7 @@ def test_bad_maps_are_refused_with_the_place(text: str, message: str) -> None:
     ("text", "message"),
     [
         ("[inputs.elevator]\nservo_pwm = [[1500, 0]]", "two or more pairs"),
-        ("[inputs.elevator]\nlimit = [1, 2]\nservo_pwm = [[1000, 0], [2000, 1]]", "unknown keys"),
+        ("[inputs.elevator]\nlimit = [1, 2]\nservo_pwm = [[1000, 0], [2000, 1]]", "did you mean limits"),
         ("[inputs.elevator]\nlimits = [5, -5]\nservo_pwm = [[1000, 0], [2000, 1]]", "low, high"),
         ("[inputs.elevator]\nservo_pwm = { neutral = 1500 }", "linear form"),
         ("[inputs.elevator]\nchannel = 0\nservo_pwm = [[1000, 0], [2000, 1]]", "servo output from 1"),
