@@ -232,29 +232,46 @@ def run_seed(seed: int, folder: Path, cases: Sequence[Case] = CASES) -> dict[str
     return out
 
 
+def pooled(tables: Sequence[pd.DataFrame]) -> dict[str, float]:
+    """Over several seeds' tables of one case: what `summary` says of all estimates together."""
+    return {"seeds": float(len(tables)), **summary(pd.concat(tables))}
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--out", type=Path, required=True, help="folder for logs, tables.md, tables.csv and summary.json"
     )
     parser.add_argument("--seed", type=int, default=1, help="of the first flight (default 1)")
+    parser.add_argument("--seeds", type=int, default=1, help="repeat with seeds 10 apart and pool (default 1)")
     parser.add_argument("--cases", nargs="+", default=[c.name for c in CASES], choices=[c.name for c in CASES])
     chosen = parser.parse_args(arguments)
-    chosen.out.mkdir(parents=True, exist_ok=True)
-    results = run_seed(chosen.seed, chosen.out, [c for c in CASES if c.name in chosen.cases])
-    texts, numbers, tables = [], {}, []
-    for case in CASES:
-        if case.name in results:
-            table, fit = results[case.name]
-            numbers[case.name] = {**summary(table), "converged": float(fit.converged)}
-            texts.append(markdown(case, table, numbers[case.name]))
-            tables.append(table.assign(case=case.name))
-    text = "\n".join(texts)
-    (chosen.out / "tables.md").write_text(text, encoding="utf-8")
-    pd.concat(tables).to_csv(chosen.out / "tables.csv")
-    (chosen.out / "summary.json").write_text(json.dumps(numbers, indent=1), encoding="utf-8")
-    print(text)
-    return 0 if all(fit.converged for _, fit in results.values()) else 1
+    cases = [c for c in CASES if c.name in chosen.cases]
+    found: dict[str, list[pd.DataFrame]] = {case.name: [] for case in cases}
+    converged = True
+    for seed in range(chosen.seed, chosen.seed + 10 * chosen.seeds, 10):
+        folder = chosen.out / f"seed-{seed}"
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, (table, fit) in run_seed(seed, folder, cases).items():
+            found[name].append(table.assign(case=name, seed=seed, std_crb=fit.std_crb, converged=fit.converged))
+            converged = converged and fit.converged
+        _write(chosen.out, cases, found)
+    print((chosen.out / "tables.md").read_text(encoding="utf-8"))
+    return 0 if converged else 1
+
+
+def _write(folder: Path, cases: Sequence[Case], found: Mapping[str, Sequence[pd.DataFrame]]) -> None:
+    """Tables of the first seed as text, all of them as CSV, the figures pooled over seeds."""
+    numbers = {case.name: pooled(found[case.name]) for case in cases}
+    texts = [markdown(case, found[case.name][0], summary(found[case.name][0])) for case in cases]
+    for name, row in numbers.items():
+        texts.append(
+            f"{name}, {row['seeds']:.0f} seed(s): median error {row['median_error_pct']:.2f} %, "
+            f"{100 * row['covered_95']:.0f} % of {row['identified']:.0f} intervals cover the truth.\n"
+        )
+    (folder / "tables.md").write_text("\n".join(texts), encoding="utf-8")
+    pd.concat([table for tables in found.values() for table in tables]).to_csv(folder / "tables.csv")
+    (folder / "summary.json").write_text(json.dumps(numbers, indent=1), encoding="utf-8")
 
 
 if __name__ == "__main__":
