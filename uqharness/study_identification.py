@@ -128,18 +128,21 @@ def read_data(path: Path, aircraft_name: str) -> Data:
     return out
 
 
-def identify(case: Case, data: Data) -> FilterErrorFit:
-    """Filter error from the card's first guesses."""
+def identify(
+    case: Case, data: Data, start: Mapping[str, float] | None = None, free: Sequence[str] | None = None
+) -> FilterErrorFit:
+    """Filter error from the card's first guesses (or ``start``), over all of the model's parameters or those of ``free``."""
     card = find_aircraft(case.model).card
     known = dict(zip(parameters(tuple(card.parameters)), card.parameters.values(), strict=True))
     names = tuple(n for n in known if n not in case.held)
     equations = AirEquations(case.build, names, dict.fromkeys(case.held, case.held_value))
-    start = np.array([known[n].initial or 0.0 for n in names])
+    guesses = {n: known[n].initial or 0.0 for n in names} | dict(start or {})
+    theta = np.array([guesses[n] for n in names])
     bounds = [known[n].bounds or (-np.inf, np.inf) for n in names]
     noise = np.array([card.sensors.noise_std[n] for n in OUTPUTS])
     return filter_error(
-        equations.f, equations.g, data.x0, start, data.u, data.z, data.t,
-        names=names, bounds=bounds, process_noise=NOISY, process_noise_start=NOISE_START,
+        equations.f, equations.g, data.x0, theta, data.u, data.z, data.t,
+        names=names, bounds=bounds, free=free, process_noise=NOISY, process_noise_start=NOISE_START,
         noise_start=noise, x0_std=STATE_STD,
     )  # fmt: skip
 
