@@ -1,7 +1,8 @@
 """A rigid aeroplane's equations in the open, linear in its coefficient terms: what filter error needs of a model.
 
-States V alpha beta p q r phi theta; inputs de da dr [deg], other forces [N] and moments [N m] (thrust), air density, and what the
-model's coefficients hold besides the terms. Written with elementwise operations, so that many parameter sets run side by side.
+States V alpha beta p q r phi theta, and the air's own rotation; inputs de da dr [deg], other forces [N] and moments
+[N m] (thrust), air density, and what the model's coefficients hold besides the terms. Written with elementwise
+operations, so that many parameter sets run side by side.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from sysid.force_coefficients import MassProperties
 
 FloatArray = NDArray[np.float64]
 STATES = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps", "phi_rad", "theta_rad")
+"""Measured states; the rotation of the air, p_gust q_gust r_gust [rad/s], follows them in x."""
 INPUTS = (
     "de", "da", "dr", "Fx_N", "Fy_N", "Fz_N", "Mx_Nm", "My_Nm", "Mz_Nm", "rho_kgpm3",
     "CX", "CY", "CZ", "Cl", "Cm", "Cn",
@@ -26,8 +28,13 @@ OUTPUTS = (
     "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps",
     "ax_mps2", "ay_mps2", "az_mps2",
 )  # fmt: skip
-GUSTY = (0, 1, 2, 3, 4, 5)
-"""States that turbulence enters: the air's motion through V, alpha, beta, its rotation through p, q, r."""
+GUSTY = (0, 1, 2, 8, 9, 10)
+"""States that turbulence enters: the air's motion through V, alpha, beta, its rotation through the three gust states.
+
+Rolling gusts have a memory of 4b/(pi V) seconds, as long as the aircraft's own roll mode: taken for white noise on p they would
+pass for the aircraft's persistence, and roll damping and aileron power would come out at half their size.
+"""
+_GUST_LENGTHS = (4.0 / np.pi, 4.0 / np.pi, 3.0 / np.pi)  # spans; MIL-F-8785C 3.7.3 for p, q, r
 G_MPS2 = 9.80665
 
 
@@ -48,11 +55,13 @@ class OpenEquations:
     def __post_init__(self) -> None:
         unknown = [t for t in self.terms if split_name(t) is None]
         if unknown:
-            raise ValueError(f"{unknown[0]} is no coefficient term; filter error knows {', '.join(COEFFICIENTS)} with their terms")
+            raise ValueError(
+                f"{unknown[0]} is no coefficient term; filter error knows {', '.join(COEFFICIENTS)} with their terms"
+            )
 
     def f(self, x: Any, u: Any, theta: Any) -> Any:
-        """dx/dt (8,)."""
-        V, alpha, beta, p, q, r, phi, theta_ = x
+        """dx/dt (11,)."""
+        V, alpha, beta, p, q, r, phi, theta_ = (x[i] for i in range(8))
         ax, ay, az, pd, qd, rd = self._accelerations(x, u, theta)
         g = self.gravity
         cb, sb, ca, sa = np.cos(beta), np.sin(beta), np.cos(alpha), np.sin(alpha)
@@ -62,14 +71,15 @@ class OpenEquations:
         wd = az + q * ub - p * vb + g * np.cos(theta_) * np.cos(phi)
         Vd = (ub * ud + vb * vd + wb * wd) / V
         turning = q * np.sin(phi) + r * np.cos(phi)
+        fade = [-x[8 + k] * V / (_GUST_LENGTHS[k] * self.mass.b) for k in range(3)]
         return [
             Vd, (ub * wd - wb * ud) / (ub * ub + wb * wb), (V * vd - vb * Vd) / (V * V * cb), pd, qd, rd,
-            p + np.tan(theta_) * turning, q * np.cos(phi) - r * np.sin(phi),
+            p + np.tan(theta_) * turning, q * np.cos(phi) - r * np.sin(phi), *fade,
         ]  # fmt: skip
 
     def g(self, x: Any, u: Any, theta: Any) -> Any:
         """The outputs."""
-        V, alpha, beta, p, q, r, phi, theta_ = x
+        V, alpha, beta, p, q, r, phi, theta_ = (x[i] for i in range(8))
         felt = self._accelerations(x, u, theta)
         every = dict(zip(OUTPUTS, (V, alpha, beta, phi, theta_, p, q, r, *felt[:3]), strict=True))
         offset = len(self.terms)
@@ -81,7 +91,7 @@ class OpenEquations:
         """Specific force [m/s2] and angular acceleration [rad/s2]."""
         V, alpha, beta, p, q, r = x[0], x[1], x[2], x[3], x[4], x[5]
         m = self.mass
-        C = self._coefficients(V, alpha, beta, p, q, r, u, theta)
+        C = self._coefficients(V, alpha, beta, p - x[8], q - x[9], r - x[10], u, theta)
         qS = 0.5 * u[9] * V * V * m.S
         force = [(qS * C[k] + u[3 + k]) / m.mass for k in range(3)]
         J, K = m.inertia, np.linalg.inv(m.inertia)
@@ -108,5 +118,3 @@ class OpenEquations:
             assert parsed is not None
             out[:, COEFFICIENTS.index(parsed[0])] -= value * regressor(parsed[1], found)
         return out
-
-

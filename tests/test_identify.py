@@ -37,7 +37,16 @@ def flights(tmp_path_factory):
 @pytest.fixture(scope="module")
 def identified(flights, tmp_path_factory):
     out = tmp_path_factory.mktemp("identified") / "out"
-    arguments = ["identify", "espaaro", "--flight", str(flights / "train.parquet"), "--start", "initial", "--out", str(out)]
+    arguments = [
+        "identify",
+        "espaaro",
+        "--flight",
+        str(flights / "train.parquet"),
+        "--start",
+        "initial",
+        "--out",
+        str(out),
+    ]
     assert main([*arguments, "--workers", "1", "--no-figures"]) == 0
     return out, json.loads((out / "fit.json").read_text())
 
@@ -141,7 +150,10 @@ def test_figures_and_tables_are_there(flights, tmp_path):
     out = tmp_path / "id"
     assert main(["identify", "espaaro", "--flight", str(flights / "pitch.parquet"), "--params", "Cm_q", "--out", str(out),
                  "--workers", "2"]) == 0  # fmt: skip
-    assert sorted(p.name for p in (out / "figures").iterdir()) == ["pitch-00-pitch-3211.svg", "pitch-01-pitch-doublet.svg"]
+    assert sorted(p.name for p in (out / "figures").iterdir()) == [
+        "pitch-00-pitch-3211.svg",
+        "pitch-01-pitch-doublet.svg",
+    ]
     assert (out / "figures" / "pitch-00-pitch-3211.svg").read_text().startswith("<?xml")
     assert (out / "parameters.csv").read_text().splitlines()[0] == "parameter,initial,estimate,std,crb,status,reason"
     assert "| aero/Cm_q |" in (out / "report.md").read_text()
@@ -157,7 +169,9 @@ def test_bad_input_is_one_line_and_exit_code_2(flights, tmp_path, capsys):
     (tmp_path / "empty.csv").write_text("")
     (tmp_path / "text.csv").write_text("hello\nworld\n")
     whole = fly((("pitch-doublet", 22.0),), seconds=3.0)
-    type(whole)({k: v for k, v in whole.columns.items() if not k.startswith(("aileron", "rudder"))}).write(tmp_path / "bare.csv")
+    type(whole)({k: v for k, v in whole.columns.items() if not k.startswith(("aileron", "rudder"))}).write(
+        tmp_path / "bare.csv"
+    )
     from dataclasses import replace
 
     foreign = whole.with_columns({}, replace(whole.metadata, aircraft="c172"))
@@ -187,12 +201,12 @@ def test_bad_input_is_one_line_and_exit_code_2(flights, tmp_path, capsys):
 
 def test_a_value_is_edited_in_place_and_nowhere_else():
     text = (
-        '<!-- <property value="1">a/b</property> -->\n  <property  value = \'2\' >a/b</property>\t<!-- old -->'
+        "<!-- <property value=\"1\">a/b</property> -->\n  <property  value = '2' >a/b</property>\t<!-- old -->"
         '\r\n<property value="3">a/bc</property>'
     )
     done = with_value(text, "a/b", Estimate(-0.5, "x -- y"))
     assert done == (
-        '<!-- <property value="1">a/b</property> -->\n  <property  value = \'-0.5\' >a/b</property>\t<!-- old -->'
+        "<!-- <property value=\"1\">a/b</property> -->\n  <property  value = '-0.5' >a/b</property>\t<!-- old -->"
         '  <!-- identified x - - y -->\r\n<property value="3">a/bc</property>'
     )
     assert with_value(done, "a/b", Estimate(7, "z")).count("identified") == 1

@@ -220,7 +220,9 @@ def _coefficients(
 
 
 def _allowed(names: Sequence[str], theta: Array, channel: str) -> float:
-    found = [float(v) for n, v in zip(names, theta, strict=True) if n.startswith("delay/") and n.endswith(f"/{channel}")]
+    found = [
+        float(v) for n, v in zip(names, theta, strict=True) if n.startswith("delay/") and n.endswith(f"/{channel}")
+    ]
     return found[0] if found else 0.0
 
 
@@ -251,7 +253,11 @@ def _by_manoeuvre(
 
 
 def _moments(
-    cut: Sequence[Segment], gaps: Sequence[Array], judged: Sequence[str], present: Sequence[str], noise: Mapping[str, float]
+    cut: Sequence[Segment],
+    gaps: Sequence[Array],
+    judged: Sequence[str],
+    present: Sequence[str],
+    noise: Mapping[str, float],
 ) -> tuple[Moment, ...]:
     found = []
     for segment, gap in zip(cut, gaps, strict=True):

@@ -42,7 +42,9 @@ def _run(args: argparse.Namespace) -> int:
     if args.workers is not None and args.workers < 1:
         raise BadInputError(f"--workers {args.workers}: at least 1")
     if not args.out.exists() and not args.out.absolute().parent.is_dir():
-        raise BadInputError(f"--out {args.out}: the folder {args.out.absolute().parent} does not exist; create it first")
+        raise BadInputError(
+            f"--out {args.out}: the folder {args.out.absolute().parent} does not exist; create it first"
+        )
     # Imported here: scipy and pandas take a second that --help should not pay.
     from uqharness.compare import compare
     from uqharness.compare_report import document_of, summary, write_tables
@@ -51,8 +53,13 @@ def _run(args: argparse.Namespace) -> int:
 
     flights, measured = read_flights([args.flight], aircraft, args.manoeuvres, args.map)
     found = compare(
-        aircraft, flights[0], measured, biases=BIASES if biases is None else biases, delays=delays,
-        ideal_servos=args.servos == "ideal", workers=args.workers,
+        aircraft,
+        flights[0],
+        measured,
+        biases=BIASES if biases is None else biases,
+        delays=delays,
+        ideal_servos=args.servos == "ideal",
+        workers=args.workers,
     )
     out = results_folder(args.out)
     document = document_of(found)
@@ -71,7 +78,8 @@ def _figures(found: Any, out: Any) -> None:
     folder = results_folder(out / "figures")
     title = f"{found.flight} beside {found.aircraft}"
     shown = {
-        m: {c: v for c, v in row.items() if math.isfinite(v) and found.channels[c].judged} for m, row in found.manoeuvres.items()
+        m: {c: v for c, v in row.items() if math.isfinite(v) and found.channels[c].judged}
+        for m, row in found.manoeuvres.items()
     }
     gap_figure(shown, folder / "gaps.svg", title, LIMIT)
     coefficient_figure(

@@ -38,7 +38,9 @@ class Flight:
     notes: tuple[str, ...]
 
 
-def read_flight(path: Path, aircraft: Aircraft, manoeuvres: Path | None = None, map_path: Path | None = None) -> FlightRecord:
+def read_flight(
+    path: Path, aircraft: Aircraft, manoeuvres: Path | None = None, map_path: Path | None = None
+) -> FlightRecord:
     """The record of a log or record file, free flight alone, manoeuvres labelled if a table is given. Raises BadInputError."""
     try:
         card = aircraft.folder if (aircraft.folder / "airframe.toml").is_file() else None
@@ -123,7 +125,9 @@ def _aligned(record: FlightRecord) -> tuple[FlightRecord, list[str]]:
     return record.with_columns(columns), notes
 
 
-def segments(flight: Flight, measured: Sequence[str], arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> list[Segment]:
+def segments(
+    flight: Flight, measured: Sequence[str], arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> list[Segment]:
     """Replay segments of a flight's pieces, each from the state measured at its start (straight lines through 0.4 s)."""
     record = flight.record
     out = []

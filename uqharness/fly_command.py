@@ -7,6 +7,7 @@ import json
 import math
 import sys
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ from uqharness.aircraft import Aircraft, find_aircraft
 from uqharness.errors import BadInputError
 from uqharness.flight import Recorded, record_mission
 from uqharness.flight_spec import DEFAULT_TURBULENCE_SOURCE, TURBULENCE_W20_KT, FlightSpec
-from uqharness.mission import StagedMission, find_script, read_script
+from uqharness.mission import MANOEUVRE_PROPERTY, StagedMission, find_script, read_script
 from uqharness.properties import Source
 from uqharness.record_writer import FORMATS, write_record
 
@@ -29,10 +30,12 @@ _EXAMPLE = """examples:
   uqharness fly espaaro --duration-s 600 --wind-mps 3 --wind-from-deg 270 --turbulence moderate --seed 7 --noise --out x.parquet
   uqharness fly espaaro --set aero/Cm_q=-10 --set uq/active=1 --set uq/CX/level=1 --out changed.csv
 """
+_NUMBER = "manoeuvre_number"
 _OPTIONAL = {
     "north_m": Source("nav/north-m"),
     "east_m": Source("nav/east-m"),
     "cross_track_m": Source("nav/cross-track-m"),
+    _NUMBER: Source(MANOEUVRE_PROPERTY),
 }
 
 
@@ -77,14 +80,20 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         help="set a property before the flight; repeatable",
     )
     parser.add_argument("--rate-hz", type=float, default=50.0, metavar="R", help="rows per second (default 50)")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="flight record: .csv or .parquet")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="flight record: .csv, .parquet or .bin (ArduPilot DataFlash)",
+    )
     parser.add_argument("--json", action="store_true", help="machine-readable summary")
     parser.set_defaults(handler=_run)
 
 
 def _run(args: argparse.Namespace) -> int:
     if args.out.suffix not in FORMATS:
-        raise BadInputError(f"--out {args.out}: the format follows the name's ending, {' or '.join(FORMATS)}")
+        raise BadInputError(f"--out {args.out}: the format follows the name's ending, {', '.join(FORMATS)}")
     aircraft = find_aircraft(args.aircraft)
     script = read_script(find_script(args.script))
     spec = _spec(args, aircraft, script.path, script.end_s)
@@ -100,20 +109,23 @@ def _run(args: argparse.Namespace) -> int:
                 file=sys.stderr,
             )
         recorded = record_mission(mission, spec, table, optional, keep_burn_in=True)
-    record = to_record(recorded, aircraft, spec, script.path.stem)
-    write_record(record, args.out)
+    record = to_record(recorded, aircraft, spec, script.path.stem, script.manoeuvres)
+    start = {"lat_deg": 45.0, "lon_deg": 0.0, "alt_m": float(recorded.signals["h_m"][0])}
+    left_out = write_record(record, args.out, aircraft, start)
     summary = {
         "status": recorded.status,
         "reason": recorded.reason,
         "flown_s": recorded.flown_s,
         "rows": len(record),
         "out": str(args.out),
+        "left_out": list(left_out),
     }
     if args.json:
         print(json.dumps(summary))
     else:
         end = "" if recorded.status == "ok" else f", {recorded.status}: {recorded.reason}"
-        print(f"{args.out}: {len(record)} rows, {recorded.flown_s:.1f} s{end}")
+        lost = f"; DataFlash has no message for {', '.join(left_out)}" if left_out else ""
+        print(f"{args.out}: {len(record)} rows, {recorded.flown_s:.1f} s{end}{lost}")
     return 0 if recorded.status == "ok" else 1
 
 
@@ -170,13 +182,19 @@ def parse_settings(settings: list[str]) -> dict[str, float]:
     return parsed
 
 
-def to_record(recorded: Recorded, aircraft: Aircraft, spec: FlightSpec, manoeuvre: str) -> pd.DataFrame:
-    """The flight record of a recorded flight: heights from the start, headings within 0..2 pi, noise where asked for."""
+def to_record(
+    recorded: Recorded, aircraft: Aircraft, spec: FlightSpec, manoeuvre: str, named: Mapping[int, str] | None = None
+) -> pd.DataFrame:
+    """The flight record of a recorded flight: heights from the start, headings within 0..2 pi, noise where asked for.
+
+    The column ``manoeuvre`` follows the script's count of ``named`` manoeuvres, empty in between; without any it is ``manoeuvre``.
+    """
     # Imported here: a second of loading that no other command should pay.
     import pandas as pd
 
     columns = dict(recorded.signals)
     columns["h_m"] = columns["h_m"] - columns["h_m"][0]
+    number = columns.pop(_NUMBER, np.zeros(0))
     if spec.sensor_noise:
         for name, std in aircraft.card.sensors.noise_std.items():
             if name in columns:
@@ -187,5 +205,5 @@ def to_record(recorded: Recorded, aircraft: Aircraft, spec: FlightSpec, manoeuvr
                 columns[name] = columns[name] + std * stream.standard_normal(columns[name].size)
     columns["psi_rad"] = np.mod(columns["psi_rad"], 2.0 * np.pi)
     frame = pd.DataFrame(columns)
-    frame["manoeuvre"] = manoeuvre
+    frame["manoeuvre"] = [named.get(int(k), "") for k in number] if named else manoeuvre
     return frame

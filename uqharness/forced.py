@@ -60,7 +60,18 @@ def force_states(
     height = np.full(len(controls), segment.altitude_m) if altitude_m is None else altitude_m
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
     fdm["ic/terrain-elevation-ft"] = (float(height.min()) - 2000.0) / FT
-    names = ("h-sl-ft", "phi-rad", "theta-rad", "psi-true-rad", "u-fps", "v-fps", "w-fps", "p-rad_sec", "q-rad_sec", "r-rad_sec")
+    names = (
+        "h-sl-ft",
+        "phi-rad",
+        "theta-rad",
+        "psi-true-rad",
+        "u-fps",
+        "v-fps",
+        "w-fps",
+        "p-rad_sec",
+        "q-rad_sec",
+        "r-rad_sec",
+    )
     put = [engine.handle(fdm, f"ic/{name}").set_double_value for name in names]
     get = [engine.handle(fdm, name).get_double_value for name in (*_FORCES, *_MOMENTS, "aero/qbar-psf")]
     raw = np.empty((len(controls), len(get)))

@@ -90,8 +90,10 @@ class Identification:
 
 @contextmanager
 def replay_pool(workers: int | None = None) -> Any:
-    """A `map` over worker processes, started once; the built-in one for a single worker."""
-    count = workers or max(1, min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1))
+    """A `map` for output error whose replays are flown by worker processes, started once; the built-in one for a single worker."""
+    count = workers or max(
+        1, min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+    )
     if count == 1:
         yield map
         return
@@ -103,9 +105,10 @@ def replay_pool(workers: int | None = None) -> Any:
 
             def spread(function: Callable[[Array], Any], points: Any) -> Any:
                 todo = list(points)
-                if len(todo) < 2 * count:
-                    return [function(point) for point in todo] if len(todo) == 1 else pool.map(function, todo)
-                return pool.map(function, todo, chunksize=max(1, len(todo) // (4 * count)))
+                replay = getattr(function, "simulate", None)
+                if isinstance(replay, Replay):
+                    replay.fetch(todo, lambda f, jobs: pool.map(f, jobs, chunksize=max(1, len(jobs) // (8 * count))))
+                return [function(point) for point in todo]
 
             yield spread
     finally:
@@ -154,8 +157,17 @@ def identify(
         noise = channel_noise(data, outputs, aircraft.card.sensors.noise_std)
         with replay_pool(workers) as spread:
             fit, layout, replay = _output_error(
-                model, cut, names, near, initial, limits, outputs, data, [b for b in biases if b in outputs],
-                delayed(flights, outputs, delays), spread,
+                model,
+                cut,
+                names,
+                near,
+                initial,
+                limits,
+                outputs,
+                data,
+                [b for b in biases if b in outputs],
+                delayed(flights, outputs, delays),
+                spread,
             )
         seconds = time.perf_counter() - begun
         found = _assemble(aircraft, names, initial, fit, layout, replay, cut, outputs, data, noise, notes, seconds)
@@ -255,7 +267,11 @@ def equation_error_start(
 
 
 def forced_at(
-    model: ReplayModel, straight: ReplayModel, segment: Segment, channels: Mapping[str, Array], properties: Mapping[str, float]
+    model: ReplayModel,
+    straight: ReplayModel,
+    segment: Segment,
+    channels: Mapping[str, Array],
+    properties: Mapping[str, float],
 ) -> tuple[ForcedModel, dict[str, Array]]:
     """The model forced to a piece's measured states, and the variables of its coefficient terms there."""
     controls = surface_positions(model, segment, CONTROLS)
@@ -330,7 +346,15 @@ def _output_error(
 
     def fit_from(theta: Array, free: list[str]) -> OutputErrorFit:
         return output_error(
-            replay, theta, data, names=layout.names, bounds=layout.bounds, free=free, map=pool, tolerance=0.03, max_iterations=40
+            replay,
+            theta,
+            data,
+            names=layout.names,
+            bounds=layout.bounds,
+            free=free,
+            map=pool,
+            tolerance=0.05,
+            max_iterations=40,
         )
 
     free = list(layout.names)
@@ -343,7 +367,9 @@ def _output_error(
         try:
             fit = fit_from(theta0, free)
         except ValueError as again:
-            raise BadInputError(f"the model cannot fly these segments: {again}; give other start values (--start)") from None
+            raise BadInputError(
+                f"the model cannot fly these segments: {again}; give other start values (--start)"
+            ) from None
     lost = [n for n in names if fit.status[n] == "not-identified"]
     if lost:
         # What the data do not determine goes back to where it was, so that the rest is estimated beside values that will be flown.

@@ -28,7 +28,9 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_flight_arguments(parser, many=True)
-    parser.add_argument("--params", metavar="P,P", help="JSBSim properties to estimate (default: the card's [parameters])")
+    parser.add_argument(
+        "--params", metavar="P,P", help="JSBSim properties to estimate (default: the card's [parameters])"
+    )
     parser.add_argument(
         "--start", choices=("initial", "current"), default="current",
         help="start from the card's first guesses or the XML's values (default %(default)s)",
@@ -50,10 +52,15 @@ def add_flight_arguments(parser: argparse.ArgumentParser, many: bool) -> None:
         "--flight", type=Path, nargs="+" if many else None, action="extend" if many else "store", required=True,
         metavar="FILE", help="flight record (.parquet, .csv) or any log that `log import` reads" + ("; repeatable" if many else ""),
     )  # fmt: skip
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results, made if need be")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder for the results, made if need be"
+    )
     parser.add_argument("--map", type=Path, metavar="MAP.toml", help="signal map of your own for logs")
     parser.add_argument(
-        "--manoeuvres", type=Path, metavar="FILE.csv", help="table manoeuvre, start_s, end_s (and flight) that labels the flight"
+        "--manoeuvres",
+        type=Path,
+        metavar="FILE.csv",
+        help="table manoeuvre, start_s, end_s (and flight) that labels the flight",
     )
     parser.add_argument(
         "--servos", choices=("card", "ideal"), default="card",
@@ -63,7 +70,9 @@ def add_flight_arguments(parser: argparse.ArgumentParser, many: bool) -> None:
         "--biases", metavar="C,C", help="channels with a constant sensor bias to estimate, or none (default p,q,r)"
     )
     parser.add_argument(
-        "--delays", metavar="C,C", help="channels whose delay is estimated, or none (default: all of a log, none of a record)"
+        "--delays",
+        metavar="C,C",
+        help="channels whose delay is estimated, or none (default: all of a log, none of a record)",
     )
 
 
@@ -106,7 +115,9 @@ def _run(args: argparse.Namespace) -> int:
         raise BadInputError(f"--workers {args.workers}: at least 1")
     biases, delays = (parse_channels(f"--{n}", getattr(args, n)) for n in ("biases", "delays"))
     if not args.out.exists() and not args.out.absolute().parent.is_dir():
-        raise BadInputError(f"--out {args.out}: the folder {args.out.absolute().parent} does not exist; create it first")
+        raise BadInputError(
+            f"--out {args.out}: the folder {args.out.absolute().parent} does not exist; create it first"
+        )
     # Imported here: scipy and pandas take a second that --help should not pay.
     from uqharness.flights import read_flights
     from uqharness.identify import BIASES, identify
@@ -140,7 +151,13 @@ def _figures(found: object, out: Path) -> None:
         name = re.sub(r"[^\w.-]+", "-", f"{segment.flight}-{number:02d}-{segment.label}")
         title = f"{segment.flight}, {segment.label}, from {segment.time_s[0]:.1f} s ({found.method})"
         segment_figure(
-            segment, found.outputs, found.measured[number], found.modelled[number], CONTROLS, folder / f"{name}.svg", title
+            segment,
+            found.outputs,
+            found.measured[number],
+            found.modelled[number],
+            CONTROLS,
+            folder / f"{name}.svg",
+            title,
         )
 
 
@@ -165,5 +182,3 @@ def _summary(document: dict[str, object], notes: list[str], out: Path) -> str:
         f"{document['simulations']} simulations, {document['seconds']} s; results in {out}"
     )
     return "\n".join(lines)
-
-

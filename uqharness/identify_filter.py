@@ -61,7 +61,7 @@ def filter_route(
         u.append(np.column_stack([deflections, forced.other_force, forced.other_moment, rho, rest]))
         z.append(np.column_stack([as_logged(flight.record, c, piece.rows) for c in outputs]))
         t.append(np.asarray(segment.time_s))
-        x0.append(np.array([channels[c][0] for c in STATES]))
+        x0.append(np.array([*(channels[c][0] for c in STATES), 0.0, 0.0, 0.0]))
     assert equations is not None
     names = (*terms, *(f"bias/{b}" for b in biased))
     wide = dict(zip(found.names, limits, strict=True))
@@ -79,9 +79,9 @@ def filter_route(
     reason = {n: fit.reason[n] if n in free else found.reason[n] for n in found.names}
     kept = [i for n, i in zip(found.names, where, strict=True) if status[n] == "identified"]
     innovations = fit.residual if isinstance(fit.residual, list) else [fit.residual]
-    gusts = ", ".join(
-        f"{s} {np.sqrt(q):.3g}" for s, q in zip(STATES, np.diagonal(fit.process_noise_cov), strict=True) if q > 0
-    )
+    every = (*STATES, "p_gust", "q_gust", "r_gust")
+    spectrum = zip(every, np.diagonal(fit.process_noise_cov), strict=True)
+    gusts = ", ".join(f"{s} {np.sqrt(q):.3g}" for s, q in spectrum if q > 0)
     note = (
         "the residuals of output error showed process noise (turbulence), which it does not allow for: these are the estimates of "
         f"filter error on the same model's equations (process noise per root second: {gusts or 'none'}); time histories show its "

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,8 @@ from uqharness.errors import BadInputError
 
 ENDLESS_S = 1e9
 """End written into a staged script: the host counts steps itself."""
+MANOEUVRE_PROPERTY = "flight/manoeuvre"
+"""Counts a script's manoeuvres while they last; the event that sets it to a number other than 0 bears the manoeuvre's name."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,7 @@ class Script:
     dt_s: float
     event_properties: tuple[tuple[str, int], ...]
     run_properties: tuple[str, ...]
+    manoeuvres: Mapping[int, str] = field(default_factory=dict)
 
 
 def find_script(name_or_path: str | Path) -> Path:
@@ -67,7 +70,24 @@ def read_script(path: Path) -> Script:
         dt_s=numbers["dt"],
         event_properties=tuple((item.get("name", ""), _line(item)) for item in run.iterfind("event/set")),
         run_properties=tuple((item.text or "").strip() for item in run.iterfind("property")),
+        manoeuvres=_manoeuvres(path, run),
     )
+
+
+def _manoeuvres(path: Path, run: etree._Element) -> dict[int, str]:
+    named: dict[int, str] = {}
+    for event in run.iterfind("event"):
+        for item in event.iterfind("set"):
+            if item.get("name") != MANOEUVRE_PROPERTY:
+                continue
+            text = item.get("value", "")
+            if not text.isdigit():
+                raise BadInputError(
+                    f"{path}:{item.sourceline}: {MANOEUVRE_PROPERTY} is set to '{text}'; a whole number of at least 0 is needed"
+                )
+            if int(text):
+                named[int(text)] = event.get("name", text)
+    return named
 
 
 def _line(element: etree._Element) -> int:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,7 +32,7 @@ STATES = ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "psi_rad", "
 """Start state, in this order; the altitude comes besides."""
 MAX_STEP_S = 0.01
 MIN_RUNS = 2
-_CACHE_SIZE = 400
+_CACHE_BYTES = 400_000_000
 _ANGULAR = ("accelerations/pdot-rad_sec2", "accelerations/qdot-rad_sec2", "accelerations/rdot-rad_sec2")
 
 
@@ -66,7 +66,10 @@ def runs_per_row(dt_s: float) -> int:
 
 
 def fly_segment(
-    model: ReplayModel, segment: Segment, properties: Mapping[str, float], start: Array | None = None,
+    model: ReplayModel,
+    segment: Segment,
+    properties: Mapping[str, float],
+    start: Array | None = None,
     extra: Sequence[str] = (),
 ) -> Array:
     """(n, 13 + len(extra)) outputs: CHANNELS, then the properties ``extra`` in their own units.
@@ -81,7 +84,9 @@ def fly_segment(
     setters = _setters(fdm, model)
     _initialise(fdm, segment, segment.start if start is None else start, setters, model)
     read = _reader(fdm, [*extra], any(segment.arm_m))
-    rows = _advance(fdm, segment, setters, read, runs, [name in model.measured for name in model.controls], model.factor)
+    rows = _advance(
+        fdm, segment, setters, read, runs, [name in model.measured for name in model.controls], model.factor
+    )
     return _outputs(rows, segment, len(extra))
 
 
@@ -146,7 +151,13 @@ def _between(segment: Segment, runs: int, measured: Sequence[bool]) -> Array:
 
 
 def _advance(
-    fdm: Any, segment: Segment, setters: list[list[Any]], read: Any, runs: int, measured: Sequence[bool], factor: Sequence[float]
+    fdm: Any,
+    segment: Segment,
+    setters: list[list[Any]],
+    read: Any,
+    runs: int,
+    measured: Sequence[bool],
+    factor: Sequence[float],
 ) -> list[list[float]]:
     """Raw rows; ends early when JSBSim throws or the speed is no longer finite."""
     scale = np.array(factor)
@@ -205,9 +216,9 @@ def _outputs(rows: list[list[float]], segment: Segment, extra: int) -> Array:
 class Replay:
     """simulate(theta) of a set of segments, for the estimators: picklable, with the runs of late memory kept.
 
-    theta is laid out by ``names``: JSBSim properties; ``bias/<flight>/<channel>`` added to an output; ``delay/<flight>/<channel>``
-    by which an output comes late, s; and ``start/<segment number>/<state>`` added to a segment's start state. What a perturbed
-    value does not touch is not flown again.
+    theta is laid out by ``names``: JSBSim properties; ``bias/<flight>/<channel>`` added to an output;
+    ``delay/<flight>/<channel>`` by which an output comes late, s; and ``start/<segment number>/<state>`` added to a segment's
+    start state. What a perturbed value does not touch is not flown again.
     channels: which of CHANNELS are returned.
     """
 
@@ -233,14 +244,22 @@ class Replay:
             elif kind == "start":
                 self._starts.setdefault(int(where), []).append((i, STATES.index(what)))
 
-    def __call__(self, theta: Array) -> list[Array]:
-        """[(n, m)] outputs, one array a segment."""
+    def _conditions(self, theta: Array) -> tuple[dict[str, float], list[Array]]:
+        """Properties, and the start state of every segment, at theta."""
         properties = {**self.base, **{n: float(theta[i]) for i, n in self._properties}}
-        out = []
+        starts = []
         for number, segment in enumerate(self.segments):
             start = segment.start.copy()
             for i, k in self._starts.get(number, ()):
                 start[k] += theta[i]
+            starts.append(start)
+        return properties, starts
+
+    def __call__(self, theta: Array) -> list[Array]:
+        """[(n, m)] outputs, one array a segment."""
+        properties, starts = self._conditions(theta)
+        out = []
+        for number, (segment, start) in enumerate(zip(self.segments, starts, strict=True)):
             flown = self._flown(number, segment, properties, start)[:, self._columns].copy()
             for i, k in self._delays.get(segment.flight, ()):
                 if theta[i] != 0.0:
@@ -251,17 +270,34 @@ class Replay:
         return out
 
     def _flown(self, number: int, segment: Segment, properties: Mapping[str, float], start: Array) -> Array:
-        key = (self.token, number, np.array(list(properties.values())).tobytes(), start.tobytes())
+        key = self._key(number, properties, start)
         found = _flown.get(key)
         if found is None:
             found = fly_segment(self.model, segment, properties, start)
-            _flown[key] = found
-            counter["rows"] += len(found)
-            while len(_flown) > _CACHE_SIZE:
-                _flown.popitem(last=False)
+            _remember(key, found)
         else:
             _flown.move_to_end(key)
         return found
+
+    def _key(self, number: int, properties: Mapping[str, float], start: Array) -> _Key:
+        return self.token, number, np.array(list(properties.values())).tobytes(), start.tobytes()
+
+    def fetch(self, thetas: Sequence[Array], map_: Callable[..., Iterable[Any]]) -> None:
+        """Fly whatever several theta need and nobody remembers, each piece once, by ``map_`` (a process pool's, say).
+
+        Afterwards every ``self(theta)`` only puts together what is remembered: little has to travel between processes.
+        """
+        jobs: dict[_Key, tuple[ReplayModel, Segment, dict[str, float], Array]] = {}
+        for theta in thetas:
+            properties, starts = self._conditions(theta)
+            for number, (segment, start) in enumerate(zip(self.segments, starts, strict=True)):
+                key = self._key(number, properties, start)
+                if key not in _flown:
+                    jobs[key] = (self.model, segment, properties, start)
+                else:
+                    _flown.move_to_end(key)
+        for key, found in zip(jobs, map_(_fly_job, list(jobs.values())), strict=True):
+            _remember(key, found)
 
 
 def _late(values: Array, rows: float) -> Array:
@@ -273,5 +309,21 @@ def _late(values: Array, rows: float) -> Array:
 
 
 # Memory of the process, shared by unpickled copies of a replay: perturbing one segment's start leaves the others as they were.
-_flown: OrderedDict[tuple[str, int, bytes, bytes], Array] = OrderedDict()
-counter = {"rows": 0}
+_Key = tuple[str, int, bytes, bytes]
+_flown: OrderedDict[_Key, Array] = OrderedDict()
+counter = {"rows": 0, "bytes": 0, "segments": 0}
+
+
+def _remember(key: _Key, found: Array) -> None:
+    _flown[key] = found
+    counter["rows"] += len(found)
+    counter["segments"] += 1
+    counter["bytes"] += found.nbytes
+    while counter["bytes"] > _CACHE_BYTES:
+        counter["bytes"] -= _flown.popitem(last=False)[1].nbytes
+
+
+def _fly_job(job: tuple[ReplayModel, Segment, dict[str, float], Array]) -> Array:
+    # Nothing that goes wrong in flight may end the pool; rows that were not flown are NaN, which rejects the trial point.
+    model, segment, properties, start = job
+    return fly_segment(model, segment, properties, start)

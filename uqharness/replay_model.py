@@ -145,9 +145,7 @@ def _edit(folder: Path, main: str, card: Card, direct: Sequence[str]) -> None:
 
 def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> None:
     """Declare, at zero, the properties that only the systems left out used to make."""
-    fdm = engine.open_fdm(
-        model.root, model.name, dt_s, model.root / "aircraft", model.engine_path, model.systems_path
-    )
+    fdm = engine.open_fdm(model.root, model.name, dt_s, model.root / "aircraft", model.engine_path, model.systems_path)
     manager = fdm.get_property_manager()
     names = [n for n in model.card.modes.get("open_loop", {}) if not manager.hasNode(n)]
     names += engine.undefined_properties(fdm)
