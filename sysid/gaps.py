@@ -13,6 +13,8 @@ from sysid.diagnostics import STRONG_SHARE, WHITENESS_LEVEL, colour
 FloatArray = NDArray[np.float64]
 FORM_SHARE = 0.6  # share of a residual that is a function of the motion above which the model's form is to blame
 
+QUIET_SHARE = 0.5  # residual power beyond noise in quiet flight, over that in motion, above which the air is to blame
+
 
 def rms(values: FloatArray) -> float:
     """Root mean square of the finite values; NaN when there are none."""
@@ -46,15 +48,32 @@ def channel_noise(data: Sequence[FloatArray], channels: Sequence[str], card: Map
     return out
 
 
-def process_noise_shown(residual: Sequence[FloatArray], motion: Sequence[FloatArray]) -> bool:
-    """True when residuals are coloured and are no function of the simulated motion: turbulence rather than a wrong model."""
+def quiet_share(residual: Sequence[FloatArray], motion: Sequence[FloatArray], noise: FloatArray) -> FloatArray:
+    """(m,) power beyond noise (m,) of each residual while the aircraft moves little, over that while it moves much.
+
+    1 is what turbulence gives, which does not wait for manoeuvres; 0 what a wrong model or a late surface gives. The halves
+    are those of the simulated motion's speed of change, all channels together.
+    """
+    spread = np.concatenate(list(motion)).std(axis=0)
+    spread = np.where(spread > 0.0, spread, 1.0)
+    speed = np.concatenate([np.sqrt(np.mean((np.gradient(y, axis=0) / spread) ** 2, axis=1)) for y in motion])
+    quiet = speed <= np.median(speed)
+    stacked = np.concatenate(list(residual))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        still, moving = (np.nanmean(stacked[part] ** 2, axis=0) - noise**2 for part in (quiet, ~quiet))
+        return np.asarray(np.where(moving > 0.2 * noise**2, np.maximum(still, 0.0) / moving, 0.0))
+
+
+def process_noise_shown(residual: Sequence[FloatArray], motion: Sequence[FloatArray], noise: FloatArray) -> bool:
+    """True when residuals are coloured, are no function of the simulated motion and are there in quiet flight too: turbulence."""
     found = colour(list(residual), list(motion))
     strong = (found.p_value < WHITENESS_LEVEL / len(found.p_value)) & (found.predictable > STRONG_SHARE)
     if not strong.any():
         return False
     explained = found.explained[strong]
     explained = explained[np.isfinite(explained)]
-    return bool(explained.size == 0 or explained.max() <= FORM_SHARE)
+    steady = quiet_share(residual, motion, noise)[strong]
+    return bool((explained.size == 0 or explained.max() <= FORM_SHARE) and steady.max() > QUIET_SHARE)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
 from uqharness.flights import Flight, measured_outputs, segments, states
 from uqharness.identify import BIASES, OUTPUTS, delayed, demand_of, forced_at, nuisance_layout, replay_pool
-from uqharness.replay import CHANNELS, Replay, Segment
+from uqharness.replay import CHANNELS, SENSOR_OF, Replay, Segment
 from uqharness.replay_model import CONTROLS, ReplayFolder, ReplayModel
 
 Array = NDArray[np.float64]
@@ -221,7 +221,9 @@ def _coefficients(
 
 def _allowed(names: Sequence[str], theta: Array, channel: str) -> float:
     found = [
-        float(v) for n, v in zip(names, theta, strict=True) if n.startswith("delay/") and n.endswith(f"/{channel}")
+        float(v)
+        for n, v in zip(names, theta, strict=True)
+        if n.startswith("delay/") and n.endswith(f"/{SENSOR_OF.get(channel, channel)}")
     ]
     return found[0] if found else 0.0
 

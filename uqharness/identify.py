@@ -30,7 +30,7 @@ from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
 from uqharness.flights import Flight, measured_outputs, segments, states
 from uqharness.forced import ForcedModel, force_states, surface_positions
-from uqharness.replay import CHANNELS, STATES, Replay, Segment
+from uqharness.replay import CHANNELS, SENSOR_OF, STATES, Replay, Segment
 from uqharness.replay_model import CONTROLS, ReplayFolder, ReplayModel
 
 Array = NDArray[np.float64]
@@ -179,11 +179,17 @@ def identify(
             return filter_route(found, model, straight, flights, limits, biases)
 
 
-def _sensed(found: Identification) -> tuple[list[Array], list[Array]]:
-    """Residual and motion of the channels that sensors measure directly: an estimator's attitude or wind angles have coloured
-    errors of their own, which say nothing of the air."""
+def _sensed(found: Identification) -> tuple[list[Array], list[Array], Array]:
+    """Residual, motion and noise of the channels that sensors measure directly.
+
+    An estimator's attitude or wind angles have coloured errors of their own, which say nothing of the air.
+    """
     columns = [k for k, c in enumerate(found.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")]
-    return [r[:, columns] for r in found.residual], [y[:, columns] for y in found.modelled]
+    return (
+        [r[:, columns] for r in found.residual],
+        [y[:, columns] for y in found.modelled],
+        np.array([found.noise[found.outputs[k]] for k in columns]),
+    )
 
 
 def _parameter_names(aircraft: Aircraft, asked: Sequence[str] | None) -> tuple[str, ...]:
@@ -327,10 +333,12 @@ def nuisance_layout(
 
 
 def delayed(flights: Sequence[Flight], outputs: Sequence[str], asked: Sequence[str] | None) -> dict[str, list[str]]:
-    """Flight -> channels whose delay is estimated. By default those of logs: their channels are stamped when they are written."""
-    return {
-        f.name: [c for c in outputs if (f.record.metadata.native_hz if asked is None else c in asked)] for f in flights
-    }
+    """Flight -> sensors whose delay is estimated. By default those of logs: their channels are stamped when they are written."""
+    out = {}
+    for flight in flights:
+        wanted = [c for c in outputs if (flight.record.metadata.native_hz if asked is None else c in asked)]
+        out[flight.name] = list(dict.fromkeys(SENSOR_OF.get(c, c) for c in wanted))
+    return out
 
 
 def _output_error(

@@ -30,6 +30,12 @@ CHANNELS = (
 """Columns of a replay, in this order."""
 STATES = ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "psi_rad", "p_radps", "q_radps", "r_radps")
 """Start state, in this order; the altitude comes besides."""
+SENSOR_OF = {
+    "phi_rad": "attitude", "theta_rad": "attitude", "psi_rad": "attitude",
+    "p_radps": "rates", "q_radps": "rates", "r_radps": "rates",
+    "ax_mps2": "accelerations", "ay_mps2": "accelerations", "az_mps2": "accelerations",
+}  # fmt: skip
+"""Channels that come from one sensor and share its delay; the others stand for themselves."""
 MAX_STEP_S = 0.01
 MIN_RUNS = 2
 _CACHE_BYTES = 400_000_000
@@ -217,8 +223,8 @@ class Replay:
     """simulate(theta) of a set of segments, for the estimators: picklable, with the runs of late memory kept.
 
     theta is laid out by ``names``: JSBSim properties; ``bias/<flight>/<channel>`` added to an output;
-    ``delay/<flight>/<channel>`` by which an output comes late, s; and ``start/<segment number>/<state>`` added to a segment's
-    start state. What a perturbed value does not touch is not flown again.
+    ``delay/<flight>/<sensor>`` by which a sensor's outputs come late, s (SENSOR_OF); and ``start/<segment number>/<state>`` added
+    to a segment's start state. What a perturbed value does not touch is not flown again.
     channels: which of CHANNELS are returned.
     """
 
@@ -239,8 +245,9 @@ class Replay:
             where, _, what = rest.rpartition("/")
             if kind == "bias" and what in self.channels:
                 self._biases.setdefault(where, []).append((i, self.channels.index(what)))
-            elif kind == "delay" and what in self.channels:
-                self._delays.setdefault(where, []).append((i, self.channels.index(what)))
+            elif kind == "delay":
+                late = [k for k, c in enumerate(self.channels) if SENSOR_OF.get(c, c) == what]
+                self._delays.setdefault(where, []).extend((i, k) for k in late)
             elif kind == "start":
                 self._starts.setdefault(int(where), []).append((i, STATES.index(what)))
 
