@@ -19,6 +19,7 @@ from uqharness.cases import Case, Mission, build_cases
 from uqharness.errors import BadInputError
 from uqharness.executor import Executor, ProcessExecutor, usable_cores
 from uqharness.store import JOURNAL, Store, run_lock
+from uqharness.whole_files import PART
 from uqharness.worker import FlightFunction
 
 VALIDATION_S = 5.0
@@ -178,7 +179,7 @@ def _holds_flights(folder: Path) -> bool:
 
 
 def _refuse_foreign(folder: Path) -> None:
-    others = sorted(item.name for item in folder.iterdir() if item.name != "run.lock")
+    others = sorted(item.name for item in folder.iterdir() if item.name != "run.lock" and item.suffix != PART)
     if others:
         raise BadInputError(f"{folder}: not empty and not a campaign folder (it has {others[0]}); choose another --out")
 

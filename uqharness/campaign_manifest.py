@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import platform
 from collections.abc import Mapping
 from importlib import metadata
@@ -15,6 +13,7 @@ import uqharness
 from uqharness.campaign_spec import CampaignSpec
 from uqharness.cases import Mission
 from uqharness.errors import BadInputError
+from uqharness.whole_files import write_bytes
 
 MANIFEST = "manifest.json"
 _FORMAT = 1
@@ -64,22 +63,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
     """Write it whole or not at all."""
-    write_atomically(folder / MANIFEST, (json.dumps(manifest, indent=2) + "\n").encode())
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """Replace a file so that a reader, or a crash, finds the old one or the new one. Raises BadInputError."""
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        with temporary.open("wb") as handle:
-            handle.write(content)
-            handle.flush()
-            os.fsync(handle.fileno())
-        os.replace(temporary, path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        raise BadInputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    write_bytes(folder / MANIFEST, (json.dumps(manifest, indent=2) + "\n").encode())
 
 
 def refuse_if_different(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:

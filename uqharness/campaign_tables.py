@@ -12,11 +12,11 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from uqharness.campaign_manifest import write_atomically
 from uqharness.campaign_spec import CampaignSpec
 from uqharness.case_table import CASES, ERROR_METRICS, build_table, write_table
 from uqharness.cases import Case
 from uqharness.pbox import ExcursionRate, PBox, Sample, best_and_worst, excursion_rate, pbox
+from uqharness.whole_files import write_bytes
 from uqharness.worker import CaseOutcome
 
 PBOXES = "pbox.parquet"
@@ -63,7 +63,7 @@ def write_tables(folder: Path, spec: CampaignSpec, cases: Sequence[Case], outcom
     write_table(table, folder / CASES)
     frame = table.to_pandas()
     write_table(_pbox_table(frame), folder / PBOXES)
-    write_atomically(folder / EXCURSIONS, _excursions_csv(excursion_cells(frame, spec.metrics.excursion_radius_m)))
+    write_bytes(folder / EXCURSIONS, _excursions_csv(excursion_cells(frame, spec.metrics.excursion_radius_m)))
 
 
 def conditions(frame: pd.DataFrame) -> list[Condition]:

@@ -11,10 +11,10 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from uqharness.campaign_manifest import write_atomically
 from uqharness.cases import Case
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import COEFFICIENTS
+from uqharness.whole_files import write_bytes
 from uqharness.worker import CaseOutcome
 
 CASES = "cases.parquet"
@@ -70,7 +70,7 @@ def write_table(table: pa.Table, path: Path) -> None:
         row_group_size=65536,
         store_schema=False,
     )
-    write_atomically(path, buffer.getvalue())
+    write_bytes(path, buffer.getvalue())
 
 
 def read_table(path: Path) -> pa.Table:

@@ -17,7 +17,7 @@ from sysid.diagnostics import colour
 from sysid.gaps import rms
 from uqharness.aircraft import Aircraft
 from uqharness.identify import Identification
-from uqharness.record_writer import write_whole
+from uqharness.whole_files import write_whole
 from uqharness.xml_estimates import Estimate, write_estimates
 
 

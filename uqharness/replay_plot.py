@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from uqharness.record_writer import write_whole
 from uqharness.replay import Segment
+from uqharness.whole_files import write_whole
 
 Array = NDArray[np.float64]
 matplotlib.rcParams["svg.hashsalt"] = "uqharness"

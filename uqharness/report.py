@@ -12,7 +12,7 @@ import jinja2
 import pandas as pd
 from markupsafe import Markup
 
-from uqharness.campaign_manifest import read_manifest, write_atomically
+from uqharness.campaign_manifest import read_manifest
 from uqharness.campaign_tables import (
     CONFIDENCE,
     Condition,
@@ -26,6 +26,7 @@ from uqharness.case_table import CASES, read_table
 from uqharness.errors import BadInputError
 from uqharness.pbox import ExcursionRate, PBox, best_and_worst, pbox, poisson_upper
 from uqharness.pbox_plot import PBoxFigure, Svg, draw
+from uqharness.whole_files import write_bytes
 
 REPORT = "report.html"
 CONDITIONS_DRAWN = 4
@@ -99,7 +100,7 @@ def write_report(folder: Path) -> Report:
         confidence=f"{CONFIDENCE:.0%}".replace("%", " %"),
     )
     path = folder / REPORT
-    write_atomically(path, page.encode())
+    write_bytes(path, page.encode())
     return Report(path, tuple(_write_figures(folder, findings)), verdict)
 
 
@@ -110,7 +111,7 @@ def _write_figures(folder: Path, findings: list[_Finding]) -> list[Path]:
     for item in findings:
         if item.svg is not None:
             paths.append(figures / f"{item.svg.name}.svg")
-            write_atomically(paths[-1], item.svg.file.encode())
+            write_bytes(paths[-1], item.svg.file.encode())
     return paths
 
 

@@ -224,3 +224,19 @@ def test_what_never_flew_says_so() -> None:
     taxi = np.concatenate([np.zeros(50), np.full(550, 12.0)])
     assert "never left the ground" in find(t, taxi, np.zeros(600), None, None, np.array([])).why
     assert "cannot be said" in find(t, np.full(600, np.nan), None, None, None, np.array([])).why
+
+
+def test_a_noisy_attitude_is_no_wrong_unit() -> None:
+    rng = np.random.default_rng(4)
+    quiet = flight(90.0)
+    noise = {
+        name: quiet[name] + 0.02 * rng.standard_normal(len(quiet)) for name in ("phi_rad", "theta_rad", "psi_rad")
+    }
+    noisy = quiet.with_columns(noise)
+    part = noisy["phi_rad"], noisy["p_radps"]
+    # Seen as a regression on a noisy rate, the slope is far from 1 ...
+    assert compare(np.gradient(part[0], 0.02), part[1], 0.02).slope < 0.75
+    # ... and yet nothing is wrong with the unit; a factor of three is found all the same.
+    assert not [f for f in check_record(noisy, (0.0, 90.0)) if f.code == "unit"]
+    wrong = noisy.with_columns({"p_radps": noisy["p_radps"] / 3.0})
+    assert [f for f in check_record(wrong, (0.0, 90.0)) if f.code == "unit"]
