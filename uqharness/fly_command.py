@@ -156,7 +156,7 @@ def _spec(args: argparse.Namespace, aircraft: Aircraft, script: Path, end_s: flo
         sensor_noise=args.noise,
         seed_turbulence=turbulence,
         seed_noise=noise,
-        properties=parse_settings(args.settings),
+        properties={**properties.SECOND_ORDER, **parse_settings(args.settings)},
         record_rate_hz=args.rate_hz,
     )
 

@@ -19,16 +19,10 @@ from lxml import etree
 from uqharness import engine
 from uqharness.aircraft import Aircraft, Card, check_loadable, parse_xml
 from uqharness.errors import BadInputError
+from uqharness.properties import SECOND_ORDER
 
 CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 _ACTUATOR_DYNAMICS = ("lag", "rate_limit", "hysteresis", "deadband_width", "bias")
-# Second order for smooth motion. JSBSim's default for the rates is Euler's rule, which at 100 Hz makes roll damping 4 % too
-# strong; an identification would put the difference into the coefficients.
-_INTEGRATORS = {
-    "simulation/integrator/rate/rotational": 3.0,
-    "simulation/integrator/rate/translational": 3.0,
-    "simulation/integrator/position/rotational": 3.0,
-}
 
 
 @dataclass(frozen=True)
@@ -54,7 +48,7 @@ class ReplayModel:
         fdm = engine.open_fdm(self.root, self.name, dt_s, self.root / "aircraft", self.engine_path, self.systems_path)
         for name, value in {**self.card.modes.get("open_loop", {}), **self.settings}.items():
             engine.set_property(fdm, name, value)
-        for name, value in _INTEGRATORS.items():
+        for name, value in SECOND_ORDER.items():
             fdm[name] = value
         return fdm
 
