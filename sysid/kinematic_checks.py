@@ -176,7 +176,7 @@ def _unit(name: str, slope: float, against: str, correlation: float) -> list[Fin
     numbers = {"slope": slope, "correlation": correlation}
     # Noise in the reference pulls a regression's slope down by up to the squared correlation: the truth lies between the two.
     steepest = slope / correlation**2
-    if 0.75 < steepest and slope < 1.33:
+    if steepest > 0.75 and slope < 1.33:
         return []
     ratio = abs(slope)
     if 45.0 < ratio < 72.0:
