@@ -118,7 +118,7 @@ def compare(
     judged = tuple(c for c in OUTPUTS if c in present)
     data = measured_outputs(flight, present)
     noise = channel_noise(data, present, aircraft.card.sensors.noise_std)
-    ideal = tuple(c for c in CONTROLS[:3] if c not in measured) if ideal_servos else ()
+    ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
     with ReplayFolder(aircraft, measured=measured, ideal=ideal) as model:
         with replay_pool(workers) as spread:
             wanted = [b for b in biases if b in judged]

@@ -138,12 +138,12 @@ def identify(
     start       "initial": the card's first guesses; "current": the values in the XML
     biases      channels with a constant sensor bias, one a flight
     delays      channels whose delay after the commands is estimated, one a flight; None: all, of flights that come from a log
-    ideal_servos  surfaces follow their commands at once, whatever actuators the XML has
+    ideal_servos  surfaces and throttle follow their commands at once, whatever actuators the XML has
     method      "auto" | "output-error" | "filter-error"
     Raises BadInputError for unknown parameters and for a model that cannot fly the segments.
     """
     names = _parameter_names(aircraft, parameters)
-    ideal = tuple(c for c in CONTROLS[:3] if c not in measured) if ideal_servos else ()
+    ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
     with ReplayFolder(aircraft, measured=measured, ideal=ideal) as model:
         arm = aircraft.card.sensors.position_m.get("accelerometer", (0.0, 0.0, 0.0))
         cut = [s for f in flights for s in segments(f, measured, arm)]

@@ -64,7 +64,7 @@ def add_flight_arguments(parser: argparse.ArgumentParser, many: bool) -> None:
     )
     parser.add_argument(
         "--servos", choices=("card", "ideal"), default="card",
-        help="commands go through the aircraft's actuators, or surfaces follow them at once (default %(default)s)",
+        help="commands go through the aircraft's actuators, or surfaces and throttle follow them at once (default %(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--biases", metavar="C,C", help="channels with a constant sensor bias to estimate, or none (default p,q,r)"
