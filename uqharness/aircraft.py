@@ -144,6 +144,11 @@ def find_aircraft(name_or_folder: str | Path) -> Aircraft:
 
     Raises BadInputError naming what was looked at and what there is.
     """
+    return _read_aircraft(find_folder(name_or_folder))
+
+
+def find_folder(name_or_folder: str | Path) -> Path:
+    """Folder of that aircraft, its files unread. Raises BadInputError as find_aircraft does."""
     given = Path(name_or_folder)
     roots = [Path.cwd() / "aircraft", PROJECT_ROOT / "aircraft", engine.default_root() / "aircraft"]
     candidates = [given] if given.is_dir() else []
@@ -151,7 +156,7 @@ def find_aircraft(name_or_folder: str | Path) -> Aircraft:
         candidates += [root / given for root in roots]
     for folder in candidates:
         if folder.is_dir():
-            return _read_aircraft(folder.resolve())
+            return folder.resolve()
     known = sorted({path.name for root in roots[:2] if root.is_dir() for path in root.iterdir() if path.is_dir()})
     raise BadInputError(
         f"aircraft '{name_or_folder}' not found: it is neither a folder nor a name under aircraft/ "
@@ -202,19 +207,6 @@ def read_card(path: Path) -> Card:
             "no such key in airframe.toml; see docs/aircraft.md" if first["type"] == "extra_forbidden" else first["msg"]
         )
         raise BadInputError(f"{path}: {key}: {what}; received {first.get('input')!r}") from None
-
-
-def reference_lengths(aircraft: Aircraft) -> tuple[float, float, float]:
-    """Wing area S [m2], span b [m] and chord c [m]: the card's, else the XML's metrics."""
-    reference = aircraft.card.reference
-    if reference.S_m2 and reference.b_m and reference.c_m:
-        return reference.S_m2, reference.b_m, reference.c_m
-    fdm = open_aircraft(aircraft)
-    return (
-        reference.S_m2 or fdm["metrics/Sw-sqft"] * 0.3048**2,
-        reference.b_m or fdm["metrics/bw-ft"] * 0.3048,
-        reference.c_m or fdm["metrics/cbarw-ft"] * 0.3048,
-    )
 
 
 def open_aircraft(aircraft: Aircraft, dt_s: float | None = None) -> Any:
@@ -299,10 +291,15 @@ class staged:
 
 def content_hash(aircraft: Aircraft) -> str:
     """SHA-256 over every XML and TOML file of the aircraft's folder, names included; the identity a campaign is tied to."""
+    return folder_hash(aircraft.folder)
+
+
+def folder_hash(folder: Path) -> str:
+    """The same for a folder whose card has not been read."""
     digest = hashlib.sha256()
-    for path in sorted(aircraft.folder.rglob("*")):
+    for path in sorted(folder.rglob("*")):
         if path.suffix in {".xml", ".toml"} and path.is_file():
-            digest.update(path.relative_to(aircraft.folder).as_posix().encode() + b"\0")
+            digest.update(path.relative_to(folder).as_posix().encode() + b"\0")
             digest.update(path.read_bytes() + b"\0")
     return digest.hexdigest()
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uqharness import engine
-from uqharness.aircraft import Aircraft, content_hash, find_aircraft
+from uqharness.aircraft import Aircraft, find_aircraft, find_folder, folder_hash
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import TURBULENCE_W20_KT, FlightResult, FlightSpec
 from uqharness.loiter_metrics import absolute_statistics, count_excursions, lost_control
@@ -64,7 +64,7 @@ def fly(spec: FlightSpec) -> FlightResult:
 def _fingerprint(spec: FlightSpec) -> str:
     # A worker that lives for days must notice that somebody edited the aircraft: the staged copy is keyed by what it was made from.
     script = find_script(spec.script)
-    return f"{content_hash(find_aircraft(spec.aircraft))}-{script.stat().st_mtime_ns}"
+    return f"{folder_hash(find_folder(spec.aircraft))}-{script.stat().st_mtime_ns}"
 
 
 @lru_cache(maxsize=8)

@@ -239,10 +239,3 @@ def measure_loop(
         response=response,
         scatter=scatter,
     )
-
-
-def measure_all(
-    make_fdm: Callable[[], Simulator], *, condition: Mapping[str, float] = CALM_LOITER
-) -> dict[str, LoopMargins]:
-    """Every actuator loop in turn."""
-    return {name: measure_loop(make_fdm, loop, condition=condition) for name, loop in LOOPS.items()}
