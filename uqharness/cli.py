@@ -19,6 +19,7 @@ from uqharness import (
     log_command,
     margins_command,
     modes_command,
+    sensitivity_command,
 )
 from uqharness.errors import BadInputError
 
@@ -40,6 +41,7 @@ def build_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for module in (
         fly_command, modes_command, margins_command, log_command, identify_command, compare_command, campaign_commands,
+        sensitivity_command,
     ):  # fmt: skip
         module.register(commands)
     return parser

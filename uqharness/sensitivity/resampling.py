@@ -1,0 +1,111 @@
+"""Sampling errors of areas, from the runs that are there. Pure.
+
+Two tools. Areas of p-boxes from samples inside the box rest on extremes, where the bootstrap, which repeats its largest value in
+two of three resamples, fails: there separate blocks of the samples tell. For indices of corner pairs the aleatory draws are
+resampled with replacement, all corners together because they share them, and one band holds for all pairs of all parameters at
+once, so that it also holds for the smallest and largest picked among them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from uqharness.sensitivity.areas import fixed_areas, pair_areas
+from uqharness.sensitivity.problem import Array
+from uqharness.sensitivity.result import CONFIDENCE
+
+Z = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE))
+HALVES = 20
+BLOCKS = 8
+RESAMPLES = 200
+MIN_DRAWS = 4
+"""Fewer aleatory draws than these say nothing of their own spread."""
+
+
+def std_by_draws(statistic: Callable[[NDArray[Any]], Array | float], draws: int, seed: int) -> Array:
+    """Standard deviation of ``statistic(columns)`` that the choice of the aleatory draws makes: over halves, for half kept is
+    half left out. 0 where one draw stands for no chance at all."""
+    if draws == 1:
+        return np.zeros_like(statistic(np.arange(1)))
+    rng = np.random.default_rng(seed)
+    return np.std(np.array([statistic(rng.permutation(draws)[: draws // 2]) for _ in range(HALVES)]), axis=0, ddof=1)
+
+
+def reach_of_box(statistic: Callable[[Any, Any], Array | float], shape: tuple[int, ...], seed: int) -> Array:
+    """Half-width of the interval of a statistic of p-box areas, ``statistic(rows, columns)``.
+
+    Rows: the spread over BLOCKS separate blocks, not narrowed to the full number of samples. An extreme of E samples varies as
+    E^(-1/k) with k active parameters, so the narrowing is anything from none to eightfold; none is on the safe side.
+    """
+    samples, draws = shape
+    every = np.arange(samples), np.arange(draws)
+    rows = np.random.default_rng(seed).permutation(samples)
+    by_rows = np.std(np.array([statistic(block, every[1]) for block in np.array_split(rows, BLOCKS)]), axis=0, ddof=1)
+    by_columns = std_by_draws(lambda columns: statistic(every[0], columns), draws, seed)
+    return float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, BLOCKS - 1)) * np.hypot(by_rows, by_columns)
+
+
+@dataclass(frozen=True)
+class PairBand:
+    """Indices with one band that holds for all of them at once; ``area`` of the envelope and its own interval.
+
+    ``index``, ``low``, ``high`` (d, 2^(d-1) + 2): the pairs' shares of the envelope's area, then, in the last two columns, the
+    share by which the envelope shrinks with the parameter fixed at its lower and at its upper bound. All lie in 0..1.
+    """
+
+    index: Array
+    low: Array
+    high: Array
+    area: float
+    area_low: float
+    area_high: float
+
+
+def pair_band(y: Array, d: int, seed: int, confidence: float = CONFIDENCE, resamples: int = RESAMPLES) -> PairBand:
+    """Indices of all pairs and their simultaneous band by a bootstrap over the draws; y (2^d, A).
+
+    The band is the bootstrap's largest studentised deviation over all of them. An area of absolute differences is biased upwards by
+    chance: the bias the bootstrap sees is taken off the low side. With fewer than MIN_DRAWS draws, no resamples, or a
+    resample without any width, the band is NaN; with one, for want of anything aleatory, the numbers are exact and it is closed.
+    """
+    area, index = _indices(np.sort(y, axis=-1), d)
+    draws = y.shape[1]
+    if draws < MIN_DRAWS or resamples == 0:
+        return _without_band(index, area, 0.0 if draws == 1 else np.nan)
+    rng = np.random.default_rng(seed)
+    again = np.empty((resamples, index.size))
+    areas = np.empty(resamples)
+    for k in range(resamples):
+        areas[k], found = _indices(np.sort(y[:, rng.integers(draws, size=draws)], axis=-1), d)
+        again[k] = found.ravel()
+    if np.isnan(again).any():
+        return _without_band(index, area, np.nan)
+    flat = index.ravel()
+    std, bias = again.std(axis=0, ddof=1), again.mean(axis=0) - flat
+    moving = std > 1e-12
+    deviation = np.abs(again - flat - bias)[:, moving] / std[moving]
+    # Few draws: the bootstrap's spread is that of a variance divided by A in place of A-1, and its tails are Student's.
+    point = 0.5 + 0.5 * confidence
+    small = np.sqrt(draws / (draws - 1.0)) * stats.t.ppf(point, draws - 1) / stats.norm.ppf(point)
+    reach = small * (float(np.quantile(deviation.max(axis=1), confidence)) if moving.any() else 0.0)
+    low = np.maximum(0.0, flat - np.maximum(bias, 0.0) - reach * std)
+    high = np.minimum(1.0, flat - np.minimum(bias, 0.0) + reach * std)
+    spread = small * float(stats.norm.ppf(point)) * float(areas.std(ddof=1))
+    return PairBand(index, low.reshape(index.shape), high.reshape(index.shape), area, area - spread, area + spread)
+
+
+def _without_band(index: Array, area: float, nothing: float) -> PairBand:
+    return PairBand(index, index + nothing, index + nothing, area, area + nothing, area + nothing)
+
+
+def _indices(ordered: Array, d: int) -> tuple[float, Array]:
+    area = float(np.mean(ordered.max(axis=0) - ordered.min(axis=0)))
+    if not area > 0.0:
+        return area, np.full((d, 2 ** (d - 1) + 2), np.nan)
+    return area, np.hstack([pair_areas(ordered, d) / area, 1.0 - fixed_areas(ordered, d) / area])
