@@ -33,8 +33,10 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
         reason = "the aleatory mean has no variance: the output's mean depends on no parameter"
         return all_undefined(METHOD, study.names, reason, cost)
     samples = f_A.size
-    found = stats.sobol_indices(func={"f_A": f_A[None], "f_B": f_B[None], "f_AB": f_AB[:, None]}, n=samples)
-    total, order_one = np.atleast_1d(found.total_order), np.atleast_1d(found.first_order)
+    # Twice the same output: for one output of one parameter scipy squeezes its result to a scalar and fails on it.
+    twice = {"f_A": np.stack([f_A] * 2), "f_B": np.stack([f_B] * 2), "f_AB": np.stack([f_AB] * 2, axis=1)}
+    found = stats.sobol_indices(func=twice, n=samples)
+    total, order_one = found.total_order.reshape(2, -1)[0], found.first_order.reshape(2, -1)[0]
     low = high = np.full_like(total, np.nan)
     if intervals:
         by_draws = std_by_draws(

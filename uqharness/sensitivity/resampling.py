@@ -24,7 +24,10 @@ Z = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE))
 HALVES = 20
 BLOCKS = 8
 RESAMPLES = 200
-MIN_DRAWS = 4
+_BIAS_SEEN = 1.0 / (2.0**0.5 - 1.0)
+# Of noise s in the sample a resample has sqrt(2) s; a bias in proportion to s shows only the difference, 0.41 of itself.
+SWAPS = 50
+MIN_DRAWS = 8
 """Fewer aleatory draws than these say nothing of their own spread."""
 
 
@@ -70,9 +73,11 @@ class PairBand:
 def pair_band(y: Array, d: int, seed: int, confidence: float = CONFIDENCE, resamples: int = RESAMPLES) -> PairBand:
     """Indices of all pairs and their simultaneous band by a bootstrap over the draws; y (2^d, A).
 
-    The band is the bootstrap's largest studentised deviation over all of them. An area of absolute differences is biased upwards by
-    chance: the bias the bootstrap sees is taken off the low side. With fewer than MIN_DRAWS draws, no resamples, or a
-    resample without any width, the band is NaN; with one, for want of anything aleatory, the numbers are exact and it is closed.
+    The band is the bootstrap's largest studentised deviation over all of them. An area of absolute differences, or of largest and
+    smallest values, is biased by chance, in the direction the bootstrap shows: the band reaches further to the other side, and
+    what chance alone would make of two equal corners is no evidence that they differ. With fewer than MIN_DRAWS draws, no
+    resamples, or a resample without any width, the band is NaN; with one, for want of anything aleatory, the numbers are exact
+    and it is closed.
     """
     area, index = _indices(np.sort(y, axis=-1), d)
     draws = y.shape[1]
@@ -87,17 +92,42 @@ def pair_band(y: Array, d: int, seed: int, confidence: float = CONFIDENCE, resam
     if np.isnan(again).any():
         return _without_band(index, area, np.nan)
     flat = index.ravel()
-    std, bias = again.std(axis=0, ddof=1), again.mean(axis=0) - flat
+    std, bias = again.std(axis=0, ddof=1), _BIAS_SEEN * (again.mean(axis=0) - flat)
     moving = std > 1e-12
-    deviation = np.abs(again - flat - bias)[:, moving] / std[moving]
+    deviation = np.abs(again - again.mean(axis=0))[:, moving] / std[moving]
     # Few draws: the bootstrap's spread is that of a variance divided by A in place of A-1, and its tails are Student's.
     point = 0.5 + 0.5 * confidence
     small = np.sqrt(draws / (draws - 1.0)) * stats.t.ppf(point, draws - 1) / stats.norm.ppf(point)
     reach = small * (float(np.quantile(deviation.max(axis=1), confidence)) if moving.any() else 0.0)
-    low = np.maximum(0.0, flat - np.maximum(bias, 0.0) - reach * std)
+    low = (flat - np.maximum(bias, 0.0) - reach * std).reshape(index.shape)
+    low[:, :-2] = np.minimum(low[:, :-2], index[:, :-2] - _chance_areas(y, d, rng, reach) / area)
+    low = np.maximum(0.0, low)
+    # Where no pair is shown to differ, no shrinkage is shown either.
+    low[np.all(low[:, :-2] == 0.0, axis=1), -2:] = 0.0
     high = np.minimum(1.0, flat - np.minimum(bias, 0.0) + reach * std)
     spread = small * float(stats.norm.ppf(point)) * float(areas.std(ddof=1))
-    return PairBand(index, low.reshape(index.shape), high.reshape(index.shape), area, area - spread, area + spread)
+    area_low = area - max(0.0, _BIAS_SEEN * (float(areas.mean()) - area)) - spread
+    return PairBand(index, low, high.reshape(index.shape), area, area_low, area + spread)
+
+
+def _chance_areas(y: Array, d: int, rng: np.random.Generator, reach: float) -> Array:
+    """(d, 2^(d-1)) areas that chance alone gives a pair of corners whose distributions differ by a shift at most.
+
+    The two values of each draw are swapped at random once the shift is removed: what is left is the noise that the draws do not
+    share. ``reach`` standard deviations above the mean of SWAPS such areas.
+    """
+    cube = y.reshape((2,) * d + (y.shape[1],))
+    found = np.empty((d, 2 ** (d - 1)))
+    for i in range(d):
+        low, high = (np.take(cube, end, axis=i).reshape(-1, y.shape[1]) for end in (0, 1))
+        high = high - (high - low).mean(axis=1, keepdims=True)
+        areas = np.empty((SWAPS, len(low)))
+        for k in range(SWAPS):
+            swap = rng.random(y.shape[1]) < 0.5
+            one, other = np.where(swap, high, low), np.where(swap, low, high)
+            areas[k] = np.abs(np.sort(one, axis=1) - np.sort(other, axis=1)).mean(axis=1)
+        found[i] = areas.mean(axis=0) + reach * areas.std(axis=0, ddof=1)
+    return found
 
 
 def _without_band(index: Array, area: float, nothing: float) -> PairBand:
