@@ -29,14 +29,15 @@ def corner_pairs(study: Study, runs: Evaluations, seed: int = 0, intervals: bool
     if reason:
         return all_undefined(METHOD, study.names, reason, y.size)
     interior = runs.interior if runs.interior is not None else runs.sampled
-    band = pair_band(y, d, seed, resamples=RESAMPLES if intervals else 0)
-    if is_flat(band.area, y) or (interior is not None and is_flat(band.area, interior)):
+    area = box_area(y)
+    if is_flat(area, y) or (interior is not None and is_flat(area, interior)):
         reason = "the corners' envelope has no width"
         if interior is not None and not is_flat(box_area(interior), interior):
             reason += (
                 ", though samples inside the box differ: the output is not monotone and the corners do not show it"
             )
         return all_undefined(METHOD, study.names, reason, y.size)
+    band = pair_band(y, d, seed, resamples=RESAMPLES if intervals else 0)
     indices = {}
     for i, name in enumerate(study.names):
         index, low, high = band.index[i, :-2], band.low[i, :-2], band.high[i, :-2]
