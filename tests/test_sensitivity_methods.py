@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -362,3 +364,19 @@ def test_pair_intervals_need_draws_and_say_so():
     assert "no interval from 5 aleatory draws: at least 8" in few.indices["a"].reason
     none = run(lambda a: a, {"a": (0.0, 1.0)}, samples=16)["proposed"]
     assert (none.indices["a"].minimum.low, none.indices["a"].maximum.high) == (1.0, 1.0)
+
+
+def test_the_example_in_the_documentation_runs_and_is_right(capsys):
+    page = (Path(__file__).resolve().parent.parent / "docs" / "sensitivity.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    names: dict[str, object] = {}
+    exec(code, names)
+    text = capsys.readouterr().out
+    assert "proposed: 400 runs" in text
+    low, high, floor, top = map(float, text.splitlines()[-1].split())
+    # V (CD0 + k CL^2) / CL at mean mass and area: CD0 moves it by 0.01 V / CL, k by 0.01 V CL; both ranges are exact and additive.
+    CL = 21.5 * 9.81 / (245.0 * 1.97)
+    share = (0.01 / CL) / (0.01 / CL + 0.01 * CL)
+    assert low == pytest.approx(share, abs=0.005)
+    assert high == pytest.approx(share, abs=0.005)
+    assert floor <= low <= high <= top

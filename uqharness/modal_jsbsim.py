@@ -143,6 +143,6 @@ def what_is_left_out(aircraft: Aircraft) -> list[tuple[str, Array]]:
     A[:2, 3] = full[:2, 3]
     rows.append(("weight along inclined axes: -g sin theta in w'", A.copy()))
     A[:, :2] = full[:, :2]
-    rows.append(("incidence that changes with u, pitching moment with speed, trim with thrust", A.copy()))
+    rows.append(("incidence that changes with u, and a trim along inclined axes", A.copy()))
     rows.append(("JSBSim, linearised", full))
     return [(name, np.array(longitudinal_modes(matrix))) for name, matrix in rows]
