@@ -238,16 +238,19 @@ def test_nothing_to_compare_exits_with_one(tmp_path, capsys):
     assert "no width" in capsys.readouterr().out
 
 
-def test_ranking_needs_intervals_to_be_certain():
-    def share(low, high, reach):
-        return PairRange(Index(low, low - reach, low + reach), Index(high, high - reach, high + reach))
+def test_ranking_needs_a_lead_to_be_certain():
+    def share(low, high):
+        return PairRange(Index(low, math.nan, math.nan), Index(high, math.nan, math.nan))
 
-    def ranked(reach):
-        indices = {"a": share(0.5, 0.6, reach), "b": share(0.2, 0.3, reach)}
-        return rank(MethodResult("proposed", 8, indices, True, ""))
+    def ranked(lead, lost=0):
+        indices = {"a": share(0.5, 0.6), "b": share(0.2, 0.3)}
+        return rank(
+            MethodResult("proposed", 8, indices, True, "", {"lead": np.array([[0.0, lead], [-0.4, 0.0]])}), lost
+        )
 
     assert ranked(0.05).certain
-    assert ranked(0.15).by_sampling == ("b",)
+    assert not ranked(0.05, lost=1).certain
+    assert ranked(-0.05).by_sampling == ("b",)
     assert ranked(math.nan).by_sampling == ("b",)
     assert not ranked(math.nan).certain
-    assert ranked(0.15).by_ranges == ()
+    assert ranked(-0.05).by_ranges == ()

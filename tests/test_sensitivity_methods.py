@@ -355,6 +355,18 @@ def test_pair_intervals_cover_both_ends_from_few_draws(own, draws):
     assert inside / REPEATS >= 0.85  # of all six ends at once; nominal 0.95, 40 repeats
 
 
+@pytest.mark.parametrize("ratio", [1.0, 0.6])
+def test_a_lead_is_claimed_where_there_is_one_and_not_in_a_tie(ratio):
+    claimed = 0
+    for seed in range(REPEATS):
+        rng = np.random.default_rng(300 + seed)
+        a, b, c = corners(np.zeros(3), np.ones(3)).T
+        y = (a + ratio * b + 0.2 * c)[:, None] + rng.gamma(2.0, 0.3, 8) + 0.1 * rng.normal(size=(8, 8))
+        lead = pair_band(y, 3, seed=seed).lead
+        claimed += bool(np.any([np.all(np.delete(lead[i], i) > 0.0) for i in range(3)]))
+    assert claimed / REPEATS <= 0.1 if ratio == 1.0 else claimed / REPEATS >= 0.8
+
+
 def test_pair_intervals_need_draws_and_say_so():
     def noisy(a, m):
         return a * (1.0 + m)

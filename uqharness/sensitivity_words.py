@@ -29,8 +29,10 @@ def rank(result: MethodResult, lost: int = 0) -> Ranking:
     first = max(ranges, key=lambda name: ranges[name].minimum.value + ranges[name].maximum.value)
     mine, others = ranges[first], {name: item for name, item in ranges.items() if name != first}
     by_ranges = tuple(name for name, item in others.items() if not item.maximum.value < mine.minimum.value)
+    names = list(result.indices)
+    lead = result.details["lead"][names.index(first)]
     # Without an interval nothing is shown, so a comparison with NaN must leave the rival in.
-    reach = tuple(name for name, item in others.items() if not item.maximum.high < mine.minimum.low)
+    reach = tuple(name for name in others if not lead[names.index(name)] > 0.0)
     by_sampling = tuple(name for name in reach if name not in by_ranges)
     return Ranking(first, by_ranges, by_sampling, not reach and not lost)
 
@@ -40,12 +42,15 @@ def words(result: MethodResult, metric: str, ranking: Ranking, lost: int, flight
     if not ranking.first:
         return f"{metric}: {result.statement}"
     text = f"{metric}: reduce {ranking.first} first. {_shrinkage(result, ranking.first, unit_of(metric))}"
+    doubts = []
     if ranking.by_ranges:
-        text += f" Not certain: at some values of the other coefficients {_listed(ranking.by_ranges)} matters as much."
+        doubts.append(f"at some values of the other coefficients {_listed(ranking.by_ranges)} may matter as much")
     if ranking.by_sampling:
-        text += f" Not certain: by the sampling error of {flights - lost} flights {_listed(ranking.by_sampling)} may come first."
+        doubts.append(f"by the sampling error of {flights - lost} flights {_listed(ranking.by_sampling)} may come first")
+    if doubts:
+        text += f" Not certain: {'; '.join(doubts)}."
     if ranking.certain:
-        text += " Certain: it holds at every corner of the other coefficients and for the sampling error."
+        text += " Certain: it holds at every corner of the other coefficients and for the sampling error (95 %)."
     if lost:
         text += (
             f" {lost} of {flights} aleatory samples are left out, because a flight of theirs failed in some corner; "

@@ -20,7 +20,7 @@ def corner_pairs(study: Study, runs: Evaluations, seed: int = 0, intervals: bool
     """[min, max] share of the envelope's area. Intervals hold for all parameters and pairs at once (see ``pair_band``).
 
     ``details`` tell by which share the envelope shrinks with a parameter fixed at either bound (``shrink_min``, ``shrink_max``,
-    (d,), and their band), which is what buying the knowledge would bring.
+    (d,), and their band), which is what buying the knowledge would bring, and ``lead`` (d, d) who surely comes before whom.
     """
     if runs.corners is None:
         return all_undefined(METHOD, study.names, "the study has no corner runs")
@@ -61,6 +61,7 @@ def corner_pairs(study: Study, runs: Evaluations, seed: int = 0, intervals: bool
         "area_low": band.area_low,
         "area_high": band.area_high,
         "interior_outside": outside,
+        "lead": band.lead,
         **shrink,
     }
     return MethodResult(METHOD, y.size, indices, holds, statement, details)

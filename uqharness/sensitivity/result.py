@@ -61,7 +61,7 @@ class MethodResult:
     details: Mapping[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
-        details = {k: [number(x) for x in v] if np.ndim(v) else number(v) for k, v in self.details.items()}
+        details = {k: _plain(v) for k, v in self.details.items()}
         return {
             "runs": self.runs,
             "indices": {name: index.as_dict() for name, index in self.indices.items()},
@@ -74,6 +74,10 @@ class MethodResult:
 def number(value: float) -> float | None:
     """JSON has no NaN: null stands for it, with a reason beside it."""
     return float(value) if math.isfinite(value) else None
+
+
+def _plain(value: Any) -> Any:
+    return [_plain(item) for item in value] if np.ndim(value) else number(value)
 
 
 def undefined(reason: str) -> Index:
