@@ -176,6 +176,14 @@ def test_only_some_coefficients_may_be_uncertain(tmp_path):
     )
 
 
+def test_one_flight_per_corner_has_shares_but_no_certainty(tmp_path):
+    found = found_in(fly(tmp_path, known_effects, flights=1), "cross_track_median_m")
+    assert found.result.indices["CX"].maximum.value == pytest.approx(SHARES["CX"])
+    assert math.isnan(found.result.indices["CX"].maximum.high)
+    assert "no interval from 1 aleatory draws" in found.result.statement
+    assert not found.ranking.certain
+
+
 def test_campaigns_that_are_no_corners_or_not_complete_are_refused(tmp_path, flown):
     with pytest.raises(BadInputError, match="not a campaign folder"):
         read_corner_campaign(tmp_path)

@@ -238,6 +238,8 @@ def test_a_models_named_outputs_and_scalar_models():
     assert set(found.results) == {"double", "sum"}
     assert found["double"]["proposed"].indices["a"].maximum.value == pytest.approx(1.0)
     assert "double" in found.text()
+    with pytest.raises(BadInputError, match="different outputs"):
+        sensitivity.run_study(lambda a: {"x": a} if a < 0.5 else {"z": a}, {"a": (0, 1)}, samples=32, vectorised=False)
     with pytest.raises(BadInputError, match="vectorised=False"):
         sensitivity.run_study(lambda a: np.array([1.0, 2.0]), {"a": (0.0, 1.0)}, samples=32)
 
@@ -374,6 +376,8 @@ def test_pair_intervals_need_draws_and_say_so():
     few = run(noisy, {"a": (0.0, 1.0)}, NOISE, draws=5, samples=16)["proposed"]
     assert math.isnan(few.indices["a"].minimum.low)
     assert "no interval from 5 aleatory draws: at least 8" in few.indices["a"].reason
+    with pytest.raises(BadInputError, match="at least 2 draws"):
+        run(noisy, {"a": (0.0, 1.0)}, NOISE, draws=1, samples=16)
     none = run(lambda a: a, {"a": (0.0, 1.0)}, samples=16)["proposed"]
     assert (none.indices["a"].minimum.low, none.indices["a"].maximum.high) == (1.0, 1.0)
 

@@ -153,7 +153,7 @@ def _analyse(flown: Flown, interior: Flown | None, condition: Condition, metric:
     if lost <= MOST_LOST * known.size:
         y, inside = y[:, known], None if inside is None else inside[:, known]
     zero, one = np.zeros(d), np.ones(d)
-    study = Study(names, zero, one, 0.5 * one, 0.01 * one, np.empty((0, d)), {})
+    study = Study(names, zero, one, 0.5 * one, 0.01 * one, np.empty((0, d)), True, {})
     result = corner_pairs(study, Evaluations(corners=y, interior=inside), seed)
     ranking = rank(result, lost)
     said = words(result, metric, ranking, lost, known.size)

@@ -123,7 +123,7 @@ def jsbsim_study(aircraft: Aircraft, on_progress: Callable[[int, int], None] | N
         output: Evaluations(nominal=found[:1, k], forward=found[1 : d + 1, k], corners=found[d + 1 :, k : k + 1])
         for k, output in enumerate(OUTPUTS)
     }
-    return Study(names, lower, upper, centre, 0.01 * centre, np.empty((0, d)), outputs)
+    return Study(names, lower, upper, centre, 0.01 * centre, np.empty((0, d)), False, outputs)
 
 
 def what_is_left_out(aircraft: Aircraft) -> list[tuple[str, Array]]:

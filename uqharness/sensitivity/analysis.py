@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -72,12 +73,13 @@ def _table(output: str, methods: Mapping[str, MethodResult]) -> str:
 
 
 def cell(index: Index | PairRange) -> str:
-    """One number, or a range, with its interval behind it."""
+    """One number, or a range, with its interval behind it where it has one."""
     if isinstance(index, PairRange):
-        low, high = index.minimum, index.maximum
-        if low.value != low.value:
-            return "undefined"
-        return f"{low.value:.3f}..{high.value:.3f} [{low.low:.3f}, {high.high:.3f}]"
-    if index.value != index.value:
+        text, low, high = f"{index.minimum.value:.3f}..{index.maximum.value:.3f}", index.minimum.low, index.maximum.high
+        undefined = math.isnan(index.minimum.value)
+    else:
+        text, low, high = f"{index.value:.3f}", index.low, index.high
+        undefined = math.isnan(index.value)
+    if undefined:
         return "undefined"
-    return f"{index.value:.3f} [{index.low:.3f}, {index.high:.3f}]"
+    return text if math.isnan(low) else f"{text} [{low:.3f}, {high:.3f}]"

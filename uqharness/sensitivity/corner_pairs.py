@@ -37,7 +37,7 @@ def corner_pairs(study: Study, runs: Evaluations, seed: int = 0, intervals: bool
                 ", though samples inside the box differ: the output is not monotone and the corners do not show it"
             )
         return all_undefined(METHOD, study.names, reason, y.size)
-    band = pair_band(y, d, seed, resamples=RESAMPLES if intervals else 0)
+    band = pair_band(y, d, seed, resamples=RESAMPLES if intervals else 0, chance=study.chance)
     indices = {}
     for i, name in enumerate(study.names):
         index, low, high = band.index[i, :-2], band.low[i, :-2], band.high[i, :-2]

@@ -73,19 +73,23 @@ class PairBand:
     lead: Array
 
 
-def pair_band(y: Array, d: int, seed: int, confidence: float = CONFIDENCE, resamples: int = RESAMPLES) -> PairBand:
+def pair_band(
+    y: Array, d: int, seed: int, confidence: float = CONFIDENCE, resamples: int = RESAMPLES, chance: bool = True
+) -> PairBand:
     """Indices of all pairs and their simultaneous band by a bootstrap over the draws; y (2^d, A).
 
     The band is the bootstrap's largest studentised deviation over all of them. An area of absolute differences, or of largest and
     smallest values, is biased by chance, in the direction the bootstrap shows: the band reaches further to the other side, and
     what chance alone would make of two equal corners is no evidence that they differ. With fewer than MIN_DRAWS draws, no
-    resamples, or a resample without any width, the band is NaN; with one, for want of anything aleatory, the numbers are exact
+    resamples, or a resample without any width, the band is NaN; without ``chance`` the one column's numbers are exact
     and it is closed.
     """
     area, index = _indices(np.sort(y, axis=-1), d)
     draws = y.shape[1]
+    if not chance and draws == 1:
+        return _without_band(index, area, 0.0)
     if draws < MIN_DRAWS or resamples == 0:
-        return _without_band(index, area, 0.0 if draws == 1 else np.nan)
+        return _without_band(index, area, np.nan)
     rng = np.random.default_rng(seed)
     again = np.empty((resamples, index.size))
     areas = np.empty(resamples)

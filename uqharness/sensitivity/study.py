@@ -49,7 +49,10 @@ class Evaluations:
 
 @dataclass(frozen=True)
 class Study:
-    """What was run: intervals (d,), ``theta`` (E, d) of the sampled matrix, and the evaluations of each output."""
+    """What was run: intervals (d,), ``theta`` (E, d) of the sampled matrix, and the evaluations of each output.
+
+    ``chance`` says whether the columns of the evaluations are draws of something random; without, one column is exact.
+    """
 
     names: tuple[str, ...]
     lower: Array
@@ -57,6 +60,7 @@ class Study:
     nominal: Array
     step: Array
     theta: Array
+    chance: bool
     outputs: Mapping[str, Evaluations]
 
     @property
@@ -123,7 +127,16 @@ def run_study(
         for output, y in values.items():
             found.setdefault(output, {})[stage] = _shaped(stage, y, len(problem.names))
     outputs = {output: Evaluations(**found[output]) for output in found}
-    return Study(problem.names, problem.lower, problem.upper, problem.nominal, problem.step, first, outputs)
+    return Study(
+        problem.names,
+        problem.lower,
+        problem.upper,
+        problem.nominal,
+        problem.step,
+        first,
+        bool(problem.aleatory),
+        outputs,
+    )
 
 
 def _check(problem: Problem, samples: int, draws: int, methods: Sequence[str]) -> None:
@@ -132,6 +145,10 @@ def _check(problem: Problem, samples: int, draws: int, methods: Sequence[str]) -
         raise BadInputError(f"methods {', '.join(unknown) or '(none)'}: choose among {', '.join(METHODS)}")
     if samples < 16 or draws < 1:
         raise BadInputError(f"samples = {samples}, draws = {draws}: at least 16 samples and 1 draw are needed")
+    if problem.aleatory and draws < 2:
+        raise BadInputError(
+            f"draws = {draws}: with aleatory variables at least 2 draws are needed, and 8 for intervals"
+        )
     if "anova" in methods and samples & (samples - 1):
         raise BadInputError(
             f"samples = {samples}: the variance-based method needs a power of two; "
@@ -196,6 +213,10 @@ def _call(model: Model, values: dict[str, Array], n: int) -> dict[str, Array]:
 def _call_each(model: Model, values: dict[str, Array]) -> dict[str, Array]:
     rows = zip(*(column.tolist() for column in values.values()), strict=True)
     results = [_named(model(**dict(zip(values, row, strict=True)))) for row in rows]
+    if any(set(item) != set(results[0]) for item in results):
+        raise BadInputError(
+            "the model names different outputs at different values; give every output a value, NaN where it has none"
+        )
     return {str(output): np.array([float(item[output]) for item in results]) for output in results[0]}
 
 
@@ -205,7 +226,7 @@ _ARRAYS = ("lower", "upper", "nominal", "step", "theta")
 def write_study(study: Study, path: str | Path) -> None:
     """Write a study as .npz, whole or not at all; ``read_study`` gives it back. Raises BadInputError."""
     arrays: dict[str, Any] = {name: getattr(study, name) for name in _ARRAYS}
-    header = {"names": list(study.names), "outputs": list(study.outputs)}
+    header = {"names": list(study.names), "outputs": list(study.outputs), "chance": study.chance}
     arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
     for number, evaluations in enumerate(study.outputs.values()):
         for field in fields(Evaluations):
@@ -230,6 +251,6 @@ def read_study(path: str | Path) -> Study:
                 for k, output in enumerate(header["outputs"])
             }  # fmt: skip
             arrays = {name: file[name] for name in _ARRAYS}
-            return Study(names=tuple(header["names"]), outputs=outputs, **arrays)
+            return Study(names=tuple(header["names"]), outputs=outputs, chance=bool(header["chance"]), **arrays)
     except (OSError, ValueError, KeyError) as error:
         raise BadInputError(f"{path}: not a study written by uqharness: {error}") from None
