@@ -212,6 +212,7 @@ def _output_error(
             map=pool,
             tolerance=0.05,
             max_iterations=40,
+            differences="secant",
         )
 
     free = list(layout.names)
