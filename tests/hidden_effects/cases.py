@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +27,8 @@ SLOW_KINDS = (
     "pull",
     "throttle",
 )
+GROUND_KINDS = ("elevator doublet", "aileron doublet", "elevator 3-2-1-1", "rudder doublet")
+_FLOWN_KINDS = {"mixed": KINDS, "slow": SLOW_KINDS, "ground": GROUND_KINDS}
 CLEAR, MARGINAL = 28.0, 6.0  # |t| aimed at
 
 # A second aeroplane, for those who should not learn the first by heart: heavier, a tail that pushes down, more dihedral.
@@ -58,7 +60,7 @@ class Case:
     effects: tuple[Effect, ...]
     train: tuple[Card, ...]
     test: tuple[Card, ...]
-    airframe: Airframe = Airframe()
+    airframe: Airframe = field(default_factory=Airframe)
     aircraft: str = "espaaro"
     core: bool = False
 
@@ -112,11 +114,12 @@ def cards(
     speeds = rng.permutation(np.linspace(low, high, 4) + rng.uniform(-0.7, 0.7, 4))
     found = []
     for i, V in enumerate(speeds):
+        strength = float(rng.uniform(0.85, 1.15)) * (0.4 if flown == "ground" else 1.0)
         found.append(
             card(
-                int(rng.integers(2**31)), round(float(V), 2), strength=float(rng.uniform(0.85, 1.15)) * (0.6 if flown == "ground" else 1.0),
-                kinds=SLOW_KINDS if flown == "slow" else KINDS, first=int(rng.integers(10)) + i, w20_kt=w20_kt, noise=noise,
-                rate_hz=rate_hz, positions=positions, h_m=3.0 if flown == "ground" else float(rng.uniform(60.0, 250.0)),
+                int(rng.integers(2**31)), round(float(V), 2), strength=strength, kinds=_FLOWN_KINDS[flown],
+                hands_off=flown != "ground", first=int(rng.integers(10)) + i, w20_kt=w20_kt, noise=noise,
+                rate_hz=rate_hz, positions=positions, h_m=3.5 if flown == "ground" else float(rng.uniform(60.0, 250.0)),
             )
         )  # fmt: skip
     return tuple(found)
@@ -141,7 +144,7 @@ def _case(truth: str, kind: str, entries: Sequence[Entry], t: float, air: str, *
 
 
 def _nulls() -> list[Case]:
-    """Thirty each in calm air and light turbulence: nominal, wrong parameters, more and less noise, other rates, another aeroplane."""
+    """Thirty each in calm air and light turbulence: nominal, wrong parameters, other noise, other rates, another aeroplane."""
     found = []
     for air, w20 in (("calm", 0.0), ("light", LIGHT_KT)):
         for i in range(30):

@@ -107,7 +107,10 @@ IN_FORM = (
 )
 
 OFF_FORM = (
-    Entry("Cm", "table(alpha)", -0.08, form="maximum(alpha-0.05,0)", proxies=("Cm:alpha^2", "Cm:alpha^3", "Cm:abs(alpha)*alpha"), core=True),
+    Entry(
+        "Cm", "table(alpha)", -0.08, form="maximum(alpha-0.05,0)",
+        proxies=("Cm:alpha^2", "Cm:alpha^3", "Cm:abs(alpha)*alpha"), core=True,
+    ),
     Entry("Cn", "step(beta)", 0.001, form="tanh(beta/0.05)", proxies=("Cn:beta^3", "Cn:abs(beta)*beta"), core=True),
     Entry("actuator.elevator", "backlash", 0.1, proxies=("actuator.elevator:deadband", "actuator.elevator:lag"), core=True),
     Entry("Cl", "step(alpha)*p_hat", 0.02, form="(1+tanh(30*(alpha-0.07)))*p_hat", proxies=("Cl:alpha*p_hat", "Cl:alpha^2*p_hat")),

@@ -1,4 +1,4 @@
-"""Effects that a flight can hide: coefficient terms, actuators, propulsion, mass, sensors, stall, ground; in the vocabulary and off it."""
+"""Effects that a flight can hide: coefficient terms, actuators, propulsion, mass, sensors, stall, ground; some of no vocabulary."""
 
 from __future__ import annotations
 

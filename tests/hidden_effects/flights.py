@@ -22,6 +22,7 @@ NOISE = {
     "V_mps": 0.5, "alpha_rad": np.radians(0.1), "beta_rad": np.radians(0.1), "phi_rad": np.radians(0.5),
     "theta_rad": np.radians(0.5), "p_radps": np.radians(0.2), "q_radps": np.radians(0.2), "r_radps": np.radians(0.2),
     "ax_mps2": 0.16, "ay_mps2": 0.16, "az_mps2": 0.16, "h_m": 1.33,
+    "psi_rad": np.radians(0.5),  # of the same sensor as phi and theta; the table has no heading
 }  # fmt: skip
 
 

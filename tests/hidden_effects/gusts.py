@@ -1,4 +1,4 @@
-"""Dryden turbulence after MIL-F-8785C at low altitude, written for these flights alone: shaping filters in series, sampled exactly."""
+"""Dryden turbulence after MIL-F-8785C at low altitude, written for these flights: shaping filters in series, sampled exactly."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _sampled(A: Array, B: Array, C: Array, n: int, dt: float, rng: np.random.Gen
 
 
 def turbulence(V: float, h: float, w20_kt: float, b: float, seconds: float, rng: np.random.Generator) -> Array:
-    """(n, 6) air velocity u v w [m/s] and rotation p q r [rad/s] in heading axes every NODE_S; frozen scales of V, h [m], span b [m].
+    """(n, 6) air velocity u v w [m/s] and rotation p q r [rad/s] in heading axes every NODE_S; scales of V, h [m], b [m].
 
     Paragraphs 3.7.1 to 3.7.5 of MIL-F-8785C; q = -dw/dx and r = dv/dx through the span's own lag.
     """

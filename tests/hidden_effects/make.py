@@ -58,9 +58,8 @@ def main(argv: list[str] | None = None) -> None:
     for case in cases:
         files = case.files(given.out)
         aircraft = "espaaro" if case.aircraft == "espaaro" else str(aircraft_folder(case.aircraft, SECOND, given.out))
-        print(
-            f"uqharness refine {aircraft} --train {' '.join(map(str, files['train']))} --test {' '.join(map(str, files['test']))} --out ..."
-        )
+        train, test = (" ".join(map(str, files[which])) for which in ("train", "test"))
+        print(f"uqharness refine {aircraft} --train {train} --test {test} --out ...")
 
 
 if __name__ == "__main__":

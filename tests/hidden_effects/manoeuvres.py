@@ -1,4 +1,4 @@
-"""Flight cards: which manoeuvre when, how large; and the pilot between them. Everything the pilot does is in the recorded commands."""
+"""Flight cards: which manoeuvre when, how large; and the pilot between them, all of whose doing is in the recorded commands."""
 
 from __future__ import annotations
 
@@ -82,10 +82,12 @@ def card(
     strength: float = 1.0,
     kinds: Sequence[str] = KINDS,
     first: int = 0,
+    hands_off: bool = True,
     **rest: float | bool,
 ) -> Card:
     """A flight of manoeuvres one after another, sizes, signs and lengths of parts drawn from the seed.
 
+    ``hands_off`` False: the pilot corrects throughout (near the ground).
     ``strength`` scales every amplitude; deflections shrink with dynamic pressure so that speeds are alike in response.
     """
     rng = np.random.default_rng(seed)
@@ -129,22 +131,22 @@ def card(
             length, bank = 9.0, sign * 25.0
         elif kind == "pull":  # towards the stall: power off, nose up, doublets there
             pulses = (
-                Pulse("throttle", "step", -25.0, 0.9, 0.3),
-                Pulse("elevator", "step", -3.0 * vary, 0.5 * unit, 1.0),
-                Pulse("elevator", "doublet", -2.5 * vary, 0.4 * unit, 2.0 + 1.5 * unit),
+                Pulse("throttle", "step", -18.0, 0.8, 0.3),
+                Pulse("elevator", "step", -1.5 * vary, 0.4 * unit, 1.0),
+                Pulse("elevator", "doublet", -2.2 * vary, 0.4 * unit, 1.4 + 0.8 * unit),
             )
         else:
             raise ValueError(f"unknown manoeuvre {kind}; known are {KINDS} and pull")
         if at + length + 1.0 > seconds:
             break
-        found.append(Manoeuvre(kind, at, length, pulses, bank, hands_off=kind != "loiter"))
+        found.append(Manoeuvre(kind, at, length, pulses, bank, hands_off=hands_off and kind != "loiter"))
         at += length + (2.0 if kind == "loiter" else 3.0)
         number += 1
     return Card(V_mps, tuple(found), seed, seconds, **rest)  # type: ignore[arg-type]
 
 
 def slewed(wanted: Array, most: float) -> Array:
-    """(n, ...) commands that follow ``wanted`` by at most ``most`` a sample: a hand needs time, and servos stay off their rate limit."""
+    """(n, ...) commands that follow ``wanted`` by at most ``most`` a sample: a hand needs time; servos stay off their limit."""
     out = wanted.copy()
     for k in range(1, len(out)):
         out[k] = out[k - 1] + np.clip(wanted[k] - out[k - 1], -most, most)
@@ -187,7 +189,7 @@ class Pilot:
             x[7] + self.noise[k, 2],
             -x[11] + self.noise[k, 3],
         )
-        climb = np.clip(0.01 * (self.h - h), -0.12, 0.12)
+        climb = np.clip(np.where(self.h < 20.0, 0.05, 0.01) * (self.h - h), -0.12, 0.12)
         turn = 0.10 * np.abs(np.sin(self.bank[k]))
         wanted = np.zeros_like(self.correction)
         wanted[0] = 9.0 * (theta - self.theta - climb) - 20.0 * turn + 1.5 * x[4]

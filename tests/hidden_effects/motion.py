@@ -106,7 +106,7 @@ def rotation(phi: Array, theta: Array, psi: Array) -> tuple[tuple[Array, ...], .
     )
 
 
-def evaluate(model: Model, x: Array, s: Array, gust: Array | None, t_s: float = 0.0) -> Air:
+def evaluate(model: Model, x: Array, s: Array, gust: Array | None, t_s: Array | float = 0.0) -> Air:
     """Air data, specific force and the state's derivative at surfaces s (4, B).
 
     gust (6, B): the air's velocity and rotation in heading axes (x along the heading and level, y right, z down), or None.
@@ -163,7 +163,7 @@ def evaluate(model: Model, x: Array, s: Array, gust: Array | None, t_s: float = 
             lag_deg = M.dynamic * np.degrees(alphadot) * M.c / V
             now[2] = now[2] + M.stall * k["CZ_alpha"] * alpha * (lift_share(np.degrees(alpha), lag_deg) - 1.0)
         if ground:
-            now[2] = now[2] * (1.0 + M.ground * np.exp(-4.0 * np.maximum(-down, 0.0) / M.b))
+            now[2] = now[2] * (1.0 + M.ground * np.exp(-2.0 * np.maximum(-down, 0.0) / M.b))
         fX, fY, fZ = (qS * now[0] + thrust) / M.m, qS * now[1] / M.m, qS * now[2] / M.m
         udot, vdot, wdot = (
             fX + weight[0] + r * v - q * w,
@@ -264,9 +264,11 @@ def integrate(
     steps: int,
     command: Callable[[int, Air, Array], Array],
     gusts: Gusts = no_gusts,
+    begun_s: Array | float = 0.0,
 ) -> History:
     """n samples dt_s apart, each interval in ``steps`` RK4 steps; command(k, air, x) -> (4, B) is held over interval k.
 
+    begun_s (B,) or one number: the flight's clock at sample 0, for effects that go by it.
     Surfaces move continuously and are known at the start, middle and end of every RK4 step, so the order is kept.
     """
     h = dt_s / steps
@@ -283,7 +285,7 @@ def integrate(
     lanes = np.arange(B)
     for k in range(n):
         t = k * dt_s
-        air = evaluate(model, x, servos.s, gusts(t), t)
+        air = evaluate(model, x, servos.s, gusts(t), begun_s + t)
         given = command(k, air, x)
         out.x[k], out.positions[k], out.commands[k], out.felt[k] = x, servos.s, given, air.felt
         out.V[k], out.alpha[k], out.beta[k], out.rho[k] = air.V, air.alpha, air.beta, air.rho
@@ -293,12 +295,12 @@ def integrate(
             given = np.stack([out.commands[np.maximum(k - model.late[i], 0), i, lanes] for i in range(4)])
         for j in range(steps):
             at = t + j * h
-            k1 = air.dot if j == 0 else evaluate(model, x, servos.s, gusts(at), at).dot
+            k1 = air.dot if j == 0 else evaluate(model, x, servos.s, gusts(at), begun_s + at).dot
             g, s = gusts(at + 0.5 * h), servos.advance(given)
-            k2 = evaluate(model, x + 0.5 * h * k1, s, g, at + 0.5 * h).dot
-            k3 = evaluate(model, x + 0.5 * h * k2, s, g, at + 0.5 * h).dot
+            k2 = evaluate(model, x + 0.5 * h * k1, s, g, begun_s + at + 0.5 * h).dot
+            k3 = evaluate(model, x + 0.5 * h * k2, s, g, begun_s + at + 0.5 * h).dot
             s = servos.advance(given)
-            k4 = evaluate(model, x + h * k3, s, gusts(at + h), at + h).dot
+            k4 = evaluate(model, x + h * k3, s, gusts(at + h), begun_s + at + h).dot
             x = x + (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
     return out
 

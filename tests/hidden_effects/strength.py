@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 OUTPUTS = (
     "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2",
 )  # fmt: skip
+REPLAY_STEP_S = 0.01  # sensitivities need no more: servos are exact, and what is compared has the same step
 ABSENT = ("CZ_q", "Cm_dr", "Cl_de", "Cn_de")  # carried at zero: an effect if the data want them, no parameter
 PARAMETERS = tuple(n for n in TABLE_2_6 if n not in ABSENT)
 _STARTS = 8  # u v w p q r phi theta
@@ -42,7 +43,9 @@ class Strength:
     gap: float
 
 
-def strengths(flights: Sequence[Flight], flown: Sequence[Flown], corrected: bool = False) -> list[Strength]:
+def strengths(
+    flights: Sequence[Flight], flown: Sequence[Flown], corrected: bool = False, step_s: float = REPLAY_STEP_S
+) -> list[Strength]:
     """Of each effect of the flights (the same in all, at one sample rate), the others counting as nuisance.
 
     corrected: with the colour of the residuals that a still-air model of the truth leaves in these records (turbulence).
@@ -51,7 +54,7 @@ def strengths(flights: Sequence[Flight], flown: Sequence[Flown], corrected: bool
     pieces = [_Piece(f, told, m) for f, told in zip(flights, flown, strict=True) for m in f.card.manoeuvres]
     widths = len(PARAMETERS) + _STARTS * len(pieces) + 3 * len(flights)
     changes, columns, residual = [], [], []
-    for at, (piece, (y, y_without, S)) in enumerate(zip(pieces, _replayed(pieces), strict=True)):
+    for at, (piece, (y, y_without, S)) in enumerate(zip(pieces, _replayed(pieces, step_s), strict=True)):
         scale = np.array([piece.flight.card.noise * NOISE[c] for c in OUTPUTS])
         whole = np.zeros((*y.shape, widths))
         whole[:, :, : len(PARAMETERS)] = S[:, :, : len(PARAMETERS)]
@@ -132,7 +135,7 @@ class _Piece:
         )
 
 
-def _replayed(pieces: list[_Piece]) -> list[tuple[Array, list[Array], Array]]:
+def _replayed(pieces: list[_Piece], step_s: float) -> list[tuple[Array, list[Array], Array]]:
     """Of each piece: outputs (n, m) in still air from the true start; those without each effect; sensitivities (n, m, k)."""
     n = max(p.rows.stop - p.rows.start for p in pieces)
     dt = pieces[0].dt
@@ -140,7 +143,10 @@ def _replayed(pieces: list[_Piece]) -> list[tuple[Array, list[Array], Array]]:
     lanes = [lane for p in pieces for lane in p.lanes]
     model = Model([a for a, _ in lanes], [e for _, e in lanes])
     x0 = np.concatenate([p.starts() for p in pieces], axis=1)
-    history = integrate(model, x0, commands[0], n, dt, substeps(dt), lambda j, air, x: commands[j])
+    begun = np.concatenate([np.full(len(p.lanes), p.rows.start * dt) for p in pieces])
+    history = integrate(
+        model, x0, commands[0], n, dt, substeps(dt, step_s), lambda j, air, x: commands[j], begun_s=begun
+    )
     y = _outputs(history)
     for lane, (_, hidden) in enumerate(lanes):
         for e in hidden:
