@@ -219,7 +219,8 @@ def test_terms_enter_as_the_vocabulary_says():
 
 def test_every_effect_of_the_catalogue_changes_what_is_measured():
     pulses = (
-        Pulse("aileron", "doublet", 8.0, 0.6), Pulse("rudder", "doublet", 6.0, 0.6, 1.4), Pulse("elevator", "doublet", -6.0, 0.5, 2.4),
+        Pulse("aileron", "doublet", 8.0, 0.6), Pulse("rudder", "doublet", 6.0, 0.6, 1.4),
+        Pulse("elevator", "doublet", -6.0, 0.5, 2.4),
         Pulse("throttle", "doublet", 25.0, 1.5),
     )  # fmt: skip
     flights = []
@@ -247,7 +248,8 @@ def weighed():
     ]
     pitch, inertia = Effect("Cm", "p_hat^2", 2.0), Effect("mass", "Ixz", 0.5)
     variants = {
-        "one": ((Effect("Cl", "de", 1e-5),), 1.0), "twice": ((Effect("Cl", "de", 2e-5),), 1.0), "noisy": ((Effect("Cl", "de", 1e-5),), 2.0),
+        "one": ((Effect("Cl", "de", 1e-5),), 1.0), "twice": ((Effect("Cl", "de", 2e-5),), 1.0),
+        "noisy": ((Effect("Cl", "de", 1e-5),), 2.0),
         "parameter": ((Effect("Cm", "alpha", -0.05),), 1.0), "cg": ((Effect("mass", "cg_x", 0.005),), 1.0),
         "Ixz": ((inertia,), 1.0), "both": ((pitch, inertia), 1.0),
     }  # fmt: skip
@@ -384,7 +386,8 @@ def test_a_file_that_breaks_its_contract_is_told_so():
 
 
 def table(**change):
-    one = {"kind": "clear", "air": "calm", "t": 20.0, "right": 1, "together": "", "spurious": 0, "z": "0.5", "gap": 1.0, "oracle": 1.0,
+    one = {"kind": "clear", "air": "calm", "t": 20.0, "right": 1, "together": "", "spurious": 0, "z": "0.5",
+           "gap": 1.0, "oracle": 1.0,
            "seconds": 60.0, "faults": ""}  # fmt: skip
     return {**one, **change}
 

@@ -11,7 +11,6 @@ from dataclasses import replace
 
 from tests.hidden_effects.cases import cards
 from tests.hidden_effects.catalogue import ENTRIES, SIZES, Entry, sizes
-from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.flights import Flight, fly_and_tell
 from tests.hidden_effects.strength import strengths
 from tests.sixdof import Airframe
@@ -22,7 +21,7 @@ _WHOLE = ("late",)  # terms that come in whole samples
 
 def measure(entries: list[Entry]) -> dict[str, tuple[float, float]]:
     """Key -> (size at |t| = 10, share of the effect that the parameters leave)."""
-    now = {e.key: Effect(e.subject, e.term, e.guess, e.form) for e in entries}
+    now = {e.key: e.effect(10.0) for e in entries}
     share: dict[str, float] = {}
     for _ in range(ROUNDS):
         flights = {

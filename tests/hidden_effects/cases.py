@@ -29,7 +29,7 @@ SLOW_KINDS = (
 )
 GROUND_KINDS = ("elevator doublet", "aileron doublet", "elevator 3-2-1-1", "rudder doublet")
 _FLOWN_KINDS = {"mixed": KINDS, "slow": SLOW_KINDS, "ground": GROUND_KINDS}
-CLEAR, MARGINAL = 28.0, 6.0  # |t| aimed at
+CLEAR, MARGINAL, OBVIOUS = (14.0, 120.0), (4.0, 8.0), (60.0, 200.0)  # ranges of |t| aimed at, by geometric chance
 
 # A second aeroplane, for those who should not learn the first by heart: heavier, a tail that pushes down, more dihedral.
 SECOND = Airframe(
@@ -125,7 +125,7 @@ def cards(
     return tuple(found)
 
 
-def _case(truth: str, kind: str, entries: Sequence[Entry], t: float, air: str, **more: object) -> Case:
+def _case(truth: str, kind: str, entries: Sequence[Entry], t: tuple[float, float], air: str, **more: object) -> Case:
     name = f"{truth}/{kind}"
     rng = np.random.default_rng(_seed(name))
     servo = any(e.subject.startswith("actuator") for e in entries)
@@ -134,9 +134,8 @@ def _case(truth: str, kind: str, entries: Sequence[Entry], t: float, air: str, *
         name, flown, LIGHT_KT if air == "light" else 0.0, rate_hz=float(rng.choice([50.0, 50.0, 50.0, 50.0, 25.0, 100.0])),
         positions=not servo and bool(rng.random() < 0.25),
     )  # fmt: skip
-    # Sizes are for three flights of Table 2.1's noise; the aim is varied so that no size is typical.
-    spread = [float(rng.uniform(0.8, 1.25)) for _ in entries]
-    effects = tuple(e.effect(t * s) for e, s in zip(entries, spread, strict=True))
+    # Sizes are for three flights of Table 2.1's noise; no size is typical.
+    effects = tuple(e.effect(t[0] * (t[1] / t[0]) ** float(rng.random())) for e in entries)
     return Case(
         truth, kind, air, tuple(e.key for e in entries), effects, four[:3], four[3:],
         core=all(e.core for e in entries), **more,  # type: ignore[arg-type]
@@ -195,12 +194,12 @@ def battery() -> list[Case]:
     for entry in OFF_FORM:
         found += [
             _case(entry.key, "off-form", [entry], CLEAR, "calm"),
-            _case(f"{entry.key} more", "off-form", [entry], 3 * CLEAR, "calm"),
+            _case(f"{entry.key} more", "off-form", [entry], OBVIOUS, "calm"),
         ]
     found += [_case(" and ".join(keys), "pair", [ENTRIES[k] for k in keys], CLEAR, "calm") for keys in _PAIRS]
     found += _nulls()
     rng = np.random.default_rng(7)
     for key in ("Cm:p_hat^2", "Cl:alpha*beta", "CX:q_hat", "actuator.elevator:lag"):
-        one = _case(f"{key} on another aeroplane", "clear", [ENTRIES[key]], 2 * CLEAR, "calm")
+        one = _case(f"{key} on another aeroplane", "clear", [ENTRIES[key]], OBVIOUS, "calm")
         found.append(replace(one, airframe=perturbed(SECOND, rng), aircraft="second"))
     return found

@@ -20,6 +20,8 @@ SUBSYSTEMS: Mapping[str, tuple[str, ...]] = {
     # backlash and late (samples) are of no vocabulary: an answer can only come near them.
     **{f"actuator.{s}": ("lag", "deadband", "rate_limit", "backlash", "late") for s in SURFACES},
 }
+# lag of the aircraft as it is, 1/s; rate that the pilot's hand never exceeds, deg/s
+NEUTRAL = {"lag": 25.0, "rate_limit": 120.0}
 SENSOR_TERMS = ("bias", "scale", "delay")
 _FUNCTIONS: Mapping[str, Any] = {
     "abs": np.abs,
@@ -70,12 +72,10 @@ class Effect:
         return "dot_hat" in (self.form or self.term) or self.key == "stall:dynamic"
 
     def scaled(self, factor: float) -> Effect:
-        """The same effect with ``factor`` times its strength; actuators' lag and rate limit go by their inverse."""
-        if self.term == "lag":
-            nominal = 25.0
-            return self._sized(1.0 / (1.0 / nominal + factor * (1.0 / self.size - 1.0 / nominal)))
-        if self.term == "rate_limit":
-            return self._sized(self.size / factor)
+        """The same effect with ``factor`` times its strength; lag and rate limit by their inverse, from where they do nothing."""
+        if self.term in NEUTRAL:
+            idle = 1.0 / NEUTRAL[self.term]
+            return self._sized(1.0 / (idle + factor * (1.0 / self.size - idle)))
         return self._sized(self.size * factor)
 
     def _sized(self, size: float) -> Effect:
