@@ -29,7 +29,12 @@ SLOW_KINDS = (
 )
 GROUND_KINDS = ("elevator doublet", "aileron doublet", "elevator 3-2-1-1", "rudder doublet")
 _FLOWN_KINDS = {"mixed": KINDS, "slow": SLOW_KINDS, "ground": GROUND_KINDS}
-CLEAR, MARGINAL, OBVIOUS = (14.0, 120.0), (4.0, 8.0), (60.0, 200.0)  # ranges of |t| aimed at, by geometric chance
+CLEAR, MARGINAL, OBVIOUS, TURBULENT = (
+    (14.0, 120.0),
+    (4.0, 8.0),
+    (60.0, 200.0),
+    (14.0, 40.0),
+)  # ranges of |t| aimed at, by geometric chance
 
 # A second aeroplane, for those who should not learn the first by heart: heavier, a tail that pushes down, more dihedral.
 SECOND = Airframe(
@@ -135,7 +140,7 @@ def _case(truth: str, kind: str, entries: Sequence[Entry], t: tuple[float, float
         positions=not servo and bool(rng.random() < 0.25),
     )  # fmt: skip
     # Sizes are for three flights of Table 2.1's noise; no size is typical.
-    effects = tuple(e.effect(t[0] * (t[1] / t[0]) ** float(rng.random())) for e in entries)
+    effects = tuple(e.effect(t[0] * (t[1] / t[0]) ** float(rng.random()), air) for e in entries)
     return Case(
         truth, kind, air, tuple(e.key for e in entries), effects, four[:3], four[3:],
         core=all(e.core for e in entries), **more,  # type: ignore[arg-type]
@@ -190,7 +195,7 @@ def battery() -> list[Case]:
     for entry in IN_FORM:
         for kind, t in (("clear", CLEAR), ("marginal", MARGINAL)):
             found.append(_case(entry.key, kind, [entry], t, "calm"))
-        found.append(_case(entry.key, "clear", [entry], CLEAR, "light"))
+        found.append(_case(entry.key, "clear", [entry], TURBULENT, "light"))
     for entry in OFF_FORM:
         found += [
             _case(entry.key, "off-form", [entry], CLEAR, "calm"),

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.hidden_effects import sealed
-from tests.hidden_effects.airframes import write_aircraft
+from tests.hidden_effects.airframes import ROOT, write_aircraft
 from tests.hidden_effects.answers import Score, judge
 from tests.hidden_effects.cases import SECOND, Case, battery, write
 from tests.hidden_effects.marks import COLUMNS, marks, row
@@ -141,12 +141,13 @@ def main(argv: list[str] | None = None) -> int:
     air.add_argument("--turbulence", action="store_true")
     parser.add_argument("--oracle", action="store_true", help="also what the estimator reaches when told the truth")
     parser.add_argument("--table", type=Path, help="where the table goes (default DIR/table.csv)")
+    parser.add_argument("--project", type=Path, default=ROOT, help="the project that is examined (default: this one)")
     parser.add_argument("--keep", action="store_true", help="keep what refine wrote (default: refinement.json alone)")
     given = parser.parse_args(argv)
     cases = chosen(given)
     folder = given.out.resolve()
     (folder / "answers").mkdir(parents=True, exist_ok=True)
-    place = sealed.seal(folder / "sealed", [folder / "answers"])
+    place = sealed.seal(folder / "sealed", [folder / "answers"], given.project.resolve())
     t = weights()
     rows: list[dict[str, Any]] = []
     todo = [c for c in cases if not (folder / "answers" / f"{c.id}.json").is_file()]

@@ -35,13 +35,13 @@ sys.path[:] = [p for p in sys.path if os.path.abspath(p or ".") != {root!r}]
 """
 
 
-def seal(folder: Path, forbidden: Sequence[Path] = ()) -> Path:
-    """Copy packages and aircraft to ``folder`` and set the guard. Returns the folder."""
+def seal(folder: Path, forbidden: Sequence[Path] = (), project: Path = ROOT) -> Path:
+    """Copy a project's packages and aircraft to ``folder`` and set the guard. Returns the folder."""
     folder.mkdir(parents=True, exist_ok=True)
     for name in ("sysid", "uqharness", "aircraft", "scripts"):
         shutil.rmtree(folder / name, ignore_errors=True)
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
-    closed = tuple(str(p.resolve()) for p in (ROOT / "tests", *forbidden))
+        shutil.copytree(project / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    closed = tuple(str(p.resolve()) for p in (ROOT / "tests", project / "tests", *forbidden))
     (folder / "sitecustomize.py").write_text(_GUARD.format(forbidden=closed, root=str(ROOT)), encoding="utf-8")
     return folder
 
