@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -276,6 +277,36 @@ def test_what_the_parameters_can_take_up_has_no_strength(weighed):
     # Ixz and p_hat^2 in pitch, each beside the other, are as good as nothing; alone they are something.
     assert weighed["Ixz"][0].t > 5.0
     assert weighed["both"][1].t < 0.5 * weighed["Ixz"][0].t
+
+
+@pytest.mark.slow
+def test_strength_is_output_errors_own(tmp_path):
+    """|t| from these equations' sensitivities against the standard error of identify, which flies JSBSim."""
+    hidden = Effect("CZ", "q_hat", -2.0)
+    flights = [
+        Flight(card(50 + i, V, seconds=33.0, first=3 * i), Airframe(), (hidden,)) for i, V in enumerate((21.0, 25.0))
+    ]
+    flown = fly_and_tell(flights)
+    paths = [tmp_path / f"{i}.parquet" for i in range(len(flown))]
+    for path, one in zip(paths, flown, strict=True):
+        one.record.write(path)
+    with (ROOT / "aircraft" / "espaaro" / "airframe.toml").open("rb") as handle:
+        names = [*tomllib.load(handle)["parameters"], "aero/CZ_q"]
+    given = [
+        "identify",
+        "espaaro",
+        "--flight",
+        *map(str, paths),
+        "--params",
+        ",".join(names),
+        "--out",
+        str(tmp_path / "fit"),
+    ]
+    assert main([*given, "--no-figures", "--workers", "1", "--method", "output-error"]) == 0
+    found = json.loads((tmp_path / "fit" / "fit.json").read_text())["parameters"]["aero/CZ_q"]
+    std = abs(hidden.size) / strengths(flights, flown)[0].t
+    assert found["std_crb"] == pytest.approx(std, rel=0.05)
+    assert found["value"] == pytest.approx(hidden.size, abs=3.5 * std)
 
 
 # The battery and its answers

@@ -1,4 +1,4 @@
-"""Measures how large each effect of the catalogue has to be for |t| = 10, in calm air and in light turbulence, and writes sizes.csv.
+"""Measures how large each effect of the catalogue has to be for |t| = 10, calm and in light turbulence; writes sizes.csv.
 
 python -m tests.hidden_effects.calibrate calm|light [KEY...]
 """
