@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import numpy as np
 import pytest
 
 from sysid.flight_record import FlightRecord
 from tests.hidden_effects import sealed
-from tests.hidden_effects.answers import contract_faults, judge
+from tests.hidden_effects.answers import canonical, contract_faults, judge
 from tests.hidden_effects.cases import Case, write
 from tests.hidden_effects.catalogue import ENTRIES
 from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.manoeuvres import card
+from tests.hidden_effects.run import PLACEBO
 
 KINDS = ("roll and yaw", "roll and pitch", "elevator 3-2-1-1")
 CARDS = tuple(card(40 + i, V, seconds=33.0, kinds=KINDS, first=i) for i, V in enumerate((21.0, 24.0, 22.5)))
@@ -72,6 +74,14 @@ def test_the_dissertations_effect_is_named(answer):
     assert score.together, score
     assert score.spurious == 0
     assert score.faults == ()
+
+
+@pytest.mark.slow
+def test_a_placebo_is_left_alone(place, answer):
+    files = ROLL_RATE.files(place.parent / "flights")
+    done, found = refine(place, files["train"], files["test"], "placebo", "--effects", str(shutil.copy(PLACEBO, place)))
+    assert done.returncode == 0, done.stderr
+    assert [canonical(e) for e in found["effects"]] == [canonical(e) for e in answer[1]["effects"]]
 
 
 @pytest.mark.slow

@@ -29,6 +29,7 @@ from tests.hidden_effects.marks import COLUMNS, marks, row
 from tests.hidden_effects.weigh import weights
 
 TIMEOUT_S = 1800.0
+PLACEBO = Path(__file__).with_name("placebo.toml")
 
 
 def ask(case: Case, folder: Path, place: Path, extra: Sequence[str] = ()) -> dict[str, Any]:
@@ -141,6 +142,7 @@ def main(argv: list[str] | None = None) -> int:
     air.add_argument("--turbulence", action="store_true")
     parser.add_argument("--oracle", action="store_true", help="also what the estimator reaches when told the truth")
     parser.add_argument("--table", type=Path, help="where the table goes (default DIR/table.csv)")
+    parser.add_argument("--placebo", action="store_true", help="hand in effects that no case hides (placebo.toml)")
     parser.add_argument("--project", type=Path, default=ROOT, help="the project that is examined (default: this one)")
     parser.add_argument("--keep", action="store_true", help="keep what refine wrote (default: refinement.json alone)")
     given = parser.parse_args(argv)
@@ -148,13 +150,14 @@ def main(argv: list[str] | None = None) -> int:
     folder = given.out.resolve()
     (folder / "answers").mkdir(parents=True, exist_ok=True)
     place = sealed.seal(folder / "sealed", [folder / "answers"], given.project.resolve())
+    shutil.copy(PLACEBO, place)
     t = weights()
     rows: list[dict[str, Any]] = []
     todo = [c for c in cases if not (folder / "answers" / f"{c.id}.json").is_file()]
     for start in range(0, len(todo), 10):
         write(todo[start : start + 10], folder / "flights")
         for case in todo[start : start + 10]:
-            got = ask(case, folder, place)
+            got = ask(case, folder, place, ["--effects", str(place / PLACEBO.name)] if given.placebo else [])
             score = judge(case, got["found"], got["exit"]) if got["found"] else Score(False, "failed", (), 0)
             answer = {
                 "exit": got["exit"],
