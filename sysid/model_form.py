@@ -138,9 +138,16 @@ class FlightUsed:
 
 @dataclass(frozen=True)
 class Filtering:
-    """What the widths hang on: cut-offs [Hz] of differentiator and smoother, and of the walk's low-pass; the samples' rate [Hz]."""
+    """What the intervals' widths hang on, cut-offs (half power) in Hz.
+
+    cutoff_hz           differentiator and smoother of everything that is compared
+    airspeed_cutoff_hz  low-pass of the airspeed before that; inf: none
+    walk_cutoff_hz      low-pass of the residual before its rate of variation is taken
+    rate_hz             samples a second
+    """
 
     cutoff_hz: float
+    airspeed_cutoff_hz: float
     walk_cutoff_hz: float
     rate_hz: float
 
