@@ -7,7 +7,7 @@ that the difference is later regressed on.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,7 @@ from sysid.polynomial import STATES
 from sysid.segmentation import Piece
 
 FloatArray = NDArray[np.float64]
+AIRSPEED_CUTOFF_HZ = 2.0
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,18 @@ Model = Callable[[FlightRecord, Piece], Prediction]
 
 
 @dataclass(frozen=True)
+class Cutoffs:
+    """Half-power frequencies [Hz]: of the filter that everything passes, and of the airspeed's low-pass before it (inf: none).
+
+    A pitot tube's noise enters every coefficient through the dynamic pressure, CZ = W/(qbar S) above all, while an aeroplane
+    changes speed slowly; so its low-pass may be slower than the differentiator.
+    """
+
+    all_hz: float = CUTOFF_HZ
+    airspeed_hz: float = AIRSPEED_CUTOFF_HZ
+
+
+@dataclass(frozen=True)
 class ResidualPiece:
     """One piece without a gap: time_s (n,), delta (n, 6) in the order of COEFFICIENTS, states by name (n,) each, all filtered."""
 
@@ -58,11 +71,11 @@ class ResidualPiece:
 
 @dataclass(frozen=True)
 class Residuals:
-    """Of one or several flights, piece by piece. dt_s: step between samples; cutoff_hz: of the filter all of it has passed."""
+    """Of one or several flights, piece by piece. dt_s: step between samples of the first; cutoffs: what all of it has passed."""
 
     pieces: tuple[ResidualPiece, ...]
     dt_s: float
-    cutoff_hz: float
+    cutoffs: Cutoffs
 
     @property
     def delta(self) -> FloatArray:
@@ -83,9 +96,9 @@ class Residuals:
         """Names of the manoeuvres, in order of first appearance."""
         return tuple(dict.fromkeys(p.label for p in self.pieces))
 
-    def only(self, keep: Callable[[ResidualPiece], bool]) -> Residuals:
-        """The same with fewer pieces."""
-        return Residuals(tuple(p for p in self.pieces if keep(p)), self.dt_s, self.cutoff_hz)
+    def only(self, labels: Collection[str]) -> Residuals:
+        """The same with the pieces of these manoeuvres alone."""
+        return Residuals(tuple(p for p in self.pieces if p.label in labels), self.dt_s, self.cutoffs)
 
     def columns(self, coefficient: str) -> list[FloatArray]:
         """[(n,)] of one coefficient, piece by piece."""
@@ -125,16 +138,30 @@ def residual_piece(
 
 def residual_coefficients(
     record: FlightRecord, pieces: Sequence[Piece], model: Model, arm_m: Sequence[float] = (0.0, 0.0, 0.0),
-    cutoff_hz: float = CUTOFF_HZ,
+    cutoffs: Cutoffs | None = None,
 ) -> Residuals:  # fmt: skip
     """Residual coefficients of a flight's pieces. Raises ValueError when every piece is shorter than the filter."""
-    found = [residual_piece(record, p, model(record, p), arm_m, cutoff_hz) for p in pieces]
+    cutoffs = cutoffs or Cutoffs()
+    record = steady_airspeed(record, cutoffs.airspeed_hz)
+    found = [residual_piece(record, p, model(record, p), arm_m, cutoffs.all_hz) for p in pieces]
     kept = tuple(f for f in found if f is not None)
     if not kept:
-        raise ValueError(f"no piece is longer than the filter at {cutoff_hz:g} Hz; raise the cut-off")
-    return Residuals(kept, record.dt_s, cutoff_hz)
+        raise ValueError(f"no piece is longer than the filter at {cutoffs.all_hz:g} Hz; raise the cut-off")
+    return Residuals(kept, record.dt_s, cutoffs)
+
+
+def steady_airspeed(record: FlightRecord, cutoff_hz: float) -> FlightRecord:
+    """The record with its airspeed low-passed, stretch by stretch: never across a gap."""
+    if not np.isfinite(cutoff_hz):
+        return record
+    airspeed = np.array(record["V_mps"], dtype=float)
+    for rows in record.segments(("V_mps",)):
+        airspeed[rows] = smooth(airspeed[rows], record.dt_s, cutoff_hz)
+    return record.with_columns({"V_mps": airspeed})
 
 
 def together(parts: Sequence[Residuals]) -> Residuals:
-    """Several flights' residuals as one; their rates may differ, dt_s is the first one's."""
-    return Residuals(tuple(p for r in parts for p in r.pieces), parts[0].dt_s, parts[0].cutoff_hz)
+    """Several flights' residuals as one. Raises ValueError when they have passed different filters."""
+    if len({r.cutoffs for r in parts}) > 1:
+        raise ValueError("residuals of different cut-offs cannot be put together")
+    return Residuals(tuple(p for r in parts for p in r.pieces), parts[0].dt_s, parts[0].cutoffs)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.flight_record import FlightRecord
-from sysid.residuals import Model, Prediction, Residuals, residual_coefficients
+from sysid.residuals import Cutoffs, Model, Prediction, Residuals, residual_coefficients
 from sysid.segmentation import Piece, cut
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
@@ -49,9 +49,7 @@ class JsbsimPrediction:
         said = force_states(self.straight, segment, channels, controls, {}, altitude)
         names = [f"{c}_pos_deg" if c != "throttle" else "throttle_pct" for c in CONTROLS]
         positions = {n: controls[:, self.model.controls.index(c)] for n, c in zip(names, CONTROLS, strict=True)}
-        return Prediction(
-            said.coefficients, said.other_force, said.other_moment, said.qbar, said.mass, positions
-        )
+        return Prediction(said.coefficients, said.other_force, said.other_moment, said.qbar, said.mass, positions)
 
     def _controls(self, record: FlightRecord, piece: Piece) -> Array:
         """(n, c) where the controls stood. Actuators run up before the piece: where one stands at its start follows from before."""
@@ -111,9 +109,9 @@ def _recut(flight: Flight, measured: Sequence[str]) -> Flight:
     )  # fmt: skip
 
 
-def flight_residuals(pair: ReplayPair, flight: Flight, arm_m: Sequence[float], cutoff_hz: float) -> Residuals:
+def flight_residuals(pair: ReplayPair, flight: Flight, arm_m: Sequence[float], cutoffs: Cutoffs) -> Residuals:
     """A flight's residual coefficients. Raises BadInputError."""
     try:
-        return residual_coefficients(flight.record, flight.pieces, pair.of(flight), arm_m, cutoff_hz)
+        return residual_coefficients(flight.record, flight.pieces, pair.of(flight), arm_m, cutoffs)
     except ValueError as error:
         raise BadInputError(f"{flight.name}: {error}") from None
