@@ -138,9 +138,10 @@ def mean_widths(form: ModelForm, residuals: Residuals) -> dict[str, float]:
 
 
 def noise_of(flight: Flight, aircraft: Aircraft) -> dict[str, float]:
-    """Noise of each channel: the card's figure or what the samples show, whichever is larger."""
-    present = [c for c in NOISY if c in flight.record]
-    return channel_noise(measured_outputs(flight, present), present, aircraft.card.sensors.noise_std)
+    """Noise of each channel: the card's figure, else what the samples show (to which gusts on the airspeed would add)."""
+    stated = aircraft.card.sensors.noise_std
+    rest = [c for c in NOISY if c in flight.record and c not in stated]
+    return {**stated, **channel_noise(measured_outputs(flight, rest), rest, {})}
 
 
 def _noise(

@@ -21,6 +21,7 @@ _DATA, _BOUND, _OTHER, _RULE = "#0072b2", "#c8102e", "#1f4e9c", "#9a9a9a"
 _UNITS = {"mps": ("m/s", 1.0), "rad": ("deg", 57.29577951308232), "radps": ("deg/s", 57.29577951308232)}
 NEAR = 1.0
 """A residual is near a slice when each of the other states is within so many standard deviations of the slice's."""
+_MOST = 500  # samples drawn a panel, evenly chosen: a file that a browser opens
 _BEYOND = 0.3  # of the data's width that a slice goes on beyond them
 
 
@@ -65,7 +66,8 @@ def slice_figure(
         along = slice_states(bounds, state, at)
         near = near_slice(bounds, state, states)
         axis.axvspan(factor * low, factor * high, color="#eef2f6", lw=0)
-        axis.plot(factor * states[state][near], values[near], ".", ms=2.4, color=_DATA, alpha=0.6, rasterized=False)
+        shown = np.flatnonzero(near)[:: max(1, near.sum() // _MOST)]
+        axis.plot(factor * states[state][shown], values[shown], ".", ms=2.6, color=_DATA, alpha=0.6)
         if baseline is not None and state in baseline.states:
             for end in baseline.bounds(slice_states(baseline, state, at), outside=outside):
                 axis.plot(factor * at, end, color=_OTHER, lw=1.1)
@@ -123,7 +125,7 @@ def coverage_figure(form: ModelForm, residuals: Residuals, path: Path, title: st
             y = columns[name][number]
             out = (y < low) | (y > high)
             axis.fill_between(at, low, high, color="#f3d6da", lw=0)
-            axis.plot(at, y, ".", ms=1.8, color=_DATA)
+            axis.plot(at, y, "-", lw=0.6, color=_DATA)
             axis.plot(at[out], y[out], ".", ms=2.4, color="black")
             axis.axvline(start, color="#dddddd", lw=0.6)
         start = float(at[-1]) + 0.5

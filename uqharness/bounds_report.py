@@ -103,8 +103,8 @@ def bounds_report(found: MadeBounds, document: Mapping[str, Any], figures: Seque
         markdown_table(bounds_rows(document)),
         (
             "*independent*: samples that n autocorrelated ones are worth. *noise forces*: width that sensor noise alone gives, by "
-            "adding it once more; a ratio near 1 says that the interval is the sensors', not the model's. *left out*: share of each "
-            "manoeuvre's samples inside the bounds that the other manoeuvres give, over all of them."
+            "adding it once more; a ratio near 1 says that the interval is the sensors', not the model's. *left out*: share of "
+            "each manoeuvre's samples inside the bounds that the other manoeuvres give, over all of them."
         ),
         "",
     ]
