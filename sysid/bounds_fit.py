@@ -27,6 +27,8 @@ LONGITUDINAL = ("V_mps", "alpha_rad", "q_radps", "theta_rad")
 LATERAL = ("V_mps", "beta_rad", "p_radps", "r_radps")
 MIN_SAMPLES_PER_TERM = 2.0
 """Effective samples a term needs; below, the polynomial's order is lowered rather than a residual fitted away."""
+_STILL = {"mps": 0.05, "rad": 1e-4, "radps": 1e-4, "deg": 1e-2, "pct": 0.05}
+"""A state whose deviation is below this, by unit, did not vary: nothing can be said of it, least of all by extrapolation."""
 _COLLINEAR = 1e-6  # part of a regressor's length that the ones before it must leave
 
 
@@ -67,8 +69,9 @@ def fit_bounds(
 ) -> dict[str, FittedBounds]:
     """Intervals of the coefficients in ``designs`` (default: all six). Raises ValueError: a missing state, too short a flight.
 
-    States are normalised by their mean and deviation over all samples, the same for every coefficient, so that coefficients
-    with the same states share one (X'X)^-1.
+    A state that did not vary in flight is left out with a note: the interval does not depend on it. States are normalised by their
+    mean and deviation over all samples, the same for every coefficient, so that coefficients with the same states share one
+    (X'X)^-1.
     """
     designs, options = designs or default_designs(), options or FitOptions()
     states = residuals.states
@@ -78,14 +81,31 @@ def fit_bounds(
         raise ValueError(f"these flights have no {', '.join(missing)} throughout; they have {', '.join(states)}")
     scaling = {}
     for name in wanted:
-        spread = float(states[name].std())
-        still = spread <= 1e-9 * max(1.0, float(np.abs(states[name]).max()))
-        scaling[name] = (float(states[name].mean()), 1.0 if still else spread)
-    return {c: _fit(residuals, c, d, scaling, options) for c, d in designs.items()}
+        scaling[name] = (float(states[name].mean()), float(states[name].std()) or 1.0)
+    return {c: _fit(residuals, c, *_moving(c, d, scaling), scaling, options) for c, d in designs.items()}
+
+
+def _moving(
+    coefficient: str, design: Design, scaling: Mapping[str, tuple[float, float]]
+) -> tuple[Design, tuple[str, ...]]:
+    """The design without states that stood still, and a note saying so."""
+    still = [s for s in design.states if scaling[s][1] < _STILL[s.rsplit("_", 1)[1]]]
+    if not still:
+        return design, ()
+    note = f"{coefficient}: {', '.join(still)} did not vary in these flights; the bounds do not depend on it"
+    kept = tuple(s for s in design.states if s not in still)
+    if not kept:
+        return Design(design.states[:1], ((0,),)), (note,)
+    terms = design.terms
+    if terms is not None:
+        lost = [design.states.index(s) for s in design.states if s not in kept]
+        terms = tuple(tuple(p for k, p in enumerate(t) if k not in lost) for t in terms if not any(t[k] for k in lost))
+    return Design(kept, terms, design.order), (note,)
 
 
 def _fit(
-    residuals: Residuals, coefficient: str, design: Design, scaling: Mapping[str, tuple[float, float]], options: FitOptions
+    residuals: Residuals, coefficient: str, design: Design, said_of_states: tuple[str, ...],
+    scaling: Mapping[str, tuple[float, float]], options: FitOptions,
 ) -> FittedBounds:  # fmt: skip
     y = residuals.columns(coefficient)
     n = sum(residuals.lengths)
@@ -103,7 +123,7 @@ def _fit(
             if order is not None and order < design.order:
                 notes.append(f"{coefficient}: too short a flight for order {design.order}; order {order} was fitted")
             bounds = _bounds(residuals, design, kept, scaling, x, np.concatenate(y), left, n_effective, options)
-            return FittedBounds(bounds, left, (*notes, *said))
+            return FittedBounds(bounds, left, (*said_of_states, *notes, *said))
     raise ValueError(
         f"{coefficient}: {n} samples are worth {n_effective:.0f} independent ones, at least {MIN_SAMPLES_PER_TERM:g} a term are "
         "needed; fly longer or choose fewer terms"
