@@ -81,7 +81,7 @@ def fit_bounds(
         raise ValueError(f"these flights have no {', '.join(missing)} throughout; they have {', '.join(states)}")
     scaling = {}
     for name in wanted:
-        scaling[name] = (float(states[name].mean()), float(states[name].std()) or 1.0)
+        scaling[name] = (float(states[name].mean()), max(float(states[name].std()), 1e-12))
     return {c: _fit(residuals, c, *_moving(c, d, scaling), scaling, options) for c, d in designs.items()}
 
 
