@@ -46,7 +46,9 @@ def made_up(seed: int, n: int = 400, pieces: int = 4, noise: float = 0.004, memo
     return Residuals(tuple(out), 0.02, Cutoffs())
 
 
-def form_of(residuals: Residuals, options: FitOptions | None = None, coefficients: tuple[str, ...] = ("CX", "CZ", "Cm")) -> ModelForm:
+def form_of(
+    residuals: Residuals, options: FitOptions | None = None, coefficients: tuple[str, ...] = ("CX", "CZ", "Cm")
+) -> ModelForm:
     designs = {c: default_designs()[c] for c in coefficients}
     fitted = fit_bounds(residuals, designs, options)
     return ModelForm(
@@ -234,7 +236,9 @@ def test_a_state_that_stood_still_is_left_out_and_said():
 
 def test_collinear_states_leave_terms_out_and_the_bounds_finite():
     residuals = made_up(10)
-    tied = [dataclasses.replace(p, states={**p.states, "theta_rad": 0.5 * p.states["alpha_rad"]}) for p in residuals.pieces]
+    tied = [
+        dataclasses.replace(p, states={**p.states, "theta_rad": 0.5 * p.states["alpha_rad"]}) for p in residuals.pieces
+    ]
     fitted = fit_bounds(Residuals(tuple(tied), 0.02, Cutoffs()), {"CX": Design(STATES)})["CX"]
     assert len(fitted.bounds.terms) == 10
     assert "theta_rad" in fitted.notes[0]
