@@ -12,10 +12,10 @@ import pytest
 from sysid.flight_record import FlightRecord
 from sysid.model_form import read_model_form
 from uqharness.aircraft import PROJECT_ROOT
-from uqharness.bounds import file_hash
 from uqharness.bounds_command import parse_designs
 from uqharness.cli import main
 from uqharness.errors import BadInputError
+from uqharness.flights import file_hash
 
 TRUTH, MODEL = "espaaro_truth", "espaaro"
 

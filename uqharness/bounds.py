@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -247,9 +246,3 @@ def _identified_from(aircraft: Aircraft, flights: Sequence[Flight], hashes: Sequ
                 "bounds. Use another flight"
             )
     return out
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file's bytes."""
-    with path.open("rb") as handle:
-        return hashlib.file_digest(handle, "sha256").hexdigest()

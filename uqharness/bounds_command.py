@@ -102,7 +102,7 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     )
     parser.add_argument("--no-figures", action="store_true", help="leave out the figures")
     parser.add_argument("--json", action="store_true", help="machine-readable summary")
-    parser.set_defaults(handler=_run_bounds)
+    parser.set_defaults(handler=_run_bounds, parser=parser)
 
     parser = commands.add_parser(
         "validate-bounds",
@@ -118,7 +118,7 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         "--out", type=Path, metavar="DIR", help="folder for a report and figures (default: none are made)"
     )
     parser.add_argument("--json", action="store_true", help="print the coverage as JSON")
-    parser.set_defaults(handler=_run_validate)
+    parser.set_defaults(handler=_run_validate, parser=parser)
 
 
 def parse_designs(states: Sequence[str], terms: Sequence[str], order: int, roll_terms: bool) -> dict[str, Design]:
@@ -193,8 +193,9 @@ def _run_bounds(args: argparse.Namespace) -> int:
     aircraft = find_aircraft(args.aircraft)
     _parent(args.out)
     # Imported here: scipy and pandas take a second that --help should not pay.
-    from uqharness.bounds import file_hash, make_bounds
+    from uqharness.bounds import make_bounds
     from uqharness.bounds_report import bounds_document, bounds_report, bounds_rows, text_table
+    from uqharness.flights import file_hash
     from uqharness.identify_report import write_text
     from uqharness.model_form_xml import model_form_xml
     from uqharness.residual_model import read_bounds_flights
@@ -207,8 +208,7 @@ def _run_bounds(args: argparse.Namespace) -> int:
     out = results_folder(args.out)
     figures = [] if args.no_figures else _figures(found, out, args.outside)
     document = bounds_document(found)
-    command = shlex.join(["uqharness", "bounds", args.aircraft, "--flight", *(p.name for p in args.flight)])
-    write_text(out / "report.md", bounds_report(found, document, figures, command))
+    write_text(out / "report.md", bounds_report(found, document, figures, _command(args)))
     write_bytes(out / "model-form.xml", system)
     write_text(out / "model-form.json", found.form.to_json())
     _warn(found.warnings)
@@ -224,9 +224,9 @@ def _run_validate(args: argparse.Namespace) -> int:
     aircraft = find_aircraft(args.aircraft)
     if args.out is not None:
         _parent(args.out)
-    from uqharness.bounds import file_hash
     from uqharness.bounds_report import text_table, validation_document, validation_report, validation_rows, verdict
     from uqharness.bounds_validation import failed, load_form, validate
+    from uqharness.flights import file_hash
     from uqharness.identify_report import write_text
     from uqharness.residual_model import read_bounds_flights
 
@@ -241,10 +241,7 @@ def _run_validate(args: argparse.Namespace) -> int:
         names = ", ".join(f.name for f in flights)
         title = f"{names} within the bounds of {form.aircraft.name}"
         coverage_figure(form, found.residuals, results_folder(out / "figures") / "coverage.svg", title)
-        command = shlex.join(
-            ["uqharness", "validate-bounds", args.aircraft, args.form.name, "--flight", *(p.name for p in args.flight)]
-        )
-        write_text(out / "report.md", validation_report(found, title, command, ["coverage"]))
+        write_text(out / "report.md", validation_report(found, title, _command(args), ["coverage"]))
         write_text(out / "coverage.json", json.dumps(validation_document(found), indent=1) + "\n")
     _warn(found.warnings)
     if args.json:
@@ -258,6 +255,19 @@ def _run_validate(args: argparse.Namespace) -> int:
 def _parent(path: Path) -> None:
     if not path.exists() and not path.absolute().parent.is_dir():
         raise BadInputError(f"--out {path}: the folder {path.absolute().parent} does not exist; create it first")
+
+
+def _command(args: argparse.Namespace) -> str:
+    """The command as given, files by name alone: what a reader needs to make the report again."""
+    words = ["uqharness", args.command]
+    for action in args.parser._actions:
+        value = getattr(args, action.dest, None)
+        if action.dest in ("out", "json") or value is None or value == action.default:
+            continue
+        words += action.option_strings[:1]
+        values = value if isinstance(value, list) else [] if value is True else [value]
+        words += [v.name if isinstance(v, Path) else str(v) for v in values]
+    return shlex.join(words)
 
 
 def _warn(warnings: Sequence[str]) -> None:

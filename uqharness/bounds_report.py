@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sysid.aero_terms import COEFFICIENTS
+from sysid.model_form import ModelForm
 from sysid.polynomial import term_name
 from sysid.variation import LAGS_S, STEP_S
 from uqharness.bounds import CutoffRow, MadeBounds, mean_left_out
@@ -18,6 +19,12 @@ PUBLISHED = {
 }  # fmt: skip
 """Table 2.3: coverage of the E-SPAARO's third flight at 95 and 68 %."""
 Z95 = 1.959963984540054
+
+
+_HULL = (
+    "A state is extrapolated (`uq/extrapolated` is 1) when one of its values lies beyond these, or its leverage is above the "
+    "data's largest: in a corner of the box where no combination of states was flown."
+)
 
 
 def forced_width(noise: float, confidence: float) -> float:
@@ -114,6 +121,7 @@ def bounds_report(found: MadeBounds, document: Mapping[str, Any], figures: Seque
             for m, row in document["left_out"].items()
         ]
         lines += ["## Leaving one manoeuvre out", "", markdown_table(rows)]
+    lines += ["## Where the data are", "", markdown_table(hull_rows(form)), _HULL, ""]
     if found.cutoffs:
         lines += [
             "## Other filters",
@@ -137,6 +145,22 @@ def bounds_report(found: MadeBounds, document: Mapping[str, Any], figures: Seque
     lines += [f"![{name}](figures/{name}.svg)\n" for name in figures]
     lines += [f"- warning: {w}" for w in found.warnings] + [f"- {n}" for n in found.notes]
     return "\n".join(lines) + "\n"
+
+
+def hull_rows(form: ModelForm) -> list[dict[str, str]]:
+    """Smallest, quartiles and largest value of every state in the data, angles in degrees."""
+    out: dict[str, dict[str, str]] = {}
+    for bounds in form.coefficients.values():
+        for k, state in enumerate(bounds.states):
+            degrees = 57.29577951308232 if state.endswith(("_rad", "_radps")) else 1.0
+            values = [bounds.hull.low[k], *bounds.hull.middle[k], bounds.hull.high[k]]
+            unit = state.rsplit("_", 1)[1].replace("radps", "deg/s").replace("rad", "deg").replace("mps", "m/s")
+            row = {"state": state.rsplit("_", 1)[0], "unit": unit}
+            row |= {
+                n: f"{degrees * v:.4g}" for n, v in zip(("low", "25 %", "50 %", "75 %", "high"), values, strict=True)
+            }
+            out[state] = row
+    return [out[s] for s in form.states]
 
 
 def cutoff_rows(found: MadeBounds) -> list[dict[str, str]]:

@@ -125,7 +125,7 @@ def _run(args: argparse.Namespace) -> int:
             f"--out {args.out}: the folder {args.out.absolute().parent} does not exist; create it first"
         )
     # Imported here: scipy and pandas take a second that --help should not pay.
-    from uqharness.flights import read_flights
+    from uqharness.flights import file_hash, read_flights
     from uqharness.identify import BIASES, identify
     from uqharness.identify_report import write_results
 
@@ -136,7 +136,8 @@ def _run(args: argparse.Namespace) -> int:
     )  # fmt: skip
     out = results_folder(args.out)
     command = ["uqharness", "identify", args.aircraft, "--flight", *(p.name for p in args.flight)]
-    document = write_results(found, aircraft, [p.name for p in args.flight], command, out)
+    hashes = [file_hash(p) for p in args.flight]
+    document = write_results(found, aircraft, [p.name for p in args.flight], command, out, hashes)
     if not args.no_figures:
         _figures(found, out)
     if args.json:

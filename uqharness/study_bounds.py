@@ -214,7 +214,7 @@ def _coverage_rows(part: pd.DataFrame) -> list[dict[str, str]]:
 
 def _variant_rows(part: pd.DataFrame) -> list[dict[str, str]]:
     out = []
-    for name in VARIANTS:
+    for name in part["variant"].unique():
         mine = part[part["variant"] == name].groupby("coefficient")
         share, width = mine["share_95"].mean(), mine["mean_width"].mean()
         out.append({"variant": name, **{c: f"{100 * share[c]:.1f} ({width[c]:.2g})" for c in COEFFICIENTS}})
@@ -226,7 +226,9 @@ def _manoeuvre_rows(part: pd.DataFrame) -> list[dict[str, str]]:
         coefficient=part["coefficient"].to_numpy()
     )
     means = shares.groupby("coefficient").mean()
-    return [{"manoeuvre": str(m), **{c: f"{100 * float(means[m][c]):.1f}" for c in COEFFICIENTS}} for m in means.columns]
+    return [
+        {"manoeuvre": str(m), **{c: f"{100 * float(means[m][c]):.1f}" for c in COEFFICIENTS}} for m in means.columns
+    ]
 
 
 def verdict(rows: pd.DataFrame) -> list[str]:
