@@ -67,17 +67,27 @@ class CampaignSummary:
         return sum(number for status, number in self.statuses.items() if status != "ok")
 
 
-def find_mission(spec: CampaignSpec) -> Mission:
-    """Locate and hash what the campaign flies: relative to its own file, else as ``uqharness fly`` finds it."""
+def find_mission(spec: CampaignSpec, folder: Path = Path()) -> Mission:
+    """Locate and hash what the campaign flies: relative to its own file, else as ``uqharness fly`` finds it.
+
+    Bounds from a model form fly in a copy of the aircraft within the campaign's ``folder``, which is not made here.
+    """
     from uqharness.aircraft import content_hash, find_aircraft
     from uqharness.mission import find_script
 
     beside = spec.path.resolve().parent
     named, script_named = beside / spec.campaign.aircraft, beside / spec.campaign.mission
     aircraft = find_aircraft(named if named.is_dir() else spec.campaign.aircraft)
+    flown, flown_hash = aircraft.folder, ""
+    if spec.inputs.model_form is None:
+        flown_hash = content_hash(aircraft)
+    else:
+        from uqharness.bounded_aircraft import bounded_hash, place_of
+
+        flown, flown_hash = place_of(aircraft, folder), bounded_hash(aircraft, spec.inputs.model_form)
     script = script_named if script_named.is_file() else find_script(spec.campaign.mission)
     script_hash = hashlib.sha256(script.read_bytes()).hexdigest()
-    return Mission(aircraft.folder, content_hash(aircraft), script.resolve(), script_hash)
+    return Mission(flown, flown_hash, script.resolve(), script_hash, aircraft.folder)
 
 
 def run_campaign(
@@ -101,10 +111,10 @@ def run_campaign(
 
         fly = fly_mission
     given = mission is not None
-    mission = mission or find_mission(spec)
+    folder = _folder(Path(out_dir))
+    mission = mission or find_mission(spec, folder)
     cases = build_cases(spec, mission)
     executor = executor or ProcessExecutor(usable_cores() if workers is None else workers)
-    folder = _folder(Path(out_dir))
     with run_lock(folder):
         manifest = describe(spec, mission, len(cases), command)
         if (folder / "manifest.json").exists() and _holds_flights(folder):
@@ -115,6 +125,10 @@ def run_campaign(
         elif not (folder / "manifest.json").exists():
             _refuse_foreign(folder)
         write_manifest(folder, manifest)
+        if spec.inputs.model_form is not None and not given:
+            from uqharness.bounded_aircraft import make_bounded_aircraft
+
+            make_bounded_aircraft(mission.source, spec.inputs.model_form, folder)
         with Store(folder) as store:
             try:
                 summary = _fly_missing(folder, store, cases, executor, fly, on_progress)
@@ -123,7 +137,7 @@ def run_campaign(
                 with contextlib.suppress(BadInputError):
                     write_manifest(folder, manifest | {"state": "interrupted"})
                 raise
-            _refuse_if_edited(folder, manifest, mission if given else find_mission(spec))
+            _refuse_if_edited(folder, manifest, mission if given else find_mission(spec, folder))
             write_tables(folder, spec, cases, store.outcomes())
         write_manifest(folder, manifest | {"state": "complete"})
     return summary
@@ -150,7 +164,7 @@ def validate_model(fly: FlightFunction, case: Case) -> None:
 
 def _refuse_if_edited(folder: Path, manifest: dict[str, Any], mission: Mission) -> None:
     """Flights before and after an edit would stand in one table under one hash."""
-    if manifest["hashes"] != {"aircraft": mission.aircraft_hash, "script": mission.script_hash}:
+    if (manifest["hashes"]["aircraft"], manifest["hashes"]["script"]) != (mission.aircraft_hash, mission.script_hash):
         write_manifest(folder, manifest | {"state": _SPOILT})
         raise _spoilt(folder)
 

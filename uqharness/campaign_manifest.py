@@ -40,7 +40,7 @@ def describe(spec: CampaignSpec, mission: Mission, cases: int, command: str) -> 
         "cases": cases,
         "campaign": spec.as_dict(),
         "versions": versions(),
-        "hashes": {"aircraft": mission.aircraft_hash, "script": mission.script_hash},
+        "hashes": {"aircraft": mission.aircraft_hash, "script": mission.script_hash, **spec.inputs.hashes},
     }
 
 
@@ -83,6 +83,10 @@ def refuse_if_different(folder: Path, old: Mapping[str, Any], new: Mapping[str, 
         if before != after:
             what = now.get(f"campaign.{setting}")
             differences.append(f"the content of the {name} ({what}) has changed: {before[:12]} then, {after[:12]} now")
+    for role in sorted((old["hashes"].keys() | new["hashes"].keys()) - {"aircraft", "script"}):
+        before, after = (hashes.get(role, "absent")[:12] for hashes in (old["hashes"], new["hashes"]))
+        if before != after:
+            differences.append(f"the content of the file named as {role} has changed: {before} then, {after} now")
     if differences:
         raise BadInputError(
             f"{folder}: this folder holds another campaign: {'; '.join(differences)}. "

@@ -44,7 +44,7 @@ def build_table(cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> pa.Ta
     """
     by_id = {outcome.case_id: outcome for outcome in outcomes}
     radii = cases[0].flight.excursion_radius_m if cases else ()
-    schema = _schema(radii)
+    schema = _schema(radii, tuple(cases[0].inputs) if cases else ())
     columns: dict[str, list[Any]] = {name: [] for name in schema.names}
     for case in cases:
         outcome = by_id.get(case.case_id)
@@ -83,13 +83,13 @@ def read_table(path: Path) -> pa.Table:
         raise BadInputError(f"{path}: not a readable parquet file: {error}") from None
 
 
-def _schema(radii_m: Sequence[float]) -> pa.Schema:
+def _schema(radii_m: Sequence[float], inputs: Sequence[str]) -> pa.Schema:
     text, real, whole = pa.string(), pa.float64(), pa.int64()
     fields = [("case_id", text), ("epistemic_id", text), *((f"level_{name}", real) for name in COEFFICIENTS)]
     fields += [("aleatory_id", whole), ("wind_mps", real), ("turbulence", text), ("seed", whole), ("duration_s", real)]
     fields += [("status", text), ("reason", text), *((name, real) for name in ERROR_METRICS)]
     fields += [(name, whole) for name in excursion_columns(radii_m)]
-    fields += [("loss_of_control", whole), ("extrapolated_share", real)]
+    fields += [("loss_of_control", whole), ("extrapolated_share", real), *((name, real) for name in inputs)]
     return pa.schema(fields)
 
 
@@ -108,7 +108,7 @@ def _row(case: Case, outcome: CaseOutcome, radii_m: Sequence[float]) -> dict[str
         "status": outcome.status,
         "reason": outcome.reason or "; ".join(f"{name}: {why}" for name, why in sorted(outcome.undefined.items())),
     }
-    row |= {f"level_{name}": case.levels.get(name) for name in COEFFICIENTS}
+    row |= {f"level_{name}": case.levels.get(name) for name in COEFFICIENTS} | dict(case.inputs)
     row |= {name: _finite(outcome, name) if ok else None for name in (*ERROR_METRICS, "extrapolated_share")}
     for name in (*excursion_columns(radii_m), "loss_of_control"):
         value = _finite(outcome, name)

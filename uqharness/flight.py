@@ -6,7 +6,6 @@ import atexit
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from itertools import islice, repeat
 from typing import Any
 
 import numpy as np
@@ -19,8 +18,8 @@ from uqharness.flight_spec import TURBULENCE_W20_KT, FlightResult, FlightSpec
 from uqharness.loiter_metrics import absolute_statistics, count_excursions, lost_control
 from uqharness.mission import StagedMission, find_script, refuse_conflicts
 from uqharness.properties import FT, Source
+from uqharness.stepping import first_levels, has_air, stepper
 
-_HOST_GUSTS = ("u-mps", "v-mps", "w-mps", "p-rad_sec", "q-rad_sec", "r-rad_sec")
 _CONDITION_PROPERTIES = (
     "air/wind-mps",
     "air/wind-from-deg",
@@ -101,15 +100,18 @@ def record_mission(
     dt_s = fdm.get_delta_t()
     stride = _stride(spec, dt_s)
     set_conditions(fdm, mission, spec)
+    for name, value in first_levels(spec, dt_s).items():
+        engine.set_property(fdm, name, value)
     engine.run_ic(fdm)
     _require_kept(fdm, spec.properties)
+    set_wind_without_air(fdm, spec)
     present = {name: source for name, source in (optional or {}).items() if _exists(fdm, source)}
     table = {"time_s": Source("simulation/sim-time-sec"), **signals, **present}
     read = _reader(fdm, table)
     burn = 0 if keep_burn_in else math.ceil(round(spec.burn_in_s / (dt_s * stride), 9))
     total_s = spec.duration_s + (spec.burn_in_s if keep_burn_in else 0.0)
     wanted = math.ceil(round(total_s / (dt_s * stride), 9))
-    advance = _advance(fdm, spec, mission.aircraft, dt_s, (burn + wanted) * stride)
+    advance = stepper(fdm, spec, dt_s, (burn + wanted) * stride)
     rows = np.full((wanted + 1, len(table)), np.nan)
     height = engine.handle(fdm, "position/h-agl-ft").get_double_value
     speed = engine.handle(fdm, "velocities/vt-fps").get_double_value
@@ -182,16 +184,16 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
         if name in _RESERVED:
             raise BadInputError(f"property {name} is not for setting by name: {_RESERVED[name]}")
     refuse_conflicts(mission.script, [*_CONDITION_PROPERTIES, *spec.properties])
-    # Asked by what the systems publish: a script that sets air/wind-mps makes that property whether anything reads it or not.
-    has_air = fdm.get_property_manager().hasNode("air/wind-north-fps")
-    if not has_air and (spec.wind_mps or spec.turbulence != "none"):
+    with_air = has_air(fdm)
+    if not with_air and spec.turbulence != "none" and spec.turbulence_source == "jsbsim":
         raise BadInputError(
-            f"aircraft '{mission.aircraft.name}' has no air system (property air/wind-north-fps), so no wind or turbulence; "
-            'add <system file="air"/> to its XML'
+            f"aircraft '{mission.aircraft.name}' has no air system (property air/wind-north-fps), and JSBSim's own turbulence by "
+            'itself is wrong in a wind and above sea level (docs/jsbsim-traps.md): use turbulence_source = "spec" '
+            '(--turbulence-source spec), or add <system file="air"/> to its XML'
         )
     fdm["simulation/randomseed"] = spec.seed_noise
     fdm["atmosphere/randomseed"] = spec.seed_turbulence
-    if has_air:
+    if with_air:
         fdm["air/wind-mps"] = spec.wind_mps
         fdm["air/wind-from-deg"] = spec.wind_from_deg
         fdm["air/turbulence-w20-kt"] = TURBULENCE_W20_KT[spec.turbulence]
@@ -199,7 +201,10 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
     if fdm.get_property_manager().hasNode("sensor/V-mps"):
         fdm["sensor/noise"] = float(spec.sensor_noise)
     elif spec.sensor_noise:
-        raise BadInputError(f"aircraft '{mission.aircraft.name}' has no sensors system (property sensor/V-mps)")
+        raise BadInputError(
+            f"aircraft '{mission.aircraft.name}' has no sensors system (property sensor/V-mps): fly it with sensor_noise = false "
+            "(without --noise)"
+        )
     for name, value in spec.properties.items():
         engine.set_property(fdm, name, value)
     # The script's start is an airspeed; over the ground the aircraft moves with the wind as well.
@@ -208,6 +213,16 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
         north, east = fdm["ic/vn-fps"], fdm["ic/ve-fps"]
         fdm["ic/vn-fps"] = north + spec.wind_mps * math.cos(toward) / FT
         fdm["ic/ve-fps"] = east + spec.wind_mps * math.sin(toward) / FT
+
+
+def set_wind_without_air(fdm: Any, spec: FlightSpec) -> None:
+    """Blow the steady wind through JSBSim's own properties where no air system does; initialising would have undone it."""
+    if has_air(fdm):
+        return
+    toward = math.radians(spec.wind_from_deg + 180.0)
+    fdm["atmosphere/wind-north-fps"] = spec.wind_mps * math.cos(toward) / FT
+    fdm["atmosphere/wind-east-fps"] = spec.wind_mps * math.sin(toward) / FT
+    fdm["atmosphere/wind-down-fps"] = 0.0
 
 
 def _require_kept(fdm: Any, properties: Mapping[str, float]) -> None:
@@ -219,47 +234,6 @@ def _require_kept(fdm: Any, properties: Mapping[str, float]) -> None:
                 f"property {name} was set to {value:g} and stands at {kept:g} after initialising: the model computes it, "
                 "so it cannot be set"
             )
-
-
-def _advance(fdm: Any, spec: FlightSpec, aircraft: Aircraft, dt_s: float, steps: int) -> Callable[[int], None]:
-    """A function that runs n steps; with host-supplied turbulence it feeds the gusts step by step."""
-    run = fdm.run
-    if spec.turbulence == "none" or spec.turbulence_source == "jsbsim":
-
-        def plain(count: int) -> None:
-            for _ in repeat(None, count):
-                run()
-
-        return plain
-    # Imported here: scipy.signal takes a second to load, and calm flights do without.
-    from uqharness.dryden import dryden_gusts
-
-    gusts = dryden_gusts(
-        steps,
-        dt_s,
-        V_mps=max(float(fdm["velocities/vt-fps"]) * FT, 1.0),
-        h_m=max(float(fdm["position/h-agl-ft"]) * FT, 3.048),
-        W20_kt=TURBULENCE_W20_KT[spec.turbulence],
-        b_m=float(fdm["metrics/bw-ft"]) * FT,
-        seed=spec.seed_turbulence,
-    )
-    columns = (gusts.u_mps, gusts.v_mps, gusts.w_mps, gusts.p_radps, gusts.q_radps, gusts.r_radps)
-    feed = zip(*(column.tolist() for column in columns), strict=True)
-    set_u, set_v, set_w, set_p, set_q, set_r = (
-        engine.handle(fdm, f"air/host/{name}").set_double_value for name in _HOST_GUSTS
-    )
-
-    def fed(count: int) -> None:
-        for u, v, w, p, q, r in islice(feed, count):
-            set_u(u)
-            set_v(v)
-            set_w(w)
-            set_p(p)
-            set_q(q)
-            set_r(r)
-            run()
-
-    return fed
 
 
 def _score(spec: FlightSpec, recorded: Recorded, aircraft: Aircraft) -> FlightResult:

@@ -156,11 +156,17 @@ def _published(campaign: Mapping[str, Any], condition: Condition, quantity: str)
 def _asked(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> str:
     air, epistemic = campaign["aleatory"], campaign["epistemic"]
     corners = frame["epistemic_id"].nunique()
+    within = f"within the intervals of {', '.join(epistemic['coefficients'])}"
     samples_text = {
         "none": "the model as it is, without model-form uncertainty",
         "corners": f"{corners} corners of the model-form intervals of {', '.join(epistemic['coefficients'])}",
-        "levels": f"{corners} combinations of levels within the intervals of {', '.join(epistemic['coefficients'])}",
+        "levels": f"{corners} combinations of levels {within}",
+        "lhs": f"{corners} fixed levels, a Latin hypercube, {within}",
+        "white": f"{corners} samples of levels redrawn at every step {within}",
+        "walk": f"{corners} random walks {within}",
     }[epistemic["method"]]
+    if "parameters" in epistemic:
+        samples_text += f"; parameters drawn from {Path(epistemic['parameters']['fit']).name}"
     winds = ", ".join(f"{wind:g}" for wind in air["wind_mps"])
     noise = "noisy" if air["sensor_noise"] else "noise-free"
     return (
