@@ -16,6 +16,7 @@ from uqharness.aircraft import Aircraft, find_aircraft, find_folder, folder_hash
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import TURBULENCE_W20_KT, FlightResult, FlightSpec
 from uqharness.loiter_metrics import absolute_statistics, count_excursions, lost_control
+from uqharness.mass_change import CHANGEABLE
 from uqharness.mission import StagedMission, find_script, refuse_conflicts
 from uqharness.properties import FT, Source
 from uqharness.stepping import first_levels, has_air, stepper
@@ -96,7 +97,8 @@ def record_mission(
 
     Rows are taken after a step, so the accelerations of a row have seen the command of that row. Raises BadInputError.
     """
-    fdm = mission.open()
+    changed = {name: value for name, value in spec.properties.items() if name in CHANGEABLE}
+    fdm = mission.open(changed=changed)
     dt_s = fdm.get_delta_t()
     stride = _stride(spec, dt_s)
     set_conditions(fdm, mission, spec)
@@ -206,7 +208,8 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
             "(without --noise)"
         )
     for name, value in spec.properties.items():
-        engine.set_property(fdm, name, value)
+        if name not in CHANGEABLE:
+            engine.set_property(fdm, name, value)
     # The script's start is an airspeed; over the ground the aircraft moves with the wind as well.
     toward = math.radians(spec.wind_from_deg + 180.0)
     if spec.wind_mps:
@@ -229,7 +232,7 @@ def _require_kept(fdm: Any, properties: Mapping[str, float]) -> None:
     """BadInputError for a setting that initialising has overwritten: it would move nothing, in silence."""
     for name, value in properties.items():
         kept = fdm[name]
-        if not name.startswith("ic/") and abs(kept - value) > 1e-9 * max(abs(value), 1.0):
+        if name not in CHANGEABLE and not name.startswith("ic/") and abs(kept - value) > 1e-9 * max(abs(value), 1.0):
             raise BadInputError(
                 f"property {name} was set to {value:g} and stands at {kept:g} after initialising: the model computes it, "
                 "so it cannot be set"
