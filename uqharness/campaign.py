@@ -70,24 +70,23 @@ class CampaignSummary:
 def find_mission(spec: CampaignSpec, folder: Path = Path()) -> Mission:
     """Locate and hash what the campaign flies: relative to its own file, else as ``uqharness fly`` finds it.
 
-    Bounds from a model form fly in a copy of the aircraft within the campaign's ``folder``, which is not made here.
+    Bounds from a model form and a trimmed start fly in a copy of the aircraft within the campaign's ``folder``, not made here.
     """
     from uqharness.aircraft import content_hash, find_aircraft
+    from uqharness.campaign_aircraft import find_copied_mission, needs_copy
     from uqharness.mission import find_script
 
     beside = spec.path.resolve().parent
     named, script_named = beside / spec.campaign.aircraft, beside / spec.campaign.mission
     aircraft = find_aircraft(named if named.is_dir() else spec.campaign.aircraft)
-    flown, flown_hash = aircraft.folder, ""
-    if spec.inputs.model_form is None:
-        flown_hash = content_hash(aircraft)
-    else:
-        from uqharness.bounded_aircraft import bounded_hash, place_of
-
-        flown, flown_hash = place_of(aircraft, folder), bounded_hash(aircraft, spec.inputs.model_form)
-    script = script_named if script_named.is_file() else find_script(spec.campaign.mission)
+    script: Path | None = None
+    if spec.start is None:
+        script = (script_named if script_named.is_file() else find_script(spec.campaign.mission)).resolve()
+    if needs_copy(spec):
+        return find_copied_mission(spec, aircraft, script, folder)
+    assert script is not None
     script_hash = hashlib.sha256(script.read_bytes()).hexdigest()
-    return Mission(flown, flown_hash, script.resolve(), script_hash, aircraft.folder)
+    return Mission(aircraft.folder, content_hash(aircraft), script, script_hash)
 
 
 def run_campaign(
@@ -125,10 +124,11 @@ def run_campaign(
         elif not (folder / "manifest.json").exists():
             _refuse_foreign(folder)
         write_manifest(folder, manifest)
-        if spec.inputs.model_form is not None and not given:
-            from uqharness.bounded_aircraft import make_bounded_aircraft
+        if not given:
+            from uqharness.campaign_aircraft import make_copy, needs_copy
 
-            make_bounded_aircraft(mission.source, spec.inputs.model_form, folder)
+            if needs_copy(spec):
+                make_copy(spec, mission, folder)
         with Store(folder) as store:
             try:
                 summary = _fly_missing(folder, store, cases, executor, fly, on_progress)

@@ -20,6 +20,7 @@ from uqharness.epistemic_spec import EpistemicSection
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import DEFAULT_TURBULENCE_SOURCE
 from uqharness.spec_sections import Number, Section, Turbulence, listed
+from uqharness.start_spec import STEADY, StartSection
 from uqharness.toml_errors import explain, line_of
 from uqharness.variables_spec import VariableSection
 
@@ -85,6 +86,16 @@ class _Document(Section):
     epistemic: EpistemicSection
     metrics: MetricsSection = MetricsSection()
     stop: StopSection = StopSection()
+    start: StartSection | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> _Document:
+        if (self.campaign.mission == STEADY) != (self.start is not None):
+            raise ValueError(
+                f'mission = "{STEADY}" and a section [start] with V_mps and altitude_m belong together: '
+                "a trimmed flight needs both, a run script neither"
+            )
+        return self
 
 
 @dataclass(frozen=True)
@@ -98,12 +109,17 @@ class CampaignSpec:
     epistemic: EpistemicSection
     metrics: MetricsSection
     stop: StopSection
+    start: StartSection | None = None
     inputs: CampaignInputs = field(default_factory=CampaignInputs)
 
     def as_dict(self) -> dict[str, Any]:
         """Every setting, defaults included, as plain JSON types: two files that mean the same give the same."""
-        names = ("campaign", "aleatory", "epistemic", "metrics", "stop")
-        found = {name: getattr(self, name).model_dump(mode="json", exclude_none=True) for name in names}
+        sections = {name: getattr(self, name) for name in _Document.model_fields}
+        found = {
+            name: section.model_dump(mode="json", exclude_none=True)
+            for name, section in sections.items()
+            if section is not None
+        }
         found["epistemic"]["coefficients"] = list(self.inputs.coefficients)
         return found
 

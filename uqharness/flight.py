@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import atexit
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uqharness import engine
-from uqharness.aircraft import Aircraft, find_aircraft, find_folder, folder_hash
+from uqharness.aircraft import find_aircraft, find_folder, folder_hash
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import TURBULENCE_W20_KT, FlightResult, FlightSpec
-from uqharness.loiter_metrics import absolute_statistics, count_excursions, lost_control
 from uqharness.mass_change import CHANGEABLE
 from uqharness.mission import StagedMission, find_script, refuse_conflicts
 from uqharness.properties import FT, Source
+from uqharness.scoring import (
+    Recorded,
+    commanded_signals,
+    from_start_signals,
+    score_commanded,
+    score_from_start,
+)
+from uqharness.start_spec import MARK
 from uqharness.stepping import first_levels, has_air, stepper
 
 _CONDITION_PROPERTIES = (
@@ -51,14 +57,11 @@ def fly(spec: FlightSpec) -> FlightResult:
     Raises BadInputError for what cannot start: unknown aircraft, script or property, impossible values.
     """
     mission = _staged(str(spec.aircraft), str(spec.script), _fingerprint(spec))
-    aircraft = mission.aircraft
-    signals = {key: Source(card.true) for key, card in aircraft.card.metrics.items()}
-    signals |= {
-        f"{key}_measured": Source(card.measured) for key, card in aircraft.card.metrics.items() if card.measured
-    }
+    from_start = MARK in mission.script.run_properties or not mission.aircraft.card.metrics
+    signals = from_start_signals() if from_start else commanded_signals(mission.aircraft)
     signals |= {"phi_rad": Source("attitude/phi-rad"), "alpha_rad": Source("aero/alpha-rad")}
     recorded = record_mission(mission, spec, signals, optional={"extrapolated": Source("uq/extrapolated")})
-    return _score(spec, recorded, aircraft)
+    return score_from_start(spec, recorded) if from_start else score_commanded(spec, recorded)
 
 
 def _fingerprint(spec: FlightSpec) -> str:
@@ -72,18 +75,6 @@ def _staged(aircraft: str, script: str, fingerprint: str) -> StagedMission:
     mission = StagedMission(find_aircraft(aircraft), find_script(script))
     atexit.register(mission.close)
     return mission
-
-
-class Recorded:
-    """Signals of one flight as flown so far, and how it ended."""
-
-    def __init__(
-        self, names: Sequence[str], rows: NDArray[np.float64], status: str, reason: str, flown_s: float
-    ) -> None:
-        self.status = status
-        self.reason = reason
-        self.flown_s = flown_s
-        self.signals: dict[str, NDArray[np.float64]] = {name: rows[:, column] for column, name in enumerate(names)}
 
 
 def record_mission(
@@ -107,6 +98,8 @@ def record_mission(
     engine.run_ic(fdm)
     _require_kept(fdm, spec.properties)
     set_wind_without_air(fdm, spec)
+    if MARK in mission.script.run_properties and fdm.get_propulsion().get_num_engines():
+        engine.settle_engines(fdm)
     present = {name: source for name, source in (optional or {}).items() if _exists(fdm, source)}
     table = {"time_s": Source("simulation/sim-time-sec"), **signals, **present}
     read = _reader(fdm, table)
@@ -237,47 +230,3 @@ def _require_kept(fdm: Any, properties: Mapping[str, float]) -> None:
                 f"property {name} was set to {value:g} and stands at {kept:g} after initialising: the model computes it, "
                 "so it cannot be set"
             )
-
-
-def _score(spec: FlightSpec, recorded: Recorded, aircraft: Aircraft) -> FlightResult:
-    units = {"cross_track": "m", "altitude": "m", "speed": "mps", "distance_3d": "m"}
-    metrics: dict[str, float] = {}
-    undefined: dict[str, str] = {}
-    complete = recorded.status == "ok"
-    for key, unit in units.items():
-        if key == "distance_3d":
-            continue
-        for suffix in ("", "_measured"):
-            values = recorded.signals.get(key + suffix)
-            names = [f"{key}_{kind}_{unit}{suffix}" for kind in ("median", "mean", "max")]
-            if values is None or not complete:
-                why = recorded.reason if values is not None else f"the card names no {key}{suffix} under [metrics]"
-                metrics |= dict.fromkeys(names, math.nan)
-                undefined |= dict.fromkeys(names, why)
-            else:
-                metrics |= dict(zip(names, absolute_statistics(values), strict=True))
-    for radius in spec.excursion_radius_m:
-        for key, suffix in (("cross_track", ""), ("distance_3d", "_3d")):
-            values = recorded.signals.get(key)
-            name = f"excursions_{radius:g}m{suffix}"
-            if values is None:
-                metrics[name], undefined[name] = math.nan, f"the card names no {key} under [metrics]"
-            else:
-                # What was flown counts, however the flight ended: a campaign bounds the rest from above.
-                metrics[name] = float(count_excursions(values, radius, spec.rearm_m))
-    altitude = recorded.signals.get("altitude", np.zeros(0))
-    lost = not complete or lost_control(
-        recorded.signals["phi_rad"],
-        recorded.signals["alpha_rad"],
-        altitude if altitude.size else np.zeros_like(recorded.signals["phi_rad"]),
-    )
-    metrics["loss_of_control"] = float(lost)
-    outside = recorded.signals.get("extrapolated")
-    if outside is None or outside.size == 0:
-        metrics["extrapolated_share"], undefined["extrapolated_share"] = (
-            math.nan,
-            "the aircraft publishes no uq/extrapolated",
-        )
-    else:
-        metrics["extrapolated_share"] = float(np.mean(outside > 0.5))
-    return FlightResult(recorded.status, recorded.reason, recorded.flown_s, metrics, undefined, recorded.signals)

@@ -1,6 +1,6 @@
 """Mass, inertia and reference lengths by the name of the property that JSBSim computes from them.
 
-JSBSim 1.3.3 gives inertia/iyy-slugs_ft2 and its like to read and not to set: they follow from <mass_balance>, point masses and fuel.
+JSBSim 1.3.3 gives inertia/iyy-slugs_ft2 and its like to read, not to set: they follow from <mass_balance>, point masses and fuel.
 Here they are set all the same: the numbers in a copy of the aircraft's XML are moved until the property stands at what is wanted.
 inertia/ixz-slugs_ft2 is, as JSBSim has it, the entry of the inertia matrix: minus the product of inertia.
 """
