@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from sysid.model_form import read_model_form
 from tests import campaign_fakes as fakes
 from tests.campaign_fakes import CAMPAIGN, campaign_file
-from uqharness.aircraft import PROJECT_ROOT
+from tests.model_forms import PUBLISHED, made_up_form
+from uqharness.aircraft import PROJECT_ROOT, find_aircraft
 from uqharness.campaign import run_campaign
 from uqharness.campaign_spec import read_campaign
 from uqharness.case_table import CASES, read_table
@@ -20,7 +22,11 @@ from uqharness.cases import Mission, build_cases
 from uqharness.epistemic import epistemic_samples
 from uqharness.errors import BadInputError
 from uqharness.executor import SerialExecutor
+from uqharness.flight import record_mission
 from uqharness.flight_spec import COEFFICIENTS, LevelDriver
+from uqharness.mission import StagedMission
+from uqharness.model_form_xml import model_form_xml
+from uqharness.properties import Source
 from uqharness.seeds import walk_stream
 
 HEAD = CAMPAIGN.partition("[epistemic]")[0]
@@ -34,10 +40,16 @@ FIT = {
     "names": ["aero/Cm_q", "aero/Cm_alpha"],
     "cov": [[0.36, 0.0084], [0.0084, 0.0004]],  # correlation 0.7
 }
-MODEL_FORM = {
-    "format": "model-form 1",
-    "coefficients": {"CX": {"walk_rate": 0.02}, "CZ": {"walk_rate": 0.012}, "Cm": {"walk_rate": None}},
-}
+
+
+def model_form(path, rates=(0.02, 0.012, float("nan")), names=("CX", "CZ", "Cm"), **changes):
+    """A model form with bounds of CX, CZ and Cm."""
+    form = made_up_form({name: PUBLISHED[name] for name in names})
+    bounds = {
+        name: dataclasses.replace(item, walk_rate=rate)
+        for (name, item), rate in zip(form.coefficients.items(), rates, strict=False)
+    }
+    dataclasses.replace(form, coefficients=bounds, **changes).write(path)
 
 
 def campaign(tmp_path, epistemic, head=HEAD):
@@ -89,7 +101,7 @@ def test_white_needs_no_rate(tmp_path):
 
 
 def test_rates_and_coefficients_come_from_the_model_form(tmp_path):
-    write(tmp_path / "model-form.json", MODEL_FORM)
+    model_form(tmp_path / "model-form.json")
     text = 'method = "walk"\nsamples = 2\nbounds = "model-form.json"\ncoefficients = ["CZ", "CX"]\n'
     sample = epistemic_samples(campaign(tmp_path, text))[0]
     assert (sample.driver.coefficients, sample.driver.rates_per_sqrt_s) == (("CX", "CZ"), (0.02, 0.012))
@@ -107,9 +119,8 @@ def test_rates_and_coefficients_come_from_the_model_form(tmp_path):
     ("content", "message"),
     [
         (None, "named as bounds and not there"),
-        ("{", "cannot be read as JSON"),
-        ("[]", "not an object"),
-        ('{"coefficients": {"CL": {}}}', "no model form"),
+        ("{", "model-form.json.*uqharness bounds AIRCRAFT"),
+        ('{"coefficients": {"CL": {}}}', "model-form.json.*uqharness bounds AIRCRAFT"),
     ],
 )
 def test_a_bad_model_form_is_refused(tmp_path, content, message):
@@ -249,12 +260,10 @@ def test_what_was_drawn_stands_in_the_table_and_moves_with_no_worker(tmp_path):
 
 @pytest.fixture
 def bounded(tmp_path):
-    """A campaign of the E-SPAARO with bounds from a file: the stand-ins, five times as wide in CX."""
+    """A campaign of the E-SPAARO with state-dependent bounds from a file."""
     shutil.copytree(PROJECT_ROOT / "aircraft" / "espaaro", tmp_path / "plane")
     shutil.copy(PROJECT_ROOT / "scripts" / "trim.xml", tmp_path / "loiter.xml")
-    text = (PROJECT_ROOT / "aircraft" / "espaaro" / "Systems" / "model-form.xml").read_text()
-    (tmp_path / "model-form.xml").write_text(text.replace('0.008"', '0.040"'))
-    write(tmp_path / "model-form.json", MODEL_FORM)
+    model_form(tmp_path / "model-form.json")
     epistemic = '[epistemic]\nmethod = "corners"\nbounds = "model-form.json"\ncoefficients = ["CX"]\n'
     head = HEAD.replace("150", "2").replace("60", "0").replace("flights = 3", "flights = 1")
     (tmp_path / "campaign.toml").write_text(head.replace('"moderate"', '"light"') + epistemic)
@@ -266,39 +275,39 @@ def test_the_bounds_of_a_file_fly_in_a_copy_of_the_aircraft(tmp_path, bounded, m
 
     # A process of its own could not import the function below.
     monkeypatch.setattr("uqharness.campaign.validate_model", lambda fly, case: None)
-
-    out = tmp_path / "out"
-    flown = []
+    out, executor, flown = tmp_path / "out", SerialExecutor(), []
 
     def spy(spec):
         flown.append(spec)
-        return fly(dataclasses.replace(spec, properties=dict(spec.properties)))
+        return fly(spec)
 
-    executor = SerialExecutor()
     run_campaign(bounded, out, executor=executor, fly=spy)
     copy = out / "aircraft" / "plane"
     assert {spec.aircraft for spec in flown} == {copy}
-    assert (copy / "Systems" / "model-form.xml").read_bytes() == (tmp_path / "model-form.xml").read_bytes()
+    written = (copy / "Systems" / "model-form.xml").read_bytes()
+    assert written == model_form_xml(read_model_form(tmp_path / "model-form.json"), find_aircraft(tmp_path / "plane"))
     frame = read_table(out / CASES).to_pandas().set_index("epistemic_id")
     assert list(frame.index) == ["0-----", "1-----"]
-    assert (frame["extrapolated_share"] == 0.0).all()
-    # The source was not touched, and a changed model form is another campaign.
-    assert "0.040" not in (tmp_path / "plane" / "Systems" / "model-form.xml").read_text()
+    assert frame["extrapolated_share"].between(0.0, 1.0).all()
+    # The bounds act, CX alone moves, and the source was not touched.
+    signals = {f"{name}_delta": Source(f"uq/{name}/delta") for name in COEFFICIENTS}
+    with StagedMission(find_aircraft(copy), tmp_path / "loiter.xml") as mission:
+        deltas = [record_mission(mission, spec, signals).signals for spec in flown]
+    assert deltas[0]["CX_delta"][1:].max() < 0.0 < deltas[1]["CX_delta"][1:].min()
+    assert all(not np.any(deltas[1][f"{name}_delta"]) for name in COEFFICIENTS[1:])
+    source = PROJECT_ROOT / "aircraft" / "espaaro" / "Systems" / "model-form.xml"
+    assert (tmp_path / "plane" / "Systems" / "model-form.xml").read_bytes() == source.read_bytes()
+    # The same command finds everything done; half a copy is mended; a changed model form is another campaign.
+    (copy / "Systems" / "model-form.xml").unlink()
     assert run_campaign(bounded, out, executor=executor, fly=spy).done_before == 2
-    text = (tmp_path / "model-form.xml").read_text()
-    (tmp_path / "model-form.xml").write_text(text.replace("0.040", "0.030"))
-    with pytest.raises(BadInputError, match="content of the aircraft"):
-        run_campaign(bounded, out, executor=executor, fly=spy)
-    write(tmp_path / "model-form.json", MODEL_FORM | {"confidence": 0.68})
+    assert (copy / "Systems" / "model-form.xml").read_bytes() == written
+    model_form(tmp_path / "model-form.json", confidence=0.68)
     with pytest.raises(BadInputError, match="content of the file named as bounds"):
         run_campaign(read_campaign(tmp_path / "campaign.toml"), out, executor=executor, fly=spy)
 
 
-def test_bounds_need_the_plugin_and_an_xml(tmp_path, bounded):
+def test_bounds_need_the_plugin(tmp_path, bounded):
     xml = tmp_path / "plane" / "espaaro.xml"
     xml.write_text(xml.read_text().replace('<system file="model-form"/>', ""))
     with pytest.raises(BadInputError, match=r'no <system file="model-form"/>.*uqharness instrument'):
         run_campaign(bounded, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady)
-    (tmp_path / "model-form.xml").unlink()
-    with pytest.raises(BadInputError, match=r"espaaro\.xml|model-form\.xml"):
-        run_campaign(bounded, tmp_path / "out2", executor=SerialExecutor(), fly=fakes.steady)

@@ -18,11 +18,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from sysid.aero_terms import COEFFICIENTS
 from uqharness.aero_section import AXIAL, BODY, STABILITY, WIND, AeroSection
 from uqharness.errors import BadInputError
 from uqharness.xml_text import Document, Insertion, Node, after, append_child, apply, before
-
-COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 
 # One term of a row: sign, trigonometric factors, index of the coefficient in its triple (x, y, z or roll, pitch, yaw).
 Term = tuple[int, str, int]

@@ -13,9 +13,11 @@ from pathlib import Path
 
 from uqharness import engine
 from uqharness.aircraft import Aircraft, content_hash, find_aircraft, parse_xml
+from uqharness.campaign_inputs import read_bounds
 from uqharness.campaign_spec import CampaignSpec
 from uqharness.cases import Mission
 from uqharness.errors import BadInputError
+from uqharness.model_form_xml import model_form_xml
 from uqharness.steady_start import SCRIPT, write_steady_start
 
 SYSTEM = "model-form"
@@ -46,7 +48,7 @@ def find_copied_mission(spec: CampaignSpec, aircraft: Aircraft, script: Path | N
 def make_copy(spec: CampaignSpec, mission: Mission, folder: Path) -> None:
     """Make the copy that ``mission`` flies in ``folder``, unless it is there already.
 
-    Raises BadInputError if the aircraft does not carry the plugin, the bounds have no XML, or there is no trim.
+    Raises BadInputError if the aircraft does not carry the plugin, cannot have these bounds, or has no trim.
     """
     for left in folder.glob(f"{_UNFINISHED}*"):
         shutil.rmtree(left, ignore_errors=True)
@@ -75,29 +77,13 @@ def _copy(spec: CampaignSpec, aircraft: Aircraft, root: Path) -> Path:
             if (own / sub).is_dir():
                 shutil.copytree(own / sub, root / sub, symlinks=False)
     if spec.inputs.model_form is not None:
-        text = model_form_xml(spec.inputs.model_form)
+        text = model_form_xml(read_bounds(spec.inputs.model_form), aircraft)
         destination = made / _system_file(aircraft).relative_to(aircraft.folder)
         destination.unlink()
         destination.write_bytes(text)
     if spec.start is not None:
         write_steady_start(find_aircraft(made), spec.start, root / SCRIPT, str(spec.path))
     return made
-
-
-def model_form_xml(model_form: Path) -> bytes:
-    """The system's XML for a model-form.json: the one that ``uqharness bounds`` wrote beside it. Raises BadInputError."""
-    path = model_form.with_suffix(".xml")
-    try:
-        text = path.read_bytes()
-    except OSError as error:
-        raise BadInputError(
-            f"{path}: the XML of {model_form.name} cannot be read ({error.strerror or error}); "
-            "uqharness bounds writes both into one folder"
-        ) from None
-    root = parse_xml(path).getroot()
-    if root.tag != "system" or root.get("name") != SYSTEM:
-        raise BadInputError(f'{path}:{root.sourceline}: a model form begins with <system name="{SYSTEM}">')
-    return text
 
 
 def _system_file(aircraft: Aircraft) -> Path:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.log_errors import LogError
 from uqharness.epistemic_spec import EpistemicSection
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import COEFFICIENTS
+
+if TYPE_CHECKING:
+    from sysid.model_form import ModelForm
 
 
 @dataclass(frozen=True)
@@ -55,11 +58,11 @@ def read_inputs(section: EpistemicSection, beside: Path) -> CampaignInputs:
     coefficients: tuple[str, ...] = section.coefficients
     rates: dict[str, float] = {str(name): rate for name, rate in (section.walk_rate_per_sqrt_s or {}).items()}
     if isinstance(section.bounds, str):
-        model_form, document = _read(section.bounds, beside, "bounds", hashes)
-        bounded = _bounded(model_form, document)
-        coefficients = _coefficients(section, model_form, bounded)
+        model_form = _find(section.bounds, beside, "bounds", hashes)
+        form = read_bounds(model_form)
+        coefficients = _coefficients(section, model_form, form)
         if section.method == "walk":
-            rates = {name: rates.get(name, _rate(bounded[name])) for name in coefficients}
+            rates = {name: rates.get(name, form.coefficients[name].walk_rate) for name in coefficients}
             lacking = [name for name in coefficients if not rates[name] > 0]
             if lacking:
                 raise BadInputError(
@@ -68,12 +71,23 @@ def read_inputs(section: EpistemicSection, beside: Path) -> CampaignInputs:
                 )
     estimates = None
     if section.parameters is not None:
-        path, document = _read(section.parameters.fit, beside, "fit", hashes)
-        estimates = _estimates(path, document, section.parameters.parameters)
+        path = _find(section.parameters.fit, beside, "fit", hashes)
+        estimates = _estimates(path, section.parameters.parameters)
     return CampaignInputs(model_form, coefficients, rates, estimates, hashes)
 
 
-def _read(name: str, beside: Path, role: str, hashes: dict[str, str]) -> tuple[Path, dict[str, Any]]:
+def read_bounds(path: Path) -> ModelForm:
+    """A model form from its file. Raises BadInputError."""
+    # Imported here: most campaigns do without.
+    from sysid.model_form import read_model_form
+
+    try:
+        return read_model_form(path)
+    except LogError as error:
+        raise BadInputError(f"{error} (uqharness bounds AIRCRAFT --flight FILE --out DIR makes one)") from None
+
+
+def _find(name: str, beside: Path, role: str, hashes: dict[str, str]) -> Path:
     given = Path(name)
     path = next((p for p in (beside / given, given) if p.is_file()), None)
     if path is None:
@@ -81,42 +95,27 @@ def _read(name: str, beside: Path, role: str, hashes: dict[str, str]) -> tuple[P
             f"{given}: named as {role} and not there, neither beside the campaign file nor in this folder"
         )
     try:
-        content = path.read_bytes()
-        document = json.loads(content)
+        hashes[role] = hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    return path.resolve()
+
+
+def _coefficients(section: EpistemicSection, path: Path, form: ModelForm) -> tuple[str, ...]:
+    asked = section.coefficients
+    if "coefficients" not in section.model_fields_set:
+        return tuple(name for name in asked if name in form.coefficients)
+    missing = [name for name in asked if name not in form.coefficients]
+    if missing:
+        raise BadInputError(f"{path}: has no bounds for {', '.join(missing)}, which [epistemic] coefficients names")
+    return asked
+
+
+def _estimates(path: Path, asked: tuple[str, ...] | None) -> Estimates:
+    try:
+        document = json.loads(path.read_bytes())
     except (OSError, ValueError) as error:
         raise BadInputError(f"{path}: cannot be read as JSON: {error}") from None
-    if not isinstance(document, dict):
-        raise BadInputError(f"{path}: not an object, so no {role} of this program's making")
-    hashes[role] = hashlib.sha256(content).hexdigest()
-    return path.resolve(), document
-
-
-def _bounded(path: Path, document: dict[str, Any]) -> dict[str, Any]:
-    bounded = document.get("coefficients")
-    if not isinstance(bounded, dict) or not bounded or not set(bounded) <= set(COEFFICIENTS):
-        raise BadInputError(
-            f'{path}: no model form (its "coefficients" must be some of {", ".join(COEFFICIENTS)}); '
-            "make one with: uqharness bounds AIRCRAFT --flight FILE --out DIR"
-        )
-    return bounded
-
-
-def _coefficients(section: EpistemicSection, path: Path, bounded: Mapping[str, Any]) -> tuple[str, ...]:
-    asked = section.coefficients
-    if "coefficients" in section.model_fields_set:
-        missing = [name for name in asked if name not in bounded]
-        if missing:
-            raise BadInputError(f"{path}: has no bounds for {', '.join(missing)}, which [epistemic] coefficients names")
-        return asked
-    return tuple(name for name in asked if name in bounded)
-
-
-def _rate(coefficient: Any) -> float:
-    rate = coefficient.get("walk_rate") if isinstance(coefficient, dict) else None
-    return float(rate) if isinstance(rate, (int, float)) and math.isfinite(rate) else math.nan
-
-
-def _estimates(path: Path, document: dict[str, Any], asked: tuple[str, ...] | None) -> Estimates:
     try:
         names = [str(name) for name in document["names"]]
         covariance = np.array(document["cov"], dtype=np.float64)
