@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from uqharness.aircraft import Aircraft, open_aircraft
+from uqharness.aircraft import Aircraft, content_hash, open_aircraft
 from uqharness.errors import BadInputError
 from uqharness.start_spec import MARK, StartSection
 from uqharness.trim import FT, TRIM_LATITUDE_DEG, SteadyCondition, Trim, body_velocity, find_trim
@@ -17,6 +17,9 @@ from uqharness.whole_files import write_bytes
 SCRIPT = "steady-mission.xml"
 INITIALIZE = "steady-start"
 
+# A campaign makes its copy more than once (to know it, to fly it, to see that nothing was edited); trimming takes a second each time.
+_trims: dict[tuple[str, StartSection], Trim] = {}
+
 
 def write_steady_start(aircraft: Aircraft, start: StartSection, script: Path, source: str) -> Trim:
     """Trim ``aircraft`` and write its folder's steady-start.xml and the run script. Raises BadInputError where there is no trim.
@@ -24,7 +27,10 @@ def write_steady_start(aircraft: Aircraft, start: StartSection, script: Path, so
     Numbers carry nine digits: what a solver leaves in the last ones would be another file on another machine.
     """
     condition = SteadyCondition(start.V_mps, start.altitude_m, heading_rad=math.radians(start.heading_deg))
-    trim = find_trim(aircraft, condition)
+    key = (content_hash(aircraft), start)
+    if key not in _trims:
+        _trims[key] = find_trim(aircraft, condition)
+    trim = _trims[key]
     if not trim.converged:
         raise BadInputError(
             f"{source}: [start] aircraft '{aircraft.name}' has {trim.reason}; "
