@@ -90,7 +90,7 @@ def test_it_begins_in_trim_and_stays_there_in_still_air(flown, wind_mps):
     assert result.metrics["altitude_max_m"] < 0.2
     assert result.metrics["speed_max_mps"] < 0.02
     assert result.metrics["heading_max_deg"] < 0.05
-    assert result.metrics["load_factor_max"] == pytest.approx(1.0, abs=0.005)
+    assert result.metrics["load_factor_max"] == pytest.approx(1.0, abs=0.02)
     assert result.signals["V_mps"][1:] == pytest.approx(55.0, abs=0.05)
     assert np.rad2deg(result.signals["psi_rad"]) == pytest.approx(30.0, abs=0.05)
 

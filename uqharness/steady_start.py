@@ -17,7 +17,7 @@ from uqharness.whole_files import write_bytes
 SCRIPT = "steady-mission.xml"
 INITIALIZE = "steady-start"
 
-# A campaign makes its copy more than once (to know it, to fly it, to see that nothing was edited); trimming takes a second each time.
+# A campaign makes its copy more than once (to know it, to fly it, to see that nothing was edited); a trim takes a second.
 _trims: dict[tuple[str, StartSection], Trim] = {}
 
 

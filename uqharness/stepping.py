@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
-from itertools import chain, repeat
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import chain, islice, repeat
 from typing import Any
 
 import numpy as np
@@ -17,42 +17,32 @@ from uqharness.properties import FT
 
 Array = NDArray[np.float64]
 
-_HOST_GUSTS = ("u-mps", "v-mps", "w-mps", "p-rad_sec", "q-rad_sec", "r-rad_sec")
+Rows = Iterator[tuple[float, ...]]
+
+_GUSTS = tuple(f"air/host/{name}" for name in ("u-mps", "v-mps", "w-mps", "p-rad_sec", "q-rad_sec", "r-rad_sec"))
+# All six at once: a coefficient that does not move gets a level nobody reads, which is cheaper than asking.
+_LEVELS = tuple(f"uq/{name}/level" for name in COEFFICIENTS)
 
 
 def stepper(fdm: Any, spec: FlightSpec, dt_s: float, steps: int) -> Callable[[int], None]:
     """A function that runs n steps, at most ``steps`` in all, feeding gusts and levels before each. Call it after initialising."""
-    feeds: list[Callable[[], None]] = []
-    if spec.turbulence != "none" and spec.turbulence_source == "spec":
-        feeds.append(_gusts(fdm, spec, dt_s, steps))
-    if spec.levels is not None:
-        feeds.append(_levels(fdm, spec, dt_s, steps))
     run = fdm.run
-    if not feeds:
+    gusty = spec.turbulence != "none" and spec.turbulence_source == "spec"
+    levels = _rows(level_blocks(spec.levels, steps, dt_s)) if spec.levels is not None else None
+    if gusty and not has_air(fdm):
+        return _with_turned_gusts(fdm, _gust_rows(fdm, spec, dt_s, steps), levels)
+    if gusty and levels is not None:
+        return _with_gusts_and_levels(fdm, _gust_rows(fdm, spec, dt_s, steps), levels)
+    if gusty:
+        return _with_six(fdm, _gust_rows(fdm, spec, dt_s, steps), _GUSTS)
+    if levels is not None:
+        return _with_six(fdm, levels, _LEVELS)
 
-        def plain(count: int) -> None:
-            for _ in repeat(None, count):
-                run()
-
-        return plain
-    if len(feeds) == 1:
-        (only,) = feeds
-
-        def fed(count: int) -> None:
-            for _ in repeat(None, count):
-                only()
-                run()
-
-        return fed
-    one, two = feeds
-
-    def fed_twice(count: int) -> None:
+    def plain(count: int) -> None:
         for _ in repeat(None, count):
-            one()
-            two()
             run()
 
-    return fed_twice
+    return plain
 
 
 def first_levels(spec: FlightSpec, dt_s: float) -> dict[str, float]:
@@ -67,7 +57,7 @@ def first_levels(spec: FlightSpec, dt_s: float) -> dict[str, float]:
     }
 
 
-def _rows(blocks: Iterable[Array]) -> Iterator[tuple[float, ...]]:
+def _rows(blocks: Iterable[Array]) -> Rows:
     """Rows of the blocks as tuples of Python floats, converted a block at a time: lists of a whole hour would fill the memory."""
     return chain.from_iterable(zip(*block.T.tolist(), strict=True) for block in blocks)
 
@@ -76,25 +66,76 @@ def _setters(fdm: Any, names: Iterable[str]) -> list[Callable[[float], None]]:
     return [engine.handle(fdm, name).set_double_value for name in names]
 
 
-def _levels(fdm: Any, spec: FlightSpec, dt_s: float, steps: int) -> Callable[[], None]:
-    assert spec.levels is not None
-    row = _rows(level_blocks(spec.levels, steps, dt_s)).__next__
-    # All six at once: a coefficient that does not move gets a level nobody reads, which is cheaper than asking.
-    set_x, set_y, set_z, set_l, set_m, set_n = _setters(fdm, [f"uq/{name}/level" for name in COEFFICIENTS])
+# The loops below are written out: in a step of ten microseconds every call between them would show.
+def _with_six(fdm: Any, rows: Rows, names: Sequence[str]) -> Callable[[int], None]:
+    run = fdm.run
+    set_1, set_2, set_3, set_4, set_5, set_6 = _setters(fdm, names)
 
-    def feed() -> None:
-        x, y, z, l, m, n = row()  # noqa: E741
-        set_x(x)
-        set_y(y)
-        set_z(z)
-        set_l(l)
-        set_m(m)
-        set_n(n)
+    def fed(count: int) -> None:
+        for one, two, three, four, five, six in islice(rows, count):
+            set_1(one)
+            set_2(two)
+            set_3(three)
+            set_4(four)
+            set_5(five)
+            set_6(six)
+            run()
 
-    return feed
+    return fed
 
 
-def _gusts(fdm: Any, spec: FlightSpec, dt_s: float, steps: int) -> Callable[[], None]:
+def _with_gusts_and_levels(fdm: Any, gusts: Rows, levels: Rows) -> Callable[[int], None]:
+    run = fdm.run
+    set_u, set_v, set_w, set_p, set_q, set_r = _setters(fdm, _GUSTS)
+    set_1, set_2, set_3, set_4, set_5, set_6 = _setters(fdm, _LEVELS)
+    both = zip(gusts, levels, strict=True)
+
+    def fed(count: int) -> None:
+        for (u, v, w, p, q, r), (one, two, three, four, five, six) in islice(both, count):
+            set_u(u)
+            set_v(v)
+            set_w(w)
+            set_p(p)
+            set_q(q)
+            set_r(r)
+            set_1(one)
+            set_2(two)
+            set_3(three)
+            set_4(four)
+            set_5(five)
+            set_6(six)
+            run()
+
+    return fed
+
+
+def _with_turned_gusts(fdm: Any, gusts: Rows, levels: Rows | None) -> Callable[[int], None]:
+    """Gust velocities through JSBSim's own properties, heading axes turned to north and east by the heading of the frame before.
+
+    JSBSim keeps the gusts' rotation to itself, so the aircraft meets u, v and w alone.
+    """
+    run = fdm.run
+    heading = engine.handle(fdm, "attitude/psi-rad").get_double_value
+    set_north, set_east, set_down = _setters(fdm, [f"atmosphere/gust-{axis}-fps" for axis in ("north", "east", "down")])
+    level_setters = _setters(fdm, _LEVELS) if levels is not None else []
+    level_rows = repeat(()) if levels is None else levels
+    cos, sin, per_ft = math.cos, math.sin, 1.0 / FT
+
+    def fed(count: int) -> None:
+        for (u, v, w, _, _, _), row in islice(zip(gusts, level_rows, strict=False), count):
+            psi = heading()
+            c, s = cos(psi) * per_ft, sin(psi) * per_ft
+            set_north(u * c - v * s)
+            set_east(u * s + v * c)
+            set_down(w * per_ft)
+            for set_level, level in zip(level_setters, row, strict=True):
+                set_level(level)
+            run()
+
+    return fed
+
+
+def _gust_rows(fdm: Any, spec: FlightSpec, dt_s: float, steps: int) -> Rows:
     # Imported here: scipy.signal takes a second to load, and calm flights do without.
     from uqharness.dryden import dryden_gusts
 
@@ -108,24 +149,10 @@ def _gusts(fdm: Any, spec: FlightSpec, dt_s: float, steps: int) -> Callable[[], 
         seed=spec.seed_turbulence,
     )
     columns = (gusts.u_mps, gusts.v_mps, gusts.w_mps, gusts.p_radps, gusts.q_radps, gusts.r_radps)
-    row = _rows(
+    return _rows(
         np.column_stack([column[first : first + BLOCK_STEPS] for column in columns])
         for first in range(0, steps, BLOCK_STEPS)
-    ).__next__
-    if not has_air(fdm):
-        return _gusts_without_air(fdm, spec, row)
-    set_u, set_v, set_w, set_p, set_q, set_r = _setters(fdm, [f"air/host/{name}" for name in _HOST_GUSTS])
-
-    def feed() -> None:
-        u, v, w, p, q, r = row()
-        set_u(u)
-        set_v(v)
-        set_w(w)
-        set_p(p)
-        set_q(q)
-        set_r(r)
-
-    return feed
+    )
 
 
 def has_air(fdm: Any) -> bool:
@@ -141,23 +168,3 @@ def _airspeed_mps(fdm: Any, spec: FlightSpec) -> float:
     north = float(fdm["velocities/v-north-fps"]) * FT - spec.wind_mps * math.cos(toward)
     east = float(fdm["velocities/v-east-fps"]) * FT - spec.wind_mps * math.sin(toward)
     return math.hypot(north, east, float(fdm["velocities/v-down-fps"]) * FT)
-
-
-def _gusts_without_air(fdm: Any, spec: FlightSpec, row: Callable[[], tuple[float, ...]]) -> Callable[[], None]:
-    """Gust velocities through JSBSim's own properties, heading axes turned to north and east by the heading of the frame before.
-
-    JSBSim keeps the gusts' rotation to itself, so the aircraft meets u, v and w alone.
-    """
-    heading = engine.handle(fdm, "attitude/psi-rad").get_double_value
-    set_north, set_east, set_down = _setters(fdm, [f"atmosphere/gust-{axis}-fps" for axis in ("north", "east", "down")])
-    cos, sin, per_ft = math.cos, math.sin, 1.0 / FT
-
-    def feed() -> None:
-        u, v, w, _, _, _ = row()
-        psi = heading()
-        c, s = cos(psi) * per_ft, sin(psi) * per_ft
-        set_north(u * c - v * s)
-        set_east(u * s + v * c)
-        set_down(w * per_ft)
-
-    return feed
