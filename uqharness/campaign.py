@@ -12,20 +12,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from uqharness.campaign_manifest import describe, read_manifest, refuse_if_different, write_manifest
+from uqharness.campaign_manifest import SPOILT, describe, read_manifest, refuse_if_different, write_manifest
 from uqharness.campaign_spec import CampaignSpec
 from uqharness.campaign_tables import write_tables
 from uqharness.cases import Case, Mission, build_cases
 from uqharness.errors import BadInputError
 from uqharness.executor import Executor, ProcessExecutor, usable_cores
+from uqharness.shards import SHARDS, Shard
 from uqharness.store import JOURNAL, Store, run_lock
 from uqharness.whole_files import PART
 from uqharness.worker import FlightFunction
 
 VALIDATION_S = 5.0
 """Flight time of the check that the model flies at all, made in a throw-away process before any case."""
-
-_SPOILT = "spoilt"
 
 
 @dataclass(frozen=True)
@@ -98,8 +97,11 @@ def run_campaign(
     fly: FlightFunction | None = None,
     mission: Mission | None = None,
     command: str = "",
+    shard: Shard | None = None,
 ) -> CampaignSummary:
     """Fly the campaign's missing cases into ``out_dir`` and write its tables; the same call resumes.
+
+    A ``shard`` flies its share into ``out_dir``/shards/i-of-n and writes no tables; merging does.
 
     A case counts once it is on the disk. A flight that fails is a counted row with its reason. Raises BadInputError for an
     unusable model or folder, a folder of another campaign, and a second run in the same folder; KeyboardInterrupt passes, with
@@ -110,16 +112,18 @@ def run_campaign(
 
         fly = fly_mission
     given = mission is not None
-    folder = _folder(Path(out_dir))
+    folder = _folder(Path(out_dir) if shard is None else Path(out_dir) / SHARDS / shard.folder)
     mission = mission or find_mission(spec, folder)
     cases = build_cases(spec, mission)
+    if shard is not None:
+        cases = cases[shard.number - 1 :: shard.count]
     executor = executor or ProcessExecutor(usable_cores() if workers is None else workers)
     with run_lock(folder):
-        manifest = describe(spec, mission, len(cases), command)
+        manifest = describe(spec, mission, len(cases), command) | ({} if shard is None else {"shard": str(shard)})
         if (folder / "manifest.json").exists() and _holds_flights(folder):
             old = read_manifest(folder)
             refuse_if_different(folder, old, manifest)
-            if old["state"] == _SPOILT:
+            if old["state"] == SPOILT:
                 raise _spoilt(folder)
         elif not (folder / "manifest.json").exists():
             _refuse_foreign(folder)
@@ -138,7 +142,8 @@ def run_campaign(
                     write_manifest(folder, manifest | {"state": "interrupted"})
                 raise
             _refuse_if_edited(folder, manifest, mission if given else find_mission(spec, folder))
-            write_tables(folder, spec, cases, store.outcomes())
+            if shard is None:
+                write_tables(folder, spec, cases, store.outcomes())
         write_manifest(folder, manifest | {"state": "complete"})
     return summary
 
@@ -165,7 +170,7 @@ def validate_model(fly: FlightFunction, case: Case) -> None:
 def _refuse_if_edited(folder: Path, manifest: dict[str, Any], mission: Mission) -> None:
     """Flights before and after an edit would stand in one table under one hash."""
     if (manifest["hashes"]["aircraft"], manifest["hashes"]["script"]) != (mission.aircraft_hash, mission.script_hash):
-        write_manifest(folder, manifest | {"state": _SPOILT})
+        write_manifest(folder, manifest | {"state": SPOILT})
         raise _spoilt(folder)
 
 

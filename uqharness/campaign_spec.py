@@ -146,6 +146,11 @@ def read_campaign(path: str | Path) -> CampaignSpec:
         where = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
         line = where.group(1) if where else str(text.count("\n") + 1)
         raise BadInputError(f"{path}:{line}: not valid TOML: {error}") from None
+    return campaign_from(data, path, text)
+
+
+def campaign_from(data: dict[str, Any], path: Path, text: str = "") -> CampaignSpec:
+    """Validate the content of a campaign file, as TOML or a manifest holds it. ``path`` is where files it names are looked for."""
     problems = _not_yet(text, data)
     if not problems:
         try:

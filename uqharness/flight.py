@@ -56,12 +56,17 @@ def fly(spec: FlightSpec) -> FlightResult:
     A flight that goes wrong (not finite, into the ground, an exception in flight) is a FlightResult with its status and reason.
     Raises BadInputError for what cannot start: unknown aircraft, script or property, impossible values.
     """
-    mission = _staged(str(spec.aircraft), str(spec.script), _fingerprint(spec))
+    mission = staged_mission(spec)
     from_start = MARK in mission.script.run_properties or not mission.aircraft.card.metrics
     signals = from_start_signals() if from_start else commanded_signals(mission.aircraft)
     signals |= {"phi_rad": Source("attitude/phi-rad"), "alpha_rad": Source("aero/alpha-rad")}
     recorded = record_mission(mission, spec, signals, optional={"extrapolated": Source("uq/extrapolated")})
     return score_from_start(spec, recorded) if from_start else score_commanded(spec, recorded)
+
+
+def staged_mission(spec: FlightSpec) -> StagedMission:
+    """The mission of a flight, staged once for as long as aircraft and script stay what they are. Raises BadInputError."""
+    return _staged(str(spec.aircraft), str(spec.script), _fingerprint(spec))
 
 
 def _fingerprint(spec: FlightSpec) -> str:
