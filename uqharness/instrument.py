@@ -10,23 +10,30 @@ import os
 import re
 import shutil
 import tempfile
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from sysid.aero_terms import COEFFICIENTS
 from sysid.model_form import ModelForm
-from uqharness.aero_section import AeroSection, read_section, require_reference
+from uqharness.aero_section import AeroSection, read_reference, read_section, require_reference
 from uqharness.aero_summands import Reference, SectionEdit, add_deltas, add_system, axis_name
-from uqharness.aircraft import Aircraft, content_hash
+from uqharness.aircraft import Aircraft, Card, content_hash
+from uqharness.aircraft_facts import AircraftFacts
 from uqharness.errors import BadInputError
+from uqharness.instrument_card import ERRORS_SYSTEM, ERRORS_XML, card_text
+from uqharness.instrument_carry import carried_files
 from uqharness.instrument_record import FILE_NAME, Change, changed, read_record, restored, to_json
 from uqharness.model_form_xml import constant_xml, model_form_xml
 from uqharness.scale_functions import SYSTEM_NAME, Scaled, add_scales, coefficient_properties, scale_system
-from uqharness.xml_text import Document, attribute, read_document
+from uqharness.xml_text import Document, Insertion, attribute, read_document
 
 SYSTEM = "model-form"
 _FT = 0.3048
+_SAME = 1e-6  # a card's rounded figures mean the XML's metrics
 _OWN = re.compile(r"uq/[\w./\-]+")
 
 
@@ -54,16 +61,18 @@ class Plan:
     rows: tuple[tuple[str, str, str], ...]
 
 
-def plan(aircraft: Aircraft, bounds: Bounds) -> Plan:
+def plan(aircraft: Aircraft, bounds: Bounds, facts: AircraftFacts | None = None) -> Plan:
     """What instrumenting the aircraft's folder would write. Nothing is touched.
+
+    ``facts`` of an aircraft without a card: it is given one, and the errors that a mission is scored by.
 
     Raises BadInputError with file and line for what cannot be done: mixed axes, no reference, names that are taken, bounds on a
     control that the card does not give.
     """
     section = read_section(aircraft.folder, aircraft.xml.name)
     _refuse_outside(section)
-    reference = _reference(aircraft)
-    if reference == Reference():
+    reference = _reference(aircraft, section)
+    if None in (reference.S_sqft, reference.b_ft, reference.c_ft):
         require_reference(section)
     notes = _notes(section)
     had = _has_plugin(section)
@@ -86,6 +95,15 @@ def plan(aircraft: Aircraft, bounds: Bounds) -> Plan:
         edit = add_system(edit, SYSTEM)
         if scaled:
             edit = add_system(edit, SYSTEM_NAME)
+    card = None
+    if facts is not None and not aircraft.has_card:
+        errors = not _declared_anywhere(aircraft, "nav/")
+        if errors:
+            files[_system_file(aircraft, ERRORS_SYSTEM)] = ERRORS_XML
+            edit = add_system(edit, ERRORS_SYSTEM)
+        files["airframe.toml"] = card_text(aircraft.name, aircraft.xml.name, facts, scaled, errors).encode("utf-8")
+    elif scaled and aircraft.has_card:
+        card = _with_parameters(aircraft.folder / "airframe.toml", scaled, notes)
     files[system] = bounds_xml(aircraft, bounds)
     if bounds.form is not None and bounds.form.aircraft.sha256 != content_hash(aircraft):
         notes.append(
@@ -98,6 +116,10 @@ def plan(aircraft: Aircraft, bounds: Bounds) -> Plan:
             name = document.path.relative_to(aircraft.folder).as_posix()
             files[name] = edit.files()[document.path]
             changes[name] = changed(document.raw, files[name], mine)
+    if card is not None:
+        raw = (aircraft.folder / "airframe.toml").read_bytes()
+        files["airframe.toml"] = raw + card.text
+        changes["airframe.toml"] = changed(raw, raw + card.text, [card])
     return Plan(section, files, changes, tuple(scaled), had, tuple(notes), _rows(section, had))
 
 
@@ -124,13 +146,16 @@ def write(aircraft: Aircraft, planned: Plan, out: Path) -> None:
         raise BadInputError(f"{out}: exists and is no instrumented aircraft; remove it or choose another --out")
     if not out.absolute().parent.is_dir():
         raise BadInputError(f"--out {out}: the folder {out.absolute().parent} does not exist; create it first")
-    changes = dict(planned.changes)
+    changes, files = dict(planned.changes), dict(planned.files)
+    if not in_place:
+        for name, content in carried_files(aircraft, out).items():
+            files[name], changes[name] = content, changed(None, content)
     if (aircraft.folder / FILE_NAME).is_file():
-        changes = _chained(read_record(aircraft.folder), changes, planned.files)
+        changes = _chained(read_record(aircraft.folder), changes)
     with tempfile.TemporaryDirectory(dir=out.absolute().parent, prefix=".instrument-") as temporary:
         copy = Path(temporary) / "new"
         shutil.copytree(aircraft.folder, copy, ignore=shutil.ignore_patterns(".git"))
-        for name, content in planned.files.items():
+        for name, content in files.items():
             (copy / name).parent.mkdir(parents=True, exist_ok=True)
             (copy / name).write_bytes(content)
         (copy / FILE_NAME).write_bytes(to_json(changes))
@@ -187,7 +212,7 @@ def _swap(new: Path, out: Path, old: Path) -> None:
     new.rename(out)
 
 
-def _chained(earlier: Mapping[str, Change], now: Mapping[str, Change], files: Mapping[str, bytes]) -> dict[str, Change]:
+def _chained(earlier: Mapping[str, Change], now: Mapping[str, Change]) -> dict[str, Change]:
     """The record of both: what an earlier instrumentation changed goes on being undone to the author's own bytes."""
     out = dict(earlier)
     for name, change in now.items():
@@ -201,13 +226,13 @@ def _chained(earlier: Mapping[str, Change], now: Mapping[str, Change], files: Ma
     return out
 
 
-def _reference(aircraft: Aircraft) -> Reference:
-    """The card's reference where it has one; else JSBSim's metrics."""
+def _reference(aircraft: Aircraft, section: AeroSection) -> Reference:
+    """What the coefficients are multiplied by: JSBSim's metrics, but the card's numbers where it has others."""
     card = aircraft.card.reference
+    wanted = (card.S_m2 and card.S_m2 / _FT**2, card.b_m and card.b_m / _FT, card.c_m and card.c_m / _FT)
+    written = read_reference(section)
     return Reference(
-        None if card.S_m2 is None else card.S_m2 / _FT**2,
-        None if card.b_m is None else card.b_m / _FT,
-        None if card.c_m is None else card.c_m / _FT,
+        *(None if w is None or abs(w - x) <= _SAME * w else w for w, x in zip(wanted, written, strict=True))
     )
 
 
@@ -317,6 +342,33 @@ def _system_file(aircraft: Aircraft, name: str) -> str:
                 f"{path}:1: the aircraft has a system of this name; rename it, because the plugin brings its own"
             )
     return f"{folder}/{name}.xml"
+
+
+def _declared_anywhere(aircraft: Aircraft, prefix: str) -> bool:
+    """Whether any XML of the folder names a property that begins so."""
+    for path in sorted(aircraft.folder.rglob("*.xml")):
+        for node in read_document(path).root.walk():
+            if any(text.strip().startswith(prefix) for text in (node.text, *node.attributes.values())):
+                return True
+    return False
+
+
+def _with_parameters(card: Path, scaled: list[Scaled], notes: list[str]) -> Insertion | None:
+    """The scales as [parameters] at the end of a card that there is already; a note where that would spoil it."""
+    raw = card.read_bytes()
+    newline = b"\r\n" if raw.count(b"\r\n") * 2 > raw.count(b"\n") else b"\n"
+    lines = [b""]
+    for row in scaled:
+        lines += [f'[parameters."{row.scale}"]'.encode(), b"initial = 1.0", b"bounds = [-1, 4]", b'unit = "1"']
+        lines.append(f'source = "factor on {row.function}"'.encode())
+    text = newline.join([*lines, b""])
+    text = text if raw.endswith(b"\n") or not raw else newline + text
+    try:
+        Card.model_validate(tomllib.loads((raw + text).decode("utf-8")))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, ValidationError):
+        notes.append(f"{card}: the scales could not be added to [parameters]; name them by hand or with --params")
+        return None
+    return Insertion(len(raw), text)
 
 
 def _content(path: Path) -> bytes | None:

@@ -26,6 +26,7 @@ from sysid.aero_terms import COEFFICIENTS
 from uqharness import engine
 from uqharness.aircraft import Aircraft, find_aircraft, staged
 from uqharness.errors import BadInputError
+from uqharness.preflight import child_environment
 
 DELTA = 0.02
 DURATION_S = 10.0
@@ -40,8 +41,8 @@ _MAY_CHANGE = re.compile(
     r"uq/|forces/(fb[xyz]-(aero|total)-lbs|f[ws][xyz]-aero-lbs|lod-norm|hold-down|load-factor)|"
     r"moments/([lmn]-(aero|total)-lbsft|(roll|pitch|yaw)-(stab|wind)-aero-lbsft)|accelerations/"
 )
-_UNINITIALISED = re.compile(r"gear/unit(\[\d+\])?/side_friction_coeff")
-"""JSBSim 1.3.3 leaves it as the memory was until the wheel first touches the ground (FGLGear::FCoeff)."""
+_UNINITIALISED = re.compile(r"gear/unit(\[\d+\])?/side_friction_coeff|propulsion/engine(\[\d+\])?/engtemp-c")
+"""JSBSim 1.3.3 begins with what was in the memory: FGLGear::FCoeff until the wheel touches ground, FGTurboProp::Eng_Temperature."""
 _FORCES = tuple(f"forces/fb{axis}-{kind}-lbs" for kind in ("aero", "total") for axis in "xyz")
 _MOMENTS = tuple(f"moments/{axis}-{kind}-lbsft" for kind in ("aero", "total") for axis in "lmn")
 
@@ -203,11 +204,8 @@ def open_mid_envelope(aircraft: Aircraft, dt_s: float | None = None) -> tuple[An
 
 def _open(aircraft: Aircraft, dt_s: float | None) -> Any:
     with staged(aircraft) as (root, path):
-        fdm = engine.open_fdm(
-            root, aircraft.name, dt_s or aircraft.dt_s, path, aircraft.engine_path, aircraft.systems_path
-        )
-    fdm.disable_output()
-    return fdm
+        dt = dt_s or aircraft.dt_s
+        return engine.open_fdm(root, aircraft.name, dt, path, aircraft.engine_path, aircraft.systems_path)
 
 
 def _initial(fdm: Any, speed_fps: float) -> None:
@@ -235,7 +233,9 @@ def check_in_child(
     """The same in a process of its own; its death is a verdict: fails if the untouched aircraft dies alone as well, else wrong."""
     command = [sys.executable, "-m", "uqharness.plugin_check", str(untouched), str(instrumented), repr(duration_s)]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, check=False)
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=timeout_s, env=child_environment(), check=False
+        )
     except subprocess.TimeoutExpired:
         return Verdict("fails", f"no answer within {timeout_s:g} s")
     lines = [line for line in done.stdout.splitlines() if line.startswith('{"status"')]
