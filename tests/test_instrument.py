@@ -73,15 +73,10 @@ def test_the_check_sees_a_plugin_that_is_wrong(small, tmp_path):
     out = instrumented(small, tmp_path / "out" / "small")
     xml = out / "small.xml"
     good = xml.read_bytes()
-    # A drag that the idle plugin adds; a moment with the wrong length; a force that acts at AERORP.
-    length, delta = b"<property>metrics/cbarw-ft</property>", b"        <property>uq/Cm/delta"
+    # A drag that the idle plugin adds; a moment a millionth too large; a force that acts at AERORP.
     faults = (
         (b'<property value="0.3">own/gain', b'<property value="0.3000001">own/gain', "with uq/active 0"),
-        (
-            b"<property>metrics/cbarw-ft</property>\r\n          <property>uq/Cm",
-            b"<value>2</value>\r\n          <property>uq/Cm",
-            "Cm",
-        ),
+        (b"<property>uq/Cm/delta</property>", b"<property>uq/Cm/delta</property><value>1.000001</value>", "Cm"),
         (b'<function name="uq/force/DRAG" apply_at_cg="true">', b'<function name="uq/force/DRAG">', "CX|CZ"),
     )
     for old, new, words in faults:
@@ -106,13 +101,9 @@ def test_scales_multiply_each_function_and_biases_add_a_coefficient(small, tmp_p
 
     plain, m = moments(), "moments/m-aero-lbsft"
     for short, name in (("scale__alpha", "aero/moment/alpha"), ("scale__q", "aero/moment/q")):
-        assert moments(**{short: 1.5})["moments/m-aero-lbsft"] - plain["moments/m-aero-lbsft"] == pytest.approx(
-            0.5 * plain[name], rel=1e-9
-        )
+        assert moments(**{short: 1.5})[m] - plain[m] == pytest.approx(0.5 * plain[name], rel=1e-9)
     qSc = plain["aero/qbar-psf"] * plain["metrics/Sw-sqft"] * plain["metrics/cbarw-ft"]
-    assert moments(bias__q=0.01)["moments/m-aero-lbsft"] - plain["moments/m-aero-lbsft"] == pytest.approx(
-        0.01 * qSc, rel=1e-9
-    )
+    assert moments(bias__q=0.01)[m] - plain[m] == pytest.approx(0.01 * qSc, rel=1e-9)
     lifted = moments(**{"scale__lift-alpha": 2.0})
     assert lifted["forces/fwz-aero-lbs"] - plain["forces/fwz-aero-lbs"] == pytest.approx(
         plain["aero/force/lift-alpha"], rel=1e-9
