@@ -16,6 +16,7 @@ from uqharness import (
     compare_command,
     fly_command,
     identify_command,
+    instrument_command,
     log_command,
     margins_command,
     modes_command,
@@ -39,7 +40,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"uqharness {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for module in (
-        fly_command, modes_command, margins_command, log_command, identify_command, compare_command, campaign_commands,
+        fly_command, modes_command, margins_command, log_command, identify_command, compare_command, instrument_command,
+        campaign_commands,
     ):  # fmt: skip
         module.register(commands)
     return parser
