@@ -17,6 +17,7 @@ from uqharness import (
     compare_command,
     fly_command,
     identify_command,
+    instrument_command,
     log_command,
     margins_command,
     modes_command,
@@ -48,6 +49,7 @@ def build_parser() -> argparse.ArgumentParser:
         identify_command,
         compare_command,
         bounds_command,
+        instrument_command,
         campaign_commands,
         sensitivity_command,
     ):
