@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from jsbsim_defects.small_models import SKELETON
 
+from sysid.aero_terms import COEFFICIENTS
 from uqharness import engine
 from uqharness.aero_section import read_section, require_reference
-from uqharness.aero_summands import COEFFICIENTS, Reference, SectionEdit, add_deltas, add_functions, add_system
+from uqharness.aero_summands import Reference, SectionEdit, add_deltas, add_functions, add_system
 from uqharness.errors import BadInputError
 from uqharness.xml_text import append_child, apply, parse_document
 

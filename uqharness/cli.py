@@ -12,10 +12,12 @@ from collections.abc import Sequence
 
 from uqharness import (
     __version__,
+    bounds_command,
     campaign_commands,
     compare_command,
     fly_command,
     identify_command,
+    instrument_command,
     log_command,
     margins_command,
     modes_command,
@@ -40,9 +42,17 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"uqharness {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for module in (
-        fly_command, modes_command, margins_command, log_command, identify_command, compare_command, campaign_commands,
+        fly_command,
+        modes_command,
+        margins_command,
+        log_command,
+        identify_command,
+        compare_command,
+        bounds_command,
+        instrument_command,
+        campaign_commands,
         sensitivity_command,
-    ):  # fmt: skip
+    ):
         module.register(commands)
     return parser
 
