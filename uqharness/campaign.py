@@ -7,14 +7,15 @@ import dataclasses
 import hashlib
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from uqharness.campaign_manifest import SPOILT, describe, read_manifest, refuse_if_different, write_manifest
+from uqharness.campaign_results import write_tables
+from uqharness.campaign_rounds import Rounds
 from uqharness.campaign_spec import CampaignSpec
-from uqharness.campaign_tables import write_tables
 from uqharness.cases import Case, Mission, build_cases
 from uqharness.errors import BadInputError
 from uqharness.executor import Executor, ProcessExecutor, usable_cores
@@ -115,8 +116,15 @@ def run_campaign(
     folder = _folder(Path(out_dir) if shard is None else Path(out_dir) / SHARDS / shard.folder)
     mission = mission or find_mission(spec, folder)
     cases = build_cases(spec, mission)
+    rounds = Rounds(spec, cases, folder)
     if shard is not None:
+        if rounds.decides:
+            raise BadInputError(
+                f'--shard {shard}: [stop] rule = "decide" looks at all corners together and cannot be flown in shares; leave '
+                'out --shard, or use rule = "hours"'
+            )
         cases = cases[shard.number - 1 :: shard.count]
+        rounds = Rounds(spec, cases, folder)
     executor = executor or ProcessExecutor(usable_cores() if workers is None else workers)
     with run_lock(folder):
         manifest = describe(spec, mission, len(cases), command) | ({} if shard is None else {"shard": str(shard)})
@@ -135,7 +143,7 @@ def run_campaign(
                 make_copy(spec, mission, folder)
         with Store(folder) as store:
             try:
-                summary = _fly_missing(folder, store, cases, executor, fly, on_progress)
+                summary = _fly_missing(folder, store, rounds, executor, fly, on_progress)
             except BaseException:
                 # On a full disk this fails too, and the first reason is the one to hear.
                 with contextlib.suppress(BadInputError):
@@ -144,7 +152,7 @@ def run_campaign(
             _refuse_if_edited(folder, manifest, mission if given else find_mission(spec, folder))
             if shard is None:
                 write_tables(folder, spec, cases, store.outcomes())
-        write_manifest(folder, manifest | {"state": "complete"})
+        write_manifest(folder, manifest | {"state": "complete", "cases": summary.cases})
     return summary
 
 
@@ -206,26 +214,29 @@ def _refuse_foreign(folder: Path) -> None:
 def _fly_missing(
     folder: Path,
     store: Store,
-    cases: Sequence[Case],
+    rounds: Rounds,
     executor: Executor,
     fly: FlightFunction,
     on_progress: Callable[[Progress], None] | None,
 ) -> CampaignSummary:
     finished = store.finished()
-    missing = [case for case in cases if case.case_id not in finished]
     statuses: Counter[str] = store.statuses()
-    done_before = len(cases) - len(missing)
-    flown_s = 0.0
-    if missing:
-        validate_model(fly, missing[0])
+    done_before = statuses.total()
+    flown_s, checked = 0.0, False
     started = time.monotonic()
 
     def progress() -> Progress:
         done = statuses.total()
         elapsed_s = time.monotonic() - started
-        return Progress(len(cases), done, done_before, done - statuses["ok"], flown_s, elapsed_s, executor.workers)
+        return Progress(rounds.most, done, done_before, done - statuses["ok"], flown_s, elapsed_s, executor.workers)
 
-    if missing:
+    for wanted in rounds(store):
+        missing = [case for case in wanted if case.case_id not in finished]
+        if not missing:
+            continue
+        if not checked:
+            validate_model(fly, missing[0])
+            checked, started = True, time.monotonic()
         batches = executor.run(fly, ((case.case_id, case.flight) for case in missing))
         try:
             for batch in batches:
@@ -238,4 +249,4 @@ def _fly_missing(
             close = getattr(batches, "close", None)
             if close is not None:
                 close()
-    return CampaignSummary(folder, len(cases), done_before, dict(sorted(statuses.items())), progress())
+    return CampaignSummary(folder, rounds.most, done_before, dict(sorted(statuses.items())), progress())

@@ -21,12 +21,9 @@ from uqharness.errors import BadInputError
 from uqharness.flight_spec import DEFAULT_TURBULENCE_SOURCE
 from uqharness.spec_sections import Number, Section, Turbulence, listed
 from uqharness.start_spec import STEADY, StartSection
-from uqharness.toml_errors import explain, line_of
+from uqharness.stop_spec import StopSection, settled, without_flights
+from uqharness.toml_errors import explain
 from uqharness.variables_spec import VariableSection
-
-_NOT_YET = {
-    ("stop", "rule"): ("hours", "band-width", "decide"),
-}
 
 
 class CampaignSection(Section):
@@ -59,10 +56,15 @@ class AleatorySection(Section):
 
 
 class MetricsSection(Section):
-    """What is counted: excursions beyond each radius [m], re-armed ``rearm_m`` inside it."""
+    """What is counted: excursions beyond each radius [m], re-armed ``rearm_m`` inside it, and how many of them are acceptable.
+
+    ``dispersion`` is the largest ratio of variance to mean of the excursions of a flight that limits allow for (1: independent).
+    """
 
     excursion_radius_m: Annotated[tuple[Annotated[Number, Field(gt=0)], ...], BeforeValidator(listed)] = (15.0, 25.0)
     rearm_m: Number = Field(default=2.0, ge=0)
+    acceptable_per_h: Number = Field(default=0.1, gt=0)
+    dispersion: Number = Field(default=2.0, ge=1, le=1000)
 
     @model_validator(mode="after")
     def _consistent(self) -> MetricsSection:
@@ -72,12 +74,6 @@ class MetricsSection(Section):
         if self.rearm_m >= min(radii):
             raise ValueError(f"rearm_m = {self.rearm_m:g} must be less than the smallest radius, {min(radii):g} m")
         return self
-
-
-class StopSection(Section):
-    """When it ends: ``flights`` flies [aleatory] flights everywhere."""
-
-    rule: Literal["flights"] = "flights"
 
 
 class _Document(Section):
@@ -127,8 +123,17 @@ class CampaignSpec:
         """The same campaign with as many flights as give ``hours`` of scored flight per corner and condition."""
         if not (math.isfinite(hours) and hours > 0):
             raise BadInputError(f"--hours {hours:g}: must be a number of flight hours greater than 0")
+        if self.stop.rule == "band-width":
+            raise BadInputError(
+                f'--hours {hours:g}: [stop] rule = "band-width" says how much is flown; leave out one of them'
+            )
         flights = math.ceil(hours * 3600.0 / self.aleatory.duration_s - 1e-9)
-        return dataclasses.replace(self, aleatory=self.aleatory.model_copy(update={"flights": max(1, flights)}))
+        given = self.stop.model_copy(update={"hours": float(hours)}) if self.stop.rule == "hours" else self.stop
+        return dataclasses.replace(self.with_flights(max(1, flights)), stop=given)
+
+    def with_flights(self, flights: int) -> CampaignSpec:
+        """The same campaign with another number of flights per corner and condition."""
+        return dataclasses.replace(self, aleatory=self.aleatory.model_copy(update={"flights": flights}))
 
 
 def read_campaign(path: str | Path) -> CampaignSpec:
@@ -151,32 +156,13 @@ def read_campaign(path: str | Path) -> CampaignSpec:
 
 def campaign_from(data: dict[str, Any], path: Path, text: str = "") -> CampaignSpec:
     """Validate the content of a campaign file, as TOML or a manifest holds it. ``path`` is where files it names are looked for."""
-    problems = _not_yet(text, data)
-    if not problems:
-        try:
-            document = _Document.model_validate(data)
-        except ValidationError as error:
-            problems = [explain(_Document, text, data, dict(item)) for item in error.errors()]
-        else:
-            sections = {name: getattr(document, name) for name in _Document.model_fields}
-            inputs = read_inputs(document.epistemic, path.resolve().parent)
-            return CampaignSpec(path, text, **sections, inputs=inputs)
-    lines = [f"{path}:{line}: {message}" for line, message in sorted(problems)]
-    raise BadInputError("\n".join(dict.fromkeys(lines)))
-
-
-def _not_yet(text: str, data: dict[str, Any]) -> list[tuple[int, str]]:
-    """Settings that are planned: naming them beats calling them unknown."""
-    problems = []
-    for (section, key), values in _NOT_YET.items():
-        table = data.get(section)
-        if isinstance(table, dict) and table.get(key) in values:
-            allowed = ", ".join(f'"{item}"' for item in _allowed(section, key))
-            message = f'[{section}] {key} = "{table[key]}" is not available yet; use {allowed}'
-            problems.append((line_of(text, (section, key)), message))
-    return problems
-
-
-def _allowed(section: str, key: str) -> tuple[str, ...]:
-    annotation = _Document.model_fields[section].annotation.model_fields[key].annotation  # type: ignore[union-attr]
-    return tuple(annotation.__args__)
+    try:
+        document = _Document.model_validate(without_flights(data))
+    except ValidationError as error:
+        problems = [explain(_Document, text, data, dict(item)) for item in error.errors()]
+        lines = [f"{path}:{line}: {message}" for line, message in sorted(problems)]
+        raise BadInputError("\n".join(dict.fromkeys(lines))) from None
+    sections = {name: getattr(document, name) for name in _Document.model_fields}
+    inputs = read_inputs(document.epistemic, path.resolve().parent)
+    spec = CampaignSpec(path, text, **sections, inputs=inputs)
+    return settled(spec, stated="flights" in data["aleatory"])

@@ -82,6 +82,17 @@ def band_half_width(flights: int, corners: int, confidence: float) -> float:
     return float(min(1.0, stats.kstwo.isf((1.0 - confidence) / corners, flights)))
 
 
+def flights_for_band(half_width: float, corners: int, confidence: float) -> int:
+    """Flights per corner that bring the band within ``half_width`` (probability) of the envelope: known before the first."""
+    low, high = 0, 1
+    while band_half_width(high, corners, confidence) > half_width:
+        low, high = high, 2 * high
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if band_half_width(middle, corners, confidence) <= half_width else (middle, high)
+    return high
+
+
 def pbox(samples: Sequence[Sample], confidence: float = 0.95, max_points: int = MAX_POINTS) -> PBox:
     """P-box of the samples. ValueError if there is none, one is empty, or no value is known."""
     if not samples or any(sample.size == 0 for sample in samples):

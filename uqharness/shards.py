@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from uqharness.campaign_manifest import SPOILT, describe, read_manifest, refuse_if_different, spec_of, write_manifest
-from uqharness.campaign_tables import write_tables
+from uqharness.campaign_results import write_tables
 from uqharness.cases import Mission, build_cases
 from uqharness.errors import BadInputError
 from uqharness.store import JOURNAL, Store, run_lock
