@@ -88,6 +88,15 @@ def steady(spec: FlightSpec) -> FlightResult:
     return FlightResult("ok", "", spec.burn_in_s + spec.duration_s, metrics, {}, {})
 
 
+def by_corner(spec: FlightSpec) -> FlightResult:
+    """Excursions in clusters of two, at a rate that two levels and the wind set: 0, 0.2 or 4 a flight."""
+    levels = [spec.properties.get(f"uq/{name}/level", 0.5) for name in ("CX", "CY")]
+    rate = 0.0 if spec.wind_mps < 5.0 else {0.0: 0.0, 0.5: 0.2, 1.0: 4.0}[sum(levels) / 2.0]
+    draw = np.random.default_rng([spec.seed_turbulence, int(4 * sum(levels))])
+    result = steady(spec)
+    return replace(result, metrics=dict(result.metrics) | {"excursions_15m": 2.0 * draw.poisson(rate / 2.0)})
+
+
 _TRIVIAL = dict.fromkeys([*ERROR_METRICS, *EXCURSIONS, "loss_of_control", "extrapolated_share"], 0.0)
 
 
@@ -173,6 +182,12 @@ def undefined_speed(spec: FlightSpec) -> FlightResult:
     result = steady(spec)
     metrics = dict(result.metrics) | {"speed_median_mps": float("nan")}
     return replace(result, metrics=metrics, undefined={"speed_median_mps": "no speed was commanded"})
+
+
+def undefined_excursions(spec: FlightSpec) -> FlightResult:
+    result = steady(spec)
+    metrics = {name: value for name, value in result.metrics.items() if not name.startswith("excursions")}
+    return replace(result, metrics=metrics)
 
 
 def main() -> None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from tests.campaign_fakes import CAMPAIGN
-from uqharness.campaign_spec import read_campaign
+from uqharness.campaign_spec import campaign_from, read_campaign
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import COEFFICIENTS
+from uqharness.pbox import band_half_width
 
 
 def read(tmp_path, text):
@@ -107,7 +108,15 @@ def test_bad_toml_names_the_line(tmp_path):
 @pytest.mark.parametrize(
     ("addition", "fragment"),
     [
-        ('[stop]\nrule = "decide"\n', 'rule = "decide" is not available yet; use "flights"'),
+        ('[stop]\nrule = "decide"\nradius_m = 20\n', ":21: [stop] radius_m = 20: must be among [metrics] excursion_radius_m"),
+        ('[stop]\nrule = "decide"\nindifference_per_h = [0.2, 0.3]\n', "must hold [metrics] acceptable_per_h = 0.1"),
+        ('[stop]\nrule = "decide"\nindifference_per_h = [0.3, 0.05]\n', "must be [lower, upper]"),
+        ('[stop]\nrule = "decide"\nerror_rate = 0.5\n', "[stop] error_rate: must be less than 0.5"),
+        ('[stop]\nrule = "decide"\nhours = 500\n', 'hours belongs to rule = "hours", not to "decide"'),
+        ('[stop]\nrule = "band-width"\n', '"band-width" needs band_width'),
+        ('[stop]\nrule = "hours"\nhours = 500\n', "flights = 3, but [stop] hours = 500 of flights of 150 s asks for 12000"),
+        ('[stop]\nrule = "sprt"\n', "[stop] rule: must be 'flights', 'hours', 'band-width' or 'decide'"),
+        ("[metrics]\ndispersion = 0.5\n", "[metrics] dispersion: must be greater than or equal to 1"),
         ('[epistemic.parameters]\nfit = "fit.json"\n', "[epistemic.parameters] needs samples"),
         ("[metrics]\nrearm_m = 15\n", "less than the smallest radius, 15 m"),
     ],
@@ -202,3 +211,21 @@ def test_the_demo_campaign_is_valid():
     spec = read_campaign(PROJECT_ROOT / "campaigns" / "demo" / "campaign.toml")
     assert spec.epistemic.method == "corners"
     assert set(spec.epistemic.bounds) == set(spec.epistemic.coefficients)
+
+
+def test_rules_that_say_how_many_flights_there_are(tmp_path):
+    text = CAMPAIGN.replace("flights = 3\n", "")
+    hours = read(tmp_path, text + '\n[stop]\nrule = "hours"\nhours = 500\n')
+    assert hours.aleatory.flights == 12_000
+    assert hours.with_hours(1.0).aleatory.flights == 24
+    assert read(tmp_path, CAMPAIGN + '\n[stop]\nrule = "hours"\n').aleatory.flights == 3
+    band = read(tmp_path, text + '\n[stop]\nrule = "band-width"\nband_width = 0.1\n')
+    flights = band.aleatory.flights
+    assert band_half_width(flights, 64, 0.95) <= 0.1 < band_half_width(flights - 1, 64, 0.95)
+    with pytest.raises(BadInputError, match="says how much is flown"):
+        band.with_hours(3.0)
+    # As a manifest holds them they mean the same.
+    for spec in (hours, hours.with_hours(1.0), band):
+        assert campaign_from(spec.as_dict(), spec.path).aleatory.flights == spec.aleatory.flights
+    with pytest.raises(BadInputError, match=r"\[aleatory\] flights: required"):
+        read(tmp_path, text + '\n[stop]\nrule = "decide"\n')

@@ -44,7 +44,7 @@ def decide(counts, asked, look_every=LOOK):
 
 
 def errors(truth, dispersion, asked, campaigns=1500, flights=400, seed=11):
-    """Shares of campaigns of a single corner that said yes and no, all at once: each corner of one cell is a campaign of its own."""
+    """Shares of campaigns that said yes and no; each corner of one cell is a campaign of its own."""
     generator = np.random.default_rng(seed)
     found = decide(draw(generator, np.full(campaigns, truth), flights, dispersion), asked)
     return np.mean([answer == YES for answer in found.answers]), np.mean([answer == NO for answer in found.answers])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from dataclasses import replace
 
@@ -42,9 +43,10 @@ def page(folder):
 def test_it_is_well_formed_and_has_every_section(page):
     tree = html.document_fromstring(page)
     assert [item.text for item in tree.iter("h2")] == [
-        "What was asked", "P-boxes of the median errors", "Excursions per flight hour", "Failed flights", "Where it came from",
+        "What was asked", "P-boxes of the median errors", "What can be signed",
+        "Excursions per flight hour", "Failed flights", "Where it came from",
     ]  # fmt: skip
-    assert len(tree.findall(".//table")) == 3
+    assert len(tree.findall(".//table")) == 4
     assert all(table.find(".//th") is not None for table in tree.iter("table"))
     # Tags that were opened are closed: an XML parser agrees once the few void elements are made so.
     strict = re.sub(r"<(meta[^>]*)>", r"<\1/>", page.replace("<!DOCTYPE html>", ""))
@@ -134,11 +136,18 @@ def test_the_verdict_comes_first_and_agrees_with_the_tables(folder, page):
     )
     assert re.search(r"beyond 15 m per flight hour: [\d.]+ at the best corner, [\d.]+ at the worst", text)
     assert re.search(r"Of 192 flights, \d+ failed", text)
+    (signed,) = [
+        row
+        for row in csv.DictReader((folder / "statements.csv").read_text().splitlines())
+        if (row["radius_m"], row["distance"]) == ("15", "horizontal")
+    ]
     rows = (folder / "excursions.csv").read_text().splitlines()
     header = rows[0].split(",")
     horizontal = [dict(zip(header, row.split(","), strict=True)) for row in rows[1:] if ",15,horizontal," in row]
     assert len(horizontal) == 64
-    worst = max(float(row["rate_upper_per_h"]) for row in horizontal)
+    # Per scheduled hour: all 3 flights of a corner, of 150 s each, whether or not they got that far.
+    worst = max(int(row["excursions_upper"]) for row in horizontal) / (3 * 150 / 3600)
+    assert float(signed["worst_per_h"]) == pytest.approx(worst, rel=1e-5)
     assert f"{worst:.3g} at the worst" in text
     assert [row["worst"] for row in horizontal].count("1") == 1
 

@@ -174,6 +174,7 @@ def _failures(statuses: dict[str, int]) -> str:
 
 
 def _status(args: argparse.Namespace) -> int:
+    from uqharness.campaign_answers import as_json, lines, read_answers
     from uqharness.campaign_manifest import MANIFEST, read_manifest
     from uqharness.shards import shard_folders
     from uqharness.store import Store, is_running
@@ -193,10 +194,15 @@ def _status(args: argparse.Namespace) -> int:
     # A killed run could not say so itself; whether somebody holds the folder tells.
     state = "complete" if complete else "running" if any(map(is_running, folders)) else "interrupted"
     found = {"state": state, "cases": cases, "done": done, "failed": done - statuses.get("ok", 0), "statuses": statuses}
+    answers = read_answers(args.folder)
     if args.json:
-        print(json.dumps(found))
+        print(json.dumps(found | {"answers": as_json(answers)}))
     else:
-        print(f"{args.folder}: {state}, {done} of {cases} flights done, {_failures(statuses)}")
+        print(
+            "\n".join(
+                [f"{args.folder}: {state}, {done} of {cases} flights done, {_failures(statuses)}", *lines(answers)]
+            )
+        )
         if state == "interrupted":
             print(f"resume with: {manifest['command'] or 'the command that began it'}", file=sys.stderr)
     return 0 if complete else 1

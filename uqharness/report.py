@@ -12,13 +12,14 @@ import jinja2
 import pandas as pd
 from markupsafe import Markup
 
+from uqharness import report_statements
 from uqharness.campaign_manifest import read_manifest
+from uqharness.campaign_rounds import band_confidence, read_decisions
 from uqharness.campaign_tables import (
     CONFIDENCE,
     Condition,
     ExcursionCell,
     conditions,
-    excursion_cells,
     in_condition,
     samples,
 )
@@ -26,6 +27,7 @@ from uqharness.case_table import CASES, UNCOMMANDED_METRICS, read_table
 from uqharness.errors import BadInputError
 from uqharness.pbox import ExcursionRate, PBox, best_and_worst, pbox, poisson_upper
 from uqharness.pbox_plot import PBoxFigure, Svg, draw
+from uqharness.statements import Statement, statements
 from uqharness.whole_files import write_bytes
 
 REPORT = "report.html"
@@ -79,8 +81,8 @@ def write_report(folder: Path) -> Report:
     frame = read_table(folder / CASES).to_pandas()
     campaign = manifest["campaign"]
     findings = _findings(frame, campaign)
-    cells = excursion_cells(frame, campaign["metrics"]["excursion_radius_m"])
-    verdict = tuple(_verdict(frame, campaign, findings, cells))
+    signed = statements(frame, campaign, read_decisions(folder))
+    verdict = tuple(_verdict(frame, campaign, findings, signed))
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("uqharness", "templates"),
         autoescape=True,
@@ -95,7 +97,10 @@ def write_report(folder: Path) -> Report:
         figures=[(item.title, item.condition.words, Markup(item.svg.inline)) for item in findings if item.svg],
         undrawn=max(0, len(conditions(frame)) - CONDITIONS_DRAWN),
         medians=[_median_row(item) for item in findings],
-        excursions=[_excursion_row(cell) for cell in cells],
+        signed=[report_statements.row(item) for item in signed],
+        assumptions=report_statements.assumptions(signed, campaign),
+        acceptable=f"{campaign['metrics']['acceptable_per_h']:g}",
+        excursions=[_excursion_row(item.cell) for item in signed],
         failures=_failures(frame),
         failures_listed=_FAILURES_LISTED,
         manifest=manifest,
@@ -128,7 +133,7 @@ def _findings(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> list[_Finding
                 corners = samples(rows, metric) if metric in rows else []
                 if (measured and not campaign["aleatory"]["sensor_noise"]) or not any(c.values.size for c in corners):
                     continue
-                box = pbox(corners, CONFIDENCE)
+                box = pbox(corners, band_confidence(campaign, CONFIDENCE))
                 published = _published(campaign, condition, quantity) if measured else None
                 item = _Finding(quantity, words, _UNITS[unit], measured, condition, box, published, None)
                 svg = draw(_figure(item, metric, corners)) if number < CONDITIONS_DRAWN else None
@@ -180,7 +185,7 @@ def _asked(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> str:
 
 
 def _verdict(
-    frame: pd.DataFrame, campaign: Mapping[str, Any], findings: list[_Finding], cells: list[ExcursionCell]
+    frame: pd.DataFrame, campaign: Mapping[str, Any], findings: list[_Finding], signed: list[Statement]
 ) -> list[str]:
     """The answer in words with numbers: the hardest condition, its medians, its excursions, and what failed."""
     hardest = _hardest(conditions(frame))
@@ -192,9 +197,9 @@ def _verdict(
         both = [item for item in findings if item.condition == hardest and item.quantity == quantity]
         if both:
             sentences.append(_median_sentence(both, duration))
-    for cell in cells:
-        if cell.condition == hardest and cell.distance == "horizontal":
-            sentences.append(_excursion_sentence(cell))
+    for statement in signed:
+        if statement.cell.condition == hardest and statement.cell.distance == "horizontal":
+            sentences.append(report_statements.sentence(statement))
     failed = int((frame["status"] != "ok").sum())
     counted = f"{failed} failed; they are bounded at the worst, not dropped" if failed else "all ended as planned"
     sentences.append(f"Of {len(frame)} flights, {counted}.")
@@ -234,16 +239,6 @@ def _span(low: float, high: float) -> str:
     if math.isinf(high):
         return f"at least {low:.3g}"
     return f"{low:.3g} to {high:.3g}" if low != high else f"{low:.3g}"
-
-
-def _excursion_sentence(cell: ExcursionCell) -> str:
-    best, worst = best_and_worst(cell.rates)
-    text = f"Excursions beyond {cell.radius_m:g} m per flight hour: "
-    if math.isnan(best.rate):
-        return text + "undefined, for no flight was scored."
-    text += f"{best.rate:.3g} at the best corner, {worst.rate_upper:.3g} at the worst"
-    text += f" ({CONFIDENCE:.0%} limits over all corners {best.simultaneous[0]:.2g} to {worst.simultaneous[1]:.3g}; "
-    return text.replace("%", " %") + f"{worst.hours:.3g} h per corner)."
 
 
 def _median_row(item: _Finding) -> dict[str, str]:

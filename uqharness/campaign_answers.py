@@ -1,0 +1,66 @@
+"""How far a campaign's question is answered, cell by cell, from what its folder holds: while it flies, and after."""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from uqharness.campaign_rounds import ALL_CORNERS, read_decisions
+from uqharness.statements import STATEMENTS
+
+_ORDER = ("yes", "no", "open", "flying")
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Answer of one condition to "at most ``acceptable_per_h`` excursions beyond ``radius_m`` at every corner?"."""
+
+    condition: str
+    radius_m: float
+    acceptable_per_h: float
+    answer: str
+    reason: str
+    hours: float
+
+
+def read_answers(folder: Path) -> list[Answer]:
+    """From decisions.csv, which a run that decides keeps up to date; else from the statements of a complete campaign; else none."""
+    rows = [row for row in read_decisions(folder) if row["epistemic_id"] == ALL_CORNERS]
+    if not rows and (folder / STATEMENTS).exists():
+        with (folder / STATEMENTS).open(encoding="utf-8", newline="") as handle:
+            every = list(csv.DictReader(handle))
+        smallest = min((float(row["radius_m"]) for row in every), default=0.0)
+        rows = [row for row in every if row["distance"] == "horizontal" and float(row["radius_m"]) == smallest]
+    return [_answer(row) for row in rows]
+
+
+def _answer(row: dict[str, str]) -> Answer:
+    return Answer(
+        row["condition"],
+        float(row["radius_m"]),
+        float(row["acceptable_per_h"]),
+        row["answer"],
+        row.get("reason", ""),
+        float(row["hours"]),
+    )
+
+
+def as_json(answers: Sequence[Answer]) -> list[dict[str, object]]:
+    """The same as plain types."""
+    return [asdict(answer) for answer in answers]
+
+
+def lines(answers: Sequence[Answer]) -> list[str]:
+    """A summary, then one line per condition."""
+    if not answers:
+        return []
+    first, counted = answers[0], Counter(answer.answer for answer in answers)
+    summary = ", ".join(f"{counted[word]} {word}" for word in _ORDER if counted[word])
+    found = [f"at most {first.acceptable_per_h:g} excursions per hour beyond {first.radius_m:g} m? {summary}"]
+    for answer in answers:
+        reason = f" ({answer.reason})" if answer.reason else ""
+        found.append(f"  {answer.condition}: {answer.answer}{reason}, {answer.hours:.4g} flight h")
+    return found
