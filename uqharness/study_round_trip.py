@@ -144,7 +144,7 @@ def run(
 ) -> list[RoundTrip]:  # fmt: skip
     """Fly (the first ``duration_s``), identify and compare; round-trip.json and round-trip.md in ``folder``.
 
-    A DataFlash log (``suffix`` .bin) has servo pulses in whole microseconds, 0.05 deg of surface: a flight record (.parquet) has not.
+    A DataFlash log (``suffix`` .bin) has servo pulses in whole microseconds (0.05 deg); a flight record (.parquet) has none.
     """
     folder.mkdir(parents=True, exist_ok=True)
     logs = fly_flights(FLOWN, folder, seed, "none", duration_s, suffix)
