@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aero_terms import COEFFICIENTS
-from sysid.bounds_coverage import leave_one_out
+from sysid.bounds_coverage import leave_one_out, told_apart
 from sysid.bounds_fit import Design, FitOptions, FittedBounds, default_designs, fit_bounds, with_walk_rates
 from sysid.gaps import channel_noise
 from sysid.model_form import (
@@ -178,7 +178,8 @@ def mean_left_out(residuals: Residuals, left_out: Mapping[str, Mapping[str, floa
     """Share inside when manoeuvres are left out, over all samples; NaN without a second manoeuvre."""
     if not left_out:
         return dict.fromkeys(COEFFICIENTS, float("nan"))
-    n = {label: sum(residuals.only([label]).lengths) for label in left_out}
+    named = told_apart(residuals)
+    n = {label: sum(named.only([label]).lengths) for label in left_out}
     names = next(iter(left_out.values()))
     return {c: float(np.average([left_out[m][c] for m in left_out], weights=[n[m] for m in left_out])) for c in names}
 

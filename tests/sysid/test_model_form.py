@@ -272,6 +272,17 @@ def test_a_manoeuvre_of_its_own_kind_is_found_by_leaving_it_out():
     assert leave_one_out(residuals.only(["m0"]), {"CX": Design(STATES)}, FitOptions()) == {}
 
 
+def test_pieces_of_one_name_are_left_out_by_stretch():
+    residuals = made_up(13, n=150, pieces=24)
+    same = tuple(
+        dataclasses.replace(p, label="excited", time_s=p.time_s + 10.0 * k) for k, p in enumerate(residuals.pieces)
+    )
+    found = leave_one_out(Residuals(same, 0.02, Cutoffs()), {"CX": Design(STATES)}, FitOptions())
+    assert len(found) == 10
+    assert "excited, 0 to 23 s" in found
+    assert np.mean([row["CX"] for row in found.values()]) == pytest.approx(0.95, abs=0.02)
+
+
 def test_terms_by_name():
     terms = full_polynomial(4)
     assert len(terms) == 15
