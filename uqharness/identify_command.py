@@ -78,7 +78,7 @@ def add_flight_arguments(
     parser.add_argument(
         "--delays",
         metavar="C,C",
-        help="channels whose delay is estimated, or none (default: all of a log, none of a record)",
+        help="what is late by a delay to be estimated: channels, controls, or none (default: controls, and all of a log)",
     )
 
 
@@ -88,6 +88,7 @@ def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
     Raises BadInputError.
     """
     from uqharness.identify import OUTPUTS
+    from uqharness.replay import CONTROL_DELAY
 
     if text is None:
         return None
@@ -95,9 +96,12 @@ def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
         return ()
     short = {c.split("_")[0]: c for c in OUTPUTS}
     names = [short.get(n.strip(), n.strip()) for n in text.split(",")]
-    unknown = [n for n in names if n not in OUTPUTS]
+    further = (CONTROL_DELAY,) if option == "--delays" else ()
+    unknown = [n for n in names if n not in (*OUTPUTS, *further)]
     if unknown:
-        raise BadInputError(f"{option} {text}: unknown channel {unknown[0]}; allowed are none, {', '.join(short)}")
+        raise BadInputError(
+            f"{option} {text}: unknown channel {unknown[0]}; allowed are none, {', '.join((*further, *short))}"
+        )
     return tuple(dict.fromkeys(names))
 
 

@@ -16,6 +16,7 @@ from sysid.aero_terms import COEFFICIENTS
 from sysid.model_form import CoefficientBounds, ModelForm
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
+from uqharness.properties import position_factor
 from uqharness.whole_files import write_bytes
 from uqharness.xml_expressions import Expression, Powers, call, horner, prop, value
 
@@ -158,14 +159,19 @@ def _source(state: str, aircraft: Aircraft) -> tuple[str, float]:
         return _FLIGHT_STATES[state]
     control = state.split("_")[0]
     card = aircraft.card.inputs.get(control)
-    units = _TO_PERCENT if control == "throttle" else _TO_DEGREES
-    if card is None or card.unit not in units:
-        known = "is not there" if card is None else f'has unit "{card.unit}"'
-        raise BadInputError(
-            f"the bounds depend on {state}, but [inputs.{control}] of aircraft {aircraft.name} {known}; give airframe.toml its "
-            f"position property in {' or '.join(units)}, or make the bounds from other states"
-        )
-    return card.position or card.selected or card.property, units[card.unit]
+    if card is not None and control == "throttle" and card.unit in _TO_PERCENT:
+        return card.position or card.selected or card.property, _TO_PERCENT[card.unit]
+    if card is not None and control != "throttle":
+        if card.position is not None:
+            return card.position, position_factor(card)
+        if card.unit in _TO_DEGREES or card.throw_deg is not None:
+            throw = card.throw_deg if card.unit == "norm" and card.throw_deg is not None else 1.0
+            return card.selected or card.property, _TO_DEGREES.get(card.unit, throw)
+    known = "is not there" if card is None else f'has unit "{card.unit}" and no position or throw_deg'
+    raise BadInputError(
+        f"the bounds depend on {state}, but [inputs.{control}] of aircraft {aircraft.name} {known}; say in airframe.toml how to "
+        "read it, or make the bounds from other states"
+    )
 
 
 def _edges(state: _Normalised) -> tuple[float, float]:
