@@ -46,7 +46,9 @@ def words(result: MethodResult, metric: str, ranking: Ranking, lost: int, flight
     if ranking.by_ranges:
         doubts.append(f"at some values of the other coefficients {_listed(ranking.by_ranges)} may matter as much")
     if ranking.by_sampling:
-        doubts.append(f"by the sampling error of {flights - lost} flights {_listed(ranking.by_sampling)} may come first")
+        doubts.append(
+            f"by the sampling error of {flights - lost} flights {_listed(ranking.by_sampling)} may come first"
+        )
     if doubts:
         text += f" Not certain: {'; '.join(doubts)}."
     if ranking.certain:
