@@ -6,6 +6,7 @@ import argparse
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from uqharness import sensitivity_command
@@ -27,7 +28,7 @@ from uqharness.modal_model import (
     trim,
 )
 from uqharness.sensitivity import analyse
-from uqharness.study_modal import compare, modal_sensitivity, published, table_text
+from uqharness.study_modal import PUBLISHED, compare, modal_sensitivity, published, table_text
 from uqharness.trim import SteadyCondition, find_trim
 
 MEANS = dict(NOMINAL) | {name: mean for name, (mean, _) in ALEATORY.items()}
@@ -119,6 +120,10 @@ def test_printed_tables_are_all_there():
         table = published(output)
         assert list(table.index) == list(NOMINAL)
         assert (table["proposed_min"].astype(float) <= table["proposed_max"].astype(float)).all()
+    loiter = pd.read_csv(PUBLISHED / "table_4_7.csv", comment="#", index_col=0)
+    for quantity in ("cross_track", "altitude", "speed"):
+        assert (loiter[f"{quantity}_min"] <= loiter[f"{quantity}_max"]).all()
+    assert loiter["cross_track_max"].idxmax() == "Cn"
 
 
 def call(*words):

@@ -80,10 +80,14 @@ def read_interior_campaign(folder: Path, corners: Flown) -> Flown:
     mine, theirs = flown.manifest["campaign"], corners.manifest["campaign"]
     different = [key for key in ("seed",) if mine["campaign"][key] != theirs["campaign"][key]]
     different += [
-        key for key in theirs["aleatory"] if key != "flights" and mine["aleatory"][key] != theirs["aleatory"][key]
+        key for key in theirs["aleatory"] if key != "flights" and mine["aleatory"].get(key) != theirs["aleatory"][key]
     ]
-    different += [key for key in ("coefficients", "bounds") if mine["epistemic"][key] != theirs["epistemic"][key]]
-    different += [key for key, value in corners.manifest["hashes"].items() if flown.manifest["hashes"][key] != value]
+    different += [
+        key for key in ("coefficients", "bounds") if mine["epistemic"].get(key) != theirs["epistemic"].get(key)
+    ]
+    different += [
+        key for key, value in corners.manifest["hashes"].items() if flown.manifest["hashes"].get(key) != value
+    ]
     if mine["aleatory"]["flights"] < theirs["aleatory"]["flights"]:
         different.append(
             f"flights ({mine['aleatory']['flights']}, at least {theirs['aleatory']['flights']} are needed)"
