@@ -57,6 +57,6 @@ def made_up_form(
             n=900, n_effective=300.0, walk_rate=0.012, hull=hull,
         )  # fmt: skip
     return ModelForm(
-        AircraftReference("espaaro", "0" * 64), (FlightUsed("made up", "0" * 64, 18.0, 900),), Filtering(2.0, 1.0, 50.0),
+        AircraftReference("espaaro", "0" * 64), (FlightUsed("made up", "0" * 64, 18.0, 900),), Filtering(6.0, 2.0, 0.5, 50.0),
         0.95, outside, out,
     )  # fmt: skip

@@ -120,7 +120,7 @@ def _facts(control: str, rows: list[dict[str, float]]) -> ControlFacts:
         if len(ends) == 3 and abs(ends[2] - ends[0]) > 1e-6:
             throw = 0.5 * abs(ends[2] - ends[0])
             straight = abs(ends[1] - 0.5 * (ends[0] + ends[2])) <= _LINEAR * throw
-            return ControlFacts(sense, round(throw, 6), name if straight and sense * (ends[2] - ends[0]) > 0 else None)
+            return ControlFacts(sense, round(throw, 6), name if straight and ends[2] > ends[0] else None)
     return ControlFacts(sense)
 
 

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 from uqharness import (
     __version__,
+    bounds_command,
     campaign_commands,
     compare_command,
     fly_command,
@@ -20,6 +21,7 @@ from uqharness import (
     log_command,
     margins_command,
     modes_command,
+    sensitivity_command,
 )
 from uqharness.errors import BadInputError
 
@@ -40,9 +42,17 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"uqharness {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for module in (
-        fly_command, modes_command, margins_command, log_command, identify_command, compare_command, instrument_command,
+        fly_command,
+        modes_command,
+        margins_command,
+        log_command,
+        identify_command,
+        compare_command,
+        bounds_command,
+        instrument_command,
         campaign_commands,
-    ):  # fmt: skip
+        sensitivity_command,
+    ):
         module.register(commands)
     return parser
 

@@ -21,7 +21,7 @@ from sysid.aero_terms import COEFFICIENTS
 from sysid.model_form import ModelForm
 from uqharness.aero_section import AeroSection, read_reference, read_section, require_reference
 from uqharness.aero_summands import Reference, SectionEdit, add_deltas, add_system, axis_name
-from uqharness.aircraft import Aircraft, Card, content_hash
+from uqharness.aircraft import PROJECT_ROOT, Aircraft, Card, content_hash
 from uqharness.aircraft_facts import AircraftFacts
 from uqharness.errors import BadInputError
 from uqharness.instrument_card import ERRORS_SYSTEM, ERRORS_XML, card_text
@@ -32,6 +32,8 @@ from uqharness.scale_functions import SYSTEM_NAME, Scaled, add_scales, coefficie
 from uqharness.xml_text import Document, Insertion, attribute, read_document
 
 SYSTEM = "model-form"
+AIR_SYSTEM = "air"
+AIR_FILE = PROJECT_ROOT / "aircraft" / "espaaro" / "Systems" / "air.xml"
 _FT = 0.3048
 _SAME = 1e-6  # a card's rounded figures mean the XML's metrics
 _OWN = re.compile(r"uq/[\w./\-]+")
@@ -61,10 +63,11 @@ class Plan:
     rows: tuple[tuple[str, str, str], ...]
 
 
-def plan(aircraft: Aircraft, bounds: Bounds, facts: AircraftFacts | None = None) -> Plan:
+def plan(aircraft: Aircraft, bounds: Bounds, facts: AircraftFacts | None = None, air: bool = False) -> Plan:
     """What instrumenting the aircraft's folder would write. Nothing is touched.
 
-    ``facts`` of an aircraft without a card: it is given one, and the errors that a mission is scored by.
+    ``facts`` of an aircraft without a card: it is given one, and the errors that a mission is scored by. ``air``: it is given this
+    project's wind and turbulence as well (Systems/air.xml), unless it has them.
 
     Raises BadInputError with file and line for what cannot be done: mixed axes, no reference, names that are taken, bounds on a
     control that the card does not give.
@@ -95,6 +98,9 @@ def plan(aircraft: Aircraft, bounds: Bounds, facts: AircraftFacts | None = None)
         edit = add_system(edit, SYSTEM)
         if scaled:
             edit = add_system(edit, SYSTEM_NAME)
+    if air and not _declared_anywhere(aircraft, "air/"):
+        files[_system_file(aircraft, AIR_SYSTEM)] = AIR_FILE.read_bytes()
+        edit = add_system(edit, AIR_SYSTEM)
     card = None
     if facts is not None and not aircraft.has_card:
         errors = not _declared_anywhere(aircraft, "nav/")

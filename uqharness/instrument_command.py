@@ -41,6 +41,7 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         "--constant", metavar="C=B,...", help="constant bounds: half width B or LOWER:UPPER per coefficient"
     )
     source.add_argument("--undo", action="store_true", help="take the plugin out again, to the byte")
+    parser.add_argument("--air", action="store_true", help="add this project's wind and turbulence (docs/air.md) too")
     parser.add_argument("--dry-run", action="store_true", help="say what would be done, write nothing")
     parser.add_argument("--no-check", action="store_true", help="do not fly the result beside the untouched aircraft")
     parser.add_argument("--json", action="store_true", help="machine-readable output")
@@ -86,9 +87,9 @@ def _run(args: argparse.Namespace) -> int:
     except LogError as error:
         raise BadInputError(str(error)) from None
     bounds = Bounds(form, {} if args.constant is None else parse_constant(args.constant))
-    plan(aircraft, bounds)
+    plan(aircraft, bounds, None, args.air)
     facts = None if aircraft.has_card else aircraft_facts.ask_in_child(aircraft.folder)
-    planned = plan(aircraft, bounds, facts)
+    planned = plan(aircraft, bounds, facts, args.air)
     report = _report(aircraft, planned, args)
     code = 0
     if not args.dry_run:

@@ -25,13 +25,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from sysid.filtererror import filter_error
+from sysid.gust_states import NOISE_START, NOISY, STATE_STD
 from sysid.results import FilterErrorFit
 from uqharness.actuators import actuators
 from uqharness.air_equations import (
-    NOISE_START,
-    NOISY,
     OUTPUTS,
-    STATE_STD,
     AirEquations,
     Build,
     body_axis_build,
