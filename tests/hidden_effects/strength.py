@@ -54,7 +54,9 @@ def strengths(
     effects = flights[0].effects
     without = [effects[:i] + effects[i + 1 :] for i in range(len(effects))]
     columns, changes, residual = _sensitivities(flights, flown, without, corrected, step_s)
-    return [_judge(i, columns, changes, residual) for i in range(len(effects))]
+    return [
+        _Nuisance(_beside(columns, changes, i), residual).judge([c[i] for c in changes]) for i in range(len(effects))
+    ]
 
 
 def strengths_alone(
@@ -63,7 +65,8 @@ def strengths_alone(
     """Of each candidate by itself in these flights, in which it does not act: what |t| its size would have."""
     with_it = [(*flights[0].effects, e) for e in candidates]
     columns, changes, residual = _sensitivities(flights, flown, with_it, corrected, REPLAY_STEP_S)
-    return [_judge(0, columns, [[c[i]] for c in changes], residual) for i in range(len(candidates))]
+    nuisance = _Nuisance(columns, residual)
+    return [nuisance.judge([c[i] for c in changes]) for i in range(len(candidates))]
 
 
 def _sensitivities(
@@ -93,39 +96,56 @@ def _sensitivities(
     return columns, changes, residual if corrected else None
 
 
-def _judge(which: int, columns: list[Array], changes: list[list[Array]], residual: list[Array] | None) -> Strength:
+class _Nuisance:
+    """What an effect has to stand out from: columns S (n, m, k) a segment and, in turbulence, the residual that is left of them."""
+
+    def __init__(self, columns: list[Array], residual: list[Array] | None) -> None:
+        self.S, self.left, self.size = columns, None, np.ones(columns[0].shape[1])
+        if residual is not None:  # R is re-estimated: the residual's own variance
+            theta = self._fit(residual)
+            left = [r - part @ theta for r, part in zip(residual, self.S, strict=True)]
+            self.size = np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0))
+            self.left = [part / self.size for part in left]
+            self.S = [part / self.size[None, :, None] for part in self.S]
+        flat = [part.reshape(-1, part.shape[2]) for part in self.S]
+        self.inverse = _inverse(np.asarray(sum(f.T @ f for f in flat)))
+
+    def _fit(self, blocks: list[Array]) -> Array:
+        flat = [part.reshape(-1, part.shape[2]) for part in self.S]
+        return np.asarray(
+            _inverse(np.asarray(sum(f.T @ f for f in flat)))
+            @ sum(f.T @ d.ravel() for f, d in zip(flat, blocks, strict=True))
+        )
+
+    def judge(self, change: list[Array]) -> Strength:
+        d = [part / self.size for part in change]
+        theta = self.inverse @ sum(
+            part.reshape(-1, part.shape[2]).T @ e.ravel() for part, e in zip(self.S, d, strict=True)
+        )
+        perp = [e - part @ theta for e, part in zip(d, self.S, strict=True)]
+        square, whole = sum(float(np.sum(p**2)) for p in perp), sum(float(np.sum(p**2)) for p in d)
+        if square <= 0.0:
+            return Strength(0.0, 0.0, 0.0)
+        spread = (
+            square if self.left is None else float(coloured_information([p[:, :, None] for p in perp], self.left)[0, 0])
+        )
+        count = sum(p.size for p in d)
+        return Strength(square / float(np.sqrt(spread)), float(np.sqrt(square / whole)), float(np.sqrt(whole / count)))
+
+
+def _beside(columns: list[Array], changes: list[list[Array]], which: int) -> list[Array]:
+    """The columns with what every other effect does among them."""
     others = [i for i in range(len(changes[0])) if i != which]
-    S = [
+    return [
         np.concatenate([c, *(d[i][:, :, None] for i in others)], axis=2) for c, d in zip(columns, changes, strict=True)
     ]
-    flat = [part.reshape(-1, part.shape[2]) for part in S]
-    d = [part[which] for part in changes]
-    if residual is not None:  # R is re-estimated: the residual's own variance
-        information, right = (
-            sum(f.T @ f for f in flat),
-            sum(f.T @ r.ravel() for f, r in zip(flat, residual, strict=True)),
-        )
-        theta = _solve(information, right)
-        left = [r - (part @ theta) for r, part in zip(residual, S, strict=True)]
-        size = np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0))
-        S, d, residual = [p / size[None, :, None] for p in S], [p / size for p in d], [p / size for p in left]
-        flat = [part.reshape(-1, part.shape[2]) for part in S]
-    information, right = sum(f.T @ f for f in flat), sum(f.T @ p.ravel() for f, p in zip(flat, d, strict=True))
-    theta = _solve(information, right)
-    perp = [p - part @ theta for p, part in zip(d, S, strict=True)]
-    square, whole = sum(float(np.sum(p**2)) for p in perp), sum(float(np.sum(p**2)) for p in d)
-    if square <= 0.0:
-        return Strength(0.0, 0.0, 0.0)
-    spread = square if residual is None else float(coloured_information([p[:, :, None] for p in perp], residual)[0, 0])
-    count = sum(p.size for p in d)
-    return Strength(square / np.sqrt(spread), float(np.sqrt(square / whole)), float(np.sqrt(whole / count)))
 
 
-def _solve(information: Array, right: Array) -> Array:
+def _inverse(information: Array) -> Array:
+    """Pseudo-inverse after scaling to a unit diagonal: nuisance that the flights do not show takes nothing up."""
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(information), 1e-30))
-    return np.asarray(
-        scale * (np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-10, hermitian=True) @ (scale * right))
-    )
+    found = np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-10, hermitian=True)
+    return np.asarray(found * np.outer(scale, scale))
 
 
 class _Piece:
