@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.hidden_effects.catalogue import ENTRIES, IN_FORM, OFF_FORM, Entry
+from tests.hidden_effects.catalogue import ENTRIES, IN_FORM, OFF_FORM, Entry, sizes
 from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.flights import Flight, fly
 from tests.hidden_effects.manoeuvres import KINDS, Card, card
@@ -195,7 +195,8 @@ def battery() -> list[Case]:
     for entry in IN_FORM:
         for kind, t in (("clear", CLEAR), ("marginal", MARGINAL)):
             found.append(_case(entry.key, kind, [entry], t, "calm"))
-        found.append(_case(entry.key, "clear", [entry], TURBULENT, "light"))
+        if entry.key in sizes("light"):
+            found.append(_case(entry.key, "clear", [entry], TURBULENT, "light"))
     for entry in OFF_FORM:
         found += [
             _case(entry.key, "off-form", [entry], CLEAR, "calm"),
