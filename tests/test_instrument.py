@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import tomllib
 from pathlib import Path
@@ -248,10 +249,13 @@ def test_the_command_writes_card_table_and_record(small, tmp_path, capsys):
     assert [row["coefficient"] for row in report["coefficients"]] == ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
     assert {row["file"]: row["change"] for row in report["files"]} == {
         "Systems/model-form.xml": "added", "Systems/path-errors.xml": "added", "Systems/scale-bias.xml": "added",
+        "Systems/idle-throttle.xml": "added",
         "airframe.toml": "added", "small.xml": "edited",
     }  # fmt: skip
     card = tomllib.loads((out / "airframe.toml").read_text())
     assert card["reference"]["S_m2"] == pytest.approx(2.0, rel=1e-7)
+    assert list(card["inputs"]) == ["elevator", "aileron", "rudder", "throttle"]
+    assert re.search(r"\[inputs\.aileron\] +# moves nothing", (out / "airframe.toml").read_text())
     assert set(card["parameters"]) == {row["scale"] for row in report["scaled"]}
     aircraft = find_aircraft(out)
     fdm, step = open_mid_envelope(aircraft)

@@ -24,7 +24,7 @@ from uqharness.aero_summands import Reference, SectionEdit, add_deltas, add_syst
 from uqharness.aircraft import PROJECT_ROOT, Aircraft, Card, content_hash
 from uqharness.aircraft_facts import AircraftFacts
 from uqharness.errors import BadInputError
-from uqharness.instrument_card import ERRORS_SYSTEM, ERRORS_XML, card_text
+from uqharness.instrument_card import ERRORS_SYSTEM, ERRORS_XML, IDLE_SYSTEM, IDLE_XML, card_text
 from uqharness.instrument_carry import carried_files
 from uqharness.instrument_record import FILE_NAME, Change, changed, read_record, restored, to_json
 from uqharness.model_form_xml import constant_xml, model_form_xml
@@ -107,6 +107,9 @@ def plan(aircraft: Aircraft, bounds: Bounds, facts: AircraftFacts | None = None,
         if errors:
             files[_system_file(aircraft, ERRORS_SYSTEM)] = ERRORS_XML
             edit = add_system(edit, ERRORS_SYSTEM)
+        if not facts.engines and not _declared_anywhere(aircraft, "fcs/throttle-cmd-norm"):
+            files[_system_file(aircraft, IDLE_SYSTEM)] = IDLE_XML
+            edit = add_system(edit, IDLE_SYSTEM)
         files["airframe.toml"] = card_text(aircraft.name, aircraft.xml.name, facts, scaled, errors).encode("utf-8")
     elif scaled and aircraft.has_card:
         card = _with_parameters(aircraft.folder / "airframe.toml", scaled, notes)
