@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from jsbsim_defects.small_models import SKELETON
+from jsbsim_schema import schema_errors
 from model_forms import made_up_form
 
 from uqharness import engine
@@ -256,6 +257,7 @@ def test_the_command_writes_card_table_and_record(small, tmp_path, capsys):
     assert card["reference"]["S_m2"] == pytest.approx(2.0, rel=1e-7)
     assert list(card["inputs"]) == ["elevator", "aileron", "rudder", "throttle"]
     assert re.search(r"\[inputs\.aileron\] +# moves nothing", (out / "airframe.toml").read_text())
+    assert [error for path in (out / "Systems").iterdir() for error in schema_errors(path)] == []
     assert set(card["parameters"]) == {row["scale"] for row in report["scaled"]}
     aircraft = find_aircraft(out)
     fdm, step = open_mid_envelope(aircraft)
@@ -303,3 +305,41 @@ def test_stock_aircraft(tmp_path, name):
     assert row.verdict.status == "works", row.verdict.reason
     assert row.verdict.worst < 1e-9
     assert row.scaled > 0
+
+
+GLIDE = """<?xml version="1.0"?>
+<initialize name="glide">
+  <vt unit="KTS">50</vt> <altitude unit="FT">3000</altitude> <gamma unit="DEG">-2.5</gamma>
+  <latitude unit="DEG" type="geodetic">45</latitude> <longitude unit="DEG">0</longitude> <psi unit="DEG">0</psi>
+</initialize>
+"""
+STEPS = (
+    (3, "elevator", 0.0), (4, "elevator", -0.2), (5, "elevator", -0.1), (9, "aileron", 0.1), (10, "aileron", 0.0),
+    (13, "elevator", 0.0), (13.5, "elevator", -0.1),
+)  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_glider_nobody_prepared_is_identified_by_its_scales(tmp_path, capsys):
+    out = tmp_path / "sgs233"
+    assert main(["instrument", "sgs233", "--out", str(out), "--no-check"]) == 0
+    (out / "glide.xml").write_text(GLIDE)
+    events = "".join(
+        f'<event name="{k}"><condition>simulation/sim-time-sec gt {t - 0.005}</condition>'
+        f'<set name="fcs/{name}-cmd-norm" value="{value}"/></event>'
+        for k, (t, name, value) in enumerate(STEPS)
+    )
+    script = tmp_path / "glide.xml"
+    script.write_text(
+        '<?xml version="1.0"?><runscript name="glide"><use aircraft="sgs233" initialize="glide"/><run start="0" end="16" dt="0.01">'
+        f'<property value="-0.1">fcs/elevator-cmd-norm</property>{events}</run></runscript>'
+    )
+    truth = {"uq/scale/Cmalpha": 1.2, "uq/scale/Cmde": 0.9, "uq/scale/Cmq": 1.0}
+    settings = [part for name, value in truth.items() for part in ("--set", f"{name}={value}")]
+    flight = str(tmp_path / "flight.csv")
+    assert main(["fly", str(out), "--script", str(script), *settings, "--out", flight]) == 0
+    arguments = ["--params", ",".join(truth), "--biases", "none", "--workers", "1", "--no-figures", "--json"]
+    capsys.readouterr()
+    main(["identify", str(out), "--flight", flight, "--out", str(tmp_path / "fit"), *arguments])
+    found = json.loads(capsys.readouterr().out)["parameters"]
+    assert {name: found[name]["value"] for name in truth} == pytest.approx(truth, rel=0.03)
