@@ -274,6 +274,18 @@ def test_the_command_writes_card_table_and_record(small, tmp_path, capsys):
     assert tree(out) == tree(small)
 
 
+def test_an_aircraft_that_only_its_host_can_fly_is_instrumented_on_demand(small, tmp_path, capsys):
+    xml = small / "small.xml"
+    xml.write_bytes(xml.read_bytes().replace(b"<property>own/used</property>", b"<property>host/gives</property>"))
+    arguments = ["instrument", str(small), "--out", str(tmp_path / "elsewhere")]
+    assert main(arguments) == 2
+    assert "host/gives" in (error := capsys.readouterr().err)
+    assert "--no-check" in error
+    assert main([*arguments, "--no-check"]) == 0
+    assert "unflown" in capsys.readouterr().out
+    assert find_aircraft(tmp_path / "elsewhere").card.reference.S_m2 == pytest.approx(2.0)
+
+
 def test_bad_input_is_one_line_and_exit_code_two(small, tmp_path, capsys):
     (tmp_path / "bounds.json").write_text("{}")
     assert (

@@ -67,6 +67,11 @@ class AircraftFacts:
     controls: Mapping[str, ControlFacts] = field(default_factory=dict)
 
 
+def assumed(S_m2: float, b_m: float, c_m: float) -> AircraftFacts:
+    """What is taken for granted of an aircraft that does not fly by itself: JSBSim's commands in the usual sense, no throws."""
+    return AircraftFacts(S_m2, b_m, c_m, 1, {name: ControlFacts(1) for name in (*_ANSWER, "throttle")})
+
+
 def ask(folder: Path) -> AircraftFacts:
     """The facts, asked for in this process. Raises BadInputError."""
     aircraft = find_aircraft(folder)

@@ -257,6 +257,12 @@ def _reference(aircraft: Aircraft, section: AeroSection) -> Reference:
     )
 
 
+def metrics_of(aircraft: Aircraft) -> tuple[float, float, float]:
+    """S [m2], b and c [m] as the XML has them. Raises BadInputError."""
+    S, b, c = read_reference(read_section(aircraft.folder, aircraft.xml.name))
+    return S * _FT**2, b * _FT, c * _FT
+
+
 def _has_plugin(section: AeroSection) -> bool:
     """Whether the aerodynamics add all six deltas already; BadInputError if they add some."""
     found: dict[str, str] = {}
