@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -83,16 +83,23 @@ def make_bounds(
     measured: Sequence[str],
     hashes: Sequence[str],
     options: BoundsOptions,
+    say: Callable[[str], object] = lambda stage: None,
 ) -> MadeBounds:
-    """Fit the intervals. hashes: SHA-256 of each flight's file. Raises BadInputError when the flights are too short for any fit."""
+    """Fit the intervals. hashes: SHA-256 of each flight's file; ``say`` is told each stage.
+
+    Raises BadInputError when the flights are too short for any fit.
+    """
     arm = aircraft.card.sensors.position_m.get("accelerometer", (0.0, 0.0, 0.0))
     with prediction_of(aircraft, measured, options.ideal_servos) as pair:
+        say("residual coefficients")
         parts = [flight_residuals(pair, f, arm, options.cutoffs) for f in flights]
         residuals = together(parts)
         fitted = _fit(residuals, options.designs, options.fit)
         noise, table = {}, []
         if options.checks:
+            say("noise floor")
             noise = _noise(pair, flights, aircraft, arm, options.cutoffs)
+            say("other filters")
             table = [_other(pair, flights, arm, c, options) for c in _other_cutoffs(options.cutoffs)]
     walks = {c: variation(residuals, c, f.bounds, options.walk_cutoff_hz, options.outside) for c, f in fitted.items()}
     form = ModelForm(
@@ -105,6 +112,7 @@ def make_bounds(
         outside=options.outside,
         coefficients=with_walk_rates(fitted, {c: w.rate for c, w in walks.items()}),
     )
+    say("leaving manoeuvres out")
     left_out = leave_one_out(residuals, options.designs, options.fit, options.outside) if options.checks else {}
     return MadeBounds(
         form=form, residuals=residuals, fitted=fitted, baseline=_baseline(residuals, options), variations=walks,

@@ -78,7 +78,7 @@ def add_flight_arguments(
     parser.add_argument(
         "--delays",
         metavar="C,C",
-        help="channels whose delay is estimated, or none (default: all of a log, none of a record)",
+        help="what is late by a delay to be estimated: channels, controls, or none (default: controls, and all of a log)",
     )
 
 
@@ -88,6 +88,7 @@ def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
     Raises BadInputError.
     """
     from uqharness.identify import OUTPUTS
+    from uqharness.replay import CONTROL_DELAY
 
     if text is None:
         return None
@@ -95,9 +96,12 @@ def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
         return ()
     short = {c.split("_")[0]: c for c in OUTPUTS}
     names = [short.get(n.strip(), n.strip()) for n in text.split(",")]
-    unknown = [n for n in names if n not in OUTPUTS]
+    further = (CONTROL_DELAY,) if option == "--delays" else ()
+    unknown = [n for n in names if n not in (*OUTPUTS, *further)]
     if unknown:
-        raise BadInputError(f"{option} {text}: unknown channel {unknown[0]}; allowed are none, {', '.join(short)}")
+        raise BadInputError(
+            f"{option} {text}: unknown channel {unknown[0]}; allowed are none, {', '.join((*further, *short))}"
+        )
     return tuple(dict.fromkeys(names))
 
 
@@ -135,16 +139,27 @@ def _run(args: argparse.Namespace) -> int:
         ideal_servos=args.servos == "ideal", method=args.method, workers=args.workers,
     )  # fmt: skip
     out = results_folder(args.out)
-    command = ["uqharness", "identify", args.aircraft, "--flight", *(p.name for p in args.flight)]
     hashes = [file_hash(p) for p in args.flight]
-    document = write_results(found, aircraft, [p.name for p in args.flight], command, out, hashes)
+    document = write_results(found, aircraft, [p.name for p in args.flight], _command(args), out, hashes)
     if not args.no_figures:
         _figures(found, out)
     if args.json:
         print(json.dumps(document))
     else:
         print(_summary(document, [n for f in flights for n in f.notes], out))
+        if found.speed is not None:
+            print(found.speed.text())
     return 0 if found.converged and found.identified else 1
+
+
+def _command(args: argparse.Namespace) -> list[str]:
+    """The command line that repeats this run: every option that was given."""
+    words = ["uqharness", "identify", args.aircraft, "--flight", *map(str, args.flight)]
+    for option in ("params", "start", "method", "servos", "biases", "delays", "manoeuvres", "map", "workers"):
+        value = getattr(args, option)
+        if value is not None:
+            words += [f"--{option}", str(value)]
+    return [*words, *(["--no-figures"] if args.no_figures else []), "--out", str(args.out)]
 
 
 def _figures(found: object, out: Path) -> None:
