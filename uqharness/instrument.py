@@ -357,18 +357,13 @@ def _candidates(aircraft: Aircraft, name: str) -> list[Path]:
 
 
 def _system_file(aircraft: Aircraft, name: str) -> str:
-    """Where a new system goes: the folder's own place for systems."""
-    folder = (
-        "systems"
-        if (aircraft.folder / "systems").is_dir() and not (aircraft.folder / "Systems").is_dir()
-        else "Systems"
-    )
+    """Where a new system goes; BadInputError if the aircraft has another of that name."""
     for path in _candidates(aircraft, name)[:3]:
         if path.is_file() and not _declares(read_document(path), "uq/active"):
             raise BadInputError(
                 f"{path}:1: the aircraft has a system of this name; rename it, because the plugin brings its own"
             )
-    return f"{folder}/{name}.xml"
+    return f"Systems/{name}.xml"
 
 
 def _declared_anywhere(aircraft: Aircraft, prefix: str) -> bool:
