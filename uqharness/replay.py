@@ -127,9 +127,15 @@ def _initialise(fdm: Any, segment: Segment, start: Array, setters: list[list[Any
     fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = phi, theta, psi % (2.0 * math.pi)
     fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"] = u / FT, v / FT, w / FT
     fdm["ic/p-rad_sec"], fdm["ic/q-rad_sec"], fdm["ic/r-rad_sec"] = p, q, r
-    if fdm.get_propulsion().get_num_engines() > 0 and fdm.get_property_manager().hasNode("propulsion/set-running"):
-        fdm["propulsion/set-running"] = -1
+    engines = fdm.get_propulsion().get_num_engines()
+    if engines:
+        engine.start_engines(fdm)
+        for handles, value, factor in zip(setters, segment.controls[0], model.factor, strict=True):
+            for put in handles:
+                put(float(value) * factor)
     engine.run_ic(fdm)
+    if engines:
+        engine.settle_engines(fdm)
 
 
 def _reader(fdm: Any, extra: Sequence[str], angular: bool) -> Any:
