@@ -133,6 +133,19 @@ def test_in_place_and_back(small):
     assert tree(small) == before
 
 
+def test_a_link_to_another_aircrafts_file_is_not_written_through(small, tmp_path):
+    shared = tmp_path / "shared.xml"
+    shutil.copyfile(PROJECT_ROOT / "aircraft" / "espaaro" / "Systems" / "model-form.xml", shared)
+    before = shared.read_bytes()
+    instrumented(small, small)
+    system = small / "Systems" / "model-form.xml"
+    system.unlink()
+    system.symlink_to(shared)
+    instrumented(small, small, Bounds(constant={"CX": (-0.5, 0.5)}))
+    assert b"-0.5" in system.read_bytes()
+    assert shared.read_bytes() == before
+
+
 def test_undo_refuses_what_it_cannot_take_out_cleanly(small):
     instrumented(small, small)
     xml = small / "small.xml"

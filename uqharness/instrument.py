@@ -160,10 +160,9 @@ def write(aircraft: Aircraft, planned: Plan, out: Path) -> None:
         changes = _chained(read_record(aircraft.folder), changes)
     with tempfile.TemporaryDirectory(dir=out.absolute().parent, prefix=".instrument-") as temporary:
         copy = Path(temporary) / "new"
-        shutil.copytree(aircraft.folder, copy, ignore=shutil.ignore_patterns(".git"))
+        shutil.copytree(aircraft.folder, copy, symlinks=in_place, ignore=shutil.ignore_patterns(".git"))
         for name, content in files.items():
-            (copy / name).parent.mkdir(parents=True, exist_ok=True)
-            (copy / name).write_bytes(content)
+            _put(copy / name, content)
         (copy / FILE_NAME).write_bytes(to_json(changes))
         _swap(copy, out, Path(temporary) / "old")
 
@@ -177,7 +176,7 @@ def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
     done = []
     with tempfile.TemporaryDirectory(dir=out.absolute().parent, prefix=".instrument-") as temporary:
         copy = Path(temporary) / "new"
-        shutil.copytree(folder, copy, ignore=shutil.ignore_patterns(".git"))
+        shutil.copytree(folder, copy, symlinks=out.resolve() == folder.resolve(), ignore=shutil.ignore_patterns(".git"))
         for name, change in changes.items():
             path = copy / name
             if not path.is_file():
@@ -191,7 +190,7 @@ def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
                     path.parent.rmdir()
                 done.append((name, "removed"))
             else:
-                path.write_bytes(content)
+                _put(path, content)
                 same = changed(None, content).after == change.before
                 done.append(
                     (name, "as it was, byte for byte" if same else "without the plugin; other changes since are kept")
@@ -208,14 +207,27 @@ def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
     return done
 
 
+def _put(path: Path, content: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # Written through a link, the file of another aircraft would change.
+    if path.is_symlink():
+        path.unlink()
+    path.write_bytes(content)
+
+
 def _swap(new: Path, out: Path, old: Path) -> None:
-    kept = out / ".git" if (out / ".git").exists() else None
-    if kept is not None:
-        # A working copy's own folder is not ours to move: it goes over into the new one.
-        os.rename(kept, new / ".git")
+    """Put ``new`` in the place of ``out``; whatever fails, ``out`` is one of the two."""
+    if (out / ".git").exists():
+        # A working copy's own data are not ours to copy: they go over.
+        os.rename(out / ".git", new / ".git")
     if out.exists():
         out.rename(old)
-    new.rename(out)
+    try:
+        new.rename(out)
+    except OSError:
+        if old.exists():
+            old.rename(out)
+        raise
 
 
 def _chained(earlier: Mapping[str, Change], now: Mapping[str, Change]) -> dict[str, Change]:

@@ -99,7 +99,7 @@ def _run(args: argparse.Namespace) -> int:
         if not args.no_check and untouched is not None and not planned.had_plugin:
             verdict = check_in_child(untouched, args.out, 1.0)
             report["check"] = {k: None if v != v else v for k, v in asdict(verdict).items()}
-            code = 0 if verdict.status == "works" else 1
+            code = 1 if verdict.status == "wrong" else 0
     print(json.dumps(report, indent=1) if args.json else _text(report))
     return code
 
@@ -154,7 +154,8 @@ def _text(report: dict[str, Any]) -> str:
             f"increments right to {check['worst']:.0e}"
         )
     elif check is not None:
-        lines.append(f"  flown beside the untouched aircraft: {check['status']}: {check['reason']}")
+        what = "WRONG" if check["status"] == "wrong" else "not compared, the untouched aircraft fails"
+        lines.append(f"  flown beside the untouched aircraft: {what}: {check['reason']}")
     if not report["written"]:
         lines.append("  nothing was written (--dry-run)")
     return "\n".join(lines)

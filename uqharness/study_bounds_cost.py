@@ -117,11 +117,14 @@ def main(argv: list[str] | None = None) -> int:
         print("| variant | us per step | more than no plugin | more than constant bounds |\n|---|---|---|---|")
         for name, us in best.items():
             print(f"| {name} | {us:.2f} | {us - best['no plugin']:.2f} | {us - best['constant bounds']:.2f} |")
-        rates = " | ".join(f"{rate:g} Hz" for rate in RATES_HZ)
-        print(f"\n| turbulence | {rates} |\n|---|{'---|' * len(RATES_HZ)}", flush=True)
+        print(
+            f"\n| turbulence | bounds at | {' | '.join(form.coefficients)} |\n|---|---|{'---|' * len(form.coefficients)}",
+            flush=True,
+        )
         for turbulence in ("light", "moderate", "severe"):
             errors = hold_error(aircraft, form, arguments.script, turbulence, arguments.minutes, folder)
-            print(f"| {turbulence} | {' | '.join(f'{row.max():.3f}' for row in errors)} |", flush=True)
+            for rate, row in zip(RATES_HZ, errors, strict=True):
+                print(f"| {turbulence} | {rate:g} Hz | {' | '.join(f'{value:.3f}' for value in row)} |", flush=True)
         shutil.rmtree(folder, ignore_errors=True)
     return 0
 
