@@ -50,6 +50,7 @@ def filter_error(
     x0_std: ArrayLike | None = None,
     estimate_x0: bool = False,
     hold: str = "linear",
+    u_middle: Any = None,
     jacobian_every: int = 4,
     max_iterations: int = 60,
     tolerance: float = 1e-2,
@@ -66,6 +67,7 @@ def filter_error(
     x0_std         (nx,) uncertainty of x0; default: as wide as the outputs' own spread, so that x0 matters little
     estimate_x0    estimate the initial states too (one set a segment); x0_std then defaults to a thousandth
     hold           "linear" (measured surfaces, inputs interpolated between samples) or "zoh" (commands held)
+    u_middle       (n-1, nu), or a list: inputs half-way between samples where they are known better than by `hold`
     jacobian_every renew the filter's Jacobians at every so many samples (default 4: a tenth of a second at 40 Hz;
                    1 renews them at every sample)
 
@@ -80,7 +82,7 @@ def filter_error(
         raise ValueError(f"jacobian_every is {jacobian_every!r}; give a whole number of samples, 1 or more")
     if hold not in ("linear", "zoh"):
         raise ValueError(f'hold is {hold!r}; allowed are "linear" and "zoh"')
-    record, initial = read_record(x0, u, z, t, hold == "zoh")
+    record, initial = read_record(x0, u, z, t, hold == "zoh", u_middle)
     _n, m, segments = record.z.shape
     nx = initial.shape[0]
     counts = np.isfinite(record.z).sum(axis=(0, 2))

@@ -45,16 +45,20 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     parser.set_defaults(handler=_run)
 
 
-def add_flight_arguments(parser: argparse.ArgumentParser, many: bool) -> None:
-    """Arguments that identify and compare share."""
-    parser.add_argument("aircraft", metavar="AIRCRAFT", help="name under aircraft/ or a folder")
+def add_flight_arguments(
+    parser: argparse.ArgumentParser, many: bool, replay: bool = True, aircraft: bool = True, out: bool = True
+) -> None:
+    """Arguments that commands on flights share; those of a replay, the aircraft and --out only where asked for."""
+    if aircraft:
+        parser.add_argument("aircraft", metavar="AIRCRAFT", help="name under aircraft/ or a folder")
     parser.add_argument(
         "--flight", type=Path, nargs="+" if many else None, action="extend" if many else "store", required=True,
         metavar="FILE", help="flight record (.parquet, .csv) or any log that `log import` reads" + ("; repeatable" if many else ""),
     )  # fmt: skip
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the results, made if need be"
-    )
+    if out:
+        parser.add_argument(
+            "--out", type=Path, required=True, metavar="DIR", help="folder for the results, made if need be"
+        )
     parser.add_argument("--map", type=Path, metavar="MAP.toml", help="signal map of your own for logs")
     parser.add_argument(
         "--manoeuvres",
@@ -66,6 +70,8 @@ def add_flight_arguments(parser: argparse.ArgumentParser, many: bool) -> None:
         "--servos", choices=("card", "ideal"), default="card",
         help="commands go through the aircraft's actuators, or surfaces and throttle follow them at once (default %(default)s)",
     )  # fmt: skip
+    if not replay:
+        return
     parser.add_argument(
         "--biases", metavar="C,C", help="channels with a constant sensor bias to estimate, or none (default p,q,r)"
     )
@@ -123,7 +129,7 @@ def _run(args: argparse.Namespace) -> int:
             f"--out {args.out}: the folder {args.out.absolute().parent} does not exist; create it first"
         )
     # Imported here: scipy and pandas take a second that --help should not pay.
-    from uqharness.flights import read_flights
+    from uqharness.flights import file_hash, read_flights
     from uqharness.identify import BIASES, identify
     from uqharness.identify_report import write_results
 
@@ -133,7 +139,8 @@ def _run(args: argparse.Namespace) -> int:
         ideal_servos=args.servos == "ideal", method=args.method, workers=args.workers,
     )  # fmt: skip
     out = results_folder(args.out)
-    document = write_results(found, aircraft, [p.name for p in args.flight], _command(args), out)
+    hashes = [file_hash(p) for p in args.flight]
+    document = write_results(found, aircraft, [p.name for p in args.flight], _command(args), out, hashes)
     if not args.no_figures:
         _figures(found, out)
     if args.json:

@@ -112,9 +112,11 @@ def _factor(card: Card, control: str) -> float:
         return 1.0
     if control == "throttle":
         return 0.01
+    if (throw := card.inputs[control].throw_deg) is not None:
+        return 1.0 / throw
     raise BadInputError(
         f"[inputs.{control}] is normalised (limits {limits}) and a record is in degrees: nothing says what throw 1 means; "
-        "give the card a property in deg or rad"
+        "give the card a property in deg or rad, or throw_deg"
     )
 
 
