@@ -68,15 +68,13 @@ def test_a_stock_aircraft_goes_through_a_campaign_to_a_pbox(flown):
     assert list(frame.columns[-4:]) == list(UNCOMMANDED_METRICS)
     assert frame[["altitude_max_m", "speed_max_mps", "heading_max_deg"]].gt(0.0).all().all()
     assert frame["load_factor_max"].between(1.0, 2.0).all()
-    # There is no path: cross-track and excursions are undefined, with one reason, and no row of a rate.
-    assert frame[["cross_track_median_m", "excursions_15m"]].isna().all().all()
-    assert frame["reason"].str.contains("cross_track: no path is commanded").all()
-    assert pd.read_csv(folder / "out" / "excursions.csv").empty
+    # The path is the straight line it began on.
+    assert frame["cross_track_max_m"].gt(0.01).all()
+    assert (frame["excursions_15m"] == 0).all()
     metrics = set(read_table(folder / "out" / "pbox.parquet").to_pandas()["metric"])
-    assert {"heading_median_deg", "load_factor_max", "altitude_max_m"} <= metrics
-    assert "cross_track_max_m" not in metrics
+    assert {"heading_median_deg", "load_factor_max", "altitude_max_m", "cross_track_max_m"} <= metrics
     report = write_report(folder / "out")
-    assert "No path was commanded: errors are deviations from where scoring began." in report.verdict
+    assert "Nothing was commanded: errors are deviations from the state in which scoring began." in report.verdict
     assert any("heading" in path.name for path in report.figures)
 
 
@@ -88,6 +86,7 @@ def test_it_begins_in_trim_and_stays_there_in_still_air(flown, wind_mps):
     (case,) = build_cases(replace(spec, aleatory=calm), mission)
     result = fly(replace(case.flight, duration_s=10.0))
     assert result.metrics["altitude_max_m"] < 0.2
+    assert result.metrics["cross_track_max_m"] < 0.2
     assert result.metrics["speed_max_mps"] < 0.02
     assert result.metrics["heading_max_deg"] < 0.05
     assert result.metrics["load_factor_max"] == pytest.approx(1.0, abs=0.02)
@@ -156,6 +155,16 @@ def test_deviations_by_hand():
     assert result.metrics["heading_max_deg"] == pytest.approx(np.rad2deg(0.1))
     assert result.metrics["load_factor_max"] == 1.5
     assert result.metrics["loss_of_control"] == 0.0
+    # Nothing says that this flight is to go straight on.
+    assert result.undefined["cross_track"] == "no path is commanded"
+    assert "excursions_15m" not in result.metrics
+    straight = np.column_stack([rows, [0.0, 10.0, 20.0], [0.0, 10.0, 52.0], [5.0, 0.0, 0.0], [5.0, 9.0, 9.0]])
+    onwards = score_from_start(
+        SPEC, Recorded([*names, "north_m", "east_m", "vn_mps", "ve_mps"], straight, "ok", "", 3.0)
+    )
+    # Began towards the north-east; 52 m east and 20 m north lies 32/sqrt(2) m to the right of that line.
+    assert onwards.metrics["cross_track_max_m"] == pytest.approx(32.0 / np.sqrt(2.0))
+    assert (onwards.metrics["excursions_15m"], onwards.metrics["excursions_25m"]) == (1.0, 0.0)
     broken = score_from_start(SPEC, Recorded(names, rows, "crashed", "hit the ground", 3.0))
     assert np.isnan(broken.metrics["altitude_max_m"])
     assert broken.undefined["altitude"] == "hit the ground"
@@ -168,3 +177,26 @@ def test_the_folder_of_another_start_is_refused(flown):
     with pytest.raises(BadInputError, match=r"\[start\] V_mps was 55.0, is 56.0"):
         run_campaign(faster, folder / "out", executor=SerialExecutor(), fly=fly)
     assert Path(folder / "out" / CASES).is_file()
+
+
+def test_a_stock_cessna_by_the_documented_commands_alone(tmp_path, capsys):
+    mine = tmp_path / "my-c172"
+    assert main(["instrument", "c172p", "--out", str(mine), "--constant", "CX=0.01,Cm=0.01", "--no-check"]) == 0
+    text = CAMPAIGN.replace('"c172p"', '"my-c172"').replace("flights = 2", "flights = 1")
+    text = text.replace("wind_mps = [0, 4]", "wind_mps = 3").replace(
+        'method = "none"', 'method = "corners"\ncoefficients = ["CX", "Cm"]'
+    )
+    campaign, out = write(tmp_path, text), tmp_path / "out"
+    assert main(["campaign", "run", str(campaign), "--out", str(out), "--serial"]) == 0
+    assert main(["campaign", "report", str(out)]) == 0
+    frame = read_table(out / CASES).to_pandas().set_index("epistemic_id")
+    assert list(frame.index) == ["0---0-", "0---1-", "1---0-", "1---1-"]
+    # More drag (CX low) is slower; a nose-up delta climbs: each corner is another flight, in the same air.
+    assert frame["speed_max_mps"].nunique() == frame["altitude_max_m"].nunique() == 4
+    assert frame["seed"].nunique() == 1
+    pbox = read_table(out / "pbox.parquet").to_pandas()
+    width = pbox[pbox["metric"] == "altitude_max_m"]
+    assert (width["upper"] - width["lower"]).max() == 1.0
+    case = frame["case_id"].iloc[3]
+    assert main(["campaign", "rerun", str(out), "--case", case, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["same_as_stored"] is True

@@ -58,6 +58,9 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         "--hours", type=float, metavar="H", help="flight hours per corner and condition, in place of [aleatory] flights"
     )
     run.add_argument(
+        "--samples", type=int, metavar="N", help="epistemic samples to draw, in place of [epistemic] samples"
+    )
+    run.add_argument(
         "--start-method",
         choices=("spawn", "forkserver", "fork"),
         default="spawn",
@@ -104,6 +107,8 @@ def _run(args: argparse.Namespace) -> int:
     spec = read_campaign(args.campaign)
     if args.hours is not None:
         spec = spec.with_hours(args.hours)
+    if args.samples is not None:
+        spec = spec.with_samples(args.samples)
     workers = usable_cores() if args.workers is None else args.workers
     executor: Executor = SerialExecutor() if args.serial else ProcessExecutor(workers, args.start_method)
     try:
@@ -130,6 +135,8 @@ def _command_line(args: argparse.Namespace) -> str:
     words = ["uqharness", "campaign", "run", str(args.campaign), "--out", str(args.out)]
     if args.hours is not None:
         words += ["--hours", f"{args.hours:g}"]
+    if args.samples is not None:
+        words += ["--samples", str(args.samples)]
     if args.shard is not None:
         words += ["--shard", args.shard]
     return shlex.join(words)

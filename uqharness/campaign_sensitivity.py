@@ -36,7 +36,11 @@ class Flown:
 
     @property
     def coefficients(self) -> tuple[str, ...]:
-        return tuple(self.manifest["campaign"]["epistemic"]["coefficients"])
+        """Uncertain coefficients, then variables whose mean is uncertain: each has a column of levels."""
+        campaign = self.manifest["campaign"]
+        variables = campaign["aleatory"].get("variables", {})
+        means = [name for name, item in variables.items() if isinstance(item.get("mean"), list)]
+        return (*campaign["epistemic"]["coefficients"], *means)
 
     @property
     def levels(self) -> Array:
@@ -68,6 +72,11 @@ def read_corner_campaign(folder: Path) -> Flown:
         raise BadInputError(
             f'{folder}: not a corner campaign ({found}); sensitivity compares corners: fly one with method = "corners", '
             'or "levels" that include 0 and 1'
+        )
+    if "parameters" in epistemic:
+        raise BadInputError(
+            f"{folder}: each of its corners was flown with several draws of [epistemic.parameters], which are no corners; "
+            "fly one without that section"
         )
     return flown
 

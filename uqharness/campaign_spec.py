@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
 
 from uqharness.campaign_inputs import CampaignInputs, read_inputs
-from uqharness.epistemic_spec import EpistemicSection
+from uqharness.epistemic_spec import MOST_SAMPLES, EpistemicSection
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import DEFAULT_TURBULENCE_SOURCE
 from uqharness.spec_sections import Number, Section, Turbulence, listed
@@ -134,6 +134,17 @@ class CampaignSpec:
     def with_flights(self, flights: int) -> CampaignSpec:
         """The same campaign with another number of flights per corner and condition."""
         return dataclasses.replace(self, aleatory=self.aleatory.model_copy(update={"flights": flights}))
+
+    def with_samples(self, samples: int) -> CampaignSpec:
+        """The same campaign with another number of drawn epistemic samples. Raises BadInputError where none are drawn."""
+        if self.epistemic.samples is None:
+            raise BadInputError(
+                f'--samples {samples}: {self.path} draws no epistemic samples (method = "{self.epistemic.method}"), '
+                "so their number cannot be changed"
+            )
+        if not 1 <= samples <= MOST_SAMPLES:
+            raise BadInputError(f"--samples {samples}: must be from 1 to {MOST_SAMPLES}")
+        return dataclasses.replace(self, epistemic=self.epistemic.model_copy(update={"samples": samples}))
 
 
 def read_campaign(path: str | Path) -> CampaignSpec:

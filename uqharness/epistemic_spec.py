@@ -13,7 +13,7 @@ from uqharness.toml_errors import as_toml
 SAMPLED = ("lhs", "white", "walk")
 """Methods that draw ``samples`` epistemic samples; the others list theirs."""
 
-_MANY = 1_000_000
+MOST_SAMPLES = 1_000_000
 
 
 class ParametersSection(Section):
@@ -52,7 +52,7 @@ class EpistemicSection(Section):
     coefficients: Annotated[tuple[Coefficient, ...], BeforeValidator(tupled)] = COEFFICIENTS  # type: ignore[assignment]
     bounds: dict[Coefficient, tuple[Number, Number]] | str | None = None
     levels: tuple[Number, ...] | None = None
-    samples: int | None = Field(default=None, ge=1, le=_MANY)
+    samples: int | None = Field(default=None, ge=1, le=MOST_SAMPLES)
     walk_rate_per_sqrt_s: dict[Coefficient, Number] | None = None
     parameters: ParametersSection | None = None
 

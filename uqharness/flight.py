@@ -57,8 +57,9 @@ def fly(spec: FlightSpec) -> FlightResult:
     Raises BadInputError for what cannot start: unknown aircraft, script or property, impossible values.
     """
     mission = staged_mission(spec)
-    from_start = MARK in mission.script.run_properties or not mission.aircraft.card.metrics
-    signals = from_start_signals() if from_start else commanded_signals(mission.aircraft)
+    steady = MARK in mission.script.run_properties
+    from_start = steady or not mission.aircraft.card.metrics
+    signals = from_start_signals(steady) if from_start else commanded_signals(mission.aircraft)
     signals |= {"phi_rad": Source("attitude/phi-rad"), "alpha_rad": Source("aero/alpha-rad")}
     recorded = record_mission(mission, spec, signals, optional={"extrapolated": Source("uq/extrapolated")})
     return score_from_start(spec, recorded) if from_start else score_commanded(spec, recorded)
@@ -214,6 +215,10 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
         north, east = fdm["ic/vn-fps"], fdm["ic/ve-fps"]
         fdm["ic/vn-fps"] = north + spec.wind_mps * math.cos(toward) / FT
         fdm["ic/ve-fps"] = east + spec.wind_mps * math.sin(toward) / FT
+        if not with_air:
+            # Set after the velocity over the ground, which it then leaves alone; JSBSim's direction is where the wind blows to.
+            fdm["ic/vw-dir-deg"] = math.degrees(toward)
+            fdm["ic/vw-mag-fps"] = spec.wind_mps / FT
 
 
 def set_wind_without_air(fdm: Any, spec: FlightSpec) -> None:

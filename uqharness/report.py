@@ -192,7 +192,7 @@ def _verdict(
     duration = campaign["aleatory"]["duration_s"]
     sentences = [f"Hardest condition flown: {hardest.words}."]
     if UNCOMMANDED_METRICS[0] in frame:
-        sentences.append("No path was commanded: errors are deviations from where scoring began.")
+        sentences.append("Nothing was commanded: errors are deviations from the state in which scoring began.")
     for quantity, _, _ in _QUANTITIES:
         both = [item for item in findings if item.condition == hardest and item.quantity == quantity]
         if both:

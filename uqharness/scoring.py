@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from uqharness.aircraft import Aircraft
 from uqharness.flight_spec import FlightResult, FlightSpec
 from uqharness.loiter_metrics import absolute_statistics, count_excursions, lost_control
-from uqharness.properties import STANDARD, Source
+from uqharness.properties import FT, STANDARD, Source
 
 _STATISTICS = ("median", "mean", "max")
 _UNITS: Mapping[str, str] = {"cross_track": "m", "altitude": "m", "speed": "mps"}
@@ -39,10 +39,14 @@ def commanded_signals(aircraft: Aircraft) -> dict[str, Source]:
     }
 
 
-def from_start_signals() -> dict[str, Source]:
-    """What deviations from the start are made of; any JSBSim aircraft has it."""
+def from_start_signals(straight: bool) -> dict[str, Source]:
+    """What deviations from the start are made of; any JSBSim aircraft has it. ``straight``: the flight is to go straight on."""
     names = {"height_m": "h_m", "V_mps": "V_mps", "psi_rad": "psi_rad"}
-    return {ours: STANDARD[theirs] for ours, theirs in names.items()} | {"load_factor": Source("accelerations/Nz")}
+    table = {ours: STANDARD[theirs] for ours, theirs in names.items()} | {"load_factor": Source("accelerations/Nz")}
+    if straight:
+        table |= {f"{axis}_m": Source(f"position/from-start-neu-{axis[0]}-ft", FT) for axis in ("north", "east")}
+        table |= {name: STANDARD[name] for name in ("vn_mps", "ve_mps")}
+    return table
 
 
 def score_commanded(spec: FlightSpec, recorded: Recorded) -> FlightResult:
@@ -75,26 +79,49 @@ def score_commanded(spec: FlightSpec, recorded: Recorded) -> FlightResult:
 def score_from_start(spec: FlightSpec, recorded: Recorded) -> FlightResult:
     """Deviations of height, speed and heading from where scoring begins, and the largest load factor.
 
-    There is no path, so cross-track errors and excursions are undefined; loss of control is judged by bank and incidence.
+    A flight that is to go straight on has a path, the line on which scoring began; any other has none, and its cross-track errors
+    and excursions are undefined. Loss of control is judged by bank and incidence.
     """
     metrics: dict[str, float] = {}
-    undefined = {"cross_track": "no path is commanded"}
+    undefined: dict[str, str] = {}
     complete = recorded.status == "ok" and recorded.signals["height_m"].size > 0
     psi = np.unwrap(recorded.signals["psi_rad"])
+    cross_track = _cross_track(recorded)
+    if cross_track is None:
+        undefined["cross_track"] = "no path is commanded"
+    else:
+        height = recorded.signals["height_m"]
+        distances = {"": cross_track, "_3d": np.hypot(cross_track, height - height[:1])}
+        for suffix, distance in distances.items():
+            for radius in spec.excursion_radius_m:
+                metrics[f"excursions_{radius:g}m{suffix}"] = float(count_excursions(distance, radius, spec.rearm_m))
     deviations = {
+        **({} if cross_track is None else {"cross_track": (cross_track, "m")}),
         "altitude": (recorded.signals["height_m"], "m"),
         "speed": (recorded.signals["V_mps"], "mps"),
         "heading": (np.rad2deg(psi), "deg"),
     }
     for key, (values, unit) in deviations.items():
         names = [f"{key}_{kind}_{unit}" for kind in _STATISTICS]
-        statistics = absolute_statistics(values - values[0]) if complete else (math.nan,) * 3
+        statistics = absolute_statistics(values - values[:1]) if complete else (math.nan,) * 3
         metrics |= dict(zip(names, statistics, strict=True))
     # 1 in level flight.
     metrics[LOAD_FACTOR] = float(np.max(recorded.signals["load_factor"])) if complete else math.nan
     if not complete:
         undefined |= dict.fromkeys((*deviations, LOAD_FACTOR), recorded.reason)
     return _result(recorded, metrics, undefined, np.zeros(0))
+
+
+def _cross_track(recorded: Recorded) -> NDArray[np.float64] | None:
+    """(n,) [m] distance from the line on which scoring began, + to the right; None where the flight is not to go straight on."""
+    if "north_m" not in recorded.signals:
+        return None
+    north, east, vn, ve = (recorded.signals[name] for name in ("north_m", "east_m", "vn_mps", "ve_mps"))
+    if north.size == 0:
+        return north
+    speed = math.hypot(vn[0], ve[0])
+    track: NDArray[np.float64] = ((east - east[0]) * vn[0] - (north - north[0]) * ve[0]) / speed
+    return track
 
 
 def _result(
