@@ -1,7 +1,7 @@
 """How far flight data lie outside a p-box: the area metric of Oberkampf and Roy (2010, section 12.8), with its unit.
 
-d = integral over x of the distance of the flights' empirical distribution function from the interval [lower(x), upper(x)]: 0 where the
-flights could be drawn from within, else the area by which they could not, in the metric's own unit. Pure: arrays in, numbers out.
+d = integral over x of the distance of the flights' empirical distribution function from the interval [lower(x), upper(x)]: 0 where
+the flights could be drawn from within, else the area by which they could not, in the metric's unit. Pure: arrays in, numbers out.
 """
 
 from __future__ import annotations
@@ -10,25 +10,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uqharness.pbox import Array, PBox, ecdf
+from uqharness.pbox import Array, PBox, band_half_width, ecdf
 
 
 @dataclass(frozen=True)
 class AreaMetric:
     """``area`` outside the p-box, of which ``below`` lies at values smaller than the model allows and ``above`` at larger ones.
 
-    ``area_band`` is the same against the band: what remains when chance in the campaign's own flights is allowed for.
+    ``beyond_chance`` is what remains when chance is allowed for on both sides: the p-box's band, and as many flights as were flown.
+    Above 0 the flights contradict the p-box; at 0 they may agree, or be too few to say.
     """
 
     area: float
     below: float
     above: float
-    area_band: float
+    beyond_chance: float
     flights: int
 
 
-def area_metric(box: PBox, values: Array) -> AreaMetric:
-    """Area metric of flight ``values`` (n,) in the p-box's unit. ValueError for none, or one that is not finite."""
+def area_metric(box: PBox, values: Array, confidence: float = 0.95) -> AreaMetric:
+    """Area metric of flight ``values`` (n,) in the p-box's unit; ``confidence`` is of the flights' own band.
+
+    ValueError for no value, or one that is not finite.
+    """
     if values.size == 0 or not np.all(np.isfinite(values)):
         raise ValueError("the area metric needs at least one flight, and finite values")
     at = np.unique(np.concatenate([box.value, values]))
@@ -44,5 +48,6 @@ def area_metric(box: PBox, values: Array) -> AreaMetric:
     above = float(widths @ np.maximum(steps(box.lower) - share, 0.0))
     # Below the first value flown nothing is known but how few flights there were.
     open_band = np.concatenate([[box.band_upper[0]], box.band_upper])[row]
-    band = float(widths @ (np.maximum(share - open_band, 0.0) + np.maximum(steps(box.band_lower) - share, 0.0)))
-    return AreaMetric(below + above, below, above, band, int(values.size))
+    chance = band_half_width(values.size, 1, confidence)
+    beyond = np.maximum(share - chance - open_band, 0.0) + np.maximum(steps(box.band_lower) - share - chance, 0.0)
+    return AreaMetric(below + above, below, above, float(widths @ beyond), int(values.size))

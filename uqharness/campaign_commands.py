@@ -10,6 +10,8 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from uqharness import campaign_studies_command
+
 if TYPE_CHECKING:
     from uqharness.campaign import CampaignSummary
 
@@ -82,6 +84,7 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     rerun.add_argument("folder", type=Path, metavar="DIR", help="campaign folder")
     rerun.add_argument("--case", required=True, metavar="ID", help="case id, or the beginning of one")
     rerun.set_defaults(handler=_rerun)
+    campaign_studies_command.register(verbs)
 
 
 def _verb(verbs: Any, name: str, text: str, example: str) -> argparse.ArgumentParser:

@@ -2,8 +2,8 @@
 
 Aleatory: the flights are cut into repeats, consecutive in aleatory id and so independent, as if the campaign had been flown several
 times with other seeds (Hale 2016, Fig 3.5); their distribution functions should lie together. Epistemic: the p-box of a part of the
-samples, drawn at random, against that of all; samples are exchangeable, so at any value one more has a chance of at most 2/(m + 1) to
-lie outside the envelope of m, however they were drawn from one law. Pure: arrays in, tables out.
+samples, drawn at random, against that of all; independent draws from one law are exchangeable, so at any value one more has a
+chance of at most 2/(m + 1) to lie outside the envelope of m. Pure: arrays in, tables out.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from uqharness.pbox import Array, band_half_width, ecdf
 class Repeats:
     """``repeats`` times ``flights`` flights of one epistemic sample: how far apart their distribution functions lie.
 
-    ``distance`` is the largest between any two, ``expected`` what it stays below in 95 of 100 studies where the flights are independent
-    draws; ``medians`` (repeats,) and ``means`` in the metric's unit; ``curves`` (repeats, flights) sorted values.
+    ``distance`` is the largest between any two, ``expected`` what it stays below in 95 of 100 studies of independent draws;
+    ``medians`` (repeats,) in the metric's unit; ``curves`` (repeats, flights) sorted values, inf for failed flights.
     """
 
     repeats: int
@@ -30,7 +30,6 @@ class Repeats:
     distance: float
     expected: float
     medians: Array
-    means: Array
     curves: Array
 
 
@@ -57,7 +56,12 @@ def repeats(values: Array, number: int, confidence: float = 0.95) -> Repeats:
     distance = max(_distance(first, second) for first, second in itertools.combinations(curves, 2))
     # Two repeats differ by no more than the sum of their distances from the truth, which one band bounds for all at once.
     expected = min(1.0, 2.0 * band_half_width(flights, number, confidence))
-    return Repeats(number, flights, distance, expected, np.median(curves, axis=1), curves.mean(axis=1), curves)
+    return Repeats(number, flights, distance, expected, _median(curves), curves)
+
+
+def _median(curves: Array) -> Array:
+    middle = curves.shape[1] // 2
+    return curves[:, middle] if curves.shape[1] % 2 else 0.5 * (curves[:, middle - 1] + curves[:, middle])
 
 
 def _distance(first: Array, second: Array) -> float:
@@ -66,8 +70,9 @@ def _distance(first: Array, second: Array) -> float:
 
 
 def growth(samples: Sequence[Array], seed: int, draws: int = 40) -> list[Growth]:
-    """P-box area against the number of epistemic samples, doubling up to all; ``samples`` are known values of each (any length > 0)."""
+    """P-box area against the number of epistemic samples, doubling up to all; ``samples`` are the flights' values of each."""
     at = np.unique(np.concatenate(list(samples)))
+    at = at[np.isfinite(at)]
     if at.size > 512:
         at = at[np.unique(np.linspace(0, at.size - 1, 512).round().astype(int))]
     curves = np.array([ecdf(np.sort(values), at) / values.size for values in samples])

@@ -1,0 +1,92 @@
+"""A campaign's p-boxes against flights that were really flown: area metric per metric and condition."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from uqharness.area_metric import AreaMetric, area_metric
+from uqharness.campaign_manifest import read_manifest
+from uqharness.campaign_rounds import band_confidence
+from uqharness.campaign_tables import CONFIDENCE, Condition, in_condition, pboxes
+from uqharness.case_table import CASES, read_table
+from uqharness.errors import BadInputError
+
+AREAS = "area.csv"
+_WHERE = ("wind_mps", "turbulence")
+_COLUMNS = ("metric", "condition", "flights", "area", "area_below", "area_above", "beyond_chance", "verdict")
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Flights against the p-box of one metric in one condition."""
+
+    metric: str
+    condition: Condition
+    found: AreaMetric
+
+    @property
+    def verdict(self) -> str:
+        return "outside" if self.found.beyond_chance > 0.0 else "no contradiction"
+
+
+def read_flights(path: Path | None, values: Mapping[str, float]) -> pd.DataFrame:
+    """Table of flights, one row each: columns named as in cases.parquet, wind_mps and turbulence if they are known.
+
+    ``values`` make one flight more. Raises BadInputError.
+    """
+    frames = [pd.DataFrame([values])] if values else []
+    if path is not None:
+        try:
+            frames.append(pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path))
+        except (OSError, ValueError) as error:
+            raise BadInputError(f"{path}: cannot be read as a table of flights: {error}") from None
+    if not frames or all(frame.empty for frame in frames):
+        raise BadInputError("no flight to compare: give --flight FILE.csv|.parquet, or --value METRIC=NUMBER")
+    return pd.concat(frames, ignore_index=True)
+
+
+def compare(folder: Path, flights: pd.DataFrame) -> list[Compared]:
+    """Compare every metric that both have, in every condition; a flight with a condition of its own in that one. BadInputError."""
+    manifest = read_manifest(folder)
+    if manifest["state"] != "complete":
+        raise BadInputError(f"{folder}: the campaign is not complete; finish it first with: {manifest['command']}")
+    frame = read_table(folder / CASES).to_pandas()
+    confidence = band_confidence(manifest["campaign"], CONFIDENCE)
+    found, known = [], set()
+    for metric, condition, box in pboxes(frame, confidence):
+        known.add(metric)
+        rows = _there(flights, condition)
+        if metric in rows:
+            values = pd.to_numeric(rows[metric], errors="coerce").to_numpy(dtype=float)
+            values = values[np.isfinite(values)]
+            if values.size:
+                found.append(Compared(metric, condition, area_metric(box, values, CONFIDENCE)))
+    if not found:
+        raise BadInputError(
+            f"{folder}: the flights have no metric of this campaign in a condition it flew; columns are "
+            f"{', '.join(map(str, flights.columns))}, wanted is one of {', '.join(sorted(known))}"
+        )
+    return found
+
+
+def _there(flights: pd.DataFrame, condition: Condition) -> pd.DataFrame:
+    return in_condition(flights, condition) if all(name in flights for name in _WHERE) else flights
+
+
+def table(found: Sequence[Compared]) -> bytes:
+    """area.csv."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    for item in found:
+        part = item.found
+        numbers = [f"{value:.6g}" for value in (part.area, part.below, part.above, part.beyond_chance)]
+        writer.writerow([item.metric, item.condition.label, part.flights, *numbers, item.verdict])
+    return buffer.getvalue().encode()
