@@ -222,6 +222,9 @@ def test_rules_that_say_how_many_flights_there_are(tmp_path):
     band = read(tmp_path, text + '\n[stop]\nrule = "band-width"\nband_width = 0.1\n')
     flights = band.aleatory.flights
     assert band_half_width(flights, 64, 0.95) <= 0.1 < band_half_width(flights - 1, 64, 0.95)
+    walks = text.replace('"corners"', '"walk"\nsamples = 8\nwalk_rate_per_sqrt_s = 0.01')
+    few = read(tmp_path, walks + '\n[stop]\nrule = "band-width"\nband_width = 0.1\n')
+    assert few.aleatory.flights < few.with_samples(64).aleatory.flights == flights
     with pytest.raises(BadInputError, match="says how much is flown"):
         band.with_hours(3.0)
     # As a manifest holds them they mean the same.

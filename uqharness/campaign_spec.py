@@ -21,7 +21,7 @@ from uqharness.errors import BadInputError
 from uqharness.flight_spec import DEFAULT_TURBULENCE_SOURCE
 from uqharness.spec_sections import Number, Section, Turbulence, listed
 from uqharness.start_spec import STEADY, StartSection
-from uqharness.stop_spec import StopSection, settled, without_flights
+from uqharness.stop_spec import StopSection, planned, settled, without_flights
 from uqharness.toml_errors import explain
 from uqharness.variables_spec import VariableSection
 
@@ -144,7 +144,7 @@ class CampaignSpec:
             )
         if not 1 <= samples <= MOST_SAMPLES:
             raise BadInputError(f"--samples {samples}: must be from 1 to {MOST_SAMPLES}")
-        return dataclasses.replace(self, epistemic=self.epistemic.model_copy(update={"samples": samples}))
+        return planned(dataclasses.replace(self, epistemic=self.epistemic.model_copy(update={"samples": samples})))
 
 
 def read_campaign(path: str | Path) -> CampaignSpec:

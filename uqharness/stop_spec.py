@@ -76,13 +76,18 @@ def settled(spec: CampaignSpec, stated: bool) -> CampaignSpec:
     Raises BadInputError, with the line, where the two differ and where [stop] and [metrics] do not belong together.
     """
     _agree_with_metrics(spec)
-    planned, said = _planned(spec)
-    if stated and planned.aleatory.flights != spec.aleatory.flights:
+    found, said = _planned(spec)
+    if stated and found.aleatory.flights != spec.aleatory.flights:
         raise BadInputError(
             f"{spec.path}:{line_of(spec.source, ('aleatory', 'flights'))}: [aleatory] flights = {spec.aleatory.flights}, but "
-            f"[stop] {said} asks for {planned.aleatory.flights}; leave [aleatory] flights out"
+            f"[stop] {said} asks for {found.aleatory.flights}; leave [aleatory] flights out"
         )
-    return planned
+    return found
+
+
+def planned(spec: CampaignSpec) -> CampaignSpec:
+    """The campaign with the number of flights its rule asks for, after something that bears on it has been changed."""
+    return _planned(spec)[0]
 
 
 def _agree_with_metrics(spec: CampaignSpec) -> None:
