@@ -82,6 +82,8 @@ def test_status_of_complete_running_and_interrupted(flown, capsys):
     write_manifest(out, read_manifest(out) | {"state": "running", "cases": 200})
     assert call("status", out, "--json") == 1
     found = json.loads(capsys.readouterr().out)
+    (answer,) = found.pop("answers")
+    assert (answer["condition"], answer["answer"], answer["hours"]) == ("3 m/s moderate", "open", 8.0)
     assert found == {"state": "interrupted", "cases": 200, "done": 192, "failed": 0, "statuses": {"ok": 192}}
     assert call("status", out) == 1
     assert "resume with: uqharness campaign run" in capsys.readouterr().err

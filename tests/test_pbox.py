@@ -105,13 +105,13 @@ def test_the_band_covers_the_true_envelope_of_all_corners():
 
 
 def test_the_band_covers_the_true_envelope_also_when_the_worst_flights_fail():
-    """Flights beyond 0.9 of their range diverge and have no metric: what they would have had lies within all the same."""
+    """The worse half of the flights diverges and has no metric: what it would have had lies within all the same."""
     generator = np.random.default_rng(43)
     shifts = np.linspace(0.0, 0.35, 4)
     flights, campaigns, covered, dropped = 40, 400, 0, 0
     for _ in range(campaigns):
         common = generator.random(flights)
-        known = [common[common < 0.9] + shift for shift in shifts]
+        known = [common[common < 0.5] + shift for shift in shifts]
         boxes = [pbox([sample(str(s), values, unknown) for s, values, unknown in zip(shifts, known, lost, strict=True)])
                  for lost in ([flights - values.size for values in known], [0] * 4)]  # fmt: skip
         inside = []
@@ -121,7 +121,8 @@ def test_the_band_covers_the_true_envelope_also_when_the_worst_flights_fail():
         covered += inside[0]
         dropped += inside[1]
     assert covered / campaigns >= 0.95
-    assert dropped <= covered
+    # Counter-case: had the failed ones been dropped.
+    assert dropped == 0
 
 
 def test_every_corner_is_within_the_band_at_once_which_needs_bonferroni():
