@@ -19,11 +19,12 @@ from uqharness.campaign import run_campaign
 from uqharness.campaign_spec import read_campaign
 from uqharness.case_table import CASES, read_table
 from uqharness.cases import Mission, build_cases
+from uqharness.cli import main
 from uqharness.epistemic import epistemic_samples
 from uqharness.errors import BadInputError
 from uqharness.executor import SerialExecutor
 from uqharness.flight import record_mission
-from uqharness.flight_spec import COEFFICIENTS, LevelDriver
+from uqharness.flight_spec import COEFFICIENTS, FlightResult, LevelDriver
 from uqharness.mission import StagedMission
 from uqharness.model_form_xml import model_form_xml
 from uqharness.properties import Source
@@ -234,6 +235,30 @@ def test_an_unknown_mean_is_an_epistemic_input_with_corners(tmp_path):
     assert [case.epistemic_id for case in nominal[:2]] == ["nominal+0", "nominal+1"]
     lhs = epistemic_samples(campaign(tmp_path, f'method = "lhs"\nsamples = 8\n{BOUNDS}', variables("[19, 22]")))
     assert sorted(np.floor([8 * item.means["load/kg"] for item in lhs])) == list(range(8))
+
+
+def heavy(spec):
+    """Errors that follow the load, and CX a little."""
+    draw = np.random.default_rng([spec.seed_turbulence])
+    size = spec.properties["load/kg"] + 0.1 * spec.properties["uq/CX/level"]
+    metrics = {name: size * float(draw.gamma(40.0)) for name in fakes.ERROR_METRICS}
+    metrics |= dict.fromkeys([*fakes.EXCURSIONS, "loss_of_control"], 0.0)
+    return FlightResult("ok", "", spec.burn_in_s + spec.duration_s, metrics, {}, {})
+
+
+def test_an_unknown_mean_takes_its_place_among_the_sensitivities(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("uqharness.campaign.validate_model", lambda fly, case: None)
+    head = variables("[19, 22]").replace("std = 0.5", "std = 0.01").replace("flights = 3", "flights = 20")
+    epistemic = 'method = "corners"\ncoefficients = ["CX"]\nbounds = { CX = 0.008 }\n'
+    spec = campaign(tmp_path, epistemic, head)
+    run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=heavy, mission=mission(tmp_path))
+    assert main(["sensitivity", str(tmp_path / "out"), "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)["sensitivity"].values()
+    indices = found["altitude_median_m"]["indices"]
+    assert set(indices) == {"CX", "load/kg"}
+    # The error is proportional to load + 0.1 level, and the load's mean moves by 3: shares of the p-box's width 3/3.1 and 0.1/3.1.
+    assert indices["load/kg"]["value"] == pytest.approx([3.0 / 3.1] * 2)
+    assert indices["CX"]["value"] == pytest.approx([0.1 / 3.1] * 2)
 
 
 def test_one_property_cannot_be_random_and_unknown_at_once(tmp_path):
