@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import shutil
 
 import numpy as np
@@ -329,6 +330,25 @@ def test_the_bounds_of_a_file_fly_in_a_copy_of_the_aircraft(tmp_path, bounded, m
     model_form(tmp_path / "model-form.json", confidence=0.68)
     with pytest.raises(BadInputError, match="content of the file named as bounds"):
         run_campaign(read_campaign(tmp_path / "campaign.toml"), out, executor=executor, fly=spy)
+
+
+def test_a_plugin_without_switches_has_its_certain_bounds_set_to_zero(tmp_path):
+    folder = tmp_path / "aircraft" / "espaaro"
+    shutil.copytree(PROJECT_ROOT / "aircraft" / "espaaro", folder)
+    system = folder / "Systems" / "model-form.xml"
+    text = re.sub(r"<property[^>]*>uq/C\w/active</property>", "", system.read_text())
+    assert "uq/active" in text
+    system.write_text(text)
+    spec = campaign(tmp_path, 'method = "corners"\ncoefficients = ["CX"]\n', HEAD.replace('"plane"', f'"{folder}"'))
+    flight = build_cases(spec, mission(tmp_path))[1].flight
+    brief = dataclasses.replace(
+        flight, aircraft=folder, script=PROJECT_ROOT / "scripts" / "trim.xml", duration_s=1.0, burn_in_s=0.0, turbulence="none"
+    )
+    signals = {f"{name}_delta": Source(f"uq/{name}/delta") for name in COEFFICIENTS}
+    with StagedMission(find_aircraft(folder), PROJECT_ROOT / "scripts" / "trim.xml") as flown:
+        found = record_mission(flown, brief, signals).signals
+    assert found["CX_delta"] == pytest.approx(0.008)
+    assert all(not found[f"{name}_delta"].any() for name in COEFFICIENTS[1:])
 
 
 def test_bounds_need_the_plugin(tmp_path, bounded):
