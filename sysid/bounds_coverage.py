@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from sysid.residuals import Residuals
 
 FloatArray = NDArray[np.float64]
 LEVELS = (0.95, 0.68)
+BLOCKS = 10
 
 
 @dataclass(frozen=True)
@@ -77,15 +78,30 @@ def share_error(inside: Sequence[FloatArray]) -> float:
     return float(np.sqrt(p * (1.0 - p) * integral_time([v - p for v in inside]) / len(values)))
 
 
+def told_apart(residuals: Residuals) -> Residuals:
+    """The same; pieces that all have one name are given names by the stretch of the flight they lie in."""
+    n = len(residuals.pieces)
+    if len(residuals.labels) != 1 or n < 2:
+        return residuals
+    blocks = [block for block in np.array_split(np.arange(n), min(BLOCKS, n)) if len(block)]
+    named = []
+    for block in blocks:
+        first, last = residuals.pieces[block[0]], residuals.pieces[block[-1]]
+        name = f"{first.label}, {first.time_s[0]:.0f} to {last.time_s[-1]:.0f} s"
+        named += [replace(residuals.pieces[k], label=name) for k in block]
+    return replace(residuals, pieces=tuple(named))
+
+
 def leave_one_out(
     residuals: Residuals, designs: Mapping[str, Design], options: FitOptions, outside: Outside = "grow"
 ) -> dict[str, dict[str, float]]:
     """Manoeuvre -> coefficient -> share of its samples within the bounds that the other manoeuvres give.
 
     A share far below the confidence says that the manoeuvre holds something that the others do not. NaN where the rest is too
-    short for a fit. Empty when there is only one manoeuvre.
+    short for a fit. Where all pieces have one name, BLOCKS stretches of the flight stand for manoeuvres; empty for a single piece.
     """
     out: dict[str, dict[str, float]] = {}
+    residuals = told_apart(residuals)
     if len(residuals.labels) < 2:
         return out
     for label in residuals.labels:

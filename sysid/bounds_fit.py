@@ -27,8 +27,13 @@ LONGITUDINAL = ("V_mps", "alpha_rad", "q_radps", "theta_rad")
 LATERAL = ("V_mps", "beta_rad", "p_radps", "r_radps")
 MIN_SAMPLES_PER_TERM = 2.0
 """Effective samples a term needs; below, the polynomial's order is lowered rather than a residual fitted away."""
-_STILL = {"mps": 0.05, "rad": 1e-4, "radps": 1e-4, "deg": 1e-2, "pct": 0.05}
-"""A state whose deviation is below this, by unit, did not vary: nothing can be said of it, least of all by extrapolation."""
+_STILL = {
+    "V_mps": 0.2, "alpha_rad": 0.002, "beta_rad": 0.002, "phi_rad": 0.006, "theta_rad": 0.006, "p_radps": 0.004,
+    "q_radps": 0.004, "r_radps": 0.004, "throttle_pct": 0.5,
+}  # fmt: skip
+_STILL_SURFACE_DEG = 0.1
+"""A state whose deviation is below this varied hardly more than filtered sensor noise (Table 2.1 of the dissertation): a polynomial
+in it, and above all its growth beyond such data, would be made of noise."""
 _COLLINEAR = 1e-6  # part of a regressor's length that the ones before it must leave
 
 
@@ -69,7 +74,7 @@ def fit_bounds(
 ) -> dict[str, FittedBounds]:
     """Intervals of the coefficients in ``designs`` (default: all six). Raises ValueError: a missing state, too short a flight.
 
-    A state that did not vary in flight is left out with a note: the interval does not depend on it. States are normalised by their
+    Terms in a state that hardly varied are left out with a note; it stays in the hull. States are normalised by their
     mean and deviation over all samples, the same for every coefficient, so that coefficients with the same states share one
     (X'X)^-1.
     """
@@ -81,38 +86,41 @@ def fit_bounds(
         raise ValueError(f"these flights have no {', '.join(missing)} throughout; they have {', '.join(states)}")
     scaling = {}
     for name in wanted:
-        scaling[name] = (float(states[name].mean()), max(float(states[name].std()), 1e-12))
-    return {c: _fit(residuals, c, *_moving(c, d, scaling), scaling, options) for c, d in designs.items()}
+        scaling[name] = (float(states[name].mean()), max(float(states[name].std()), _still(name)))
+    return {c: _fit(residuals, c, d, scaling, options) for c, d in designs.items()}
 
 
 def _moving(
     coefficient: str, design: Design, scaling: Mapping[str, tuple[float, float]]
-) -> tuple[Design, tuple[str, ...]]:
-    """The design without states that stood still, and a note saying so."""
-    still = [s for s in design.states if scaling[s][1] < _STILL[s.rsplit("_", 1)[1]]]
+) -> tuple[tuple[Term, ...] | None, tuple[str, ...]]:
+    """Terms without states that stood still (None: all orders are open), and a note saying so."""
+    still = [k for k, s in enumerate(design.states) if scaling[s][1] <= _still(s)]
     if not still:
-        return design, ()
-    note = f"{coefficient}: {', '.join(still)} did not vary in these flights; the bounds do not depend on it"
-    kept = tuple(s for s in design.states if s not in still)
-    if not kept:
-        return Design(design.states[:1], ((0,),)), (note,)
-    terms = design.terms
-    if terms is not None:
-        lost = [design.states.index(s) for s in design.states if s not in kept]
-        terms = tuple(tuple(p for k, p in enumerate(t) if k not in lost) for t in terms if not any(t[k] for k in lost))
-    return Design(kept, terms, design.order), (note,)
+        return design.terms, ()
+    names = ", ".join(design.states[k] for k in still)
+    wanted = design.terms if design.terms is not None else full_polynomial(len(design.states), design.order)
+    terms = tuple(t for t in wanted if not any(t[k] for k in still))
+    note = (
+        f"{coefficient}: {names} hardly varied; the bounds do not depend on it, and any other value is outside the data"
+    )
+    return terms or (tuple(0 for _ in design.states),), (note,)
+
+
+def _still(state: str) -> float:
+    return _STILL.get(state, _STILL_SURFACE_DEG)
 
 
 def _fit(
-    residuals: Residuals, coefficient: str, design: Design, said_of_states: tuple[str, ...],
-    scaling: Mapping[str, tuple[float, float]], options: FitOptions,
+    residuals: Residuals, coefficient: str, design: Design, scaling: Mapping[str, tuple[float, float]], options: FitOptions
 ) -> FittedBounds:  # fmt: skip
     y = residuals.columns(coefficient)
     n = sum(residuals.lengths)
+    open_terms, said_of_states = _moving(coefficient, design, scaling)
+    asked = open_terms if open_terms is not None else full_polynomial(len(design.states), design.order)
     orders = [None] if design.terms is not None else range(design.order, -1, -1)
     n_effective, notes = float(n), list[str]()
     for order in orders:
-        terms = design.terms if design.terms is not None else full_polynomial(len(design.states), order or 0)
+        terms = asked if order is None else tuple(t for t in asked if sum(t) <= order)
         kept, said = _chosen(residuals, coefficient, design, terms, scaling, options)
         if n <= len(kept):
             continue

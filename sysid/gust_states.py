@@ -4,18 +4,19 @@ The filter's V, alpha and beta are relative to the air, so gusts reach them as n
 gusts do more, in heading axes (along the heading and level; index h), in which MIL-F-8785C gives them:
 
 * the air rotates (3.7.5): p_h is a first-order process of its own; q_h = -dw/dx and r_h = +dv/dx, smoothed over the span,
-  follow from what changes alpha and beta. With alpha_g = -w/V, beta_g = -v/V in body axes (a dot is d/dt),
+  follow from what changes alpha and beta (and V on a sloping path). With alpha_g = -w/V, beta_g = -v/V in body axes and
+  V_g = -u along the path (a dot is d/dt), gamma the path's angle of climb through the air,
 
     T_p dp_h/dt = -p_h + noise
-    T_q dq_h/dt = -q_h + cos(phi) alpha_g. + sin(phi) beta_g.
+    T_q dq_h/dt = -q_h + cos(phi) alpha_g. + sin(phi) beta_g. - sin(gamma) V_g./V
     T_r dr_h/dt = -r_h + sin(phi) alpha_g. - cos(phi) beta_g.          T_p = T_q = 4 b/(pi V), T_r = 3 b/(pi V)
 
 * the axes turn with the aircraft at dpsi/dt, and the gusts u_h, v_h with them: the air seems to accelerate by dpsi/dt
   times them, without rotating. In a bank of 30 deg that is 0.01 rad/s of beta for seconds on end.
 
 None of these states needs noise of its own: with along = cos(phi) alpha + sin(phi) beta, across = cos(phi) beta - sin(phi)
-alpha, the states h_q = T_q q_h - along, h_r = T_r r_h + across, c_u = u_h + V and c_v = v_h/V + across change by the
-deterministic part of V, alpha, beta alone.
+alpha, the states c_u = u_h + V, c_v = v_h/V + across, h_q = T_q q_h - along + sin(gamma) ln(V/c_u) and h_r = T_r r_h + across
+change by the deterministic part of V, alpha, beta alone.
 
 Left out, in E-SPAARO's simulated flights: rolling gusts taken for noise on p pass for persistence of the aircraft (Cl_p at
 two thirds); gradients along the body's axes in banked flight, or independent of alpha and beta, and gusts that do not
@@ -58,7 +59,12 @@ class GustStates:
         """p_h, q_h, r_h [rad/s], the air's rotation in heading axes, of a whole state x."""
         _, T_q, T_r = self.lags_s(x[0])
         sf, cf = np.sin(x[6]), np.cos(x[6])
-        return x[8], (x[9] + cf * x[1] + sf * x[2]) / T_q, (x[10] + sf * x[1] - cf * x[2]) / T_r
+        along = cf * x[1] + sf * x[2] - self._climb(x) * np.log(x[0] / x[11])
+        return x[8], (x[9] + along) / T_q, (x[10] + sf * x[1] - cf * x[2]) / T_r
+
+    def _climb(self, x: Any) -> Any:
+        """sin(gamma), to first order in alpha and beta."""
+        return np.sin(x[7]) - np.cos(x[7]) * (np.cos(x[6]) * x[1] + np.sin(x[6]) * x[2])
 
     def rotation(self, x: Any) -> tuple[Any, Any, Any]:
         """p_g, q_g, r_g [rad/s]: the air's rotation in body axes."""
@@ -81,4 +87,7 @@ class GustStates:
         sf, cf = np.sin(x[6]), np.cos(x[6])
         along = cf * dalpha + sf * dbeta + dphi * (cf * x[2] - sf * x[1])
         across = cf * dbeta - sf * dalpha - dphi * (cf * x[1] + sf * x[2])
+        st, ct = np.sin(x[7]), np.cos(x[7])
+        dclimb = (ct + st * (cf * x[1] + sf * x[2])) * (x[4] * cf - x[5] * sf) - ct * along
+        along = along - dclimb * np.log(x[0] / x[11]) - self._climb(x) * dV * (1.0 / x[0] - 1.0 / x[11])
         return -p_h / self.lags_s(x[0])[0], -q_h - along, across - r_h, dV, across

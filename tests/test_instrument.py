@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import tomllib
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from jsbsim_defects.small_models import SKELETON
+from jsbsim_schema import schema_errors
 from model_forms import made_up_form
 
 from uqharness import engine
@@ -133,6 +135,19 @@ def test_in_place_and_back(small):
     assert tree(small) == before
 
 
+def test_a_link_to_another_aircrafts_file_is_not_written_through(small, tmp_path):
+    shared = tmp_path / "shared.xml"
+    shutil.copyfile(PROJECT_ROOT / "aircraft" / "espaaro" / "Systems" / "model-form.xml", shared)
+    before = shared.read_bytes()
+    instrumented(small, small)
+    system = small / "Systems" / "model-form.xml"
+    system.unlink()
+    system.symlink_to(shared)
+    instrumented(small, small, Bounds(constant={"CX": (-0.5, 0.5)}))
+    assert b"-0.5" in system.read_bytes()
+    assert shared.read_bytes() == before
+
+
 def test_undo_refuses_what_it_cannot_take_out_cleanly(small):
     instrumented(small, small)
     xml = small / "small.xml"
@@ -235,10 +250,14 @@ def test_the_command_writes_card_table_and_record(small, tmp_path, capsys):
     assert [row["coefficient"] for row in report["coefficients"]] == ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
     assert {row["file"]: row["change"] for row in report["files"]} == {
         "Systems/model-form.xml": "added", "Systems/path-errors.xml": "added", "Systems/scale-bias.xml": "added",
+        "Systems/idle-throttle.xml": "added",
         "airframe.toml": "added", "small.xml": "edited",
     }  # fmt: skip
     card = tomllib.loads((out / "airframe.toml").read_text())
     assert card["reference"]["S_m2"] == pytest.approx(2.0, rel=1e-7)
+    assert list(card["inputs"]) == ["elevator", "aileron", "rudder", "throttle"]
+    assert re.search(r"\[inputs\.aileron\] +# moves nothing", (out / "airframe.toml").read_text())
+    assert [error for path in (out / "Systems").iterdir() for error in schema_errors(path)] == []
     assert set(card["parameters"]) == {row["scale"] for row in report["scaled"]}
     aircraft = find_aircraft(out)
     fdm, step = open_mid_envelope(aircraft)
@@ -253,6 +272,18 @@ def test_the_command_writes_card_table_and_record(small, tmp_path, capsys):
     assert fdm["nav/altitude-error-m"] == pytest.approx(0.3048 * (fdm["position/h-sl-ft"] - 5000.0), abs=0.05)
     assert main(["instrument", str(small), "--out", str(out), "--undo"]) == 0
     assert tree(out) == tree(small)
+
+
+def test_an_aircraft_that_only_its_host_can_fly_is_instrumented_on_demand(small, tmp_path, capsys):
+    xml = small / "small.xml"
+    xml.write_bytes(xml.read_bytes().replace(b"<property>own/used</property>", b"<property>host/gives</property>"))
+    arguments = ["instrument", str(small), "--out", str(tmp_path / "elsewhere")]
+    assert main(arguments) == 2
+    assert "host/gives" in (error := capsys.readouterr().err)
+    assert "--no-check" in error
+    assert main([*arguments, "--no-check"]) == 0
+    assert "unflown" in capsys.readouterr().out
+    assert find_aircraft(tmp_path / "elsewhere").card.reference.S_m2 == pytest.approx(2.0)
 
 
 def test_bad_input_is_one_line_and_exit_code_two(small, tmp_path, capsys):
@@ -286,3 +317,41 @@ def test_stock_aircraft(tmp_path, name):
     assert row.verdict.status == "works", row.verdict.reason
     assert row.verdict.worst < 1e-9
     assert row.scaled > 0
+
+
+GLIDE = """<?xml version="1.0"?>
+<initialize name="glide">
+  <vt unit="KTS">50</vt> <altitude unit="FT">3000</altitude> <gamma unit="DEG">-2.5</gamma>
+  <latitude unit="DEG" type="geodetic">45</latitude> <longitude unit="DEG">0</longitude> <psi unit="DEG">0</psi>
+</initialize>
+"""
+STEPS = (
+    (3, "elevator", 0.0), (4, "elevator", -0.2), (5, "elevator", -0.1), (9, "aileron", 0.1), (10, "aileron", 0.0),
+    (13, "elevator", 0.0), (13.5, "elevator", -0.1),
+)  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_glider_nobody_prepared_is_identified_by_its_scales(tmp_path, capsys):
+    out = tmp_path / "sgs233"
+    assert main(["instrument", "sgs233", "--out", str(out), "--no-check"]) == 0
+    (out / "glide.xml").write_text(GLIDE)
+    events = "".join(
+        f'<event name="{k}"><condition>simulation/sim-time-sec gt {t - 0.005}</condition>'
+        f'<set name="fcs/{name}-cmd-norm" value="{value}"/></event>'
+        for k, (t, name, value) in enumerate(STEPS)
+    )
+    script = tmp_path / "glide.xml"
+    script.write_text(
+        '<?xml version="1.0"?><runscript name="glide"><use aircraft="sgs233" initialize="glide"/><run start="0" end="16" dt="0.01">'
+        f'<property value="-0.1">fcs/elevator-cmd-norm</property>{events}</run></runscript>'
+    )
+    truth = {"uq/scale/Cmalpha": 1.2, "uq/scale/Cmde": 0.9, "uq/scale/Cmq": 1.0}
+    settings = [part for name, value in truth.items() for part in ("--set", f"{name}={value}")]
+    flight = str(tmp_path / "flight.csv")
+    assert main(["fly", str(out), "--script", str(script), *settings, "--out", flight]) == 0
+    arguments = ["--params", ",".join(truth), "--biases", "none", "--workers", "1", "--no-figures", "--json"]
+    capsys.readouterr()
+    main(["identify", str(out), "--flight", flight, "--out", str(tmp_path / "fit"), *arguments])
+    found = json.loads(capsys.readouterr().out)["parameters"]
+    assert {name: found[name]["value"] for name in truth} == pytest.approx(truth, rel=0.03)

@@ -149,6 +149,7 @@ def test_table_and_its_figures():
         names = ("CL_0", "CL_alpha", "CY_0")
         theta = np.array([0.384, 3.15, 0.001])
         std = np.array([0.001, 0.01, 0.001])
+        std_crb = np.array([0.001, 0.01, 0.0005])
         status: dict = dict.fromkeys(names, "identified")
 
     table = side_by_side(CASES[0], Fit())  # type: ignore[arg-type]
@@ -158,6 +159,7 @@ def test_table_and_its_figures():
     assert table.loc["CL_alpha", "published_error_pct"] == pytest.approx(3.81, abs=0.01)
     numbers = summary(table)
     assert numbers["covered_95"] == pytest.approx(2 / 3)
+    assert numbers["covered_95_crb"] == pytest.approx(1 / 3)
     assert numbers["median_error_pct"] == pytest.approx(0.526, abs=0.001)
     text = markdown(CASES[0], table, numbers)
     assert "nan" not in text

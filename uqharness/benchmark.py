@@ -131,7 +131,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--rounds", type=int, default=5, help="rounds; the least time counts (default 5)")
     parser.add_argument("--turbulence-source", choices=("jsbsim", "spec"), default=DEFAULT_TURBULENCE_SOURCE)
     parser.add_argument(
-        "--levels", choices=("corner", "walk", "white"), default="walk", help="of the harness's flights (default %(default)s)"
+        "--levels",
+        choices=("corner", "walk", "white"),
+        default="walk",
+        help="of the harness's flights (default %(default)s)",
     )
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(argv)

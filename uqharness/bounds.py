@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aero_terms import COEFFICIENTS
-from sysid.bounds_coverage import leave_one_out
+from sysid.bounds_coverage import leave_one_out, told_apart
 from sysid.bounds_fit import Design, FitOptions, FittedBounds, default_designs, fit_bounds, with_walk_rates
 from sysid.gaps import channel_noise
 from sysid.model_form import (
@@ -83,16 +83,23 @@ def make_bounds(
     measured: Sequence[str],
     hashes: Sequence[str],
     options: BoundsOptions,
+    say: Callable[[str], object] = lambda stage: None,
 ) -> MadeBounds:
-    """Fit the intervals. hashes: SHA-256 of each flight's file. Raises BadInputError when the flights are too short for any fit."""
+    """Fit the intervals. hashes: SHA-256 of each flight's file; ``say`` is told each stage.
+
+    Raises BadInputError when the flights are too short for any fit.
+    """
     arm = aircraft.card.sensors.position_m.get("accelerometer", (0.0, 0.0, 0.0))
     with prediction_of(aircraft, measured, options.ideal_servos) as pair:
+        say("residual coefficients")
         parts = [flight_residuals(pair, f, arm, options.cutoffs) for f in flights]
         residuals = together(parts)
         fitted = _fit(residuals, options.designs, options.fit)
         noise, table = {}, []
         if options.checks:
+            say("noise floor")
             noise = _noise(pair, flights, aircraft, arm, options.cutoffs)
+            say("other filters")
             table = [_other(pair, flights, arm, c, options) for c in _other_cutoffs(options.cutoffs)]
     walks = {c: variation(residuals, c, f.bounds, options.walk_cutoff_hz, options.outside) for c, f in fitted.items()}
     form = ModelForm(
@@ -105,6 +112,7 @@ def make_bounds(
         outside=options.outside,
         coefficients=with_walk_rates(fitted, {c: w.rate for c, w in walks.items()}),
     )
+    say("leaving manoeuvres out")
     left_out = leave_one_out(residuals, options.designs, options.fit, options.outside) if options.checks else {}
     return MadeBounds(
         form=form, residuals=residuals, fitted=fitted, baseline=_baseline(residuals, options), variations=walks,
@@ -178,7 +186,8 @@ def mean_left_out(residuals: Residuals, left_out: Mapping[str, Mapping[str, floa
     """Share inside when manoeuvres are left out, over all samples; NaN without a second manoeuvre."""
     if not left_out:
         return dict.fromkeys(COEFFICIENTS, float("nan"))
-    n = {label: sum(residuals.only([label]).lengths) for label in left_out}
+    named = told_apart(residuals)
+    n = {label: sum(named.only([label]).lengths) for label in left_out}
     names = next(iter(left_out.values()))
     return {c: float(np.average([left_out[m][c] for m in left_out], weights=[n[m] for m in left_out])) for c in names}
 

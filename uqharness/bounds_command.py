@@ -203,10 +203,12 @@ def _run_bounds(args: argparse.Namespace) -> int:
 
     options = _options(args)
     flights, measured = read_bounds_flights(args.flight, aircraft, args.manoeuvres, args.map)
-    found = make_bounds(aircraft, flights, measured, [file_hash(p) for p in args.flight], options)
+    found = make_bounds(aircraft, flights, measured, [file_hash(p) for p in args.flight], options, _stage)
     system = model_form_xml(found.form, aircraft)
     out = results_folder(args.out)
+    _stage("figures")
     figures = [] if args.no_figures else _figures(found, out, args.outside)
+    _stage("")
     document = bounds_document(found)
     write_text(out / "report.md", bounds_report(found, document, figures, _command(args)))
     write_bytes(out / "model-form.xml", system)
@@ -268,6 +270,12 @@ def _command(args: argparse.Namespace) -> str:
         values = value if isinstance(value, list) else [] if value is True else [value]
         words += [v.name if isinstance(v, Path) else str(v) for v in values]
     return shlex.join(words)
+
+
+def _stage(text: str) -> None:
+    """The stage on a terminal's last line; nothing in a pipe."""
+    if sys.stderr.isatty():
+        print(f"{text:<40}", end="\r", file=sys.stderr, flush=True)
 
 
 def _warn(warnings: Sequence[str]) -> None:

@@ -139,16 +139,27 @@ def _run(args: argparse.Namespace) -> int:
         ideal_servos=args.servos == "ideal", method=args.method, workers=args.workers,
     )  # fmt: skip
     out = results_folder(args.out)
-    command = ["uqharness", "identify", args.aircraft, "--flight", *(p.name for p in args.flight)]
     hashes = [file_hash(p) for p in args.flight]
-    document = write_results(found, aircraft, [p.name for p in args.flight], command, out, hashes)
+    document = write_results(found, aircraft, [p.name for p in args.flight], _command(args), out, hashes)
     if not args.no_figures:
         _figures(found, out)
     if args.json:
         print(json.dumps(document))
     else:
         print(_summary(document, [n for f in flights for n in f.notes], out))
+        if found.speed is not None:
+            print(found.speed.text())
     return 0 if found.converged and found.identified else 1
+
+
+def _command(args: argparse.Namespace) -> list[str]:
+    """The command line that repeats this run: every option that was given."""
+    words = ["uqharness", "identify", args.aircraft, "--flight", *map(str, args.flight)]
+    for option in ("params", "start", "method", "servos", "biases", "delays", "manoeuvres", "map", "workers"):
+        value = getattr(args, option)
+        if value is not None:
+            words += [f"--{option}", str(value)]
+    return [*words, *(["--no-figures"] if args.no_figures else []), "--out", str(args.out)]
 
 
 def _figures(found: object, out: Path) -> None:

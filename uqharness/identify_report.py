@@ -8,6 +8,7 @@ import json
 import math
 import shlex
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +67,7 @@ def fit_document(
         "command": shlex.join(command),
         "simulations": found.simulations,
         "seconds": round(found.seconds, 2),
+        "speed": None if found.speed is None else {k: round(v, 1) for k, v in asdict(found.speed).items()},
     }
 
 
@@ -139,6 +141,8 @@ def report_text(found: Identification, document: dict[str, Any]) -> str:
         "",
     ]
     lines += [f"- {text}" for text in (*found.warnings, *found.notes)]
+    if found.speed is not None:
+        lines += ["", f"{found.simulations} simulations, {found.seconds:.1f} s: {found.speed.text()}."]
     return "\n".join(lines) + "\n"
 
 

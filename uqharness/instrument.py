@@ -24,7 +24,7 @@ from uqharness.aero_summands import Reference, SectionEdit, add_deltas, add_syst
 from uqharness.aircraft import PROJECT_ROOT, Aircraft, Card, content_hash
 from uqharness.aircraft_facts import AircraftFacts
 from uqharness.errors import BadInputError
-from uqharness.instrument_card import ERRORS_SYSTEM, ERRORS_XML, card_text
+from uqharness.instrument_card import ERRORS_SYSTEM, ERRORS_XML, IDLE_SYSTEM, IDLE_XML, card_text
 from uqharness.instrument_carry import carried_files
 from uqharness.instrument_record import FILE_NAME, Change, changed, read_record, restored, to_json
 from uqharness.model_form_xml import constant_xml, model_form_xml
@@ -107,6 +107,9 @@ def plan(aircraft: Aircraft, bounds: Bounds, facts: AircraftFacts | None = None,
         if errors:
             files[_system_file(aircraft, ERRORS_SYSTEM)] = ERRORS_XML
             edit = add_system(edit, ERRORS_SYSTEM)
+        if not facts.engines and not _declared_anywhere(aircraft, "fcs/throttle-cmd-norm"):
+            files[_system_file(aircraft, IDLE_SYSTEM)] = IDLE_XML
+            edit = add_system(edit, IDLE_SYSTEM)
         files["airframe.toml"] = card_text(aircraft.name, aircraft.xml.name, facts, scaled, errors).encode("utf-8")
     elif scaled and aircraft.has_card:
         card = _with_parameters(aircraft.folder / "airframe.toml", scaled, notes)
@@ -160,10 +163,9 @@ def write(aircraft: Aircraft, planned: Plan, out: Path) -> None:
         changes = _chained(read_record(aircraft.folder), changes)
     with tempfile.TemporaryDirectory(dir=out.absolute().parent, prefix=".instrument-") as temporary:
         copy = Path(temporary) / "new"
-        shutil.copytree(aircraft.folder, copy, ignore=shutil.ignore_patterns(".git"))
+        shutil.copytree(aircraft.folder, copy, symlinks=in_place, ignore=shutil.ignore_patterns(".git"))
         for name, content in files.items():
-            (copy / name).parent.mkdir(parents=True, exist_ok=True)
-            (copy / name).write_bytes(content)
+            _put(copy / name, content)
         (copy / FILE_NAME).write_bytes(to_json(changes))
         _swap(copy, out, Path(temporary) / "old")
 
@@ -177,7 +179,7 @@ def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
     done = []
     with tempfile.TemporaryDirectory(dir=out.absolute().parent, prefix=".instrument-") as temporary:
         copy = Path(temporary) / "new"
-        shutil.copytree(folder, copy, ignore=shutil.ignore_patterns(".git"))
+        shutil.copytree(folder, copy, symlinks=out.resolve() == folder.resolve(), ignore=shutil.ignore_patterns(".git"))
         for name, change in changes.items():
             path = copy / name
             if not path.is_file():
@@ -191,7 +193,7 @@ def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
                     path.parent.rmdir()
                 done.append((name, "removed"))
             else:
-                path.write_bytes(content)
+                _put(path, content)
                 same = changed(None, content).after == change.before
                 done.append(
                     (name, "as it was, byte for byte" if same else "without the plugin; other changes since are kept")
@@ -208,14 +210,27 @@ def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
     return done
 
 
+def _put(path: Path, content: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # Written through a link, the file of another aircraft would change.
+    if path.is_symlink():
+        path.unlink()
+    path.write_bytes(content)
+
+
 def _swap(new: Path, out: Path, old: Path) -> None:
-    kept = out / ".git" if (out / ".git").exists() else None
-    if kept is not None:
-        # A working copy's own folder is not ours to move: it goes over into the new one.
-        os.rename(kept, new / ".git")
+    """Put ``new`` in the place of ``out``; whatever fails, ``out`` is one of the two."""
+    if (out / ".git").exists():
+        # A working copy's own data are not ours to copy: they go over.
+        os.rename(out / ".git", new / ".git")
     if out.exists():
         out.rename(old)
-    new.rename(out)
+    try:
+        new.rename(out)
+    except OSError:
+        if old.exists():
+            old.rename(out)
+        raise
 
 
 def _chained(earlier: Mapping[str, Change], now: Mapping[str, Change]) -> dict[str, Change]:
@@ -240,6 +255,12 @@ def _reference(aircraft: Aircraft, section: AeroSection) -> Reference:
     return Reference(
         *(None if w is None or abs(w - x) <= _SAME * w else w for w, x in zip(wanted, written, strict=True))
     )
+
+
+def metrics_of(aircraft: Aircraft) -> tuple[float, float, float]:
+    """S [m2], b and c [m] as the XML has them. Raises BadInputError."""
+    S, b, c = read_reference(read_section(aircraft.folder, aircraft.xml.name))
+    return S * _FT**2, b * _FT, c * _FT
 
 
 def _has_plugin(section: AeroSection) -> bool:
@@ -336,18 +357,13 @@ def _candidates(aircraft: Aircraft, name: str) -> list[Path]:
 
 
 def _system_file(aircraft: Aircraft, name: str) -> str:
-    """Where a new system goes: the folder's own place for systems."""
-    folder = (
-        "systems"
-        if (aircraft.folder / "systems").is_dir() and not (aircraft.folder / "Systems").is_dir()
-        else "Systems"
-    )
+    """Where a new system goes; BadInputError if the aircraft has another of that name."""
     for path in _candidates(aircraft, name)[:3]:
         if path.is_file() and not _declares(read_document(path), "uq/active"):
             raise BadInputError(
                 f"{path}:1: the aircraft has a system of this name; rename it, because the plugin brings its own"
             )
-    return f"{folder}/{name}.xml"
+    return f"Systems/{name}.xml"
 
 
 def _declared_anywhere(aircraft: Aircraft, prefix: str) -> bool:

@@ -75,7 +75,7 @@ def _run(args: argparse.Namespace) -> int:
     from sysid.log_errors import LogError
     from sysid.model_form import read_model_form
     from uqharness import aircraft_facts
-    from uqharness.instrument import Bounds, plan, write
+    from uqharness.instrument import Bounds, metrics_of, plan, write
     from uqharness.plugin_check import check_in_child
 
     if args.undo:
@@ -88,9 +88,19 @@ def _run(args: argparse.Namespace) -> int:
         raise BadInputError(str(error)) from None
     bounds = Bounds(form, {} if args.constant is None else parse_constant(args.constant))
     plan(aircraft, bounds, None, args.air)
-    facts = None if aircraft.has_card else aircraft_facts.ask_in_child(aircraft.folder)
+    facts, unflown = None, ""
+    if not aircraft.has_card:
+        try:
+            facts = aircraft_facts.ask_in_child(aircraft.folder)
+        except BadInputError as error:
+            if not args.no_check:
+                raise BadInputError(
+                    f"{error}; --no-check instruments it unflown, for a host that knows better"
+                ) from None
+            facts, unflown = aircraft_facts.assumed(*metrics_of(aircraft)), f"unflown, so the card is a guess: {error}"
     planned = plan(aircraft, bounds, facts, args.air)
     report = _report(aircraft, planned, args)
+    report["notes"] += [unflown] if unflown else []
     code = 0
     if not args.dry_run:
         untouched = aircraft.folder if args.out.resolve() != aircraft.folder else None
@@ -99,7 +109,7 @@ def _run(args: argparse.Namespace) -> int:
         if not args.no_check and untouched is not None and not planned.had_plugin:
             verdict = check_in_child(untouched, args.out, 1.0)
             report["check"] = {k: None if v != v else v for k, v in asdict(verdict).items()}
-            code = 0 if verdict.status == "works" else 1
+            code = 1 if verdict.status == "wrong" else 0
     print(json.dumps(report, indent=1) if args.json else _text(report))
     return code
 
@@ -154,7 +164,8 @@ def _text(report: dict[str, Any]) -> str:
             f"increments right to {check['worst']:.0e}"
         )
     elif check is not None:
-        lines.append(f"  flown beside the untouched aircraft: {check['status']}: {check['reason']}")
+        what = "WRONG" if check["status"] == "wrong" else "not compared, the untouched aircraft fails"
+        lines.append(f"  flown beside the untouched aircraft: {what}: {check['reason']}")
     if not report["written"]:
         lines.append("  nothing was written (--dry-run)")
     return "\n".join(lines)

@@ -87,7 +87,9 @@ def merge(folder: Path) -> Merged:
             found = read_manifest(part)
             refuse_if_different(part, found, manifest)
             if found["state"] == SPOILT:
-                raise BadInputError(f"{part}: aircraft or script was edited while it flew; remove it and fly that shard again")
+                raise BadInputError(
+                    f"{part}: aircraft or script was edited while it flew; remove it and fly that shard again"
+                )
         write_manifest(folder, manifest | {"state": "interrupted"})
         statuses: Counter[str] = Counter()
         with Store(folder) as store:

@@ -11,39 +11,34 @@ import sys
 from tests.hidden_effects.cases import LIGHT_KT, cards
 from tests.hidden_effects.catalogue import ENTRIES, SIZES, Entry, sizes
 from tests.hidden_effects.flights import Flight, fly_and_tell
-from tests.hidden_effects.strength import strengths
+from tests.hidden_effects.strength import strengths_alone
 from tests.sixdof import Airframe
 
-ROUNDS = 1
-_TOGETHER = 12
-_LIGHT = 30.0  # light turbulence wants effects of about so many times the size: where the search begins
+ROUNDS = 2  # most effects are linear in their size; servos are not
+_LIGHT = 3.0  # where the search begins in light turbulence, small enough for every flight to stay one
 
 
 def measure(entries: list[Entry], air: str) -> dict[str, float]:
     """Key -> size at |t| = 10."""
     known = sizes(air)
-    now = {e.key: e.effect(10.0, air if e.key in known else "calm") for e in entries}
-    if air == "light":
-        now = {k: e if k in known else e.scaled(_LIGHT) for k, e in now.items()}
-    for _ in range(ROUNDS):
-        for start in range(0, len(entries), _TOGETHER):
-            part = entries[start : start + _TOGETHER]
-            w20 = LIGHT_KT if air == "light" else 0.0
-            flights = {
-                e.key: [Flight(c, Airframe(), (now[e.key],)) for c in cards("calibration", e.flown, w20)[:3]]
-                for e in part
-            }
-            flown = iter(fly_and_tell([f for three in flights.values() for f in three]))
-            for entry in part:
-                three = flights[entry.key]
-                found = strengths(three, [next(flown) for _ in three], corrected=air == "light")[0]
+    now = {
+        e.key: e.effect(10.0, air) if e.key in known else e.effect(10.0).scaled(_LIGHT if air == "light" else 1.0)
+        for e in entries
+    }
+    for kind in sorted({e.flown for e in entries}):
+        part = [e for e in entries if e.flown == kind and e.term != "late"]
+        flights = [Flight(c, Airframe()) for c in cards("calibration", kind, LIGHT_KT if air == "light" else 0.0)[:3]]
+        flown = fly_and_tell(flights)
+        for _ in range(ROUNDS):
+            found = strengths_alone(flights, flown, [now[e.key] for e in part], corrected=air == "light")
+            for entry, strength in zip(part, found, strict=True):
                 print(
-                    f"{entry.key}: size {now[entry.key].size:.4g} |t| {found.t:.1f} share {found.share:.3f}",
+                    f"{entry.key}: size {now[entry.key].size:.4g} |t| {strength.t:.1f} share {strength.share:.3f}",
                     file=sys.stderr,
                     flush=True,
                 )
-                if entry.term != "late" and found.t > 0.0:
-                    now[entry.key] = now[entry.key].scaled(10.0 / found.t)
+                if strength.t > 0.0:
+                    now[entry.key] = now[entry.key].scaled(10.0 / strength.t)
     return {key: effect.size for key, effect in now.items()}
 
 

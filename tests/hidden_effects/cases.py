@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.hidden_effects.catalogue import ENTRIES, IN_FORM, OFF_FORM, Entry
+from tests.hidden_effects.catalogue import ENTRIES, IN_FORM, OFF_FORM, Entry, sizes
 from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.flights import Flight, fly
 from tests.hidden_effects.manoeuvres import KINDS, Card, card
@@ -33,7 +33,7 @@ CLEAR, MARGINAL, OBVIOUS, TURBULENT = (
     (14.0, 120.0),
     (4.0, 8.0),
     (60.0, 200.0),
-    (14.0, 40.0),
+    (12.0, 22.0),
 )  # ranges of |t| aimed at, by geometric chance
 
 # A second aeroplane, for those who should not learn the first by heart: heavier, a tail that pushes down, more dihedral.
@@ -95,6 +95,8 @@ def write(cases: Sequence[Case], folder: Path) -> None:
         for f, p in zip(c.flights(which), c.files(folder)[which], strict=True)
     ]
     for record, (_, path) in zip(fly([f for f, _ in wanted]), wanted, strict=True):
+        if not all(np.isfinite(record[c]).all() for c in record.columns if c != "manoeuvre"):
+            raise ValueError(f"{path}: this flight came to grief; its effect is too large to be flown")
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_name(f"{path.stem}.partial.parquet")
         record.write(partial)
@@ -195,7 +197,8 @@ def battery() -> list[Case]:
     for entry in IN_FORM:
         for kind, t in (("clear", CLEAR), ("marginal", MARGINAL)):
             found.append(_case(entry.key, kind, [entry], t, "calm"))
-        found.append(_case(entry.key, "clear", [entry], TURBULENT, "light"))
+        if entry.key in sizes("light"):
+            found.append(_case(entry.key, "clear", [entry], TURBULENT, "light"))
     for entry in OFF_FORM:
         found += [
             _case(entry.key, "off-form", [entry], CLEAR, "calm"),

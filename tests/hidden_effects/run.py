@@ -36,6 +36,7 @@ def ask(case: Case, folder: Path, place: Path, extra: Sequence[str] = ()) -> dic
     """Run refine on a case and return {"exit", "seconds", "found", "error"}."""
     files = case.files(folder / "flights")
     out = folder / "refined" / case.id
+    out.parent.mkdir(parents=True, exist_ok=True)
     aircraft = (
         case.aircraft if case.aircraft == "espaaro" else str(write_aircraft(case.aircraft, SECOND, folder / "aircraft"))
     )

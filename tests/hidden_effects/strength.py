@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.coloured import coloured_information
+from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.flights import NOISE, Flight, Flown, sensed, substeps
 from tests.hidden_effects.manoeuvres import Manoeuvre
 from tests.hidden_effects.motion import History, Model, integrate
@@ -51,10 +52,35 @@ def strengths(
     corrected: with the colour of the residuals that a still-air model of the truth leaves in these records (turbulence).
     """
     effects = flights[0].effects
-    pieces = [_Piece(f, told, m) for f, told in zip(flights, flown, strict=True) for m in f.card.manoeuvres]
+    without = [effects[:i] + effects[i + 1 :] for i in range(len(effects))]
+    columns, changes, residual = _sensitivities(flights, flown, without, corrected, step_s)
+    return [
+        _Nuisance(_beside(columns, changes, i), residual).judge([c[i] for c in changes]) for i in range(len(effects))
+    ]
+
+
+def strengths_alone(
+    flights: Sequence[Flight], flown: Sequence[Flown], candidates: Sequence[Effect], corrected: bool = False
+) -> list[Strength]:
+    """Of each candidate by itself in these flights, in which it does not act: what |t| its size would have."""
+    with_it = [(*flights[0].effects, e) for e in candidates]
+    columns, changes, residual = _sensitivities(flights, flown, with_it, corrected, REPLAY_STEP_S)
+    nuisance = _Nuisance(columns, residual)
+    return [nuisance.judge([c[i] for c in changes]) for i in range(len(candidates))]
+
+
+def _sensitivities(
+    flights: Sequence[Flight],
+    flown: Sequence[Flown],
+    variants: Sequence[tuple[Effect, ...]],
+    corrected: bool,
+    step_s: float,
+) -> tuple[list[Array], list[list[Array]], list[Array] | None]:
+    """Of each segment: columns (n, m, k) of the nuisance, changes (n, m) between its effects and each variant, residual."""
+    pieces = [_Piece(f, told, m, variants) for f, told in zip(flights, flown, strict=True) for m in f.card.manoeuvres]
     widths = len(PARAMETERS) + _STARTS * len(pieces) + 3 * len(flights)
     changes, columns, residual = [], [], []
-    for at, (piece, (y, y_without, S)) in enumerate(zip(pieces, _replayed(pieces, step_s), strict=True)):
+    for at, (piece, (y, others, S)) in enumerate(zip(pieces, _replayed(pieces, step_s), strict=True)):
         scale = np.array([piece.flight.card.noise * NOISE[c] for c in OUTPUTS])
         whole = np.zeros((*y.shape, widths))
         whole[:, :, : len(PARAMETERS)] = S[:, :, : len(PARAMETERS)]
@@ -63,52 +89,71 @@ def strengths(
         bias = widths - 3 * len(flights) + 3 * [f is piece.flight for f in flights].index(True)
         for axis in range(3):
             whole[:, 5 + axis, bias + axis] = 1.0
-        changes.append([(y - other) / scale for other in y_without])
+        changes.append([(y - other) / scale for other in others])
         columns.append(whole / scale[None, :, None])
         if corrected:
             residual.append((np.column_stack([piece.flown.record[c][piece.rows] for c in OUTPUTS]) - y) / scale)
-    return [_judge(i, columns, changes, residual if corrected else None) for i in range(len(effects))]
+    return columns, changes, residual if corrected else None
 
 
-def _judge(which: int, columns: list[Array], changes: list[list[Array]], residual: list[Array] | None) -> Strength:
+class _Nuisance:
+    """What an effect has to stand out from: columns S (n, m, k) a segment and, in turbulence, the residual that is left of them."""
+
+    def __init__(self, columns: list[Array], residual: list[Array] | None) -> None:
+        self.S, self.left, self.size = columns, None, np.ones(columns[0].shape[1])
+        if residual is not None:  # R is re-estimated: the residual's own variance
+            theta = self._fit(residual)
+            left = [r - part @ theta for r, part in zip(residual, self.S, strict=True)]
+            self.size = np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0))
+            self.left = [part / self.size for part in left]
+            self.S = [part / self.size[None, :, None] for part in self.S]
+        flat = [part.reshape(-1, part.shape[2]) for part in self.S]
+        self.inverse = _inverse(np.asarray(sum(f.T @ f for f in flat)))
+
+    def _fit(self, blocks: list[Array]) -> Array:
+        flat = [part.reshape(-1, part.shape[2]) for part in self.S]
+        return np.asarray(
+            _inverse(np.asarray(sum(f.T @ f for f in flat)))
+            @ sum(f.T @ d.ravel() for f, d in zip(flat, blocks, strict=True))
+        )
+
+    def judge(self, change: list[Array]) -> Strength:
+        d = [part / self.size for part in change]
+        theta = self.inverse @ sum(
+            part.reshape(-1, part.shape[2]).T @ e.ravel() for part, e in zip(self.S, d, strict=True)
+        )
+        perp = [e - part @ theta for e, part in zip(d, self.S, strict=True)]
+        square, whole = sum(float(np.sum(p**2)) for p in perp), sum(float(np.sum(p**2)) for p in d)
+        if square <= 0.0:
+            return Strength(0.0, 0.0, 0.0)
+        spread = (
+            square if self.left is None else float(coloured_information([p[:, :, None] for p in perp], self.left)[0, 0])
+        )
+        count = sum(p.size for p in d)
+        return Strength(square / float(np.sqrt(spread)), float(np.sqrt(square / whole)), float(np.sqrt(whole / count)))
+
+
+def _beside(columns: list[Array], changes: list[list[Array]], which: int) -> list[Array]:
+    """The columns with what every other effect does among them."""
     others = [i for i in range(len(changes[0])) if i != which]
-    S = [
+    return [
         np.concatenate([c, *(d[i][:, :, None] for i in others)], axis=2) for c, d in zip(columns, changes, strict=True)
     ]
-    flat = [part.reshape(-1, part.shape[2]) for part in S]
-    d = [part[which] for part in changes]
-    if residual is not None:  # R is re-estimated: the residual's own variance
-        information, right = (
-            sum(f.T @ f for f in flat),
-            sum(f.T @ r.ravel() for f, r in zip(flat, residual, strict=True)),
-        )
-        theta = _solve(information, right)
-        left = [r - (part @ theta) for r, part in zip(residual, S, strict=True)]
-        size = np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0))
-        S, d, residual = [p / size[None, :, None] for p in S], [p / size for p in d], [p / size for p in left]
-        flat = [part.reshape(-1, part.shape[2]) for part in S]
-    information, right = sum(f.T @ f for f in flat), sum(f.T @ p.ravel() for f, p in zip(flat, d, strict=True))
-    theta = _solve(information, right)
-    perp = [p - part @ theta for p, part in zip(d, S, strict=True)]
-    square, whole = sum(float(np.sum(p**2)) for p in perp), sum(float(np.sum(p**2)) for p in d)
-    if square <= 0.0:
-        return Strength(0.0, 0.0, 0.0)
-    spread = square if residual is None else float(coloured_information([p[:, :, None] for p in perp], residual)[0, 0])
-    count = sum(p.size for p in d)
-    return Strength(square / np.sqrt(spread), float(np.sqrt(square / whole)), float(np.sqrt(whole / count)))
 
 
-def _solve(information: Array, right: Array) -> Array:
+def _inverse(information: Array) -> Array:
+    """Pseudo-inverse after scaling to a unit diagonal: nuisance that the flights do not show takes nothing up."""
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(information), 1e-30))
-    return np.asarray(
-        scale * (np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-10, hermitian=True) @ (scale * right))
-    )
+    found = np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-10, hermitian=True)
+    return np.asarray(found * np.outer(scale, scale))
 
 
 class _Piece:
     """One labelled manoeuvre of a flight: its rows and the lanes flown for it."""
 
-    def __init__(self, flight: Flight, flown: Flown, manoeuvre: Manoeuvre) -> None:
+    def __init__(
+        self, flight: Flight, flown: Flown, manoeuvre: Manoeuvre, variants: Sequence[tuple[Effect, ...]]
+    ) -> None:
         self.flight, self.flown = flight, flown
         self.dt = 1.0 / flight.card.rate_hz
         first = int(np.ceil(manoeuvre.at_s / self.dt - 1e-6))
@@ -116,7 +161,8 @@ class _Piece:
         k = flight.airframe.coefficients
         every = flight.effects
         self.lanes = [(flight.airframe, every)] * (1 + _STARTS)
-        self.lanes += [(flight.airframe, every[:i] + every[i + 1 :]) for i in range(len(every))]
+        self.lanes += [(flight.airframe, hidden) for hidden in variants]
+        self.variants = len(variants)
         self.steps = np.array([1e-4 * max(abs(k[name]), 1e-3) for name in PARAMETERS])
         for name, step in zip(PARAMETERS, self.steps, strict=True):
             self.lanes.append((flight.airframe.with_coefficient(name, k[name] + step), every))
@@ -136,7 +182,7 @@ class _Piece:
 
 
 def _replayed(pieces: list[_Piece], step_s: float) -> list[tuple[Array, list[Array], Array]]:
-    """Of each piece: outputs (n, m) in still air from the true start; those without each effect; sensitivities (n, m, k)."""
+    """Of each piece: outputs (n, m) in still air from the true start; those of each variant; sensitivities (n, m, k)."""
     n = max(p.rows.stop - p.rows.start for p in pieces)
     dt = pieces[0].dt
     commands = np.concatenate([p.commands(n) for p in pieces], axis=2)
@@ -157,13 +203,13 @@ def _replayed(pieces: list[_Piece], step_s: float) -> list[tuple[Array, list[Arr
     for p in pieces:
         own = y[: p.rows.stop - p.rows.start, :, at : at + len(p.lanes)]
         at += len(p.lanes)
-        first, parameters = 1 + _STARTS, 1 + _STARTS + len(p.flight.effects)
+        first, parameters = 1 + _STARTS, 1 + _STARTS + p.variants
         base = own[:, :, 0]
         S = np.concatenate(
             [(own[:, :, parameters:] - base[:, :, None]) / p.steps, (own[:, :, 1:first] - base[:, :, None]) / _MOVES],
             axis=2,
         )
-        out.append((base, [own[:, :, first + i] for i in range(len(p.flight.effects))], S))
+        out.append((base, [own[:, :, first + i] for i in range(p.variants)], S))
     return out
 
 

@@ -7,7 +7,8 @@ from scipy.linalg import expm
 from statsmodels.tsa.statespace.mlemodel import MLEModel
 
 from sysid import filter_error, output_error
-from sysid.ekf import make_model
+from sysid.ekf import make_model, run_filter
+from sysid.filterinput import read_record
 
 DT = 0.05
 U = np.sign(np.sin(np.arange(400) * 0.11))
@@ -246,3 +247,20 @@ def test_bad_input_is_refused(change, said):
     given |= change
     with pytest.raises(ValueError, match=said):
         filter_error(**given)
+
+
+def test_inputs_between_samples_are_used():
+    # x integrates u = t^2 over one sample: exactly 1/3 when the input half-way is known, 1/2 by a straight line.
+    u, z, t = np.array([[0.0], [1.0]]), np.array([[0.0], [0.0]]), np.array([0.0, 1.0])
+
+    def missed(u_middle=None):
+        record, x0 = read_record([0.0], u, z, t, False, u_middle)
+        model = make_model(lambda x, u, theta: u + 0.0 * theta, lambda x, u, theta: x, x0[:, 0], u[0], np.zeros(1), 1)
+        one = np.ones((1, 1))
+        found = run_filter(model, record, 0 * one, 0 * one, 0.1 * one, x0[:, None, :], 1e-12 * one, np.array([1e-5]), 1)
+        return -found.raw[1, 0, 0]
+
+    assert missed() == pytest.approx(1 / 2)
+    assert missed(np.array([[0.25]])) == pytest.approx(1 / 3)
+    with pytest.raises(ValueError, match="u_middle"):
+        missed(np.array([[0.25], [0.5]]))
