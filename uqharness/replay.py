@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from uqharness import engine
 from uqharness.properties import STANDARD
-from uqharness.replay_model import ReplayModel
+from uqharness.replay_model import ReplayModel, control_setters
 from uqharness.trim import FT, TRIM_LATITUDE_DEG, body_velocity
 
 Array = NDArray[np.float64]
@@ -90,33 +90,18 @@ def fly_segment(
     fdm = model.open(segment.dt_s / runs)
     for name, value in properties.items():
         engine.set_property(fdm, name, value)
-    setters = _setters(fdm, model)
+    setters = control_setters(fdm, model)
     _initialise(fdm, segment, segment.start if start is None else start, setters, model)
     read = _reader(fdm, [*extra], any(segment.arm_m))
     measured, lagging = ([name in kind for name in model.controls] for kind in (model.measured, model.lagging))
-    controls = _by_run(segment, runs, measured, lagging, late_s / segment.dt_s * runs) * np.array(model.factor)
+    controls = model.to_property(_by_run(segment, runs, measured, lagging, late_s / segment.dt_s * runs))
     rows = _advance(fdm, controls, setters, read, runs)
     return _outputs(rows, segment, len(extra))
 
 
-def _setters(fdm: Any, model: ReplayModel) -> list[list[Any]]:
-    found = []
-    for name in model.controls:
-        prop = model.card.inputs[name].property
-        handles = [engine.handle(fdm, prop).set_double_value]
-        if prop == "fcs/throttle-cmd-norm":
-            handles += [
-                engine.handle(fdm, f"{prop}[{i}]").set_double_value
-                for i in range(1, fdm.get_propulsion().get_num_engines())
-            ]
-        found.append(handles)
-    return found
-
-
 def _initialise(fdm: Any, segment: Segment, start: Array, setters: list[list[Any]], model: ReplayModel) -> None:
-    for handles, value, factor in zip(setters, segment.controls[0], model.factor, strict=True):
-        for put in handles:
-            put(float(value) * factor)
+    first = model.to_property(segment.controls[0]).tolist()
+    _put(setters, first)
     V, alpha, beta, phi, theta, psi, p, q, r = (float(x) for x in start)
     u, v, w = body_velocity(V, alpha, beta)
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
@@ -128,12 +113,16 @@ def _initialise(fdm: Any, segment: Segment, start: Array, setters: list[list[Any
     engines = fdm.get_propulsion().get_num_engines()
     if engines:
         engine.start_engines(fdm)
-        for handles, value, factor in zip(setters, segment.controls[0], model.factor, strict=True):
-            for put in handles:
-                put(float(value) * factor)
+        _put(setters, first)
     engine.run_ic(fdm)
     if engines:
         engine.settle_engines(fdm)
+
+
+def _put(setters: list[list[Any]], values: list[float]) -> None:
+    for handles, value in zip(setters, values, strict=True):
+        for put in handles:
+            put(value)
 
 
 def _reader(fdm: Any, extra: Sequence[str], angular: bool) -> Any:
