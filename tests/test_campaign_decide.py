@@ -196,3 +196,22 @@ def test_failed_flights_keep_a_cell_from_yes(tmp_path):
         if row["radius_m"] == "15" and row["distance"] == "horizontal"
     ]
     assert (signed["answer"], signed["failed"]) == ("open", "32")
+
+
+def test_a_campaign_of_fixed_hours_answers_too(tmp_path):
+    """With the number of flights chosen beforehand; a quarter of the hours leaves both cells open."""
+    planned = TOML.partition("[stop]")[0]
+    stop = '[stop]\nrule = "hours"\nhours = {}\n'
+    for hours, calm, rough in ((8, "yes", "no"), (2, "open", "open")):
+        out = f"out-{hours}"
+        run(tmp_path, out, text=planned.replace("flights = 40\n", "") + stop.format(hours))
+        answers = {row["condition"]: row for row in rows(tmp_path / out, "statements.csv")
+                   if row["radius_m"] == "15" and row["distance"] == "horizontal"}  # fmt: skip
+        assert answers["3 m/s severe"]["answer"] == calm
+        assert answers["7 m/s severe"]["answer"] == rough
+        assert float(answers["3 m/s severe"]["hours"]) == 4 * hours
+        assert float(answers["3 m/s severe"]["extrapolated_share"]) == 0.0
+        assert not (tmp_path / out / "decisions.csv").exists()
+        for row in rows(tmp_path / out, "excursions.csv"):
+            assert float(row["flights_lower_per_h"]) <= float(row["rate_per_h"]) <= float(row["flights_upper_per_h"])
+            assert float(row["flights_upper_per_h"]) >= float(row["limit_upper_per_h"]) or int(row["excursions"]) > 0
