@@ -1,0 +1,188 @@
+"""What the refinement asks JSBSim along a flight: forces, moments, their slopes, and what each property and control adds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.aero_terms import split_name
+from sysid.effect_terms import V_REFERENCE_MPS
+from sysid.force_coefficients import MassProperties
+from sysid.rigid_steps import AIR, STATES, Reference
+from uqharness.forced import ForcedModel, force_states
+from uqharness.replay import Segment
+from uqharness.replay_model import ReplayModel
+
+Array = NDArray[np.float64]
+EVERY = 4
+"""Slopes are read at every fourth sample: they move with the state, and the state takes longer than that."""
+_STEPS = {
+    "V_mps": 0.1, "alpha_rad": 1e-3, "beta_rad": 1e-3, "p_radps": 0.01, "q_radps": 0.01, "r_radps": 0.01,
+}  # fmt: skip
+_CONTROL_STEP = 0.1
+
+
+@dataclass(frozen=True)
+class Probe:
+    """What JSBSim said along one segment.
+
+    reference   for `sysid.rigid_steps.linearise`
+    mass        mass properties; coefficients (n, 6) CX..Cn; other_force, other_moment (n, 3) N, N m: thrust and the like
+    by_control  (n, 6, c) change of CX..Cn by each control, per record unit; controls (n, c) positions
+    by_property property -> (n, 6) change of CX..Cn by a unit of it
+    height_m    (n,) above the ground
+    """
+
+    reference: Reference
+    mass: MassProperties
+    coefficients: Array
+    other_force: Array
+    other_moment: Array
+    by_control: Array
+    controls: Array
+    by_property: Mapping[str, Array]
+    height_m: Array
+
+    @property
+    def x(self) -> Array:
+        return self.reference.x
+
+    def variables(self) -> dict[str, Array]:
+        """Variables of coefficient terms, (n,) each."""
+        V, alpha, beta, p, q, r = (self.x[:, i] for i in range(6))
+        half_b, half_c = 0.5 * self.mass.b / V, 0.5 * self.mass.c / V
+        de, da, dr, dt = (self.controls[:, k] for k in range(4))
+        h = self.reference.dt_s
+        pressure = self.reference.qbar * self.mass.S
+        return {
+            "alpha": alpha, "beta": beta, "p_hat": p * half_b, "q_hat": q * half_c, "r_hat": r * half_b,
+            "alphadot_hat": np.gradient(alpha, h) * half_c, "betadot_hat": np.gradient(beta, h) * half_b,
+            "de": de, "da": da, "dr": dr, "dt": dt / 100.0, "CT": self.other_force[:, 0] / pressure,
+            "V_rel": V / V_REFERENCE_MPS, "h_over_b": np.maximum(self.height_m / self.mass.b, 0.1),
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ProbeJob:
+    """One segment to probe: x (n, 8) reference states, controls (n, c) positions, properties in force, properties to differ."""
+
+    straight: ReplayModel
+    segment: Segment
+    x: Array
+    controls: Array
+    properties: Mapping[str, float]
+    differ: tuple[str, ...]
+    consistent: bool
+    height_m: Array
+
+
+def probe(job: ProbeJob) -> Probe:
+    """Force the model along the reference."""
+    n = len(job.x)
+    coarse = np.unique(np.append(np.arange(0, n, EVERY), n - 1))
+    base = np.arange(n) if not job.consistent else coarse
+    states = [job.x[base]]
+    controls = [job.controls[base]]
+    for k, name in enumerate(AIR):
+        moved = job.x[coarse].copy()
+        moved[:, k] += _STEPS[name]
+        states.append(moved)
+        controls.append(job.controls[coarse])
+    for c in range(job.controls.shape[1]):
+        # Away from the stop, or the change would be none.
+        turned = job.controls[coarse].copy()
+        turned[:, c] += np.where(turned[:, c] > 0.0, -_CONTROL_STEP, _CONTROL_STEP)
+        states.append(job.x[coarse])
+        controls.append(turned)
+    found = _forced(job, np.concatenate(states), np.concatenate(controls), job.properties)
+    mass = found.mass
+    load = np.hstack([found.aero_force + found.other_force, found.aero_moment + found.other_moment])
+    size = [len(s) for s in states]
+    edges = np.cumsum([0, *size])
+    parts = [load[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    at_coarse = parts[0] if job.consistent else parts[0][coarse]
+    slopes = np.stack([(parts[1 + k] - at_coarse) / _STEPS[name] for k, name in enumerate(AIR)], axis=2)
+    full = np.arange(n)
+
+    def spread(values: Array) -> Array:
+        flat = values.reshape(len(coarse), -1)
+        wide = np.column_stack([np.interp(full, coarse, flat[:, j]) for j in range(flat.shape[1])])
+        return wide.reshape(n, *values.shape[1:])
+
+    def all_rows(values: Array) -> Array:
+        rows = values[: len(base)]
+        return spread(rows) if job.consistent else rows
+
+    qbar = all_rows(found.qbar)
+    scale = qbar[:, None] * mass.S * np.array([1.0, 1.0, 1.0, mass.b, mass.c, mass.b])
+    by_control = []
+    for c in range(job.controls.shape[1]):
+        step = controls[1 + len(AIR) + c][:, c] - job.controls[coarse][:, c]
+        by_control.append(spread((parts[1 + len(AIR) + c] - at_coarse) / step[:, None]) / scale)
+    total = all_rows(load[: len(base)])
+    other = np.hstack([found.other_force, found.other_moment])
+    other = all_rows(other[: len(base)])
+    reference = Reference(
+        job.segment.dt_s, job.x, total[:, :3], total[:, 3:], spread(slopes), qbar, np.array(job.segment.arm_m), job.consistent
+    )
+    return Probe(
+        reference, mass, (total - other) / scale, other[:, :3], other[:, 3:], np.stack(by_control, axis=2), job.controls,
+        {name: _difference(job, name, scale) for name in job.differ}, job.height_m,
+    )  # fmt: skip
+
+
+def _forced(job: ProbeJob, x: Array, controls: Array, properties: Mapping[str, float]) -> ForcedModel:
+    channels = {name: x[:, STATES.index(name)] for name in STATES}
+    return force_states(job.straight, job.segment, channels, controls, properties)
+
+
+def _difference(job: ProbeJob, name: str, scale: Array) -> Array:
+    """(n, 6) change of the coefficients by a unit of a property, central."""
+    value = job.properties[name]
+    step = 1e-3 * max(abs(value), 1e-2)
+    sides = []
+    for sign in (1.0, -1.0):
+        found = _forced(job, job.x, job.controls, {**job.properties, name: value + sign * step})
+        sides.append(np.hstack([found.aero_force + found.other_force, found.aero_moment + found.other_moment]))
+    return np.asarray((sides[0] - sides[1]) / (2.0 * step) / scale)
+
+
+def named_terms(straight: ReplayModel, segment: Segment, probe_: Probe, names: Sequence[str], values: Mapping[str, float]) -> list[str]:
+    """Those of ``names`` that are, in this model, the coefficient term their name says: told by moving each of them."""
+    rows = np.unique(np.linspace(0, len(probe_.x) - 1, 9).astype(int))
+    few = ProbeJob(
+        straight, segment, probe_.x[rows], probe_.controls[rows], values, (), True, probe_.height_m[rows],
+    )  # fmt: skip
+    found = {k: v[rows] for k, v in probe_.variables().items()}
+    scale = probe_.reference.qbar[rows, None] * probe_.mass.S
+    scale = scale * np.array([1.0, 1.0, 1.0, probe_.mass.b, probe_.mass.c, probe_.mass.b])
+    out = []
+    for name in names:
+        parsed = split_name(name)
+        if parsed is None:
+            continue
+        index, expected = term_column(name, found)
+        seen = _difference(few, name, scale)
+        wanted = np.zeros_like(seen)
+        wanted[:, index] = expected
+        size = max(float(np.abs(wanted).max()), 1e-9)
+        if np.allclose(seen, wanted, rtol=0.02, atol=0.02 * size):
+            out.append(name)
+    return out
+
+
+def term_column(name: str, found: Mapping[str, Array]) -> tuple[int, Array]:
+    """Coefficient's index and values (n,) of a property such as ``aero/Cm_q``."""
+    from sysid.aero_terms import COEFFICIENTS, regressor
+
+    parsed = split_name(name)
+    assert parsed is not None
+    return COEFFICIENTS.index(parsed[0]), regressor(parsed[1], found)
+
+
+def along(probe_: Probe, **changes: object) -> Probe:
+    """The probe with another reference."""
+    return replace(probe_, reference=replace(probe_.reference, **changes))  # type: ignore[arg-type]
