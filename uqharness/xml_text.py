@@ -1,0 +1,238 @@
+"""XML files edited as text: where each element stands in the bytes, and insertions that leave every other byte alone.
+
+A parsed and re-serialised tree loses the author's quotes, indentation, line ends and encoding. Here expat says at which byte an
+element begins and ends, and an edit is a piece of text put at a byte.
+"""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from xml.parsers import expat
+
+from uqharness.errors import BadInputError
+
+
+@dataclass(eq=False)
+class Node:
+    """An element of the file.
+
+    ``start`` is the byte of its ``<``, ``open_end`` the byte behind its start tag's ``>``, ``close_start`` the byte of ``</``,
+    ``end`` the byte behind it all. For ``<a/>`` the last three are equal. ``text`` is its own character data, children's left out;
+    lines count from 1.
+    """
+
+    tag: str
+    attributes: dict[str, str]
+    line: int
+    start: int
+    parent: Node | None = None
+    open_end: int = -1
+    close_start: int = -1
+    end: int = -1
+    text: str = ""
+    children: list[Node] = field(default_factory=list)
+
+    @property
+    def empty_tag(self) -> bool:
+        """Whether it is written ``<a/>``."""
+        return self.open_end == self.end
+
+    def find(self, tag: str) -> Node | None:
+        """First child of that name."""
+        return next((child for child in self.children if child.tag == tag), None)
+
+    def all(self, tag: str) -> list[Node]:
+        """Children of that name."""
+        return [child for child in self.children if child.tag == tag]
+
+    def walk(self) -> Iterator[Node]:
+        """The element and all below it, in the order of the text."""
+        yield self
+        for child in self.children:
+            yield from child.walk()
+
+
+@dataclass(frozen=True)
+class Document:
+    """A file's bytes and the elements in them."""
+
+    path: Path
+    raw: bytes
+    root: Node
+
+    def where(self, node: Node) -> str:
+        """``file:line`` for an error message."""
+        return f"{self.path}:{node.line}"
+
+    @property
+    def newline(self) -> bytes:
+        """The line end that most lines of the file have."""
+        crlf = self.raw.count(b"\r\n")
+        return b"\r\n" if crlf * 2 > self.raw.count(b"\n") else b"\n"
+
+    def indent(self, node: Node) -> str:
+        """White space before the element on its line; empty if something else stands there."""
+        begin = self.raw.rfind(b"\n", 0, node.start) + 1
+        before = self.raw[begin : node.start]
+        return before.decode("ascii") if not before.strip(b" \t") else ""
+
+    def step(self) -> str:
+        """One level of the author's indentation: the shortest a child of the root has, two spaces if none is indented."""
+        steps = [self.indent(child) for child in self.root.children]
+        steps = [s.removeprefix(self.indent(self.root)) for s in steps if s != self.indent(self.root)]
+        return min((s for s in steps if s), key=len, default="  ")
+
+
+def read_document(path: Path) -> Document:
+    """Read and parse; BadInputError with file and line if it is not well formed, or in an encoding that is not edited here."""
+    try:
+        return parse_document(path, path.read_bytes())
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def parse_document(path: Path, raw: bytes) -> Document:
+    """The same for bytes at hand; ``path`` is for messages."""
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise BadInputError(f"{path}:1: UTF-16 is not edited here; save the file as UTF-8 or ISO-8859-1")
+    parser = expat.ParserCreate()
+    stack: list[Node] = []
+    top: list[Node] = []
+
+    def opened(tag: str, attributes: dict[str, str]) -> None:
+        parent = stack[-1] if stack else None
+        node = Node(tag, attributes, parser.CurrentLineNumber, parser.CurrentByteIndex, parent)
+        node.open_end = _tag_end(raw, node.start)
+        (parent.children if parent is not None else top).append(node)
+        stack.append(node)
+
+    def closed(_: str) -> None:
+        node = stack.pop()
+        at = parser.CurrentByteIndex
+        if raw[node.open_end - 2 : node.open_end] == b"/>":
+            node.close_start = node.end = node.open_end
+        else:
+            node.close_start, node.end = at, _tag_end(raw, at)
+
+    def characters(data: str) -> None:
+        if stack:
+            stack[-1].text += data
+
+    parser.StartElementHandler = opened
+    parser.EndElementHandler = closed
+    parser.CharacterDataHandler = characters
+    try:
+        parser.Parse(raw, True)
+    except expat.ExpatError as error:
+        raise BadInputError(f"{path}:{error.lineno}: not well-formed XML: {expat.ErrorString(error.code)}") from None
+    for node in top[0].walk():
+        # An element that came out of an entity has no place of its own in the bytes.
+        if not re.match(rb"<" + re.escape(node.tag.encode()) + rb"[\s/>]", raw[node.start : node.open_end]):
+            raise BadInputError(
+                f"{path}:{node.line}: <{node.tag}> comes from an entity; such a file is not edited here"
+            )
+    return Document(path, raw, top[0])
+
+
+def _tag_end(raw: bytes, start: int) -> int:
+    """Byte behind the ``>`` of the tag at ``start``; a ``>`` in quotes does not count."""
+    quote = 0
+    for at in range(start, len(raw)):
+        byte = raw[at]
+        if quote:
+            quote = 0 if byte == quote else quote
+        elif byte in b"\"'":
+            quote = byte
+        elif byte == 0x3E:
+            return at + 1
+    return len(raw)
+
+
+@dataclass(frozen=True)
+class Insertion:
+    """``text`` (ASCII, final line ends) put before byte ``at`` in place of ``removed`` bytes."""
+
+    at: int
+    text: bytes
+    removed: bytes = b""
+
+
+def append_child(document: Document, parent: Node, lines: list[str]) -> Insertion:
+    """``lines`` (indented relative to one another) as the last child of ``parent``, in the author's indentation and line ends."""
+    newline = document.newline.decode()
+    outer = document.indent(parent)
+    inner = document.indent(parent.children[-1]) if parent.children else ""
+    inner = inner or outer + document.step()
+    block = newline.join(_indented(line, inner, document.step()) for line in lines)
+    if parent.empty_tag:
+        slash = document.raw.rindex(b"/", parent.start, parent.open_end)
+        text = f">{newline}{block}{newline}{outer}</{parent.tag}>"
+        return Insertion(slash, text.encode("ascii"), document.raw[slash : parent.open_end])
+    begin = document.raw.rfind(b"\n", 0, parent.close_start) + 1
+    if document.raw[begin : parent.close_start].strip(b" \t"):
+        return Insertion(parent.close_start, f"{newline}{block}{newline}{outer}".encode("ascii"))
+    return Insertion(begin, f"{block}{newline}".encode("ascii"))
+
+
+def before(document: Document, node: Node, lines: list[str]) -> Insertion:
+    """``lines`` as siblings before ``node``, on lines of their own."""
+    newline, indent = document.newline.decode(), document.indent(node)
+    block = newline.join(_indented(line, indent, document.step()) for line in lines)
+    begin = document.raw.rfind(b"\n", 0, node.start) + 1
+    if document.raw[begin : node.start].strip(b" \t"):
+        return Insertion(node.start, f"{newline}{block}{newline}".encode("ascii"))
+    return Insertion(begin, f"{block}{newline}".encode("ascii"))
+
+
+def after(document: Document, node: Node, lines: list[str]) -> Insertion:
+    """``lines`` as siblings after ``node``, below the line that it ends on (a remark there stays with it)."""
+    newline, indent = document.newline.decode(), document.indent(node)
+    block = newline.join(_indented(line, indent, document.step()) for line in lines)
+    end_of_line = document.raw.find(b"\n", node.end)
+    rest = document.raw[node.end : end_of_line] if end_of_line >= 0 else b""
+    if end_of_line >= 0 and not re.sub(rb"<!--.*?-->", b"", rest).strip():
+        return Insertion(end_of_line + 1, f"{block}{newline}".encode("ascii"))
+    return Insertion(node.end, f"{newline}{block}".encode("ascii"))
+
+
+def apply(document: Document, insertions: list[Insertion]) -> bytes:
+    """The file's bytes with the insertions made; two at the same byte keep their order."""
+    pieces, position = [], 0
+    for insertion in sorted(insertions, key=lambda item: item.at):
+        if insertion.at < position:
+            raise ValueError("insertions overlap")
+        pieces += [document.raw[position : insertion.at], insertion.text]
+        position = insertion.at + len(insertion.removed)
+    return b"".join([*pieces, document.raw[position:]])
+
+
+def _indented(line: str, indent: str, step: str) -> str:
+    """Two leading spaces of ``line`` are one level; they become the author's."""
+    body = line.lstrip(" ")
+    return indent + step * ((len(line) - len(body)) // 2) + body if body else ""
+
+
+def elements(lines: str) -> list[str]:
+    """Lines of a block of text, common indentation and blank lines at its ends removed."""
+    return textwrap.dedent(lines).strip("\n").splitlines()
+
+
+def number(node: Node, what: str, document: Document) -> float:
+    """The element's text as a number; BadInputError with file and line."""
+    try:
+        return float(node.text)
+    except ValueError:
+        raise BadInputError(
+            f"{document.where(node)}: {what} must be a number; received {node.text.strip()!r}"
+        ) from None
+
+
+def attribute(node: Node, name: str) -> str:
+    """An attribute's value without surrounding white space; empty when it is not there."""
+    value: Any = node.attributes.get(name, "")
+    return str(value).strip()
