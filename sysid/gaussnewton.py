@@ -22,15 +22,21 @@ LOST = 1e-10  # eigenvalues of the scaled information below this share of the la
 DAMPING = 1e-4  # first lambda: nearly Gauss-Newton
 NEAR = 0.05  # standard errors: as near as an imprecise or slowly settling likelihood need be called
 TRIALS = 14  # rejected steps in one iteration before giving up
+TRIALS_CARRIED = 2  # the same with sensitivities carried on from another point: they may be what is wrong
 
 
 @dataclass(frozen=True)
 class Linearisation:
-    """gradient (k,) of minus the cost, information (k, k), predict(delta): the cost the linearised model expects."""
+    """gradient (k,) of minus the cost, information (k, k), predict(delta): the cost the linearised model expects.
+
+    exact: good enough to call convergence by; fresh: differenced at this very point, not carried on from another.
+    """
 
     gradient: Array
     information: Array
     predict: Callable[[Array], float]
+    exact: bool = True
+    fresh: bool = True
 
 
 class Problem(Protocol[S]):
@@ -100,10 +106,13 @@ def minimise(
     rejected = failed = 0
     central, stalled = True, 0
     decrement, message, converged = float("inf"), "", False
-    iteration = 0
+    iteration, renewed = 0, True
     while iteration < max_iterations:
         iteration += 1
         line = problem.linearise(theta, state, central or always_central)
+        if line.fresh and not renewed:
+            damping, growth = DAMPING, 2.0
+        renewed = line.fresh
         gradient, information = line.gradient, line.information
         outward = ((theta >= upper) & (gradient > 0.0)) | ((theta <= lower) & (gradient < 0.0))
         allowed = ~outward
@@ -111,7 +120,7 @@ def minimise(
             gradient, information, 0.0, np.full(theta.size, np.inf), np.full(theta.size, np.inf), allowed
         )
         decrement = float(np.sqrt(np.maximum(free_step @ information @ free_step, 0.0)))
-        if decrement < tolerance and (central or always_central):
+        if decrement < tolerance and line.exact:
             converged, message = True, f"the next step would be {decrement:.1e} standard errors long"
             last = np.clip(theta + free_step, lower, upper)  # taken all the same, if it does no harm: it is nearly free
             answer = problem.evaluate(last)
@@ -120,7 +129,7 @@ def minimise(
                 history.append(cost)
             break
         accepted = False
-        for _ in range(TRIALS):
+        for _ in range(TRIALS if line.fresh else TRIALS_CARRIED):
             step = damped_step(gradient, information, damping, theta - lower, upper - theta, allowed)
             trial = np.asarray(np.clip(theta + step, lower, upper))
             if np.array_equal(trial, theta):
@@ -142,7 +151,7 @@ def minimise(
             damping = max(damping, 1e-6) * growth
             growth *= 2.0
         if not accepted or stalled >= 3:
-            if not central and not always_central:
+            if not line.fresh or not (central or always_central):
                 central, damping, growth, stalled = True, DAMPING, 2.0, 0  # forward differences may be what failed
                 continue
             # With an imprecise simulation the slope never vanishes: close enough in standard errors is converged.

@@ -10,7 +10,6 @@ Jategaonkar, R. V., "Flight Vehicle System Identification", 2nd ed. (2015), ch. 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
@@ -18,78 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sysid.checks import Array, as_bounds, as_free, as_names, as_parameters, as_segments, is_many
-from sysid.gaussnewton import Linearisation, Minimum, minimise
-from sysid.noise import Noise, concentrated, residual_noise
+from sysid.gaussnewton import Minimum, minimise
+from sysid.output_problem import OutputErrorProblem
 from sysid.report import Findings, judge
 from sysid.results import OutputErrorFit, split
-from sysid.sensitivities import TARGET, MapLike, SafeSimulation, first_steps, roughness, sensitivities, target_for
+from sysid.sensitivities import MapLike, SafeSimulation, first_steps
 
 HORIZONS = (0.1, 0.2, 0.4)  # shares of each segment fitted first when the whole leads nowhere
-
-
-@dataclass
-class _OutputErrorProblem:
-    """The cost over the free parameters; counts simulations and keeps the adapted difference steps."""
-
-    simulation: SafeSimulation
-    measured: Array
-    full_theta: Array
-    columns: list[int]
-    limits: tuple[Array, Array]
-    spread: Array
-    full: bool
-    map_: MapLike | None
-    step: Array
-    runs: int = 0
-    target: float | None = None
-    last_failure: str = ""
-    sensitivity: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
-
-    @property
-    def floor(self) -> Array:
-        return 1e-9 * self.spread
-
-    def whole(self, theta: Array) -> Array:
-        out = self.full_theta.copy()
-        out[self.columns] = theta
-        return out
-
-    def noise(self, outputs: Array) -> Noise:
-        return residual_noise(self.measured - outputs, self.floor, self.full)
-
-    def evaluate(self, theta: Array) -> tuple[float, Array] | None:
-        self.runs += 1
-        outputs = self.simulation(self.whole(theta))
-        if isinstance(outputs, str):
-            self.last_failure = outputs
-            return None
-        return concentrated(self.measured - outputs, self.noise(outputs)), outputs
-
-    def linearise(self, theta: Array, outputs: Array, central: bool) -> Linearisation:
-        found = sensitivities(
-            self.simulation, self.whole(theta), outputs, self.step, self.columns, self.limits, self.spread,
-            central=central, map_=self.map_, target=self.target or TARGET,
-        )  # fmt: skip
-        self.step, self.runs = found.step, self.runs + found.runs
-        if self.target is None:  # steps are sized now: find out how small they may be
-            small = np.zeros_like(self.step)
-            small[self.columns] = 1e-3 * self.step[self.columns]
-            rough, runs = roughness(
-                self.simulation, self.whole(theta), outputs, small, self.limits, self.spread, self.map_
-            )
-            self.target, self.runs = target_for(rough), self.runs + runs
-        self.sensitivity = found.sensitivity
-        residual = self.measured - outputs
-        white, scaled = self.noise(outputs).whiten(residual, found.sensitivity)
-        assert scaled is not None
-        flat = scaled.reshape(-1, len(self.columns))
-
-        def predict(delta: Array) -> float:
-            expected = residual - found.sensitivity @ delta
-            return concentrated(expected, residual_noise(expected, self.floor, self.full))
-
-        # M = sum S' R^-1 S,  g = sum S' R^-1 v: one Gauss-Newton step is M^-1 g
-        return Linearisation(flat.T @ white.ravel(), flat.T @ flat, predict)
 
 
 def output_error(
@@ -117,7 +51,8 @@ def output_error(
     free           names, indices or a mask of the parameters to estimate; the others stay at theta0
     noise          "diagonal" (independent outputs) or "full"
     map            like the built-in map(function, points), e.g. a process pool's: runs the perturbed simulations
-    differences    "central"; "auto" takes forward differences between the first iteration and the last ones
+    differences    "central"; "auto" takes forward differences between the first iteration and the last ones; "secant", for
+                   smooth simulations that are dear, carries sensitivities on from iteration to iteration
     max_iterations, tolerance: stop when the next step is shorter than `tolerance` standard errors
 
     Returns an OutputErrorFit. `std` is corrected for coloured residuals (Morelli and Klein, see coloured.py), `std_crb`
@@ -134,8 +69,8 @@ def output_error(
     segments = as_segments(measured, "measured", dropouts=True)
     if noise not in ("diagonal", "full"):
         raise ValueError(f'noise is {noise!r}; allowed are "diagonal" and "full"')
-    if differences not in ("auto", "central"):
-        raise ValueError(f'differences is {differences!r}; allowed are "auto" and "central"')
+    if differences not in ("auto", "central", "secant"):
+        raise ValueError(f'differences is {differences!r}; allowed are "auto", "central" and "secant"')
     stacked = np.concatenate(segments)
     counts = np.isfinite(stacked).sum(axis=0)
     if (counts == 0).any():
@@ -153,7 +88,7 @@ def output_error(
     spread = np.where(spread > 1e-12 * size, spread, np.where(size > 0.0, size, 1.0))
 
     simulation = SafeSimulation(simulate, tuple(part.shape[0] for part in segments), stacked.shape[1])
-    problem = _OutputErrorProblem(
+    problem = OutputErrorProblem(
         simulation,
         stacked,
         theta,
@@ -163,6 +98,7 @@ def output_error(
         noise == "full",
         map,
         first_steps(theta, lower, upper),
+        differences == "secant",
     )
     start = problem.evaluate(theta[columns])
     if start is None:
@@ -183,10 +119,9 @@ def output_error(
         other = _from_short_horizons(problem, theta[columns], edges, descend, max_iterations, tolerance)
         best = other if other is not None and other.cost < best.cost else best
 
-    # Sensitivities at the answer itself, central: the last iteration's may belong to the point before.
     again = problem.evaluate(best.theta)
     assert again is not None
-    line = problem.linearise(best.theta, again[1], True)
+    line = problem.settle(best.theta, again[1])
     residual = stacked - again[1]
     findings = judge(
         theta=best.theta,
@@ -204,7 +139,7 @@ def output_error(
     return _assemble(theta, columns, labels, best, problem, findings, split(residual, edges), is_many(measured))
 
 
-def _lost(problem: _OutputErrorProblem, best: Minimum) -> bool:
+def _lost(problem: OutputErrorProblem, best: Minimum) -> bool:
     """Not converged, or at a point where no output is explained even to 70 %: not the minimum that was meant."""
     found = problem.evaluate(best.theta)
     if found is None:
@@ -214,7 +149,7 @@ def _lost(problem: _OutputErrorProblem, best: Minimum) -> bool:
 
 
 def _from_short_horizons(
-    problem: _OutputErrorProblem, theta: Array, edges: list[int], descend: Callable[..., Minimum],
+    problem: OutputErrorProblem, theta: Array, edges: list[int], descend: Callable[..., Minimum],
     max_iterations: int, tolerance: float,
 ) -> Minimum | None:  # fmt: skip
     """The minimum reached from theta (k,) by way of the first tenth, third and whole of every segment.
@@ -241,7 +176,7 @@ def _from_short_horizons(
 
 
 def _assemble(
-    theta: Array, columns: list[int], labels: tuple[str, ...], best: Any, problem: _OutputErrorProblem,
+    theta: Array, columns: list[int], labels: tuple[str, ...], best: Any, problem: OutputErrorProblem,
     findings: Findings, residual: list[Array], many: bool,
 ) -> OutputErrorFit:  # fmt: skip
     """The findings over the free parameters, spread over all of them."""

@@ -14,7 +14,7 @@ from uqharness.aircraft import find_aircraft
 from uqharness.errors import BadInputError
 from uqharness.flights import prepare, read_flight, segments
 from uqharness.forced import force_states
-from uqharness.identify import demand_of, forced_at
+from uqharness.identify_start import demand_of, forced_at
 from uqharness.replay import CHANNELS, STATES, Replay, fly_segment, runs_per_row
 from uqharness.replay_model import CONTROLS, ReplayFolder
 

@@ -21,9 +21,12 @@ from sysid.outputerror import output_error
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
 from uqharness.flights import Flight, measured_outputs, segments, states
-from uqharness.identify import BIASES, OUTPUTS, delayed, demand_of, forced_at, nuisance_layout, replay_pool
+from uqharness.identify import BIASES, OUTPUTS
+from uqharness.identify_start import demand_of, forced_at
 from uqharness.replay import CHANNELS, SENSOR_OF, Replay, Segment
+from uqharness.replay_layout import delayed, nuisance_layout
 from uqharness.replay_model import CONTROLS, ReplayFolder, ReplayModel
+from uqharness.replay_pool import replay_pool
 
 Array = NDArray[np.float64]
 LIMIT = 1.15

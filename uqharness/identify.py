@@ -7,31 +7,26 @@ over, and the result says so.
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import time
 import uuid
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aero_terms import regressor, split_name, variables
-from sysid.force_coefficients import demanded, smooth
 from sysid.gaps import channel_noise, process_noise_shown
-from sysid.identifiability import assess
 from sysid.outputerror import output_error
 from sysid.results import OutputErrorFit
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
-from uqharness.flights import Flight, measured_outputs, segments, states
-from uqharness.forced import ForcedModel, force_states, surface_positions
-from uqharness.replay import CHANNELS, SENSOR_OF, STATES, Replay, Segment
+from uqharness.flights import Flight, measured_outputs, segments
+from uqharness.identify_start import demand_of, equation_error_start, forced_at
+from uqharness.replay import CHANNELS, STATES, Replay, Segment
+from uqharness.replay_layout import Layout, delayed, nuisance_layout
 from uqharness.replay_model import CONTROLS, ReplayFolder, ReplayModel
+from uqharness.replay_pool import replay_pool
 
 Array = NDArray[np.float64]
 OUTPUTS = (
@@ -40,11 +35,6 @@ OUTPUTS = (
 )  # fmt: skip
 """Channels that output error compares. Height and heading follow from the others and drift in real sensors."""
 BIASES = ("p_radps", "q_radps", "r_radps")
-_FREE_STARTS = ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps")
-_START_WIDTH = {"V_mps": 6.0, "alpha_rad": 0.2, "beta_rad": 0.2, "phi_rad": 0.3, "theta_rad": 0.2}
-_BIAS_WIDTH = {"V_mps": 5.0, "ax_mps2": 2.0, "ay_mps2": 2.0, "az_mps2": 2.0}
-_DEFAULT_WIDTH = 0.5
-_DELAY_WIDTH = 0.15
 
 
 @dataclass(frozen=True)
@@ -86,36 +76,6 @@ class Identification:
     @property
     def identified(self) -> tuple[str, ...]:
         return tuple(n for n in self.names if self.status[n] == "identified")
-
-
-@contextmanager
-def replay_pool(workers: int | None = None) -> Any:
-    """A `map` for output error whose replays are flown by worker processes, started once; the built-in one for a single worker."""
-    count = workers or max(
-        1, min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
-    )
-    if count == 1:
-        yield map
-        return
-    # Small matrices: idle threads of a linear algebra library would only take the cores from the simulations.
-    before = os.environ.get("OPENBLAS_NUM_THREADS")
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    try:
-        with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
-
-            def spread(function: Callable[[Array], Any], points: Any) -> Any:
-                todo = list(points)
-                replay = getattr(function, "simulate", None)
-                if isinstance(replay, Replay):
-                    replay.fetch(todo, lambda f, jobs: pool.map(f, jobs, chunksize=max(1, len(jobs) // (8 * count))))
-                return [function(point) for point in todo]
-
-            yield spread
-    finally:
-        if before is None:
-            del os.environ["OPENBLAS_NUM_THREADS"]
-        else:
-            os.environ["OPENBLAS_NUM_THREADS"] = before
 
 
 def identify(
@@ -230,117 +190,6 @@ def _limits(aircraft: Aircraft, names: Sequence[str], initial: Array) -> list[tu
     return out
 
 
-def equation_error_start(
-    model: ReplayModel, straight: ReplayModel, flights: Sequence[Flight], cut: Sequence[Segment],
-    names: Sequence[str], initial: Array, limits: Sequence[tuple[float, float]],
-) -> tuple[Array, list[str]]:  # fmt: skip
-    """Parameters (k,) at which the model's forces at the measured states come nearest to those the flight demanded.
-
-    Only parameters that are coefficient terms by name move; the others, and those that the flights do not tell apart, stay.
-    """
-    theta = initial.copy()
-    groups: dict[str, list[int]] = {}
-    for i, name in enumerate(names):
-        parsed = split_name(name)
-        if parsed is not None:
-            groups.setdefault(parsed[0], []).append(i)
-    if not groups:
-        return theta, ["equation error was left out: no parameter is a coefficient term by name"]
-    notes: list[str] = []
-    demand, said, base = [], [], []
-    for segment, (flight, piece) in zip(cut, [(f, p) for f in flights for p in f.pieces], strict=True):
-        channels = states(flight, piece)
-        forced = forced_at(model, straight, segment, channels, dict(zip(names, initial, strict=True)))
-        demand.append(demand_of(channels, forced[0], segment))
-        said.append(smooth(forced[0].coefficients, segment.dt_s))
-        base.append({k: smooth(v, segment.dt_s) for k, v in forced[1].items()})
-    order = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
-    for coefficient, members in groups.items():
-        column = order.index(coefficient)
-        y = np.concatenate([d[:, column] - s[:, column] for d, s in zip(demand, said, strict=True)])
-        x = np.column_stack(
-            [np.concatenate([regressor(split_name(names[i])[1], b) for b in base]) for i in members]  # type: ignore[index]
-        )
-        gate = assess(x.T @ x, tuple(names[i] for i in members))
-        moved = [i for i, ok in zip(members, gate.identified, strict=True) if ok]
-        delta = np.linalg.lstsq(x[:, gate.identified], y, rcond=None)[0]
-        for i, d in zip(moved, delta, strict=True):
-            low, high = limits[i]
-            # A hair inside, so that output error does not start on a bound.
-            margin = 1e-6 * (high - low) if np.isfinite(high - low) else 0.0
-            theta[i] = float(np.clip(initial[i] + d, low + margin, high - margin))
-    return theta, notes
-
-
-def forced_at(
-    model: ReplayModel,
-    straight: ReplayModel,
-    segment: Segment,
-    channels: Mapping[str, Array],
-    properties: Mapping[str, float],
-) -> tuple[ForcedModel, dict[str, Array]]:
-    """The model forced to a piece's measured states, and the variables of its coefficient terms there."""
-    controls = surface_positions(model, segment, CONTROLS)
-    altitude = segment.altitude_m + (channels["h_m"] - segment.h_m) * 0.0
-    forced = force_states(straight, segment, channels, controls, properties, altitude)
-    de, da, dr = (controls[:, model.controls.index(c)] for c in ("elevator", "aileron", "rudder"))
-    found = variables(
-        channels["V_mps"], channels["alpha_rad"], channels["beta_rad"], channels["p_radps"], channels["q_radps"],
-        channels["r_radps"], de, da, dr, forced.mass.b, forced.mass.c,
-    )  # fmt: skip
-    return forced, found
-
-
-def demand_of(channels: Mapping[str, Array], forced: ForcedModel, segment: Segment) -> Array:
-    """(n, 6) coefficients that the flight demanded in a piece."""
-    return demanded(
-        np.column_stack([channels[f"a{a}_mps2"] for a in "xyz"]),
-        np.column_stack([channels[f"{a}_radps"] for a in "pqr"]),
-        forced.qbar, forced.mass, forced.other_force, forced.other_moment, segment.dt_s, np.array(segment.arm_m),
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Layout:
-    """theta of the replay: parameters first, then biases and start states."""
-
-    names: tuple[str, ...]
-    bounds: list[tuple[float, float]]
-
-
-def nuisance_layout(
-    names: Sequence[str], limits: Sequence[tuple[float, float]], cut: Sequence[Segment], biases: Sequence[str],
-    outputs: Sequence[str], late: Mapping[str, Sequence[str]],
-) -> Layout:  # fmt: skip
-    """Parameters, one bias a flight and channel, the delays ``late`` (flight -> channels), start states of every segment."""
-    extra, bounds = [], list(limits)
-    for flight in dict.fromkeys(s.flight for s in cut):
-        for channel in biases:
-            extra.append(f"bias/{flight}/{channel}")
-            width = _BIAS_WIDTH.get(channel, 0.1)
-            bounds.append((-width, width))
-    for flight, channels in late.items():
-        extra += [f"delay/{flight}/{channel}" for channel in channels]
-        bounds += [(-_DELAY_WIDTH, _DELAY_WIDTH)] * len(channels)
-    for number in range(len(cut)):
-        for state in _FREE_STARTS:
-            if state not in outputs:
-                continue
-            extra.append(f"start/{number}/{state}")
-            width = _START_WIDTH.get(state, _DEFAULT_WIDTH)
-            bounds.append((-width, width))
-    return Layout((*names, *extra), bounds)
-
-
-def delayed(flights: Sequence[Flight], outputs: Sequence[str], asked: Sequence[str] | None) -> dict[str, list[str]]:
-    """Flight -> sensors whose delay is estimated. By default those of logs: their channels are stamped when they are written."""
-    out = {}
-    for flight in flights:
-        wanted = [c for c in outputs if (flight.record.metadata.native_hz if asked is None else c in asked)]
-        out[flight.name] = list(dict.fromkeys(SENSOR_OF.get(c, c) for c in wanted))
-    return out
-
-
 def _output_error(
     model: ReplayModel, cut: Sequence[Segment], names: Sequence[str], near: Array, initial: Array,
     limits: Sequence[tuple[float, float]], outputs: tuple[str, ...], data: list[Array], biases: Sequence[str],
@@ -363,6 +212,7 @@ def _output_error(
             map=pool,
             tolerance=0.05,
             max_iterations=40,
+            differences="secant",
         )
 
     free = list(layout.names)
@@ -415,4 +265,7 @@ def _assemble(
     )  # fmt: skip
 
 
-__all__ = ["BIASES", "CHANNELS", "OUTPUTS", "STATES", "Identification", "identify", "replay_pool"]
+__all__ = [
+    "BIASES", "CHANNELS", "OUTPUTS", "STATES", "Identification", "delayed", "demand_of", "forced_at", "identify",
+    "nuisance_layout", "replay_pool",
+]  # fmt: skip

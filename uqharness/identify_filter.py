@@ -20,7 +20,8 @@ from sysid.segmentation import as_logged
 from uqharness import engine
 from uqharness.errors import BadInputError
 from uqharness.flights import Flight, states
-from uqharness.identify import Identification, forced_at
+from uqharness.identify import Identification
+from uqharness.identify_start import forced_at
 from uqharness.replay_model import ReplayModel
 
 Array = NDArray[np.float64]

@@ -1,0 +1,56 @@
+"""What a replay's theta holds beside the parameters: sensor biases, delays and the segments' start states."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from uqharness.flights import Flight
+from uqharness.replay import SENSOR_OF, Segment
+
+_FREE_STARTS = ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps")
+_START_WIDTH = {"V_mps": 6.0, "alpha_rad": 0.2, "beta_rad": 0.2, "phi_rad": 0.3, "theta_rad": 0.2}
+_BIAS_WIDTH = {"V_mps": 5.0, "ax_mps2": 2.0, "ay_mps2": 2.0, "az_mps2": 2.0}
+_DEFAULT_WIDTH = 0.5
+_DELAY_WIDTH = 0.15
+
+
+@dataclass(frozen=True)
+class Layout:
+    """theta of the replay: parameters first, then biases and start states."""
+
+    names: tuple[str, ...]
+    bounds: list[tuple[float, float]]
+
+
+def nuisance_layout(
+    names: Sequence[str], limits: Sequence[tuple[float, float]], cut: Sequence[Segment], biases: Sequence[str],
+    outputs: Sequence[str], late: Mapping[str, Sequence[str]],
+) -> Layout:  # fmt: skip
+    """Parameters, one bias a flight and channel, the delays ``late`` (flight -> channels), start states of every segment."""
+    extra, bounds = [], list(limits)
+    for flight in dict.fromkeys(s.flight for s in cut):
+        for channel in biases:
+            extra.append(f"bias/{flight}/{channel}")
+            width = _BIAS_WIDTH.get(channel, 0.1)
+            bounds.append((-width, width))
+    for flight, channels in late.items():
+        extra += [f"delay/{flight}/{channel}" for channel in channels]
+        bounds += [(-_DELAY_WIDTH, _DELAY_WIDTH)] * len(channels)
+    for number in range(len(cut)):
+        for state in _FREE_STARTS:
+            if state not in outputs:
+                continue
+            extra.append(f"start/{number}/{state}")
+            width = _START_WIDTH.get(state, _DEFAULT_WIDTH)
+            bounds.append((-width, width))
+    return Layout((*names, *extra), bounds)
+
+
+def delayed(flights: Sequence[Flight], outputs: Sequence[str], asked: Sequence[str] | None) -> dict[str, list[str]]:
+    """Flight -> sensors whose delay is estimated. By default those of logs: their channels are stamped when they are written."""
+    out = {}
+    for flight in flights:
+        wanted = [c for c in outputs if (flight.record.metadata.native_hz if asked is None else c in asked)]
+        out[flight.name] = list(dict.fromkeys(SENSOR_OF.get(c, c) for c in wanted))
+    return out
