@@ -12,7 +12,7 @@ asked whether it agrees.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -73,6 +73,21 @@ class Evidence:
         out = np.zeros(len(self.names))
         out[free] = solve(G[np.ix_(free, free)], u[free, None])[:, 0]
         return out
+
+    def taken_out(self, values: Mapping[str, float]) -> Evidence:
+        """The evidence as it would be had the columns ``values`` not been in the model flown: their part is back in the residual.
+
+        So one flight, flown with the effects chosen, serves to choose again.
+        """
+        v = np.zeros(len(self.names))
+        for name, value in values.items():
+            v[self._where[name]] = value
+        used = np.flatnonzero(v)
+        white = [
+            replace(w, residual=w.residual + w.columns[:, :, used].astype(np.float64) @ v[used]) for w in self.white
+        ]
+        square = np.array([float(np.sum(w.residual**2)) for w in white])
+        return replace(self, score=self.score + self.gram @ v, square=square, white=white)
 
     def residual(self, delta: FloatArray) -> list[FloatArray]:
         """[(n, m)] whitened innovations after a change of the columns, NaN where nothing was measured."""

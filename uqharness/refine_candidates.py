@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +11,12 @@ from numpy.typing import NDArray
 from sysid.aero_terms import COEFFICIENTS
 from sysid.effects import Effect
 from sysid.prediction import Columns
-from uqharness.refine_fit import Flown, Setup
 from uqharness.refine_reference import Probe
 from uqharness.replay import SENSOR_OF, Segment
 from uqharness.replay_model import CONTROLS
+
+if TYPE_CHECKING:
+    from uqharness.refine_fit import Flown, Setup
 
 Array = NDArray[np.float64]
 STALL = {"a1_per_deg": 0.5, "alpha1_deg": 11.0, "alpha2_deg": -20.0}
@@ -24,7 +27,7 @@ _RATE_DEGPS = 60.0
 def effect_columns(
     setup: Setup, probes: Sequence[Probe], flown: Flown, effects: Sequence[Effect]
 ) -> list[Columns]:
-    """Columns of the candidates, one set a segment; a candidate that does nothing there has none."""
+    """Columns of the candidates by their keys, one set a segment; a candidate that does nothing there has none."""
     names = tuple(e.key for e in effects)
     out = []
     for segment, p, y in zip(setup.segments, probes, flown.outputs, strict=True):

@@ -12,20 +12,23 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sysid.effect_score import Evidence, gather
+from sysid.effects import Effect
 from sysid.prediction import Columns, White, whiten
 from sysid.rigid_steps import OUTPUTS as STEP_OUTPUTS
 from sysid.rigid_steps import STATES as X_STATES
 from sysid.rigid_steps import Steps, linearise
 from uqharness.flights import Flight, states
 from uqharness.forced import surface_positions
+from uqharness.refine_candidates import effect_columns
 from uqharness.refine_reference import Probe, ProbeJob, named_terms, probe, term_column
+from uqharness.refine_xml import in_dynamics
 from uqharness.replay import CHANNELS, SENSOR_OF, STATES, Segment, fly_segment
 from uqharness.replay_model import CONTROLS, ReplayModel
 
@@ -57,7 +60,8 @@ def worker_map(workers: int | None = None) -> Iterator[Map]:
 class Setup:
     """Everything about the flights that does not change with the model's numbers.
 
-    measured [(n, m)] outputs as logged; noise (m,); late: flight -> sensors whose delay is estimated; biased: channels
+    measured [(n, m)] outputs as logged; noise (m,); late: flight -> sensors whose delay is estimated; biased: channels;
+    active: effects that the model being flown has, or that its sensors have; carriers: key -> property of those that have one
     """
 
     flights: tuple[Flight, ...]
@@ -68,6 +72,8 @@ class Setup:
     noise: Array
     biased: tuple[str, ...]
     late: Mapping[str, Sequence[str]]
+    active: tuple[Effect, ...] = ()
+    carriers: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def which(self) -> list[int]:
@@ -81,11 +87,12 @@ class Setup:
 
 @dataclass(frozen=True)
 class Point:
-    """Values of properties and nuisance by name; start (9,) of every segment."""
+    """Values of properties and nuisance by name; start (9,) of every segment; sensed: values of the sensors' effects by key."""
 
     values: Mapping[str, float]
     nuisance: Mapping[str, float]
     starts: tuple[Array, ...]
+    sensed: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -116,6 +123,11 @@ def fly(model: ReplayModel, setup: Setup, point: Point, map_: Map) -> Flown:
             late = point.nuisance.get(f"delay/{segment.flight}/{SENSOR_OF.get(c, c)}", 0.0)
             if late:
                 y[:, k] -= late * np.gradient(y[:, k], segment.dt_s)
+            sensor = SENSOR_OF.get(c, c)
+            if late := point.sensed.get(f"effect/sensor.{sensor}/delay", 0.0):
+                y[:, k] -= late * np.gradient(y[:, k], segment.dt_s)
+            y[:, k] *= 1.0 + point.sensed.get(f"effect/sensor.{c}/scale", 0.0)
+            y[:, k] += point.sensed.get(f"effect/sensor.{c}/bias", 0.0)
             y[:, k] += point.nuisance.get(f"bias/{segment.flight}/{c}", 0.0)
         outputs.append(y)
         e = np.where(np.isfinite(z), (z - y) / setup.noise, 0.0)
@@ -161,15 +173,18 @@ def steps_of(found: Sequence[Probe], flown: Flown, setup: Setup) -> list[Steps]:
 def parameter_columns(
     setup: Setup, found: Sequence[Probe], flown: Flown, names: Sequence[str], analytic: Sequence[str]
 ) -> list[Columns]:
-    """Columns of the properties ``names`` and of the nuisance, one set a segment."""
+    """Columns of the properties and active effects ``names`` (effects by key) and of the nuisance, one set a segment."""
     every = (*names, *setup.nuisance)
     out = []
-    for segment, p, y in zip(setup.segments, found, flown.outputs, strict=True):
+    own = {e.key for e in setup.active}
+    effects = effect_columns(setup, found, flown, setup.active)
+    for segment, p, y, active in zip(setup.segments, found, flown.outputs, effects, strict=True):
         variables = p.variables()
-        inputs: dict[str, tuple[int, Array]] = {}
+        inputs: dict[str, tuple[int, Array]] = {n: v for n, v in active.inputs.items() if n in names}
         for name in names:
-            inputs[name] = term_column(name, variables) if name in analytic else (-1, p.by_property[name])
-        outputs: dict[str, Array] = {}
+            if name not in own:
+                inputs[name] = term_column(name, variables) if name in analytic else (-1, p.by_property[name])
+        outputs: dict[str, Array] = {n: v for n, v in active.outputs.items() if n in names}
         for name in setup.nuisance:
             kind, flight, what = name.split("/")
             if flight != segment.flight:
@@ -217,15 +232,17 @@ def refit(
     """Output error from ``start`` over the properties ``names``, biases, delays and start states."""
     flown = fly(model, setup, start, map_)
     analytic: tuple[str, ...] | None = None
+    keys = {e.key for e in setup.active}
     converged = False
     length = math.inf
     for iteration in range(1, max_iterations + 1):
-        differ: Sequence[str] = () if analytic is None else [n for n in names if n not in analytic]
+        own = [n for n in names if n not in keys]
+        differ: Sequence[str] = () if analytic is None else [n for n in own if n not in analytic]
         found = probes(straight, setup, flown, controls, differ, map_)
         if analytic is None:
-            analytic = tuple(named_terms(straight, setup.segments[0], found[0], names, flown.point.values))
-            if len(analytic) < len(names):
-                found = probes(straight, setup, flown, controls, [n for n in names if n not in analytic], map_)
+            analytic = tuple(named_terms(straight, setup.segments[0], found[0], own, flown.point.values))
+            if len(analytic) < len(own):
+                found = probes(straight, setup, flown, controls, [n for n in own if n not in analytic], map_)
         steps = steps_of(found, flown, setup)
         columns = parameter_columns(setup, found, flown, names, analytic)
         white = whiten(steps, setup.measured, columns, setup.which, setup.noise)
@@ -261,6 +278,14 @@ def _moved(
         if name in step:
             low, high = limits.get(name, (-math.inf, math.inf))
             values[name] = float(np.clip(values[name] + step[name], low, high))
+    sensed = dict(point.sensed)
+    for e in setup.active:
+        if e.key not in step:
+            continue
+        if e.key in setup.carriers:
+            values[setup.carriers[e.key]] += step[e.key]
+        elif not in_dynamics(e):
+            sensed[e.key] = sensed.get(e.key, 0.0) + step[e.key]
     nuisance = {n: point.nuisance.get(n, 0.0) + step[n] for n in setup.nuisance}
     order = [STATES.index(s) for s in X_STATES]
     starts = []
@@ -268,7 +293,7 @@ def _moved(
         moved = start.copy()
         moved[order] += share * (w.start[:, 0] + w.start[:, 1:] @ delta)
         starts.append(moved)
-    return Point(values, nuisance, tuple(starts))
+    return Point(values, nuisance, tuple(starts), sensed)
 
 
 def states_of(flights: Sequence[Flight]) -> tuple[Mapping[str, Array], ...]:

@@ -1,0 +1,361 @@
+"""Refinement: find where a model and flights disagree, name the missing effect, put it into the model, and show on other flights what it did.
+
+Train flights choose; test flights only show. A choice is made on the train flights' linearised likelihood (sysid.effect_choice), the
+chosen effects are then written into a copy of the aircraft, flown and estimated with everything else, and the choice is made again
+around that flight until it stands.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.effect_choice import Choice, Selection, select, threshold
+from sysid.effect_score import Evidence, corrected, gather
+from sysid.effects import Effect, catalogue, subsystem_effects
+from sysid.gaps import channel_noise
+from sysid.prediction import whiten
+from uqharness.aircraft import Aircraft, find_aircraft
+from uqharness.errors import BadInputError
+from uqharness.flights import Flight, measured_outputs, segments
+from uqharness.identify import BIASES, OUTPUTS
+from uqharness.identify_start import equation_error_start
+from uqharness.refine_candidates import effect_columns
+from uqharness.refine_fit import PRIOR, Fit, Map, Point, Setup, fly, merged, positions, refit, states_of
+from uqharness.refine_xml import Written, carrier, in_dynamics, write_effects
+from uqharness.replay import SENSOR_OF
+from uqharness.replay_model import CONTROLS, ReplayFolder, ReplayModel
+from uqharness.xml_estimates import Estimate
+
+Array = NDArray[np.float64]
+ROUNDS = 4
+LEAST_LATE_ROWS = 0.15
+"""A delay or lag below this share of a row is within what a replay resolves, and is no effect."""
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Model:
+    """An aircraft at hand with the effects it carries by key -> value, and the values of its parameters."""
+
+    aircraft: Aircraft
+    effects: tuple[Effect, ...]
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the train flights say: fits without and with the effects, the choice, everything estimated.
+
+    before, after   fits of the model without and with the effects; after is before where there are none
+    parameters      property -> (value, standard error corrected for colour)
+    """
+
+    setup: Setup
+    names: tuple[str, ...]
+    before: Fit
+    after: Fit
+    selection: Selection
+    effects: Mapping[str, Effect]
+    parameters: Mapping[str, tuple[float, float]]
+    notes: tuple[str, ...]
+    staged: Aircraft | None = None
+    trail: tuple[str, ...] = field(default=())
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file's content. Raises BadInputError."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def refuse_shared(train: Sequence[Path], test: Sequence[Path]) -> None:
+    """BadInputError when a test file has the content of a train file: a flight that chose cannot prove."""
+    seen = {file_hash(path): path for path in train}
+    for path in test:
+        other = seen.get(file_hash(path))
+        if other is not None:
+            raise BadInputError(
+                f"--test {path}: the same flight as --train {other}; a flight that helped to choose proves nothing: give another one"
+            )
+
+
+def make_setup(aircraft: Aircraft, flights: Sequence[Flight], measured: Sequence[str], noise: Mapping[str, float] | None = None) -> Setup:
+    """Segments, measured outputs and noise of some flights."""
+    arm = aircraft.card.sensors.position_m.get("accelerometer", (0.0, 0.0, 0.0))
+    cut = [s for f in flights for s in segments(f, measured, arm)]
+    outputs = tuple(c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights))
+    data = [b for f in flights for b in measured_outputs(f, outputs)]
+    known = noise or channel_noise(data, outputs, aircraft.card.sensors.noise_std)
+    late = {
+        f.name: list(dict.fromkeys(SENSOR_OF.get(c, c) for c in outputs)) for f in flights if f.record.metadata.native_hz
+    }
+    return Setup(
+        tuple(flights), tuple(cut), states_of(flights), outputs, tuple(data), np.array([known[c] for c in outputs]),
+        tuple(b for b in BIASES if b in outputs), late,
+    )  # fmt: skip
+
+
+class Bench:
+    """An aircraft staged for replay, as it flies and with every control straight through. A context."""
+
+    def __init__(self, aircraft: Aircraft, measured: Sequence[str], ideal: Sequence[str]) -> None:
+        self.aircraft, self.measured, self.ideal = aircraft, tuple(measured), tuple(ideal)
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Bench:
+        self.model: ReplayModel = self._stack.enter_context(ReplayFolder(self.aircraft, measured=self.measured, ideal=self.ideal))
+        self.straight: ReplayModel = self._stack.enter_context(
+            ReplayFolder(self.aircraft, measured=self.measured, ideal=CONTROLS)
+        )
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+
+def candidates_for(aircraft: Aircraft, setup: Setup, measured: Sequence[str], names: Sequence[str], extra: Sequence[Effect]) -> list[Effect]:
+    """The catalogue less what the model estimates already, and the user's own effects."""
+    surfaces = [c for c in ("elevator", "aileron", "rudder") if c not in measured and aircraft.card.inputs[c].position]
+    sensors = list(dict.fromkeys(SENSOR_OF.get(c, c) for c in setup.outputs)) if not setup.late else []
+    every = [*extra, *catalogue(), *subsystem_effects(surfaces, setup.outputs, sensors)]
+    out: dict[str, Effect] = {}
+    for e in every:
+        if e.coefficient is not None and e.property_name in names:
+            continue
+        out.setdefault(e.key, e)
+    return list(out.values())
+
+
+def confirming_segments(setup: Setup) -> NDArray[np.bool_]:
+    """(S,) every third manoeuvre of each kind confirms what the others found; the kind is its label without speeds and numbers."""
+    count: dict[str, int] = {}
+    out = []
+    for s in setup.segments:
+        kind = s.label.split(",")[0]
+        count[kind] = count.get(kind, -1) + 1
+        out.append(count[kind] % 3 == 1)
+    found = np.array(out)
+    if not found.any() and len(found) > 2:
+        found[1::3] = True
+    return found
+
+
+def find_effects(
+    aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], extra: Sequence[Effect], work: Path, map_: Map,
+    say: Say = lambda _: None,
+) -> Found:  # fmt: skip
+    """Choose and estimate the missing effects on the train flights. ``work``: folder for staged copies of the aircraft."""
+    names = tuple(aircraft.card.parameters)
+    if not names:
+        raise BadInputError(
+            f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters], so nothing says what may be re-identified first"
+        )
+    confirming = confirming_segments(setup)
+    limits = {
+        n: (c.bounds if c.bounds is not None else (-np.inf, np.inf)) for n, c in aircraft.card.parameters.items()
+    }
+    with Bench(aircraft, measured, ideal) as bench:
+        say("re-identifying the parameters")
+        before, names, notes = _base_fit(aircraft, bench, setup, names, limits, map_)
+        effects = candidates_for(aircraft, setup, measured, names, extra)
+        by_key = {e.key: e for e in effects}
+        say(f"scoring {len(effects)} candidate effects")
+        evidence, columns = candidate_evidence(setup, before, effects)
+        odds = _eligible(effects, setup, before, evidence)
+        selection = select(evidence, before.columns[0].names, odds, confirming)
+        trail = [f"round 1: {line}" for line in selection.trail]
+    after, staged, chosen_setup = before, None, setup
+    for number in range(2, ROUNDS + 1):
+        if not selection.chosen:
+            break
+        chosen = [by_key[c.key] for c in selection.chosen]
+        say(f"round {number}: flying with {', '.join(_short(e) for e in chosen)}")
+        staged, chosen_setup = _stage(aircraft, setup, chosen, selection, before, work / f"round{number}")
+        with Bench(staged, measured, ideal) as bench:
+            start = _with_effects(before.flown.point, chosen_setup, selection, staged)
+            keys = [e.key for e in chosen]
+            after = refit(
+                bench.model, bench.straight, chosen_setup, positions(bench.model, chosen_setup, map_), start, [*names, *keys],
+                limits, map_,
+            )  # fmt: skip
+            rest = [e for e in effects if e.key not in keys]
+            evidence, _ = candidate_evidence(chosen_setup, after, rest)
+            written = {c.key: c.value for c in selection.chosen}
+            evidence = evidence.taken_out(
+                {e.key: effect_value(e, after.flown.point, chosen_setup.carriers, staged, written[e.key]) for e in chosen}
+            )
+            free = [n for n in after.columns[0].names if n not in keys]
+            odds = {**_eligible(rest, setup, after, evidence), **{k: by_key[k].odds for k in keys}}
+            again = select(evidence, free, odds, confirming, chosen=keys)
+        trail += [f"round {number}: {line}" for line in again.trail]
+        same = {c.key for c in again.chosen} == set(keys)
+        selection = again
+        if same:
+            break
+    parameters = _parameters(evidence, names, after, selection)
+    return Found(
+        chosen_setup if selection.chosen else setup, names, before, after if selection.chosen else before, selection, by_key, parameters,
+        tuple(notes), staged if selection.chosen else None, tuple(trail),
+    )  # fmt: skip
+
+
+def _short(e: Effect) -> str:
+    return f"{e.coefficient or e.subsystem} {e.term}"
+
+
+def _base_fit(
+    aircraft: Aircraft, bench: Bench, setup: Setup, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]], map_: Map
+) -> tuple[Fit, tuple[str, ...], list[str]]:
+    """The fit of the model as it is; parameters that the flights do not determine stay where they are and are named in a note."""
+    from uqharness import engine
+
+    fdm = bench.model.open(aircraft.dt_s)
+    engine.require(fdm, names)
+    current = np.array([fdm[n] for n in names])
+    del fdm
+    near, notes = equation_error_start(
+        bench.model, bench.straight, setup.flights, setup.segments, names, current, [limits[n] for n in names]
+    )
+    controls = positions(bench.model, setup, map_)
+    starts = tuple(s.start for s in setup.segments)
+    options = [Point(dict(zip(names, values.tolist(), strict=True)), {}, starts) for values in (near, current)]
+    flown = [fly(bench.model, setup, p, map_) for p in options]
+    best = min(flown, key=lambda f: f.cost)
+    if not np.isfinite(best.cost):
+        raise BadInputError(
+            "the model leaves the flight in some segment (its state is no longer finite); check its XML and the controls' signs"
+        )
+    fit = refit(bench.model, bench.straight, setup, controls, best.point, names, limits, map_)
+    lost = undetermined(fit.evidence, names)
+    if lost:
+        kept = tuple(n for n in names if n not in lost)
+        values = {**fit.flown.point.values, **{n: float(current[names.index(n)]) for n in lost}}
+        fit = refit(
+            bench.model, bench.straight, setup, controls, replace(fit.flown.point, values=values), kept, limits, map_
+        )
+        notes = [*notes, f"not determined by these flights and left as they are: {', '.join(lost)}"]
+        return fit, kept, notes
+    return fit, names, notes
+
+
+def undetermined(evidence: Evidence, names: Sequence[str]) -> list[str]:
+    """Parameters of which the flights hold next to nothing that the others do not."""
+    G, _ = evidence.everything
+    some = evidence.index(names)
+    scale = np.sqrt(np.maximum(np.diagonal(G), 0.0))
+    dead = [n for n, i in zip(names, some, strict=True) if scale[i] == 0.0]
+    alive = np.flatnonzero(scale > 0.0)
+    corr = G[np.ix_(alive, alive)] / np.outer(scale[alive], scale[alive])
+    values, vectors = np.linalg.eigh(corr)
+    for k in np.flatnonzero(values < 1e-8):
+        share = np.abs(vectors[:, k])
+        members = [evidence.names[alive[j]] for j in np.argsort(-share) if share[j] > 0.1]
+        worst = next((m for m in members if m in names and m not in dead), None)
+        if worst is not None:
+            dead.append(worst)
+    return dead
+
+
+def candidate_evidence(setup: Setup, fit: Fit, effects: Sequence[Effect]) -> tuple[Evidence, list[str]]:
+    """Evidence of a fit's own columns and of every candidate's."""
+    columns = merged(fit.columns, effect_columns(setup, fit.probes, fit.flown, effects))
+    white = whiten(fit.steps, setup.measured, columns, setup.which, setup.noise)
+    return gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR), list(columns[0].names)
+
+
+def _eligible(effects: Sequence[Effect], setup: Setup, fit: Fit, evidence: Evidence) -> dict[str, float]:
+    """Candidates worth scoring and their odds: delays that a replay cannot resolve are left out."""
+    from sysid.effect_score import scores
+
+    found = scores(evidence, fit.columns[0].names, [e.key for e in effects])
+    least = LEAST_LATE_ROWS * setup.segments[0].dt_s
+    out = {}
+    for e, estimate, share in zip(effects, found.estimate, found.share, strict=True):
+        if not share > 0.0:
+            continue
+        if e.unit == "s" and not abs(estimate) > least:
+            continue
+        out[e.key] = e.odds
+    return out
+
+
+def _stage(
+    aircraft: Aircraft, setup: Setup, chosen: Sequence[Effect], selection: Selection, fit: Fit, folder: Path
+) -> tuple[Aircraft, Setup]:
+    """A copy of the aircraft that carries the effects, and the setup that knows of them."""
+    value = {c.key: c.value for c in selection.chosen}
+    target = folder / "aircraft" / aircraft.folder.name
+    target.parent.mkdir(parents=True)
+    written = [Written(e, value[e.key], "", control_slopes(fit)) for e in chosen]
+    write_effects(aircraft, written, {}, target)
+    staged = find_aircraft(target)
+    staged = replace(staged, engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
+    carriers = {e.key: found[0] for e in chosen if (found := carrier(e, aircraft.folder)) is not None}
+    return staged, replace(setup, active=tuple(chosen), carriers=carriers)
+
+
+def control_slopes(fit: Fit) -> dict[str, float]:
+    """Mean change of the coefficients by a degree of elevator and rudder, and of CZ by a radian of alpha."""
+    by = np.concatenate([p.by_control for p in fit.probes])
+    out = {f"{c}_{u}": float(by[:, k, j].mean()) for u, j in (("de", 0), ("dr", 2)) for k, c in enumerate(("CX", "CY", "CZ", "Cl", "Cm", "Cn"))}
+    slope = np.concatenate([p.reference.slopes[:, 2, 1] / (p.reference.qbar * p.mass.S) for p in fit.probes])
+    return {**out, "CZ_alpha": float(slope.mean())}
+
+
+def _with_effects(point: Point, setup: Setup, selection: Selection, staged: Aircraft) -> Point:
+    values, sensed = dict(point.values), dict(point.sensed)
+    for c in selection.chosen:
+        effect = next(e for e in setup.active if e.key == c.key)
+        if c.key in setup.carriers:
+            found = carrier(effect, staged.folder)
+            values[setup.carriers[c.key]] = c.value + (found[1] if found else 0.0)
+        elif not in_dynamics(effect):
+            sensed[c.key] = c.value
+    return replace(point, values=values, sensed=sensed)
+
+
+def effect_value(effect: Effect, point: Point, carriers: Mapping[str, str], staged: Aircraft, written: float) -> float:
+    """An effect's value at a point of the staged model."""
+    if effect.key in carriers:
+        found = carrier(effect, staged.folder)
+        return point.values[carriers[effect.key]] - (found[1] if found else 0.0)
+    return point.sensed.get(effect.key, written)
+
+
+def _parameters(evidence: Evidence, names: Sequence[str], fit: Fit, selection: Selection) -> dict[str, tuple[float, float]]:
+    free = [*[n for n in fit.columns[0].names if not n.startswith("effect/")], *[c.key for c in selection.chosen]]
+    out = {}
+    for n in names:
+        _, std, _ = corrected(evidence, [f for f in free if f != n], n)
+        out[n] = (float(fit.flown.point.values[n]), std)
+    return out
+
+
+def remark(choice: Choice, effect: Effect, flights: Sequence[str], command: str) -> str:
+    """What stands beside the number in the XML."""
+    low, high = choice.value - 1.96 * choice.std, choice.value + 1.96 * choice.std
+    return (
+        f"{effect.name}: {choice.value:.5g} +/- {choice.std:.2g}, 95 % [{low:.5g}, {high:.5g}]; "
+        f"from {', '.join(flights)}; {command}; 0 switches it off"
+    )
+
+
+def estimates_of(found: Found, flights: Sequence[str], initial: Mapping[str, float]) -> dict[str, Estimate]:
+    """New numbers of the re-identified parameters with their remarks."""
+    out = {}
+    for n, (value, std) in found.parameters.items():
+        out[n] = Estimate(value, f"{value:.5g} +/- {std:.2g}, was {initial.get(n, float('nan')):.5g}; refine; {', '.join(flights)}")
+    return out
+
+
+__all__ = ["Found", "Selection", "find_effects", "make_setup", "refuse_shared", "threshold"]
