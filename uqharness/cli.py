@@ -19,6 +19,7 @@ from uqharness import (
     log_command,
     margins_command,
     modes_command,
+    refine_command,
 )
 from uqharness.errors import BadInputError
 
@@ -39,7 +40,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"uqharness {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for module in (
-        fly_command, modes_command, margins_command, log_command, identify_command, compare_command, campaign_commands,
+        fly_command, modes_command, margins_command, log_command, identify_command, compare_command, refine_command,
+        campaign_commands,
     ):  # fmt: skip
         module.register(commands)
     return parser

@@ -1,7 +1,7 @@
 """Effects written into a copy of an aircraft: a term where the author sums the coefficient, else a body-axis increment beside the axes.
 
-Every effect carries a property of its own (0 switches it off) and a remark with value, interval, data and command. A system of its
-own, ``refinement``, holds the numbers as they were: ``refine/restore-old-model`` at 1 before the flight puts them back, bit for bit.
+Every effect carries a property of its own, which at 0 restores the model without it bit for bit, and a remark with value, interval,
+data and command.
 """
 
 from __future__ import annotations
@@ -15,15 +15,13 @@ from pathlib import Path
 from sysid.effect_terms import Term, V_REFERENCE_MPS
 from sysid.effects import Effect
 from uqharness.aero_section import AeroSection, read_section
-from uqharness.aero_summands import Reference, SectionEdit, add_deltas, add_functions, add_system
+from uqharness.aero_summands import Reference, SectionEdit, add_deltas, add_functions
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
 from uqharness.refine_candidates import STALL
 from uqharness.xml_estimates import Estimate, with_value
 from uqharness.xml_text import Document, Node, after, append_child
 
-RESTORE = "refine/restore-old-model"
-SYSTEM = "refinement"
 THRUST_SCALE = "propulsion/thrust-scale"
 FT = 0.3048
 
@@ -96,19 +94,8 @@ def write_effects(
             None if reference.c_m is None else reference.c_m / FT,
         )
         edit = add_deltas(edit, summands, "aero/effects", given, "effects found by refinement")
-    old = {n: v for n in {**estimates, **plain} if (v := _number(out, n)) is not None}
-    zeroed = [
-        w.effect.property_name for w in mine
-        if property_of(w.effect) and w.effect.property_name not in plain and not (_is_scale(w.effect) and THRUST_SCALE in plain)
-    ]  # fmt: skip
-    if old or zeroed:
-        edit = add_system(edit, SYSTEM, "the numbers before the refinement")
     for path, content in edit.files().items():
         path.write_bytes(content)
-    if old or zeroed:
-        folder = out / "Systems"
-        folder.mkdir(exist_ok=True)
-        (folder / f"{SYSTEM}.xml").write_text(_restore_system(old, zeroed), encoding="utf-8")
     left = dict(estimates) | plain
     for path in sorted(out.rglob("*.xml")):
         text = path.read_bytes().decode("utf-8", errors="surrogateescape")
@@ -125,26 +112,6 @@ def write_effects(
 
 def _is_scale(effect: Effect) -> bool:
     return effect.subsystem == "propulsion" and effect.term == "thrust_scale"
-
-
-def _restore_system(old: Mapping[str, str], zeroed: Sequence[str]) -> str:
-    """The system that puts the former numbers back while its switch is 1; idle, it writes nothing."""
-    rows = [(n, v) for n, v in old.items()] + [(n, "0") for n in zeroed]
-    lines = [
-        '<?xml version="1.0" encoding="UTF-8"?>',
-        "<!-- The aircraft as it was before its refinement: 1 before the flight restores every number below, bit for bit. -->",
-        f'<system name="{SYSTEM}">',
-        f'  <property value="0">{RESTORE}</property>',
-        f'  <channel name="Old model" execute="{RESTORE}">',
-    ]
-    for k, (name, value) in enumerate(rows):
-        lines += [
-            f'    <fcs_function name="refine/old-{k}">',
-            f"      <function> <value>{value}</value> </function>",
-            f"      <output>{name}</output>",
-            "    </fcs_function>",
-        ]
-    return "\n".join([*lines, "  </channel>", "</system>", ""])
 
 
 def _declared(section: AeroSection, name: str) -> tuple[Document, Node] | None:
