@@ -40,7 +40,8 @@ class White:
     """One segment: whitened innovations (n, m) and columns (n, m, K), the start state projected out; NaN rows are zero.
 
     logdet: sum of the logarithms of the innovations' deviations; start (8, 1 + K): start state that fits best, and its change by
-    column; there (n, m): which values were measured.
+    column; there (n, m): which values were measured; deviation (m,): rms of the innovations' standard deviation, in the channels' units;
+    path (n, 11): predicted state less the reference, from what was measured before each sample.
     """
 
     residual: FloatArray
@@ -48,6 +49,8 @@ class White:
     logdet: float
     start: FloatArray
     there: NDArray[np.bool_]
+    deviation: FloatArray
+    path: FloatArray
 
 
 def whiten(
@@ -56,8 +59,8 @@ def whiten(
 ) -> list[White]:  # fmt: skip
     """Filter every segment.
 
-    which  rows of the steps' OUTPUTS that ``measured`` (n, m) holds; noise (m,) standard deviations; process (11,) variances per second,
-    None or zero for calm air.
+    which  rows of the steps' OUTPUTS that ``measured`` (n, m) holds; noise (m,) standard deviations; process (11, 11) covariance per
+    second of the states' noise, or (S, 11, 11), one a segment; None or zero for calm air.
     """
     out: list[White | None] = [None] * len(steps)
     order = sorted(range(len(steps)), key=lambda s: len(measured[s]))
@@ -113,20 +116,22 @@ def _filter(
     d = np.zeros((S, NX))
     R = noise**2
     still = process is None or not np.any(process)
-    Q = np.zeros(NX) if process is None else process
+    Q = np.zeros((S, NX, NX)) if process is None else np.broadcast_to(process, (len(steps), NX, NX))[group]
     P = np.zeros((S, NX, NX))
     if not still:
         for k in range(8, NX):
             fade = np.maximum(-(phi[0, :, k, k] - 1.0) / np.array([steps[s].dt_s for s in group]), 1e-3)
-            P[:, k, k] = Q[k] / (2.0 * fade)  # the air's rotation is stationary from the start
+            P[:, k, k] = Q[:, k, k] / (2.0 * fade)  # the air's rotation is stationary from the start
     dt = np.array([steps[s].dt_s for s in group])
-    added = np.zeros((S, NX, NX))
-    added[:, np.arange(NX), np.arange(NX)] = Q * dt[:, None]
+    added = Q * dt[:, None, None]
     white, series = np.zeros((n, S, m)), np.zeros((n, S, m, K + 8), dtype=np.float32)
     logdet = np.zeros(S)
+    spread = np.zeros((S, m))
+    path = np.zeros((n, S, NX))
     eye = np.eye(m)
     for k in range(n):
         seen = there[k]
+        path[k] = d
         Hk = np.where(seen[:, :, None], H[k], 0.0)
         e = np.where(seen, z[k] - np.einsum("sij,sj->si", H[k], d), 0.0)
         s_ = Hk @ X
@@ -136,6 +141,7 @@ def _filter(
         if still:
             white[k], series[k] = e / noise, s_ / noise[:, None]
             logdet += seen @ np.log(noise)
+            spread += np.where(seen, R, 0.0)
             after = d
         else:
             PH = P @ Hk.transpose(0, 2, 1)
@@ -145,6 +151,7 @@ def _filter(
             white[k], series[k] = joint[:, :, 0], joint[:, :, 1 : K + 9]
             half = joint[:, :, K + 9 :]
             logdet += np.log(np.diagonal(low, axis1=1, axis2=2)).sum(axis=1)
+            spread += np.where(seen, np.diagonal(cov, axis1=1, axis2=2), 0.0)
             back = half.transpose(0, 2, 1)
             after = d + (back @ joint[:, :, :1])[:, :, 0]
             X = X - back @ joint[:, :, 1 : K + 9]
@@ -157,10 +164,14 @@ def _filter(
         if not still:
             P = phi[k] @ P @ phi[k].transpose(0, 2, 1) + added
     for i, s in enumerate(group):
-        out[s] = _projected(white[: lengths[i], i], series[: lengths[i], i], float(logdet[i]), there[: lengths[i], i])
+        mine = there[: lengths[i], i]
+        deviation = np.sqrt(spread[i] / np.maximum(mine.sum(axis=0), 1))
+        out[s] = _projected(white[: lengths[i], i], series[: lengths[i], i], float(logdet[i]), mine, deviation, path[: lengths[i], i])
 
 
-def _projected(white: FloatArray, series: NDArray[np.float32], logdet: float, there: NDArray[np.bool_]) -> White:
+def _projected(
+    white: FloatArray, series: NDArray[np.float32], logdet: float, there: NDArray[np.bool_], deviation: FloatArray, path: FloatArray
+) -> White:
     """The segment with its start state fitted and taken out of everything."""
     n, m, wide = series.shape
     flat = series.reshape(n * m, wide)
@@ -176,4 +187,4 @@ def _projected(white: FloatArray, series: NDArray[np.float32], logdet: float, th
     except np.linalg.LinAlgError:
         fitted = np.linalg.lstsq(r, inside, rcond=None)[0] / scale[:, None]
     fitted[:, 1:] *= -1.0
-    return White(left[:, 0].reshape(n, m), left[:, 1:].reshape(n, m, -1).astype(np.float32), logdet, fitted, there)
+    return White(left[:, 0].reshape(n, m), left[:, 1:].reshape(n, m, -1).astype(np.float32), logdet, fitted, there, deviation, path)

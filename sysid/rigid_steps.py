@@ -25,7 +25,7 @@ OUTPUTS = (
     "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2",
 )  # fmt: skip
 G_MPS2 = 9.80665
-_GUST_LENGTHS = (4.0 / np.pi, 4.0 / np.pi, 3.0 / np.pi)  # spans; MIL-F-8785C 3.7.3 for p, q, r
+GUST_LENGTHS = (4.0 / np.pi, 4.0 / np.pi, 3.0 / np.pi)  # spans; MIL-F-8785C 3.7.3 for p, q, r
 NX = 11
 
 
@@ -149,7 +149,7 @@ class _Rigid:
         wd = felt[:, 2] + q * ub - p * vb + g * np.cos(theta) * np.cos(phi)
         Vd = (ub * ud + vb * vd + wb * wd) / V
         turning = q * np.sin(phi) + rr * np.cos(phi)
-        fade = [-x[:, 8 + k] * V / (_GUST_LENGTHS[k] * m.b) for k in range(3)]
+        fade = [-x[:, 8 + k] * V / (GUST_LENGTHS[k] * m.b) for k in range(3)]
         rate = np.stack([
             Vd, (ub * wd - wb * ud) / (ub * ub + wb * wb), (V * vd - vb * Vd) / (V * V * cb), turn[:, 0], turn[:, 1], turn[:, 2],
             p + np.tan(theta) * turning, q * np.cos(phi) - rr * np.sin(phi), *fade,

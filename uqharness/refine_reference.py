@@ -34,6 +34,7 @@ class Probe:
     by_control  (n, 6, c) change of CX..Cn by each control, per record unit; controls (n, c) positions
     by_property property -> (n, 6) change of CX..Cn by a unit of it
     height_m    (n,) above the ground
+    air         (n, 8) predicted states in turbulence: a regressor that has seen a sample must not be used to predict that sample
     """
 
     reference: Reference
@@ -45,21 +46,27 @@ class Probe:
     controls: Array
     by_property: Mapping[str, Array]
     height_m: Array
+    air: Array | None = None
 
     @property
     def x(self) -> Array:
-        return self.reference.x
+        """(n, 8) states at which terms are evaluated: the reference, or what was predicted from the past, rates relative to the air."""
+        return self.reference.x if self.air is None else self.air
+
+    def _rate(self, values: Array) -> Array:
+        """(n,) rate of change; of predictions by backward differences, which look at nothing later."""
+        h = self.reference.dt_s
+        return np.gradient(values, h) if self.air is None else np.diff(values, prepend=values[:1]) / h
 
     def variables(self) -> dict[str, Array]:
         """Variables of coefficient terms, (n,) each."""
         V, alpha, beta, p, q, r = (self.x[:, i] for i in range(6))
         half_b, half_c = 0.5 * self.mass.b / V, 0.5 * self.mass.c / V
         de, da, dr, dt = (self.controls[:, k] for k in range(4))
-        h = self.reference.dt_s
         pressure = self.reference.qbar * self.mass.S
         return {
             "alpha": alpha, "beta": beta, "p_hat": p * half_b, "q_hat": q * half_c, "r_hat": r * half_b,
-            "alphadot_hat": np.gradient(alpha, h) * half_c, "betadot_hat": np.gradient(beta, h) * half_b,
+            "alphadot_hat": self._rate(alpha) * half_c, "betadot_hat": self._rate(beta) * half_b,
             "de": de, "da": da, "dr": dr, "dt": dt / 100.0, "CT": self.other_force[:, 0] / pressure,
             "V_rel": V / V_REFERENCE_MPS, "h_over_b": np.maximum(self.height_m / self.mass.b, 0.1),
         }  # fmt: skip

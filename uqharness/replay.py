@@ -134,7 +134,7 @@ def _reader(fdm: Any, extra: Sequence[str], angular: bool) -> Any:
     return lambda: [get() for get in handles]
 
 
-def _between(segment: Segment, runs: int, measured: Sequence[bool]) -> Array:
+def between_rows(segment: Segment, runs: int, measured: Sequence[bool]) -> Array:
     """(n - 1, runs - 1, c) control values of the runs between rows.
 
     A command is held, half of a new step being taken back for one run (see the module's text). A measured position goes to the next
@@ -168,7 +168,7 @@ def _advance(
     """Raw rows; ends early when JSBSim throws or the speed is no longer finite."""
     scale = np.array(factor)
     values = (segment.controls * scale).tolist()
-    between = (_between(segment, runs, measured) * scale).tolist()
+    between = (between_rows(segment, runs, measured) * scale).tolist()
     run = fdm.run
     out = [read()]
     plan = [(handles[0], handles[1:]) for handles in setters]
