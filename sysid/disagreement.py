@@ -73,7 +73,13 @@ def disagreements(
                 continue
             out.append(
                 Disagreement(
-                    coefficient, kind, region, float(outside[mask].mean()), float(np.sqrt(np.mean(z[mask] ** 2))), seconds, len(z) * dt_s
+                    coefficient,
+                    kind,
+                    region,
+                    float(outside[mask].mean()),
+                    float(np.sqrt(np.mean(z[mask] ** 2))),
+                    seconds,
+                    len(z) * dt_s,
                 )
             )
     return sorted(out, key=lambda d: -d.size * d.outside_s)[:most]
@@ -96,7 +102,9 @@ def _telling(outside: NDArray[np.bool_], states: Mapping[str, FloatArray]) -> tu
     return best[1], best[2]
 
 
-def dependence(gap: Sequence[FloatArray], states: Sequence[Mapping[str, FloatArray]], coefficient: int, most: int = 3) -> list[tuple[str, float]]:
+def dependence(
+    gap: Sequence[FloatArray], states: Sequence[Mapping[str, FloatArray]], coefficient: int, most: int = 3
+) -> list[tuple[str, float]]:
     """Variables on which a coefficient's residual depends: (name, share of its variance that a smooth curve in it explains).
 
     The curve is a mean by tenths of the variable, the share adjusted for its ten numbers.

@@ -93,7 +93,9 @@ def select(
         here, trail = _pruned(evidence, free, here, trail, limit)
         refused = None
         if len(here) < most:
-            found = _best(evidence, [*free, *here], [c for c in candidates if c not in here], candidates, confirming, limit)
+            found = _best(
+                evidence, [*free, *here], [c for c in candidates if c not in here], candidates, confirming, limit
+            )
             if isinstance(found, Refusal):
                 refused = found
             elif found is not None:
@@ -149,7 +151,9 @@ def _best(
         if not abs(choice.t) > limit:
             return Refusal(choice.key, choice.t, choice.gain, f"|t| {abs(choice.t):.1f} is not above {limit:.1f}")
     if np.isfinite(choice.confirmed_gain) and not choice.confirmed_gain > 0.0:
-        return Refusal(choice.key, choice.t, choice.gain, "the part of the flights that did not estimate it does not confirm it")
+        return Refusal(
+            choice.key, choice.t, choice.gain, "the part of the flights that did not estimate it does not confirm it"
+        )
     return choice
 
 

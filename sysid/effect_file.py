@@ -1,9 +1,9 @@
 """A user's own effects from a TOML file:
 
-    [[effect]]
-    coefficient = "Cm"
-    term = "p_hat^2*CT"
-    physics = "slipstream on the tail in a roll"        # optional, as are name, regime, sign, reference
+[[effect]]
+coefficient = "Cm"
+term = "p_hat^2*CT"
+physics = "slipstream on the tail in a roll"        # optional, as are name, regime, sign, reference
 """
 
 from __future__ import annotations
@@ -42,7 +42,12 @@ def read_effects(path: Path) -> list[Effect]:
             raise LogError(f"{wrong[0]} must be text; received {row[wrong[0]]!r}", path, where)
         try:
             effect = coefficient_effect(
-                row["coefficient"], row["term"], row.get("physics", ""), row.get("regime", ""), row.get("reference", ""), row.get("sign", "")
+                row["coefficient"],
+                row["term"],
+                row.get("physics", ""),
+                row.get("regime", ""),
+                row.get("reference", ""),
+                row.get("sign", ""),
             )
         except ValueError as error:
             raise LogError(str(error), path, where) from None

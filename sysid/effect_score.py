@@ -157,7 +157,9 @@ def scores(
         return Scores(tuple(candidates), left / g, g, left / np.sqrt(g), left**2 / g, share)
 
 
-def corrected(evidence: Evidence, free: Sequence[str], candidate: str, scale: float = 1.0) -> tuple[float, float, float]:
+def corrected(
+    evidence: Evidence, free: Sequence[str], candidate: str, scale: float = 1.0
+) -> tuple[float, float, float]:
     """Estimate of one candidate, its standard error by the residuals' colour after the fit, and the error were they white.
 
     scale: residuals' standard deviation in units of the noise used (1 for the noise itself).

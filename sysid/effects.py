@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sysid.aero_terms import COEFFICIENTS
 from sysid import effect_terms
+from sysid.aero_terms import COEFFICIENTS
 from sysid.effect_terms import Term, parse
 
 _NAMES = {
@@ -37,6 +37,7 @@ class Effect:
     term         text of the term, or the subsystem's own word (lag, thrust_scale, Ixz ...)
     name, physics, regime, sign, reference  words for an engineer; sign: what is usual, "" where either is
     unit         of the value
+    positive     whether only a positive value is physics: no sensor is early, no servo faster than its command
     odds         what the candidate must explain more than a plain one, in units of 2 ln L: 0 for what every textbook lists
     """
 
@@ -50,6 +51,7 @@ class Effect:
     reference: str = ""
     unit: str = "1"
     odds: float = 0.0
+    positive: bool = False
 
     @property
     def key(self) -> str:
@@ -167,7 +169,8 @@ def coefficient_effect(
 
 
 def _subsystem(subsystem: str, term: str, name: str, physics: str, regime: str, unit: str, odds: float = 1.0) -> Effect:
-    return Effect(None, subsystem, term, name, physics, regime, "", JATEGAONKAR, unit, odds)
+    positive = term in ("delay", "lag", "deadband", "rate_limit", "separation", "dynamic", "lift")
+    return Effect(None, subsystem, term, name, physics, regime, "", JATEGAONKAR, unit, odds, positive)
 
 
 def subsystem_effects(surfaces: Sequence[str], channels: Sequence[str], delays: Sequence[str]) -> list[Effect]:
@@ -192,13 +195,47 @@ def subsystem_effects(surfaces: Sequence[str], channels: Sequence[str], delays: 
     for c in channels:
         short = c.split("_")[0]
         if c in ("V_mps", "alpha_rad", "beta_rad"):
-            out.append(_subsystem(f"sensor.{c}", "scale", f"{short} sensor's scale off", "position error or upwash at the sensor", "all manoeuvres", "1", 1.5))
+            out.append(
+                _subsystem(
+                    f"sensor.{c}",
+                    "scale",
+                    f"{short} sensor's scale off",
+                    "position error or upwash at the sensor",
+                    "all manoeuvres",
+                    "1",
+                    1.5,
+                )
+            )
         else:
-            out.append(_subsystem(f"sensor.{c}", "scale", f"{short} sensor's scale off", "calibration", "all manoeuvres", "1", 2.0))
+            out.append(
+                _subsystem(
+                    f"sensor.{c}", "scale", f"{short} sensor's scale off", "calibration", "all manoeuvres", "1", 2.0
+                )
+            )
         if c[:2] not in ("p_", "q_", "r_"):
-            out.append(_subsystem(f"sensor.{c}", "bias", f"{short} sensor's zero off", "calibration or misalignment", "all manoeuvres", c.split("_")[1], 2.0))
+            out.append(
+                _subsystem(
+                    f"sensor.{c}",
+                    "bias",
+                    f"{short} sensor's zero off",
+                    "calibration or misalignment",
+                    "all manoeuvres",
+                    c.split("_")[1],
+                    2.0,
+                )
+            )
     for c in delays:
-        out.append(_subsystem(f"sensor.{c}", "delay", f"{c.split('_')[0]} sensor late", "filtering and transport of the signal", "fast manoeuvres", "s", 1.5))
+        out.append(
+            _subsystem(
+                f"sensor.{c}",
+                "delay",
+                f"{c.split('_')[0]} sensor late",
+                "filtering and transport of the signal",
+                "fast manoeuvres",
+                "s",
+                1.5,
+            )
+        )
     return out  # fmt: skip
 
 

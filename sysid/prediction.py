@@ -166,11 +166,18 @@ def _filter(
     for i, s in enumerate(group):
         mine = there[: lengths[i], i]
         deviation = np.sqrt(spread[i] / np.maximum(mine.sum(axis=0), 1))
-        out[s] = _projected(white[: lengths[i], i], series[: lengths[i], i], float(logdet[i]), mine, deviation, path[: lengths[i], i])
+        out[s] = _projected(
+            white[: lengths[i], i], series[: lengths[i], i], float(logdet[i]), mine, deviation, path[: lengths[i], i]
+        )
 
 
 def _projected(
-    white: FloatArray, series: NDArray[np.float32], logdet: float, there: NDArray[np.bool_], deviation: FloatArray, path: FloatArray
+    white: FloatArray,
+    series: NDArray[np.float32],
+    logdet: float,
+    there: NDArray[np.bool_],
+    deviation: FloatArray,
+    path: FloatArray,
 ) -> White:
     """The segment with its start state fitted and taken out of everything."""
     n, m, wide = series.shape
@@ -187,4 +194,12 @@ def _projected(
     except np.linalg.LinAlgError:
         fitted = np.linalg.lstsq(r, inside, rcond=None)[0] / scale[:, None]
     fitted[:, 1:] *= -1.0
-    return White(left[:, 0].reshape(n, m), left[:, 1:].reshape(n, m, -1).astype(np.float32), logdet, fitted, there, deviation, path)
+    return White(
+        left[:, 0].reshape(n, m),
+        left[:, 1:].reshape(n, m, -1).astype(np.float32),
+        logdet,
+        fitted,
+        there,
+        deviation,
+        path,
+    )

@@ -8,7 +8,6 @@ around that flight until it stands.
 from __future__ import annotations
 
 import hashlib
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from sysid.effect_choice import Choice, Selection, select, threshold
 from sysid.effect_score import Evidence, corrected, gather
 from sysid.effects import Effect, catalogue, subsystem_effects
-from sysid.gaps import channel_noise
+from sysid.gaps import channel_noise, process_noise_shown
 from sysid.prediction import whiten
 from uqharness.aircraft import Aircraft, find_aircraft
 from uqharness.errors import BadInputError
@@ -29,6 +28,7 @@ from uqharness.identify import BIASES, OUTPUTS
 from uqharness.identify_start import equation_error_start
 from uqharness.refine_candidates import effect_columns
 from uqharness.refine_fit import PRIOR, Fit, Map, Point, Setup, fly, merged, positions, refit, states_of
+from uqharness.refine_gusts import gust_evidence, gust_refit, middles
 from uqharness.refine_xml import Written, carrier, in_dynamics, write_effects
 from uqharness.replay import SENSOR_OF
 from uqharness.replay_model import CONTROLS, ReplayFolder, ReplayModel
@@ -55,7 +55,8 @@ class Found:
     """What the train flights say: fits without and with the effects, the choice, everything estimated.
 
     before, after   fits of the model without and with the effects; after is before where there are none
-    parameters      property -> (value, standard error corrected for colour)
+    parameters      property -> (value, standard error corrected for colour); plain: property -> value without the effects
+    gusty           whether the flights were judged by one-step predictions, because the air was turbulent
     """
 
     setup: Setup
@@ -66,6 +67,8 @@ class Found:
     effects: Mapping[str, Effect]
     parameters: Mapping[str, tuple[float, float]]
     notes: tuple[str, ...]
+    plain: Mapping[str, float] = field(default_factory=dict)
+    gusty: bool = False
     staged: Aircraft | None = None
     trail: tuple[str, ...] = field(default=())
 
@@ -89,7 +92,9 @@ def refuse_shared(train: Sequence[Path], test: Sequence[Path]) -> None:
             )
 
 
-def make_setup(aircraft: Aircraft, flights: Sequence[Flight], measured: Sequence[str], noise: Mapping[str, float] | None = None) -> Setup:
+def make_setup(
+    aircraft: Aircraft, flights: Sequence[Flight], measured: Sequence[str], noise: Mapping[str, float] | None = None
+) -> Setup:
     """Segments, measured outputs and noise of some flights."""
     arm = aircraft.card.sensors.position_m.get("accelerometer", (0.0, 0.0, 0.0))
     cut = [s for f in flights for s in segments(f, measured, arm)]
@@ -97,7 +102,9 @@ def make_setup(aircraft: Aircraft, flights: Sequence[Flight], measured: Sequence
     data = [b for f in flights for b in measured_outputs(f, outputs)]
     known = noise or channel_noise(data, outputs, aircraft.card.sensors.noise_std)
     late = {
-        f.name: list(dict.fromkeys(SENSOR_OF.get(c, c) for c in outputs)) for f in flights if f.record.metadata.native_hz
+        f.name: list(dict.fromkeys(SENSOR_OF.get(c, c) for c in outputs))
+        for f in flights
+        if f.record.metadata.native_hz
     }
     return Setup(
         tuple(flights), tuple(cut), states_of(flights), outputs, tuple(data), np.array([known[c] for c in outputs]),
@@ -113,7 +120,9 @@ class Bench:
         self._stack = ExitStack()
 
     def __enter__(self) -> Bench:
-        self.model: ReplayModel = self._stack.enter_context(ReplayFolder(self.aircraft, measured=self.measured, ideal=self.ideal))
+        self.model: ReplayModel = self._stack.enter_context(
+            ReplayFolder(self.aircraft, measured=self.measured, ideal=self.ideal)
+        )
         self.straight: ReplayModel = self._stack.enter_context(
             ReplayFolder(self.aircraft, measured=self.measured, ideal=CONTROLS)
         )
@@ -123,7 +132,9 @@ class Bench:
         self._stack.close()
 
 
-def candidates_for(aircraft: Aircraft, setup: Setup, measured: Sequence[str], names: Sequence[str], extra: Sequence[Effect]) -> list[Effect]:
+def candidates_for(
+    aircraft: Aircraft, setup: Setup, measured: Sequence[str], names: Sequence[str], extra: Sequence[Effect]
+) -> list[Effect]:
     """The catalogue less what the model estimates already, and the user's own effects."""
     surfaces = [c for c in ("elevator", "aileron", "rudder") if c not in measured and aircraft.card.inputs[c].position]
     sensors = list(dict.fromkeys(SENSOR_OF.get(c, c) for c in setup.outputs)) if not setup.late else []
@@ -161,14 +172,17 @@ def find_effects(
             f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters], so nothing says what may be re-identified first"
         )
     confirming = confirming_segments(setup)
-    limits = {
-        n: (c.bounds if c.bounds is not None else (-np.inf, np.inf)) for n, c in aircraft.card.parameters.items()
-    }
+    limits = {n: (c.bounds if c.bounds is not None else (-np.inf, np.inf)) for n, c in aircraft.card.parameters.items()}
     with Bench(aircraft, measured, ideal) as bench:
         say("re-identifying the parameters")
         before, names, notes = _base_fit(aircraft, bench, setup, names, limits, map_)
         effects = candidates_for(aircraft, setup, measured, names, extra)
         by_key = {e.key: e for e in effects}
+        if turbulent(setup, before):
+            say(f"the air was turbulent: predicting one sample ahead, scoring {len(effects)} candidate effects")
+            return _in_gusts(
+                bench, setup_in_gusts(aircraft, setup), before, names, limits, effects, confirming, notes, map_
+            )
         say(f"scoring {len(effects)} candidate effects")
         evidence, columns = candidate_evidence(setup, before, effects)
         odds = _eligible(effects, setup, before, evidence)
@@ -192,7 +206,10 @@ def find_effects(
             evidence, _ = candidate_evidence(chosen_setup, after, rest)
             written = {c.key: c.value for c in selection.chosen}
             evidence = evidence.taken_out(
-                {e.key: effect_value(e, after.flown.point, chosen_setup.carriers, staged, written[e.key]) for e in chosen}
+                {
+                    e.key: effect_value(e, after.flown.point, chosen_setup.carriers, staged, written[e.key])
+                    for e in chosen
+                }
             )
             free = [n for n in after.columns[0].names if n not in keys]
             odds = {**_eligible(rest, setup, after, evidence), **{k: by_key[k].odds for k in keys}}
@@ -205,7 +222,50 @@ def find_effects(
     parameters = _parameters(evidence, names, after, selection)
     return Found(
         chosen_setup if selection.chosen else setup, names, before, after if selection.chosen else before, selection, by_key, parameters,
-        tuple(notes), staged if selection.chosen else None, tuple(trail),
+        tuple(notes), {n: before.flown.point.values[n] for n in names}, False, staged if selection.chosen else None, tuple(trail),
+    )  # fmt: skip
+
+
+def turbulent(setup: Setup, fit: Fit) -> bool:
+    """Whether what the replay leaves is coloured, no function of the motion, and there in quiet flight as well."""
+    columns = [k for k, c in enumerate(setup.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")]
+    residual = [(z - y)[:, columns] for z, y in zip(setup.measured, fit.flown.outputs, strict=True)]
+    return process_noise_shown(residual, [y[:, columns] for y in fit.flown.outputs], setup.noise[columns])
+
+
+def setup_in_gusts(aircraft: Aircraft, setup: Setup) -> Setup:
+    """The same with the card's sensor noise where it says one: third differences of an accelerometer see gusts as noise."""
+    stated = aircraft.card.sensors.noise_std
+    return replace(
+        setup, noise=np.array([stated.get(c, n) for c, n in zip(setup.outputs, setup.noise.tolist(), strict=True)])
+    )
+
+
+def _in_gusts(
+    bench: Bench, setup: Setup, base: Fit, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]],
+    effects: Sequence[Effect], confirming: NDArray[np.bool_], notes: Sequence[str], map_: Map,
+) -> Found:  # fmt: skip
+    """The same choice made on one-step predictions."""
+    controls, bends = positions(bench.model, setup, map_), middles(bench.model, setup, map_)
+    found = gust_refit(bench.straight, setup, controls, bends, base.flown.point, names, limits, map_)
+    evidence = gust_evidence(setup, found, effect_columns(setup, found.fit.probes, found.fit.flown, effects))
+    free = found.fit.columns[0].names
+    selection = select(evidence, free, _eligible(effects, setup, found.fit, evidence), confirming)
+    chosen = [c.key for c in selection.chosen]
+    delta = dict(zip(evidence.names, evidence.fitted(evidence.index([*free, *chosen])), strict=True))
+    values = found.fit.flown.point.values
+    parameters = {
+        n: (values[n] + delta[n], corrected(evidence, [f for f in (*free, *chosen) if f != n], n)[1]) for n in names
+    }
+    by_key = {e.key: e for e in effects}
+    carriers = {k: c[0] for k in chosen if (c := carrier(by_key[k], bench.aircraft.folder)) is not None}
+    note = (
+        "the residuals of replays showed turbulence: effects and parameters were judged by predictions one sample ahead, with process "
+        f"noise estimated ({found.gain:.0f} more in twice the log likelihood than calm air)"
+    )
+    return Found(
+        replace(setup, carriers=carriers), names, found.fit, found.fit, selection, by_key, parameters, (*notes, note),
+        {n: values[n] for n in names}, True, None, tuple(f"one-step predictions: {line}" for line in selection.trail),
     )  # fmt: skip
 
 
@@ -214,7 +274,12 @@ def _short(e: Effect) -> str:
 
 
 def _base_fit(
-    aircraft: Aircraft, bench: Bench, setup: Setup, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]], map_: Map
+    aircraft: Aircraft,
+    bench: Bench,
+    setup: Setup,
+    names: tuple[str, ...],
+    limits: Mapping[str, tuple[float, float]],
+    map_: Map,
 ) -> tuple[Fit, tuple[str, ...], list[str]]:
     """The fit of the model as it is; parameters that the flights do not determine stay where they are and are named in a note."""
     from uqharness import engine
@@ -283,6 +348,8 @@ def _eligible(effects: Sequence[Effect], setup: Setup, fit: Fit, evidence: Evide
     for e, estimate, share in zip(effects, found.estimate, found.share, strict=True):
         if not share > 0.0:
             continue
+        if e.positive and not estimate > 0.0:
+            continue
         if e.unit == "s" and not abs(estimate) > least:
             continue
         out[e.key] = e.odds
@@ -307,7 +374,11 @@ def _stage(
 def control_slopes(fit: Fit) -> dict[str, float]:
     """Mean change of the coefficients by a degree of elevator and rudder, and of CZ by a radian of alpha."""
     by = np.concatenate([p.by_control for p in fit.probes])
-    out = {f"{c}_{u}": float(by[:, k, j].mean()) for u, j in (("de", 0), ("dr", 2)) for k, c in enumerate(("CX", "CY", "CZ", "Cl", "Cm", "Cn"))}
+    out = {
+        f"{c}_{u}": float(by[:, k, j].mean())
+        for u, j in (("de", 0), ("dr", 2))
+        for k, c in enumerate(("CX", "CY", "CZ", "Cl", "Cm", "Cn"))
+    }
     slope = np.concatenate([p.reference.slopes[:, 2, 1] / (p.reference.qbar * p.mass.S) for p in fit.probes])
     return {**out, "CZ_alpha": float(slope.mean())}
 
@@ -332,7 +403,9 @@ def effect_value(effect: Effect, point: Point, carriers: Mapping[str, str], stag
     return point.sensed.get(effect.key, written)
 
 
-def _parameters(evidence: Evidence, names: Sequence[str], fit: Fit, selection: Selection) -> dict[str, tuple[float, float]]:
+def _parameters(
+    evidence: Evidence, names: Sequence[str], fit: Fit, selection: Selection
+) -> dict[str, tuple[float, float]]:
     free = [*[n for n in fit.columns[0].names if not n.startswith("effect/")], *[c.key for c in selection.chosen]]
     out = {}
     for n in names:
@@ -354,7 +427,9 @@ def estimates_of(found: Found, flights: Sequence[str], initial: Mapping[str, flo
     """New numbers of the re-identified parameters with their remarks."""
     out = {}
     for n, (value, std) in found.parameters.items():
-        out[n] = Estimate(value, f"{value:.5g} +/- {std:.2g}, was {initial.get(n, float('nan')):.5g}; refine; {', '.join(flights)}")
+        out[n] = Estimate(
+            value, f"{value:.5g} +/- {std:.2g}, was {initial.get(n, float('nan')):.5g}; refine; {', '.join(flights)}"
+        )
     return out
 
 

@@ -24,9 +24,7 @@ _BACKLASH_DEG = 0.5
 _RATE_DEGPS = 60.0
 
 
-def effect_columns(
-    setup: Setup, probes: Sequence[Probe], flown: Flown, effects: Sequence[Effect]
-) -> list[Columns]:
+def effect_columns(setup: Setup, probes: Sequence[Probe], flown: Flown, effects: Sequence[Effect]) -> list[Columns]:
     """Columns of the candidates by their keys, one set a segment; a candidate that does nothing there has none."""
     names = tuple(e.key for e in effects)
     out = []

@@ -36,11 +36,16 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
             f"--{name}", type=Path, nargs="+", action="extend", required=True, metavar="FILE",
             help=f"{text}: records (.parquet, .csv) or any log that `log import` reads; repeatable",
         )  # fmt: skip
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results, made if need be")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder for the results, made if need be"
+    )
     parser.add_argument("--effects", type=Path, metavar="FILE.toml", help="effects of your own beside the catalogue")
     parser.add_argument("--map", type=Path, metavar="MAP.toml", help="signal map of your own for logs")
     parser.add_argument(
-        "--manoeuvres", type=Path, metavar="FILE.csv", help="table manoeuvre, start_s, end_s (and flight) that labels the flights"
+        "--manoeuvres",
+        type=Path,
+        metavar="FILE.csv",
+        help="table manoeuvre, start_s, end_s (and flight) that labels the flights",
     )
     parser.add_argument(
         "--servos", choices=("card", "ideal"), default="card",
@@ -57,7 +62,9 @@ def _run(args: argparse.Namespace) -> int:
     if args.workers is not None and args.workers < 1:
         raise BadInputError(f"--workers {args.workers}: at least 1")
     if not args.out.exists() and not args.out.absolute().parent.is_dir():
-        raise BadInputError(f"--out {args.out}: the folder {args.out.absolute().parent} does not exist; create it first")
+        raise BadInputError(
+            f"--out {args.out}: the folder {args.out.absolute().parent} does not exist; create it first"
+        )
     # Imported here: scipy and pandas take a second that --help should not pay.
     from sysid.effect_file import read_effects
     from sysid.log_errors import LogError
@@ -75,7 +82,16 @@ def _run(args: argparse.Namespace) -> int:
     )  # fmt: skip
     out = results_folder(args.out)
     request = Request(
-        aircraft, tuple(args.train), tuple(args.test), out, extra, args.manoeuvres, args.map, args.servos == "ideal", args.workers, command
+        aircraft,
+        tuple(args.train),
+        tuple(args.test),
+        out,
+        extra,
+        args.manoeuvres,
+        args.map,
+        args.servos == "ideal",
+        args.workers,
+        command,
     )
     done = refine(request, _say)
     write_report(done, out, figures=not args.no_figures)

@@ -18,8 +18,8 @@ from sysid.gust_intensity import gust_intensity
 from sysid.prediction import Columns, White, whiten
 from sysid.rigid_steps import STATES as X_STATES
 from sysid.rigid_steps import Steps
-from uqharness.refine_fit import PRIOR, Fit, Flown, Map, Point, Setup, parameter_columns, probes, steps_of
 from uqharness.forced import surface_positions
+from uqharness.refine_fit import PRIOR, Fit, Flown, Map, Point, Setup, parameter_columns, probes, steps_of
 from uqharness.refine_reference import Probe, along, named_terms
 from uqharness.replay import Segment, between_rows
 from uqharness.replay_model import CONTROLS, ReplayModel
@@ -50,7 +50,9 @@ def measured_flight(setup: Setup, point: Point) -> Flown:
             columns.append(smooth(value, segment.dt_s, _SMOOTH_HZ.get(name, 6.0)))
         x.append(np.column_stack(columns))
     height = [np.array(c["h_m"], dtype=float) for c in setup.channels]
-    return Flown(point, [np.zeros((len(s.time_s), len(setup.outputs))) for s in setup.segments], x, height, float("nan"))
+    return Flown(
+        point, [np.zeros((len(s.time_s), len(setup.outputs))) for s in setup.segments], x, height, float("nan")
+    )
 
 
 def middles(model: ReplayModel, setup: Setup, map_: Map) -> list[Array]:
@@ -80,7 +82,8 @@ def predict(
     """The measured flight, the model's forces along it, and the linear system; outputs are those at the reference, biases added."""
     flown = measured_flight(setup, point)
     found = [
-        along(p, bend=_bend(p, b)) for p, b in zip(probes(straight, setup, flown, controls, differ, map_, consistent=False), bends, strict=True)
+        along(p, bend=_bend(p, b))
+        for p, b in zip(probes(straight, setup, flown, controls, differ, map_, consistent=False), bends, strict=True)
     ]
     steps = steps_of(found, flown, setup)
     out, outputs = [], []
@@ -106,7 +109,7 @@ def gust_refit(
 ) -> GustFit:  # fmt: skip
     """Parameters, biases and, unless given, the gusts' intensity."""
     point, analytic, length = start, None, float("inf")
-    gain, values = float("nan"), np.zeros(5)
+    gain, values = float("nan"), np.zeros(6)
     known = process
     for number in range(1, iterations + 1):
         differ = [] if analytic is None else [n for n in names if n not in analytic]
@@ -114,10 +117,14 @@ def gust_refit(
         if analytic is None:
             analytic = tuple(named_terms(straight, setup.segments[0], found[0], names, point.values))
             if len(analytic) < len(names):
-                flown, found, steps = predict(straight, setup, point, controls, bends, [n for n in names if n not in analytic], map_)
+                flown, found, steps = predict(
+                    straight, setup, point, controls, bends, [n for n in names if n not in analytic], map_
+                )
         if process is None and number <= 2:
             speeds = [float(x[:, 0].mean()) for x in flown.x]
-            values, known, gain = gust_intensity(steps, setup.measured, setup.which, setup.noise, speeds, found[0].mass.b)
+            values, known, gain = gust_intensity(
+                steps, setup.measured, setup.which, setup.noise, speeds, found[0].mass.b
+            )
         flown, found = predicted(setup, flown, found, steps, known)
         columns = parameter_columns(setup, found, flown, names, analytic)
         white = whiten(steps, setup.measured, columns, setup.which, setup.noise, known)
@@ -126,7 +133,9 @@ def gust_refit(
         if length < 0.1 or number == iterations:
             break
         step = dict(zip(columns[0].names, delta.tolist(), strict=True))
-        moved = {n: float(np.clip(v + step.get(n, 0.0), *limits.get(n, (-np.inf, np.inf)))) for n, v in point.values.items()}
+        moved = {
+            n: float(np.clip(v + step.get(n, 0.0), *limits.get(n, (-np.inf, np.inf)))) for n, v in point.values.items()
+        }
         nuisance = {n: point.nuisance.get(n, 0.0) + step[n] for n in setup.nuisance}
         point = replace(point, values=moved, nuisance=nuisance)
     assert known is not None and analytic is not None
@@ -142,7 +151,10 @@ def predicted(
 
     At the measured states a term would know of the gust that it is to predict: Cl_p came out at three quarters.
     """
-    paths = [w.path for w in whiten(steps, setup.measured, [Columns((), {}, {})] * len(steps), setup.which, setup.noise, process)]
+    paths = [
+        w.path
+        for w in whiten(steps, setup.measured, [Columns((), {}, {})] * len(steps), setup.which, setup.noise, process)
+    ]
     out, outputs = [], []
     for p, s, d, y in zip(found, steps, paths, flown.outputs, strict=True):
         air = p.reference.x + d[:, :8]

@@ -133,7 +133,14 @@ def probe(job: ProbeJob) -> Probe:
     other = np.hstack([found.other_force, found.other_moment])
     other = all_rows(other[: len(base)])
     reference = Reference(
-        job.segment.dt_s, job.x, total[:, :3], total[:, 3:], spread(slopes), qbar, np.array(job.segment.arm_m), job.consistent
+        job.segment.dt_s,
+        job.x,
+        total[:, :3],
+        total[:, 3:],
+        spread(slopes),
+        qbar,
+        np.array(job.segment.arm_m),
+        job.consistent,
     )
     return Probe(
         reference, mass, (total - other) / scale, other[:, :3], other[:, 3:], np.stack(by_control, axis=2), job.controls,
@@ -157,7 +164,9 @@ def _difference(job: ProbeJob, name: str, scale: Array) -> Array:
     return np.asarray((sides[0] - sides[1]) / (2.0 * step) / scale)
 
 
-def named_terms(straight: ReplayModel, segment: Segment, probe_: Probe, names: Sequence[str], values: Mapping[str, float]) -> list[str]:
+def named_terms(
+    straight: ReplayModel, segment: Segment, probe_: Probe, names: Sequence[str], values: Mapping[str, float]
+) -> list[str]:
     """Those of ``names`` that are, in this model, the coefficient term their name says: told by moving each of them."""
     rows = np.unique(np.linspace(0, len(probe_.x) - 1, 9).astype(int))
     few = ProbeJob(

@@ -38,7 +38,9 @@ def model_diff(done: Refinement) -> str:
     out: list[str] = []
     for name in names:
         a, b = (
-            (f / name).read_bytes().decode("utf-8", errors="surrogateescape").splitlines(keepends=True) if (f / name).is_file() else []
+            (f / name).read_bytes().decode("utf-8", errors="surrogateescape").splitlines(keepends=True)
+            if (f / name).is_file()
+            else []
             for f in (old, new)
         )
         out += difflib.unified_diff(a, b, f"a/{name}", f"b/{name}")
@@ -50,7 +52,9 @@ def summary(document: dict[str, Any], out: Path) -> str:
     lines = [f"verdict: {document['verdict']}"]
     lines += [f"disagreement: {d['words']}" for d in document["disagreement"][:5]]
     for e in document["effects"]:
-        lines.append(f"effect: {e['name']}: {e['value']:.5g} +/- {e['std']:.2g} {e['unit']} ({e['property'] or 'a sensor'}), |t| {abs(e['evidence']['t']):.1f}")
+        lines.append(
+            f"effect: {e['name']}: {e['value']:.5g} +/- {e['std']:.2g} {e['unit']} ({e['property'] or 'a sensor'}), |t| {abs(e['evidence']['t']):.1f}"
+        )
         lines.append(f"        {e['why']}")
         for a in e["alternatives"]:
             lines.append(
@@ -66,9 +70,15 @@ def summary(document: dict[str, Any], out: Path) -> str:
             lines.append(f"{name:<14}{row['rms_before']:>10.4g}{row['rms_after']:>10.4g}{row['noise_rms']:>10.4g}")
     left = document["remaining"]
     if left["unexplained"]:
-        lines.append(f"unexplained: channels above noise {left['channels_above_noise']}, coloured {', '.join(left['coloured_channels'])}")
+        lines.append(
+            f"unexplained: channels above noise {left['channels_above_noise']}, coloured {', '.join(left['coloured_channels'])}"
+        )
         for w in left["where"][:4]:
-            lines.append(f"  {w['words']}" if "words" in w else f"  {w['coefficient']}: {w['rms_over_noise']:.2f} noise, with {w['depends_on'][0]['state']}")
+            lines.append(
+                f"  {w['words']}"
+                if "words" in w
+                else f"  {w['coefficient']}: {w['rms_over_noise']:.2f} noise, with {w['depends_on'][0]['state']}"
+            )
     lines += [f"note: {n}" for n in document["notes"]]
     lines.append(f"{document['seconds']} s; results in {out}")
     return "\n".join(lines)

@@ -18,9 +18,18 @@ from sysid.effect_choice import Alternative, Choice
 from sysid.effects import Effect
 from uqharness.aircraft import Aircraft, find_aircraft
 from uqharness.flights import read_flights, renamed
-from uqharness.refine import Found, control_slopes, estimates_of, find_effects, make_setup, refuse_shared, remark
+from uqharness.refine import (
+    Found,
+    control_slopes,
+    estimates_of,
+    find_effects,
+    make_setup,
+    refuse_shared,
+    remark,
+    setup_in_gusts,
+)
 from uqharness.refine_fit import Setup, positions, worker_map
-from uqharness.refine_show import Shown, gap_document, show, state_ranges, whiteness, write_bytes_tree
+from uqharness.refine_show import Shown, air_of, gap_document, show, state_ranges, whiteness, write_bytes_tree
 from uqharness.refine_words import separating_manoeuvre, why
 from uqharness.refine_xml import Written, carrier, in_dynamics, write_effects
 from uqharness.replay_model import CONTROLS
@@ -80,25 +89,30 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
         say("writing the aircraft")
         initial = _initial(aircraft, found.names)
         estimates = estimates_of(found, names, initial)
-        base = replace(found, parameters={n: (found.before.flown.point.values[n], found.parameters[n][1]) for n in found.names})
+        base = replace(found, parameters={n: (found.plain[n], found.parameters[n][1]) for n in found.names})
         plain = _write(aircraft, [], estimates_of(base, names, initial), work / "plain")
         slopes = control_slopes(found.before)
         written = [
-            Written(found.effects[c.key], c.value, remark(c, found.effects[c.key], names, command), slopes) for c in found.selection.chosen
+            Written(found.effects[c.key], c.value, remark(c, found.effects[c.key], names, command), slopes)
+            for c in found.selection.chosen
         ]
         better = _write(aircraft, written, estimates, work / "better") if written else plain
         sensed = {c.key: c.value for c in found.selection.chosen if not in_dynamics(found.effects[c.key])}
         say("flying the test flights with both models")
         pairs = []
         for which, straight_through, surfaces in ((setup, ideal, measured), (test, ideal_test, measured_test)):
-            before = show(plain, which, surfaces, straight_through, map_, {})
-            after = show(better, which, surfaces, straight_through, map_, sensed) if written else before
+            air = None
+            if found.gusty:
+                which = setup_in_gusts(aircraft, which)
+                air = air_of(better, which, surfaces, straight_through, map_)
+            before = show(plain, which, surfaces, straight_through, map_, {}, air)
+            after = show(better, which, surfaces, straight_through, map_, sensed, air) if written else before
             pairs.append((which, before, after))
-        shrank = pairs[1][2].flown.cost < pairs[1][1].flown.cost
+        shrank = pairs[1][2].cost < pairs[1][1].cost
         final = better if shrank or not written else plain
         controls = _controls(plain, setup, measured, ideal, map_)
-        where = _disagreements(setup, pairs[0][1], controls)
-        left = _disagreements(setup, pairs[0][2], controls)
+        where = _disagreements(setup, pairs[0][1], pairs[0][2], controls)
+        left = _disagreements(setup, pairs[0][2], pairs[0][2], controls)
         document = _document(request, found, pairs, where, left, shrank, controls)
         target = request.out / "aircraft" / aircraft.folder.name
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -130,16 +144,22 @@ def _controls(aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: 
         return positions(bench.model, setup, map_)
 
 
-def _disagreements(setup: Setup, shown: Shown, controls: Sequence[Any]) -> list[Disagreement]:
-    allowed = [np.broadcast_to(shown.floor, g.shape) for g in shown.coefficients]
+def _disagreements(setup: Setup, shown: Shown, settled: Shown, controls: Sequence[Any]) -> list[Disagreement]:
+    """Where ``shown`` lies outside; allowed is what noise gives, or what is left by the model that is at the noise in flight,
+    whichever is larger: held commands and gusts have their share in coefficients, too."""
+    rest = np.concatenate(settled.coefficients)
+    spread = np.maximum(settled.floor, 1.4826 * np.median(np.abs(rest - np.median(rest, axis=0)), axis=0))
+    allowed = [np.broadcast_to(spread, g.shape) for g in shown.coefficients]
     labels = [s.label.split(",")[0] for s in setup.segments]
-    return disagreements(shown.coefficients, allowed, state_ranges(setup, shown.flown, controls), labels, setup.segments[0].dt_s)
+    return disagreements(
+        shown.coefficients, allowed, state_ranges(setup, shown.flown, controls), labels, setup.segments[0].dt_s
+    )
 
 
 def _remaining(setup: Setup, shown: Shown, left: Sequence[Disagreement], controls: Sequence[Any]) -> dict[str, Any]:
     """Whether anything is left that noise does not explain, where, and on what it depends."""
     p = whiteness(setup, shown.residual)
-    ratios = {c: shown.channel_rms(k) / float(setup.noise[k]) for k, c in enumerate(setup.outputs)}
+    ratios = {c: shown.channel_rms(k) / float(shown.noise[k]) for k, c in enumerate(setup.outputs)}
     above = {c: r for c, r in ratios.items() if r > LIMIT}
     coloured = {c: v for c, v in p.items() if v < COLOURED_P}
     unexplained = bool(above) or bool(coloured)
@@ -194,7 +214,9 @@ def _document(
             if c.key in found.setup.carriers and (off := _off(found, c.key, request)) is not None
         ],
         "parameters": {n: {"value": v, "std": s} for n, (v, s) in found.parameters.items()},
-        "best_refused": None if refused is None else {"effect": refused.key.removeprefix("effect/"), "t": refused.t, "why": refused.why},
+        "best_refused": None
+        if refused is None
+        else {"effect": refused.key.removeprefix("effect/"), "t": refused.t, "why": refused.why},
         "trail": list(found.trail),
         "notes": [*found.notes, *(n for f in setup.flights for n in f.notes)],
         "train": [p.name for p in request.train],
@@ -209,7 +231,9 @@ def _off(found: Found, key: str, request: Request) -> float | None:
 
 
 def _label(effect: Effect) -> dict[str, str]:
-    where = {"coefficient": effect.coefficient} if effect.coefficient is not None else {"subsystem": effect.subsystem or ""}
+    where = (
+        {"coefficient": effect.coefficient} if effect.coefficient is not None else {"subsystem": effect.subsystem or ""}
+    )
     return {**where, "term": effect.term}
 
 

@@ -17,7 +17,8 @@ from uqharness.aircraft import Aircraft
 from uqharness.flights import states
 from uqharness.identify_start import demand_of, forced_at
 from uqharness.refine import Bench
-from uqharness.refine_fit import Fit, Flown, Map, Point, Setup, positions, refit
+from uqharness.refine_fit import Flown, Map, Point, Setup, positions, refit
+from uqharness.refine_gusts import gust_refit, middles
 from uqharness.replay import Segment
 from uqharness.replay_model import ReplayModel
 
@@ -26,13 +27,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Shown:
-    """One model over some flights: replay, residuals [(n, m)], coefficient residuals [(n, 6)] and their noise (6,)."""
+    """One model over some flights: replay or one-step predictions, residuals [(n, m)] and their noise (m,), coefficient residuals
+    [(n, 6)] and their noise (6,), cost: sum of squares of the residuals over their noise."""
 
     flown: Flown
     residual: list[Array]
+    noise: Array
     coefficients: list[Array]
     floor: Array
-    fit: Fit
+    cost: float
 
     def channel_rms(self, k: int) -> float:
         return rms(np.concatenate([r[:, k] for r in self.residual]))
@@ -41,27 +44,60 @@ class Shown:
         return rms(np.concatenate([g[:, k] for g in self.coefficients]))
 
 
-def show(aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Map, sensed: Mapping[str, float]) -> Shown:
-    """Replay flights by an aircraft as its XML has it; only start states, biases and (of logs) delays are estimated."""
+def show(
+    aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Map, sensed: Mapping[str, float],
+    process: Array | None = None,
+) -> Shown:  # fmt: skip
+    """Flights by an aircraft as its XML has it; only start states, biases and (of logs) delays are estimated.
+
+    process (S, 11, 11): process noise of the segments, with which one-step predictions take the place of replays.
+    """
     with Bench(aircraft, measured, ideal) as bench:
         plain = replace(setup, active=(), carriers={})
         start = Point({}, {}, tuple(s.start for s in setup.segments), dict(sensed))
-        fit = refit(bench.model, bench.straight, plain, positions(bench.model, plain, map_), start, (), {}, map_, max_iterations=6)
+        controls = positions(bench.model, plain, map_)
         jobs = [
             (bench.model, bench.straight, s, states(f, p), dict(zip(setup.outputs, setup.noise.tolist(), strict=True)))
             for s, (f, p) in zip(setup.segments, [(f, p) for f in setup.flights for p in f.pieces], strict=True)
         ]
         found = list(map_(_coefficient_gap, jobs))
-    residual = [z - y for z, y in zip(setup.measured, fit.flown.outputs, strict=True)]
+        if process is None:
+            fit = refit(bench.model, bench.straight, plain, controls, start, (), {}, map_, max_iterations=6)
+            residual = [z - y for z, y in zip(setup.measured, fit.flown.outputs, strict=True)]
+            flown, noise, cost = fit.flown, setup.noise, fit.flown.cost
+        else:
+            bends = middles(bench.model, plain, map_)
+            gust = gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, process, iterations=3)
+            delta, _ = gust.fit.evidence.step()
+            white = gust.fit.evidence.residual(delta)
+            residual = [r * w.deviation for r, w in zip(white, gust.white, strict=True)]
+            noise = np.sqrt(np.mean([w.deviation**2 for w in gust.white], axis=0))
+            cost = float(sum(np.nansum(r**2) for r in white))
+            outputs = [z - r for z, r in zip(setup.measured, residual, strict=True)]
+            flown = replace(gust.fit.flown, outputs=outputs, cost=cost)
     floor = np.sqrt(np.mean(np.concatenate([f[1] for f in found]) ** 2, axis=0))
-    return Shown(fit.flown, residual, [f[0] for f in found], floor, fit)
+    return Shown(flown, residual, noise, [f[0] for f in found], floor, cost)
 
 
-def _coefficient_gap(job: tuple[ReplayModel, ReplayModel, Segment, Mapping[str, Array], Mapping[str, float]]) -> tuple[Array, Array]:
+def air_of(aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Map) -> Array:
+    """Process noise (S, 11, 11) of some flights, estimated with a model as it is."""
+    with Bench(aircraft, measured, ideal) as bench:
+        plain = replace(setup, active=(), carriers={})
+        start = Point({}, {}, tuple(s.start for s in setup.segments))
+        controls, bends = positions(bench.model, plain, map_), middles(bench.model, plain, map_)
+        return gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, iterations=2).process
+
+
+def _coefficient_gap(
+    job: tuple[ReplayModel, ReplayModel, Segment, Mapping[str, Array], Mapping[str, float]],
+) -> tuple[Array, Array]:
     """(n, 6) demanded minus predicted at the measured states, and how noise added once more changes it."""
     model, straight, segment, channels, noise = job
     rng = np.random.default_rng(1)
-    noisy = {c: v + (noise[c] * rng.standard_normal(len(v)) if np.isfinite(noise.get(c, np.nan)) else 0.0) for c, v in channels.items()}
+    noisy = {
+        c: v + (noise[c] * rng.standard_normal(len(v)) if np.isfinite(noise.get(c, np.nan)) else 0.0)
+        for c, v in channels.items()
+    }
     gaps = []
     for given in (channels, noisy):
         forced, _ = forced_at(model, straight, segment, given, {})
@@ -77,18 +113,29 @@ def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]
 
     def coefficient(shown: Shown) -> float:
         found = [
-            theil(np.concatenate([z[:, k] for z in setup.measured]), np.concatenate([y[:, k] for y in shown.flown.outputs])).u
+            theil(
+                np.concatenate([z[:, k] for z in setup.measured]),
+                np.concatenate([y[:, k] for y in shown.flown.outputs]),
+            ).u
             for k in range(len(setup.outputs))
         ]
         return float(np.nanmean(found))
 
     return {
-        "channels": {c: row(before.channel_rms(k), after.channel_rms(k), float(setup.noise[k])) for k, c in enumerate(setup.outputs)},
+        "channels": {
+            c: row(before.channel_rms(k), after.channel_rms(k), float(after.noise[k]))
+            for k, c in enumerate(setup.outputs)
+        },
         "coefficients": {
-            c: row(before.coefficient_rms(k), after.coefficient_rms(k), float(after.floor[k])) for k, c in enumerate(COEFFICIENTS)
+            c: row(before.coefficient_rms(k), after.coefficient_rms(k), float(after.floor[k]))
+            for k, c in enumerate(COEFFICIENTS)
         },
         "theil": {"before": coefficient(before), "after": coefficient(after)},
-        "cost": {"before": before.flown.cost, "after": after.flown.cost, "samples": int(sum(np.isfinite(z).sum() for z in setup.measured))},
+        "cost": {
+            "before": before.cost,
+            "after": after.cost,
+            "samples": int(sum(np.isfinite(z).sum() for z in setup.measured)),
+        },
     }
 
 

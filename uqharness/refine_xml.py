@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from sysid.effect_terms import Term, V_REFERENCE_MPS
+from sysid.effect_terms import V_REFERENCE_MPS, Term
 from sysid.effects import Effect
 from uqharness.aero_section import AeroSection, read_section
 from uqharness.aero_summands import Reference, SectionEdit, add_deltas, add_functions
@@ -131,7 +131,9 @@ _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 
 def _number(folder: Path, name: str) -> str | None:
     """The number that some file of the folder gives a property, as written."""
-    pattern = re.compile(r"<property\b[^>]*?\bvalue\s*=\s*[\"']([^\"']*)[\"'][^>]*>\s*" + re.escape(name) + r"\s*</property>")
+    pattern = re.compile(
+        r"<property\b[^>]*?\bvalue\s*=\s*[\"']([^\"']*)[\"'][^>]*>\s*" + re.escape(name) + r"\s*</property>"
+    )
     for path in sorted(folder.rglob("*.xml")):
         text = _COMMENT.sub("", path.read_bytes().decode("utf-8", errors="surrogateescape"))
         found = pattern.search(text)
@@ -140,7 +142,9 @@ def _number(folder: Path, name: str) -> str | None:
     return None
 
 
-def _add(edit: SectionEdit, aircraft: Aircraft, w: Written, summands: dict[str, list[str]], deltas: bool) -> SectionEdit:
+def _add(
+    edit: SectionEdit, aircraft: Aircraft, w: Written, summands: dict[str, list[str]], deltas: bool
+) -> SectionEdit:
     name = w.effect.property_name
     declare = f'<property value="{w.value:.8g}">{name}</property>  <!-- {w.remark.replace("--", "- -")} -->'
     if w.effect.coefficient is not None:
@@ -197,7 +201,9 @@ def _last_property(document: Document, coefficient: str) -> Node | None:
 
 def _has_function(section: AeroSection, name: str) -> bool:
     return any(
-        n.tag == "function" and n.attributes.get("name", "").strip() == name for d in section.documents for n in d.root.walk()
+        n.tag == "function" and n.attributes.get("name", "").strip() == name
+        for d in section.documents
+        for n in d.root.walk()
     )
 
 
@@ -213,7 +219,9 @@ def variable_xml(variable: str, section: AeroSection, aircraft: Aircraft) -> str
         return f"<property>aero/{variable}-rad</property>"
     if variable in ("p_hat", "q_hat", "r_hat"):
         axis = variable[0]
-        return hat(f"aero/{variable}", "aero/ci2vel" if axis == "q" else "aero/bi2vel", f"velocities/{axis}-aero-rad_sec")
+        return hat(
+            f"aero/{variable}", "aero/ci2vel" if axis == "q" else "aero/bi2vel", f"velocities/{axis}-aero-rad_sec"
+        )
     if variable == "alphadot_hat":
         return "<product> <property>aero/ci2vel</property> <property>aero/alphadot-rad_sec</property> </product>"
     if variable == "betadot_hat":
@@ -222,7 +230,9 @@ def variable_xml(variable: str, section: AeroSection, aircraft: Aircraft) -> str
         control = {"de": "elevator", "da": "aileron", "dr": "rudder", "dt": "throttle"}[variable]
         card = aircraft.card.inputs.get(control)
         if card is None:
-            raise BadInputError(f"aircraft '{aircraft.name}': airframe.toml has no [inputs.{control}], which the effect needs")
+            raise BadInputError(
+                f"aircraft '{aircraft.name}': airframe.toml has no [inputs.{control}], which the effect needs"
+            )
         name = f"<property>{card.position or card.selected or card.property}</property>"
         if variable == "dt":
             return name if card.unit == "norm" else f"<product> <value>0.01</value> {name} </product>"
@@ -279,7 +289,7 @@ def _subsystem_terms(w: Written, section: AeroSection, aircraft: Aircraft) -> li
         return [r for r in rows if r[1] != 0.0]
     if part == "stall":
         lag = (
-            f"<product> <value>2</value> <property>aero/ci2vel</property> <todegrees> <property>aero/alphadot-rad_sec</property> "
+            "<product> <value>2</value> <property>aero/ci2vel</property> <todegrees> <property>aero/alphadot-rad_sec</property> "
             "</todegrees> </product>"
             if term == "dynamic"
             else "<value>0</value>"
@@ -327,8 +337,14 @@ def _write_mass(folder: Path, aircraft: Aircraft, w: Written) -> None:
         place = re.search(r"<location\b[^>]*name\s*=\s*[\"']CG[\"'][^>]*>.*?</location>", block.group(0), re.DOTALL)
         found = re.search(r"<x>([^<]*)</x>", place.group(0)) if place else None
         if place is None or found is None:
-            raise BadInputError(f"{path}: no <location name=\"CG\"> to move")
-        unit = 1.0 if re.search(r"unit\s*=\s*[\"']M[\"']", place.group(0)) else 1.0 / 0.0254 if "IN" in place.group(0) else 1.0 / FT
+            raise BadInputError(f'{path}: no <location name="CG"> to move')
+        unit = (
+            1.0
+            if re.search(r"unit\s*=\s*[\"']M[\"']", place.group(0))
+            else 1.0 / 0.0254
+            if "IN" in place.group(0)
+            else 1.0 / FT
+        )
         a = block.start() + place.start() + found.start(1)
         b = block.start() + place.start() + found.end(1)
         # Structural x points aft.
@@ -343,7 +359,11 @@ def _write_actuator(folder: Path, aircraft: Aircraft, w: Written) -> None:
     remark = f"  <!-- {w.remark.replace('--', '- -')} -->"
     for path in sorted(folder.rglob("*.xml")):
         text = path.read_bytes().decode("utf-8", errors="surrogateescape")
-        block = re.search(r"<actuator\b[^>]*name\s*=\s*[\"']" + re.escape(position or "?") + r"[\"'][^>]*>.*?</actuator>", text, re.DOTALL)
+        block = re.search(
+            r"<actuator\b[^>]*name\s*=\s*[\"']" + re.escape(position or "?") + r"[\"'][^>]*>.*?</actuator>",
+            text,
+            re.DOTALL,
+        )
         if block is None:
             continue
         body = block.group(0)
