@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,8 +43,10 @@ class Disagreement:
     def words(self) -> str:
         r = self.region
         return (
-            f"{self.coefficient}, {self.manoeuvre}, {r.state} {r.low:.3g} to {r.high:.3g}: {100 * self.share:.0f} % of samples outside the "
-            f"95 % interval, {self.outside_s:.1f} s of {self.total_s:.1f} s; rms {self.size:.1f} times what noise and parameters allow"
+            f"{self.coefficient}, {self.manoeuvre}, {r.state} {r.low:.3g} to {r.high:.3g}: "
+            f"{100 * self.share:.0f} % of samples outside the "
+            f"95 % interval, {self.outside_s:.1f} s of {self.total_s:.1f} s; "
+            f"rms {self.size:.1f} times what noise and parameters allow"
         )
 
 
@@ -90,7 +93,7 @@ def _telling(outside: NDArray[np.bool_], states: Mapping[str, FloatArray]) -> tu
     best: tuple[float, Region, NDArray[np.bool_]] | None = None
     for name, values in states.items():
         edges = np.quantile(values, [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0])
-        for low, high in zip(edges[:-1], edges[1:], strict=True):
+        for low, high in pairwise(edges.tolist()):
             mask = (values >= low) & (values <= high)
             if mask.sum() < 10 or high <= low:
                 continue

@@ -1,6 +1,7 @@
 """Which candidates are in the data: forward selection with exchange and removal on the linearised likelihood, by a fixed rule.
 
-A candidate enters when it explains most (gain less its odds), when its t, corrected for the colour of what it leaves, stands above what
+A candidate enters when it explains most (gain less its odds), when its t, corrected for the colour of what it leaves,
+stands above what
 the largest of all candidates reaches by chance (Sidak), and when a part of the flights that did not estimate it agrees. What it
 replaces is taken out again. Candidates without which the answer would be as likely are its alternatives.
 """
@@ -40,7 +41,8 @@ class Alternative:
 
 @dataclass(frozen=True)
 class Choice:
-    """One effect: estimate, corrected and white standard error, t, gain, agreement with the confirming part (gain there, difference)."""
+    """One effect: estimate, corrected and white standard error, t, gain, agreement with the confirming part (gain there,
+    difference)."""
 
     key: str
     value: float
@@ -85,7 +87,8 @@ def select(
     related     whether two keys may not stand in the model at once (a special case of the other)
     """
     limit = threshold(len(candidates)) if limit is None else limit
-    here, trail = list(chosen), []
+    here: list[str] = list(chosen)
+    trail: list[str] = []
     refused: Refusal | None = None
     for _ in range(3 * most):
         before = list(here)

@@ -5,12 +5,14 @@ With columns b of the parameters already free and one column c per candidate (st
     g = G_cc - G_cb G_bb^-1 G_bc,   u = u_c - G_cb G_bb^-1 u_b,   estimate u/g,   t = u/sqrt(g),   gain u^2/g          (LM)
 
 the gain being twice the rise of the log likelihood: Rao's score (Lagrange multiplier) test. Where residuals are coloured, t is
-corrected as standard errors are (coloured.py). Sums are kept by segment, so that any part of the flights can be fitted and any other
+corrected as standard errors are (coloured.py). Sums are kept by segment, so that any part of the flights can be fitted
+and any other
 asked whether it agrees.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -65,7 +67,7 @@ class Evidence:
         """Gauss-Newton step of all columns (K,), and its length in standard errors."""
         G, u = self.everything
         delta = solve(G, u[:, None])[:, 0]
-        return delta, float(np.sqrt(max(delta @ u, 0.0)))
+        return delta, math.sqrt(max(float(delta @ u), 0.0))
 
     def fitted(self, free: Index, segments: NDArray[np.bool_] | None = None) -> FloatArray:
         """(K,) estimates of the free columns, 0 elsewhere."""
@@ -101,7 +103,8 @@ class Evidence:
 def gather(
     white: Sequence[White], names: Sequence[str], flights: Sequence[str], prior: Mapping[str, float]
 ) -> Evidence:
-    """Evidence from filtered segments; prior: kind of column (its name up to the first /) -> standard deviation known beforehand."""
+    """Evidence from filtered segments; prior: kind of column (its name up to the first /) -> standard deviation known
+    beforehand."""
     K = len(names)
     gram, score = np.zeros((len(white), K, K)), np.zeros((len(white), K))
     for s, w in enumerate(white):

@@ -1,10 +1,12 @@
 """How gusty the air was: process noise of the linearised flight by maximum likelihood.
 
-Gusts enter V, alpha and beta as white rates. The air's rotation goes with them: what changes alpha in time is a slope of the vertical
+Gusts enter V, alpha and beta as white rates. The air's rotation goes with them: what changes alpha in time is a slope of
+the vertical
 gust along the flight, q = -dw/dx = -w'/V, smoothed over the span; and r = +dv/dx likewise (MIL-F-8785C 3.7.5):
 
     alpha' = ... + n_a,   T_q q' = -q + k n_a        beta' = ... + n_b,   T_r r' = -r - k n_b        T_p p' = -p + n_p
 
+with k one, or none where the air was made without rotation.
 Left out, that tie would pass for stability: gusts that pitch the air and change alpha at once made Cm_alpha a third of its size.
 """
 
@@ -20,12 +22,13 @@ from sysid.rigid_steps import GUST_LENGTHS, NX, Steps
 
 FloatArray = NDArray[np.float64]
 _START = np.array([0.25, 5e-4, 5e-4, 5e-2, 1.0, 1e-4])
-"""Intensities of V [m2/s3], alpha and beta [rad2/s], the air's roll [rad2/s3]; k; what the air's pitch and yaw have besides [rad2/s3].
+"""Intensities of V [m2/s3], alpha and beta [rad2/s], the air's roll [rad2/s3]; k; what the air's pitch and yaw have
+besides [rad2/s3].
 Light air at 20 m/s, to begin with."""
 _TIE = 4
 _FACTORS = (1e-4, 1e-2, 0.1, 0.5, 1.0, 2.0, 5.0)
 _FINER = ((0.03, 0.2, 5.0, 30.0), (0.4, 0.7, 1.4, 2.5), (0.75, 0.87, 1.15, 1.33))
-_TIES = ((0.0, 0.5, 1.5), (0.75, 1.25), (0.9, 1.1))
+_TIES = ((0.0,), (0.0,), (0.0,))
 _MOST_SEGMENTS = 10
 
 
@@ -51,9 +54,11 @@ def gust_intensity(
     noise: FloatArray,
     V: Sequence[float],
     b: float,
+    coarse: bool = False,
 ) -> tuple[FloatArray, FloatArray, float]:
-    """The six values, the process noise (S, 11, 11) they make at each segment's airspeed V, and twice the log likelihood gained over
-    calm air; found on at most ten of the segments."""
+    """The six values, the process noise (S, 11, 11) they make at each segment's airspeed V, and twice the log likelihood
+    gained over
+    calm air; found on at most ten of the segments. coarse: one strength for all of it, to begin with."""
     some = np.unique(np.linspace(0, len(steps) - 1, min(len(steps), _MOST_SEGMENTS)).astype(int))
     few, data = [steps[k] for k in some], [measured[k] for k in some]
 
@@ -67,7 +72,7 @@ def gust_intensity(
     first = [np.where(np.arange(len(_START)) == _TIE, _START, f * _START) for f in _FACTORS]
     found = costs(first)
     best, low = first[int(np.argmin(found))], float(found.min())
-    for factors, ties in zip(_FINER, _TIES, strict=True):
+    for factors, ties in () if coarse else zip(_FINER, _TIES, strict=True):
         for k in range(len(_START)):
             trial = []
             for f in ties if k == _TIE else factors:

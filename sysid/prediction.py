@@ -1,6 +1,7 @@
 """One-step predictions along linearised flights: white innovations, and how each candidate would have moved them.
 
-A Kalman filter with the process noise of turbulence; without any it is output error. The innovations' sensitivity to a column of extra
+A Kalman filter with the process noise of turbulence; without any it is output error. The innovations' sensitivity to a
+column of extra
 coefficients runs through the same gains, so that what is judged is what the likelihood sees (Astrom, Automatica 16, 1980):
 
     s = H X + D u + e,   X+ = X - K s,   X' = Phi X+ + G0 u(k) + G1 u(k+1)
@@ -40,7 +41,8 @@ class White:
     """One segment: whitened innovations (n, m) and columns (n, m, K), the start state projected out; NaN rows are zero.
 
     logdet: sum of the logarithms of the innovations' deviations; start (8, 1 + K): start state that fits best, and its change by
-    column; there (n, m): which values were measured; deviation (m,): rms of the innovations' standard deviation, in the channels' units;
+    column; there (n, m): which values were measured; deviation (m,): rms of the innovations' standard deviation, in the
+    channels' units;
     path (n, 11): predicted state less the reference, from what was measured before each sample.
     """
 
@@ -59,7 +61,8 @@ def whiten(
 ) -> list[White]:  # fmt: skip
     """Filter every segment.
 
-    which  rows of the steps' OUTPUTS that ``measured`` (n, m) holds; noise (m,) standard deviations; process (11, 11) covariance per
+    which  rows of the steps' OUTPUTS that ``measured`` (n, m) holds; noise (m,) standard deviations; process (11, 11)
+    covariance per
     second of the states' noise, or (S, 11, 11), one a segment; None or zero for calm air.
     """
     out: list[White | None] = [None] * len(steps)
@@ -123,7 +126,7 @@ def _filter(
             fade = np.maximum(-(phi[0, :, k, k] - 1.0) / np.array([steps[s].dt_s for s in group]), 1e-3)
             P[:, k, k] = Q[:, k, k] / (2.0 * fade)  # the air's rotation is stationary from the start
     dt = np.array([steps[s].dt_s for s in group])
-    added = Q * dt[:, None, None]
+    eye_x = np.eye(NX)
     white, series = np.zeros((n, S, m)), np.zeros((n, S, m, K + 8), dtype=np.float32)
     logdet = np.zeros(S)
     spread = np.zeros((S, m))
@@ -162,7 +165,13 @@ def _filter(
         X[:, :, :K] += g0[k] @ U[k] + g1[k] @ U[k + 1]
         d = np.einsum("sij,sj->si", phi[k], after) + defect[k]
         if not still:
-            P = phi[k] @ P @ phi[k].transpose(0, 2, 1) + added
+            # Noise of a step acts while the step lasts: integral of exp(A s) Q exp(A's) by Simpson's rule. Added at the step's end
+            # alone it would come half a step late, and every sensor would look early.
+            away = phi[k] - eye_x
+            half_way = eye_x + 0.5 * away - 0.125 * away @ away
+            middle = half_way @ Q @ half_way.transpose(0, 2, 1)
+            last = phi[k] @ Q @ phi[k].transpose(0, 2, 1)
+            P = phi[k] @ P @ phi[k].transpose(0, 2, 1) + dt[:, None, None] / 6.0 * (Q + 4.0 * middle + last)
     for i, s in enumerate(group):
         mine = there[: lengths[i], i]
         deviation = np.sqrt(spread[i] / np.maximum(mine.sum(axis=0), 1))

@@ -52,7 +52,8 @@ class Reference:
 
 @dataclass(frozen=True)
 class Steps:
-    """One segment's linear system: phi (n-1, 11, 11), g0, g1 (n-1, 11, 6), defect (n-1, 11), H (n, m, 11), D (n, m, 6), y_ref (n, m)."""
+    """One segment's linear system: phi (n-1, 11, 11), g0, g1 (n-1, 11, 6), defect (n-1, 11), H (n, m, 11), D (n, m, 6),
+    y_ref (n, m)."""
 
     dt_s: float
     phi: FloatArray
@@ -72,7 +73,7 @@ def linearise(reference: Reference, mass: MassProperties, gravity: float = G_MPS
     model = _Rigid(reference, mass, gravity)
     A = np.empty((n, NX, NX))
     H = np.empty((n, len(OUTPUTS), NX))
-    rows = np.arange(n)
+    rows = np.arange(n, dtype=np.float64)
     for j in range(NX):
         turned = wide.astype(complex)
         turned[:, j] += 1e-20j  # complex step: exact to rounding

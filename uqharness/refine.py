@@ -1,12 +1,15 @@
-"""Refinement: find where a model and flights disagree, name the missing effect, put it into the model, and show on other flights what it did.
+"""Refinement: find where a model and flights disagree, name the missing effect, put it into the model, and show on other
+flights what it did.
 
-Train flights choose; test flights only show. A choice is made on the train flights' linearised likelihood (sysid.effect_choice), the
+Train flights choose; test flights only show. A choice is made on the train flights' linearised likelihood
+(sysid.effect_choice), the
 chosen effects are then written into a copy of the aircraft, flown and estimated with everything else, and the choice is made again
 around that flight until it stands.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -21,6 +24,7 @@ from sysid.effect_score import Evidence, corrected, gather
 from sysid.effects import Effect, catalogue, subsystem_effects
 from sysid.gaps import channel_noise, process_noise_shown
 from sysid.prediction import whiten
+from uqharness.actuators import Actuator, actuators
 from uqharness.aircraft import Aircraft, find_aircraft
 from uqharness.errors import BadInputError
 from uqharness.flights import Flight, measured_outputs, segments
@@ -38,6 +42,10 @@ Array = NDArray[np.float64]
 ROUNDS = 4
 LEAST_LATE_ROWS = 0.15
 """A delay or lag below this share of a row is within what a replay resolves, and is no effect."""
+GUST_LIMIT = 5.5
+"""|t| asked of an effect in turbulence, where the air's spectrum is a model, too."""
+GUST_ODDS = 30.0
+"""Odds against what a gust model that is a little off would look like."""
 Say = Callable[[str], None]
 
 
@@ -88,19 +96,20 @@ def refuse_shared(train: Sequence[Path], test: Sequence[Path]) -> None:
         other = seen.get(file_hash(path))
         if other is not None:
             raise BadInputError(
-                f"--test {path}: the same flight as --train {other}; a flight that helped to choose proves nothing: give another one"
+                f"--test {path}: the same flight as --train {other}; a flight that helped to choose proves "
+                f"nothing: give another one"
             )
 
 
 def make_setup(
-    aircraft: Aircraft, flights: Sequence[Flight], measured: Sequence[str], noise: Mapping[str, float] | None = None
+    aircraft: Aircraft, flights: Sequence[Flight], measured: Sequence[str], ideal: Sequence[str] = ()
 ) -> Setup:
     """Segments, measured outputs and noise of some flights."""
     arm = aircraft.card.sensors.position_m.get("accelerometer", (0.0, 0.0, 0.0))
     cut = [s for f in flights for s in segments(f, measured, arm)]
     outputs = tuple(c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights))
     data = [b for f in flights for b in measured_outputs(f, outputs)]
-    known = noise or channel_noise(data, outputs, aircraft.card.sensors.noise_std)
+    known = channel_noise(data, outputs, aircraft.card.sensors.noise_std)
     late = {
         f.name: list(dict.fromkeys(SENSOR_OF.get(c, c) for c in outputs))
         for f in flights
@@ -108,8 +117,19 @@ def make_setup(
     }
     return Setup(
         tuple(flights), tuple(cut), states_of(flights), outputs, tuple(data), np.array([known[c] for c in outputs]),
-        tuple(b for b in BIASES if b in outputs), late,
+        tuple(b for b in BIASES if b in outputs), late, servos=servos_of(aircraft, measured, ideal),
     )  # fmt: skip
+
+
+def servos_of(aircraft: Aircraft, measured: Sequence[str], ideal: Sequence[str]) -> dict[str, Actuator]:
+    """Actuators of the surfaces that the flights know by their commands alone; none where the XML has none by that name."""
+    out: dict[str, Actuator] = {}
+    for surface in ("elevator", "aileron", "rudder"):
+        if surface in measured or surface in ideal or surface not in aircraft.card.inputs:
+            continue
+        with contextlib.suppress(BadInputError):
+            out |= actuators(aircraft, [surface])
+    return out
 
 
 class Bench:
@@ -132,11 +152,9 @@ class Bench:
         self._stack.close()
 
 
-def candidates_for(
-    aircraft: Aircraft, setup: Setup, measured: Sequence[str], names: Sequence[str], extra: Sequence[Effect]
-) -> list[Effect]:
+def candidates_for(setup: Setup, names: Sequence[str], extra: Sequence[Effect]) -> list[Effect]:
     """The catalogue less what the model estimates already, and the user's own effects."""
-    surfaces = [c for c in ("elevator", "aileron", "rudder") if c not in measured and aircraft.card.inputs[c].position]
+    surfaces = list(setup.servos)
     sensors = list(dict.fromkeys(SENSOR_OF.get(c, c) for c in setup.outputs)) if not setup.late else []
     every = [*extra, *catalogue(), *subsystem_effects(surfaces, setup.outputs, sensors)]
     out: dict[str, Effect] = {}
@@ -176,7 +194,7 @@ def find_effects(
     with Bench(aircraft, measured, ideal) as bench:
         say("re-identifying the parameters")
         before, names, notes = _base_fit(aircraft, bench, setup, names, limits, map_)
-        effects = candidates_for(aircraft, setup, measured, names, extra)
+        effects = candidates_for(setup, names, extra)
         by_key = {e.key: e for e in effects}
         if turbulent(setup, before):
             say(f"the air was turbulent: predicting one sample ahead, scoring {len(effects)} candidate effects")
@@ -184,7 +202,7 @@ def find_effects(
                 bench, setup_in_gusts(aircraft, setup), before, names, limits, effects, confirming, notes, map_
             )
         say(f"scoring {len(effects)} candidate effects")
-        evidence, columns = candidate_evidence(setup, before, effects)
+        evidence = candidate_evidence(setup, before, effects)
         odds = _eligible(effects, setup, before, evidence)
         selection = select(evidence, before.columns[0].names, odds, confirming)
         trail = [f"round 1: {line}" for line in selection.trail]
@@ -203,7 +221,7 @@ def find_effects(
                 limits, map_,
             )  # fmt: skip
             rest = [e for e in effects if e.key not in keys]
-            evidence, _ = candidate_evidence(chosen_setup, after, rest)
+            evidence = candidate_evidence(chosen_setup, after, rest)
             written = {c.key: c.value for c in selection.chosen}
             evidence = evidence.taken_out(
                 {
@@ -215,13 +233,20 @@ def find_effects(
             odds = {**_eligible(rest, setup, after, evidence), **{k: by_key[k].odds for k in keys}}
             again = select(evidence, free, odds, confirming, chosen=keys)
         trail += [f"round {number}: {line}" for line in again.trail]
-        same = {c.key for c in again.chosen} == set(keys)
+        # What JSBSim reads once (mass, servos) has to be written anew until the number stands.
+        moving = [
+            c for c in again.chosen
+            if c.key in written and c.key not in chosen_setup.carriers and in_dynamics(by_key[c.key])
+            and abs(c.value - written[c.key]) > 0.5 * c.std
+        ]  # fmt: skip
+        same = {c.key for c in again.chosen} == set(keys) and not moving
         selection = again
         if same:
             break
     parameters = _parameters(evidence, names, after, selection)
     return Found(
-        chosen_setup if selection.chosen else setup, names, before, after if selection.chosen else before, selection, by_key, parameters,
+        chosen_setup if selection.chosen else setup, names, before, after if selection.chosen else before, selection,
+        by_key, parameters,
         tuple(notes), {n: before.flown.point.values[n] for n in names}, False, staged if selection.chosen else None, tuple(trail),
     )  # fmt: skip
 
@@ -241,6 +266,14 @@ def setup_in_gusts(aircraft: Aircraft, setup: Setup) -> Setup:
     )
 
 
+def gust_like(effect: Effect) -> bool:
+    """Whether a gust model that is a little off looks like this effect: rates of the wind angles, sensors of the wind."""
+    parsed = effect.parsed
+    if parsed is not None:
+        return any(v in ("alphadot_hat", "betadot_hat") for v in parsed.variables)
+    return (effect.subsystem or "").startswith(("sensor.", "actuator.", "mass"))
+
+
 def _in_gusts(
     bench: Bench, setup: Setup, base: Fit, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]],
     effects: Sequence[Effect], confirming: NDArray[np.bool_], notes: Sequence[str], map_: Map,
@@ -250,7 +283,9 @@ def _in_gusts(
     found = gust_refit(bench.straight, setup, controls, bends, base.flown.point, names, limits, map_)
     evidence = gust_evidence(setup, found, effect_columns(setup, found.fit.probes, found.fit.flown, effects))
     free = found.fit.columns[0].names
-    selection = select(evidence, free, _eligible(effects, setup, found.fit, evidence), confirming)
+    odds = _eligible(effects, setup, found.fit, evidence)
+    odds = {k: o + (GUST_ODDS if gust_like(next(e for e in effects if e.key == k)) else 0.0) for k, o in odds.items()}
+    selection = select(evidence, free, odds, confirming, limit=max(threshold(len(odds)), GUST_LIMIT))
     chosen = [c.key for c in selection.chosen]
     delta = dict(zip(evidence.names, evidence.fitted(evidence.index([*free, *chosen])), strict=True))
     values = found.fit.flown.point.values
@@ -260,7 +295,8 @@ def _in_gusts(
     by_key = {e.key: e for e in effects}
     carriers = {k: c[0] for k in chosen if (c := carrier(by_key[k], bench.aircraft.folder)) is not None}
     note = (
-        "the residuals of replays showed turbulence: effects and parameters were judged by predictions one sample ahead, with process "
+        "the residuals of replays showed turbulence: effects and parameters were judged by "
+        "predictions one sample ahead, with process "
         f"noise estimated ({found.gain:.0f} more in twice the log likelihood than calm air)"
     )
     return Found(
@@ -331,11 +367,11 @@ def undetermined(evidence: Evidence, names: Sequence[str]) -> list[str]:
     return dead
 
 
-def candidate_evidence(setup: Setup, fit: Fit, effects: Sequence[Effect]) -> tuple[Evidence, list[str]]:
+def candidate_evidence(setup: Setup, fit: Fit, effects: Sequence[Effect]) -> Evidence:
     """Evidence of a fit's own columns and of every candidate's."""
     columns = merged(fit.columns, effect_columns(setup, fit.probes, fit.flown, effects))
     white = whiten(fit.steps, setup.measured, columns, setup.which, setup.noise)
-    return gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR), list(columns[0].names)
+    return gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)
 
 
 def _eligible(effects: Sequence[Effect], setup: Setup, fit: Fit, evidence: Evidence) -> dict[str, float]:

@@ -1,8 +1,10 @@
-"""What each candidate effect would do along the flights: extra coefficients, surfaces that stand elsewhere, channels that read otherwise."""
+"""What each candidate effect would do along the flights: extra coefficients, surfaces that stand elsewhere, channels that
+read otherwise."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,8 +13,9 @@ from numpy.typing import NDArray
 from sysid.aero_terms import COEFFICIENTS
 from sysid.effects import Effect
 from sysid.prediction import Columns
+from uqharness.actuators import Actuator
 from uqharness.refine_reference import Probe
-from uqharness.replay import SENSOR_OF, Segment
+from uqharness.replay import SENSOR_OF, Segment, runs_per_row
 from uqharness.replay_model import CONTROLS
 
 if TYPE_CHECKING:
@@ -20,8 +23,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 STALL = {"a1_per_deg": 0.5, "alpha1_deg": 11.0, "alpha2_deg": -20.0}
-_BACKLASH_DEG = 0.5
-_RATE_DEGPS = 60.0
+_DEADBAND_DEG = 0.5
+_LAG_S = 0.002
 
 
 def effect_columns(setup: Setup, probes: Sequence[Probe], flown: Flown, effects: Sequence[Effect]) -> list[Columns]:
@@ -56,7 +59,7 @@ def _subsystem(
     scale = p.reference.qbar[:, None] * p.mass.S * np.array([1.0, 1.0, 1.0, p.mass.b, p.mass.c, p.mass.b])
     C = np.zeros((n, 6))
     if part == "stall":
-        lag = np.gradient(found["alpha"], h) * p.mass.c / p.x[:, 0] if e.term == "dynamic" else 0.0
+        lag = p.rate(found["alpha"]) * p.mass.c / p.x[:, 0] if e.term == "dynamic" else 0.0
         slope = p.reference.slopes[:, 2, 1] / scale[:, 2]
         C[:, 2] = slope * found["alpha"] * (_attached(np.degrees(found["alpha"] - lag)) - 1.0)
         return C, None
@@ -77,7 +80,7 @@ def _subsystem(
         return C, None
     if part == "mass":
         rates = p.x[:, 3:6]
-        dot = np.gradient(rates, h, axis=0)
+        dot = p.rate(rates)
         if e.term == "cg_x":
             C[:, 4], C[:, 5] = p.coefficients[:, 2] / p.mass.c, -p.coefficients[:, 1] / p.mass.b
             out = np.zeros_like(y)
@@ -91,7 +94,7 @@ def _subsystem(
         return C, None
     if part == "actuator":
         k = CONTROLS.index(what)
-        moved = _servo(e.term, p.controls[:, k], h)
+        moved = _servo(e.term, setup.servos.get(what), segment.controls[:, k], p.controls[:, k], h)
         if not np.any(moved):
             return None, None
         return p.by_control[:, :, k] * moved[:, None], None
@@ -99,7 +102,7 @@ def _subsystem(
         out = np.zeros_like(y)
         for k, c in enumerate(setup.outputs):
             if e.term == "delay" and SENSOR_OF.get(c, c) == what:
-                out[:, k] = -np.gradient(y[:, k], h)
+                out[:, k] = -p.rate(y[:, k])
             elif e.term != "delay" and c == what:
                 out[:, k] = y[:, k] if e.term == "scale" else 1.0
         return None, out
@@ -116,14 +119,21 @@ def _attached(alpha_deg: Array) -> Array:
     return np.asarray((0.5 * (1.0 + np.sqrt(X))) ** 2)
 
 
-def _servo(kind: str, u: Array, h: float) -> Array:
+def _servo(kind: str, servo: Actuator | None, command: Array, u: Array, h: float) -> Array:
     """(n,) how far the surface stands from where it was taken to be, per unit of the effect."""
-    if kind == "lag":
-        return -np.gradient(u, h)
     if kind == "deadband":
         # Within half the width around zero the surface stays; beyond, it is short by half of it.
-        return np.asarray(-0.5 * np.clip(u / (0.5 * _BACKLASH_DEG), -1.0, 1.0))
-    limit, out = _RATE_DEGPS * h, u.copy()
-    for i in range(1, len(u)):
-        out[i] = out[i - 1] + min(max(u[i] - out[i - 1], -limit), limit)
-    return np.asarray((out - u) * _RATE_DEGPS)
+        return np.asarray(-0.5 * np.clip(u / (0.5 * _DEADBAND_DEG), -1.0, 1.0))
+    if servo is None:
+        return np.zeros_like(u)
+    step = h / runs_per_row(h)
+    before = servo.follow(command, h, step)
+    if kind == "lag":
+        slower = 1.0 / ((1.0 / servo.lag if servo.lag else 0.0) + _LAG_S)
+        return (replace(servo, lag=slower).follow(command, h, step) - before) / _LAG_S
+    # Rate limit: the change that a limit a quarter below the fastest motion seen makes, per s/deg of 1/limit.
+    fastest = float(np.abs(np.diff(before)).max()) / h
+    if not fastest > 1.0:
+        return np.zeros_like(u)
+    limit = 0.75 * fastest
+    return (replace(servo, rate=limit).follow(command, h, step) - before) * limit

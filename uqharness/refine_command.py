@@ -25,7 +25,8 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     parser = commands.add_parser(
         "refine",
         help="find, name and add a missing effect",
-        description="Find where a model and flights disagree, name the missing effect, put it into the model and show on flights that "
+        description="Find where a model and flights disagree, name the missing effect, put it into the model and show on "
+        "flights that "
         "were not used that the gap shrinks (see docs/refine.md).",
         epilog=_EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -1,6 +1,7 @@
 """Re-identification for the refinement: Gauss-Newton on JSBSim replays with sensitivities of the linearised flight.
 
-A few replays and one look at the forces instead of a replay for every parameter and start state. Estimates are as consistent as output
+A few replays and one look at the forces instead of a replay for every parameter and start state. Estimates are as
+consistent as output
 error's own: at the answer the residuals are orthogonal to sensitivities that do not depend on them.
 """
 
@@ -24,6 +25,7 @@ from sysid.prediction import Columns, White, whiten
 from sysid.rigid_steps import OUTPUTS as STEP_OUTPUTS
 from sysid.rigid_steps import STATES as X_STATES
 from sysid.rigid_steps import Steps, linearise
+from uqharness.actuators import Actuator
 from uqharness.flights import Flight, states
 from uqharness.forced import surface_positions
 from uqharness.refine_candidates import effect_columns
@@ -61,7 +63,8 @@ class Setup:
     """Everything about the flights that does not change with the model's numbers.
 
     measured [(n, m)] outputs as logged; noise (m,); late: flight -> sensors whose delay is estimated; biased: channels;
-    active: effects that the model being flown has, or that its sensors have; carriers: key -> property of those that have one
+    active: effects that the model being flown has, or that its sensors have; carriers: key -> property of those that have one;
+    servos: actuators of the surfaces whose commands alone were recorded
     """
 
     flights: tuple[Flight, ...]
@@ -74,6 +77,7 @@ class Setup:
     late: Mapping[str, Sequence[str]]
     active: tuple[Effect, ...] = ()
     carriers: Mapping[str, str] = field(default_factory=dict)
+    servos: Mapping[str, Actuator] = field(default_factory=dict)
 
     @property
     def which(self) -> list[int]:
@@ -235,7 +239,9 @@ def refit(
     keys = {e.key for e in setup.active}
     converged = False
     length = math.inf
-    for iteration in range(1, max_iterations + 1):
+    iteration = 0
+    while iteration < max_iterations:
+        iteration += 1
         own = [n for n in names if n not in keys]
         differ: Sequence[str] = () if analytic is None else [n for n in own if n not in analytic]
         found = probes(straight, setup, flown, controls, differ, map_)
@@ -265,6 +271,7 @@ def refit(
         if settled:
             converged = True
             break
+    assert analytic is not None
     return Fit(flown, found, steps, columns, evidence, analytic, iteration, converged)
 
 

@@ -1,6 +1,8 @@
-"""Re-identification in turbulence: the model's forces along the measured flight, one-step predictions by a filter that allows for gusts.
+"""Re-identification in turbulence: the model's forces along the measured flight, one-step predictions by a filter that
+allows for gusts.
 
-The flight cannot be replayed, for the gusts are not known; but forces and their slopes at the measured states can be asked of JSBSim, and
+The flight cannot be replayed, for the gusts are not known; but forces and their slopes at the measured states can be
+asked of JSBSim, and
 what the aircraft did from one sample to the next can be predicted from there.
 """
 
@@ -105,14 +107,14 @@ def _bend(p: Probe, away: Array) -> Array:
 
 def gust_refit(
     straight: ReplayModel, setup: Setup, controls: Sequence[Array], bends: Sequence[Array], start: Point, names: Sequence[str],
-    limits: Mapping[str, tuple[float, float]], map_: Map, process: Array | None = None, iterations: int = 4,
+    limits: Mapping[str, tuple[float, float]], map_: Map, process: Array | None = None, iterations: int = 3,
 ) -> GustFit:  # fmt: skip
     """Parameters, biases and, unless given, the gusts' intensity."""
     point, analytic, length = start, None, float("inf")
     gain, values = float("nan"), np.zeros(6)
     known = process
     for number in range(1, iterations + 1):
-        differ = [] if analytic is None else [n for n in names if n not in analytic]
+        differ: list[str] = [] if analytic is None else [n for n in names if n not in analytic]
         flown, found, steps = predict(straight, setup, point, controls, bends, differ, map_)
         if analytic is None:
             analytic = tuple(named_terms(straight, setup.segments[0], found[0], names, point.values))
@@ -125,6 +127,7 @@ def gust_refit(
             values, known, gain = gust_intensity(
                 steps, setup.measured, setup.which, setup.noise, speeds, found[0].mass.b
             )
+        assert known is not None
         flown, found = predicted(setup, flown, found, steps, known)
         columns = parameter_columns(setup, found, flown, names, analytic)
         white = whiten(steps, setup.measured, columns, setup.which, setup.noise, known)
@@ -138,7 +141,8 @@ def gust_refit(
         }
         nuisance = {n: point.nuisance.get(n, 0.0) + step[n] for n in setup.nuisance}
         point = replace(point, values=moved, nuisance=nuisance)
-    assert known is not None and analytic is not None
+    assert known is not None
+    assert analytic is not None
     cost = float(sum(np.sum(w.residual**2) for w in white))
     fit = Fit(replace(flown, cost=cost), found, steps, columns, evidence, analytic, number, length < 0.5)
     return GustFit(fit, known, white, gain, values)

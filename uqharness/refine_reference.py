@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,13 +51,14 @@ class Probe:
 
     @property
     def x(self) -> Array:
-        """(n, 8) states at which terms are evaluated: the reference, or what was predicted from the past, rates relative to the air."""
+        """(n, 8) states at which terms are evaluated: the reference, or what was predicted from the past, rates relative
+        to the air."""
         return self.reference.x if self.air is None else self.air
 
-    def _rate(self, values: Array) -> Array:
-        """(n,) rate of change; of predictions by backward differences, which look at nothing later."""
+    def rate(self, values: Array) -> Array:
+        """(n, ...) rate of change; of predictions by backward differences, which look at nothing later."""
         h = self.reference.dt_s
-        return np.gradient(values, h) if self.air is None else np.diff(values, prepend=values[:1]) / h
+        return np.gradient(values, h, axis=0) if self.air is None else np.diff(values, axis=0, prepend=values[:1]) / h
 
     def variables(self) -> dict[str, Array]:
         """Variables of coefficient terms, (n,) each."""
@@ -66,7 +68,7 @@ class Probe:
         pressure = self.reference.qbar * self.mass.S
         return {
             "alpha": alpha, "beta": beta, "p_hat": p * half_b, "q_hat": q * half_c, "r_hat": r * half_b,
-            "alphadot_hat": self._rate(alpha) * half_c, "betadot_hat": self._rate(beta) * half_b,
+            "alphadot_hat": self.rate(alpha) * half_c, "betadot_hat": self.rate(beta) * half_b,
             "de": de, "da": da, "dr": dr, "dt": dt / 100.0, "CT": self.other_force[:, 0] / pressure,
             "V_rel": V / V_REFERENCE_MPS, "h_over_b": np.maximum(self.height_m / self.mass.b, 0.1),
         }  # fmt: skip
@@ -109,7 +111,7 @@ def probe(job: ProbeJob) -> Probe:
     load = np.hstack([found.aero_force + found.other_force, found.aero_moment + found.other_moment])
     size = [len(s) for s in states]
     edges = np.cumsum([0, *size])
-    parts = [load[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    parts = [load[a:b] for a, b in pairwise(edges.tolist())]
     at_coarse = parts[0] if job.consistent else parts[0][coarse]
     slopes = np.stack([(parts[1 + k] - at_coarse) / _STEPS[name] for k, name in enumerate(AIR)], axis=2)
     full = np.arange(n)

@@ -53,7 +53,8 @@ def summary(document: dict[str, Any], out: Path) -> str:
     lines += [f"disagreement: {d['words']}" for d in document["disagreement"][:5]]
     for e in document["effects"]:
         lines.append(
-            f"effect: {e['name']}: {e['value']:.5g} +/- {e['std']:.2g} {e['unit']} ({e['property'] or 'a sensor'}), |t| {abs(e['evidence']['t']):.1f}"
+            f"effect: {e['name']}: {e['value']:.5g} +/- {e['std']:.2g} {e['unit']} "
+            f"({e['property'] or 'a sensor'}), |t| {abs(e['evidence']['t']):.1f}"
         )
         lines.append(f"        {e['why']}")
         for a in e["alternatives"]:

@@ -80,7 +80,8 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
     others = [replace(f, name=n) for f, n in zip(others, renamed([f.name for f in others]), strict=True)]
     ideal = tuple(c for c in CONTROLS if c not in measured) if request.ideal_servos else ()
     ideal_test = tuple(c for c in CONTROLS if c not in measured_test) if request.ideal_servos else ()
-    setup, test = make_setup(aircraft, flights, measured), make_setup(aircraft, others, measured_test)
+    setup = make_setup(aircraft, flights, measured, ideal)
+    test = make_setup(aircraft, others, measured_test, ideal_test)
     names = [p.name for p in request.train]
     command = shlex.join(request.command)
     with worker_map(request.workers) as map_, tempfile.TemporaryDirectory(prefix="uqharness-") as temporary:

@@ -1,4 +1,5 @@
-"""What a refinement did to the gap: channels and coefficients of given flights under two models, start states and biases their own."""
+"""What a refinement did to the gap: channels and coefficients of given flights under two models, start states and biases
+their own."""
 
 from __future__ import annotations
 
@@ -148,10 +149,20 @@ def state_ranges(setup: Setup, flown: Flown, controls: Sequence[Array]) -> list[
     """States in which regions are looked for, one mapping a segment."""
     out = []
     for x, u in zip(flown.x, controls, strict=True):
-        out.append({
-            "V_mps": x[:, 0], "alpha_rad": x[:, 1], "beta_rad": x[:, 2], "abs_p_radps": np.abs(x[:, 3]), "abs_q_radps": np.abs(x[:, 4]),
-            "abs_r_radps": np.abs(x[:, 5]), "elevator_deg": u[:, 0], "aileron_deg": u[:, 1], "rudder_deg": u[:, 2], "throttle_pct": u[:, 3],
-        })  # fmt: skip
+        out.append(
+            {
+                "V_mps": x[:, 0],
+                "alpha_rad": x[:, 1],
+                "beta_rad": x[:, 2],
+                "abs_p_radps": np.abs(x[:, 3]),
+                "abs_q_radps": np.abs(x[:, 4]),
+                "abs_r_radps": np.abs(x[:, 5]),
+                "elevator_deg": u[:, 0],
+                "aileron_deg": u[:, 1],
+                "rudder_deg": u[:, 2],
+                "throttle_pct": u[:, 3],
+            }
+        )
     return out
 
 

@@ -7,20 +7,29 @@ from sysid.effects import Effect
 
 _EXCITES = {
     "alpha": "slow changes of angle of attack by speed (level flight from the slowest to the fastest)",
-    "beta": "steady sideslips at several angles", "p_hat": "aileron doublets of two sizes and lengths",
-    "q_hat": "elevator doublets of two lengths", "r_hat": "rudder doublets of two lengths",
-    "alphadot_hat": "elevator doublets beside pull-ups at constant angle of attack (turns): alphadot without q and q without alphadot",
-    "betadot_hat": "flat turns beside rudder doublets: r without betadot", "de": "elevator steps at constant speed, by throttle",
-    "da": "short aileron pulses: deflection before there is a roll rate", "dr": "short rudder pulses: deflection before there is a yaw rate",
-    "dt": "throttle steps", "CT": "throttle doublets at constant speed and angle of attack",
-    "V_rel": "the same manoeuvres at widely different speeds, thrust held", "h_over_b": "the same manoeuvres high and low",
-}  # fmt: skip
+    "beta": "steady sideslips at several angles",
+    "p_hat": "aileron doublets of two sizes and lengths",
+    "q_hat": "elevator doublets of two lengths",
+    "r_hat": "rudder doublets of two lengths",
+    "alphadot_hat": "elevator doublets beside turns at constant angle of attack: alphadot without q and q without alphadot",
+    "betadot_hat": "flat turns beside rudder doublets: r without betadot",
+    "de": "elevator steps at constant speed, by throttle",
+    "da": "short aileron pulses: deflection before there is a roll rate",
+    "dr": "short rudder pulses: deflection before there is a yaw rate",
+    "dt": "throttle steps",
+    "CT": "throttle doublets at constant speed and angle of attack",
+    "V_rel": "the same manoeuvres at widely different speeds, thrust held",
+    "h_over_b": "the same manoeuvres high and low",
+}
 _SUBSYSTEM = {
-    "stall": "a slow approach to the stall, and a fast one", "propulsion": "throttle doublets at two speeds; a static thrust measurement",
+    "stall": "a slow approach to the stall, and a fast one",
+    "propulsion": "throttle doublets at two speeds; a static thrust measurement",
     "mass": "none in the air: a swing test on the ground measures Ixz, weighing the centre of gravity",
-    "actuator": "the surface moved on the ground with its position logged", "sensor": "calibration of the sensor on the ground",
-    "ground": "the same manoeuvre low and high", "record": "a tap on the aircraft logged by all sensors",
-}  # fmt: skip
+    "actuator": "the surface moved on the ground with its position logged",
+    "sensor": "calibration of the sensor on the ground",
+    "ground": "the same manoeuvre low and high",
+    "record": "a tap on the aircraft logged by all sensors",
+}
 
 
 def why(effect: Effect, choice: Choice) -> str:
@@ -29,7 +38,8 @@ def why(effect: Effect, choice: Choice) -> str:
     where = f"; it shows in {effect.regime}" if effect.regime else ""
     source = f" ({effect.reference})" if effect.reference else ""
     return (
-        f"{effect.physics}{where}{source}. The flights want {choice.value:.4g} +/- {choice.std:.2g} ({sign}), |t| {abs(choice.t):.1f} with "
+        f"{effect.physics}{where}{source}. "
+        f"The flights want {choice.value:.4g} +/- {choice.std:.2g} ({sign}), |t| {abs(choice.t):.1f} with "
         "standard errors corrected for coloured residuals"
     )
 
@@ -46,7 +56,8 @@ def separating_manoeuvre(one: Effect, other: Effect) -> str:
         if part in _SUBSYSTEM:
             return _SUBSYSTEM[part]
     a, b = one.parsed, other.parsed
-    assert a is not None and b is not None
+    assert a is not None
+    assert b is not None
     apart = [v for v in (*a.variables, *b.variables) if (v in a.variables) != (v in b.variables)]
     if not apart:
         return f"the same manoeuvres at several amplitudes: {a.text} and {b.text} differ in how they grow"

@@ -1,4 +1,5 @@
-"""Effects written into a copy of an aircraft: a term where the author sums the coefficient, else a body-axis increment beside the axes.
+"""Effects written into a copy of an aircraft: a term where the author sums the coefficient, else a body-axis increment
+beside the axes.
 
 Every effect carries a property of its own, which at 0 restores the model without it bit for bit, and a remark with value, interval,
 data and command.
@@ -154,10 +155,11 @@ def _add(
         if home is not None:
             document, total = home
             last = _last_property(document, w.effect.coefficient)
-            if last is not None:
-                edit = edit.plus(document, after(document, last, [declare]))
-            else:
-                edit = add_functions(edit, [declare])
+            edit = (
+                add_functions(edit, [declare])
+                if last is None
+                else edit.plus(document, after(document, last, [declare]))
+            )
             return edit.plus(document, append_child(document, total, [f"<product> {' '.join(factors)} </product>"]))
         return _function(edit, w.effect.coefficient, name, declare, factors, summands)
     for coefficient, number, factors in _subsystem_terms(w, edit.section, aircraft):
@@ -244,11 +246,17 @@ def variable_xml(variable: str, section: AeroSection, aircraft: Aircraft) -> str
             if thrust
             else "<property>forces/fbx-prop-lbs</property>"
         )
-        return f"<quotient> {force} <product> <property>aero/qbar-psf</property> <property>metrics/Sw-sqft</property> </product> </quotient>"
+        return (
+            f"<quotient> {force} <product> <property>aero/qbar-psf</property> "
+            "<property>metrics/Sw-sqft</property> </product> </quotient>"
+        )
     if variable == "V_rel":
         return f"<product> <value>{FT / V_REFERENCE_MPS:.10g}</value> <property>velocities/vt-fps</property> </product>"
     if variable == "h_over_b":
-        return "<max> <value>0.1</value> <quotient> <property>position/h-agl-ft</property> <property>metrics/bw-ft</property> </quotient> </max>"
+        return (
+            "<max> <value>0.1</value> <quotient> <property>position/h-agl-ft</property> "
+            "<property>metrics/bw-ft</property> </quotient> </max>"
+        )
     raise BadInputError(f"variable '{variable}' has no JSBSim form")
 
 
@@ -303,9 +311,11 @@ def _subsystem_terms(w: Written, section: AeroSection, aircraft: Aircraft) -> li
                 f"<difference> {angle} <value>{at:g}</value> </difference> </product> </exp> </sum>"
             )
 
-        X = f"<quotient> <value>1</value> <product> {side(1, STALL['alpha1_deg'])} {side(-1, STALL['alpha2_deg'])} </product> </quotient>"
+        both = f"{side(1, STALL['alpha1_deg'])} {side(-1, STALL['alpha2_deg'])}"
+        X = f"<quotient> <value>1</value> <product> {both} </product> </quotient>"
         lost = (
-            f"<difference> <product> <value>0.25</value> <pow> <sum> <value>1</value> <sqrt> {X} </sqrt> </sum> <value>2</value> </pow> "
+            f"<difference> <product> <value>0.25</value> <pow> <sum> <value>1</value> <sqrt> {X} </sqrt> </sum> "
+            "<value>2</value> </pow> "
             "</product> <value>1</value> </difference>"
         )
         return [("CZ", w.slopes.get("CZ_alpha", 0.0), [x("alpha"), lost])]
