@@ -23,6 +23,8 @@ FAMILY = 0.01
 EXCHANGE = 9.0
 """Gain by which another candidate must beat a chosen one to take its place."""
 LOOKED_AT = 12
+STRONG = 2.0
+"""How far above the limit an unconfirmed candidate's |t| must be to say that something is missing all the same."""
 INSEPARABLE_T = 3.0
 """A chosen effect whose t falls below this once another is free cannot be told from that other."""
 MOST_ALTERNATIVES = 3
@@ -56,12 +58,13 @@ class Choice:
 
 @dataclass(frozen=True)
 class Refusal:
-    """The best candidate that did not enter, and why."""
+    """The best candidate that did not enter, and why. strong: it stands well above chance, so something is there."""
 
     key: str
     t: float
     gain: float
     why: str
+    strong: bool = False
 
 
 @dataclass(frozen=True)
@@ -155,8 +158,9 @@ def _best(
             return Refusal(choice.key, choice.t, choice.gain, f"|t| {abs(choice.t):.1f} is not above {limit:.1f}")
     if np.isfinite(choice.confirmed_gain) and not choice.confirmed_gain > 0.0:
         return Refusal(
-            choice.key, choice.t, choice.gain, "the part of the flights that did not estimate it does not confirm it"
-        )
+            choice.key, choice.t, choice.gain, "the part of the flights that did not estimate it does not confirm it",
+            abs(choice.t) > limit + STRONG,
+        )  # fmt: skip
     return choice
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.effect_choice import Choice, Selection, select, threshold
-from sysid.effect_score import Evidence, corrected, gather
+from sysid.effect_score import Evidence, corrected, gather, scores
 from sysid.effects import Effect, catalogue, subsystem_effects
 from sysid.gaps import channel_noise, process_noise_shown
 from sysid.prediction import whiten
@@ -46,6 +46,8 @@ GUST_LIMIT = 5.5
 """|t| asked of an effect in turbulence, where the air's spectrum is a model, too."""
 GUST_ODDS = 30.0
 """Odds against what a gust model that is a little off would look like."""
+RESOLVED_ROWS = 0.03
+"""Standard error, in rows, of a time told by replay."""
 Say = Callable[[str], None]
 
 
@@ -64,6 +66,7 @@ class Found:
 
     before, after   fits of the model without and with the effects; after is before where there are none
     parameters      property -> (value, standard error corrected for colour); plain: property -> value without the effects
+    scoreboard      the candidates that explain most of what the parameters leave, each alone: (name, t); limit: |t| asked
     gusty           whether the flights were judged by one-step predictions, because the air was turbulent
     """
 
@@ -77,6 +80,8 @@ class Found:
     notes: tuple[str, ...]
     plain: Mapping[str, float] = field(default_factory=dict)
     gusty: bool = False
+    scoreboard: tuple[tuple[str, float], ...] = ()
+    limit: float = float("nan")
     staged: Aircraft | None = None
     trail: tuple[str, ...] = field(default=())
 
@@ -204,6 +209,8 @@ def find_effects(
         say(f"scoring {len(effects)} candidate effects")
         evidence = candidate_evidence(setup, before, effects)
         odds = _eligible(effects, setup, before, evidence)
+        board = score_table(evidence, before.columns[0].names, odds, by_key)
+        limit = threshold(len(odds))
         selection = select(evidence, before.columns[0].names, odds, confirming)
         trail = [f"round 1: {line}" for line in selection.trail]
     after, staged, chosen_setup = before, None, setup
@@ -243,12 +250,27 @@ def find_effects(
         selection = again
         if same:
             break
+    selection = with_resolution(selection, by_key, setup.segments[0].dt_s)
     parameters = _parameters(evidence, names, after, selection)
     return Found(
         chosen_setup if selection.chosen else setup, names, before, after if selection.chosen else before, selection,
         by_key, parameters,
-        tuple(notes), {n: before.flown.point.values[n] for n in names}, False, staged if selection.chosen else None, tuple(trail),
+        tuple(notes), {n: before.flown.point.values[n] for n in names}, False, board, limit,
+        staged if selection.chosen else None, tuple(trail),
     )  # fmt: skip
+
+
+def with_resolution(selection: Selection, effects: Mapping[str, Effect], dt_s: float) -> Selection:
+    """Standard errors of times with what a replay resolves added: a servo's lag by Tustin's rule at 10 ms is off by a
+    part of a ms."""
+
+    def widened(c: Choice) -> Choice:
+        if effects[c.key].unit != "s":
+            return c
+        std = float(np.hypot(c.std, RESOLVED_ROWS * dt_s))
+        return replace(c, std=std, t=c.value / std)
+
+    return replace(selection, chosen=tuple(widened(c) for c in selection.chosen))
 
 
 def turbulent(setup: Setup, fit: Fit) -> bool:
@@ -301,8 +323,19 @@ def _in_gusts(
     )
     return Found(
         replace(setup, carriers=carriers), names, found.fit, found.fit, selection, by_key, parameters, (*notes, note),
-        {n: values[n] for n in names}, True, None, tuple(f"one-step predictions: {line}" for line in selection.trail),
+        {n: values[n] for n in names}, True,
+        score_table(evidence, free, odds, by_key), max(threshold(len(odds)), GUST_LIMIT), None,
+        tuple(f"one-step predictions: {line}" for line in selection.trail),
     )  # fmt: skip
+
+
+def score_table(
+    evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], effects: Mapping[str, Effect]
+) -> tuple[tuple[str, float], ...]:
+    """The twelve candidates with the largest gain, alone beside the parameters: (name, t)."""
+    found = scores(evidence, free, list(odds))
+    order = np.argsort(-np.nan_to_num(found.gain, nan=-1.0))[:12]
+    return tuple((_short(effects[found.names[i]]), float(found.t[i])) for i in order)
 
 
 def _short(e: Effect) -> str:
@@ -376,8 +409,6 @@ def candidate_evidence(setup: Setup, fit: Fit, effects: Sequence[Effect]) -> Evi
 
 def _eligible(effects: Sequence[Effect], setup: Setup, fit: Fit, evidence: Evidence) -> dict[str, float]:
     """Candidates worth scoring and their odds: delays that a replay cannot resolve are left out."""
-    from sysid.effect_score import scores
-
     found = scores(evidence, fit.columns[0].names, [e.key for e in effects])
     least = LEAST_LATE_ROWS * setup.segments[0].dt_s
     out = {}

@@ -8,6 +8,8 @@ import math
 from pathlib import Path
 from typing import Any
 
+import jinja2
+
 from uqharness.refine_run import Refinement
 from uqharness.whole_files import write_bytes
 
@@ -28,7 +30,47 @@ def write_report(done: Refinement, out: Path, figures: bool = True) -> None:
     for key, value in clean(done.document).items():
         done.document[key] = value
     write_bytes(out / "refinement.json", (json.dumps(done.document, indent=1) + "\n").encode())
-    write_bytes(out / "model.diff", model_diff(done).encode("utf-8", errors="surrogateescape"))
+    diff = model_diff(done)
+    write_bytes(out / "model.diff", diff.encode("utf-8", errors="surrogateescape"))
+    drawn = _figures(done, out) if figures else []
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("uqharness", "templates"), autoescape=True, undefined=jinja2.StrictUndefined
+    )
+    shown = diff.encode("utf-8", errors="replace").decode()
+    page = environment.get_template("refine.html.j2").render(d=done.document, diff=shown, figures=drawn)
+    write_bytes(out / "report.html", page.encode())
+
+
+def _figures(done: Refinement, out: Path) -> list[str]:
+    """Names of the figures drawn into ``out/figures``."""
+    from sysid.aero_terms import COEFFICIENTS
+    from uqharness.refine_plot import candidates_figure, residual_figure, shrinkage_figure
+
+    folder = out / "figures"
+    folder.mkdir(exist_ok=True)
+    setup, before, after = done.test
+    shrinkage_figure(done.document["gap"]["test"], folder / "gap.svg", "Test flights: gap before and after")
+    names = ["gap.svg"]
+    if done.found.scoreboard:
+        chosen = [f"{e.get('coefficient') or e['subsystem']} {e['term']}" for e in done.document["effects"]]
+        candidates_figure(
+            done.found.scoreboard,
+            done.found.limit,
+            chosen,
+            folder / "candidates.svg",
+            "Train flights: what explains the disagreement",
+        )
+        names.append("candidates.svg")
+    touched = list(dict.fromkeys(e["coefficient"] for e in done.document["effects"] if "coefficient" in e))
+    if touched:
+        columns = [COEFFICIENTS.index(c) for c in touched]
+        residual_figure(
+            [s.time_s for s in setup.segments], [g[:, columns] for g in before.coefficients],
+            [g[:, columns] for g in after.coefficients], touched, after.floor[columns], folder / "coefficients.svg",
+            "Test flights: coefficient demanded minus the model's",
+        )  # fmt: skip
+        names.append("coefficients.svg")
+    return names
 
 
 def model_diff(done: Refinement) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from sysid.aero_terms import COEFFICIENTS
 from sysid.disagreement import Disagreement, dependence, disagreements
-from sysid.effect_choice import Alternative, Choice
+from sysid.effect_choice import Alternative, Choice, Refusal
 from sysid.effects import Effect
 from uqharness.aircraft import Aircraft, find_aircraft
 from uqharness.flights import read_flights, renamed
@@ -157,15 +157,22 @@ def _disagreements(setup: Setup, shown: Shown, settled: Shown, controls: Sequenc
     )
 
 
-def _remaining(setup: Setup, shown: Shown, left: Sequence[Disagreement], controls: Sequence[Any]) -> dict[str, Any]:
+def _remaining(
+    found: Found, setup: Setup, shown: Shown, left: Sequence[Disagreement], controls: Sequence[Any]
+) -> dict[str, Any]:
     """Whether anything is left that noise does not explain, where, and on what it depends."""
     p = whiteness(setup, shown.residual)
     ratios = {c: shown.channel_rms(k) / float(shown.noise[k]) for k, c in enumerate(setup.outputs)}
     above = {c: r for c, r in ratios.items() if r > LIMIT}
-    coloured = {c: v for c, v in p.items() if v < COLOURED_P}
-    unexplained = bool(above) or bool(coloured)
+    # A gust spectrum is a model: the colour of one-step predictions says nothing of the aircraft.
+    coloured = {} if found.gusty else {c: v for c, v in p.items() if v < COLOURED_P}
+    refused = found.selection.refused
+    strong = refused is not None and refused.strong
+    unexplained = bool(above) or bool(coloured) or strong
     where: list[dict[str, Any]] = []
-    if unexplained:
+    if refused is not None and strong:
+        where.append(_unconfirmed(found.effects[refused.key], refused))
+    if above or coloured:
         where += [_disagreement(d) for d in left]
         states = state_ranges(setup, shown.flown, controls)
         for k, c in enumerate(COEFFICIENTS):
@@ -181,6 +188,18 @@ def _remaining(setup: Setup, shown: Shown, left: Sequence[Disagreement], control
     }  # fmt: skip
 
 
+def _unconfirmed(effect: Effect, refused: Refusal) -> dict[str, Any]:
+    """Where the residual is and on what it depends, told from the candidate that came nearest without being right."""
+    term = effect.parsed
+    depends = [] if term is None else [{"state": v} for v in term.variables]
+    words = (
+        f"something is missing in {effect.coefficient or effect.subsystem} that depends on "
+        f"{', '.join(d['state'] for d in depends) or effect.term}: {effect.name} comes "
+        f"nearest (|t| {abs(refused.t):.1f}), but {refused.why}"
+    )
+    return {**_label(effect), "depends_on": depends, "t": refused.t, "words": words}
+
+
 def _disagreement(d: Disagreement) -> dict[str, Any]:
     return {
         "coefficient": d.coefficient, "manoeuvre": d.manoeuvre, "region": {d.region.state: [d.region.low, d.region.high]},
@@ -193,7 +212,7 @@ def _document(
     left: Sequence[Disagreement], shrank: bool, controls: Sequence[Any],
 ) -> dict[str, Any]:  # fmt: skip
     setup, _, after = pairs[0]
-    remaining = _remaining(setup, after, left, controls)
+    remaining = _remaining(found, setup, after, left, controls)
     effects = [_effect(found, c, shrank, pairs) for c in found.selection.chosen]
     if effects and shrank and not remaining["unexplained"]:
         verdict = "effects-found"
@@ -240,21 +259,35 @@ def _label(effect: Effect) -> dict[str, str]:
 
 def _effect(found: Found, c: Choice, shrank: bool, pairs: Sequence[tuple[Setup, Shown, Shown]]) -> dict[str, Any]:
     e = found.effects[c.key]
+    value, std, unit = _as_written(found, e, c)
     return {
         **_label(e),
         "name": e.name,
         "why": why(e, c),
-        "value": c.value,
-        "std": c.std,
-        "unit": e.unit,
+        "value": value,
+        "std": std,
+        "unit": unit,
         "property": e.property_name if in_dynamics(e) else None,
         "evidence": {
             "t": c.t, "twice_log_likelihood": c.gain, "confirmed_on_held_out_manoeuvres": c.confirmed_gain,
-            "held_out_estimate_differs_by_std": c.difference, "interval_95": [c.value - 1.96 * c.std, c.value + 1.96 * c.std],
+            "held_out_estimate_differs_by_std": c.difference, "interval_95": [value - 1.96 * std, value + 1.96 * std],
         },
         "withdrawn": not shrank,
         "alternatives": [_alternative(found, e, a) for a in c.alternatives],
     }  # fmt: skip
+
+
+def _as_written(found: Found, e: Effect, c: Choice) -> tuple[float, float, str]:
+    """Value, standard error and unit as the number stands in the XML: a servo's lag there is 1/s, its rate limit deg/s."""
+    surface = (e.subsystem or "").partition(".")[2]
+    servo = found.setup.servos.get(surface)
+    if e.term == "lag" and servo is not None:
+        rate = 1.0 / ((1.0 / servo.lag if servo.lag else 0.0) + c.value)
+        return rate, rate**2 * c.std, "1/s"
+    if e.term == "rate_limit":
+        limit = 1.0 / max(c.value, 1e-9)
+        return limit, limit**2 * c.std, "deg/s"
+    return c.value, c.std, e.unit
 
 
 def _alternative(found: Found, own: Effect, a: Alternative) -> dict[str, Any]:
