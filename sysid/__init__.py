@@ -3,8 +3,18 @@
 from sysid.filtererror import filter_error
 from sysid.flight_record import FlightRecord
 from sysid.log_errors import LogError
+from sysid.model_form import ModelForm, read_model_form
 from sysid.outputerror import output_error
 from sysid.regression import equation_error
 from sysid.selection import stepwise
 
-__all__ = ["FlightRecord", "LogError", "equation_error", "filter_error", "output_error", "stepwise"]
+__all__ = [
+    "FlightRecord",
+    "LogError",
+    "ModelForm",
+    "equation_error",
+    "filter_error",
+    "output_error",
+    "read_model_form",
+    "stepwise",
+]

@@ -14,7 +14,7 @@ from sysid.log_errors import LogError
 from sysid.signal_map import read_table
 
 Table = tuple[tuple[float, float], ...]
-_INPUT_KEYS = {"property", "selected", "position", "unit", "positive", "limits", "servo_pwm", "channel"}
+_INPUT_KEYS = {"property", "selected", "position", "unit", "positive", "limits", "servo_pwm", "channel", "throw_deg"}
 _MIXES = {"vtail": ("elevator", "rudder"), "elevon": ("elevator", "aileron")}
 
 

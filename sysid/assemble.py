@@ -48,7 +48,7 @@ def assemble(
         name: partial(resolve, raw, name, candidates, times) for name, candidates in signal_map.entries.items()
     }
     for name, make in servos.items():
-        sources.setdefault(name, make)
+        sources[name] = partial(_first_of, sources.get(name), make)
     grid = _grid(raw, sources, signal_map.name, source)
     step = float(np.median(np.diff(grid)))
     columns: dict[str, NDArray[Any]] = {"time_s": grid}
@@ -96,6 +96,12 @@ def assemble(
         *check_record(record, phase.free_s),
     ]
     return FlightRecord(record.columns, replace(meta, findings=tuple(findings)))
+
+
+def _first_of(own: Callable[[], Channel | None] | None, servo: Callable[[], Channel | None]) -> Channel | None:
+    """A surface's own message if the log carries it, else what its servo output says."""
+    found = own() if own is not None else None
+    return found if found is not None else servo()
 
 
 def _last_use(signal_map: SignalMap) -> dict[str, list[str]]:

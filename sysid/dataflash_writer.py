@@ -41,6 +41,7 @@ _LAYOUT = {
     "GPS": ("QBBIHBcLLeffffB", "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,Yaw,U"),
     "AOA": ("Qff", "TimeUS,AOA,SSA"),
     "VANE": ("Qff", "TimeUS,Alpha,Beta"),
+    "SURF": ("Qffff", "TimeUS,Elev,Ail,Rud,Thr"),
     "RPM": ("Qff", "TimeUS,rpm1,rpm2"),
     "NTUN": ("QfcccfffLLeee", "TimeUS,Dist,TBrg,NavBrg,AltE,XT,XTi,AsE,TLat,TLng,TAW,TAT,TAsp"),
     "TECS": ("QfffffffffffffB", "TimeUS,h,dh,hin,hdem,dhdem,spdem,sp,dsp,th,ph,pmin,pmax,dspdem,f"),
@@ -93,11 +94,13 @@ def write_dataflash(
     card: AirframeCard | None = None,
     parameters: Mapping[str, float] | None = None,
     vehicle: str = "ArduPlane (written by uqharness)",
+    surfaces: bool = False,
 ) -> tuple[str, ...]:
     """Write `record` to `path`; returns the columns that DataFlash has no message for and that were left out.
 
     card        turns surfaces into PWM by its servo tables (needed when the record has surfaces)
     parameters  further PARM records
+    surfaces    write the commands as they were too (message SURF), for a simulated flight, whose surfaces saw no PWM
     Raises LogError for a record whose time is negative, surfaces without a card, or a card without their tables.
     """
     time = record["time_s"]
@@ -110,6 +113,8 @@ def write_dataflash(
     outputs = _servo_outputs(record, card, servo_parameters, written, path)
     if outputs:
         messages.append(_Message("RCOU", time_us, {f"C{n}": pwm for n, pwm in outputs.items()}))
+    if outputs and surfaces:
+        messages.append(_surfaces(record, time_us))
     texts = [(int(time_us[0]) if len(time_us) else 0, vehicle), *_manoeuvre_texts(record, time_us, written)]
     messages.insert(0, _Message("MSG", np.array([t for t, _ in texts]), {"Message": [m for _, m in texts]}))
     everything = {**servo_parameters, **(parameters or {})}
@@ -221,6 +226,13 @@ def _servo_outputs(
         _describe(channel, _FUNCTION[name], servo, parameters)
         written.add(column)
     return out
+
+
+def _surfaces(record: FlightRecord, time_us: NDArray[np.int64]) -> _Message:
+    """Commands as they were. A servo output holds whole microseconds, a twentieth of a degree, which no simulated surface saw."""
+    columns = {"Elev": "elevator_deg", "Ail": "aileron_deg", "Rud": "rudder_deg", "Thr": "throttle_pct"}
+    missing = np.full(len(time_us), np.nan)
+    return _Message("SURF", time_us, {f: record.columns.get(c, missing) for f, c in columns.items()})
 
 
 def _panels(mix: Mix, first: FloatArray, second: FloatArray, parameters: dict[str, float]) -> dict[int, FloatArray]:

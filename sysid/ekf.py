@@ -46,9 +46,8 @@ class Model:
             out[:, lane] = np.asarray(function(x[:, lane], u[:, lane], theta[:, lane]), dtype=float).ravel()
         return out
 
-    def step(self, x: Array, u0: Array, u1: Array, theta: Array, dt: Array) -> Array:
-        """Runge-Kutta 4 from u0 to u1 (linear in between; u1 = u0 for held inputs)."""
-        middle = 0.5 * (u0 + u1)
+    def step(self, x: Array, u0: Array, middle: Array, u1: Array, theta: Array, dt: Array) -> Array:
+        """Runge-Kutta 4 from inputs u0 through `middle`, half a step later, to u1."""
         k1 = self.rate(x, u0, theta)
         k2 = self.rate(x + 0.5 * dt * k1, middle, theta)
         k3 = self.rate(x + 0.5 * dt * k2, middle, theta)
@@ -94,13 +93,17 @@ def make_model(f: ModelFunction, g: ModelFunction, x: Array, u: Array, theta: Ar
 
 @dataclass(frozen=True)
 class Record:
-    """Segments padded to one length n: u (n, nu, s), z (n, m, s) with NaN where missing or padded, dt (n-1, s)."""
+    """Segments padded to one length n: u (n, nu, s), z (n, m, s) with NaN where missing or padded, dt (n-1, s).
+
+    middle (n-1, nu, s): inputs half-way from each sample to the next; None: held ones u[k], others the mean of both ends.
+    """
 
     u: Array
     z: Array
     dt: Array
     lengths: tuple[int, ...]
     held: bool
+    middle: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -175,14 +178,20 @@ def run_filter(
             if k == n - 1:
                 break
             u1 = u if record.held else np.tile(record.u[k + 1], copies)
+            between = 0.5 * (u + u1) if record.middle is None else np.tile(record.middle[k], copies)
             dt = np.tile(record.dt[k], copies)
             if fresh:
-                x, phi = jacobian(model.step(spread(x), u, u1, wide_theta, dt))
+                x, phi = jacobian(model.step(spread(x), u, between, u1, wide_theta, dt))
             else:
-                x = model.step(x, u, u1, lane_theta, dt)
+                x = model.step(x, u, between, u1, lane_theta, dt)
+            # The noise of a step, int Phi(s) Q Phi(s)' ds by Simpson with Phi(dt/2) = (1 + Phi)/2.
+            third = Q * (dt[:lanes] / 3.0)
+            cross = 0.5 * phi * third[None]
+            P[diagonal, diagonal] += third
             P = np.einsum("abw,bcw->acw", phi, P)
             P = np.einsum("abw,cbw->acw", P, phi)
-            P[diagonal, diagonal] += Q * dt[:lanes]
+            P += cross + cross.transpose(1, 0, 2)
+            P[diagonal, diagonal] += third
             if k % 100 == 0 and not (np.abs(x) < 1e100).all():
                 return None
     if not (

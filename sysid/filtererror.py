@@ -14,19 +14,21 @@ Maine, R. E. and Iliff, K. W., NASA RP-1168 (1986), ch. 5-6; Jategaonkar (2015),
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sysid.checks import as_bounds, as_free, as_names, as_parameters, is_many
+from sysid.checks import Array, as_bounds, as_free, as_names, as_parameters, is_many
 from sysid.ekf import ModelFunction, make_model
 from sysid.filterinput import measurement_noise, noisy_states, output_spread, positive_vector, read_record, state_scale
 from sysid.filterreport import assemble
-from sysid.gaussnewton import minimise
+from sysid.gaussnewton import Minimum, minimise
 from sysid.innovations import FilterProblem, Layout
 from sysid.results import FilterErrorFit
 
+NEAR_NOISE = 0.1  # how far the logarithm of R may move while theta is far off
 FIRST_NOISE = (1e-3, 1e-2, 1e-1, 1.0)  # first guesses of process noise, in the states' scale per sqrt(s)
 
 
@@ -48,6 +50,7 @@ def filter_error(
     x0_std: ArrayLike | None = None,
     estimate_x0: bool = False,
     hold: str = "linear",
+    u_middle: Any = None,
     jacobian_every: int = 4,
     max_iterations: int = 60,
     tolerance: float = 1e-2,
@@ -64,6 +67,7 @@ def filter_error(
     x0_std         (nx,) uncertainty of x0; default: as wide as the outputs' own spread, so that x0 matters little
     estimate_x0    estimate the initial states too (one set a segment); x0_std then defaults to a thousandth
     hold           "linear" (measured surfaces, inputs interpolated between samples) or "zoh" (commands held)
+    u_middle       (n-1, nu), or a list: inputs half-way between samples where they are known better than by `hold`
     jacobian_every renew the filter's Jacobians at every so many samples (default 4: a tenth of a second at 40 Hz;
                    1 renews them at every sample)
 
@@ -78,7 +82,7 @@ def filter_error(
         raise ValueError(f"jacobian_every is {jacobian_every!r}; give a whole number of samples, 1 or more")
     if hold not in ("linear", "zoh"):
         raise ValueError(f'hold is {hold!r}; allowed are "linear" and "zoh"')
-    record, initial = read_record(x0, u, z, t, hold == "zoh")
+    record, initial = read_record(x0, u, z, t, hold == "zoh", u_middle)
     _n, m, segments = record.z.shape
     nx = initial.shape[0]
     counts = np.isfinite(record.z).sum(axis=(0, 2))
@@ -112,10 +116,61 @@ def filter_error(
     start_point = layout.pack(theta, q, measurement, initial)
     low, high = layout.limits(lower, upper, scale, spread)
     start_point = np.clip(start_point, low, high)
-    start = problem.evaluate(start_point)
-    if start is None:
+    if problem.evaluate(start_point) is None:
         raise ValueError("the filter diverges at theta0; start from other values, or from a larger noise_start")
-    best = minimise(
-        problem, start_point, start, low, high, tolerance=tolerance, max_iterations=max_iterations, always_central=True
+    best = _from(problem, start_point, low, high, tolerance, max_iterations)
+    fit = assemble(problem, best, labels, low, high, record, is_many(z))
+    if best.converged and not any(text.startswith("coloured") for text in fit.warnings):
+        return fit
+    other = _from_high_gain(problem, start_point, low, high, tried[-1], tolerance, max_iterations)
+    return fit if other is None or not other.cost < best.cost else assemble(
+        problem, other, labels, low, high, record, is_many(z)
+    )  # fmt: skip
+
+
+def _from(
+    problem: FilterProblem, point: Array, low: Array, high: Array, tolerance: float, max_iterations: int
+) -> Minimum:
+    """The minimum reached from a packed point at which the filter works.
+
+    Far from the answer a likelihood gains most by calling the model's errors measurement noise, and then looks no further.
+    With R held near what the data's third differences show, the filter stays with the data and theta comes near first.
+    """
+    logs = problem.layout.logs
+    near_low, near_high = low.copy(), high.copy()
+    near_low[logs] = np.maximum(low[logs], point[logs] - NEAR_NOISE)
+    near_high[logs] = np.minimum(high[logs], point[logs] + NEAR_NOISE)
+    first = _descend(problem, point, near_low, near_high, 0.3, max_iterations)
+    best = _descend(problem, first.theta, low, high, tolerance, max_iterations)
+    return replace(
+        best, iterations=first.iterations + best.iterations, cost_history=first.cost_history + best.cost_history[1:]
     )
-    return assemble(problem, best, labels, low, high, record, is_many(z))
+
+
+def _from_high_gain(
+    problem: FilterProblem, point: Array, low: Array, high: Array, q: Array, tolerance: float, max_iterations: int
+) -> Minimum | None:
+    """The minimum reached with theta from one-step predictions: so much process noise q (nx,) that every step starts from the data.
+
+    They are nearly linear in theta however far off it is, where the likelihood itself may have valleys of its own.
+    """
+    layout = problem.layout
+    noisy = point.copy()
+    noisy[layout.process] = np.clip(q[layout.noisy], low[layout.process], high[layout.process])
+    held_low, held_high = low.copy(), high.copy()
+    for part in (layout.process, layout.logs):
+        held_low[part] = held_high[part] = noisy[part]
+    if problem.evaluate(noisy) is None:
+        return None
+    near = _descend(problem, noisy, held_low, held_high, 0.3, max_iterations).theta
+    return _from(problem, near, low, high, tolerance, max_iterations)
+
+
+def _descend(
+    problem: FilterProblem, point: Array, low: Array, high: Array, tolerance: float, max_iterations: int
+) -> Minimum:
+    start = problem.evaluate(point)
+    assert start is not None
+    return minimise(
+        problem, point, start, low, high, tolerance=tolerance, max_iterations=max_iterations, always_central=True
+    )

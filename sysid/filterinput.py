@@ -11,7 +11,7 @@ from sysid.checks import Array, as_array, as_free, as_parameters, as_segments, i
 from sysid.ekf import Model, Record
 
 
-def read_record(x0: Any, u: Any, z: Any, t: Any, held: bool) -> tuple[Record, Array]:
+def read_record(x0: Any, u: Any, z: Any, t: Any, held: bool, u_middle: Any = None) -> tuple[Record, Array]:
     """Padded record and initial states (nx, s). Raises ValueError where segments disagree."""
     outputs = as_segments(z, "z", dropouts=True)
     times = [part[:, 0] for part in as_segments(t, "t", dropouts=False)]
@@ -43,7 +43,22 @@ def read_record(x0: Any, u: Any, z: Any, t: Any, held: bool) -> tuple[Record, Ar
         step = np.diff(times[index])
         # Padding repeats no dynamics: with dt = 0 the filter stands still behind a segment's end.
         dt[:, index] = np.concatenate([step, np.zeros(longest - length)])
-    return Record(U, Z, dt, tuple(lengths), held), np.column_stack(starts)
+    middle = None if u_middle is None else _middle(u_middle, inputs, longest)
+    return Record(U, Z, dt, tuple(lengths), held, middle), np.column_stack(starts)
+
+
+def _middle(u_middle: Any, inputs: list[Array], longest: int) -> Array:
+    """Inputs half-way between samples, padded (longest - 1, nu, s)."""
+    found = as_segments(u_middle, "u_middle", dropouts=False)
+    wanted = [(part.shape[0] - 1, part.shape[1]) for part in inputs]
+    if [part.shape for part in found] != wanted:
+        raise ValueError(
+            f"u_middle has segments of shape {[part.shape for part in found]}; half-way between the samples of u there are {wanted}"
+        )
+    out = np.zeros((longest - 1, inputs[0].shape[1], len(inputs)))
+    for index, part in enumerate(found):
+        out[: len(part), :, index], out[len(part) :, :, index] = part, inputs[index][-1]
+    return out
 
 
 def noisy_states(chosen: Any, nx: int) -> NDArray[np.intp]:

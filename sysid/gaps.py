@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.autocorrelation import integral_time
 from sysid.diagnostics import STRONG_SHARE, WHITENESS_LEVEL, colour
 
 FloatArray = NDArray[np.float64]
@@ -141,19 +142,7 @@ def time_shift(
         if abs(step) < 1e-5:
             break
     variance = sum(float(e @ e) for e in left) / max(1, sum(e.size for e in left) - 2)
-    return Shift(tau, float(np.sqrt(variance * _integral(left) / bottom)))
-
-
-def _integral(residuals: Sequence[FloatArray]) -> float:
-    """Sum of autocorrelations up to the first zero, both sides: how many samples count as one."""
-    total, longest = 1.0, max(len(e) for e in residuals) // 3
-    power = sum(float(e @ e) for e in residuals)
-    for lag in range(1, longest):
-        r = sum(float(e[lag:] @ e[:-lag]) for e in residuals if len(e) > lag) / power if power > 0 else 0.0
-        if r <= 0.0:
-            break
-        total += 2.0 * r
-    return total
+    return Shift(tau, float(np.sqrt(variance * integral_time(left) / bottom)))
 
 
 def worst(

@@ -138,9 +138,16 @@ class FlightUsed:
 
 @dataclass(frozen=True)
 class Filtering:
-    """What the widths hang on: cut-offs [Hz] of differentiator and smoother, and of the walk's low-pass; the samples' rate [Hz]."""
+    """What the intervals' widths hang on, cut-offs (half power) in Hz.
+
+    cutoff_hz           differentiator and smoother of everything that is compared
+    airspeed_cutoff_hz  low-pass of the airspeed before that; inf (null in the file): none
+    walk_cutoff_hz      low-pass of the residual before its rate of variation is taken
+    rate_hz             samples a second
+    """
 
     cutoff_hz: float
+    airspeed_cutoff_hz: float
     walk_cutoff_hz: float
     rate_hz: float
 
@@ -178,6 +185,8 @@ class ModelForm:
     def to_json(self) -> str:
         """The file's text; the same form gives the same bytes."""
         document: dict[str, Any] = {"format": FORMAT, **asdict(self)}
+        if not np.isfinite(self.filtering.airspeed_cutoff_hz):
+            document["filtering"]["airspeed_cutoff_hz"] = None
         for name, bounds in self.coefficients.items():
             row = document["coefficients"][name]
             row["terms"] = [term_name(t, bounds.states) for t in bounds.terms]
@@ -217,7 +226,7 @@ def read_model_form(path: Path) -> ModelForm:
         form = ModelForm(
             aircraft=AircraftReference(**document["aircraft"]),
             flights=tuple(FlightUsed(**{**f, "estimates": tuple(f["estimates"])}) for f in document["flights"]),
-            filtering=Filtering(**document["filtering"]),
+            filtering=_filtering(document["filtering"]),
             confidence=float(document["confidence"]),
             outside=_outside(document["outside"]),
             coefficients=coefficients,
@@ -229,6 +238,13 @@ def read_model_form(path: Path) -> ModelForm:
     if not coefficients:
         raise LogError("holds no coefficient", path)
     return form
+
+
+def _filtering(row: Mapping[str, Any]) -> Filtering:
+    values = dict(row)
+    if values["airspeed_cutoff_hz"] is None:
+        values["airspeed_cutoff_hz"] = float("inf")
+    return Filtering(**{key: float(value) for key, value in values.items()})
 
 
 def _outside(value: Any) -> Outside:

@@ -1,6 +1,6 @@
 """A rigid aeroplane's equations in the open, linear in its coefficient terms: what filter error needs of a model.
 
-States V alpha beta p q r phi theta, and the air's own rotation; inputs de da dr [deg], other forces [N] and moments
+States V alpha beta p q r phi theta and the gusts' five (`sysid.gust_states`); inputs de da dr [deg], other forces [N] and moments
 [N m] (thrust), air density, and what the model's coefficients hold besides the terms. Written with elementwise
 operations, so that many parameter sets run side by side.
 """
@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from sysid.aero_terms import COEFFICIENTS, regressor, split_name, variables
 from sysid.force_coefficients import MassProperties
+from sysid.gust_states import GustStates
 
 FloatArray = NDArray[np.float64]
 STATES = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps", "phi_rad", "theta_rad")
-"""Measured states; the rotation of the air, p_gust q_gust r_gust [rad/s], follows them in x."""
+"""Measured states; the five of `sysid.gust_states` follow them in x."""
 INPUTS = (
     "de", "da", "dr", "Fx_N", "Fy_N", "Fz_N", "Mx_Nm", "My_Nm", "Mz_Nm", "rho_kgpm3",
     "CX", "CY", "CZ", "Cl", "Cm", "Cn",
@@ -28,13 +29,6 @@ OUTPUTS = (
     "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps",
     "ax_mps2", "ay_mps2", "az_mps2",
 )  # fmt: skip
-GUSTY = (0, 1, 2, 8, 9, 10)
-"""States that turbulence enters: the air's motion through V, alpha, beta, its rotation through the three gust states.
-
-Rolling gusts have a memory of 4b/(pi V) seconds, as long as the aircraft's own roll mode: taken for white noise on p they would
-pass for the aircraft's persistence, and roll damping and aileron power would come out at half their size.
-"""
-_GUST_LENGTHS = (4.0 / np.pi, 4.0 / np.pi, 3.0 / np.pi)  # spans; MIL-F-8785C 3.7.3 for p, q, r
 G_MPS2 = 9.80665
 
 
@@ -59,8 +53,18 @@ class OpenEquations:
                 f"{unknown[0]} is no coefficient term; filter error knows {', '.join(COEFFICIENTS)} with their terms"
             )
 
+    @property
+    def gusts(self) -> GustStates:
+        """What gusts do besides changing V, alpha, beta."""
+        return GustStates(self.mass.b)
+
+    def start(self, measured: Sequence[float]) -> FloatArray:
+        """x (13,) from the eight measured STATES, in still air."""
+        V, alpha, beta, phi = measured[0], measured[1], measured[2], measured[6]
+        return np.array([*measured, *self.gusts.start(V, alpha, beta, phi)])
+
     def f(self, x: Any, u: Any, theta: Any) -> Any:
-        """dx/dt (11,)."""
+        """dx/dt (13,)."""
         V, alpha, beta, p, q, r, phi, theta_ = (x[i] for i in range(8))
         ax, ay, az, pd, qd, rd = self._accelerations(x, u, theta)
         g = self.gravity
@@ -71,10 +75,12 @@ class OpenEquations:
         wd = az + q * ub - p * vb + g * np.cos(theta_) * np.cos(phi)
         Vd = (ub * ud + vb * vd + wb * wd) / V
         turning = q * np.sin(phi) + r * np.cos(phi)
-        fade = [-x[8 + k] * V / (_GUST_LENGTHS[k] * self.mass.b) for k in range(3)]
+        own = Vd, (ub * wd - wb * ud) / (ub * ub + wb * wb), (V * vd - vb * Vd) / (V * V * cb)
+        Vd, alphad, betad = (a + b for a, b in zip(own, self.gusts.turning(x), strict=True))
+        phid = p + np.tan(theta_) * turning
         return [
-            Vd, (ub * wd - wb * ud) / (ub * ub + wb * wb), (V * vd - vb * Vd) / (V * V * cb), pd, qd, rd,
-            p + np.tan(theta_) * turning, q * np.cos(phi) - r * np.sin(phi), *fade,
+            Vd, alphad, betad, pd, qd, rd, phid, q * np.cos(phi) - r * np.sin(phi),
+            *self.gusts.rates(x, Vd, alphad, betad, phid),
         ]  # fmt: skip
 
     def g(self, x: Any, u: Any, theta: Any) -> Any:
@@ -91,7 +97,8 @@ class OpenEquations:
         """Specific force [m/s2] and angular acceleration [rad/s2]."""
         V, alpha, beta, p, q, r = x[0], x[1], x[2], x[3], x[4], x[5]
         m = self.mass
-        C = self._coefficients(V, alpha, beta, p - x[8], q - x[9], r - x[10], u, theta)
+        p_g, q_g, r_g = self.gusts.rotation(x)
+        C = self._coefficients(V, alpha, beta, p - p_g, q - q_g, r - r_g, u, theta)
         qS = 0.5 * u[9] * V * V * m.S
         force = [(qS * C[k] + u[3 + k]) / m.mass for k in range(3)]
         J, K = m.inertia, np.linalg.inv(m.inertia)

@@ -17,12 +17,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sysid.checks import Array, as_bounds, as_free, as_names, as_parameters, as_segments, is_many
+from sysid.gaps import white_noise
 from sysid.gaussnewton import Minimum, minimise
 from sysid.output_problem import OutputErrorProblem
 from sysid.report import Findings, judge
 from sysid.results import OutputErrorFit, split
 from sysid.sensitivities import MapLike, SafeSimulation, first_steps
 
+POORLY = 0.3  # share of an output's variance left over that counts as nothing explained
+FAR_OFF, WORTH = (
+    5.0,
+    0.01,
+)  # left over: so many times the noise, such a share of the variance, to look for another minimum
 HORIZONS = (0.1, 0.2, 0.4)  # shares of each segment fitted first when the whole leads nowhere
 
 
@@ -115,7 +121,7 @@ def output_error(
         )  # fmt: skip
 
     best = descend(theta[columns], start, max_iterations, tolerance)
-    if _lost(problem, best):
+    if _lost(problem, best, edges):
         other = _from_short_horizons(problem, theta[columns], edges, descend, max_iterations, tolerance)
         best = other if other is not None and other.cost < best.cost else best
 
@@ -139,13 +145,22 @@ def output_error(
     return _assemble(theta, columns, labels, best, problem, findings, split(residual, edges), is_many(measured))
 
 
-def _lost(problem: OutputErrorProblem, best: Minimum) -> bool:
-    """Not converged, or at a point where no output is explained even to 70 %: not the minimum that was meant."""
+def _lost(problem: OutputErrorProblem, best: Minimum, edges: list[int]) -> bool:
+    """Perhaps not the minimum that was meant: not converged, no output explained even to 70 %, or, where simulations are cheap,
+    an output left much further off than its white noise."""
     found = problem.evaluate(best.theta)
-    if found is None:
+    if found is None or not best.converged:
         return True
-    left = np.nanmean((problem.measured - found[1]) ** 2, axis=0) / problem.spread**2
-    return not best.converged or bool(left.min() > 0.3)
+    residual = problem.measured - found[1]
+    left = np.nanmean(residual**2, axis=0)
+    if problem.secant:
+        return bool((left / problem.spread**2).min() > POORLY)
+    noise = np.array([
+        white_noise([problem.measured[a:b, k] for a, b in pairwise(edges)]) for k in range(residual.shape[1])
+    ])  # fmt: skip
+    with np.errstate(invalid="ignore"):
+        far = (left > FAR_OFF**2 * noise**2) & (left > WORTH * problem.spread**2)
+    return bool((left / problem.spread**2).min() > POORLY or far.any())
 
 
 def _from_short_horizons(

@@ -20,6 +20,7 @@ TARGET = 3e-4  # first wanted change of the most affected output, in its spread;
 TARGETS = (3e-5, 3e-2)  # range of wanted changes: truncation ~ target^2, rounding ~ roughness / target
 WITHIN = (3e-3, 30.0)  # a change outside this range of the wanted one is repeated with another step
 NO_EFFECT = 1e-11  # a smaller change at the largest step tried is rounding, not an effect
+SMALLEST = 1e-12  # of a parameter's value: the shortest step
 HUGE = 1e100  # outputs beyond this are a diverged simulation; their squares must not overflow
 
 MapLike = Callable[[Callable[[Array], Any], Iterable[Array]], Iterable[Any]]
@@ -110,6 +111,8 @@ def sensitivities(
     effect = np.zeros(len(columns), dtype=bool)
     pending, runs, largest = list(range(len(columns))), 0, np.zeros(len(columns))
     for attempt in range(6):
+        # Below this a step is lost in the parameter's own rounding, and shrinking it further would never find an effect again.
+        step = np.maximum(step, SMALLEST * np.abs(theta))
         plan: list[tuple[int, float]] = []
         for position in pending:
             j = columns[position]

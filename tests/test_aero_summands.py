@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from jsbsim_defects.small_models import SKELETON
 
+from sysid.aero_terms import COEFFICIENTS
 from uqharness import engine
 from uqharness.aero_section import read_section, require_reference
-from uqharness.aero_summands import COEFFICIENTS, Reference, SectionEdit, add_deltas, add_functions, add_system
+from uqharness.aero_summands import Reference, SectionEdit, add_deltas, add_functions, add_system
 from uqharness.errors import BadInputError
 from uqharness.xml_text import append_child, apply, parse_document
 
@@ -30,6 +31,7 @@ AXES = {
     "wind-by-frame": '<axis name="X" frame="WIND">{0}</axis><axis name="Y" frame="WIND">{1}</axis>',
     "stability": '<axis name="X" frame="STABILITY">{0}</axis><axis name="Z" frame="STABILITY">{2}</axis>',
     "none": "",
+    "empty": "EMPTY",
     "replaced": '<axis name="LIFT">{2}</axis><axis name="DRAG">{0}</axis><axis name="LIFT"><!-- counts --></axis>',
 }
 MOMENT_AXES = {
@@ -47,7 +49,11 @@ def function(name: str, value: float) -> str:
 def write(root: Path, aero: str) -> Path:
     folder = root / "aircraft" / "small"
     folder.mkdir(parents=True, exist_ok=True)
-    text = SKELETON.format(fcs="", aero=aero, ixz="<ixz unit='KG*M2'>0.4</ixz>", mass_attributes="", aerorp=-0.3)
+    skeleton = (
+        SKELETON.replace("<aerodynamics>{aero}</aerodynamics>", "<aerodynamics/>") if "EMPTY" in aero else SKELETON
+    )
+    aero = aero.replace("EMPTY", "")
+    text = skeleton.format(fcs="", aero=aero, ixz="<ixz unit='KG*M2'>0.4</ixz>", mass_attributes="", aerorp=-0.3)
     (folder / "small.xml").write_text(text)
     return folder
 
@@ -177,6 +183,20 @@ def test_insertion_into_a_line_leaves_the_line(tmp_path):
     b, d = document.root.children
     text = apply(document, [append_child(document, d, ["<e/>"]), append_child(document, b, ["<f>", "  <g/>", "</f>"])])
     assert text == b"<a><b x='>'><c/>\n  <f>\n    <g/>\n  </f>\n</b> <d>\n  <e/>\n</d></a>"
+
+
+def test_a_byte_order_mark_and_wide_characters_shift_nothing(tmp_path):
+    raw = b"\xef\xbb\xbf" + "<a note='\u00fc\u20ac'>\n  <!-- \u4e2d -->\n  <b/>\n</a>".encode()
+    document = parse_document(tmp_path / "a.xml", raw)
+    text = apply(document, [append_child(document, document.root, ["<c/>"])])
+    assert text == raw.replace(b"  <b/>\n", b"  <b/>\n  <c/>\n")
+
+
+def test_an_empty_section_takes_several_children(tmp_path):
+    document = parse_document(tmp_path / "a.xml", b"<a>\n\t<b/>\n</a>")
+    child = document.root.children[0]
+    text = apply(document, [append_child(document, child, ["<c/>"]), append_child(document, child, ["<d/>"])])
+    assert text == b"<a>\n\t<b>\n\t\t<c/>\n\t\t<d/>\n\t</b>\n</a>"
 
 
 @pytest.mark.parametrize(

@@ -77,8 +77,15 @@ def test_certain_coefficients_have_no_delta(tmp_path):
     samples = epistemic_samples(spec)
     assert [sample.epistemic_id for sample in samples] == ["0---0-", "0---1-", "1---0-", "1---1-"]
     properties = uq_properties(spec, samples[0])
+    # The aircraft's own bounds may follow the state, so a certain coefficient is switched off and no bound is touched.
+    assert {name: value for name, value in properties.items() if name.endswith("/active")} == {
+        "uq/active": 1.0, "uq/CY/active": 0.0, "uq/CZ/active": 0.0, "uq/Cl/active": 0.0, "uq/Cn/active": 0.0,
+    }  # fmt: skip
+    assert not [name for name in properties if name.endswith(("/lower", "/upper"))]
+    given = 'coefficients = ["Cm", "CX"]\nbounds = { CX = 0.008, Cm = 0.012 }\n'
+    constant = read_campaign(campaign_file(tmp_path, CAMPAIGN.partition("bounds =")[0] + given))
+    properties = uq_properties(constant, epistemic_samples(constant)[0])
     assert (properties["uq/CY/lower"], properties["uq/CY/upper"]) == (0.0, 0.0)
-    assert "uq/CX/lower" not in properties  # the aircraft's own bounds
 
 
 def test_levels_are_a_full_grid_and_none_touches_nothing(tmp_path):

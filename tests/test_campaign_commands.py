@@ -60,6 +60,20 @@ def test_hours_replace_the_number_of_flights(tmp_path, monkeypatch, capsys):
     assert json.loads(capsys.readouterr().out)["cases"] == 2 * 64
 
 
+def test_samples_replace_the_number_of_walks(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("uqharness.flight.fly", fakes.steady)
+    walks = fakes.CAMPAIGN.replace('"corners"', '"walk"\nsamples = 500\nwalk_rate_per_sqrt_s = 0.012')
+    path = fakes.campaign_file(tmp_path, walks)
+    words = ("run", path, "--out", tmp_path / "out", "--serial", "--samples", "4", "--json")
+    assert call(*words) == 0
+    assert json.loads(capsys.readouterr().out)["cases"] == 3 * 4
+    assert "--samples 4" in read_manifest(tmp_path / "out")["command"]
+    with pytest.raises(BadInputError, match="draws no epistemic samples"):
+        call("run", fakes.campaign_file(tmp_path), "--out", tmp_path / "o2", "--samples", "4")
+    with pytest.raises(BadInputError, match="must be from 1"):
+        call("run", fakes.campaign_file(tmp_path, walks), "--out", tmp_path / "o2", "--samples", "0")
+
+
 def test_status_of_complete_running_and_interrupted(flown, capsys):
     capsys.readouterr()
     out = flown / "out"
@@ -93,7 +107,7 @@ def test_bad_input_is_for_the_command_line_to_print(tmp_path):
         call("run", path, "--out", tmp_path / "o", "--workers", "0")
 
 
-@pytest.mark.parametrize("verb", ["run", "status", "report"])
+@pytest.mark.parametrize("verb", ["run", "status", "report", "merge", "rerun"])
 def test_each_verb_has_help_with_an_example(verb, capsys):
     with pytest.raises(SystemExit) as left:
         call(verb, "--help")

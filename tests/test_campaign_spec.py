@@ -7,6 +7,7 @@ import pytest
 from tests.campaign_fakes import CAMPAIGN
 from uqharness.campaign_spec import read_campaign
 from uqharness.errors import BadInputError
+from uqharness.flight_spec import COEFFICIENTS
 
 
 def read(tmp_path, text):
@@ -53,7 +54,11 @@ def test_lists_and_asymmetric_bounds(tmp_path):
         ("wind_mps = 3", "wind_mps = []", ["[aleatory] wind_mps", "at least one"]),
         ('"moderate"', '"heavy"', ["[aleatory] turbulence", "'light'", 'received "heavy"']),
         ('"jsbsim"', '"xplane"', ["turbulence_source", "'spec'", 'received "xplane"']),
-        ('method = "corners"', 'method = "walk"', ['method = "walk" is not available yet', '"corners"', '"none"']),
+        ('method = "corners"', 'method = "walk"\nsamples = 9', ["needs a rate", "walk_rate_per_sqrt_s = 0.012"]),
+        ('method = "corners"', 'method = "lhs"', ['"lhs" needs samples', "samples = 2000"]),
+        ('method = "corners"', 'method = "corners"\nsamples = 9', ["samples belongs to", '"corners"']),
+        ('method = "corners"', 'method = "corners"\nwalk_rate_per_sqrt_s = 1', ['belongs to method = "walk"']),
+        ('method = "corners"', 'method = "walk"\nsamples = 0', ["samples", "greater than or equal to 1"]),
         ('method = "corners"', 'method = "sobol"', ["[epistemic] method", "'corners'", 'received "sobol"']),
         ('method = "corners"', 'method = "levels"', ["levels", "[0, 0.5, 1]"]),
         ("CX = 0.008", "CX = -0.008", ["bounds", "CX = -0.008", "half-width"]),
@@ -103,8 +108,7 @@ def test_bad_toml_names_the_line(tmp_path):
     ("addition", "fragment"),
     [
         ('[stop]\nrule = "decide"\n', 'rule = "decide" is not available yet; use "flights"'),
-        ('[aleatory.variables."inertia/ixx"]\nmean = 1\n', "[aleatory] variables is not available yet"),
-        ('[epistemic.parameters]\nfit = "fit.json"\n', "[epistemic] parameters is not available yet"),
+        ('[epistemic.parameters]\nfit = "fit.json"\n', "[epistemic.parameters] needs samples"),
         ("[metrics]\nrearm_m = 15\n", "less than the smallest radius, 15 m"),
     ],
 )
@@ -114,10 +118,65 @@ def test_what_is_planned_or_inconsistent(tmp_path, addition, fragment):
     assert fragment in str(caught.value)
 
 
-def test_bounds_from_a_file_are_refused_for_now(tmp_path):
-    head, _, _ = CAMPAIGN.partition("bounds =")
-    with pytest.raises(BadInputError, match="bounds from a file are not available yet"):
-        read(tmp_path, head + 'bounds = "model-form.json"\n')
+@pytest.mark.parametrize(
+    ("rate", "fragment"),
+    [
+        ("0", "CX = 0: a rate is a number above 0"),
+        ('"fast"', "a rate is a number above 0"),
+        ("{ CX = 0.01 }", "lacks CY, CZ"),
+        ("{ CX = 0.01, CL = 0.01 }", "CL"),
+    ],
+)
+def test_walk_rates(tmp_path, rate, fragment):
+    head = CAMPAIGN.replace('"corners"', f'"walk"\nsamples = 4\nwalk_rate_per_sqrt_s = {rate}')
+    with pytest.raises(BadInputError) as caught:
+        read(tmp_path, head)
+    assert fragment in str(caught.value), str(caught.value)
+
+
+def test_a_walk_with_one_rate_for_all_or_one_each(tmp_path):
+    text = CAMPAIGN.replace('"corners"', '"walk"\nsamples = 4\nwalk_rate_per_sqrt_s = 0.012')
+    assert read(tmp_path, text).inputs.walk_rates == dict.fromkeys(COEFFICIENTS, 0.012)
+    rates = ", ".join(f"{name} = 0.0{number}" for number, name in enumerate(COEFFICIENTS, 1))
+    assert read(tmp_path, text.replace("sqrt_s = 0.012", f"sqrt_s = {{ {rates} }}")).inputs.walk_rates["Cn"] == 0.06
+
+
+VARIABLE = '\n[aleatory.variables."inertia/pointmass-weight-lbs[1]"]\ndistribution = "normal"\nmean = [1, 2]\nstd = 0.5\n'
+
+
+def test_variables_with_known_and_unknown_means(tmp_path):
+    extra = '[aleatory.variables."metrics/Sw-sqft"]\ndistribution = "uniform"\nlow = 20\nhigh = 22\n'
+    variables = read(tmp_path, CAMPAIGN + VARIABLE + extra).aleatory.variables
+    load, area = variables["inertia/pointmass-weight-lbs[1]"], variables["metrics/Sw-sqft"]
+    assert load.mean_interval == (1.0, 2.0)
+    assert area.mean_interval is None
+    assert [load.value(2.0, level) for level in (0.0, 1.0)] == [2.0, 3.0]
+    assert [area.value(draw, 0.5) for draw in (-1.0, 0.0, 1.0)] == [20.0, 21.0, 22.0]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fragments"),
+    [
+        ('"normal"', '"gamma"', ["distribution", "'normal' or 'uniform'", 'received "gamma"']),
+        ('"normal"', '"uniform"', ["uniform", "low and high or mean and half_width", "received mean, std"]),
+        ("std = 0.5", "std = 0", ["std", "greater than 0", "received 0"]),
+        ("std = 0.5", "stddev = 0.5", ["stddev: unknown key", "allowed: distribution, mean, std"]),
+        ("mean = [1, 2]", "mean = [2, 1]", ["low < high"]),
+        ("mean = [1, 2]", 'mean = "heavy"', ["mean", 'received "heavy"']),
+        ("mean = [1, 2]\n", "", ["needs mean and std", "received std"]),
+        ("std = 0.5", "std = 0.5\nlow = 0", ["needs mean and std", "received mean, std, low"]),
+    ],
+)
+def test_each_mistake_in_a_variable_is_named_with_its_line(tmp_path, old, new, fragments):
+    text = CAMPAIGN + VARIABLE.replace(old, new)
+    with pytest.raises(BadInputError) as caught:
+        read(tmp_path, text)
+    message = str(caught.value)
+    for fragment in ('[aleatory.variables."inertia/pointmass-weight-lbs[1]"]', *fragments):
+        assert fragment in message, message
+    # A mistake in one key points at it, one between keys at the variable's header.
+    at_key = line_of(text, new) if new and "\n" not in new and "low < high" not in fragments[0] else 0
+    assert any(f"campaign.toml:{line}: " in message for line in (at_key, line_of(text, "[aleatory.variables"))), message
 
 
 def test_unreadable_files(tmp_path):

@@ -14,12 +14,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uqharness.aircraft import PROJECT_ROOT
+from uqharness.aircraft import PROJECT_ROOT, find_aircraft
 from uqharness.cli import main
+from uqharness.dryden import dryden_gusts
 from uqharness.errors import BadInputError
-from uqharness.flight import fly
+from uqharness.flight import fly, record_mission
 from uqharness.flight_spec import COEFFICIENTS, FlightSpec
 from uqharness.loiter_metrics import absolute_statistics, count_excursions, lost_control
+from uqharness.mission import StagedMission, find_script
+from uqharness.properties import FT, STANDARD, Source
 
 SPEC = FlightSpec(
     Path("espaaro"), Path("loiter"), duration_s=20.0, burn_in_s=5.0, wind_mps=3.0, turbulence="moderate",
@@ -274,7 +277,7 @@ def test_a_bad_script_is_refused(tmp_path, text, message):
         fly(replace(SPEC, script=script))
 
 
-def test_an_aircraft_without_air_refuses_wind(tmp_path):
+def test_an_aircraft_without_air_meets_wind_and_gusts_through_jsbsim(tmp_path):
     folder = tmp_path / "aircraft" / "espaaro"
     shutil.copytree(PROJECT_ROOT / "aircraft" / "espaaro", folder)
     (folder / "Systems" / "air.xml").write_text(
@@ -282,8 +285,28 @@ def test_an_aircraft_without_air_refuses_wind(tmp_path):
         + "".join(f'<property value="0">air/{axis}-gust-rad_sec</property>' for axis in "pqr")
         + "</system>"
     )
-    with pytest.raises(BadInputError, match="no air system"):
-        fly(replace(SPEC, aircraft=folder, script=Path("doublet-elevator")))
+    with pytest.raises(BadInputError, match='turbulence_source = "spec"'):
+        fly(replace(SPEC, aircraft=folder, script=Path("trim"), turbulence_source="jsbsim"))
+    signals = {name: STANDARD[name] for name in ("V_mps", "vn_mps", "ve_mps", "alpha_rad", "psi_rad")}
+    signals |= {axis: Source(f"atmosphere/total-wind-{axis}-fps", FT) for axis in ("north", "east", "down")}
+    calm = replace(SPEC, aircraft=folder, duration_s=3.0, burn_in_s=0.0, turbulence="none", wind_from_deg=240.0)
+    with StagedMission(find_aircraft(folder), find_script("trim")) as mission:
+        steady = record_mission(mission, calm, signals).signals
+        gusty = record_mission(mission, replace(calm, turbulence="severe"), signals).signals
+    # 3 m/s from 240 deg blow towards 60 deg; airspeed stays what the script asks for, the ground sees the wind on top.
+    assert steady["north"][1:] == pytest.approx(1.5)
+    assert steady["east"][1:] == pytest.approx(3.0 * math.sqrt(0.75))
+    assert steady["V_mps"][1:] == pytest.approx(22.2, abs=0.15)
+    assert steady["ve_mps"] == pytest.approx(3.0 * math.sqrt(0.75), abs=0.1)
+    # The gusts in the heading axes of the frame before are those of the spec model, sample by sample.
+    gusts = dryden_gusts(300, 0.01, V_mps=22.2, h_m=100.0, W20_kt=45.0, b_m=3.66, seed=SPEC.seed_turbulence)
+    rows = np.arange(1, 31) * 10 - 1
+    north, east = gusty["north"][1:] - 1.5, gusty["east"][1:] - 3.0 * math.sqrt(0.75)
+    psi = gusty["psi_rad"][1:]
+    assert north * np.cos(psi) + east * np.sin(psi) == pytest.approx(gusts.u_mps[rows], abs=0.1)
+    assert east * np.cos(psi) - north * np.sin(psi) == pytest.approx(gusts.v_mps[rows], abs=0.1)
+    assert gusty["down"][1:] == pytest.approx(gusts.w_mps[rows], abs=0.1)
+    assert np.std(gusty["alpha_rad"]) > 5.0 * np.std(steady["alpha_rad"])
 
 
 def test_excursions_by_hand():

@@ -64,6 +64,7 @@ def test_truth_lies_within_the_stated_errors(identified):
 def test_fit_json_keeps_its_contract(identified):
     _, fit = identified
     assert {"parameters", "names", "cov", "warnings", "fit"} <= set(fit)
+    assert [len(sha256) for sha256 in fit["flights_sha256"]] == [64]
     for name, p in fit["parameters"].items():
         assert name.startswith("aero/")
         assert {"value", "std", "std_crb", "status", "reason"} <= set(p)

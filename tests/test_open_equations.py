@@ -32,7 +32,7 @@ def test_rates_and_specific_force_are_those_of_the_independent_equations():
         rate = derivative(BODY, state, np.array([de, da, dr, throttle]))
         rho = isa_density(100.0)
         u = np.array([de, da, dr, thrust(throttle, V, rho), 0, 0, 0, 0, 0, rho, *np.zeros(6)])
-        x = np.array([V, alpha, beta, p, q, r, phi, pitch, 0, 0, 0])
+        x = equations.start([V, alpha, beta, p, q, r, phi, pitch])
         found = np.array(equations.f(x, u, theta), dtype=float)
         np.testing.assert_allclose(found[3:8], [*rate[3:6], *rate[6:8]], rtol=1e-9, atol=1e-12)
         step = 1e-6
@@ -51,7 +51,7 @@ def test_air_that_turns_with_the_aircraft_damps_nothing_and_fades():
     equations = OpenEquations(TERMS, (), OUTPUTS, MASS)
     theta = np.array(list(TABLE_2_6.values()))
     u = np.array([0, 0, 0, 20.0, 0, 0, 0, 0, 0, 1.2, *np.zeros(6)])
-    still = np.array([22.0, 0.02, 0, 0.3, 0, 0, 0, 0.02, 0, 0, 0])
+    still = equations.start([22.0, 0.02, 0, 0.3, 0, 0, 0, 0.02])
     turning = still.copy()
     turning[8] = 0.3
     damped, carried = (np.array(equations.f(x, u, theta), dtype=float) for x in (still, turning))
@@ -62,7 +62,7 @@ def test_air_that_turns_with_the_aircraft_damps_nothing_and_fades():
 def test_many_parameter_sets_run_side_by_side():
     equations = OpenEquations(TERMS, (), OUTPUTS, MASS)
     theta = np.tile(np.array(list(TABLE_2_6.values()))[:, None], (1, 3)) * np.array([1.0, 1.1, 0.9])
-    x = np.tile(np.array([22.0, 0.02, 0.01, 0.1, 0.1, 0.1, 0.1, 0.02, 0, 0, 0])[:, None], (1, 3))
+    x = np.tile(np.array([22.0, 0.02, 0.01, 0.1, 0.1, 0.1, 0.1, 0.02, 0, 0, 0, 22.0, 0])[:, None], (1, 3))
     u = np.tile(np.array([1, 1, 1, 20.0, 0, 0, 0, 0, 0, 1.2, *np.zeros(6)])[:, None], (1, 3))
     together = np.array(equations.f(x, u, theta))
     for lane in range(3):

@@ -129,7 +129,9 @@ def test_the_verdict_comes_first_and_agrees_with_the_tables(folder, page):
     assert re.search(
         r"Median cross-track error of a typical 150 s flight, .*: at least [\d.]+ m in truth, .* measured", text
     )
-    assert re.search(r"published flight's 9.41 m lies (below|within|above) what single flights measured, [\d.]+ to", text)
+    assert re.search(
+        r"published flight's 9.41 m lies (below|within|above) what single flights measured, [\d.]+ to", text
+    )
     assert re.search(r"beyond 15 m per flight hour: [\d.]+ at the best corner, [\d.]+ at the worst", text)
     assert re.search(r"Of 192 flights, \d+ failed", text)
     rows = (folder / "excursions.csv").read_text().splitlines()

@@ -78,8 +78,9 @@ def test_air_that_rotates_counts_as_the_body_rotating_the_other_way():
     u = np.append(U, 1.2)
     calm = start_state(*STATE.values())
     gusty, turned = calm.copy(), calm.copy()
-    _, T_q, T_r = equations.lags_s
-    gusty[8:11] += [0.1, T_q * 0.1, T_r * 0.1]
+    _, T_q, T_r = equations.gusts.lags_s(STATE["V"])
+    in_heading_axes = sixdof.rotation_to_body(STATE["phi"], STATE["theta"], 0.0).T @ np.array([0.1, 0.1, 0.1])
+    gusty[8:11] += np.array([1.0, T_q, T_r]) * in_heading_axes
     turned[3:6] -= 0.1
     # The aerodynamic loads see rates relative to the air; y shows the body's own.
     np.testing.assert_allclose(equations.g(gusty, u, theta)[8:], equations.g(turned, u, theta)[8:], rtol=1e-12)
@@ -148,6 +149,7 @@ def test_table_and_its_figures():
         names = ("CL_0", "CL_alpha", "CY_0")
         theta = np.array([0.384, 3.15, 0.001])
         std = np.array([0.001, 0.01, 0.001])
+        std_crb = np.array([0.001, 0.01, 0.0005])
         status: dict = dict.fromkeys(names, "identified")
 
     table = side_by_side(CASES[0], Fit())  # type: ignore[arg-type]
@@ -157,6 +159,7 @@ def test_table_and_its_figures():
     assert table.loc["CL_alpha", "published_error_pct"] == pytest.approx(3.81, abs=0.01)
     numbers = summary(table)
     assert numbers["covered_95"] == pytest.approx(2 / 3)
+    assert numbers["covered_95_crb"] == pytest.approx(1 / 3)
     assert numbers["median_error_pct"] == pytest.approx(0.526, abs=0.001)
     text = markdown(CASES[0], table, numbers)
     assert "nan" not in text

@@ -6,6 +6,7 @@ nobody sees; of two elements for the same axis the later one replaces the earlie
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -157,17 +158,48 @@ def _frame(axis: Axis) -> str:
     return _FRAMES[frame]
 
 
+_UNITS = {"": 1.0, "FT": 1.0, "IN": 1.0 / 12.0, "M": 1.0 / 0.3048, "KM": 1000.0 / 0.3048}
+_AREAS = {"": 1.0, **{f"{unit}2": factor**2 for unit, factor in _UNITS.items() if unit}}
+
+
+def read_reference(section: AeroSection) -> tuple[float, float, float]:
+    """Wing area [ft2], span and chord [ft] as written in <metrics>; NaN for what is not there.
+
+    JSBSim's own conversions have ten digits, so compare, but compute with its metrics/... properties. Raises BadInputError.
+    """
+    document, metrics, outer = _metrics(section)
+    out = []
+    for name, units in (("wingarea", _AREAS), ("wingspan", _UNITS), ("chord", _UNITS)):
+        node = metrics.find(name) or outer.find(name)
+        if node is None:
+            out.append(math.nan)
+            continue
+        unit = attribute(node, "unit")
+        if unit not in units:
+            raise BadInputError(
+                f"{document.where(node)}: unit '{unit}' of <{name}>; allowed are {', '.join(filter(None, units))}"
+            )
+        out.append(number(node, name, document) * units[unit])
+    return out[0], out[1], out[2]
+
+
 def require_reference(section: AeroSection) -> None:
     """BadInputError with file and line unless <metrics> gives a wing area, span and chord above zero."""
-    outer = section.main.root.find("metrics")
-    if outer is None:
-        raise BadInputError(f"{section.main.where(section.main.root)}: no <metrics>, which JSBSim requires")
-    document, metrics = included(section.folder, section.main, outer)
-    for name in ("wingarea", "wingspan", "chord"):
-        node = metrics.find(name) or outer.find(name)
-        if node is None or not number(node, name, document) > 0.0:
+    document, metrics, outer = _metrics(section)
+    for name, value in zip(("wingarea", "wingspan", "chord"), read_reference(section), strict=True):
+        if not value > 0.0:
+            node = metrics.find(name) or outer.find(name)
             line, is_what = (metrics, "missing") if node is None else (node, node.text.strip())
             raise BadInputError(
                 f"{document.where(line)}: <{name}> is {is_what}, so a coefficient has nothing to be multiplied by; give it in "
                 "<metrics>, or S_m2, b_m and c_m under [reference] in airframe.toml"
             )
+
+
+def _metrics(section: AeroSection) -> tuple[Document, Node, Node]:
+    """File and element that hold the metrics, and the element in the aircraft's XML."""
+    outer = section.main.root.find("metrics")
+    if outer is None:
+        raise BadInputError(f"{section.main.where(section.main.root)}: no <metrics>, which JSBSim requires")
+    document, metrics = included(section.folder, section.main, outer)
+    return document, metrics, outer

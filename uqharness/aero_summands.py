@@ -18,11 +18,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from sysid.aero_terms import COEFFICIENTS
 from uqharness.aero_section import AXIAL, BODY, STABILITY, WIND, AeroSection
 from uqharness.errors import BadInputError
-from uqharness.xml_text import Document, Insertion, Node, after, append_child, apply, before
-
-COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
+from uqharness.xml_text import Document, Insertion, Node, after, append_child, apply, before, joined
 
 # One term of a row: sign, trigonometric factors, index of the coefficient in its triple (x, y, z or roll, pitch, yaw).
 Term = tuple[int, str, int]
@@ -88,12 +87,15 @@ class SectionEdit:
 
     def files(self) -> dict[Path, bytes]:
         """Path (inside the aircraft's folder as it was read) to the file's new content, for every file that changes."""
-        out = {}
-        for document in self.section.documents:
-            mine = [insertion for owner, insertion in self.insertions if owner is document]
-            if mine:
-                out[document.path] = apply(document, mine)
-        return out
+        return {
+            document.path: apply(document, mine)
+            for document in self.section.documents
+            if (mine := self.made_in(document))
+        }
+
+    def made_in(self, document: Document) -> list[Insertion]:
+        """The insertions into one file, in its order."""
+        return joined([insertion for owner, insertion in self.insertions if owner is document])
 
 
 def add_system(edit: SectionEdit, name: str, remark: str = "") -> SectionEdit:

@@ -1,13 +1,11 @@
 """Equations of motion in air-relative states, for filter error: gusts enter as process noise.
 
-    x = V [m/s], alpha, beta [rad], p, q, r [rad/s], phi, theta [rad], p_g [rad/s], h_q, h_r [rad]
+    x = V [m/s], alpha, beta [rad], p, q, r [rad/s], phi, theta [rad], and the gusts' five (sysid.gust_states)
     u = elevator, aileron, rudder positions [deg], throttle position [percent], air density [kg/m3]
     y = V, alpha, beta, phi, theta, p, q, r, ax, ay, az (specific force at the CG, m/s2)
 
-The air rotates too (MIL-F-8785C 3.7.5): p_g is a first-order state with noise of its own; q_g and r_g follow from the same
-gusts that change alpha and beta, through a lag T_q, T_r. Written as q_g = (h_q + alpha)/T_q and r_g = (h_r - beta)/T_r, the
-lag states h have no noise of their own. Without them the filter takes the rates' slow wander for weak
-damping, and Cl_p and Cl_da come out a third too small.
+Gusts do more than change V, alpha and beta: `sysid.gust_states`. Without its rotation of the air the filter takes the rates' slow
+wander for weak damping, and Cl_p and Cl_da come out a third too small.
 
 The model's coefficients come from a function of its parameters; everything broadcasts, so that perturbed parameters run side by
 side (docs/estimators.md). The coefficients restate what the aircraft's XML says; tests hold the two together.
@@ -20,6 +18,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
+from sysid.gust_states import GustStates
 
 OUTPUTS = (
     "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps",
@@ -44,17 +44,9 @@ class Body:
     g: float = 9.8062  # latitude 45 deg, as JSBSim has it
 
 
-NOISY = (0, 1, 2, 8)
-"""States with process noise: V, alpha, beta, p_g."""
-STATE_STD = (1.0, 0.02, 0.02, 0.05, 0.05, 0.05, 0.05, 0.05, 0.08, 0.01, 0.01)
-"""How well a manoeuvre's first samples tell its start; p_g, q_g and r_g are unknown by about their own spread."""
-NOISE_START = (0.5, 0.02, 0.02, 0.1, 0.1, 0.1, 0.1, 0.1, 0.2, 0.1, 0.1)
-"""First guesses of the process noise, per root second, of NOISY states: light turbulence, roughly; the others' do not count."""
-
-
 def start_state(V: float, alpha: float, beta: float, *others: float) -> np.ndarray:
     """x at the beginning of a segment, from the eight measured states: the air does not rotate."""
-    return np.array([V, alpha, beta, *others, 0.0, -alpha, beta])
+    return np.array([V, alpha, beta, *others, *GustStates(ESPAARO.b).start(V, alpha, beta, others[3])])
 
 
 ESPAARO = Body(21.34, 6.055, 8.26, 11.51, 0.25, 1.97, 3.66, 0.53)
@@ -108,25 +100,18 @@ class AirEquations:
     names: tuple[str, ...]
     fixed: Mapping[str, float]
     body: Body = ESPAARO
-    gust_V_mps: float = 21.0  # at which T_p, T_q = 4b/(pi V) and T_r = 3b/(pi V) are taken
 
     @property
-    def lags_s(self) -> tuple[float, float, float]:
-        """T_p, T_q, T_r."""
-        unit = self.body.b / (np.pi * self.gust_V_mps)
-        return 4.0 * unit, 4.0 * unit, 3.0 * unit
-
-    def _rotation(self, x: Any) -> tuple[Any, Any, Any]:
-        """p_g, q_g, r_g: the air's own rotation [rad/s]."""
-        _, T_q, T_r = self.lags_s
-        return x[8], (x[9] + x[1]) / T_q, (x[10] - x[2]) / T_r
+    def gusts(self) -> GustStates:
+        """The air's rotation."""
+        return GustStates(self.body.b)
 
     def _loads(self, x: Any, u: Any, theta: Any) -> tuple[Any, ...]:
         """Specific force ax, ay, az [m/s2] and moments L, M, N [N m]."""
         body, V = self.body, x[0]
         k = {**self.fixed, **{name: theta[i] for i, name in enumerate(self.names)}}
         b2V, c2V = body.b / (2.0 * V), body.c / (2.0 * V)
-        p_g, q_g, r_g = self._rotation(x)
+        p_g, q_g, r_g = self.gusts.rotation(x)
         terms = {
             "alpha": x[1], "beta": x[2], "p": (x[3] - p_g) * b2V, "q": (x[4] - q_g) * c2V, "r": (x[5] - r_g) * b2V,
             "de": u[0], "da": u[1], "dr": u[2], "dt": 0.01 * u[3], "V": V, "rho": u[4],
@@ -157,12 +142,14 @@ class AirEquations:
         det = body.Ixx * body.Izz - body.Ixz**2
         turning = q * sf + r * cf
         dalpha, dbeta = (ca * dw - sa * du) / plane, (dv - sb * dV) / plane
-        p_g, q_g, r_g = self._rotation(x)
+        turned = self.gusts.turning(x)
+        dV, dalpha, dbeta = dV + turned[0], dalpha + turned[1], dbeta + turned[2]
+        dphi = p + st / ct * turning
         return np.array(
             np.broadcast_arrays(
                 dV, dalpha, dbeta,
                 (body.Izz * roll + body.Ixz * yaw) / det, pitch / body.Iyy, (body.Ixz * roll + body.Ixx * yaw) / det,
-                p + st / ct * turning, q * cf - r * sf, -p_g / self.lags_s[0], -q_g - dalpha, dbeta - r_g,
+                dphi, q * cf - r * sf, *self.gusts.rates(x, dV, dalpha, dbeta, dphi),
             )
         )  # fmt: skip
 

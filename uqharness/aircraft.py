@@ -29,7 +29,8 @@ class InputCard(_Strict):
     """One control: the command property, its unit, the sign and the servo table (microseconds -> unit).
 
     ``selected`` is the command that counts after the aircraft's own selection (autopilot or pilot), ``position`` the surface; both
-    are optional and both are only read.
+    are optional and both are only read. ``throw_deg`` turns a normalised command into a record's degrees: 1 is that many, with the
+    record's sign.
     """
 
     property: str
@@ -38,6 +39,7 @@ class InputCard(_Strict):
     unit: Literal["deg", "rad", "pct", "norm"] = "norm"
     positive: str = ""
     limits: tuple[float, float] = (-1.0, 1.0)
+    throw_deg: float | None = None
     # Read by sysid.airframe_card, which turns servo microseconds into angles; here they only have to be allowed.
     servo_pwm: tuple[tuple[float, float], ...] | Mapping[str, float] = ()
     channel: int | None = Field(default=None, ge=1, le=32)
@@ -47,6 +49,13 @@ class InputCard(_Strict):
     def _low_then_high(cls, value: tuple[float, float]) -> tuple[float, float]:
         if not value[0] < value[1]:
             raise ValueError("limits are [low, high]")
+        return value
+
+    @field_validator("throw_deg")
+    @classmethod
+    def _moves(cls, value: float | None) -> float | None:
+        if value == 0.0:
+            raise ValueError("a throw of 0 degrees cannot be flown")
         return value
 
 

@@ -12,20 +12,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from uqharness.campaign_manifest import describe, read_manifest, refuse_if_different, write_manifest
+from uqharness.campaign_manifest import SPOILT, describe, read_manifest, refuse_if_different, write_manifest
 from uqharness.campaign_spec import CampaignSpec
 from uqharness.campaign_tables import write_tables
 from uqharness.cases import Case, Mission, build_cases
 from uqharness.errors import BadInputError
 from uqharness.executor import Executor, ProcessExecutor, usable_cores
+from uqharness.shards import SHARDS, Shard
 from uqharness.store import JOURNAL, Store, run_lock
 from uqharness.whole_files import PART
 from uqharness.worker import FlightFunction
 
 VALIDATION_S = 5.0
 """Flight time of the check that the model flies at all, made in a throw-away process before any case."""
-
-_SPOILT = "spoilt"
 
 
 @dataclass(frozen=True)
@@ -67,17 +66,26 @@ class CampaignSummary:
         return sum(number for status, number in self.statuses.items() if status != "ok")
 
 
-def find_mission(spec: CampaignSpec) -> Mission:
-    """Locate and hash what the campaign flies: relative to its own file, else as ``uqharness fly`` finds it."""
+def find_mission(spec: CampaignSpec, folder: Path = Path()) -> Mission:
+    """Locate and hash what the campaign flies: relative to its own file, else as ``uqharness fly`` finds it.
+
+    Bounds from a model form and a trimmed start fly in a copy of the aircraft within the campaign's ``folder``, not made here.
+    """
     from uqharness.aircraft import content_hash, find_aircraft
+    from uqharness.campaign_aircraft import find_copied_mission, needs_copy
     from uqharness.mission import find_script
 
     beside = spec.path.resolve().parent
     named, script_named = beside / spec.campaign.aircraft, beside / spec.campaign.mission
     aircraft = find_aircraft(named if named.is_dir() else spec.campaign.aircraft)
-    script = script_named if script_named.is_file() else find_script(spec.campaign.mission)
+    script: Path | None = None
+    if spec.start is None:
+        script = (script_named if script_named.is_file() else find_script(spec.campaign.mission)).resolve()
+    if needs_copy(spec):
+        return find_copied_mission(spec, aircraft, script, folder)
+    assert script is not None
     script_hash = hashlib.sha256(script.read_bytes()).hexdigest()
-    return Mission(aircraft.folder, content_hash(aircraft), script.resolve(), script_hash)
+    return Mission(aircraft.folder, content_hash(aircraft), script, script_hash)
 
 
 def run_campaign(
@@ -89,8 +97,11 @@ def run_campaign(
     fly: FlightFunction | None = None,
     mission: Mission | None = None,
     command: str = "",
+    shard: Shard | None = None,
 ) -> CampaignSummary:
     """Fly the campaign's missing cases into ``out_dir`` and write its tables; the same call resumes.
+
+    A ``shard`` flies its share into ``out_dir``/shards/i-of-n and writes no tables; merging does.
 
     A case counts once it is on the disk. A flight that fails is a counted row with its reason. Raises BadInputError for an
     unusable model or folder, a folder of another campaign, and a second run in the same folder; KeyboardInterrupt passes, with
@@ -101,20 +112,27 @@ def run_campaign(
 
         fly = fly_mission
     given = mission is not None
-    mission = mission or find_mission(spec)
+    folder = _folder(Path(out_dir) if shard is None else Path(out_dir) / SHARDS / shard.folder)
+    mission = mission or find_mission(spec, folder)
     cases = build_cases(spec, mission)
+    if shard is not None:
+        cases = cases[shard.number - 1 :: shard.count]
     executor = executor or ProcessExecutor(usable_cores() if workers is None else workers)
-    folder = _folder(Path(out_dir))
     with run_lock(folder):
-        manifest = describe(spec, mission, len(cases), command)
+        manifest = describe(spec, mission, len(cases), command) | ({} if shard is None else {"shard": str(shard)})
         if (folder / "manifest.json").exists() and _holds_flights(folder):
             old = read_manifest(folder)
             refuse_if_different(folder, old, manifest)
-            if old["state"] == _SPOILT:
+            if old["state"] == SPOILT:
                 raise _spoilt(folder)
         elif not (folder / "manifest.json").exists():
             _refuse_foreign(folder)
         write_manifest(folder, manifest)
+        if not given:
+            from uqharness.campaign_aircraft import make_copy, needs_copy
+
+            if needs_copy(spec):
+                make_copy(spec, mission, folder)
         with Store(folder) as store:
             try:
                 summary = _fly_missing(folder, store, cases, executor, fly, on_progress)
@@ -123,8 +141,9 @@ def run_campaign(
                 with contextlib.suppress(BadInputError):
                     write_manifest(folder, manifest | {"state": "interrupted"})
                 raise
-            _refuse_if_edited(folder, manifest, mission if given else find_mission(spec))
-            write_tables(folder, spec, cases, store.outcomes())
+            _refuse_if_edited(folder, manifest, mission if given else find_mission(spec, folder))
+            if shard is None:
+                write_tables(folder, spec, cases, store.outcomes())
         write_manifest(folder, manifest | {"state": "complete"})
     return summary
 
@@ -150,8 +169,8 @@ def validate_model(fly: FlightFunction, case: Case) -> None:
 
 def _refuse_if_edited(folder: Path, manifest: dict[str, Any], mission: Mission) -> None:
     """Flights before and after an edit would stand in one table under one hash."""
-    if manifest["hashes"] != {"aircraft": mission.aircraft_hash, "script": mission.script_hash}:
-        write_manifest(folder, manifest | {"state": _SPOILT})
+    if (manifest["hashes"]["aircraft"], manifest["hashes"]["script"]) != (mission.aircraft_hash, mission.script_hash):
+        write_manifest(folder, manifest | {"state": SPOILT})
         raise _spoilt(folder)
 
 

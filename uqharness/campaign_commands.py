@@ -1,4 +1,4 @@
-"""``uqharness campaign run | status | report``."""
+"""``uqharness campaign run | status | report | merge | rerun``."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 import json
 import shlex
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 _RUN_EXAMPLE = """examples:
   uqharness campaign run campaigns/demo/campaign.toml --out campaigns/demo/results
   uqharness campaign run campaigns/demo/campaign.toml --out big --hours 10 --workers 8
+  uqharness campaign run campaigns/demo/campaign.toml --out big --shard 3/16      one of 16 jobs; then: campaign merge big
 
 The same command resumes a run that was interrupted, killed or cut off: only missing flights are flown.
 Exit codes: 0 all flights done (failed ones are counted and reported), 2 bad input, 130 interrupted."""
@@ -26,13 +28,23 @@ _REPORT_EXAMPLE = """example:
   uqharness campaign report campaigns/demo/results
 
 Writes DIR/report.html (one file, no network needed) and DIR/figures/*.svg."""
+_MERGE_EXAMPLE = """example:
+  uqharness campaign merge big
+
+Brings the shards in DIR/shards together and writes DIR's tables, the same bytes as of a run in one piece.
+Exit codes: 0 complete, 1 flights are missing (which shards to run is said), 2 bad input."""
+_RERUN_EXAMPLE = """example:
+  uqharness campaign rerun campaigns/demo/results --case 4c4000eebc386034
+
+Writes DIR/rerun/ID/: record.parquet (all signals at 50 Hz, burn-in included), flight.svg and result.json.
+Exit codes: 0 it came out as stored (or was not stored yet), 1 it came out otherwise, 2 bad input."""
 
 
 def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the ``campaign`` command and its subcommands to a parser."""
     campaign = commands.add_parser(
         "campaign",
-        help="nested Monte Carlo campaigns: run, status, report",
+        help="nested Monte Carlo campaigns: run, status, report, merge, rerun",
         description="Fly a campaign over corners of model-form uncertainty, watch it, and report it.",
         epilog=_RUN_EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -46,12 +58,16 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         "--hours", type=float, metavar="H", help="flight hours per corner and condition, in place of [aleatory] flights"
     )
     run.add_argument(
+        "--samples", type=int, metavar="N", help="epistemic samples to draw, in place of [epistemic] samples"
+    )
+    run.add_argument(
         "--start-method",
         choices=("spawn", "forkserver", "fork"),
         default="spawn",
         help="of the processes (default spawn)",
     )
     run.add_argument("--serial", action="store_true", help="fly in this process, for debugging")
+    run.add_argument("--shard", metavar="i/n", help="fly the i-th of n shares only, to be merged later")
     run.set_defaults(handler=_run)
     status = _verb(verbs, "status", "how far a campaign is", _STATUS_EXAMPLE)
     status.add_argument("folder", type=Path, metavar="DIR", help="campaign folder")
@@ -59,6 +75,13 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     report = _verb(verbs, "report", "write report.html and the figures", _REPORT_EXAMPLE)
     report.add_argument("folder", type=Path, metavar="DIR", help="campaign folder")
     report.set_defaults(handler=_report)
+    merge = _verb(verbs, "merge", "bring shards together and write the tables", _MERGE_EXAMPLE)
+    merge.add_argument("folder", type=Path, metavar="DIR", help="campaign folder with shards")
+    merge.set_defaults(handler=_merge)
+    rerun = _verb(verbs, "rerun", "fly one case again with full output and a plot", _RERUN_EXAMPLE)
+    rerun.add_argument("folder", type=Path, metavar="DIR", help="campaign folder")
+    rerun.add_argument("--case", required=True, metavar="ID", help="case id, or the beginning of one")
+    rerun.set_defaults(handler=_rerun)
 
 
 def _verb(verbs: Any, name: str, text: str, example: str) -> argparse.ArgumentParser:
@@ -79,16 +102,24 @@ def _run(args: argparse.Namespace) -> int:
     from uqharness.campaign_spec import read_campaign
     from uqharness.executor import Executor, ProcessExecutor, SerialExecutor, usable_cores
     from uqharness.progress_view import ProgressView
+    from uqharness.shards import parse_shard
 
     spec = read_campaign(args.campaign)
     if args.hours is not None:
         spec = spec.with_hours(args.hours)
+    if args.samples is not None:
+        spec = spec.with_samples(args.samples)
     workers = usable_cores() if args.workers is None else args.workers
     executor: Executor = SerialExecutor() if args.serial else ProcessExecutor(workers, args.start_method)
     try:
         with ProgressView() as view:
             summary = run_campaign(
-                spec, args.out, executor=executor, on_progress=view.update, command=_command_line(args)
+                spec,
+                args.out,
+                executor=executor,
+                on_progress=view.update,
+                command=_command_line(args),
+                shard=parse_shard(args.shard) if args.shard is not None else None,
             )
     except KeyboardInterrupt:
         print(
@@ -104,6 +135,10 @@ def _command_line(args: argparse.Namespace) -> str:
     words = ["uqharness", "campaign", "run", str(args.campaign), "--out", str(args.out)]
     if args.hours is not None:
         words += ["--hours", f"{args.hours:g}"]
+    if args.samples is not None:
+        words += ["--samples", str(args.samples)]
+    if args.shard is not None:
+        words += ["--shard", args.shard]
     return shlex.join(words)
 
 
@@ -146,16 +181,24 @@ def _failures(statuses: dict[str, int]) -> str:
 
 
 def _status(args: argparse.Namespace) -> int:
-    from uqharness.campaign_manifest import read_manifest
+    from uqharness.campaign_manifest import MANIFEST, read_manifest
+    from uqharness.shards import shard_folders
     from uqharness.store import Store, is_running
 
-    manifest = read_manifest(args.folder)
-    with Store(args.folder, read_only=True) as store:
-        statuses = dict(sorted(store.statuses().items()))
-    done, cases = sum(statuses.values()), int(manifest["cases"])
-    complete = manifest["state"] == "complete"
+    folders = [args.folder]
+    if not (args.folder / MANIFEST).exists() and shard_folders(args.folder):
+        folders = shard_folders(args.folder)
+    manifest, counted, cases, complete = {}, Counter[str](), 0, True
+    for folder in folders:
+        manifest = read_manifest(folder)
+        with Store(folder, read_only=True) as store:
+            counted.update(store.statuses())
+        cases += int(manifest["cases"])
+        complete = complete and manifest["state"] == "complete"
+    statuses = dict(sorted(counted.items()))
+    done = sum(statuses.values())
     # A killed run could not say so itself; whether somebody holds the folder tells.
-    state = "complete" if complete else "running" if is_running(args.folder) else "interrupted"
+    state = "complete" if complete else "running" if any(map(is_running, folders)) else "interrupted"
     found = {"state": state, "cases": cases, "done": done, "failed": done - statuses.get("ok", 0), "statuses": statuses}
     if args.json:
         print(json.dumps(found))
@@ -178,3 +221,41 @@ def _report(args: argparse.Namespace) -> int:
         for sentence in report.verdict:
             print(f"  {sentence}")
     return 0
+
+
+def _merge(args: argparse.Namespace) -> int:
+    from uqharness.shards import merge
+
+    merged = merge(args.folder)
+    done = merged.cases - merged.missing
+    if args.json:
+        found = {"cases": merged.cases, "done": done, "missing": merged.missing, "statuses": merged.statuses}
+        print(json.dumps(found | {"shards": list(merged.shards)}))
+    else:
+        print(
+            f"{merged.folder}: {done} of {merged.cases} flights from {len(merged.shards)} shards, {_failures(merged.statuses)}"
+        )
+    if merged.missing and not args.json:
+        print(
+            f"{merged.missing} flights are in none of {', '.join(merged.shards)}; fly the shards that lack, then merge again",
+            file=sys.stderr,
+        )
+    return 1 if merged.missing else 0
+
+
+def _rerun(args: argparse.Namespace) -> int:
+    from uqharness.rerun import rerun_case
+
+    found = rerun_case(args.folder, args.case)
+    outcome = found.outcome
+    if args.json:
+        document: dict[str, Any] = {"case_id": found.case.case_id, "status": outcome.status, "reason": outcome.reason}
+        document |= {"same_as_stored": found.same, "differences": list(found.differences)}
+        print(json.dumps(document | {"files": [str(path) for path in found.files]}))
+    else:
+        how = {True: "as stored", False: "NOT as stored", None: "not flown before"}[found.same]
+        end = f" ({outcome.reason})" if outcome.reason else ""
+        print(f"{found.folder}: {outcome.status}{end}, {how}; {', '.join(path.name for path in found.files)}")
+        for difference in found.differences:
+            print(f"  {difference}")
+    return 1 if found.same is False else 0

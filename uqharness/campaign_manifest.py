@@ -10,12 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import uqharness
-from uqharness.campaign_spec import CampaignSpec
+from uqharness.campaign_spec import CampaignSpec, campaign_from
 from uqharness.cases import Mission
 from uqharness.errors import BadInputError
 from uqharness.whole_files import write_bytes
 
 MANIFEST = "manifest.json"
+SPOILT = "spoilt"
+"""State of a folder whose aircraft or script was edited while it flew."""
+
 _FORMAT = 1
 # A change in one of these may change a flight; the others are recorded for the reader.
 _BINDING_VERSIONS = ("uqharness", "jsbsim", "numpy")
@@ -39,9 +42,15 @@ def describe(spec: CampaignSpec, mission: Mission, cases: int, command: str) -> 
         "seed": spec.campaign.seed,
         "cases": cases,
         "campaign": spec.as_dict(),
+        "campaign_file": str(spec.path.resolve()),
         "versions": versions(),
-        "hashes": {"aircraft": mission.aircraft_hash, "script": mission.script_hash},
+        "hashes": {"aircraft": mission.aircraft_hash, "script": mission.script_hash, **spec.inputs.hashes},
     }
+
+
+def spec_of(manifest: Mapping[str, Any]) -> CampaignSpec:
+    """The campaign that a manifest describes. Raises BadInputError, if a file it names has gone for one."""
+    return campaign_from(manifest["campaign"], Path(manifest.get("campaign_file", "campaign.toml")))
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -83,6 +92,10 @@ def refuse_if_different(folder: Path, old: Mapping[str, Any], new: Mapping[str, 
         if before != after:
             what = now.get(f"campaign.{setting}")
             differences.append(f"the content of the {name} ({what}) has changed: {before[:12]} then, {after[:12]} now")
+    for role in sorted((old["hashes"].keys() | new["hashes"].keys()) - {"aircraft", "script"}):
+        before, after = (hashes.get(role, "absent")[:12] for hashes in (old["hashes"], new["hashes"]))
+        if before != after:
+            differences.append(f"the content of the file named as {role} has changed: {before} then, {after} now")
     if differences:
         raise BadInputError(
             f"{folder}: this folder holds another campaign: {'; '.join(differences)}. "

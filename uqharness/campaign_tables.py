@@ -13,7 +13,7 @@ import pandas as pd
 import pyarrow as pa
 
 from uqharness.campaign_spec import CampaignSpec
-from uqharness.case_table import CASES, ERROR_METRICS, build_table, write_table
+from uqharness.case_table import CASES, ERROR_METRICS, UNCOMMANDED_METRICS, build_table, write_table
 from uqharness.cases import Case
 from uqharness.pbox import ExcursionRate, PBox, Sample, best_and_worst, excursion_rate, pbox
 from uqharness.whole_files import write_bytes
@@ -89,7 +89,7 @@ def samples(frame: pd.DataFrame, metric: str) -> list[Sample]:
 
 def pboxes(frame: pd.DataFrame) -> Iterator[tuple[str, Condition, PBox]]:
     """Every p-box of a case table: metric by metric, condition by condition. A metric that no flight has is left out."""
-    for metric in ERROR_METRICS:
+    for metric in (*ERROR_METRICS, *(name for name in UNCOMMANDED_METRICS if name in frame)):
         for condition in conditions(frame):
             found = samples(in_condition(frame, condition), metric)
             if any(sample.values.size for sample in found):
@@ -105,11 +105,18 @@ def excursion_cells(frame: pd.DataFrame, radii_m: Iterable[float]) -> list[Excur
         for distance, suffix in (("horizontal", ""), ("3d", "_3d")):
             for radius in radii_m:
                 column = f"excursions_{radius:g}m{suffix}"
-                if rows[column].isna().all() and distance == "3d":
+                if _not_measured(rows, column, distance):
                     continue
                 rates = tuple(_rate(name, group, column, len(groups)) for name, group in groups)
                 cells.append(ExcursionCell(condition, float(radius), distance, rates))
     return cells
+
+
+def _not_measured(rows: pd.DataFrame, column: str, distance: str) -> bool:
+    """Whether no flight of this aircraft has that count: one that ended well lacks it. Failed flights alone tell nothing."""
+    ended_well = rows[rows["status"] == "ok"]
+    unknown = bool(rows[column].isna().all())
+    return unknown and (distance == "3d" or len(ended_well) > 0)
 
 
 def _rate(name: str, group: pd.DataFrame, column: str, corners: int) -> ExcursionRate:

@@ -28,6 +28,10 @@ ERROR_METRICS = tuple(
 """Statistics of |error| over a flight, true and (``_measured``) as the noise-laden sensors saw it."""
 
 
+UNCOMMANDED_METRICS = ("heading_median_deg", "heading_mean_deg", "heading_max_deg", "load_factor_max")
+"""What a flight without a commanded path is scored by besides; columns only of a campaign that has them."""
+
+
 def excursion_columns(radii_m: Iterable[float]) -> tuple[str, ...]:
     """Names of the excursion counts: horizontal distance first, then the 3-D ones."""
     radii = tuple(radii_m)
@@ -44,13 +48,15 @@ def build_table(cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> pa.Ta
     """
     by_id = {outcome.case_id: outcome for outcome in outcomes}
     radii = cases[0].flight.excursion_radius_m if cases else ()
-    schema = _schema(radii)
+    found = {name for outcome in by_id.values() for name in outcome.metrics}
+    more = tuple(name for name in UNCOMMANDED_METRICS if name in found)
+    schema = _schema(radii, more, tuple(cases[0].inputs) if cases else ())
     columns: dict[str, list[Any]] = {name: [] for name in schema.names}
     for case in cases:
         outcome = by_id.get(case.case_id)
         if outcome is None:
             continue
-        for name, value in _row(case, outcome, radii).items():
+        for name, value in _row(case, outcome, radii, more).items():
             columns[name].append(value)
     return pa.table([pa.array(columns[field.name], field.type) for field in schema], schema=schema)
 
@@ -83,17 +89,17 @@ def read_table(path: Path) -> pa.Table:
         raise BadInputError(f"{path}: not a readable parquet file: {error}") from None
 
 
-def _schema(radii_m: Sequence[float]) -> pa.Schema:
+def _schema(radii_m: Sequence[float], more: Sequence[str], inputs: Sequence[str]) -> pa.Schema:
     text, real, whole = pa.string(), pa.float64(), pa.int64()
     fields = [("case_id", text), ("epistemic_id", text), *((f"level_{name}", real) for name in COEFFICIENTS)]
     fields += [("aleatory_id", whole), ("wind_mps", real), ("turbulence", text), ("seed", whole), ("duration_s", real)]
     fields += [("status", text), ("reason", text), *((name, real) for name in ERROR_METRICS)]
     fields += [(name, whole) for name in excursion_columns(radii_m)]
-    fields += [("loss_of_control", whole), ("extrapolated_share", real)]
+    fields += [("loss_of_control", whole), ("extrapolated_share", real), *((name, real) for name in (*more, *inputs))]
     return pa.schema(fields)
 
 
-def _row(case: Case, outcome: CaseOutcome, radii_m: Sequence[float]) -> dict[str, Any]:
+def _row(case: Case, outcome: CaseOutcome, radii_m: Sequence[float], more: Sequence[str]) -> dict[str, Any]:
     ok = outcome.status == "ok"
     flight = case.flight
     scored_s = flight.duration_s if ok else min(max(outcome.flown_s - flight.burn_in_s, 0.0), flight.duration_s)
@@ -108,8 +114,8 @@ def _row(case: Case, outcome: CaseOutcome, radii_m: Sequence[float]) -> dict[str
         "status": outcome.status,
         "reason": outcome.reason or "; ".join(f"{name}: {why}" for name, why in sorted(outcome.undefined.items())),
     }
-    row |= {f"level_{name}": case.levels.get(name) for name in COEFFICIENTS}
-    row |= {name: _finite(outcome, name) if ok else None for name in (*ERROR_METRICS, "extrapolated_share")}
+    row |= {f"level_{name}": case.levels.get(name) for name in COEFFICIENTS} | dict(case.inputs)
+    row |= {name: _finite(outcome, name) if ok else None for name in (*ERROR_METRICS, "extrapolated_share", *more)}
     for name in (*excursion_columns(radii_m), "loss_of_control"):
         value = _finite(outcome, name)
         row[name] = None if value is None else round(value)

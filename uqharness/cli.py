@@ -12,14 +12,17 @@ from collections.abc import Sequence
 
 from uqharness import (
     __version__,
+    bounds_command,
     campaign_commands,
     compare_command,
     fly_command,
     identify_command,
+    instrument_command,
     log_command,
     margins_command,
     modes_command,
     refine_command,
+    sensitivity_command,
 )
 from uqharness.errors import BadInputError
 
@@ -40,9 +43,18 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"uqharness {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for module in (
-        fly_command, modes_command, margins_command, log_command, identify_command, compare_command, refine_command,
+        fly_command,
+        modes_command,
+        margins_command,
+        log_command,
+        identify_command,
+        compare_command,
+        bounds_command,
+        instrument_command,
+        refine_command,
         campaign_commands,
-    ):  # fmt: skip
+        sensitivity_command,
+    ):
         module.register(commands)
     return parser
 

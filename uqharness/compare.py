@@ -23,7 +23,7 @@ from uqharness.errors import BadInputError
 from uqharness.flights import Flight, measured_outputs, segments, states
 from uqharness.identify import BIASES, OUTPUTS
 from uqharness.identify_start import demand_of, forced_at
-from uqharness.replay import CHANNELS, SENSOR_OF, Replay, Segment
+from uqharness.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF, Replay, Segment
 from uqharness.replay_layout import delayed, nuisance_layout
 from uqharness.replay_model import CONTROLS, ReplayFolder, ReplayModel
 from uqharness.replay_pool import replay_pool
@@ -182,7 +182,7 @@ def _starts(
     replay = Replay(model, flown, inner.names, judged, uuid.uuid4().hex)
     fit = output_error(
         replay, np.zeros(len(inner.names)), wanted, names=inner.names, bounds=inner.bounds, tolerance=0.05, max_iterations=15,
-        map=None if spread is map else spread,
+        differences="secant", map=None if spread is map else spread,
     )  # fmt: skip
     if not fit.converged:
         notes.append("start states and biases did not settle: the gaps may be too large")
@@ -223,12 +223,9 @@ def _coefficients(
 
 
 def _allowed(names: Sequence[str], theta: Array, channel: str) -> float:
-    found = [
-        float(v)
-        for n, v in zip(names, theta, strict=True)
-        if n.startswith("delay/") and n.endswith(f"/{SENSOR_OF.get(channel, channel)}")
-    ]
-    return found[0] if found else 0.0
+    """How late, s, the channel was let come after the commands: the controls' delay and its own sensor's."""
+    ends = (f"/{CONTROL_DELAY}", f"/{SENSOR_OF.get(channel, channel)}")
+    return float(sum(v for n, v in zip(names, theta, strict=True) if n.startswith("delay/") and n.endswith(ends)))
 
 
 def _channel(

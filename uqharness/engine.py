@@ -7,9 +7,12 @@ Each is met here, so that the callers see :class:`~uqharness.errors.BadInputErro
 
 from __future__ import annotations
 
+import atexit
 import difflib
 import os
 import re
+import shutil
+import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -93,6 +96,18 @@ def default_root() -> Path:
     return Path(jsbsim.get_default_root_dir())
 
 
+_scratch: str | None = None
+
+
+def _nowhere() -> str:
+    """A folder that goes when the process does: JSBSim opens the files of a model's own <output> even when output is disabled."""
+    global _scratch
+    if _scratch is None:
+        _scratch = tempfile.mkdtemp(prefix="uqharness-output-")
+        atexit.register(shutil.rmtree, _scratch, ignore_errors=True)
+    return _scratch
+
+
 def _new(
     root: Path, dt_s: float, aircraft: str | Path | None, engine: str | Path | None, systems: str | Path | None
 ) -> Any:
@@ -105,6 +120,7 @@ def _new(
         fdm.set_engine_path(str(engine))
     if systems is not None:
         fdm.set_systems_path(str(systems))
+    fdm.set_output_path(_nowhere())
     fdm.set_dt(dt_s)
     return fdm
 
@@ -137,6 +153,8 @@ def open_fdm(
             f"aircraft '{aircraft_name}': JSBSim could not load it: {log.take() or 'no reason given'}; "
             f"expected {aircraft_name}/{aircraft_name}.xml with <metrics>, <mass_balance>, <ground_reactions> and <aerodynamics>"
         )
+    # A model may carry <output> elements of its own; a host records for itself.
+    fdm.disable_output()
     return fdm
 
 
@@ -157,7 +175,6 @@ def open_script(
         raise BadInputError(f"script {script}: JSBSim refused it: {log.take() or _one_line(error)}") from None
     if not loaded:
         raise BadInputError(f"script {script}: JSBSim could not load it: {log.take() or 'no reason given'}")
-    # A model may carry <output> elements of its own; a host records for itself.
     fdm.disable_output()
     return fdm
 

@@ -4,23 +4,29 @@ from __future__ import annotations
 
 import atexit
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import lru_cache
-from itertools import islice, repeat
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uqharness import engine
-from uqharness.aircraft import Aircraft, find_aircraft, find_folder, folder_hash
+from uqharness.aircraft import find_aircraft, find_folder, folder_hash
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import TURBULENCE_W20_KT, FlightResult, FlightSpec
-from uqharness.loiter_metrics import absolute_statistics, count_excursions, lost_control
+from uqharness.mass_change import CHANGEABLE
 from uqharness.mission import StagedMission, find_script, refuse_conflicts
 from uqharness.properties import FT, Source
+from uqharness.scoring import (
+    Recorded,
+    commanded_signals,
+    from_start_signals,
+    score_commanded,
+    score_from_start,
+)
+from uqharness.start_spec import MARK
+from uqharness.stepping import first_levels, has_air, stepper
 
-_HOST_GUSTS = ("u-mps", "v-mps", "w-mps", "p-rad_sec", "q-rad_sec", "r-rad_sec")
 _CONDITION_PROPERTIES = (
     "air/wind-mps",
     "air/wind-from-deg",
@@ -50,15 +56,18 @@ def fly(spec: FlightSpec) -> FlightResult:
     A flight that goes wrong (not finite, into the ground, an exception in flight) is a FlightResult with its status and reason.
     Raises BadInputError for what cannot start: unknown aircraft, script or property, impossible values.
     """
-    mission = _staged(str(spec.aircraft), str(spec.script), _fingerprint(spec))
-    aircraft = mission.aircraft
-    signals = {key: Source(card.true) for key, card in aircraft.card.metrics.items()}
-    signals |= {
-        f"{key}_measured": Source(card.measured) for key, card in aircraft.card.metrics.items() if card.measured
-    }
+    mission = staged_mission(spec)
+    steady = MARK in mission.script.run_properties
+    from_start = steady or not mission.aircraft.card.metrics
+    signals = from_start_signals(steady) if from_start else commanded_signals(mission.aircraft)
     signals |= {"phi_rad": Source("attitude/phi-rad"), "alpha_rad": Source("aero/alpha-rad")}
     recorded = record_mission(mission, spec, signals, optional={"extrapolated": Source("uq/extrapolated")})
-    return _score(spec, recorded, aircraft)
+    return score_from_start(spec, recorded) if from_start else score_commanded(spec, recorded)
+
+
+def staged_mission(spec: FlightSpec) -> StagedMission:
+    """The mission of a flight, staged once for as long as aircraft and script stay what they are. Raises BadInputError."""
+    return _staged(str(spec.aircraft), str(spec.script), _fingerprint(spec))
 
 
 def _fingerprint(spec: FlightSpec) -> str:
@@ -74,18 +83,6 @@ def _staged(aircraft: str, script: str, fingerprint: str) -> StagedMission:
     return mission
 
 
-class Recorded:
-    """Signals of one flight as flown so far, and how it ended."""
-
-    def __init__(
-        self, names: Sequence[str], rows: NDArray[np.float64], status: str, reason: str, flown_s: float
-    ) -> None:
-        self.status = status
-        self.reason = reason
-        self.flown_s = flown_s
-        self.signals: dict[str, NDArray[np.float64]] = {name: rows[:, column] for column, name in enumerate(names)}
-
-
 def record_mission(
     mission: StagedMission,
     spec: FlightSpec,
@@ -97,19 +94,25 @@ def record_mission(
 
     Rows are taken after a step, so the accelerations of a row have seen the command of that row. Raises BadInputError.
     """
-    fdm = mission.open()
+    changed = {name: value for name, value in spec.properties.items() if name in CHANGEABLE}
+    fdm = mission.open(changed=changed)
     dt_s = fdm.get_delta_t()
     stride = _stride(spec, dt_s)
     set_conditions(fdm, mission, spec)
+    for name, value in first_levels(spec, dt_s).items():
+        engine.set_property(fdm, name, value)
     engine.run_ic(fdm)
     _require_kept(fdm, spec.properties)
+    set_wind_without_air(fdm, spec)
+    if MARK in mission.script.run_properties and fdm.get_propulsion().get_num_engines():
+        engine.settle_engines(fdm)
     present = {name: source for name, source in (optional or {}).items() if _exists(fdm, source)}
     table = {"time_s": Source("simulation/sim-time-sec"), **signals, **present}
     read = _reader(fdm, table)
     burn = 0 if keep_burn_in else math.ceil(round(spec.burn_in_s / (dt_s * stride), 9))
     total_s = spec.duration_s + (spec.burn_in_s if keep_burn_in else 0.0)
     wanted = math.ceil(round(total_s / (dt_s * stride), 9))
-    advance = _advance(fdm, spec, mission.aircraft, dt_s, (burn + wanted) * stride)
+    advance = stepper(fdm, spec, dt_s, (burn + wanted) * stride)
     rows = np.full((wanted + 1, len(table)), np.nan)
     height = engine.handle(fdm, "position/h-agl-ft").get_double_value
     speed = engine.handle(fdm, "velocities/vt-fps").get_double_value
@@ -182,16 +185,16 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
         if name in _RESERVED:
             raise BadInputError(f"property {name} is not for setting by name: {_RESERVED[name]}")
     refuse_conflicts(mission.script, [*_CONDITION_PROPERTIES, *spec.properties])
-    # Asked by what the systems publish: a script that sets air/wind-mps makes that property whether anything reads it or not.
-    has_air = fdm.get_property_manager().hasNode("air/wind-north-fps")
-    if not has_air and (spec.wind_mps or spec.turbulence != "none"):
+    with_air = has_air(fdm)
+    if not with_air and spec.turbulence != "none" and spec.turbulence_source == "jsbsim":
         raise BadInputError(
-            f"aircraft '{mission.aircraft.name}' has no air system (property air/wind-north-fps), so no wind or turbulence; "
-            'add <system file="air"/> to its XML'
+            f"aircraft '{mission.aircraft.name}' has no air system (property air/wind-north-fps), and JSBSim's own turbulence by "
+            'itself is wrong in a wind and above sea level (docs/jsbsim-traps.md): use turbulence_source = "spec" '
+            '(--turbulence-source spec), or add <system file="air"/> to its XML'
         )
     fdm["simulation/randomseed"] = spec.seed_noise
     fdm["atmosphere/randomseed"] = spec.seed_turbulence
-    if has_air:
+    if with_air:
         fdm["air/wind-mps"] = spec.wind_mps
         fdm["air/wind-from-deg"] = spec.wind_from_deg
         fdm["air/turbulence-w20-kt"] = TURBULENCE_W20_KT[spec.turbulence]
@@ -199,108 +202,41 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
     if fdm.get_property_manager().hasNode("sensor/V-mps"):
         fdm["sensor/noise"] = float(spec.sensor_noise)
     elif spec.sensor_noise:
-        raise BadInputError(f"aircraft '{mission.aircraft.name}' has no sensors system (property sensor/V-mps)")
+        raise BadInputError(
+            f"aircraft '{mission.aircraft.name}' has no sensors system (property sensor/V-mps): fly it with sensor_noise = false "
+            "(without --noise)"
+        )
     for name, value in spec.properties.items():
-        engine.set_property(fdm, name, value)
+        if name not in CHANGEABLE:
+            engine.set_property(fdm, name, value)
     # The script's start is an airspeed; over the ground the aircraft moves with the wind as well.
     toward = math.radians(spec.wind_from_deg + 180.0)
     if spec.wind_mps:
         north, east = fdm["ic/vn-fps"], fdm["ic/ve-fps"]
         fdm["ic/vn-fps"] = north + spec.wind_mps * math.cos(toward) / FT
         fdm["ic/ve-fps"] = east + spec.wind_mps * math.sin(toward) / FT
+        if not with_air:
+            # Set after the velocity over the ground, which it then leaves alone; JSBSim's direction is where the wind blows to.
+            fdm["ic/vw-dir-deg"] = math.degrees(toward)
+            fdm["ic/vw-mag-fps"] = spec.wind_mps / FT
+
+
+def set_wind_without_air(fdm: Any, spec: FlightSpec) -> None:
+    """Blow the steady wind through JSBSim's own properties where no air system does; initialising would have undone it."""
+    if has_air(fdm):
+        return
+    toward = math.radians(spec.wind_from_deg + 180.0)
+    fdm["atmosphere/wind-north-fps"] = spec.wind_mps * math.cos(toward) / FT
+    fdm["atmosphere/wind-east-fps"] = spec.wind_mps * math.sin(toward) / FT
+    fdm["atmosphere/wind-down-fps"] = 0.0
 
 
 def _require_kept(fdm: Any, properties: Mapping[str, float]) -> None:
     """BadInputError for a setting that initialising has overwritten: it would move nothing, in silence."""
     for name, value in properties.items():
         kept = fdm[name]
-        if not name.startswith("ic/") and abs(kept - value) > 1e-9 * max(abs(value), 1.0):
+        if name not in CHANGEABLE and not name.startswith("ic/") and abs(kept - value) > 1e-9 * max(abs(value), 1.0):
             raise BadInputError(
                 f"property {name} was set to {value:g} and stands at {kept:g} after initialising: the model computes it, "
                 "so it cannot be set"
             )
-
-
-def _advance(fdm: Any, spec: FlightSpec, aircraft: Aircraft, dt_s: float, steps: int) -> Callable[[int], None]:
-    """A function that runs n steps; with host-supplied turbulence it feeds the gusts step by step."""
-    run = fdm.run
-    if spec.turbulence == "none" or spec.turbulence_source == "jsbsim":
-
-        def plain(count: int) -> None:
-            for _ in repeat(None, count):
-                run()
-
-        return plain
-    # Imported here: scipy.signal takes a second to load, and calm flights do without.
-    from uqharness.dryden import dryden_gusts
-
-    gusts = dryden_gusts(
-        steps,
-        dt_s,
-        V_mps=max(float(fdm["velocities/vt-fps"]) * FT, 1.0),
-        h_m=max(float(fdm["position/h-agl-ft"]) * FT, 3.048),
-        W20_kt=TURBULENCE_W20_KT[spec.turbulence],
-        b_m=float(fdm["metrics/bw-ft"]) * FT,
-        seed=spec.seed_turbulence,
-    )
-    columns = (gusts.u_mps, gusts.v_mps, gusts.w_mps, gusts.p_radps, gusts.q_radps, gusts.r_radps)
-    feed = zip(*(column.tolist() for column in columns), strict=True)
-    set_u, set_v, set_w, set_p, set_q, set_r = (
-        engine.handle(fdm, f"air/host/{name}").set_double_value for name in _HOST_GUSTS
-    )
-
-    def fed(count: int) -> None:
-        for u, v, w, p, q, r in islice(feed, count):
-            set_u(u)
-            set_v(v)
-            set_w(w)
-            set_p(p)
-            set_q(q)
-            set_r(r)
-            run()
-
-    return fed
-
-
-def _score(spec: FlightSpec, recorded: Recorded, aircraft: Aircraft) -> FlightResult:
-    units = {"cross_track": "m", "altitude": "m", "speed": "mps", "distance_3d": "m"}
-    metrics: dict[str, float] = {}
-    undefined: dict[str, str] = {}
-    complete = recorded.status == "ok"
-    for key, unit in units.items():
-        if key == "distance_3d":
-            continue
-        for suffix in ("", "_measured"):
-            values = recorded.signals.get(key + suffix)
-            names = [f"{key}_{kind}_{unit}{suffix}" for kind in ("median", "mean", "max")]
-            if values is None or not complete:
-                why = recorded.reason if values is not None else f"the card names no {key}{suffix} under [metrics]"
-                metrics |= dict.fromkeys(names, math.nan)
-                undefined |= dict.fromkeys(names, why)
-            else:
-                metrics |= dict(zip(names, absolute_statistics(values), strict=True))
-    for radius in spec.excursion_radius_m:
-        for key, suffix in (("cross_track", ""), ("distance_3d", "_3d")):
-            values = recorded.signals.get(key)
-            name = f"excursions_{radius:g}m{suffix}"
-            if values is None:
-                metrics[name], undefined[name] = math.nan, f"the card names no {key} under [metrics]"
-            else:
-                # What was flown counts, however the flight ended: a campaign bounds the rest from above.
-                metrics[name] = float(count_excursions(values, radius, spec.rearm_m))
-    altitude = recorded.signals.get("altitude", np.zeros(0))
-    lost = not complete or lost_control(
-        recorded.signals["phi_rad"],
-        recorded.signals["alpha_rad"],
-        altitude if altitude.size else np.zeros_like(recorded.signals["phi_rad"]),
-    )
-    metrics["loss_of_control"] = float(lost)
-    outside = recorded.signals.get("extrapolated")
-    if outside is None or outside.size == 0:
-        metrics["extrapolated_share"], undefined["extrapolated_share"] = (
-            math.nan,
-            "the aircraft publishes no uq/extrapolated",
-        )
-    else:
-        metrics["extrapolated_share"] = float(np.mean(outside > 0.5))
-    return FlightResult(recorded.status, recorded.reason, recorded.flown_s, metrics, undefined, recorded.signals)

@@ -26,12 +26,27 @@ STATUSES = ("ok", "diverged", "crashed", "timeout")
 
 
 @dataclass(frozen=True)
+class LevelDriver:
+    """How the levels of one epistemic sample move in flight: ``kind`` white (redrawn each step) or walk (reflecting random walk).
+
+    ``coefficients`` move, each in the stream (root seed, epistemic id, coefficient); ``rates_per_sqrt_s`` (1/sqrt(s), one per
+    coefficient) belong to a walk and are empty for white. Levels that stand still are plain ``properties``.
+    """
+
+    kind: Literal["white", "walk"]
+    root_seed: int
+    epistemic_id: str
+    coefficients: tuple[str, ...]
+    rates_per_sqrt_s: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
 class FlightSpec:
     """One flight of a mission script, complete: the same spec gives the same bytes in any process.
 
     ``duration_s`` is scored and follows ``burn_in_s``, which is flown and not scored. ``seed_turbulence`` and ``seed_noise`` are
     the streams of the air and of the sensors (any integers >= 0). ``properties`` are set after loading, before initialising
-    (levels, bounds, coefficients, gains); they win over the script's own run properties.
+    (levels, bounds, coefficients, gains); they win over the script's own run properties. ``levels`` moves uq/<C>/level each step.
     """
 
     aircraft: Path
@@ -49,6 +64,7 @@ class FlightSpec:
     excursion_radius_m: tuple[float, ...] = (15.0, 25.0)
     rearm_m: float = 2.0
     record_rate_hz: float = 10.0
+    levels: LevelDriver | None = None
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -228,3 +229,9 @@ def read_flights(
     names = renamed([path.stem for path in paths])
     flights = [prepare(n, r, measured, min_s, max_s) for n, r in zip(names, records, strict=True)]
     return flights, measured
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file's bytes."""
+    with path.open("rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()

@@ -23,10 +23,11 @@ from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
 from uqharness.flights import Flight, measured_outputs, segments
 from uqharness.identify_start import demand_of, equation_error_start, forced_at
-from uqharness.replay import CHANNELS, STATES, Replay, Segment
+from uqharness.replay import CHANNELS, STATES, Replay, Segment, counter
 from uqharness.replay_layout import Layout, delayed, nuisance_layout
 from uqharness.replay_model import CONTROLS, ReplayFolder, ReplayModel
-from uqharness.replay_pool import replay_pool
+from uqharness.replay_pool import process_count, replay_pool
+from uqharness.replay_speed import Speed, bare_rate
 
 Array = NDArray[np.float64]
 OUTPUTS = (
@@ -72,6 +73,7 @@ class Identification:
     notes: tuple[str, ...]
     simulations: int
     seconds: float
+    speed: Speed | None = None
 
     @property
     def identified(self) -> tuple[str, ...]:
@@ -115,6 +117,7 @@ def identify(
         outputs = tuple(c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights))
         data = [block for f in flights for block in measured_outputs(f, outputs)]
         noise = channel_noise(data, outputs, aircraft.card.sensors.noise_std)
+        bare, flown, started = bare_rate(model, cut[0]), counter["rows"], time.perf_counter()
         with replay_pool(workers) as spread:
             fit, layout, replay = _output_error(
                 model,
@@ -129,8 +132,13 @@ def identify(
                 delayed(flights, outputs, delays),
                 spread,
             )
+        taken = time.perf_counter() - started
         seconds = time.perf_counter() - begun
-        found = _assemble(aircraft, names, initial, fit, layout, replay, cut, outputs, data, noise, notes, seconds)
+        flown_s = (counter["rows"] - flown) * cut[0].dt_s
+        speed = Speed(fit.n_simulations / taken, flown_s / taken, process_count(workers), bare)
+        found = _assemble(
+            aircraft, names, initial, fit, layout, replay, cut, outputs, data, noise, notes, seconds, speed
+        )
         if method == "output-error" or (method == "auto" and not process_noise_shown(*_sensed(found))):
             return found
         from uqharness.identify_filter import filter_route
@@ -248,7 +256,7 @@ def _output_error(
 def _assemble(
     aircraft: Aircraft, names: tuple[str, ...], initial: Array, fit: OutputErrorFit, layout: Layout, replay: Replay,
     cut: Sequence[Segment], outputs: tuple[str, ...], data: list[Array], noise: Mapping[str, float], notes: Sequence[str],
-    seconds: float,
+    seconds: float, speed: Speed,
 ) -> Identification:  # fmt: skip
     k = len(names)
     identified = [i for i in range(k) if fit.status[names[i]] == "identified"]
@@ -262,6 +270,7 @@ def _assemble(
         cov=fit.cov[np.ix_(identified, identified)], nuisance=hidden, outputs=outputs, segments=tuple(cut), measured=data,
         modelled=replay(fit.theta), residual=fit.residual, whiteness=fit.whiteness, noise=noise, method="output error",
         converged=fit.converged, warnings=tuple(warnings), notes=tuple(notes), simulations=fit.n_simulations, seconds=seconds,
+        speed=speed,
     )  # fmt: skip
 
 

@@ -45,16 +45,20 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     parser.set_defaults(handler=_run)
 
 
-def add_flight_arguments(parser: argparse.ArgumentParser, many: bool) -> None:
-    """Arguments that identify and compare share."""
-    parser.add_argument("aircraft", metavar="AIRCRAFT", help="name under aircraft/ or a folder")
+def add_flight_arguments(
+    parser: argparse.ArgumentParser, many: bool, replay: bool = True, aircraft: bool = True, out: bool = True
+) -> None:
+    """Arguments that commands on flights share; those of a replay, the aircraft and --out only where asked for."""
+    if aircraft:
+        parser.add_argument("aircraft", metavar="AIRCRAFT", help="name under aircraft/ or a folder")
     parser.add_argument(
         "--flight", type=Path, nargs="+" if many else None, action="extend" if many else "store", required=True,
         metavar="FILE", help="flight record (.parquet, .csv) or any log that `log import` reads" + ("; repeatable" if many else ""),
     )  # fmt: skip
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the results, made if need be"
-    )
+    if out:
+        parser.add_argument(
+            "--out", type=Path, required=True, metavar="DIR", help="folder for the results, made if need be"
+        )
     parser.add_argument("--map", type=Path, metavar="MAP.toml", help="signal map of your own for logs")
     parser.add_argument(
         "--manoeuvres",
@@ -66,13 +70,15 @@ def add_flight_arguments(parser: argparse.ArgumentParser, many: bool) -> None:
         "--servos", choices=("card", "ideal"), default="card",
         help="commands go through the aircraft's actuators, or surfaces and throttle follow them at once (default %(default)s)",
     )  # fmt: skip
+    if not replay:
+        return
     parser.add_argument(
         "--biases", metavar="C,C", help="channels with a constant sensor bias to estimate, or none (default p,q,r)"
     )
     parser.add_argument(
         "--delays",
         metavar="C,C",
-        help="channels whose delay is estimated, or none (default: all of a log, none of a record)",
+        help="what is late by a delay to be estimated: channels, controls, or none (default: controls, and all of a log)",
     )
 
 
@@ -82,6 +88,7 @@ def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
     Raises BadInputError.
     """
     from uqharness.identify import OUTPUTS
+    from uqharness.replay import CONTROL_DELAY
 
     if text is None:
         return None
@@ -89,9 +96,12 @@ def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
         return ()
     short = {c.split("_")[0]: c for c in OUTPUTS}
     names = [short.get(n.strip(), n.strip()) for n in text.split(",")]
-    unknown = [n for n in names if n not in OUTPUTS]
+    further = (CONTROL_DELAY,) if option == "--delays" else ()
+    unknown = [n for n in names if n not in (*OUTPUTS, *further)]
     if unknown:
-        raise BadInputError(f"{option} {text}: unknown channel {unknown[0]}; allowed are none, {', '.join(short)}")
+        raise BadInputError(
+            f"{option} {text}: unknown channel {unknown[0]}; allowed are none, {', '.join((*further, *short))}"
+        )
     return tuple(dict.fromkeys(names))
 
 
@@ -119,7 +129,7 @@ def _run(args: argparse.Namespace) -> int:
             f"--out {args.out}: the folder {args.out.absolute().parent} does not exist; create it first"
         )
     # Imported here: scipy and pandas take a second that --help should not pay.
-    from uqharness.flights import read_flights
+    from uqharness.flights import file_hash, read_flights
     from uqharness.identify import BIASES, identify
     from uqharness.identify_report import write_results
 
@@ -129,15 +139,27 @@ def _run(args: argparse.Namespace) -> int:
         ideal_servos=args.servos == "ideal", method=args.method, workers=args.workers,
     )  # fmt: skip
     out = results_folder(args.out)
-    command = ["uqharness", "identify", args.aircraft, "--flight", *(p.name for p in args.flight)]
-    document = write_results(found, aircraft, [p.name for p in args.flight], command, out)
+    hashes = [file_hash(p) for p in args.flight]
+    document = write_results(found, aircraft, [p.name for p in args.flight], _command(args), out, hashes)
     if not args.no_figures:
         _figures(found, out)
     if args.json:
         print(json.dumps(document))
     else:
         print(_summary(document, [n for f in flights for n in f.notes], out))
+        if found.speed is not None:
+            print(found.speed.text())
     return 0 if found.converged and found.identified else 1
+
+
+def _command(args: argparse.Namespace) -> list[str]:
+    """The command line that repeats this run: every option that was given."""
+    words = ["uqharness", "identify", args.aircraft, "--flight", *map(str, args.flight)]
+    for option in ("params", "start", "method", "servos", "biases", "delays", "manoeuvres", "map", "workers"):
+        value = getattr(args, option)
+        if value is not None:
+            words += [f"--{option}", str(value)]
+    return [*words, *(["--no-figures"] if args.no_figures else []), "--out", str(args.out)]
 
 
 def _figures(found: object, out: Path) -> None:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from sysid.aero_terms import split_name
 from sysid.filtererror import filter_error
-from sysid.open_equations import GUSTY, OUTPUTS, STATES, OpenEquations
+from sysid.gust_states import NOISE_START, NOISY, STATE_STD
+from sysid.open_equations import OUTPUTS, STATES, OpenEquations
 from sysid.segmentation import as_logged
 from uqharness import engine
 from uqharness.errors import BadInputError
@@ -62,7 +63,7 @@ def filter_route(
         u.append(np.column_stack([deflections, forced.other_force, forced.other_moment, rho, rest]))
         z.append(np.column_stack([as_logged(flight.record, c, piece.rows) for c in outputs]))
         t.append(np.asarray(segment.time_s))
-        x0.append(np.array([*(channels[c][0] for c in STATES), 0.0, 0.0, 0.0]))
+        x0.append(equations.start([float(channels[c][0]) for c in STATES]))
     assert equations is not None
     names = (*terms, *(f"bias/{b}" for b in biased))
     wide = dict(zip(found.names, limits, strict=True))
@@ -70,8 +71,8 @@ def filter_route(
         fit = filter_error(
             equations.f, equations.g, x0, np.array([*values, *np.zeros(len(biased))]), u, z, t, names=list(names),
             bounds={n: wide.get(n, (-np.inf, np.inf)) for n in names},
-            free=[*free, *(n for n in names if n.startswith("bias/"))], process_noise=list(GUSTY),
-            noise_start=np.array([found.noise[c] for c in outputs]),
+            free=[*free, *(n for n in names if n.startswith("bias/"))], process_noise=list(NOISY),
+            process_noise_start=NOISE_START, noise_start=np.array([found.noise[c] for c in outputs]), x0_std=STATE_STD,
         )  # fmt: skip
     except ValueError as error:
         raise BadInputError(f"filter error: {error}; use --method output-error") from None
@@ -80,7 +81,7 @@ def filter_route(
     reason = {n: fit.reason[n] if n in free else found.reason[n] for n in found.names}
     kept = [i for n, i in zip(found.names, where, strict=True) if status[n] == "identified"]
     innovations = fit.residual if isinstance(fit.residual, list) else [fit.residual]
-    every = (*STATES, "p_gust", "q_gust", "r_gust")
+    every = (*STATES, "p_h", "h_q", "h_r", "c_u", "c_v")
     spectrum = zip(every, np.diagonal(fit.process_noise_cov), strict=True)
     gusts = ", ".join(f"{s} {np.sqrt(q):.3g}" for s, q in spectrum if q > 0)
     note = (

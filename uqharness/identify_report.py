@@ -8,6 +8,7 @@ import json
 import math
 import shlex
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,9 @@ from uqharness.whole_files import write_whole
 from uqharness.xml_estimates import Estimate, write_estimates
 
 
-def fit_document(found: Identification, flights: Sequence[str], command: Sequence[str]) -> dict[str, Any]:
+def fit_document(
+    found: Identification, flights: Sequence[str], command: Sequence[str], hashes: Sequence[str] = ()
+) -> dict[str, Any]:
     """fit.json as a dictionary (docs/identification.md describes it); figures that are not finite are null."""
     names = found.identified
     residual = [np.concatenate([block[:, k] for block in found.residual]) for k in range(len(found.outputs))]
@@ -59,10 +62,12 @@ def fit_document(found: Identification, flights: Sequence[str], command: Sequenc
             for s in found.segments
         ],
         "flights": list(flights),
+        "flights_sha256": list(hashes),
         "notes": list(found.notes),
         "command": shlex.join(command),
         "simulations": found.simulations,
         "seconds": round(found.seconds, 2),
+        "speed": None if found.speed is None else {k: round(v, 1) for k, v in asdict(found.speed).items()},
     }
 
 
@@ -136,14 +141,24 @@ def report_text(found: Identification, document: dict[str, Any]) -> str:
         "",
     ]
     lines += [f"- {text}" for text in (*found.warnings, *found.notes)]
+    if found.speed is not None:
+        lines += ["", f"{found.simulations} simulations, {found.seconds:.1f} s: {found.speed.text()}."]
     return "\n".join(lines) + "\n"
 
 
 def write_results(
-    found: Identification, aircraft: Aircraft, flights: Sequence[str], command: Sequence[str], out: Path
+    found: Identification,
+    aircraft: Aircraft,
+    flights: Sequence[str],
+    command: Sequence[str],
+    out: Path,
+    hashes: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """fit.json, parameters.csv, report.md and aircraft/ in ``out``; the document written. Raises BadInputError."""
-    document = fit_document(found, flights, command)
+    """fit.json, parameters.csv, report.md and aircraft/ in ``out``; the document written. Raises BadInputError.
+
+    hashes: SHA-256 of the flights' files, by which bounds know a flight that the model was identified from.
+    """
+    document = fit_document(found, flights, command, hashes)
     estimates = {
         n: Estimate(
             float(found.theta[i]),

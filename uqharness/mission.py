@@ -13,6 +13,7 @@ from lxml import etree
 from uqharness import engine
 from uqharness.aircraft import PROJECT_ROOT, Aircraft, check_loadable, parse_xml
 from uqharness.errors import BadInputError
+from uqharness.mass_change import MassChange
 
 ENDLESS_S = 1e9
 """End written into a staged script: the host counts steps itself."""
@@ -153,15 +154,26 @@ class StagedMission:
         run.set("end", repr(end_s))
         for output in document.findall("output"):
             document.remove(output)
+        self._mass: MassChange | None = None
         self._staged = root / "script.xml"
         tree.write(str(self._staged), encoding="UTF-8", xml_declaration=True)
 
-    def open(self, dt_s: float | None = None) -> Any:
-        """A fresh ``FGFDMExec`` with script, aircraft and initial conditions loaded, nothing run. Raises BadInputError."""
+    def open(self, dt_s: float | None = None, changed: Mapping[str, float] | None = None) -> Any:
+        """A fresh ``FGFDMExec`` with script, aircraft and initial conditions loaded, nothing run. Raises BadInputError.
+
+        ``changed`` are mass properties (see mass_change) that are to stand at other values than in the aircraft's XML.
+        """
+        if not changed:
+            return self._open(self._staged.parent / "aircraft", dt_s)
+        if self._mass is None:
+            self._mass = MassChange(self.aircraft, self._staged.parent, self._open)
+        return self._open(self._mass.realise(changed), dt_s)
+
+    def _open(self, aircraft_path: Path, dt_s: float | None = None) -> Any:
         root = self._staged.parent
         try:
             return engine.open_script(
-                root, self._staged, dt_s or self.aircraft.dt_s, root / "aircraft", self.aircraft.engine_path,
+                root, self._staged, dt_s or self.aircraft.dt_s, aircraft_path, self.aircraft.engine_path,
                 self.aircraft.systems_path,
             )  # fmt: skip
         except BadInputError as error:

@@ -112,6 +112,66 @@ def pbox(samples: Sequence[Sample], confidence: float = 0.95, max_points: int = 
     )
 
 
+def envelope(samples: Sequence[Sample], at: Array) -> tuple[Array, Array]:
+    """Lower and upper envelope (m,) of the samples' distribution functions at each of ``at`` (m,). ValueError for no flight."""
+    if not samples or any(sample.size == 0 for sample in samples):
+        raise ValueError("an envelope needs at least one epistemic sample, each with at least one flight")
+    lower, upper = np.ones_like(at), np.zeros_like(at)
+    for sample in samples:
+        below = ecdf(np.sort(sample.values), at)
+        lower = np.minimum(lower, below / sample.size)
+        upper = np.maximum(upper, (below + sample.unknown) / sample.size)
+    return lower, upper
+
+
+@dataclass(frozen=True)
+class Containment:
+    """How one p-box lies to another, at all values at once.
+
+    ``value`` (n,) with both envelopes; ``excess_lower`` and ``excess_upper`` are the largest probabilities by which the inner
+    one reaches beyond the outer one, at ``at_lower`` and ``at_upper`` (0 and NaN if it never does); ``chance`` is what the finite
+    number of flights could make of that; ``area_ratio`` the inner area over the outer one (NaN if that is 0).
+    """
+
+    value: Array
+    inner: tuple[Array, Array]
+    outer: tuple[Array, Array]
+    excess_lower: float
+    excess_upper: float
+    at_lower: float
+    at_upper: float
+    chance: float
+    area_ratio: float
+
+    @property
+    def verdict(self) -> str:
+        """inside, outside-by-chance (within the bands of both) or outside."""
+        worst = max(self.excess_lower, self.excess_upper)
+        return "inside" if worst <= 0.0 else "outside-by-chance" if worst <= self.chance else "outside"
+
+
+def containment(inner: Sequence[Sample], outer: Sequence[Sample], confidence: float = 0.95) -> Containment:
+    """Whether the p-box of ``inner`` lies within that of ``outer``. Raises ValueError as :func:`envelope` does.
+
+    ``chance`` adds both simultaneous half-widths, each at half the error rate.
+    """
+    value = np.unique(np.concatenate([sample.values for sample in (*inner, *outer)]))
+    if value.size == 0:
+        raise ValueError("a comparison needs at least one known value")
+    within, around = envelope(inner, value), envelope(outer, value)
+    beyond = {"lower": around[0] - within[0], "upper": within[1] - around[1]}
+    worst = {side: int(np.argmax(excess)) for side, excess in beyond.items()}
+    excess = {side: max(0.0, float(beyond[side][index])) for side, index in worst.items()}
+    at = {side: float(value[index]) if excess[side] > 0.0 else float("nan") for side, index in worst.items()}
+    share = 0.5 * (1.0 + confidence)
+    chance = sum(
+        band_half_width(min(sample.size for sample in samples), len(samples), share) for samples in (inner, outer)
+    )
+    widths = [float(np.sum((upper - lower)[:-1] * np.diff(value))) for lower, upper in (within, around)]
+    ratio = widths[0] / widths[1] if widths[1] > 0.0 else float("nan")
+    return Containment(value, within, around, excess["lower"], excess["upper"], at["lower"], at["upper"], chance, ratio)
+
+
 def poisson_limits(events: int, hours: float, confidence: float = 0.95) -> tuple[float, float]:
     """Exact (Garwood) two-sided limits of a rate per hour from ``events`` in ``hours``."""
     if hours <= 0.0:

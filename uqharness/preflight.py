@@ -38,9 +38,10 @@ def ensure_loadable(folder: Path, name: str, content: str, engine_path: Path, sy
 
 def _try_in_child(folder: Path, name: str, engine_path: Path, systems_path: Path) -> None:
     command = [sys.executable, "-m", "uqharness.preflight", str(folder), name, str(engine_path), str(systems_path)]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).resolve().parent.parent), *sys.path])}
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, env=environment, check=False)
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=TIMEOUT_S, env=child_environment(), check=False
+        )
     except subprocess.TimeoutExpired:
         raise BadInputError(f"aircraft {folder}: JSBSim did not finish loading it within {TIMEOUT_S:g} s") from None
     if done.returncode < 0 or done.returncode >= 128:
@@ -54,6 +55,11 @@ def _try_in_child(folder: Path, name: str, engine_path: Path, systems_path: Path
             f"aircraft {folder}: loading it ends JSBSim's process ({what}); its last words: {words}; "
             "look there for an unknown element or function operation, or a property name with illegal characters"
         )
+
+
+def child_environment() -> dict[str, str]:
+    """The environment in which a child process finds this package, wherever it was imported from."""
+    return os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).resolve().parent.parent), *sys.path])}
 
 
 def _cache_folder() -> Path:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from uqharness.aircraft import Aircraft
+from uqharness.aircraft import Aircraft, InputCard
 
 FT = 0.3048
 LBF_PER_SLUG_TO_MPS2 = 0.3048
@@ -67,8 +68,8 @@ _COLUMN = {"elevator": "elevator_deg", "aileron": "aileron_deg", "rudder": "rudd
 def sources(aircraft: Aircraft) -> dict[str, Source]:
     """The record's signals for this aircraft: the standard table, the card's outputs, commands and measured surfaces.
 
-    A normalised command (unit "norm") becomes degrees or percent through the card's ``servo``-free convention: 1 is 100 % of a
-    throttle; for a surface it is left as it stands and named ``<surface>_norm``, because no throw is known.
+    A normalised command (unit "norm") becomes percent of a throttle, and degrees of a surface through the card's throw_deg; without
+    a throw it is left as it stands and named ``<surface>_norm``.
     """
     table = dict(STANDARD)
     for signal, name in aircraft.card.outputs.items():
@@ -77,12 +78,31 @@ def sources(aircraft: Aircraft) -> dict[str, Source]:
         column = _COLUMN.get(control, f"{control}_{card.unit}")
         factor = _UNIT_TO_RECORD.get(card.unit, 1.0)
         if card.unit == "norm":
-            column, factor = ("throttle_pct", 100.0) if control == "throttle" else (f"{control}_norm", 1.0)
+            if control == "throttle":
+                factor = 100.0
+            elif card.throw_deg is not None:
+                factor = card.throw_deg
+            else:
+                column = f"{control}_norm"
         selected = card.selected or card.property
         table[column] = Source(selected, factor)
         if card.position is not None and column.endswith("_deg"):
-            table[column.replace("_deg", "_pos_deg")] = Source(card.position, factor)
+            table[column.replace("_deg", "_pos_deg")] = Source(card.position, position_factor(card))
     return table
+
+
+def position_factor(card: InputCard) -> float:
+    """Unit of a card's position property to degrees, + as a record counts.
+
+    A card in deg or rad has its position in the same unit. Of a normalised command the property's ending tells (JSBSim's own
+    names end in -deg, -rad or -norm), and the throw its sign.
+    """
+    if card.unit != "norm" or card.position is None:
+        return _UNIT_TO_RECORD.get(card.unit, 1.0)
+    throw = 1.0 if card.throw_deg is None else card.throw_deg
+    if card.position.endswith("-rad"):
+        return math.copysign(_UNIT_TO_RECORD["rad"], throw)
+    return throw if card.position.endswith("-norm") else math.copysign(1.0, throw)
 
 
 def standard_positions() -> dict[str, Source]:

@@ -57,7 +57,7 @@ def _write_dataflash(
             else None
         )
         record = FlightRecord(known, Metadata(dialect="simulation", start=dict(start)))
-        write_whole(path, lambda target: left.extend(write_dataflash(record, target, card)))
+        write_whole(path, lambda target: left.extend(write_dataflash(record, target, card, surfaces=True)))
     except LogError as error:
         raise BadInputError(str(error)) from None
     return tuple(left)

@@ -2,8 +2,9 @@
 
 Timing. A record's command k acts from sample k on: the acceleration of sample k has seen it, the rates only later. So the command
 is set before the run that arrives at sample k, and never earlier: one run too early or late is a lag in every servo.
-JSBSim's actuators (Tustin) and the second-order integrators both take a step for a ramp that began one run before, half a run
-early in the mean; half a step is therefore taken back for one run after each step, which keeps first-order errors out.
+JSBSim's actuators (Tustin) and the second-order integrators take a step for a ramp that began one run before, half a run early in
+the mean; commands therefore come half a run later. A flight that JSBSim itself flew has acted that half run early, and any
+other has its own way between two samples: how late the controls act is for the estimator to find (CONTROL_DELAY).
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ SENSOR_OF = {
     "ax_mps2": "accelerations", "ay_mps2": "accelerations", "az_mps2": "accelerations",
 }  # fmt: skip
 """Channels that come from one sensor and share its delay; the others stand for themselves."""
+CONTROL_DELAY = "controls"
+"""What a delay is called by which the controls act late, all of them."""
 MAX_STEP_S = 0.01
 MIN_RUNS = 2
 _CACHE_BYTES = 400_000_000
@@ -77,10 +80,12 @@ def fly_segment(
     properties: Mapping[str, float],
     start: Array | None = None,
     extra: Sequence[str] = (),
+    late_s: float = 0.0,
 ) -> Array:
     """(n, 13 + len(extra)) outputs: CHANNELS, then the properties ``extra`` in their own units.
 
-    properties are set before initialising; start (9,) replaces the segment's own. Rows after a failure in flight are NaN.
+    properties are set before initialising; start (9,) replaces the segment's own; controls act ``late_s`` after their time.
+    Rows after a failure in flight are NaN.
     Raises BadInputError for a property that the model has not.
     """
     runs = runs_per_row(segment.dt_s)
@@ -90,9 +95,9 @@ def fly_segment(
     setters = _setters(fdm, model)
     _initialise(fdm, segment, segment.start if start is None else start, setters, model)
     read = _reader(fdm, [*extra], any(segment.arm_m))
-    rows = _advance(
-        fdm, segment, setters, read, runs, [name in model.measured for name in model.controls], model.factor
-    )
+    measured, lagging = ([name in kind for name in model.controls] for kind in (model.measured, model.lagging))
+    controls = by_run(segment, runs, measured, lagging, late_s / segment.dt_s * runs) * np.array(model.factor)
+    rows = _advance(fdm, controls, setters, read, runs)
     return _outputs(rows, segment, len(extra))
 
 
@@ -134,17 +139,20 @@ def _reader(fdm: Any, extra: Sequence[str], angular: bool) -> Any:
     return lambda: [get() for get in handles]
 
 
-def between_rows(segment: Segment, runs: int, measured: Sequence[bool]) -> Array:
-    """(n - 1, runs - 1, c) control values of the runs between rows.
+def by_run(segment: Segment, runs: int, measured: Sequence[bool], lagging: Sequence[bool], late: float = 0.0) -> Array:
+    """((n - 1) runs + 1, c) control values of every run, the first at the first row; all of them ``late`` runs late.
 
-    A command is held, half of a new step being taken back for one run (see the module's text). A measured position goes to the next
-    one as a servo does: exponentially towards its command where that is known and explains the two, else in a straight line.
+    A command is held. Before an actuator with a lag all of it comes half a run later (see the module's text); a surface that jumps
+    with its command has half of a new step taken back for one run instead, so that the row's acceleration sees all of it.
+    A measured position goes to the next one as a servo does: exponentially towards its command where that is known and explains
+    the two, else in a straight line.
     """
     now, then = segment.controls[:-1], segment.controls[1:]
     before = np.vstack([now[:1], now[:-1]])
-    out = np.repeat(now[:, None, :], runs - 1, axis=1)
-    out[:, 0, :] = 0.5 * (now + before)
-    share = (np.arange(1, runs) / runs)[None, :, None]
+    jumps = ~(np.asarray(measured) | np.asarray(lagging))
+    values = np.repeat(now[:, None, :], runs, axis=1)
+    values[:, 1, jumps] = 0.5 * (now + before)[:, jumps]
+    share = (np.arange(runs) / runs)[None, :, None]
     straight = now[:, None, :] + share * (then - now)[:, None, :]
     if segment.targets is not None:
         away, later = now - segment.targets[:-1], then - segment.targets[:-1]
@@ -153,22 +161,19 @@ def between_rows(segment: Segment, runs: int, measured: Sequence[bool]) -> Array
             lag = (decay > 1e-3) & (decay < 1.0) & (np.abs(away) > 1e-6)
             bent = segment.targets[:-1, None, :] + away[:, None, :] * np.where(lag, decay, 1.0)[:, None, :] ** share
         straight = np.where(lag[:, None, :], bent, straight)
-    return np.where(np.asarray(measured)[None, None, :], straight, out)
+    values = np.where(np.asarray(measured)[None, None, :], straight, values)
+    out = np.vstack([values.reshape(-1, now.shape[1]), segment.controls[-1:]])
+    for column, wait in enumerate(late + 0.5 * np.asarray(lagging)):
+        if wait != 0.0:
+            # In proportion between two runs: the step's mean time is right.
+            at = np.arange(len(out))
+            out[:, column] = np.interp(at - wait, at, out[:, column])
+    return out
 
 
-def _advance(
-    fdm: Any,
-    segment: Segment,
-    setters: list[list[Any]],
-    read: Any,
-    runs: int,
-    measured: Sequence[bool],
-    factor: Sequence[float],
-) -> list[list[float]]:
+def _advance(fdm: Any, controls: Array, setters: list[list[Any]], read: Any, runs: int) -> list[list[float]]:
     """Raw rows; ends early when JSBSim throws or the speed is no longer finite."""
-    scale = np.array(factor)
-    values = (segment.controls * scale).tolist()
-    between = (between_rows(segment, runs, measured) * scale).tolist()
+    values = controls.tolist()
     run = fdm.run
     out = [read()]
     plan = [(handles[0], handles[1:]) for handles in setters]
@@ -181,14 +186,14 @@ def _advance(
                 other(value)
 
     try:
-        for steps, then in zip(between, values[1:], strict=True):
-            for numbers in (*steps, then):
+        for row in range(1, len(values), runs):
+            for numbers in values[row : row + runs]:
                 if numbers != last:
                     put(numbers)
                     last = numbers
                 run()
             sample = read()
-            if not math.isfinite(sample[0]) or sample[0] > 1e5:
+            if not -1e5 < sample[0] < 1e5:
                 break
             out.append(sample)
     except engine.RuntimeFailure as error:
@@ -223,8 +228,9 @@ class Replay:
     """simulate(theta) of a set of segments, for the estimators: picklable, with the runs of late memory kept.
 
     theta is laid out by ``names``: JSBSim properties; ``bias/<flight>/<channel>`` added to an output;
-    ``delay/<flight>/<sensor>`` by which a sensor's outputs come late, s (SENSOR_OF); and ``start/<segment number>/<state>`` added
-    to a segment's start state. What a perturbed value does not touch is not flown again.
+    ``delay/<flight>/<sensor>`` by which a sensor's outputs come late, s (SENSOR_OF), or, for CONTROL_DELAY, by which the controls
+    act late; and ``start/<segment number>/<state>`` added to a segment's start state. What a perturbed value does not touch is
+    not flown again.
     channels: which of CHANNELS are returned.
     """
 
@@ -240,26 +246,29 @@ class Replay:
         self._biases: dict[str, list[tuple[int, int]]] = {}
         self._delays: dict[str, list[tuple[int, int]]] = {}
         self._starts: dict[int, list[tuple[int, int]]] = {}
+        self._late: dict[str, int] = {}
         for i, name in enumerate(names):
             kind, _, rest = name.partition("/")
             where, _, what = rest.rpartition("/")
             if kind == "bias" and what in self.channels:
                 self._biases.setdefault(where, []).append((i, self.channels.index(what)))
+            elif kind == "delay" and what == CONTROL_DELAY:
+                self._late[where] = i
             elif kind == "delay":
                 late = [k for k, c in enumerate(self.channels) if SENSOR_OF.get(c, c) == what]
                 self._delays.setdefault(where, []).extend((i, k) for k in late)
             elif kind == "start":
                 self._starts.setdefault(int(where), []).append((i, STATES.index(what)))
 
-    def _conditions(self, theta: Array) -> tuple[dict[str, float], list[Array]]:
-        """Properties, and the start state of every segment, at theta."""
+    def _conditions(self, theta: Array) -> tuple[dict[str, float], list[tuple[Array, float]]]:
+        """Properties, and every segment's start state and lateness of the controls, at theta."""
         properties = {**self.base, **{n: float(theta[i]) for i, n in self._properties}}
         starts = []
         for number, segment in enumerate(self.segments):
             start = segment.start.copy()
             for i, k in self._starts.get(number, ()):
                 start[k] += theta[i]
-            starts.append(start)
+            starts.append((start, float(theta[self._late[segment.flight]]) if segment.flight in self._late else 0.0))
         return properties, starts
 
     def __call__(self, theta: Array) -> list[Array]:
@@ -267,7 +276,7 @@ class Replay:
         properties, starts = self._conditions(theta)
         out = []
         for number, (segment, start) in enumerate(zip(self.segments, starts, strict=True)):
-            flown = self._flown(number, segment, properties, start)[:, self._columns].copy()
+            flown = self._flown(number, segment, properties, *start)[:, self._columns].copy()
             for i, k in self._delays.get(segment.flight, ()):
                 if theta[i] != 0.0:
                     flown[:, k] = _late(flown[:, k], float(theta[i]) / segment.dt_s)
@@ -276,31 +285,33 @@ class Replay:
             out.append(flown)
         return out
 
-    def _flown(self, number: int, segment: Segment, properties: Mapping[str, float], start: Array) -> Array:
-        key = self._key(number, properties, start)
+    def _flown(
+        self, number: int, segment: Segment, properties: Mapping[str, float], start: Array, late_s: float
+    ) -> Array:
+        key = self._key(number, properties, start, late_s)
         found = _flown.get(key)
         if found is None:
-            found = fly_segment(self.model, segment, properties, start)
+            found = fly_segment(self.model, segment, properties, start, late_s=late_s)
             _remember(key, found)
         else:
             _flown.move_to_end(key)
         return found
 
-    def _key(self, number: int, properties: Mapping[str, float], start: Array) -> _Key:
-        return self.token, number, np.array(list(properties.values())).tobytes(), start.tobytes()
+    def _key(self, number: int, properties: Mapping[str, float], start: Array, late_s: float) -> _Key:
+        return self.token, number, np.array(list(properties.values())).tobytes(), start.tobytes(), late_s
 
     def fetch(self, thetas: Sequence[Array], map_: Callable[..., Iterable[Any]]) -> None:
         """Fly whatever several theta need and nobody remembers, each piece once, by ``map_`` (a process pool's, say).
 
         Afterwards every ``self(theta)`` only puts together what is remembered: little has to travel between processes.
         """
-        jobs: dict[_Key, tuple[ReplayModel, Segment, dict[str, float], Array]] = {}
+        jobs: dict[_Key, _Job] = {}
         for theta in thetas:
             properties, starts = self._conditions(theta)
             for number, (segment, start) in enumerate(zip(self.segments, starts, strict=True)):
-                key = self._key(number, properties, start)
+                key = self._key(number, properties, *start)
                 if key not in _flown:
-                    jobs[key] = (self.model, segment, properties, start)
+                    jobs[key] = (self.model, segment, properties, *start)
                 else:
                     _flown.move_to_end(key)
         for key, found in zip(jobs, map_(_fly_job, list(jobs.values())), strict=True):
@@ -308,15 +319,21 @@ class Replay:
 
 
 def _late(values: Array, rows: float) -> Array:
-    """Values as they arrive ``rows`` rows late (early if negative), by straight lines; before the first one its slope continues."""
+    """Values as they arrive ``rows`` rows late (early if negative), by cubics through the rows (Catmull and Rom), whose slope in
+    ``rows`` has no jump at whole rows; before the first one and after the last their slopes continue."""
     n = len(values)
     at = np.arange(n) - rows
-    below = np.clip(np.floor(at).astype(int), 0, n - 2)
-    return np.asarray(values[below] + (at - below) * (values[below + 1] - values[below]))
+    below = np.minimum(np.maximum(np.floor(at).astype(int), 0), n - 2)
+    x, slope = at - below, np.gradient(values)
+    outside = (at < 0) | (at > n - 1)
+    a, b = values[below], values[below + 1]
+    sa, sb = slope[below], slope[below + 1]
+    cubic = a + x * (sa + x * (3.0 * (b - a) - 2.0 * sa - sb + x * (sa + sb - 2.0 * (b - a))))
+    return np.asarray(np.where(outside, a + x * (b - a), cubic))
 
 
 # Memory of the process, shared by unpickled copies of a replay: perturbing one segment's start leaves the others as they were.
-_Key = tuple[str, int, bytes, bytes]
+_Key = tuple[str, int, bytes, bytes, float]
 _flown: OrderedDict[_Key, Array] = OrderedDict()
 counter = {"rows": 0, "bytes": 0, "segments": 0}
 
@@ -330,7 +347,10 @@ def _remember(key: _Key, found: Array) -> None:
         counter["bytes"] -= _flown.popitem(last=False)[1].nbytes
 
 
-def _fly_job(job: tuple[ReplayModel, Segment, dict[str, float], Array]) -> Array:
+_Job = tuple[ReplayModel, Segment, dict[str, float], Array, float]
+
+
+def _fly_job(job: _Job) -> Array:
     # Nothing that goes wrong in flight may end the pool; rows that were not flown are NaN, which rejects the trial point.
-    model, segment, properties, start = job
-    return fly_segment(model, segment, properties, start)
+    model, segment, properties, start, late_s = job
+    return fly_segment(model, segment, properties, start, late_s=late_s)

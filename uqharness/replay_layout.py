@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from uqharness.flights import Flight
-from uqharness.replay import SENSOR_OF, Segment
+from uqharness.replay import CONTROL_DELAY, SENSOR_OF, Segment
 
 _FREE_STARTS = ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps")
 _START_WIDTH = {"V_mps": 6.0, "alpha_rad": 0.2, "beta_rad": 0.2, "phi_rad": 0.3, "theta_rad": 0.2}
 _BIAS_WIDTH = {"V_mps": 5.0, "ax_mps2": 2.0, "ay_mps2": 2.0, "az_mps2": 2.0}
 _DEFAULT_WIDTH = 0.5
 _DELAY_WIDTH = 0.15
+_REFERENCE = SENSOR_OF["p_radps"]
 
 
 @dataclass(frozen=True)
@@ -48,9 +49,18 @@ def nuisance_layout(
 
 
 def delayed(flights: Sequence[Flight], outputs: Sequence[str], asked: Sequence[str] | None) -> dict[str, list[str]]:
-    """Flight -> sensors whose delay is estimated. By default those of logs: their channels are stamped when they are written."""
+    """Flight -> what is late, of which delays are estimated: the controls (CONTROL_DELAY) and sensors.
+
+    By default the controls, in every flight: a command is held for a sample, and whatever carried it out began somewhere in
+    between; and, of logs, whose channels are stamped when written, every sensor but the gyros, from which delays count.
+    """
     out = {}
     for flight in flights:
-        wanted = [c for c in outputs if (flight.record.metadata.native_hz if asked is None else c in asked)]
-        out[flight.name] = list(dict.fromkeys(SENSOR_OF.get(c, c) for c in wanted))
+        logged = bool(flight.record.metadata.native_hz)
+        wanted = [SENSOR_OF.get(c, c) for c in outputs if (logged if asked is None else c in asked)]
+        if asked is None:
+            wanted = [CONTROL_DELAY, *(c for c in wanted if c != _REFERENCE)]
+        elif CONTROL_DELAY in asked:
+            wanted = [CONTROL_DELAY, *wanted]
+        out[flight.name] = list(dict.fromkeys(wanted))
     return out

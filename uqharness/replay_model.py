@@ -30,6 +30,7 @@ class ReplayModel:
     """What a process needs to open the copy; picklable, valid while its `ReplayFolder` is open.
 
     ``measured`` controls whose values are positions, continuous between samples; the others are commands, held.
+    ``lagging`` controls whose commands go through an actuator with a lag.
     ``factor`` record unit -> property unit of each control, in the order of ``controls``.
     """
 
@@ -41,6 +42,7 @@ class ReplayModel:
     controls: tuple[str, ...]
     measured: tuple[str, ...]
     factor: tuple[float, ...]
+    lagging: tuple[str, ...] = ()
     settings: Mapping[str, float] = field(default_factory=dict)
 
     def open(self, dt_s: float) -> Any:
@@ -86,10 +88,11 @@ class ReplayFolder:
         copy = root / "aircraft" / aircraft.name
         shutil.copytree(aircraft.folder, copy, symlinks=False)
         card = aircraft.card
-        _edit(copy, aircraft.xml.name, card, (*measured, *ideal))
+        lagging = _edit(copy, aircraft.xml.name, card, (*measured, *ideal))
         self.model = ReplayModel(
             root, aircraft.name, aircraft.engine_path, aircraft.systems_path, card, tuple(controls), tuple(measured),
-            tuple(_factor(card, name) for name in controls), dict(settings or {}),
+            tuple(_factor(card, name) for name in controls), tuple(c for c in controls if card.inputs[c].position in lagging),
+            dict(settings or {}),
         )  # fmt: skip
         _declare_orphans(self.model, copy / aircraft.xml.name, aircraft.dt_s)
 
@@ -109,14 +112,20 @@ def _factor(card: Card, control: str) -> float:
         return 1.0
     if control == "throttle":
         return 0.01
+    if (throw := card.inputs[control].throw_deg) is not None:
+        return 1.0 / throw
     raise BadInputError(
         f"[inputs.{control}] is normalised (limits {limits}) and a record is in degrees: nothing says what throw 1 means; "
-        "give the card a property in deg or rad"
+        "give the card a property in deg or rad, or throw_deg"
     )
 
 
-def _edit(folder: Path, main: str, card: Card, direct: Sequence[str]) -> None:
-    """Take idle systems out of the main file, dynamics out of the actuators of ``direct`` in every file."""
+def _edit(folder: Path, main: str, card: Card, direct: Sequence[str]) -> set[str]:
+    """Take idle systems out of the main file, dynamics out of the actuators of ``direct`` in every file.
+
+    Returns the names of the actuators that keep a lag.
+    """
+    lagging: set[str] = set()
     positions = {card.inputs[name].position for name in direct} - {None}
     for path in sorted(folder.rglob("*.xml")):
         tree = parse_xml(path)
@@ -133,8 +142,11 @@ def _edit(folder: Path, main: str, card: Card, direct: Sequence[str]) -> None:
                     for element in actuator.findall(kind):
                         actuator.remove(element)
                         changed = True
+            if actuator.find("lag") is not None:
+                lagging.add(str(actuator.get("name")))
         if changed:
             tree.write(str(path), encoding="UTF-8", xml_declaration=True)
+    return lagging
 
 
 def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> None:

@@ -17,12 +17,16 @@ from uqharness.replay import Replay
 Array = NDArray[np.float64]
 
 
+def process_count(workers: int | None) -> int:
+    """``workers``, or as many as there are processors for this process, 8 at most."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return workers or max(1, min(8, cores))
+
+
 @contextmanager
 def replay_pool(workers: int | None = None) -> Any:
     """A `map` for output error whose replays are flown by worker processes, started once; the built-in one for a single worker."""
-    count = workers or max(
-        1, min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
-    )
+    count = process_count(workers)
     if count == 1:
         yield map
         return

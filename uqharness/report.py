@@ -22,7 +22,7 @@ from uqharness.campaign_tables import (
     in_condition,
     samples,
 )
-from uqharness.case_table import CASES, read_table
+from uqharness.case_table import CASES, UNCOMMANDED_METRICS, read_table
 from uqharness.errors import BadInputError
 from uqharness.pbox import ExcursionRate, PBox, best_and_worst, pbox, poisson_upper
 from uqharness.pbox_plot import PBoxFigure, Svg, draw
@@ -33,8 +33,10 @@ CONDITIONS_DRAWN = 4
 """Conditions whose p-boxes are drawn in the page; the tables hold all."""
 
 _FAILURES_LISTED = 40
-_QUANTITIES = (("cross_track", "cross-track", "m"), ("altitude", "altitude", "m"), ("speed", "speed", "mps"))
-_UNITS = {"m": "m", "mps": "m/s"}
+_QUANTITIES = (
+    ("cross_track", "cross-track", "m"), ("altitude", "altitude", "m"), ("speed", "speed", "mps"), ("heading", "heading", "deg"),
+)  # fmt: skip
+_UNITS = {"m": "m", "mps": "m/s", "deg": "deg"}
 # Medians of the published flight (Hale 2016, section 3.9), measured by its own sensors; 3 m/s wind, moderate to severe.
 _PUBLISHED = {"cross_track": 9.41, "altitude": 2.16, "speed": 0.61}
 _PUBLISHED_AIRCRAFT, _PUBLISHED_WIND_MPS, _PUBLISHED_AIR = "espaaro", 3.0, ("moderate", "severe")
@@ -123,7 +125,7 @@ def _findings(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> list[_Finding
         for quantity, words, unit in _QUANTITIES:
             for measured in (True, False):
                 metric = f"{quantity}_median_{unit}" + ("_measured" if measured else "")
-                corners = samples(rows, metric)
+                corners = samples(rows, metric) if metric in rows else []
                 if (measured and not campaign["aleatory"]["sensor_noise"]) or not any(c.values.size for c in corners):
                     continue
                 box = pbox(corners, CONFIDENCE)
@@ -156,11 +158,17 @@ def _published(campaign: Mapping[str, Any], condition: Condition, quantity: str)
 def _asked(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> str:
     air, epistemic = campaign["aleatory"], campaign["epistemic"]
     corners = frame["epistemic_id"].nunique()
+    within = f"within the intervals of {', '.join(epistemic['coefficients'])}"
     samples_text = {
         "none": "the model as it is, without model-form uncertainty",
         "corners": f"{corners} corners of the model-form intervals of {', '.join(epistemic['coefficients'])}",
-        "levels": f"{corners} combinations of levels within the intervals of {', '.join(epistemic['coefficients'])}",
+        "levels": f"{corners} combinations of levels {within}",
+        "lhs": f"{corners} fixed levels, a Latin hypercube, {within}",
+        "white": f"{corners} samples of levels redrawn at every step {within}",
+        "walk": f"{corners} random walks {within}",
     }[epistemic["method"]]
+    if "parameters" in epistemic:
+        samples_text += f"; parameters drawn from {Path(epistemic['parameters']['fit']).name}"
     winds = ", ".join(f"{wind:g}" for wind in air["wind_mps"])
     noise = "noisy" if air["sensor_noise"] else "noise-free"
     return (
@@ -178,6 +186,8 @@ def _verdict(
     hardest = _hardest(conditions(frame))
     duration = campaign["aleatory"]["duration_s"]
     sentences = [f"Hardest condition flown: {hardest.words}."]
+    if UNCOMMANDED_METRICS[0] in frame:
+        sentences.append("Nothing was commanded: errors are deviations from the state in which scoring began.")
     for quantity, _, _ in _QUANTITIES:
         both = [item for item in findings if item.condition == hardest and item.quantity == quantity]
         if both:

@@ -2,7 +2,8 @@
 
 Turbulence and sensor noise depend on (root seed, aleatory id, kind): every corner and every condition meets the same
 air, so differences between them are theirs and not chance's. Walks depend on (root seed, epistemic id, coefficient): one
-walk is one epistemic sample, the same in all its flights.
+walk is one epistemic sample, the same in all its flights. Random variables of a flight, such as its mass, depend on (root seed,
+aleatory id, property), draws of parameters on (root seed, number).
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 
 from uqharness.flight_spec import COEFFICIENTS
 
-KINDS = {"turbulence": 1, "noise": 2, "walk": 3}
+KINDS = {"turbulence": 1, "noise": 2, "walk": 3, "levels": 4, "parameters": 5, "variable": 6}
 """Stream kinds and their numbers; a number once given is never reused, or old campaigns could not be repeated."""
 
 _LARGEST = 2**31 - 2
@@ -29,6 +30,20 @@ def flight_seed(root_seed: int, aleatory_id: int, kind: str) -> int:
 
 def walk_stream(root_seed: int, epistemic_id: str, coefficient: str) -> np.random.SeedSequence:
     """Seed sequence of one coefficient's walk in one epistemic sample."""
-    name = int.from_bytes(hashlib.sha256(epistemic_id.encode()).digest()[:8], "big")
-    key = (KINDS["walk"], name >> 32, name & 0xFFFFFFFF, COEFFICIENTS.index(coefficient))
+    key = (KINDS["walk"], *_words(epistemic_id), COEFFICIENTS.index(coefficient))
     return np.random.SeedSequence(entropy=root_seed, spawn_key=key)
+
+
+def named_stream(root_seed: int, kind: str, name: str) -> np.random.SeedSequence:
+    """Seed sequence of what bears a name: one dimension of a Latin hypercube, one variable."""
+    return np.random.SeedSequence(entropy=root_seed, spawn_key=(KINDS[kind], *_words(name)))
+
+
+def numbered_stream(root_seed: int, kind: str, number: int, name: str = "") -> np.random.SeedSequence:
+    """Seed sequence of the n-th draw (of what bears that name): the first n draws are the same however many follow."""
+    return np.random.SeedSequence(entropy=root_seed, spawn_key=(KINDS[kind], *(_words(name) if name else ()), number))
+
+
+def _words(name: str) -> tuple[int, int]:
+    number = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big")
+    return number >> 32, number & 0xFFFFFFFF

@@ -74,8 +74,13 @@ class Store:
         """All outcomes, ordered by case id."""
         with self._explained("read"):
             for row in self._database.execute(f"select {_COLUMNS} from outcome order by case_id"):
-                case_id, status, reason, flown_s, metrics, undefined = row
-                yield CaseOutcome(case_id, status, reason, flown_s, json.loads(metrics), json.loads(undefined))
+                yield _outcome(row)
+
+    def outcome(self, case_id: str) -> CaseOutcome | None:
+        """Outcome of one case; None if it is not there."""
+        with self._explained("read"):
+            row = self._database.execute(f"select {_COLUMNS} from outcome where case_id = ?", (case_id,)).fetchone()
+        return None if row is None else _outcome(row)
 
     def close(self) -> None:
         self._database.close()
@@ -95,6 +100,11 @@ class Store:
                 f"{self.folder / JOURNAL}: cannot {verb}: {error}; everything counted so far is kept: "
                 "free space or mend the folder's permissions, then run the same command again"
             ) from None
+
+
+def _outcome(row: tuple[str, str, str, float, str, str]) -> CaseOutcome:
+    case_id, status, reason, flown_s, metrics, undefined = row
+    return CaseOutcome(case_id, status, reason, flown_s, json.loads(metrics), json.loads(undefined))
 
 
 def _plain(mapping: Mapping[str, object]) -> str:

@@ -13,7 +13,7 @@ def explain(document: type[BaseModel], text: str, data: dict[str, Any], error: d
     """(line, sentence) of one of pydantic's errors about ``data``, which was read from ``text`` and validated as ``document``."""
     location = _real_path(data, error["loc"], missing_too=error["type"] == "missing")
     line = line_of(text, location)
-    name = " ".join([f"[{location[0]}]", ".".join(map(str, location[1:]))]).strip() if location else "the file"
+    name = _name(location)
     if error["type"] == "extra_forbidden":
         known = _known_keys(document, location[:-1])
         near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
@@ -28,11 +28,38 @@ def explain(document: type[BaseModel], text: str, data: dict[str, Any], error: d
     return line, f"{name}: {message}{shown}"
 
 
+def _name(location: tuple[Any, ...]) -> str:
+    """``[aleatory] wind_mps`` or ``[epistemic.parameters] fit``; the file itself for no location."""
+    if not location:
+        return "the file"
+    if len(location) >= 2 and (location[0], location[1]) in _SUBSECTIONS:
+        depth = _SUBSECTIONS[location[0], location[1]]
+        head = ".".join(f'"{part}"' if re.search(r"[^\w-]", str(part)) else str(part) for part in location[:depth])
+        return " ".join([f"[{head}]", ".".join(map(str, location[depth:]))]).strip()
+    return " ".join([f"[{location[0]}]", ".".join(map(str, location[1:]))]).strip()
+
+
+# Tables that a file writes as sections of their own, and how many parts their headers have.
+_SUBSECTIONS = {("epistemic", "parameters"): 2, ("aleatory", "variables"): 3}
+
+
 def _known_keys(document: type[BaseModel], section: tuple[Any, ...]) -> list[str]:
     model: Any = document
-    for name in section:
-        model = model.model_fields[name].annotation
+    parts = iter(section)
+    for name in parts:
+        annotation = model.model_fields[name].annotation
+        model = _model_within(annotation)
+        if getattr(annotation, "__origin__", None) is dict:
+            next(parts, None)  # a name of the user's choice
     return list(model.model_fields)
+
+
+def _model_within(annotation: Any) -> Any:
+    """The model of an annotation such as ``Model``, ``Model | None`` or ``dict[str, Model]``."""
+    if hasattr(annotation, "model_fields"):
+        return annotation
+    found = [_model_within(part) for part in getattr(annotation, "__args__", ())]
+    return next((part for part in found if hasattr(part, "model_fields")), annotation)
 
 
 def _real_path(data: Any, location: tuple[Any, ...], missing_too: bool) -> tuple[Any, ...]:
@@ -49,29 +76,43 @@ def _real_path(data: Any, location: tuple[Any, ...], missing_too: bool) -> tuple
 
 
 def line_of(text: str, location: tuple[Any, ...]) -> int:
-    """Line of a key; of its section's header where the key is missing; 1 where that is missing too."""
-    if not location:
-        return 1
-    section_line, section, best = 1, "", 0
+    """Line of a key; of its section's header where the key is missing; 1 where that is missing too.
+
+    Reads headers with quoted parts, dotted keys and inline tables that span lines; a string over several lines is not looked into.
+    """
+    wanted = [str(part) for part in location]
+    best_depth, best_line = 0, 1
+    section: list[str] = []
+    inside: list[str] = []  # the key whose inline table or list may go on over the next lines
     for number, raw in enumerate(text.splitlines(), start=1):
         line = raw.strip()
-        header = re.match(r"\[+\s*([^\]]+?)\s*\]+", line)
+        header = re.match(r"\[((?:\"[^\"]*\"|'[^']*'|[^\]\"'\[])+)\]\s*(#.*)?$", line)
         if header:
-            section = re.sub(r"[\"'\s]", "", header.group(1))
-            if section == str(location[0]) or section.startswith(f"{location[0]}."):
-                section_line = number if section == location[0] or section_line == 1 else section_line
-                if len(location) > 1 and section == f"{location[0]}.{location[1]}":
-                    return number
-            continue
-        if section == location[0] and len(location) > 1:
-            if re.match(rf"[\"']?{re.escape(str(location[1]))}[\"']?\s*[=.]", line):
-                best = number
+            section, inside = _parts(header.group(1)), []
+            depth = _common(section, wanted)
+        else:
+            key = re.match(r"((?:[\w-]+|\"[^\"]*\"|'[^']*')(?:\s*\.\s*(?:[\w-]+|\"[^\"]*\"|'[^']*'))*)\s*=", line)
+            if key:
+                inside = section + _parts(key.group(1))
+            depth = _common(inside, wanted) if key else 0
             # A key within an inline table that spans lines is nearer the mistake than the table's first line.
-            if best and len(location) > 2 and re.search(rf"\b{re.escape(str(location[2]))}\s*=", line):
-                return number
-        elif not section and re.match(rf"[\"']?{re.escape(str(location[0]))}[\"']?\s*[=.]", line):
-            return number
-    return best or section_line
+            if _common(inside, wanted) == len(inside) < len(wanted) and inside:
+                mark = rf"(?:^|[{{,\s])[\"']?{re.escape(wanted[len(inside)])}[\"']?\s*="
+                depth = len(inside) + 1 if re.search(mark, line) else depth
+        if depth > best_depth:
+            best_depth, best_line = depth, number
+    return best_line
+
+
+def _parts(name: str) -> list[str]:
+    """Parts of a dotted key or header, quotes taken off."""
+    return ["".join(found) for found in re.findall(r"\"([^\"]*)\"|'([^']*)'|([^.\s\"']+)", name)]
+
+
+def _common(found: list[str], wanted: list[str]) -> int:
+    """Parts that agree, or 0 if ``found`` leads elsewhere."""
+    shorter = min(len(found), len(wanted))
+    return shorter if found[:shorter] == wanted[:shorter] else 0
 
 
 def as_toml(value: Any) -> str:

@@ -155,11 +155,16 @@ def _tag_end(raw: bytes, start: int) -> int:
 
 @dataclass(frozen=True)
 class Insertion:
-    """``text`` (ASCII, final line ends) put before byte ``at`` in place of ``removed`` bytes."""
+    """``text`` (ASCII, final line ends) put before byte ``at`` in place of ``removed`` bytes.
+
+    Where ``<a/>`` is opened for a child, ``opening`` and ``closing`` are the tags' new parts around the text.
+    """
 
     at: int
     text: bytes
     removed: bytes = b""
+    opening: bytes = b""
+    closing: bytes = b""
 
 
 def append_child(document: Document, parent: Node, lines: list[str]) -> Insertion:
@@ -171,8 +176,10 @@ def append_child(document: Document, parent: Node, lines: list[str]) -> Insertio
     block = newline.join(_indented(line, inner, document.step()) for line in lines)
     if parent.empty_tag:
         slash = document.raw.rindex(b"/", parent.start, parent.open_end)
-        text = f">{newline}{block}{newline}{outer}</{parent.tag}>"
-        return Insertion(slash, text.encode("ascii"), document.raw[slash : parent.open_end])
+        opening, closing = f">{newline}".encode("ascii"), f"{outer}</{parent.tag}>".encode("ascii")
+        return Insertion(
+            slash, f"{block}{newline}".encode("ascii"), document.raw[slash : parent.open_end], opening, closing
+        )
     begin = document.raw.rfind(b"\n", 0, parent.close_start) + 1
     if document.raw[begin : parent.close_start].strip(b" \t"):
         return Insertion(parent.close_start, f"{newline}{block}{newline}{outer}".encode("ascii"))
@@ -200,10 +207,24 @@ def after(document: Document, node: Node, lines: list[str]) -> Insertion:
     return Insertion(node.end, f"{newline}{block}".encode("ascii"))
 
 
+def joined(insertions: list[Insertion]) -> list[Insertion]:
+    """In the order of the file, opening and closing made part of the text; children put into the same ``<a/>`` become one."""
+    out: list[Insertion] = []
+    pending: list[Insertion] = []
+    for insertion in [*sorted(insertions, key=lambda item: item.at), None]:
+        if pending and (insertion is None or not insertion.opening or insertion.at != pending[0].at):
+            text = b"".join([pending[0].opening, *(item.text for item in pending), pending[0].closing])
+            out.append(Insertion(pending[0].at, text, pending[0].removed))
+            pending = []
+        if insertion is not None:
+            (pending if insertion.opening else out).append(insertion)
+    return out
+
+
 def apply(document: Document, insertions: list[Insertion]) -> bytes:
     """The file's bytes with the insertions made; two at the same byte keep their order."""
     pieces, position = [], 0
-    for insertion in sorted(insertions, key=lambda item: item.at):
+    for insertion in joined(insertions):
         if insertion.at < position:
             raise ValueError("insertions overlap")
         pieces += [document.raw[position : insertion.at], insertion.text]

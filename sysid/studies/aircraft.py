@@ -2,7 +2,7 @@
 
 Perturbations about level flight at 22.2 m/s in sea-level air, x body along the flight path at trim. Derivatives are
 nondimensional, as in the body-axis build-up CX CZ Cm / CY Cl Cn; surfaces in degrees. The motion is integrated exactly
-for inputs and gusts held over each sample (matrix exponential).
+for inputs held over each sample (matrix exponential); gusts come in five times a sample, so that they move the aircraft within it.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ G, RHO, MASS, IXX, IYY, IZZ, IXZ = 9.81, 1.225, 21.34, 6.055, 8.26, 11.51, 0.25
 S, C, B, V0 = 1.97, 0.53, 3.66, 22.2
 QS = 0.5 * RHO * V0**2 * S
 DT = 0.02
+FINE = 5
+"""Steps a sample in turbulence. With one, gusts would begin to act at the next sample, and a filter that assumes so look right."""
 DEG = np.pi / 180.0
 
 # E-SPAARO flight estimates (dissertation Table 2.6); CX_V, CZ_V and CZ_q, which it does not print, of usual size.
@@ -146,26 +148,27 @@ def manoeuvres(plane: Plane, lengths: list[int]) -> list[Array]:
 
 
 def simulate(plane: Plane, theta: Array, inputs: list[Array], gusts: list[Array] | None = None) -> list[Array]:
-    """Outputs (n, m) a segment from zero perturbation; gusts (n, 4): increments of the states by moving air."""
+    """Outputs (n, m) a segment from zero perturbation; gusts (FINE n, 4): increments of the states by moving air, FINE a sample."""
+    fine = 1 if gusts is None else FINE
     A, Bm, xb, Cm, D, yb = matrices(plane, theta)
     n = A.shape[0]
     nu = Bm.shape[1]
     joint = np.zeros((n + nu + 1, n + nu + 1))
     joint[:n, :n], joint[:n, n : n + nu], joint[:n, -1] = A, Bm, xb
-    exact = expm(joint * DT)
+    exact = expm(joint * (DT / fine))
     phi, gamma, drift = exact[:n, :n], exact[:n, n : n + nu], exact[:n, -1]
     values, vectors = np.linalg.eig(phi)
     inverse = np.linalg.inv(vectors)
     out = []
     for number, u in enumerate(inputs):
-        forcing = u @ gamma.T + drift
+        forcing = np.repeat(u @ gamma.T + drift, fine, axis=0)
         if gusts is not None:
             forcing = forcing + gusts[number]
         modal = forcing @ inverse.T  # x(k+1) = phi x(k) + forcing(k), mode by mode
-        z = np.zeros((len(u), n), dtype=complex)
+        z = np.zeros((fine * len(u), n), dtype=complex)
         for mode in range(n):
             z[1:, mode] = signal.lfilter([1.0], [1.0, -values[mode]], modal[:-1, mode])
-        x = (z @ vectors.T).real
+        x = (z[::fine] @ vectors.T).real
         out.append(x @ Cm.T + u @ D.T + yb)
     return out
 
@@ -173,7 +176,7 @@ def simulate(plane: Plane, theta: Array, inputs: list[Array], gusts: list[Array]
 def dryden(
     plane: Plane, lengths: list[int], wind_kt: float, rng: np.random.Generator, height_m: float = 100.0
 ) -> list[Array]:
-    """Increments (n, 4) a segment of the air-relative states as Dryden gusts change (MIL-F-8785C, low altitude).
+    """Increments (FINE n, 4) a segment of the air-relative states as Dryden gusts change (MIL-F-8785C, low altitude).
 
     wind_kt: wind at 20 ft, 15 = light. Longitudinal: u_g on V, w_g on alpha; lateral: v_g on beta. First and second
     order forming filters discretised exactly; the gradient terms (p_g, q_g, r_g) are left out.
@@ -184,7 +187,7 @@ def dryden(
     sigma_u = sigma_w / shape**0.4
     length_w, length_u = height_m, feet / shape**1.2 * 0.3048
     out = []
-    for n in lengths:
+    for n in (FINE * length for length in lengths):
         increments = np.zeros((n, 4))
         if plane.name == "longitudinal":
             increments[:, 0] = np.diff(_first_order(sigma_u, length_u / V0, n + 1, rng))
@@ -196,20 +199,20 @@ def dryden(
 
 
 def _first_order(sigma: float, tau: float, n: int, rng: np.random.Generator) -> Array:
-    """Stationary samples (n,) of sigma sqrt(2 tau)/(1 + tau s) driven by white noise."""
-    a = np.exp(-DT / tau)
+    """Stationary samples (n,), FINE a record's, of sigma sqrt(2 tau)/(1 + tau s) driven by white noise."""
+    a = np.exp(-DT / FINE / tau)
     white = rng.normal(size=n) * sigma * np.sqrt(1.0 - a**2)
     white[0] = rng.normal() * sigma
     return np.asarray(signal.lfilter([1.0], [1.0, -a], white))
 
 
 def _second_order(sigma: float, tau: float, n: int, rng: np.random.Generator) -> Array:
-    """Stationary samples (n,) of sigma sqrt(tau) (1 + sqrt(3) tau s)/(1 + tau s)^2 driven by white noise."""
+    """Stationary samples (n,), FINE a record's, of sigma sqrt(tau) (1 + sqrt(3) tau s)/(1 + tau s)^2 driven by white noise."""
     A = np.array([[0.0, 1.0], [-1.0 / tau**2, -2.0 / tau]])
     gain = np.array([0.0, 1.0])
     out = sigma * np.sqrt(tau) / tau**2 * np.array([1.0, np.sqrt(3.0) * tau])
     stationary = np.array([[tau**3 / 4.0, 0.0], [0.0, tau / 4.0]])
-    phi = expm(A * DT)
+    phi = expm(A * (DT / FINE))
     step = stationary - phi @ stationary @ phi.T
     root = np.linalg.cholesky(step + 1e-18 * np.eye(2))
     assert np.allclose(A @ stationary + stationary @ A.T + np.outer(gain, gain), 0.0)

@@ -219,3 +219,44 @@ def test_unseeded_runs_are_all_the_same_and_seed_zero_is_seed_one(tmp_path):
 
 def test_the_version_these_findings_belong_to():
     assert jsbsim.__version__ == "1.3.3"
+
+
+def test_a_second_element_for_an_axis_replaces_the_first(tmp_path):
+    one = "<axis name='X'><function name='a/x'><value>-30</value></function></axis>"
+    other = "<axis name='{}'><function name='b/x'><value>-7</value></function></axis>"
+    for name, total in (("X", -7.0), ("Y", -30.0)):
+        fdm = small(tmp_path, aero=one + other.format(name))
+        fdm.run_ic()
+        assert fdm["forces/fbx-aero-lbs"] == total
+
+
+def test_a_reset_loses_the_shift_of_the_aerodynamic_reference_point(tmp_path):
+    shift = "<aero_ref_pt_shift_x><function><value>0.5</value></function></aero_ref_pt_shift_x>"
+    fdm = small(tmp_path, aero=shift + "<axis name='Z'><function name='a/z'><value>-40</value></function></axis>")
+    fdm.run_ic()
+    moment = fdm["moments/m-aero-lbsft"]
+    assert abs(moment) == pytest.approx(40 * 0.5 * 0.5 / 0.3048, rel=1e-6)
+    fdm.reset_to_initial_conditions(0)
+    assert fdm["moments/m-aero-lbsft"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_file_of_a_models_own_output_is_made_though_output_is_disabled(tmp_path):
+    write_model(tmp_path)
+    xml = tmp_path / "aircraft" / "small" / "small.xml"
+    text = xml.read_text().replace(
+        "</fdm_config>", "<output name='log.csv' type='CSV' rate='10'><rates>ON</rates></output></fdm_config>"
+    )
+    xml.write_text(text)
+    fdm = load(tmp_path)
+    fdm.disable_output()
+    fdm.run_ic()
+    assert (tmp_path / "log.csv").is_file()
+
+
+def test_the_larger_of_nan_and_a_number_is_the_number(tmp_path):
+    nan = "<property value='0'>test/nan</property>"
+    greater = "<function name='test/max'><max><property>test/nan</property><value>0</value></max></function>"
+    fdm = small(tmp_path, aero=nan + greater)
+    fdm["test/nan"] = float("nan")
+    fdm.run_ic()
+    assert fdm["test/max"] == 0.0

@@ -7,7 +7,8 @@ from scipy.linalg import expm
 from statsmodels.tsa.statespace.mlemodel import MLEModel
 
 from sysid import filter_error, output_error
-from sysid.ekf import make_model
+from sysid.ekf import make_model, run_filter
+from sysid.filterinput import read_record
 
 DT = 0.05
 U = np.sign(np.sin(np.arange(400) * 0.11))
@@ -32,20 +33,42 @@ def discrete(theta):
     return np.eye(2) + h @ series, DT * series @ B
 
 
+def noise_of_a_step(theta, q):
+    """Covariance that white noise of density q^2 gathers in a step: Simpson's rule, the middle being the mean of the ends."""
+    phi = discrete(theta)[0]
+    Q, half = np.diag(np.square(q)), 0.5 * (np.eye(2) + phi)
+    return DT / 6 * (Q + 4 * half @ Q @ half.T + phi @ Q @ phi.T)
+
+
+def exact_noise(theta, q):
+    """The same by Van Loan's matrix exponential (IEEE Trans. Automatic Control 23, 1978)."""
+    A = np.array([[theta[0], 1.0], [theta[1], -0.8]])
+    joint = expm(np.block([[-A, np.diag(np.square(q))], [np.zeros((2, 2)), A.T]]) * DT)
+    return joint[2:, 2:].T @ joint[:2, 2:]
+
+
+def test_noise_of_a_step_is_that_of_continuous_noise():
+    found, exact = noise_of_a_step(TRUE, Q), exact_noise(TRUE, Q)
+    np.testing.assert_allclose(found, exact, rtol=0.02)
+    at_the_end = np.diag(np.square(Q)) * DT  # of the step: no covariance
+    assert not np.allclose(at_the_end, exact, rtol=0.5)
+
+
 def fly(seed, n=400, q=Q):
     rng = np.random.default_rng(seed)
     joint = expm(np.array([[TRUE[0], 1.0, 0.0], [TRUE[1], -0.8, TRUE[2]], [0.0, 0.0, 0.0]]) * DT)
     x, z = np.zeros(2), np.empty((n, 2))
+    root = np.linalg.cholesky(exact_noise(TRUE, q) + 1e-15 * np.eye(2))
     for k in range(n):
         z[k] = [x[0], x[0] + 0.5 * x[1]] + R * rng.normal(size=2)
-        x = joint[:2, :2] @ x + joint[:2, 2] * U[k % 400] + np.sqrt(DT) * q * rng.normal(size=2)
+        x = joint[:2, :2] @ x + joint[:2, 2] * U[k % 400] + root @ rng.normal(size=2)
     return z
 
 
 def textbook(vector, z):
     """Negative log-likelihood by the Kalman filter as in any textbook; vector: theta, ln sqrt Q22, ln R."""
     phi, gamma = discrete(vector[:3])
-    q, r = np.diag([0.0, np.exp(2 * vector[3]) * DT]), np.diag(np.exp(2 * vector[4:6]))
+    q, r = noise_of_a_step(vector[:3], [0.0, np.exp(vector[3])]), np.diag(np.exp(2 * vector[4:6]))
     H = np.array([[1.0, 0.0], [1.0, 0.5]])
     x, P, cost = np.zeros(2), 0.01 * np.eye(2), 0.0
     for k in range(len(z)):
@@ -62,16 +85,16 @@ class StateSpace(MLEModel):
     """The same model in statsmodels."""
 
     def __init__(self, z):
-        super().__init__(z, k_states=2, k_posdef=1)
+        super().__init__(z, k_states=2, k_posdef=2)
         self["design"] = np.array([[1.0, 0.0], [1.0, 0.5]])
-        self["selection"] = np.array([[0.0], [1.0]])
+        self["selection"] = np.eye(2)
         self.initialize_known(np.zeros(2), 0.01 * np.eye(2))
 
     def update(self, params, **kwargs):
         phi, gamma = discrete(params[:3])
         self["transition"] = phi
         self["state_intercept"] = gamma[:, None] * U[: self.nobs]
-        self["state_cov", 0, 0] = np.exp(2 * params[3]) * DT
+        self["state_cov"] = noise_of_a_step(params[:3], [0.0, np.exp(params[3])])
         self["obs_cov"] = np.diag(np.exp(2 * params[4:6]))
 
 
@@ -224,3 +247,20 @@ def test_bad_input_is_refused(change, said):
     given |= change
     with pytest.raises(ValueError, match=said):
         filter_error(**given)
+
+
+def test_inputs_between_samples_are_used():
+    # x integrates u = t^2 over one sample: exactly 1/3 when the input half-way is known, 1/2 by a straight line.
+    u, z, t = np.array([[0.0], [1.0]]), np.array([[0.0], [0.0]]), np.array([0.0, 1.0])
+
+    def missed(u_middle=None):
+        record, x0 = read_record([0.0], u, z, t, False, u_middle)
+        model = make_model(lambda x, u, theta: u + 0.0 * theta, lambda x, u, theta: x, x0[:, 0], u[0], np.zeros(1), 1)
+        one = np.ones((1, 1))
+        found = run_filter(model, record, 0 * one, 0 * one, 0.1 * one, x0[:, None, :], 1e-12 * one, np.array([1e-5]), 1)
+        return -found.raw[1, 0, 0]
+
+    assert missed() == pytest.approx(1 / 2)
+    assert missed(np.array([[0.25]])) == pytest.approx(1 / 3)
+    with pytest.raises(ValueError, match="u_middle"):
+        missed(np.array([[0.25], [0.5]]))

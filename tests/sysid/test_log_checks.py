@@ -229,9 +229,7 @@ def test_what_never_flew_says_so() -> None:
 def test_a_noisy_attitude_is_no_wrong_unit() -> None:
     rng = np.random.default_rng(4)
     quiet = flight(90.0)
-    noise = {
-        name: quiet[name] + 0.02 * rng.standard_normal(len(quiet)) for name in ("phi_rad", "theta_rad", "psi_rad")
-    }
+    noise = {name: quiet[name] + 0.02 * rng.standard_normal(len(quiet)) for name in ("phi_rad", "theta_rad", "psi_rad")}
     noisy = quiet.with_columns(noise)
     part = noisy["phi_rad"], noisy["p_radps"]
     # Seen as a regression on a noisy rate, the slope is far from 1 ...

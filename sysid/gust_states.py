@@ -1,0 +1,93 @@
+"""Dryden gusts as states of a filter: the air's own rotation, and the gusts that turn with the aircraft.
+
+The filter's V, alpha and beta are relative to the air, so gusts reach them as near-white noise on their rates. The same
+gusts do more, in heading axes (along the heading and level; index h), in which MIL-F-8785C gives them:
+
+* the air rotates (3.7.5): p_h is a first-order process of its own; q_h = -dw/dx and r_h = +dv/dx, smoothed over the span,
+  follow from what changes alpha and beta (and V on a sloping path). With alpha_g = -w/V, beta_g = -v/V in body axes and
+  V_g = -u along the path (a dot is d/dt), gamma the path's angle of climb through the air,
+
+    T_p dp_h/dt = -p_h + noise
+    T_q dq_h/dt = -q_h + cos(phi) alpha_g. + sin(phi) beta_g. - sin(gamma) V_g./V
+    T_r dr_h/dt = -r_h + sin(phi) alpha_g. - cos(phi) beta_g.          T_p = T_q = 4 b/(pi V), T_r = 3 b/(pi V)
+
+* the axes turn with the aircraft at dpsi/dt, and the gusts u_h, v_h with them: the air seems to accelerate by dpsi/dt
+  times them, without rotating. In a bank of 30 deg that is 0.01 rad/s of beta for seconds on end.
+
+None of these states needs noise of its own: with along = cos(phi) alpha + sin(phi) beta, across = cos(phi) beta - sin(phi)
+alpha, the states c_u = u_h + V, c_v = v_h/V + across, h_q = T_q q_h - along + sin(gamma) ln(V/c_u) and h_r = T_r r_h + across
+change by the deterministic part of V, alpha, beta alone.
+
+Left out, in E-SPAARO's simulated flights: rolling gusts taken for noise on p pass for persistence of the aircraft (Cl_p at
+two thirds); gradients along the body's axes in banked flight, or independent of alpha and beta, and gusts that do not
+turn, leave moments that nothing explains, and intervals of the lateral damping terms (Cn_r above all) do not cover.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+LENGTHS = (4.0 / np.pi, 4.0 / np.pi, 3.0 / np.pi)
+"""T_p V, T_q V, T_r V in spans, MIL-F-8785C 3.7.5."""
+NOISY = (0, 1, 2, 3, 4, 5, 8)
+"""States with process noise: V, alpha, beta as the gusts come; p_h; p, q, r a little, for what gusts so described leave over."""
+STATE_STD = (1.0, 0.02, 0.02, 0.05, 0.05, 0.05, 0.05, 0.05, 0.08, 0.01, 0.01, 1.5, 0.06)
+"""What a segment's first samples leave open of its start (13,); of the air, its own spread in light to moderate turbulence."""
+NOISE_START = (0.5, 0.02, 0.02, 0.01, 0.01, 0.01, 0.1, 0.1, 0.2, 0.1, 0.1, 0.1, 0.1)
+"""First guesses of the process noise, per root second, of NOISY states: light turbulence, roughly; the others' do not count."""
+
+
+@dataclass(frozen=True)
+class GustStates:
+    """p_h [rad/s], h_q, h_r [rad], c_u [m/s], c_v [rad] behind V, alpha, beta, p, q, r, phi, theta; ``b`` the span [m]."""
+
+    b: float
+
+    def lags_s(self, V: Any) -> tuple[Any, ...]:
+        """T_p, T_q, T_r at airspeed V."""
+        return tuple(length * self.b / V for length in LENGTHS)
+
+    def start(self, V: float, alpha: float, beta: float, phi: float) -> tuple[float, ...]:
+        """The five states in air that neither moves nor rotates."""
+        along, across = np.cos(phi) * alpha + np.sin(phi) * beta, np.cos(phi) * beta - np.sin(phi) * alpha
+        return 0.0, -float(along), float(across), V, float(across)
+
+    def level(self, x: Any) -> tuple[Any, Any, Any]:
+        """p_h, q_h, r_h [rad/s], the air's rotation in heading axes, of a whole state x."""
+        _, T_q, T_r = self.lags_s(x[0])
+        sf, cf = np.sin(x[6]), np.cos(x[6])
+        along = cf * x[1] + sf * x[2] - self._climb(x) * np.log(x[0] / x[11])
+        return x[8], (x[9] + along) / T_q, (x[10] + sf * x[1] - cf * x[2]) / T_r
+
+    def _climb(self, x: Any) -> Any:
+        """sin(gamma), to first order in alpha and beta."""
+        return np.sin(x[7]) - np.cos(x[7]) * (np.cos(x[6]) * x[1] + np.sin(x[6]) * x[2])
+
+    def rotation(self, x: Any) -> tuple[Any, Any, Any]:
+        """p_g, q_g, r_g [rad/s]: the air's rotation in body axes."""
+        p_h, q_h, r_h = self.level(x)
+        sf, cf, st, ct = np.sin(x[6]), np.cos(x[6]), np.sin(x[7]), np.cos(x[7])
+        upright = st * p_h + ct * r_h
+        return ct * p_h - st * r_h, cf * q_h + sf * upright, cf * upright - sf * q_h
+
+    def turning(self, x: Any) -> tuple[Any, Any, Any]:
+        """What the turning of u_h, v_h with the heading adds to the rates of V [m/s2], alpha, beta [rad/s]."""
+        sf, cf = np.sin(x[6]), np.cos(x[6])
+        dpsi = (x[4] * sf + x[5] * cf) / np.cos(x[7])
+        u_h, v_V = x[11] - x[0], x[12] + sf * x[1] - cf * x[2]
+        sideways = dpsi * u_h / x[0]
+        return dpsi * v_V * x[0], sf * sideways, -cf * sideways
+
+    def rates(self, x: Any, dV: Any, dalpha: Any, dbeta: Any, dphi: Any) -> tuple[Any, ...]:
+        """d/dt of the five states, given the deterministic rates of V, alpha, beta, phi (`turning` included)."""
+        p_h, q_h, r_h = self.level(x)
+        sf, cf = np.sin(x[6]), np.cos(x[6])
+        along = cf * dalpha + sf * dbeta + dphi * (cf * x[2] - sf * x[1])
+        across = cf * dbeta - sf * dalpha - dphi * (cf * x[1] + sf * x[2])
+        st, ct = np.sin(x[7]), np.cos(x[7])
+        dclimb = (ct + st * (cf * x[1] + sf * x[2])) * (x[4] * cf - x[5] * sf) - ct * along
+        along = along - dclimb * np.log(x[0] / x[11]) - self._climb(x) * dV * (1.0 / x[0] - 1.0 / x[11])
+        return -p_h / self.lags_s(x[0])[0], -q_h - along, across - r_h, dV, across

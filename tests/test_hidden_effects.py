@@ -1,0 +1,512 @@
+"""The examination of refine: its flights are true flights, its answers are right, and it can say no."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from sysid.flight_record import FlightRecord
+from tests import sixdof
+from tests.hidden_effects import sealed
+from tests.hidden_effects.airframes import ROOT, write_aircraft
+from tests.hidden_effects.answers import accepted, contract_faults, judge, property_name
+from tests.hidden_effects.cases import SECOND, battery, perturbed
+from tests.hidden_effects.catalogue import ENTRIES, IN_FORM, OFF_FORM
+from tests.hidden_effects.effects import Effect
+from tests.hidden_effects.flights import NOISE, Flight, fly, fly_and_tell
+from tests.hidden_effects.gusts import NODE_S, turbulence
+from tests.hidden_effects.manoeuvres import Manoeuvre, Pulse, card
+from tests.hidden_effects.marks import marks
+from tests.hidden_effects.motion import Model, Servos, evaluate, trim
+from tests.hidden_effects.strength import strengths
+from tests.sixdof import Airframe
+from uqharness.cli import main
+
+CASES = {(c.truth, c.kind, c.air): c for c in battery()}
+
+
+def some_states(n):
+    rng = np.random.default_rng(3)
+    x = rng.normal(size=(12, n)) * np.array([2, 2, 2, 0.5, 0.5, 0.5, 0.3, 0.3, 1, 9, 9, 9])[:, None]
+    x[0] += 22.0
+    x[11] -= 80.0
+    surfaces = 3.0 * rng.normal(size=(4, n))
+    surfaces[3] += 60.0
+    return x, surfaces
+
+
+# The flights
+
+
+def test_the_equations_are_those_of_the_other_integration():
+    x, s = some_states(6)
+    found = evaluate(Model([SECOND] * 6, [()] * 6), x, s, None).dot
+    expected = np.column_stack([sixdof.derivative(SECOND, x[:, i], s[:, i]) for i in range(6)])
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+    other = evaluate(Model([replace(SECOND, Ixz=-SECOND.Ixz)] * 6, [()] * 6), x, s, None).dot
+    assert np.abs(other - expected).max() > 0.01
+
+
+def test_the_step_is_short_enough_and_a_trim_stays():
+    flown = replace(card(5, 21.0, seconds=13.0, first=1), noise=0.0)
+    coarse, fine = (fly([Flight(flown, Airframe())], step_s=h)[0] for h in (0.004, 0.002))
+    for name, std in NOISE.items():
+        assert np.abs(coarse[name] - fine[name]).max() < 0.06 * std, name
+    model = Model([Airframe(), SECOND], [()] * 2)
+    x, s = trim(model, np.array([20.0, 24.0]), np.array([0.0, 0.0]))
+    assert np.abs(evaluate(model, x, s, None).dot[:6]).max() < 1e-9
+    # Table of method.md: 1.850 deg, -0.380 deg, 53.9 percent at 20 m/s.
+    assert np.degrees(x[7, 0]) == pytest.approx(1.85, abs=0.05)
+    assert (s[0, 0], s[3, 0]) == (pytest.approx(-0.38, abs=0.03), pytest.approx(53.9, abs=0.4))
+
+
+def test_servos_are_exact_and_their_faults_are_as_named():
+    effects = [
+        (), (Effect("actuator.elevator", "lag", 10.0),), (Effect("actuator.elevator", "deadband", 1.0),),
+        (Effect("actuator.elevator", "rate_limit", 30.0),), (Effect("actuator.elevator", "backlash", 1.0),),
+    ]  # fmt: skip
+    model = Model([Airframe()] * 5, effects)
+    servos = Servos(model, 0.002, np.zeros((4, 5)))
+    command = np.zeros((4, 5))
+    command[0] = 4.0
+    for _ in range(50):
+        servos.advance(command)
+    assert servos.s[0, 0] == pytest.approx(4.0 * (1 - np.exp(-2.5)))
+    assert servos.s[0, 1] == pytest.approx(4.0 * (1 - np.exp(-1.0)))
+    assert servos.s[0, 2] == pytest.approx(servos.s[0, 0] - 0.5)
+    assert servos.s[0, 3] == pytest.approx(3.0)
+    assert servos.s[0, 4] == pytest.approx(servos.s[0, 0] - 0.5)
+    for _ in range(500):
+        servos.advance(-command)
+    # Back from above: the dead zone takes its half from both sides, the play follows half a width behind.
+    assert servos.s[0, 2] == pytest.approx(-3.5, abs=1e-3)
+    assert servos.s[0, 4] == pytest.approx(-3.5, abs=1e-3)
+    for _ in range(500):
+        servos.advance(0.0 * command)
+    assert servos.s[0, 2] == pytest.approx(0.0, abs=1e-3)
+    assert servos.s[0, 4] == pytest.approx(-0.5, abs=1e-3)
+
+
+def test_gusts_have_the_spectra_of_the_specification():
+    from uqharness.dryden import dryden_psd
+
+    V, h, b = 22.0, 100.0, 3.66
+    series = np.concatenate([turbulence(V, h, 15.0, b, 150.0, np.random.default_rng(k)) for k in range(8)])
+    for i, name in enumerate("uvwpqr"):
+        top = 40.0 if name in "uvw" else 200.0
+        expected = np.sqrt(quad(lambda w, c=name: float(dryden_psd(c, w, V, h, 15.0, b)), 0.0, top, limit=400)[0])
+        assert series[:, i].std() == pytest.approx(expected, rel=0.2 if name in "uv" else 0.12), name
+    # q = -dw/dx: the air pitches down where the upward gust (negative w) grows.
+    slope = np.gradient(series[:, 2], NODE_S) / V
+    smooth = np.convolve(slope, np.ones(20) / 20.0, "same")
+    assert np.corrcoef(smooth, series[:, 4])[0, 1] < -0.4
+    assert np.corrcoef(np.gradient(series[:, 1], NODE_S), series[:, 5])[0, 1] > 0.1
+
+
+@pytest.fixture(scope="module")
+def plain():
+    kinds = ("roll and yaw", "roll and pitch")
+    return fly([Flight(card(11, 22.0, seconds=23.0, kinds=kinds), Airframe())])[0]
+
+
+def compare(record, folder, aircraft="espaaro"):
+    record.write(folder / "flight.parquet")
+    out = folder / "gap"
+    code = main(
+        [
+            "compare",
+            str(aircraft),
+            "--flight",
+            str(folder / "flight.parquet"),
+            "--out",
+            str(out),
+            "--workers",
+            "1",
+            "--no-figures",
+        ]
+    )
+    return code, {
+        c: row["ratio"]
+        for c, row in json.loads((out / "compare.json").read_text())["channels"].items()
+        if row["judged"]
+    }
+
+
+def test_a_flight_without_an_effect_is_at_jsbsims_noise_floor(plain, tmp_path):
+    code, ratios = compare(plain, tmp_path)
+    assert code == 0
+    assert max(ratios.values()) < 1.07, ratios
+
+
+def test_commands_one_sample_early_or_late_would_be_seen(plain, tmp_path):
+    for shift in (1, -1):
+        moved = plain.with_columns({c: np.roll(plain[c], shift) for c in ("elevator_deg", "aileron_deg", "rudder_deg")})
+        folder = tmp_path / str(shift)
+        folder.mkdir()
+        code, ratios = compare(moved, folder)
+        assert code == 1
+        assert ratios["p_radps"] > 1.5
+        assert ratios["q_radps"] > 1.15
+
+
+def test_the_second_aeroplane_is_its_xml(tmp_path):
+    folder = write_aircraft("second", SECOND, tmp_path)
+    flown = card(12, 23.0, seconds=13.0, kinds=("roll and pitch",))
+    its, other = fly([Flight(flown, SECOND), Flight(flown, perturbed(SECOND, np.random.default_rng(0)))])
+    code, ratios = compare(its, tmp_path, folder)
+    assert code == 0, ratios
+    assert compare(other, tmp_path, folder)[0] == 1
+
+
+def test_records_tell_nothing():
+    flown = card(3, 22.0, seconds=12.0)
+    bare, hidden = fly([Flight(flown, Airframe()), Flight(flown, Airframe(), (Effect("Cm", "p_hat^2", 5.0),))])
+    assert bare.metadata == hidden.metadata
+    assert list(bare.columns) == list(hidden.columns)
+    assert not np.array_equal(bare["q_radps"], hidden["q_radps"])
+    for case in battery():
+        words = {w for key in case.entries for w in key.replace(":", " ").split() if len(w) > 2} | {
+            case.kind,
+            case.truth,
+        }
+        assert not any(w in part for w in words for p in case.files(Path("x"))["train"] for part in p.parts), case.truth
+
+
+# The effects
+
+
+def test_terms_enter_as_the_vocabulary_says():
+    x, s = some_states(4)
+    plain_air = evaluate(Model([Airframe()] * 4, [()] * 4), x, s, None)
+    qS = 0.5 * plain_air.rho * plain_air.V**2 * 1.97
+
+    def gained(*effects):
+        return evaluate(Model([Airframe()] * 4, [effects] * 4), x, s, None).dot - plain_air.dot
+
+    p_hat = x[3] * 3.66 / (2.0 * plain_air.V)
+    np.testing.assert_allclose(gained(Effect("Cm", "p_hat^2", 3.0))[4], qS * 0.53 * 3.0 * p_hat**2 / 8.26, rtol=1e-9)
+    np.testing.assert_allclose(
+        gained(Effect("CX", "beta^2", -0.1))[0], qS * -0.1 * plain_air.beta**2 / 21.34, rtol=1e-9
+    )
+    np.testing.assert_allclose(
+        gained(Effect("CY", "abs(beta)*beta", 0.5))[1],
+        qS * 0.5 * abs(plain_air.beta) * plain_air.beta / 21.34,
+        rtol=1e-9,
+    )
+    # The same thing under two names: thrust along x is CT.
+    np.testing.assert_allclose(
+        gained(Effect("propulsion", "thrust_scale", 0.1)), gained(Effect("CX", "CT", 0.1)), atol=1e-12
+    )
+    # alphadot_hat c/2V of the motion itself.
+    a, dot = plain_air, plain_air.dot
+    alphadot = (x[0] * dot[2] - x[2] * dot[0]) / (x[0] ** 2 + x[2] ** 2)
+    expected = qS * 0.53 * -4.0 * alphadot * 0.53 / (2.0 * a.V) / 8.26
+    np.testing.assert_allclose(gained(Effect("Cm", "alphadot_hat", -4.0))[4], expected, rtol=1e-9)
+    # Force terms in alphadot change alphadot: the loop is closed.
+    again = evaluate(Model([Airframe()] * 4, [(Effect("CZ", "alphadot_hat", -3.0),)] * 4), x, s, None).dot
+    alphadot = (x[0] * again[2] - x[2] * again[0]) / (x[0] ** 2 + x[2] ** 2)
+    np.testing.assert_allclose(again[2] - dot[2], qS * -3.0 * alphadot * 0.53 / (2.0 * a.V) / 21.34, rtol=1e-4)
+    with pytest.raises(ValueError, match="unknown \\['gamma'\\]"):
+        Effect("Cm", "gamma^2", 1.0)
+    with pytest.raises(ValueError, match="known are"):
+        Effect("wing", "bend", 1.0)
+
+
+def test_every_effect_of_the_catalogue_changes_what_is_measured():
+    pulses = (
+        Pulse("aileron", "doublet", 8.0, 0.6), Pulse("rudder", "doublet", 6.0, 0.6, 1.4),
+        Pulse("elevator", "doublet", -6.0, 0.5, 2.4),
+        Pulse("throttle", "doublet", 25.0, 1.5),
+    )  # fmt: skip
+    flights = []
+    for entry in (*IN_FORM, *OFF_FORM):
+        # The break comes at 45 s; the test does not wait for it.
+        form = entry.form.replace("45", "1")
+        effect = Effect(entry.subject, entry.term, entry.guess, form).scaled(3.0 if entry.term != "late" else 1.0)
+        flown = replace(
+            card(1, {"slow": 15.0, "ground": 20.0, "mixed": 20.0}[entry.flown]), seconds=5.0, noise=0.0,
+            manoeuvres=(Manoeuvre("all", 0.2, 4.8, pulses),), h_m=3.0 if entry.flown == "ground" else 100.0,
+        )  # fmt: skip
+        flights += [Flight(flown, Airframe()), Flight(flown, Airframe(), (effect,))]
+    records = fly(flights)
+    for bare, hidden, flight in zip(records[::2], records[1::2], flights[1::2], strict=True):
+        most = max(np.abs(hidden[c] - bare[c]).max() / std for c, std in NOISE.items())
+        assert most > 0.02, flight.effects
+
+
+@pytest.fixture(scope="module")
+def weighed():
+    """Strengths of some effects in two short flights."""
+    flown = [
+        card(21, 21.0, seconds=11.0, kinds=("roll and pitch",)),
+        card(22, 25.0, seconds=11.0, kinds=("roll and yaw",)),
+    ]
+    pitch, inertia = Effect("Cm", "p_hat^2", 2.0), Effect("mass", "Ixz", 0.5)
+    variants = {
+        "one": ((Effect("Cl", "de", 1e-5),), 1.0), "twice": ((Effect("Cl", "de", 2e-5),), 1.0),
+        "noisy": ((Effect("Cl", "de", 1e-5),), 2.0),
+        "parameter": ((Effect("Cm", "alpha", -0.05),), 1.0), "cg": ((Effect("mass", "cg_x", 0.005),), 1.0),
+        "Ixz": ((inertia,), 1.0), "both": ((pitch, inertia), 1.0),
+    }  # fmt: skip
+    flights = {
+        name: [Flight(replace(c, noise=noise), Airframe(), hidden) for c in flown]
+        for name, (hidden, noise) in variants.items()
+    }
+    told = iter(fly_and_tell([f for two in flights.values() for f in two], 0.01))
+    return {name: strengths(two, [next(told) for _ in two], step_s=0.02) for name, two in flights.items()}
+
+
+def test_strength_goes_with_size_and_against_noise(weighed):
+    one = weighed["one"][0].t
+    assert one > 2.0
+    assert weighed["twice"][0].t == pytest.approx(2.0 * one, rel=0.02)
+    assert weighed["noisy"][0].t == pytest.approx(0.5 * one, rel=0.02)
+
+
+def test_what_the_parameters_can_take_up_has_no_strength(weighed):
+    assert weighed["parameter"][0].share < 0.05
+    # A centre of gravity elsewhere is Cm_0, Cm_alpha, Cm_de and Cn's linear terms by other names.
+    assert weighed["cg"][0].gap > 0.2
+    assert weighed["cg"][0].share < 0.05
+    # Ixz and p_hat^2 in pitch, each beside the other, are as good as nothing; alone they are something.
+    assert weighed["Ixz"][0].t > 5.0
+    assert weighed["both"][1].t < 0.5 * weighed["Ixz"][0].t
+
+
+@pytest.mark.slow
+def test_strength_is_output_errors_own(tmp_path):
+    """|t| from these equations' sensitivities against the standard error of identify, which flies JSBSim."""
+    hidden = Effect("CZ", "q_hat", -2.0)
+    flights = [
+        Flight(card(50 + i, V, seconds=33.0, first=3 * i), Airframe(), (hidden,)) for i, V in enumerate((21.0, 25.0))
+    ]
+    flown = fly_and_tell(flights)
+    paths = [tmp_path / f"{i}.parquet" for i in range(len(flown))]
+    for path, one in zip(paths, flown, strict=True):
+        one.record.write(path)
+    with (ROOT / "aircraft" / "espaaro" / "airframe.toml").open("rb") as handle:
+        names = [*tomllib.load(handle)["parameters"], "aero/CZ_q"]
+    given = [
+        "identify",
+        "espaaro",
+        "--flight",
+        *map(str, paths),
+        "--params",
+        ",".join(names),
+        "--out",
+        str(tmp_path / "fit"),
+    ]
+    assert main([*given, "--no-figures", "--workers", "1", "--method", "output-error"]) == 0
+    found = json.loads((tmp_path / "fit" / "fit.json").read_text())["parameters"]["aero/CZ_q"]
+    std = abs(hidden.size) / strengths(flights, flown)[0].t
+    assert found["std_crb"] == pytest.approx(std, rel=0.05)
+    assert found["value"] == pytest.approx(hidden.size, abs=3.5 * std)
+
+
+# The battery and its answers
+
+
+def test_the_battery_is_what_was_asked_for():
+    cases = battery()
+    assert len({c.id for c in cases}) == len(cases)
+    sized = {}
+    for c in cases:
+        if c.kind in ("clear", "marginal") and c.air == "calm" and c.aircraft == "espaaro":
+            sized.setdefault(c.entries[0], set()).add(c.kind)
+    assert sum(v == {"clear", "marginal"} for v in sized.values()) >= 15
+    assert sum(c.kind == "null" for c in cases) >= 60
+    assert {c.air for c in cases if c.kind == "null"} == {"calm", "light"}
+    assert sum(c.kind == "pair" for c in cases) >= 10
+    assert [c.id for c in cases] == [c.id for c in battery()]
+    assert {ENTRIES[k].off_form for c in cases if c.kind == "off-form" for k in c.entries} == {True}
+    assert len({c.train[0].rate_hz for c in cases}) == 3
+    assert {c.train[0].positions for c in cases} == {True, False}
+
+
+def gap(after=1.0):
+    channels = {"q_radps": {"rms_before": 0.005, "rms_after": 0.00349 * after, "noise_rms": 0.00349}}
+    return {"channels": channels, "coefficients": {}, "theil": {"before": 0.1, "after": 0.05}}
+
+
+def effect(key, value=0.0, std=1.0, alternatives=()):
+    subject, term = key.split(":")
+    coefficient = subject[0] == "C"
+    return {
+        "coefficient" if coefficient else "subsystem": subject, "term": term, "name": "n", "why": "w", "value": value, "std": std,
+        "property": property_name(subject, term) if coefficient else "x", "evidence": {},
+        "alternatives": [{"coefficient" if k[0] == "C" else "subsystem": k.split(":")[0], "term": k.split(":")[1],
+                          "evidence": {}, "separable": s} for k, s in alternatives],
+    }  # fmt: skip
+
+
+def refinement(*effects, verdict="", after=1.0):
+    return {
+        "verdict": verdict or ("effects-found" if effects else "no-missing-effect"), "disagreement": [], "effects": list(effects),
+        "remaining": {"unexplained": False, "where": []}, "gap": {"train": gap(), "test": gap(after)}, "model": "aircraft/x/x.xml",
+    }  # fmt: skip
+
+
+def test_the_right_name_counts_and_a_wrong_one_does_not():
+    case = CASES["CX:q_hat", "clear", "calm"]
+    truth = case.effects[0].size
+    found = judge(case, refinement(effect("CX:q_hat", 1.1 * truth, 0.08 * abs(truth))), 0)
+    assert (found.right, found.spurious, found.faults) == (True, 0, ())
+    assert abs(found.z[0]) == pytest.approx(0.1 / 0.08)
+    wrong = judge(case, refinement(effect("CX:beta^2")), 0)
+    assert (wrong.right, wrong.spurious, wrong.z) == (False, 1, ())
+    assert not judge(case, refinement(), 0).right
+    assert not judge(case, refinement(verdict="unexplained"), 1).right
+    second = judge(case, refinement(effect("Cm:beta^2"), effect("CX:q_hat")), 0)
+    assert (second.right, second.spurious) == (False, 1)
+    both = judge(case, refinement(effect("CX:q_hat"), effect("Cm:beta^2")), 0)
+    assert (both.right, both.spurious) == (True, 1)
+
+
+def test_an_inseparable_set_counts_if_it_is_small_and_said_to_be_one():
+    case = CASES["CX:q_hat", "clear", "calm"]
+    others = (("CX:q_hat", False), ("CX:alphadot_hat", False))
+    assert judge(case, refinement(effect("CX:de", alternatives=others)), 0).right
+    assert not judge(case, refinement(effect("CX:de", alternatives=(("CX:q_hat", True),))), 0).right
+    many = (*others, ("CX:alpha*de", False))
+    large = judge(case, refinement(effect("CX:de", alternatives=many)), 0)
+    assert not large.right
+    assert "4 inseparable effects" in large.faults
+
+
+def test_causes_that_are_the_same_on_the_data():
+    case = CASES["Cm:p_hat^2", "clear", "calm"]
+    assert accepted("Cm:p_hat^2") == {"Cm:p_hat^2", "mass:Ixz"}
+    together = judge(case, refinement(effect("Cm:p_hat^2", alternatives=(("mass:Ixz", False),))), 0)
+    assert (together.right, together.together) == (True, True)
+    alone = judge(case, refinement(effect("mass:Ixz")), 0)
+    assert (alone.right, alone.together, alone.spurious) == (True, False, 0)
+    assert judge(CASES["sensor.alpha_rad:scale", "clear", "calm"], refinement(effect("sensor.alpha:scale")), 0).right
+
+
+def test_nulls_pairs_and_what_has_no_name():
+    null = next(c for c in battery() if c.kind == "null")
+    assert judge(null, refinement(), 0).right
+    assert not judge(null, refinement(effect("CX:q_hat")), 0).right
+    assert not judge(null, refinement(verdict="unexplained"), 1).right
+    pair = next(c for c in battery() if c.entries == ("Cm:p_hat^2", "Cl:de"))
+    assert judge(pair, refinement(effect("Cl:de"), effect("mass:Ixz")), 0).right
+    assert not judge(pair, refinement(effect("Cl:de")), 0).right
+    off = CASES["Cm:table(alpha)", "off-form", "calm"]
+    assert judge(off, refinement(verdict="unexplained"), 1).right
+    assert judge(off, refinement(effect("Cm:alpha^3")), 0).right
+    assert not judge(off, refinement(effect("Cm:alpha^3"), after=1.3), 0).right
+    assert not judge(off, refinement(effect("Cm:alpha^3"), effect("CX:de")), 0).right
+    assert not judge(off, refinement(), 0).right
+
+
+def test_a_file_that_breaks_its_contract_is_told_so():
+    good = refinement(effect("Cm:p_hat^2", 0.1, 0.01))
+    assert contract_faults(good, 0) == []
+    assert contract_faults(good, 1) == ["exit code 1 with effects-found"]
+    assert contract_faults({**good, "verdict": "perhaps"}, 0) == ["verdict 'perhaps'"]
+    bad = refinement({**effect("Cm:p_hat^2"), "property": "aero/Cm_p_hat^2"})
+    assert contract_faults(bad, 0) == ["property 'aero/Cm_p_hat^2' for Cm:p_hat^2"]
+    assert "no gap" in contract_faults({k: v for k, v in good.items() if k != "gap"}, 0)
+    assert property_name("CY", "abs(beta)*beta") == "aero/CY_absbeta_beta"
+
+
+def table(**change):
+    one = {"kind": "clear", "air": "calm", "t": 20.0, "right": 1, "together": "", "spurious": 0, "z": "0.5",
+           "gap": 1.0, "oracle": 1.0,
+           "seconds": 60.0, "faults": ""}  # fmt: skip
+    return {**one, **change}
+
+
+def test_marks_are_reached_and_missed():
+    rows = [table()] * 19 + [table(right=0)]
+    assert marks(rows)[0]
+    for spoil in ({"right": 0}, {"spurious": 1}, {"z": "3.0"}, {"gap": 1.2}, {"faults": "no gap"}, {"together": 0}):
+        reached, text = marks(rows + [table(**spoil)] * 6)
+        assert not reached, (spoil, text)
+        assert "MISSED" in text
+    # What is weaker than |t| = 3 counts for nothing; below 10 it is marginal.
+    assert marks([*rows, table(right=0, t=2.0), table(right=0, t=1.0)])[0]
+    assert marks([*rows, *[table(t=5.0)] * 2, *[table(t=5.0, right=0)] * 2])[0]
+    assert not marks([*rows, table(kind="null", spurious=1, right=0, z="")])[0]
+
+
+def test_answers_are_kept_and_an_interrupted_run_goes_on(tmp_path, monkeypatch, capsys):
+    from tests.hidden_effects import run
+
+    case = CASES["CX:q_hat", "clear", "calm"]
+    asked = []
+
+    def ask(case, folder, place, extra=()):
+        asked.append(case.id)
+        if len(asked) == 2:
+            raise KeyboardInterrupt
+        return {
+            "exit": 0,
+            "seconds": 1.0,
+            "found": refinement(effect("CX:q_hat", case.effects[0].size, 0.1)),
+            "error": "",
+        }
+
+    monkeypatch.setattr(run, "ask", ask)
+    monkeypatch.setattr(run, "write", lambda cases, folder: None)
+    other = CASES["Cl:de", "clear", "calm"]
+    given = ["--out", str(tmp_path), "--cases", case.id, other.id]
+    with pytest.raises(KeyboardInterrupt):
+        run.main(given)
+    assert run.main(given) == 1
+    assert sorted(asked) == sorted([case.id, other.id, other.id if asked[0] == case.id else case.id])
+    lines = (tmp_path / "table.csv").read_text().splitlines()
+    assert len(lines) == 3
+    assert "MISSED" in capsys.readouterr().out
+
+
+# The seal
+
+
+def test_refine_can_neither_import_nor_read_the_examination(tmp_path):
+    secret = tmp_path / "answers"
+    secret.mkdir()
+    (secret / "a.json").write_text("{}")
+    place = sealed.seal(tmp_path / "sealed", [secret])
+    assert sealed.run(place, ["-c", "import uqharness, sysid; print(uqharness.__file__)"]).stdout.startswith(str(place))
+    for text in (
+        "import tests.hidden_effects.answers",
+        f"open({str(ROOT / 'tests' / 'hidden_effects' / 'catalogue.py')!r})",
+        f"import sys; sys.path.insert(0, {str(ROOT)!r}); import tests.hidden_effects.answers",
+        f"import sys; sys.path.insert(0, {str(ROOT / 'tests')!r}); import hidden_effects.answers",
+        f"open({str(secret / 'a.json')!r})",
+        f"import os; os.listdir({str(secret)!r})",
+        f"import subprocess, sys; sys.exit(subprocess.run([sys.executable, '-c', {f'open({str(secret)!r})'!r}]).returncode)",
+    ):
+        done = sealed.run(place, ["-c", text])
+        assert done.returncode != 0, text
+    (tmp_path / "open.json").write_text("{}")
+    assert sealed.run(place, ["-c", f"open({str(tmp_path / 'open.json')!r})"]).returncode == 0
+
+
+def test_the_product_does_not_know_the_examination():
+    for package in ("sysid", "uqharness"):
+        for path in (ROOT / package).rglob("*.py"):
+            assert "hidden_effects" not in path.read_text(encoding="utf-8"), path
+
+
+def test_written_flights_are_read_back(tmp_path):
+    from tests.hidden_effects.cases import write
+
+    case = replace(
+        CASES["CX:q_hat", "clear", "calm"], train=(card(1, 22.0, seconds=12.0),), test=(card(2, 22.0, seconds=12.0),)
+    )
+    write([case], tmp_path)
+    files = case.files(tmp_path)
+    record = FlightRecord.read(files["train"][0])
+    before = files["train"][0].stat().st_mtime_ns
+    write([case], tmp_path)
+    assert files["train"][0].stat().st_mtime_ns == before
+    assert record.dt_s == pytest.approx(0.02)
+    assert set(record["manoeuvre"]) == {"", "elevator doublet"}

@@ -1,0 +1,100 @@
+"""The aircraft of a campaign where it is not the author's own files: with bounds from a model form, with a trimmed start, or both.
+
+Such an aircraft is a copy in the campaign's folder, so that what was flown stays with what came out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+from uqharness import engine
+from uqharness.aircraft import Aircraft, content_hash, find_aircraft, parse_xml
+from uqharness.campaign_inputs import read_bounds
+from uqharness.campaign_spec import CampaignSpec
+from uqharness.cases import Mission
+from uqharness.errors import BadInputError
+from uqharness.model_form_xml import model_form_xml
+from uqharness.steady_start import SCRIPT, write_steady_start
+
+SYSTEM = "model-form"
+_COPIED = "aircraft"
+_UNFINISHED = ".aircraft-"
+
+
+def needs_copy(spec: CampaignSpec) -> bool:
+    """Whether the campaign flies a copy of the aircraft."""
+    return spec.inputs.model_form is not None or spec.start is not None
+
+
+def find_copied_mission(spec: CampaignSpec, aircraft: Aircraft, script: Path | None, folder: Path) -> Mission:
+    """The mission that a copy in ``folder`` is going to fly, with the hashes of what it will hold; nothing is left behind.
+
+    ``script`` None: the steady flight of [start]. Raises BadInputError as :func:`make_copy` does.
+    """
+    with tempfile.TemporaryDirectory(prefix="uqharness-") as name:
+        made = _copy(spec, aircraft, Path(name))
+        aircraft_hash = content_hash(find_aircraft(made))
+        script_hash = hashlib.sha256((script or Path(name) / SCRIPT).read_bytes()).hexdigest()
+    place = folder.resolve()
+    return Mission(
+        place / _COPIED / made.name, aircraft_hash, (script or place / SCRIPT).resolve(), script_hash, aircraft.folder
+    )
+
+
+def make_copy(spec: CampaignSpec, mission: Mission, folder: Path) -> None:
+    """Make the copy that ``mission`` flies in ``folder``, unless it is there already.
+
+    Raises BadInputError if the aircraft does not carry the plugin, cannot have these bounds, or has no trim.
+    """
+    for left in folder.glob(f"{_UNFINISHED}*"):
+        shutil.rmtree(left, ignore_errors=True)
+    target = mission.aircraft
+    if target.exists() and content_hash(find_aircraft(target)) == mission.aircraft_hash:
+        return
+    with tempfile.TemporaryDirectory(prefix=_UNFINISHED, dir=folder) as name:
+        made = _copy(spec, find_aircraft(mission.source), Path(name))
+        # A folder with flights of another aircraft is refused before; what is left to find here is half a copy.
+        shutil.rmtree(target, ignore_errors=True)
+        for sub in ("engine", "systems", SCRIPT):
+            if (Path(name) / sub).exists():
+                shutil.rmtree(folder / sub, ignore_errors=True)
+                os.replace(Path(name) / sub, folder / sub)
+        target.parent.mkdir(exist_ok=True)
+        os.replace(made, target)
+
+
+def _copy(spec: CampaignSpec, aircraft: Aircraft, root: Path) -> Path:
+    made = root / _COPIED / aircraft.folder.name
+    shutil.copytree(aircraft.folder, made, symlinks=False)
+    # Its own engines and systems lie beside the folder that holds it; JSBSim's need no copy.
+    own = aircraft.folder.parent.parent
+    if own != engine.default_root():
+        for sub in ("engine", "systems"):
+            if (own / sub).is_dir():
+                shutil.copytree(own / sub, root / sub, symlinks=False)
+    if spec.inputs.model_form is not None:
+        text = model_form_xml(read_bounds(spec.inputs.model_form), aircraft)
+        destination = made / _system_file(aircraft).relative_to(aircraft.folder)
+        destination.unlink()
+        destination.write_bytes(text)
+    if spec.start is not None:
+        write_steady_start(find_aircraft(made), spec.start, root / SCRIPT, str(spec.path))
+    return made
+
+
+def _system_file(aircraft: Aircraft) -> Path:
+    """The file of the aircraft's model-form system."""
+    for system in parse_xml(aircraft.xml).getroot().iter("system"):
+        named = system.get("file", "").removesuffix(".xml")
+        if named == SYSTEM:
+            for path in (aircraft.folder / "Systems" / f"{SYSTEM}.xml", aircraft.folder / f"{SYSTEM}.xml"):
+                if path.is_file():
+                    return path
+    raise BadInputError(
+        f'{aircraft.xml}: carries no <system file="{SYSTEM}"/>, so no bounds can act on it; '
+        f"add the plugin first: uqharness instrument {aircraft.name} --out DIR"
+    )

@@ -1,0 +1,85 @@
+"""All five methods over one stored study."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from uqharness.errors import BadInputError
+from uqharness.sensitivity.anova import anova
+from uqharness.sensitivity.corner_pairs import corner_pairs
+from uqharness.sensitivity.local import local
+from uqharness.sensitivity.pinching import pinching
+from uqharness.sensitivity.result import Index, MethodResult, PairRange
+from uqharness.sensitivity.scatter import scatter
+from uqharness.sensitivity.study import METHODS, Evaluations, Study
+
+_FUNCTIONS: Mapping[str, Callable[[Study, Evaluations, int, bool], MethodResult]] = {
+    "local": local,
+    "scatter": scatter,
+    "anova": anova,
+    "pbox": pinching,
+    "proposed": corner_pairs,
+}
+assert tuple(_FUNCTIONS) == METHODS
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Results by output, then by method."""
+
+    results: Mapping[str, Mapping[str, MethodResult]]
+
+    def __getitem__(self, output: str) -> Mapping[str, MethodResult]:
+        return self.results[output]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain JSON types; null where an index is undefined, its reason beside it."""
+        return {
+            output: {method: result.as_dict() for method, result in methods.items()}
+            for output, methods in self.results.items()
+        }
+
+    def text(self) -> str:
+        """Tables to read: one per output, each index with its interval, then what each method costs and assumes."""
+        return "\n\n".join(_table(output, methods) for output, methods in self.results.items())
+
+
+def analyse(study: Study, methods: Sequence[str] = METHODS, seed: int = 0, intervals: bool = True) -> Sensitivity:
+    """Apply ``methods`` to every output of a study; no run is made. ``seed`` is that of the resampling,
+    which ``intervals`` False leaves out."""
+    unknown = sorted(set(methods) - set(METHODS))
+    if unknown:
+        raise BadInputError(f"methods {', '.join(unknown)}: choose among {', '.join(METHODS)}")
+    return Sensitivity(
+        {
+            output: {method: _FUNCTIONS[method](study, runs, seed, intervals) for method in methods}
+            for output, runs in study.outputs.items()
+        }
+    )
+
+
+def _table(output: str, methods: Mapping[str, MethodResult]) -> str:
+    names = list(next(iter(methods.values())).indices)
+    width = max(9, *(len(name) for name in names))
+    head = f"  {'':<{width}}" + "".join(f"{method:>27}" for method in methods)
+    lines = [output, head]
+    for name in names:
+        lines.append(f"  {name:<{width}}" + "".join(f"{cell(result.indices[name]):>27}" for result in methods.values()))
+    lines += [f"  {method}: {result.runs} runs; {result.statement}" for method, result in methods.items()]
+    return "\n".join(lines)
+
+
+def cell(index: Index | PairRange) -> str:
+    """One number, or a range, with its interval behind it where it has one."""
+    if isinstance(index, PairRange):
+        text, low, high = f"{index.minimum.value:.3f}..{index.maximum.value:.3f}", index.minimum.low, index.maximum.high
+        undefined = math.isnan(index.minimum.value)
+    else:
+        text, low, high = f"{index.value:.3f}", index.low, index.high
+        undefined = math.isnan(index.value)
+    if undefined:
+        return "undefined"
+    return text if math.isnan(low) else f"{text} [{low:.3f}, {high:.3f}]"

@@ -1,0 +1,162 @@
+"""Sampling errors of areas, from the runs that are there. Pure.
+
+Two tools. Areas of p-boxes from samples inside the box rest on extremes, where the bootstrap, which repeats its largest value in
+two of three resamples, fails: there separate blocks of the samples tell. For indices of corner pairs the aleatory draws are
+resampled with replacement, all corners together because they share them, and one band holds for all pairs of all parameters at
+once, so that it also holds for the smallest and largest picked among them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from uqharness.sensitivity.areas import fixed_areas, pair_areas
+from uqharness.sensitivity.problem import Array
+from uqharness.sensitivity.result import CONFIDENCE
+
+Z = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE))
+HALVES = 20
+BLOCKS = 8
+RESAMPLES = 200
+_BIAS_SEEN = 1.0 / (2.0**0.5 - 1.0)
+# Of noise s in the sample a resample has sqrt(2) s; a bias in proportion to s shows only the difference, 0.41 of itself.
+SWAPS = 50
+MIN_DRAWS = 8
+"""Fewer aleatory draws than these say nothing of their own spread."""
+
+
+def std_by_draws(statistic: Callable[[NDArray[Any]], Array | float], draws: int, seed: int) -> Array:
+    """Standard deviation of ``statistic(columns)`` that the choice of the aleatory draws makes: over halves, for half kept is
+    half left out. 0 where one draw stands for no chance at all."""
+    if draws == 1:
+        return np.zeros_like(statistic(np.arange(1)))
+    rng = np.random.default_rng(seed)
+    return np.std(np.array([statistic(rng.permutation(draws)[: draws // 2]) for _ in range(HALVES)]), axis=0, ddof=1)
+
+
+def reach_of_box(statistic: Callable[[Any, Any], Array | float], shape: tuple[int, ...], seed: int) -> Array:
+    """Half-width of the interval of a statistic of p-box areas, ``statistic(rows, columns)``.
+
+    Rows: the spread over BLOCKS separate blocks, not narrowed to the full number of samples. An extreme of E samples varies as
+    E^(-1/k) with k active parameters, so the narrowing is anything from none to eightfold; none is on the safe side.
+    """
+    samples, draws = shape
+    every = np.arange(samples), np.arange(draws)
+    rows = np.random.default_rng(seed).permutation(samples)
+    by_rows = np.std(np.array([statistic(block, every[1]) for block in np.array_split(rows, BLOCKS)]), axis=0, ddof=1)
+    by_columns = std_by_draws(lambda columns: statistic(every[0], columns), draws, seed)
+    return float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, BLOCKS - 1)) * np.hypot(by_rows, by_columns)
+
+
+@dataclass(frozen=True)
+class PairBand:
+    """Indices with one band that holds for all of them at once; ``area`` of the envelope and its own interval.
+
+    ``index``, ``low``, ``high`` (d, 2^(d-1) + 2): the pairs' shares of the envelope's area, then, in the last two columns, the
+    share by which the envelope shrinks with the parameter fixed at its lower and at its upper bound. All lie in 0..1.
+    ``lead`` (d, d): the lower limit of (smallest share of row - largest share of column); above 0 where the row's parameter comes
+    first whatever the others are. It compares the same flights, so it knows more than two bands side by side.
+    """
+
+    index: Array
+    low: Array
+    high: Array
+    area: float
+    area_low: float
+    area_high: float
+    lead: Array
+
+
+def pair_band(
+    y: Array, d: int, seed: int, confidence: float = CONFIDENCE, resamples: int = RESAMPLES, chance: bool = True
+) -> PairBand:
+    """Indices of all pairs and their simultaneous band by a bootstrap over the draws; y (2^d, A).
+
+    The band is the bootstrap's largest studentised deviation over all of them. An area of absolute differences, or of largest and
+    smallest values, is biased by chance, in the direction the bootstrap shows: the band reaches further to the other side, and
+    what chance alone would make of two equal corners is no evidence that they differ. With fewer than MIN_DRAWS draws, no
+    resamples, or a resample without any width, the band is NaN; without ``chance`` the one column's numbers are exact
+    and it is closed.
+    """
+    area, index = _indices(np.sort(y, axis=-1), d)
+    draws = y.shape[1]
+    if not chance and draws == 1:
+        return _without_band(index, area, 0.0)
+    if draws < MIN_DRAWS or resamples == 0:
+        return _without_band(index, area, np.nan)
+    rng = np.random.default_rng(seed)
+    again = np.empty((resamples, index.size))
+    areas = np.empty(resamples)
+    for k in range(resamples):
+        areas[k], found = _indices(np.sort(y[:, rng.integers(draws, size=draws)], axis=-1), d)
+        again[k] = found.ravel()
+    if np.isnan(again).any():
+        return _without_band(index, area, np.nan)
+    flat = index.ravel()
+    std, bias = again.std(axis=0, ddof=1), _BIAS_SEEN * (again.mean(axis=0) - flat)
+    moving = std > 1e-12
+    deviation = np.abs(again - again.mean(axis=0))[:, moving] / std[moving]
+    # Few draws: the bootstrap's spread is that of a variance divided by A in place of A-1, and its tails are Student's.
+    point = 0.5 + 0.5 * confidence
+    small = np.sqrt(draws / (draws - 1.0)) * stats.t.ppf(point, draws - 1) / stats.norm.ppf(point)
+    reach = small * (float(np.quantile(deviation.max(axis=1), confidence)) if moving.any() else 0.0)
+    low = (flat - np.maximum(bias, 0.0) - reach * std).reshape(index.shape)
+    low[:, :-2] = np.minimum(low[:, :-2], index[:, :-2] - _chance_areas(y, d, rng, reach) / area)
+    low = np.maximum(0.0, low)
+    # Where no pair is shown to differ, no shrinkage is shown either.
+    low[np.all(low[:, :-2] == 0.0, axis=1), -2:] = 0.0
+    high = np.minimum(1.0, flat - np.minimum(bias, 0.0) + reach * std)
+    spread = small * float(stats.norm.ppf(point)) * float(areas.std(ddof=1))
+    area_low = area - max(0.0, _BIAS_SEEN * (float(areas.mean()) - area)) - spread
+    lead = _lead(index, again.reshape(resamples, *index.shape), draws, confidence)
+    return PairBand(index, low, high.reshape(index.shape), area, area_low, area + spread, lead)
+
+
+def _lead(index: Array, again: Array, draws: int, confidence: float) -> Array:
+    """(d, d) lower limits, one-sided, Bonferroni over the d - 1 rivals. The smallest of noisy shares is biased down and the largest
+    up, so chance makes a lead look shorter, never longer."""
+    d = index.shape[0]
+    pairs, resampled = index[:, :-2], again[:, :, :-2]
+    lead = pairs.min(axis=1)[:, None] - pairs.max(axis=1)[None, :]
+    spread = (resampled.min(axis=2)[:, :, None] - resampled.max(axis=2)[:, None, :]).std(axis=0, ddof=1)
+    reach = float(np.sqrt(draws / (draws - 1.0)) * stats.t.isf((1.0 - confidence) / max(1, d - 1), draws - 1))
+    return np.asarray(lead - reach * spread)
+
+
+def _chance_areas(y: Array, d: int, rng: np.random.Generator, reach: float) -> Array:
+    """(d, 2^(d-1)) areas that chance alone gives a pair of corners whose distributions differ by a shift at most.
+
+    The two values of each draw are swapped at random once the shift is removed: what is left is the noise that the draws do not
+    share. ``reach`` standard deviations above the mean of SWAPS such areas.
+    """
+    cube = y.reshape((2,) * d + (y.shape[1],))
+    found = np.empty((d, 2 ** (d - 1)))
+    for i in range(d):
+        low, high = (np.take(cube, end, axis=i).reshape(-1, y.shape[1]) for end in (0, 1))
+        high = high - (high - low).mean(axis=1, keepdims=True)
+        areas = np.empty((SWAPS, len(low)))
+        for k in range(SWAPS):
+            swap = rng.random(y.shape[1]) < 0.5
+            one, other = np.where(swap, high, low), np.where(swap, low, high)
+            areas[k] = np.abs(np.sort(one, axis=1) - np.sort(other, axis=1)).mean(axis=1)
+        found[i] = areas.mean(axis=0) + reach * areas.std(axis=0, ddof=1)
+    return found
+
+
+def _without_band(index: Array, area: float, nothing: float) -> PairBand:
+    pairs = index[:, :-2]
+    lead = pairs.min(axis=1)[:, None] - pairs.max(axis=1)[None, :] + nothing
+    return PairBand(index, index + nothing, index + nothing, area, area + nothing, area + nothing, lead)
+
+
+def _indices(ordered: Array, d: int) -> tuple[float, Array]:
+    area = float(np.mean(ordered.max(axis=0) - ordered.min(axis=0)))
+    if not area > 0.0:
+        return area, np.full((d, 2 ** (d - 1) + 2), np.nan)
+    return area, np.hstack([pair_areas(ordered, d) / area, 1.0 - fixed_areas(ordered, d) / area])

@@ -1,0 +1,256 @@
+"""One study: the model is run once at every point that any of the methods needs, and the raw outputs are kept."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uqharness.errors import BadInputError
+from uqharness.sensitivity.problem import Array, Problem, aleatory_centre, aleatory_draws, corners, make_problem
+from uqharness.whole_files import write_bytes
+
+METHODS = ("local", "scatter", "anova", "pbox", "proposed")
+"""Finite difference, scatter regression, total-effect Sobol, p-box pinching, corner pairs: chapter 4's five."""
+
+INTERIOR_SAMPLES = 16
+"""Interior samples that check the corner envelope where a study has no other inside the box."""
+
+MAX_CORNERS = 2**16
+_ROWS_AT_ONCE = 65536
+
+Model = Callable[..., Any]
+
+
+@dataclass(frozen=True)
+class Evaluations:
+    """Raw outputs of one quantity; a stage that was not run is None.
+
+    ``nominal`` (1,) and ``forward`` (d,) at the centre of the aleatory variables; ``sampled``, ``second`` (E, A), ``mixed``
+    (d, E, A: the sampled matrix with column i from the second) and ``pinned`` (d, E, A: column i at its nominal value);
+    ``corners`` (2^d, A), first parameter slowest; ``interior`` (n, A), inside the box. Columns are the same A aleatory draws
+    everywhere.
+    """
+
+    nominal: Array | None = None
+    forward: Array | None = None
+    sampled: Array | None = None
+    second: Array | None = None
+    mixed: Array | None = None
+    pinned: Array | None = None
+    corners: Array | None = None
+    interior: Array | None = None
+
+
+@dataclass(frozen=True)
+class Study:
+    """What was run: intervals (d,), ``theta`` (E, d) of the sampled matrix, and the evaluations of each output.
+
+    ``chance`` says whether the columns of the evaluations are draws of something random; without, one column is exact.
+    """
+
+    names: tuple[str, ...]
+    lower: Array
+    upper: Array
+    nominal: Array
+    step: Array
+    theta: Array
+    chance: bool
+    outputs: Mapping[str, Evaluations]
+
+    @property
+    def width(self) -> Array:
+        return self.upper - self.lower
+
+
+def run_study(
+    model: Model,
+    epistemic: Mapping[str, tuple[float, float]],
+    aleatory: Mapping[str, Any] | None = None,
+    *,
+    nominal: Mapping[str, float] | None = None,
+    step: Mapping[str, float] | None = None,
+    samples: int = 1024,
+    draws: int = 100,
+    seed: int = 0,
+    methods: Sequence[str] = METHODS,
+    vectorised: bool = True,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> Study:
+    """Run ``model`` at the points that ``methods`` need.
+
+    ``model(**values)`` receives every epistemic and aleatory value by name and returns the output, or a mapping of named outputs;
+    with ``vectorised`` the values are arrays (n,) and so is each output, else floats. A NaN output is kept and reported.
+    ``samples`` is E, a power of two for ``anova`` (scipy's estimator asks for it); ``draws`` is A, and 1 where nothing is
+    aleatory. ``on_progress`` receives runs done and runs to do. Raises BadInputError.
+    """
+    problem = make_problem(epistemic, aleatory, nominal, step)
+    _check(problem, samples, draws, methods)
+    rng = np.random.default_rng(seed)
+    chance = aleatory_draws(problem, draws, rng)
+    centre = aleatory_centre(problem)
+    first, second = (problem.lower + rng.random((samples, len(problem.names))) * problem.width for _ in range(2))
+    inside = problem.lower + rng.random((INTERIOR_SAMPLES, len(problem.names))) * problem.width
+
+    stages: dict[str, tuple[Array, Array]] = {}
+    if "local" in methods:
+        stages["nominal"] = problem.nominal[None], centre
+        stages["forward"] = problem.nominal + np.diag(problem.step), centre
+    if set(methods) & {"local", "scatter", "anova", "pbox"}:
+        stages["sampled"] = first, chance
+    if "anova" in methods:
+        stages["second"] = second, chance
+        stages["mixed"] = _columns_from(first, second).reshape(-1, first.shape[1]), chance
+    if "pbox" in methods:
+        stages["pinned"] = (
+            _columns_from(first, np.broadcast_to(problem.nominal, first.shape)).reshape(-1, first.shape[1]),
+            chance,
+        )
+    if "proposed" in methods:
+        stages["corners"] = corners(problem.lower, problem.upper), chance
+        if "sampled" not in stages:
+            stages["interior"] = inside, chance
+
+    total = sum(len(theta) * len(draw) for theta, draw in stages.values())
+    done = 0
+    found: dict[str, dict[str, Array]] = {}
+    for stage, (theta, draw) in stages.items():
+        values = _evaluate(model, problem, theta, draw, vectorised)
+        done += len(theta) * len(draw)
+        if on_progress is not None:
+            on_progress(done, total)
+        for output, y in values.items():
+            found.setdefault(output, {})[stage] = _shaped(stage, y, len(problem.names))
+    outputs = {output: Evaluations(**found[output]) for output in found}
+    return Study(
+        problem.names,
+        problem.lower,
+        problem.upper,
+        problem.nominal,
+        problem.step,
+        first,
+        bool(problem.aleatory),
+        outputs,
+    )
+
+
+def _check(problem: Problem, samples: int, draws: int, methods: Sequence[str]) -> None:
+    unknown = sorted(set(methods) - set(METHODS))
+    if unknown or not methods:
+        raise BadInputError(f"methods {', '.join(unknown) or '(none)'}: choose among {', '.join(METHODS)}")
+    if samples < 16 or draws < 1:
+        raise BadInputError(f"samples = {samples}, draws = {draws}: at least 16 samples and 1 draw are needed")
+    if problem.aleatory and draws < 2:
+        raise BadInputError(
+            f"draws = {draws}: with aleatory variables at least 2 draws are needed, and 8 for intervals"
+        )
+    if "anova" in methods and samples & (samples - 1):
+        raise BadInputError(
+            f"samples = {samples}: the variance-based method needs a power of two; "
+            f"use {2 ** (samples.bit_length() - 1)} or {2 ** samples.bit_length()}"
+        )
+    if "proposed" in methods and 2 ** len(problem.names) > MAX_CORNERS:
+        raise BadInputError(
+            f"{len(problem.names)} epistemic parameters have 2^{len(problem.names)} corners, more than {MAX_CORNERS}; "
+            "leave 'proposed' out of methods, or fewer parameters in"
+        )
+
+
+def _columns_from(first: Array, other: Array) -> Array:
+    """(d, E, d): copies of ``first`` with column i from ``other``."""
+    d = first.shape[1]
+    copies = np.repeat(first[None], d, axis=0)
+    for i in range(d):
+        copies[i, :, i] = other[:, i]
+    return copies
+
+
+def _shaped(stage: str, y: Array, d: int) -> Array:
+    if stage in ("nominal", "forward"):
+        return y[:, 0]
+    return y.reshape(d, -1, y.shape[1]) if stage in ("mixed", "pinned") else y
+
+
+def _evaluate(model: Model, problem: Problem, theta: Array, draws: Array, vectorised: bool) -> dict[str, Array]:
+    """Every row of theta (n, d) with every draw (A, a): (n, A) per output."""
+    rows = max(1, _ROWS_AT_ONCE // len(draws))
+    parts: dict[str, list[Array]] = {}
+    for start in range(0, len(theta), rows):
+        block = theta[start : start + rows]
+        values = {name: np.repeat(block[:, k], len(draws)) for k, name in enumerate(problem.names)}
+        values |= {name: np.tile(draws[:, k], len(block)) for k, name in enumerate(problem.aleatory)}
+        called = _call(model, values, len(block) * len(draws)) if vectorised else _call_each(model, values)
+        if parts and set(called) != set(parts):
+            raise BadInputError(f"the model gave outputs {sorted(called)} after {sorted(parts)}")
+        for output, y in called.items():
+            parts.setdefault(output, []).append(y.reshape(len(block), len(draws)))
+    return {output: np.concatenate(found) for output, found in parts.items()}
+
+
+def _named(returned: Any) -> Mapping[str, Any]:
+    return returned if isinstance(returned, Mapping) else {"output": returned}
+
+
+def _call(model: Model, values: dict[str, Array], n: int) -> dict[str, Array]:
+    found = {}
+    for output, y in _named(model(**values)).items():
+        y = np.asarray(y, dtype=float)
+        if y.shape not in ((n,), ()):
+            raise BadInputError(
+                f"the model gave an array of shape {y.shape} for values of shape ({n},); return one number per value, or "
+                "pass vectorised=False to have it called with floats"
+            )
+        # A model that depends on nothing may say so with one number.
+        found[str(output)] = np.broadcast_to(y, (n,)).copy()
+    return found
+
+
+def _call_each(model: Model, values: dict[str, Array]) -> dict[str, Array]:
+    rows = zip(*(column.tolist() for column in values.values()), strict=True)
+    results = [_named(model(**dict(zip(values, row, strict=True)))) for row in rows]
+    if any(set(item) != set(results[0]) for item in results):
+        raise BadInputError(
+            "the model names different outputs at different values; give every output a value, NaN where it has none"
+        )
+    return {str(output): np.array([float(item[output]) for item in results]) for output in results[0]}
+
+
+_ARRAYS = ("lower", "upper", "nominal", "step", "theta")
+
+
+def write_study(study: Study, path: str | Path) -> None:
+    """Write a study as .npz, whole or not at all; ``read_study`` gives it back. Raises BadInputError."""
+    arrays: dict[str, Any] = {name: getattr(study, name) for name in _ARRAYS}
+    header = {"names": list(study.names), "outputs": list(study.outputs), "chance": study.chance}
+    arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+    for number, evaluations in enumerate(study.outputs.values()):
+        for field in fields(Evaluations):
+            values = getattr(evaluations, field.name)
+            if values is not None:
+                arrays[f"{number}/{field.name}"] = values
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    write_bytes(Path(path), buffer.getvalue())
+
+
+def read_study(path: str | Path) -> Study:
+    """Read a study that ``write_study`` wrote. Raises BadInputError."""
+    try:
+        with np.load(Path(path), allow_pickle=False) as file:
+            header = json.loads(file["header"].tobytes())
+            outputs = {
+                output: Evaluations(
+                    **{field.name: file[f"{k}/{field.name}"] for field in fields(Evaluations)
+                       if f"{k}/{field.name}" in file}
+                )
+                for k, output in enumerate(header["outputs"])
+            }  # fmt: skip
+            arrays = {name: file[name] for name in _ARRAYS}
+            return Study(names=tuple(header["names"]), outputs=outputs, chance=bool(header["chance"]), **arrays)
+    except (OSError, ValueError, KeyError) as error:
+        raise BadInputError(f"{path}: not a study written by uqharness: {error}") from None

@@ -1,0 +1,42 @@
+"""What the sections of campaign.toml share: strictness, numbers, lists."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from uqharness.flight_spec import COEFFICIENTS, TURBULENCE_W20_KT
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Turbulence = Literal["none", "light", "moderate", "severe"]
+Coefficient = Literal["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
+assert set(TURBULENCE_W20_KT) == set(Turbulence.__args__)  # type: ignore[attr-defined]
+assert Coefficient.__args__ == COEFFICIENTS  # type: ignore[attr-defined]
+
+
+class Section(BaseModel):
+    """A section of the file: unknown keys are refused, types are not bent, values do not change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+def listed(value: Any) -> Any:
+    """A single value stands for a list of one; TOML's lists become tuples, which strict validation wants."""
+    return tuple(value) if isinstance(value, list) else (value,)
+
+
+def tupled(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def ordered(value: tuple[str, ...]) -> tuple[str, ...]:
+    """Coefficients in the order in which they are always listed. ValueError for none or one twice."""
+    if not value or len(set(value)) != len(value):
+        raise ValueError("must name at least one coefficient, and none twice")
+    return tuple(name for name in COEFFICIENTS if name in value)
