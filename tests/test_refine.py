@@ -1,4 +1,5 @@
-"""uqharness refine from flights of the independent equations: the missing effect is named, valued, added and shown; nothing is found
+"""uqharness refine from flights of the independent equations: the missing effect is named, valued, added and shown;
+nothing is found
 where nothing is missing; test flights choose nothing."""
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from sixdof import Airframe, derivative
 from sysid.flight_record import FlightRecord
 from uqharness.cli import main
 
-TRAIN = (("pitch-3211", 22.0), ("roll-yaw", 22.0), ("yaw-roll", 20.0), ("throttle", 21.0), ("roll-yaw", 19.0))
-TEST = (("yaw-roll", 22.0), ("pitch-doublet", 21.0))
-HIDDEN = 1.5
+TRAIN = (("pitch-3211", 22.0), ("roll-yaw", 22.0), ("yaw-roll", 20.0), ("roll-yaw", 19.0))
+TEST = (("yaw-roll", 22.0),)
+HIDDEN = 3.0
 
 
 def with_p2(airframe: Airframe, x, u):
@@ -32,8 +33,8 @@ def with_p2(airframe: Airframe, x, u):
 def flights(tmp_path_factory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("flights")
     made = {
-        "train": fly(TRAIN, seed=1, seconds=7.0, rhs=with_p2), "test": fly(TEST, seed=2, seconds=7.0, rhs=with_p2),
-        "plain": fly(TRAIN[:3], seed=3, seconds=7.0), "plain_test": fly(TEST, seed=4, seconds=7.0),
+        "train": fly(TRAIN, seed=1, seconds=6.0, rhs=with_p2), "test": fly(TEST, seed=2, seconds=6.0, rhs=with_p2),
+        "plain": fly(TRAIN[:2], seed=3, seconds=6.0), "plain_test": fly(TEST, seed=4, seconds=6.0),
     }  # fmt: skip
     for name, record in made.items():
         record.write(folder / f"{name}.parquet")
@@ -43,7 +44,23 @@ def flights(tmp_path_factory) -> dict[str, Path]:
 @pytest.fixture(scope="module")
 def refined(flights, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("refined")
-    assert main(["refine", "espaaro", "--train", str(flights["train"]), "--test", str(flights["test"]), "--out", str(out), "--workers", "1"]) == 0
+    assert (
+        main(
+            [
+                "refine",
+                "espaaro",
+                "--train",
+                str(flights["train"]),
+                "--test",
+                str(flights["test"]),
+                "--out",
+                str(out),
+                "--workers",
+                "1",
+            ]
+        )
+        == 0
+    )
     return out
 
 
@@ -96,26 +113,48 @@ def test_test_flights_choose_nothing(flights, refined, tmp_path):
     path = tmp_path / "spoilt.parquet"
     FlightRecord(spoilt, record.metadata).write(path)
     out = tmp_path / "out"
-    main(["refine", "espaaro", "--train", str(flights["train"]), "--test", str(path), "--out", str(out), "--workers", "1", "--no-figures"])
+    main(
+        [
+            "refine",
+            "espaaro",
+            "--train",
+            str(flights["train"]),
+            "--test",
+            str(path),
+            "--out",
+            str(out),
+            "--workers",
+            "1",
+            "--no-figures",
+        ]
+    )
     keys = ("coefficient", "term", "value", "std", "evidence")
-    assert [[e[k] for k in keys] for e in document(out)["effects"]] == [[e[k] for k in keys] for e in document(refined)["effects"]]
+    assert [[e[k] for k in keys] for e in document(out)["effects"]] == [
+        [e[k] for k in keys] for e in document(refined)["effects"]
+    ]
 
 
 def test_nothing_is_found_where_nothing_is_missing(flights, tmp_path, capsys):
     out = tmp_path / "out"
     code = main([
-        "refine", "espaaro", "--train", str(flights["plain"]), "--test", str(flights["plain_test"]), "--out", str(out), "--workers", "1",
-        "--no-figures", "--json",
+        "refine", "espaaro", "--train", str(flights["plain"]), "--test", str(flights["plain_test"]), "--out", str(out),
+        "--workers", "1", "--no-figures", "--json",
     ])  # fmt: skip
     found = json.loads(capsys.readouterr().out)
     assert (code, found["verdict"], found["effects"]) == (0, "no-missing-effect", [])
-    assert found["gap"]["test"]["channels"]["q_radps"]["rms_after"] < 1.15 * found["gap"]["test"]["channels"]["q_radps"]["noise_rms"]
+    assert (
+        found["gap"]["test"]["channels"]["q_radps"]["rms_after"]
+        < 1.15 * found["gap"]["test"]["channels"]["q_radps"]["noise_rms"]
+    )
 
 
 def test_a_train_flight_given_as_test_is_refused_by_its_content(flights, tmp_path, capsys):
     copy = tmp_path / "renamed.parquet"
     copy.write_bytes(flights["train"].read_bytes())
-    assert main(["refine", "espaaro", "--train", str(flights["train"]), "--test", str(copy), "--out", str(tmp_path / "o")]) == 2
+    assert (
+        main(["refine", "espaaro", "--train", str(flights["train"]), "--test", str(copy), "--out", str(tmp_path / "o")])
+        == 2
+    )
     assert "proves nothing" in capsys.readouterr().err
 
 
@@ -127,7 +166,8 @@ def test_help_and_wrong_input(tmp_path, capsys, flights):
     own = tmp_path / "own.toml"
     own.write_text('[[effect]]\ncoefficient = "Cm"\nterm = "x"\n', encoding="utf-8")
     code = main([
-        "refine", "espaaro", "--train", str(flights["train"]), "--test", str(flights["test"]), "--effects", str(own), "--out", str(tmp_path / "o"),
+        "refine", "espaaro", "--train", str(flights["train"]), "--test", str(flights["test"]), "--effects", str(own),
+        "--out", str(tmp_path / "o"),
     ])  # fmt: skip
     assert code == 2
     assert "is no factor" in capsys.readouterr().err

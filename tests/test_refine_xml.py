@@ -43,7 +43,10 @@ def test_a_term_joins_the_authors_sum_and_0_restores_the_model_bit_for_bit(tmp_p
     out.parent.mkdir()
     assert write_effects(aircraft, [written(coefficient_effect("Cm", "p_hat^2"), 3.0)], {}, out) == []
     text = (out / "espaaro.xml").read_text(encoding="utf-8")
-    assert "<product> <property>aero/Cm_p2</property> <property>aero/p_hat</property> <property>aero/p_hat</property> </product>" in text
+    assert (
+        "<product> <property>aero/Cm_p2</property> <property>aero/p_hat</property> <property>aero/p_hat</property> </product>"
+        in text
+    )
     assert '<property value="3">aero/Cm_p2</property>  <!-- a remark -->' in text
     changed = find_aircraft(out)
     before = flown(aircraft)

@@ -32,6 +32,7 @@ from uqharness.refine_fit import Setup, positions, worker_map
 from uqharness.refine_show import Shown, air_of, gap_document, show, state_ranges, whiteness, write_bytes_tree
 from uqharness.refine_words import separating_manoeuvre, why
 from uqharness.refine_xml import Written, carrier, in_dynamics, write_effects
+from uqharness.replay import Segment
 from uqharness.replay_model import CONTROLS
 
 LIMIT = 1.15
@@ -146,15 +147,26 @@ def _controls(aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: 
 
 
 def _disagreements(setup: Setup, shown: Shown, settled: Shown, controls: Sequence[Any]) -> list[Disagreement]:
-    """Where ``shown`` lies outside; allowed is what noise gives, or what is left by the model that is at the noise in flight,
-    whichever is larger: held commands and gusts have their share in coefficients, too."""
-    rest = np.concatenate(settled.coefficients)
-    spread = np.maximum(settled.floor, 1.4826 * np.median(np.abs(rest - np.median(rest, axis=0)), axis=0))
-    allowed = [np.broadcast_to(spread, g.shape) for g in shown.coefficients]
-    labels = [s.label.split(",")[0] for s in setup.segments]
+    """Where ``shown`` lies outside what noise gives. A model that is at the noise in flight leaves more than that in coefficients,
+    because held commands and gusts have their share there; then what it leaves is what is allowed."""
+    quiet = all(settled.channel_rms(k) <= LIMIT * float(settled.noise[k]) for k in range(len(setup.outputs)))
+    together: dict[str, list[Any]] = {}
+    for s, g in zip(setup.segments, settled.coefficients, strict=True):
+        together.setdefault(kind_of(s), []).append(g)
+    by_kind = {kind: np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)) for kind, parts in together.items()}
+    allowed = [
+        np.broadcast_to(np.maximum(settled.floor, by_kind[kind_of(s)]) if quiet else settled.floor, g.shape)
+        for s, g in zip(setup.segments, shown.coefficients, strict=True)
+    ]
+    labels = [kind_of(s) for s in setup.segments]
     return disagreements(
         shown.coefficients, allowed, state_ranges(setup, shown.flown, controls), labels, setup.segments[0].dt_s
     )
+
+
+def kind_of(segment: Segment) -> str:
+    """The kind of a manoeuvre: its label without the speed behind a comma."""
+    return segment.label.split(",")[0]
 
 
 def _remaining(

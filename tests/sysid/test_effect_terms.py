@@ -52,7 +52,11 @@ def test_the_catalogue_is_complete_and_without_doubles():
     assert len({e.key for e in effects}) == len(effects)
     assert {e.coefficient for e in effects if e.coefficient} == {"CX", "CY", "CZ", "Cl", "Cm", "Cn"}
     assert all(e.physics and e.name for e in effects)
-    assert {(e.subsystem, e.term) for e in effects} >= {("actuator.elevator", "lag"), ("sensor.rates", "delay"), ("mass", "Ixz")}
+    assert {(e.subsystem, e.term) for e in effects} >= {
+        ("actuator.elevator", "lag"),
+        ("sensor.rates", "delay"),
+        ("mass", "Ixz"),
+    }
     assert words("p_hat^2") == "roll rate squared"
 
 

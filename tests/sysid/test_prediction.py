@@ -131,7 +131,7 @@ def test_one_and_the_same_cause_stands_as_inseparable():
     evidence = flights({"c1": 0.2}, 5)
     (choice,) = select(evidence, ["a", "b"], {**ODDS, "c6": 0.5}, CONFIRMING).chosen
     assert choice.key == "c1"
-    assert [(a.key, a.separable) for a in choice.alternatives][0] == ("c6", False)
+    assert (choice.alternatives[0].key, choice.alternatives[0].separable) == ("c6", False)
 
 
 def test_a_candidate_that_the_parameters_hold_already_has_no_score():
