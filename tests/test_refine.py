@@ -171,3 +171,24 @@ def test_help_and_wrong_input(tmp_path, capsys, flights):
     ])  # fmt: skip
     assert code == 2
     assert "is no factor" in capsys.readouterr().err
+
+
+def test_a_killed_refinement_goes_on_where_it_was(flights, refined, tmp_path, monkeypatch):
+    """Killed while it flies the test flights, it does not choose again, ends with the same effects, and leaves no stages behind."""
+    from uqharness import refine_run
+
+    out = tmp_path / "out"
+    arguments = [
+        "refine", "espaaro", "--train", str(flights["train"]), "--test", str(flights["test"]), "--out", str(out),
+        "--workers", "1", "--no-figures",
+    ]  # fmt: skip
+    with monkeypatch.context() as patch:
+        patch.setattr(refine_run, "show", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        assert main(arguments) == 130
+    assert list((out / ".stages").glob("effects-*.pickle"))
+    assert not (out / "refinement.json").exists()
+    with monkeypatch.context() as patch:
+        patch.setattr(refine_run, "find_effects", None)
+        assert main(arguments) == 0
+    assert document(out)["effects"] == document(refined)["effects"]
+    assert not (out / ".stages").exists()

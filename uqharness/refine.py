@@ -33,6 +33,7 @@ from uqharness.identify_start import equation_error_start
 from uqharness.refine_candidates import effect_columns
 from uqharness.refine_fit import PRIOR, Fit, Map, Point, Setup, fly, merged, positions, refit, states_of
 from uqharness.refine_gusts import gust_evidence, gust_refit, middles
+from uqharness.refine_stages import Stages
 from uqharness.refine_xml import Written, carrier, in_dynamics, write_effects
 from uqharness.replay import SENSOR_OF
 from uqharness.replay_model import CONTROLS, ReplayFolder, ReplayModel
@@ -186,7 +187,7 @@ def confirming_segments(setup: Setup) -> NDArray[np.bool_]:
 
 def find_effects(
     aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], extra: Sequence[Effect], work: Path, map_: Map,
-    say: Say = lambda _: None,
+    say: Say = lambda _: None, stages: Stages | None = None,
 ) -> Found:  # fmt: skip
     """Choose and estimate the missing effects on the train flights. ``work``: folder for staged copies of the aircraft."""
     names = tuple(aircraft.card.parameters)
@@ -198,7 +199,9 @@ def find_effects(
     limits = {n: (c.bounds if c.bounds is not None else (-np.inf, np.inf)) for n, c in aircraft.card.parameters.items()}
     with Bench(aircraft, measured, ideal) as bench:
         say("re-identifying the parameters")
-        before, names, notes = _base_fit(aircraft, bench, setup, names, limits, map_)
+        keep = stages or Stages(None, ())
+        asked = names
+        before, names, notes = keep("parameters", lambda: _base_fit(aircraft, bench, setup, asked, limits, map_))
         effects = candidates_for(setup, names, extra)
         by_key = {e.key: e for e in effects}
         if turbulent(setup, before):

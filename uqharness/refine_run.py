@@ -16,12 +16,14 @@ from sysid.aero_terms import COEFFICIENTS
 from sysid.disagreement import Disagreement, dependence, disagreements
 from sysid.effect_choice import Alternative, Choice, Refusal
 from sysid.effects import Effect
-from uqharness.aircraft import Aircraft, find_aircraft
+from uqharness import __version__
+from uqharness.aircraft import Aircraft, content_hash, find_aircraft
 from uqharness.flights import read_flights, renamed
 from uqharness.refine import (
     Found,
     control_slopes,
     estimates_of,
+    file_hash,
     find_effects,
     make_setup,
     refuse_shared,
@@ -30,6 +32,7 @@ from uqharness.refine import (
 )
 from uqharness.refine_fit import Setup, positions, worker_map
 from uqharness.refine_show import Shown, air_of, gap_document, show, state_ranges, whiteness, write_bytes_tree
+from uqharness.refine_stages import FOLDER, Stages
 from uqharness.refine_words import separating_manoeuvre, why
 from uqharness.refine_xml import Written, carrier, in_dynamics, write_effects
 from uqharness.replay import Segment
@@ -87,7 +90,11 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
     command = shlex.join(request.command)
     with worker_map(request.workers) as map_, tempfile.TemporaryDirectory(prefix="uqharness-") as temporary:
         work = Path(temporary)
-        found = find_effects(aircraft, setup, measured, ideal, request.extra, work, map_, say)
+        stages = Stages(request.out / FOLDER, _identity(request))
+        found = stages(
+            "effects",
+            lambda: find_effects(aircraft, setup, measured, ideal, request.extra, work, map_, say, stages),
+        )
         say("writing the aircraft")
         initial = _initial(aircraft, found.names)
         estimates = estimates_of(found, names, initial)
@@ -119,9 +126,20 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
         target = request.out / "aircraft" / aircraft.folder.name
         target.parent.mkdir(parents=True, exist_ok=True)
         write_bytes_tree(final.folder, target)
+    stages.forget()
     document["seconds"] = round(time.perf_counter() - begun, 1)
     refined = find_aircraft(target)
     return Refinement(document, found, pairs[0], pairs[1], where, refined, aircraft)
+
+
+def _identity(request: Request) -> list[str]:
+    """Everything that the choice depends on: aircraft, train flights, own effects, options, version. The test flights are
+    not in it."""
+    tables = [p for p in (request.manoeuvres, request.map_path) if p is not None]
+    return [
+        __version__, content_hash(request.aircraft), *(file_hash(p) for p in (*request.train, *tables)),
+        *(p.name for p in request.train), repr(request.extra), str(request.ideal_servos),
+    ]  # fmt: skip
 
 
 def _initial(aircraft: Aircraft, names: Sequence[str]) -> dict[str, float]:
