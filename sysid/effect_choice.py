@@ -81,7 +81,7 @@ def threshold(candidates: int, family: float = FAMILY) -> float:
 
 def select(
     evidence: Evidence, free: Sequence[str], candidates: Mapping[str, float], confirming: NDArray[np.bool_],
-    chosen: Sequence[str] = (), most: int = 4, limit: float | None = None, related: Callable[[str, str], bool] | None = None,
+    chosen: Sequence[str] = (), most: int = 6, limit: float | None = None, related: Callable[[str, str], bool] | None = None,
 ) -> Selection:  # fmt: skip
     """Choose effects.
 

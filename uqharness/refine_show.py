@@ -132,6 +132,7 @@ def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]
             for k, c in enumerate(COEFFICIENTS)
         },
         "theil": {"before": coefficient(before), "after": coefficient(after)},
+        "pbox": {},
         "cost": {
             "before": before.cost,
             "after": after.cost,
