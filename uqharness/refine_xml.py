@@ -19,6 +19,7 @@ from uqharness.aero_section import AeroSection, read_section
 from uqharness.aero_summands import Reference, SectionEdit, add_deltas, add_functions
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
+from uqharness.model_form_xml import state_source
 from uqharness.refine_candidates import STALL
 from uqharness.xml_estimates import Estimate, with_value
 from uqharness.xml_text import Document, Node, after, append_child
@@ -230,15 +231,10 @@ def variable_xml(variable: str, section: AeroSection, aircraft: Aircraft) -> str
         return "<product> <property>aero/bi2vel</property> <property>aero/betadot-rad_sec</property> </product>"
     if variable in ("de", "da", "dr", "dt"):
         control = {"de": "elevator", "da": "aileron", "dr": "rudder", "dt": "throttle"}[variable]
-        card = aircraft.card.inputs.get(control)
-        if card is None:
-            raise BadInputError(
-                f"aircraft '{aircraft.name}': airframe.toml has no [inputs.{control}], which the effect needs"
-            )
-        name = f"<property>{card.position or card.selected or card.property}</property>"
-        if variable == "dt":
-            return name if card.unit == "norm" else f"<product> <value>0.01</value> {name} </product>"
-        return f"<todegrees> {name} </todegrees>" if card.unit == "rad" else name
+        source, factor = state_source("throttle_pct" if control == "throttle" else f"{control}_pos_deg", aircraft)
+        factor *= 0.01 if control == "throttle" else 1.0
+        name = f"<property>{source}</property>"
+        return name if factor == 1.0 else f"<product> <value>{factor:.10g}</value> {name} </product>"
     if variable == "CT":
         thrust = aircraft.card.outputs.get("thrust_N")
         force = (
