@@ -13,9 +13,11 @@ from sysid.aero_terms import split_name
 from sysid.effect_terms import V_REFERENCE_MPS
 from sysid.force_coefficients import MassProperties
 from sysid.rigid_steps import AIR, STATES, Reference
-from uqharness.forced import ForcedModel, force_states
+from uqharness import engine
+from uqharness.forced import LBF_N, LBFT_NM, ForcedModel, force_states
 from uqharness.replay import Segment
-from uqharness.replay_model import ReplayModel
+from uqharness.replay_model import ReplayModel, control_setters
+from uqharness.trim import FT, TRIM_LATITUDE_DEG, body_velocity
 
 Array = NDArray[np.float64]
 EVERY = 4
@@ -146,7 +148,7 @@ def probe(job: ProbeJob) -> Probe:
     )
     return Probe(
         reference, mass, (total - other) / scale, other[:, :3], other[:, 3:], np.stack(by_control, axis=2), job.controls,
-        {name: _difference(job, name, scale) for name in job.differ}, job.height_m,
+        _differences(job, job.differ, scale), job.height_m,
     )  # fmt: skip
 
 
@@ -155,15 +157,64 @@ def _forced(job: ProbeJob, x: Array, controls: Array, properties: Mapping[str, f
     return force_states(job.straight, job.segment, channels, controls, properties)
 
 
-def _difference(job: ProbeJob, name: str, scale: Array) -> Array:
-    """(n, 6) change of the coefficients by a unit of a property, central."""
-    value = job.properties[name]
-    step = 1e-3 * max(abs(value), 1e-2)
-    sides = []
-    for sign in (1.0, -1.0):
-        found = _forced(job, job.x, job.controls, {**job.properties, name: value + sign * step})
-        sides.append(np.hstack([found.aero_force + found.other_force, found.aero_moment + found.other_moment]))
-    return np.asarray((sides[0] - sides[1]) / (2.0 * step) / scale)
+def property_slopes(job: ProbeJob, rows: NDArray[np.intp], names: Sequence[str]) -> dict[str, Array]:
+    """property -> (len(rows), 6) change of force [N] and moment [N m] by a unit of it, central, at some of the samples.
+
+    Each state is forced once; then the properties are moved one after the other and the forces renewed, the state unmoved.
+    """
+    fdm = job.straight.open(job.segment.dt_s)
+    for name, value in job.properties.items():
+        engine.set_property(fdm, name, value)
+    if fdm.get_propulsion().get_num_engines():
+        engine.start_engines(fdm)
+    setters = control_setters(fdm, job.straight)
+    fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
+    fdm["ic/terrain-elevation-ft"] = (job.segment.altitude_m - 2000.0) / FT
+    fdm["ic/h-sl-ft"] = job.segment.altitude_m / FT
+    places = ("phi-rad", "theta-rad", "u-fps", "v-fps", "w-fps", "p-rad_sec", "q-rad_sec", "r-rad_sec")
+    put = [engine.handle(fdm, f"ic/{name}").set_double_value for name in places]
+    loads = [f"forces/fb{a}-total-lbs" for a in "xyz"] + [f"moments/{a}-total-lbsft" for a in "lmn"]
+    get = [engine.handle(fdm, name).get_double_value for name in loads]
+    moved = [engine.handle(fdm, name).set_double_value for name in names]
+    values = [float(job.properties[n]) if n in job.properties else float(fdm[n]) for n in names]
+    steps = [1e-3 * max(abs(v), 1e-2) for v in values]
+    unit = np.array([LBF_N] * 3 + [LBFT_NM] * 3)
+    out = {name: np.empty((len(rows), 6)) for name in names}
+    scaled = job.straight.to_property(job.controls[rows])
+    for k, row in enumerate(rows.tolist()):
+        V, alpha, beta, p, q, r, phi, theta = (float(v) for v in job.x[row])
+        for handles, value in zip(setters, scaled[k], strict=True):
+            for setter in handles:
+                setter(float(value))
+        for put_one, value in zip(
+            put, (phi, theta, *(w / FT for w in body_velocity(V, alpha, beta)), p, q, r), strict=True
+        ):
+            put_one(float(value))
+        engine.run_ic(fdm)
+        fdm.suspend_integration()
+        for name, move, value, step in zip(names, moved, values, steps, strict=True):
+            sides = []
+            for shift in (step, -step):
+                move(value + shift)
+                fdm.run()
+                sides.append(np.array([g() for g in get]))
+            move(value)
+            out[name][k] = unit * (sides[0] - sides[1]) / (2.0 * step)
+        fdm.resume_integration()
+    return out
+
+
+def _differences(job: ProbeJob, names: Sequence[str], scale: Array) -> dict[str, Array]:
+    """property -> (n, 6) change of the coefficients by a unit of it; read at every fourth sample."""
+    if not names:
+        return {}
+    n = len(job.x)
+    coarse = np.unique(np.append(np.arange(0, n, EVERY), n - 1))
+    found = property_slopes(job, coarse, names)
+    full = np.arange(n)
+    return {
+        name: np.column_stack([np.interp(full, coarse, v[:, j]) for j in range(6)]) / scale for name, v in found.items()
+    }
 
 
 def named_terms(
@@ -177,13 +228,12 @@ def named_terms(
     found = {k: v[rows] for k, v in probe_.variables().items()}
     scale = probe_.reference.qbar[rows, None] * probe_.mass.S
     scale = scale * np.array([1.0, 1.0, 1.0, probe_.mass.b, probe_.mass.c, probe_.mass.b])
+    known = [name for name in names if split_name(name) is not None]
+    slopes = property_slopes(few, np.arange(len(rows)), known) if known else {}
     out = []
-    for name in names:
-        parsed = split_name(name)
-        if parsed is None:
-            continue
+    for name in known:
         index, expected = term_column(name, found)
-        seen = _difference(few, name, scale)
+        seen = slopes[name] / scale
         wanted = np.zeros_like(seen)
         wanted[:, index] = expected
         size = max(float(np.abs(wanted).max()), 1e-9)
