@@ -21,6 +21,7 @@ from uqharness import (
     log_command,
     margins_command,
     modes_command,
+    refine_command,
     sensitivity_command,
 )
 from uqharness.errors import BadInputError
@@ -50,6 +51,7 @@ def build_parser() -> argparse.ArgumentParser:
         compare_command,
         bounds_command,
         instrument_command,
+        refine_command,
         campaign_commands,
         sensitivity_command,
     ):

@@ -1,0 +1,225 @@
+"""Which candidates are in the data: forward selection with exchange and removal on the linearised likelihood, by a fixed rule.
+
+A candidate enters when it explains most (gain less its odds), when its t, corrected for the colour of what it leaves,
+stands above what
+the largest of all candidates reaches by chance (Sidak), and when a part of the flights that did not estimate it agrees. What it
+replaces is taken out again. Candidates without which the answer would be as likely are its alternatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from sysid.effect_score import Evidence, agreement, corrected, likeness, scores
+
+FloatArray = NDArray[np.float64]
+FAMILY = 0.01
+"""Chance that the best of all candidates passes when nothing is missing."""
+EXCHANGE = 9.0
+"""Gain by which another candidate must beat a chosen one to take its place."""
+LOOKED_AT = 12
+STRONG = 2.0
+"""How far above the limit an unconfirmed candidate's |t| must be to say that something is missing all the same."""
+INSEPARABLE_T = 3.0
+"""A chosen effect whose t falls below this once another is free cannot be told from that other."""
+MOST_ALTERNATIVES = 3
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Another candidate for the same residual: its gain in the effect's place, the effect's t beside it, likeness of the two."""
+
+    key: str
+    gain: float
+    t_beside: float
+    likeness: float
+    separable: bool
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One effect: estimate, corrected and white standard error, t, gain, agreement with the confirming part (gain there,
+    difference)."""
+
+    key: str
+    value: float
+    std: float
+    t: float
+    gain: float
+    confirmed_gain: float
+    difference: float
+    alternatives: tuple[Alternative, ...] = ()
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """The best candidate that did not enter, and why. strong: it stands well above chance, so something is there."""
+
+    key: str
+    t: float
+    gain: float
+    why: str
+    strong: bool = False
+
+
+@dataclass(frozen=True)
+class Selection:
+    chosen: tuple[Choice, ...]
+    refused: Refusal | None = None
+    trail: tuple[str, ...] = field(default=())
+
+
+def threshold(candidates: int, family: float = FAMILY) -> float:
+    """|t| that the largest of so many candidates exceeds with probability ``family`` when nothing is there (Sidak)."""
+    return float(stats.norm.isf(0.5 * (1.0 - (1.0 - family) ** (1.0 / max(candidates, 1)))))
+
+
+def select(
+    evidence: Evidence, free: Sequence[str], candidates: Mapping[str, float], confirming: NDArray[np.bool_],
+    chosen: Sequence[str] = (), most: int = 6, limit: float | None = None, related: Callable[[str, str], bool] | None = None,
+) -> Selection:  # fmt: skip
+    """Choose effects.
+
+    free        columns that are estimated in any case; candidates: key -> odds; confirming (S,): segments that confirm
+    chosen      effects to begin with, which may be exchanged or removed again
+    related     whether two keys may not stand in the model at once (a special case of the other)
+    """
+    limit = threshold(len(candidates)) if limit is None else limit
+    here: list[str] = list(chosen)
+    trail: list[str] = []
+    refused: Refusal | None = None
+    for _ in range(3 * most):
+        before = list(here)
+        here, trail = _exchanged(evidence, free, candidates, here, trail)
+        here, trail = _pruned(evidence, free, here, trail, limit)
+        refused = None
+        if len(here) < most:
+            found = _best(
+                evidence, [*free, *here], [c for c in candidates if c not in here], candidates, confirming, limit
+            )
+            if isinstance(found, Refusal):
+                refused = found
+            elif found is not None:
+                here.append(found.key)
+                trail.append(f"+ {found.key} t {found.t:.1f} gain {found.gain:.0f}")
+        if here == before:
+            break
+    rest = [_judged(evidence, [*free, *[o for o in here if o != c]], c, confirming) for c in here]
+    out = []
+    for c in rest:
+        others = [*free, *[o for o in here if o != c.key]]
+        open_ = [k for k in candidates if k not in here]
+        out.append(_with_alternatives(evidence, others, c, open_, candidates))
+    return Selection(tuple(sorted(out, key=lambda c: -c.gain)), refused, tuple(trail))
+
+
+def _judged(evidence: Evidence, free: Sequence[str], key: str, confirming: NDArray[np.bool_]) -> Choice:
+    value, std, _ = corrected(evidence, free, key)
+    gain = float(scores(evidence, free, [key]).gain[0])
+    if confirming.any() and not confirming.all():
+        there, difference = agreement(evidence, free, key, ~confirming)
+        back, _ = agreement(evidence, free, key, confirming)
+        there = min(there, back)
+    else:
+        there, difference = float("nan"), float("nan")
+    return Choice(key, value, std, value / std, gain, there, difference)
+
+
+def _best(
+    evidence: Evidence, free: Sequence[str], open_: Sequence[str], odds: Mapping[str, float], confirming: NDArray[np.bool_],
+    limit: float,
+) -> Choice | Refusal | None:  # fmt: skip
+    if not open_:
+        return None
+    found = scores(evidence, free, open_)
+    merit = np.nan_to_num(found.gain - np.array([odds[k] for k in open_]), nan=-np.inf)
+    order = np.argsort(-merit)
+    best = int(order[0])
+    if not np.isfinite(merit[best]):
+        return None
+    choice = _judged(evidence, free, open_[best], confirming)
+    if not abs(choice.t) > limit:
+        # Colour may weigh on one candidate more than on the next.
+        for other in order[1:LOOKED_AT]:
+            if merit[other] < limit**2:
+                break
+            second = _judged(evidence, free, open_[int(other)], confirming)
+            if abs(second.t) > limit and merit[other] > 0.7 * merit[best]:
+                choice = second
+                break
+        else:
+            return Refusal(choice.key, choice.t, choice.gain, f"|t| {abs(choice.t):.1f} is not above {limit:.1f}")
+        if not abs(choice.t) > limit:
+            return Refusal(choice.key, choice.t, choice.gain, f"|t| {abs(choice.t):.1f} is not above {limit:.1f}")
+    if np.isfinite(choice.confirmed_gain) and not choice.confirmed_gain > 0.0:
+        return Refusal(
+            choice.key, choice.t, choice.gain, "the part of the flights that did not estimate it does not confirm it",
+            abs(choice.t) > limit + STRONG,
+        )  # fmt: skip
+    return choice
+
+
+def _exchanged(
+    evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], here: list[str], trail: list[str]
+) -> tuple[list[str], list[str]]:
+    """Every chosen effect against every other candidate in its place."""
+    for k, key in enumerate(list(here)):
+        others = [*free, *here[:k], *here[k + 1 :]]
+        open_ = [c for c in odds if c not in here or c == key]
+        merit = scores(evidence, others, open_).gain - np.array([odds[c] for c in open_])
+        merit = np.nan_to_num(merit, nan=-np.inf)
+        best = int(np.argmax(merit))
+        margin = EXCHANGE if len(here) == 1 else 2.0
+        if open_[best] != key and merit[best] > merit[open_.index(key)] + margin:
+            here = [*here[:k], open_[best], *here[k + 1 :]]
+            trail = [*trail, f"{key} -> {open_[best]}"]
+    return here, trail
+
+
+def _pruned(
+    evidence: Evidence, free: Sequence[str], here: list[str], trail: list[str], limit: float
+) -> tuple[list[str], list[str]]:
+    """The weakest effect below the limit taken out, again and again."""
+    while len(here) > 1:
+        t = []
+        for key in here:
+            value, std, _ = corrected(evidence, [*free, *[o for o in here if o != key]], key)
+            t.append(abs(value / std))
+        worst = int(np.argmin(t))
+        if t[worst] >= limit:
+            break
+        trail = [*trail, f"- {here[worst]} t {t[worst]:.1f}"]
+        here = [*here[:worst], *here[worst + 1 :]]
+    return here, trail
+
+
+def _with_alternatives(
+    evidence: Evidence, others: Sequence[str], choice: Choice, open_: Sequence[str], odds: Mapping[str, float]
+) -> Choice:
+    """The effect with the candidates that would do nearly as well in its place, the best first; inseparable ones before."""
+    rivals = [k for k in open_ if k != choice.key]
+    if not rivals:
+        return choice
+    found = scores(evidence, others, rivals)
+    order = np.argsort(-np.nan_to_num(found.gain, nan=-np.inf))[:LOOKED_AT]
+    near = [rivals[i] for i in order if np.isfinite(found.gain[i]) and found.gain[i] > 0.25 * choice.gain]
+    alike = likeness(evidence, others, choice.key, near) if near else np.zeros(0)
+    rows = []
+    for key, same in zip(near, alike, strict=True):
+        beside = scores(evidence, [*others, key], [choice.key])
+        t = float(beside.t[0]) if np.isfinite(beside.t[0]) else 0.0
+        # White t of the effect beside its rival, brought to the colour of the residuals by the ratio found for the effect alone.
+        t *= abs(choice.t) / np.sqrt(choice.gain) if choice.gain > 0 else 1.0
+        gain = float(found.gain[rivals.index(key)])
+        rows.append(Alternative(key, gain, t, float(same), not (abs(t) < INSEPARABLE_T)))
+    inseparable = [r for r in rows if not r.separable][: MOST_ALTERNATIVES - 1]
+    runner_up = [r for r in rows if r.separable][:1]
+    return Choice(
+        choice.key, choice.value, choice.std, choice.t, choice.gain, choice.confirmed_gain, choice.difference,
+        (*inseparable, *runner_up),
+    )  # fmt: skip

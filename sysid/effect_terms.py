@@ -1,0 +1,116 @@
+"""The language of coefficient terms: ``alpha*beta``, ``abs(beta)*beta``, ``p_hat^2``, ``1/h_over_b``; values and property names.
+
+A term is a product of factors; a factor is a variable, ``abs(variable)``, ``variable^n`` (n = -3 ... 9) or ``1/variable``. It is
+brought to one form: factors in the order of VARIABLES, ``abs()`` before the variable itself, equal factors gathered in a power.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+VARIABLES: Mapping[str, str] = {
+    "alpha": "rad", "beta": "rad", "p_hat": "pb/2V", "q_hat": "qc/2V", "r_hat": "rb/2V", "alphadot_hat": "alphadot c/2V",
+    "betadot_hat": "betadot b/2V", "de": "deg", "da": "deg", "dr": "deg", "dt": "throttle/100", "CT": "T/(qbar S)",
+    "V_rel": "V/22.2", "h_over_b": "h/b",
+}  # fmt: skip
+"""Variables of a term and their units, in the order in which a term's factors stand."""
+V_REFERENCE_MPS = 22.2
+_ORDER = list(VARIABLES)
+_FACTOR = re.compile(r"(?:abs\((\w+)\)|(\w+?))(?:\^(-?\d))?")
+
+
+@dataclass(frozen=True)
+class Factor:
+    """variable^power, or |variable|^power."""
+
+    variable: str
+    absolute: bool = False
+    power: int = 1
+
+    @property
+    def text(self) -> str:
+        if self.power == -1 and not self.absolute:
+            return f"1/{self.variable}"
+        name = f"abs({self.variable})" if self.absolute else self.variable
+        return name if self.power == 1 else f"{name}^{self.power}"
+
+
+@dataclass(frozen=True)
+class Term:
+    """A product of factors in their standing order."""
+
+    factors: tuple[Factor, ...]
+
+    @property
+    def text(self) -> str:
+        return "*".join(f.text for f in self.factors)
+
+    @property
+    def suffix(self) -> str:
+        """What stands behind ``aero/Cm_`` in a property: letters, digits and underscores alone."""
+        out = []
+        for f in self.factors:
+            name = f.variable.removesuffix("_hat")
+            name = f"abs{name}" if f.absolute else name
+            if f.power < 0:
+                name = f"over{name}" if f.power == -1 else f"over{name}{-f.power}"
+            elif f.power > 1:
+                name = f"{name}{f.power}"
+            out.append(name)
+        return "_".join(out)
+
+    @property
+    def degree(self) -> int:
+        return sum(abs(f.power) for f in self.factors)
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(f.variable for f in self.factors))
+
+    @property
+    def odd_lateral(self) -> bool:
+        """Whether the term changes sign when left and right are exchanged."""
+        lateral = {"beta", "p_hat", "r_hat", "betadot_hat", "da", "dr"}
+        return sum(f.power for f in self.factors if f.variable in lateral and not f.absolute) % 2 == 1
+
+    def values(self, found: Mapping[str, FloatArray]) -> FloatArray:
+        """(n,) values from those of the variables, each (n,). Raises KeyError for a variable that is not there."""
+        out = np.ones_like(next(iter(found.values())))
+        for f in self.factors:
+            value = np.abs(found[f.variable]) if f.absolute else found[f.variable]
+            out = out * value ** float(f.power) if f.power != 1 else out * value
+        return np.asarray(out, dtype=np.float64)
+
+
+def parse(text: str) -> Term:
+    """The term of a text such as ``alpha*beta``. Raises ValueError saying what was received and what is allowed."""
+    gathered: dict[tuple[str, bool], int] = {}
+    parts = text.replace(" ", "").split("*")
+    for part in parts:
+        inverse = part.startswith("1/")
+        found = _FACTOR.fullmatch(part.removeprefix("1/"))
+        name = (found.group(1) or found.group(2)) if found else ""
+        if found is None or name not in VARIABLES:
+            raise ValueError(
+                f"term '{text}': '{part}' is no factor; allowed are variable, abs(variable), variable^n and 1/variable with "
+                f"variable one of {', '.join(VARIABLES)}, joined by *"
+            )
+        power = int(found.group(3) or 1) * (-1 if inverse else 1)
+        key = (name, found.group(1) is not None)
+        gathered[key] = gathered.get(key, 0) + power
+    factors = [Factor(name, absolute, power) for (name, absolute), power in gathered.items() if power]
+    if not factors:
+        raise ValueError(f"term '{text}': the factors cancel; a constant is the coefficient's own _0")
+    factors.sort(key=lambda f: (_ORDER.index(f.variable), not f.absolute))
+    return Term(tuple(factors))
+
+
+def property_name(coefficient: str, term: Term | str) -> str:
+    """``aero/Cm_p2`` of Cm and ``p_hat^2``."""
+    return f"aero/{coefficient}_{(parse(term) if isinstance(term, str) else term).suffix}"

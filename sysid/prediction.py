@@ -1,0 +1,214 @@
+"""One-step predictions along linearised flights: white innovations, and how each candidate would have moved them.
+
+A Kalman filter with the process noise of turbulence; without any it is output error. The innovations' sensitivity to a
+column of extra
+coefficients runs through the same gains, so that what is judged is what the likelihood sees (Astrom, Automatica 16, 1980):
+
+    s = H X + D u + e,   X+ = X - K s,   X' = Phi X+ + G0 u(k) + G1 u(k+1)
+
+The start state is estimated, one a segment: its columns are projected out of everything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.rigid_steps import NX, Steps
+
+FloatArray = NDArray[np.float64]
+_BLOCK_BYTES = 120_000_000
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What K parameters do along one segment of n samples, per unit of each.
+
+    inputs    column -> (index of the coefficient CX..Cn, values (n,)), or (-1, values (n, 6)) for all six
+    outputs   column -> (n, m) added to the measured channels
+    """
+
+    names: tuple[str, ...]
+    inputs: Mapping[str, tuple[int, FloatArray]]
+    outputs: Mapping[str, FloatArray]
+
+
+@dataclass(frozen=True)
+class White:
+    """One segment: whitened innovations (n, m) and columns (n, m, K), the start state projected out; NaN rows are zero.
+
+    logdet: sum of the logarithms of the innovations' deviations; start (8, 1 + K): start state that fits best, and its change by
+    column; there (n, m): which values were measured; deviation (m,): rms of the innovations' standard deviation, in the
+    channels' units;
+    path (n, 11): predicted state less the reference, from what was measured before each sample.
+    """
+
+    residual: FloatArray
+    columns: NDArray[np.float32]
+    logdet: float
+    start: FloatArray
+    there: NDArray[np.bool_]
+    deviation: FloatArray
+    path: FloatArray
+
+
+def whiten(
+    steps: Sequence[Steps], measured: Sequence[FloatArray], columns: Sequence[Columns], which: Sequence[int],
+    noise: FloatArray, process: FloatArray | None = None,
+) -> list[White]:  # fmt: skip
+    """Filter every segment.
+
+    which  rows of the steps' OUTPUTS that ``measured`` (n, m) holds; noise (m,) standard deviations; process (11, 11)
+    covariance per
+    second of the states' noise, or (S, 11, 11), one a segment; None or zero for calm air.
+    """
+    out: list[White | None] = [None] * len(steps)
+    order = sorted(range(len(steps)), key=lambda s: len(measured[s]))
+    width = len(columns[0].names) + 8
+    group: list[int] = []
+    for s in order:
+        longest = len(measured[s])
+        if group and (len(group) + 1) * longest * 6 * width * 8 > _BLOCK_BYTES:
+            _filter(group, steps, measured, columns, which, noise, process, out)
+            group = []
+        group.append(s)
+    _filter(group, steps, measured, columns, which, noise, process, out)
+    return [w for w in out if w is not None]
+
+
+def _filter(
+    group: list[int], steps: Sequence[Steps], measured: Sequence[FloatArray], columns: Sequence[Columns], which: Sequence[int],
+    noise: FloatArray, process: FloatArray | None, out: list[White | None],
+) -> None:  # fmt: skip
+    names = columns[group[0]].names
+    S, K, m = len(group), len(names), len(which)
+    lengths = [len(measured[s]) for s in group]
+    n = max(lengths)
+    rows = list(which)
+
+    def pad(values: Sequence[FloatArray], short: int = 0) -> FloatArray:
+        block = np.zeros((n - short, S, *values[0].shape[1:]))
+        for i, v in enumerate(values):
+            block[: len(v), i] = v
+        return block
+
+    phi, g0, g1 = (pad([getattr(steps[s], a) for s in group], 1) for a in ("phi", "g0", "g1"))
+    defect = pad([steps[s].defect for s in group], 1)
+    H, D = pad([steps[s].H[:, rows] for s in group]), pad([steps[s].D[:, rows] for s in group])
+    z = pad([np.where(np.isfinite(measured[s]), measured[s], 0.0) - steps[s].y_ref[:, rows] for s in group])
+    there = np.zeros((n, S, m), dtype=bool)
+    for i, s in enumerate(group):
+        there[: lengths[i], i] = np.isfinite(measured[s])
+    U = np.zeros((n, S, 6, K))
+    E = np.zeros((n, S, m, K)) if any(columns[s].outputs for s in group) else None
+    for i, s in enumerate(group):
+        for name, (index, values) in columns[s].inputs.items():
+            k = names.index(name)
+            if index < 0:
+                U[: lengths[i], i, :, k] = values
+            else:
+                U[: lengths[i], i, index, k] = values
+        for name, values in columns[s].outputs.items():
+            assert E is not None
+            E[: lengths[i], i, :, names.index(name)] = values
+    X = np.zeros((S, NX, K + 8))
+    X[:, np.arange(8), K + np.arange(8)] = 1.0
+    d = np.zeros((S, NX))
+    R = noise**2
+    still = process is None or not np.any(process)
+    Q = np.zeros((S, NX, NX)) if process is None else np.broadcast_to(process, (len(steps), NX, NX))[group]
+    P = np.zeros((S, NX, NX))
+    if not still:
+        for k in range(8, NX):
+            fade = np.maximum(-(phi[0, :, k, k] - 1.0) / np.array([steps[s].dt_s for s in group]), 1e-3)
+            P[:, k, k] = Q[:, k, k] / (2.0 * fade)  # the air's rotation is stationary from the start
+    dt = np.array([steps[s].dt_s for s in group])
+    eye_x = np.eye(NX)
+    white, series = np.zeros((n, S, m)), np.zeros((n, S, m, K + 8), dtype=np.float32)
+    logdet = np.zeros(S)
+    spread = np.zeros((S, m))
+    path = np.zeros((n, S, NX))
+    eye = np.eye(m)
+    for k in range(n):
+        seen = there[k]
+        path[k] = d
+        Hk = np.where(seen[:, :, None], H[k], 0.0)
+        e = np.where(seen, z[k] - np.einsum("sij,sj->si", H[k], d), 0.0)
+        s_ = Hk @ X
+        s_[:, :, :K] += np.where(seen[:, :, None], D[k], 0.0) @ U[k]
+        if E is not None:
+            s_[:, :, :K] += np.where(seen[:, :, None], E[k], 0.0)
+        if still:
+            white[k], series[k] = e / noise, s_ / noise[:, None]
+            logdet += seen @ np.log(noise)
+            spread += np.where(seen, R, 0.0)
+            after = d
+        else:
+            PH = P @ Hk.transpose(0, 2, 1)
+            cov = Hk @ PH + np.where(seen[:, :, None], R * eye, eye)
+            low = np.linalg.cholesky(cov)
+            joint = np.linalg.solve(low, np.concatenate([e[:, :, None], s_, PH.transpose(0, 2, 1)], axis=2))
+            white[k], series[k] = joint[:, :, 0], joint[:, :, 1 : K + 9]
+            half = joint[:, :, K + 9 :]
+            logdet += np.log(np.diagonal(low, axis1=1, axis2=2)).sum(axis=1)
+            spread += np.where(seen, np.diagonal(cov, axis1=1, axis2=2), 0.0)
+            back = half.transpose(0, 2, 1)
+            after = d + (back @ joint[:, :, :1])[:, :, 0]
+            X = X - back @ joint[:, :, 1 : K + 9]
+            P = P - back @ half
+        if k == n - 1:
+            break
+        X = phi[k] @ X
+        X[:, :, :K] += g0[k] @ U[k] + g1[k] @ U[k + 1]
+        d = np.einsum("sij,sj->si", phi[k], after) + defect[k]
+        if not still:
+            # Noise of a step acts while the step lasts: integral of exp(A s) Q exp(A's) by Simpson's rule. Added at the step's end
+            # alone it would come half a step late, and every sensor would look early.
+            away = phi[k] - eye_x
+            half_way = eye_x + 0.5 * away - 0.125 * away @ away
+            middle = half_way @ Q @ half_way.transpose(0, 2, 1)
+            last = phi[k] @ Q @ phi[k].transpose(0, 2, 1)
+            P = phi[k] @ P @ phi[k].transpose(0, 2, 1) + dt[:, None, None] / 6.0 * (Q + 4.0 * middle + last)
+    for i, s in enumerate(group):
+        mine = there[: lengths[i], i]
+        deviation = np.sqrt(spread[i] / np.maximum(mine.sum(axis=0), 1))
+        out[s] = _projected(
+            white[: lengths[i], i], series[: lengths[i], i], float(logdet[i]), mine, deviation, path[: lengths[i], i]
+        )
+
+
+def _projected(
+    white: FloatArray,
+    series: NDArray[np.float32],
+    logdet: float,
+    there: NDArray[np.bool_],
+    deviation: FloatArray,
+    path: FloatArray,
+) -> White:
+    """The segment with its start state fitted and taken out of everything."""
+    n, m, wide = series.shape
+    flat = series.reshape(n * m, wide)
+    starts = flat[:, wide - 8 :].astype(np.float64)
+    scale = np.sqrt(np.sum(starts**2, axis=0))
+    scale[scale == 0.0] = 1.0
+    q, r = np.linalg.qr(starts / scale)
+    right = np.column_stack([white.ravel(), flat[:, : wide - 8]])
+    inside = q.T @ right
+    left = right - q @ inside
+    try:
+        fitted = np.linalg.solve(r, inside) / scale[:, None]
+    except np.linalg.LinAlgError:
+        fitted = np.linalg.lstsq(r, inside, rcond=None)[0] / scale[:, None]
+    fitted[:, 1:] *= -1.0
+    return White(
+        left[:, 0].reshape(n, m),
+        left[:, 1:].reshape(n, m, -1).astype(np.float32),
+        logdet,
+        fitted,
+        there,
+        deviation,
+        path,
+    )

@@ -1,0 +1,180 @@
+"""A rigid aeroplane linearised along a reference flight: how a small extra coefficient moves every measured channel.
+
+    dx/dt = f(x, F(t, x))    V alpha beta p q r phi theta, and the air's own rotation pg qg rg
+    d(k+1) = Phi(k) d(k) + G0(k) u(k) + G1(k) u(k+1) + defect(k)          d = x - x_ref,  u = extra CX CY CZ Cl Cm Cn
+    y(k)   = y_ref(k) + H(k) d(k) + D(k) u(k)
+
+Forces and moments and their slopes along the reference come from the caller's simulator, so any aircraft will do. Inputs are linear
+between samples; A is the mean of a step's ends: Phi = exp(A h), G by its series.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.force_coefficients import MassProperties
+
+FloatArray = NDArray[np.float64]
+STATES = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps", "phi_rad", "theta_rad")
+AIR = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps")
+"""States that forces depend on, in the order of the slopes; the rates are those relative to the air."""
+OUTPUTS = (
+    "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2",
+)  # fmt: skip
+G_MPS2 = 9.80665
+GUST_LENGTHS = (4.0 / np.pi, 4.0 / np.pi, 3.0 / np.pi)  # spans; MIL-F-8785C 3.7.3 for p, q, r
+NX = 11
+
+
+@dataclass(frozen=True)
+class Reference:
+    """One segment's reference flight of n samples.
+
+    x (n, 8) STATES; force (n, 3) N and moment (n, 3) N m about the CG, gravity left out; slopes (n, 6, 6): d(force, moment) by
+    AIR; qbar (n,) Pa; bend (n - 1, 6): how much force and moment at the middle of a step differ from the mean of its ends
+    because the surfaces do not move in straight lines. arm_m (3,): accelerometers from the CG.
+    consistent: the reference is itself a flight of the model (a simulation), so that it has no defects.
+    """
+
+    dt_s: float
+    x: FloatArray
+    force: FloatArray
+    moment: FloatArray
+    slopes: FloatArray
+    qbar: FloatArray
+    arm_m: FloatArray
+    consistent: bool
+    bend: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class Steps:
+    """One segment's linear system: phi (n-1, 11, 11), g0, g1 (n-1, 11, 6), defect (n-1, 11), H (n, m, 11), D (n, m, 6),
+    y_ref (n, m)."""
+
+    dt_s: float
+    phi: FloatArray
+    g0: FloatArray
+    g1: FloatArray
+    defect: FloatArray
+    H: FloatArray
+    D: FloatArray
+    y_ref: FloatArray
+
+
+def linearise(reference: Reference, mass: MassProperties, gravity: float = G_MPS2) -> Steps:
+    """The linear system along a reference, outputs OUTPUTS."""
+    n, h = len(reference.x), reference.dt_s
+    wide = np.zeros((n, NX))
+    wide[:, :8] = reference.x
+    model = _Rigid(reference, mass, gravity)
+    A = np.empty((n, NX, NX))
+    H = np.empty((n, len(OUTPUTS), NX))
+    rows = np.arange(n, dtype=np.float64)
+    for j in range(NX):
+        turned = wide.astype(complex)
+        turned[:, j] += 1e-20j  # complex step: exact to rounding
+        rate, out = model(turned, rows)
+        A[:, :, j], H[:, :, j] = rate.imag / 1e-20, out.imag / 1e-20
+    B = np.zeros((n, NX, 6))
+    D = np.zeros((n, len(OUTPUTS), 6))
+    scale = reference.qbar[:, None] * mass.S * np.array([1.0, 1.0, 1.0, mass.b, mass.c, mass.b])
+    for j in range(6):
+        extra = np.zeros((n, 6), dtype=complex)
+        extra[:, j] = 1e-20j * scale[:, j]
+        rate, out = model(wide.astype(complex), rows, extra)
+        B[:, :, j], D[:, :, j] = rate.imag / 1e-20, out.imag / 1e-20
+    rate, y_ref = model(wide, rows)
+    mean = 0.5 * (A[:-1] + A[1:])
+    phi, to0, to1 = _series(mean, h)
+    g0, g1 = to0 @ B[:-1], to1 @ B[1:]
+    defect = np.zeros((n - 1, NX))
+    if not reference.consistent:
+        bend = np.zeros((n - 1, 6)) if reference.bend is None else reference.bend
+        defect[:, :8] = (_advance(model, wide, bend, h) - wide[1:])[:, :8]
+    return Steps(h, phi, g0, g1, defect, H, D, y_ref)
+
+
+def _series(A: FloatArray, h: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """exp(A h), and the weights of an input at a step's start and end, linear in between; (n, nx, nx) each."""
+    eye = np.broadcast_to(np.eye(A.shape[1]), A.shape)
+    power, factorial = eye.copy(), 1.0
+    phi, to0, to1 = eye.copy(), 0.5 * eye, 0.5 * eye
+    for j in range(1, 6):
+        power = power @ A * h
+        factorial *= j
+        phi = phi + power / factorial  # 1/j!
+        to0 = to0 + power / (factorial * (j + 2))  # (j+1)/(j+2)! = 1/(j! (j+2))
+        to1 = to1 + power / (factorial * (j + 1) * (j + 2))  # 1/(j+2)!
+    return phi, h * to0, h * to1
+
+
+class _Rigid:
+    """x (n, 11) at rows -> dx/dt (n, 11) and outputs (n, 11), forces linear about the reference."""
+
+    def __init__(self, reference: Reference, mass: MassProperties, gravity: float) -> None:
+        self.reference, self.mass, self.gravity = reference, mass, gravity
+        self.inverse = np.linalg.inv(mass.inertia)
+
+    def __call__(
+        self, x: FloatArray, rows: FloatArray, extra: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """rows (n,): where along the reference, in samples; halves are the middles of steps."""
+        r, m = self.reference, self.mass
+        low = np.floor(rows).astype(int)
+        high = np.minimum(low + 1, len(r.x) - 1)
+        share = (rows - low)[:, None]
+
+        def at(values: FloatArray) -> FloatArray:
+            w = share if values.ndim == 2 else share[:, :, None]
+            return np.asarray(values[low] + w * (values[high] - values[low]) if share.any() else values[low])
+
+        air = x[:, :6].copy()
+        air[:, 3:6] = air[:, 3:6] - x[:, 8:11]
+        away = air - at(r.x[:, :6])
+        load = np.hstack([at(r.force), at(r.moment)]) + np.einsum("nij,nj->ni", at(r.slopes), away)
+        if extra is not None:
+            load = load + extra
+        V, alpha, beta, p, q, rr, phi, theta = (x[:, i] for i in range(8))
+        g = self.gravity
+        felt = load[:, :3] / m.mass
+        rates = x[:, 3:6]
+        turn = (load[:, 3:] - _cross(rates, rates @ m.inertia.T)) @ self.inverse.T
+        ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
+        ub, vb, wb = V * ca * cb, V * sb, V * sa * cb
+        ud = felt[:, 0] + rr * vb - q * wb - g * np.sin(theta)
+        vd = felt[:, 1] + p * wb - rr * ub + g * np.cos(theta) * np.sin(phi)
+        wd = felt[:, 2] + q * ub - p * vb + g * np.cos(theta) * np.cos(phi)
+        Vd = (ub * ud + vb * vd + wb * wd) / V
+        turning = q * np.sin(phi) + rr * np.cos(phi)
+        fade = [-x[:, 8 + k] * V / (GUST_LENGTHS[k] * m.b) for k in range(3)]
+        rate = np.stack([
+            Vd, (ub * wd - wb * ud) / (ub * ub + wb * wb), (V * vd - vb * Vd) / (V * V * cb), turn[:, 0], turn[:, 1], turn[:, 2],
+            p + np.tan(theta) * turning, q * np.cos(phi) - rr * np.sin(phi), *fade,
+        ], axis=1)  # fmt: skip
+        if np.any(r.arm_m):
+            arm = np.broadcast_to(r.arm_m, rates.shape)
+            felt = felt + _cross(turn, arm) + _cross(rates, _cross(rates, arm))
+        out = np.stack([V, alpha, beta, phi, theta, p, q, rr, felt[:, 0], felt[:, 1], felt[:, 2]], axis=1)
+        return rate, out
+
+
+def _advance(model: _Rigid, x: FloatArray, bend: FloatArray, h: float) -> FloatArray:
+    """(n - 1, 11) one Runge-Kutta step from every sample."""
+    at = np.arange(len(x) - 1).astype(float)
+    start = x[:-1]
+    k1, _ = model(start, at)
+    k2, _ = model(start + 0.5 * h * k1, at + 0.5, bend)
+    k3, _ = model(start + 0.5 * h * k2, at + 0.5, bend)
+    k4, _ = model(start + h * k3, at + 1.0)
+    return np.asarray(start + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    # np.cross is slow and casts; the components are few.
+    return np.stack([
+        a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1], a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2], a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
+    ], axis=1)  # fmt: skip

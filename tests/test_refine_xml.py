@@ -1,0 +1,111 @@
+"""Effects in an aircraft's XML: where they stand, what they do, and that 0 leaves the model as it was, bit for bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sysid.effects import coefficient_effect, subsystem_effects
+from uqharness import engine
+from uqharness.aircraft import find_aircraft, open_aircraft
+from uqharness.refine_xml import Written, carrier, write_effects
+from uqharness.xml_estimates import Estimate
+
+STATES = (
+    "velocities/p-rad_sec", "velocities/q-rad_sec", "velocities/r-rad_sec", "aero/alpha-rad", "aero/beta-rad",
+    "velocities/vt-fps", "attitude/phi-rad", "attitude/theta-rad",
+)  # fmt: skip
+
+
+def written(effect, value, slopes=None):
+    return Written(effect, value, "a remark", slopes or {})
+
+
+def flown(aircraft, properties=None, seconds=2.0):
+    """(n, 8) states in a roll with all surfaces moved."""
+    fdm = open_aircraft(aircraft)
+    for name, value in (properties or {}).items():
+        engine.set_property(fdm, name, value)
+    fdm["ic/lat-geod-deg"], fdm["ic/h-sl-ft"], fdm["ic/u-fps"], fdm["ic/w-fps"] = 45.0, 400.0, 70.0, 2.0
+    fdm["ic/p-rad_sec"] = 0.6
+    fdm["fcs/elevator-cmd-deg"], fdm["fcs/aileron-cmd-deg"], fdm["fcs/rudder-cmd-deg"] = 1.0, -3.0, 2.0
+    engine.run_ic(fdm)
+    rows = []
+    for _ in range(round(seconds / 0.01)):
+        fdm.run()
+        rows.append([fdm[name] for name in STATES])
+    return np.array(rows)
+
+
+def test_a_term_joins_the_authors_sum_and_0_restores_the_model_bit_for_bit(tmp_path):
+    aircraft = find_aircraft("espaaro")
+    out = tmp_path / "aircraft" / "espaaro"
+    out.parent.mkdir()
+    assert write_effects(aircraft, [written(coefficient_effect("Cm", "p_hat^2"), 3.0)], {}, out) == []
+    text = (out / "espaaro.xml").read_text(encoding="utf-8")
+    assert (
+        "<product> <property>aero/Cm_p2</property> <property>aero/p_hat</property> <property>aero/p_hat</property> </product>"
+        in text
+    )
+    assert '<property value="3">aero/Cm_p2</property>  <!-- a remark -->' in text
+    changed = find_aircraft(out)
+    before = flown(aircraft)
+    assert np.array_equal(flown(changed, {"aero/Cm_p2": 0.0}), before)
+    assert np.abs(flown(changed)[:, 1] - before[:, 1]).max() > 0.005
+    # The effect by itself: the reference truth's own term of the same value.
+    truth = flown(find_aircraft("espaaro_truth"), {"aero/stall": 0.0, "aero/CX_q": 0.0, "aero/Cl_de": 0.0})
+    assert np.allclose(flown(changed), truth, atol=1e-12)
+
+
+def test_a_term_carried_at_zero_gets_its_number(tmp_path):
+    aircraft = find_aircraft("espaaro")
+    out = tmp_path / "espaaro"
+    effect = coefficient_effect("Cl", "de")
+    assert write_effects(aircraft, [written(effect, 3e-4)], {"aero/Cm_q": Estimate(-12.0, "new")}, out) == []
+    fdm = open_aircraft(find_aircraft(out))
+    assert (fdm["aero/Cl_de"], fdm["aero/Cm_q"]) == (3e-4, -12.0)
+    assert carrier(effect, aircraft.folder) == ("aero/Cl_de", 0.0)
+
+
+@pytest.mark.parametrize("term", ["abs(beta)*beta", "alphadot_hat", "de*CT", "alpha*V_rel", "1/h_over_b", "dt"])
+def test_every_kind_of_variable_has_a_form_that_jsbsim_flies(tmp_path, term):
+    aircraft = find_aircraft("espaaro")
+    out = tmp_path / "espaaro"
+    effect = coefficient_effect("CZ", term)
+    write_effects(aircraft, [written(effect, 0.01)], {}, out)
+    changed = find_aircraft(out)
+    after = flown(changed, seconds=0.3)
+    assert np.isfinite(after).all()
+    assert not np.array_equal(after, flown(aircraft, seconds=0.3))
+    assert np.array_equal(flown(changed, {effect.property_name: 0.0}, 0.3), flown(aircraft, seconds=0.3))
+
+
+def test_beside_the_axes_it_does_the_same_as_in_the_sum(tmp_path):
+    aircraft = find_aircraft("espaaro")
+    effect = coefficient_effect("CZ", "q_hat*CT")
+    write_effects(aircraft, [written(effect, -40.0)], {}, tmp_path / "in")
+    write_effects(aircraft, [written(effect, -40.0)], {}, tmp_path / "beside", deltas=True)
+    inside, beside = flown(find_aircraft(tmp_path / "in")), flown(find_aircraft(tmp_path / "beside"))
+    assert np.abs(inside - flown(aircraft)).max() > 1e-4
+    assert np.allclose(inside, beside, atol=1e-10)
+
+
+def test_subsystems_have_their_places(tmp_path):
+    aircraft = find_aircraft("espaaro")
+    by_key = {e.key: e for e in subsystem_effects(["aileron"], [], [])}
+    chosen = [
+        written(by_key["effect/propulsion/thrust_scale"], -0.1), written(by_key["effect/mass/Ixz"], 0.2),
+        written(by_key["effect/actuator.aileron/lag"], 0.01), written(by_key["effect/propulsion/torque"], 0.02),
+        written(by_key["effect/stall/dynamic"], 1.0, {"CZ_alpha": -3.3}),
+        written(by_key["effect/propulsion/slipstream"], 0.5, {"Cm_de": -0.014}),
+    ]  # fmt: skip
+    out = tmp_path / "espaaro"
+    write_effects(aircraft, chosen, {}, out)
+    text = (out / "espaaro.xml").read_text(encoding="utf-8")
+    assert '<property value="0.9">propulsion/thrust-scale</property>' in text
+    assert '<ixz unit="KG*M2">0.45</ixz>' in text
+    assert "<lag>20</lag>" in text
+    changed = find_aircraft(out)
+    assert np.isfinite(flown(changed)).all()
+    assert carrier(by_key["effect/propulsion/thrust_scale"], aircraft.folder) == ("propulsion/thrust-scale", 1.0)
+    assert carrier(by_key["effect/mass/Ixz"], aircraft.folder) is None

@@ -1,0 +1,139 @@
+"""What each candidate effect would do along the flights: extra coefficients, surfaces that stand elsewhere, channels that
+read otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.aero_terms import COEFFICIENTS
+from sysid.effects import Effect
+from sysid.prediction import Columns
+from uqharness.actuators import Actuator
+from uqharness.refine_reference import Probe
+from uqharness.replay import SENSOR_OF, Segment, runs_per_row
+from uqharness.replay_model import CONTROLS
+
+if TYPE_CHECKING:
+    from uqharness.refine_fit import Flown, Setup
+
+Array = NDArray[np.float64]
+STALL = {"a1_per_deg": 0.5, "alpha1_deg": 11.0, "alpha2_deg": -20.0}
+_DEADBAND_DEG = 0.5
+_LAG_S = 0.002
+
+
+def effect_columns(setup: Setup, probes: Sequence[Probe], flown: Flown, effects: Sequence[Effect]) -> list[Columns]:
+    """Columns of the candidates by their keys, one set a segment; a candidate that does nothing there has none."""
+    names = tuple(e.key for e in effects)
+    out = []
+    for segment, p, y in zip(setup.segments, probes, flown.outputs, strict=True):
+        found = p.variables()
+        inputs: dict[str, tuple[int, Array]] = {}
+        outputs: dict[str, Array] = {}
+        for e in effects:
+            if e.coefficient is not None:
+                term = e.parsed
+                assert term is not None
+                inputs[e.key] = (COEFFICIENTS.index(e.coefficient), term.values(found))
+                continue
+            block, channel = _subsystem(e, setup, segment, p, y, found)
+            if block is not None:
+                inputs[e.key] = (-1, block)
+            if channel is not None:
+                outputs[e.key] = channel
+        out.append(Columns(names, inputs, outputs))
+    return out
+
+
+def _subsystem(
+    e: Effect, setup: Setup, segment: Segment, p: Probe, y: Array, found: Mapping[str, Array]
+) -> tuple[Array | None, Array | None]:
+    """(n, 6) extra coefficients and (n, m) extra outputs per unit of a subsystem's effect; None for none."""
+    part, _, what = (e.subsystem or "").partition(".")
+    n, h = len(p.x), segment.dt_s
+    scale = p.reference.qbar[:, None] * p.mass.S * np.array([1.0, 1.0, 1.0, p.mass.b, p.mass.c, p.mass.b])
+    C = np.zeros((n, 6))
+    if part == "stall":
+        lag = p.rate(found["alpha"]) * p.mass.c / p.x[:, 0] if e.term == "dynamic" else 0.0
+        slope = p.reference.slopes[:, 2, 1] / scale[:, 2]
+        C[:, 2] = slope * found["alpha"] * (_attached(np.degrees(found["alpha"] - lag)) - 1.0)
+        return C, None
+    if part == "propulsion":
+        thrust = np.hstack([p.other_force, p.other_moment]) / scale
+        if e.term == "thrust_scale":
+            return thrust, None
+        if e.term == "inflow":
+            return thrust * (found["V_rel"] - 1.0)[:, None], None
+        if e.term == "torque":
+            C[:, 3] = found["CT"]
+        elif e.term == "p_factor":
+            C[:, 5], C[:, 4] = -found["CT"] * found["alpha"], -found["CT"] * found["beta"]
+        else:
+            for k in (0, 2):
+                own = p.by_control[:, :, k] * p.controls[:, [k]] * found["CT"][:, None]
+                C += own
+        return C, None
+    if part == "mass":
+        rates = p.x[:, 3:6]
+        dot = p.rate(rates)
+        if e.term == "cg_x":
+            C[:, 4], C[:, 5] = p.coefficients[:, 2] / p.mass.c, -p.coefficients[:, 1] / p.mass.b
+            out = np.zeros_like(y)
+            for name, value in (("ay_mps2", -dot[:, 2]), ("az_mps2", dot[:, 1])):
+                if name in setup.outputs:
+                    out[:, setup.outputs.index(name)] = value
+            return C, out
+        (pr, q, r), (pd, _, rd) = rates.T, dot.T
+        # I w' + w x I w = M with I_xz raised by one: the moment that this takes, as if it were lost.
+        C[:, 3:] = np.column_stack([rd + pr * q, r * r - pr * pr, pd - q * r]) / scale[:, 3:]
+        return C, None
+    if part == "actuator":
+        k = CONTROLS.index(what)
+        moved = _servo(e.term, setup.servos.get(what), segment.controls[:, k], p.controls[:, k], h)
+        if not np.any(moved):
+            return None, None
+        return p.by_control[:, :, k] * moved[:, None], None
+    if part == "sensor":
+        out = np.zeros_like(y)
+        for k, c in enumerate(setup.outputs):
+            if e.term == "delay" and SENSOR_OF.get(c, c) == what:
+                out[:, k] = -p.rate(y[:, k])
+            elif e.term != "delay" and c == what:
+                out[:, k] = y[:, k] if e.term == "scale" else 1.0
+        return None, out
+    if part == "record":
+        rate = np.gradient(p.controls, h, axis=0)
+        return -np.einsum("ncj,nj->nc", p.by_control, rate), None
+    raise ValueError(f"no model of effect {e.key}")
+
+
+def _attached(alpha_deg: Array) -> Array:
+    """Lift factor [(1 + sqrt X)/2]^2 of section 2's separation point X."""
+    a1, up, down = STALL["a1_per_deg"], STALL["alpha1_deg"], STALL["alpha2_deg"]
+    X = 0.25 * (1.0 - np.tanh(a1 * (alpha_deg - up))) * (1.0 - np.tanh(a1 * (down - alpha_deg)))
+    return np.asarray((0.5 * (1.0 + np.sqrt(X))) ** 2)
+
+
+def _servo(kind: str, servo: Actuator | None, command: Array, u: Array, h: float) -> Array:
+    """(n,) how far the surface stands from where it was taken to be, per unit of the effect."""
+    if kind == "deadband":
+        # Within half the width around zero the surface stays; beyond, it is short by half of it.
+        return np.asarray(-0.5 * np.clip(u / (0.5 * _DEADBAND_DEG), -1.0, 1.0))
+    if servo is None:
+        return np.zeros_like(u)
+    step = h / runs_per_row(h)
+    before = servo.follow(command, h, step)
+    if kind == "lag":
+        slower = 1.0 / ((1.0 / servo.lag if servo.lag else 0.0) + _LAG_S)
+        return (replace(servo, lag=slower).follow(command, h, step) - before) / _LAG_S
+    # Rate limit: the change that a limit a quarter below the fastest motion seen makes, per s/deg of 1/limit.
+    fastest = float(np.abs(np.diff(before)).max()) / h
+    if not fastest > 1.0:
+        return np.zeros_like(u)
+    limit = 0.75 * fastest
+    return (replace(servo, rate=limit).follow(command, h, step) - before) * limit

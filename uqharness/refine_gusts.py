@@ -1,0 +1,177 @@
+"""Re-identification in turbulence: the model's forces along the measured flight, one-step predictions by a filter that
+allows for gusts.
+
+The flight cannot be replayed, for the gusts are not known; but forces and their slopes at the measured states can be
+asked of JSBSim, and
+what the aircraft did from one sample to the next can be predicted from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.effect_score import Evidence, gather
+from sysid.force_coefficients import smooth
+from sysid.gust_intensity import gust_intensity
+from sysid.prediction import Columns, White, whiten
+from sysid.rigid_steps import STATES as X_STATES
+from sysid.rigid_steps import Steps
+from uqharness.forced import surface_positions
+from uqharness.refine_fit import PRIOR, Fit, Flown, Map, Point, Setup, parameter_columns, probes, steps_of
+from uqharness.refine_reference import Probe, along, named_terms
+from uqharness.replay import Segment, _by_run
+from uqharness.replay_model import CONTROLS, ReplayModel
+
+Array = NDArray[np.float64]
+_SMOOTH_HZ = {"V_mps": 2.0}
+
+
+@dataclass(frozen=True)
+class GustFit:
+    """A fit with the process noise (S, 11, 11) it was made with, filtered segments of its own columns, gain over calm air."""
+
+    fit: Fit
+    process: Array
+    white: list[White]
+    gain: float
+    intensity: Array
+
+
+def measured_flight(setup: Setup, point: Point) -> Flown:
+    """The flight as measured, smoothed, biases taken out, in the place of a replay."""
+    x = []
+    for segment, channels in zip(setup.segments, setup.channels, strict=True):
+        columns = []
+        for name in X_STATES:
+            value = np.array(channels[name], dtype=float)
+            value = value - point.nuisance.get(f"bias/{segment.flight}/{name}", 0.0)
+            columns.append(smooth(value, segment.dt_s, _SMOOTH_HZ.get(name, 6.0)))
+        x.append(np.column_stack(columns))
+    height = [np.array(c["h_m"], dtype=float) for c in setup.channels]
+    return Flown(
+        point, [np.zeros((len(s.time_s), len(setup.outputs))) for s in setup.segments], x, height, float("nan")
+    )
+
+
+def middles(model: ReplayModel, setup: Setup, map_: Map) -> list[Array]:
+    """[(n - 1, c)] how far the controls stand from the mean of a step's ends at its middle: a servo's path is no straight line."""
+    return list(map_(_middles, [(model, s) for s in setup.segments]))
+
+
+def _middles(job: tuple[ReplayModel, Segment]) -> Array:
+    model, segment = job
+    held = np.array([c not in model.measured for c in model.controls])
+    ends = surface_positions(model, segment, CONTROLS)
+    middle = np.where(held, ends[:-1], _by_run(segment, 2, [not h for h in held], [False] * len(held))[1::2])
+    if held.any():
+        # The same flight with rows half as far apart; a command is held over both halves.
+        fine = np.repeat(segment.controls, 2, axis=0)[:-1]
+        time_s = np.linspace(segment.time_s[0], segment.time_s[-1], len(fine))
+        targets = None if segment.targets is None else np.repeat(segment.targets, 2, axis=0)[:-1]
+        half = surface_positions(model, replace(segment, time_s=time_s, controls=fine, targets=targets), CONTROLS)
+        middle[:, held] = half[1::2][:, held]
+    return np.asarray(middle - 0.5 * (ends[:-1] + ends[1:]))
+
+
+def predict(
+    straight: ReplayModel, setup: Setup, point: Point, controls: Sequence[Array], bends: Sequence[Array], differ: Sequence[str],
+    map_: Map,
+) -> tuple[Flown, list[Probe], list[Steps]]:  # fmt: skip
+    """The measured flight, the model's forces along it, and the linear system; outputs are those at the reference, biases added."""
+    flown = measured_flight(setup, point)
+    found = [
+        along(p, bend=_bend(p, b))
+        for p, b in zip(probes(straight, setup, flown, controls, differ, map_, consistent=False), bends, strict=True)
+    ]
+    steps = steps_of(found, flown, setup)
+    out, outputs = [], []
+    for segment, s in zip(setup.segments, steps, strict=True):
+        y = s.y_ref.copy()
+        for k, c in enumerate(setup.outputs):
+            y[:, setup.which[k]] += point.nuisance.get(f"bias/{segment.flight}/{c}", 0.0)
+        out.append(replace(s, y_ref=y))
+        outputs.append(y[:, setup.which])
+    return replace(flown, outputs=outputs), found, out
+
+
+def _bend(p: Probe, away: Array) -> Array:
+    """(n - 1, 6) force and moment that the surfaces' paths add in the middle of a step."""
+    scale = p.reference.qbar[:, None] * p.mass.S * np.array([1.0, 1.0, 1.0, p.mass.b, p.mass.c, p.mass.b])
+    middle = 0.5 * (p.by_control[:-1] + p.by_control[1:]) * (0.5 * (scale[:-1] + scale[1:]))[:, :, None]
+    return np.asarray(np.einsum("nij,nj->ni", middle, away))
+
+
+def gust_refit(
+    straight: ReplayModel, setup: Setup, controls: Sequence[Array], bends: Sequence[Array], start: Point, names: Sequence[str],
+    limits: Mapping[str, tuple[float, float]], map_: Map, process: Array | None = None, iterations: int = 3,
+) -> GustFit:  # fmt: skip
+    """Parameters, biases and, unless given, the gusts' intensity."""
+    point, analytic, length = start, None, float("inf")
+    gain, values = float("nan"), np.zeros(6)
+    known = process
+    for number in range(1, iterations + 1):
+        differ: list[str] = [] if analytic is None else [n for n in names if n not in analytic]
+        flown, found, steps = predict(straight, setup, point, controls, bends, differ, map_)
+        if analytic is None:
+            analytic = tuple(named_terms(straight, setup.segments[0], found[0], names, point.values))
+            if len(analytic) < len(names):
+                flown, found, steps = predict(
+                    straight, setup, point, controls, bends, [n for n in names if n not in analytic], map_
+                )
+        if process is None and number <= 2:
+            speeds = [float(x[:, 0].mean()) for x in flown.x]
+            values, known, gain = gust_intensity(
+                steps, setup.measured, setup.which, setup.noise, speeds, found[0].mass.b
+            )
+        assert known is not None
+        flown, found = predicted(setup, flown, found, steps, known)
+        columns = parameter_columns(setup, found, flown, names, analytic)
+        white = whiten(steps, setup.measured, columns, setup.which, setup.noise, known)
+        evidence = gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)
+        delta, length = evidence.step()
+        if length < 0.1 or number == iterations:
+            break
+        step = dict(zip(columns[0].names, delta.tolist(), strict=True))
+        moved = {
+            n: float(np.clip(v + step.get(n, 0.0), *limits.get(n, (-np.inf, np.inf)))) for n, v in point.values.items()
+        }
+        nuisance = {n: point.nuisance.get(n, 0.0) + step[n] for n in setup.nuisance}
+        point = replace(point, values=moved, nuisance=nuisance)
+    assert known is not None
+    assert analytic is not None
+    cost = float(sum(np.sum(w.residual**2) for w in white))
+    fit = Fit(replace(flown, cost=cost), found, steps, columns, evidence, analytic, number, length < 0.5)
+    return GustFit(fit, known, white, gain, values)
+
+
+def predicted(
+    setup: Setup, flown: Flown, found: Sequence[Probe], steps: Sequence[Steps], process: Array
+) -> tuple[Flown, list[Probe]]:
+    """Probes whose terms are evaluated at states predicted from the past, and the outputs predicted there.
+
+    At the measured states a term would know of the gust that it is to predict: Cl_p came out at three quarters.
+    """
+    paths = [
+        w.path
+        for w in whiten(steps, setup.measured, [Columns((), {}, {})] * len(steps), setup.which, setup.noise, process)
+    ]
+    out, outputs = [], []
+    for p, s, d, y in zip(found, steps, paths, flown.outputs, strict=True):
+        air = p.reference.x + d[:, :8]
+        air[:, 3:6] -= d[:, 8:]
+        out.append(replace(p, air=air))
+        outputs.append(y + np.einsum("nij,nj->ni", s.H[:, setup.which], d))
+    return replace(flown, outputs=outputs), out
+
+
+def gust_evidence(setup: Setup, fitted: GustFit, extra: Sequence[Columns]) -> Evidence:
+    """Evidence of a fit's own columns beside others."""
+    from uqharness.refine_fit import merged
+
+    columns = merged(fitted.fit.columns, extra)
+    white = whiten(fitted.fit.steps, setup.measured, columns, setup.which, setup.noise, fitted.process)
+    return gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)

@@ -1,0 +1,179 @@
+"""What a refinement did to the gap: channels and coefficients of given flights under two models, start states and biases
+their own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.aero_terms import COEFFICIENTS
+from sysid.diagnostics import ljung_box
+from sysid.force_coefficients import smooth
+from sysid.gaps import rms, theil
+from uqharness.aircraft import Aircraft
+from uqharness.flights import states
+from uqharness.identify_start import demand_of, forced_at
+from uqharness.refine import Bench
+from uqharness.refine_fit import Flown, Map, Point, Setup, positions, refit
+from uqharness.refine_gusts import gust_refit, middles
+from uqharness.replay import Segment
+from uqharness.replay_model import ReplayModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One model over some flights: replay or one-step predictions, residuals [(n, m)] and their noise (m,), coefficient residuals
+    [(n, 6)] and their noise (6,), cost: sum of squares of the residuals over their noise."""
+
+    flown: Flown
+    residual: list[Array]
+    noise: Array
+    coefficients: list[Array]
+    floor: Array
+    cost: float
+
+    def channel_rms(self, k: int) -> float:
+        return rms(np.concatenate([r[:, k] for r in self.residual]))
+
+    def coefficient_rms(self, k: int) -> float:
+        return rms(np.concatenate([g[:, k] for g in self.coefficients]))
+
+
+def show(
+    aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Map, sensed: Mapping[str, float],
+    process: Array | None = None,
+) -> Shown:  # fmt: skip
+    """Flights by an aircraft as its XML has it; only start states, biases and (of logs) delays are estimated.
+
+    process (S, 11, 11): process noise of the segments, with which one-step predictions take the place of replays.
+    """
+    with Bench(aircraft, measured, ideal) as bench:
+        plain = replace(setup, active=(), carriers={})
+        start = Point({}, {}, tuple(s.start for s in setup.segments), dict(sensed))
+        controls = positions(bench.model, plain, map_)
+        jobs = [
+            (bench.model, bench.straight, s, states(f, p), dict(zip(setup.outputs, setup.noise.tolist(), strict=True)))
+            for s, (f, p) in zip(setup.segments, [(f, p) for f in setup.flights for p in f.pieces], strict=True)
+        ]
+        found = list(map_(_coefficient_gap, jobs))
+        if process is None:
+            fit = refit(bench.model, bench.straight, plain, controls, start, (), {}, map_, max_iterations=6)
+            residual = [z - y for z, y in zip(setup.measured, fit.flown.outputs, strict=True)]
+            flown, noise, cost = fit.flown, setup.noise, fit.flown.cost
+        else:
+            bends = middles(bench.model, plain, map_)
+            gust = gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, process, iterations=3)
+            delta, _ = gust.fit.evidence.step()
+            white = gust.fit.evidence.residual(delta)
+            residual = [r * w.deviation for r, w in zip(white, gust.white, strict=True)]
+            noise = np.sqrt(np.mean([w.deviation**2 for w in gust.white], axis=0))
+            cost = float(sum(np.nansum(r**2) for r in white))
+            outputs = [z - r for z, r in zip(setup.measured, residual, strict=True)]
+            flown = replace(gust.fit.flown, outputs=outputs, cost=cost)
+    floor = np.sqrt(np.mean(np.concatenate([f[1] for f in found]) ** 2, axis=0))
+    return Shown(flown, residual, noise, [f[0] for f in found], floor, cost)
+
+
+def air_of(aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Map) -> Array:
+    """Process noise (S, 11, 11) of some flights, estimated with a model as it is."""
+    with Bench(aircraft, measured, ideal) as bench:
+        plain = replace(setup, active=(), carriers={})
+        start = Point({}, {}, tuple(s.start for s in setup.segments))
+        controls, bends = positions(bench.model, plain, map_), middles(bench.model, plain, map_)
+        return gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, iterations=2).process
+
+
+def _coefficient_gap(
+    job: tuple[ReplayModel, ReplayModel, Segment, Mapping[str, Array], Mapping[str, float]],
+) -> tuple[Array, Array]:
+    """(n, 6) demanded minus predicted at the measured states, and how noise added once more changes it."""
+    model, straight, segment, channels, noise = job
+    rng = np.random.default_rng(1)
+    noisy = {
+        c: v + (noise[c] * rng.standard_normal(len(v)) if np.isfinite(noise.get(c, np.nan)) else 0.0)
+        for c, v in channels.items()
+    }
+    gaps = []
+    for given in (channels, noisy):
+        forced, _ = forced_at(model, straight, segment, given, {})
+        gaps.append(demand_of(given, forced, segment) - smooth(forced.coefficients, segment.dt_s))
+    return gaps[0], gaps[1] - gaps[0]
+
+
+def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]:
+    """G of refinement.json."""
+
+    def row(b: float, a: float, n: float) -> dict[str, float]:
+        return {"rms_before": b, "rms_after": a, "noise_rms": n}
+
+    def coefficient(shown: Shown) -> float:
+        found = [
+            theil(
+                np.concatenate([z[:, k] for z in setup.measured]),
+                np.concatenate([y[:, k] for y in shown.flown.outputs]),
+            ).u
+            for k in range(len(setup.outputs))
+        ]
+        return float(np.nanmean(found))
+
+    return {
+        "channels": {
+            c: row(before.channel_rms(k), after.channel_rms(k), float(after.noise[k]))
+            for k, c in enumerate(setup.outputs)
+        },
+        "coefficients": {
+            c: row(before.coefficient_rms(k), after.coefficient_rms(k), float(after.floor[k]))
+            for k, c in enumerate(COEFFICIENTS)
+        },
+        "theil": {"before": coefficient(before), "after": coefficient(after)},
+        "pbox": {},
+        "cost": {
+            "before": before.cost,
+            "after": after.cost,
+            "samples": int(sum(np.isfinite(z).sum() for z in setup.measured)),
+        },
+    }
+
+
+def whiteness(setup: Setup, residual: Sequence[Array]) -> dict[str, float]:
+    """Ljung-Box p-value of every channel's residual."""
+    return {c: ljung_box([r[:, k] for r in residual], 20) for k, c in enumerate(setup.outputs)}
+
+
+def state_ranges(setup: Setup, flown: Flown, controls: Sequence[Array]) -> list[dict[str, Array]]:
+    """States in which regions are looked for, one mapping a segment."""
+    out = []
+    for x, u in zip(flown.x, controls, strict=True):
+        out.append(
+            {
+                "V_mps": x[:, 0],
+                "alpha_rad": x[:, 1],
+                "beta_rad": x[:, 2],
+                "abs_p_radps": np.abs(x[:, 3]),
+                "abs_q_radps": np.abs(x[:, 4]),
+                "abs_r_radps": np.abs(x[:, 5]),
+                "elevator_deg": u[:, 0],
+                "aileron_deg": u[:, 1],
+                "rudder_deg": u[:, 2],
+                "throttle_pct": u[:, 3],
+            }
+        )
+    return out
+
+
+def write_bytes_tree(source: Path, target: Path) -> None:
+    """Copy a folder beside its place and put it there at once; an earlier one is replaced."""
+    import shutil
+
+    beside = target.with_name(f".{target.name}.part")
+    shutil.rmtree(beside, ignore_errors=True)
+    shutil.copytree(source, beside)
+    if target.exists():
+        shutil.rmtree(target)
+    beside.rename(target)

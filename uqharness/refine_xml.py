@@ -1,0 +1,394 @@
+"""Effects written into a copy of an aircraft: a term where the author sums the coefficient, else a body-axis increment
+beside the axes.
+
+Every effect carries a property of its own, which at 0 restores the model without it bit for bit, and a remark with value, interval,
+data and command.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from sysid.effect_terms import V_REFERENCE_MPS, Term
+from sysid.effects import Effect
+from uqharness.aero_section import AeroSection, read_section
+from uqharness.aero_summands import Reference, SectionEdit, add_deltas, add_functions
+from uqharness.aircraft import Aircraft
+from uqharness.errors import BadInputError
+from uqharness.model_form_xml import state_source
+from uqharness.refine_candidates import STALL
+from uqharness.xml_estimates import Estimate, with_value
+from uqharness.xml_text import Document, Node, after, append_child
+
+THRUST_SCALE = "propulsion/thrust-scale"
+FT = 0.3048
+
+
+@dataclass(frozen=True)
+class Written:
+    """An effect to write: its value and a remark (ASCII); slopes: mean change of CX..Cn by a degree of elevator and rudder, and
+    of CZ by a radian of alpha, which some subsystems need as numbers."""
+
+    effect: Effect
+    value: float
+    remark: str
+    slopes: Mapping[str, float]
+
+
+def in_dynamics(effect: Effect) -> bool:
+    """Whether the effect belongs in the aircraft's XML; a sensor's does not move the aircraft."""
+    return not (effect.subsystem or "").startswith(("sensor.", "record"))
+
+
+def property_of(effect: Effect) -> str | None:
+    """Property of the simulation that carries the effect, None where it has none (sensors; numbers that JSBSim reads once)."""
+    if not in_dynamics(effect) or effect.subsystem == "mass" or (effect.subsystem or "").startswith("actuator."):
+        return None
+    return effect.property_name
+
+
+def carrier(effect: Effect, folder: Path) -> tuple[str, float] | None:
+    """Property that carries the effect in this aircraft, and its value when the effect is absent; None where there is none."""
+    if _is_scale(effect) and _declares(folder, THRUST_SCALE):
+        return THRUST_SCALE, 1.0
+    name = property_of(effect)
+    return None if name is None else (name, 0.0)
+
+
+def write_effects(
+    aircraft: Aircraft, effects: Sequence[Written], estimates: Mapping[str, Estimate], out: Path, deltas: bool = False
+) -> list[str]:
+    """Copy the aircraft's folder to ``out`` (which must not exist) with effects and estimates; names of estimates without a place.
+
+    deltas: put every new term beside the axes, although the author has a sum for it. Raises BadInputError.
+    """
+    shutil.copytree(aircraft.folder, out, symlinks=False)
+    mine = [w for w in effects if in_dynamics(w.effect)]
+    for w in mine:
+        # Numbers first: an insertion counts bytes of the file as it was read.
+        if w.effect.subsystem == "mass":
+            _write_mass(out, aircraft, w)
+        elif (w.effect.subsystem or "").startswith("actuator."):
+            _write_actuator(out, aircraft, w)
+    section = read_section(out, aircraft.xml.name)
+    edit = SectionEdit(section)
+    plain: dict[str, Estimate] = {}
+    summands: dict[str, list[str]] = {}
+    for w in mine:
+        if property_of(w.effect) is None:
+            continue
+        name = w.effect.property_name
+        if w.effect.coefficient is not None and _declared(section, name) is not None:
+            plain[name] = Estimate(w.value, w.remark)
+        elif _is_scale(w.effect) and _declares(out, THRUST_SCALE):
+            plain[THRUST_SCALE] = Estimate(1.0 + w.value, w.remark)
+        else:
+            edit = _add(edit, aircraft, w, summands, deltas)
+    if summands:
+        reference = aircraft.card.reference
+        given = Reference(
+            None if reference.S_m2 is None else reference.S_m2 / FT**2,
+            None if reference.b_m is None else reference.b_m / FT,
+            None if reference.c_m is None else reference.c_m / FT,
+        )
+        edit = add_deltas(edit, summands, "aero/effects", given, "effects found by refinement")
+    for path, content in edit.files().items():
+        path.write_bytes(content)
+    left = dict(estimates) | plain
+    for path in sorted(out.rglob("*.xml")):
+        text = path.read_bytes().decode("utf-8", errors="surrogateescape")
+        edited = text
+        for name in list(left):
+            done = with_value(edited, name, left[name])
+            if done is not None:
+                edited = done
+                del left[name]
+        if edited != text:
+            path.write_bytes(edited.encode("utf-8", errors="surrogateescape"))
+    return list(left)
+
+
+def _is_scale(effect: Effect) -> bool:
+    return effect.subsystem == "propulsion" and effect.term == "thrust_scale"
+
+
+def _declared(section: AeroSection, name: str) -> tuple[Document, Node] | None:
+    for document in section.documents:
+        for node in document.root.walk():
+            if node.tag == "property" and "value" in node.attributes and node.text.strip() == name:
+                return document, node
+    return None
+
+
+def _declares(folder: Path, name: str) -> bool:
+    return _number(folder, name) is not None
+
+
+_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+
+
+def _number(folder: Path, name: str) -> str | None:
+    """The number that some file of the folder gives a property, as written."""
+    pattern = re.compile(
+        r"<property\b[^>]*?\bvalue\s*=\s*[\"']([^\"']*)[\"'][^>]*>\s*" + re.escape(name) + r"\s*</property>"
+    )
+    for path in sorted(folder.rglob("*.xml")):
+        text = _COMMENT.sub("", path.read_bytes().decode("utf-8", errors="surrogateescape"))
+        found = pattern.search(text)
+        if found:
+            return found.group(1).strip()
+    return None
+
+
+def _add(
+    edit: SectionEdit, aircraft: Aircraft, w: Written, summands: dict[str, list[str]], deltas: bool
+) -> SectionEdit:
+    name = w.effect.property_name
+    declare = f'<property value="{w.value:.8g}">{name}</property>  <!-- {w.remark.replace("--", "- -")} -->'
+    if w.effect.coefficient is not None:
+        assert w.effect.parsed is not None
+        factors = [f"<property>{name}</property>", *term_xml(w.effect.parsed, edit.section, aircraft)]
+        home = None if deltas else _sum_of(edit.section, w.effect.coefficient)
+        if home is not None:
+            document, total = home
+            last = _last_property(document, w.effect.coefficient)
+            edit = (
+                add_functions(edit, [declare])
+                if last is None
+                else edit.plus(document, after(document, last, [declare]))
+            )
+            return edit.plus(document, append_child(document, total, [f"<product> {' '.join(factors)} </product>"]))
+        return _function(edit, w.effect.coefficient, name, declare, factors, summands)
+    for coefficient, number, factors in _subsystem_terms(w, edit.section, aircraft):
+        parts = [f"<property>{name}</property>", *([] if number == 1.0 else [f"<value>{number:.8g}</value>"]), *factors]
+        edit = _function(edit, coefficient, name, declare, parts, summands)
+        declare = ""
+    return edit
+
+
+def _function(
+    edit: SectionEdit, coefficient: str, name: str, declare: str, factors: Sequence[str], summands: dict[str, list[str]]
+) -> SectionEdit:
+    part = name.rpartition("/")[2]
+    function = f"aero/effect/{part if part.startswith(coefficient) else f'{coefficient}-{part}'}"
+    lines = [
+        *([declare] if declare else []), f'<function name="{function}">', "  <product>", *(f"    {f}" for f in factors),
+        "  </product>", "</function>",
+    ]  # fmt: skip
+    summands.setdefault(coefficient, []).append(function)
+    return add_functions(edit, lines)
+
+
+def _sum_of(section: AeroSection, coefficient: str) -> tuple[Document, Node] | None:
+    """The <sum> in which the author adds up the coefficient ``aero/<C>``."""
+    for document in section.documents:
+        for node in document.root.walk():
+            if node.tag == "function" and node.attributes.get("name", "").strip() == f"aero/{coefficient}":
+                children = [c for c in node.children if c.tag != "description"]
+                if len(children) == 1 and children[0].tag == "sum":
+                    return document, children[0]
+    return None
+
+
+def _last_property(document: Document, coefficient: str) -> Node | None:
+    found = [
+        n for n in document.root.walk()
+        if n.tag == "property" and "value" in n.attributes and n.text.strip().startswith(f"aero/{coefficient}_")
+    ]  # fmt: skip
+    return found[-1] if found else None
+
+
+def _has_function(section: AeroSection, name: str) -> bool:
+    return any(
+        n.tag == "function" and n.attributes.get("name", "").strip() == name
+        for d in section.documents
+        for n in d.root.walk()
+    )
+
+
+def variable_xml(variable: str, section: AeroSection, aircraft: Aircraft) -> str:
+    """XML expression of a term's variable in this aircraft. Raises BadInputError where nothing gives it."""
+
+    def hat(function: str, scale: str, rate: str) -> str:
+        if _has_function(section, function):
+            return f"<property>{function}</property>"
+        return f"<product> <property>{scale}</property> <property>{rate}</property> </product>"
+
+    if variable in ("alpha", "beta"):
+        return f"<property>aero/{variable}-rad</property>"
+    if variable in ("p_hat", "q_hat", "r_hat"):
+        axis = variable[0]
+        return hat(
+            f"aero/{variable}", "aero/ci2vel" if axis == "q" else "aero/bi2vel", f"velocities/{axis}-aero-rad_sec"
+        )
+    if variable == "alphadot_hat":
+        return "<product> <property>aero/ci2vel</property> <property>aero/alphadot-rad_sec</property> </product>"
+    if variable == "betadot_hat":
+        return "<product> <property>aero/bi2vel</property> <property>aero/betadot-rad_sec</property> </product>"
+    if variable in ("de", "da", "dr", "dt"):
+        control = {"de": "elevator", "da": "aileron", "dr": "rudder", "dt": "throttle"}[variable]
+        source, factor = state_source("throttle_pct" if control == "throttle" else f"{control}_pos_deg", aircraft)
+        factor *= 0.01 if control == "throttle" else 1.0
+        name = f"<property>{source}</property>"
+        return name if factor == 1.0 else f"<product> <value>{factor:.10g}</value> {name} </product>"
+    if variable == "CT":
+        thrust = aircraft.card.outputs.get("thrust_N")
+        force = (
+            f"<product> <value>0.2248089431</value> <property>{thrust}</property> </product>"
+            if thrust
+            else "<property>forces/fbx-prop-lbs</property>"
+        )
+        return (
+            f"<quotient> {force} <product> <property>aero/qbar-psf</property> "
+            "<property>metrics/Sw-sqft</property> </product> </quotient>"
+        )
+    if variable == "V_rel":
+        return f"<product> <value>{FT / V_REFERENCE_MPS:.10g}</value> <property>velocities/vt-fps</property> </product>"
+    if variable == "h_over_b":
+        return (
+            "<max> <value>0.1</value> <quotient> <property>position/h-agl-ft</property> "
+            "<property>metrics/bw-ft</property> </quotient> </max>"
+        )
+    raise BadInputError(f"variable '{variable}' has no JSBSim form")
+
+
+def term_xml(term: Term, section: AeroSection, aircraft: Aircraft) -> list[str]:
+    """Factors of a term as XML elements."""
+    out = []
+    for f in term.factors:
+        one = variable_xml(f.variable, section, aircraft)
+        one = f"<abs> {one} </abs>" if f.absolute else one
+        if f.power < 0:
+            whole = one if f.power == -1 else f"<pow> {one} <value>{-f.power}</value> </pow>"
+            out.append(f"<quotient> <value>1</value> {whole} </quotient>")
+        elif f.power <= 3:
+            out += [one] * f.power
+        else:
+            out.append(f"<pow> {one} <value>{f.power}</value> </pow>")
+    return out
+
+
+def _subsystem_terms(w: Written, section: AeroSection, aircraft: Aircraft) -> list[tuple[str, float, list[str]]]:
+    """(coefficient, number, factors) that make up a subsystem's effect."""
+
+    def x(name: str) -> str:
+        return variable_xml(name, section, aircraft)
+
+    part, term = w.effect.subsystem, w.effect.term
+    if part == "propulsion":
+        if term == "thrust_scale":
+            return [("CX", 1.0, [x("CT")])]
+        if term == "inflow":
+            return [("CX", 1.0, [x("CT"), f"<difference> {x('V_rel')} <value>1</value> </difference>"])]
+        if term == "torque":
+            return [("Cl", 1.0, [x("CT")])]
+        if term == "p_factor":
+            return [("Cn", -1.0, [x("CT"), x("alpha")]), ("Cm", -1.0, [x("CT"), x("beta")])]
+        rows = [(c, w.slopes.get(f"{c}_de", 0.0), [x("de"), x("CT")]) for c in ("CZ", "Cm")]
+        rows += [(c, w.slopes.get(f"{c}_dr", 0.0), [x("dr"), x("CT")]) for c in ("CY", "Cl", "Cn")]
+        return [r for r in rows if r[1] != 0.0]
+    if part == "stall":
+        lag = (
+            "<product> <value>2</value> <property>aero/ci2vel</property> <todegrees> <property>aero/alphadot-rad_sec</property> "
+            "</todegrees> </product>"
+            if term == "dynamic"
+            else "<value>0</value>"
+        )
+        angle = f"<difference> <property>aero/alpha-deg</property> {lag} </difference>"
+        a1 = 2.0 * STALL["a1_per_deg"]
+
+        def side(sign: int, at: float) -> str:
+            return (
+                f"<sum> <value>1</value> <exp> <product> <value>{sign * a1:g}</value> "
+                f"<difference> {angle} <value>{at:g}</value> </difference> </product> </exp> </sum>"
+            )
+
+        both = f"{side(1, STALL['alpha1_deg'])} {side(-1, STALL['alpha2_deg'])}"
+        X = f"<quotient> <value>1</value> <product> {both} </product> </quotient>"
+        lost = (
+            f"<difference> <product> <value>0.25</value> <pow> <sum> <value>1</value> <sqrt> {X} </sqrt> </sum> "
+            "<value>2</value> </pow> "
+            "</product> <value>1</value> </difference>"
+        )
+        return [("CZ", w.slopes.get("CZ_alpha", 0.0), [x("alpha"), lost])]
+    raise BadInputError(f"effect {w.effect.key}: no JSBSim form is known")
+
+
+def _write_mass(folder: Path, aircraft: Aircraft, w: Written) -> None:
+    """The number in <mass_balance> changed: Ixz [kg m2] with the author's unit and sign convention, or the CG along x."""
+    path = folder / aircraft.xml.name
+    text = path.read_bytes().decode("utf-8", errors="surrogateescape")
+    block = re.search(r"<mass_balance\b([^>]*)>.*?</mass_balance>", text, re.DOTALL)
+    if block is None:
+        raise BadInputError(f"{path}: no <mass_balance> to put effect {w.effect.term} into")
+    remark = f"  <!-- {w.remark.replace('--', '- -')} -->"
+    if w.effect.term == "Ixz":
+        sign = 1.0 if re.search(r"negated_crossproduct_inertia\s*=\s*[\"']false", block.group(1)) else -1.0
+        found = re.search(r"<ixz\b([^>]*)>([^<]*)</ixz>", block.group(0))
+        unit = 1.0 if found and "KG" in found.group(1) else 1.0 / 1.3558179483314
+        change = sign * w.value * unit
+        if found is None:
+            at = block.start() + block.group(0).index(">") + 1
+            line = f'\n    <ixz unit="KG*M2">{sign * w.value:.8g}</ixz>{remark}'
+            text = text[:at] + line + text[at:]
+        else:
+            a, b = block.start() + found.start(2), block.start() + found.end(2)
+            end = text.index("\n", b)
+            text = f"{text[:a]}{float(found.group(2)) + change:.8g}{text[b:end]}{remark}{text[end:]}"
+    else:
+        place = re.search(r"<location\b[^>]*name\s*=\s*[\"']CG[\"'][^>]*>.*?</location>", block.group(0), re.DOTALL)
+        found = re.search(r"<x>([^<]*)</x>", place.group(0)) if place else None
+        if place is None or found is None:
+            raise BadInputError(f'{path}: no <location name="CG"> to move')
+        unit = (
+            1.0
+            if re.search(r"unit\s*=\s*[\"']M[\"']", place.group(0))
+            else 1.0 / 0.0254
+            if "IN" in place.group(0)
+            else 1.0 / FT
+        )
+        a = block.start() + place.start() + found.start(1)
+        b = block.start() + place.start() + found.end(1)
+        # Structural x points aft.
+        text = f"{text[:a]}{float(found.group(1)) - w.value * unit:.8g}{text[b:]}"
+    path.write_bytes(text.encode("utf-8", errors="surrogateescape"))
+
+
+def _write_actuator(folder: Path, aircraft: Aircraft, w: Written) -> None:
+    """The actuator's own numbers changed: lag [1/s], rate_limit, deadband_width."""
+    surface = (w.effect.subsystem or "").partition(".")[2]
+    position = aircraft.card.inputs[surface].position
+    remark = f"  <!-- {w.remark.replace('--', '- -')} -->"
+    for path in sorted(folder.rglob("*.xml")):
+        text = path.read_bytes().decode("utf-8", errors="surrogateescape")
+        block = re.search(
+            r"<actuator\b[^>]*name\s*=\s*[\"']" + re.escape(position or "?") + r"[\"'][^>]*>.*?</actuator>",
+            text,
+            re.DOTALL,
+        )
+        if block is None:
+            continue
+        body = block.group(0)
+        tag = {"lag": "lag", "rate_limit": "rate_limit", "deadband": "deadband_width"}[w.effect.term]
+        found = re.search(rf"<{tag}>([^<]*)</{tag}>", body)
+        number = float(found.group(1)) if found and re.fullmatch(r"\s*[-+.\deE]+\s*", found.group(1)) else None
+        if tag == "lag":
+            rate = 1.0 / ((1.0 / number if number else 0.0) + w.value)
+        elif tag == "rate_limit":
+            rate = 1.0 / max(w.value, 1e-9)
+        else:
+            rate = (number or 0.0) + w.value
+        if found:
+            body = f"{body[: found.start(1)]}{rate:.8g}{body[found.end(1) :]}"
+            end = body.find("\n", found.end(1))
+            body = f"{body[:end]}{remark}{body[end:]}" if end > 0 else body
+        else:
+            at = body.index("</input>") + len("</input>")
+            body = f"{body[:at]}\n        <{tag}>{rate:.8g}</{tag}>{remark}{body[at:]}"
+        path.write_bytes((text[: block.start()] + body + text[block.end() :]).encode("utf-8", errors="surrogateescape"))
+        return
+    raise BadInputError(f"aircraft '{aircraft.name}': no <actuator name=\"{position}\"> for effect {w.effect.key}")
