@@ -172,5 +172,5 @@ def _descend(
     start = problem.evaluate(point)
     assert start is not None
     return minimise(
-        problem, point, start, low, high, tolerance=tolerance, max_iterations=max_iterations, always_central=True
+        problem, point, start, low, high, tolerance=tolerance, max_iterations=max_iterations, always_central=False
     )
