@@ -48,13 +48,22 @@ def sines(x: Any) -> Trig:
 
 @dataclass(frozen=True)
 class GustStates:
-    """p_h [rad/s], h_q, h_r [rad], c_u [m/s], c_v [rad] behind V, alpha, beta, p, q, r, phi, theta; ``b`` the span [m]."""
+    """p_h [rad/s], h_q, h_r [rad], c_u [m/s], c_v [rad] behind V, alpha, beta, p, q, r, phi, theta; ``b`` the span [m].
+
+    passing_mps: the speed at which the gusts pass, where they are simulated at one whatever the airspeed; None: the airspeed.
+    Their rotation is then V over that speed times what alpha and beta say, behind that speed's lags.
+    """
 
     b: float
+    passing_mps: float | None = None
 
     def lags_s(self, V: Any) -> tuple[Any, ...]:
         """T_p, T_q, T_r at airspeed V."""
-        return tuple(length * self.b / V for length in LENGTHS)
+        return tuple(length * self.b / (self.passing_mps or V) for length in LENGTHS)
+
+    def _faster(self, V: Any) -> Any:
+        """Airspeed over the speed at which the gusts pass."""
+        return V / self.passing_mps if self.passing_mps else 1.0
 
     def start(self, V: float, alpha: float, beta: float, phi: float) -> tuple[float, ...]:
         """The five states in air that neither moves nor rotates."""
@@ -67,7 +76,8 @@ class GustStates:
         along = cf * x[1] + sf * x[2]
         along = along - (trig[2] - trig[3] * along) * (1.0 - x[11] / x[0])
         _, T_q, T_r = self.lags_s(x[0])
-        return x[8], (x[9] + along) / T_q, (x[10] + sf * x[1] - cf * x[2]) / T_r
+        faster = self._faster(x[0])
+        return x[8], faster * (x[9] + along) / T_q, faster * (x[10] + sf * x[1] - cf * x[2]) / T_r
 
     def rotation(self, x: Any, trig: Trig | None = None) -> tuple[Any, Any, Any]:
         """p_g, q_g, r_g [rad/s]: the air's rotation in body axes."""
@@ -94,4 +104,5 @@ class GustStates:
         climb = st - ct * lift  # sin(gamma), to first order in alpha and beta
         dclimb = (ct + st * lift) * (x[4] * cf - x[5] * sf) - ct * along
         along = along - (dclimb - climb * dV / x[0]) * (1.0 - x[11] / x[0])
-        return -p_h / self.lags_s(x[0])[0], -q_h - along, across - r_h, dV, across
+        faster = self._faster(x[0])
+        return -p_h / self.lags_s(x[0])[0], -q_h / faster - along, across - r_h / faster, dV, across

@@ -94,17 +94,21 @@ def _yaw(k: Mapping[str, Any], t: Terms) -> Any:
 
 @dataclass(frozen=True)
 class AirEquations:
-    """f(x, u, theta) and g(x, u, theta) of a coefficient build-up; ``names`` are the elements of theta, ``fixed`` the others."""
+    """f(x, u, theta) and g(x, u, theta) of a coefficient build-up; ``names`` are the elements of theta, ``fixed`` the others.
+
+    passing_mps: the speed at which simulated gusts pass (`sysid.gust_states.GustStates`).
+    """
 
     build: Build
     names: tuple[str, ...]
     fixed: Mapping[str, float]
     body: Body = ESPAARO
+    passing_mps: float | None = None
 
     @property
     def gusts(self) -> GustStates:
         """The air's rotation."""
-        return GustStates(self.body.b)
+        return GustStates(self.body.b, self.passing_mps)
 
     def _loads(self, x: Any, u: Any, theta: Any, trig: Any = None) -> tuple[Any, ...]:
         """Specific force ax, ay, az [m/s2] and moments L, M, N [N m]."""
