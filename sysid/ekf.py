@@ -1,7 +1,7 @@
 """Extended Kalman filter over many lanes at once: perturbed parameters and segments run side by side.
 
-Prediction by Runge-Kutta 4 at the data rate, its transition matrix by central differences through the whole step; the
-measurement's by central differences of g. Jategaonkar (2015), ch. 5, eqs for the time-varying filter; Joseph's update.
+Prediction by Runge-Kutta 4 at the data rate; its transition matrix is exp(A dt) to fourth order (which for a linear f is
+Runge-Kutta's own), A = df/dx and the measurement's dg/dx by differences. Jategaonkar (2015), ch. 5, time-varying filter.
 """
 
 from __future__ import annotations
@@ -46,9 +46,8 @@ class Model:
             out[:, lane] = np.asarray(function(x[:, lane], u[:, lane], theta[:, lane]), dtype=float).ravel()
         return out
 
-    def step(self, x: Array, u0: Array, middle: Array, u1: Array, theta: Array, dt: Array) -> Array:
-        """Runge-Kutta 4 from inputs u0 through `middle`, half a step later, to u1."""
-        k1 = self.rate(x, u0, theta)
+    def step(self, x: Array, k1: Array, middle: Array, u1: Array, theta: Array, dt: Array) -> Array:
+        """Runge-Kutta 4 from x, whose rate is k1, through inputs `middle`, half a step later, to u1."""
         k2 = self.rate(x + 0.5 * dt * k1, middle, theta)
         k3 = self.rate(x + 0.5 * dt * k2, middle, theta)
         k4 = self.rate(x + dt * k3, u1, theta)
@@ -131,40 +130,36 @@ def run_filter(
     points, nx = theta.shape[1], model.states
     lanes = points * segments
     lane_theta = np.repeat(theta, segments, axis=1)
-    wide_theta = np.tile(lane_theta, 2 * nx + 1)
+    wide_theta = np.tile(lane_theta, nx + 1)
     x = x0.reshape(nx, lanes).copy()
     P = np.repeat(p0[:, :, None], lanes, axis=2)
     Q, R = np.repeat(q, segments, axis=1), np.repeat(r**2, segments, axis=1)
     diagonal = np.arange(nx)
-    offsets = np.concatenate([np.zeros((nx, 1)), np.diag(difference), -np.diag(difference)], axis=1)  # (nx, 2nx+1)
-    two = (2.0 * difference)[None, :, None]
+    offsets = np.concatenate([np.zeros((nx, 1)), np.diag(difference)], axis=1)  # (nx, nx+1)
     raw, e_all, s_all = (np.empty((n, m, lanes)) for _ in range(3))
     complete = np.asarray(np.isfinite(record.z).all(axis=2))
     phi, H = np.zeros((nx, nx, lanes)), np.zeros((m, nx, lanes))
+    work = np.empty_like(P)  # fresh memory for every product would cost more than the product
 
-    def spread(value: Array) -> Array:
-        """Lanes at x, x + d_i, x - d_i, one block after the other."""
-        return np.asarray((value[:, None, :] + offsets[:, :, None]).reshape(nx, -1))
-
-    def jacobian(wide: Array) -> tuple[Array, Array]:
-        """(centre (rows, lanes), Jacobian (rows, nx, lanes)) from the function's values on spread lanes."""
-        blocks = wide.reshape(wide.shape[0], 2 * nx + 1, lanes)
-        return blocks[:, 0], (blocks[:, 1 : nx + 1] - blocks[:, nx + 1 :]) / two
+    def jacobian(function: Callable[[Array, Array, Array], Array], u: Array) -> tuple[Array, Array]:
+        """(value (rows, lanes), Jacobian (rows, nx, lanes)) of a function at x in every lane."""
+        spread = (x[:, None, :] + offsets[:, :, None]).reshape(nx, -1)
+        blocks = function(spread, np.tile(u, nx + 1), wide_theta).reshape(-1, nx + 1, lanes)
+        return blocks[:, 0], (blocks[:, 1:] - blocks[:, :1]) / difference[None, :, None]
 
     with np.errstate(all="ignore"):
         for k in range(n):
             fresh = k % every == 0
-            copies = points * (2 * nx + 1) if fresh else points
-            u = np.tile(record.u[k], copies)
+            u = np.tile(record.u[k], points)
             if fresh:
-                y, H = jacobian(model.output(spread(x), u, wide_theta))
+                y, H = jacobian(model.output, u)
             else:
                 y = model.output(x, u, lane_theta)
             raw[k] = np.tile(record.z[k], points) - y
-            predicted = x
+            moved = np.zeros_like(x)
             for j in range(m):
                 h = H[j]
-                e = raw[k, j] - np.einsum("aw,aw->w", h, x - predicted)
+                e = raw[k, j] - np.einsum("aw,aw->w", h, moved)
                 PH = np.einsum("abw,bw->aw", P, h)
                 s = np.einsum("aw,aw->w", h, PH) + R[j]
                 gain = PH / s
@@ -173,24 +168,28 @@ def run_filter(
                     missing = np.isnan(raw[k, j])
                     e, s, gain = np.where(missing, 0.0, e), np.where(missing, 1.0, s), np.where(missing, 0.0, gain)
                 e_all[k, j], s_all[k, j] = e, s
-                x = x + gain * e
-                P = P - gain[:, None] * PH[None]
+                moved += gain * e
+                P -= np.multiply(gain[:, None], PH[None], out=work)
+            x = x + moved
             if k == n - 1:
                 break
-            u1 = u if record.held else np.tile(record.u[k + 1], copies)
-            between = 0.5 * (u + u1) if record.middle is None else np.tile(record.middle[k], copies)
-            dt = np.tile(record.dt[k], copies)
+            u1 = u if record.held else np.tile(record.u[k + 1], points)
+            between = 0.5 * (u + u1) if record.middle is None else np.tile(record.middle[k], points)
+            dt = np.tile(record.dt[k], points)
             if fresh:
-                x, phi = jacobian(model.step(spread(x), u, between, u1, wide_theta, dt))
+                rate, A = jacobian(model.rate, u)
+                phi = _transition(A * dt)
             else:
-                x = model.step(x, u, between, u1, lane_theta, dt)
+                rate = model.rate(x, u, lane_theta)
+            x = model.step(x, rate, between, u1, lane_theta, dt)
             # The noise of a step, int Phi(s) Q Phi(s)' ds by Simpson with Phi(dt/2) = (1 + Phi)/2.
-            third = Q * (dt[:lanes] / 3.0)
-            cross = 0.5 * phi * third[None]
+            third = Q * (dt / 3.0)
             P[diagonal, diagonal] += third
-            P = np.einsum("abw,bcw->acw", phi, P)
-            P = np.einsum("abw,cbw->acw", P, phi)
-            P += cross + cross.transpose(1, 0, 2)
+            np.einsum("abw,bcw->acw", phi, P, out=work)
+            np.einsum("abw,cbw->acw", work, phi, out=P)
+            np.multiply(phi, 0.5 * third, out=work)
+            P += work
+            P += work.transpose(1, 0, 2)
             P[diagonal, diagonal] += third
             if k % 100 == 0 and not (np.abs(x) < 1e100).all():
                 return None
@@ -199,3 +198,12 @@ def run_filter(
     ):
         return None
     return Innovations(raw, e_all, s_all)
+
+
+def _transition(X: Array) -> Array:
+    """exp(X) of X (nx, nx, L) to fourth order."""
+    identity = np.eye(X.shape[0])[:, :, None]
+    out = identity + X / 4.0
+    for order in (3.0, 2.0, 1.0):
+        out = identity + np.einsum("abw,bcw->acw", X, out) / order
+    return np.asarray(out)

@@ -23,9 +23,10 @@ from numpy.typing import ArrayLike
 from sysid.checks import Array, as_bounds, as_free, as_names, as_parameters, is_many
 from sysid.ekf import ModelFunction, make_model
 from sysid.filterinput import measurement_noise, noisy_states, output_spread, positive_vector, read_record, state_scale
+from sysid.filterlayout import Layout
 from sysid.filterreport import assemble
 from sysid.gaussnewton import Minimum, minimise
-from sysid.innovations import FilterProblem, Layout
+from sysid.innovations import FilterProblem
 from sysid.results import FilterErrorFit
 
 NEAR_NOISE = 0.1  # how far the logarithm of R may move while theta is far off
@@ -172,5 +173,5 @@ def _descend(
     start = problem.evaluate(point)
     assert start is not None
     return minimise(
-        problem, point, start, low, high, tolerance=tolerance, max_iterations=max_iterations, always_central=True
+        problem, point, start, low, high, tolerance=tolerance, max_iterations=max_iterations, always_central=False
     )

@@ -22,7 +22,7 @@ def assemble(
     layout = problem.layout
     again = problem.evaluate(best.theta)
     assert again is not None
-    line = problem.linearise(best.theta, again[1], True)
+    line = problem.settle(best.theta, again[1])
     held = outward(best.theta, line.gradient, low, high)
     inside = np.flatnonzero(~held)
     every_name = layout.names(labels)

@@ -15,7 +15,7 @@ gusts do more, in heading axes (along the heading and level; index h), in which 
   times them, without rotating. In a bank of 30 deg that is 0.01 rad/s of beta for seconds on end.
 
 None of these states needs noise of its own: with along = cos(phi) alpha + sin(phi) beta, across = cos(phi) beta - sin(phi)
-alpha, the states c_u = u_h + V, c_v = v_h/V + across, h_q = T_q q_h - along + sin(gamma) ln(V/c_u) and h_r = T_r r_h + across
+alpha, the states c_u = u_h + V, c_v = v_h/V + across, h_q = T_q q_h - along + sin(gamma) (1 - c_u/V) and h_r = T_r r_h + across
 change by the deterministic part of V, alpha, beta alone.
 
 Left out, in E-SPAARO's simulated flights: rolling gusts taken for noise on p pass for persistence of the aircraft (Cl_p at
@@ -30,6 +30,7 @@ from typing import Any
 
 import numpy as np
 
+Trig = tuple[Any, Any, Any, Any]
 LENGTHS = (4.0 / np.pi, 4.0 / np.pi, 3.0 / np.pi)
 """T_p V, T_q V, T_r V in spans, MIL-F-8785C 3.7.5."""
 NOISY = (0, 1, 2, 3, 4, 5, 8)
@@ -40,54 +41,68 @@ NOISE_START = (0.5, 0.02, 0.02, 0.01, 0.01, 0.01, 0.1, 0.1, 0.2, 0.1, 0.1, 0.1, 
 """First guesses of the process noise, per root second, of NOISY states: light turbulence, roughly; the others' do not count."""
 
 
+def sines(x: Any) -> Trig:
+    """sin phi, cos phi, sin theta, cos theta of a state x: computed once, they serve every method."""
+    return np.sin(x[6]), np.cos(x[6]), np.sin(x[7]), np.cos(x[7])
+
+
 @dataclass(frozen=True)
 class GustStates:
-    """p_h [rad/s], h_q, h_r [rad], c_u [m/s], c_v [rad] behind V, alpha, beta, p, q, r, phi, theta; ``b`` the span [m]."""
+    """p_h [rad/s], h_q, h_r [rad], c_u [m/s], c_v [rad] behind V, alpha, beta, p, q, r, phi, theta; ``b`` the span [m].
+
+    passing_mps: the speed at which the gusts pass, where they are simulated at one whatever the airspeed; None: the airspeed.
+    Their rotation is then V over that speed times what alpha and beta say, behind that speed's lags.
+    """
 
     b: float
+    passing_mps: float | None = None
 
     def lags_s(self, V: Any) -> tuple[Any, ...]:
         """T_p, T_q, T_r at airspeed V."""
-        return tuple(length * self.b / V for length in LENGTHS)
+        return tuple(length * self.b / (self.passing_mps or V) for length in LENGTHS)
+
+    def _faster(self, V: Any) -> Any:
+        """Airspeed over the speed at which the gusts pass."""
+        return V / self.passing_mps if self.passing_mps else 1.0
 
     def start(self, V: float, alpha: float, beta: float, phi: float) -> tuple[float, ...]:
         """The five states in air that neither moves nor rotates."""
         along, across = np.cos(phi) * alpha + np.sin(phi) * beta, np.cos(phi) * beta - np.sin(phi) * alpha
         return 0.0, -float(along), float(across), V, float(across)
 
-    def level(self, x: Any) -> tuple[Any, Any, Any]:
-        """p_h, q_h, r_h [rad/s], the air's rotation in heading axes, of a whole state x."""
+    def level(self, x: Any, trig: Trig | None = None) -> tuple[Any, Any, Any]:
+        """p_h, q_h, r_h [rad/s], the air's rotation in heading axes, of a whole state x; ``trig``: `sines` of it, if known."""
+        sf, cf, _, _ = trig = trig or sines(x)
+        along = cf * x[1] + sf * x[2]
+        along = along - (trig[2] - trig[3] * along) * (1.0 - x[11] / x[0])
         _, T_q, T_r = self.lags_s(x[0])
-        sf, cf = np.sin(x[6]), np.cos(x[6])
-        along = cf * x[1] + sf * x[2] - self._climb(x) * np.log(x[0] / x[11])
-        return x[8], (x[9] + along) / T_q, (x[10] + sf * x[1] - cf * x[2]) / T_r
+        faster = self._faster(x[0])
+        return x[8], faster * (x[9] + along) / T_q, faster * (x[10] + sf * x[1] - cf * x[2]) / T_r
 
-    def _climb(self, x: Any) -> Any:
-        """sin(gamma), to first order in alpha and beta."""
-        return np.sin(x[7]) - np.cos(x[7]) * (np.cos(x[6]) * x[1] + np.sin(x[6]) * x[2])
-
-    def rotation(self, x: Any) -> tuple[Any, Any, Any]:
+    def rotation(self, x: Any, trig: Trig | None = None) -> tuple[Any, Any, Any]:
         """p_g, q_g, r_g [rad/s]: the air's rotation in body axes."""
-        p_h, q_h, r_h = self.level(x)
-        sf, cf, st, ct = np.sin(x[6]), np.cos(x[6]), np.sin(x[7]), np.cos(x[7])
+        sf, cf, st, ct = trig = trig or sines(x)
+        p_h, q_h, r_h = self.level(x, trig)
         upright = st * p_h + ct * r_h
         return ct * p_h - st * r_h, cf * q_h + sf * upright, cf * upright - sf * q_h
 
-    def turning(self, x: Any) -> tuple[Any, Any, Any]:
-        """What the turning of u_h, v_h with the heading adds to the rates of V [m/s2], alpha, beta [rad/s]."""
-        sf, cf = np.sin(x[6]), np.cos(x[6])
-        dpsi = (x[4] * sf + x[5] * cf) / np.cos(x[7])
+    def turning(self, x: Any, trig: Trig | None = None) -> tuple[Any, Any, Any]:
+        """What the turning of u_h, v_h with the heading adds to the rates of V [m/s2], alpha, beta [rad]."""
+        sf, cf, _, ct = trig or sines(x)
+        dpsi = (x[4] * sf + x[5] * cf) / ct
         u_h, v_V = x[11] - x[0], x[12] + sf * x[1] - cf * x[2]
         sideways = dpsi * u_h / x[0]
         return dpsi * v_V * x[0], sf * sideways, -cf * sideways
 
-    def rates(self, x: Any, dV: Any, dalpha: Any, dbeta: Any, dphi: Any) -> tuple[Any, ...]:
+    def rates(self, x: Any, dV: Any, dalpha: Any, dbeta: Any, dphi: Any, trig: Trig | None = None) -> tuple[Any, ...]:
         """d/dt of the five states, given the deterministic rates of V, alpha, beta, phi (`turning` included)."""
-        p_h, q_h, r_h = self.level(x)
-        sf, cf = np.sin(x[6]), np.cos(x[6])
-        along = cf * dalpha + sf * dbeta + dphi * (cf * x[2] - sf * x[1])
-        across = cf * dbeta - sf * dalpha - dphi * (cf * x[1] + sf * x[2])
-        st, ct = np.sin(x[7]), np.cos(x[7])
-        dclimb = (ct + st * (cf * x[1] + sf * x[2])) * (x[4] * cf - x[5] * sf) - ct * along
-        along = along - dclimb * np.log(x[0] / x[11]) - self._climb(x) * dV * (1.0 / x[0] - 1.0 / x[11])
-        return -p_h / self.lags_s(x[0])[0], -q_h - along, across - r_h, dV, across
+        sf, cf, st, ct = trig = trig or sines(x)
+        p_h, q_h, r_h = self.level(x, trig)
+        lift, slip = cf * x[1] + sf * x[2], cf * x[2] - sf * x[1]
+        along = cf * dalpha + sf * dbeta + dphi * slip
+        across = cf * dbeta - sf * dalpha - dphi * lift
+        climb = st - ct * lift  # sin(gamma), to first order in alpha and beta
+        dclimb = (ct + st * lift) * (x[4] * cf - x[5] * sf) - ct * along
+        along = along - (dclimb - climb * dV / x[0]) * (1.0 - x[11] / x[0])
+        faster = self._faster(x[0])
+        return -p_h / self.lags_s(x[0])[0], -q_h / faster - along, across - r_h / faster, dV, across

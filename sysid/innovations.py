@@ -3,92 +3,50 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.checks import Array
 from sysid.ekf import Innovations, Model, Record, run_filter
+from sysid.filterlayout import Layout
 from sysid.gaussnewton import Linearisation
 
 LANES = 600  # points x segments filtered side by side, bounded for memory
+CARRIED = 8  # secant updates before derivatives are differenced anew
+NEARBY = 0.1  # standard errors within which they need no renewal
 TARGET = 1e-3  # wanted rms change of the whitened innovations under a difference step
 ROUGHLY = (1e-7, 0.1)  # a change outside this range is repeated with another step: a filter pass is dear
 LOG_STEP = 1e-3
 
 
-@dataclass(frozen=True)
-class Layout:
-    """Order of the vector: free theta, Q of noisy states, ln r, initial states segment by segment.
-
-    Q enters as a variance with zero as its bound: there its gradient tells whether the data want any (as a logarithm it
-    would run away along a flat valley), and Fisher scoring is nearly exact in variances. R has no such bound.
-    """
-
-    theta0: Array
-    columns: NDArray[np.intp]
-    noisy: NDArray[np.intp]
-    outputs: int
-    states: int
-    segments: int
-    with_x0: bool
-
-    @property
-    def process(self) -> slice:
-        """Where the process-noise variances stand."""
-        return slice(self.columns.size, self.columns.size + self.noisy.size)
-
-    @property
-    def logs(self) -> slice:
-        """Where the logarithms of the measurement noise stand."""
-        return slice(self.process.stop, self.process.stop + self.outputs)
-
-    def pack(self, theta: Array, q: Array, r: Array, x0: Array) -> Array:
-        parts = [theta[self.columns], q[self.noisy], np.log(r)]
-        return np.concatenate([*parts, x0.T.ravel()] if self.with_x0 else parts)
-
-    def unpack(self, vector: Array, x0: Array) -> tuple[Array, Array, Array, Array]:
-        """theta (k,), Q (nx,) variances per second, r (m,) standard deviations, x0 (nx, s)."""
-        theta, q = self.theta0.copy(), np.zeros(self.states)
-        a, b = self.columns.size, self.columns.size + self.noisy.size
-        theta[self.columns] = vector[:a]
-        q[self.noisy] = vector[a:b]
-        r = np.exp(vector[b : b + self.outputs])
-        if self.with_x0:
-            x0 = vector[b + self.outputs :].reshape(self.segments, self.states).T
-        return theta, q, r, x0
-
-    def limits(self, lower: Array, upper: Array, scale: Array, spread: Array) -> tuple[Array, Array]:
-        """Bounds of the whole vector: Q up to (a thousand states' scales)^2, r within 1e-5 and 10 of the spread."""
-        low = [lower[self.columns], np.zeros(self.noisy.size), np.log(1e-5 * spread)]
-        high = [upper[self.columns], (1e3 * scale[self.noisy]) ** 2, np.log(1e1 * spread)]
-        extra = [np.full(self.segments * self.states, np.inf)] if self.with_x0 else []
-        return np.concatenate(low + [-part for part in extra]), np.concatenate(high + extra)
-
-    def names(self, labels: tuple[str, ...]) -> list[str]:
-        out = [labels[i] for i in self.columns] + [f"Q of state {i}" for i in self.noisy]
-        out += [f"ln r of output {i}" for i in range(self.outputs)]
-        if self.with_x0:
-            out += [f"x0[{i}] of segment {s}" for s in range(self.segments) for i in range(self.states)]
-        return out
-
-
 @dataclass
 class State:
-    """Innovations at a point, their deviation and whitened values (N, m), N = n x segments, segment-major; and, once
-    linearised, their whitened derivatives (N, m, K). along: the base holds the perturbed points after its first."""
+    """Innovations at a point; e, s and e/sqrt(s) (N, m) by rows, N = n x segments, segment-major; and, once linearised, the
+    whitened derivatives of e (N, m, K)."""
 
     base: Innovations
-    deviation: Array
+    e: Array
+    s: Array
     white: Array
-    along: bool
     sensitivity: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
 
-def _cost(white: Array, deviation: Array) -> float:
-    """1/2 sum [e^2/s + ln s] from e/sqrt(s) and sqrt(s)."""
-    return 0.5 * float(np.sum(white**2)) + float(np.sum(np.log(deviation)))
+@dataclass
+class Sensitivities:
+    """Derivatives of e and s, dE and dS (N, m, K), at a point with its e and s; what the secant updates hold on to."""
+
+    vector: Array
+    e: Array
+    s: Array
+    dE: Array
+    dS: Array
+    metric: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+
+def _cost(white: Array, s: Array) -> float:
+    """1/2 sum [e^2/s + ln s] from e/sqrt(s) and s."""
+    return 0.5 * float(np.sum(white**2)) + 0.5 * float(np.sum(np.log(s)))
 
 
 @dataclass
@@ -105,6 +63,9 @@ class FilterProblem:
     state_scale: Array
     step: Array | None = None
     runs: int = 0
+    _last: Sensitivities | None = None
+    _fresh: tuple[Array, Array] | None = None
+    _updates: int = 0
 
     def _filter(self, vectors: list[Array]) -> Innovations | None:
         parts = [self.layout.unpack(vector, self.initial) for vector in vectors]
@@ -128,8 +89,8 @@ class FilterProblem:
             return candidates[-1]  # the most noise: the filter that trusts the model least
         costs = []
         for point in range(len(candidates)):
-            deviation = np.sqrt(self._rows(found.s, point))
-            costs.append(_cost(self._rows(found.e, point) / deviation, deviation))
+            s = self._rows(found.s, point)
+            costs.append(_cost(self._rows(found.e, point) / np.sqrt(s), s))
         return candidates[int(np.argmin(costs))]
 
     def _rows(self, values: Array, point: int) -> Array:
@@ -138,29 +99,19 @@ class FilterProblem:
         return values[:, :, point * segments : (point + 1) * segments].transpose(2, 0, 1).reshape(n * segments, m)
 
     def evaluate(self, vector: Array) -> tuple[float, State] | None:
-        """J of filtererror.py, None where the filter fails.
-
-        Once steps are known, the perturbed points ride along: a filter pass costs little more for more lanes, and most
-        points tried are accepted and differenced next.
-        """
-        points, along = [vector], False
-        if self.step is not None and (2 * vector.size + 1) * self.record.z.shape[2] <= LANES:
-            points, along = [vector, *self._perturbed(vector, range(vector.size))], True
-        found = self._filter(points)
-        if found is None and along:
-            found, along = self._filter([vector]), False
+        """J of filtererror.py, None where the filter fails."""
+        found = self._filter([vector])
         if found is None:
             return None
-        deviation = np.sqrt(self._rows(found.s, 0))
-        white = self._rows(found.e, 0) / deviation
-        return _cost(white, deviation), State(found, deviation, white, along)
+        e, s = self._rows(found.e, 0), self._rows(found.s, 0)
+        white = e / np.sqrt(s)
+        return _cost(white, s), State(found, e, s, white)
 
-    def _perturbed(self, vector: Array, some: Iterable[int]) -> list[Array]:
-        """Points a step up and a step down for each of `some`, in turn."""
-        assert self.step is not None
+    def _points(self, vector: Array, some: Iterable[int], central: bool) -> list[Array]:
+        """Points a step up for each of `some`, in turn, and with ``central`` a step down."""
         points = []
         for index in some:
-            for shift in self._shifts(vector, index):
+            for shift in self._shifts(vector, index)[: 2 if central else 1]:
                 point = vector.copy()
                 point[index] += shift
                 points.append(point)
@@ -185,82 +136,124 @@ class FilterProblem:
         return step
 
     def linearise(self, vector: Array, state: State, central: bool) -> Linearisation:
-        """Gradient and information of the module's equations, by central differences of innovations and covariances."""
-        if self.step is None:
-            self.step = self._first_steps(vector)
-        size = vector.size
-        n_rows, m = state.white.shape
-        dE, dS = np.zeros((n_rows, m, size)), np.zeros((n_rows, m, size))
-        pending = list(range(size))
-        if state.along:
-            pending = self._extract(vector, state, state.base, 1, pending, dE, dS, False)
-        for attempt in range(4):
-            again: list[int] = []
-            block = max(1, LANES // (2 * self.record.z.shape[2]))
-            for first in range(0, len(pending), block):
-                some = pending[first : first + block]
-                again += self._differences(vector, state, some, dE, dS, attempt == 3)
-            pending = again
-            if not pending:
-                break
-        e, flat, trace = state.white.ravel(), dE.reshape(-1, size), dS.reshape(-1, size)
+        """Gradient and information of the module's equations at a point whose innovations are given.
+
+        The derivatives of e and s are those of the last point, carried on by Broyden's update (Math. Comp. 19, 1965)
+
+            D += (dy - D d) (M d)' / (d' M d)
+
+        which costs no filter run; they are differenced anew, forwards, when that has been done CARRIED times, when the search
+        nears its end and at a point asked for twice.
+        """
+        near = self._carry(vector, state, central)
+        if near is None:
+            return self._anew(vector, state, False)
+        assert self._last is not None
+        line = self._line(state)
+        self._last.metric = line.information
+        return replace(line, exact=near, fresh=False)
+
+    def settle(self, vector: Array, state: State) -> Linearisation:
+        """The linearisation that bounds are computed from, by central differences."""
+        return self._anew(vector, state, True)
+
+    def _anew(self, vector: Array, state: State, central: bool) -> Linearisation:
+        self._difference(vector, state, central)
+        assert self._last is not None
+        line = self._line(state)
+        self._last.metric, self._fresh = line.information, (vector.copy(), line.information)
+        return line
+
+    def _line(self, state: State) -> Linearisation:
+        assert self._last is not None
+        size = self._last.vector.size
+        state.sensitivity = self._last.dE / np.sqrt(state.s)[:, :, None]
+        e, flat = state.white.ravel(), state.sensitivity.reshape(-1, size)
+        trace = (self._last.dS / state.s[:, :, None]).reshape(-1, size)
         gradient = -(e @ flat + 0.5 * trace.sum(axis=0) - 0.5 * (e**2) @ trace)
         information = flat.T @ flat + 0.5 * trace.T @ trace
-        state.sensitivity = dE
-        cost = _cost(state.white, state.deviation)
+        cost = _cost(state.white, state.s)
 
         def predict(delta: Array) -> float:
             return cost - float(gradient @ delta) + 0.5 * float(delta @ information @ delta)
 
         return Linearisation(gradient, information, predict)
 
-    def _differences(self, vector: Array, state: State, some: list[int], dE: Array, dS: Array, last: bool) -> list[int]:
-        """Fill the whitened derivatives of the parameters `some`; return those whose step was bad."""
+    def _carry(self, vector: Array, state: State, central: bool) -> bool | None:
+        """Derivatives carried on: True near where they were differenced, False far from there, None: not possible."""
+        last = self._last
+        if last is None or self._fresh is None or self._updates >= CARRIED:
+            return None
+        step = vector - last.vector
+        along = last.metric @ step
+        size = float(step @ along)
+        away = vector - self._fresh[0]
+        near = float(away @ self._fresh[1] @ away) < NEARBY**2
+        if not size > 0.0 or (central and not near):
+            return None
+        for derivative, change in ((last.dE, state.e - last.e), (last.dS, state.s - last.s)):
+            derivative += (change - derivative @ step)[:, :, None] * (along / size)
+        last.vector, last.e, last.s = vector.copy(), state.e, state.s
+        self._updates += 1
+        return near
+
+    def _difference(self, vector: Array, state: State, central: bool) -> None:
+        """Derivatives by differences of the filter, in blocks of lanes."""
+        if self.step is None:
+            self.step = self._first_steps(vector)
+        size = vector.size
+        new = Sensitivities(
+            vector.copy(), state.e, state.s, np.zeros((*state.e.shape, size)), np.zeros((*state.e.shape, size))
+        )
+        pending = list(range(size))
+        for attempt in range(4):
+            again: list[int] = []
+            block = max(1, LANES // ((2 if central else 1) * self.record.z.shape[2]))
+            for first in range(0, len(pending), block):
+                some = pending[first : first + block]
+                again += self._differences(new, some, central, attempt == 3)
+            pending = again
+            if not pending:
+                break
+        self._last, self._updates = new, 0
+
+    def _differences(self, new: Sensitivities, some: list[int], central: bool, last: bool) -> list[int]:
+        """Fill the derivatives by the parameters `some`; return those whose step was bad."""
         assert self.step is not None
-        found = self._filter(self._perturbed(vector, some))
+        found = self._filter(self._points(new.vector, some, central))
         if found is None:
             if len(some) > 1:  # one bad point spoils the batch: find it
                 half = len(some) // 2
                 return [
                     index
                     for part in (some[:half], some[half:])
-                    for index in self._differences(vector, state, part, dE, dS, last)
+                    for index in self._differences(new, part, central, last)
                 ]
             self.step[some[0]] *= 0.03
             return list(some)
-        return self._extract(vector, state, found, 0, some, dE, dS, last)
-
-    def _extract(
-        self,
-        vector: Array,
-        state: State,
-        found: Innovations,
-        first: int,
-        some: list[int],
-        dE: Array,
-        dS: Array,
-        last: bool,
-    ) -> list[int]:  # fmt: skip
-        """Derivatives from the lanes of perturbed points, the first of them number `first`; returns those to repeat."""
-        assert self.step is not None
         again = []
-        logs = range(*self.layout.logs.indices(vector.size))
+        logs = range(*self.layout.logs.indices(new.vector.size))
+        deviation = np.sqrt(new.s)
         for place, index in enumerate(some):
-            shifts = self._shifts(vector, index)
-            width = shifts[0] - shifts[1]
-            up, down = first + 2 * place, first + 2 * place + 1
-            dE[:, :, index] = (self._rows(found.e, up) - self._rows(found.e, down)) / (width * state.deviation)
-            dS[:, :, index] = (self._rows(found.s, up) - self._rows(found.s, down)) / (width * state.deviation**2)
+            up, down = self._shifts(new.vector, index)
+            if central:
+                above, below = (tuple(self._rows(v, 2 * place + k) for v in (found.e, found.s)) for k in (0, 1))
+            else:
+                above, below, down = (self._rows(found.e, place), self._rows(found.s, place)), (new.e, new.s), 0.0
+            new.dE[:, :, index] = (above[0] - below[0]) / (up - down)
+            new.dS[:, :, index] = (above[1] - below[1]) / (up - down)
             if index in logs:
                 continue
-            change = float(np.sqrt(np.mean(dE[:, :, index] ** 2) + np.mean(dS[:, :, index] ** 2))) * self.step[index]
+            change = self.step[index] * float(
+                np.sqrt(np.mean((new.dE[:, :, index] / deviation) ** 2) + np.mean((new.dS[:, :, index] / new.s) ** 2))
+            )
             if change <= 1e-11:
-                limit = 1e2 * max(abs(vector[index]), 1.0)
+                limit = 1e2 * max(abs(new.vector[index]), 1.0)
                 if self.step[index] < limit and not last:
                     self.step[index] = min(1e3 * self.step[index], limit)
                     again.append(index)
                 else:
-                    dE[:, :, index], dS[:, :, index] = 0.0, 0.0
+                    new.dE[:, :, index], new.dS[:, :, index] = 0.0, 0.0
             elif not ROUGHLY[0] < change < ROUGHLY[1] and not last:
                 self.step[index] *= TARGET / change
                 again.append(index)

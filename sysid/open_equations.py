@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sysid.aero_terms import COEFFICIENTS, regressor, split_name, variables
 from sysid.force_coefficients import MassProperties
-from sysid.gust_states import GustStates
+from sysid.gust_states import GustStates, sines
 
 FloatArray = NDArray[np.float64]
 STATES = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps", "phi_rad", "theta_rad")
@@ -65,22 +65,23 @@ class OpenEquations:
 
     def f(self, x: Any, u: Any, theta: Any) -> Any:
         """dx/dt (13,)."""
-        V, alpha, beta, p, q, r, phi, theta_ = (x[i] for i in range(8))
-        ax, ay, az, pd, qd, rd = self._accelerations(x, u, theta)
+        V, alpha, beta, p, q, r = (x[i] for i in range(6))
+        sf, cf, st, ct = trig = sines(x)
+        ax, ay, az, pd, qd, rd = self._accelerations(x, u, theta, trig)
         g = self.gravity
         cb, sb, ca, sa = np.cos(beta), np.sin(beta), np.cos(alpha), np.sin(alpha)
         ub, vb, wb = V * ca * cb, V * sb, V * sa * cb
-        ud = ax + r * vb - q * wb - g * np.sin(theta_)
-        vd = ay + p * wb - r * ub + g * np.cos(theta_) * np.sin(phi)
-        wd = az + q * ub - p * vb + g * np.cos(theta_) * np.cos(phi)
+        ud = ax + r * vb - q * wb - g * st
+        vd = ay + p * wb - r * ub + g * ct * sf
+        wd = az + q * ub - p * vb + g * ct * cf
         Vd = (ub * ud + vb * vd + wb * wd) / V
-        turning = q * np.sin(phi) + r * np.cos(phi)
+        turning = q * sf + r * cf
         own = Vd, (ub * wd - wb * ud) / (ub * ub + wb * wb), (V * vd - vb * Vd) / (V * V * cb)
-        Vd, alphad, betad = (a + b for a, b in zip(own, self.gusts.turning(x), strict=True))
-        phid = p + np.tan(theta_) * turning
+        Vd, alphad, betad = (a + b for a, b in zip(own, self.gusts.turning(x, trig), strict=True))
+        phid = p + st / ct * turning
         return [
-            Vd, alphad, betad, pd, qd, rd, phid, q * np.cos(phi) - r * np.sin(phi),
-            *self.gusts.rates(x, Vd, alphad, betad, phid),
+            Vd, alphad, betad, pd, qd, rd, phid, q * cf - r * sf,
+            *self.gusts.rates(x, Vd, alphad, betad, phid, trig),
         ]  # fmt: skip
 
     def g(self, x: Any, u: Any, theta: Any) -> Any:
@@ -93,11 +94,11 @@ class OpenEquations:
             every[channel] = every[channel] + theta[offset + k]
         return [every[c] for c in self.outputs]
 
-    def _accelerations(self, x: Any, u: Any, theta: Any) -> tuple[Any, ...]:
+    def _accelerations(self, x: Any, u: Any, theta: Any, trig: Any = None) -> tuple[Any, ...]:
         """Specific force [m/s2] and angular acceleration [rad/s2]."""
         V, alpha, beta, p, q, r = x[0], x[1], x[2], x[3], x[4], x[5]
         m = self.mass
-        p_g, q_g, r_g = self.gusts.rotation(x)
+        p_g, q_g, r_g = self.gusts.rotation(x, trig)
         C = self._coefficients(V, alpha, beta, p - p_g, q - q_g, r - r_g, u, theta)
         qS = 0.5 * u[9] * V * V * m.S
         force = [(qS * C[k] + u[3 + k]) / m.mass for k in range(3)]

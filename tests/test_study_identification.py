@@ -109,7 +109,7 @@ def flown(tmp_path_factory):
 def test_positions_from_the_log_are_the_aircrafts(flown):
     # Half a servo microsecond is 0.025 deg; five milliseconds of lag would be 0.5 deg and more.
     table = pd.read_parquet(flown / "a.parquet")
-    data = read_data(flown / "a.bin", "synthetic_stall")
+    data = read_data(flown / "a.bin", "synthetic_stall", 0.01)
     pieces = [g for _, g in table.groupby((table.manoeuvre != table.manoeuvre.shift()).cumsum()) if g.manoeuvre.iloc[0]]
     assert len(pieces) == len(data.u) == 4
     for piece, u, x0, z, t in zip(pieces, data.u, data.x0, data.z, data.t, strict=True):
@@ -130,6 +130,16 @@ def test_actuators_are_read_from_the_xml():
 def test_rate_limit_and_stop():
     out = Actuator(None, 100.0, -5.0, 5.0).follow(np.array([0.0, 8.0, 8.0, 8.0, 8.0, 8.0]), 0.02, 0.01)
     np.testing.assert_allclose(out, [0.0, 1.0, 3.0, 5.0, 5.0, 5.0])
+
+
+def test_positions_half_way_between_rows():
+    servo, commands = Actuator(None, 100.0, -5.0, 5.0), np.array([0.0, 8.0, 8.0, 8.0])
+    rows, middle = servo.follow_finely(commands, 0.02, 0.01)  # steps: 0, 0, 1, 2, 3, 4, 5
+    np.testing.assert_allclose(rows, [0.0, 1.0, 3.0, 5.0])
+    np.testing.assert_allclose(middle, [0.0, 2.0, 4.0])
+    rows, middle = servo.follow_finely(commands, 0.03, 0.01)  # steps: 0, 0, 0, 1, 2, 3, 4, 5, 5, 5: the middle between two
+    np.testing.assert_allclose(rows, [0.0, 1.0, 4.0, 5.0])
+    np.testing.assert_allclose(middle, [0.0, 2.5, 5.0])
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
@@ -168,13 +178,15 @@ def test_table_and_its_figures():
 
 @pytest.fixture(scope="module")
 def gusty(tmp_path_factory):
-    return read_data(fly_flights("synthetic_stall", tmp_path_factory.mktemp("gusty"), 1)[0], "synthetic_stall")
+    return read_data(
+        fly_flights("synthetic_stall", tmp_path_factory.mktemp("gusty"), 1, fine=True)[0], "synthetic_stall"
+    )
 
 
 def test_roll_parameters_in_turbulence(gusty):
     # Without the air's own rotation in the equations Cl_p comes out at -0.20, ten of its standard errors off.
     rolls = [k for k, u in enumerate(gusty.u) if np.ptp(u[:, 1]) > 10.0]
-    data = Data(*([part[k] for k in rolls] for part in (gusty.x0, gusty.u, gusty.z, gusty.t)))
+    data = Data(*([part[k] for k in rolls] for part in (gusty.x0, gusty.u, gusty.u_middle, gusty.z, gusty.t)))
     free = ("Cl_0", "Cl_p", "Cl_da")
     start = {**stall_model.TABLE_2_4, "Cl_p": -0.2, "Cl_da": 0.002}
     fit = identify(CASES[0], data, start, free)

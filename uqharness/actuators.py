@@ -31,6 +31,10 @@ class Actuator:
 
     def follow(self, commands: Array, dt_s: float, step_s: float) -> Array:
         """(n,) positions at rows ``dt_s`` apart, each having seen its row's command for one step of ``step_s``; starts at rest."""
+        return self.follow_finely(commands, dt_s, step_s)[0]
+
+    def follow_finely(self, commands: Array, dt_s: float, step_s: float) -> tuple[Array, Array]:
+        """(n,) positions at rows as `follow` has them, and (n-1,) half-way between, in straight lines from step to step."""
         runs = max(1, round(dt_s / step_s))
         gain, keep = 1.0, 0.0
         if self.lag is not None:
@@ -40,7 +44,8 @@ class Actuator:
             )
         before = held = lagged = position = float(commands[0])
         reach = self.rate * step_s
-        out = np.empty(len(commands))
+        out = np.empty((len(commands) - 1) * runs + 1)
+        at = 0
         for row, command in enumerate(commands.tolist()):
             for run in range(runs if row else 1):
                 now = command if run == runs - 1 or not row else held
@@ -48,9 +53,15 @@ class Actuator:
                 before = now
                 position = min(max(lagged, position - reach), position + reach)
                 # The lag remembers its own output, the rate limit what it let through.
+                out[at] = position
+                at += 1
             held = command
-            out[row] = position
-        return np.clip(out, self.low, self.high)
+        np.clip(out, self.low, self.high, out=out)
+        early, late = (
+            runs // 2,
+            -(-runs // 2),
+        )  # the steps on either side of the middle, one and the same if runs is even
+        return out[::runs], 0.5 * (out[early : len(out) - late : runs] + out[late : len(out) - early : runs])
 
 
 def actuators(aircraft: Aircraft, controls: Sequence[str]) -> dict[str, Actuator]:

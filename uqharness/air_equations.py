@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid.gust_states import GustStates
+from sysid.gust_states import GustStates, sines
 
 OUTPUTS = (
     "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps",
@@ -94,24 +94,28 @@ def _yaw(k: Mapping[str, Any], t: Terms) -> Any:
 
 @dataclass(frozen=True)
 class AirEquations:
-    """f(x, u, theta) and g(x, u, theta) of a coefficient build-up; ``names`` are the elements of theta, ``fixed`` the others."""
+    """f(x, u, theta) and g(x, u, theta) of a coefficient build-up; ``names`` are the elements of theta, ``fixed`` the others.
+
+    passing_mps: the speed at which simulated gusts pass (`sysid.gust_states.GustStates`).
+    """
 
     build: Build
     names: tuple[str, ...]
     fixed: Mapping[str, float]
     body: Body = ESPAARO
+    passing_mps: float | None = None
 
     @property
     def gusts(self) -> GustStates:
         """The air's rotation."""
-        return GustStates(self.body.b)
+        return GustStates(self.body.b, self.passing_mps)
 
-    def _loads(self, x: Any, u: Any, theta: Any) -> tuple[Any, ...]:
+    def _loads(self, x: Any, u: Any, theta: Any, trig: Any = None) -> tuple[Any, ...]:
         """Specific force ax, ay, az [m/s2] and moments L, M, N [N m]."""
         body, V = self.body, x[0]
         k = {**self.fixed, **{name: theta[i] for i, name in enumerate(self.names)}}
         b2V, c2V = body.b / (2.0 * V), body.c / (2.0 * V)
-        p_g, q_g, r_g = self.gusts.rotation(x)
+        p_g, q_g, r_g = self.gusts.rotation(x, trig)
         terms = {
             "alpha": x[1], "beta": x[2], "p": (x[3] - p_g) * b2V, "q": (x[4] - q_g) * c2V, "r": (x[5] - r_g) * b2V,
             "de": u[0], "da": u[1], "dr": u[2], "dt": 0.01 * u[3], "V": V, "rho": u[4],
@@ -126,10 +130,10 @@ class AirEquations:
     def f(self, x: Any, u: Any, theta: Any) -> Any:
         """dx/dt."""
         body = self.body
-        V, alpha, beta, p, q, r, phi, theta_ = x[:8]
-        ax, ay, az, L, M, N = self._loads(x, u, theta)
+        V, alpha, beta, p, q, r = x[:6]
+        sf, cf, st, ct = trig = sines(x)
+        ax, ay, az, L, M, N = self._loads(x, u, theta, trig)
         sa, ca, sb, cb = np.sin(alpha), np.cos(alpha), np.sin(beta), np.cos(beta)
-        sf, cf, st, ct = np.sin(phi), np.cos(phi), np.sin(theta_), np.cos(theta_)
         ub, vb, wb = V * ca * cb, V * sb, V * sa * cb
         du = ax - body.g * st + r * vb - q * wb
         dv = ay + body.g * ct * sf + p * wb - r * ub
@@ -142,14 +146,14 @@ class AirEquations:
         det = body.Ixx * body.Izz - body.Ixz**2
         turning = q * sf + r * cf
         dalpha, dbeta = (ca * dw - sa * du) / plane, (dv - sb * dV) / plane
-        turned = self.gusts.turning(x)
+        turned = self.gusts.turning(x, trig)
         dV, dalpha, dbeta = dV + turned[0], dalpha + turned[1], dbeta + turned[2]
         dphi = p + st / ct * turning
         return np.array(
             np.broadcast_arrays(
                 dV, dalpha, dbeta,
                 (body.Izz * roll + body.Ixz * yaw) / det, pitch / body.Iyy, (body.Ixz * roll + body.Ixx * yaw) / det,
-                dphi, q * cf - r * sf, *self.gusts.rates(x, dV, dalpha, dbeta, dphi),
+                dphi, q * cf - r * sf, *self.gusts.rates(x, dV, dalpha, dbeta, dphi, trig),
             )
         )  # fmt: skip
 

@@ -117,23 +117,23 @@ def _length(m: Manoeuvre) -> float:
     return QUIET_S + m.unit_s * sum(units for units, _ in m.pattern) + m.rest_s + m.recovery_s
 
 
-def _event(time_s: float, name: str, sets: Sequence[str]) -> str:
+def _event(time_s: float, name: str, sets: Sequence[str], step_s: float) -> str:
     # Half a step early, so that rounding of the clock cannot shift it by a frame.
     lines = "".join(f"\n      {text}" for text in sets)
     return (
-        f'    <event name="{name}">\n      <condition>simulation/sim-time-sec ge {time_s - STEP_S / 2:.3f}</condition>'
+        f'    <event name="{name}">\n      <condition>simulation/sim-time-sec ge {time_s - step_s / 2:.3f}</condition>'
         f"{lines}\n    </event>\n"
     )
 
 
-def _events(plan: Plan) -> Iterator[str]:
+def _events(plan: Plan, step_s: float) -> Iterator[str]:
     time = plan.settle_s
     for number, m in enumerate(plan.manoeuvres, start=1):
         take = [
             f'<set name="{command}"><function> <sum> <property>{position}</property> <value>0</value> </sum> </function></set>'
             for command, position in _COMMAND.values()
         ]
-        yield _event(time, m.name, [*take, '<set name="ap/engaged" value="0"/>', _count(number)])
+        yield _event(time, m.name, [*take, '<set name="ap/engaged" value="0"/>', _count(number)], step_s)
         time += QUIET_S
         before = 0.0
         for units, sign in (*m.pattern, (0, 0.0)):
@@ -143,13 +143,14 @@ def _events(plan: Plan) -> Iterator[str]:
                 time,
                 f"{time:.2f} s, {where}",
                 [f'<set name="{_COMMAND[m.control][0]}" type="FG_DELTA" value="{step:g}"/>'],
+                step_s,
             )
             before, time = sign, time + units * m.unit_s
         time += m.rest_s
         after = ['<set name="ap/engaged" value="1"/>', _count(0)]
         if m.speed_mps is not None:
             after.append(f'<set name="ap/airspeed-cmd-mps" value="{m.speed_mps:g}"/>')
-        yield _event(time, f"{time:.2f} s, autopilot", after)
+        yield _event(time, f"{time:.2f} s, autopilot", after, step_s)
         time += m.recovery_s
 
 
@@ -157,8 +158,8 @@ def _count(number: int) -> str:
     return f'<set name="{MANOEUVRE_PROPERTY}" value="{number}"/>'
 
 
-def script(plan: Plan) -> str:
-    """The run script of a plan as text."""
+def script(plan: Plan, step_s: float = STEP_S) -> str:
+    """The run script of a plan as text, for a step of ``step_s`` (2 ms or more)."""
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <!--
   Flight for {plan.purpose}, made by uqharness/manoeuvre_script.py: do not edit, change the plan there.
@@ -170,7 +171,7 @@ def script(plan: Plan) -> str:
 <runscript name="{plan.name}">
   <description>Flight for {plan.purpose}: {len(plan.manoeuvres)} manoeuvres</description>
   <use aircraft="espaaro" initialize="cruise"/>
-  <run start="0" end="{plan.end_s:g}" dt="{STEP_S:g}">
+  <run start="0" end="{plan.end_s:g}" dt="{step_s:g}">
     <property value="0">{MANOEUVRE_PROPERTY}</property>           <!-- 1, 2, ... during a manoeuvre -->
     <!-- Second-order integration of the motion: JSBSim's own choice for rates is Euler's rule, which at 0.01 s acts as 4 % more
          roll damping, and an identification from this flight would find that. -->
@@ -194,7 +195,7 @@ def script(plan: Plan) -> str:
     <property value="1">sensor/log</property>                     <!-- 1: all channels of a flight log -->
     <property value="1">simulation/randomseed</property>          <!-- sensors; 1 .. 2147483646 -->
     <property value="2">atmosphere/randomseed</property>          <!-- turbulence; unset, it would share the sensors' stream -->
-{"".join(_events(plan))}  </run>
+{"".join(_events(plan, step_s))}  </run>
 </runscript>
 """
 

@@ -41,7 +41,7 @@ from uqharness.errors import BadInputError
 from uqharness.flights import control_columns, measured_outputs, prepare, read_flight, segments
 from uqharness.replay import STATES
 from uqharness.replay_model import CONTROLS
-from uqharness.study_flights import fly_flights
+from uqharness.study_flights import FINE_STEP_S, PASSING_MPS, fly_flights
 
 Array = NDArray[np.float64]
 MAX_ITERATIONS = 30  # a model of the right form needs some 20
@@ -78,16 +78,18 @@ CASES = (
 
 @dataclass(frozen=True)
 class Data:
-    """Manoeuvres of a flight as filter error takes them: per segment start (11,), inputs (n, 5), outputs (n, 11), times (n,)."""
+    """Manoeuvres of a flight as filter error takes them: per segment start (13,), inputs (n, 5) and half-way between (n-1, 5),
+    outputs (n, 11), times (n,)."""
 
     x0: list[Array]
     u: list[Array]
+    u_middle: list[Array]
     z: list[Array]
     t: list[Array]
 
 
-def read_data(path: Path, aircraft_name: str) -> Data:
-    """A log's manoeuvres. Surface positions are what the model's own actuators make of the logged commands."""
+def read_data(path: Path, aircraft_name: str, step_s: float = FINE_STEP_S) -> Data:
+    """A log's manoeuvres. Surface positions are what the model's own actuators make of the logged commands, step by step."""
     aircraft = find_aircraft(aircraft_name)
     flight = prepare(path.stem, read_flight(path, aircraft), ())
     servos = actuators(aircraft, CONTROLS)
@@ -95,14 +97,17 @@ def read_data(path: Path, aircraft_name: str) -> Data:
     columns = control_columns(())
     # Over the whole flight, not manoeuvre by manoeuvre: where an actuator stands at a start follows from what went before.
     positions = [
-        servos[c].follow(record[column], record.dt_s, aircraft.dt_s)
+        servos[c].follow_finely(record[column], record.dt_s, step_s)
         for c, column in zip(CONTROLS, columns, strict=True)
     ]
-    u = np.column_stack([*positions, record["rho_kgpm3"]])
-    out = Data([], [], [], [])
+    rho = record["rho_kgpm3"]
+    u = np.column_stack([*(rows for rows, _ in positions), rho])
+    u_middle = np.column_stack([*(between for _, between in positions), 0.5 * (rho[:-1] + rho[1:])])
+    out = Data([], [], [], [], [])
     for segment, piece, z in zip(segments(flight, ()), flight.pieces, measured_outputs(flight, OUTPUTS), strict=True):
         out.x0.append(start_state(*segment.start[list(_STATE_ORDER)]))
         out.u.append(u[piece.rows])
+        out.u_middle.append(u_middle[piece.rows.start : piece.rows.stop - 1])
         out.z.append(z)
         out.t.append(segment.time_s - segment.time_s[0])
     return out
@@ -115,7 +120,7 @@ def identify(
     card = find_aircraft(case.model).card
     known = dict(zip(parameters(tuple(card.parameters)), card.parameters.values(), strict=True))
     names = tuple(n for n in known if n not in case.held)
-    equations = AirEquations(case.build, names, dict.fromkeys(case.held, case.held_value))
+    equations = AirEquations(case.build, names, dict.fromkeys(case.held, case.held_value), passing_mps=PASSING_MPS)
     guesses = {n: known[n].initial or 0.0 for n in names} | dict(start or {})
     theta = np.array([guesses[n] for n in names])
     bounds = [known[n].bounds or (-np.inf, np.inf) for n in names]
@@ -123,7 +128,7 @@ def identify(
     return filter_error(
         equations.f, equations.g, data.x0, theta, data.u, data.z, data.t,
         names=names, bounds=bounds, free=free, process_noise=NOISY, process_noise_start=NOISE_START,
-        noise_start=noise, x0_std=STATE_STD, max_iterations=MAX_ITERATIONS,
+        noise_start=noise, x0_std=STATE_STD, u_middle=data.u_middle, max_iterations=MAX_ITERATIONS,
     )  # fmt: skip
 
 
@@ -198,6 +203,8 @@ def markdown(case: Case, table: pd.DataFrame, numbers: Mapping[str, float]) -> s
             f" Published: {numbers['published_median_error_pct']:.1f} %; "
             f"{100 * numbers['published_covered_95']:.0f} % within 1.96 bounds."
         )
+    if "converged" in table and not table["converged"].all():
+        said += " The search did NOT converge: estimates and standard errors are those of where it stopped."
     return "\n".join([*lines, "", said, ""])
 
 
@@ -205,7 +212,9 @@ def run_seed(
     seed: int, folder: Path, cases: Sequence[Case] = CASES, turbulence: str = "light"
 ) -> dict[str, tuple[pd.DataFrame, FilterErrorFit]]:
     """Fly, read back and identify every case with one seed."""
-    logs = {name: fly_flights(name, folder, seed, turbulence) for name in dict.fromkeys(c.flown for c in cases)}
+    logs = {
+        name: fly_flights(name, folder, seed, turbulence, fine=True) for name in dict.fromkeys(c.flown for c in cases)
+    }
     out = {}
     for case in cases:
         begun = time.perf_counter()

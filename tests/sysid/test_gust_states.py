@@ -20,10 +20,10 @@ def gusts(rng):
     return np.cumsum(rng.normal(size=(3, N)) * np.sqrt(DT) * 0.5, axis=1)
 
 
-def carried(u, v, w):
+def carried(u, v, w, passing=None):
     """q_h, r_h of the states and of their definition, for alpha and beta that come from gusts (u, v, w) alone."""
     V, phi, dphi, dpsi = motion()
-    states = GustStates(B)
+    states = GustStates(B, passing)
     _, T_q, T_r = states.lags_s(V)
     alpha = -(w * np.cos(phi) - v * np.sin(phi)) / V
     beta = -(v * np.cos(phi) + w * np.sin(phi)) / V
@@ -39,8 +39,8 @@ def carried(u, v, w):
         dalpha = dphi[k] * (w[k] * np.sin(phi[k]) + v[k] * np.cos(phi[k])) / V
         dbeta = -dphi[k] * (w[k] * np.cos(phi[k]) - v[k] * np.sin(phi[k])) / V
         x[8:] = x[8:] + DT * np.array(states.rates(x, 0.0, dalpha, dbeta, dphi[k]))
-        q += (-q * DT - (w[k + 1] - w[k]) / V) / T_q  # 3.7.5: q = -dw/dx behind a lag
-        r += (-r * DT + (v[k + 1] - v[k]) / V) / T_r  # 3.7.5: r = +dv/dx
+        q += (-q * DT - (w[k + 1] - w[k]) / (passing or V)) / T_q  # 3.7.5: q = -dw/dx behind a lag
+        r += (-r * DT + (v[k + 1] - v[k]) / (passing or V)) / T_r  # 3.7.5: r = +dv/dx
     return np.array(found), np.array(defined)
 
 
@@ -51,6 +51,14 @@ def test_rotation_follows_from_what_changes_alpha_and_beta():
     np.testing.assert_allclose(found, defined, atol=0.03 * defined.std())
     wrong, _ = carried(u, -v, w)
     assert np.abs(wrong[:, 1] - defined[:, 1]).max() > defined.std()
+
+
+def test_gusts_that_pass_at_a_speed_of_their_own():
+    u, v, w = gusts(np.random.default_rng(1))
+    found, defined = carried(u, v, w, passing=15.0)
+    np.testing.assert_allclose(found, defined, atol=0.04 * defined.std())
+    at_airspeed, _ = carried(u, v, w)
+    assert np.abs(at_airspeed - defined).max() > 0.5 * defined.std()
 
 
 def test_gusts_turn_with_the_heading():

@@ -63,7 +63,7 @@ def test_filter_error_agrees_within_its_bounds_from_the_authors_start():
     fit = filter_error(rate, seen, np.zeros(2), START, DE[:, None], MEASURED, np.arange(W.size) * DT, names=NAMES)
     assert fit.converged
     assert (np.abs(fit.theta - PUBLISHED) < 2.0 * fit.std).all()
-    np.testing.assert_allclose(fit.theta, PUBLISHED, rtol=5e-3)
+    np.testing.assert_allclose(fit.theta, PUBLISHED, rtol=2e-3)
 
 
 @pytest.mark.parametrize("start", [START, 1.5 * PUBLISHED, np.zeros(6)], ids=["author's", "half off", "zero"])
