@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.effect_choice import Choice, Selection, select, threshold
-from sysid.effect_score import Evidence, corrected, gather, scores
+from sysid.effect_score import Evidence, corrected, gather, scores, solve
 from sysid.effects import Effect, catalogue, subsystem_effects
 from sysid.gaps import channel_noise, process_noise_shown
 from sysid.prediction import whiten
@@ -372,8 +372,10 @@ def _base_fit(
         raise BadInputError(
             "the model leaves the flight in some segment (its state is no longer finite); check its XML and the controls' signs"
         )
-    fit = refit(bench.model, bench.straight, setup, controls, best.point, names, limits, map_)
-    lost = undetermined(fit.evidence, names)
+    # One step tells what the flights hold nothing of; it must not be carried to a bound by rounding.
+    first = refit(bench.model, bench.straight, setup, controls, best.point, names, limits, map_, max_iterations=1)
+    lost = undetermined(first.evidence, names, limits)
+    fit = first if lost else refit(bench.model, bench.straight, setup, controls, first.flown.point, names, limits, map_)
     if lost:
         kept = tuple(n for n in names if n not in lost)
         values = {**fit.flown.point.values, **{n: float(current[names.index(n)]) for n in lost}}
@@ -385,8 +387,8 @@ def _base_fit(
     return fit, names, notes
 
 
-def undetermined(evidence: Evidence, names: Sequence[str]) -> list[str]:
-    """Parameters of which the flights hold next to nothing that the others do not."""
+def undetermined(evidence: Evidence, names: Sequence[str], limits: Mapping[str, tuple[float, float]]) -> list[str]:
+    """Parameters of which the flights hold next to nothing that the others do not, or less than their bounds alone say."""
     G, _ = evidence.everything
     some = evidence.index(names)
     scale = np.sqrt(np.maximum(np.diagonal(G), 0.0))
@@ -394,12 +396,22 @@ def undetermined(evidence: Evidence, names: Sequence[str]) -> list[str]:
     alive = np.flatnonzero(scale > 0.0)
     corr = G[np.ix_(alive, alive)] / np.outer(scale[alive], scale[alive])
     values, vectors = np.linalg.eigh(corr)
-    for k in np.flatnonzero(values < 1e-8):
+    for k in np.flatnonzero(values < 1e-8).tolist():
         share = np.abs(vectors[:, k])
         members = [evidence.names[alive[j]] for j in np.argsort(-share) if share[j] > 0.1]
         worst = next((m for m in members if m in names and m not in dead), None)
         if worst is not None:
             dead.append(worst)
+    inverse = solve(corr, np.eye(len(alive)))
+    for k, column in enumerate(alive.tolist()):
+        name = evidence.names[column]
+        low, high = limits.get(name, (-np.inf, np.inf))
+        if (
+            name in names
+            and name not in dead
+            and float(np.sqrt(inverse[k, k])) / scale[column] > (high - low) / np.sqrt(12.0)
+        ):
+            dead.append(name)
     return dead
 
 
