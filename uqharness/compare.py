@@ -6,6 +6,7 @@ start wrong by the sensors' noise misses the flight whatever the model.
 
 from __future__ import annotations
 
+import math
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -32,6 +33,9 @@ from uqharness.replay_simulation import Replay
 Array = NDArray[np.float64]
 LIMIT = 1.15
 """The noise floor is reached when no judged channel's rms is above this many times its noise."""
+LATE_ROWS = 0.5
+"""A record's commands act from their own row on: controls that act more rows earlier or later than this are misplaced."""
+_LEAST_LATE_S = 0.0075
 _WORST = 20
 
 
@@ -81,6 +85,8 @@ class Comparison:
     """All gaps of one flight.
 
     manoeuvres  label -> channel -> rms over noise        demanded, predicted  coefficients (n, 6), one array a segment
+    controls_late_s  how late the controls act, estimated; late_limit_s  what a record allows, infinite for a log, whose
+    channels are stamped when they are written
     """
 
     aircraft: str
@@ -98,11 +104,18 @@ class Comparison:
     predicted: list[Array]
     nuisance: Mapping[str, float]
     notes: tuple[str, ...]
+    controls_late_s: float = 0.0
+    late_limit_s: float = math.inf
+
+    @property
+    def aligned(self) -> bool:
+        """The record's commands act when it says they do. A row of difference would otherwise pass for a lag in every servo."""
+        return abs(self.controls_late_s) <= self.late_limit_s
 
     @property
     def reached(self) -> bool:
-        """Every judged channel's rms is within LIMIT times its noise."""
-        return all(gap.ratio <= LIMIT for gap in self.channels.values() if gap.judged)
+        """Every judged channel's rms is within LIMIT times its noise, and the controls are where the record puts them."""
+        return self.aligned and all(gap.ratio <= LIMIT for gap in self.channels.values() if gap.judged)
 
     @property
     def above(self) -> tuple[str, ...]:
@@ -160,6 +173,9 @@ def compare(
         moments=_moments(cut, gaps, judged, present, noise), segments=tuple(cut), outputs=present, measured=data,
         modelled=modelled, demanded=demand, predicted=said, nuisance=dict(zip(layout_names, theta.tolist(), strict=True)),
         notes=(*flight.notes, *notes),
+        controls_late_s=float(sum(v for n, v in zip(layout_names, theta, strict=True) if n.endswith(f"/{CONTROL_DELAY}"))),
+        # JSBSim's own flights act half a run early (see replay.py).
+        late_limit_s=math.inf if flight.record.metadata.native_hz else max(LATE_ROWS * cut[0].dt_s, _LEAST_LATE_S),
     )  # fmt: skip
 
 

@@ -20,6 +20,8 @@ def document_of(found: Comparison) -> dict[str, Any]:
         "flight": found.flight,
         "reached_noise_floor": found.reached,
         "rule": _RULE,
+        "controls_late_s": found.controls_late_s,
+        "aligned": found.aligned,
         "above": list(found.above),
         "channels": {
             c: _clean(
@@ -131,6 +133,13 @@ def verdict(found: Comparison) -> str:
     """One sentence: reached or not, by the rule."""
     if found.reached:
         return f"The model reaches the noise floor ({_RULE})."
+    if not found.aligned:
+        when = "early" if found.controls_late_s < 0.0 else "late"
+        return (
+            f"The record is not aligned: its controls act {1e3 * abs(found.controls_late_s):.1f} ms {when}, and "
+            f"{1e3 * found.late_limit_s:.1f} ms are allowed. A command belongs to the row whose acceleration has seen it first: "
+            "shift the command columns, or everything that is identified from this flight will have a lag too much."
+        )
     worst = ", ".join(f"{c} {found.channels[c].ratio:.2f}" for c in found.above)
     return f"The model does not reach the noise floor: rms over noise is {worst} ({_RULE})."
 
