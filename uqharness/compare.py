@@ -25,7 +25,7 @@ from uqharness.flights import Flight, measured_outputs, segments, states
 from uqharness.identify import BIASES, OUTPUTS
 from uqharness.identify_start import demand_of, forced_at
 from uqharness.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF, Segment
-from uqharness.replay_layout import delayed, nuisance_layout
+from uqharness.replay_layout import delayed, late_limit_s, nuisance_layout
 from uqharness.replay_model import CONTROLS, ReplayFolder, ReplayModel
 from uqharness.replay_pool import replay_pool
 from uqharness.replay_simulation import Replay
@@ -33,9 +33,6 @@ from uqharness.replay_simulation import Replay
 Array = NDArray[np.float64]
 LIMIT = 1.15
 """The noise floor is reached when no judged channel's rms is above this many times its noise."""
-LATE_ROWS = 0.5
-"""A record's commands act from their own row on: controls that act more rows earlier or later than this are misplaced."""
-_LEAST_LATE_S = 0.0075
 _WORST = 20
 
 
@@ -174,8 +171,7 @@ def compare(
         modelled=modelled, demanded=demand, predicted=said, nuisance=dict(zip(layout_names, theta.tolist(), strict=True)),
         notes=(*flight.notes, *notes),
         controls_late_s=float(sum(v for n, v in zip(layout_names, theta, strict=True) if n.endswith(f"/{CONTROL_DELAY}"))),
-        # JSBSim's own flights act half a run early (see replay.py).
-        late_limit_s=math.inf if flight.record.metadata.native_hz else max(LATE_ROWS * cut[0].dt_s, _LEAST_LATE_S),
+        late_limit_s=late_limit_s(flight, cut[0].dt_s),
     )  # fmt: skip
 
 

@@ -24,7 +24,7 @@ from uqharness.errors import BadInputError
 from uqharness.flights import Flight, measured_outputs, segments
 from uqharness.identify_start import demand_of, equation_error_start, forced_at
 from uqharness.replay import CHANNELS, STATES, Segment
-from uqharness.replay_layout import Layout, delayed, nuisance_layout
+from uqharness.replay_layout import Layout, delayed, misplaced, nuisance_layout
 from uqharness.replay_model import CONTROLS, ReplayFolder, ReplayModel
 from uqharness.replay_pool import process_count, replay_pool
 from uqharness.replay_simulation import Replay, counter
@@ -140,6 +140,7 @@ def identify(
         found = _assemble(
             aircraft, names, initial, fit, layout, replay, cut, outputs, data, noise, notes, seconds, speed
         )
+        found = replace(found, warnings=(*misplaced(flights, cut, found.nuisance), *found.warnings))
         if method == "output-error" or (method == "auto" and not process_noise_shown(*_sensed(found))):
             return found
         from uqharness.identify_filter import filter_route

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -64,3 +65,28 @@ def delayed(flights: Sequence[Flight], outputs: Sequence[str], asked: Sequence[s
             wanted = [CONTROL_DELAY, *wanted]
         out[flight.name] = list(dict.fromkeys(wanted))
     return out
+
+
+LATE_ROWS = 0.5
+"""A record's commands act from their own row on: controls that act more rows earlier or later than this are misplaced."""
+_LEAST_LATE_S = 0.0075  # JSBSim's own flights act half a run early (see replay.py).
+
+
+def late_limit_s(flight: Flight, dt_s: float) -> float:
+    """How late the controls of a flight may act: half a row; without limit for a log, whose channels are stamped when written."""
+    return math.inf if flight.record.metadata.native_hz else max(LATE_ROWS * dt_s, _LEAST_LATE_S)
+
+
+def misplaced(flights: Sequence[Flight], cut: Sequence[Segment], nuisance: Mapping[str, tuple[float, float]]) -> list[str]:
+    """A sentence for every flight whose controls, by the estimate in ``nuisance``, act when its record says they do not."""
+    said = []
+    for flight in flights:
+        late, _ = nuisance.get(f"delay/{flight.name}/{CONTROL_DELAY}", (0.0, 0.0))
+        limit = late_limit_s(flight, next(s.dt_s for s in cut if s.flight == flight.name))
+        if abs(late) > limit:
+            said.append(
+                f"{flight.name}: its controls act {1e3 * abs(late):.1f} ms {'late' if late > 0.0 else 'early'}, and "
+                f"{1e3 * limit:.1f} ms are allowed: its command columns are shifted; a command belongs to the row whose "
+                "acceleration has seen it first"
+            )
+    return said
