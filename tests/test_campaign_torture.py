@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import resource
 import signal
 import subprocess
 import sys
@@ -146,6 +147,37 @@ def test_four_kills_of_four_kinds(tmp_path, cluster):
     hit = torture(tmp_path, cluster, 6, ["journal", "worker", "dask worker", "parent on dask"], seed=20161201)
     check(tmp_path, 6, 4, hit)
     assert "table" in hit
+
+
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+def test_a_disk_that_fills_up_is_a_sentence_and_the_same_command_goes_on(tmp_path):
+    spec, out = fakes.small_spec(tmp_path, 3), tmp_path / "out"
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    kept = []
+
+    def fill(progress):
+        # No file may grow any more: what a full disk does, without filling one.
+        kept.append(progress.done)
+        resource.setrlimit(resource.RLIMIT_FSIZE, ((out / "journal.sqlite").stat().st_size, before[1]))
+
+    try:
+        with pytest.raises(
+            BadInputError, match=r"journal\.sqlite: cannot write: .*kept: free space .* same command again"
+        ):
+            run_campaign(spec, out, executor=ProcessExecutor(2, "fork"), fly=fakes.slow, on_progress=fill)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert finished(out) == kept[-1] < 192
+    check(tmp_path, 3, 0, [])
+
+
+@pytest.mark.skipif(not Path("/sys/kernel").is_dir(), reason="no file system at hand on which nobody may write")
+def test_a_folder_that_nobody_may_write_is_refused(tmp_path):
+    spec = fakes.small_spec(tmp_path)
+    with pytest.raises(BadInputError, match=r"/sys/kernel: cannot be written: .*choose another --out"):
+        run_campaign(spec, "/sys/kernel", executor=SerialExecutor(), fly=fakes.steady)
+    with pytest.raises(BadInputError, match=r"/sys/kernel/campaign: cannot be made: .*choose another --out"):
+        run_campaign(spec, "/sys/kernel/campaign", executor=SerialExecutor(), fly=fakes.steady)
 
 
 @pytest.mark.slow

@@ -50,7 +50,7 @@ class DaskExecutor:
     def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]:
         """Outcomes as they come. Raises BadInputError if the scheduler is lost or a worker cannot fly this campaign."""
         orders = _orders(fly, flights)
-        again: deque[Order] = deque()
+        suspects: deque[Order] = deque()
         flying: dict[str, tuple[Any, Order]] = {}
         landed: queue.SimpleQueue[Any] = queue.SimpleQueue()
         rounds: dict[str, int] = {}
@@ -62,7 +62,9 @@ class DaskExecutor:
             while True:
                 self._look()
                 while len(flying) < _ORDERS_PER_THREAD * max(self.workers, 1):
-                    order = again.popleft() if again else next(orders, None)
+                    # Dask suspects all that waited on a lost worker. With one suspect on its way at a time, the guilty is alone.
+                    alone = suspects and not any(order.case_id in rounds for _, order in flying.values())
+                    order = suspects.popleft() if alone else next(orders, None)
                     if order is None:
                         break
                     number += 1
@@ -78,7 +80,7 @@ class DaskExecutor:
                         continue
                     rounds[order.case_id] = rounds.get(order.case_id, 0) + 1
                     if rounds[order.case_id] < _ROUNDS:
-                        again.append(order)
+                        suspects.append(order)
                     else:
                         batch.append(_given_up(order))
                 if time.monotonic() - handed_on >= BATCH_S:
