@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -110,6 +110,14 @@ def slow(spec: FlightSpec) -> FlightResult:
     return steady(spec)
 
 
+def kills_its_parent(spec: FlightSpec) -> FlightResult:
+    """One flight in ten takes the process with it that started this one."""
+    if _nth(spec) == 0:
+        os.kill(os.getppid(), signal.SIGKILL)
+        time.sleep(10)
+    return steady(spec)
+
+
 def _nth(spec: FlightSpec) -> int:
     """A number from 0 to 9 that tells flights apart."""
     return int(round(level_sum(spec)) * 7 + spec.seed_turbulence) % 10
@@ -176,6 +184,22 @@ class NotThere:
 
     def __call__(self, spec: FlightSpec) -> FlightResult:
         raise NotImplementedError
+
+
+class NotThereInAChild:
+    """A flight function that a process with Dask in it unpickles, and a worker of its own does not."""
+
+    def __reduce__(self) -> tuple[Callable[[], Any], tuple[()]]:
+        return _end_unless_dask, ()
+
+    def __call__(self, spec: FlightSpec) -> FlightResult:
+        raise NotImplementedError
+
+
+def _end_unless_dask() -> Any:
+    if "distributed" not in sys.modules:
+        _end_at_once()
+    return NotThereInAChild()
 
 
 def undefined_speed(spec: FlightSpec) -> FlightResult:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -12,7 +13,15 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.signal import welch
 
 from uqharness import dryden
-from uqharness.dryden import COMPONENTS, Component, dryden_gusts, dryden_parameters, dryden_psd, dryden_sigma
+from uqharness.dryden import (
+    COMPONENTS,
+    Component,
+    dryden_gusts,
+    dryden_parameters,
+    dryden_psd,
+    dryden_sigma,
+    gust_blocks,
+)
 from uqharness.errors import BadInputError
 
 AIR = (22.2, 100.0, 30.0, 3.66)  # V m/s, h m, W20 kt, span m
@@ -139,6 +148,26 @@ def test_seeds() -> None:
         assert not np.array_equal(getattr(one, field), getattr(longer_key, field))
     with pytest.raises(dataclasses.FrozenInstanceError):
         one.dt_s = 1.0  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("block", [1, 7, 256, 999, 1000, 5000])
+def test_blocks_are_the_same_samples_to_the_bit(block: int) -> None:
+    whole = dryden_gusts(1000, 0.01, *AIR, seed=(3, 4))
+    parts = list(gust_blocks(1000, 0.01, *AIR, seed=(3, 4), block=block))
+    assert len(parts) == -(-1000 // block)
+    for name in COMPONENTS:
+        assert np.concatenate([part.component(name) for part in parts]).tobytes() == whole.component(name).tobytes()
+
+
+def test_a_day_of_gusts_takes_the_memory_of_a_block() -> None:
+    tracemalloc.start()
+    try:
+        blocks = gust_blocks(8_640_000, 0.01, *AIR, seed=1, block=8192)
+        for _ in range(40):
+            next(blocks)
+        assert tracemalloc.get_traced_memory()[1] < 5e6
+    finally:
+        tracemalloc.stop()
 
 
 def test_intensity_scales_one_history() -> None:

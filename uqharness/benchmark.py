@@ -6,6 +6,9 @@ a  the bare ``while run()`` loop of the aircraft's own XML, plugin, air (JSBSim'
 b  the same without the plugin (its system and its functions taken out of a copy of the XML);
 c  the harness with a campaign's default air: conditions, levels, recording, scoring and storage of the result.
 
+With --model-form the aircraft is one whose bounds depend on its state. With --side-by-side two processes fly a at the same
+time, then two workers fly c, by the clock: that needs two cores with nothing else to do.
+
 Processor time is counted, the least of all rounds is quoted, and ratios are what to compare: machines are noisy.
 """
 
@@ -23,11 +26,13 @@ from pathlib import Path
 
 from uqharness import engine
 from uqharness.aircraft import Aircraft, find_aircraft, parse_xml
-from uqharness.executor import attempt
+from uqharness.campaign_aircraft import put_bounds
+from uqharness.executor import ProcessExecutor
 from uqharness.flight import fly, set_conditions
-from uqharness.flight_spec import COEFFICIENTS, DEFAULT_TURBULENCE_SOURCE, FlightSpec, LevelDriver
+from uqharness.flight_spec import COEFFICIENTS, DEFAULT_TURBULENCE_SOURCE, FlightResult, FlightSpec, LevelDriver
 from uqharness.mission import StagedMission, find_script
 from uqharness.store import Store
+from uqharness.worker import CaseOutcome, FlightFunction, attempt
 
 REFERENCE_HOURS_PER_CORE_HOUR = 890.0
 """Flight hours per core hour at 100 Hz of a hand-written loop with compiled intervals, the figure to beat."""
@@ -47,8 +52,10 @@ def without_plugin(aircraft: Aircraft, folder: Path) -> Aircraft:
     return find_aircraft(target)
 
 
-def bare_loop(aircraft: Aircraft, spec: FlightSpec) -> Callable[[], float]:
-    """A function that flies ``spec`` with JSBSim's bare loop and returns processor seconds spent in the loop."""
+def bare_loop(
+    aircraft: Aircraft, spec: FlightSpec, clock: Callable[[], float] = time.process_time
+) -> Callable[[], float]:
+    """A function that flies ``spec`` with JSBSim's bare loop and returns the seconds spent in it by ``clock``."""
     mission = StagedMission(aircraft, find_script(spec.script), end_s=spec.duration_s)
 
     def once() -> float:
@@ -56,10 +63,10 @@ def bare_loop(aircraft: Aircraft, spec: FlightSpec) -> Callable[[], float]:
         set_conditions(fdm, mission, spec)
         engine.run_ic(fdm)
         run = fdm.run
-        start = time.process_time()
+        start = clock()
         while run():
             pass
-        spent = time.process_time() - start
+        spent = clock() - start
         assert fdm.get_sim_time() >= spec.duration_s - fdm.get_delta_t()
         return spent
 
@@ -82,9 +89,65 @@ def harness_loop(spec: FlightSpec, folder: Path) -> Callable[[], float]:
     return once
 
 
-def measure(aircraft_name: str, duration_s: float, rounds: int, source: str, levels: str) -> dict[str, float]:
+def with_model_form(aircraft: Aircraft, model_form: Path, folder: Path) -> Aircraft:
+    """A copy of the aircraft in ``folder`` that computes the bounds of a model-form.json."""
+    made = folder / "aircraft" / aircraft.name
+    shutil.copytree(aircraft.folder, made)
+    put_bounds(made, aircraft, model_form)
+    return find_aircraft(made)
+
+
+def bare_flight(spec: FlightSpec) -> FlightResult:
+    """Flight function for a worker: the bare loop alone, its seconds by the clock as the metric ``loop_s``."""
+    loop_s = bare_loop(find_aircraft(spec.aircraft), spec, time.monotonic)()
+    return FlightResult("ok", "", spec.duration_s, {"loop_s": loop_s}, {}, {})
+
+
+def side_by_side(bare: FlightSpec, flown: FlightSpec, rounds: int, workers: int = 2) -> dict[str, float]:
+    """Flight seconds per second by the clock: that many bare loops at once, as many workers, and the ratio."""
+
+    def fly_all(executor: ProcessExecutor, function: FlightFunction, spec: FlightSpec, count: int) -> list[CaseOutcome]:
+        found = [
+            item for batch in executor.run(function, [(f"{n:016x}", spec) for n in range(count)]) for item in batch
+        ]
+        assert all(item.status == "ok" for item in found), found
+        return found
+
+    rates = {}
+    for name, function, spec in (("bare", bare_flight, bare), ("workers", fly, flown)):
+        executor = ProcessExecutor(workers, keep=True)
+        try:
+            # Both are up and have loaded everything before the clock is looked at.
+            fly_all(executor, function, replace(spec, duration_s=10.0), 2 * workers)
+            start = time.monotonic()
+            found = fly_all(executor, function, spec, rounds * workers)
+            elapsed = time.monotonic() - start
+        finally:
+            executor.close()
+        clocks = [item.metrics["loop_s"] for item in found] if name == "bare" else [elapsed / rounds]
+        rates[name] = workers * spec.duration_s * len(clocks) / sum(clocks)
+    return {
+        f"bare_{workers}_flight_s_per_s": rates["bare"],
+        f"workers_{workers}_flight_s_per_s": rates["workers"],
+        f"workers_{workers}_over_bare_{workers}": rates["workers"] / rates["bare"],
+    }
+
+
+def measure(
+    aircraft_name: str, duration_s: float, rounds: int, source: str, levels: str,
+    model_form: Path | None = None, together: bool = False,
+) -> dict[str, float]:  # fmt: skip
     """Least microseconds per step of a, b and c, their ratios, and flight hours per core hour of c."""
-    aircraft = find_aircraft(aircraft_name)
+    with tempfile.TemporaryDirectory(prefix="uqharness-") as name:
+        aircraft = find_aircraft(aircraft_name)
+        if model_form is not None:
+            aircraft = with_model_form(aircraft, model_form, Path(name))
+        return _measure(aircraft, duration_s, rounds, source, levels, together)
+
+
+def _measure(
+    aircraft: Aircraft, duration_s: float, rounds: int, source: str, levels: str, together: bool
+) -> dict[str, float]:
     deltas = {"uq/active": 1.0} | {f"uq/{name}/level": 1.0 for name in COEFFICIENTS}
     spec = FlightSpec(
         aircraft.folder, find_script("loiter"), duration_s, wind_mps=3.0, turbulence="moderate", turbulence_source=source,
@@ -113,7 +176,7 @@ def measure(aircraft_name: str, duration_s: float, rounds: int, source: str, lev
         "c_over_a": per_step["c"] / per_step["a"],
         "a_over_b": per_step["a"] / per_step["b"],
         "flight_hours_per_core_hour": duration_s / best["c"],
-    }
+    } | (side_by_side(bare, flown, rounds) if together else {})
 
 
 def _driver(levels: str) -> LevelDriver | None:
@@ -136,9 +199,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         default="walk",
         help="of the harness's flights (default %(default)s)",
     )
+    parser.add_argument("--model-form", type=Path, metavar="model-form.json", help="bounds that depend on the state")
+    parser.add_argument("--side-by-side", action="store_true", help="two workers against two bare loops as well")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(argv)
-    figures = measure(args.aircraft, args.duration_s, args.rounds, args.turbulence_source, args.levels)
+    figures = measure(
+        args.aircraft,
+        args.duration_s,
+        args.rounds,
+        args.turbulence_source,
+        args.levels,
+        args.model_form,
+        args.side_by_side,
+    )
     if args.json:
         print(json.dumps(figures))
         return 0
@@ -156,6 +229,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         f"  flight hours per core hour: {figures['flight_hours_per_core_hour']:.0f}"
         f" (to beat: {REFERENCE_HOURS_PER_CORE_HOUR:.0f})"
     )
+    if args.side_by_side:
+        print(
+            f"  two workers {figures['workers_2_flight_s_per_s']:.0f}, two bare loops {figures['bare_2_flight_s_per_s']:.0f} "
+            f"flight s per s by the clock: {figures['workers_2_over_bare_2']:.3f}"
+        )
     return 0
 
 

@@ -49,7 +49,7 @@ class Progress:
     @property
     def hours_per_core_hour(self) -> float:
         """Flight hours flown per core hour of this run, burn-in included."""
-        return self.flown_s / (self.elapsed_s * self.workers) if self.elapsed_s > 0 else 0.0
+        return self.flown_s / (self.elapsed_s * max(self.workers, 1)) if self.elapsed_s > 0 else 0.0
 
 
 @dataclass(frozen=True)

@@ -77,13 +77,18 @@ def _copy(spec: CampaignSpec, aircraft: Aircraft, root: Path) -> Path:
             if (own / sub).is_dir():
                 shutil.copytree(own / sub, root / sub, symlinks=False)
     if spec.inputs.model_form is not None:
-        text = model_form_xml(read_bounds(spec.inputs.model_form), aircraft)
-        destination = made / _system_file(aircraft).relative_to(aircraft.folder)
-        destination.unlink()
-        destination.write_bytes(text)
+        put_bounds(made, aircraft, spec.inputs.model_form)
     if spec.start is not None:
         write_steady_start(find_aircraft(made), spec.start, root / SCRIPT, str(spec.path))
     return made
+
+
+def put_bounds(made: Path, aircraft: Aircraft, model_form: Path) -> None:
+    """Give the copy ``made`` of an aircraft the bounds of a model-form.json. Raises BadInputError as :func:`make_copy` does."""
+    text = model_form_xml(read_bounds(model_form), aircraft)
+    destination = made / _system_file(aircraft).relative_to(aircraft.folder)
+    destination.unlink()
+    destination.write_bytes(text)
 
 
 def _system_file(aircraft: Aircraft) -> Path:

@@ -7,6 +7,7 @@ import json
 import shlex
 import sys
 from collections import Counter
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,10 +15,12 @@ from uqharness import campaign_studies_command
 
 if TYPE_CHECKING:
     from uqharness.campaign import CampaignSummary
+    from uqharness.executor import Executor
 
 _RUN_EXAMPLE = """examples:
   uqharness campaign run campaigns/demo/campaign.toml --out campaigns/demo/results
   uqharness campaign run campaigns/demo/campaign.toml --out big --hours 10 --workers 8
+  uqharness campaign run campaigns/demo/campaign.toml --out big --dask tcp://192.168.0.2:8786
   uqharness campaign run campaigns/demo/campaign.toml --out big --shard 3/16      one of 16 jobs; then: campaign merge big
 
 The same command resumes a run that was interrupted, killed or cut off: only missing flights are flown.
@@ -68,6 +71,9 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         default="spawn",
         help="of the processes (default spawn)",
     )
+    run.add_argument(
+        "--dask", metavar="ADDRESS", help="fly on the Dask cluster of this scheduler (address or scheduler file)"
+    )
     run.add_argument("--serial", action="store_true", help="fly in this process, for debugging")
     run.add_argument("--shard", metavar="i/n", help="fly the i-th of n shares only, to be merged later")
     run.set_defaults(handler=_run)
@@ -103,7 +109,6 @@ def _run(args: argparse.Namespace) -> int:
     # Imported here: `uqharness --help` should not wait for the numerical libraries.
     from uqharness.campaign import run_campaign
     from uqharness.campaign_spec import read_campaign
-    from uqharness.executor import Executor, ProcessExecutor, SerialExecutor, usable_cores
     from uqharness.progress_view import ProgressView
     from uqharness.shards import parse_shard
 
@@ -112,10 +117,10 @@ def _run(args: argparse.Namespace) -> int:
         spec = spec.with_hours(args.hours)
     if args.samples is not None:
         spec = spec.with_samples(args.samples)
-    workers = usable_cores() if args.workers is None else args.workers
-    executor: Executor = SerialExecutor() if args.serial else ProcessExecutor(workers, args.start_method)
     try:
-        with ProgressView() as view:
+        with ExitStack() as stack:
+            executor = _executor(args, stack)
+            view = stack.enter_context(ProgressView())
             summary = run_campaign(
                 spec,
                 args.out,
@@ -131,6 +136,25 @@ def _run(args: argparse.Namespace) -> int:
         raise
     print(json.dumps(_as_json(summary)) if args.json else _sentence(summary))
     return 0
+
+
+def _executor(args: argparse.Namespace, stack: ExitStack) -> Executor:
+    """What flies the cases, closed with the stack. Raises BadInputError."""
+    from uqharness.errors import BadInputError
+    from uqharness.executor import ProcessExecutor, SerialExecutor, usable_cores
+
+    if args.dask is not None:
+        if args.serial or args.workers is not None:
+            raise BadInputError(
+                "--dask: the cluster's workers fly; leave out --workers and --serial, and give the number to: dask worker "
+                "--nworkers"
+            )
+        from uqharness.dask_executor import DaskExecutor
+
+        return stack.enter_context(DaskExecutor(args.dask))
+    if args.serial:
+        return SerialExecutor()
+    return ProcessExecutor(usable_cores() if args.workers is None else args.workers, args.start_method)
 
 
 def _command_line(args: argparse.Namespace) -> str:

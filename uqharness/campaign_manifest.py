@@ -33,6 +33,12 @@ def versions() -> dict[str, str]:
     return found
 
 
+def binding_versions() -> tuple[tuple[str, str], ...]:
+    """Names and versions of what must be alike wherever flights of one campaign are flown."""
+    found = versions()
+    return tuple((name, found[name]) for name in _BINDING_VERSIONS)
+
+
 def describe(spec: CampaignSpec, mission: Mission, cases: int, command: str) -> dict[str, Any]:
     """Manifest of a campaign that is about to run."""
     return {

@@ -11,7 +11,7 @@ q comes from the noise of w and r from that of v, so that they belong together. 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -154,23 +154,34 @@ def dryden_gusts(
     ``seed`` is the root seed or a sequence that begins with it, such as (root, aleatory id). u, v with r, w with q, and
     p draw from a Philox stream each; W20 scales the result and nothing else: all intensities share one history.
     """
+    return next(gust_blocks(n, dt_s, V_mps, h_m, W20_kt, b_m, seed, max(n, 1)))
+
+
+def gust_blocks(
+    n: int, dt_s: float, V_mps: float, h_m: float, W20_kt: float, b_m: float, seed: int | Sequence[int], block: int
+) -> Iterator[GustSeries]:
+    """The same ``n`` samples, to the bit, as series of at most ``block``: the memory of a day is that of a block."""
     _positive(dt_s=dt_s)
     if n < 1:
         raise BadInputError(f"n = {n}: at least one sample is needed")
     par = dryden_parameters(V_mps, h_m, W20_kt, b_m)
-    u = _first_order(n, dt_s, par.L_u_m / V_mps, _generator(seed, "u"))
-    v, v_slope = _lateral(n, dt_s, par.L_u_m / V_mps, par.T_r_s, _generator(seed, "v"))
-    w, w_slope = _lateral(n, dt_s, par.L_w_m / V_mps, par.T_q_s, _generator(seed, "w"))
-    p = _first_order(n, dt_s, par.T_p_s, _generator(seed, "p"))
-    return GustSeries(
-        dt_s=dt_s,
-        u_mps=par.sigma_u_mps * u,
-        v_mps=par.sigma_u_mps * v,
-        w_mps=par.sigma_w_mps * w,
-        p_radps=par.sigma_p_radps * p,
-        q_radps=-par.sigma_w_mps / V_mps * w_slope,  # 3.7.5: q = -dw/dx = -(dw/dt)/V
-        r_radps=par.sigma_u_mps / V_mps * v_slope,  # 3.7.5: r = +dv/dx = +(dv/dt)/V
-    )
+    u = _FirstOrder(dt_s, par.L_u_m / V_mps, _generator(seed, "u"))
+    v = _Lateral(dt_s, par.L_u_m / V_mps, par.T_r_s, _generator(seed, "v"))
+    w = _Lateral(dt_s, par.L_w_m / V_mps, par.T_q_s, _generator(seed, "w"))
+    p = _FirstOrder(dt_s, par.T_p_s, _generator(seed, "p"))
+    for first in range(0, n, block):
+        size = min(block, n - first)
+        v_unit, v_slope = v.take(size)
+        w_unit, w_slope = w.take(size)
+        yield GustSeries(
+            dt_s=dt_s,
+            u_mps=par.sigma_u_mps * u.take(size),
+            v_mps=par.sigma_u_mps * v_unit,
+            w_mps=par.sigma_w_mps * w_unit,
+            p_radps=par.sigma_p_radps * p.take(size),
+            q_radps=-par.sigma_w_mps / V_mps * w_slope,  # 3.7.5: q = -dw/dx = -(dw/dt)/V
+            r_radps=par.sigma_u_mps / V_mps * v_slope,  # 3.7.5: r = +dv/dx = +(dv/dt)/V
+        )
 
 
 def _lateral_psd(omega: Array, sigma: float, T: float) -> Array:
@@ -189,35 +200,57 @@ def _generator(seed: int | Sequence[int], name: str) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(np.random.SeedSequence(entropy, spawn_key=(_STREAMS[name],))))
 
 
-def _first_order(n: int, dt: float, T: float, rng: np.random.Generator) -> Array:
-    """Unit-variance first-order process: x' = e^(-dt/T) x + noise."""
-    keep = np.exp(-dt / T)
-    noise = rng.standard_normal(n)
-    noise[1:] *= np.sqrt(-np.expm1(-2.0 * dt / T))
-    return np.asarray(lfilter([1.0], [1.0, -keep], noise))
+class _FirstOrder:
+    """Unit-variance first-order process, a stretch at a time: x' = e^(-dt/T) x + noise."""
+
+    def __init__(self, dt: float, T: float, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._keep = np.exp(-dt / T)
+        self._spread = np.sqrt(-np.expm1(-2.0 * dt / T))
+        self._carried = np.zeros(1)
+        self._begun = False
+
+    def take(self, n: int) -> Array:
+        noise = self._rng.standard_normal(n)
+        noise[0 if self._begun else 1 :] *= self._spread
+        self._begun = True
+        # The filter's own memory goes on into the next stretch, so that a block's end is no place where rounding differs.
+        out, self._carried = lfilter([1.0], [1.0, -self._keep], noise, zi=self._carried)
+        return np.asarray(out)
 
 
-def _lateral(n: int, dt: float, T: float, T_span: float, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Unit-variance w of the lateral spectrum, and dw/dt smoothed by 1/(1 + T_span s).
+class _Lateral:
+    """Unit-variance w of the lateral spectrum, and dw/dt smoothed by 1/(1 + T_span s), a stretch at a time.
 
     States (z1, z2, y): z1 = 1/(1 + T s) noise, z2 = 1/(1 + T s) z1, y = 1/(1 + T_span s) w, with
     w = sqrt(T) (1 + sqrt(3) T s)/(1 + T s)^2 noise = sqrt(T) (sqrt(3) z1 + (1 - sqrt(3)) z2).
     The transition matrix is lower triangular: three passes of lfilter.
     """
-    to_w, step, factor, spread = _lateral_matrices(dt, T, T_span)
-    noise = rng.standard_normal((n, 3))
-    start = spread @ noise[0]
-    # Sums written out: a threaded matrix product may round differently with the number of threads.
-    states = np.empty((3, n))
-    for i in range(3):
-        drive = np.empty(n)
-        drive[0] = start[i]
-        drive[1:] = sum(factor[j, i] * noise[1:, j] for j in range(i + 1))
-        for j in range(i):
-            drive[1:] += step[i, j] * states[j, :-1]
-        states[i] = lfilter([1.0], [1.0, -step[i, i]], drive)
-    w = to_w[0] * states[0] + to_w[1] * states[1]
-    return w, (w - states[2]) / T_span
+
+    def __init__(self, dt: float, T: float, T_span: float, rng: np.random.Generator) -> None:
+        self._to_w, self._step, self._factor, self._spread = _lateral_matrices(dt, T, T_span)
+        self._T_span, self._rng = T_span, rng
+        self._carried = [np.zeros(1) for _ in range(3)]
+        self._last: Array | None = None
+
+    def take(self, n: int) -> tuple[Array, Array]:
+        noise = self._rng.standard_normal((n, 3))
+        step, factor, last = self._step, self._factor, self._last
+        states = np.empty((3, n))
+        # Sums written out: a threaded matrix product may round differently with the number of threads.
+        for i in range(3):
+            drive = sum(factor[j, i] * noise[:, j] for j in range(i + 1))
+            assert isinstance(drive, np.ndarray)
+            if last is None:
+                drive[0] = (self._spread @ noise[0])[i]
+            for j in range(i):
+                drive[1:] += step[i, j] * states[j, :-1]
+                if last is not None:
+                    drive[0] += step[i, j] * last[j]
+            states[i], self._carried[i] = lfilter([1.0], [1.0, -step[i, i]], drive, zi=self._carried[i])
+        self._last = states[:, -1].copy()
+        w = self._to_w[0] * states[0] + self._to_w[1] * states[1]
+        return w, (w - states[2]) / self._T_span
 
 
 @lru_cache(maxsize=64)

@@ -35,7 +35,7 @@ _START_FAILURES_ALLOWED = 3
 _START_S = 120.0
 _GOODBYE_S = 2.0
 # One thread per worker: BLAS would start one per core in each, and they would fight.
-_SINGLE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+SINGLE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
 class Executor(Protocol):
@@ -94,7 +94,8 @@ class _Worker:
 class ProcessExecutor:
     """Flies in ``workers`` processes; each case has a time limit, and a second chance if its worker dies or hangs.
 
-    ``start_method`` is spawn (default, safe everywhere), forkserver or fork. ``timeout_s`` maps a flight to seconds.
+    ``start_method`` is spawn (default, safe everywhere), forkserver or fork. ``timeout_s`` maps a flight to seconds. With ``keep``
+    the processes stay for the next call of run, which must be with the same flight function.
     """
 
     def __init__(
@@ -103,6 +104,7 @@ class ProcessExecutor:
         start_method: str = "spawn",
         timeout_s: Callable[[FlightSpec], float] = default_timeout_s,
         retries: int = _RETRIES,
+        keep: bool = False,
     ) -> None:
         if workers < 1:
             raise BadInputError(f"workers = {workers}: must be at least 1")
@@ -114,17 +116,26 @@ class ProcessExecutor:
         self._timeout_s = timeout_s
         self._retries = retries
         self._start_failures = 0
+        self._keep = keep
+        self._kept: list[_Worker] = []
 
     def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]:
         source = (_Task(case_id, flight) for case_id, flight in flights)
         again: deque[_Task] = deque()
-        pool: list[_Worker] = []
+        pool: list[_Worker] = self._kept
         self._start_failures = 0
+        done = False
         with _single_threaded_children():
             try:
                 yield from self._loop(fly, source, again, pool)
+                done = True
             finally:
-                _stop(pool)
+                if not (done and self._keep):
+                    _stop(pool)
+
+    def close(self) -> None:
+        """End the processes that were kept."""
+        _stop(self._kept)
 
     def _loop(
         self, fly: FlightFunction, source: Iterator[_Task], again: deque[_Task], pool: list[_Worker]
@@ -266,8 +277,8 @@ def _describe(code: int | None) -> str:
 
 @contextlib.contextmanager
 def _single_threaded_children() -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in _SINGLE_THREAD}
-    os.environ.update(dict.fromkeys(_SINGLE_THREAD, "1"))
+    before = {name: os.environ.get(name) for name in SINGLE_THREAD}
+    os.environ.update(dict.fromkeys(SINGLE_THREAD, "1"))
     try:
         yield
     finally:

@@ -137,9 +137,9 @@ def _with_turned_gusts(fdm: Any, gusts: Rows, levels: Rows | None) -> Callable[[
 
 def _gust_rows(fdm: Any, spec: FlightSpec, dt_s: float, steps: int) -> Rows:
     # Imported here: scipy.signal takes a second to load, and calm flights do without.
-    from uqharness.dryden import dryden_gusts
+    from uqharness.dryden import gust_blocks
 
-    gusts = dryden_gusts(
+    blocks = gust_blocks(
         steps,
         dt_s,
         V_mps=max(_airspeed_mps(fdm, spec), 1.0),
@@ -147,11 +147,11 @@ def _gust_rows(fdm: Any, spec: FlightSpec, dt_s: float, steps: int) -> Rows:
         W20_kt=TURBULENCE_W20_KT[spec.turbulence],
         b_m=float(fdm["metrics/bw-ft"]) * FT,
         seed=spec.seed_turbulence,
+        block=BLOCK_STEPS,
     )
-    columns = (gusts.u_mps, gusts.v_mps, gusts.w_mps, gusts.p_radps, gusts.q_radps, gusts.r_radps)
     return _rows(
-        np.column_stack([column[first : first + BLOCK_STEPS] for column in columns])
-        for first in range(0, steps, BLOCK_STEPS)
+        np.column_stack([gusts.u_mps, gusts.v_mps, gusts.w_mps, gusts.p_radps, gusts.q_radps, gusts.r_radps])
+        for gusts in blocks
     )
 
 

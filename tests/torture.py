@@ -1,0 +1,76 @@
+"""A campaign run that a test may kill, or that kills itself in the middle of a write.
+
+python -m tests.torture FOLDER OUT FLIGHTS FAKE HOW [MOMENT]: HOW is fork, spawn or the address of a Dask scheduler; MOMENT is
+journal:N (killed with the N-th batch half in the journal) or table:N (killed with the N-th file written and not yet in place).
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+
+def _die() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def tear(moment: str) -> None:
+    """Arrange for this process to be killed at that moment."""
+    what, _, number = moment.partition(":")
+    left = [int(number)]
+    if what == "journal":
+        from uqharness.store import Store
+
+        add = Store.add
+
+        def torn(self: Any, outcomes: Any) -> None:
+            batch = list(outcomes)
+            left[0] -= bool(batch)
+            if left[0] == 0:
+                # A small cache spills, so that half a transaction is in the file when its writer dies.
+                self._database.execute("pragma cache_size = 1")
+                self._database.execute("begin")
+                rows = [(item.case_id, item.status, item.reason, item.flown_s, "{}", "{}") for item in batch]
+                rows += [(f"torn-{index}", "ok", "x" * 1000, 1.0, "{}", "{}") for index in range(100)]
+                self._database.executemany("insert or replace into outcome values (?,?,?,?,?,?)", rows)
+                _die()
+            add(self, batch)
+
+        Store.add = torn  # type: ignore[method-assign]
+    else:
+        replace = os.replace
+
+        def stopped(source: Any, target: Any) -> None:
+            left[0] -= 1
+            if left[0] == 0:
+                _die()
+            replace(source, target)
+
+        os.replace = stopped  # type: ignore[assignment]
+
+
+def main() -> None:
+    from tests import campaign_fakes as fakes
+    from uqharness.campaign import run_campaign
+    from uqharness.executor import Executor, ProcessExecutor
+
+    folder, out, flights, fake, how = sys.argv[1:6]
+    if len(sys.argv) > 6:
+        tear(sys.argv[6])
+    executor: Executor
+    if how in ("fork", "spawn"):
+        executor = ProcessExecutor(2, how)
+    else:
+        from uqharness.dask_executor import DaskExecutor
+
+        executor = DaskExecutor(how)
+    run_campaign(fakes.small_spec(Path(folder), int(flights)), out, executor=executor, fly=getattr(fakes, fake))
+
+
+if __name__ == "__main__":
+    import tests.torture
+
+    tests.torture.main()

@@ -1,0 +1,99 @@
+"""What a Dask worker does for a campaign: flies one case in a process beside it, if it has what the campaign flies.
+
+The case never runs in the Dask worker itself. A flight that ends the interpreter or hangs then costs a child process, is blamed for
+certain and counted with the words of a local run, and Dask sees nothing of it. Children stay for the next case.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+import os
+import pickle
+import socket
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from uqharness.aircraft import folder_hash
+from uqharness.campaign_manifest import binding_versions
+from uqharness.errors import BadInputError
+from uqharness.executor import SINGLE_THREAD, ProcessExecutor
+from uqharness.flight_spec import FlightSpec
+from uqharness.worker import CaseOutcome, FlightFunction
+
+ABSENT = "not there"
+
+
+@dataclass(frozen=True)
+class Order:
+    """One case for a worker elsewhere. ``content`` and ``versions`` are what aircraft, script and program must be there."""
+
+    case_id: str
+    fly: FlightFunction
+    flight: FlightSpec
+    content: tuple[str, str]
+    versions: tuple[tuple[str, str], ...]
+
+
+def content_of(aircraft: Path, script: Path) -> tuple[str, str]:
+    """Hashes of the aircraft's and the script's content on this machine, ``ABSENT`` where there is none."""
+    return (
+        folder_hash(aircraft) if aircraft.is_dir() else ABSENT,
+        hashlib.sha256(script.read_bytes()).hexdigest() if script.is_file() else ABSENT,
+    )
+
+
+def fly_order(packed: bytes) -> CaseOutcome:
+    """Fly a pickled Order. Raises BadInputError where this machine's files or versions are not the campaign's."""
+    order: Order = pickle.loads(packed)
+    _refuse_unlike(order.versions, order.content, order.flight.aircraft, order.flight.script)
+    key = pickle.dumps(order.fly)
+    executor = _take(key)
+    try:
+        (outcome,) = [item for batch in executor.run(order.fly, [(order.case_id, order.flight)]) for item in batch]
+    finally:
+        _idle.append((key, executor))
+    return outcome
+
+
+# One process per thread of this worker; list operations are atomic, so that threads need no lock.
+_idle: list[tuple[bytes, ProcessExecutor]] = []
+
+
+def _take(key: bytes) -> ProcessExecutor:
+    while _idle:
+        try:
+            found, executor = _idle.pop()
+        except IndexError:
+            break
+        if found == key:
+            return executor
+        executor.close()
+    # Dask's nannies start workers as daemons, which Python forbids children, lest they be orphaned: ours follow their parent.
+    multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
+    # For good: the executors of several threads would otherwise restore it under one another's feet.
+    os.environ.update(dict.fromkeys(SINGLE_THREAD, "1"))
+    # This process has threads, so that a fork of it may hang.
+    return ProcessExecutor(1, "spawn", keep=True)
+
+
+_versions_here = lru_cache(maxsize=1)(binding_versions)
+
+
+def _refuse_unlike(
+    versions: tuple[tuple[str, str], ...], content: tuple[str, str], aircraft: Path, script: Path
+) -> None:
+    here = dict(_versions_here())
+    unlike = [f"{name} {wanted} there, {here[name]} here" for name, wanted in versions if here[name] != wanted]
+    found = content_of(aircraft, script)
+    for what, path, wanted, have in zip(("aircraft", "script"), (aircraft, script), content, found, strict=True):
+        if have == ABSENT:
+            unlike.append(f"{what} {path} is not here")
+        elif have != wanted:
+            unlike.append(f"{what} {path} has other content here")
+    if unlike:
+        raise BadInputError(
+            f"Dask worker on {socket.gethostname()}: {'; '.join(unlike)}. Every machine needs the same versions, and the files "
+            "under the same path: a common disk, or copies"
+        )
