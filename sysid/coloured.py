@@ -158,9 +158,13 @@ def coloured_information(sensitivity: list[Array], residual: list[Array]) -> Arr
     weight[0] = weight[-1] = 1.0 / size
     bracket = np.zeros((k, k))
     for part in sensitivity:
-        wave = np.fft.rfft(part, size, axis=0)
+        # A segment's own start states are all that many columns are about: the others' are zero here.
+        columns = np.flatnonzero(part.any(axis=(0, 1)))
+        wave = np.fft.rfft(part[:, :, columns], size, axis=0)
         # (MK) by Parseval: sum_ij s(i)' r(i-j) s(j) = mean over frequency of S^H P S; padded, so not cyclic.
-        bracket += np.einsum("fak,f,fab,fbl->kl", np.conj(wave), weight, spectrum, wave, optimize=True).real
+        bracket[np.ix_(columns, columns)] += np.einsum(
+            "fak,f,fab,fbl->kl", np.conj(wave), weight, spectrum, wave, optimize=True
+        ).real
     return 0.5 * (bracket + bracket.T)
 
 

@@ -202,6 +202,10 @@ def _delay(late: str, reference: str, delay_s: float, found: Comparison) -> list
     return [Finding("delay", late, "info" if abs(delay_s) < 0.05 else "warning", text, numbers)]
 
 
+_BLOCK_S, _LEAST_BLOCKS = 4.0, 8
+_SURE = 4.5  # standard errors: three axes in every log, a few dozen blocks behind each error
+
+
 @dataclass(frozen=True)
 class LeverArm:
     """Place of the accelerometer from the CG, body axes, m: value and standard error per axis."""
@@ -241,23 +245,34 @@ def lever_arm(record: FlightRecord) -> LeverArm | None:
     )
     a = np.concatenate([np.stack([_band(rows[i, j], dt) for j in range(3)], axis=1) for i in range(3)])
     b = np.concatenate([_band(measured[i] - acceleration[i], dt) for i in range(3)])
-    information = a.T @ a
-    if np.linalg.cond(information) > 1e8:
+    weight = np.ones(b.size)
+    for _ in range(2):
+        information = (a * weight[:, None]).T @ a
+        if np.linalg.cond(information) > 1e8:
+            return None
+        position = np.linalg.solve(information, a.T @ (weight * b))
+        residual = b - a @ position
+        # The axes are not equally good: beta's noise times the airspeed is on one, the airspeed's own on another.
+        weight = np.repeat(1.0 / np.maximum(np.mean(residual.reshape(3, -1) ** 2, axis=1), 1e-300), speed.size)
+    # Residuals are correlated in time and larger in manoeuvres: what counts is how the sums over some seconds scatter
+    # (cluster-robust covariance; Liang and Zeger, Biometrika 73, 1986).
+    block = np.tile(np.arange(speed.size) * dt // _BLOCK_S, 3).astype(int)
+    sums = np.zeros((block.max() + 1, 3))
+    information = (a * weight[:, None]).T @ a
+    np.add.at(sums, block, a * (weight * residual)[:, None])
+    if len(sums) < _LEAST_BLOCKS:
         return None
-    position = np.linalg.solve(information, a.T @ b)
-    residual = b - a @ position
-    # Band-passed residuals are correlated: 2 x bandwidth samples a second count, not the sampling rate.
-    inflation = max(1.0, 1.0 / (dt * 2.0 * (BAND_HZ[1] - BAND_HZ[0])))
-    std = np.sqrt(np.diag(np.linalg.inv(information)) * np.mean(residual**2) * inflation)
-    return LeverArm(position, std)
+    inverse = np.linalg.inv(information)
+    scatter = sums.T @ sums * len(sums) / (len(sums) - 3.0)
+    return LeverArm(position, np.sqrt(np.diag(inverse @ scatter @ inverse)))
 
 
 def lever_arm_finding(record: FlightRecord) -> list[Finding]:
-    """A finding when the accelerometer sits off the CG by more than three standard errors and 3 cm."""
+    """A finding when the accelerometer sits off the CG by more than _SURE standard errors and 3 cm."""
     found = lever_arm(record)
     if found is None:
         return []
-    off = np.abs(found.position_m) > np.maximum(3.0 * found.std_m, 0.03)
+    off = np.abs(found.position_m) > np.maximum(_SURE * found.std_m, 0.03)
     if not off.any():
         return []
     pairs = ", ".join(f"{n} {v:+.2f} +- {s:.2f}" for n, v, s in zip("xyz", found.position_m, found.std_m, strict=True))

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
+from sysid.blocks import active_columns
 from sysid.checks import Array
 from sysid.gaussnewton import Linearisation
 from sysid.noise import Noise, concentrated, residual_noise
@@ -37,6 +40,11 @@ class OutputErrorProblem:
     _fresh: tuple[Array, Array, Array] | None = None
     _metric: Array = field(default_factory=lambda: np.zeros((0, 0)))
     _updates: int = 0
+    _active: list[NDArray[np.intp]] = field(default_factory=list)
+
+    @property
+    def edges(self) -> list[int]:
+        return [0, *np.cumsum(self.simulation.lengths).tolist()]
 
     @property
     def floor(self) -> Array:
@@ -63,10 +71,10 @@ class OutputErrorProblem:
 
         With ``secant`` the sensitivities of the last point are carried on by Broyden's update (Math. Comp. 19, 1965)
 
-            S += (dy - S d) (M d)' / (d' M d)
+            S += (dy - S d) (W d)' / (d' W d),    W = diag M
 
-        which costs no simulation; they are differenced anew, forwards, when that has been done CARRIED times, when the search
-        nears its end, and at a point asked for twice.
+        (segment by segment, where S is not zero: Schubert, Math. Comp. 24, 1970), which costs no simulation; they are differenced
+        anew, forwards, when that has been done CARRIED times, when the search nears its end, and at a point asked for twice.
         """
         carried = self._carry(theta, outputs, central) if self.secant else None
         if carried is None:
@@ -97,13 +105,16 @@ class OutputErrorProblem:
         if self._last is None or self._updates >= CARRIED:
             return None
         step = theta - self._last[0]
-        along = self._metric @ step
-        size = float(step @ along)
+        along = np.diagonal(self._metric) * step
         near = self._distance(theta) < NEARBY
-        if not size > 0.0 or (central and not near):
+        if not float(step @ along) > 0.0 or (central and not near):
             return None
         change = outputs - self._last[1] - self.sensitivity @ step
-        self.sensitivity = np.asarray(self.sensitivity + change[:, :, None] * (along / size))
+        self.sensitivity = self.sensitivity.copy()
+        for (a, b), columns in zip(pairwise(self.edges), self._active, strict=True):
+            size = float(step[columns] @ along[columns])
+            if size > 0.0:
+                self.sensitivity[a:b, :, columns] += change[a:b, :, None] * (along[columns] / size)
         self._updates += 1
         return near
 
@@ -122,17 +133,22 @@ class OutputErrorProblem:
             )
             self.target, self.runs = target_for(rough), self.runs + runs
         self.sensitivity, self._updates = found.sensitivity, 0
+        self._active = active_columns(found.sensitivity, self.edges)
 
     def _line(self, outputs: Array) -> Linearisation:
-        sensitivity = self.sensitivity
-        residual = self.measured - outputs
-        white, scaled = self.noise(outputs).whiten(residual, sensitivity)
-        assert scaled is not None
-        flat = scaled.reshape(-1, len(self.columns))
+        sensitivity, residual, noise = self.sensitivity, self.measured - outputs, self.noise(outputs)
+        k = len(self.columns)
+        gradient, information = np.zeros(k), np.zeros((k, k))
+        for (a, b), columns in zip(pairwise(self.edges), self._active, strict=True):
+            white, scaled = noise.whiten(residual[a:b], sensitivity[a:b][:, :, columns])
+            assert scaled is not None
+            flat = scaled.reshape(-1, columns.size)
+            gradient[columns] += flat.T @ white.ravel()
+            information[np.ix_(columns, columns)] += flat.T @ flat
 
         def predict(delta: Array) -> float:
             expected = residual - sensitivity @ delta
             return concentrated(expected, residual_noise(expected, self.floor, self.full))
 
         # M = sum S' R^-1 S,  g = sum S' R^-1 v: one Gauss-Newton step is M^-1 g
-        return Linearisation(flat.T @ white.ravel(), flat.T @ flat, predict)
+        return Linearisation(gradient, information, predict)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.blocks import information, leverage
 from sysid.checks import Array
 from sysid.coloured import coloured_information
 from sysid.diagnostics import Colour, colour, colour_warnings
@@ -71,12 +72,12 @@ def judge(
 
     # Degrees of freedom: each output has spent its share of the leverage, sum_i S_a D S_a'/R_aa; one output: k.
     noise = residual_noise(residual, floor, full)
-    gate = _gate(noise, residual, sensitivity, names, inside)
+    gate = _gate(noise, residual, sensitivity, names, inside, edges)
     _, scaled = noise.whiten(residual, sensitivity)
     assert scaled is not None
-    spent = np.einsum("nak,kl,nal->a", scaled, gate.inverse, scaled, optimize=True)
+    spent = leverage(scaled, gate.inverse, edges)
     noise = residual_noise(residual, floor, full, spent)
-    gate = _gate(noise, residual, sensitivity, names, inside)
+    gate = _gate(noise, residual, sensitivity, names, inside, edges)
 
     white, scaled = noise.whiten(residual, sensitivity)
     assert scaled is not None
@@ -112,10 +113,14 @@ def judge(
 
 
 def _gate(
-    noise: Noise, residual: Array, sensitivity: Array, names: tuple[str, ...], inside: NDArray[np.intp]
+    noise: Noise,
+    residual: Array,
+    sensitivity: Array,
+    names: tuple[str, ...],
+    inside: NDArray[np.intp],
+    edges: list[int],
 ) -> Identifiability:
     """The identifiability of the parameters that are not held at a bound."""
     _, scaled = noise.whiten(residual, sensitivity)
     assert scaled is not None
-    flat = scaled.reshape(-1, inside.size)
-    return assess(flat.T @ flat, tuple(names[index] for index in inside))
+    return assess(information(scaled, edges), tuple(names[index] for index in inside))

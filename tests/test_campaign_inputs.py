@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import shutil
 
 import numpy as np
@@ -19,11 +20,12 @@ from uqharness.campaign import run_campaign
 from uqharness.campaign_spec import read_campaign
 from uqharness.case_table import CASES, read_table
 from uqharness.cases import Mission, build_cases
+from uqharness.cli import main
 from uqharness.epistemic import epistemic_samples
 from uqharness.errors import BadInputError
 from uqharness.executor import SerialExecutor
 from uqharness.flight import record_mission
-from uqharness.flight_spec import COEFFICIENTS, LevelDriver
+from uqharness.flight_spec import COEFFICIENTS, FlightResult, LevelDriver
 from uqharness.mission import StagedMission
 from uqharness.model_form_xml import model_form_xml
 from uqharness.properties import Source
@@ -236,6 +238,30 @@ def test_an_unknown_mean_is_an_epistemic_input_with_corners(tmp_path):
     assert sorted(np.floor([8 * item.means["load/kg"] for item in lhs])) == list(range(8))
 
 
+def heavy(spec):
+    """Errors that follow the load, and CX a little."""
+    draw = np.random.default_rng([spec.seed_turbulence])
+    size = spec.properties["load/kg"] + 0.1 * spec.properties["uq/CX/level"]
+    metrics = {name: size * float(draw.gamma(40.0)) for name in fakes.ERROR_METRICS}
+    metrics |= dict.fromkeys([*fakes.EXCURSIONS, "loss_of_control"], 0.0)
+    return FlightResult("ok", "", spec.burn_in_s + spec.duration_s, metrics, {}, {})
+
+
+def test_an_unknown_mean_takes_its_place_among_the_sensitivities(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("uqharness.campaign.validate_model", lambda fly, case: None)
+    head = variables("[19, 22]").replace("std = 0.5", "std = 0.01").replace("flights = 3", "flights = 20")
+    epistemic = 'method = "corners"\ncoefficients = ["CX"]\nbounds = { CX = 0.008 }\n'
+    spec = campaign(tmp_path, epistemic, head)
+    run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=heavy, mission=mission(tmp_path))
+    assert main(["sensitivity", str(tmp_path / "out"), "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)["sensitivity"].values()
+    indices = found["altitude_median_m"]["indices"]
+    assert set(indices) == {"CX", "load/kg"}
+    # The error is proportional to load + 0.1 level, and the load's mean moves by 3: shares of the p-box's width 3/3.1 and 0.1/3.1.
+    assert indices["load/kg"]["value"] == pytest.approx([3.0 / 3.1] * 2)
+    assert indices["CX"]["value"] == pytest.approx([0.1 / 3.1] * 2)
+
+
 def test_one_property_cannot_be_random_and_unknown_at_once(tmp_path):
     write(tmp_path / "fit.json", FIT)
     head = variables("20").replace("load/kg", "aero/Cm_q")
@@ -304,6 +330,25 @@ def test_the_bounds_of_a_file_fly_in_a_copy_of_the_aircraft(tmp_path, bounded, m
     model_form(tmp_path / "model-form.json", confidence=0.68)
     with pytest.raises(BadInputError, match="content of the file named as bounds"):
         run_campaign(read_campaign(tmp_path / "campaign.toml"), out, executor=executor, fly=spy)
+
+
+def test_a_plugin_without_switches_has_its_certain_bounds_set_to_zero(tmp_path):
+    folder = tmp_path / "aircraft" / "espaaro"
+    shutil.copytree(PROJECT_ROOT / "aircraft" / "espaaro", folder)
+    system = folder / "Systems" / "model-form.xml"
+    text = re.sub(r"<property[^>]*>uq/C\w/active</property>", "", system.read_text())
+    assert "uq/active" in text
+    system.write_text(text)
+    spec = campaign(tmp_path, 'method = "corners"\ncoefficients = ["CX"]\n', HEAD.replace('"plane"', f'"{folder}"'))
+    flight = build_cases(spec, mission(tmp_path))[1].flight
+    brief = dataclasses.replace(
+        flight, aircraft=folder, script=PROJECT_ROOT / "scripts" / "trim.xml", duration_s=1.0, burn_in_s=0.0, turbulence="none"
+    )
+    signals = {f"{name}_delta": Source(f"uq/{name}/delta") for name in COEFFICIENTS}
+    with StagedMission(find_aircraft(folder), PROJECT_ROOT / "scripts" / "trim.xml") as flown:
+        found = record_mission(flown, brief, signals).signals
+    assert found["CX_delta"] == pytest.approx(0.008)
+    assert all(not found[f"{name}_delta"].any() for name in COEFFICIENTS[1:])
 
 
 def test_bounds_need_the_plugin(tmp_path, bounded):

@@ -54,7 +54,6 @@ def test_lists_and_asymmetric_bounds(tmp_path):
         ("wind_mps = 3", "wind_mps = []", ["[aleatory] wind_mps", "at least one"]),
         ('"moderate"', '"heavy"', ["[aleatory] turbulence", "'light'", 'received "heavy"']),
         ('"jsbsim"', '"xplane"', ["turbulence_source", "'spec'", 'received "xplane"']),
-        ('method = "corners"', 'method = "walk"\nsamples = 9', ["needs a rate", "walk_rate_per_sqrt_s = 0.012"]),
         ('method = "corners"', 'method = "lhs"', ['"lhs" needs samples', "samples = 2000"]),
         ('method = "corners"', 'method = "corners"\nsamples = 9', ["samples belongs to", '"corners"']),
         ('method = "corners"', 'method = "corners"\nwalk_rate_per_sqrt_s = 1', ['belongs to method = "walk"']),
@@ -137,6 +136,10 @@ def test_walk_rates(tmp_path, rate, fragment):
 def test_a_walk_with_one_rate_for_all_or_one_each(tmp_path):
     text = CAMPAIGN.replace('"corners"', '"walk"\nsamples = 4\nwalk_rate_per_sqrt_s = 0.012')
     assert read(tmp_path, text).inputs.walk_rates == dict.fromkeys(COEFFICIENTS, 0.012)
+    # Without one it is the published rate, and the manifest says so.
+    spec = read(tmp_path, text.replace("walk_rate_per_sqrt_s = 0.012", ""))
+    assert spec.inputs.walk_rates == pytest.approx(dict.fromkeys(COEFFICIENTS, 0.01202), rel=1e-3)
+    assert spec.as_dict()["epistemic"]["walk_rate_per_sqrt_s"] == spec.inputs.walk_rates
     rates = ", ".join(f"{name} = 0.0{number}" for number, name in enumerate(COEFFICIENTS, 1))
     assert read(tmp_path, text.replace("sqrt_s = 0.012", f"sqrt_s = {{ {rates} }}")).inputs.walk_rates["Cn"] == 0.06
 

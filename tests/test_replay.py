@@ -15,8 +15,9 @@ from uqharness.errors import BadInputError
 from uqharness.flights import prepare, read_flight, segments
 from uqharness.forced import force_states
 from uqharness.identify_start import demand_of, forced_at
-from uqharness.replay import CHANNELS, STATES, Replay, fly_segment, runs_per_row
+from uqharness.replay import CHANNELS, STATES, fly_segment, runs_per_row
 from uqharness.replay_model import CONTROLS, ReplayFolder
+from uqharness.replay_simulation import Replay, counter
 
 SURFACES = ("elevator", "aileron", "rudder")
 
@@ -126,8 +127,6 @@ def test_an_accelerometer_away_from_the_cg_feels_the_rotation(aircraft, clean):
 
 
 def test_theta_is_laid_out_by_names_and_what_is_unmoved_is_not_flown_again(aircraft, clean):
-    from uqharness.replay import counter
-
     flight = prepare("f", clean, SURFACES)
     with ReplayFolder(aircraft, measured=SURFACES) as model:
         cut = segments(flight, SURFACES)

@@ -58,13 +58,18 @@ class ControlFacts:
 
 @dataclass(frozen=True)
 class AircraftFacts:
-    """Reference lengths by JSBSim's metrics, number of engines, and the controls that act."""
+    """Reference lengths by JSBSim's metrics, number of engines, and the controls."""
 
     S_m2: float
     b_m: float
     c_m: float
     engines: int
     controls: Mapping[str, ControlFacts] = field(default_factory=dict)
+
+
+def assumed(S_m2: float, b_m: float, c_m: float) -> AircraftFacts:
+    """What is taken for granted of an aircraft that does not fly by itself: JSBSim's commands in the usual sense, no throws."""
+    return AircraftFacts(S_m2, b_m, c_m, 1, {name: ControlFacts(1) for name in (*_ANSWER, "throttle")})
 
 
 def ask(folder: Path) -> AircraftFacts:
@@ -78,8 +83,7 @@ def ask(folder: Path) -> AircraftFacts:
     controls = {name: _facts(name, rows) for name, rows in held.items()}
     controls["throttle"] = ControlFacts(int(throttle[1] > throttle[0]))
     S, b, c = (any_flight[name] for name in _METRICS)
-    acting = {name: facts for name, facts in controls.items() if facts.sense}
-    return AircraftFacts(S * _FT**2, b * _FT, c * _FT, int(any_flight["engines"]), acting)
+    return AircraftFacts(S * _FT**2, b * _FT, c * _FT, int(any_flight["engines"]), controls)
 
 
 def _held(aircraft: Any, control: str, value: float) -> dict[str, float]:

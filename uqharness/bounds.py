@@ -154,7 +154,10 @@ def noise_of(flight: Flight, aircraft: Aircraft) -> dict[str, float]:
 def _noise(
     pair: ReplayPair, flights: Sequence[Flight], aircraft: Aircraft, arm: Sequence[float], cutoffs: Cutoffs
 ) -> dict[str, float]:
-    squares = [noise_floor(f.record, f.pieces, pair.of(f), noise_of(f, aircraft), arm, cutoffs) ** 2 for f in flights]
+    squares = [
+        noise_floor(f.record, f.pieces, pair.of(f, remember=False), noise_of(f, aircraft), arm, cutoffs) ** 2
+        for f in flights
+    ]
     seconds = [sum(p.end_s - p.start_s for p in f.pieces) for f in flights]
     return dict(zip(COEFFICIENTS, np.sqrt(np.average(squares, axis=0, weights=seconds)).tolist(), strict=True))
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.log_errors import LogError
-from uqharness.epistemic_spec import EpistemicSection
+from uqharness.epistemic_spec import PUBLISHED_WALK_RATE_PER_SQRT_S, EpistemicSection
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import COEFFICIENTS
 
@@ -57,6 +57,8 @@ def read_inputs(section: EpistemicSection, beside: Path) -> CampaignInputs:
     model_form: Path | None = None
     coefficients: tuple[str, ...] = section.coefficients
     rates: dict[str, float] = {str(name): rate for name, rate in (section.walk_rate_per_sqrt_s or {}).items()}
+    if section.method == "walk" and not rates and not isinstance(section.bounds, str):
+        rates = dict.fromkeys(coefficients, PUBLISHED_WALK_RATE_PER_SQRT_S)
     if isinstance(section.bounds, str):
         model_form = _find(section.bounds, beside, "bounds", hashes)
         form = read_bounds(model_form)

@@ -12,7 +12,7 @@ import pandas as pd
 
 from uqharness.campaign_manifest import read_manifest
 from uqharness.campaign_tables import Condition, conditions, in_condition
-from uqharness.case_table import CASES, ERROR_METRICS, excursion_columns, read_table
+from uqharness.case_table import CASES, ERROR_METRICS, UNCOMMANDED_METRICS, excursion_columns, read_table
 from uqharness.errors import BadInputError
 from uqharness.sensitivity import Evaluations, MethodResult, Study
 from uqharness.sensitivity.corner_pairs import corner_pairs
@@ -122,7 +122,7 @@ def _read(folder: Path) -> Flown:
 def metrics_of(flown: Flown) -> tuple[str, ...]:
     """Error statistics and excursion counts that the table has."""
     radii = flown.manifest["campaign"]["metrics"]["excursion_radius_m"]
-    names = (*ERROR_METRICS, *excursion_columns(radii))
+    names = (*ERROR_METRICS, *UNCOMMANDED_METRICS, *excursion_columns(radii))
     return tuple(name for name in names if name in flown.frame and flown.frame[name].notna().any())
 
 

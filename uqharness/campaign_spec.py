@@ -121,6 +121,10 @@ class CampaignSpec:
             if section is not None
         }
         found["epistemic"]["coefficients"] = list(self.inputs.coefficients)
+        if self.epistemic.method == "walk":
+            found["epistemic"]["walk_rate_per_sqrt_s"] = {
+                name: self.inputs.walk_rates[name] for name in self.inputs.coefficients
+            }
         return found
 
     def with_hours(self, hours: float) -> CampaignSpec:

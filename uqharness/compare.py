@@ -23,10 +23,11 @@ from uqharness.errors import BadInputError
 from uqharness.flights import Flight, measured_outputs, segments, states
 from uqharness.identify import BIASES, OUTPUTS
 from uqharness.identify_start import demand_of, forced_at
-from uqharness.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF, Replay, Segment
+from uqharness.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF, Segment
 from uqharness.replay_layout import delayed, nuisance_layout
 from uqharness.replay_model import CONTROLS, ReplayFolder, ReplayModel
 from uqharness.replay_pool import replay_pool
+from uqharness.replay_simulation import Replay
 
 Array = NDArray[np.float64]
 LIMIT = 1.15
@@ -137,6 +138,11 @@ def compare(
     demand = [d for d, ok in zip(demand, kept, strict=True) if ok]
     said = [d for d, ok in zip(said, kept, strict=True) if ok]
     gaps = [z - y for z, y in zip(data, modelled, strict=True)]
+    estimates = [c for c in judged if c in flight.record.metadata.estimates]
+    if estimates:
+        # A vane's noise says nothing of an angle that a filter computed from other sensors.
+        notes = [*notes, f"estimates of the log, listed and not judged: {', '.join(estimates)}"]
+        judged = tuple(c for c in judged if c not in estimates)
     missing = [c for c in OUTPUTS if c not in present]
     if missing:
         notes = [*notes, f"not in the record and not compared: {', '.join(missing)}"]

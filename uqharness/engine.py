@@ -207,6 +207,17 @@ def run_ic(fdm: Any) -> None:
     raise BadInputError(f"JSBSim could not initialise the flight: {text}")
 
 
+def start_engines(fdm: Any) -> None:
+    """Every engine runs, with rich mixture and fine pitch, which no flight record tells; its throttle is left wide open."""
+    fdm["propulsion/set-running"] = -1
+    manager = fdm.get_property_manager()
+    for number in range(fdm.get_propulsion().get_num_engines()):
+        for lever in ("mixture", "advance"):
+            name = f"fcs/{lever}-cmd-norm" + (f"[{number}]" if number else "")
+            if manager.hasNode(name):
+                fdm[name] = 1.0
+
+
 def settle_engines(fdm: Any) -> None:
     """Bring <propulsion> engines to the steady state of their throttles and renew the forces, the aircraft's state unmoved."""
     fdm.get_propulsion().get_steady_state()

@@ -102,7 +102,7 @@ def record_mission(
     for name, value in first_levels(spec, dt_s).items():
         engine.set_property(fdm, name, value)
     engine.run_ic(fdm)
-    _require_kept(fdm, spec.properties)
+    _require_kept(fdm, as_model_has(fdm, spec.properties))
     set_wind_without_air(fdm, spec)
     if MARK in mission.script.run_properties and fdm.get_propulsion().get_num_engines():
         engine.settle_engines(fdm)
@@ -206,7 +206,7 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
             f"aircraft '{mission.aircraft.name}' has no sensors system (property sensor/V-mps): fly it with sensor_noise = false "
             "(without --noise)"
         )
-    for name, value in spec.properties.items():
+    for name, value in as_model_has(fdm, spec.properties).items():
         if name not in CHANGEABLE:
             engine.set_property(fdm, name, value)
     # The script's start is an airspeed; over the ground the aircraft moves with the wind as well.
@@ -219,6 +219,19 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
             # Set after the velocity over the ground, which it then leaves alone; JSBSim's direction is where the wind blows to.
             fdm["ic/vw-dir-deg"] = math.degrees(toward)
             fdm["ic/vw-mag-fps"] = spec.wind_mps / FT
+
+
+def as_model_has(fdm: Any, properties: Mapping[str, float]) -> dict[str, float]:
+    """``properties`` with bounds of zero in place of a switch uq/<C>/active 0 that the aircraft's plugin does not have."""
+    exists = fdm.get_property_manager().hasNode
+    found: dict[str, float] = {}
+    for name, value in properties.items():
+        plugin, _, what = name.rpartition("/")
+        if what == "active" and plugin.startswith("uq/") and value == 0.0 and not exists(name):
+            found |= {f"{plugin}/lower": 0.0, f"{plugin}/upper": 0.0}
+        else:
+            found[name] = value
+    return found
 
 
 def set_wind_without_air(fdm: Any, spec: FlightSpec) -> None:

@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.command_edges import logged_rows, place_steps
 from sysid.flight_record import FlightRecord
+from sysid.gaps import white_noise
 from sysid.log_errors import LogError
 from sysid.log_import import default_cache, import_log
 from sysid.manoeuvres import label_manoeuvres
@@ -25,6 +27,7 @@ MAX_RATE_HZ = 60.0
 _NEEDED = ("V_mps", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
 _COLUMN = {"elevator": "elevator_deg", "aileron": "aileron_deg", "rudder": "rudder_deg", "throttle": "throttle_pct"}
 _POSITION = {name: f"{name}_pos_deg" for name in ("elevator", "aileron", "rudder")}
+_AXIS = {"elevator_deg": "q_radps", "aileron_deg": "p_radps", "rudder_deg": "r_radps"}
 _START_S = 0.4
 MAX_GAP_SHARE = 0.5
 
@@ -102,7 +105,8 @@ def prepare(
             f"{name}: {1 / record.dt_s:.1f} rows a second; a replay needs at least 10, or it sees neither short period nor roll"
         )
     record, moved = _aligned(record)
-    notes += [f"{name}: {text}" for text in moved]
+    record, placed = _with_steps_placed(record, columns)
+    notes += [f"{name}: {text}" for text in (*moved, *placed)]
     pieces, how = cut(record, (*_NEEDED, *columns), min_s, max_s)
     if not pieces:
         raise BadInputError(
@@ -124,6 +128,25 @@ def _aligned(record: FlightRecord) -> tuple[FlightRecord, list[str]]:
         columns[finding.channel] = np.interp(time + late, time, record[finding.channel], right=np.nan)
         notes.append(f"{finding.channel} was moved {1e3 * late:.0f} ms earlier, as the log's findings say")
     return record.with_columns(columns), notes
+
+
+def _with_steps_placed(record: FlightRecord, columns: Sequence[str]) -> tuple[FlightRecord, list[str]]:
+    """Commands logged more slowly than the record's rows, their steps where the gyro saw them act."""
+    found: dict[str, Array] = {}
+    notes = []
+    for column, rate in _AXIS.items():
+        native = record.metadata.native_hz.get(column, 0.0)
+        stride = round(1.0 / (record.dt_s * native)) if native > 0.0 else 1
+        if column not in columns or stride < 2:
+            continue
+        command = np.asarray(record[column], dtype=float)
+        moved, count = place_steps(command, logged_rows(command, stride), record[rate], white_noise([record[rate]]))
+        if count:
+            found[column] = moved
+            notes.append(
+                f"{column} was logged at {native:.0f} Hz: {count} of its steps were moved to where {rate} says they happened"
+            )
+    return record.with_columns(found), notes
 
 
 def segments(

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from sysid.force_coefficients import MassProperties
 from uqharness import engine
+from uqharness.properties import position_factor
 from uqharness.replay import Segment
-from uqharness.replay_model import ReplayModel
+from uqharness.replay_model import ReplayModel, control_setters
 from uqharness.trim import FT, TRIM_LATITUDE_DEG, body_velocity
 
 Array = NDArray[np.float64]
@@ -56,7 +57,10 @@ def force_states(
     fdm = model.open(segment.dt_s)
     for name, value in properties.items():
         engine.set_property(fdm, name, value)
-    setters = [engine.handle(fdm, model.card.inputs[c].property).set_double_value for c in model.controls]
+    engines = fdm.get_propulsion().get_num_engines()
+    if engines:
+        engine.start_engines(fdm)
+    setters = control_setters(fdm, model)
     height = np.full(len(controls), segment.altitude_m) if altitude_m is None else altitude_m
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
     fdm["ic/terrain-elevation-ft"] = (float(height.min()) - 2000.0) / FT
@@ -75,10 +79,11 @@ def force_states(
     put = [engine.handle(fdm, f"ic/{name}").set_double_value for name in names]
     get = [engine.handle(fdm, name).get_double_value for name in (*_FORCES, *_MOMENTS, "aero/qbar-psf")]
     raw = np.empty((len(controls), len(get)))
-    scaled = controls * np.array(model.factor)
+    scaled = model.to_property(controls)
     for k in range(len(controls)):
-        for setter, value in zip(setters, scaled[k], strict=True):
-            setter(float(value))
+        for handles, value in zip(setters, scaled[k], strict=True):
+            for setter in handles:
+                setter(float(value))
         u, v, w = body_velocity(float(states["V_mps"][k]), float(states["alpha_rad"][k]), float(states["beta_rad"][k]))
         state = (
             height[k] / FT, states["phi_rad"][k], states["theta_rad"][k], 0.0, u / FT, v / FT, w / FT,
@@ -88,6 +93,8 @@ def force_states(
             setter(float(value))
         if not fdm.run_ic():
             raise engine.RuntimeFailure(f"JSBSim could not take the state of sample {k}")
+        if engines:
+            engine.settle_engines(fdm)
         raw[k] = [g() for g in get]
     total, aero = raw[:, 0:3] * LBF_N, raw[:, 3:6] * LBF_N
     total_moment, aero_moment = raw[:, 6:9] * LBFT_NM, raw[:, 9:12] * LBFT_NM
@@ -123,5 +130,7 @@ def surface_positions(model: ReplayModel, segment: Segment, names: Sequence[str]
         for k, control in enumerate(known):
             column = model.controls.index(control)
             good = np.isfinite(flown[:, k])
-            out[good, column] = flown[good, k] / model.factor[column]
+            # A surface's position may be in another unit than its command; a throttle's is in the command's.
+            unit = 1.0 / model.factor[column] if control == "throttle" else position_factor(model.card.inputs[control])
+            out[good, column] = flown[good, k] * unit
     return out

@@ -24,7 +24,7 @@ from uqharness.aero_summands import Reference, SectionEdit, add_deltas, add_syst
 from uqharness.aircraft import PROJECT_ROOT, Aircraft, Card, content_hash
 from uqharness.aircraft_facts import AircraftFacts
 from uqharness.errors import BadInputError
-from uqharness.instrument_card import ERRORS_SYSTEM, ERRORS_XML, card_text
+from uqharness.instrument_card import ERRORS_SYSTEM, ERRORS_XML, IDLE_SYSTEM, IDLE_XML, card_text
 from uqharness.instrument_carry import carried_files
 from uqharness.instrument_record import FILE_NAME, Change, changed, read_record, restored, to_json
 from uqharness.model_form_xml import constant_xml, model_form_xml
@@ -107,6 +107,9 @@ def plan(aircraft: Aircraft, bounds: Bounds, facts: AircraftFacts | None = None,
         if errors:
             files[_system_file(aircraft, ERRORS_SYSTEM)] = ERRORS_XML
             edit = add_system(edit, ERRORS_SYSTEM)
+        if not facts.engines and not _declared_anywhere(aircraft, "fcs/throttle-cmd-norm"):
+            files[_system_file(aircraft, IDLE_SYSTEM)] = IDLE_XML
+            edit = add_system(edit, IDLE_SYSTEM)
         files["airframe.toml"] = card_text(aircraft.name, aircraft.xml.name, facts, scaled, errors).encode("utf-8")
     elif scaled and aircraft.has_card:
         card = _with_parameters(aircraft.folder / "airframe.toml", scaled, notes)
@@ -254,6 +257,12 @@ def _reference(aircraft: Aircraft, section: AeroSection) -> Reference:
     )
 
 
+def metrics_of(aircraft: Aircraft) -> tuple[float, float, float]:
+    """S [m2], b and c [m] as the XML has them. Raises BadInputError."""
+    S, b, c = read_reference(read_section(aircraft.folder, aircraft.xml.name))
+    return S * _FT**2, b * _FT, c * _FT
+
+
 def _has_plugin(section: AeroSection) -> bool:
     """Whether the aerodynamics add all six deltas already; BadInputError if they add some."""
     found: dict[str, str] = {}
@@ -348,18 +357,13 @@ def _candidates(aircraft: Aircraft, name: str) -> list[Path]:
 
 
 def _system_file(aircraft: Aircraft, name: str) -> str:
-    """Where a new system goes: the folder's own place for systems."""
-    folder = (
-        "systems"
-        if (aircraft.folder / "systems").is_dir() and not (aircraft.folder / "Systems").is_dir()
-        else "Systems"
-    )
+    """Where a new system goes; BadInputError if the aircraft has another of that name."""
     for path in _candidates(aircraft, name)[:3]:
         if path.is_file() and not _declares(read_document(path), "uq/active"):
             raise BadInputError(
                 f"{path}:1: the aircraft has a system of this name; rename it, because the plugin brings its own"
             )
-    return f"{folder}/{name}.xml"
+    return f"Systems/{name}.xml"
 
 
 def _declared_anywhere(aircraft: Aircraft, prefix: str) -> bool:

@@ -35,12 +35,15 @@ def card_text(name: str, xml: str, facts: AircraftFacts, scaled: Sequence[Scaled
         f"c_m = {facts.c_m!r}",
     ]
     for control, found in facts.controls.items():
-        lines += ["", f"[inputs.{control}]", f'property = "fcs/{control}-cmd-norm"', 'unit = "norm"']
+        idle = "" if found.sense else f"{' ' * (45 - len(control) - 9)}# moves nothing in this aircraft"
+        lines += ["", f"[inputs.{control}]{idle}", f'property = "fcs/{control}-cmd-norm"', 'unit = "norm"']
         lines += [
             f'positive = "{_POSITIVE[control][found.sense < 0]}"',
             f"limits = {[0, 1] if control == 'throttle' else [-1, 1]}",
         ]
-        if found.throw_deg is not None:
+        if not found.sense and control != "throttle":
+            lines.append("throw_deg = 1.0")
+        elif found.throw_deg is not None:
             lines.append(f"throw_deg = {found.sense * found.throw_deg:.6g}")
         if found.position is not None:
             lines.append(f'position = "{found.position}"')
@@ -65,6 +68,14 @@ def card_text(name: str, xml: str, facts: AircraftFacts, scaled: Sequence[Scaled
         ]
     return "\n".join(lines) + "\n"
 
+
+IDLE_SYSTEM = "idle-throttle"
+IDLE_XML = b"""<?xml version="1.0" encoding="UTF-8"?>
+<!-- JSBSim makes this property for aircraft with engines alone; hosts set it and records have a column for it. -->
+<system name="idle-throttle">
+  <property value="0">fcs/throttle-cmd-norm</property>
+</system>
+"""
 
 ERRORS_XML = b"""<?xml version="1.0" encoding="UTF-8"?>
 <!--

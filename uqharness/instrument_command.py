@@ -75,7 +75,7 @@ def _run(args: argparse.Namespace) -> int:
     from sysid.log_errors import LogError
     from sysid.model_form import read_model_form
     from uqharness import aircraft_facts
-    from uqharness.instrument import Bounds, plan, write
+    from uqharness.instrument import Bounds, metrics_of, plan, write
     from uqharness.plugin_check import check_in_child
 
     if args.undo:
@@ -88,9 +88,19 @@ def _run(args: argparse.Namespace) -> int:
         raise BadInputError(str(error)) from None
     bounds = Bounds(form, {} if args.constant is None else parse_constant(args.constant))
     plan(aircraft, bounds, None, args.air)
-    facts = None if aircraft.has_card else aircraft_facts.ask_in_child(aircraft.folder)
+    facts, unflown = None, ""
+    if not aircraft.has_card:
+        try:
+            facts = aircraft_facts.ask_in_child(aircraft.folder)
+        except BadInputError as error:
+            if not args.no_check:
+                raise BadInputError(
+                    f"{error}; --no-check instruments it unflown, for a host that knows better"
+                ) from None
+            facts, unflown = aircraft_facts.assumed(*metrics_of(aircraft)), f"unflown, so the card is a guess: {error}"
     planned = plan(aircraft, bounds, facts, args.air)
     report = _report(aircraft, planned, args)
+    report["notes"] += [unflown] if unflown else []
     code = 0
     if not args.dry_run:
         untouched = aircraft.folder if args.out.resolve() != aircraft.folder else None

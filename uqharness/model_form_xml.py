@@ -148,13 +148,13 @@ def _groups(form: ModelForm, states: dict[_Normalised, str]) -> list[_Group]:
 
 
 def _normalise(state: _Normalised, aircraft: Aircraft) -> Expression:
-    name, factor = _source(state.state, aircraft)
+    name, factor = state_source(state.state, aircraft)
     scaled = call("product", prop(name), value(factor / state.scale))
     return call("difference", scaled, value(state.centre / state.scale))
 
 
-def _source(state: str, aircraft: Aircraft) -> tuple[str, float]:
-    """JSBSim property of a state and its factor to the record's unit."""
+def state_source(state: str, aircraft: Aircraft) -> tuple[str, float]:
+    """JSBSim property of a state and its factor to the record's unit. Raises BadInputError for a control the card does not give."""
     if state in _FLIGHT_STATES:
         return _FLIGHT_STATES[state]
     control = state.split("_")[0]

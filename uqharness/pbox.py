@@ -167,6 +167,7 @@ def containment(inner: Sequence[Sample], outer: Sequence[Sample], confidence: fl
     chance = sum(
         band_half_width(min(sample.size for sample in samples), len(samples), share) for samples in (inner, outer)
     )
+    chance = min(1.0, chance)
     widths = [float(np.sum((upper - lower)[:-1] * np.diff(value))) for lower, upper in (within, around)]
     ratio = widths[0] / widths[1] if widths[1] > 0.0 else float("nan")
     return Containment(value, within, around, excess["lower"], excess["upper"], at["lower"], at["upper"], chance, ratio)

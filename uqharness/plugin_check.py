@@ -120,7 +120,7 @@ def _switched(aircraft: Aircraft, names: Sequence[str], same: Mapping[str, Any])
             worst = max(worst, float(error / abs(expected[index])))
             # The last digits of two large sums may exceed the share allowed of a small difference.
             digits = 8.0 * np.finfo(float).eps * np.abs(before).max()
-            if error > max(1e-9 * abs(expected[index]), digits):
+            if not error <= max(1e-9 * abs(expected[index]), digits):
                 return Verdict(
                     "wrong",
                     f"{name}: the increment is off by {error:.2g} of {expected[index]:.3g}",

@@ -6,23 +6,27 @@ a second time. Only the copy differs; every number of the aerodynamics is the or
 
 from __future__ import annotations
 
+import re
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import numpy as np
 from lxml import etree
+from numpy.typing import NDArray
 
 from uqharness import engine
 from uqharness.aircraft import Aircraft, Card, check_loadable, parse_xml
 from uqharness.errors import BadInputError
-from uqharness.properties import SECOND_ORDER
+from uqharness.properties import SECOND_ORDER, position_factor
 
 CONTROLS = ("elevator", "aileron", "rudder", "throttle")
-_ACTUATOR_DYNAMICS = ("lag", "rate_limit", "hysteresis", "deadband_width", "bias")
+Array = NDArray[np.float64]
+_ACTUATOR_DYNAMICS = ("lag", "rate_limit", "hysteresis_width", "deadband_width", "bias")
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,8 @@ class ReplayModel:
     ``measured`` controls whose values are positions, continuous between samples; the others are commands, held.
     ``lagging`` controls whose commands go through an actuator with a lag.
     ``factor`` record unit -> property unit of each control, in the order of ``controls``.
+    ``throws`` positions and the commands at which the aircraft's own linkage puts them, of normalised controls whose values are
+    positions: both ends of a travel seldom have one factor.
     """
 
     root: Path
@@ -44,6 +50,15 @@ class ReplayModel:
     factor: tuple[float, ...]
     lagging: tuple[str, ...] = ()
     settings: Mapping[str, float] = field(default_factory=dict)
+    throws: tuple[tuple[tuple[float, ...], tuple[float, ...]] | None, ...] = ()
+
+    def to_property(self, controls: Array) -> Array:
+        """(..., c) values of the controls in the record's units, in those of their properties."""
+        out = controls * np.array(self.factor)
+        for column, throw in enumerate(self.throws):
+            if throw is not None:
+                out[..., column] = np.interp(controls[..., column], *throw)
+        return out
 
     def open(self, dt_s: float) -> Any:
         """A fresh ``FGFDMExec`` in the card's open-loop mode with the replay's integrators, nothing run. Raises BadInputError."""
@@ -95,6 +110,7 @@ class ReplayFolder:
             dict(settings or {}),
         )  # fmt: skip
         _declare_orphans(self.model, copy / aircraft.xml.name, aircraft.dt_s)
+        self.model = replace(self.model, throws=_throws(self.model, (*measured, *ideal), aircraft.dt_s))
 
     def __enter__(self) -> ReplayModel:
         return self.model
@@ -120,12 +136,46 @@ def _factor(card: Card, control: str) -> float:
     )
 
 
+def _throws(
+    model: ReplayModel, direct: Sequence[str], dt_s: float
+) -> tuple[tuple[tuple[float, ...], tuple[float, ...]] | None, ...]:
+    """For every control its positions [deg] and commands over the travel, None where a factor serves."""
+    found: list[tuple[tuple[float, ...], tuple[float, ...]] | None] = []
+    for control in model.controls:
+        card = model.card.inputs[control]
+        if control not in direct or control == "throttle" or card.unit != "norm" or card.position is None:
+            found.append(None)
+            continue
+        commands = np.linspace(*card.limits, 41)
+        fdm = model.open(dt_s)
+        (put,) = control_setters(fdm, replace(model, controls=(control,)))[0]
+        read = engine.handle(fdm, card.position).get_double_value
+        positions = np.empty(len(commands))
+        for k, command in enumerate(commands):
+            put(float(command))
+            # Twice: a property in degrees may be made of the radians of the frame before.
+            engine.run_ic(fdm)
+            engine.run_ic(fdm)
+            positions[k] = read() * position_factor(card)
+        step = np.diff(positions)
+        rising = bool((step >= 0.0).all()) and positions[-1] > positions[0]
+        if rising or ((step <= 0.0).all() and positions[-1] < positions[0]):
+            order = np.argsort(positions, kind="stable")
+            kept = order[np.append(True, np.diff(positions[order]) > 0.0)]
+            found.append((tuple(positions[kept].tolist()), tuple(commands[kept].tolist())))
+        else:
+            found.append(None)
+    return tuple(found)
+
+
 def _edit(folder: Path, main: str, card: Card, direct: Sequence[str]) -> set[str]:
     """Take idle systems out of the main file, dynamics out of the actuators of ``direct`` in every file.
 
-    Returns the names of the actuators that keep a lag.
+    An actuator moves a control if its name or an output is the card's position, be it in another unit. Returns the positions whose
+    actuators keep a lag.
     """
     lagging: set[str] = set()
+    surfaces = {_surface(position): position for entry in card.inputs.values() if (position := entry.position) is not None}
     positions = {card.inputs[name].position for name in direct} - {None}
     for path in sorted(folder.rglob("*.xml")):
         tree = parse_xml(path)
@@ -137,16 +187,23 @@ def _edit(folder: Path, main: str, card: Card, direct: Sequence[str]) -> set[str
                     root.remove(system)
                     changed = True
         for actuator in root.iter("actuator"):
-            if actuator.get("name") in positions:
+            moved = [str(actuator.get("name")), *((o.text or "").strip() for o in actuator.findall("output"))]
+            known = {surfaces[_surface(name)] for name in moved if _surface(name) in surfaces}
+            if known & positions:
                 for kind in _ACTUATOR_DYNAMICS:
                     for element in actuator.findall(kind):
                         actuator.remove(element)
                         changed = True
             if actuator.find("lag") is not None:
-                lagging.add(str(actuator.get("name")))
+                lagging |= known
         if changed:
             tree.write(str(path), encoding="UTF-8", xml_declaration=True)
     return lagging
+
+
+def _surface(name: str) -> str:
+    """A position property without its unit: one surface has several."""
+    return re.sub(r"-(deg|rad|norm)$", "", name if "/" in name else f"fcs/{name}")
 
 
 def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> None:
@@ -168,3 +225,16 @@ def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> None:
     else:
         first.addprevious(system)
     tree.write(str(xml), encoding="UTF-8", xml_declaration=True)
+
+
+def control_setters(fdm: Any, model: ReplayModel) -> list[list[Any]]:
+    """For every control of the model the setters of its properties: one, or JSBSim's throttle of every engine."""
+    found = []
+    for name in model.controls:
+        prop = model.card.inputs[name].property
+        handles = [engine.handle(fdm, prop).set_double_value]
+        if prop == "fcs/throttle-cmd-norm":
+            engines = fdm.get_propulsion().get_num_engines()
+            handles += [engine.handle(fdm, f"{prop}[{i}]").set_double_value for i in range(1, engines)]
+        found.append(handles)
+    return found

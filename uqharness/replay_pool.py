@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from uqharness.replay import Replay
+from uqharness.replay_simulation import Replay
 
 Array = NDArray[np.float64]
 

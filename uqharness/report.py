@@ -167,6 +167,11 @@ def _asked(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> str:
         "white": f"{corners} samples of levels redrawn at every step {within}",
         "walk": f"{corners} random walks {within}",
     }[epistemic["method"]]
+    if epistemic["method"] == "walk":
+        rates = epistemic["walk_rate_per_sqrt_s"]
+        samples_text += (
+            " at " + ", ".join(f"{name} {rate:.3g}" for name, rate in rates.items()) + " per square root of a second"
+        )
     if "parameters" in epistemic:
         samples_text += f"; parameters drawn from {Path(epistemic['parameters']['fit']).name}"
     winds = ", ".join(f"{wind:g}" for wind in air["wind_mps"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -75,13 +75,27 @@ def prediction_of(aircraft: Aircraft, measured: Sequence[str], ideal_servos: boo
 
 @dataclass(frozen=True)
 class ReplayPair:
+    """The aircraft, and what it has said already: another filter asks for the same states again."""
+
     model: ReplayModel
     straight: ReplayModel
     measured: tuple[str, ...]
+    said: dict[tuple[object, ...], Prediction] = field(default_factory=dict)
 
-    def of(self, flight: Flight) -> Model:
-        """The callable that `residual_coefficients` takes."""
-        return JsbsimPrediction(self.model, self.straight, flight, self.measured)
+    def of(self, flight: Flight, remember: bool = True) -> Model:
+        """The callable that `residual_coefficients` takes; without ``remember`` its answers are not kept (states asked once)."""
+        model = JsbsimPrediction(self.model, self.straight, flight, self.measured)
+        if not remember:
+            return model
+
+        def ask(record: FlightRecord, piece: Piece) -> Prediction:
+            states = hash(tuple(record[c][piece.rows].tobytes() for c in NEEDED))
+            key = (flight.name, piece.rows.start, piece.rows.stop, states)
+            if key not in self.said:
+                self.said[key] = model(record, piece)
+            return self.said[key]
+
+        return ask
 
 
 def read_bounds_flights(

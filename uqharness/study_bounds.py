@@ -96,6 +96,7 @@ def fly(aircraft: str, script: str, turbulence: str, seed: int, folder: Path, no
     with contextlib.redirect_stdout(said):
         code = command([*arguments, *(["--noise"] if noise else [])])
     if code:
+        path.unlink(missing_ok=True)
         raise BadInputError(f"{path.name}: the flight did not end well: {said.getvalue().strip()}")
     return path
 
@@ -256,16 +257,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     chosen.out.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, object]] = []
+    failed: list[str] = []
     for seed in range(chosen.seed, chosen.seed + chosen.seeds):
         for case in CASES:
             if case.name in chosen.cases:
-                rows += run_case(case, seed, chosen.out)
+                try:
+                    rows += run_case(case, seed, chosen.out)
+                except BadInputError as error:
+                    # An open-loop manoeuvre in turbulence may end on the ground: counted, and said.
+                    failed.append(f"{case.name}, seed {seed}: {error}")
         print(f"seed {seed} done", file=sys.stderr)
+    if not rows:
+        print("\n".join(failed), file=sys.stderr)
+        return 1
     frame = pd.DataFrame(rows)
     write_text(chosen.out / "coverage.csv", frame.to_csv(index=False, lineterminator="\n"))
     text = tables(frame)
     failures = verdict(frame)
     text += "\n" + ("\n".join(f"- fails: {f}" for f in failures) or "Coverage and widths are as asked for.") + "\n"
+    text += "".join(f"- left out: {f}\n" for f in failed)
     write_text(chosen.out / "tables.md", text)
     print(text)
     return 1 if failures else 0

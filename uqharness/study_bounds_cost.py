@@ -3,8 +3,8 @@
     python -m uqharness.study_bounds_cost AIRCRAFT --bounds model-form.json [--rounds N] [--minutes M]
 
 The aircraft without a plugin, with constant bounds and with the model form's at several rates take turns; processor time, least of
-all rounds. For the hold error one flight in turbulence records the bounds of every step; bounds held over k steps are compared with
-them, and so are bounds that are one step late, as a <system> sees the airspeed and the incidence.
+all rounds. For the hold error one flight in turbulence records the bounds that the system publishes in every step, and the states
+of the step, from which sysid computes what they should be: the difference is the age of airspeed and incidence, and the hold.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from uqharness.flight import set_conditions
 from uqharness.flight_spec import FlightSpec
 from uqharness.instrument import Bounds, plan, write
 from uqharness.mission import StagedMission, find_script
-from uqharness.model_form_xml import model_form_xml
+from uqharness.model_form_xml import model_form_xml, state_source
 
 RATES_HZ = (100.0, 50.0, 10.0, 1.0)
 STEPS = 20_000
@@ -66,8 +66,8 @@ def _seconds(aircraft: Aircraft, script: str) -> float:
 
 def hold_error(
     aircraft: Aircraft, form: ModelForm, script: str, turbulence: str, minutes: float, folder: Path
-) -> NDArray[np.float64]:
-    """(rates, 6) rms of held minus present upper bound over the mean upper bound, for the coefficients of the form."""
+) -> tuple[NDArray[np.float64], float]:
+    """(rates, 6) rms of published minus present upper bound over the mean of the latter; share of time outside the data."""
     out = folder / f"hold-{turbulence}" / aircraft.name
     out.parent.mkdir(parents=True)
     planned = plan(aircraft, Bounds(form))
@@ -81,21 +81,27 @@ def hold_error(
         fdm = mission.open()
         set_conditions(fdm, mission, spec)
         engine.run_ic(fdm)
-        getters = [engine.handle(fdm, f"uq/{c}/upper").get_double_value for c in form.coefficients]
-        rows = []
+        upper = [engine.handle(fdm, f"uq/{c}/upper").get_double_value for c in form.coefficients]
+        sources = [state_source(state, aircraft) for state in form.states]
+        state = [engine.handle(fdm, name).get_double_value for name, _ in sources]
+        published, seen = [], []
         for _ in range(round(60.0 * minutes / fdm.get_delta_t())):
             fdm.run()
-            rows.append([get() for get in getters])
+            published.append([get() for get in upper])
+            seen.append([get() for get in state])
         step = fdm.get_delta_t()
-    late = np.array(rows)[round(60.0 / step) :]
-    # What a system publishes in a frame belongs to the airspeed of the frame before.
-    present = late[1:]
+    start = round(60.0 / step)
+    columns = (np.array(seen)[start:] * [factor for _, factor in sources]).T
+    states = dict(zip(form.states, columns, strict=True))
+    bounds = form.bounds(states)
+    present = np.column_stack([bounds[c][1] for c in form.coefficients])
+    late = np.array(published)[start:]
     errors = []
     for rate in RATES_HZ:
         every = max(1, round(1.0 / (rate * step)))
-        held = np.repeat(late[:-1][::every], every, axis=0)[: len(present)]
+        held = np.repeat(late[::every], every, axis=0)[: len(present)]
         errors.append(np.sqrt(np.mean((held - present) ** 2, axis=0)) / present.mean(axis=0))
-    return np.array(errors)
+    return np.array(errors), float(form.extrapolated(states).mean())
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -122,9 +128,12 @@ def main(argv: list[str] | None = None) -> int:
             flush=True,
         )
         for turbulence in ("light", "moderate", "severe"):
-            errors = hold_error(aircraft, form, arguments.script, turbulence, arguments.minutes, folder)
+            errors, outside = hold_error(aircraft, form, arguments.script, turbulence, arguments.minutes, folder)
             for rate, row in zip(RATES_HZ, errors, strict=True):
-                print(f"| {turbulence} | {rate:g} Hz | {' | '.join(f'{value:.3f}' for value in row)} |", flush=True)
+                print(
+                    f"| {turbulence}, {outside:.0%} outside | {rate:g} Hz | {' | '.join(f'{value:.3f}' for value in row)} |",
+                    flush=True,
+                )
         shutil.rmtree(folder, ignore_errors=True)
     return 0
 
