@@ -137,7 +137,9 @@ def test_positions_half_way_between_rows():
     rows, middle = servo.follow_finely(commands, 0.02, 0.01)  # steps: 0, 0, 1, 2, 3, 4, 5
     np.testing.assert_allclose(rows, [0.0, 1.0, 3.0, 5.0])
     np.testing.assert_allclose(middle, [0.0, 2.0, 4.0])
-    rows, middle = servo.follow_finely(commands, 0.03, 0.01)  # steps: 0, 0, 0, 1, 2, 3, 4, 5, 5, 5: the middle between two
+    rows, middle = servo.follow_finely(
+        commands, 0.03, 0.01
+    )  # steps: 0, 0, 0, 1, 2, 3, 4, 5, 5, 5: the middle between two
     np.testing.assert_allclose(rows, [0.0, 1.0, 4.0, 5.0])
     np.testing.assert_allclose(middle, [0.0, 2.5, 5.0])
 

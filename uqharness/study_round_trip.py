@@ -144,7 +144,7 @@ def run(
 ) -> list[RoundTrip]:  # fmt: skip
     """Fly (the first ``duration_s``), identify and compare; round-trip.json and round-trip.md in ``folder``.
 
-    A DataFlash log (``suffix`` .bin) has servo pulses in whole microseconds (0.05 deg); a flight record (.parquet) has none.
+    suffix: of the logs, .bin (DataFlash, with the commands as they were) or .parquet (a flight record).
     """
     folder.mkdir(parents=True, exist_ok=True)
     logs = fly_flights(FLOWN, folder, seed, "none", duration_s, suffix)
@@ -152,8 +152,8 @@ def run(
     for form in forms:
         trips.append(round_trip(form, logs[0], logs[2], folder, free, workers))
         print(f"{form.name}: {verdict(trips[-1].gap)}", file=sys.stderr)
-    write_text(folder / "round-trip.json", json.dumps(document(trips), indent=1) + "\n")
-    write_text(folder / "round-trip.md", markdown(trips))
+        write_text(folder / "round-trip.json", json.dumps(document(trips), indent=1) + "\n")
+        write_text(folder / "round-trip.md", markdown(trips))
     return trips
 
 
