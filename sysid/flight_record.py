@@ -226,6 +226,8 @@ class FlightRecord:
             if str(name) not in SIGNALS:
                 raise LogError(f"unknown column '{name}'; allowed are {sorted(SIGNALS)}, or give a --map", path)
             columns[str(name)] = _column(frame[name], str(name), path)
+        if frame.empty:
+            raise LogError("it has a header and no rows; write the record again", path)
         try:
             return cls(columns, metadata)
         except LogError as e:
