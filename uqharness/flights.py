@@ -14,6 +14,7 @@ from sysid.command_edges import logged_rows, place_steps
 from sysid.dropouts import bridge
 from sysid.flight_record import FlightRecord
 from sysid.gaps import white_noise
+from sysid.log_checks import in_degrees
 from sysid.log_errors import LogError
 from sysid.log_import import default_cache, import_log
 from sysid.manoeuvres import label_manoeuvres
@@ -57,6 +58,9 @@ def read_flight(
             record = record.between(*record.metadata.free_flight_s[0])
     except LogError as error:
         raise BadInputError(str(error)) from None
+    wrong = next((f for f in record.metadata.findings if in_degrees(f)), None)
+    if wrong is not None and record.metadata.dialect == "record":
+        raise BadInputError(f"{path}: {wrong.message}; angles and rates of a flight record are in rad and rad/s")
     named = record.metadata.aircraft
     if named and named not in (aircraft.card.aircraft.name, aircraft.name):
         raise BadInputError(
@@ -262,6 +266,10 @@ def read_flights(
     min_s: float = MIN_S, max_s: float = MAX_S,
 ) -> tuple[list[Flight], tuple[str, ...]]:  # fmt: skip
     """Flights ready for replay, and the surfaces whose measured positions are used. Raises BadInputError."""
+    hashes = [file_hash(path) if path.is_file() else str(path) for path in paths]
+    twice = next((path for path, digest in zip(paths, hashes, strict=True) if hashes.count(digest) > 1), None)
+    if twice is not None:
+        raise BadInputError(f"--flight {twice} is given more than once: its noise would count as if it were measured anew")
     records = [read_flight(path, aircraft, manoeuvres, map_path) for path in paths]
     measured = tuple(n for n in measured_surfaces(records) if n in aircraft.card.inputs)
     names = renamed([path.stem for path in paths])

@@ -1,9 +1,12 @@
 """Short dropouts are bridged, long ones are not, and the figures say how many."""
 
 import numpy as np
+import pandas as pd
+import pytest
 
 from sysid.dropouts import bridge
 from sysid.flight_record import FlightRecord
+from sysid.log_errors import LogError
 
 N = 200
 
@@ -50,3 +53,26 @@ def test_missing_samples_are_counted_and_the_ends_stay_missing():
     found, notes = bridge(record(q_radps=holes), ("q_radps", "alpha_rad"))
     assert np.flatnonzero(np.isnan(found["q_radps"])).tolist() == [0, 1, N - 1]
     assert notes == ["3 of 197 samples of q_radps are missing and were bridged in straight lines"]
+
+
+def test_a_table_of_pandas_is_read_with_its_row_numbers_and_checked_for_degrees(tmp_path):
+    from synthetic import flight
+
+    from sysid.log_checks import in_degrees
+    from sysid.log_import import import_log
+
+    good = flight(40.0)
+    table = pd.DataFrame(dict(good.columns))
+    table.to_csv(tmp_path / "good.csv")
+    read = import_log(tmp_path / "good.csv")
+    assert set(read.columns) == set(good.columns)
+    assert not [f for f in read.metadata.findings if in_degrees(f)]
+    for name in ("phi_rad", "theta_rad", "q_radps"):
+        table.assign(**{name: np.degrees(table[name])}).to_csv(tmp_path / "bad.csv", index=False)
+        assert [f for f in import_log(tmp_path / "bad.csv").metadata.findings if in_degrees(f)], name
+
+
+def test_a_header_without_rows_is_refused(tmp_path):
+    (tmp_path / "header.csv").write_text("time_s,V_mps\n")
+    with pytest.raises(LogError, match="no rows"):
+        FlightRecord.read(tmp_path / "header.csv")
