@@ -89,7 +89,7 @@ def as_bounds(bounds: Any, theta0: Array, names: tuple[str, ...]) -> tuple[Array
     lower, upper = np.full(count, -np.inf), np.full(count, np.inf)
     if bounds is not None:
         if isinstance(bounds, dict):
-            unknown = sorted(set(bounds) - set(names))
+            unknown = sorted(str(key) for key in set(bounds) - set(names))
             if unknown:
                 raise ValueError(f"bounds names {', '.join(unknown)}; the parameters are {', '.join(names)}")
             pairs = [bounds.get(name, (None, None)) for name in names]

@@ -119,7 +119,7 @@ def colour_warnings(found: Colour, std: Array, std_crb: Array, method: str) -> l
         )
     elif explained.size:
         cause = (
-            f"at most {100 * explained.max():.0f} % of it is a function of the simulated motion: "
+            f"at most {100 * max(explained.max(), 0.0):.0f} % of it is a function of the simulated motion: "
             "suspect process noise (turbulence) first, the model's form second"
         )
     else:
@@ -127,7 +127,8 @@ def colour_warnings(found: Colour, std: Array, std_crb: Array, method: str) -> l
     largest = float(ratio.max())
     cure = {
         "output error": "Output error assumes neither: its estimates may be biased by more than its bounds and its "
-        "Cramer-Rao bounds are too small; use filter_error, or measured alpha, beta and V as inputs",
+        f"Cramer-Rao bounds are {'too small' if median >= 1.0 else 'not its errors'}; use filter_error, "
+        "or measured alpha, beta and V as inputs",
         "filter error": "The filter's model does not explain the data: give more states noise, or revise f and g",
     }[method]
     return [

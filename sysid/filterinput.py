@@ -28,7 +28,8 @@ def read_record(x0: Any, u: Any, z: Any, t: Any, held: bool, u_middle: Any = Non
             raise ValueError(
                 f"t of segment {number} does not increase at every sample (or has fewer than 2); sort or split it"
             )
-    starts = [as_parameters(part, "x0") for part in (x0 if is_many(x0) else [x0] * len(lengths))]
+    each = is_many(x0) or np.ndim(x0) == 2  # a vector a segment, be they arrays, lists or the rows of one array
+    starts = [as_parameters(part, "x0") for part in (x0 if each else [x0] * len(lengths))]
     if len(starts) != len(lengths) or any(part.size != starts[0].size for part in starts):
         raise ValueError(
             f"x0 has {len(starts)} vectors of {[p.size for p in starts]}, z has {len(lengths)} segments; match them"

@@ -226,6 +226,8 @@ class FlightRecord:
             if str(name) not in SIGNALS:
                 raise LogError(f"unknown column '{name}'; allowed are {sorted(SIGNALS)}, or give a --map", path)
             columns[str(name)] = _column(frame[name], str(name), path)
+        if frame.empty:
+            raise LogError("it has a header and no rows; write the record again", path)
         try:
             return cls(columns, metadata)
         except LogError as e:
@@ -251,7 +253,10 @@ def _read_csv(path: Path) -> tuple[pd.DataFrame, str]:
     with path.open(encoding="utf-8") as handle:
         first = handle.readline()
     meta = first.removeprefix("# flight_record").strip() if first.startswith("# flight_record") else ""
-    return pd.read_csv(path, comment="#"), meta
+    frame = pd.read_csv(path, comment="#")
+    if str(frame.columns[0]) == "Unnamed: 0" and pd.api.types.is_integer_dtype(frame.iloc[:, 0]):
+        frame = frame.iloc[:, 1:]  # pandas' own row numbers: DataFrame.to_csv writes them unless told not to
+    return frame, meta
 
 
 def _column(series: pd.Series, name: str, path: Path) -> NDArray[Any]:

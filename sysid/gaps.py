@@ -17,6 +17,10 @@ FORM_SHARE = 0.6  # share of a residual that is a function of the motion above w
 QUIET_SHARE = 0.5  # residual power beyond noise in quiet flight, over that in motion, above which the air is to blame
 
 
+NOISE_FLOOR = 1.15
+"""A channel left at so many times its noise, or less, is at the noise."""
+
+
 def rms(values: FloatArray) -> float:
     """Root mean square of the finite values; NaN when there are none."""
     good = values[np.isfinite(values)]

@@ -28,7 +28,7 @@ def check_channel(c: Channel, grid_step_s: float, seen: set[str]) -> list[Findin
         # Guidance messages come and go with the flight mode; their gaps harm nobody.
         severity = "info" if c.name in _GUIDANCE else "warning"
         out += _times(message, c) + _gaps(message, c, severity)
-    out += _hold(c.name, c, grid_step_s) + _wrap(c.name, c) + _range(c.name, c)
+    out += _hold(c.name, c, grid_step_s) + _wrap(c.name, c) + _range(c.name, c.label, c.values)
     if c.estimate:
         text = (
             f"{c.name} ({c.label}) is computed by the autopilot's estimator, no vane measured it. In gusts it misses"
@@ -126,9 +126,9 @@ def _wrap(name: str, c: Channel) -> list[Finding]:
     return []
 
 
-def _range(name: str, c: Channel) -> list[Finding]:
+def _range(name: str, label: str, values: FloatArray) -> list[Finding]:
     signal = SIGNALS[name]
-    good = c.values[np.isfinite(c.values)]
+    good = values[np.isfinite(values)]
     if not len(good) or name in LABELS:
         return []
     outside = (good < signal.low) | (good > signal.high)
@@ -140,7 +140,7 @@ def _range(name: str, c: Channel) -> list[Finding]:
     if signal.unit.startswith("rad") and share > 0.01 and float(np.quantile(np.abs(good), 0.99)) > 3.2:
         hint = "; it looks like degrees where radians are due (scale 0.0174533 in the map)"
     text = (
-        f"{name} ({c.label}) leaves [{signal.low:g}, {signal.high:g}] {signal.unit} in {100 * share:.2g} % of the log"
+        f"{name} ({label}) leaves [{signal.low:g}, {signal.high:g}] {signal.unit} in {100 * share:.2g} % of the log"
         f" (from {numbers['low']:.4g} to {numbers['high']:.4g}){hint}"
     )
     severity = "error" if share > 0.01 else "warning"
@@ -176,3 +176,22 @@ def check_record(record: FlightRecord, free_s: tuple[float, float] | None) -> li
     if free_s is not None:
         out += check_kinematics(flight)
     return out
+
+
+def check_units(record: FlightRecord) -> list[Finding]:
+    """Angles and rates that cannot be radians, by their range or by each other: for tables that no importer has looked at."""
+    out: list[Finding] = []
+    for name, values in record.columns.items():
+        if name not in LABELS and SIGNALS[name].unit.startswith("rad"):
+            out += _range(name, "column", values)
+    if len(record) > 1:
+        out += [f for f in check_kinematics(record) if f.code in ("unit", "sign")]
+    return out
+
+
+def in_degrees(finding: Finding) -> bool:
+    """Does this finding say that a channel is off by the factor between degrees and radians?"""
+    ratio = abs(finding.numbers.get("slope", 1.0))
+    beyond = max(abs(finding.numbers.get("low", 0.0)), abs(finding.numbers.get("high", 0.0)))
+    by_range = finding.code == "out-of-range" and finding.severity == "error" and SIGNALS[finding.channel].unit == "rad"
+    return (by_range and beyond > 2.0 * np.pi) or (finding.code == "unit" and not 1 / 45.0 <= ratio <= 45.0)

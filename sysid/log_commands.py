@@ -74,8 +74,6 @@ def run_import(args: argparse.Namespace) -> int:
     """Write the record; 0."""
     if args.out.suffix.lower() not in (".parquet", ".csv"):
         raise LogError(f"--out ends in '{args.out.suffix}'; allowed are .parquet and .csv", args.out)
-    if not args.out.absolute().parent.is_dir():
-        raise LogError("its folder does not exist; create it first", args.out)
     record = _load(args)
     if args.manoeuvres is not None:
         record = label_manoeuvres(record, args.manoeuvres, args.log.stem)
@@ -85,6 +83,7 @@ def run_import(args: argparse.Namespace) -> int:
         kept = record.metadata.free_flight_s[0]
         record = record.between(*kept)
     try:
+        args.out.parent.mkdir(parents=True, exist_ok=True)
         record.write(args.out)
     except OSError as e:
         raise LogError(f"cannot be written ({e.strerror})", args.out) from None

@@ -17,6 +17,7 @@ from sysid.assemble import assemble
 from sysid.flight_record import FlightRecord
 from sysid.importers import dataflash_binary, dataflash_text, tables, tlog, ulog
 from sysid.importers.detect import detect
+from sysid.log_checks import check_units
 from sysid.log_errors import LogError
 from sysid.raw_log import Progress, RawLog
 from sysid.signal_map import SignalMap, read_map, shipped_map
@@ -122,7 +123,9 @@ def _record_file(path: Path) -> FlightRecord:
         raise LogError(
             "the table holds a time and no signal; name the columns as the vocabulary does or give a --map", path
         )
-    return record
+    if record.metadata.dialect != "record" or record.metadata.findings:
+        return record  # an importer has looked at it
+    return replace(record, metadata=replace(record.metadata, findings=tuple(check_units(record))))
 
 
 def _digest(path: Path) -> str:

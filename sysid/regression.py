@@ -163,7 +163,7 @@ def _warnings(
         )
     n = residual.size
     p_value = ljung_box([residual[a:b] for a, b in itertools.pairwise(edges)], max(1, min(20, n // 5)))
-    ratio = std / std_white
+    ratio = np.divide(std, std_white, out=np.full(std.shape, np.nan), where=std_white > 0.0)  # zero: y is met exactly
     ratio = ratio[np.isfinite(ratio)]
     if p_value < WHITENESS_LEVEL and ratio.size and not 0.8 < float(np.median(ratio)) < 1.25:
         out.append(

@@ -48,6 +48,22 @@ def idle_bound(std: float, width: float) -> str:
     return ""
 
 
+def unknown_noise(counts: NDArray[np.intp], spent: Array, reach: Array) -> list[str]:
+    """Reasons (k,) for parameters informed by an output that has no degree of freedom left: its noise is unknown.
+
+    counts, spent (m,) samples and degrees of freedom spent of each output; reach (m, k) its largest sensitivities.
+    """
+    out = [""] * reach.shape[1]
+    for a in np.flatnonzero(counts - spent < 1.0 - 1e-6):
+        text = (
+            f"output {a} has {int(counts[a])} samples, of which the parameters use up {spent[a]:.1f}: "
+            "its noise, and so any bound, is unknown"
+        )
+        for k in np.flatnonzero(reach[a] > 0.0):
+            out[k] = out[k] or text
+    return out
+
+
 def judge(
     *,
     theta: Array,
@@ -103,6 +119,9 @@ def judge(
             reason[index] = at_bound(theta[index], lower[index], upper[index])
         else:
             reason[index] = reason[index] or idle_bound(float(np.sqrt(cov[index, index])), upper[index] - lower[index])
+    unknown = unknown_noise(counts, spent, np.abs(scaled).max(axis=0, initial=0.0))
+    for position, index in enumerate(inside.tolist()):
+        reason[index] = reason[index] or unknown[position]
     identified = np.array([not text for text in reason])
     cov, cov_crb = masked_covariance(cov, identified), masked_covariance(cov_crb, identified)
     warnings += [f"{names[i]} not identified: {reason[i]}" for i in range(k) if reason[i]]

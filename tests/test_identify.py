@@ -196,8 +196,11 @@ def test_bad_input_is_one_line_and_exit_code_2(flights, tmp_path, capsys):
         assert error.count("\n") == 1
         assert words in error
     assert not (tmp_path / "out").exists()
-    assert main(["identify", "espaaro", "--flight", train, "--out", str(tmp_path / "a" / "b")]) == 2
-    assert "create it first" in capsys.readouterr().err
+    (tmp_path / "file").write_text("")
+    for out in ("file", "file/b"):
+        for command in ("identify", "compare", "bounds"):
+            assert main([command, "espaaro", "--flight", train, "--out", str(tmp_path / out)]) == 2
+            assert "is no folder" in capsys.readouterr().err
 
 
 def test_a_value_is_edited_in_place_and_nowhere_else():

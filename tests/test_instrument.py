@@ -185,8 +185,8 @@ def test_a_strangers_folder_is_not_overwritten(small, tmp_path):
     (tmp_path / "mine" / "letter.txt").write_text("dear")
     with pytest.raises(BadInputError, match="is no instrumented aircraft"):
         write(find_aircraft(small), plan(find_aircraft(small), Bounds()), tmp_path / "mine")
-    with pytest.raises(BadInputError, match="does not exist; create it first"):
-        write(find_aircraft(small), plan(find_aircraft(small), Bounds()), tmp_path / "no" / "where")
+    write(find_aircraft(small), plan(find_aircraft(small), Bounds()), tmp_path / "no" / "where")
+    assert (tmp_path / "no" / "where" / "small.xml").is_file()
 
 
 def test_an_aircraft_with_coefficient_properties_and_plugin_gets_new_bounds_only(tmp_path):

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from uqharness.aircraft import find_aircraft
 from uqharness.errors import BadInputError
 from uqharness.identify_command import add_flight_arguments, results_folder
+from uqharness.whole_files import check_folder
 
 if TYPE_CHECKING:
     from sysid.bounds_fit import Design
@@ -191,7 +192,7 @@ def _options(args: argparse.Namespace) -> BoundsOptions:
 
 def _run_bounds(args: argparse.Namespace) -> int:
     aircraft = find_aircraft(args.aircraft)
-    _parent(args.out)
+    check_folder(args.out)
     # Imported here: scipy and pandas take a second that --help should not pay.
     from uqharness.bounds import make_bounds
     from uqharness.bounds_report import bounds_document, bounds_report, bounds_rows, text_table
@@ -225,7 +226,7 @@ def _run_bounds(args: argparse.Namespace) -> int:
 def _run_validate(args: argparse.Namespace) -> int:
     aircraft = find_aircraft(args.aircraft)
     if args.out is not None:
-        _parent(args.out)
+        check_folder(args.out)
     from uqharness.bounds_report import text_table, validation_document, validation_report, validation_rows, verdict
     from uqharness.bounds_validation import failed, load_form, validate
     from uqharness.flights import file_hash
@@ -254,9 +255,6 @@ def _run_validate(args: argparse.Namespace) -> int:
     return 1 if failed(found) else 0
 
 
-def _parent(path: Path) -> None:
-    if not path.exists() and not path.absolute().parent.is_dir():
-        raise BadInputError(f"--out {path}: the folder {path.absolute().parent} does not exist; create it first")
 
 
 def _command(args: argparse.Namespace) -> str:

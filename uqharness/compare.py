@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sysid.aero_terms import COEFFICIENTS
 from sysid.force_coefficients import smooth
-from sysid.gaps import Shift, Theil, channel_noise, rms, theil, time_shift, worst
+from sysid.gaps import NOISE_FLOOR, Shift, Theil, channel_noise, rms, theil, time_shift, worst
 from sysid.outputerror import output_error
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
@@ -31,7 +31,7 @@ from uqharness.replay_pool import replay_pool
 from uqharness.replay_simulation import Replay
 
 Array = NDArray[np.float64]
-LIMIT = 1.15
+LIMIT = NOISE_FLOOR
 """The noise floor is reached when no judged channel's rms is above this many times its noise."""
 _WORST = 20
 

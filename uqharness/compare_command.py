@@ -11,6 +11,7 @@ from typing import Any
 from uqharness.aircraft import find_aircraft
 from uqharness.errors import BadInputError
 from uqharness.identify_command import add_flight_arguments, parse_channels, results_folder
+from uqharness.whole_files import check_folder
 
 _EXAMPLE = """examples:
   uqharness compare espaaro --flight doublets.parquet --out gap
@@ -41,10 +42,7 @@ def _run(args: argparse.Namespace) -> int:
     biases, delays = (parse_channels(f"--{n}", getattr(args, n)) for n in ("biases", "delays"))
     if args.workers is not None and args.workers < 1:
         raise BadInputError(f"--workers {args.workers}: at least 1")
-    if not args.out.exists() and not args.out.absolute().parent.is_dir():
-        raise BadInputError(
-            f"--out {args.out}: the folder {args.out.absolute().parent} does not exist; create it first"
-        )
+    check_folder(args.out)
     # Imported here: scipy and pandas take a second that --help should not pay.
     from uqharness.compare import compare
     from uqharness.compare_report import document_of, summary, write_tables

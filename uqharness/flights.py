@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sysid.command_edges import logged_rows, place_steps
+from sysid.dropouts import bridge
 from sysid.flight_record import FlightRecord
 from sysid.gaps import white_noise
+from sysid.log_checks import in_degrees
 from sysid.log_errors import LogError
 from sysid.log_import import default_cache, import_log
 from sysid.manoeuvres import label_manoeuvres
@@ -21,6 +23,7 @@ from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
 from uqharness.replay import CHANNELS, STATES, Segment
 from uqharness.replay_model import CONTROLS
+from uqharness.start_altitude import with_start_altitude
 
 Array = NDArray[np.float64]
 MAX_RATE_HZ = 60.0
@@ -55,6 +58,9 @@ def read_flight(
             record = record.between(*record.metadata.free_flight_s[0])
     except LogError as error:
         raise BadInputError(str(error)) from None
+    wrong = next((f for f in record.metadata.findings if in_degrees(f)), None)
+    if wrong is not None and record.metadata.dialect == "record":
+        raise BadInputError(f"{path}: {wrong.message}; angles and rates of a flight record are in rad and rad/s")
     named = record.metadata.aircraft
     if named and named not in (aircraft.card.aircraft.name, aircraft.name):
         raise BadInputError(
@@ -93,7 +99,9 @@ def prepare(
         raise BadInputError(f"{name}: the record has no {', '.join(missing)}; {why}")
     if len(record) < 2:
         raise BadInputError(f"{name}: the record has {len(record)} row(s)")
-    notes = []
+    commands = [c for c in columns if c not in _POSITION.values()]
+    record, bridged = bridge(record, (*_NEEDED, "alpha_rad", "beta_rad", *columns), commands)
+    notes = [f"{name}: {text}" for text in bridged]
     step = max(1, int(np.ceil(1.0 / (record.dt_s * MAX_RATE_HZ) - 1e-6)))
     if step > 1:
         notes.append(f"{name}: {1 / record.dt_s:.0f} Hz, of which every {step}. row was used")
@@ -110,10 +118,21 @@ def prepare(
     pieces, how = cut(record, (*_NEEDED, *columns), min_s, max_s)
     if not pieces:
         raise BadInputError(
-            f"{name}: no stretch of {min_s:g} s has all of {', '.join((*_NEEDED, *columns))} without a gap; nothing can be replayed"
+            f"{name}: no stretch of {min_s:g} s has all of {', '.join((*_NEEDED, *columns))} without a gap"
+            f"{_lost(record, columns)}; nothing can be replayed"
         )
     notes.append(f"{name}: {len(pieces)} segments, {sum(p.end_s - p.start_s for p in pieces):.0f} s; {how}")
     return Flight(name, record, tuple(pieces), tuple(notes))
+
+
+def _lost(record: FlightRecord, columns: Sequence[str]) -> str:
+    """What breaks a record up, in words: the channel that lacks most samples, and how many rows come late."""
+    share = {c: float(np.mean(~np.isfinite(record[c]))) for c in (*_NEEDED, *columns)}
+    worst = max(share, key=lambda c: share[c])
+    late = float(np.mean(np.diff(record["time_s"]) > 1.5 * record.dt_s))
+    texts = [f"{share[worst]:.0%} of {worst} is missing"] if share[worst] > 0.0 else []
+    texts += [f"{late:.0%} of the rows come later than the usual {record.dt_s:g} s"] if late > 0.0 else []
+    return f" ({', '.join(texts)})" if texts else ""
 
 
 def _aligned(record: FlightRecord) -> tuple[FlightRecord, list[str]]:
@@ -247,11 +266,18 @@ def read_flights(
     min_s: float = MIN_S, max_s: float = MAX_S,
 ) -> tuple[list[Flight], tuple[str, ...]]:  # fmt: skip
     """Flights ready for replay, and the surfaces whose measured positions are used. Raises BadInputError."""
+    hashes = [file_hash(path) if path.is_file() else str(path) for path in paths]
+    twice = next((path for path, digest in zip(paths, hashes, strict=True) if hashes.count(digest) > 1), None)
+    if twice is not None:
+        raise BadInputError(f"--flight {twice} is given more than once: its noise would count as if it were measured anew")
     records = [read_flight(path, aircraft, manoeuvres, map_path) for path in paths]
     measured = tuple(n for n in measured_surfaces(records) if n in aircraft.card.inputs)
     names = renamed([path.stem for path in paths])
-    flights = [prepare(n, r, measured, min_s, max_s) for n, r in zip(names, records, strict=True)]
-    return flights, measured
+    placed = [with_start_altitude(record, aircraft.folder) for record in records]
+    flights = [prepare(n, r, measured, min_s, max_s) for n, (r, _) in zip(names, placed, strict=True)]
+    return [
+        replace(f, notes=(f"{f.name}: {said}", *f.notes)) if said else f for f, (_, said) in zip(flights, placed, strict=True)
+    ], measured
 
 
 def file_hash(path: Path) -> str:

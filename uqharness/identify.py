@@ -7,6 +7,7 @@ over, and the result says so.
 
 from __future__ import annotations
 
+import re
 import time
 import uuid
 from collections.abc import Mapping, Sequence
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.gaps import channel_noise, process_noise_shown
+from sysid.gaps import NOISE_FLOOR, channel_noise, process_noise_shown, rms
 from sysid.outputerror import output_error
 from sysid.results import OutputErrorFit
 from uqharness.aircraft import Aircraft
@@ -255,6 +256,20 @@ def _output_error(
     return fit, layout, replay
 
 
+def _left_over(residual: Sequence[Array], outputs: Sequence[str], noise: Mapping[str, float]) -> list[str]:
+    """A sentence when a channel is left further off than its noise explains although nothing looks coloured."""
+    whole = np.concatenate(residual)
+    ratio = {c: rms(whole[:, k]) / noise[c] for k, c in enumerate(outputs) if noise[c] > 0.0}
+    above = {c: r for c, r in ratio.items() if r > NOISE_FLOOR}
+    if not above:
+        return []
+    return [
+        "residuals above the noise: " + ", ".join(f"{c} {r:.2f} times" for c, r in above.items()) + "; something acted that the "
+        "replay does not have (commands between rows while an autopilot flew, gusts, a missing term), and estimates may be off by "
+        "more than std: label the manoeuvres, record surface positions or log faster"
+    ]
+
+
 def _assemble(
     aircraft: Aircraft, names: tuple[str, ...], initial: Array, fit: OutputErrorFit, layout: Layout, replay: Replay,
     cut: Sequence[Segment], outputs: tuple[str, ...], data: list[Array], noise: Mapping[str, float], notes: Sequence[str],
@@ -264,8 +279,13 @@ def _assemble(
     identified = [i for i in range(k) if fit.status[names[i]] == "identified"]
     hidden = {n: (float(fit.theta[i]), float(fit.std[i])) for i, n in enumerate(layout.names) if i >= k}
     # A start state that two channels cannot tell apart is nobody's concern; a parameter is.
-    warnings = [w for w in fit.warnings if not w.startswith(("start/", "bias/", "delay/"))]
+    warnings = [
+        re.sub(r"\boutput (\d+)", lambda found: outputs[int(found[1])], w)
+        for w in fit.warnings if not w.startswith(("start/", "bias/", "delay/"))
+    ]  # fmt: skip
     assert isinstance(fit.residual, list)
+    if not any(w.startswith("coloured") for w in warnings):
+        warnings += _left_over(fit.residual, outputs, noise)
     return Identification(
         aircraft=aircraft.name, names=names, initial=initial, theta=fit.theta[:k], std=fit.std[:k], std_crb=fit.std_crb[:k],
         status={n: fit.status[n] for n in names}, reason={n: fit.reason[n] for n in names},

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from uqharness.aircraft import find_aircraft
 from uqharness.errors import BadInputError
+from uqharness.whole_files import check_folder
 
 _EXAMPLE = """examples:
   uqharness identify espaaro --flight doublets.parquet --out identified
@@ -106,11 +107,9 @@ def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
 
 
 def results_folder(path: Path) -> Path:
-    """The folder, made if its parent exists. Raises BadInputError."""
-    if path.exists() and not path.is_dir():
-        raise BadInputError(f"--out {path}: exists and is no folder")
+    """The folder, made with those above it. Raises BadInputError."""
     try:
-        path.mkdir(exist_ok=True)
+        path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInputError(f"--out {path}: cannot be made: {error.strerror}") from None
     return path
@@ -124,10 +123,7 @@ def _run(args: argparse.Namespace) -> int:
     if args.workers is not None and args.workers < 1:
         raise BadInputError(f"--workers {args.workers}: at least 1")
     biases, delays = (parse_channels(f"--{n}", getattr(args, n)) for n in ("biases", "delays"))
-    if not args.out.exists() and not args.out.absolute().parent.is_dir():
-        raise BadInputError(
-            f"--out {args.out}: the folder {args.out.absolute().parent} does not exist; create it first"
-        )
+    check_folder(args.out)
     # Imported here: scipy and pandas take a second that --help should not pay.
     from uqharness.flights import file_hash, read_flights
     from uqharness.identify import BIASES, identify

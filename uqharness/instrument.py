@@ -153,8 +153,7 @@ def write(aircraft: Aircraft, planned: Plan, out: Path) -> None:
     in_place = out.exists() and out.resolve() == aircraft.folder
     if out.exists() and not in_place and not (out / FILE_NAME).is_file() and (not out.is_dir() or any(out.iterdir())):
         raise BadInputError(f"{out}: exists and is no instrumented aircraft; remove it or choose another --out")
-    if not out.absolute().parent.is_dir():
-        raise BadInputError(f"--out {out}: the folder {out.absolute().parent} does not exist; create it first")
+    out.absolute().parent.mkdir(parents=True, exist_ok=True)
     changes, files = dict(planned.changes), dict(planned.files)
     if not in_place:
         for name, content in carried_files(aircraft, out).items():

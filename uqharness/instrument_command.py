@@ -12,6 +12,7 @@ from typing import Any
 from sysid.aero_terms import COEFFICIENTS
 from uqharness.aircraft import Aircraft, check_loadable, find_aircraft, find_folder
 from uqharness.errors import BadInputError
+from uqharness.whole_files import check_folder
 
 _EXAMPLE = """examples:
   uqharness instrument c172x --out aircraft/c172x
@@ -81,6 +82,7 @@ def _run(args: argparse.Namespace) -> int:
     if args.undo:
         return _undo(args)
     aircraft = find_aircraft(args.aircraft)
+    check_folder(args.out)
     check_loadable(aircraft)
     try:
         form = None if args.bounds is None else read_model_form(args.bounds)

@@ -16,12 +16,12 @@ PART = ".part"
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Let ``write`` fill a temporary file beside ``path``, bring it to the disk, then put it in place at once.
 
-    A reader, or a crash, finds the old file or the new one. Raises BadInputError where that cannot be done.
+    A reader, or a crash, finds the old file or the new one. Folders on the way are made. Raises BadInputError where that
+    cannot be done.
     """
-    if not path.parent.is_dir():
-        raise BadInputError(f"{path}: the folder {path.parent} does not exist; create it first")
     temporary = path.with_name(f".{path.name}{PART}")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         write(temporary)
         with temporary.open("rb+") as handle:
             os.fsync(handle.fileno())
@@ -36,3 +36,24 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
 def write_bytes(path: Path, content: bytes) -> None:
     """The same for content that is at hand."""
     write_whole(path, lambda target: target.write_bytes(content))
+
+
+def check_out(path: Path) -> None:
+    """Refuse, before work is spent on it, an --out that no file or folder can be made at; missing folders are made later.
+
+    Raises BadInputError where something on the way is no folder, or one that may not be written to.
+    """
+    there = path.absolute()
+    while not (there.exists() or there.is_symlink()):
+        there = there.parent
+    if there != path.absolute() and not there.is_dir():
+        raise BadInputError(f"--out {path}: {there} is no folder; choose another path")
+    if not os.access(there, os.W_OK):
+        raise BadInputError(f"--out {path}: {there} may not be written to; choose another path or change its rights")
+
+
+def check_folder(path: Path) -> None:
+    """The same for a folder of results, which may exist already. Raises BadInputError where a file has its name."""
+    check_out(path)
+    if path.exists() and not path.is_dir():
+        raise BadInputError(f"--out {path}: exists and is no folder")

@@ -271,11 +271,17 @@ def test_import_writes_a_record_and_the_cache_gives_the_same(
 
 def test_bad_arguments_exit_2(bin_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["import", str(bin_log), "--out", str(tmp_path / "a.xls")]) == 2
-    assert main(["import", str(bin_log), "--out", str(tmp_path / "no" / "a.csv")]) == 2
+    (tmp_path / "file").write_text("")
+    assert main(["import", str(bin_log), "--out", str(tmp_path / "file" / "a.csv")]) == 2
     assert main(["info", str(bin_log), "--aircraft", "nosuch"]) == 2
     assert main(["info", str(bin_log), "--map", str(tmp_path / "none.toml")]) == 2
     assert main(["info", str(tmp_path / "none.bin")]) == 2
     assert capsys.readouterr().err.count("error: ") == 5
+
+
+def test_import_makes_the_folders_on_its_way(bin_log: Path, tmp_path: Path) -> None:
+    assert main(["import", str(bin_log), "--out", str(tmp_path / "a" / "b" / "c.parquet")]) == 0
+    assert FlightRecord.read(tmp_path / "a" / "b" / "c.parquet")["time_s"].size
 
 
 def test_read_only_folder_of_the_log_gets_nothing_written(bin_log: Path, tmp_path: Path) -> None:
