@@ -351,7 +351,7 @@ def _in_gusts(
         replace(setup, carriers=carriers), names, found.fit, found.fit, selection, by_key, parameters, (*notes, note),
         {n: values[n] for n in names}, True,
         score_table(evidence, free, odds, by_key), max(threshold(len(odds)), GUST_LIMIT), None,
-        tuple(f"one-step predictions: {line}" for line in selection.trail),
+        trail=tuple(f"one-step predictions: {line}" for line in selection.trail),
     )  # fmt: skip
 
 
