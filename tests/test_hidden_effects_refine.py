@@ -15,7 +15,7 @@ from tests.hidden_effects.cases import Case, write
 from tests.hidden_effects.catalogue import ENTRIES
 from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.manoeuvres import card
-from tests.hidden_effects.run import PLACEBO
+from tests.hidden_effects.run import PLACEBO, ask
 
 KINDS = ("roll and yaw", "roll and pitch", "elevator 3-2-1-1")
 CARDS = tuple(card(40 + i, V, seconds=33.0, kinds=KINDS, first=i) for i, V in enumerate((21.0, 24.0, 22.5)))
@@ -125,3 +125,16 @@ def test_a_flight_may_not_be_both(place, tmp_path):
 def test_what_is_asked_here_is_in_the_catalogue():
     assert {k for c in (ROLL_RATE, NOTHING) for k in c.entries} <= set(ENTRIES)
     assert contract_faults({}, 0)
+
+
+def test_the_way_from_a_case_to_its_mark(tmp_path):
+    """Short flights with a strong effect: flown, asked in the seal, judged; the file keeps its contract."""
+    short = (card(51, 22.0, seconds=14.0, kinds=("roll and yaw",)), card(52, 22.0, seconds=14.0, kinds=("roll and yaw",)))
+    strong = Case("strong", "clear", "calm", ("Cm:p_hat^2",), (Effect("Cm", "p_hat^2", 6.0),), short[:1], short[1:])
+    write([strong], tmp_path / "flights")
+    (tmp_path / "answers").mkdir()
+    place = sealed.seal(tmp_path / "sealed", [tmp_path / "answers"])
+    got = ask(strong, tmp_path, place, ["--workers", "1", "--no-figures"])
+    assert got["error"] == ""
+    score = judge(strong, got["found"], got["exit"])
+    assert (score.right, score.spurious, score.faults) == (True, 0, ()), score

@@ -192,3 +192,47 @@ def test_a_killed_refinement_goes_on_where_it_was(flights, refined, tmp_path, mo
         assert main(arguments) == 0
     assert document(out)["effects"] == document(refined)["effects"]
     assert not (out / ".stages").exists()
+
+
+def commands_alone(record: FlightRecord) -> FlightRecord:
+    """The record without positions of surfaces: servos are the model's."""
+    return FlightRecord({c: record[c] for c in record.columns if not c.endswith("_pos_deg")}, record.metadata)
+
+
+def one_sample_late(record: FlightRecord) -> FlightRecord:
+    """The record as it would be had the commands' clock been a sample ahead: every command acts a row later than it says."""
+    names = ("elevator_deg", "aileron_deg", "rudder_deg", "throttle_pct")
+    record = commands_alone(record)
+    return record.with_columns({c: np.append(record[c][1:], record[c][-1]) for c in names})
+
+
+def timing_of(train: Path, test: Path, out: Path) -> dict:
+    main([
+        "refine", "espaaro", "--train", str(train), "--test", str(test), "--out", str(out), "--workers", "1", "--no-figures",
+    ])  # fmt: skip
+    return document(out)
+
+
+def test_a_record_one_sample_late_is_a_matter_of_its_clock(tmp_path):
+    """It imitates a lag in every servo; the time is told, put right and no effect is added."""
+    late = {"train": fly(TRAIN, seed=7, seconds=6.0), "test": fly(TEST, seed=8, seconds=6.0)}
+    for name, record in late.items():
+        one_sample_late(record).write(tmp_path / f"{name}.parquet")
+    found = timing_of(tmp_path / "train.parquet", tmp_path / "test.parquet", tmp_path / "out")
+    assert found["timing"]["controls_late_s"] == pytest.approx(0.02, abs=0.004)
+    assert (found["verdict"], found["effects"]) == ("no-missing-effect", [])
+    assert "of the record's clock" in found["notes"][0]
+
+
+def test_a_slow_servo_is_no_matter_of_the_clock(tmp_path, monkeypatch):
+    """A lag of the elevator alone is named as that."""
+    import flown
+
+    monkeypatch.setattr(flown, "LAG", np.array([16.0, 25.0, 25.0, 6.0]))
+    made = {"train": fly(TRAIN, seed=5, seconds=6.0), "test": fly((("pitch-3211", 20.0),), seed=6, seconds=6.0)}
+    for name, record in made.items():
+        commands_alone(record).write(tmp_path / f"{name}.parquet")
+    found = timing_of(tmp_path / "train.parquet", tmp_path / "test.parquet", tmp_path / "out")
+    assert found["timing"]["controls_late_s"] == 0.0
+    assert [(e["subsystem"], e["term"]) for e in found["effects"]] == [("actuator.elevator", "lag")]
+    assert abs(found["effects"][0]["value"] - 16.0) < 3.0 * found["effects"][0]["std"]

@@ -34,6 +34,7 @@ from uqharness.refine_candidates import effect_columns
 from uqharness.refine_fit import PRIOR, Fit, Map, Point, Setup, fly, merged, positions, refit, states_of
 from uqharness.refine_gusts import gust_evidence, gust_refit, middles
 from uqharness.refine_stages import Stages
+from uqharness.refine_timing import CONTROLS_LATE, MOST_CORRECTIONS, controls_late, later, words
 from uqharness.refine_xml import Written, carrier, in_dynamics, write_effects
 from uqharness.replay import SENSOR_OF
 from uqharness.replay_model import CONTROLS, ReplayFolder, ReplayModel
@@ -69,6 +70,7 @@ class Found:
     parameters      property -> (value, standard error corrected for colour); plain: property -> value without the effects
     scoreboard      the candidates that explain most of what the parameters leave, each alone: (name, t); limit: |t| asked
     gusty           whether the flights were judged by one-step predictions, because the air was turbulent
+    late_s          by how much all controls were moved later than recorded before the choice was made
     """
 
     setup: Setup
@@ -84,6 +86,7 @@ class Found:
     scoreboard: tuple[tuple[str, float], ...] = ()
     limit: float = float("nan")
     staged: Aircraft | None = None
+    late_s: float = 0.0
     trail: tuple[str, ...] = field(default=())
 
 
@@ -187,9 +190,10 @@ def confirming_segments(setup: Setup) -> NDArray[np.bool_]:
 
 def find_effects(
     aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], extra: Sequence[Effect], work: Path, map_: Map,
-    say: Say = lambda _: None, stages: Stages | None = None,
+    say: Say = lambda _: None, stages: Stages | None = None, put_right: tuple[float, ...] = (),
 ) -> Found:  # fmt: skip
-    """Choose and estimate the missing effects on the train flights. ``work``: folder for staged copies of the aircraft."""
+    """Choose and estimate the missing effects on the train flights. ``work``: folder for staged copies of the aircraft;
+    put_right: by how much the setup's controls have been moved later already, step by step."""
     names = tuple(aircraft.card.parameters)
     if not names:
         raise BadInputError(
@@ -201,7 +205,8 @@ def find_effects(
         say("re-identifying the parameters")
         keep = stages or Stages(None, ())
         asked = names
-        before, names, notes = keep("parameters", lambda: _base_fit(aircraft, bench, setup, asked, limits, map_))
+        stage = f"parameters{len(put_right) or ''}"
+        before, names, notes = keep(stage, lambda: _base_fit(aircraft, bench, setup, asked, limits, map_))
         effects = candidates_for(setup, names, extra)
         by_key = {e.key: e for e in effects}
         if turbulent(setup, before):
@@ -210,12 +215,30 @@ def find_effects(
                 bench, setup_in_gusts(aircraft, setup), before, names, limits, effects, confirming, notes, map_
             )
         say(f"scoring {len(effects)} candidate effects")
-        evidence = candidate_evidence(setup, before, effects)
+        timed = () if setup.late else (CONTROLS_LATE,)
+        evidence = candidate_evidence(setup, before, [*effects, *timed])
         odds = _eligible(effects, setup, before, evidence)
-        board = score_table(evidence, before.columns[0].names, odds, by_key)
-        limit = threshold(len(odds))
-        selection = select(evidence, before.columns[0].names, odds, confirming)
-        trail = [f"round 1: {line}" for line in selection.trail]
+        dt = setup.segments[0].dt_s
+        late = (
+            controls_late(
+                evidence, before.columns[0].names, odds, confirming, threshold(len(odds) + 1), LEAST_LATE_ROWS * dt, dt
+            )
+            if timed and len(put_right) < MOST_CORRECTIONS
+            else None
+        )
+    if late is not None:
+        say(f"all controls act {1e3 * late[0]:.1f} ms after their rows; putting the records right")
+        right = make_setup(aircraft, later(setup.flights, late[0]), measured, ideal)
+        found = find_effects(
+            aircraft, right, measured, ideal, extra, work, map_, say, stages, (*put_right, late[0])
+        )
+        if not put_right:
+            found = replace(found, notes=(words(found.late_s, late[1], dt), *found.notes))
+        return found
+    board = score_table(evidence, before.columns[0].names, odds, by_key)
+    limit = threshold(len(odds))
+    selection = select(evidence, before.columns[0].names, odds, confirming)
+    trail = [f"round 1: {line}" for line in selection.trail]
     after, staged, chosen_setup = before, None, setup
     for number in range(2, ROUNDS + 1):
         if not selection.chosen:
@@ -259,7 +282,7 @@ def find_effects(
         chosen_setup if selection.chosen else setup, names, before, after if selection.chosen else before, selection,
         by_key, parameters,
         tuple(notes), {n: before.flown.point.values[n] for n in names}, False, board, limit,
-        staged if selection.chosen else None, tuple(trail),
+        staged if selection.chosen else None, sum(put_right), tuple(trail),
     )  # fmt: skip
 
 
@@ -328,7 +351,7 @@ def _in_gusts(
         replace(setup, carriers=carriers), names, found.fit, found.fit, selection, by_key, parameters, (*notes, note),
         {n: values[n] for n in names}, True,
         score_table(evidence, free, odds, by_key), max(threshold(len(odds)), GUST_LIMIT), None,
-        tuple(f"one-step predictions: {line}" for line in selection.trail),
+        trail=tuple(f"one-step predictions: {line}" for line in selection.trail),
     )  # fmt: skip
 
 

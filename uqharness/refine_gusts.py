@@ -23,7 +23,7 @@ from sysid.rigid_steps import Steps
 from uqharness.forced import surface_positions
 from uqharness.refine_fit import PRIOR, Fit, Flown, Map, Point, Setup, parameter_columns, probes, steps_of
 from uqharness.refine_reference import Probe, along, named_terms
-from uqharness.replay import Segment, _by_run
+from uqharness.replay import Segment, by_run
 from uqharness.replay_model import CONTROLS, ReplayModel
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ def _middles(job: tuple[ReplayModel, Segment]) -> Array:
     model, segment = job
     held = np.array([c not in model.measured for c in model.controls])
     ends = surface_positions(model, segment, CONTROLS)
-    middle = np.where(held, ends[:-1], _by_run(segment, 2, [not h for h in held], [False] * len(held))[1::2])
+    middle = np.where(held, ends[:-1], by_run(segment, 2, [not h for h in held], [False] * len(held))[1::2])
     if held.any():
         # The same flight with rows half as far apart; a command is held over both halves.
         fine = np.repeat(segment.controls, 2, axis=0)[:-1]

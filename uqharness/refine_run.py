@@ -33,6 +33,7 @@ from uqharness.refine import (
 from uqharness.refine_fit import Setup, positions, worker_map
 from uqharness.refine_show import Shown, air_of, gap_document, show, state_ranges, whiteness, write_bytes_tree
 from uqharness.refine_stages import FOLDER, Stages
+from uqharness.refine_timing import later
 from uqharness.refine_words import separating_manoeuvre, why
 from uqharness.refine_xml import Written, carrier, in_dynamics, write_effects
 from uqharness.replay import Segment
@@ -95,6 +96,9 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
             "effects",
             lambda: find_effects(aircraft, setup, measured, ideal, request.extra, work, map_, say, stages),
         )
+        if found.late_s:
+            setup = make_setup(aircraft, later(flights, found.late_s), measured, ideal)
+            test = make_setup(aircraft, later(others, found.late_s), measured_test, ideal_test)
         say("writing the aircraft")
         initial = _initial(aircraft, found.names)
         estimates = estimates_of(found, names, initial)
@@ -267,6 +271,7 @@ def _document(
         "best_refused": None
         if refused is None
         else {"effect": refused.key.removeprefix("effect/"), "t": refused.t, "why": refused.why},
+        "timing": {"controls_late_s": found.late_s},
         "trail": list(found.trail),
         "notes": [*found.notes, *(n for f in setup.flights for n in f.notes)],
         "train": [p.name for p in request.train],

@@ -94,7 +94,7 @@ def fly_segment(
     _initialise(fdm, segment, segment.start if start is None else start, setters, model)
     read = _reader(fdm, [*extra], any(segment.arm_m))
     measured, lagging = ([name in kind for name in model.controls] for kind in (model.measured, model.lagging))
-    controls = model.to_property(_by_run(segment, runs, measured, lagging, late_s / segment.dt_s * runs))
+    controls = model.to_property(by_run(segment, runs, measured, lagging, late_s / segment.dt_s * runs))
     rows = _advance(fdm, controls, setters, read, runs)
     return _outputs(rows, segment, len(extra))
 
@@ -132,7 +132,7 @@ def _reader(fdm: Any, extra: Sequence[str], angular: bool) -> Any:
     return lambda: [get() for get in handles]
 
 
-def _by_run(segment: Segment, runs: int, measured: Sequence[bool], lagging: Sequence[bool], late: float = 0.0) -> Array:
+def by_run(segment: Segment, runs: int, measured: Sequence[bool], lagging: Sequence[bool], late: float = 0.0) -> Array:
     """((n - 1) runs + 1, c) control values of every run, the first at the first row; all of them ``late`` runs late.
 
     A command is held. Before an actuator with a lag all of it comes half a run later (see the module's text); a surface that jumps
