@@ -168,8 +168,9 @@ def test_another_aircrafts_bounds_and_bad_files_are_refused(made, flights, tmp_p
     assert "belong to aircraft 'espaaro'" in capsys.readouterr().err
     assert main(["validate-bounds", MODEL, str(tmp_path / "none.json"), "--flight", flight]) == 2
     assert "none.json" in capsys.readouterr().err
-    assert main(["bounds", MODEL, "--flight", flight, "--out", str(tmp_path / "a" / "b")]) == 2
-    assert "does not exist" in capsys.readouterr().err
+    (tmp_path / "file").write_text("")
+    assert main(["bounds", MODEL, "--flight", flight, "--out", str(tmp_path / "file" / "b")]) == 2
+    assert "is no folder" in capsys.readouterr().err
 
 
 def test_an_identified_model_is_not_bounded_by_its_own_flight(flights, tmp_path, capsys):

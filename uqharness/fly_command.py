@@ -21,6 +21,7 @@ from uqharness.flight_spec import DEFAULT_TURBULENCE_SOURCE, TURBULENCE_W20_KT, 
 from uqharness.mission import MANOEUVRE_PROPERTY, StagedMission, find_script, read_script
 from uqharness.properties import Source
 from uqharness.record_writer import FORMATS, write_record
+from uqharness.whole_files import check_out
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -94,6 +95,7 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
 def _run(args: argparse.Namespace) -> int:
     if args.out.suffix not in FORMATS:
         raise BadInputError(f"--out {args.out}: the format follows the name's ending, {', '.join(FORMATS)}")
+    check_out(args.out)
     aircraft = find_aircraft(args.aircraft)
     script = read_script(find_script(args.script))
     spec = _spec(args, aircraft, script.path, script.end_s)
