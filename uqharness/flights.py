@@ -99,7 +99,8 @@ def prepare(
         notes.append(f"{name}: {1 / record.dt_s:.0f} Hz, of which every {step}. row was used")
         mask = np.zeros(len(record), dtype=bool)
         mask[::step] = True
-        record = record.rows(mask)
+        held = {c: _mean_ahead(record[c], step) for c in _COLUMN.values() if c in record}
+        record = record.with_columns(held).rows(mask)
     if 1.0 / record.dt_s < 9.5:
         raise BadInputError(
             f"{name}: {1 / record.dt_s:.1f} rows a second; a replay needs at least 10, or it sees neither short period nor roll"
@@ -114,6 +115,12 @@ def prepare(
         )
     notes.append(f"{name}: {len(pieces)} segments, {sum(p.end_s - p.start_s for p in pieces):.0f} s; {how}")
     return Flight(name, record, tuple(pieces), tuple(notes))
+
+
+def _mean_ahead(command: Array, step: int) -> Array:
+    """(n,) mean of each row and the step - 1 after it: a command between two rows that are kept acts as long as it did."""
+    padded = np.append(command, np.repeat(command[-1], step - 1))
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, step).mean(axis=1))
 
 
 def _aligned(record: FlightRecord) -> tuple[FlightRecord, list[str]]:
