@@ -107,7 +107,8 @@ def prepare(
         notes.append(f"{name}: {1 / record.dt_s:.0f} Hz, of which every {step}. row was used")
         mask = np.zeros(len(record), dtype=bool)
         mask[::step] = True
-        record = record.rows(mask)
+        held = {c: _mean_ahead(record[c], step) for c in _COLUMN.values() if c in record}
+        record = record.with_columns(held).rows(mask)
     if 1.0 / record.dt_s < 9.5:
         raise BadInputError(
             f"{name}: {1 / record.dt_s:.1f} rows a second; a replay needs at least 10, or it sees neither short period nor roll"
@@ -133,6 +134,12 @@ def _lost(record: FlightRecord, columns: Sequence[str]) -> str:
     texts = [f"{share[worst]:.0%} of {worst} is missing"] if share[worst] > 0.0 else []
     texts += [f"{late:.0%} of the rows come later than the usual {record.dt_s:g} s"] if late > 0.0 else []
     return f" ({', '.join(texts)})" if texts else ""
+
+
+def _mean_ahead(command: Array, step: int) -> Array:
+    """(n,) mean of each row and the step - 1 after it: a command between two rows that are kept acts as long as it did."""
+    padded = np.append(command, np.repeat(command[-1], step - 1))
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, step).mean(axis=1))
 
 
 def _aligned(record: FlightRecord) -> tuple[FlightRecord, list[str]]:
@@ -269,14 +276,17 @@ def read_flights(
     hashes = [file_hash(path) if path.is_file() else str(path) for path in paths]
     twice = next((path for path, digest in zip(paths, hashes, strict=True) if hashes.count(digest) > 1), None)
     if twice is not None:
-        raise BadInputError(f"--flight {twice} is given more than once: its noise would count as if it were measured anew")
+        raise BadInputError(
+            f"--flight {twice} is given more than once: its noise would count as if it were measured anew"
+        )
     records = [read_flight(path, aircraft, manoeuvres, map_path) for path in paths]
     measured = tuple(n for n in measured_surfaces(records) if n in aircraft.card.inputs)
     names = renamed([path.stem for path in paths])
     placed = [with_start_altitude(record, aircraft.folder) for record in records]
     flights = [prepare(n, r, measured, min_s, max_s) for n, (r, _) in zip(names, placed, strict=True)]
     return [
-        replace(f, notes=(f"{f.name}: {said}", *f.notes)) if said else f for f, (_, said) in zip(flights, placed, strict=True)
+        replace(f, notes=(f"{f.name}: {said}", *f.notes)) if said else f
+        for f, (_, said) in zip(flights, placed, strict=True)
     ], measured
 
 
