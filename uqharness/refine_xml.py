@@ -21,7 +21,7 @@ from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
 from uqharness.model_form_xml import state_source
 from uqharness.refine_candidates import STALL
-from uqharness.xml_estimates import Estimate, with_value
+from uqharness.xml_estimates import Estimate, put_values
 from uqharness.xml_text import Document, Node, after, append_child
 
 THRUST_SCALE = "propulsion/thrust-scale"
@@ -98,18 +98,7 @@ def write_effects(
         edit = add_deltas(edit, summands, "aero/effects", given, "effects found by refinement")
     for path, content in edit.files().items():
         path.write_bytes(content)
-    left = dict(estimates) | plain
-    for path in sorted(out.rglob("*.xml")):
-        text = path.read_bytes().decode("utf-8", errors="surrogateescape")
-        edited = text
-        for name in list(left):
-            done = with_value(edited, name, left[name])
-            if done is not None:
-                edited = done
-                del left[name]
-        if edited != text:
-            path.write_bytes(edited.encode("utf-8", errors="surrogateescape"))
-    return list(left)
+    return put_values(out, dict(estimates) | plain)
 
 
 def _is_scale(effect: Effect) -> bool:

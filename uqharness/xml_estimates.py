@@ -33,26 +33,15 @@ def write_estimates(aircraft: Aircraft, estimates: Mapping[str, Estimate], out: 
         raise BadInputError(
             f"{out}: exists and is no aircraft folder of an earlier run; remove it or choose another --out"
         )
-    left = dict(estimates)
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=".aircraft-") as temporary:
         copy = Path(temporary) / "new"
         shutil.copytree(aircraft.folder, copy)
-        for path in sorted(copy.rglob("*.xml")):
-            raw = path.read_bytes()
-            text = raw.decode("utf-8", errors="surrogateescape")
-            edited = text
-            for name in list(left):
-                done = with_value(edited, name, left[name])
-                if done is not None:
-                    edited = done
-                    del left[name]
-            if edited != text:
-                path.write_bytes(edited.encode("utf-8", errors="surrogateescape"))
+        left = put_values(copy, estimates)
         old = Path(temporary) / "old"
         if out.exists():
             out.rename(old)
         copy.rename(out)
-    return list(left)
+    return left
 
 
 def with_value(text: str, name: str, estimate: Estimate) -> str | None:
@@ -82,3 +71,19 @@ def with_value(text: str, name: str, estimate: Estimate) -> str | None:
             f"{rest}{remark}{carriage}{text[end_of_line:]}"
         )
     return None
+
+
+def put_values(folder: Path, values: Mapping[str, Estimate]) -> list[str]:
+    """Write values of properties into the XML files of a folder, in place; names that no file declares are returned."""
+    left = dict(values)
+    for path in sorted(folder.rglob("*.xml")):
+        text = path.read_bytes().decode("utf-8", errors="surrogateescape")
+        edited = text
+        for name in list(left):
+            done = with_value(edited, name, left[name])
+            if done is not None:
+                edited = done
+                del left[name]
+        if edited != text:
+            path.write_bytes(edited.encode("utf-8", errors="surrogateescape"))
+    return list(left)
