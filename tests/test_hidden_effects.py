@@ -420,7 +420,7 @@ def test_a_file_that_breaks_its_contract_is_told_so():
 
 
 def table(**change):
-    one = {"kind": "clear", "air": "calm", "t": 20.0, "right": 1, "together": "", "spurious": 0, "z": "0.5",
+    one = {"kind": "clear", "air": "calm", "verdict": "effects-found", "t": 20.0, "right": 1, "together": "", "spurious": 0, "z": "0.5",
            "gap": 1.0, "oracle": 1.0,
            "seconds": 60.0, "faults": ""}  # fmt: skip
     return {**one, **change}
@@ -513,3 +513,16 @@ def test_written_flights_are_read_back(tmp_path):
     assert files["train"][0].stat().st_mtime_ns == before
     assert record.dt_s == pytest.approx(0.02)
     assert set(record["manoeuvre"]) == {"", "elevator doublet"}
+
+
+def test_a_flight_that_comes_to_grief_is_named_and_leaves_no_file(tmp_path):
+    from tests.hidden_effects.cases import write
+    from tests.hidden_effects.effects import Effect
+
+    good = replace(
+        CASES["CX:q_hat", "clear", "calm"], train=(card(1, 22.0, seconds=12.0),), test=(card(2, 22.0, seconds=12.0),)
+    )
+    wild = replace(good, truth="too much", effects=(Effect("Cm", "p_hat^2", 1e9),))
+    assert write([good, wild], tmp_path) == {wild.id}
+    assert all(p.is_file() for paths in good.files(tmp_path).values() for p in paths)
+    assert not any(p.exists() for paths in wild.files(tmp_path).values() for p in paths)

@@ -85,22 +85,32 @@ class Case:
                 "test": [own / f"flight-{i + 1 + len(self.train)}.parquet" for i in range(len(self.test))]}  # fmt: skip
 
 
-def write(cases: Sequence[Case], folder: Path) -> None:
-    """Fly and write the records of cases that are not there yet."""
+def write(cases: Sequence[Case], folder: Path) -> set[str]:
+    """Fly and write the records of cases that are not there yet; returns the ids of cases that cannot be flown.
+
+    Those, with an effect so large that a flight comes to grief, get no file at all: half a case is no question.
+    """
     todo = [c for c in cases if not all(p.is_file() for paths in c.files(folder).values() for p in paths)]
     wanted = [
-        (f, p)
+        (c.id, f, p)
         for c in todo
         for which in ("train", "test")
         for f, p in zip(c.flights(which), c.files(folder)[which], strict=True)
     ]
-    for record, (_, path) in zip(fly([f for f, _ in wanted]), wanted, strict=True):
-        if not all(np.isfinite(record[c]).all() for c in record.columns if c != "manoeuvre"):
-            raise ValueError(f"{path}: this flight came to grief; its effect is too large to be flown")
+    records = fly([f for _, f, _ in wanted])
+    lost = {
+        name
+        for record, (name, _, _) in zip(records, wanted, strict=True)
+        if not all(np.isfinite(record[c]).all() for c in record.columns if c != "manoeuvre")
+    }
+    for record, (name, _, path) in zip(records, wanted, strict=True):
+        if name in lost:
+            continue
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_name(f"{path.stem}.partial.parquet")
         record.write(partial)
         partial.replace(path)
+    return lost
 
 
 def _seed(text: str) -> int:

@@ -54,7 +54,8 @@ def main(argv: list[str] | None = None) -> None:
         cases.append(known(given.effect, given.t, given.seed, given.air, given.rate_hz, given.positions, given.size))
         print("hidden:", *(f"{e.key} = {e.size:.4g}" for e in cases[-1].effects) if cases[-1].effects else ["nothing"])
     given.out.mkdir(parents=True, exist_ok=True)
-    write(cases, given.out)
+    if lost := write(cases, given.out):
+        raise SystemExit(f"{', '.join(sorted(lost))}: a flight comes to grief; choose a smaller effect")
     for case in cases:
         files = case.files(given.out)
         aircraft = "espaaro" if case.aircraft == "espaaro" else str(aircraft_folder(case.aircraft, SECOND, given.out))

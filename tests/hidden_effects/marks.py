@@ -12,6 +12,7 @@ COLUMNS = (
     "case", "kind", "air", "truth", "t", "size", "right", "together", "verdict", "answer", "spurious", "z", "gap", "oracle",
     "seconds", "exit", "faults",
 )  # fmt: skip
+NOT_FLOWN = "not flown"
 CLEAR_T, MARGINAL_T = 10.0, 3.0
 Row = Mapping[str, Any]
 
@@ -56,6 +57,8 @@ def marks(rows: Sequence[Row]) -> tuple[bool, str]:
         asked = f"{'at most' if most else 'at least'} {100 * wanted:.0f} %"
         lines.append(f"{'reached' if ok else 'MISSED '}  {name}: {good} of {n} = {100 * share:.0f} % ({asked})")
 
+    lost = [r for r in rows if r["verdict"] == NOT_FLOWN]
+    rows = [r for r in rows if r["verdict"] != NOT_FLOWN]
     single = [r for r in rows if r["kind"] in ("clear", "marginal")]
 
     def pick(strength: str, air: str) -> list[Row]:
@@ -86,6 +89,10 @@ def marks(rows: Sequence[Row]) -> tuple[bool, str]:
         0.95,
     )
     mark("files that keep their contract", _share(rows, lambda r: not r["faults"]), 1.0)
+    if lost:
+        lines.append(
+            f"not asked, since their flights come to grief: {len(lost)} ({', '.join(r['case'] for r in lost)})"
+        )
     slow = sorted(r["seconds"] for r in rows)
     if slow:
         lines.append(f"seconds a case: median {slow[len(slow) // 2]:.0f}, largest {slow[-1]:.0f}")
