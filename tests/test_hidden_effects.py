@@ -420,7 +420,8 @@ def test_a_file_that_breaks_its_contract_is_told_so():
 
 
 def table(**change):
-    one = {"kind": "clear", "air": "calm", "verdict": "effects-found", "t": 20.0, "right": 1, "together": "", "spurious": 0, "z": "0.5",
+    one = {"kind": "clear", "air": "calm", "verdict": "effects-found", "t": 20.0,
+           "right": 1, "together": "", "spurious": 0, "z": "0.5",
            "gap": 1.0, "oracle": 1.0,
            "seconds": 60.0, "faults": ""}  # fmt: skip
     return {**one, **change}
@@ -457,7 +458,7 @@ def test_answers_are_kept_and_an_interrupted_run_goes_on(tmp_path, monkeypatch, 
         }
 
     monkeypatch.setattr(run, "ask", ask)
-    monkeypatch.setattr(run, "write", lambda cases, folder: None)
+    monkeypatch.setattr(run, "write", lambda cases, folder: set())
     other = CASES["Cl:de", "clear", "calm"]
     given = ["--out", str(tmp_path), "--cases", case.id, other.id]
     with pytest.raises(KeyboardInterrupt):
