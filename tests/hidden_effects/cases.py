@@ -97,7 +97,8 @@ def write(cases: Sequence[Case], folder: Path) -> set[str]:
         for which in ("train", "test")
         for f, p in zip(c.flights(which), c.files(folder)[which], strict=True)
     ]
-    records = fly([f for _, f, _ in wanted])
+    with np.errstate(all="ignore"):  # flights that come to grief are counted below
+        records = fly([f for _, f, _ in wanted])
     lost = {
         name
         for record, (name, _, _) in zip(records, wanted, strict=True)
