@@ -69,6 +69,8 @@ def _run(args: argparse.Namespace) -> int:
     aircraft = find_aircraft(args.aircraft)
     if args.workers is not None and args.workers < 1:
         raise BadInputError(f"--workers {args.workers}: at least 1")
+    if args.campaign is not None and args.no_pbox:
+        raise BadInputError("--campaign and --no-pbox: a campaign is flown for its p-box; leave out one of them")
     if not args.out.exists() and not args.out.absolute().parent.is_dir():
         raise BadInputError(
             f"--out {args.out}: the folder {args.out.absolute().parent} does not exist; create it first"
