@@ -14,11 +14,15 @@ from flown import fly
 from sixdof import Airframe
 from test_refine import TEST, TRAIN, document, with_p2
 
+from sysid.effect_choice import Choice, Selection
+from sysid.effects import Effect
+from uqharness import refine_judge
 from uqharness.aircraft import find_aircraft
 from uqharness.cli import main
 from uqharness.errors import BadInputError
 from uqharness.flights import read_flights
 from uqharness.pbox import Sample
+from uqharness.refine import Found
 from uqharness.refine_intervals import FlightSet, IntervalJob, fit_intervals, intervals_document
 from uqharness.refine_judge import BEYOND_CHANCE, gap_change
 from uqharness.refine_pbox import MissionPBox, Model, campaign_for, fly_missions
@@ -144,6 +148,51 @@ def test_chance_withdraws_seldom_and_a_contradiction_does():
     assert np.mean([v.says == "cannot tell" for v in weak]) > 0.7
     assert all(change(rng, 0.5, True).says == "shrank" for _ in range(20))
     assert all(change(rng, 0.5, False).says == "grew" for _ in range(20))
+
+
+def judged(monkeypatch, harm: dict[str, float], together: float = 0.0) -> list[str]:
+    """Effects that stand after `judge`, the order of withdrawal before them; an effect of ``harm`` raises the cost, and so does
+    ``together`` where two or more are in."""
+    rng = np.random.default_rng(5)
+    noise = rng.standard_normal((400, 2))
+    wave = [np.sin(np.arange(400) / (9.0 + k)) for k in range(len(harm) + 1)]
+
+    def flown(model, setup, *_) -> SimpleNamespace:
+        white = noise.copy()
+        for k, (key, size) in enumerate(harm.items()):
+            white[:, 0] += (size if key in model and size > 0.0 else -size if key not in model and size < 0.0 else 0.0) * wave[k]
+        white[:, 1] += (together if len(model) > 1 else 0.0) * wave[-1]
+        return shown([white])
+
+    def without(found, keys):
+        return replace(found, selection=replace(found.selection, chosen=tuple(
+            c for c in found.selection.chosen if c.key not in keys)))  # fmt: skip
+
+    chosen = tuple(Choice(k, 1.0, 0.1, 10.0, 100.0, 1.0, 0.0) for k in harm)
+    effects = {k: Effect("Cm", None, k, k, k) for k in harm}
+    found = Found(None, (), None, None, Selection(chosen), effects, {}, ())  # type: ignore[arg-type]
+    monkeypatch.setattr(refine_judge, "show", flown)
+    monkeypatch.setattr(refine_judge, "evidence_of", lambda *_: None)
+    monkeypatch.setattr(refine_judge, "left_out", lambda found, _, keys: without(found, keys))
+    monkeypatch.setattr(refine_judge, "bare", lambda found: without(found, list(harm)))
+    side = refine_judge.Side(SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)]), (), ())  # type: ignore[arg-type]
+    done = refine_judge.judge(found, lambda f: [c.key for c in f.selection.chosen], side, side, map)  # type: ignore
+    return [*(c.key for c in done.withdrawn), "|", *(c.key for c in done.found.selection.chosen)]
+
+
+def test_the_worst_goes_first_and_what_helps_stays(monkeypatch):
+    assert judged(monkeypatch, {"alpha": -0.6, "alpha^2": 0.4, "alpha^3": 0.8}) == ["alpha^3", "alpha^2", "|", "alpha"]
+    assert judged(monkeypatch, {"alpha": -0.6, "beta": -0.5}) == ["|", "alpha", "beta"]
+
+
+def test_nothing_stands_where_nothing_helps(monkeypatch):
+    assert judged(monkeypatch, {"alpha": 0.6}) == ["alpha", "|"]
+    assert judged(monkeypatch, {"alpha": 0.3, "beta": 0.9}) == ["beta", "alpha", "|"]
+
+
+def test_effects_that_harm_together_alone_do_not_all_stand(monkeypatch):
+    """With three, leaving any one out leaves two, which are in each other's way as much: none goes for itself."""
+    assert judged(monkeypatch, {"alpha": 0.0, "beta": 0.0, "p_hat": 0.0}, 0.8).index("|") == 2
 
 
 def test_what_changes_nothing_is_not_said_to_grow():

@@ -97,6 +97,11 @@ def judge(found: Found, write: Write, train: Side, test: Side, map_: Map) -> Jud
         now = {k: gap_change(k, shown, after, test.setup) for k, (_, shown) in without.items()}
         verdicts |= now
         worst = min(now.values(), key=lambda v: v.z)
+        if worst.says != "grew" and len(now) > 1:
+            # Two effects may undo each other: then neither alone is in the way.
+            together = gap_change(worst.key, before, after, test.setup)
+            worst = together if together.says == "grew" else worst
+            verdicts[worst.key] = worst
         if worst.says != "grew":
             break
         gone.append(next(c for c in found.selection.chosen if c.key == worst.key))

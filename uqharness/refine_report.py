@@ -62,7 +62,8 @@ def _figures(done: Refinement, out: Path) -> list[str]:
     stands = bool(done.document["effects"])
     if stands:
         label, history = most_improved(setup, before, after)
-        history_figure(history, folder / "history.svg", f"Test flights, most improved: {label}")
+        how = ", predicted one sample ahead" if done.chosen.gusty else ""
+        history_figure(history, folder / "history.svg", f"Test flights, most improved: {label}{how}")
         names.append("history.svg")
     if gap["intervals"]["reason"] is None:
         title = "Model-form intervals from the train flights, judged on the test flights"
