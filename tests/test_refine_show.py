@@ -125,7 +125,7 @@ def change(rng: np.random.Generator, size: float, truth: bool, colour: float = 0
         d[:, 1] = size * np.sin(np.arange(300) / 20.0)
         without.append(noise + d if truth else noise)
         with_.append(noise if truth else noise - d)
-    return gap_change("x", shown(without), shown(with_), setup)
+    return gap_change("x", shown(without), shown(with_), setup, shown([rng.standard_normal((300, 3))]))
 
 
 def test_standard_error_of_the_change_is_that_of_the_draws():
@@ -197,9 +197,22 @@ def test_effects_that_harm_together_alone_do_not_all_stand(monkeypatch):
 
 def test_what_changes_nothing_is_not_said_to_grow():
     white = [np.ones((50, 2))] * 4
-    verdict = gap_change("x", shown(white), shown(white), SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4))
+    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
+    verdict = gap_change("x", shown(white), shown(white), setup, shown(white))
     assert (verdict.change, verdict.std, verdict.says) == (0.0, 0.0, "cannot tell")
     assert BEYOND_CHANCE > 1.0
+
+
+def test_flights_far_from_both_models_judge_neither():
+    """Six times the noise in every sample: the same difference that grew the gap in sound flights tells nothing there."""
+    rng = np.random.default_rng(2)
+    noise, d = rng.standard_normal((400, 2)), np.full((400, 2), 0.8)
+    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)])
+    sound = gap_change("x", shown([noise]), shown([noise + d]), setup, shown([noise]))
+    broken = gap_change("x", shown([noise - 6.0 * d / 0.8]), shown([noise - 7.0 * d / 0.8]), setup, shown([noise]))
+    assert (sound.says, broken.says) == ("grew", "too far")
+    assert broken.far == pytest.approx(6.0, rel=0.1)
+    assert broken.z < -BEYOND_CHANCE
 
 
 def test_without_an_effect_before_is_after(tmp_path, campaign, capsys):

@@ -160,7 +160,10 @@ def _effect(found: Found, c: Choice, verdict: Verdict | None) -> dict[str, Any]:
     value, std, unit = _as_written(found, e, c)
     test: dict[str, Any] = {}
     if verdict is not None:
-        row = {"change_of_twice_log_likelihood": verdict.change, "std": verdict.std, "gap": verdict.says}
+        row = {
+            "change_of_twice_log_likelihood": verdict.change, "std": verdict.std, "gap": verdict.says,
+            "rms_over_that_of_train": verdict.far,
+        }  # fmt: skip
         test = {"withdrawn": verdict.says == "grew", "test": row}
     return {
         **_label(e),

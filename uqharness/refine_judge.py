@@ -28,16 +28,20 @@ BLOCK_S = 2.0
 """Residuals this far apart count as independent."""
 BEYOND_CHANCE = 1.645
 """Standard errors by which a gap must have grown for the growth to count: noise alone does that once in twenty times."""
+FAR = 5.0
+"""Test flights that lie this many times as far from either model as the train flights do are not of the same aircraft or not
+sound; a difference between the models is lost in what is wrong with them."""
 
 
 @dataclass(frozen=True)
 class Verdict:
     """Of one effect on the test flights: by how much the sum of squared residuals over noise is larger without it, and the
-    standard error of that."""
+    standard error of that. far: rms of the better model's residuals over noise, over that of the train flights."""
 
     key: str
     change: float
     std: float
+    far: float = 1.0
 
     @property
     def z(self) -> float:
@@ -45,7 +49,9 @@ class Verdict:
 
     @property
     def says(self) -> str:
-        """shrank, grew, or cannot tell: a change that chance gives as well."""
+        """shrank, grew, cannot tell (a change that chance gives as well), or too far (flights that judge neither model)."""
+        if self.far > FAR:
+            return "too far"
         return "shrank" if self.z > BEYOND_CHANCE else "grew" if self.z < -BEYOND_CHANCE else "cannot tell"
 
 
@@ -80,6 +86,8 @@ def judge(found: Found, write: Write, train: Side, test: Side, map_: Map) -> Jud
         sensed = {c.key: c.value for c in model.selection.chosen if not in_dynamics(model.effects[c.key])}
         return show(write(model), side.setup, side.measured, side.ideal, map_, sensed, side.air)
 
+    pair = flown(bare(found), train)
+    fitted = flown(found, train) if found.selection.chosen else pair
     before = flown(bare(found), test)
     standing, after = found, flown(found, test) if found.selection.chosen else before
     evidence: Evidence | None = None
@@ -94,20 +102,19 @@ def judge(found: Found, write: Write, train: Side, test: Side, map_: Map) -> Jud
             evidence = evidence_of(found, train.air) if evidence is None else evidence
             less = left_out(found, evidence, [*(g.key for g in gone), c.key])
             without[c.key] = less, flown(less, test)
-        now = {k: gap_change(k, shown, after, test.setup) for k, (_, shown) in without.items()}
+        now = {k: gap_change(k, shown, after, test.setup, fitted) for k, (_, shown) in without.items()}
         verdicts |= now
         worst = min(now.values(), key=lambda v: v.z)
         if worst.says != "grew" and len(now) > 1:
             # Two effects may undo each other: then neither alone is in the way.
-            together = gap_change(worst.key, before, after, test.setup)
+            together = gap_change(worst.key, before, after, test.setup, fitted)
             worst = together if together.says == "grew" else worst
             verdicts[worst.key] = worst
         if worst.says != "grew":
             break
         gone.append(next(c for c in found.selection.chosen if c.key == worst.key))
         standing, after = without[worst.key]
-    pair = flown(bare(found), train)
-    settled = flown(standing, train) if standing.selection.chosen else pair
+    settled = fitted if not gone else flown(standing, train) if standing.selection.chosen else pair
     return Judged(standing, tuple(gone), verdicts, (train.setup, pair, settled), (test.setup, before, after))
 
 
@@ -117,12 +124,12 @@ def bare(found: Found) -> Found:
     return replace(found, parameters=parameters, selection=replace(found.selection, chosen=()))
 
 
-def gap_change(key: str, without: Shown, with_: Shown, setup: Setup) -> Verdict:
+def gap_change(key: str, without: Shown, with_: Shown, setup: Setup, fitted: Shown) -> Verdict:
     """The rise of the cost when an effect is left out.
 
     With a and b the whitened residuals without and with it and d = a - b, the rise is sum(a^2 - b^2) = sum(d^2) + 2 sum(b d): what
     noise makes of it is 2 sum(e d), e being noise, for which the residuals of the better model stand. Its variance is that of
-    sums over blocks, so that residuals may be coloured within them.
+    sums over blocks, so that residuals may be coloured within them. fitted: the model with its effects on the train flights.
     """
     better = with_ if with_.cost <= without.cost else without
     change, variance = 0.0, 0.0
@@ -131,7 +138,12 @@ def gap_change(key: str, without: Shown, with_: Shown, setup: Setup) -> Verdict:
         terms = np.nansum(2.0 * e * (a - b), axis=1)
         starts = np.arange(0, len(terms), max(1, round(BLOCK_S / segment.dt_s)))
         variance += float(np.sum(np.add.reduceat(terms, starts) ** 2))
-    return Verdict(key, change, float(np.sqrt(variance)))
+    return Verdict(key, change, float(np.sqrt(variance)), _mean_square(better) ** 0.5 / _mean_square(fitted) ** 0.5)
+
+
+def _mean_square(shown: Shown) -> float:
+    """Of the residuals over noise."""
+    return shown.cost / sum(int(np.isfinite(w).sum()) for w in shown.white)
 
 
 def evidence_of(found: Found, air: Array | None) -> Evidence:

@@ -117,6 +117,9 @@ def test_says(effect: Mapping[str, Any]) -> str:
         return f"on the test flights the gap shrank: {number}"
     if test["gap"] == "grew":
         return f"on the test flights the gap grew: {number}; withdrawn"
+    if test["gap"] == "too far":
+        far = f"{test['rms_over_that_of_train']:.0f} times as far from either model as the train flights"
+        return f"the test flights do not tell: they lie {far}; look for what is wrong with them"
     return f"the test flights do not tell whether the gap shrank: {number}"
 
 
