@@ -4,6 +4,7 @@ mission's p-box before and after; words that agree with the verdict."""
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,6 +27,7 @@ from uqharness.refine import Found
 from uqharness.refine_intervals import FlightSet, IntervalJob, fit_intervals, intervals_document
 from uqharness.refine_judge import BEYOND_CHANCE, gap_change
 from uqharness.refine_pbox import MissionPBox, Model, campaign_for, fly_missions
+from uqharness.refine_run import _put
 from uqharness.refine_words import left_over, nowhere
 
 CX_BETA2 = -1.5
@@ -349,3 +351,15 @@ def test_a_campaign_that_is_none_ends_before_a_flight_is_read(tmp_path, campaign
     assert "flights" in capsys.readouterr().err
     assert main([*arguments, "--campaign", str(campaign), "--no-pbox"]) == 2
     assert "--no-pbox" in capsys.readouterr().err
+
+
+def test_engines_beside_the_aircraft_go_with_it(tmp_path):
+    """An aircraft whose engines lie beside it finds them beside its refined copy as well."""
+    made = shutil.copytree(find_aircraft("espaaro").folder, tmp_path / "own" / "aircraft" / "espaaro")
+    (tmp_path / "own" / "engine").mkdir()
+    (tmp_path / "own" / "engine" / "own.xml").write_text("<propeller/>", encoding="utf-8")
+    given = find_aircraft(made)
+    put = _put(given, given, tmp_path / "out")
+    assert put.folder == tmp_path / "out" / "aircraft" / "espaaro"
+    assert put.engine_path == tmp_path / "out" / "engine"
+    assert (put.engine_path / "own.xml").is_file()
