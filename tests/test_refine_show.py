@@ -221,12 +221,18 @@ def test_without_an_effect_before_is_after(tmp_path, campaign, capsys):
     """Nothing is missing: one model, so intervals and p-box are the same before and after, number for number."""
     fly(TRAIN[:2], seed=3, seconds=6.0).write(tmp_path / "train.parquet")
     fly(TEST, seed=4, seconds=6.0).write(tmp_path / "test.parquet")
+    # What an earlier refinement, with an effect, left there.
+    for stale in ("before/aircraft/espaaro/espaaro.xml", "pbox/after/manifest.json", "intervals/after.json", "figures/history.svg"):
+        (tmp_path / "out" / stale).parent.mkdir(parents=True)
+        (tmp_path / "out" / stale).touch()
     code = main([
         "refine", "espaaro", "--train", str(tmp_path / "train.parquet"), "--test", str(tmp_path / "test.parquet"),
         "--out", str(tmp_path / "out"), "--workers", "1", "--no-figures", "--campaign", str(campaign),
     ])  # fmt: skip
     found = document(tmp_path / "out")
     assert (code, found["effects"], found["withdrawn"], found["chosen"]) == (0, [], [], [])
+    left = {p.relative_to(tmp_path / "out").as_posix() for p in (tmp_path / "out").rglob("*") if p.is_file()}
+    assert not [name for name in left if "after" in name or name.startswith("before/") or "history" in name]
     gap = found["gap"]["test"]
     assert gap["intervals"]["reason"] is None
     for row in gap["intervals"]["coefficients"].values():

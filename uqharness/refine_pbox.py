@@ -22,7 +22,7 @@ from uqharness.campaign_spec import CampaignSpec, campaign_from, read_campaign
 from uqharness.campaign_tables import conditions, in_condition, samples
 from uqharness.case_table import CASES, ERROR_METRICS, UNCOMMANDED_METRICS, read_table
 from uqharness.errors import BadInputError
-from uqharness.executor import Executor, ProcessExecutor, SerialExecutor, usable_cores
+from uqharness.executor import ProcessExecutor, usable_cores
 from uqharness.mission import find_script, read_script
 from uqharness.pbox import Sample, envelope
 from uqharness.start_spec import STEADY
@@ -144,16 +144,9 @@ def fly_missions(
     A run that was killed goes on; a folder with another campaign in it is made anew. What stands in the way of a mission is
     the result's reason.
     """
-    cores = workers or usable_cores()
+    executor = ProcessExecutor(workers or usable_cores(), keep=True)
     frames: dict[str, pd.DataFrame] = {}
-    with contextlib.ExitStack() as stack:
-        executor: Executor
-        if cores == 1:
-            executor = SerialExecutor()
-        else:
-            processes = ProcessExecutor(cores, keep=True)
-            stack.callback(processes.close)
-            executor = processes
+    with contextlib.closing(executor):
         try:
             data = campaign_for(next(iter(models.values())).aircraft, campaign)
             for name, model in models.items():

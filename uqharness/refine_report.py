@@ -16,6 +16,8 @@ from uqharness.refine_show import most_improved
 from uqharness.refine_words import interval_lines, left_over, nowhere, pbox_lines, test_says
 from uqharness.whole_files import write_bytes
 
+FIGURES = ("gap.svg", "history.svg", "intervals.svg", "pbox.svg", "candidates.svg", "coefficients.svg")
+
 
 def clean(value: Any) -> Any:
     """The same with null for figures that are not finite, ready for JSON."""
@@ -35,6 +37,8 @@ def write_report(done: Refinement, out: Path, figures: bool = True) -> None:
     write_bytes(out / "refinement.json", (json.dumps(done.document, indent=1) + "\n").encode())
     diff = model_diff(done)
     write_bytes(out / "model.diff", diff.encode("utf-8", errors="surrogateescape"))
+    for name in FIGURES:
+        (out / "figures" / name).unlink(missing_ok=True)
     drawn = _figures(done, out) if figures else []
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("uqharness", "templates"), autoescape=True, undefined=jinja2.StrictUndefined

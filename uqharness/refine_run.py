@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import shutil
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -13,6 +14,7 @@ from typing import Any
 from sysid.effects import Effect
 from uqharness import __version__, engine
 from uqharness.aircraft import Aircraft, content_hash, find_aircraft, open_aircraft
+from uqharness.campaign_manifest import MANIFEST
 from uqharness.flights import Flight, read_flights, renamed
 from uqharness.refine import (
     Bench,
@@ -28,6 +30,7 @@ from uqharness.refine import (
 )
 from uqharness.refine_document import document_of
 from uqharness.refine_fit import Map, Setup, positions, worker_map
+from uqharness.refine_intervals import FOLDER as INTERVALS
 from uqharness.refine_intervals import (
     FlightSet,
     IntervalJob,
@@ -37,6 +40,7 @@ from uqharness.refine_intervals import (
     write_forms,
 )
 from uqharness.refine_judge import Judged, Side, bare, judge
+from uqharness.refine_pbox import FOLDER as PBOX
 from uqharness.refine_pbox import MissionResult, Model, campaign_for, fly_missions, no_pbox
 from uqharness.refine_show import air_of, write_bytes_tree
 from uqharness.refine_stages import FOLDER, Stages
@@ -130,6 +134,8 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
                 "before": _put(_write(request, bare(chosen), work / "plain"), aircraft, request.out / "before"),
                 "after": target,
             }
+        else:
+            _remove_stale(request.out, aircraft)
         say("intervals of both models")
         jobs = [IntervalJob(m, train.set(), test.set(), request.ideal_servos) for m in models.values()]
         intervals = shown("intervals", lambda: before_and_after(jobs, map_))
@@ -200,6 +206,16 @@ def _put(made: Aircraft, given: Aircraft, root: Path) -> Aircraft:
         if own != engine.default_root() and (own / part).is_dir():
             write_bytes_tree(own / part, root / part)
     return find_aircraft(target)
+
+
+def _remove_stale(out: Path, aircraft: Aircraft) -> None:
+    """What an earlier refinement with an effect left in the folder, and one without does not write over."""
+    before = out / "before" / "aircraft" / aircraft.folder.name
+    mission = out / PBOX / "after"
+    for folder, mark in ((before, aircraft.xml.name), (mission, MANIFEST)):
+        if (folder / mark).is_file():
+            shutil.rmtree(folder)
+    (out / INTERVALS / "after.json").unlink(missing_ok=True)
 
 
 def _controls(aircraft: Aircraft, train: _Flights, given: Aircraft, map_: Map) -> list[Any]:
