@@ -113,13 +113,13 @@ def test_subsystems_have_their_places(tmp_path):
 
 
 def pressed(aircraft, h_m: float, k: float | None = None) -> float:
-    """Aerodynamic normal force [lbf] a quarter of a second after a level start at h_m."""
+    """Aerodynamic normal force [lbf] three frames after a level start at h_m."""
     fdm = open_aircraft(aircraft)
     if k is not None:
         engine.set_property(fdm, "effect/ground/lift", k)
     fdm["ic/lat-geod-deg"], fdm["ic/h-agl-ft"], fdm["ic/u-fps"], fdm["ic/w-fps"] = 45.0, h_m / 0.3048, 70.0, 3.0
     engine.run_ic(fdm)
-    for _ in range(25):
+    for _ in range(3):
         fdm.run()
     return float(fdm["forces/fbz-aero-lbs"])
 
