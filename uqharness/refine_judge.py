@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from sysid.effect_choice import Choice
 from sysid.effect_score import Evidence, corrected
 from uqharness.aircraft import Aircraft
-from uqharness.refine import Found, candidate_evidence, effect_value, with_resolution
+from uqharness.refine import Found, with_resolution
 from uqharness.refine_candidates import effect_columns
 from uqharness.refine_fit import Map, Setup
 from uqharness.refine_gusts import GustFit, gust_evidence
+from uqharness.refine_rounds import candidate_evidence, effect_value
 from uqharness.refine_show import Shown, show
 from uqharness.refine_xml import in_dynamics
 
@@ -148,19 +149,21 @@ def _mean_square(shown: Shown) -> float:
 
 def evidence_of(found: Found, air: Array | None) -> Evidence:
     """Evidence of the train flights as it is with no effect in the model: columns of parameters, nuisance and chosen effects."""
-    chosen = [found.effects[c.key] for c in found.selection.chosen]
+    flown = {e.key for e in found.setup.active}
+    rest = [found.effects[c.key] for c in found.selection.chosen if c.key not in flown]
     if found.gusty:
         assert air is not None
         fit = GustFit(found.after, air, [], float("nan"), np.zeros(6))
-        return gust_evidence(found.setup, fit, effect_columns(found.setup, fit.fit.probes, fit.fit.flown, chosen))
-    flown = {e.key for e in found.setup.active}
-    evidence = candidate_evidence(found.setup, found.after, [e for e in chosen if e.key not in flown])
-    values = {c.key: c.value for c in found.selection.chosen}
+        columns = effect_columns(found.setup, found.after.probes, found.after.flown, rest)
+        evidence = gust_evidence(found.setup, fit, columns)
+    else:
+        evidence = candidate_evidence(found.setup, found.after, rest)
     if found.staged is None:
         return evidence
+    values = {c.key: c.value for c in found.selection.chosen}
+    point, carriers = found.after.flown.point, found.setup.carriers
     return evidence.taken_out({
-        e.key: effect_value(e, found.after.flown.point, found.setup.carriers, found.staged, values.get(e.key, 0.0))
-        for e in found.setup.active
+        e.key: effect_value(e, point, carriers, found.staged, values.get(e.key, 0.0)) for e in found.setup.active
     })  # fmt: skip
 
 
