@@ -1,0 +1,168 @@
+"""What more data would do to a model-form interval: the answer of the linear model, before anybody has flown.
+
+With C = (X'X)^-1 of the data behind the interval and Z the regressors of further data, in the same normalised states,
+
+    C+ = (X'X + Z'Z)^-1                                                         (1)
+    n+ = n + n_Z,   dof+ = n+/f - m,   t+ = t(dof+)                             (2)
+    beta+, seen from today, is N(beta_hat, f s2 (C - C+))                       (3)
+
+(1), (2): least squares, the residual's variance s2 and colour f being what they are (model_form.py). (3): the variance f s2 C of
+what is known today is that of what will be known then, f s2 C+, plus that of what will be learnt (preposterior analysis: Raiffa and
+Schlaifer, "Applied Statistical Decision Theory" (1961), ch. 5). A width depends on beta+ because bounds are stretched to hold zero.
+
+Data narrow f x'Cx, the *parameter part*, and t. They do not narrow s2: what scatters about the best polynomial, be it noise or a
+term that is missing, stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from sysid.model_form import CoefficientBounds, Outside
+from sysid.polynomial import regressors, stack
+
+FloatArray = NDArray[np.float64]
+DRAWS = 200
+_MAX_STATES = 400  # at which the mean over draws is taken
+
+
+@dataclass(frozen=True)
+class Information:
+    """What some data say about one coefficient: Z'Z (m, m) over its terms, n samples, smallest and largest state (k,)."""
+
+    ZtZ: FloatArray
+    n: float
+    low: FloatArray
+    high: FloatArray
+
+
+@dataclass(frozen=True)
+class Width:
+    """Mean widths over states. total: of the bounds; parameter: 2 t sqrt(f s2 x'Cx), what not knowing the polynomial gives."""
+
+    total: float
+    parameter: float
+
+
+def information(bounds: CoefficientBounds, states: Mapping[str, FloatArray], weight: float = 1.0) -> Information:
+    """Of data at states (n,). weight: samples of the data behind ``bounds`` that one of these is worth (ratio of the rates).
+
+    Raises KeyError for a missing state.
+    """
+    x = stack(states, bounds.states)
+    # Data count where they are: clamping is for the interval's use, not for its making.
+    z = regressors((x - bounds.centre) / bounds.scale, bounds.terms)
+    return Information(weight * (z.T @ z), weight * len(z), x.min(axis=0), x.max(axis=0))
+
+
+def after(bounds: CoefficientBounds, more: Sequence[Information], scatter: float = 1.0) -> CoefficientBounds:
+    """The interval as it will be with ``more`` data, but for beta, which nobody knows yet.
+
+    scatter: residual variance of the further data over that of the data behind ``bounds``; the pooled one is expected.
+    The hull's box grows with the data; its largest leverage is not known without the samples and stays.
+    """
+    if not more:
+        return bounds
+    C = np.linalg.inv(np.linalg.inv(bounds.XtX_inv) + sum(item.ZtZ for item in more))  # (1)
+    added = sum(item.n for item in more)
+    n = bounds.n + added
+    n_effective = n / bounds.leverage_factor
+    dof = n_effective - len(bounds.terms)  # (2)
+    low, high = (
+        np.min([bounds.hull.low, *(item.low for item in more)], axis=0),
+        np.max([bounds.hull.high, *(item.high for item in more)], axis=0),
+    )
+    return replace(
+        bounds, XtX_inv=0.5 * (C + C.T), s2=bounds.s2 * (bounds.n + scatter * added) / n, n=round(n),
+        n_effective=n_effective, dof=dof, t=float(stats.t.ppf(0.5 + 0.5 * bounds.confidence, dof)),
+        hull=replace(bounds.hull, low=low, high=high),
+    )  # fmt: skip
+
+
+def for_ever(bounds: CoefficientBounds) -> CoefficientBounds:
+    """The limit of endless data: no parameter part left, s2 as it is."""
+    t = float(stats.norm.ppf(0.5 + 0.5 * bounds.confidence))
+    return replace(bounds, XtX_inv=np.zeros_like(bounds.XtX_inv), dof=float("inf"), t=t)
+
+
+def parameter_variance(
+    bounds: CoefficientBounds, states: Mapping[str, FloatArray], outside: Outside = "grow"
+) -> FloatArray:
+    """(n,) f s2 x'Cx: variance of the fitted polynomial at states."""
+    return bounds.leverage_factor * bounds.s2 * bounds.leverage(bounds.normalised(states, outside))
+
+
+def width(bounds: CoefficientBounds, states: Mapping[str, FloatArray], outside: Outside = "grow") -> Width:
+    """Mean widths of an interval over states (n,)."""
+    low, high = bounds.bounds(states, outside=outside)
+    parameter = 2.0 * bounds.t * np.sqrt(parameter_variance(bounds, states, outside))
+    return Width(float(np.mean(high - low)), float(np.mean(parameter)))
+
+
+def expected_width(
+    now: CoefficientBounds, then: CoefficientBounds, states: Mapping[str, FloatArray], outside: Outside = "grow",
+    draws: int = DRAWS, seed: int = 1,
+) -> Width:  # fmt: skip
+    """Mean widths that ``then`` (from `after` or `for_ever`) will have, over states and over what may be learnt of beta.
+
+    beta that a longer look will find is today's plus (3), whatever the scatter then.
+    """
+    kept = thinned(states, now.states, _MAX_STATES)
+    X = regressors(then.normalised(kept, outside), then.terms)
+    half = then.t * np.sqrt(then.s2 * (1.0 + then.leverage_factor * then.leverage(then.normalised(kept, outside))))
+    learnt = now.leverage_factor * now.s2 * (now.XtX_inv - then.XtX_inv)  # (3)
+    values, vectors = np.linalg.eigh(0.5 * (learnt + learnt.T))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    noise = np.random.default_rng(seed).standard_normal((len(now.beta_hat), draws))
+    # Antithetic: the mean of the draws is beta_hat itself.
+    beta = now.beta_hat[:, None] + root @ np.hstack([noise, -noise])
+    y = X @ beta
+    total = np.maximum(y + half[:, None], 0.0) - np.minimum(y - half[:, None], 0.0)
+    return Width(float(np.mean(total)), width(then, states, outside).parameter)
+
+
+def thinned(states: Mapping[str, FloatArray], names: Sequence[str], most: int) -> dict[str, FloatArray]:
+    """At most ``most`` of the states, evenly chosen."""
+    n = len(states[names[0]])
+    rows = np.linspace(0, n - 1, min(n, most)).round().astype(int)
+    return {name: np.asarray(states[name])[rows] for name in names}
+
+
+def weighted_quartiles(values: FloatArray, weights: FloatArray) -> FloatArray:
+    """(3,) of values (n,) that count by weights (n,) >= 0; NaN where all weights are 0."""
+    order = np.argsort(values, kind="stable")
+    total = np.cumsum(weights[order])
+    if not total[-1] > 0.0:
+        return np.full(3, np.nan)
+    at = np.searchsorted(total / total[-1], [0.25, 0.5, 0.75])
+    return np.asarray(values[order][np.minimum(at, len(values) - 1)])
+
+
+def speed_power(speeds_mps: FloatArray, variances: FloatArray, counts: FloatArray) -> float:
+    """b of variance ~ V^b, from stretches of flight with these mean speeds (p,), residual variances (p,) and samples (p,).
+
+    Noise of a sensor becomes noise of a coefficient through the dynamic pressure: b is -4 in still air; gusts make it less steep.
+    0 where the speeds do not tell: fewer than three, within 5 %, or a standard error above 1.
+    """
+    good = (variances > 0.0) & (counts > 0.0) & np.isfinite(variances)
+    if good.sum() < 3:
+        return 0.0
+    x, y, w = np.log(speeds_mps[good]), np.log(variances[good]), counts[good] / counts[good].sum()
+    x, y = x - w @ x, y - w @ y
+    sxx = float(w @ x**2)
+    if np.ptp(x) < np.log(1.05) or not sxx > 0.0:
+        return 0.0
+    b = float(w @ (x * y)) / sxx
+    error = np.sqrt(float(w @ (y - b * x) ** 2) / sxx / max(good.sum() - 2, 1))
+    return b if error <= 1.0 else 0.0
+
+
+def mean_power(middle: FloatArray, low: float, high: float, power: float) -> float:
+    """Mean of V^power over a distribution known by its quartiles (3,), smallest and largest value, straight lines in between."""
+    at = np.interp(np.linspace(0.005, 0.995, 100), [0.0, 0.25, 0.5, 0.75, 1.0], [low, *middle, high])
+    return float(np.mean(at**power))
