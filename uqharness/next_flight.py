@@ -14,26 +14,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aero_terms import COEFFICIENTS
-from sysid.bounds_fit import Design, FitOptions, fit_bounds
-from sysid.data_worth import (
-    Information,
-    Width,
-    after,
-    expected_width,
-    for_ever,
-    information,
-    mean_power,
-    parameter_variance,
-    speed_power,
-    weighted_quartiles,
-    width,
-)
+from sysid.bounds_fit import FitOptions, fit_bounds
+from sysid.data_worth import after, information, parameter_variance, weighted_quartiles
 from sysid.flight_choice import Offer, choose
 from sysid.model_form import CoefficientBounds, ModelForm
 from sysid.residuals import Cutoffs, Residuals
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
+from uqharness.flight_prospects import Prospect, designs_of, prospects
 from uqharness.mission_states import Occupancy
 from uqharness.point_trials import (
     WIDER,
@@ -47,7 +35,7 @@ from uqharness.point_trials import (
     unit_times,
 )
 from uqharness.test_point_script import MOST_BANK_RAD, RECOVERY_S, TRANSITION_S, schedule
-from uqharness.test_points import Condition, TestPoint, library
+from uqharness.test_points import QUIET_S, REST_S, Condition, TestPoint, library
 
 Array = NDArray[np.float64]
 WORTH = 0.05
@@ -65,34 +53,6 @@ class Options:
     minutes: float = 5.0
     speeds_mps: tuple[float, ...] = ()
     seed: int = 1
-
-
-@dataclass(frozen=True)
-class Prospect:
-    """Mean widths of one coefficient's interval over the mission: now, after the flight, after as many seconds of what was flown
-    before, and after endless flying, the scatter being what it is. narrowing, parameter_narrowing: shares of the width, and of its
-    parameter part, that go.
-
-    redone: what bounds made again will show. Their scatter is that of other speeds: noise grows as the dynamic pressure falls.
-    """
-
-    now: Width
-    then: Width
-    redone: Width
-    naive: Width
-    ever: Width
-
-    @property
-    def narrowing(self) -> float:
-        return 1.0 - self.then.total / self.now.total
-
-    @property
-    def parameter_narrowing(self) -> float:
-        return 1.0 - self.then.parameter / self.now.parameter
-
-    @property
-    def at_most(self) -> float:
-        return 1.0 - self.ever.total / self.now.total
 
 
 @dataclass(frozen=True)
@@ -210,10 +170,25 @@ def plan_flight(
     Raises BadInputError where nothing can be flown or no point tells anything.
     """
     cutoffs = Cutoffs(form.filtering.cutoff_hz, form.filtering.airspeed_cutoff_hz)
+    _check_minutes(flight, options)
     say("trying test points")
     trials, refused = try_library(form, mission, flight, options, cutoffs)
     say("choosing")
     return plan_from(form, coefficient, mission, flight, options, trials, refused, say)
+
+
+def _check_minutes(flight: TestFlight, options: Options) -> None:
+    """Refuse, before anything is flown, a flight too short for the shortest of any test points."""
+    least = QUIET_S + REST_S + RECOVERY_S + _before(flight)
+    if 60.0 * options.minutes < least:
+        raise BadInputError(
+            f"--minutes {options.minutes:g}: no test point fits; the shortest takes {least / 60.0:.2g} minutes with what comes "
+            "before it"
+        )
+
+
+def _before(flight: TestFlight) -> float:
+    return flight.begin_s + (TRANSITION_S if flight.has_autopilot else 0.0)
 
 
 def try_library(
@@ -249,8 +224,8 @@ def plan_from(
     chosen = choose(bounds, offers, states, 60.0 * options.minutes - flight.begin_s, transition, form.outside)
     if not chosen:
         raise BadInputError(
-            f"--minutes {options.minutes:g}: no test point fits; the shortest takes "
-            f"{(min(o.seconds for o in offers) + transition + flight.begin_s) / 60.0:.2g} minutes with what comes before it"
+            f"--minutes {options.minutes:g}: no test point fits or narrows anything; the shortest takes "
+            f"{(min(o.seconds for o in offers) + _before(flight)) / 60.0:.2g} minutes with what comes before it"
         )
     gains: dict[int, float] = {}
     before = _mean_half_width(form, coefficient, states)
@@ -273,57 +248,6 @@ def plan_from(
         tried=len(trials) + len(refused), states=flown.states,
         bounds_then=after(bounds, [information(bounds, flown.states, weight)]),
     )  # fmt: skip
-
-
-def prospects(
-    form: ModelForm, mission: Occupancy, flown: Residuals, weight: float, trials: Sequence[Trial]
-) -> dict[str, Prospect]:
-    """Of every coefficient, from a simulated flight's states. weight: see `sysid.data_worth.information`."""
-    behind_s = sum(f.seconds for f in form.flights)
-    new_s = sum(float(p.time_s[-1] - p.time_s[0]) for p in flown.pieces)
-    scatter = scatter_ratios(form, flown, trials)
-    out = {}
-    for c, bounds in form.coefficients.items():
-        states = mission.of(bounds.states)
-        told = [information(bounds, flown.states, weight)]
-        share = new_s / behind_s if behind_s > 0.0 else math.nan
-        same = Information(
-            np.asarray(share * np.linalg.inv(bounds.XtX_inv)), share * bounds.n, bounds.hull.low, bounds.hull.high
-        )
-        repeated = after(bounds, [same]) if math.isfinite(share) else bounds
-        then = after(bounds, told), after(bounds, told, scatter[c]), repeated, for_ever(bounds)
-        out[c] = Prospect(
-            width(bounds, states, form.outside), *(expected_width(bounds, b, states, form.outside) for b in then)
-        )
-    return out
-
-
-def scatter_ratios(form: ModelForm, flown: Residuals, trials: Sequence[Trial]) -> dict[str, float]:
-    """Coefficient -> residual variance at a flight's speeds over that behind the bounds, by the trend of the model's trials."""
-    out = {}
-    speeds = np.array([float(np.mean(t.states["V_mps"])) for t in trials])
-    counts = np.array([float(len(t.delta)) for t in trials])
-    hull = next(((b.hull, b.states.index("V_mps")) for b in form.coefficients.values() if "V_mps" in b.states), None)
-    for c in form.coefficients:
-        k = COEFFICIENTS.index(c)
-        power = speed_power(speeds, np.array([float(np.mean(t.delta[:, k] ** 2)) for t in trials]), counts)
-        if hull is None or power == 0.0:
-            out[c] = 1.0
-            continue
-        box, v = hull
-        before = mean_power(box.middle[v], float(box.low[v]), float(box.high[v]), power)
-        out[c] = float(np.mean(flown.states["V_mps"] ** power)) / before
-    return out
-
-
-def designs_of(form: ModelForm) -> dict[str, Design]:
-    """The form's own terms, to fit other flights as it was fitted."""
-    return {c: Design(b.states, b.terms) for c, b in form.coefficients.items()}
-
-
-def widths_over(form: ModelForm, mission: Occupancy) -> dict[str, Width]:
-    """Mean widths of a form's intervals where a mission flies."""
-    return {c: width(b, mission.of(b.states), form.outside) for c, b in form.coefficients.items()}
 
 
 def _mean_half_width(form: ModelForm, coefficient: str, states: Mapping[str, Array]) -> float:

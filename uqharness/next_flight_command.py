@@ -269,7 +269,8 @@ def _redone(
     coefficient: str,
 ) -> int:
     from uqharness.bounds_report import text_table
-    from uqharness.next_flight import WORTH, check_form, widths_over
+    from uqharness.flight_prospects import widths_over
+    from uqharness.next_flight import WORTH, check_form
 
     check_form(after, aircraft, coefficient, str(args.redone))
     planned = _planned(args.out / DOCUMENT)

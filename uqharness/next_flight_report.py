@@ -8,8 +8,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from uqharness.flight_prospects import Prospect
 from uqharness.mission_states import Occupancy
-from uqharness.next_flight import SENSORS, WORTH, NextFlight, Prospect
+from uqharness.next_flight import SENSORS, WORTH, NextFlight
 from uqharness.sensitivity_winner import Winner
 
 FORMAT = "next-flight 1"
@@ -56,7 +57,9 @@ def prospect_row(p: Prospect) -> dict[str, Any]:
     """Widths and narrowings of one coefficient."""
     return {
         "width": p.now.total, "width_after": p.then.total, "narrowing": p.narrowing, "narrowing_at_most": p.at_most,
-        "narrowing_same_manoeuvres": 1.0 - p.naive.total / p.now.total, "parameter_width": p.now.parameter,
+        "narrowing_same_manoeuvres": 1.0 - p.naive.total / p.now.total,
+        "width_redone": p.redone.total,
+        "narrowing_redone": 1.0 - p.redone.total / p.now.total, "parameter_width": p.now.parameter,
         "parameter_width_after": p.then.parameter, "parameter_narrowing": p.parameter_narrowing,
         "parameter_narrowing_same_manoeuvres": 1.0 - p.naive.parameter / p.now.parameter,
     }  # fmt: skip
@@ -125,6 +128,12 @@ def words(found: NextFlight, winner: Winner) -> list[str]:
         f"{_percent(1.0 - p.naive.total / p.now.total)} ({_percent(1.0 - p.naive.parameter / p.now.parameter)}); endless data "
         f"of the same kind, by {_percent(p.at_most)}."
     )
+    shown = 1.0 - p.redone.total / p.now.total
+    if abs(shown - p.narrowing) > 0.01:
+        flight += (
+            f" Bounds made again will show {_percent(shown)}, because residuals scatter differently at the speeds of these points; "
+            "that difference is no knowledge."
+        )
     out.append(flight)
     if not found.worth_flying:
         out.append(_why_not(found, p))

@@ -27,18 +27,11 @@ from sysid.residuals import Cutoffs, Residuals, together
 from sysid.variation import WALK_CUTOFF_HZ
 from uqharness.aircraft import content_hash, find_aircraft
 from uqharness.errors import BadInputError
+from uqharness.flight_prospects import designs_of, prospects, widths_over
 from uqharness.identify_report import markdown_table, write_text
 from uqharness.mission import find_script
 from uqharness.mission_states import Occupancy, recorded_mission
-from uqharness.next_flight import (
-    NextFlight,
-    Options,
-    designs_of,
-    plan_from,
-    prospects,
-    try_library,
-    widths_over,
-)
+from uqharness.next_flight import NextFlight, Options, plan_from, try_library
 from uqharness.point_trials import Refused, TestFlight, Trial, fly_points, fly_script, residuals_of
 
 MODEL, TRUTH = "espaaro", "espaaro_truth"
