@@ -48,6 +48,8 @@ def next_flight_figure(
     for axis, state in zip(axes, now.states, strict=True):
         _profile(axis, now, then, state, mission[state], before, after)
     axes[0].set_ylabel(f"half-width of {coefficient}", fontsize=9)
+    # Last: the axes are shared, and a limit set earlier would stand for panels still to come.
+    axes[0].set_ylim(bottom=0.0)
     handles, labels = axes[0].get_legend_handles_labels()
     top.legend(handles, labels, loc="outside upper center", ncols=5, frameon=False, fontsize=8.5)
     pair = _pair(now, mission, before)
@@ -83,7 +85,6 @@ def _profile(
             axis.axvline(factor * edge, color=_RULE, lw=0.8, ls=":")
     axis.set_xlabel(label, fontsize=9)
     axis.set_xlim(factor * low, factor * high)
-    axis.set_ylim(bottom=0.0)
     axis.tick_params(labelsize=8)
 
 

@@ -18,6 +18,8 @@ COLUMNS = (
     "number", "start_s", "end_s", "speed_mps", "bank_deg", "kind", "control", "size", "unit", "unit_s", "pattern", "begins_s",
     "gain",
 )  # fmt: skip
+MOST = 0.9
+"""Share of a flight's gain that its few most telling points have together."""
 _DEGREES = 57.29577951308232
 
 
@@ -135,6 +137,7 @@ def words(found: NextFlight, winner: Winner) -> list[str]:
             "that difference is no knowledge."
         )
     out.append(flight)
+    out.append(_first_points(found))
     if not found.worth_flying:
         out.append(_why_not(found, p))
     others = [
@@ -143,6 +146,22 @@ def words(found: NextFlight, winner: Winner) -> list[str]:
     if others:
         out.append(f"The same flight narrows {', '.join(others)}.")
     return out
+
+
+def _first_points(found: NextFlight) -> str:
+    """How few of the points bring most of it."""
+    order = sorted(range(len(found.plan)), key=lambda k: -found.plan[k].gain)
+    total, gained, few = sum(p.gain for p in found.plan), 0.0, list[int]()
+    for k in order:
+        few.append(k)
+        gained += found.plan[k].gain
+        if gained >= MOST * total:
+            break
+    numbers = ", ".join(str(k + 1) for k in sorted(few))
+    what = f"point {numbers} brings" if len(few) == 1 else f"points {numbers} bring"
+    return (
+        f"Of what the flight takes off the mean width {what} {_percent(gained / total)}; a short flight would be those."
+    )
 
 
 def _why_not(found: NextFlight, p: Prospect) -> str:

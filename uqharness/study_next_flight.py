@@ -53,6 +53,8 @@ class Case:
 
 
 CASES = (
+    Case("one manoeuvre, CY", 16.0, "CY"),
+    Case("one manoeuvre, CX", 16.0, "CX"),
     Case("two manoeuvres, CY", 24.0, "CY"),
     Case("two manoeuvres, CX", 24.0, "CX"),
     Case("four manoeuvres, CY", 40.0, "CY"),
