@@ -176,6 +176,33 @@ def test_the_script_flies_and_the_redone_bounds_are_as_predicted(planned, campai
         assert achieved[c]["predicted_parameter"] == document["prospects"][c]["parameter_narrowing"]
 
 
+def test_what_scatters_is_asked_of_the_flights_behind(campaign, tmp_path, capsys):
+    """In still air the reference truth's Cl_de is most of what scatters in Cl; polynomials of V, beta, p and r lack it."""
+    flight, made = tmp_path / "calm.parquet", tmp_path / "bounds"
+    assert (
+        main(["fly", "espaaro_truth", "--script", "flight-bounds", "--noise", "--seed", "3", "--out", str(flight)]) == 0
+    )
+    assert main(["bounds", "espaaro", "--flight", str(flight), "--out", str(made), "--no-checks", "--no-figures"]) == 0
+    capsys.readouterr()
+    arguments = [
+        "next-flight",
+        str(campaign),
+        "--bounds",
+        str(made / "model-form.json"),
+        "--coefficient",
+        "Cl",
+        "--cases",
+        "2",
+    ]
+    arguments += ["--speeds", "22", "--minutes", "1", "--no-figures", "--json", "--flight", str(flight)]
+    main([*arguments, "--out", str(tmp_path / "next")])
+    document = json.loads(capsys.readouterr().out)
+    assert document["missing"][0]["term"] == "elevator_pos_deg"
+    assert document["missing"][0]["share"] > 0.5
+    assert document["scatter"]["bounds"] > 1.3 * document["scatter"]["simulated"]
+    assert any("elevator_pos_deg" in w and "lack" in w for w in document["words"])
+
+
 def test_the_table_holds_every_step(planned):
     _, out = planned
     document = json.loads((out / "next-flight.json").read_text())

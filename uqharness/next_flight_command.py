@@ -15,6 +15,7 @@ from uqharness.flight_spec import COEFFICIENTS, TURBULENCE_W20_KT
 from uqharness.whole_files import check_folder
 
 if TYPE_CHECKING:
+    from sysid.missing_terms import MissingTerm
     from sysid.model_form import ModelForm
     from uqharness.aircraft import Aircraft
     from uqharness.mission_states import CampaignMission, Occupancy
@@ -77,6 +78,13 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         help="flight records or logs of the mission instead of the campaign's flights",
     )
     parser.add_argument(
+        "--flight",
+        type=Path,
+        nargs="+",
+        metavar="FILE",
+        help="the flights behind the bounds: is what scatters a term that their polynomial lacks?",
+    )
+    parser.add_argument(
         "--redone",
         type=Path,
         metavar="MODEL-FORM.json",
@@ -112,7 +120,9 @@ def _run(args: argparse.Namespace) -> int:
         else fly_mission(campaign, args.cases)
     )
     if args.redone is not None:
-        return _redone(args, form, load_form(args.redone), aircraft, mission, winner.coefficient)
+        after = load_form(args.redone)
+        check_form(after, aircraft, winner.coefficient, str(args.redone))
+        return _redone(args, form, after, mission, winner.coefficient)
     return _plan(args, form, path, aircraft, campaign, mission, winner, speeds)
 
 
@@ -170,6 +180,7 @@ def _plan(
 
     flight = _test_flight(args, aircraft, campaign, form)
     found = plan_flight(form, winner.coefficient, mission, flight, Options(args.minutes, speeds, args.seed), _stage)
+    missing = _missing(args, form, aircraft, winner.coefficient)
     _stage("")
     units = {c: card.unit for c, card in aircraft.card.inputs.items()}
     air = {
@@ -177,7 +188,9 @@ def _plan(
         "campaign": str(args.folder), "bounds": str(path),
         "simulated": {"turbulence": flight.turbulence, "sensor_noise": flight.noise, "autopilot": flight.has_autopilot},
     }  # fmt: skip
-    doc = document(found, winner, mission, air, units, _warnings(form, aircraft, campaign, mission, flight, args))
+    doc = document(
+        found, winner, mission, missing, air, units, _warnings(form, aircraft, campaign, mission, flight, args)
+    )
     out = results_folder(args.out)
     points = [p.point for p in found.plan]
     purpose = f"Flight for {found.coefficient}"
@@ -225,6 +238,25 @@ def _test_flight(
     )
 
 
+def _missing(
+    args: argparse.Namespace, form: ModelForm, aircraft: Aircraft, coefficient: str
+) -> list[MissingTerm] | None:
+    """Terms that the flights of --flight show to be missing; None where none were given. Raises BadInputError."""
+    if not args.flight:
+        return None
+    from sysid.missing_terms import missing_terms
+    from sysid.residuals import Cutoffs, together
+    from uqharness.point_trials import residuals_of
+
+    _stage("missing terms")
+    cutoffs = Cutoffs(form.filtering.cutoff_hz, form.filtering.airspeed_cutoff_hz)
+    residuals = together(residuals_of(aircraft, args.flight, cutoffs))
+    try:
+        return missing_terms(residuals, coefficient, form.coefficients[coefficient])
+    except ValueError as error:
+        raise BadInputError(f"--flight: {error}") from None
+
+
 def _warnings(
     form: ModelForm,
     aircraft: Aircraft,
@@ -234,6 +266,7 @@ def _warnings(
     args: argparse.Namespace,
 ) -> list[str]:
     from uqharness.aircraft import content_hash
+    from uqharness.flights import file_hash
 
     out = []
     if form.aircraft.sha256 != content_hash(aircraft) and campaign.spec.start is None:
@@ -246,6 +279,12 @@ def _warnings(
         )
     elif args.bounds is not None and args.bounds.read_bytes() != campaign.spec.inputs.model_form.read_bytes():
         out.append("the campaign flew other bounds than these: which coefficient wins may differ with these")
+    known = {f.sha256 for f in form.flights}
+    others = [p.name for p in args.flight or () if file_hash(p) not in known]
+    if others:
+        out.append(
+            f"--flight {', '.join(others)}: not among the flights behind the bounds; what scatters there may be another thing"
+        )
     if campaign.failed and not args.occupancy:
         out.append(
             f"{campaign.failed} flights of the campaign did not end well and say nothing of where the mission flies"
@@ -260,53 +299,15 @@ def _warnings(
     return out
 
 
-def _redone(
-    args: argparse.Namespace,
-    before: ModelForm,
-    after: ModelForm,
-    aircraft: Aircraft,
-    mission: Occupancy,
-    coefficient: str,
-) -> int:
-    from uqharness.bounds_report import text_table
-    from uqharness.flight_prospects import widths_over
-    from uqharness.next_flight import WORTH, check_form
+def _redone(args: argparse.Namespace, before: ModelForm, after: ModelForm, mission: Occupancy, coefficient: str) -> int:
+    from uqharness.next_flight import WORTH
+    from uqharness.next_flight_redone import achieved, as_text
 
-    check_form(after, aircraft, coefficient, str(args.redone))
-    planned = _planned(args.out / DOCUMENT)
-    then, now = widths_over(after, mission), widths_over(before, mission)
-    rows: dict[str, dict[str, float | None]] = {}
-    for c in now:
-        if c in then:
-            rows[c] = {
-                "width": now[c].total, "width_after": then[c].total, "narrowing": 1.0 - then[c].total / now[c].total,
-                "parameter_narrowing": 1.0 - then[c].parameter / now[c].parameter,
-                "predicted": planned.get(c, {}).get("narrowing"),
-                "predicted_parameter": planned.get(c, {}).get("parameter_narrowing"),
-            }  # fmt: skip
-    if args.json:
-        print(json.dumps({"coefficient": coefficient, "achieved": rows}))
-    else:
-        table = [{"coefficient": c, **{k: _cell(k, v) for k, v in r.items()}} for c, r in rows.items()]
-        print("\n".join(text_table(table)))
-    achieved = rows[coefficient]["narrowing"]
-    assert achieved is not None
-    return 0 if achieved >= WORTH else 1
-
-
-def _cell(key: str, value: float | None) -> str:
-    if value is None:
-        return "–"
-    return f"{value:.3g}" if "width" in key else f"{100 * value:.2g} %"
-
-
-def _planned(path: Path) -> dict[str, dict[str, float]]:
-    """Prospects of a flight planned in the same folder; empty without one."""
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))["prospects"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return {}
-    return found if isinstance(found, dict) else {}
+    rows = achieved(before, after, mission, args.out / DOCUMENT)
+    _stage("")
+    print(json.dumps({"coefficient": coefficient, "achieved": rows}) if args.json else as_text(rows))
+    narrowing = rows[coefficient]["narrowing"]
+    return 0 if narrowing is not None and narrowing >= WORTH else 1
 
 
 def _text(found: Any, doc: dict[str, Any], out: Path) -> str:

@@ -8,9 +8,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from sysid.missing_terms import MissingTerm
 from uqharness.flight_prospects import Prospect
 from uqharness.mission_states import Occupancy
-from uqharness.next_flight import SENSORS, WORTH, NextFlight
+from uqharness.next_flight import NextFlight
+from uqharness.next_flight_words import words
 from uqharness.sensitivity_winner import Winner
 
 FORMAT = "next-flight 1"
@@ -18,13 +20,12 @@ COLUMNS = (
     "number", "start_s", "end_s", "speed_mps", "bank_deg", "kind", "control", "size", "unit", "unit_s", "pattern", "begins_s",
     "gain",
 )  # fmt: skip
-MOST = 0.9
-"""Share of a flight's gain that its few most telling points have together."""
 _DEGREES = 57.29577951308232
 
 
 def document(
-    found: NextFlight, winner: Winner, mission: Occupancy, air: Mapping[str, Any], units: Mapping[str, str],
+    found: NextFlight, winner: Winner, mission: Occupancy, missing: Sequence[MissingTerm] | None,
+    air: Mapping[str, Any], units: Mapping[str, str],
     warnings: Sequence[str],
 ) -> dict[str, Any]:  # fmt: skip
     """next-flight.json. air: aircraft, bounds and conditions of the simulated flight, as they are to be written."""
@@ -36,7 +37,7 @@ def document(
         "share": list(winner.share),
         "certain": winner.certain,
         "verdict": "fly" if found.worth_flying else "no",
-        "words": words(found, winner),
+        "words": words(found, winner, missing),
         "mission": {
             "source": mission.source, "flights": mission.flights, "failed": mission.failed,
             "seconds": round(mission.seconds, 3), "outside_data": found.extrapolated,
@@ -47,6 +48,7 @@ def document(
         },
         "prospects": {c: prospect_row(p) for c, p in found.prospects.items()},
         "scatter": {"bounds": found.scatter, "simulated": _number(found.simulated_scatter)},
+        "missing": None if missing is None else [{"term": m.name, "share": m.share} for m in missing],
         "flight_s": found.end_s,
         "points": [point_row(found, k, units) for k in range(len(found.plan))],
         "tried": found.tried,
@@ -112,86 +114,6 @@ def points_csv(found: NextFlight, units: Mapping[str, str]) -> bytes:
     return buffer.getvalue().encode()
 
 
-def words(found: NextFlight, winner: Winner) -> list[str]:
-    """The answer in sentences."""
-    c, p = found.coefficient, found.prospect
-    low, high = (100.0 * s for s in winner.share)
-    sure = "certain" if winner.certain else "not certain"
-    out = [
-        f"{c} has {low:.0f} to {high:.0f} % of the p-box of {winner.metric} ({winner.condition}; its lead is {sure})."
-    ]
-    out.append(
-        f"Where the mission flies its interval is {p.now.total:.3g} wide on average. {_percent(found.extrapolated)} of the mission "
-        f"lies outside the data. Not knowing the polynomial gives {p.now.parameter:.3g} by itself, the scatter about it the rest."
-    )
-    flight = f"The flight of {found.end_s / 60.0:.1f} min narrows the interval by {_percent(p.narrowing)} (its parameter part by "
-    flight += (
-        f"{_percent(p.parameter_narrowing)}); as long a repetition of what was flown before, by "
-        f"{_percent(1.0 - p.naive.total / p.now.total)} ({_percent(1.0 - p.naive.parameter / p.now.parameter)}); endless data "
-        f"of the same kind, by {_percent(p.at_most)}."
-    )
-    shown = 1.0 - p.redone.total / p.now.total
-    if abs(shown - p.narrowing) > 0.01:
-        flight += (
-            f" Bounds made again will show {_percent(shown)}, because residuals scatter differently at the speeds of these points; "
-            "that difference is no knowledge."
-        )
-    out.append(flight)
-    out.append(_first_points(found))
-    if not found.worth_flying:
-        out.append(_why_not(found, p))
-    others = [
-        f"{name} {_percent(o.narrowing)}" for name, o in found.prospects.items() if name != c and o.narrowing >= WORTH
-    ]
-    if others:
-        out.append(f"The same flight narrows {', '.join(others)}.")
-    return out
-
-
-def _first_points(found: NextFlight) -> str:
-    """How few of the points bring most of it."""
-    order = sorted(range(len(found.plan)), key=lambda k: -found.plan[k].gain)
-    total, gained, few = sum(p.gain for p in found.plan), 0.0, list[int]()
-    for k in order:
-        few.append(k)
-        gained += found.plan[k].gain
-        if gained >= MOST * total:
-            break
-    numbers = ", ".join(str(k + 1) for k in sorted(few))
-    what = f"point {numbers} brings" if len(few) == 1 else f"points {numbers} bring"
-    return (
-        f"Of what the flight takes off the mean width {what} {_percent(gained / total)}; a short flight would be those."
-    )
-
-
-def _why_not(found: NextFlight, p: Prospect) -> str:
-    if p.at_most >= WORTH:
-        return (
-            f"Not worth flying for {found.coefficient} alone ({_percent(WORTH)} is asked for): more minutes would bring up to "
-            f"{_percent(p.at_most)}."
-        )
-    text = (
-        f"More data cannot narrow this interval: {_percent(1.0 - p.at_most)} of its width is scatter about the polynomial, which "
-        "stays. "
-    )
-    ratio = found.scatter / found.simulated_scatter
-    if not math.isfinite(ratio):
-        return text + "Whether that is noise or form, a longer --minutes would tell."
-    if ratio > SENSORS:
-        return (
-            text
-            + f"It is {ratio:.1f} times what the model's own sensors and air give ({found.simulated_scatter:.2g}): a term is "
-            "missing, or the air was rougher than simulated (--turbulence). Look for the term instead: uqharness refine on the "
-            f"flights behind the bounds, or further states in the bounds of {found.coefficient} (uqharness bounds --states "
-            f"{found.coefficient}=...)."
-        )
-    return (
-        text
-        + f"It is {ratio:.1f} times what the model's own sensors and air give ({found.simulated_scatter:.2g}): calmer air, "
-        "better sensors or a lower --cutoff-hz of the bounds narrow it, no manoeuvre does."
-    )
-
-
 def where_rows(found: NextFlight) -> list[dict[str, str]]:
     """Quartiles of each state: in the data, in the mission, of the uncertainty there; angles in degrees."""
     out = []
@@ -230,10 +152,6 @@ def report(found: NextFlight, doc: Mapping[str, Any], table: str, where: str, co
     ]  # fmt: skip
     lines += [f"- warning: {w}" for w in doc["warnings"]]
     return "\n".join(lines) + "\n"
-
-
-def _percent(value: float) -> str:
-    return f"{100.0 * value:.2g} %"
 
 
 def _number(value: float) -> float | None:
