@@ -1,14 +1,16 @@
 """What more data would do to a model-form interval: the answer of the linear model, before anybody has flown.
 
-With C = (X'X)^-1 of the data behind the interval and Z the regressors of further data, in the same normalised states,
+With C = (X'X)^-1 of the data behind the interval and K = Z'Z of further data, in the same normalised states,
 
-    C+ = (X'X + Z'Z)^-1                                                         (1)
+    C+ = (X'X + K)^-1                                                           (1)
     n+ = n + n_Z,   dof+ = n+/f - m,   t+ = t(dof+)                             (2)
-    beta+, seen from today, is N(beta_hat, f s2 (C - C+))                       (3)
+    beta+ = C+ (X'X beta_hat + K b),  b = beta + noise of variance f s2 K^-1    (3)
 
-(1), (2): least squares, the residual's variance s2 and colour f being what they are (model_form.py). (3): the variance f s2 C of
-what is known today is that of what will be known then, f s2 C+, plus that of what will be learnt (preposterior analysis: Raiffa and
-Schlaifer, "Applied Statistical Decision Theory" (1961), ch. 5). A width depends on beta+ because bounds are stretched to hold zero.
+(1), (2): least squares, the residual's variance s2 and colour f being what they are (model_form.py). (3): a width depends on beta+
+because bounds are stretched to hold zero. What is believed of beta today is not beta_hat +- its standard error: far from the data
+that would be a model error as large as the interval, and an interval is wide there for want of knowledge, not for error. Terms are
+as likely to be up as down, with one size for all that beta_hat itself tells (empirical Bayes; Efron and Morris, JASA 68 (1973) 117).
+The mean over futures is taken (preposterior analysis: Raiffa and Schlaifer, "Applied Statistical Decision Theory" (1961), ch. 5).
 
 Data narrow f x'Cx, the *parameter part*, and t. They do not narrow s2: what scatters about the best polynomial, be it noise or a
 term that is missing, stays.
@@ -21,7 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import optimize, stats
 
 from sysid.model_form import CoefficientBounds, Outside
 from sysid.polynomial import regressors, stack
@@ -104,24 +106,49 @@ def width(bounds: CoefficientBounds, states: Mapping[str, FloatArray], outside: 
     return Width(float(np.mean(high - low)), float(np.mean(parameter)))
 
 
+def belief(bounds: CoefficientBounds) -> tuple[FloatArray, FloatArray]:
+    """Mean (m,) and covariance (m, m) of beta: beta_hat is N(beta, f s2 C), beta is N(0, v I), v where beta_hat is likeliest.
+
+    Terms are of normalised states, so that one size for all of them has a meaning.
+    """
+    S = bounds.leverage_factor * bounds.s2 * bounds.XtX_inv
+    values, vectors = np.linalg.eigh(0.5 * (S + S.T))
+    values = np.maximum(values, 0.0)
+    b = vectors.T @ bounds.beta_hat
+
+    def unlikely(log_v: float) -> float:
+        total = np.exp(log_v) + values
+        return float(np.sum(np.log(total) + b**2 / total))
+
+    top = float(np.log(max(float(b @ b), 1e-300)))
+    # The likelihood may have two maxima: the best of a grid, then refined beside it.
+    grid = np.linspace(top - 30.0, top, 121)
+    best = float(grid[int(np.argmin([unlikely(g) for g in grid]))])
+    v = float(np.exp(optimize.minimize_scalar(unlikely, bounds=(best - 0.25, best + 0.25), method="bounded").x))
+    shrink = v / (v + values)
+    return vectors @ (shrink * b), (vectors * (shrink * values)) @ vectors.T
+
+
 def expected_width(
     now: CoefficientBounds, then: CoefficientBounds, states: Mapping[str, FloatArray], outside: Outside = "grow",
     draws: int = DRAWS, seed: int = 1,
 ) -> Width:  # fmt: skip
-    """Mean widths that ``then`` (from `after` or `for_ever`) will have, over states and over what may be learnt of beta.
-
-    beta that a longer look will find is today's plus (3), whatever the scatter then.
-    """
+    """Mean widths that ``then`` (from `after` or `for_ever`) will have, over states and over what may be learnt of beta."""
     kept = thinned(states, now.states, _MAX_STATES)
-    X = regressors(then.normalised(kept, outside), then.terms)
-    half = then.t * np.sqrt(then.s2 * (1.0 + then.leverage_factor * then.leverage(then.normalised(kept, outside))))
-    learnt = now.leverage_factor * now.s2 * (now.XtX_inv - then.XtX_inv)  # (3)
-    values, vectors = np.linalg.eigh(0.5 * (learnt + learnt.T))
+    z = then.normalised(kept, outside)
+    X = regressors(z, then.terms)
+    half = then.t * np.sqrt(then.s2 * (1.0 + then.leverage_factor * then.leverage(z)))
+    mean, covariance = belief(now)
+    if then.XtX_inv.any():
+        M = np.linalg.inv(now.XtX_inv)
+        K, C = np.linalg.inv(then.XtX_inv) - M, then.XtX_inv
+        covariance = C @ (K @ covariance @ K + now.leverage_factor * now.s2 * K) @ C  # (3)
+        mean = C @ (M @ now.beta_hat + K @ mean)
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    noise = np.random.default_rng(seed).standard_normal((len(now.beta_hat), draws))
-    # Antithetic: the mean of the draws is beta_hat itself.
-    beta = now.beta_hat[:, None] + root @ np.hstack([noise, -noise])
-    y = X @ beta
+    noise = np.random.default_rng(seed).standard_normal((len(mean), draws))
+    # Antithetic: the draws have the mean that they should.
+    y = X @ (mean[:, None] + root @ np.hstack([noise, -noise]))
     total = np.maximum(y + half[:, None], 0.0) - np.minimum(y - half[:, None], 0.0)
     return Width(float(np.mean(total)), width(then, states, outside).parameter)
 

@@ -11,6 +11,7 @@ from scipy import stats
 
 from sysid.data_worth import (
     after,
+    belief,
     expected_width,
     for_ever,
     information,
@@ -90,7 +91,7 @@ def test_a_refit_of_both_data_sets_has_the_predicted_interval():
 
 @pytest.mark.parametrize("offset", [0.0, 0.8])
 def test_the_expected_width_is_that_of_futures_played_out(offset):
-    """Draw the truth from what is known today, make the second flight's data from it, fit both, measure: the mean over futures.
+    """Draw the truth from what is believed today, make the second flight's data from it, fit both, measure: the mean over futures.
 
     With an offset the bounds are stretched to hold zero, and the width depends on what will be found.
     """
@@ -102,12 +103,13 @@ def test_the_expected_width_is_that_of_futures_played_out(offset):
     then = after(now, [information(now, {STATE: z})])
     predicted = expected_width(now, then, at, draws=2000)
     X, Z, A = (np.column_stack([np.ones(len(v)), v]) for v in (x, z, at[STATE]))
-    root = np.linalg.cholesky(now.s2 * now.XtX_inv)
+    mean, covariance = belief(now)
+    root = np.linalg.cholesky(covariance)
     C = np.linalg.inv(X.T @ X + Z.T @ Z)
     half = stats.t.ppf(0.975, 258) * np.sqrt(now.s2 * (1.0 + np.einsum("ni,ij,nj->n", A, C, A)))
     found = []
     for _ in range(3000):
-        truth = now.beta_hat + root @ rng.standard_normal(2)
+        truth = mean + root @ rng.standard_normal(2)
         second = Z @ truth + np.sqrt(now.s2) * rng.standard_normal(200)
         beta = C @ (X.T @ X @ now.beta_hat + Z.T @ second)
         y = A @ beta
@@ -117,6 +119,35 @@ def test_the_expected_width_is_that_of_futures_played_out(offset):
     if offset:
         # The stretched part is there: half-widths alone would be less.
         assert predicted.total > 1.1 * np.mean(2.0 * half)
+
+
+def test_what_is_believed_of_terms_is_nearer_to_them_than_their_estimates():
+    """Terms of one size, estimated here well and there badly: shrinking beats the estimates, and the spread is honest."""
+    rng = np.random.default_rng(9)
+    size, terms = 0.1, full_polynomial(3, 2)
+    states = ("V_mps", "alpha_rad", "q_radps")
+    error = believed = inside = 0.0
+    for _ in range(60):
+        x = rng.standard_normal((14, 3)) * [1.0, 1.0, 0.2]
+        beta = size * rng.standard_normal(len(terms))
+        now = bounds_from(x, regressors(x, terms) @ beta + 0.1 * rng.standard_normal(14), states, 2)
+        now = replace(now, s2=0.01)
+        mean, covariance = belief(now)
+        error += float(np.sum((now.beta_hat - beta) ** 2))
+        believed += float(np.sum((mean - beta) ** 2))
+        inside += float(np.mean(np.abs(mean - beta) < 1.96 * np.sqrt(np.diag(covariance)))) / 60
+    assert believed < 0.1 * error
+    assert believed / (60 * len(terms)) < size**2
+    assert 0.85 < inside < 0.99
+
+
+def test_well_known_terms_are_believed_as_estimated():
+    rng = np.random.default_rng(10)
+    x = rng.uniform(-1.0, 1.0, 5000)
+    now = bounds_from(x, 0.5 + 0.3 * x + 0.05 * rng.standard_normal(5000))
+    mean, covariance = belief(now)
+    assert mean == pytest.approx(now.beta_hat, rel=1e-4)
+    assert covariance == pytest.approx(now.s2 * now.XtX_inv, rel=1e-3, abs=1e-10)
 
 
 def test_scatter_of_the_new_data_is_pooled():
