@@ -9,7 +9,7 @@ With C = (X'X)^-1 of the data behind the interval and K = Z'Z of further data, i
 (1), (2): least squares, the residual's variance s2 and colour f being what they are (model_form.py). (3): a width depends on beta+
 because bounds are stretched to hold zero. What is believed of beta today is not beta_hat +- its standard error: far from the data
 that would be a model error as large as the interval, and an interval is wide there for want of knowledge, not for error. Terms are
-as likely to be up as down, with one size for all that beta_hat itself tells (empirical Bayes; Efron and Morris, JASA 68 (1973) 117).
+as likely to be up as down, with one size for all, which beta_hat tells (empirical Bayes; Efron and Morris, JASA 68 (1973) 117).
 The mean over futures is taken (preposterior analysis: Raiffa and Schlaifer, "Applied Statistical Decision Theory" (1961), ch. 5).
 
 Data narrow f x'Cx, the *parameter part*, and t. They do not narrow s2: what scatters about the best polynomial, be it noise or a

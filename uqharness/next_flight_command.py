@@ -152,11 +152,21 @@ def _bounds_of(args: argparse.Namespace, campaign: CampaignMission, coefficient:
         return Path(args.bounds)
     if campaign.spec.inputs.model_form is not None:
         return campaign.spec.inputs.model_form
+    if not _constant(campaign):
+        raise BadInputError(
+            f"{args.folder}: flew the bounds that the aircraft carries; give the model-form.json that they were made from with "
+            "--bounds (constant ones tell nothing of where data are lacking)"
+        )
     raise BadInputError(
         f"{args.folder}: flew constant bounds of {coefficient}, which depend on no flight state: nothing says where data are "
         "lacking. Make bounds from flights (uqharness bounds AIRCRAFT --flight FILE --out DIR) and give them with "
         "--bounds DIR/model-form.json"
     )
+
+
+def _constant(campaign: CampaignMission) -> bool:
+    """Whether the campaign file gave its bounds as numbers."""
+    return isinstance(campaign.spec.epistemic.bounds, dict)
 
 
 def _aircraft_of(campaign: CampaignMission) -> Aircraft:
@@ -235,6 +245,7 @@ def _test_flight(
         args.turbulence,
         has_noise(aircraft),
         1.0 / (steps * aircraft.dt_s),
+        campaign.spec.aleatory.turbulence_source,
     )
 
 
@@ -274,9 +285,8 @@ def _warnings(
             f"aircraft '{aircraft.name}' has changed since the bounds were made: they belong to the model as it was"
         )
     if campaign.spec.inputs.model_form is None:
-        out.append(
-            "the campaign flew other bounds than these (constant ones): which coefficient wins may differ with these"
-        )
+        kind = "constant ones" if _constant(campaign) else "perhaps: those that the aircraft carries"
+        out.append(f"the campaign flew other bounds than these ({kind}): which coefficient wins may differ with these")
     elif args.bounds is not None and args.bounds.read_bytes() != campaign.spec.inputs.model_form.read_bytes():
         out.append("the campaign flew other bounds than these: which coefficient wins may differ with these")
     known = {f.sha256 for f in form.flights}

@@ -39,7 +39,7 @@ def words(found: NextFlight, winner: Winner, missing: Sequence[MissingTerm] | No
             "that difference is no knowledge."
         )
     out.append(flight)
-    out.append(_first_points(found))
+    out += _first_points(found)
     if not found.worth_flying:
         out.append(_why_not(found, p))
     out += _of_form(found, missing)
@@ -51,8 +51,8 @@ def words(found: NextFlight, winner: Winner, missing: Sequence[MissingTerm] | No
     return out
 
 
-def _first_points(found: NextFlight) -> str:
-    """How few of the points bring most of it."""
+def _first_points(found: NextFlight) -> list[str]:
+    """How few of the points bring most of it; nothing where it takes more than half of them."""
     order = sorted(range(len(found.plan)), key=lambda k: -found.plan[k].gain)
     total, gained, few = sum(p.gain for p in found.plan), 0.0, list[int]()
     for k in order:
@@ -60,11 +60,13 @@ def _first_points(found: NextFlight) -> str:
         gained += found.plan[k].gain
         if gained >= MOST * total:
             break
+    if 2 * len(few) > len(found.plan):
+        return []
     numbers = ", ".join(str(k + 1) for k in sorted(few))
     what = f"point {numbers} brings" if len(few) == 1 else f"points {numbers} bring"
-    return (
+    return [
         f"Of what the flight takes off the mean width {what} {_percent(gained / total)}; a short flight would be those."
-    )
+    ]
 
 
 def _why_not(found: NextFlight, p: Prospect) -> str:
@@ -99,9 +101,7 @@ def _of_form(found: NextFlight, missing: Sequence[MissingTerm] | None) -> list[s
     if missing is None:
         if found.worth_flying and not found.form_is_short:
             return []
-        return [
-            "With the flights behind the bounds (--flight FILE...) it is looked for terms that the polynomial lacks."
-        ]
+        return ["Give the flights behind the bounds (--flight FILE...) to learn whether a term is missing."]
     if not missing:
         return [
             f"In the flights given no term of second order is missing from the bounds of {c}: what scatters is noise and air."

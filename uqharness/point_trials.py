@@ -16,7 +16,7 @@ from sysid.residuals import Cutoffs, Residuals
 from uqharness import properties
 from uqharness.aircraft import Aircraft, open_aircraft
 from uqharness.errors import BadInputError
-from uqharness.flight_spec import FlightSpec
+from uqharness.flight_spec import DEFAULT_TURBULENCE_SOURCE, FlightSpec
 from uqharness.fly_command import recorded_flight, two_seeds
 from uqharness.linear import linearise, modes
 from uqharness.mission import read_script
@@ -47,6 +47,7 @@ class TestFlight:
     turbulence: str = "none"
     noise: bool = True
     rate_hz: float = 50.0
+    turbulence_source: str = DEFAULT_TURBULENCE_SOURCE
 
     __test__ = False
 
@@ -117,6 +118,7 @@ def fly_script(
     turbulence, noise = two_seeds(seed)
     spec = FlightSpec(
         aircraft=flight.aircraft.folder, script=script, duration_s=duration_s or read.end_s, turbulence=flight.turbulence,
+        turbulence_source=flight.turbulence_source,
         sensor_noise=flight.noise, seed_turbulence=turbulence, seed_noise=noise, properties=dict(properties.SECOND_ORDER),
         record_rate_hz=flight.rate_hz,
     )  # fmt: skip
