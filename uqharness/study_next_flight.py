@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
 from sysid.bounds_fit import FitOptions, fit_bounds
@@ -39,6 +38,7 @@ TURBULENCE = "light"
 MINUTES = 2.0 * 97.25 / 60.0
 """As long as two flights of flight-bounds."""
 BEGIN_S = 4.0
+WITHIN = 0.2
 _CUTOFFS = Cutoffs()
 _MISSION_SEEDS = (901, 902, 903)
 
@@ -55,9 +55,7 @@ class Case:
 CASES = (
     Case("one manoeuvre, CY", 16.0, "CY"),
     Case("one manoeuvre, CX", 16.0, "CX"),
-    Case("two manoeuvres, CY", 24.0, "CY"),
     Case("two manoeuvres, CX", 24.0, "CX"),
-    Case("four manoeuvres, CY", 40.0, "CY"),
     Case("four manoeuvres, Cm", 40.0, "Cm"),
     Case("nine manoeuvres, CY", 97.25, "CY"),
     Case("nine manoeuvres, Cm", 97.25, "Cm"),
@@ -198,6 +196,20 @@ def tables(rows: pd.DataFrame) -> str:
     return "\n".join(lines)
 
 
+def verdict(found: pd.DataFrame) -> list[str]:
+    """What fails, in words: a mean narrowing more than 20 % off, of the coefficient that a flight was planned for.
+
+    Of the whole width only where the flight narrowed it by more than three standard errors: scatter comes out anew with every flight.
+    """
+    out = []
+    for _, row in found[found["coefficient"] == found["for"]].iterrows():
+        for suffix, what in (("_parameter", "the parameter part"), ("", "the width")):
+            clear = suffix or row["achieved"] > 3.0 * row["achieved_error"]
+            if clear and not abs(row["ratio" + suffix] - 1.0) <= WITHIN:
+                out.append(f"{row['case']}: predicted over achieved narrowing of {what} is {row['ratio' + suffix]:.2f}")
+    return out
+
+
 def _pm(row: pd.Series, key: str) -> str:
     return f"{row[key]:.1f} ± {row[key + '_error']:.1f}"
 
@@ -227,11 +239,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not rows:
         print("\n".join(failed), file=sys.stderr)
         return 1
+    failures = verdict(narrowings(pd.DataFrame(rows)))
     text = tables(pd.DataFrame(rows)) + "".join(f"- left out: {f}\n" for f in failed)
+    text += "\n" + ("\n".join(f"- fails: {f}" for f in failures) or "Predictions hold as asked for.") + "\n"
     write_text(chosen.out / "tables.md", text)
     print(text)
-    own = narrowings(pd.DataFrame(rows)).query("coefficient == `for`")
-    return 0 if bool(np.all(np.abs(own["ratio_parameter"] - 1.0) <= 0.2)) else 1
+    return 1 if failures else 0
 
 
 if __name__ == "__main__":
