@@ -21,6 +21,7 @@ from uqharness import (
     log_command,
     margins_command,
     modes_command,
+    next_flight_command,
     refine_command,
     sensitivity_command,
 )
@@ -54,6 +55,7 @@ def build_parser() -> argparse.ArgumentParser:
         refine_command,
         campaign_commands,
         sensitivity_command,
+        next_flight_command,
     ):
         module.register(commands)
     return parser
