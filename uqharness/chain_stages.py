@@ -148,7 +148,7 @@ class _Planner:
     def _import(self, name: str, log: Path, model: _Model, own: LogSection | None, number: int = 0) -> Stage:
         out = self.records[name]
         words = ["log", "import", _shown(log), "--out", str(out), "--aircraft", model.word, "--no-cache"]
-        inputs = {self._label(log): log, model.label: model.folder}
+        inputs = {self._label(log) if own is None else own.file: log, model.label: model.folder}
         for option in ("map", "manoeuvres"):
             text = None if own is None else getattr(own, option)
             if text is not None:
@@ -282,7 +282,8 @@ class _Planner:
         return {self._label(self.records[name]): self.records[name] for name in names}
 
     def _label(self, path: Path) -> str:
-        return path.relative_to(self.out).as_posix() if path.is_relative_to(self.out) else _shown(path)
+        """Name of something that a stage leaves: the same from whichever folder the study is run."""
+        return path.relative_to(self.out).as_posix()
 
     def _model(self, folder: Path) -> _Model:
         return _Model(str(folder), folder, self._label(folder))
