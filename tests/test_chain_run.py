@@ -306,7 +306,7 @@ seed = 7
 
 [aleatory]
 flights = 1
-duration_s = 40
+duration_s = 20
 burn_in_s = 5
 wind_mps = 3
 turbulence = "light"
