@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from tests import campaign_fakes as fakes
@@ -104,8 +106,16 @@ def test_the_answer_is_that_of_the_last_campaign(tmp_path):
     assert (level, "at every corner? No: " in text, "Before refinement: open" in text) == ("bad", True, True)
     text, level = about(flown(tmp_path / "b", often), "beyond 15 m")
     assert (level, "Before refinement" in text) == ("bad", False)
-    text, level = about(flown(tmp_path / "c", often), "outside the states")
-    assert (level, text[:4]) == ("warn", "30 %")
+
+
+def test_time_outside_the_data_is_told_of_bounds_that_have_an_outside(tmp_path):
+    assert not [text for text, _ in flown(tmp_path, often) if "outside the states" in text]
+    rows = pd.DataFrame({"extrapolated_share": [0.2, 0.4]})
+    ((text, level),) = chain_performance._outside(rows, Condition(3.0, "light"))
+    assert (level, text[:4], "extrapolated" in text) == ("warn", "30 %", True)
+    ((text, level),) = chain_performance._outside(rows * 0.0, Condition(3.0, "light"))
+    assert (level, "extrapolated" in text) == ("good", False)
+    assert list(chain_performance._outside(rows * math.nan, Condition(3.0, "light"))) == []
 
 
 def test_several_conditions_are_counted_and_told(tmp_path):

@@ -140,7 +140,7 @@ class _Planner:
         for name, value in item.set.items():
             words += ["--set", f"{name}={value!r}"]
         options = item.model_dump(mode="json", exclude={"aircraft", "script"})
-        inputs = {truth.label: truth.folder, item.script: script}
+        inputs = {truth.label: truth.folder, f"{item.script} (script)": script}
         return self._stage(
             f"fly-{item.name}", "fly", out.parent, [*words, "--out", str(out)], inputs, [out], options, owns=[out]
         )
@@ -154,7 +154,7 @@ class _Planner:
             if text is not None:
                 path = self._file(text, "logs", number, option)
                 words += [f"--{option}", _shown(path)]
-                inputs[text] = path
+                inputs[f"{text} ({option})"] = path
         return self._stage(f"import-{name}", "import", out.parent, words, inputs, [out], {}, owns=[out])
 
     def _identify(self, section: IdentifySection, model: _Model) -> Stage:
@@ -225,14 +225,14 @@ class _Planner:
         inputs = {model.label: model.folder}
         if spec.campaign.start is None:
             script = self._script(data["campaign"]["mission"], "campaign", "mission")
-            inputs[data["campaign"]["mission"]] = script
+            inputs[f"{data['campaign']['mission']} (script)"] = script
             data["campaign"]["mission"] = str(script)
         if form is not None:
             data["epistemic"]["bounds"] = form.relative_to(self.out).as_posix()
             inputs[self._label(form)] = form
         elif isinstance(data["epistemic"].get("bounds"), str):
             given = self._file(data["epistemic"]["bounds"], "epistemic", "bounds")
-            inputs[data["epistemic"]["bounds"]] = given
+            inputs[f"{data['epistemic']['bounds']} (bounds)"] = given
             data["epistemic"]["bounds"] = str(given)
         words = ["campaign", "run", str(file), "--out", str(out)]
         outputs = [out / n for n in ("cases.parquet", "pbox.parquet", "excursions.csv", "statements.csv")]
@@ -261,7 +261,7 @@ class _Planner:
         if section.effects is not None:
             path = self._file(section.effects, "refine", "effects")
             words += ["--effects", _shown(path)]
-            inputs[section.effects] = path
+            inputs[f"{section.effects} (effects)"] = path
         options = section.model_dump(mode="json", exclude={"effects"}) | {"servos": self.spec.study.servos}
         outputs = [out / "refinement.json", out / "aircraft" / model.folder.name]
         return self._stage("refine", "refine", out, words, inputs, outputs, options, resumes=True, workers=True)
