@@ -97,7 +97,9 @@ def _coverage(out: Path, flights: Sequence[str], both: bool) -> Iterator[Sentenc
     if both:
         widths = {w: {c: row["mean_width"] for c, row in coverage.items()} for w, coverage in found.items()}
         change = {c: width / widths[BEFORE][c] - 1.0 for c, width in widths[AFTER].items() if c in widths[BEFORE]}
-        words = ", ".join(f"{c} {100 * x:+.0f} %" for c, x in change.items())
+        moved = [f"{c} {100 * x:+.0f} %" for c, x in change.items() if abs(x) > SAME]
+        still = [c for c, x in change.items() if abs(x) <= SAME]
+        words = "; ".join(filter(None, (", ".join(moved), f"{', '.join(still)} as before" if still else "")))
         text = f"Mean width of the bounds on {named}, after against before refinement: {words}"
         shrank = [c for c, x in change.items() if x < -SAME]
         yield f"{text}{'' if shrank else '; none is narrower'}.", GOOD if shrank else WARN
