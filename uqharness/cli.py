@@ -22,6 +22,7 @@ from uqharness import (
     margins_command,
     modes_command,
     refine_command,
+    report_command,
     sensitivity_command,
 )
 from uqharness.errors import BadInputError
@@ -54,6 +55,7 @@ def build_parser() -> argparse.ArgumentParser:
         refine_command,
         campaign_commands,
         sensitivity_command,
+        report_command,
     ):
         module.register(commands)
     return parser

@@ -8,9 +8,11 @@ import math
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
+from sysid.aero_terms import COEFFICIENTS
+from uqharness.histories import columns_of, write_histories
 from uqharness.refine_run import Refinement
+from uqharness.replay_model import CONTROLS
+from uqharness.report_page import write_report as write_page
 from uqharness.whole_files import write_bytes
 
 
@@ -26,31 +28,38 @@ def clean(value: Any) -> Any:
 
 
 def write_report(done: Refinement, out: Path, figures: bool = True) -> None:
-    """refinement.json, model.diff and, from them, report.html with its figures."""
+    """refinement.json, model.diff, histories.parquet, figures and, from the first three, report.html."""
     for key, value in clean(done.document).items():
         done.document[key] = value
     write_bytes(out / "refinement.json", (json.dumps(done.document, indent=1) + "\n").encode())
     diff = model_diff(done)
     write_bytes(out / "model.diff", diff.encode("utf-8", errors="surrogateescape"))
-    drawn = _figures(done, out) if figures else []
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("uqharness", "templates"), autoescape=True, undefined=jinja2.StrictUndefined
-    )
-    shown = diff.encode("utf-8", errors="replace").decode()
-    page = environment.get_template("refine.html.j2").render(d=done.document, diff=shown, figures=drawn)
-    write_bytes(out / "report.html", page.encode())
+    _write_histories(done, out)
+    if figures:
+        _figures(done, out)
+    write_page(out)
 
 
-def _figures(done: Refinement, out: Path) -> list[str]:
-    """Names of the figures drawn into ``out/figures``."""
-    from sysid.aero_terms import COEFFICIENTS
+def _write_histories(done: Refinement, out: Path) -> None:
+    """Test flights under both models, in channels and coefficients."""
+    setup, before, after = done.test
+    models = {"_before": before, "_after": after}
+    columns = columns_of(setup.outputs, setup.measured) | columns_of(CONTROLS, [s.controls for s in setup.segments])
+    for suffix, shown in models.items():
+        modelled = [z - r for z, r in zip(setup.measured, shown.residual, strict=True)]
+        columns |= columns_of(setup.outputs, modelled, suffix)
+        columns |= columns_of(COEFFICIENTS, shown.coefficients, f"_gap{suffix}")
+    write_histories(out, setup.segments, columns)
+
+
+def _figures(done: Refinement, out: Path) -> None:
+    """Figures as files in ``out/figures``."""
     from uqharness.refine_plot import candidates_figure, residual_figure, shrinkage_figure
 
     folder = out / "figures"
     folder.mkdir(exist_ok=True)
     setup, before, after = done.test
     shrinkage_figure(done.document["gap"]["test"], folder / "gap.svg", "Test flights: gap before and after")
-    names = ["gap.svg"]
     if done.found.scoreboard:
         chosen = [f"{e.get('coefficient') or e['subsystem']} {e['term']}" for e in done.document["effects"]]
         candidates_figure(
@@ -60,7 +69,6 @@ def _figures(done: Refinement, out: Path) -> list[str]:
             folder / "candidates.svg",
             "Train flights: what explains the disagreement",
         )
-        names.append("candidates.svg")
     touched = list(dict.fromkeys(e["coefficient"] for e in done.document["effects"] if "coefficient" in e))
     if touched:
         columns = [COEFFICIENTS.index(c) for c in touched]
@@ -69,8 +77,6 @@ def _figures(done: Refinement, out: Path) -> list[str]:
             [g[:, columns] for g in after.coefficients], touched, after.floor[columns], folder / "coefficients.svg",
             "Test flights: coefficient demanded minus the model's",
         )  # fmt: skip
-        names.append("coefficients.svg")
-    return names
 
 
 def model_diff(done: Refinement) -> str:

@@ -1,0 +1,301 @@
+"""The page of a refinement, from refinement.json, model.diff and histories.parquet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sysid.aero_terms import COEFFICIENTS
+from uqharness.channel_units import shown_channel
+from uqharness.compare_page import ratio_figure
+from uqharness.histories import HISTORIES, History, read_histories
+from uqharness.page_files import read_document
+from uqharness.page_history import Z95, Model, end_to_end, history_section
+from uqharness.page_parts import (
+    Block,
+    Bullets,
+    Cell,
+    Code,
+    Facts,
+    Figure,
+    Figures,
+    Page,
+    Say,
+    Section,
+    Table,
+    Words,
+    shown,
+)  # fmt: skip
+from uqharness.page_svg import Chart, Scale
+
+REFINEMENT = "refinement.json"
+_DIFF_LINES = 400
+
+
+def refine_page(folder: Path, prefix: str = "") -> Page:
+    """The page of the folder that ``uqharness refine`` wrote. Raises BadInputError."""
+    done = read_document(folder / REFINEMENT, ("verdict", "effects", "disagreement", "gap", "remaining"))
+    histories = read_histories(folder / HISTORIES)
+    gap = done["gap"]["test"]
+    sections = [effect_section(done, prefix), _where_section(done), gap_section(gap, prefix)]
+    touched = list(dict.fromkeys(e["coefficient"] for e in done["effects"] if "coefficient" in e)) or list(COEFFICIENTS)
+    figures = _coefficient_figures(histories, touched, gap, prefix)
+    if figures:
+        text = (
+            "What the test flights demand minus what the model gives, before and after, segments end to end. The band is what "
+            "the sensors' noise alone gives in 95 % of the samples."
+        )
+        legend = (("second", "before"), ("first", "after"), ("fill1", "95 % band of the noise"))
+        sections.append(Section("Coefficients before and after", (Words(text, note=True), Figures(figures, legend))))
+    noise = {c: row["noise_rms"] for c, row in gap["channels"].items()}
+    models = [Model("_before", "second", "before"), Model("_after", "first", "after")]
+    drawn = history_section(histories, noise, models, "Test flights against both models", f"{prefix}refine-", most=2)
+    sections += [] if drawn is None else [drawn]
+    sections += [_left_section(done), _parameter_section(done), _model_section(folder, done)]
+    if done.get("notes"):
+        sections.append(Section("Notes", (Bullets(tuple(done["notes"])),)))
+    train, test = (", ".join(done.get(k, ())) or "flights not recorded" for k in ("train", "test"))
+    facts = (
+        ("Command", done.get("command") or "not recorded"), ("Chosen on", train), ("Shown on", test),
+        ("Time", f"{shown(done.get('seconds'), '.0f')} s"),
+        ("Files", "refinement.json, model.diff, histories.parquet, aircraft/ (the refined model), beside this page"),
+    )  # fmt: skip
+    sections.append(Section("Where it came from", (Facts(facts),)))
+    asked = f"What does the model lack? Effects were chosen on {train} and shown on {test}, which chose nothing."
+    return Page("Refinement", asked, _verdict(done), tuple(sections))
+
+
+_VERDICTS = {
+    "effects-found": ("Effects were found, and on flights that chose nothing the gap shrank", "good"),
+    "no-missing-effect": ("Nothing is missing beyond what the sensors' noise hides", "good"),
+    "unexplained": ("Something is missing that no effect of the catalogue explains", "bad"),
+}
+
+
+def _verdict(done: Mapping[str, Any]) -> tuple[Say, ...]:
+    text, level = _VERDICTS.get(done["verdict"], (done["verdict"], "warn"))
+    said = [Say(f"{text} ({done['verdict']}).", level)]
+    for e in done["effects"]:
+        told = " Withdrawn: on the test flights the gap did not shrink." if e.get("withdrawn") else ""
+        said.append(Say(f"{_headline(e)}.{told}", "warn" if e.get("withdrawn") else "good"))
+    unclear = [a["name"] for e in done["effects"] for a in e.get("alternatives", ()) if not a["separable"]]
+    if unclear:
+        said.append(Say(f"The flights do not tell it from: {'; '.join(unclear)}.", "warn"))
+    worst = _largest_fall(done["gap"]["test"])
+    if worst:
+        said.append(Say(worst))
+    return tuple(said)
+
+
+def _headline(e: Mapping[str, Any]) -> str:
+    unit = "" if e.get("unit") in (None, "", "1") else f" {e['unit']}"
+    name = e["name"]
+    return f"{name[0].upper()}{name[1:]}: {shown(e['value'], '.5g')} ± {shown(e['std'], '.2g')}{unit}"
+
+
+def _largest_fall(gap: Mapping[str, Any]) -> str:
+    rows = {c: r for c, r in gap["channels"].items() if all(r.get(k) for k in ("rms_before", "rms_after", "noise_rms"))}
+    if not rows:
+        return ""
+    name = max(rows, key=lambda c: (rows[c]["rms_before"] - rows[c]["rms_after"]) / rows[c]["noise_rms"])
+    quantity, unit, factor = shown_channel(name)
+    before, after, noise = (factor * rows[name][k] for k in ("rms_before", "rms_after", "noise_rms"))
+    return (
+        f"On the test flights the error of {quantity} goes from {before:.3g} to {after:.3g} {unit} (rms), "
+        f"beside noise of {noise:.3g} {unit}."
+    )
+
+
+def effect_section(done: Mapping[str, Any], prefix: str = "") -> Section:
+    """The effects: value, evidence, what else could be behind them; and who else was asked."""
+    parts = []
+    for e in done["effects"]:
+        evidence = e.get("evidence", {})
+        low, high = evidence.get("interval_95") or (None, None)
+        rows = [
+            ("Value", f"{shown(e['value'], '.5g')} {e.get('unit', '')}".strip()), ("Standard error", shown(e["std"], ".2g")),
+            ("95 % interval", f"{shown(low, '.5g')} to {shown(high, '.5g')}"), ("|t|", shown(_abs(evidence.get("t")), ".1f")),
+            ("Twice the log-likelihood gained", shown(evidence.get("twice_log_likelihood"), ".4g")),
+            ("Gained on held-out manoeuvres", shown(evidence.get("confirmed_on_held_out_manoeuvres"), ".4g")),
+            ("Held-out estimate differs by", f"{shown(evidence.get('held_out_estimate_differs_by_std'), '.2f')} standard errors"),
+            ("Property", e.get("property") or "none: a sensor's"),
+        ]  # fmt: skip
+        blocks: list[Block] = [
+            Words(f"{e['why'].rstrip('.')}."),
+            Table(f"Evidence for {e['name']}.", ("Figure", "Value"), tuple(rows)),
+        ]
+        if e.get("withdrawn"):
+            blocks.insert(0, Words("Withdrawn: the gap on the test flights did not shrink."))
+        told = [
+            f"Told from {a['name']}."
+            if a["separable"]
+            else f"Not told from {a['name']}. Would separate them: {a['would_separate']}."
+            for a in e.get("alternatives", ())
+        ]
+        if told:
+            blocks.append(Bullets(tuple(told)))
+        parts.append(Section(_headline(e), tuple(blocks)))
+    first: list[Block] = [] if parts else [Words("None.")]
+    refused = done.get("best_refused")
+    if refused:
+        t = shown(_abs(refused.get("t")), ".1f")
+        first.append(Words(f"Best candidate that was refused: {refused['effect']} (|t| {t}): {refused['why']}."))
+    figure = _candidates(done, prefix)
+    if figure:
+        first.append(Figures((figure,)))
+    return Section("Effects", tuple(first), tuple(parts))
+
+
+def _abs(value: float | None) -> float | None:
+    return None if value is None else abs(value)
+
+
+def _candidates(done: Mapping[str, Any], prefix: str) -> Figure | None:
+    board = done.get("candidates", {})
+    rows = [(r["effect"], abs(r["t"])) for r in board.get("scores", ()) if r.get("t") is not None][:14]
+    if not rows:
+        return None
+    chosen = {f"{e.get('coefficient') or e.get('subsystem')} {e['term']}" for e in done["effects"]}
+    names = tuple((float(k), f"{name} ●" if name in chosen else name) for k, (name, _) in enumerate(rows))
+    label = "Candidate effects by |t| [1], each alone: " + ", ".join(f"{n} {t:.1f}" for n, t in rows[:5]) + "."
+    left = min(170, 14 + int(6.4 * max(len(n) for _, n in names)))
+    limit = board.get("limit")
+    chart = Chart(
+        f"{prefix}candidates", label, Scale("|t| of the score test [1]", 0.0, 1.08 * max([t for _, t in rows] + [limit or 0.0])),
+        Scale("", len(rows) - 0.5, -0.5, names), 66 + 17 * len(rows), left,
+    )  # fmt: skip
+    for k, (name, t) in enumerate(rows):
+        chart.line(np.array([0.0, t]), np.array([float(k)] * 2), "thick" if name in chosen else "wide")
+    if limit is not None:
+        chart.upright(limit, "limit", "reached by chance by the best of all")
+    caption = "What explains the disagreement of the train flights, each alone: |t| [1]. Chosen ones are dark and carry a ●."
+    return Figure(chart.name, chart.svg(), caption)
+
+
+def _where_section(done: Mapping[str, Any]) -> Section:
+    rows = []
+    for d in done["disagreement"]:
+        region = "; ".join(_region(s, ends) for s, ends in d.get("region", {}).items())
+        rows.append(
+            (
+                d["coefficient"],
+                d["manoeuvre"],
+                region,
+                shown(_percent(d["share_outside_95"]), ".0f"),
+                shown(d["size"], ".2g"),
+            )
+        )
+    if not rows:
+        return Section("Where model and flights disagreed", (Words("Nowhere beyond what noise allows."),))
+    head = ("Coefficient", "Manoeuvre", "Region", "Outside the 95 % band [%]", "Size [1]")
+    return Section(
+        "Where model and flights disagreed",
+        (Table("Disagreement of the train flights, the largest first.", head, tuple(rows)),),
+    )
+
+
+def _percent(value: float | None) -> float | None:
+    return None if value is None else 100.0 * value
+
+
+def _region(state: str, ends: Sequence[float | None]) -> str:
+    quantity, unit, factor = shown_channel(state)
+    low, high = (None if v is None else factor * v for v in ends)
+    return f"{quantity} {shown(low)} to {shown(high)} {unit}".removesuffix(" 1")
+
+
+def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
+    """Gap on the test flights before and after, by channel and coefficient."""
+    figures, rows = [], []
+    for kind in ("channels", "coefficients"):
+        ratios = {}
+        for name, r in gap.get(kind, {}).items():
+            quantity, unit, factor = shown_channel(name)
+            before, after, noise = (
+                None if r.get(k) is None else factor * r[k] for k in ("rms_before", "rms_after", "noise_rms")
+            )
+            if before is not None and after is not None and noise:
+                ratios[quantity] = {"before": before / noise, "after": after / noise}
+                answer = Cell(shown(after), "good" if after <= before else "bad")
+            else:
+                answer = Cell(shown(after))
+            rows.append((f"{quantity} [{unit}]", shown(before), answer, shown(noise)))
+        series = [("before", "second", "ring"), ("after", "first", "disc")]
+        figure = ratio_figure(f"{prefix}shrinkage-{kind}", ratios, series, f"{kind} on the test flights")
+        figures += [figure] if figure else []
+    theil = gap.get("theil", {})
+    if theil:
+        rows.append(("Theil's U, mean [1]", shown(theil.get("before"), ".4f"), Cell(shown(theil.get("after"), ".4f")), ""))
+    text = (
+        "Before: the model with its parameters identified again, without the effects. After: with them. Start states and biases "
+        "are each flight's own. ✓: not larger than before."
+    )
+    table = Table(
+        "Gap on the test flights: rms of log minus model.", ("Quantity", "Before", "After", "Noise"), tuple(rows)
+    )
+    return Section(
+        "Gap on the test flights, before and after", (Words(text, note=True), Figures(tuple(figures)), table)
+    )
+
+
+def _coefficient_figures(
+    histories: Sequence[History], names: Sequence[str], gap: Mapping[str, Any], prefix: str
+) -> tuple[Figure, ...]:
+    out = []
+    for c in names:
+        if not histories or not all(f"{c}_gap_before" in h.columns for h in histories):
+            continue
+        noise = gap["coefficients"].get(c, {}).get("noise_rms")
+        band = None
+        if noise is not None:
+            half = [np.full(len(h.time_s), Z95 * noise) for h in histories]
+            band = ([-h for h in half], half, "")
+        label = f"{c} [1] demanded by the test flights minus the model's, before and after, segments end to end."
+        series = [(f"{c}_gap_before", "second", ""), (f"{c}_gap_after", "first", "")]
+        out.append(
+            end_to_end(
+                histories, f"{prefix}demand-{c}", series, band, label, f"flight minus model, {c} [1]", f"{c} [1]"
+            )
+        )
+    return tuple(out)
+
+
+def _left_section(done: Mapping[str, Any]) -> Section:
+    left = done["remaining"]
+    if not left.get("unexplained"):
+        return Section("What is left", (Words("Nothing beyond noise."),))
+    said = []
+    for w in left.get("where", ()):
+        depends = ", ".join(shown_channel(d["state"])[0] for d in w.get("depends_on", ())[:2])
+        said.append(
+            w.get("words")
+            or f"{w['coefficient']}: {shown(w.get('rms_over_noise'), '.2f')} times noise, depends on {depends}"
+        )
+    return Section(
+        "What is left", (Bullets(tuple(said)),) if said else (Words("More than noise, and nothing tells where."),)
+    )
+
+
+def _parameter_section(done: Mapping[str, Any]) -> Section:
+    rows = tuple(
+        (Cell(n, code=True), shown(r["value"], ".6g"), shown(r["std"], ".2g"))
+        for n, r in done.get("parameters", {}).items()
+    )
+    head = ("Property", "Value", "Standard error")
+    return Section("Parameters, identified with the effects", (Table("Parameters of the refined model.", head, rows),))
+
+
+def _model_section(folder: Path, done: Mapping[str, Any]) -> Section:
+    blocks: list[Block] = [Facts((("Refined model", str(done.get("model", "not recorded"))),))]
+    switch = [f"{s['property']} = {s['off']:g} restores the model without it" for s in done.get("switch", ())]
+    if switch:
+        blocks.append(Bullets(tuple(switch)))
+    diff = folder / "model.diff"
+    if diff.is_file():
+        lines = diff.read_text(encoding="utf-8", errors="replace").splitlines()
+        more = [f"... {len(lines) - _DIFF_LINES} more lines in model.diff"] if len(lines) > _DIFF_LINES else []
+        blocks.append(Code("What changed in the XML", "\n".join([*lines[:_DIFF_LINES], *more])))
+    return Section("What changed in the XML", tuple(blocks))

@@ -1,0 +1,186 @@
+"""The page of a whole study: its verdict, its stages, the p-boxes before and after, then what each stage found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from uqharness.bounds_page import bounds_page, coverage_page
+from uqharness.campaign_found import CampaignFound, read_found, span
+from uqharness.campaign_page import CONDITIONS_DRAWN, campaign_page, grid_section
+from uqharness.campaign_tables import conditions
+from uqharness.compare_page import compare_page
+from uqharness.errors import BadInputError
+from uqharness.identify_page import identify_page
+from uqharness.page_files import read_document
+from uqharness.page_parts import Block, Bullets, Cell, Facts, Figures, Level, Page, Say, Section, Table, Words, shown
+from uqharness.page_pbox import DrawnBox, corner_words, pbox_figure
+from uqharness.refine_page import refine_page
+
+STUDY = "study.json"
+_STATES: Mapping[str, Level] = {"done": "good", "running": "warn", "waiting": "", "failed": "bad"}
+_PAGES: Mapping[str, Callable[[Path, str], Page]] = {
+    "identify": identify_page, "compare": compare_page, "bounds": bounds_page, "validate-bounds": coverage_page,
+    "refine": refine_page,
+}  # fmt: skip
+_LEFT_OUT = ("Log against model", "Notes", "Warnings and notes")
+"""Sections that a stage's own page has and the study's leaves to it."""
+
+
+def study_page(folder: Path) -> Page:
+    """The page of the folder that ``uqharness study`` wrote, finished or not. Raises BadInputError."""
+    study = read_document(folder / STUDY, ("study", "stages"))
+    missing: list[str] = []
+    sections = [_stage_section(study)]
+    both = study.get("before_after") or {}
+    pair = [_campaign(folder, both.get(side), missing) for side in ("before", "after")]
+    if pair[0] is not None and pair[1] is not None:
+        sections += [overlay_section(pair[0], pair[1], both)]
+        sections += [
+            grid_section(side.signed, f"Answers {when}")
+            for side, when in zip(pair, ("before", "after"), strict=True)
+            if side
+        ]
+    for number, stage in enumerate(study["stages"]):
+        section = _stage_page(folder, stage, number, missing, [both.get("before"), both.get("after")])
+        sections += [] if section is None else [section]
+    if missing:
+        sections.append(Section("What could not be read", (Bullets(tuple(dict.fromkeys(missing))),)))
+    sections.append(_provenance(study))
+    asked = study.get("question") or "The study's file asks no question in words."
+    return Page(f"Study: {study['study']}", asked, _verdict(study), tuple(sections))
+
+
+def _verdict(study: Mapping[str, Any]) -> tuple[Say, ...]:
+    said = [Say(item["text"], _level(item.get("level"))) for item in study.get("verdict") or ()]
+    stages = study["stages"]
+    done = sum(stage["state"] == "done" for stage in stages)
+    state = study.get("state", "running")
+    if state == "failed":
+        bad = ", ".join(stage["name"] for stage in stages if stage["state"] == "failed") or "a stage"
+        said.insert(0, Say(f"The study stopped: {bad} failed. The same command goes on once the cause is gone.", "bad"))
+    elif state != "done":
+        said.insert(0, Say(f"The study is not finished: {done} of {len(stages)} stages are done.", "warn"))
+    elif not said:
+        said.append(Say(f"All {len(stages)} stages are done; the study draws no conclusion in words.", "good"))
+    return tuple(said)
+
+
+def _level(value: Any) -> Level:
+    return value if value in ("good", "warn", "bad") else ""
+
+
+def _stage_section(study: Mapping[str, Any]) -> Section:
+    rows = []
+    for stage in study["stages"]:
+        state = Cell(stage["state"], _STATES.get(stage["state"], "warn"), small=stage.get("error") or "")
+        answer = {0: "done", 1: "ran, the answer is no"}.get(stage.get("exit"), "")
+        seconds = "" if stage.get("seconds") is None else shown(stage["seconds"], ".1f")
+        rows.append((stage["name"], stage["kind"], state, answer, seconds, Cell(stage.get("command") or "", code=True)))
+    head = ("Stage", "Kind", "State", "Answer", "Time [s]", "Command")
+    return Section("Stages", (Table("Stages in the order in which they ran.", head, tuple(rows)),))
+
+
+def _campaign(folder: Path, name: str | None, missing: list[str]) -> CampaignFound | None:
+    if not name:
+        return None
+    try:
+        return read_found(folder / name)
+    except BadInputError as error:
+        missing.append(str(error))
+        return None
+
+
+def overlay_section(before: CampaignFound, after: CampaignFound, names: Mapping[str, str]) -> Section:
+    """P-boxes of two campaigns over each other wherever both have the same quantity in the same condition."""
+    titles = (f"before ({names['before']})", f"after ({names['after']})")
+    drawn = [c for c in conditions(before.frame) if c in conditions(after.frame)]
+    words = [corner_words(side.frame) for side in (before, after)]
+    later = {(item.metric, item.condition): item for item in after.findings}
+    figures, rows = [], []
+    for item in before.findings:
+        other = later.get((item.metric, item.condition))
+        if other is None:
+            continue
+        if item.condition in drawn[:CONDITIONS_DRAWN]:
+            boxes = [DrawnBox(t, f.box, f.samples, w) for t, f, w in zip(titles, (item, other), words, strict=True)]
+            place = f"{item.condition.wind_mps:g}mps-{item.condition.turbulence}".replace(".", "p")
+            name = f"before-after-{item.metric.replace('_', '-')}-{place}"
+            figures.append(pbox_figure(name, item.axis, item.unit, boxes, f"{item.title}; {item.condition.words}."))
+        ends = [f.box.quantile(0.5) for f in (item, other)]
+        widths = [high - low for low, high in ends]
+        ratio = widths[1] / widths[0] if widths[0] > 0.0 and widths[0] < float("inf") else float("nan")
+        level: Level = "" if ratio != ratio else "good" if ratio < 1.0 else "bad" if ratio > 1.0 else ""
+        change = Cell(shown(ratio, ".2f"), level, small="" if not level else "narrower" if level == "good" else "wider")
+        rows.append((f"{item.title} [{item.unit}]", item.condition.label, span(*ends[0]), span(*ends[1]), change))
+    if not figures:
+        return Section("Before and after", (Words("The two campaigns share no quantity in the same condition."),))
+    text = (
+        "Two p-boxes over each other: the solid one before, the dashed one after. A narrower box means that less is unknown; a "
+        "box that moved means that the model was wrong. The cursor names the epistemic sample behind each side."
+    )
+    notes: list[Block] = [Words(text, note=True)]
+    unlike = _unlike(before, after)
+    if unlike:
+        notes.append(Words(f"Not the same flights otherwise: {unlike} differ, so part of the change may be theirs."))
+    head = ("Error", "Condition", "Middle before", "Middle after", "Width after over before [1]")
+    table = Table("Where half of the flights stay below, before and after.", head, tuple(rows))
+    return Section("Before and after", (*notes, Figures(tuple(figures)), table))
+
+
+def _unlike(before: CampaignFound, after: CampaignFound) -> str:
+    """What of two campaigns is flown differently, besides the model and its bounds."""
+    pairs = [(side.campaign["campaign"]["seed"], side.campaign["aleatory"]) for side in (before, after)]
+    names = ["seed"] if pairs[0][0] != pairs[1][0] else []
+    keys = [k for k in pairs[0][1] if k != "variables"]
+    return ", ".join([*names, *(k for k in keys if pairs[0][1].get(k) != pairs[1][1].get(k))])
+
+
+def _stage_page(
+    folder: Path, stage: Mapping[str, Any], number: int, missing: list[str], overlaid: list[str | None]
+) -> Section | None:  # fmt: skip
+    """What a finished stage found, shortened; None for a stage that leaves nothing to show here."""
+    if stage["state"] != "done" or not stage.get("folder"):
+        return None
+    place, prefix = folder / stage["folder"], f"s{number}-"
+    try:
+        if stage["kind"] == "campaign":
+            page = campaign_page(read_found(place), prefix)
+            # The overlay and the grids of answers have shown these already.
+            skip = ("Where the answer is yes, no or open",) if stage["folder"] in overlaid else ()
+            keep = [
+                s for s in page.sections if s.title not in (*skip, "What can be signed", "Excursions per flight hour")
+            ]
+            if stage["folder"] in overlaid:
+                keep = [_tables_only(s) if s.title.startswith("P-boxes") else s for s in keep]
+            page = replace(page, sections=tuple(keep))
+        elif stage["kind"] in _PAGES:
+            page = _PAGES[stage["kind"]](place, prefix)
+        else:
+            return None
+    except BadInputError as error:
+        missing.append(f"{stage['name']}: {error}")
+        return None
+    sections = tuple(s for s in page.sections if s.title not in _LEFT_OUT)
+    said = Bullets(tuple(f"{item.sign} {item.text}".strip() for item in page.verdict))
+    own = Words(f"The stage's own page is {stage['folder']}/report.html.", note=True)
+    return Section(f"{stage['name']}: {page.title}", (Words(page.asked, note=True), said, own), sections)
+
+
+def _tables_only(section: Section) -> Section:
+    return replace(section, blocks=tuple(b for b in section.blocks if b.kind == "table"))
+
+
+def _provenance(study: Mapping[str, Any]) -> Section:
+    items = [
+        ("Command", study.get("command") or "not recorded"),
+        ("Version", f"uqharness {study.get('version', 'not recorded')}"),
+        (f"Study file {study.get('file', '')} (SHA-256)", study.get("hash") or "not recorded"),
+    ]
+    seen: dict[str, str] = {}
+    for stage in study["stages"]:
+        seen |= stage.get("inputs") or {}
+    items += [(f"Input {name} (SHA-256)", digest) for name, digest in seen.items()]
+    return Section("Where it came from", (Facts(tuple(items)),))
