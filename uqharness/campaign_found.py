@@ -183,6 +183,15 @@ def hardest_of(found: Sequence[Condition]) -> Condition:
     return max(found, key=lambda item: (order.index(item.turbulence), item.wind_mps))
 
 
+def hardest_first(found: Sequence[Condition]) -> list[Condition]:
+    """Conditions from the strongest turbulence and wind to the weakest."""
+    left, out = list(found), []
+    while left:
+        out.append(hardest_of(left))
+        left.remove(out[-1])
+    return out
+
+
 def _median_sentence(both: Sequence[Finding], duration_s: float) -> str:
     """One quantity, true and (where there is one) measured, against the published flight."""
     parts = []

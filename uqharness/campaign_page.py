@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import pandas as pd
 
 from uqharness import report_statements
-from uqharness.campaign_found import CampaignFound, Finding, answer_level, span
+from uqharness.campaign_found import CampaignFound, Finding, answer_level, hardest_first, span
 from uqharness.campaign_tables import CONFIDENCE, Condition, ExcursionCell, conditions
 from uqharness.page_parts import Block, Bullets, Cell, Facts, Figure, Figures, Level, Page, Section, Table, Words, shown
 from uqharness.page_pbox import DrawnBox, corner_words, pbox_figure
@@ -17,7 +17,7 @@ from uqharness.pbox import ExcursionRate, best_and_worst, poisson_upper
 from uqharness.statements import Statement
 
 CONDITIONS_DRAWN = 4
-"""Conditions whose p-boxes are drawn in the page; the tables hold all."""
+"""Conditions whose p-boxes are drawn in the page, the hardest; the tables hold all."""
 
 _FAILURES_LISTED = 40
 _SURE = f"{100 * CONFIDENCE:g} %"
@@ -26,7 +26,7 @@ _MARKS = {"yes": "✓", "no": "✕", "open": "?"}
 
 def campaign_page(found: CampaignFound, prefix: str = "") -> Page:
     """The page of one campaign; ``prefix`` keeps its figures' names apart from others' in one page."""
-    sections = [pbox_section(found, prefix), grid_section(found.signed)]
+    sections = [grid_section(found.signed), pbox_section(found, prefix)]
     ranges = sensitivity_section(found.folder, prefix)
     if ranges is not None:
         sections.append(ranges)
@@ -36,9 +36,9 @@ def campaign_page(found: CampaignFound, prefix: str = "") -> Page:
 
 def pbox_section(found: CampaignFound, prefix: str = "") -> Section:
     """P-boxes of the medians in the first conditions, and the table of their middles in all."""
-    drawn = conditions(found.frame)[:CONDITIONS_DRAWN]
+    drawn = hardest_first(conditions(found.frame))[:CONDITIONS_DRAWN]
     words = corner_words(found.frame)
-    figures = tuple(_figure(item, words, prefix) for item in found.findings if item.condition in drawn)
+    figures = tuple(_figure(item, words, prefix) for condition in drawn for item in found.findings if item.condition == condition)
     intro = (
         "Each thin curve is one epistemic sample: the share of its flights whose median error is at most the value below. "
         "The bold pair is their envelope, the p-box; its width is what is not known of the model, its slope is chance. The "

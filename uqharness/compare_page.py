@@ -12,7 +12,7 @@ from sysid.aero_terms import COEFFICIENTS
 from uqharness.channel_units import shown_channel
 from uqharness.histories import HISTORIES, History, read_histories
 from uqharness.page_files import read_document
-from uqharness.page_history import Model, end_to_end, history_section
+from uqharness.page_history import MOST_SEGMENTS, Model, end_to_end, history_section
 from uqharness.page_parts import Bullets, Cell, Facts, Figure, Figures, Level, Page, Say, Section, Table, Words, shown
 from uqharness.page_svg import Chart, Scale
 
@@ -20,13 +20,14 @@ COMPARE = "compare.json"
 LIMIT = 1.15
 
 
-def compare_page(folder: Path, prefix: str = "") -> Page:
+def compare_page(folder: Path, prefix: str = "", segments: int = MOST_SEGMENTS) -> Page:
     """The page of the folder that ``uqharness compare`` wrote. Raises BadInputError."""
     found = read_document(folder / COMPARE, ("aircraft", "flight", "channels", "coefficients", "reached_noise_floor"))
     histories = read_histories(folder / HISTORIES)
-    noise = {c: row["noise"] for c, row in found["channels"].items()}
+    # What is not judged (height, heading) may have a noise that says nothing.
+    noise = {c: row["noise"] if row.get("judged", True) else None for c, row in found["channels"].items()}
     sections = [_channel_section(found["channels"], prefix)]
-    drawn = history_section(histories, noise, [Model("_model", "first", "model")], "Log against model", f"{prefix}gap-")
+    drawn = history_section(histories, noise, [Model("_model", "first", "model")], "Log against model", f"{prefix}gap-", segments)
     sections += [] if drawn is None else [drawn]
     sections += [_coefficient_section(found["coefficients"], histories, prefix), _manoeuvre_section(found)]
     if found.get("notes"):
@@ -91,8 +92,12 @@ def _channel_section(channels: Mapping[str, Mapping[str, Any]], prefix: str) -> 
             (f"{quantity} [{unit}]", shown(rms), shown(noise), shown(ratio, ".2f"), Cell(answer, level), delay, theil)
         )
     head = ("Channel", "rms of log minus model", "Noise", "Ratio", "Answer", "Delay [ms]", "Theil's U")
-    ratios = {shown_channel(c)[0]: {"model": r["ratio"]} for c, r in channels.items() if r.get("ratio") is not None}
-    figure = ratio_figure(f"{prefix}gap-ratios", ratios, [("model", "first", "disc")], "channels")
+    ratios = {
+        shown_channel(c)[0]: {"model": r["ratio"]}
+        for c, r in channels.items()
+        if r.get("ratio") is not None and r.get("judged", True)
+    }
+    figure = ratio_figure(f"{prefix}gap-ratios", ratios, [("model", "first", "disc")], "judged channels")
     blocks = (Figures((figure,)),) if figure else ()
     return Section("Gap by channel", (*blocks, Table("Gap between log and model, by channel.", head, tuple(rows))))
 
@@ -112,14 +117,12 @@ def ratio_figure(
     label = "; ".join(f"{row}: {' to '.join(f'{v:.2f}' for v in values.values())}" for row, values in ratios.items())
     x = Scale("rms of log minus model over noise [1]", 0.0, 1.08 * max(largest, 1.3))
     names = tuple((float(k), row) for k, row in enumerate(keys))
-    left = max(46, min(150, 14 + int(6.5 * max(len(row) for row in keys))))
     chart = Chart(
         name,
         f"Gap over noise [1] of the {what}. {label}.",
         x,
         Scale("", len(keys) - 0.5, -0.5, names),
         66 + 17 * len(keys),
-        left,
     )
     chart.upright(1.0, "zero")
     chart.upright(LIMIT, "limit", f"limit {LIMIT:g}")
@@ -150,7 +153,7 @@ def _coefficient_section(rows: Mapping[str, Mapping[str, Any]], histories: Seque
     head = ("Coefficient", "rms of flight minus model", "What noise gives", "Ratio", "Mean")
     table = Table("Gap between demanded and modelled coefficients (dimensionless, body axes).", head, tuple(cells))
     figures = []
-    series = [("{}_flight", "second", "flight"), ("{}_model", "first", "model")]
+    series = [("{}_flight", "second thin", "flight"), ("{}_model", "first thin", "model")]
     for c in COEFFICIENTS:
         if all(f"{c}_flight" in h.columns for h in histories) and histories:
             drawn = [(key.format(c), kind, words) for key, kind, words in series]

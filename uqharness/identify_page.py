@@ -11,7 +11,7 @@ import numpy as np
 from uqharness.channel_units import shown_channel
 from uqharness.histories import HISTORIES, read_histories
 from uqharness.page_files import read_document
-from uqharness.page_history import Model, history_section
+from uqharness.page_history import MOST_SEGMENTS, Model, history_section
 from uqharness.page_parts import Bullets, Cell, Facts, Figure, Figures, Page, Say, Section, Table, Words, shown
 from uqharness.page_svg import Chart, Scale
 
@@ -20,7 +20,7 @@ NEAR_NOISE = 1.15
 _IDENTIFIED = "identified"
 
 
-def identify_page(folder: Path, prefix: str = "") -> Page:
+def identify_page(folder: Path, prefix: str = "", segments: int = MOST_SEGMENTS) -> Page:
     """The page of the folder that ``uqharness identify`` wrote. Raises BadInputError."""
     fit = read_document(folder / FIT, ("parameters", "fit", "flights", "aircraft"))
     parameters = fit["parameters"]
@@ -28,7 +28,7 @@ def identify_page(folder: Path, prefix: str = "") -> Page:
     noise = {c: row.get("noise") for c, row in fit["fit"].items()}
     model = Model("_model", "first", "model with the estimates")
     histories = history_section(
-        read_histories(folder / HISTORIES), noise, [model], "Log against model", prefix=f"{prefix}fit-"
+        read_histories(folder / HISTORIES), noise, [model], "Log against model", prefix=f"{prefix}fit-", most=segments
     )
     if histories is not None:
         sections.append(histories)
@@ -111,7 +111,7 @@ def _change(parameters: Mapping[str, Mapping[str, Any]], prefix: str) -> Figure 
     label = f"Change of {len(rows)} parameters from their initial values [%], with 95 % intervals."
     x = Scale("change from the initial value [%]", -reach, reach)
     chart = Chart(
-        f"{prefix}parameters", label, x, Scale("", len(rows) - 0.5, -0.5, names), height=70 + 14 * len(rows), left=80
+        f"{prefix}parameters", label, x, Scale("", len(rows) - 0.5, -0.5, names), height=70 + 14 * len(rows)
     )
     chart.upright(0.0, "zero")
     for k, (_, change, half) in enumerate(rows):

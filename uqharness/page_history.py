@@ -17,6 +17,7 @@ from uqharness.page_svg import Chart, Scale, scale
 Array = NDArray[np.float64]
 Z95 = 1.959963984540054
 MOST_SEGMENTS = 3
+_LEAST_CONTROL = 2.0  # deg or %: a control that stands still shall look so
 _CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 
 
@@ -33,18 +34,20 @@ def history_section(
     found: Sequence[History], noise: Mapping[str, float | None], models: Sequence[Model], title: str, prefix: str = "",
     most: int = MOST_SEGMENTS,
 ) -> Section | None:  # fmt: skip
-    """The segments in which the last model is farthest from the log, each channel against all models; None without histories.
+    """The segments in which the first model is farthest from the log, each channel against all models; None without histories.
 
     noise: channel -> standard deviation, in the channel's own unit, None where it is not known (then no band is drawn).
     """
     if not found:
         return None
-    ranked = sorted(found, key=lambda h: -_worst(h, noise, models[-1])[0])[:most]
+    ranked = sorted(found, key=lambda h: -_worst(h, noise, models[0])[0])[:most]
+    first, last = ((f" {m.words}" if len(models) > 1 else "") for m in (models[0], models[-1]))
+    which = "All segments"
+    if len(ranked) < len(found):
+        which = f"The {len(ranked)} of {len(found)} segments in which the model{first} is farthest from the log"
     text = (
-        f"{'All' if len(ranked) == len(found) else f'The {len(ranked)} of {len(found)}'} segments"
-        f"{'' if len(ranked) == len(found) else ' in which the model is farthest from the log'}, the worst first; every segment "
-        "stands in histories.parquet. The band is the model plus and minus 1.96 times the noise of the channel: with a right "
-        "model 95 % of the samples lie inside."
+        f"{which}, the worst first; every segment stands in histories.parquet. The band is the model{last} plus and minus 1.96 "
+        "times the noise of the channel: with a right model 95 % of the samples lie inside."
     )
     legend = (("dot", "log"), *((m.kind, m.words) for m in models), ("fill1", "95 % band of the noise"))
     parts = tuple(_segment(h, noise, models, legend, prefix) for h in ranked)
@@ -58,11 +61,12 @@ def _segment(
     for control in _CONTROLS:
         if control in history.columns:
             figures.append(_control(history, control, prefix))
-    ratio, channel = _worst(history, noise, models[-1])
+    ratio, channel = _worst(history, noise, models[0])
+    when = f" {models[0].words}" if len(models) > 1 else ""
     blocks: list[Block] = []
     if math.isfinite(ratio):
         blocks.append(
-            Words(f"Farthest in {shown_channel(channel)[0]}: rms of log minus model {ratio:.2f} times the noise.")
+            Words(f"Farthest in {shown_channel(channel)[0]}: rms of log minus model{when} {ratio:.2f} times the noise.")
         )
     return Section(history.title, (*blocks, Figures(tuple(figures), legend, narrow=True)))
 
@@ -90,18 +94,22 @@ def _channel(history: History, name: str, noise: float | None, models: Sequence[
     chart.dots(history.time_s[few], measured[few], "dot")
     for model, y in drawn:
         chart.line(history.time_s, y, model.kind)
-    return Figure(chart.name, chart.svg(), f"{quantity} [{unit}]")
+    ratio = _ratio(history, name, noise, models[-1])
+    caption = f"{quantity}: {'gap over noise undefined' if ratio is None else f'{ratio:.2f} times the noise'}"
+    return Figure(chart.name, chart.svg(), caption)
 
 
 def _control(history: History, name: str, prefix: str) -> Figure:
     unit = shown_channel(name)[1]
     y = history.columns[name]
-    label = f"{name} command [{unit}] against time [s], {history.title}."
-    chart = Chart(
-        f"{prefix}history-{history.number}-{name}", label, _time(history), scale(axis_label(name), [y]), height=150
-    )
+    label = f"{name} [{unit}] against time [s], {history.title}."
+    axis = scale(axis_label(name), [y])
+    if axis.high - axis.low < _LEAST_CONTROL:
+        middle = 0.5 * (axis.low + axis.high)
+        axis = Scale(axis.label, middle - 0.5 * _LEAST_CONTROL, middle + 0.5 * _LEAST_CONTROL)
+    chart = Chart(f"{prefix}history-{history.number}-{name}", label, _time(history), axis, height=150)
     chart.line(history.time_s, y, "plain", steps=True)
-    return Figure(chart.name, chart.svg(), f"{name} command [{unit}]")
+    return Figure(chart.name, chart.svg(), f"{name}, as commanded or as its actuator stood")
 
 
 def _time(history: History) -> Scale:
@@ -110,16 +118,18 @@ def _time(history: History) -> Scale:
 
 def _worst(history: History, noise: Mapping[str, float | None], model: Model) -> tuple[float, str]:
     """Largest rms over noise of log minus model, and its channel; minus infinity where nothing can be compared."""
-    ratios = [(-math.inf, "")]
-    for name, std in noise.items():
-        y = history.columns.get(f"{name}{model.suffix}")
-        if y is None or name not in history.columns or not std:
-            continue
-        gap = history.columns[name] - y
-        known = gap[np.isfinite(gap)]
-        if known.size:
-            ratios.append((float(np.sqrt(np.mean(known**2))) / std, name))
-    return max(ratios)
+    found = {name: _ratio(history, name, std, model) for name, std in noise.items()}
+    return max([(-math.inf, ""), *((ratio, name) for name, ratio in found.items() if ratio is not None)])
+
+
+def _ratio(history: History, name: str, std: float | None, model: Model) -> float | None:
+    """rms of log minus model over noise in one segment; None where one of them is not there."""
+    y = history.columns.get(f"{name}{model.suffix}")
+    if y is None or name not in history.columns or not std:
+        return None
+    gap = history.columns[name] - y
+    known = gap[np.isfinite(gap)]
+    return float(np.sqrt(np.mean(known**2))) / std if known.size else None
 
 
 def end_to_end(
@@ -152,5 +162,5 @@ def end_to_end(
         for t, h, low, high in zip(at, found, *band[:2], strict=True):
             y = h.columns[series[0][0]]
             out = (y < low) | (y > high)
-            chart.dots(t[out], y[out], "dotout", "outside the bounds", radius=1.5)
+            chart.dots(t[out], y[out], "dotout", radius=1.5)
     return Figure(name, chart.svg(), caption)

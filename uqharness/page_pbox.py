@@ -39,7 +39,7 @@ def pbox_figure(
     x = scale(f"{quantity} [{unit}]", known, least=0.0)
     halves = "; ".join(f"{b.title + ': ' if b.title else ''}{_half(b.box, unit)}" for b in boxes)
     label = f"P-box{'es' if not alone else ''} of {quantity} [{unit}]. Half of the flights stay below {halves}."
-    chart = Chart(name, label, x, Scale(PROBABILITY, -0.01, 1.01), height=250, left=36)
+    chart = Chart(name, label, x, Scale(PROBABILITY, -0.01, 1.01), height=250)
     for number, (drawn, (line, fill)) in enumerate(zip(boxes, _DRAWN, strict=False)):
         if alone and len(drawn.samples) > 1:
             for k, sample in enumerate(drawn.samples):

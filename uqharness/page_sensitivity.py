@@ -67,10 +67,9 @@ def _figure(metric: str, rows: Sequence[Row], condition: Condition, prefix: str)
         f"Sensitivity of the {words}: shares of the p-box's width [1] by coefficient; {first['coefficient']} has "
         f"{float(first['share_min']):.2g} to {float(first['share_max']):.2g}."
     )
-    longest = max(len(name) for _, name in names)
     chart = Chart(
         f"{prefix}sensitivity-{metric.replace('_', '-')}", label, Scale("share of the p-box's width [1]", 0.0, 1.0),
-        Scale("", len(known) - 0.5, -0.5, names), height=70 + 22 * len(known), left=max(46, min(150, 12 + 7 * longest)),
+        Scale("", len(known) - 0.5, -0.5, names), height=70 + 22 * len(known),
     )  # fmt: skip
     for k, r in enumerate(known):
         low, high = float(r["share_min"]), float(r["share_max"])

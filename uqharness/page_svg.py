@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 WIDTH = 360
-_LEFT, _RIGHT, _TOP, _BOTTOM = 46, 12, 24, 38
-_CHARACTER = 6.2
-"""Mean width of a character of the 11-unit text, by which legends are set."""
+_LEFT, _RIGHT, _TOP, _BOTTOM = 34, 12, 24, 38
+_CHARACTER = 6.9
+"""Width to reserve for a character of the 11-unit text, whichever font the reader has."""
 _MOST_POINTS = 400
 
 
@@ -77,9 +77,14 @@ class Chart:
     x: Scale
     y: Scale
     height: int = 220
-    left: int = _LEFT
     marks: list[str] = field(default_factory=list)
     legend: list[tuple[str, str]] = field(default_factory=list)
+
+    @property
+    def left(self) -> int:
+        """Room for the widest tick."""
+        widest = max((len(words) for _, words in self.y.ticks()), default=0)
+        return max(_LEFT, min(190, 9 + math.ceil(_CHARACTER * widest)))
 
     @property
     def plot(self) -> tuple[float, float, float, float]:

@@ -48,7 +48,7 @@ def refine_page(folder: Path, prefix: str = "") -> Page:
             "What the test flights demand minus what the model gives, before and after, segments end to end. The band is what "
             "the sensors' noise alone gives in 95 % of the samples."
         )
-        legend = (("second", "before"), ("first", "after"), ("fill1", "95 % band of the noise"))
+        legend = (("second thin", "before"), ("first thin", "after"), ("fill1", "95 % band of the noise"))
         sections.append(Section("Coefficients before and after", (Words(text, note=True), Figures(figures, legend))))
     noise = {c: row["noise_rms"] for c, row in gap["channels"].items()}
     models = [Model("_before", "second", "before"), Model("_after", "first", "after")]
@@ -91,9 +91,15 @@ def _verdict(done: Mapping[str, Any]) -> tuple[Say, ...]:
 
 
 def _headline(e: Mapping[str, Any]) -> str:
-    unit = "" if e.get("unit") in (None, "", "1") else f" {e['unit']}"
-    name = e["name"]
-    return f"{name[0].upper()}{name[1:]}: {shown(e['value'], '.5g')} ± {shown(e['std'], '.2g')}{unit}"
+    return f"{_capital(e['name'])}: {shown(e['value'], '.5g')} ± {shown(e['std'], '.2g')}{_unit(e)}"
+
+
+def _unit(e: Mapping[str, Any]) -> str:
+    return "" if e.get("unit") in (None, "", "1") else f" {e['unit']}"
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _largest_fall(gap: Mapping[str, Any]) -> str:
@@ -116,7 +122,7 @@ def effect_section(done: Mapping[str, Any], prefix: str = "") -> Section:
         evidence = e.get("evidence", {})
         low, high = evidence.get("interval_95") or (None, None)
         rows = [
-            ("Value", f"{shown(e['value'], '.5g')} {e.get('unit', '')}".strip()), ("Standard error", shown(e["std"], ".2g")),
+            ("Value", f"{shown(e['value'], '.5g')}{_unit(e)}"), ("Standard error", shown(e["std"], ".2g")),
             ("95 % interval", f"{shown(low, '.5g')} to {shown(high, '.5g')}"), ("|t|", shown(_abs(evidence.get("t")), ".1f")),
             ("Twice the log-likelihood gained", shown(evidence.get("twice_log_likelihood"), ".4g")),
             ("Gained on held-out manoeuvres", shown(evidence.get("confirmed_on_held_out_manoeuvres"), ".4g")),
@@ -124,8 +130,8 @@ def effect_section(done: Mapping[str, Any], prefix: str = "") -> Section:
             ("Property", e.get("property") or "none: a sensor's"),
         ]  # fmt: skip
         blocks: list[Block] = [
-            Words(f"{e['why'].rstrip('.')}."),
-            Table(f"Evidence for {e['name']}.", ("Figure", "Value"), tuple(rows)),
+            Words(f"{_capital(e['why']).rstrip('.')}.".replace("+/-", "±")),
+            Table(f"Evidence for {e['name']}.", ("Evidence", "Value"), tuple(rows)),
         ]
         if e.get("withdrawn"):
             blocks.insert(0, Words("Withdrawn: the gap on the test flights did not shrink."))
@@ -161,11 +167,10 @@ def _candidates(done: Mapping[str, Any], prefix: str) -> Figure | None:
     chosen = {f"{e.get('coefficient') or e.get('subsystem')} {e['term']}" for e in done["effects"]}
     names = tuple((float(k), f"{name} ●" if name in chosen else name) for k, (name, _) in enumerate(rows))
     label = "Candidate effects by |t| [1], each alone: " + ", ".join(f"{n} {t:.1f}" for n, t in rows[:5]) + "."
-    left = min(170, 14 + int(6.4 * max(len(n) for _, n in names)))
     limit = board.get("limit")
     chart = Chart(
         f"{prefix}candidates", label, Scale("|t| of the score test [1]", 0.0, 1.08 * max([t for _, t in rows] + [limit or 0.0])),
-        Scale("", len(rows) - 0.5, -0.5, names), 66 + 17 * len(rows), left,
+        Scale("", len(rows) - 0.5, -0.5, names), 66 + 17 * len(rows),
     )  # fmt: skip
     for k, (name, t) in enumerate(rows):
         chart.line(np.array([0.0, t]), np.array([float(k)] * 2), "thick" if name in chosen else "wide")
@@ -254,7 +259,7 @@ def _coefficient_figures(
             half = [np.full(len(h.time_s), Z95 * noise) for h in histories]
             band = ([-h for h in half], half, "")
         label = f"{c} [1] demanded by the test flights minus the model's, before and after, segments end to end."
-        series = [(f"{c}_gap_before", "second", ""), (f"{c}_gap_after", "first", "")]
+        series = [(f"{c}_gap_before", "second thin", ""), (f"{c}_gap_after", "first thin", "")]
         out.append(
             end_to_end(
                 histories, f"{prefix}demand-{c}", series, band, label, f"flight minus model, {c} [1]", f"{c} [1]"

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from uqharness.bounds_page import bounds_page, coverage_page
-from uqharness.campaign_found import CampaignFound, read_found, span
-from uqharness.campaign_page import CONDITIONS_DRAWN, campaign_page, grid_section
+from uqharness.campaign_found import CampaignFound, hardest_first, read_found, span
+from uqharness.campaign_page import campaign_page, grid_section
 from uqharness.campaign_tables import conditions
 from uqharness.compare_page import compare_page
 from uqharness.errors import BadInputError
@@ -21,12 +21,28 @@ from uqharness.refine_page import refine_page
 
 STUDY = "study.json"
 _STATES: Mapping[str, Level] = {"done": "good", "running": "warn", "waiting": "", "failed": "bad"}
+_OVERLAID = 2
+"""Conditions whose p-boxes are drawn over each other, the hardest; the table holds all."""
 _PAGES: Mapping[str, Callable[[Path, str], Page]] = {
-    "identify": identify_page, "compare": compare_page, "bounds": bounds_page, "validate-bounds": coverage_page,
-    "refine": refine_page,
+    "identify": partial(identify_page, segments=1), "compare": partial(compare_page, segments=1), "bounds": bounds_page,
+    "validate-bounds": coverage_page, "refine": refine_page,
 }  # fmt: skip
-_LEFT_OUT = ("Log against model", "Notes", "Warnings and notes")
-"""Sections that a stage's own page has and the study's leaves to it."""
+_KEPT: Mapping[str, tuple[str, ...]] = {
+    "identify": ("Parameters",),
+    "compare": ("Gap by channel", "Log against model"),
+    "bounds": ("How wide the bounds are", "Slices of the bounds"),
+    "validate-bounds": ("Coverage by coefficient",),
+    "campaign": (
+        "Where the answer is yes, no or open", "P-boxes of the median errors",
+        "Which uncertainty makes the width", "Failed flights",
+    ),
+    "refine": (
+        "Effects", "Where model and flights disagreed", "Gap on the test flights, before and after",
+        "Coefficients before and after", "What is left", "What changed in the XML",
+    ),
+}  # fmt: skip
+"""Sections that a study shows of a stage's page; the rest stands in the stage's own."""
+_SHOWN_ABOVE = _KEPT["campaign"][:2]
 
 
 def study_page(folder: Path) -> Page:
@@ -95,16 +111,16 @@ def _campaign(folder: Path, name: str | None, missing: list[str]) -> CampaignFou
 
 def overlay_section(before: CampaignFound, after: CampaignFound, names: Mapping[str, str]) -> Section:
     """P-boxes of two campaigns over each other wherever both have the same quantity in the same condition."""
-    titles = (f"before ({names['before']})", f"after ({names['after']})")
-    drawn = [c for c in conditions(before.frame) if c in conditions(after.frame)]
+    titles = ("before", "after")
+    drawn = hardest_first([c for c in conditions(before.frame) if c in conditions(after.frame)])[:_OVERLAID]
     words = [corner_words(side.frame) for side in (before, after)]
     later = {(item.metric, item.condition): item for item in after.findings}
     figures, rows = [], []
-    for item in before.findings:
+    for item in sorted(before.findings, key=lambda f: drawn.index(f.condition) if f.condition in drawn else len(drawn)):
         other = later.get((item.metric, item.condition))
         if other is None:
             continue
-        if item.condition in drawn[:CONDITIONS_DRAWN]:
+        if item.condition in drawn:
             boxes = [DrawnBox(t, f.box, f.samples, w) for t, f, w in zip(titles, (item, other), words, strict=True)]
             place = f"{item.condition.wind_mps:g}mps-{item.condition.turbulence}".replace(".", "p")
             name = f"before-after-{item.metric.replace('_', '-')}-{place}"
@@ -118,7 +134,8 @@ def overlay_section(before: CampaignFound, after: CampaignFound, names: Mapping[
     if not figures:
         return Section("Before and after", (Words("The two campaigns share no quantity in the same condition."),))
     text = (
-        "Two p-boxes over each other: the solid one before, the dashed one after. A narrower box means that less is unknown; a "
+        f"Two p-boxes over each other: the solid one before ({names['before']}), the dashed one after ({names['after']})."
+        " A narrower box means that less is unknown; a "
         "box that moved means that the model was wrong. The cursor names the epistemic sample behind each side."
     )
     notes: list[Block] = [Words(text, note=True)]
@@ -148,14 +165,6 @@ def _stage_page(
     try:
         if stage["kind"] == "campaign":
             page = campaign_page(read_found(place), prefix)
-            # The overlay and the grids of answers have shown these already.
-            skip = ("Where the answer is yes, no or open",) if stage["folder"] in overlaid else ()
-            keep = [
-                s for s in page.sections if s.title not in (*skip, "What can be signed", "Excursions per flight hour")
-            ]
-            if stage["folder"] in overlaid:
-                keep = [_tables_only(s) if s.title.startswith("P-boxes") else s for s in keep]
-            page = replace(page, sections=tuple(keep))
         elif stage["kind"] in _PAGES:
             page = _PAGES[stage["kind"]](place, prefix)
         else:
@@ -163,14 +172,11 @@ def _stage_page(
     except BadInputError as error:
         missing.append(f"{stage['name']}: {error}")
         return None
-    sections = tuple(s for s in page.sections if s.title not in _LEFT_OUT)
+    skipped = _SHOWN_ABOVE if stage["folder"] in overlaid else ()
+    sections = tuple(s for s in page.sections if s.title in _KEPT[stage["kind"]] and s.title not in skipped)
     said = Bullets(tuple(f"{item.sign} {item.text}".strip() for item in page.verdict))
-    own = Words(f"The stage's own page is {stage['folder']}/report.html.", note=True)
+    own = Words(f"All of it: {stage['folder']}/report.html, written by uqharness report {stage['folder']}.", note=True)
     return Section(f"{stage['name']}: {page.title}", (Words(page.asked, note=True), said, own), sections)
-
-
-def _tables_only(section: Section) -> Section:
-    return replace(section, blocks=tuple(b for b in section.blocks if b.kind == "table"))
 
 
 def _provenance(study: Mapping[str, Any]) -> Section:

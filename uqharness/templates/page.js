@@ -39,9 +39,9 @@ function readOut(figure, svg, data) {
       return `${name}${percent(box.lower[k])} (${box.corners[box.at_least[k]]}) to ${percent(box.upper[k])} `
         + `(${box.corners[box.at_most[k]]}) of the flights; with the band ${percent(box.band_lower[k])} to ${percent(box.band_upper[k])}.`;
     });
-    const head = `At most ${at.toPrecision(3)} ${data.unit}: `;
-    output.textContent = head + lines.join(" ");
-    slider.setAttribute("aria-valuetext", output.textContent);
+    lines[0] = `At most ${at.toPrecision(3)} ${data.unit}: ${lines[0]}`;
+    output.replaceChildren(...lines.map((line) => Object.assign(document.createElement("div"), { textContent: line })));
+    slider.setAttribute("aria-valuetext", lines.join(" "));
   }
   function point(event) {
     const box = svg.getBoundingClientRect();
