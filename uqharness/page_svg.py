@@ -97,7 +97,8 @@ class Chart:
         u = left + width * (np.asarray(x, dtype=float) - self.x.low) / (self.x.high - self.x.low)
         v = top + height * (self.y.high - np.asarray(y, dtype=float)) / (self.y.high - self.y.low)
         # Far beyond the frame a browser's arithmetic fails before the clip does.
-        return np.clip(u, -5000.0, 5000.0), np.clip(v, -5000.0, 5000.0)
+        u, v = (np.where(np.isfinite(w), np.clip(w, -5000.0, 5000.0), np.nan) for w in (u, v))
+        return u, v
 
     def line(self, x: Array, y: Array, kind: str, words: str = "", steps: bool = False, data: str = "") -> None:
         """A line through finite points; a gap where one is not. steps: each value holds until the next."""
