@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +51,9 @@ def study_page(folder: Path) -> Page:
     missing: list[str] = []
     sections = [_stage_section(study)]
     both = study.get("before_after") or {}
-    pair = [_campaign(folder, both.get(side), missing) for side in ("before", "after")]
+    # Each campaign is read once, however often it is shown.
+    read = cache(read_found)
+    pair = [_campaign(folder, both.get(side), missing, read) for side in ("before", "after")]
     if pair[0] is not None and pair[1] is not None:
         sections += [overlay_section(pair[0], pair[1], both)]
         sections += [
@@ -60,7 +62,7 @@ def study_page(folder: Path) -> Page:
             if side
         ]
     for number, stage in enumerate(study["stages"]):
-        section = _stage_page(folder, stage, number, missing, [both.get("before"), both.get("after")])
+        section = _stage_page(folder, stage, number, missing, [both.get("before"), both.get("after")], read)
         sections += [] if section is None else [section]
     if missing:
         sections.append(Section("What could not be read", (Bullets(tuple(dict.fromkeys(missing))),)))
@@ -99,11 +101,11 @@ def _stage_section(study: Mapping[str, Any]) -> Section:
     return Section("Stages", (Table("Stages in the order in which they ran.", head, tuple(rows)),))
 
 
-def _campaign(folder: Path, name: str | None, missing: list[str]) -> CampaignFound | None:
+def _campaign(folder: Path, name: str | None, missing: list[str], read: Callable[[Path], CampaignFound]) -> CampaignFound | None:
     if not name:
         return None
     try:
-        return read_found(folder / name)
+        return read(folder / name)
     except BadInputError as error:
         missing.append(str(error))
         return None
@@ -156,7 +158,8 @@ def _unlike(before: CampaignFound, after: CampaignFound) -> str:
 
 
 def _stage_page(
-    folder: Path, stage: Mapping[str, Any], number: int, missing: list[str], overlaid: list[str | None]
+    folder: Path, stage: Mapping[str, Any], number: int, missing: list[str], overlaid: Sequence[str | None],
+    read: Callable[[Path], CampaignFound],
 ) -> Section | None:  # fmt: skip
     """What a finished stage found, shortened; None for a stage that leaves nothing to show here."""
     if stage["state"] != "done" or not stage.get("folder"):
@@ -164,7 +167,7 @@ def _stage_page(
     place, prefix = folder / stage["folder"], f"s{number}-"
     try:
         if stage["kind"] == "campaign":
-            page = campaign_page(read_found(place), prefix)
+            page = campaign_page(read(place), prefix)
         elif stage["kind"] in _PAGES:
             page = _PAGES[stage["kind"]](place, prefix)
         else:
