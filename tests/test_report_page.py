@@ -132,7 +132,7 @@ def test_a_study_with_two_campaigns_over_each_other(tmp_path, campaigns, refined
     folder = written(tmp_path / "study", "study.json", study(stages, before_after=both))
     page = page_of(folder)
     words = words_of(page)
-    assert words.index("It holds.") < words.index("Is it good enough?") < words.index("Stages")
+    assert words.index("It holds.") < words.index("Is it good enough?") < words.index("Two p-boxes over each other")
     tree = html.document_fromstring(page)
     overlays = [e for e in tree.iter("figure") if e.get("id").startswith("before-after-")]
     assert len(overlays) == 6

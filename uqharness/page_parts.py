@@ -45,6 +45,14 @@ class Bullets:
 
 
 @dataclass(frozen=True)
+class Told:
+    """Sentences with their level, as in the verdict."""
+
+    kind: ClassVar[str] = "told"
+    items: tuple[Say, ...]
+
+
+@dataclass(frozen=True)
 class Cell:
     """A table cell that is more than text: its level colours it, its sign says the same without colour."""
 
@@ -110,7 +118,7 @@ class Code:
     text: str
 
 
-Block = Words | Bullets | Table | Figures | Facts | Code
+Block = Words | Bullets | Told | Table | Figures | Facts | Code
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,22 @@ from uqharness.compare_page import compare_page
 from uqharness.errors import BadInputError
 from uqharness.identify_page import identify_page
 from uqharness.page_files import read_document
-from uqharness.page_parts import Block, Bullets, Cell, Facts, Figures, Level, Page, Say, Section, Table, Words, shown
+from uqharness.page_parts import (
+    Block,
+    Bullets,
+    Cell,
+    Code,
+    Facts,
+    Figures,
+    Level,
+    Page,
+    Say,
+    Section,
+    Table,
+    Told,
+    Words,
+    shown,
+)
 from uqharness.page_pbox import DrawnBox, corner_words, pbox_figure
 from uqharness.refine_page import refine_page
 
@@ -49,7 +64,7 @@ def study_page(folder: Path) -> Page:
     """The page of the folder that ``uqharness study`` wrote, finished or not. Raises BadInputError."""
     study = read_document(folder / STUDY, ("study", "stages"))
     missing: list[str] = []
-    sections = [_stage_section(study)]
+    sections: list[Section] = []
     both = study.get("before_after") or {}
     # Each campaign is read once, however often it is shown.
     read = cache(read_found)
@@ -64,6 +79,7 @@ def study_page(folder: Path) -> Page:
     for number, stage in enumerate(study["stages"]):
         section = _stage_page(folder, stage, number, missing, [both.get("before"), both.get("after")], read)
         sections += [] if section is None else [section]
+    sections.append(_stage_section(study))
     if missing:
         sections.append(Section("What could not be read", (Bullets(tuple(dict.fromkeys(missing))),)))
     sections.append(_provenance(study))
@@ -96,9 +112,11 @@ def _stage_section(study: Mapping[str, Any]) -> Section:
         state = Cell(stage["state"], _STATES.get(stage["state"], "warn"), small=stage.get("error") or "")
         answer = {0: "done", 1: "ran, the answer is no"}.get(stage.get("exit"), "")
         seconds = "" if stage.get("seconds") is None else shown(stage["seconds"], ".1f")
-        rows.append((stage["name"], stage["kind"], state, answer, seconds, Cell(stage.get("command") or "", code=True)))
-    head = ("Stage", "Kind", "State", "Answer", "Time [s]", "Command")
-    return Section("Stages", (Table("Stages in the order in which they ran.", head, tuple(rows)),))
+        rows.append((stage["name"], stage["kind"], state, answer, seconds))
+    table = Table("Stages in the order in which they run.", ("Stage", "Kind", "State", "Answer", "Time [s]"), tuple(rows))
+    commands = "\n".join(stage["command"] for stage in study["stages"] if stage.get("command"))
+    words = Words("The commands of the stages, each of which repeats its stage from a shell:", note=True)
+    return Section("Stages", (table, *((words, Code("Commands of the stages", commands)) if commands else ())))
 
 
 def _campaign(folder: Path, name: str | None, missing: list[str], read: Callable[[Path], CampaignFound]) -> CampaignFound | None:
@@ -177,9 +195,8 @@ def _stage_page(
         return None
     skipped = _SHOWN_ABOVE if stage["folder"] in overlaid else ()
     sections = tuple(s for s in page.sections if s.title in _KEPT[stage["kind"]] and s.title not in skipped)
-    said = Bullets(tuple(f"{item.sign} {item.text}".strip() for item in page.verdict))
     own = Words(f"All of it: {stage['folder']}/report.html, written by uqharness report {stage['folder']}.", note=True)
-    return Section(f"{stage['name']}: {page.title}", (Words(page.asked, note=True), said, own), sections)
+    return Section(f"{stage['name']}: {page.title}", (Words(page.asked, note=True), Told(page.verdict), own), sections)
 
 
 def _provenance(study: Mapping[str, Any]) -> Section:
@@ -188,8 +205,6 @@ def _provenance(study: Mapping[str, Any]) -> Section:
         ("Version", f"uqharness {study.get('version', 'not recorded')}"),
         (f"Study file {study.get('file', '')} (SHA-256)", study.get("hash") or "not recorded"),
     ]
-    seen: dict[str, str] = {}
-    for stage in study["stages"]:
-        seen |= stage.get("inputs") or {}
-    items += [(f"Input {name} (SHA-256)", digest) for name, digest in seen.items()]
+    seen = dict.fromkeys(item for stage in study["stages"] for item in (stage.get("inputs") or {}).items())
+    items += [(f"Input {name} (SHA-256)", digest) for name, digest in seen]
     return Section("Where it came from", (Facts(tuple(items)),))
