@@ -189,6 +189,7 @@ def test_many_conditions_are_tabled_and_the_first_drawn(tmp_path):
     spec = replace(spec, epistemic=spec.epistemic.model_copy(update={"method": "none", "bounds": None}))
     run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady)
     report = write_report(tmp_path / "out")
+    assert problems(report.path.read_text(encoding="utf-8")) == []
     assert len(report.figures) == 4 * FIGURES
     assert "Further conditions, not drawn: 1;" in report.path.read_text()
 
@@ -206,5 +207,6 @@ def test_all_flights_failed_is_still_a_report(tmp_path):
     spec = fakes.small_spec(tmp_path, 1)
     run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=fakes.diverges)
     report = write_report(tmp_path / "out")
+    assert problems(report.path.read_text(encoding="utf-8")) == []
     assert report.figures == ()
     assert "64 failed" in " ".join(report.verdict)

@@ -16,7 +16,9 @@ from tests.page_checks import problems
 from tests.report_folders import refinement, stage, study, written
 from uqharness.cli import main
 from uqharness.errors import BadInputError
+from uqharness.page_pbox import DrawnBox, pbox_figure
 from uqharness.page_svg import Chart, Scale, scale, style, thinned
+from uqharness.pbox import Sample, pbox
 from uqharness.report_page import KINDS, write_report
 
 
@@ -220,10 +222,13 @@ def test_contrast_as_published():
 def test_text_and_lines_stand_out_in_both_schemes(scheme):
     blocks = re.findall(r":root, svg\.chart \{(.*?)\}", style(), re.S)
     assert len(blocks) == 2
-    colours = dict(re.findall(r"--(\w+): (#\w{6})", blocks[scheme]))
+    colours = dict(re.findall(r"--([\w-]+): (#\w{6})", blocks[scheme]))
     for text in ("ink", "soft", "good", "warn", "bad"):
         for ground in ("paper", "box"):
             assert contrast(colours[text], colours[ground]) >= 4.5, (text, ground)
+    for level in ("good", "warn", "bad"):
+        for text in (level, "ink"):
+            assert contrast(colours[text], colours[f"{level}-paper"]) >= 4.5, (text, level)
     for line in ("first", "second", "third"):
         assert contrast(colours[line], colours["paper"]) >= 3.0, line
 
@@ -237,6 +242,25 @@ def test_lines_are_told_apart_without_colour():
 
 
 # Drawing.
+
+
+def test_many_samples_make_no_large_page():
+    draw = np.random.default_rng(1)
+    samples = [Sample(f"s{k}", draw.gamma(4.0, size=200) * (1.0 + k / 2000.0)) for k in range(2000)]
+    box = pbox(samples)
+    words = {sample.epistemic_id: f"level of {sample.epistemic_id}" for sample in samples}
+    figure = pbox_figure("many", "error", "m", [DrawnBox("", box, samples, words)], "caption")
+    assert len(figure.svg) + len(json.dumps(figure.cursor)) < 150_000
+    assert "96 of 2000 samples" in figure.svg
+    (cursor,) = figure.cursor["boxes"]
+    assert [cursor["corners"][k] for k in cursor["at_least"]] == [words[str(name)] for name in box.corner_lower]
+    assert f'data-corner="0.{cursor["at_least"][0]}"' in figure.svg
+
+
+def test_a_chart_of_one_moment_is_still_drawn():
+    chart = Chart("a", "label", Scale("time [s]", 3.0, 3.0), Scale("y [m]", 0.0, 0.0))
+    chart.line(np.array([3.0]), np.array([0.0]), "first")
+    assert "nan" not in chart.svg()
 
 
 def test_a_point_lands_where_its_axes_put_it():

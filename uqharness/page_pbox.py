@@ -15,7 +15,7 @@ from uqharness.page_svg import Chart, Scale, scale
 from uqharness.pbox import PBox, Sample
 
 Array = NDArray[np.float64]
-_CURVE_POINTS = 60
+_CURVE_POINTS, _MOST_CURVES = 60, 96
 PROBABILITY = "probability of at most the value below"
 _DRAWN = ("first", "fill1"), ("second", "fill2")
 
@@ -42,9 +42,13 @@ def pbox_figure(
     chart = Chart(name, label, x, Scale(PROBABILITY, -0.01, 1.01), height=250)
     for number, (drawn, (line, fill)) in enumerate(zip(boxes, _DRAWN, strict=False)):
         if alone and len(drawn.samples) > 1:
-            for k, sample in enumerate(drawn.samples):
-                data = f' data-corner="{number}.{k}"'
-                chart.line(*_steps(sample, x), "corner", "one corner each" if k == 0 else "", steps=True, data=data)
+            place = {name: k for k, name in enumerate(_behind(drawn.box))}
+            shown_samples = _curves(drawn)
+            few = len(shown_samples) < len(drawn.samples)
+            every = f"{len(shown_samples)} of {len(drawn.samples)} samples" if few else "one sample each"
+            for sample in shown_samples:
+                data = f' data-corner="{number}.{place[sample.epistemic_id]}"' if sample.epistemic_id in place else ""
+                chart.line(*_steps(sample, x), "corner", every, steps=True, data=data)
         at = np.concatenate([[x.low], drawn.box.value, [x.high]])
         # Unknown flights may lie below every value that was seen.
         unseen = max(sample.unknown / sample.size for sample in drawn.samples)
@@ -90,7 +94,7 @@ def _half(box: PBox, unit: str) -> str:
 
 def _cursor(number: int, drawn: DrawnBox) -> dict[str, Any]:
     box = drawn.box
-    names = [sample.epistemic_id for sample in drawn.samples]
+    names = _behind(box)
     place = {name: k for k, name in enumerate(names)}
     sides = {"lower": box.lower, "upper": box.upper, "band_lower": box.band_lower, "band_upper": box.band_upper}
     return {
@@ -103,6 +107,22 @@ def _cursor(number: int, drawn: DrawnBox) -> dict[str, Any]:
         "at_least": [place[str(name)] for name in box.corner_lower],
         "at_most": [place[str(name)] for name in box.corner_upper],
     }
+
+
+def _behind(box: PBox) -> list[str]:
+    """Ids of the samples that set a side somewhere, in order of appearance."""
+    return list(dict.fromkeys(str(name) for side in (box.corner_lower, box.corner_upper) for name in side))
+
+
+def _curves(drawn: DrawnBox) -> list[Sample]:
+    """Samples to draw one by one: all if they are few, else those that set a side and some of the others, evenly chosen."""
+    if len(drawn.samples) <= _MOST_CURVES:
+        return list(drawn.samples)
+    wanted = set(_behind(drawn.box)[: _MOST_CURVES // 2])
+    others = [sample for sample in drawn.samples if sample.epistemic_id not in wanted]
+    places = np.unique(np.linspace(0, len(others) - 1, _MOST_CURVES - len(wanted)).round().astype(int))
+    wanted |= {others[k].epistemic_id for k in places}
+    return [sample for sample in drawn.samples if sample.epistemic_id in wanted]
 
 
 def _steps(sample: Sample, x: Scale) -> tuple[Array, Array]:

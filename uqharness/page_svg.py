@@ -38,6 +38,8 @@ class Scale:
     def ticks(self) -> list[tuple[float, str]]:
         if self.names:
             return list(self.names)
+        if not self.high > self.low:
+            return [(self.low, f"{self.low:.4g}")]
         step = _step((self.high - self.low) / 5.0)
         first = math.ceil(self.low / step - 1e-9)
         return [(k * step, _number(k * step, step)) for k in range(first, math.floor(self.high / step + 1e-9) + 1)]
@@ -94,8 +96,8 @@ class Chart:
     def at(self, x: Array | float, y: Array | float) -> tuple[Array, Array]:
         """Places of data in the drawing."""
         left, top, width, height = self.plot
-        u = left + width * (np.asarray(x, dtype=float) - self.x.low) / (self.x.high - self.x.low)
-        v = top + height * (self.y.high - np.asarray(y, dtype=float)) / (self.y.high - self.y.low)
+        u = left + width * (np.asarray(x, dtype=float) - self.x.low) / ((self.x.high - self.x.low) or 1.0)
+        v = top + height * (self.y.high - np.asarray(y, dtype=float)) / ((self.y.high - self.y.low) or 1.0)
         # Far beyond the frame a browser's arithmetic fails before the clip does.
         u, v = (np.where(np.isfinite(w), np.clip(w, -5000.0, 5000.0), np.nan) for w in (u, v))
         return u, v
