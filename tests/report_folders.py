@@ -110,6 +110,20 @@ def bounded(folder):
     return folder
 
 
+def covered(folder):
+    """A validation in which one coefficient's bounds do not hold, with the samples behind it."""
+    row = {"0.95": 0.97, "0.68": 0.7, "n_effective": 80.0, "mean_width": 0.02}
+    coverage = {"CX": row, "Cm": row | {"0.95": 0.4, "n_effective": None}}
+    document = {"coverage": coverage, "errors": {"CX": {"0.95": 0.01, "0.68": None}}, "failed": ["Cm"], "warnings": [], "notes": []}
+    out = written(folder, "coverage.json", document)
+    edge = [np.full(TIME.size, 0.8)] * 2
+    columns = {c: wave() for c in ("CX", "Cm")}
+    for c in ("CX", "Cm"):
+        columns |= {f"{c}_lower": [-v for v in edge], f"{c}_upper": edge}
+    pieces(out, "residuals.parquet", columns)
+    return out
+
+
 def campaigns(root):
     """Two small campaigns, before and after, which differ in the number of flights."""
     for name, flights in (("before", 2), ("after", 3)):

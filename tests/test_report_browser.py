@@ -14,12 +14,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests import report_folders as folders
+from uqharness.cli import main
 from uqharness.report_page import write_report
 
 pytestmark = pytest.mark.browser
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-KINDS = ("identify", "compare", "refine", "bounds", "campaign", "study")
+KINDS = ("identify", "compare", "refine", "bounds", "validate-bounds", "campaign", "study")
 VIEWS = [(1400, "light", False), (390, "dark", True), (390, "light", True)]
 
 LAYOUT = """() => {
@@ -72,9 +73,11 @@ def pages(tmp_path_factory):
     """One report of every kind, and the folders they stand in."""
     root = tmp_path_factory.mktemp("pages")
     campaigns = folders.campaigns(root)
+    assert main(["sensitivity", str(campaigns / "before"), "--json"]) == 0
     made = {
         "identify": folders.identified(root / "identified"), "compare": folders.compared(root / "compared"),
-        "refine": folders.refined(root / "refined"), "bounds": folders.bounded(root / "bounds"), "campaign": campaigns / "before",
+        "refine": folders.refined(root / "refined"), "bounds": folders.bounded(root / "bounds"),
+        "validate-bounds": folders.covered(root / "check"), "campaign": campaigns / "before",
     }  # fmt: skip
     stages = [folders.stage(kind, kind, str(folder)) for kind, folder in made.items()]
     stages.append(folders.stage("after", "campaign", str(campaigns / "after")))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -123,6 +125,34 @@ def test_bounds_from_the_form_alone(bounded):
     slices = {e.get("id") for e in tree.iter("figure")}
     assert slices == {f"slice-{c}-{s}" for c, b in form.coefficients.items() for s in b.states}
     assert form.aircraft.sha256 in page
+
+
+def test_a_validation(tmp_path):
+    page = page_of(folders.covered(tmp_path / "check"))
+    words = words_of(page)
+    assert "The bounds do not hold: inside the 95 % bounds are only Cm 40.0 %; at least 85 % is asked for." in words
+    assert "97.0 ± 1.0" in words
+    assert "40.0 ± undefined" in words
+    # 0.8 bounds two pieces of a sine and a cosine: what lies outside is counted by hand.
+    share = np.mean(np.abs(np.concatenate(folders.wave())) <= 0.8)
+    assert f"{100 * share:.1f} % of the samples inside" in words
+    assert "dots dotout" in page
+
+
+def test_sensitivity_joins_the_page_once_it_was_computed(tmp_path, campaigns):
+    folder = tmp_path / "copy"
+    shutil.copytree(campaigns / "before", folder)
+    assert "Which uncertainty makes the width" not in page_of(folder)
+    assert main(["sensitivity", str(folder), "--json"]) == 0
+    tree = html.document_fromstring(page_of(folder))
+    table = csv.DictReader((folder / "sensitivity.csv").read_text().splitlines())
+    rows = [row for row in table if row["metric"] == "cross_track_median_m"]
+    assert len(rows) == 6
+    for row in rows:
+        ends = f"{float(row['share_min']):.2g} to {float(row['share_max']):.2g}"
+        cells = tree.xpath("//tr[th='median cross-track error'][td[1]=$name]/td[2]", name=row["coefficient"])
+        assert [cell.text for cell in cells] == [ends]
+    assert tree.get_element_by_id("sensitivity-cross-track-median-m") is not None
 
 
 def test_a_study_with_two_campaigns_over_each_other(tmp_path, campaigns, refined):

@@ -108,7 +108,7 @@ def slice_section(form: ModelForm, pieces: Sequence[History], prefix: str = "") 
     """Each coefficient's bounds along each of its states, the others at the data's medians."""
     text = (
         "Along each state the others stand at the medians of the data. Solid: "
-        f"{100 * form.confidence:g} % bounds, dashed: 68 %; shaded: where the data are."
+        f"{100 * form.confidence:g} % bounds, dotted: 68 %; shaded: where the data are."
         + (
             " Dots: flight minus model where the other states are within a standard deviation of the slice."
             if pieces
@@ -187,11 +187,11 @@ def within_section(pieces: Sequence[History], names: Sequence[str], title: str, 
         )
         figures.append(
             end_to_end(
-                pieces, f"{prefix}within-{c}", [(c, "plain", "")], band, label, f"flight minus model, {c} [1]",
+                pieces, f"{prefix}within-{c}", [(c, "plain thin", "")], band, label, f"flight minus model, {c} [1]",
                 f"{c} [1]: {share:.1f} % of the samples inside", outside=True,
             )
         )  # fmt: skip
-    legend = (("plain", "flight minus model"), ("fill1", "bounds"), ("dotout", "outside the bounds"))
+    legend = (("plain thin", "flight minus model"), ("fill1", "bounds"), ("dotout", "outside the bounds"))
     return Section(title, (Figures(tuple(figures), legend),))
 
 

@@ -209,7 +209,8 @@ def _percent(value: float | None) -> float | None:
 def _region(state: str, ends: Sequence[float | None]) -> str:
     quantity, unit, factor = shown_channel(state)
     low, high = (None if v is None else factor * v for v in ends)
-    return f"{quantity} {shown(low)} to {shown(high)} {unit}".removesuffix(" 1")
+    named = f"|{quantity.removeprefix('abs ')}|" if quantity.startswith("abs ") else quantity
+    return f"{named} {shown(low)} to {shown(high)} {unit}".removesuffix(" 1")
 
 
 def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
