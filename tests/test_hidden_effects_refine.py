@@ -76,7 +76,6 @@ def test_the_dissertations_effect_is_named(answer):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="refine tells a wrong Ixz from Cm_p2 by what else its column does: likeness 0.77")
 def test_what_is_the_same_on_the_data_stands_together(answer):
     done, found = answer
     assert judge(ROLL_RATE, found, done.returncode).together
