@@ -9,8 +9,7 @@ for (const figure of document.querySelectorAll("figure")) {
 function readOut(figure, svg, data) {
   const [left, top, width, height] = svg.dataset.plot.split(",").map(Number);
   const [low, high] = svg.dataset.x.split(",").map(Number);
-  const space = "http://www.w3.org/2000/svg";
-  const cursor = svg.appendChild(document.createElementNS(space, "path"));
+  const cursor = svg.appendChild(document.createElementNS(svg.namespaceURI, "path"));
   cursor.setAttribute("class", "line zero");
 
   const reader = document.createElement("div");
