@@ -14,6 +14,7 @@ from uqharness import (
     __version__,
     bounds_command,
     campaign_commands,
+    chain_command,
     compare_command,
     fly_command,
     identify_command,
@@ -56,6 +57,7 @@ def build_parser() -> argparse.ArgumentParser:
         campaign_commands,
         sensitivity_command,
         next_flight_command,
+        chain_command,
     ):
         module.register(commands)
     return parser
