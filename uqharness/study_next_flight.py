@@ -199,8 +199,8 @@ def tables(rows: pd.DataFrame) -> str:
 def verdict(found: pd.DataFrame) -> list[str]:
     """What fails, in words: a mean narrowing more than 20 % off, of the coefficient that a flight was planned for.
 
-    Of the whole width only where endless data would take more than a fifth of it: elsewhere it is scatter, which comes out anew with
-    every flight and is not what is predicted.
+    Of the whole width only where endless data would take more than a fifth of it: elsewhere it is scatter, which comes out anew
+    with every flight and is not what is predicted.
     """
     out = []
     for _, row in found[found["coefficient"] == found["for"]].iterrows():
