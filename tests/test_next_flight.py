@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from jsbsim_schema import schema_errors
 
 from sysid.model_form import read_model_form
 from sysid.residuals import Cutoffs
@@ -209,6 +210,19 @@ def test_what_scatters_is_asked_of_the_flights_behind(campaign, tmp_path, capsys
     assert document["missing"][0]["share"] > 0.5
     assert document["scatter"]["bounds"] > 1.3 * document["scatter"]["simulated"]
     assert any("elevator_pos_deg" in w and "lack" in w for w in document["words"])
+
+
+def test_the_script_keeps_the_missions_lines_and_none_of_its_air(planned):
+    _, out = planned
+    text = (out / "next-flight.xml").read_text()
+    assert (
+        '<property value="120">ap/loiter-center-east-m</property>      <!-- m; the flight begins on the circle' in text
+    )
+    assert '<property value="0">air/wind-mps</property>' in text
+    assert '<property value="0">air/turbulence-w20-kt</property>' in text
+    # What stands above the root of loiter.xml tells of another flight.
+    assert "takes about a minute to settle" not in text
+    assert schema_errors(out / "next-flight.xml") == []
 
 
 def test_the_table_holds_every_step(planned):
