@@ -22,6 +22,7 @@ from uqharness import (
     log_command,
     margins_command,
     modes_command,
+    next_flight_command,
     refine_command,
     sensitivity_command,
 )
@@ -55,6 +56,7 @@ def build_parser() -> argparse.ArgumentParser:
         refine_command,
         campaign_commands,
         sensitivity_command,
+        next_flight_command,
         chain_command,
     ):
         module.register(commands)
