@@ -385,6 +385,18 @@ def test_an_answer_of_no_is_the_exit_code_and_is_named(study, tmp_path, capsys):
     assert "answered no: validate-before" in capsys.readouterr().out
 
 
+def test_a_terminal_sees_each_stage_and_a_pipe_only_the_end(study, tmp_path, capsys, monkeypatch):
+    assert cli.main(command(tmp_path)) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    assert said.out.splitlines()[0] == "mine: Does it hold?"
+    assert said.out.splitlines()[-1].startswith("report: ")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    assert cli.main(command(tmp_path)) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[:2] == ["[1/13] import-one", "  unchanged"]
+
+
 def test_bad_input_is_told_without_a_traceback(study, tmp_path, capsys):
     (tmp_path / "study.toml").write_text(STUDY.replace("[bounds]", "[bonds]"))
     assert cli.main(command(tmp_path)) == 2
