@@ -182,6 +182,32 @@ def test_flights_of_a_superseded_campaign_are_put_aside_not_lost(study, tmp_path
     assert not (tmp_path / "out" / "campaign-before" / "journal.sqlite").exists()
 
 
+def test_a_section_left_out_and_put_back_costs_nothing(study):
+    run, ran, _ = study
+    run()
+    text = STUDY[: STUDY.index("[refine]")] + STUDY[STUDY.index("[campaign]") :]
+    document = run(text)
+    assert ran == []
+    assert "before_after" not in document
+    assert {row["name"] for row in document["former"]} == set(ALL[ALL.index("refine") :])
+    document = run(STUDY)
+    assert ran == []
+    assert document["former"] == []
+
+
+def test_a_folder_that_is_not_the_studys_is_not_removed(study, tmp_path):
+    run, _, fail = study
+    fail["identify"] = KeyboardInterrupt()
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    (tmp_path / "out" / "refine").mkdir()
+    (tmp_path / "out" / "refine" / "thesis.tex").write_text("years")
+    fail.clear()
+    with pytest.raises(BadInputError, match="refine: is there, and not from this study; move it away"):
+        run()
+    assert (tmp_path / "out" / "refine" / "thesis.tex").exists()
+
+
 def test_another_version_does_everything_again(study, monkeypatch):
     run, ran, _ = study
     run()
