@@ -71,6 +71,7 @@ class Effect:
 
     @property
     def key(self) -> str:
+        """Name of the effect among the unknowns of an estimate: ``effect/Cm/p_hat^2``."""
         return f"effect/{self.coefficient or self.subsystem}/{self.term}"
 
     @property
@@ -84,6 +85,7 @@ class Effect:
 
     @property
     def parsed(self) -> Term | None:
+        """The term in factors; None for an effect of a subsystem, which is no coefficient term."""
         return parse(self.term) if self.coefficient is not None else None
 
 

@@ -34,6 +34,7 @@ uqharness COMMAND --help tells the rest."""
 
 
 def build_parser() -> argparse.ArgumentParser:
+    """The parser of the whole command line, every command registered."""
     parser = argparse.ArgumentParser(
         prog="uqharness",
         description="How far can a flight model be trusted, and what does that do to the aircraft's performance?",

@@ -12,6 +12,7 @@ from uqharness.errors import BadInputError
 
 
 def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``log info`` and ``log import`` to a parser."""
     parser = commands.add_parser("log", help="flight logs: what is in them, records from them")
     parser.set_defaults(handler=_run)
     parse = parser.parse_known_args
