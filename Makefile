@@ -5,7 +5,7 @@ VENV   := .venv
 PY     := $(VENV)/bin/python
 STAMP  := $(VENV)/.installed
 
-.PHONY: setup demo test test-slow lint lock bench clean
+.PHONY: setup demo test test-slow docs lint lock bench clean
 
 setup: $(STAMP)
 
@@ -29,6 +29,9 @@ test: setup lint
 
 test-slow: setup
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 -m slow
+
+docs: setup
+	$(PY) docs/site/build.py --out build/docs
 
 bench: setup
 	$(PY) -m uqharness.benchmark

@@ -60,6 +60,14 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
+def complete_parser() -> argparse.ArgumentParser:
+    """The same with the subcommands that are otherwise added at their first use: for documentation and checks."""
+    parser = build_parser()
+    (commands,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    log_command.complete(commands.choices["log"])
+    return parser
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; the process's exit code."""
     arguments = build_parser().parse_args(argv)
