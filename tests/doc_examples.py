@@ -67,6 +67,8 @@ MAKE_LEFT_OUT = {
     "docs": "builds these pages, which a test of its own does",
 }
 MAKE_SLOW = {"demo"}
+# The console program of JSBSim's wheel, by its entry point: it need not lie beside the interpreter.
+JSBSIM = "import sys; from importlib.metadata import entry_points as e; sys.exit(next(iter(e(name='jsbsim'))).load()())"
 # Fences that are no example: equations and directives of the built site.
 NO_EXAMPLE = re.compile(r"math$|\{[a-z-]+\}")
 
@@ -231,7 +233,7 @@ class Scratch:
         for name, command in {
             "uqharness": f'"{sys.executable}" -m uqharness.cli "$@"',
             "python": f'"{sys.executable}" "$@"',
-            "jsbsim": f'"{sys.executable}" -m jsbsim "$@"',
+            "jsbsim": f'"{sys.executable}" -c "{JSBSIM}" "$@"',
         }.items():
             (programs / name).write_text(f"#!/bin/sh\nexec {command}\n")
             (programs / name).chmod(0o755)
@@ -325,7 +327,7 @@ def check_options(command: str, text: str, where: str) -> None:
             "--help",
         ]
         done = subprocess.run(command_help, cwd=ROOT, capture_output=True, text=True, check=False)
-        lacking = {option for option in OPTION.findall(text) if option not in done.stdout}
+        lacking = {option for option in OPTION.findall(text.split(" #")[0]) if option not in done.stdout}
         assert done.returncode == 0, f"{where}: {shlex.join(command_help[1:])}: {done.stderr}"
         assert not lacking, f"{where}: {sorted(lacking)} is no option of '{words[2]}'"
         return
@@ -338,7 +340,7 @@ def check_options(command: str, text: str, where: str) -> None:
         assert word in verbs.choices, f"{where}: there is no command 'uqharness {word}'"
         parser = verbs.choices[word]
     known = {option for action in parser._actions for option in action.option_strings}
-    named = set(OPTION.findall(text))
+    named = set(OPTION.findall(text.split(" #")[0]))
     assert named <= known, f"{where}: {sorted(named - known)} is no option of '{parser.prog}'"
 
 

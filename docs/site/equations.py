@@ -14,7 +14,8 @@ def _inline(self: Any, node: nodes.math) -> None:
 
 
 def _display(self: Any, node: nodes.math_block) -> None:
-    label = node.get("number")
+    # The label is the equation's number in the source it comes from, not one counted here.
+    label = node.get("label")
     anchor = f' id="{node["ids"][0]}"' if node["ids"] else ""
     number = f'<span class="eqno">({label})</span>' if label else ""
     self.body.append(f'<div class="math"{anchor}>{number}{tex2mathml(node.astext(), as_block=True)}</div>\n')

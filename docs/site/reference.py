@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import argparse
 import ast
+import collections.abc
 import dataclasses
 import importlib
+import json
 import re
+import types
 import typing
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -234,7 +237,19 @@ def settings() -> str:
             star = f"[{name}.NAME]" if "Mapping" in str(field.annotation) else f"[{name}]"
             text += f"### {title}: {star}\n\n" + " ".join((section.__doc__ or "").split()).replace("``", "`") + "\n\n"
             rows = [(f"`{key}`", kind(item), default(item)) for key, item in section.model_fields.items()]
-            text += table(["key", "type", "default"], rows)
+            text += nested(section) + table(["key", "type", "default"], rows)
+    return text
+
+
+def nested(section: typing.Any) -> str:
+    """Tables of the sections within a section."""
+    text = ""
+    for key, field in section.model_fields.items():
+        inner = next((t for t in parts(field.annotation) if hasattr(t, "model_fields")), None)
+        if inner is not None:
+            told = " ".join((inner.__doc__ or "").split()).replace("``", "`")
+            rows = [(f"`{name}`", kind(item), default(item)) for name, item in inner.model_fields.items()]
+            text += f"`{key}` holds: {told}\n\n" + table(["key", "type", "default"], rows)
     return text
 
 
@@ -245,24 +260,48 @@ def parts(annotation: object) -> list[object]:
     return found
 
 
+_WORDS = {float: "number", int: "whole number", str: "text", bool: "true or false", typing.Any: "anything"}
+_SIGNS = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
+
+
 def kind(field: typing.Any) -> str:
     """Type of a key in words a TOML author knows, with its limits."""
-    text = re.sub(
-        r"typing\.|collections\.abc\.|uqharness\.\w+\.|, FieldInfo\(.*?\)|FieldInfo\(.*?\)", "", str(field.annotation)
-    )
-    text = re.sub(r"<class '(\w+)'>", r"\1", text)
-    text = re.sub(r"Annotated\[(\w+),[^\]]*\]+", r"\1", text)
-    limits = [
-        re.sub(r"^(\w+)\((\w+)=(.*)\)$", r"\1 \3", repr(item))
-        for item in field.metadata
-        if re.match(r"(Ge|Gt|Le|Lt)\(", repr(item))
-    ]
-    signs = {"Ge": ">=", "Gt": ">", "Le": "<=", "Lt": "<"}
-    return f"`{text}`" + "".join(f", {signs[limit.split()[0]]} {limit.split()[1]}" for limit in limits)
+    return in_words(field.annotation) + limits(field.metadata)
+
+
+def in_words(annotation: typing.Any) -> str:
+    """A Python type as a TOML author would say it."""
+    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin is typing.Annotated:
+        return in_words(arguments[0]) + limits(arguments[1:])
+    if origin is typing.Literal:
+        return " or ".join(f'`"{value}"`' for value in arguments)
+    if origin in (typing.Union, types.UnionType):
+        return " or ".join(in_words(part) for part in arguments if part is not type(None))
+    if origin is tuple:
+        if not arguments:
+            return "list"
+        return (
+            f"list of {in_words(arguments[0])}" if arguments[-1] is ... else f"[{', '.join(map(in_words, arguments))}]"
+        )
+    if origin in (dict, collections.abc.Mapping):
+        return f"table of {in_words(arguments[1])}"
+    return _WORDS.get(annotation, "sections, see above" if hasattr(annotation, "model_fields") else str(annotation))
+
+
+def limits(metadata: Iterable[typing.Any]) -> str:
+    """Bounds among the remarks of an annotated type."""
+    found = ""
+    for item in metadata:
+        found += limits(getattr(item, "metadata", ()))
+        found += "".join(f", {sign} {getattr(item, name):g}" for name, sign in _SIGNS.items() if hasattr(item, name))
+    return found
 
 
 def default(field: typing.Any) -> str:
     if field.is_required():
         return "required"
     value = field.get_default(call_default_factory=True)
-    return "" if value is None or value == {} else f"`{value}`"
+    if value is None or value in ({}, (), ""):
+        return ""
+    return f"`{json.dumps(value)}`" if isinstance(value, str | bool | int | float | tuple | list) else ""

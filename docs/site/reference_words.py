@@ -6,7 +6,7 @@ import re
 
 CASES = {
     r"case_id": "hash of everything that defines the flight",
-    r"epistemic_id": "corner or draw: `010011` (a digit a coefficient), `lhs-000007`; `+0` and `+p000003` for interval inputs and parameters",
+    r"epistemic_id": "corner or draw: `010011` (a digit a coefficient), `lhs-000007`; `+0` and `+p000003` for intervals and draws",
     r"level_C\w": "where the delta stood between its bounds, 0 to 1; null where it moves or is switched off",
     r"aleatory_id": "number of the air: flights of all corners with the same number meet the same gusts and noise",
     r"wind_mps": "steady wind, m/s",
