@@ -347,7 +347,9 @@ def check_options(command: str, text: str, where: str) -> None:
 def differs(page: Path) -> bool:
     """Whether the slow set runs more of a page, or at another size."""
     return any(
-        example.one("slow") or example.one("fast") or example.commands(True) != example.commands(False)
+        example.one("slow")
+        or example.one("fast")
+        or (example.kind == "shell" and example.commands(True) != example.commands(False))
         for example in examples(page)
     )
 
