@@ -7,6 +7,7 @@ code at every build. A link without a target, or any other warning, fails the bu
 from __future__ import annotations
 
 import argparse
+import re
 import shutil
 import sys
 import tempfile
@@ -36,13 +37,21 @@ def stage(folder: Path) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(path, target)
     shutil.copyfile(ROOT / "LICENSE", folder / "LICENSE")
-    shutil.copyfile(HERE / "index.md", folder / "index.md")
+    (folder / "index.md").write_text(index(), encoding="utf-8")
     import reference
 
     for name, text in reference.pages().items():
         target = folder / "docs" / "reference" / name
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_text(text, encoding="utf-8")
+
+
+def index() -> str:
+    """The first page; a page of docs/ that it does not place yet is listed under "Use"."""
+    text = (HERE / "index.md").read_text(encoding="utf-8")
+    placed = set(re.findall(r"^docs/([\w-]+)$", text, re.M))
+    more = [f"docs/{path.stem}" for path in sorted((ROOT / "docs").glob("*.md")) if path.stem not in placed]
+    return text.replace("docs/development\n", "\n".join(["docs/development", *more]) + "\n")
 
 
 def build(out: Path) -> int:
