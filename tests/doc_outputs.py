@@ -27,7 +27,7 @@ def check_outputs(folder: Path) -> int:
         for path in folder.rglob(name):
             frame = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path)
             for column in frame.columns:
-                words.meaning(re.sub(r"(?<=level_|riable_).*/.*", "<property>", column), told)
+                words.meaning(re.sub(r"^(level|variable)_.*/.*", r"\1_<property>", column), told)
             seen += 1
     documents = {name: told for name, _, _, told in reference.DOCUMENTS} | {"model-form.json": words.MODEL_FORM}
     for name, told in documents.items():

@@ -47,7 +47,7 @@ def commands() -> str:
     parser = cli.complete_parser()
     text = (
         NOTE
-        + "# Commands\n\nWhat `--help` says, command by command. What they are for: [Commands](../commands.md).\n\n"
+        + "# Commands, option by option\n\nWhat `--help` says, command by command. What they are for: [Commands](../commands.md).\n\n"
     )
     return text + "".join(command(leaf) for leaf in leaves(parser))
 
