@@ -64,7 +64,7 @@ def command(parser: argparse.ArgumentParser) -> str:
         if isinstance(action, argparse._HelpAction):
             continue
         name = f"`{', '.join(action.option_strings)}`" if action.option_strings else f"`{metavar(action)}`"
-        if action.option_strings and action.nargs != 0:
+        if action.option_strings and action.nargs != 0 and action.choices is None:
             name += f" {metavar(action)}"
         told = (
             (action.help or "")
@@ -72,9 +72,12 @@ def command(parser: argparse.ArgumentParser) -> str:
             .replace("%%", "%")
             .replace(str(Path.home()), "~")
         )
-        needed = "required" if action.required else ""
-        rows.append([name, told, needed])
-    text = f"## {parser.prog}\n\n{parser.description or ''}\n\n" + table(["argument", "meaning", ""], rows)
+        if action.choices is not None:
+            told += "; one of " + ", ".join(f"`{choice}`" for choice in action.choices)
+        if action.option_strings and action.required:
+            told += " (required)"
+        rows.append([name, told])
+    text = f"## {parser.prog}\n\n{parser.description or ''}\n\n" + table(["argument", "meaning"], rows)
     return text + (f"```text\n{parser.epilog.strip()}\n```\n\n" if parser.epilog else "")
 
 
