@@ -46,8 +46,7 @@ def commands() -> str:
     """Every command with its options and examples, as `--help` has them."""
     parser = cli.complete_parser()
     text = (
-        NOTE
-        + "# Commands, option by option\n\nWhat `--help` says, command by command. What they are for: [Commands](../commands.md).\n\n"
+        NOTE + "# Commands, option by option\n\nWhat `--help` says. What they are for: [Commands](../commands.md).\n\n"
     )
     return text + "".join(command(leaf) for leaf in leaves(parser))
 
