@@ -9,7 +9,8 @@ What an example needs beside its text stands in an HTML comment right before it,
     file: NAME               the block is the content of that file
     then: COMMAND            run afterwards, to see that the block is right
     exit: N                  the exit code of the last command (default 0)
-    leave out: LINE -- REASON      one line of the block is not run
+    leave out: LINE -- REASON      lines that begin so are not run
+    slow line: LINE -- REASON      lines that begin so are run in the slow set alone
     not run: REASON          the block is not run
     -->
 
@@ -32,6 +33,7 @@ import time
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 from markdown_it import MarkdownIt
@@ -54,7 +56,7 @@ CAMPAIGN_SECTIONS = {
     "start": StartSection,
     "stop": StopSection,
 }
-DIRECTIVES = {"slow", "fast", "before", "file", "then", "exit", "leave out", "not run"}
+DIRECTIVES = {"slow", "fast", "before", "file", "then", "exit", "leave out", "slow line", "not run"}
 # Lines that would run the test that runs them, install, or ask the network; every other make target is run.
 MAKE_LEFT_OUT = {
     "setup": "installs the environment that the examples run in",
@@ -95,7 +97,8 @@ class Example:
 
     def commands(self, slow: bool) -> list[str]:
         """Lines of a shell block as they are run: joined at backslashes, the left-out ones gone, the fast ones reduced."""
-        left_out = [value.split(" -- ")[0].strip() for value in self.all("leave out")]
+        marks = self.all("leave out") + ([] if slow else self.all("slow line"))
+        left_out = [value.split(" -- ")[0].strip() for value in marks]
         lines = [line.strip() for line in re.sub(r"\\\n\s*", " ", self.text).splitlines()]
         kept = [line for line in lines if line and not line.startswith("#")]
         kept = [line for line in kept if not any(line.startswith(out) for out in left_out)]
@@ -160,8 +163,8 @@ def directives(comment: str, where: str) -> tuple[tuple[str, str], ...]:
             )
         if key == "fast" and "=>" not in value:
             raise ValueError(f"{where}: '{line}': fast: OLD => NEW")
-        if key == "leave out" and " -- " not in value:
-            raise ValueError(f"{where}: '{line}': leave out: LINE -- REASON")
+        if key in {"leave out", "slow line"} and " -- " not in value:
+            raise ValueError(f"{where}: '{line}': {key}: LINE -- REASON")
         found.append((key, value.strip()))
     return tuple(found)
 
@@ -320,15 +323,9 @@ def check_options(command: str, text: str, where: str) -> None:
     parser = cli.complete_parser()
     words = command.replace(".venv/bin/", "").split()
     if words[:2] == ["python", "-m"]:
-        command_help = [
-            sys.executable,
-            *words[1:3],
-            *(words[3:4] if words[3:4] and re.match("[a-z]", words[3]) else []),
-            "--help",
-        ]
-        done = subprocess.run(command_help, cwd=ROOT, capture_output=True, text=True, check=False)
-        lacking = {option for option in OPTION.findall(text.split(" #")[0]) if option not in done.stdout}
-        assert done.returncode == 0, f"{where}: {shlex.join(command_help[1:])}: {done.stderr}"
+        verb = words[3] if words[3:4] and re.match("[a-z]", words[3]) else None
+        told = help_of(words[2], verb)
+        lacking = {option for option in OPTION.findall(text.split(" #")[0]) if option not in told}
         assert not lacking, f"{where}: {sorted(lacking)} is no option of '{words[2]}'"
         return
     if words[:1] != ["uqharness"]:
@@ -352,6 +349,15 @@ def differs(page: Path) -> bool:
         or (example.kind == "shell" and example.commands(True) != example.commands(False))
         for example in examples(page)
     )
+
+
+@cache
+def help_of(module: str, verb: str | None) -> str:
+    """What `python -m module [verb] --help` prints. AssertionError where there is no such program."""
+    words = [sys.executable, "-m", module, *([verb] if verb else []), "--help"]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{shlex.join(words[1:])}: {done.stderr}"
+    return done.stdout
 
 
 def run_page(page: Path, folder: Path, slow: bool) -> list[tuple[Example, float]]:

@@ -51,9 +51,10 @@ def excluded(found: list[de.Example]) -> list[tuple[str, str]]:
     for example in found:
         for value in example.all("not run"):
             listed.append((example.where, f"not run: {value}"))
-        for value in example.all("leave out"):
-            line, reason = value.split(" -- ")
-            listed.append((example.where, f"'{line}' is left out: {reason}"))
+        for key, how in (("leave out", "is left out"), ("slow line", "in the slow set")):
+            for value in example.all(key):
+                line, reason = value.split(" -- ")
+                listed.append((example.where, f"'{line}' {how}: {reason}"))
         for value in example.all("slow"):
             listed.append((example.where, f"slow set: {value}"))
         if example.kind == "shell":
