@@ -8,18 +8,20 @@ replaces is taken out again. Candidates without which the answer would be as lik
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from sysid.effect_score import Evidence, agreement, corrected, likeness, scores
+from sysid.effect_score import DEPENDENT, Evidence, agreement, corrected, likeness, scores, solve
 
 FloatArray = NDArray[np.float64]
-FAMILY = 0.01
-"""Chance that the best of all candidates passes when nothing is missing."""
+Twins = Mapping[tuple[str, str], Sequence[str]]
+FAMILY = 0.02
+"""Chance that the best of all candidates passes when nothing is missing; the part that confirms is asked besides."""
+DRAWS = 40_000
 EXCHANGE = 9.0
 """Gain by which another candidate must beat a chosen one to take its place."""
 LOOKED_AT = 12
@@ -27,18 +29,25 @@ STRONG = 2.0
 """How far above the limit an unconfirmed candidate's |t| must be to say that something is missing all the same."""
 INSEPARABLE_T = 3.0
 """A chosen effect whose t falls below this once another is free cannot be told from that other."""
+INSEPARABLE_SHARE = 0.01
+"""Beside a twin and its companions a chosen effect must keep this share of its information to be told from them: less than a
+tenth of its amplitude is what any small error of the model looks like."""
 MOST_ALTERNATIVES = 3
 
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another candidate for the same residual: its gain in the effect's place, the effect's t beside it, likeness of the two."""
+    """Another candidate for the same residual: its gain in the effect's place, the effect's t beside it, likeness of the two.
+
+    companions: terms left free beside it when the two were told apart
+    """
 
     key: str
     gain: float
     t_beside: float
     likeness: float
     separable: bool
+    companions: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -81,17 +90,42 @@ def threshold(candidates: int, family: float = FAMILY) -> float:
     return float(stats.norm.isf(0.5 * (1.0 - (1.0 - family) ** (1.0 / max(candidates, 1)))))
 
 
+def chance_limit(evidence: Evidence, free: Sequence[str], candidates: Sequence[str], family: float = FAMILY) -> float:
+    """|t| that the largest of the candidates exceeds with probability ``family`` when nothing is there.
+
+    Candidates resemble each other, so the largest of 400 is the largest of fewer: drawn from their own correlation, what the free
+    columns take up removed. Never above Sidak's limit, which is for candidates that have nothing in common.
+    """
+    known = [
+        k for k, share in zip(candidates, scores(evidence, free, candidates).share, strict=True) if share > DEPENDENT
+    ]
+    if len(known) < 2:
+        return threshold(len(known), family)
+    G, _ = evidence.everything
+    b, c = evidence.index(free), evidence.index(known)
+    left = G[np.ix_(c, c)] - G[np.ix_(c, b)] @ solve(G[np.ix_(b, b)], G[np.ix_(b, c)])
+    size = np.sqrt(np.diagonal(left))
+    values, vectors = np.linalg.eigh(left / np.outer(size, size))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    rng = np.random.default_rng(len(known))
+    largest = np.abs(rng.standard_normal((DRAWS, len(known))) @ root.T).max(axis=1)
+    return min(threshold(len(known), family), float(np.quantile(largest, 1.0 - family)))
+
+
 def select(
     evidence: Evidence, free: Sequence[str], candidates: Mapping[str, float], confirming: NDArray[np.bool_],
-    chosen: Sequence[str] = (), most: int = 6, limit: float | None = None, related: Callable[[str, str], bool] | None = None,
+    chosen: Sequence[str] = (), most: int = 6, limit: float | None = None, twins: Twins | None = None, empirical: bool = False,
 ) -> Selection:  # fmt: skip
     """Choose effects.
 
     free        columns that are estimated in any case; candidates: key -> odds; confirming (S,): segments that confirm
     chosen      effects to begin with, which may be exchanged or removed again
-    related     whether two keys may not stand in the model at once (a special case of the other)
+    limit       |t| asked (default: chance_limit)
+    empirical   whether t must stand above the limit in units of the candidates' own spread, too (Efron, JASA 99, 2004), which is
+                one where nothing but noise is left
+    twins       (effect, rival) -> companions: causes that physics makes alike, but for terms that the companions stand for
     """
-    limit = threshold(len(candidates)) if limit is None else limit
+    limit = chance_limit(evidence, free, list(candidates)) if limit is None else limit
     here: list[str] = list(chosen)
     trail: list[str] = []
     refused: Refusal | None = None
@@ -102,7 +136,14 @@ def select(
         refused = None
         if len(here) < most:
             found = _best(
-                evidence, [*free, *here], [c for c in candidates if c not in here], candidates, confirming, limit
+                evidence,
+                [*free, *here],
+                [c for c in candidates if c not in here],
+                candidates,
+                confirming,
+                limit,
+                STRONG if not empirical else np.inf,
+                empirical,
             )
             if isinstance(found, Refusal):
                 refused = found
@@ -111,13 +152,21 @@ def select(
                 trail.append(f"+ {found.key} t {found.t:.1f} gain {found.gain:.0f}")
         if here == before:
             break
-    rest = [_judged(evidence, [*free, *[o for o in here if o != c]], c, confirming) for c in here]
+    return Selection(judged(evidence, free, here, list(candidates), confirming, twins), refused, tuple(trail))
+
+
+def judged(
+    evidence: Evidence, free: Sequence[str], here: Sequence[str], candidates: Sequence[str], confirming: NDArray[np.bool_],
+    twins: Twins | None = None,
+) -> tuple[Choice, ...]:  # fmt: skip
+    """The effects ``here`` as they stand, each beside the others, with alternatives among the candidates; the strongest first."""
     out = []
-    for c in rest:
-        others = [*free, *[o for o in here if o != c.key]]
+    for key in here:
+        others = [*free, *[o for o in here if o != key]]
         open_ = [k for k in candidates if k not in here]
-        out.append(_with_alternatives(evidence, others, c, open_, candidates))
-    return Selection(tuple(sorted(out, key=lambda c: -c.gain)), refused, tuple(trail))
+        choice = _judged(evidence, others, key, confirming)
+        out.append(_with_alternatives(evidence, others, choice, open_, twins or {}))
+    return tuple(sorted(out, key=lambda c: -c.gain))
 
 
 def _judged(evidence: Evidence, free: Sequence[str], key: str, confirming: NDArray[np.bool_]) -> Choice:
@@ -134,11 +183,13 @@ def _judged(evidence: Evidence, free: Sequence[str], key: str, confirming: NDArr
 
 def _best(
     evidence: Evidence, free: Sequence[str], open_: Sequence[str], odds: Mapping[str, float], confirming: NDArray[np.bool_],
-    limit: float,
+    limit: float, strong: float = STRONG, empirical: bool = False,
 ) -> Choice | Refusal | None:  # fmt: skip
     if not open_:
         return None
     found = scores(evidence, free, open_)
+    # A candidate that is really there moves few of the others: their median does not know of it.
+    spread = max(1.0, float(np.nanmedian(np.abs(found.t))) / stats.norm.isf(0.25)) if empirical else 1.0
     merit = np.nan_to_num(found.gain - np.array([odds[k] for k in open_]), nan=-np.inf)
     order = np.argsort(-merit)
     best = int(order[0])
@@ -158,10 +209,15 @@ def _best(
             return Refusal(choice.key, choice.t, choice.gain, f"|t| {abs(choice.t):.1f} is not above {limit:.1f}")
         if not abs(choice.t) > limit:
             return Refusal(choice.key, choice.t, choice.gain, f"|t| {abs(choice.t):.1f} is not above {limit:.1f}")
+    if not np.sqrt(choice.gain) > limit * spread:
+        why = (
+            f"|t| {np.sqrt(choice.gain):.1f} is not above {limit:.1f} times {spread:.2f}, the spread of all candidates"
+        )
+        return Refusal(choice.key, choice.t, choice.gain, why)
     if np.isfinite(choice.confirmed_gain) and not choice.confirmed_gain > 0.0:
         return Refusal(
             choice.key, choice.t, choice.gain, "the part of the flights that did not estimate it does not confirm it",
-            abs(choice.t) > limit + STRONG,
+            abs(choice.t) > limit + strong,
         )  # fmt: skip
     return choice
 
@@ -201,27 +257,33 @@ def _pruned(
 
 
 def _with_alternatives(
-    evidence: Evidence, others: Sequence[str], choice: Choice, open_: Sequence[str], odds: Mapping[str, float]
+    evidence: Evidence, others: Sequence[str], choice: Choice, open_: Sequence[str], twins: Twins
 ) -> Choice:
     """The effect with the candidates that would do nearly as well in its place, the best first; inseparable ones before."""
     rivals = [k for k in open_ if k != choice.key]
     if not rivals:
         return choice
     found = scores(evidence, others, rivals)
+    alone = float(scores(evidence, others, [choice.key]).information[0])
     order = np.argsort(-np.nan_to_num(found.gain, nan=-np.inf))[:LOOKED_AT]
     near = [rivals[i] for i in order if np.isfinite(found.gain[i]) and found.gain[i] > 0.25 * choice.gain]
+    near += [
+        k
+        for k, g in zip(rivals, found.gain, strict=True)
+        if (choice.key, k) in twins and k not in near and np.isfinite(g)
+    ]
     alike = likeness(evidence, others, choice.key, near) if near else np.zeros(0)
     rows = []
     for key, same in zip(near, alike, strict=True):
-        beside = scores(evidence, [*others, key], [choice.key])
+        companions = [c for c in twins.get((choice.key, key), ()) if c in evidence.names and c not in others]
+        beside = scores(evidence, [*others, key, *companions], [choice.key])
         t = float(beside.t[0]) if np.isfinite(beside.t[0]) else 0.0
         # White t of the effect beside its rival, brought to the colour of the residuals by the ratio found for the effect alone.
         t *= abs(choice.t) / np.sqrt(choice.gain) if choice.gain > 0 else 1.0
+        kept = float(np.nan_to_num(beside.information[0])) / alone
+        inseparable = abs(t) < INSEPARABLE_T or (bool(companions) and kept < INSEPARABLE_SHARE)
         gain = float(found.gain[rivals.index(key)])
-        rows.append(Alternative(key, gain, t, float(same), not (abs(t) < INSEPARABLE_T)))
-    inseparable = [r for r in rows if not r.separable][: MOST_ALTERNATIVES - 1]
+        rows.append(Alternative(key, gain, t, float(same), not inseparable, tuple(companions)))
+    together = [r for r in rows if not r.separable][: MOST_ALTERNATIVES - 1]
     runner_up = [r for r in rows if r.separable][:1]
-    return Choice(
-        choice.key, choice.value, choice.std, choice.t, choice.gain, choice.confirmed_gain, choice.difference,
-        (*inseparable, *runner_up),
-    )  # fmt: skip
+    return replace(choice, alternatives=(*together, *runner_up))

@@ -124,6 +124,8 @@ def gather(
 
 def solve(G: FloatArray, right: FloatArray) -> FloatArray:
     """G x = right for an information matrix whose lost directions get nothing."""
+    if not len(G):
+        return np.zeros_like(right)
     scale = np.sqrt(np.maximum(np.diagonal(G), 0.0))
     scale[scale == 0.0] = 1.0
     values, vectors = np.linalg.eigh(G / np.outer(scale, scale))

@@ -6,7 +6,6 @@ how a simulator would carry it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sysid import effect_terms
@@ -127,6 +126,8 @@ _TERMS: dict[str, tuple[str, str, str]] = {
     "q_hat^2": ("pitch damping that is not linear in the rate", "abrupt pitch manoeuvres", KLEIN),
     "r_hat^2": ("both wings in yawing, whichever its direction", "rudder doublets", KLEIN),
     "p_hat*r_hat": ("roll and yaw together", "coordinated rolls", KLEIN),
+    "p_hat*q_hat": ("roll and pitch together: moments of inertia taken wrong", "pulling in a roll", KLEIN),
+    "q_hat*r_hat": ("pitch and yaw together: moments of inertia taken wrong", "steep turns", KLEIN),
     "abs(p_hat)*p_hat": ("roll damping that is not linear in the rate", "large roll rate", KLEIN),
     "abs(r_hat)*r_hat": ("yaw damping that is not linear in the rate", "large yaw rate", KLEIN),
     "abs(q_hat)*q_hat": ("pitch damping that is not linear in the rate", "large pitch rate", KLEIN),
@@ -196,6 +197,13 @@ _TERMS: dict[str, tuple[str, str, str]] = {
 }
 
 
+_P2, _R2, _IXZ = "effect/Cm/p_hat^2", "effect/Cm/r_hat^2", "effect/mass/Ixz"
+_COUPLED = (_R2, "effect/Cl/p_hat*q_hat", "effect/Cn/q_hat*r_hat")
+TWINS: dict[tuple[str, str], tuple[str, ...]] = {(_P2, _IXZ): _COUPLED, (_IXZ, _P2): _COUPLED}
+"""(effect, rival) -> terms by which alone the two differ. A wrong Ixz is a pitching moment Ixz (r^2 - p^2), and moments with
+p q and q r; its linear part the rate derivatives take up (rigid body, e.g. Etkin and Reid eq 4.7,2)."""
+
+
 def words(term: str) -> str:
     """A term in words: ``roll rate squared``."""
     out = []
@@ -237,168 +245,12 @@ def coefficient_effect(
     )
 
 
-def _subsystem(subsystem: str, term: str, name: str, physics: str, regime: str, unit: str, odds: float = 1.0) -> Effect:
-    positive = term in ("delay", "lag", "deadband", "rate_limit", "separation", "dynamic", "lift")
-    return Effect(None, subsystem, term, name, physics, regime, "", JATEGAONKAR, unit, odds, positive)
-
-
-def subsystem_effects(surfaces: Sequence[str], channels: Sequence[str], delays: Sequence[str]) -> list[Effect]:
-    """Effects that are no coefficient term, for the surfaces, measured channels and sensors (for delays) at hand."""
-    out = [
-        _subsystem(
-            "stall",
-            "separation",
-            "lift lost by separation",
-            "flow separates from the trailing edge at high angle of attack",
-            "high angle of attack",
-            "1",
-        ),
-        _subsystem(
-            "stall",
-            "dynamic",
-            "lift lost by separation that lags",
-            "separation follows angle of attack late (eq 2.40)",
-            "fast changes at high angle of attack",
-            "1",
-        ),
-        _subsystem(
-            "propulsion",
-            "thrust_scale",
-            "thrust off by a factor",
-            "propeller or battery give more or less than the map",
-            "throttle changes",
-            "1",
-            0.5,
-        ),
-        _subsystem(
-            "propulsion",
-            "inflow",
-            "thrust falls off with airspeed otherwise",
-            "inflow at the propeller differs from the map's",
-            "throttle and speed changes",
-            "1",
-        ),
-        _subsystem(
-            "propulsion",
-            "torque",
-            "propeller torque",
-            "the motor's reaction rolls the aircraft against the propeller",
-            "throttle changes",
-            "1",
-        ),
-        _subsystem(
-            "propulsion",
-            "p_factor",
-            "p-factor",
-            "the descending blade sees more angle of attack: yaw with alpha, pitch with beta",
-            "throttle at angle of attack",
-            "1",
-        ),
-        _subsystem(
-            "propulsion",
-            "slipstream",
-            "slipstream over the tail",
-            "tail surfaces act in more dynamic pressure as thrust grows",
-            "elevator and rudder at different power",
-            "1",
-        ),
-        _subsystem(
-            "mass",
-            "cg_x",
-            "centre of gravity further forward",
-            "the moments are about another point",
-            "all manoeuvres",
-            "m",
-        ),
-        _subsystem(
-            "mass",
-            "Ixz",
-            "product of inertia Ixz off",
-            "roll and yaw accelerations are coupled, and pitch with roll rate squared",
-            "aileron and rudder doublets",
-            "kg m^2",
-        ),
-    ]
-    for s in surfaces:
-        out += [
-            _subsystem(
-                f"actuator.{s}",
-                "lag",
-                f"{s} servo slower than modelled",
-                "first-order lag of the servo",
-                f"{s} steps",
-                "s",
-            ),
-            _subsystem(
-                f"actuator.{s}",
-                "deadband",
-                f"{s} servo with a deadband",
-                "small commands do not move the surface",
-                f"small {s} commands",
-                "deg",
-            ),
-            _subsystem(
-                f"actuator.{s}",
-                "rate_limit",
-                f"{s} servo slower than its steps",
-                "the servo's speed is limited",
-                f"large {s} steps",
-                "s/deg",
-            ),
-        ]
-    for c in channels:
-        short = c.split("_")[0]
-        if c in ("V_mps", "alpha_rad", "beta_rad"):
-            out.append(
-                _subsystem(
-                    f"sensor.{c}",
-                    "scale",
-                    f"{short} sensor's scale off",
-                    "position error or upwash at the sensor",
-                    "all manoeuvres",
-                    "1",
-                    1.5,
-                )
-            )
-        else:
-            out.append(
-                _subsystem(
-                    f"sensor.{c}", "scale", f"{short} sensor's scale off", "calibration", "all manoeuvres", "1", 2.0
-                )
-            )
-        if c[:2] not in ("p_", "q_", "r_"):
-            out.append(
-                _subsystem(
-                    f"sensor.{c}",
-                    "bias",
-                    f"{short} sensor's zero off",
-                    "calibration or misalignment",
-                    "all manoeuvres",
-                    c.split("_")[1],
-                    2.0,
-                )
-            )
-    for c in delays:
-        out.append(
-            _subsystem(
-                f"sensor.{c}",
-                "delay",
-                f"{c.split('_')[0]} sensor late",
-                "filtering and transport of the signal",
-                "fast manoeuvres",
-                "s",
-                1.5,
-            )
-        )
-    return out
-
-
 def catalogue() -> list[Effect]:
     """Every coefficient term of the catalogue in every coefficient."""
     out = []
     for coefficient in COEFFICIENTS:
         for term in _TERMS:
-            if term == "1/h_over_b" and coefficient not in ("CZ", "CX", "Cm"):
+            if term == "1/h_over_b" and coefficient not in ("CX", "Cm"):
                 continue
             out.append(coefficient_effect(coefficient, term))
     return out

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.effects import coefficient_effect, subsystem_effects
+from sysid.effects import coefficient_effect
+from sysid.subsystem_effects import subsystem_effects
 from uqharness import engine
 from uqharness.aircraft import find_aircraft, open_aircraft
 from uqharness.refine_xml import Written, carrier, write_effects
@@ -109,3 +110,26 @@ def test_subsystems_have_their_places(tmp_path):
     assert np.isfinite(flown(changed)).all()
     assert carrier(by_key["effect/propulsion/thrust_scale"], aircraft.folder) == ("propulsion/thrust-scale", 1.0)
     assert carrier(by_key["effect/mass/Ixz"], aircraft.folder) is None
+
+
+def pressed(aircraft, h_m: float, k: float | None = None) -> float:
+    """Aerodynamic normal force [lbf] three frames after a level start at h_m."""
+    fdm = open_aircraft(aircraft)
+    if k is not None:
+        engine.set_property(fdm, "effect/ground/lift", k)
+    fdm["ic/lat-geod-deg"], fdm["ic/h-agl-ft"], fdm["ic/u-fps"], fdm["ic/w-fps"] = 45.0, h_m / 0.3048, 70.0, 3.0
+    engine.run_ic(fdm)
+    for _ in range(3):
+        fdm.run()
+    return float(fdm["forces/fbz-aero-lbs"])
+
+
+def test_the_ground_lifts_by_its_share_and_only_near(tmp_path):
+    aircraft = find_aircraft("espaaro")
+    effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/ground/lift"]
+    write_effects(aircraft, [written(effect, 0.1)], {}, tmp_path / "espaaro")
+    changed = find_aircraft(tmp_path / "espaaro")
+    assert pressed(changed, 3.66, 0.0) == pressed(aircraft, 3.66)
+    ratio = pressed(changed, 3.66) / pressed(aircraft, 3.66)
+    assert ratio == pytest.approx(1.0 + 0.1 * np.exp(-2.0), rel=3e-3)  # one span up; the aircraft moves a little, too
+    assert pressed(changed, 100.0) == pytest.approx(pressed(aircraft, 100.0), rel=1e-12)

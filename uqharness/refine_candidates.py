@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 STALL = {"a1_per_deg": 0.5, "alpha1_deg": 11.0, "alpha2_deg": -20.0}
+GROUND_SPANS = 3.0
+"""Height in spans above which nothing is asked of the ground: less than half a per cent of its share is left there."""
 _DEADBAND_DEG = 0.5
 _LAG_S = 0.002
 
@@ -62,6 +64,10 @@ def _subsystem(
         lag = p.rate(found["alpha"]) * p.mass.c / p.x[:, 0] if e.term == "dynamic" else 0.0
         slope = p.reference.slopes[:, 2, 1] / scale[:, 2]
         C[:, 2] = slope * found["alpha"] * (_attached(np.degrees(found["alpha"] - lag)) - 1.0)
+        return C, None
+    if part == "ground":
+        h_over_b = found["h_over_b"]
+        C[:, 2] = np.where(h_over_b < GROUND_SPANS, p.coefficients[:, 2] * np.exp(-2.0 * h_over_b), 0.0)
         return C, None
     if part == "propulsion":
         thrust = np.hstack([p.other_force, p.other_moment]) / scale

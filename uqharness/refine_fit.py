@@ -124,22 +124,26 @@ def fly(model: ReplayModel, setup: Setup, point: Point, map_: Map) -> Flown:
     columns = [CHANNELS.index(c) for c in setup.outputs]
     outputs, cost = [], 0.0
     for segment, flown, z in zip(setup.segments, raw, setup.measured, strict=True):
-        y = flown[:, columns].copy()
-        for k, c in enumerate(setup.outputs):
-            late = point.nuisance.get(f"delay/{segment.flight}/{SENSOR_OF.get(c, c)}", 0.0)
-            if late:
-                y[:, k] -= late * np.gradient(y[:, k], segment.dt_s)
-            sensor = SENSOR_OF.get(c, c)
-            if late := point.sensed.get(f"effect/sensor.{sensor}/delay", 0.0):
-                y[:, k] -= late * np.gradient(y[:, k], segment.dt_s)
-            y[:, k] *= 1.0 + point.sensed.get(f"effect/sensor.{c}/scale", 0.0)
-            y[:, k] += point.sensed.get(f"effect/sensor.{c}/bias", 0.0)
-            y[:, k] += point.nuisance.get(f"bias/{segment.flight}/{c}", 0.0)
+        y = as_sensed(flown[:, columns].copy(), setup, segment, point)
         outputs.append(y)
         e = np.where(np.isfinite(z), (z - y) / setup.noise, 0.0)
         cost += float(np.sum(e**2)) if np.isfinite(e).all() else math.inf
     x = [r[:, [CHANNELS.index(c) for c in X_STATES]] for r in raw]
     return Flown(point, outputs, x, [r[:, CHANNELS.index("h_m")] for r in raw], cost)
+
+
+def as_sensed(y: Array, setup: Setup, segment: Segment, point: Point) -> Array:
+    """(n, m) outputs as the sensors give them: late, scaled, off by a constant. Changes ``y`` in place."""
+    for k, c in enumerate(setup.outputs):
+        sensor = SENSOR_OF.get(c, c)
+        for name in (f"delay/{segment.flight}/{sensor}", f"effect/sensor.{sensor}/delay"):
+            late = point.nuisance.get(name, 0.0) + point.sensed.get(name, 0.0)
+            if late:
+                y[:, k] -= late * np.gradient(y[:, k], segment.dt_s)
+        y[:, k] *= 1.0 + point.sensed.get(f"effect/sensor.{c}/scale", 0.0)
+        y[:, k] += point.sensed.get(f"effect/sensor.{c}/bias", 0.0)
+        y[:, k] += point.nuisance.get(f"bias/{segment.flight}/{c}", 0.0)
+    return y
 
 
 def positions(model: ReplayModel, setup: Setup, map_: Map) -> list[Array]:
@@ -282,6 +286,17 @@ def _moved(
     limits: Mapping[str, tuple[float, float]], share: float,
 ) -> Point:  # fmt: skip
     step = dict(zip(names, (share * delta).tolist(), strict=True))
+    order = [STATES.index(s) for s in X_STATES]
+    starts = []
+    for start, w in zip(point.starts, white, strict=True):
+        moved = start.copy()
+        moved[order] += share * (w.start[:, 0] + w.start[:, 1:] @ delta)
+        starts.append(moved)
+    return replace(stepped(setup, point, step, limits), starts=tuple(starts))
+
+
+def stepped(setup: Setup, point: Point, step: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> Point:
+    """Properties, active effects and nuisance moved by a step; properties stay within their limits."""
     values = dict(point.values)
     for name in values:
         if name in step:
@@ -296,13 +311,7 @@ def _moved(
         elif not in_dynamics(e):
             sensed[e.key] = sensed.get(e.key, 0.0) + step[e.key]
     nuisance = {n: point.nuisance.get(n, 0.0) + step[n] for n in setup.nuisance}
-    order = [STATES.index(s) for s in X_STATES]
-    starts = []
-    for start, w in zip(point.starts, white, strict=True):
-        moved = start.copy()
-        moved[order] += share * (w.start[:, 0] + w.start[:, 1:] @ delta)
-        starts.append(moved)
-    return Point(values, nuisance, tuple(starts), sensed)
+    return replace(point, values=values, nuisance=nuisance, sensed=sensed)
 
 
 def states_of(flights: Sequence[Flight]) -> tuple[Mapping[str, Array], ...]:

@@ -21,7 +21,19 @@ from sysid.prediction import Columns, White, whiten
 from sysid.rigid_steps import STATES as X_STATES
 from sysid.rigid_steps import Steps
 from uqharness.forced import surface_positions
-from uqharness.refine_fit import PRIOR, Fit, Flown, Map, Point, Setup, parameter_columns, probes, steps_of
+from uqharness.refine_fit import (
+    PRIOR,
+    Fit,
+    Flown,
+    Map,
+    Point,
+    Setup,
+    as_sensed,
+    parameter_columns,
+    probes,
+    stepped,
+    steps_of,
+)
 from uqharness.refine_reference import Probe, along, named_terms
 from uqharness.replay import Segment, by_run
 from uqharness.replay_model import CONTROLS, ReplayModel
@@ -91,8 +103,7 @@ def predict(
     out, outputs = [], []
     for segment, s in zip(setup.segments, steps, strict=True):
         y = s.y_ref.copy()
-        for k, c in enumerate(setup.outputs):
-            y[:, setup.which[k]] += point.nuisance.get(f"bias/{segment.flight}/{c}", 0.0)
+        y[:, setup.which] = as_sensed(y[:, setup.which], setup, segment, point)
         out.append(replace(s, y_ref=y))
         outputs.append(y[:, setup.which])
     return replace(flown, outputs=outputs), found, out
@@ -113,19 +124,27 @@ def gust_refit(
     point, analytic, length = start, None, float("inf")
     gain, values = float("nan"), np.zeros(6)
     known = process
+    keys = {e.key for e in setup.active}
+    own = [n for n in names if n not in keys]
     for number in range(1, iterations + 1):
-        differ: list[str] = [] if analytic is None else [n for n in names if n not in analytic]
+        differ: list[str] = [] if analytic is None else [n for n in own if n not in analytic]
         flown, found, steps = predict(straight, setup, point, controls, bends, differ, map_)
         if analytic is None:
-            analytic = tuple(named_terms(straight, setup.segments[0], found[0], names, point.values))
-            if len(analytic) < len(names):
+            analytic = tuple(named_terms(straight, setup.segments[0], found[0], own, point.values))
+            if len(analytic) < len(own):
                 flown, found, steps = predict(
-                    straight, setup, point, controls, bends, [n for n in names if n not in analytic], map_
+                    straight, setup, point, controls, bends, [n for n in own if n not in analytic], map_
                 )
         if process is None and number <= 2:
             speeds = [float(x[:, 0].mean()) for x in flown.x]
             values, known, gain = gust_intensity(
-                steps, setup.measured, setup.which, setup.noise, speeds, found[0].mass.b
+                steps,
+                setup.measured,
+                setup.which,
+                setup.noise,
+                speeds,
+                found[0].mass.b,
+                [s.flight for s in setup.segments],
             )
         assert known is not None
         flown, found = predicted(setup, flown, found, steps, known)
@@ -136,11 +155,7 @@ def gust_refit(
         if length < 0.1 or number == iterations:
             break
         step = dict(zip(columns[0].names, delta.tolist(), strict=True))
-        moved = {
-            n: float(np.clip(v + step.get(n, 0.0), *limits.get(n, (-np.inf, np.inf)))) for n, v in point.values.items()
-        }
-        nuisance = {n: point.nuisance.get(n, 0.0) + step[n] for n in setup.nuisance}
-        point = replace(point, values=moved, nuisance=nuisance)
+        point = stepped(setup, point, step, limits)
     assert known is not None
     assert analytic is not None
     cost = float(sum(np.sum(w.residual**2) for w in white))

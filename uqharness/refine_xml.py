@@ -304,6 +304,15 @@ def _subsystem_terms(w: Written, section: AeroSection, aircraft: Aircraft) -> li
             "</product> <value>1</value> </difference>"
         )
         return [("CZ", w.slopes.get("CZ_alpha", 0.0), [x("alpha"), lost])]
+    if part == "ground":
+        near = f"<exp> <product> <value>-2</value> {x('h_over_b')} </product> </exp>"
+        # The force of the frame before holds the effect already: divided by 1 + k exp(-2 h/b) it is the force without.
+        own = (
+            f"<quotient> <property>forces/fbz-aero-lbs</property> <product> <property>aero/qbar-psf</property> "
+            f"<property>metrics/Sw-sqft</property> <sum> <value>1</value> <product> "
+            f"<property>{w.effect.property_name}</property> {near} </product> </sum> </product> </quotient>"
+        )
+        return [("CZ", 1.0, [near, own])]
     raise BadInputError(f"effect {w.effect.key}: no JSBSim form is known")
 
 

@@ -7,8 +7,9 @@ import pytest
 
 from sysid.effect_file import read_effects
 from sysid.effect_terms import parse, property_name
-from sysid.effects import catalogue, coefficient_effect, subsystem_effects, words
+from sysid.effects import catalogue, coefficient_effect, words
 from sysid.log_errors import LogError
+from sysid.subsystem_effects import subsystem_effects
 
 
 @pytest.mark.parametrize(

@@ -149,8 +149,8 @@ def test_scores_of_nothing_are_standard_normal():
 
 
 def test_the_limit_grows_with_the_number_of_candidates():
-    assert threshold(1) == pytest.approx(2.5758, abs=1e-3)
-    assert threshold(300) > 4.0
+    assert threshold(1, 0.01) == pytest.approx(2.5758, abs=1e-3)
+    assert threshold(300, 0.01) > 4.0
 
 
 def test_an_effect_taken_out_is_found_again():

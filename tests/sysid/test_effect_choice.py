@@ -1,0 +1,109 @@
+"""The rule that chooses effects: the largest t by chance, causes that physics makes alike, noise other than taken."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sysid.effect_choice import chance_limit, select, threshold
+from sysid.effect_score import Evidence, gather, scores
+from sysid.prediction import White
+
+SEGMENTS, N, M = 6, 40, 3
+CONFIRMING = np.arange(SEGMENTS) % 3 == 1
+
+
+def evidence(columns: dict[str, np.ndarray], residual: np.ndarray) -> Evidence:
+    """columns: name -> (S, n, m); residual (S, n, m) in units of the noise."""
+    names = tuple(columns)
+    white = [
+        White(
+            residual[s], np.stack([columns[c][s] for c in names], axis=2).astype(np.float32), 0.0,
+            np.zeros((8, 1 + len(names))), np.ones((N, M), dtype=bool), np.ones(M), np.zeros((N, 11)),
+        )
+        for s in range(SEGMENTS)
+    ]  # fmt: skip
+    return gather(white, names, ["one"] * SEGMENTS, {})
+
+
+def drawn(rng: np.random.Generator) -> np.ndarray:
+    return rng.standard_normal((SEGMENTS, N, M))
+
+
+def test_the_limit_is_sidaks_for_candidates_that_have_nothing_in_common():
+    rng = np.random.default_rng(1)
+    found = evidence({f"c{k}": drawn(rng) for k in range(30)}, drawn(rng))
+    limit = chance_limit(found, [], [f"c{k}" for k in range(30)], 0.05)
+    assert limit == pytest.approx(threshold(30, 0.05), abs=0.06)
+
+
+def test_the_limit_of_one_candidate_by_thirty_names_is_that_of_one():
+    rng = np.random.default_rng(1)
+    own, free = drawn(rng), drawn(rng)
+    found = evidence({"free": free, **{f"c{k}": (1.0 + k) * own + k * free for k in range(30)}}, drawn(rng))
+    limit = chance_limit(found, ["free"], [f"c{k}" for k in range(30)], 0.05)
+    assert limit == pytest.approx(1.96, abs=0.05)
+    assert threshold(30, 0.05) > 3.0
+
+
+def test_nothing_is_chosen_from_noise_more_often_than_the_limit_allows():
+    rng = np.random.default_rng(2)
+    shared = drawn(rng)
+    columns = {"free": drawn(rng), **{f"c{k}": drawn(rng) + shared for k in range(20)}}
+    candidates = {f"c{k}": 0.0 for k in range(20)}
+    limit = chance_limit(evidence(columns, shared), ["free"], list(candidates), 0.05)
+    largest = [
+        float(np.abs(scores(evidence(columns, drawn(rng)), ["free"], list(candidates)).t).max()) for _ in range(300)
+    ]
+    assert 0.02 < np.mean(np.array(largest) > limit) < 0.085
+
+
+@pytest.fixture
+def alike():
+    """What is there: ``square``; ``inertia`` is the same but for a share in ``companion``."""
+    rng = np.random.default_rng(3)
+    square, companion = drawn(rng), drawn(rng)
+    columns = {"square": square, "inertia": square - 0.6 * companion, "companion": companion, "other": drawn(rng)}
+    return evidence(columns, 1.0 * square + drawn(rng))
+
+
+TWINS = {("square", "inertia"): ("companion",), ("inertia", "square"): ("companion",)}
+
+
+def alternatives(found, twins) -> dict[str, bool]:
+    chosen = select(found, [], dict.fromkeys(found.names, 0.0), CONFIRMING, twins=twins).chosen
+    assert [c.key for c in chosen] == ["square"]
+    return {a.key: a.separable for a in chosen[0].alternatives}
+
+
+def test_twins_stand_together_though_a_companion_tells_them_apart(alike):
+    assert alternatives(alike, TWINS)["inertia"] is False
+
+
+def test_without_a_tie_the_companion_tells_them_apart(alike):
+    assert alternatives(alike, None).get("inertia", True) is True
+
+
+def test_twins_that_differ_in_more_than_their_companion_are_told_apart():
+    rng = np.random.default_rng(4)
+    square, companion, own = drawn(rng), drawn(rng), drawn(rng)
+    columns = {"square": square, "inertia": square - 0.6 * companion + 0.7 * own, "companion": companion}
+    found = evidence(columns, 1.0 * square + drawn(rng))
+    assert alternatives(found, TWINS)["inertia"] is True
+
+
+def test_what_all_candidates_see_a_little_is_none_of_them():
+    rng = np.random.default_rng(5)
+    misfit = drawn(rng)
+    columns = {f"c{k}": drawn(rng) + rng.uniform(-0.6, 0.6) * misfit for k in range(60)}
+    candidates = dict.fromkeys(columns, 0.0)
+    found = evidence(columns, 0.3 * misfit + drawn(rng))
+    nobody = np.zeros(SEGMENTS, dtype=bool)
+    plain = select(found, [], candidates, nobody, most=1)
+    careful = select(found, [], candidates, nobody, most=1, empirical=True)
+    assert plain.chosen
+    assert not careful.chosen
+    assert careful.refused is not None
+    assert "spread" in careful.refused.why
+    there = evidence(columns, 0.3 * misfit + drawn(rng) + 1.0 * columns["c7"])
+    assert [c.key for c in select(there, [], candidates, nobody, most=1, empirical=True).chosen] == ["c7"]

@@ -1,0 +1,85 @@
+"""The fit of the model as it is: its parameters re-identified, those that the flights do not determine left alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sysid.effect_score import Evidence, solve
+from uqharness.aircraft import Aircraft
+from uqharness.errors import BadInputError
+from uqharness.identify_start import equation_error_start
+from uqharness.refine_fit import Fit, Map, Point, Setup, fly, positions, refit
+from uqharness.refine_setup import Bench
+
+
+def base_fit(
+    aircraft: Aircraft,
+    bench: Bench,
+    setup: Setup,
+    names: tuple[str, ...],
+    limits: Mapping[str, tuple[float, float]],
+    map_: Map,
+) -> tuple[Fit, tuple[str, ...], list[str]]:
+    """The fit of the model as it is; parameters that the flights do not determine stay where they are and are named in a note."""
+    from uqharness import engine
+
+    fdm = bench.model.open(aircraft.dt_s)
+    engine.require(fdm, names)
+    current = np.array([fdm[n] for n in names])
+    del fdm
+    near, notes = equation_error_start(
+        bench.model, bench.straight, setup.flights, setup.segments, names, current, [limits[n] for n in names]
+    )
+    controls = positions(bench.model, setup, map_)
+    starts = tuple(s.start for s in setup.segments)
+    options = [Point(dict(zip(names, values.tolist(), strict=True)), {}, starts) for values in (near, current)]
+    flown = [fly(bench.model, setup, p, map_) for p in options]
+    best = min(flown, key=lambda f: f.cost)
+    if not np.isfinite(best.cost):
+        raise BadInputError(
+            "the model leaves the flight in some segment (its state is no longer finite); check its XML and the controls' signs"
+        )
+    # One step tells what the flights hold nothing of; it must not be carried to a bound by rounding.
+    first = refit(bench.model, bench.straight, setup, controls, best.point, names, limits, map_, max_iterations=1)
+    lost = undetermined(first.evidence, names, limits)
+    fit = first if lost else refit(bench.model, bench.straight, setup, controls, first.flown.point, names, limits, map_)
+    if lost:
+        kept = tuple(n for n in names if n not in lost)
+        values = {**fit.flown.point.values, **{n: float(current[names.index(n)]) for n in lost}}
+        fit = refit(
+            bench.model, bench.straight, setup, controls, replace(fit.flown.point, values=values), kept, limits, map_
+        )
+        notes = [*notes, f"not determined by these flights and left as they are: {', '.join(lost)}"]
+        return fit, kept, notes
+    return fit, names, notes
+
+
+def undetermined(evidence: Evidence, names: Sequence[str], limits: Mapping[str, tuple[float, float]]) -> list[str]:
+    """Parameters of which the flights hold next to nothing that the others do not, or less than their bounds alone say."""
+    G, _ = evidence.everything
+    some = evidence.index(names)
+    scale = np.sqrt(np.maximum(np.diagonal(G), 0.0))
+    dead = [n for n, i in zip(names, some, strict=True) if scale[i] == 0.0]
+    alive = np.flatnonzero(scale > 0.0)
+    corr = G[np.ix_(alive, alive)] / np.outer(scale[alive], scale[alive])
+    values, vectors = np.linalg.eigh(corr)
+    for k in np.flatnonzero(values < 1e-8).tolist():
+        share = np.abs(vectors[:, k])
+        members = [evidence.names[alive[j]] for j in np.argsort(-share) if share[j] > 0.1]
+        worst = next((m for m in members if m in names and m not in dead), None)
+        if worst is not None:
+            dead.append(worst)
+    inverse = solve(corr, np.eye(len(alive)))
+    for k, column in enumerate(alive.tolist()):
+        name = evidence.names[column]
+        low, high = limits.get(name, (-np.inf, np.inf))
+        if (
+            name in names
+            and name not in dead
+            and float(np.sqrt(inverse[k, k])) / scale[column] > (high - low) / np.sqrt(12.0)
+        ):
+            dead.append(name)
+    return dead

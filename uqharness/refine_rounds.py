@@ -1,0 +1,225 @@
+"""Chosen effects written into a copy of the aircraft, flown and estimated with everything else, until the choice stands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.effect_choice import Selection, judged, select
+from sysid.effect_score import Evidence, gather, scores
+from sysid.effects import TWINS, Effect
+from sysid.prediction import whiten
+from uqharness.aircraft import Aircraft, find_aircraft
+from uqharness.refine_candidates import effect_columns
+from uqharness.refine_fit import PRIOR, Fit, Map, Point, Setup, merged, positions, refit
+from uqharness.refine_gusts import gust_evidence, gust_refit, middles
+from uqharness.refine_setup import Bench
+from uqharness.refine_xml import Written, carrier, in_dynamics, write_effects
+
+LEAST_LATE_ROWS = 0.15
+"""A delay or lag below this share of a row is within what a replay resolves, and is no effect."""
+ROUNDS = 4
+EARNED = 0.6
+"""Share of limit^2 by which each effect must lower the cost of the flight itself: a linearised gain is not reached to the last."""
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Start:
+    """What every round begins from: the aircraft, the flights, the fit without effects, the candidates and how they are judged.
+
+    limits: of the parameters; limit: |t| asked of an effect; confirming (S,): segments that confirm
+    gusty: judged by one-step predictions; handicap: key -> odds besides the effect's own
+    """
+
+    aircraft: Aircraft
+    setup: Setup
+    before: Fit
+    names: tuple[str, ...]
+    effects: Sequence[Effect]
+    limits: Mapping[str, tuple[float, float]]
+    confirming: NDArray[np.bool_]
+    limit: float
+    measured: Sequence[str]
+    ideal: Sequence[str]
+    map_: Map
+    gusty: bool = False
+    handicap: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Round:
+    """Effects flown with everything estimated.
+
+    evidence, odds  as they would be had the effects not been flown, around the flight with them
+    selection       the effects flown, judged there; again: what would be chosen there
+    standing        whether that is the same, with the same numbers where JSBSim reads them once
+    merit           cost and what the effects must earn: less is better
+    """
+
+    setup: Setup
+    staged: Aircraft
+    fit: Fit
+    evidence: Evidence
+    selection: Selection
+    again: Selection
+    standing: bool
+    merit: float
+
+    @property
+    def keys(self) -> frozenset[str]:
+        return frozenset(c.key for c in self.selection.chosen)
+
+
+def settle(start: Start, selection: Selection, work: Path, say: Say) -> tuple[Round | None, list[str]]:
+    """Fly what was chosen and choose again until the choice stands; the best of the rounds flown, and the trail.
+
+    None where every round flown is worse than the aircraft as it was. A choice that goes to and fro ends at the second sight of a
+    set of effects.
+    """
+    trail: list[str] = []
+    flown: list[Round] = []
+    seen: set[frozenset[str]] = set()
+    for number in range(2, ROUNDS + 2):
+        if not selection.chosen:
+            break
+        say(
+            f"round {number}: flying with {', '.join(c.key.removeprefix('effect/').replace('/', ' ') for c in selection.chosen)}"
+        )
+        now = _flown(start, selection, work / f"round{number}")
+        trail += [f"round {number}: {line}" for line in now.again.trail]
+        flown.append(now)
+        if now.standing:
+            break
+        seen.add(now.keys)
+        following = frozenset(c.key for c in now.again.chosen)
+        if following in seen and following != now.keys:
+            trail.append(f"round {number}: back to effects flown before; the best round stands")
+            break
+        selection = now.again
+    # With every round the gusts are estimated anew, and predictions made with other gusts are not to be compared.
+    best = flown[-1] if start.gusty and flown else min(flown, key=lambda r: r.merit, default=None)
+    if start.gusty:
+        return best if selection.chosen or (best and best.standing) else None, trail
+    if best is None or not best.merit < start.before.flown.cost:
+        if best is not None:
+            trail.append("flown, the effects do not lower the error by what they must earn")
+        return None, trail
+    if not best.standing:
+        trail.append(f"the best of {len(flown)} rounds flown, not one that stands")
+    return best, trail
+
+
+def _flown(start: Start, selection: Selection, folder: Path) -> Round:
+    by_key = {e.key: e for e in start.effects}
+    chosen = [by_key[c.key] for c in selection.chosen]
+    keys = [e.key for e in chosen]
+    staged, setup = stage(start.aircraft, start.setup, chosen, selection, start.before, folder)
+    rest = [e for e in start.effects if e.key not in keys]
+    begin = with_effects(start.before.flown.point, setup, selection, staged)
+    names = [*start.names, *keys]
+    with Bench(staged, start.measured, start.ideal) as bench:
+        controls = positions(bench.model, setup, start.map_)
+        if start.gusty:
+            bends = middles(bench.model, setup, start.map_)
+            gusts = gust_refit(bench.straight, setup, controls, bends, begin, names, start.limits, start.map_)
+            fit = gusts.fit
+            evidence = gust_evidence(setup, gusts, effect_columns(setup, fit.probes, fit.flown, rest))
+        else:
+            fit = refit(bench.model, bench.straight, setup, controls, begin, names, start.limits, start.map_)
+            evidence = candidate_evidence(setup, fit, rest)
+    written = {c.key: c.value for c in selection.chosen}
+    evidence = evidence.taken_out(
+        {e.key: effect_value(e, fit.flown.point, setup.carriers, staged, written[e.key]) for e in chosen}
+    )
+    free = [n for n in fit.columns[0].names if n not in keys]
+    odds = {**eligible(rest, start.setup, fit, evidence), **{k: by_key[k].odds for k in keys}}
+    odds = {k: o + start.handicap.get(k, 0.0) for k, o in odds.items()}
+    again = select(
+        evidence, free, odds, start.confirming, chosen=keys, limit=start.limit, twins=TWINS, empirical=start.gusty
+    )
+    standing = {c.key for c in again.chosen} == set(keys)
+    own = again.chosen if standing else judged(evidence, free, keys, list(odds), start.confirming, TWINS)
+    # What JSBSim reads once (mass, servos) has to be written anew until the number stands.
+    moving = [
+        c for c in own
+        if c.key not in setup.carriers and in_dynamics(by_key[c.key]) and abs(c.value - written[c.key]) > 0.5 * c.std
+    ]  # fmt: skip
+    merit = fit.flown.cost + sum(by_key[k].odds + EARNED * start.limit**2 for k in keys)
+    return Round(
+        setup, staged, fit, evidence, Selection(own, again.refused, again.trail), again, standing and not moving, merit
+    )
+
+
+def candidate_evidence(setup: Setup, fit: Fit, effects: Sequence[Effect]) -> Evidence:
+    """Evidence of a fit's own columns and of every candidate's."""
+    columns = merged(fit.columns, effect_columns(setup, fit.probes, fit.flown, effects))
+    white = whiten(fit.steps, setup.measured, columns, setup.which, setup.noise)
+    return gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)
+
+
+def eligible(effects: Sequence[Effect], setup: Setup, fit: Fit, evidence: Evidence) -> dict[str, float]:
+    """Candidates worth scoring and their odds: delays that a replay cannot resolve are left out."""
+    found = scores(evidence, fit.columns[0].names, [e.key for e in effects])
+    least = LEAST_LATE_ROWS * setup.segments[0].dt_s
+    out = {}
+    for e, estimate, share in zip(effects, found.estimate, found.share, strict=True):
+        if not share > 0.0:
+            continue
+        if e.positive and not estimate > 0.0:
+            continue
+        if e.unit == "s" and not abs(estimate) > least:
+            continue
+        out[e.key] = e.odds
+    return out
+
+
+def stage(
+    aircraft: Aircraft, setup: Setup, chosen: Sequence[Effect], selection: Selection, fit: Fit, folder: Path
+) -> tuple[Aircraft, Setup]:
+    """A copy of the aircraft that carries the effects, and the setup that knows of them."""
+    value = {c.key: c.value for c in selection.chosen}
+    target = folder / "aircraft" / aircraft.folder.name
+    target.parent.mkdir(parents=True)
+    written = [Written(e, value[e.key], "", control_slopes(fit)) for e in chosen]
+    write_effects(aircraft, written, {}, target)
+    staged = find_aircraft(target)
+    staged = replace(staged, engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
+    carriers = {e.key: found[0] for e in chosen if (found := carrier(e, aircraft.folder)) is not None}
+    return staged, replace(setup, active=tuple(chosen), carriers=carriers)
+
+
+def control_slopes(fit: Fit) -> dict[str, float]:
+    """Mean change of the coefficients by a degree of elevator and rudder, and of CZ by a radian of alpha."""
+    by = np.concatenate([p.by_control for p in fit.probes])
+    out = {
+        f"{c}_{u}": float(by[:, k, j].mean())
+        for u, j in (("de", 0), ("dr", 2))
+        for k, c in enumerate(("CX", "CY", "CZ", "Cl", "Cm", "Cn"))
+    }
+    slope = np.concatenate([p.reference.slopes[:, 2, 1] / (p.reference.qbar * p.mass.S) for p in fit.probes])
+    return {**out, "CZ_alpha": float(slope.mean())}
+
+
+def with_effects(point: Point, setup: Setup, selection: Selection, staged: Aircraft) -> Point:
+    values, sensed = dict(point.values), dict(point.sensed)
+    for c in selection.chosen:
+        effect = next(e for e in setup.active if e.key == c.key)
+        if c.key in setup.carriers:
+            found = carrier(effect, staged.folder)
+            values[setup.carriers[c.key]] = c.value + (found[1] if found else 0.0)
+        elif not in_dynamics(effect):
+            sensed[c.key] = c.value
+    return replace(point, values=values, sensed=sensed)
+
+
+def effect_value(effect: Effect, point: Point, carriers: Mapping[str, str], staged: Aircraft, written: float) -> float:
+    """An effect's value at a point of the staged model."""
+    if effect.key in carriers:
+        found = carrier(effect, staged.folder)
+        return point.values[carriers[effect.key]] - (found[1] if found else 0.0)
+    return point.sensed.get(effect.key, written)
