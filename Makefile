@@ -17,8 +17,7 @@ $(STAMP): requirements.lock pyproject.toml
 	@touch $(STAMP)
 
 demo: setup
-	$(VENV)/bin/uqharness campaign run campaigns/demo/campaign.toml --out campaigns/demo/results
-	$(VENV)/bin/uqharness campaign report campaigns/demo/results
+	$(VENV)/bin/uqharness study campaigns/chain/chain.toml --out campaigns/chain/results
 
 lint: setup
 	$(VENV)/bin/ruff check .

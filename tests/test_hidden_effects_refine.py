@@ -53,6 +53,7 @@ def refine(place, train, test, name, *more):
         "--out",
         str(out),
         "--no-figures",
+        "--no-pbox",
     ]
     done = sealed.run(place, ["-m", "uqharness.cli", *arguments, "--workers", "1", *more], 500)
     found = json.loads((out / "refinement.json").read_text()) if (out / "refinement.json").is_file() else {}

@@ -57,6 +57,7 @@ def refined(flights, tmp_path_factory) -> Path:
                 str(out),
                 "--workers",
                 "1",
+                "--no-pbox",
             ]
         )
         == 0
@@ -125,7 +126,7 @@ def test_test_flights_choose_nothing(flights, refined, tmp_path):
             str(out),
             "--workers",
             "1",
-            "--no-figures",
+            "--no-figures", "--no-pbox",
         ]
     )
     keys = ("coefficient", "term", "value", "std", "evidence")
@@ -138,7 +139,7 @@ def test_nothing_is_found_where_nothing_is_missing(flights, tmp_path, capsys):
     out = tmp_path / "out"
     code = main([
         "refine", "espaaro", "--train", str(flights["plain"]), "--test", str(flights["plain_test"]), "--out", str(out),
-        "--workers", "1", "--no-figures", "--json",
+        "--workers", "1", "--no-figures", "--no-pbox", "--json",
     ])  # fmt: skip
     found = json.loads(capsys.readouterr().out)
     assert (code, found["verdict"], found["effects"]) == (0, "no-missing-effect", [])
@@ -175,15 +176,15 @@ def test_help_and_wrong_input(tmp_path, capsys, flights):
 
 def test_a_killed_refinement_goes_on_where_it_was(flights, refined, tmp_path, monkeypatch):
     """Killed while it flies the test flights, it does not choose again, ends with the same effects, and leaves no stages behind."""
-    from uqharness import refine_run
+    from uqharness import refine_judge, refine_run
 
     out = tmp_path / "out"
     arguments = [
         "refine", "espaaro", "--train", str(flights["train"]), "--test", str(flights["test"]), "--out", str(out),
-        "--workers", "1", "--no-figures",
+        "--workers", "1", "--no-figures", "--no-pbox",
     ]  # fmt: skip
     with monkeypatch.context() as patch:
-        patch.setattr(refine_run, "show", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr(refine_judge, "show", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         assert main(arguments) == 130
     assert list((out / ".stages").glob("effects-*.pickle"))
     assert not (out / "refinement.json").exists()
@@ -208,7 +209,8 @@ def one_sample_late(record: FlightRecord) -> FlightRecord:
 
 def timing_of(train: Path, test: Path, out: Path) -> dict:
     main([
-        "refine", "espaaro", "--train", str(train), "--test", str(test), "--out", str(out), "--workers", "1", "--no-figures",
+        "refine", "espaaro", "--train", str(train), "--test", str(test), "--out", str(out), "--workers", "1",
+        "--no-figures", "--no-pbox",
     ])  # fmt: skip
     return document(out)
 

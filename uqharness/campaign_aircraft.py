@@ -86,12 +86,12 @@ def _copy(spec: CampaignSpec, aircraft: Aircraft, root: Path) -> Path:
 def put_bounds(made: Path, aircraft: Aircraft, model_form: Path) -> None:
     """Give the copy ``made`` of an aircraft the bounds of a model-form.json. Raises BadInputError as :func:`make_copy` does."""
     text = model_form_xml(read_bounds(model_form), aircraft)
-    destination = made / _system_file(aircraft).relative_to(aircraft.folder)
+    destination = made / system_file(aircraft).relative_to(aircraft.folder)
     destination.unlink()
     destination.write_bytes(text)
 
 
-def _system_file(aircraft: Aircraft) -> Path:
+def system_file(aircraft: Aircraft) -> Path:
     """The file of the aircraft's model-form system."""
     for system in parse_xml(aircraft.xml).getroot().iter("system"):
         named = system.get("file", "").removesuffix(".xml")

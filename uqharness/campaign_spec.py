@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -22,7 +20,7 @@ from uqharness.flight_spec import DEFAULT_TURBULENCE_SOURCE
 from uqharness.spec_sections import Number, Section, Turbulence, listed
 from uqharness.start_spec import STEADY, StartSection
 from uqharness.stop_spec import StopSection, planned, settled, without_flights
-from uqharness.toml_errors import explain
+from uqharness.toml_errors import explain, read_toml
 from uqharness.variables_spec import VariableSection
 
 
@@ -154,18 +152,7 @@ class CampaignSpec:
 def read_campaign(path: str | Path) -> CampaignSpec:
     """Read and validate a campaign file. Raises BadInputError that lists every mistake as ``file:line: ...``."""
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        raise BadInputError(f"{path}: not a text file in UTF-8") from None
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        where = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
-        line = where.group(1) if where else str(text.count("\n") + 1)
-        raise BadInputError(f"{path}:{line}: not valid TOML: {error}") from None
+    data, text = read_toml(path)
     return campaign_from(data, path, text)
 
 

@@ -14,6 +14,7 @@ from uqharness import (
     __version__,
     bounds_command,
     campaign_commands,
+    chain_command,
     compare_command,
     fly_command,
     identify_command,
@@ -21,6 +22,7 @@ from uqharness import (
     log_command,
     margins_command,
     modes_command,
+    next_flight_command,
     refine_command,
     sensitivity_command,
 )
@@ -55,6 +57,8 @@ def build_parser() -> argparse.ArgumentParser:
         refine_command,
         campaign_commands,
         sensitivity_command,
+        next_flight_command,
+        chain_command,
     ):
         module.register(commands)
     return parser

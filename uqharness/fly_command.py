@@ -18,7 +18,7 @@ from uqharness.aircraft import Aircraft, find_aircraft
 from uqharness.errors import BadInputError
 from uqharness.flight import Recorded, record_mission
 from uqharness.flight_spec import DEFAULT_TURBULENCE_SOURCE, TURBULENCE_W20_KT, FlightSpec
-from uqharness.mission import MANOEUVRE_PROPERTY, StagedMission, find_script, read_script
+from uqharness.mission import MANOEUVRE_PROPERTY, Script, StagedMission, find_script, read_script
 from uqharness.properties import Source
 from uqharness.record_writer import FORMATS, write_record
 from uqharness.whole_files import check_out
@@ -100,19 +100,7 @@ def _run(args: argparse.Namespace) -> int:
     aircraft = find_aircraft(args.aircraft)
     script = read_script(find_script(args.script))
     spec = _spec(args, aircraft, script.path, script.end_s)
-    with StagedMission(aircraft, script.path) as mission:
-        table = {name: source for name, source in properties.sources(aircraft).items() if name != "time_s"}
-        optional = dict(_OPTIONAL)
-        if not aircraft.has_card:
-            # What a card would have promised is only hoped for: a glider has no throttle.
-            controls = set(table) - set(properties.STANDARD)
-            optional |= {name: table.pop(name) for name in controls} | properties.standard_positions()
-            print(
-                f"uqharness: note: {aircraft.folder} has no airframe.toml, so the record's commands are JSBSim's fcs/...-cmd-norm",
-                file=sys.stderr,
-            )
-        recorded = record_mission(mission, spec, table, optional, keep_burn_in=True)
-    record = to_record(recorded, aircraft, spec, script.path.stem, script.manoeuvres)
+    record, recorded = recorded_flight(aircraft, script, spec)
     start = {"lat_deg": 45.0, "lon_deg": 0.0, "alt_m": float(recorded.signals["h_m"][0])}
     left_out = write_record(record, args.out, aircraft, start)
     summary = {
@@ -132,6 +120,23 @@ def _run(args: argparse.Namespace) -> int:
     return 0 if recorded.status == "ok" else 1
 
 
+def recorded_flight(aircraft: Aircraft, script: Script, spec: FlightSpec) -> tuple[pd.DataFrame, Recorded]:
+    """Fly ``spec`` from its start on: the flight record, and how the flight ended. Raises BadInputError."""
+    with StagedMission(aircraft, script.path) as mission:
+        table = {name: source for name, source in properties.sources(aircraft).items() if name != "time_s"}
+        optional = dict(_OPTIONAL)
+        if not aircraft.has_card:
+            # What a card would have promised is only hoped for: a glider has no throttle.
+            controls = set(table) - set(properties.STANDARD)
+            optional |= {name: table.pop(name) for name in controls} | properties.standard_positions()
+            print(
+                f"uqharness: note: {aircraft.folder} has no airframe.toml, so the record's commands are JSBSim's fcs/...-cmd-norm",
+                file=sys.stderr,
+            )
+        recorded = record_mission(mission, spec, table, optional, keep_burn_in=True)
+    return to_record(recorded, aircraft, spec, script.path.stem, script.manoeuvres), recorded
+
+
 def _spec(args: argparse.Namespace, aircraft: Aircraft, script: Path, end_s: float) -> FlightSpec:
     duration = end_s if args.duration_s is None else args.duration_s
     for name, value, low, high in (
@@ -144,10 +149,7 @@ def _spec(args: argparse.Namespace, aircraft: Aircraft, script: Path, end_s: flo
             raise BadInputError(f"{name} {value:g}: a number {least} and up to {high:g} is needed")
     if args.wind_from_deg is not None and not math.isfinite(args.wind_from_deg):
         raise BadInputError(f"--wind-from-deg {args.wind_from_deg}: an angle in degrees is needed")
-    # Turbulence and noise are two streams; the second is drawn from the first so that one number gives both.
-    turbulence, noise = (
-        int(x) for x in np.random.SeedSequence(_seed(args.seed)).generate_state(2, np.uint32) % (2**31 - 2)
-    )
+    turbulence, noise = two_seeds(_seed(args.seed))
     return FlightSpec(
         aircraft=aircraft.folder,
         script=script,
@@ -162,6 +164,12 @@ def _spec(args: argparse.Namespace, aircraft: Aircraft, script: Path, end_s: flo
         properties={**properties.SECOND_ORDER, **parse_settings(args.settings)},
         record_rate_hz=args.rate_hz,
     )
+
+
+def two_seeds(seed: int) -> tuple[int, int]:
+    """Seeds of turbulence and of noise: two streams from one number."""
+    turbulence, noise = (int(x) for x in np.random.SeedSequence(seed).generate_state(2, np.uint32) % (2**31 - 2))
+    return turbulence, noise
 
 
 def _seed(value: int) -> int:

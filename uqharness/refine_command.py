@@ -15,8 +15,10 @@ _EXAMPLE = """examples:
   uqharness refine espaaro --train flight1.parquet flight2.parquet --test flight3.parquet --out refined
   uqharness refine espaaro --train a.bin b.bin --test c.bin --manoeuvres manoeuvres.csv --servos ideal --out refined
   uqharness refine espaaro --train a.csv --test b.csv --effects own.toml --out refined
+  uqharness refine my-c172 --train a.csv --test b.csv --campaign campaign.toml --out refined
 
-DIR/refinement.json, DIR/report.html, DIR/aircraft/<name> (an AIRCRAFT for every command), DIR/model.diff, DIR/figures/*.svg.
+DIR/refinement.json, DIR/report.html, DIR/aircraft/<name> (an AIRCRAFT for every command), DIR/model.diff, DIR/figures/*.svg;
+DIR/before/aircraft/<name> (re-identified without effects), DIR/intervals/*.json (model forms), DIR/pbox/* (campaign folders).
 An effect's property set to 0 restores the model without it, bit for bit.
 Exit code 0: effects found, or nothing is missing; 1: something is missing and no effect of the catalogue explains it."""
 
@@ -53,6 +55,11 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         "--servos", choices=("card", "ideal"), default="card",
         help="commands go through the aircraft's actuators, or surfaces and throttle follow them at once (default %(default)s)",
     )  # fmt: skip
+    parser.add_argument(
+        "--campaign", type=Path, metavar="FILE.toml",
+        help="mission that both models fly within their intervals (default: the aircraft's loiter, if it has one)",
+    )  # fmt: skip
+    parser.add_argument("--no-pbox", action="store_true", help="leave out the mission's p-box before and after")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core, 8 at most)")
     parser.add_argument("--no-figures", action="store_true", help="leave out the figures")
     parser.add_argument("--json", action="store_true", help="print refinement.json")
@@ -63,6 +70,8 @@ def _run(args: argparse.Namespace) -> int:
     aircraft = find_aircraft(args.aircraft)
     if args.workers is not None and args.workers < 1:
         raise BadInputError(f"--workers {args.workers}: at least 1")
+    if args.campaign is not None and args.no_pbox:
+        raise BadInputError("--campaign and --no-pbox: a campaign is flown for its p-box; leave out one of them")
     if not args.out.exists() and not args.out.absolute().parent.is_dir():
         raise BadInputError(
             f"--out {args.out}: the folder {args.out.absolute().parent} does not exist; create it first"
@@ -94,6 +103,8 @@ def _run(args: argparse.Namespace) -> int:
         args.servos == "ideal",
         args.workers,
         command,
+        not args.no_pbox,
+        args.campaign,
     )
     done = refine(request, _say)
     write_report(done, out, figures=not args.no_figures)

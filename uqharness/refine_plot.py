@@ -15,30 +15,38 @@ from uqharness.whole_files import write_whole
 
 Array = NDArray[np.float64]
 matplotlib.rcParams["svg.hashsalt"] = "uqharness"
-_BEFORE, _AFTER, _LINE = "#8a8f98", "#c8102e", "#1f4e9c"
+BEFORE, AFTER, LINE = "#8a8f98", "#c8102e", "#1f4e9c"
 
 
 def shrinkage_figure(gap: Mapping[str, Mapping[str, Mapping[str, float]]], path: Path, title: str) -> None:
-    """rms over noise before (grey) and after (red), channels on the left, coefficients on the right."""
-    figure = Figure(figsize=(10, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    for axis, kind in ((left, "channels"), (right, "coefficients")):
+    """rms over noise before (grey) and after (red), channels on the left, coefficients on the right; a bar beyond the axis
+    ends in its number."""
+    figure = Figure(figsize=(10, 4.6), layout="constrained")
+    axes = figure.subplots(1, 2)
+    for axis, kind in zip(axes, ("channels", "coefficients"), strict=True):
         rows = gap[kind]
         at = np.arange(len(rows))
         before = np.array([r["rms_before"] / r["noise_rms"] for r in rows.values()])
         after = np.array([r["rms_after"] / r["noise_rms"] for r in rows.values()])
-        axis.hlines(at, np.minimum(before, after), np.maximum(before, after), color="#cccccc", lw=2.0, zorder=1)
-        axis.plot(before, at, "o", color=_BEFORE, ms=6, label="before", zorder=2)
-        axis.plot(after, at, "o", color=_AFTER, ms=6, label="after", zorder=3)
-        axis.axvline(1.0, color="black", lw=0.8)
+        most = min(1.1 * max(float(np.nanmax([before, after], initial=1.0)), 1.3), 8.0)
+        for shift, values, colour, label in ((-0.2, before, BEFORE, "before"), (0.2, after, AFTER, "after")):
+            axis.barh(at + shift, np.minimum(values, most), 0.38, color=colour, label=label)
+            for y, value in zip(at + shift, values, strict=True):
+                inside = value > 0.85 * most
+                axis.text(
+                    min(value, most) - 0.01 * most if inside else value + 0.01 * most, y, f"{value:.2f}",
+                    ha="right" if inside else "left", va="center", fontsize=6.5, color="white" if inside else "black",
+                )  # fmt: skip
+        axis.axvline(1.0, color="black", lw=0.9, ls="--")
         axis.set_yticks(at, list(rows), fontsize=8)
         axis.invert_yaxis()
-        axis.set_xlim(left=0.0)
+        axis.set_xlim(0.0, most)
         axis.tick_params(labelsize=8)
-        axis.set_xlabel(f"{kind}: rms of measured minus model, over noise", fontsize=8)
-    left.legend(fontsize=8, loc="lower right")
-    figure.suptitle(title, fontsize=10)
-    _save(figure, path)
+        axis.set_xlabel(f"{kind}: rms of measured minus model, over noise (dashed)", fontsize=8)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=8, ncols=2, loc="outside upper right", frameon=False)
+    figure.suptitle(title, fontsize=10, x=0.01, ha="left")
+    save(figure, path)
 
 
 def candidates_figure(
@@ -48,7 +56,7 @@ def candidates_figure(
     figure = Figure(figsize=(8, 0.9 + 0.27 * len(rows)), layout="constrained")
     axis = figure.subplots()
     at = np.arange(len(rows))
-    axis.barh(at, [abs(t) for _, t in rows], color=[_AFTER if n in chosen else _BEFORE for n, _ in rows], height=0.7)
+    axis.barh(at, [abs(t) for _, t in rows], color=[AFTER if n in chosen else BEFORE for n, _ in rows], height=0.7)
     axis.axvline(limit, color="black", lw=0.9, ls="--")
     axis.set_yticks(at, [n for n, _ in rows], fontsize=8)
     axis.invert_yaxis()
@@ -57,7 +65,7 @@ def candidates_figure(
         "|t| of the score test, each candidate alone (dashed: what the best of all reaches by chance)", fontsize=8
     )
     figure.suptitle(title, fontsize=10)
-    _save(figure, path)
+    save(figure, path)
 
 
 def residual_figure(
@@ -76,12 +84,12 @@ def residual_figure(
     for t, b, a in zip(time_s, before, after, strict=True):
         at = start + t - t[0]
         for k, axis in enumerate(axes):
-            axis.plot(at, b[:, k], color=_BEFORE, lw=1.2, label="before")
-            axis.plot(at, a[:, k], color=_AFTER, lw=0.8, label="after")
+            axis.plot(at, b[:, k], color=BEFORE, lw=1.2, label="before")
+            axis.plot(at, a[:, k], color=AFTER, lw=0.8, label="after")
             axis.axvline(start, color="#dddddd", lw=0.6)
         start = float(at[-1]) + 0.5
     for k, (axis, name) in enumerate(zip(axes, names, strict=True)):
-        axis.axhspan(-1.96 * noise[k], 1.96 * noise[k], color=_LINE, alpha=0.12, lw=0)
+        axis.axhspan(-1.96 * noise[k], 1.96 * noise[k], color=LINE, alpha=0.12, lw=0)
         axis.set_ylabel(name, fontsize=9)
         axis.tick_params(labelsize=7)
         axis.margins(x=0)
@@ -89,9 +97,10 @@ def residual_figure(
     axes[0].legend(handles[:2], labels[:2], fontsize=7)
     axes[-1].set_xlabel("test manoeuvres end to end [s]; band: 95 % of what sensor noise gives", fontsize=8)
     figure.suptitle(title, fontsize=10)
-    _save(figure, path)
+    save(figure, path)
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save(figure: Figure, path: Path) -> None:
+    """Write the figure whole or not at all."""
     # No date in the file: the same input gives the same bytes.
     write_whole(path, lambda target: figure.savefig(target, format="svg", metadata={"Date": None}))

@@ -10,8 +10,13 @@ from typing import Any
 
 import jinja2
 
+from uqharness.refine_pbox import DRAWN
 from uqharness.refine_run import Refinement
+from uqharness.refine_show import most_improved
+from uqharness.refine_words import interval_lines, left_over, nowhere, pbox_lines, test_says
 from uqharness.whole_files import write_bytes
+
+FIGURES = ("gap.svg", "history.svg", "intervals.svg", "pbox.svg", "candidates.svg", "coefficients.svg")
 
 
 def clean(value: Any) -> Any:
@@ -32,12 +37,17 @@ def write_report(done: Refinement, out: Path, figures: bool = True) -> None:
     write_bytes(out / "refinement.json", (json.dumps(done.document, indent=1) + "\n").encode())
     diff = model_diff(done)
     write_bytes(out / "model.diff", diff.encode("utf-8", errors="surrogateescape"))
+    for name in FIGURES:
+        (out / "figures" / name).unlink(missing_ok=True)
     drawn = _figures(done, out) if figures else []
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("uqharness", "templates"), autoescape=True, undefined=jinja2.StrictUndefined
     )
     shown = diff.encode("utf-8", errors="replace").decode()
-    page = environment.get_template("refine.html.j2").render(d=done.document, diff=shown, figures=drawn)
+    page = environment.get_template("refine.html.j2").render(
+        d=done.document, diff=shown, figures=drawn, nowhere=nowhere(done.document), left=left_over(done.document["remaining"]),
+        says=test_says,
+    )  # fmt: skip
     write_bytes(out / "report.html", page.encode())
 
 
@@ -45,21 +55,34 @@ def _figures(done: Refinement, out: Path) -> list[str]:
     """Names of the figures drawn into ``out/figures``."""
     from sysid.aero_terms import COEFFICIENTS
     from uqharness.refine_plot import candidates_figure, residual_figure, shrinkage_figure
+    from uqharness.refine_show_plot import history_figure, intervals_figure, pbox_figure
 
     folder = out / "figures"
     folder.mkdir(exist_ok=True)
-    setup, before, after = done.test
-    shrinkage_figure(done.document["gap"]["test"], folder / "gap.svg", "Test flights: gap before and after")
+    gap = done.document["gap"]["test"]
+    setup, before, after = done.judged.test
+    shrinkage_figure(gap, folder / "gap.svg", "Test flights: gap before and after")
     names = ["gap.svg"]
-    if done.found.scoreboard:
-        chosen = [f"{e.get('coefficient') or e['subsystem']} {e['term']}" for e in done.document["effects"]]
-        candidates_figure(
-            done.found.scoreboard,
-            done.found.limit,
-            chosen,
-            folder / "candidates.svg",
-            "Train flights: what explains the disagreement",
-        )
+    stands = bool(done.document["effects"])
+    if stands:
+        label, history = most_improved(setup, before, after)
+        how = ", predicted one sample ahead" if done.chosen.gusty else ""
+        history_figure(history, folder / "history.svg", f"Test flights, most improved: {label}{how}")
+        names.append("history.svg")
+    if gap["intervals"]["reason"] is None:
+        title = "Model-form intervals from the train flights, judged on the test flights"
+        intervals_figure(gap["intervals"], folder / "intervals.svg", title)
+        names.append("intervals.svg")
+    if done.mission.boxes:
+        shown = [b for b in done.mission.boxes if b.metric in DRAWN] or list(done.mission.boxes)
+        title = f"{gap['pbox']['mission']}: p-box within the intervals"
+        pbox_figure(shown[:6], folder / "pbox.svg", title)
+        names.append("pbox.svg")
+    found = done.chosen
+    if found.scoreboard:
+        chosen = [f"{e.get('coefficient') or e['subsystem']} {e['term']}" for e in done.document["chosen"]]
+        title = "Train flights: what explains the disagreement"
+        candidates_figure(found.scoreboard, found.limit, chosen, folder / "candidates.svg", title)
         names.append("candidates.svg")
     touched = list(dict.fromkeys(e["coefficient"] for e in done.document["effects"] if "coefficient" in e))
     if touched:
@@ -93,6 +116,8 @@ def summary(document: dict[str, Any], out: Path) -> str:
     """What stands on the screen."""
     lines = [f"verdict: {document['verdict']}"]
     lines += [f"disagreement: {d['words']}" for d in document["disagreement"][:5]]
+    if not document["disagreement"]:
+        lines.append(f"disagreement: {nowhere(document)}")
     for e in document["effects"]:
         lines.append(
             f"effect: {e['name']}: {e['value']:.5g} +/- {e['std']:.2g} {e['unit']} "
@@ -104,24 +129,17 @@ def summary(document: dict[str, Any], out: Path) -> str:
                 f"        {'told from' if a['separable'] else 'NOT told from'} {a['name']}"
                 + ("" if a["separable"] else f"; would separate: {a['would_separate']}")
             )
-        if e["withdrawn"]:
-            lines.append("        withdrawn: the gap on the test flights did not shrink")
+        lines.append(f"        {test_says(e)}")
+    for e in document["withdrawn"]:
+        lines.append(f"withdrawn: {e['name']}: {test_says(e)}")
     gap = document["gap"]["test"]
     lines.append(f"{'test flights':<14}{'before':>10}{'after':>10}{'noise':>10}")
     for kind in ("channels", "coefficients"):
         for name, row in gap[kind].items():
             lines.append(f"{name:<14}{row['rms_before']:>10.4g}{row['rms_after']:>10.4g}{row['noise_rms']:>10.4g}")
-    left = document["remaining"]
-    if left["unexplained"]:
-        lines.append(
-            f"unexplained: channels above noise {left['channels_above_noise']}, coloured {', '.join(left['coloured_channels'])}"
-        )
-        for w in left["where"][:4]:
-            lines.append(
-                f"  {w['words']}"
-                if "words" in w
-                else f"  {w['coefficient']}: {w['rms_over_noise']:.2f} noise, with {w['depends_on'][0]['state']}"
-            )
+    lines += interval_lines(gap["intervals"]) + pbox_lines(gap["pbox"])
+    left = left_over(document["remaining"])
+    lines += [f"{'unexplained' if document['remaining']['unexplained'] else 'left'}: {text}" for text in left[:6]]
     lines += [f"note: {n}" for n in document["notes"]]
     lines.append(f"{document['seconds']} s; results in {out}")
     return "\n".join(lines)

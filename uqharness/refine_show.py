@@ -29,13 +29,14 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 class Shown:
     """One model over some flights: replay or one-step predictions, residuals [(n, m)] and their noise (m,), coefficient residuals
-    [(n, 6)] and their noise (6,), cost: sum of squares of the residuals over their noise."""
+    [(n, 6)] and their noise (6,), white [(n, m)] residuals over their noise, cost: sum of their squares."""
 
     flown: Flown
     residual: list[Array]
     noise: Array
     coefficients: list[Array]
     floor: Array
+    white: list[Array]
     cost: float
 
     def channel_rms(self, k: int) -> float:
@@ -45,6 +46,18 @@ class Shown:
     def coefficient_rms(self, k: int) -> float:
         """Rms of coefficient ``k``'s gap over all flights."""
         return rms(np.concatenate([g[:, k] for g in self.coefficients]))
+
+
+@dataclass(frozen=True)
+class History:
+    """One manoeuvre: time_s (n,); measured, before and after (n, k) of the channels ``names``; noise (k,)."""
+
+    time_s: Array
+    measured: Array
+    before: Array
+    after: Array
+    names: tuple[str, ...]
+    noise: Array
 
 
 def show(
@@ -67,6 +80,7 @@ def show(
         if process is None:
             fit = refit(bench.model, bench.straight, plain, controls, start, (), {}, map_, max_iterations=6)
             residual = [z - y for z, y in zip(setup.measured, fit.flown.outputs, strict=True)]
+            white = [r / setup.noise for r in residual]
             flown, noise, cost = fit.flown, setup.noise, fit.flown.cost
         else:
             bends = middles(bench.model, plain, map_)
@@ -79,7 +93,7 @@ def show(
             outputs = [z - r for z, r in zip(setup.measured, residual, strict=True)]
             flown = replace(gust.fit.flown, outputs=outputs, cost=cost)
     floor = np.sqrt(np.mean(np.concatenate([f[1] for f in found]) ** 2, axis=0))
-    return Shown(flown, residual, noise, [f[0] for f in found], floor, cost)
+    return Shown(flown, residual, noise, [f[0] for f in found], floor, white, cost)
 
 
 def air_of(aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Map) -> Array:
@@ -134,13 +148,27 @@ def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]
             for k, c in enumerate(COEFFICIENTS)
         },
         "theil": {"before": coefficient(before), "after": coefficient(after)},
-        "pbox": {},
         "cost": {
             "before": before.cost,
             "after": after.cost,
             "samples": int(sum(np.isfinite(z).sum() for z in setup.measured)),
         },
     }
+
+
+def most_improved(setup: Setup, before: Shown, after: Shown) -> tuple[str, History]:
+    """The segment whose squared residuals over noise fell most, with its (at most three) channels that fell most."""
+    fell = [np.nansum(b**2, axis=0) - np.nansum(a**2, axis=0) for b, a in zip(before.white, after.white, strict=True)]
+    s = int(np.argmax([f.sum() for f in fell]))
+    order = np.argsort(-fell[s])[:3]
+    some = np.sort(order[fell[s][order] > 0.1 * fell[s][order[0]]]) if fell[s][order[0]] > 0.0 else order[:1]
+    segment, measured = setup.segments[s], setup.measured[s]
+    residuals = [shown.residual[s][:, some] for shown in (before, after)]
+    history = History(
+        segment.time_s, measured[:, some], measured[:, some] - residuals[0], measured[:, some] - residuals[1],
+        tuple(setup.outputs[k] for k in some), after.noise[some],
+    )  # fmt: skip
+    return f"{segment.flight}, {segment.label}", history
 
 
 def whiteness(setup: Setup, residual: Sequence[Array]) -> dict[str, float]:

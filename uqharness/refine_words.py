@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from sysid.effect_choice import Choice
 from sysid.effects import Effect
 
@@ -62,3 +65,86 @@ def separating_manoeuvre(one: Effect, other: Effect) -> str:
     if not apart:
         return f"the same manoeuvres at several amplitudes: {a.text} and {b.text} differ in how they grow"
     return "; ".join(dict.fromkeys(_EXCITES[v] for v in apart[:2]))
+
+
+def contradicted(effect: Effect, choice: Choice) -> str:
+    """What is said of an effect that the train flights ask for and the test flights speak against."""
+    return (
+        f"the train flights ask for {effect.name} (|t| {abs(choice.t):.1f}), and with it the gap on the test flights grew: it is "
+        "withdrawn; something differs between the flights that has no name here"
+    )
+
+
+def nowhere(document: Mapping[str, Any]) -> str:
+    """What is said where no region stands out: nothing at all is missing, or what is missing shows over whole flights alone."""
+    named = [abs(e["evidence"]["t"]) for e in (*document["effects"], *document["withdrawn"])]
+    named += [abs(w["t"]) for w in document["remaining"]["where"] if "t" in w]
+    if named:
+        return (
+            "in no single region beyond what noise allows a sample; over all samples together the flights disagree with the "
+            f"model all the same (|t| up to {max(named):.0f})"
+        )
+    if document["remaining"]["unexplained"]:
+        return "in no single region beyond what noise allows a sample, but the flights as a whole: see what is left"
+    return "nowhere beyond what noise allows"
+
+
+def left_over(remaining: Mapping[str, Any]) -> list[str]:
+    """What is left, in sentences; none where nothing is."""
+    if not remaining["unexplained"]:
+        return [w["words"] for w in remaining["where"] if "words" in w]
+    out = []
+    above = remaining["channels_above_noise"]
+    if above:
+        out.append("above their noise: " + ", ".join(f"{c} ({r:.2f} times)" for c, r in above.items()))
+    if remaining["coloured_channels"]:
+        out.append(f"residuals not white: {', '.join(remaining['coloured_channels'])}")
+    for w in remaining["where"]:
+        if "words" in w:
+            out.append(w["words"])
+        else:
+            depends = w["depends_on"][0]["state"] if w["depends_on"] else "none of the states looked at"
+            out.append(f"{w['coefficient']}: {w['rms_over_noise']:.2f} times noise, depends on {depends}")
+    return out
+
+
+def test_says(effect: Mapping[str, Any]) -> str:
+    """What the test flights say of one effect."""
+    test = effect["test"]
+    change, std = test["change_of_twice_log_likelihood"], test["std"]
+    number = f"twice the log likelihood {change:+.1f} +/- {std:.1f} with it"
+    if test["gap"] == "shrank":
+        return f"on the test flights the gap shrank: {number}"
+    if test["gap"] == "grew":
+        return f"on the test flights the gap grew: {number}; withdrawn"
+    if test["gap"] == "too far":
+        far = f"{test['rms_over_that_of_train']:.0f} times as far from either model as the train flights"
+        return f"the test flights do not tell: they lie {far}; look for what is wrong with them"
+    return f"the test flights do not tell whether the gap shrank: {number}"
+
+
+def interval_lines(intervals: Mapping[str, Any]) -> list[str]:
+    """Coverage and width of the model-form intervals, a line a coefficient."""
+    if intervals["reason"] is not None:
+        return [f"intervals on the test flights: none: {intervals['reason']}"]
+    out = [f"{'intervals':<14}{'width':>10}{'after':>10}{'inside':>10}{'after':>10}"]
+    for name, row in intervals["coefficients"].items():
+        widths = f"{row['width_before']:>10.4g}{row['width_after']:>10.4g}"
+        out.append(f"{name:<14}{widths}{row['coverage_before']:>10.1%}{row['coverage_after']:>10.1%}")
+    return out
+
+
+def pbox_lines(pbox: Mapping[str, Any]) -> list[str]:
+    """Median of each median error over the mission, as the p-box bounds it."""
+    if pbox["reason"] is not None:
+        return [f"p-box: none: {pbox['reason']}"]
+    failed = f"failed {pbox['before']['failed']} before, {pbox['after']['failed']} after"
+    out = [f"{pbox['mission']}: {pbox['corners']} corners, {pbox['flights_per_corner']} flights each; {failed}"]
+    for row in pbox["metrics"]:
+        if "_median_" in row["metric"]:
+            ends = [row["quantiles"]["0.5"][when] for when in ("before", "after")]
+            words = " -> ".join(
+                "[" + ", ".join("open" if e is None else f"{e:.3g}" for e in pair) + "]" for pair in ends
+            )
+            out.append(f"  {row['metric']}, {row['condition']}: median {words}")
+    return out

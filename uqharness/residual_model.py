@@ -103,10 +103,11 @@ def read_bounds_flights(
 ) -> tuple[list[Flight], tuple[str, ...]]:
     """Flights cut where every channel of NEEDED is there, and the surfaces with measured positions. Raises BadInputError."""
     flights, measured = read_flights(paths, aircraft, manoeuvres, map_path)
-    return [_recut(f, measured) for f in flights], measured
+    return [recut(f, measured) for f in flights], measured
 
 
-def _recut(flight: Flight, measured: Sequence[str]) -> Flight:
+def recut(flight: Flight, measured: Sequence[str]) -> Flight:
+    """The flight cut where every channel of NEEDED is there. Raises BadInputError."""
     missing = [c for c in NEEDED if c not in flight.record or not np.isfinite(flight.record[c]).any()]
     if missing:
         raise BadInputError(

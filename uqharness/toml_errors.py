@@ -4,9 +4,29 @@ from __future__ import annotations
 
 import difflib
 import re
+import tomllib
+from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
+
+from uqharness.errors import BadInputError
+
+
+def read_toml(path: Path) -> tuple[dict[str, Any], str]:
+    """Content and text of a TOML file. Raises BadInputError with file and line."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise BadInputError(f"{path}: not a text file in UTF-8") from None
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    try:
+        return tomllib.loads(text), text
+    except tomllib.TOMLDecodeError as error:
+        where = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
+        line = where.group(1) if where else str(text.count("\n") + 1)
+        raise BadInputError(f"{path}:{line}: not valid TOML: {error}") from None
 
 
 def explain(document: type[BaseModel], text: str, data: dict[str, Any], error: dict[str, Any]) -> tuple[int, str]:
@@ -32,6 +52,8 @@ def _name(location: tuple[Any, ...]) -> str:
     """``[aleatory] wind_mps`` or ``[epistemic.parameters] fit``; the file itself for no location."""
     if not location:
         return "the file"
+    if len(location) >= 2 and isinstance(location[1], int) and (location[0],) in _TABLES:
+        return " ".join([f"[[{location[0]}]] number {location[1] + 1}", ".".join(map(str, location[2:]))]).strip()
     if len(location) >= 2 and (location[0], location[1]) in _SUBSECTIONS:
         depth = _SUBSECTIONS[location[0], location[1]]
         head = ".".join(f'"{part}"' if re.search(r"[^\w-]", str(part)) else str(part) for part in location[:depth])
@@ -41,12 +63,16 @@ def _name(location: tuple[Any, ...]) -> str:
 
 # Tables that a file writes as sections of their own, and how many parts their headers have.
 _SUBSECTIONS = {("epistemic", "parameters"): 2, ("aleatory", "variables"): 3}
+# Sections that a file repeats: [[fly]].
+_TABLES = {("fly",), ("logs",)}
 
 
 def _known_keys(document: type[BaseModel], section: tuple[Any, ...]) -> list[str]:
     model: Any = document
     parts = iter(section)
     for name in parts:
+        if isinstance(name, int):  # one of the tables of that name
+            continue
         annotation = model.model_fields[name].annotation
         model = _model_within(annotation)
         if getattr(annotation, "__origin__", None) is dict:
@@ -83,11 +109,18 @@ def line_of(text: str, location: tuple[Any, ...]) -> int:
     wanted = [str(part) for part in location]
     best_depth, best_line = 0, 1
     section: list[str] = []
+    tables: dict[str, int] = {}
     inside: list[str] = []  # the key whose inline table or list may go on over the next lines
     for number, raw in enumerate(text.splitlines(), start=1):
         line = raw.strip()
         header = re.match(r"\[((?:\"[^\"]*\"|'[^']*'|[^\]\"'\[])+)\]\s*(#.*)?$", line)
-        if header:
+        table = re.match(r"\[\[\s*([\w-]+)\s*\]\]\s*(#.*)?$", line)
+        if table:
+            name = table.group(1)
+            tables[name] = tables.get(name, -1) + 1
+            section, inside = [name, str(tables[name])], []
+            depth = _common(section, wanted)
+        elif header:
             section, inside = _parts(header.group(1)), []
             depth = _common(section, wanted)
         else:

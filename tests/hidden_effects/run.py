@@ -55,6 +55,7 @@ def ask(case: Case, folder: Path, place: Path, extra: Sequence[str] = ()) -> dic
         *map(str, files["train"]),
         "--test",
         *map(str, files["test"]),
+        "--no-pbox",
     ]
     begun = time.perf_counter()
     try:
