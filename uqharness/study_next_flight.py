@@ -106,6 +106,7 @@ class Study:
     tried: dict[float, tuple[list[Trial], list[Refused]]]
 
     def flight(self, aircraft: str) -> TestFlight:
+        """The loiter in the study's turbulence, as a test flight of that aircraft."""
         return TestFlight(find_aircraft(aircraft), find_script("loiter"), True, BEGIN_S, TURBULENCE)
 
     def run(self, case: Case, seed: int) -> list[dict[str, object]]:
@@ -199,7 +200,7 @@ def tables(rows: pd.DataFrame) -> str:
 def verdict(found: pd.DataFrame) -> list[str]:
     """What fails, in words: a mean narrowing more than 20 % off, of the coefficient that a flight was planned for.
 
-    Of the whole width only where the flight narrowed it by more than three standard errors: scatter comes out anew with every flight.
+    Of the whole width only where the flight narrowed it by more than three standard errors: scatter is new in every flight.
     """
     out = []
     for _, row in found[found["coefficient"] == found["for"]].iterrows():
@@ -215,6 +216,7 @@ def _pm(row: pd.Series, key: str) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the study; the process's exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder for records, tables.md, narrowing.csv")
     parser.add_argument("--seed", type=int, default=1, help="the first (default 1)")

@@ -36,7 +36,10 @@ def stage(folder: Path) -> None:
         target = folder / path.relative_to(ROOT)
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(path, target)
-    shutil.copyfile(ROOT / "LICENSE", folder / "LICENSE")
+    for target in {target for page in pages for target in linked(page)}:
+        if not (folder / target).exists():
+            (folder / target).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(ROOT / target, folder / target)
     (folder / "index.md").write_text(index(), encoding="utf-8")
     import reference
 
@@ -44,6 +47,16 @@ def stage(folder: Path) -> None:
         target = folder / "docs" / "reference" / name
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_text(text, encoding="utf-8")
+
+
+def linked(page: Path) -> set[Path]:
+    """Files of the repository that a page links to, relative to its root; what is not there stays a broken link."""
+    found = set()
+    for address in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8")):
+        path = (page.parent / address).resolve() if "://" not in address else ROOT
+        if path.is_file() and path.is_relative_to(ROOT):
+            found.add(path.relative_to(ROOT))
+    return found
 
 
 def index() -> str:

@@ -107,29 +107,44 @@ def files() -> str:
         ("sensitivity.csv", sensitivity_tables.COLUMNS, words.SENSITIVITY),
     ):
         text += f"## {name}\n\n" + described([(column, "") for column in columns], told)
-    for name, module, function, told in DOCUMENTS:
-        text += f"## {name}\n\n" + keys(document_keys(module, function), told)
+    for name, places, told in DOCUMENTS:
+        text += f"## {name}\n\n" + keys(document_keys(*places), told)
     form = ["format", *(field.name for field in dataclasses.fields(ModelForm))]
     text += "## model-form.json\n\n" + keys(form, words.MODEL_FORM)
     text += "Of each coefficient:\n\n"
     return text + keys([field.name for field in dataclasses.fields(CoefficientBounds)], words.BOUNDS)
 
 
+# File, the functions whose returned dictionaries make it, meanings.
 DOCUMENTS = (
-    ("manifest.json", "uqharness.campaign_manifest", "describe", words.MANIFEST),
-    ("fit.json", "uqharness.identify_report", "fit_document", words.FIT),
-    ("compare.json", "uqharness.compare_report", "document_of", words.COMPARE),
-    ("refinement.json", "uqharness.refine_run", "_document", words.REFINEMENT),
+    ("manifest.json", ("uqharness.campaign_manifest:describe",), words.MANIFEST),
+    ("fit.json", ("uqharness.identify_report:fit_document",), words.FIT),
+    ("compare.json", ("uqharness.compare_report:document_of",), words.COMPARE),
+    ("refinement.json", ("uqharness.refine_document:document_of", "uqharness.refine_run:_document"), words.REFINEMENT),
+    ("next-flight.json", ("uqharness.next_flight_report:document",), words.NEXT_FLIGHT),
+    ("study.json", ("uqharness.chain_state:begin",), words.STUDY),
 )
 
 
-def document_keys(module: str, function: str) -> list[str]:
-    """Keys of the dictionary that a function returns, read from its source."""
-    tree = ast.parse(Path(importlib.import_module(module).__file__ or "").read_text(encoding="utf-8"))
-    (body,) = [n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == function]
-    returned = [n.value for n in ast.walk(body) if isinstance(n, ast.Return)]
-    (literal,) = [value for value in returned if isinstance(value, ast.Dict)]
-    return [key.value for key in literal.keys if isinstance(key, ast.Constant)]
+def document_keys(*places: str) -> list[str]:
+    """Keys of the dictionaries that functions (`module:function`) return, alone or joined by `|`, read from their source."""
+    found: dict[str, None] = {}
+    for place in places:
+        module, function = place.split(":")
+        tree = ast.parse(Path(importlib.import_module(module).__file__ or "").read_text(encoding="utf-8"))
+        (body,) = [n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == function]
+        returned = [n.value for n in ast.walk(body) if isinstance(n, ast.Return) and n.value is not None]
+        literals = [literal for value in returned for literal in joined(value)]
+        assert literals, f"{place} returns no dictionary that is written out"
+        found |= dict.fromkeys(k.value for literal in literals for k in literal.keys if isinstance(k, ast.Constant))
+    return list(found)
+
+
+def joined(value: ast.expr) -> list[ast.Dict]:
+    """The dictionary literals of `{...}`, `a | {...}`."""
+    if isinstance(value, ast.BinOp):
+        return joined(value.left) + joined(value.right)
+    return [value] if isinstance(value, ast.Dict) else []
 
 
 def keys(found: Sequence[str], told: Mapping[str, str]) -> str:
