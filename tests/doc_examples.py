@@ -62,6 +62,7 @@ MAKE_LEFT_OUT = {
     "setup": "installs the environment that the examples run in",
     "test": "is what runs the examples",
     "test-slow": "is what runs the examples",
+    "test-browser": "opens pages in a browser, as CI does",
     "lint": "is part of make test",
     "bench": "measures for minutes and answers nothing; tests run its parts",
     "lock": "asks the package index",
