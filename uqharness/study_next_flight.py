@@ -200,7 +200,7 @@ def tables(rows: pd.DataFrame) -> str:
 def verdict(found: pd.DataFrame) -> list[str]:
     """What fails, in words: a mean narrowing more than 20 % off, of the coefficient that a flight was planned for.
 
-    Of the whole width only where the flight narrowed it by more than three standard errors: scatter is new in every flight.
+    Of the whole width only where the flight narrowed it by more than three standard errors: scatter comes out anew each time.
     """
     out = []
     for _, row in found[found["coefficient"] == found["for"]].iterrows():
