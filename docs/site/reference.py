@@ -119,7 +119,9 @@ def files() -> str:
 DOCUMENTS = (
     ("manifest.json", ("uqharness.campaign_manifest:describe",), words.MANIFEST),
     ("fit.json", ("uqharness.identify_report:fit_document",), words.FIT),
-    ("compare.json", ("uqharness.compare_report:document_of",), words.COMPARE),
+    ("compare.json", ("uqharness.compare_report:document_of", "+command"), words.COMPARE),
+    ("bounds.json", ("uqharness.bounds_report:bounds_document", "+command", "+version"), words.BOUNDS_REPORT),
+    ("coverage.json", ("uqharness.bounds_report:validation_document", "+command", "+version"), words.COVERAGE),
     ("refinement.json", ("uqharness.refine_document:document_of", "uqharness.refine_run:_document"), words.REFINEMENT),
     ("next-flight.json", ("uqharness.next_flight_report:document",), words.NEXT_FLIGHT),
     ("study.json", ("uqharness.chain_state:begin",), words.STUDY),
@@ -127,9 +129,15 @@ DOCUMENTS = (
 
 
 def document_keys(*places: str) -> list[str]:
-    """Keys of the dictionaries that functions (`module:function`) return, alone or joined by `|`, read from their source."""
+    """Keys of the dictionaries that functions (`module:function`) return, alone or joined by `|`, read from their source.
+
+    `+key` is one that a command adds; the files that the examples leave are held against the whole.
+    """
     found: dict[str, None] = {}
     for place in places:
+        if place.startswith("+"):
+            found[place[1:]] = None
+            continue
         module, function = place.split(":")
         tree = ast.parse(Path(importlib.import_module(module).__file__ or "").read_text(encoding="utf-8"))
         (body,) = [n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == function]

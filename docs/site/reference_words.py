@@ -143,6 +143,7 @@ COMPARE = {
     "moments": "worst moments: time_s, channel, manoeuvre, gap, noises",
     "biases": "estimated sensor biases",
     "notes": "what was done to the record",
+    "command": "what repeats it",
 }
 REFINEMENT = {
     "verdict": "effects-found, no-missing-effect or unexplained",
@@ -195,6 +196,30 @@ STUDY = {
     "state": "running, done or failed",
     "stages": "name, kind, folder, command, state, exit, seconds, inputs (path → SHA-256), error",
     "verdict": "sentences, each with a level: good, warn or bad",
+}
+BOUNDS_REPORT = {
+    "aircraft": "which one",
+    "flights": "the flights behind the bounds",
+    "confidence": "of the intervals",
+    "outside": "grow or clamp",
+    "coefficients": "coefficient → widths, samples, terms",
+    "left_out": "coverage of each manoeuvre by bounds made without it",
+    "cutoffs": "of the filters, Hz",
+    "warnings": "sentences with their evidence",
+    "notes": "what was done to the records",
+    "command": "what repeats it",
+    "version": "of this program",
+}
+COVERAGE = {
+    "coverage": "coefficient → share inside at 0.95 and 0.68, n_effective, mean_width",
+    "errors": "coefficient → standard error of the shares",
+    "outside_data": "coefficient → share of samples outside the data of the bounds",
+    "manoeuvres": "the shares by manoeuvre",
+    "failed": "coefficients below the limit",
+    "warnings": "sentences with their evidence",
+    "notes": "what was done to the records",
+    "command": "what repeats it",
+    "version": "of this program",
 }
 MODEL_FORM = {
     "format": "version of this file",
