@@ -5,7 +5,7 @@ VENV   := .venv
 PY     := $(VENV)/bin/python
 STAMP  := $(VENV)/.installed
 
-.PHONY: setup demo test test-slow test-browser lint lock bench clean
+.PHONY: setup demo test test-slow test-browser docs lint lock bench clean
 
 setup: $(STAMP)
 
@@ -28,6 +28,9 @@ test: setup lint
 
 test-slow: setup
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 -m slow
+
+docs: setup
+	$(PY) docs/site/build.py --out build/docs
 
 # Installs playwright and a Chromium if it can; skips, saying why, if it cannot.
 test-browser: setup

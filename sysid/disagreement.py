@@ -41,6 +41,7 @@ class Disagreement:
 
     @property
     def words(self) -> str:
+        """One sentence: coefficient, manoeuvre, state region, share and time outside the 95 % interval."""
         r = self.region
         return (
             f"{self.coefficient}, {self.manoeuvre}, {r.state} {r.low:.3g} to {r.high:.3g}: "

@@ -83,6 +83,8 @@ class Refusal:
 
 @dataclass(frozen=True)
 class Selection:
+    """What the choice came to: effects in order of choice, the candidate refused if any, and the steps in words."""
+
     chosen: tuple[Choice, ...]
     refused: Refusal | None = None
     trail: tuple[str, ...] = field(default=())

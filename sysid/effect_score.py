@@ -46,6 +46,7 @@ class Evidence:
     flights: tuple[str, ...]
 
     def index(self, names: Sequence[str]) -> Index:
+        """Positions (n,) of those unknowns in ``gram`` and ``score``. Raises KeyError for a name that is not there."""
         where = self._where
         return np.array([where[n] for n in names], dtype=np.intp)
 
@@ -55,6 +56,7 @@ class Evidence:
 
     @cached_property
     def everything(self) -> tuple[FloatArray, FloatArray]:
+        """Information (n, n), prior included, and score (n,), summed over all manoeuvres."""
         return self.gram.sum(axis=0) + np.diag(self.prior), self.score.sum(axis=0)
 
     def part(self, segments: NDArray[np.bool_] | None) -> tuple[FloatArray, FloatArray]:

@@ -35,6 +35,7 @@ class Factor:
 
     @property
     def text(self) -> str:
+        """The factor as a term writes it: ``p_hat^2``, ``abs(beta)``, ``1/V_rel``."""
         if self.power == -1 and not self.absolute:
             return f"1/{self.variable}"
         name = f"abs({self.variable})" if self.absolute else self.variable
@@ -49,6 +50,7 @@ class Term:
 
     @property
     def text(self) -> str:
+        """The term as it is written: factors joined by ``*``, in the vocabulary's order."""
         return "*".join(f.text for f in self.factors)
 
     @property
@@ -67,10 +69,12 @@ class Term:
 
     @property
     def degree(self) -> int:
+        """Sum of the factors' powers, signs dropped."""
         return sum(abs(f.power) for f in self.factors)
 
     @property
     def variables(self) -> tuple[str, ...]:
+        """Names of the variables, each once, in order of appearance."""
         return tuple(dict.fromkeys(f.variable for f in self.factors))
 
     @property

@@ -70,6 +70,7 @@ class Effect:
 
     @property
     def key(self) -> str:
+        """Name of the effect among the unknowns of an estimate: ``effect/Cm/p_hat^2``."""
         return f"effect/{self.coefficient or self.subsystem}/{self.term}"
 
     @property
@@ -83,6 +84,7 @@ class Effect:
 
     @property
     def parsed(self) -> Term | None:
+        """The term in factors; None for an effect of a subsystem, which is no coefficient term."""
         return parse(self.term) if self.coefficient is not None else None
 
 

@@ -63,6 +63,7 @@ def _middle(u_middle: Any, inputs: list[Array], longest: int) -> Array:
 
 
 def noisy_states(chosen: Any, nx: int) -> NDArray[np.intp]:
+    """Indices of the states that process noise acts on; None chooses all. Raises ValueError."""
     if chosen is None:
         return np.arange(nx)
     try:
@@ -76,6 +77,7 @@ def noisy_states(chosen: Any, nx: int) -> NDArray[np.intp]:
 
 
 def positive_vector(value: ArrayLike, size: int, what: str) -> Array:
+    """``value`` as a vector (size,) of finite positive numbers; one number serves all. Raises ValueError that names ``what``."""
     vector = np.broadcast_to(as_array(value, what), (size,)).astype(float)
     if not (np.isfinite(vector).all() and (vector > 0.0).all()):
         raise ValueError(f"{what} is {vector.tolist()}; give {size} positive numbers")

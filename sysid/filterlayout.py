@@ -37,6 +37,7 @@ class Layout:
         return slice(self.process.stop, self.process.stop + self.outputs)
 
     def pack(self, theta: Array, q: Array, r: Array, x0: Array) -> Array:
+        """The search's vector from parameters (k,), process noise (nx,), noise (ny,) and start states (segments, nx)."""
         parts = [theta[self.columns], q[self.noisy], np.log(r)]
         return np.concatenate([*parts, x0.T.ravel()] if self.with_x0 else parts)
 
@@ -59,6 +60,7 @@ class Layout:
         return np.concatenate(low + [-part for part in extra]), np.concatenate(high + extra)
 
     def names(self, labels: tuple[str, ...]) -> list[str]:
+        """Name of every entry of the search's vector, in its order."""
         out = [labels[i] for i in self.columns] + [f"Q of state {i}" for i in self.noisy]
         out += [f"ln r of output {i}" for i in range(self.outputs)]
         if self.with_x0:

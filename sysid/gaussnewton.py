@@ -42,9 +42,13 @@ class Linearisation:
 class Problem(Protocol[S]):
     """A cost in k parameters; `evaluate` answers None where the model fails."""
 
-    def evaluate(self, theta: Array) -> tuple[float, S] | None: ...
+    def evaluate(self, theta: Array) -> tuple[float, S] | None:
+        """Cost at ``theta`` (k,) and the state that :meth:`linearise` needs; None where the model cannot be run."""
+        ...
 
-    def linearise(self, theta: Array, state: S, central: bool) -> Linearisation: ...
+    def linearise(self, theta: Array, state: S, central: bool) -> Linearisation:
+        """Gradient and information at ``theta``, by central or forward differences."""
+        ...
 
 
 @dataclass(frozen=True)

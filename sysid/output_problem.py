@@ -44,21 +44,26 @@ class OutputErrorProblem:
 
     @property
     def edges(self) -> list[int]:
+        """Rows at which segments begin, and the number of rows at the end."""
         return [0, *np.cumsum(self.simulation.lengths).tolist()]
 
     @property
     def floor(self) -> Array:
+        """Least noise (ny,) an output may have: rounding of its own spread."""
         return 1e-9 * self.spread
 
     def whole(self, theta: Array) -> Array:
+        """All parameters, with the free ones at ``theta`` and the fixed ones at their given values."""
         out = self.full_theta.copy()
         out[self.columns] = theta
         return out
 
     def noise(self, outputs: Array) -> Noise:
+        """Measurement noise at its maximum-likelihood value for these outputs (n, ny)."""
         return residual_noise(self.measured - outputs, self.floor, self.full)
 
     def evaluate(self, theta: Array) -> tuple[float, Array] | None:
+        """Concentrated cost at ``theta`` and the outputs (n, ny); None where the simulation failed."""
         self.runs += 1
         outputs = self.simulation(self.whole(theta))
         if isinstance(outputs, str):

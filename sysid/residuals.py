@@ -89,6 +89,7 @@ class Residuals:
 
     @property
     def lengths(self) -> list[int]:
+        """Rows of each piece without a gap."""
         return [len(p) for p in self.pieces]
 
     @property

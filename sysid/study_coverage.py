@@ -19,6 +19,7 @@ from sysid.studies.coverage import CASES, passes, run_study
 
 
 def parser() -> argparse.ArgumentParser:
+    """The study's command line."""
     out = argparse.ArgumentParser(
         prog="python -m sysid.study_coverage",
         description="Coverage of the estimators' 95 %% intervals over simulated flights whose truth is known.",
@@ -36,6 +37,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: list[str] | None = None) -> int:
+    """Run the study and print its table; the process's exit code."""
     given = parser().parse_args(arguments)
     if given.seeds < 1 or given.segments < 1 or given.samples < 100:
         print("seeds and segments must be at least 1, samples at least 100", file=sys.stderr)

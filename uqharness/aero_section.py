@@ -37,10 +37,12 @@ class Axis:
 
     @property
     def name(self) -> str:
+        """The axis as the author named it: X, LIFT, ROLL ..."""
         return attribute(self.node, "name")
 
     @property
     def functions(self) -> list[Node]:
+        """The axis' functions, in the author's order."""
         return self.node.all("function")
 
 

@@ -62,10 +62,12 @@ class Reference:
 
     @property
     def area(self) -> str:
+        """Reference area [ft2] as an XML value or the property that holds it."""
         return _value(self.S_sqft, "metrics/Sw-sqft")
 
     @property
     def lengths(self) -> tuple[str, str, str]:
+        """Reference lengths [ft] of roll, pitch and yaw, likewise."""
         span = _value(self.b_ft, "metrics/bw-ft")
         return span, _value(self.c_ft, "metrics/cbarw-ft"), span
 

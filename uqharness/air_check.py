@@ -29,11 +29,12 @@ from scipy.signal import welch
 from uqharness import engine
 from uqharness.dryden import COMPONENTS, FT_M, KT_MPS, Component, dryden_gusts, dryden_psd, dryden_sigma
 from uqharness.errors import BadInputError
+from uqharness.project_files import PROJECT_ROOT
 
 Array = npt.NDArray[np.float64]
 Source = Literal["jsbsim", "host", "plain-tustin", "plain-milspec"]
 
-AIR_XML = Path(__file__).resolve().parent.parent / "aircraft" / "espaaro" / "Systems" / "air.xml"
+AIR_XML = PROJECT_ROOT / "aircraft" / "espaaro" / "Systems" / "air.xml"
 BANDS_HZ = ((0.02, 0.1), (0.1, 0.3), (0.3, 1.0), (1.0, 3.0), (3.0, 10.0))
 BURN_IN_S = 120.0
 """Left out of every record; JSBSim's filters start at rest and the slowest time constant is some 12 s."""

@@ -17,8 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from uqharness import engine
 from uqharness.errors import BadInputError
 from uqharness.preflight import ensure_loadable
-
-PROJECT_ROOT = Path(__file__).resolve().parent.parent
+from uqharness.project_files import PROJECT_ROOT as PROJECT_ROOT
 
 
 class _Strict(BaseModel):
@@ -136,6 +135,7 @@ class Aircraft:
 
     @property
     def xml(self) -> Path:
+        """The aircraft's own XML file."""
         return self.folder / self.card.aircraft.xml
 
     @property
@@ -145,6 +145,7 @@ class Aircraft:
 
     @property
     def dt_s(self) -> float:
+        """Integration step [s] that the card asks for."""
         return self.card.aircraft.dt_s
 
 

@@ -33,6 +33,7 @@ class Compared:
 
     @property
     def verdict(self) -> str:
+        """Outside where the flights contradict the p-box beyond chance, else no contradiction."""
         return "outside" if self.found.beyond_chance > 0.0 else "no contradiction"
 
 

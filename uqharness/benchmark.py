@@ -186,6 +186,7 @@ def _driver(levels: str) -> LevelDriver | None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
+    """Measure and print; the process's exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m uqharness.benchmark", description="Cost of the harness over JSBSim's bare loop."
     )

@@ -42,6 +42,7 @@ _SHORT = {
 
 
 def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``bounds`` and ``validate-bounds`` to a parser."""
     parser = commands.add_parser(
         "bounds",
         help="model-form bounds from flights",

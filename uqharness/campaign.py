@@ -64,6 +64,7 @@ class CampaignSummary:
 
     @property
     def failed(self) -> int:
+        """Number of flights that did not end as ok."""
         return sum(number for status, number in self.statuses.items() if status != "ok")
 
 

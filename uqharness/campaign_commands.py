@@ -21,6 +21,7 @@ _RUN_EXAMPLE = """examples:
   uqharness campaign run campaigns/demo/campaign.toml --out campaigns/demo/results
   uqharness campaign run campaigns/demo/campaign.toml --out big --hours 10 --workers 8
   uqharness campaign run campaigns/demo/campaign.toml --out big --dask tcp://192.168.0.2:8786
+  uqharness campaign run demo --out anywhere      the campaign of that name that comes with the package
   uqharness campaign run campaigns/demo/campaign.toml --out big --shard 3/16      one of 16 jobs; then: campaign merge big
 
 The same command resumes a run that was interrupted, killed or cut off: only missing flights are flown.
@@ -56,7 +57,9 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     )
     verbs = campaign.add_subparsers(dest="campaign_command", metavar="VERB", required=True)
     run = _verb(verbs, "run", "fly a campaign, or resume it", _RUN_EXAMPLE)
-    run.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml", help="what to fly")
+    run.add_argument(
+        "campaign", type=Path, metavar="CAMPAIGN.toml", help="what to fly: a file, or a name under campaigns/"
+    )
     run.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
     run.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
     run.add_argument(
@@ -110,9 +113,10 @@ def _run(args: argparse.Namespace) -> int:
     from uqharness.campaign import run_campaign
     from uqharness.campaign_spec import read_campaign
     from uqharness.progress_view import ProgressView
+    from uqharness.project_files import find_campaign
     from uqharness.shards import parse_shard
 
-    spec = read_campaign(args.campaign)
+    spec = read_campaign(find_campaign(args.campaign))
     if args.hours is not None:
         spec = spec.with_hours(args.hours)
     if args.samples is not None:

@@ -46,11 +46,13 @@ class Finding:
 
     @property
     def title(self) -> str:
+        """Heading of the metric's figure."""
         seen = "as the sensors measured it" if self.measured else "true, without sensor noise"
         return f"Median {self.words} error, {seen}"
 
     @property
     def axis(self) -> str:
+        """Name of the figure's axis, unit left out."""
         return f"median |{self.words} error|, {'measured' if self.measured else 'true'}"
 
 
@@ -68,10 +70,12 @@ class CampaignFound:
 
     @property
     def campaign(self) -> Mapping[str, Any]:
+        """Every setting of the campaign, as the manifest has it."""
         return self.manifest["campaign"]
 
     @property
     def aircraft(self) -> str:
+        """Name of the aircraft flown."""
         return Path(self.campaign["campaign"]["aircraft"]).name
 
 

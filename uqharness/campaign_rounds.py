@@ -53,6 +53,7 @@ class Rule:
     looks: int
 
     def question(self, duration_s: float) -> Question:
+        """The rule's question in excursions per flight of ``duration_s``."""
         hours = duration_s / 3600.0
         zone = (self.zone_per_h[0] * hours, self.zone_per_h[1] * hours)
         return Question(self.acceptable_per_h * hours, zone, self.dispersion, self.error_rate, self.every_corner)
@@ -98,6 +99,7 @@ class Rounds:
 
     @property
     def decides(self) -> bool:
+        """Whether the campaign stops by deciding; otherwise all flights are one round."""
         return self._rule is not None
 
     def __call__(self, store: Store) -> Iterator[list[Case]]:

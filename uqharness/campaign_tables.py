@@ -23,10 +23,12 @@ class Condition:
 
     @property
     def label(self) -> str:
+        """The condition as tables name it: ``3 m/s moderate``."""
         return f"{self.wind_mps:g} m/s {self.turbulence}"
 
     @property
     def words(self) -> str:
+        """The condition as a sentence names it."""
         air = "no" if self.turbulence == "none" else self.turbulence
         return f"{self.wind_mps:g} m/s wind and {air} turbulence"
 

@@ -22,6 +22,7 @@ Exit codes: 0 done, 1 done and some stage's answer is no (which, is said), 2 bad
 
 
 def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``study`` to a parser."""
     parser = commands.add_parser(
         "study",
         help="the whole chain: flights to p-boxes, before and after refinement",
@@ -42,10 +43,11 @@ def _run(args: argparse.Namespace) -> int:
     # Imported here: `uqharness --help` should not wait for the numerical libraries.
     from uqharness.chain_run import run_chain
     from uqharness.chain_spec import read_chain
+    from uqharness.project_files import find_campaign
 
     if args.workers is not None and args.workers < 1:
         raise BadInputError(f"--workers {args.workers}: at least 1")
-    spec = read_chain(args.study)
+    spec = read_chain(find_campaign(args.study, "chain.toml"))
     command = shlex.join(["uqharness", "study", str(args.study), "--out", str(args.out)])
     try:
         document = run_chain(spec, args.out, args.workers, command, _say)

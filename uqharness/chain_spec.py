@@ -161,6 +161,7 @@ class ChainSpec:
 
     @property
     def flights(self) -> tuple[str, ...]:
+        """Names of all flights, those to be flown first."""
         return (*(item.name for item in self.fly), *(item.name for item in self.logs))
 
     def beside(self, name: str) -> Path:

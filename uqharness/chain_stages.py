@@ -51,6 +51,7 @@ class Stage:
 
     @property
     def command(self) -> str:
+        """The stage's command as a shell repeats it."""
         return shlex.join(("uqharness", *self.argv))
 
 

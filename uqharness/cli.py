@@ -37,6 +37,7 @@ uqharness COMMAND --help tells the rest."""
 
 
 def build_parser() -> argparse.ArgumentParser:
+    """The parser of the whole command line, every command registered."""
     parser = argparse.ArgumentParser(
         prog="uqharness",
         description="How far can a flight model be trusted, and what does that do to the aircraft's performance?",
@@ -62,6 +63,14 @@ def build_parser() -> argparse.ArgumentParser:
         report_command,
     ):
         module.register(commands)
+    return parser
+
+
+def complete_parser() -> argparse.ArgumentParser:
+    """The same with the subcommands that are otherwise added at their first use: for documentation and checks."""
+    parser = build_parser()
+    (commands,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    log_command.complete(commands.choices["log"])
     return parser
 
 

@@ -54,6 +54,7 @@ class ChannelGap:
 
     @property
     def ratio(self) -> float:
+        """Rms of measured minus model over the channel's noise; 1 is the noise floor."""
         return self.rms / self.noise
 
 

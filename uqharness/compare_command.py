@@ -25,6 +25,7 @@ noise in at least one of V, alpha, beta, phi, theta, p, q, r, ax, ay, az (as far
 
 
 def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``compare`` to a parser."""
     parser = commands.add_parser(
         "compare",
         help="a flight beside the model",

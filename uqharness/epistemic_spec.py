@@ -42,6 +42,7 @@ class ParametersSection(Section):
 
     @property
     def box_confidence(self) -> float:
+        """Confidence of the box over all parameters at once, 0.95 where none is given."""
         return 0.95 if self.confidence is None else self.confidence
 
 

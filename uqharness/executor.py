@@ -43,7 +43,9 @@ class Executor(Protocol):
 
     workers: int
 
-    def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]: ...
+    def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]:
+        """Fly every (case id, flight) and hand on outcomes in batches, in any order, each case exactly once."""
+        ...
 
 
 def usable_cores() -> int:
@@ -64,6 +66,7 @@ class SerialExecutor:
     workers = 1
 
     def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]:
+        """Fly one after another in this process; see :meth:`Executor.run`."""
         batch: list[CaseOutcome] = []
         handed_on = time.monotonic()
         for case_id, flight in flights:
@@ -120,6 +123,7 @@ class ProcessExecutor:
         self._kept: list[_Worker] = []
 
     def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]:
+        """Fly in worker processes that are replaced when they die or hang; see :meth:`Executor.run`."""
         source = (_Task(case_id, flight) for case_id, flight in flights)
         again: deque[_Task] = deque()
         pool: list[_Worker] = self._kept

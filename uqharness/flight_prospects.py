@@ -44,14 +44,17 @@ class Prospect:
 
     @property
     def narrowing(self) -> float:
+        """Share by which the mean width shrinks at the present scatter."""
         return 1.0 - self.then.total / self.now.total
 
     @property
     def parameter_narrowing(self) -> float:
+        """Share of the parameter part that goes."""
         return 1.0 - self.then.parameter / self.now.parameter
 
     @property
     def at_most(self) -> float:
+        """Narrowing after endless flying."""
         return 1.0 - self.ever.total / self.now.total
 
 

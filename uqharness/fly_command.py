@@ -41,6 +41,7 @@ _OPTIONAL = {
 
 
 def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``fly`` to a parser."""
     parser = commands.add_parser(
         "fly",
         help="one flight, recorded",

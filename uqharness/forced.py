@@ -41,6 +41,7 @@ class ForcedModel:
 
     @property
     def coefficients(self) -> Array:
+        """CX CY CZ Cl Cm Cn of the model at each sample, (n, 6), body axes at the centre of gravity."""
         pressure = self.qbar[:, None] * self.mass.S
         return np.hstack([self.aero_force / pressure, self.aero_moment / (pressure * self.mass.lengths)])
 

@@ -33,6 +33,7 @@ class History:
 
     @property
     def title(self) -> str:
+        """Flight, manoeuvre and where it begins."""
         return f"{self.flight}, {self.manoeuvre}, from {self.time_s[0]:.1f} s"
 
 

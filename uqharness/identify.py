@@ -79,6 +79,7 @@ class Identification:
 
     @property
     def identified(self) -> tuple[str, ...]:
+        """Names of the parameters that the data determined."""
         return tuple(n for n in self.names if self.status[n] == "identified")
 
 

@@ -21,6 +21,7 @@ Exit code 1: the estimation did not converge, or no parameter could be identifie
 
 
 def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``identify`` to a parser."""
     parser = commands.add_parser(
         "identify",
         help="parameters from flights",

@@ -25,6 +25,7 @@ Exit code 1: the instrumented aircraft does not fly bit by bit like the untouche
 
 
 def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``instrument`` to a parser."""
     parser = commands.add_parser(
         "instrument",
         help="add the model-form plugin to any JSBSim aircraft",

@@ -32,6 +32,7 @@ class Change:
 
     @property
     def edited(self) -> bool:
+        """Whether an author's own file was changed, not only one added."""
         return bool(self.insertions)
 
 

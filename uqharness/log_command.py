@@ -12,19 +12,24 @@ from uqharness.errors import BadInputError
 
 
 def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``log info`` and ``log import`` to a parser."""
     parser = commands.add_parser("log", help="flight logs: what is in them, records from them")
     parser.set_defaults(handler=_run)
     parse = parser.parse_known_args
 
     def parse_completed(args: Any = None, namespace: Any = None) -> Any:
-        # Completed at its first use: pandas and pyarrow take a second that no other command should pay.
-        from sysid import log_commands
-
         parser.parse_known_args = parse  # type: ignore[method-assign]
-        log_commands.add_arguments(parser.add_subparsers(dest="log_command", metavar="info|import", required=True))
+        complete(parser)
         return parse(args, namespace)
 
     parser.parse_known_args = parse_completed  # type: ignore[method-assign]
+
+
+def complete(parser: argparse.ArgumentParser) -> None:
+    """Give the ``log`` parser its subcommands: at its first use, since pandas and pyarrow take a second."""
+    from sysid import log_commands
+
+    log_commands.add_arguments(parser.add_subparsers(dest="log_command", metavar="info|import", required=True))
 
 
 def _run(args: argparse.Namespace) -> int:

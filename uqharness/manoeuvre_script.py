@@ -58,6 +58,7 @@ class Plan:
 
     @property
     def end_s(self) -> float:
+        """When the script ends [s]."""
         return self.settle_s + sum(_length(m) for m in self.manoeuvres)
 
 
@@ -201,6 +202,7 @@ def script(plan: Plan, step_s: float = STEP_S) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the run scripts of the plans; the process's exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="where to write the scripts")
     folder = parser.parse_args(arguments).folder

@@ -20,6 +20,7 @@ _EXAMPLE = """example:
 
 
 def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``margins`` to a parser."""
     parser = commands.add_parser(
         "margins",
         help="gain, phase and delay margins of the autopilot",

@@ -181,6 +181,7 @@ class StagedMission:
             raise BadInputError(str(error).replace(str(self._staged), str(self.script.path))) from None
 
     def close(self) -> None:
+        """Remove the staged copy."""
         self._folder.cleanup()
 
     def __enter__(self) -> StagedMission:

@@ -19,6 +19,7 @@ _EXAMPLE = """example:
 
 
 def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``modes`` to a parser."""
     parser = commands.add_parser(
         "modes",
         help="trim, eigenvalues, MIL-F-8785C levels",

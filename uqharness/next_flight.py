@@ -101,10 +101,12 @@ class NextFlight:
 
     @property
     def prospect(self) -> Prospect:
+        """What the flight promises for the chosen coefficient."""
         return self.prospects[self.coefficient]
 
     @property
     def worth_flying(self) -> bool:
+        """Whether its interval narrows enough for a flight."""
         return self.prospect.narrowing >= WORTH
 
     @property

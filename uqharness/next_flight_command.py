@@ -36,6 +36,7 @@ _ON_AUTOPILOT_S = 4.0
 
 
 def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``next-flight`` to a parser."""
     parser = commands.add_parser(
         "next-flight",
         help="what to fly to reduce the uncertainty that matters",

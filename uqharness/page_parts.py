@@ -26,6 +26,7 @@ class Say:
 
     @property
     def sign(self) -> str:
+        """The mark beside the sentence."""
         return SIGNS[self.level]
 
 
@@ -40,6 +41,8 @@ class Words:
 
 @dataclass(frozen=True)
 class Bullets:
+    """A list of sentences."""
+
     kind: ClassVar[str] = "bullets"
     items: tuple[str, ...]
 
@@ -64,6 +67,7 @@ class Cell:
 
     @property
     def sign(self) -> str:
+        """The mark in the cell."""
         return self.mark or SIGNS[self.level]
 
 
@@ -78,6 +82,7 @@ class Table:
 
     @property
     def cells(self) -> tuple[tuple[Cell, ...], ...]:
+        """Rows of cells, plain texts made into cells."""
         return tuple(tuple(Cell(c) if isinstance(c, str) else c for c in row) for row in self.rows)
 
 
@@ -123,6 +128,8 @@ Block = Words | Bullets | Told | Table | Figures | Facts | Code
 
 @dataclass(frozen=True)
 class Section:
+    """A heading with what stands under it, and the sections within it."""
+
     title: str
     blocks: tuple[Block, ...]
     parts: tuple[Section, ...] = ()

@@ -36,6 +36,7 @@ class Scale:
     names: tuple[tuple[float, str], ...] = ()
 
     def ticks(self) -> list[tuple[float, str]]:
+        """Values and labels of the axis' ticks."""
         if self.names:
             return list(self.names)
         if not self.high > self.low:

@@ -30,6 +30,7 @@ class Sample:
 
     @property
     def size(self) -> int:
+        """Number of flights, failed ones included."""
         return int(self.values.size) + self.unknown
 
 

@@ -25,6 +25,7 @@ Exit code 0: effects found, or nothing is missing; 1: something is missing and n
 
 
 def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``refine`` to a parser."""
     parser = commands.add_parser(
         "refine",
         help="find, name and add a missing effect",

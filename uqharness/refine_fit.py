@@ -81,10 +81,12 @@ class Setup:
 
     @property
     def which(self) -> list[int]:
+        """Columns of the replay's outputs that are compared."""
         return [STEP_OUTPUTS.index(c) for c in self.outputs]
 
     @property
     def nuisance(self) -> tuple[str, ...]:
+        """Names of gyro biases and delays, estimated beside parameters and effects."""
         names = [f"bias/{f.name}/{c}" for f in self.flights for c in self.biased]
         return (*names, *(f"delay/{f}/{s}" for f, sensors in self.late.items() for s in sensors))
 

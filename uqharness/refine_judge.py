@@ -46,6 +46,7 @@ class Verdict:
 
     @property
     def z(self) -> float:
+        """Change of the log likelihood over its standard deviation; 0 where there is none."""
         return self.change / self.std if self.std > 0.0 else 0.0
 
     @property

@@ -64,6 +64,7 @@ class MissionPBox:
 
     @property
     def values(self) -> np.ndarray[Any, np.dtype[np.float64]]:
+        """Every value at which a distribution function steps, before or after, in order."""
         return np.unique(np.concatenate([s.values for s in (*self.before, *self.after)]))
 
     def width(self, which: Sequence[Sample]) -> float:

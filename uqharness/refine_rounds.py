@@ -72,6 +72,7 @@ class Round:
 
     @property
     def keys(self) -> frozenset[str]:
+        """Keys of the chosen effects."""
         return frozenset(c.key for c in self.selection.chosen)
 
 
@@ -206,6 +207,7 @@ def control_slopes(fit: Fit) -> dict[str, float]:
 
 
 def with_effects(point: Point, setup: Setup, selection: Selection, staged: Aircraft) -> Point:
+    """The point with every chosen effect at its value, by the property that carries it."""
     values, sensed = dict(point.values), dict(point.sensed)
     for c in selection.chosen:
         effect = next(e for e in setup.active if e.key == c.key)

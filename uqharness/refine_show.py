@@ -40,9 +40,11 @@ class Shown:
     cost: float
 
     def channel_rms(self, k: int) -> float:
+        """Rms of channel ``k``'s residual over all flights."""
         return rms(np.concatenate([r[:, k] for r in self.residual]))
 
     def coefficient_rms(self, k: int) -> float:
+        """Rms of coefficient ``k``'s gap over all flights."""
         return rms(np.concatenate([g[:, k] for g in self.coefficients]))
 
 

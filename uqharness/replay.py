@@ -64,6 +64,7 @@ class Segment:
 
     @property
     def dt_s(self) -> float:
+        """Mean time between rows [s]."""
         return float(self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1)
 
 

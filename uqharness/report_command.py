@@ -15,6 +15,7 @@ needs no network, for a screen, a phone or a printer."""
 
 
 def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``report`` to a parser."""
     parser = commands.add_parser(
         "report",
         help="write report.html of a folder of results",

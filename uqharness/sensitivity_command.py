@@ -33,6 +33,7 @@ _TITLES = ("median cross-track error", "median altitude error", "median speed er
 
 
 def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``sensitivity`` to a parser."""
     parser = commands.add_parser(
         "sensitivity",
         help="which uncertainty to reduce first",

@@ -29,6 +29,7 @@ class Shard:
 
     @property
     def folder(self) -> str:
+        """Name of the shard's folder, ``3-of-16``."""
         return f"{self.number}-of-{self.count}"
 
     def __str__(self) -> str:

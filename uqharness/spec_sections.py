@@ -28,10 +28,12 @@ def listed(value: Any) -> Any:
 
 
 def tupled(value: Any) -> Any:
+    """A TOML array as a tuple; anything else as it is."""
     return tuple(value) if isinstance(value, list) else value
 
 
 def is_number(value: Any) -> bool:
+    """Whether a TOML value is a finite number, true and false excluded."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 

@@ -83,6 +83,7 @@ class Store:
         return None if row is None else _outcome(row)
 
     def close(self) -> None:
+        """Close the journal's database."""
         self._database.close()
 
     def __enter__(self) -> Store:

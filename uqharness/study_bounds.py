@@ -249,6 +249,7 @@ def verdict(rows: pd.DataFrame) -> list[str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the study; the process's exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder for records, tables.md, coverage.csv")
     parser.add_argument("--seed", type=int, default=1, help="the first (default 1)")

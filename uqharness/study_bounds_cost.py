@@ -105,6 +105,7 @@ def hold_error(
 
 
 def main(argv: list[str] | None = None) -> int:
+    """Run the study; the process's exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m uqharness.study_bounds_cost", description="Cost and hold error of bounds."
     )

@@ -235,6 +235,7 @@ def pooled(tables: Sequence[pd.DataFrame]) -> dict[str, float]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the study; the process's exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--out", type=Path, required=True, help="folder for logs, tables.md, tables.csv and summary.json"

@@ -59,6 +59,7 @@ def _short(error: Exception, folder: Path) -> str:
 
 
 def main(argv: list[str] | None = None) -> int:
+    """Run the study; the process's exit code."""
     parser = argparse.ArgumentParser(prog="python -m uqharness.study_instrument", description=__doc__.splitlines()[0])
     parser.add_argument("--aircraft", action="append", metavar="NAME", help="only this one; repeatable")
     parser.add_argument(

@@ -66,6 +66,7 @@ class Cell:
 
     @property
     def agrees(self) -> bool:
+        """Whether the printed value lies within what sampling and rounding explain."""
         return abs(float(self.printed) - self.ours) <= self.error
 
 

@@ -106,6 +106,7 @@ class Study:
     tried: dict[float, tuple[list[Trial], list[Refused]]]
 
     def flight(self, aircraft: str) -> TestFlight:
+        """The loiter in the study's turbulence, as a test flight of that aircraft."""
         return TestFlight(find_aircraft(aircraft), find_script("loiter"), True, BEGIN_S, TURBULENCE)
 
     def run(self, case: Case, seed: int) -> list[dict[str, object]]:
@@ -216,6 +217,7 @@ def _pm(row: pd.Series, key: str) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the study; the process's exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder for records, tables.md, narrowing.csv")
     parser.add_argument("--seed", type=int, default=1, help="the first (default 1)")

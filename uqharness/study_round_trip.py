@@ -158,6 +158,7 @@ def run(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the study; the process's exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m uqharness.study_round_trip",
         description=__doc__,

@@ -118,6 +118,7 @@ def table(compared: Sequence[Compared]) -> bytes:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
+    """Run the study; the process's exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m uqharness.study_time_varying", description="Does the walks' p-box lie within the corners'?"
     )

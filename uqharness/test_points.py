@@ -30,6 +30,7 @@ class Steps:
 
     @property
     def end_s(self) -> float:
+        """When the last step ends [s]."""
         return self.start_s + self.unit_s * sum(units for units, _ in self.pattern)
 
 
@@ -42,6 +43,7 @@ class Condition:
 
     @property
     def text(self) -> str:
+        """Speed and bank in words."""
         if self.speed_mps is None:
             return "as the mission flies"
         turn = f", {self.bank_deg:+.0f} deg bank" if self.bank_deg else ""
@@ -62,6 +64,7 @@ class TestPoint:
 
     @property
     def name(self) -> str:
+        """The point in words: kind and condition."""
         return f"{self.kind}, {self.condition.text}"
 
     @property

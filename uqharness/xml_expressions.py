@@ -39,6 +39,7 @@ def value(number: float) -> Expression:
 
 
 def prop(name: str) -> Expression:
+    """The value of a JSBSim property."""
     return Expression("property", name)
 
 

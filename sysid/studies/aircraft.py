@@ -115,6 +115,7 @@ class Plane:
 
     @property
     def names(self) -> list[str]:
+        """Parameters and biases, in the order of theta."""
         return [*self.truth, *self.biases]
 
     def draw(self, rng: np.random.Generator) -> tuple[Array, Array]:

@@ -36,6 +36,7 @@ class Case:
 
     @property
     def name(self) -> str:
+        """Plane, air and estimator, as the tables name the case."""
         air = "calm" if self.wind_kt == 0.0 else "light turbulence"
         return f"{self.plane.name}, {air}, {self.method}"
 

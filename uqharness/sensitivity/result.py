@@ -25,6 +25,7 @@ class Index:
     reason: str = ""
 
     def as_dict(self) -> dict[str, Any]:
+        """Value, interval and, where it is undefined, the reason, as plain JSON types."""
         found: dict[str, Any] = {"value": number(self.value), "interval": [number(self.low), number(self.high)]}
         return found | ({"reason": self.reason} if self.reason else {})
 
@@ -39,6 +40,7 @@ class PairRange:
 
     @property
     def reason(self) -> str:
+        """Why the range is undefined; empty where it is not."""
         return self.minimum.reason
 
     def as_dict(self) -> dict[str, Any]:
@@ -61,6 +63,7 @@ class MethodResult:
     details: Mapping[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
+        """Everything the method found, as plain JSON types."""
         details = {k: _plain(v) for k, v in self.details.items()}
         return {
             "runs": self.runs,
@@ -81,6 +84,7 @@ def _plain(value: Any) -> Any:
 
 
 def undefined(reason: str) -> Index:
+    """An index that cannot be had: NaN with its reason, never 0."""
     return Index(math.nan, math.nan, math.nan, reason)
 
 

@@ -65,6 +65,7 @@ class Study:
 
     @property
     def width(self) -> Array:
+        """Width of each parameter's interval, (d,)."""
         return self.upper - self.lower
 
 
