@@ -5,7 +5,7 @@ VENV   := .venv
 PY     := $(VENV)/bin/python
 STAMP  := $(VENV)/.installed
 
-.PHONY: setup demo test test-slow lint lock bench clean
+.PHONY: setup demo test test-slow test-browser lint lock bench clean
 
 setup: $(STAMP)
 
@@ -24,10 +24,15 @@ lint: setup
 	$(VENV)/bin/mypy
 
 test: setup lint
-	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 -m "not slow"
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 -m "not slow and not browser"
 
 test-slow: setup
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 -m slow
+
+# Installs playwright and a Chromium if it can; skips, saying why, if it cannot.
+test-browser: setup
+	.ci/browser $(PY)
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -m browser -rs
 
 bench: setup
 	$(PY) -m uqharness.benchmark

@@ -12,6 +12,7 @@ import pytest
 
 from sysid.flight_record import FlightRecord
 from sysid.model_form import read_model_form
+from tests.page_checks import problems
 from uqharness.aircraft import PROJECT_ROOT
 from uqharness.bounds_command import parse_designs
 from uqharness.cli import main
@@ -55,6 +56,7 @@ def test_bounds_leaves_a_form_a_system_a_report_and_figures(made):
     assert len(form.flights[0].sha256) == 64
     assert b"<system" in (made / "model-form.xml").read_bytes()
     report = (made / "report.md").read_text()
+    assert problems((made / "report.html").read_text(encoding="utf-8")) == []
     assert "Rate of variation" in report
     for figure in ("slices-CX", "slices-Cn", "variation", "data"):
         assert f"figures/{figure}.svg" in report
@@ -101,6 +103,7 @@ def test_the_third_flight_lies_within(made, flights, tmp_path, capsys):
     assert document["warnings"] == []
     assert (out / "figures" / "coverage.svg").exists()
     assert "Table 2.3" in (out / "report.md").read_text()
+    assert problems((out / "report.html").read_text(encoding="utf-8")) == []
 
 
 def test_bounds_that_do_not_hold_are_an_answer(made, flights, tmp_path, capsys):

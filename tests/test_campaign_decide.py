@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from tests import campaign_fakes as fakes
+from tests.page_checks import problems
 from uqharness.campaign import run_campaign
 from uqharness.campaign_manifest import read_manifest
 from uqharness.campaign_spec import read_campaign
@@ -158,6 +159,7 @@ def test_status_while_it_flies_and_after(tmp_path, capsys):
 def test_the_report_says_what_can_be_signed(tmp_path):
     run(tmp_path, "out")
     report = write_report(tmp_path / "out")
+    assert problems(report.path.read_text(encoding="utf-8")) == []
     assert any("At most 1 per hour at every corner? No." in line for line in report.verdict)
     page = report.path.read_text()
     assert "What can be signed" in page

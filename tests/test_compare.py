@@ -10,6 +10,7 @@ import pytest
 from flown import fly
 from sixdof import Airframe
 
+from tests.page_checks import problems
 from uqharness.cli import main
 
 
@@ -24,6 +25,7 @@ def run(record, folder, *more):
     code = main(
         ["compare", "espaaro", "--flight", str(folder / "flight.parquet"), "--out", str(out), "--workers", "1", *more]
     )
+    assert problems((out / "report.html").read_text(encoding="utf-8")) == []
     return code, json.loads((out / "compare.json").read_text()), out
 
 

@@ -11,6 +11,7 @@ import pytest
 from flown import fly
 from sixdof import TABLE_2_6
 
+from tests.page_checks import problems
 from uqharness import engine
 from uqharness.aircraft import PROJECT_ROOT, find_aircraft, open_aircraft
 from uqharness.cli import main
@@ -158,6 +159,7 @@ def test_figures_and_tables_are_there(flights, tmp_path):
     assert (out / "figures" / "pitch-00-pitch-3211.svg").read_text().startswith("<?xml")
     assert (out / "parameters.csv").read_text().splitlines()[0] == "parameter,initial,estimate,std,crb,status,reason"
     assert "| aero/Cm_q |" in (out / "report.md").read_text()
+    assert problems((out / "report.html").read_text(encoding="utf-8")) == []
     # Again over the same folder: replaced, and an earlier remark does not pile up.
     assert main(["identify", str(out / "aircraft"), "--flight", str(flights / "pitch.parquet"), "--params", "Cm_q", "--out",
                  str(tmp_path / "second"), "--workers", "1", "--no-figures"]) == 0  # fmt: skip

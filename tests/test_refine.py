@@ -13,6 +13,7 @@ from flown import fly
 from sixdof import Airframe, derivative
 
 from sysid.flight_record import FlightRecord
+from tests.page_checks import problems
 from uqharness.cli import main
 
 TRAIN = (("pitch-3211", 22.0), ("roll-yaw", 22.0), ("yaw-roll", 20.0), ("roll-yaw", 19.0))
@@ -104,6 +105,7 @@ def test_the_model_carries_the_effect(refined):
     assert found["switch"] == [{"property": "aero/Cm_p2", "off": 0.0}]
     for name in ("report.html", "figures/gap.svg", "figures/candidates.svg", "figures/coefficients.svg"):
         assert (refined / name).stat().st_size > 1000
+    assert problems((refined / "report.html").read_text(encoding="utf-8")) == []
 
 
 def test_test_flights_choose_nothing(flights, refined, tmp_path):

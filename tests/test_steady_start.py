@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.page_checks import problems
 from uqharness.campaign import find_mission, run_campaign
 from uqharness.campaign_aircraft import make_copy
 from uqharness.campaign_spec import read_campaign
@@ -74,6 +75,7 @@ def test_a_stock_aircraft_goes_through_a_campaign_to_a_pbox(flown):
     metrics = set(read_table(folder / "out" / "pbox.parquet").to_pandas()["metric"])
     assert {"heading_median_deg", "load_factor_max", "altitude_max_m", "cross_track_max_m"} <= metrics
     report = write_report(folder / "out")
+    assert problems(report.path.read_text(encoding="utf-8")) == []
     assert "Nothing was commanded: errors are deviations from the state in which scoring began." in report.verdict
     assert any("heading" in path.name for path in report.figures)
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from uqharness import __version__
 from uqharness.aircraft import find_aircraft
 from uqharness.errors import BadInputError
 from uqharness.identify_command import add_flight_arguments, results_folder
@@ -26,7 +27,8 @@ _EXAMPLE = """examples:
   uqharness bounds espaaro --flight f.csv --states CX=V,alpha,q --terms "Cm=1,alpha,q,p^2" --outside clamp --out bounds
 
 DIR/model-form.json (read by validate-bounds, instrument and campaigns), DIR/model-form.xml (the same as a JSBSim system),
-DIR/report.md and DIR/figures/*.svg. States: V alpha beta phi theta p q r, de da dr (surface positions), dt (throttle)."""
+DIR/report.html, DIR/report.md and DIR/figures/*.svg, drawn from DIR/bounds.json and DIR/residuals.parquet.
+States: V alpha beta phi theta p q r, de da dr (surface positions), dt (throttle)."""
 _VALIDATE_EXAMPLE = """examples:
   uqharness validate-bounds espaaro bounds/model-form.json --flight flight3.parquet
   uqharness validate-bounds espaaro bounds/model-form.json --flight flight3.bin --manoeuvres manoeuvres.csv --out check
@@ -195,10 +197,11 @@ def _run_bounds(args: argparse.Namespace) -> int:
     check_folder(args.out)
     # Imported here: scipy and pandas take a second that --help should not pay.
     from uqharness.bounds import make_bounds
-    from uqharness.bounds_report import bounds_document, bounds_report, bounds_rows, text_table
+    from uqharness.bounds_report import bounds_document, bounds_report, bounds_rows, text_table, write_residuals
     from uqharness.flights import file_hash
     from uqharness.identify_report import write_text
     from uqharness.model_form_xml import model_form_xml
+    from uqharness.report_page import write_report
     from uqharness.residual_model import read_bounds_flights
     from uqharness.whole_files import write_bytes
 
@@ -213,7 +216,11 @@ def _run_bounds(args: argparse.Namespace) -> int:
     document = bounds_document(found)
     write_text(out / "report.md", bounds_report(found, document, figures, _command(args)))
     write_bytes(out / "model-form.xml", system)
+    kept = document | {"command": _command(args), "version": __version__}
+    write_text(out / "bounds.json", json.dumps(kept, indent=1) + "\n")
+    write_residuals(found.form, found.residuals, ", ".join(f.name for f in flights), out)
     write_text(out / "model-form.json", found.form.to_json())
+    write_report(out)
     _warn(found.warnings)
     if args.json:
         print(json.dumps(document))
@@ -227,10 +234,18 @@ def _run_validate(args: argparse.Namespace) -> int:
     aircraft = find_aircraft(args.aircraft)
     if args.out is not None:
         check_folder(args.out)
-    from uqharness.bounds_report import text_table, validation_document, validation_report, validation_rows, verdict
+    from uqharness.bounds_report import (
+        text_table,
+        validation_document,
+        validation_report,
+        validation_rows,
+        verdict,
+        write_residuals,
+    )  # fmt: skip
     from uqharness.bounds_validation import failed, load_form, validate
     from uqharness.flights import file_hash
     from uqharness.identify_report import write_text
+    from uqharness.report_page import write_report
     from uqharness.residual_model import read_bounds_flights
 
     form = load_form(args.form)
@@ -245,7 +260,10 @@ def _run_validate(args: argparse.Namespace) -> int:
         title = f"{names} within the bounds of {form.aircraft.name}"
         coverage_figure(form, found.residuals, results_folder(out / "figures") / "coverage.svg", title)
         write_text(out / "report.md", validation_report(found, title, _command(args), ["coverage"]))
-        write_text(out / "coverage.json", json.dumps(validation_document(found), indent=1) + "\n")
+        kept = validation_document(found) | {"command": _command(args), "version": __version__}
+        write_residuals(form, found.residuals, names, out)
+        write_text(out / "coverage.json", json.dumps(kept, indent=1) + "\n")
+        write_report(out)
     _warn(found.warnings)
     if args.json:
         print(json.dumps(validation_document(found)))

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from sysid.aero_terms import COEFFICIENTS
 from sysid.model_form import ModelForm
 from sysid.polynomial import term_name
+from sysid.residuals import Residuals
 from sysid.variation import LAGS_S, STEP_S
 from uqharness.bounds import CutoffRow, MadeBounds, mean_left_out
+from uqharness.bounds_page import RESIDUALS
 from uqharness.bounds_validation import HOLDS_FROM, Validation, failed
+from uqharness.histories import write_pieces
 from uqharness.identify_report import markdown_table
 
 PUBLISHED = {
@@ -244,6 +248,16 @@ def verdict(found: Validation) -> str:
         return f"The bounds hold: every coefficient has at least {100 * HOLDS_FROM:g} % of this flight inside its 95 % bounds."
     shares = ", ".join(f"{c} {100 * found.coverage[c].share[0.95]:.1f} %" for c in bad)
     return f"The bounds do not hold: inside the 95 % bounds are only {shares}; at least {100 * HOLDS_FROM:g} % is asked for."
+
+
+def write_residuals(form: ModelForm, residuals: Residuals, flights: str, out: Path) -> None:
+    """residuals.parquet in ``out``: by piece the states, flight minus model per coefficient and its bounds there."""
+    columns = {state: [piece.states[state] for piece in residuals.pieces] for state in form.states}
+    for name in form.coefficients:
+        bounds = [form.bounds(piece.states)[name] for piece in residuals.pieces]
+        columns[name] = residuals.columns(name)
+        columns[f"{name}_lower"], columns[f"{name}_upper"] = [low for low, _ in bounds], [high for _, high in bounds]
+    write_pieces(out / RESIDUALS, [(flights, piece.label, piece.time_s) for piece in residuals.pieces], columns)
 
 
 def text_table(rows: Sequence[Mapping[str, str]]) -> list[str]:

@@ -24,6 +24,7 @@ from uqharness import (
     modes_command,
     next_flight_command,
     refine_command,
+    report_command,
     sensitivity_command,
 )
 from uqharness.errors import BadInputError
@@ -58,6 +59,7 @@ def build_parser() -> argparse.ArgumentParser:
         sensitivity_command,
         next_flight_command,
         chain_command,
+        report_command,
     ):
         module.register(commands)
     return parser

@@ -6,6 +6,7 @@ import argparse
 import json
 import math
 import re
+import shlex
 from typing import Any
 
 from uqharness.aircraft import find_aircraft
@@ -17,7 +18,8 @@ _EXAMPLE = """examples:
   uqharness compare espaaro --flight doublets.parquet --out gap
   uqharness compare identified/aircraft --flight flight3.bin --manoeuvres manoeuvres.csv --servos ideal --out gap
 
-DIR/compare.json, DIR/channels.csv, coefficients.csv, manoeuvres.csv, moments.csv, DIR/report.md and DIR/figures/*.svg.
+DIR/compare.json, DIR/channels.csv, coefficients.csv, manoeuvres.csv, moments.csv, DIR/histories.parquet,
+DIR/report.html, DIR/report.md and DIR/figures/*.svg.
 Exit code 1: the model does not reach the noise floor, that is, the rms of measured minus model is above 1.15 times the
 noise in at least one of V, alpha, beta, phi, theta, p, q, r, ax, ay, az (as far as the record has them)."""
 
@@ -60,12 +62,22 @@ def _run(args: argparse.Namespace) -> int:
         workers=args.workers,
     )
     out = results_folder(args.out)
-    document = document_of(found)
+    document = document_of(found) | {"command": _command(args)}
     write_tables(found, document, out)
     if not args.no_figures:
         _figures(found, out)
     print(json.dumps(document) if args.json else summary(found, out))
     return 0 if found.reached else 1
+
+
+def _command(args: argparse.Namespace) -> str:
+    """The command line that repeats this run: every option that was given."""
+    words = ["uqharness", "compare", args.aircraft, "--flight", str(args.flight)]
+    for option in ("servos", "biases", "delays", "manoeuvres", "map", "workers"):
+        value = getattr(args, option)
+        if value is not None:
+            words += [f"--{option}", str(value)]
+    return shlex.join([*words, *(["--no-figures"] if args.no_figures else []), "--out", str(args.out)])
 
 
 def _figures(found: Any, out: Any) -> None:

@@ -7,8 +7,12 @@ import math
 from pathlib import Path
 from typing import Any
 
+from sysid.aero_terms import COEFFICIENTS
 from uqharness.compare import LIMIT, Comparison
+from uqharness.histories import columns_of, write_histories
 from uqharness.identify_report import csv_text, markdown_table, write_text
+from uqharness.replay_model import CONTROLS
+from uqharness.report_page import write_report
 
 _RULE = f"the noise floor is reached when no judged channel's rms is above {LIMIT} times its noise"
 
@@ -20,6 +24,7 @@ def document_of(found: Comparison) -> dict[str, Any]:
         "flight": found.flight,
         "reached_noise_floor": found.reached,
         "rule": _RULE,
+        "verdict": verdict(found),
         "controls_late_s": found.controls_late_s,
         "aligned": found.aligned,
         "above": list(found.above),
@@ -110,7 +115,7 @@ def moment_rows(found: Comparison) -> list[dict[str, str]]:
 
 
 def write_tables(found: Comparison, document: dict[str, Any], out: Path) -> None:
-    """compare.json, the CSV tables and report.md."""
+    """compare.json, histories.parquet, the CSV tables, report.md and report.html."""
     tables = {
         "channels": channel_rows(found),
         "coefficients": coefficient_rows(found),
@@ -126,7 +131,17 @@ def write_tables(found: Comparison, document: dict[str, Any], out: Path) -> None
             lines += [f"## {name}", "", markdown_table(rows)]
     lines += [f"- {text}" for text in found.notes]
     write_text(out / "report.md", "\n".join(lines) + "\n")
+    write_histories(
+        out,
+        found.segments,
+        {
+            **columns_of(found.outputs, found.measured), **columns_of(found.outputs, found.modelled, "_model"),
+            **columns_of(CONTROLS, [s.controls for s in found.segments]),
+            **columns_of(COEFFICIENTS, found.demanded, "_flight"), **columns_of(COEFFICIENTS, found.predicted, "_model"),
+        },
+    )  # fmt: skip
     write_text(out / "compare.json", json.dumps(document, indent=1) + "\n")
+    write_report(out)
 
 
 def verdict(found: Comparison) -> str:

@@ -17,7 +17,10 @@ import numpy as np
 from sysid.diagnostics import colour
 from sysid.gaps import rms
 from uqharness.aircraft import Aircraft
+from uqharness.histories import columns_of, write_histories
 from uqharness.identify import Identification
+from uqharness.replay_model import CONTROLS
+from uqharness.report_page import write_report
 from uqharness.whole_files import write_whole
 from uqharness.xml_estimates import Estimate, write_estimates
 
@@ -154,7 +157,9 @@ def write_results(
     out: Path,
     hashes: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """fit.json, parameters.csv, report.md and aircraft/ in ``out``; the document written. Raises BadInputError.
+    """fit.json, parameters.csv, histories.parquet, report.md, report.html and aircraft/ in ``out``; the document.
+
+    Raises BadInputError.
 
     hashes: SHA-256 of the flights' files, by which bounds know a flight that the model was identified from.
     """
@@ -174,5 +179,14 @@ def write_results(
         )
     write_text(out / "parameters.csv", csv_text(parameter_rows(found)))
     write_text(out / "report.md", report_text(found, document))
+    write_histories(
+        out,
+        found.segments,
+        {
+            **columns_of(found.outputs, found.measured), **columns_of(found.outputs, found.modelled, "_model"),
+            **columns_of(CONTROLS, [s.controls for s in found.segments]),
+        },
+    )  # fmt: skip
     write_text(out / "fit.json", json.dumps(document, indent=1) + "\n")
+    write_report(out)
     return document

@@ -17,7 +17,8 @@ _EXAMPLE = """examples:
   uqharness refine espaaro --train a.csv --test b.csv --effects own.toml --out refined
   uqharness refine my-c172 --train a.csv --test b.csv --campaign campaign.toml --out refined
 
-DIR/refinement.json, DIR/report.html, DIR/aircraft/<name> (an AIRCRAFT for every command), DIR/model.diff, DIR/figures/*.svg;
+DIR/refinement.json, DIR/report.html, DIR/aircraft/<name> (an AIRCRAFT for every command), DIR/model.diff,
+DIR/figures/*.svg, DIR/histories.parquet;
 DIR/before/aircraft/<name> (re-identified without effects), DIR/intervals/*.json (model forms), DIR/pbox/* (campaign folders).
 An effect's property set to 0 restores the model without it, bit for bit.
 Exit code 0: effects found, or nothing is missing; 1: something is missing and no effect of the catalogue explains it."""

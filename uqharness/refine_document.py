@@ -132,6 +132,9 @@ def document_of(chosen: Found, judged: Judged, folder: Path, controls: Sequence[
         "best_refused": None
         if refused is None
         else {"effect": refused.key.removeprefix("effect/"), "t": refused.t, "why": refused.why},
+        "candidates": {
+            "limit": found.limit, "scores": [{"effect": name, "t": t} for name, t in found.scoreboard],
+        },
         "timing": {"controls_late_s": found.late_s},
         "trail": list(found.trail),
         "notes": [*found.notes, *(n for f in setup.flights for n in f.notes)],

@@ -8,12 +8,14 @@ import math
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
+from sysid.aero_terms import COEFFICIENTS
+from uqharness.histories import columns_of, write_histories
 from uqharness.refine_pbox import DRAWN
 from uqharness.refine_run import Refinement
 from uqharness.refine_show import most_improved
 from uqharness.refine_words import interval_lines, left_over, nowhere, pbox_lines, test_says
+from uqharness.replay_model import CONTROLS
+from uqharness.report_page import write_report as write_page
 from uqharness.whole_files import write_bytes
 
 FIGURES = ("gap.svg", "history.svg", "intervals.svg", "pbox.svg", "candidates.svg", "coefficients.svg")
@@ -31,29 +33,34 @@ def clean(value: Any) -> Any:
 
 
 def write_report(done: Refinement, out: Path, figures: bool = True) -> None:
-    """refinement.json, model.diff and, from them, report.html with its figures."""
+    """refinement.json, model.diff, histories.parquet, figures and, from the first three, report.html."""
     for key, value in clean(done.document).items():
         done.document[key] = value
     write_bytes(out / "refinement.json", (json.dumps(done.document, indent=1) + "\n").encode())
     diff = model_diff(done)
     write_bytes(out / "model.diff", diff.encode("utf-8", errors="surrogateescape"))
+    _write_histories(done, out)
     for name in FIGURES:
         (out / "figures" / name).unlink(missing_ok=True)
-    drawn = _figures(done, out) if figures else []
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("uqharness", "templates"), autoescape=True, undefined=jinja2.StrictUndefined
-    )
-    shown = diff.encode("utf-8", errors="replace").decode()
-    page = environment.get_template("refine.html.j2").render(
-        d=done.document, diff=shown, figures=drawn, nowhere=nowhere(done.document), left=left_over(done.document["remaining"]),
-        says=test_says,
-    )  # fmt: skip
-    write_bytes(out / "report.html", page.encode())
+    if figures:
+        _figures(done, out)
+    write_page(out)
 
 
-def _figures(done: Refinement, out: Path) -> list[str]:
-    """Names of the figures drawn into ``out/figures``."""
-    from sysid.aero_terms import COEFFICIENTS
+def _write_histories(done: Refinement, out: Path) -> None:
+    """Test flights under both models, in channels and coefficients."""
+    setup, before, after = done.judged.test
+    models = {"_before": before, "_after": after}
+    columns = columns_of(setup.outputs, setup.measured) | columns_of(CONTROLS, [s.controls for s in setup.segments])
+    for suffix, shown in models.items():
+        modelled = [z - r for z, r in zip(setup.measured, shown.residual, strict=True)]
+        columns |= columns_of(setup.outputs, modelled, suffix)
+        columns |= columns_of(COEFFICIENTS, shown.coefficients, f"_gap{suffix}")
+    write_histories(out, setup.segments, columns)
+
+
+def _figures(done: Refinement, out: Path) -> None:
+    """Figures as files in ``out/figures``."""
     from uqharness.refine_plot import candidates_figure, residual_figure, shrinkage_figure
     from uqharness.refine_show_plot import history_figure, intervals_figure, pbox_figure
 
@@ -62,28 +69,23 @@ def _figures(done: Refinement, out: Path) -> list[str]:
     gap = done.document["gap"]["test"]
     setup, before, after = done.judged.test
     shrinkage_figure(gap, folder / "gap.svg", "Test flights: gap before and after")
-    names = ["gap.svg"]
     stands = bool(done.document["effects"])
     if stands:
         label, history = most_improved(setup, before, after)
         how = ", predicted one sample ahead" if done.chosen.gusty else ""
         history_figure(history, folder / "history.svg", f"Test flights, most improved: {label}{how}")
-        names.append("history.svg")
     if gap["intervals"]["reason"] is None:
         title = "Model-form intervals from the train flights, judged on the test flights"
         intervals_figure(gap["intervals"], folder / "intervals.svg", title)
-        names.append("intervals.svg")
     if done.mission.boxes:
         shown = [b for b in done.mission.boxes if b.metric in DRAWN] or list(done.mission.boxes)
         title = f"{gap['pbox']['mission']}: p-box within the intervals"
         pbox_figure(shown[:6], folder / "pbox.svg", title)
-        names.append("pbox.svg")
     found = done.chosen
     if found.scoreboard:
         chosen = [f"{e.get('coefficient') or e['subsystem']} {e['term']}" for e in done.document["chosen"]]
         title = "Train flights: what explains the disagreement"
         candidates_figure(found.scoreboard, found.limit, chosen, folder / "candidates.svg", title)
-        names.append("candidates.svg")
     touched = list(dict.fromkeys(e["coefficient"] for e in done.document["effects"] if "coefficient" in e))
     if touched:
         columns = [COEFFICIENTS.index(c) for c in touched]
@@ -92,8 +94,6 @@ def _figures(done: Refinement, out: Path) -> list[str]:
             [g[:, columns] for g in after.coefficients], touched, after.floor[columns], folder / "coefficients.svg",
             "Test flights: coefficient demanded minus the model's",
         )  # fmt: skip
-        names.append("coefficients.svg")
-    return names
 
 
 def model_diff(done: Refinement) -> str:

@@ -1,0 +1,55 @@
+"use strict";
+// Reads a p-box at the cursor: by mouse or finger on the drawing, by keyboard on the slider below it.
+// The page says all of it in its tables as well, so that nothing is lost where no script runs.
+for (const figure of document.querySelectorAll("figure")) {
+  const store = figure.querySelector('script[type="application/json"]');
+  if (store) readOut(figure, figure.querySelector("svg"), JSON.parse(store.textContent));
+}
+
+function readOut(figure, svg, data) {
+  const [left, top, width, height] = svg.dataset.plot.split(",").map(Number);
+  const [low, high] = svg.dataset.x.split(",").map(Number);
+  const cursor = svg.appendChild(document.createElementNS(svg.namespaceURI, "path"));
+  cursor.setAttribute("class", "line zero");
+
+  const reader = document.createElement("div");
+  reader.className = "reader";
+  const slider = document.createElement("input");
+  Object.assign(slider, { type: "range", min: low, max: high, step: (high - low) / 200, value: data.boxes[0].middle });
+  const label = reader.appendChild(document.createElement("label"));
+  label.append("read at", slider);
+  slider.setAttribute("aria-label", "read the figure at: " + data.quantity);
+  const output = reader.appendChild(document.createElement("output"));
+  figure.insertBefore(reader, figure.querySelector("figcaption"));
+
+  const percent = (p) => (100 * p).toFixed(p > 0 && p < 0.0995 ? 1 : 0) + " %";
+  function show() {
+    const at = Number(slider.value);
+    const u = left + (width * (at - low)) / (high - low);
+    cursor.setAttribute("d", `M${u} ${top}v${height}`);
+    for (const curve of svg.querySelectorAll(".picked")) curve.classList.remove("picked");
+    const lines = data.boxes.map((box) => {
+      let k = -1;
+      while (k + 1 < box.value.length && box.value[k + 1] <= at) k += 1;
+      const name = box.name ? box.name + ": " : "";
+      if (k < 0) return `${name}below every value flown.`;
+      for (const corner of [box.at_least[k], box.at_most[k]])
+        for (const curve of svg.querySelectorAll(`[data-corner="${box.tag}${corner}"]`)) curve.classList.add("picked");
+      return `${name}${percent(box.lower[k])} (${box.corners[box.at_least[k]]}) to ${percent(box.upper[k])} `
+        + `(${box.corners[box.at_most[k]]}) of the flights; with the band ${percent(box.band_lower[k])} to ${percent(box.band_upper[k])}.`;
+    });
+    lines[0] = `At most ${at.toPrecision(3)} ${data.unit}: ${lines[0]}`;
+    output.replaceChildren(...lines.map((line) => Object.assign(document.createElement("div"), { textContent: line })));
+    slider.setAttribute("aria-valuetext", lines.join(" "));
+  }
+  function point(event) {
+    const box = svg.getBoundingClientRect();
+    const u = ((event.clientX - box.left) / box.width) * svg.viewBox.baseVal.width;
+    slider.value = low + ((high - low) * (u - left)) / width;
+    show();
+  }
+  svg.addEventListener("pointermove", point);
+  svg.addEventListener("pointerdown", point);
+  slider.addEventListener("input", show);
+  show();
+}
