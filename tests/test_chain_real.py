@@ -66,6 +66,8 @@ def test_a_small_study_from_logs_to_p_boxes(tmp_path, capsys):
     said = capsys.readouterr()
     assert said.err == ""
     assert said.out.startswith("small: Does it hold 15 m of the circle?\n")
+    assert said.out.endswith(f"report: {tmp_path / 'out' / 'report.html'}\n")
+    assert "Does it hold 15 m of the circle?" in (tmp_path / "out" / "report.html").read_text()
     assert "2 of 2 parameters were identified from ident by output error" in said.out
     out = tmp_path / "out"
     document = json.loads((out / "study.json").read_text())

@@ -106,6 +106,7 @@ def study(tmp_path, monkeypatch):
 
     monkeypatch.setattr(chain_run, "_call", call)
     monkeypatch.setattr(chain_run, "_refuse_other_model", lambda form, folder: None)
+    monkeypatch.setattr("uqharness.report_page.write_report", lambda folder: folder / "report.html")
     monkeypatch.setattr(chain_run, "judge", lambda *_: [("It holds.", "good")])
 
     def run(text=None, file="study.toml", out="out"):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import json
 import shlex
 import sys
@@ -44,6 +43,7 @@ def _run(args: argparse.Namespace) -> int:
     from uqharness.chain_run import run_chain
     from uqharness.chain_spec import read_chain
     from uqharness.project_files import find_campaign
+    from uqharness.report_page import write_report
 
     if args.workers is not None and args.workers < 1:
         raise BadInputError(f"--workers {args.workers}: at least 1")
@@ -54,26 +54,18 @@ def _run(args: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         print(f"{args.out}: stopped; what is done is kept, the same command goes on from here", file=sys.stderr)
         raise
-    report = _report(args.out)
+    report = write_report(args.out)
     no = [row["name"] for row in document["stages"] if row["exit"] == 1]
     if args.json:
-        print(json.dumps(document | {"report": None if report is None else str(report)}))
+        print(json.dumps(document | {"report": str(report)}))
     else:
         print(f"{document['study']}: {document['question']}")
         for sentence in document["verdict"]:
             print(f"  {sentence['text']}")
         if no:
             print(f"  answered no: {', '.join(no)}; what they said is in {args.out / 'log'}")
-        print(f"report: {report if report is not None else 'none, this version draws no page of a study'}")
+        print(f"report: {report}")
     return 1 if no else 0
-
-
-def _report(folder: Path) -> Path | None:
-    if importlib.util.find_spec("uqharness.report_page") is None:
-        return None
-    page = importlib.import_module("uqharness.report_page")
-    path: Path = page.write_report(folder)
-    return path
 
 
 def _say(text: str) -> None:

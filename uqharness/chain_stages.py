@@ -266,12 +266,15 @@ class _Planner:
         for option, names in (("--train", section.train), ("--test", section.test)):
             words += [word for name in names for word in (option, str(self.records[name]))]
         words += ["--servos", self.spec.study.servos, "--out", str(out)]
+        # The study's own campaigns are the p-boxes before and after.
+        words += [] if self.spec.campaign is None else ["--no-pbox"]
         inputs = {model.label: model.folder} | self._flight_inputs((*section.train, *section.test))
         if section.effects is not None:
             path = self._file(section.effects, "refine", "effects")
             words += ["--effects", _shown(path)]
             inputs[f"{section.effects} (effects)"] = path
         options = section.model_dump(mode="json", exclude={"effects"}) | {"servos": self.spec.study.servos}
+        options["pbox"] = self.spec.campaign is None
         outputs = [out / "refinement.json", out / "aircraft" / model.folder.name]
         return self._stage("refine", "refine", out, words, inputs, outputs, options, resumes=True, workers=True)
 
