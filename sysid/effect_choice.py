@@ -25,6 +25,9 @@ DRAWS = 40_000
 EXCHANGE = 9.0
 """Gain by which another candidate must beat a chosen one to take its place."""
 LOOKED_AT = 12
+TURNS = 3
+UNLIKE = 0.3
+"""Likeness below which a candidate is asked although the best one was not confirmed."""
 STRONG = 2.0
 """How far above the limit an unconfirmed candidate's |t| must be to say that something is missing all the same."""
 INSEPARABLE_T = 3.0
@@ -67,13 +70,15 @@ class Choice:
 
 @dataclass(frozen=True)
 class Refusal:
-    """The best candidate that did not enter, and why. strong: it stands well above chance, so something is there."""
+    """The best candidate that did not enter, and why. strong: it stands well above chance, so something is there; unconfirmed: the
+    flights that did not estimate it spoke against it."""
 
     key: str
     t: float
     gain: float
     why: str
     strong: bool = False
+    unconfirmed: bool = False
 
 
 @dataclass(frozen=True)
@@ -135,7 +140,7 @@ def select(
         here, trail = _pruned(evidence, free, here, trail, limit)
         refused = None
         if len(here) < most:
-            found = _best(
+            found = _entering(
                 evidence,
                 [*free, *here],
                 [c for c in candidates if c not in here],
@@ -181,6 +186,25 @@ def _judged(evidence: Evidence, free: Sequence[str], key: str, confirming: NDArr
     return Choice(key, value, std, value / std, gain, there, difference)
 
 
+def _entering(
+    evidence: Evidence, free: Sequence[str], open_: Sequence[str], odds: Mapping[str, float], confirming: NDArray[np.bool_],
+    limit: float, strong: float = STRONG, empirical: bool = False,
+) -> Choice | Refusal | None:  # fmt: skip
+    """The candidate to enter. One that its own flights do not confirm may be disturbed by another that is missing as well: those
+    that do not resemble it are then asked; it comes to its turn again beside them."""
+    first: Refusal | None = None
+    for _ in range(TURNS):
+        found = _best(evidence, free, open_, odds, confirming, limit, strong, empirical)
+        if isinstance(found, Choice) or found is None:
+            return found or first
+        first = first or found
+        if not found.unconfirmed:
+            break
+        alike = likeness(evidence, free, found.key, open_)
+        open_ = [k for k, a in zip(open_, alike, strict=True) if k != found.key and abs(np.nan_to_num(a)) < UNLIKE]
+    return first
+
+
 def _best(
     evidence: Evidence, free: Sequence[str], open_: Sequence[str], odds: Mapping[str, float], confirming: NDArray[np.bool_],
     limit: float, strong: float = STRONG, empirical: bool = False,
@@ -217,7 +241,7 @@ def _best(
     if np.isfinite(choice.confirmed_gain) and not choice.confirmed_gain > 0.0:
         return Refusal(
             choice.key, choice.t, choice.gain, "the part of the flights that did not estimate it does not confirm it",
-            abs(choice.t) > limit + strong,
+            abs(choice.t) > limit + strong, True,
         )  # fmt: skip
     return choice
 

@@ -182,6 +182,32 @@ def test_flights_of_a_superseded_campaign_are_put_aside_not_lost(study, tmp_path
     assert not (tmp_path / "out" / "campaign-before" / "journal.sqlite").exists()
 
 
+def test_a_section_left_out_and_put_back_costs_nothing(study):
+    run, ran, _ = study
+    run()
+    text = STUDY[: STUDY.index("[refine]")] + STUDY[STUDY.index("[campaign]") :]
+    document = run(text)
+    assert ran == []
+    assert "before_after" not in document
+    assert {row["name"] for row in document["former"]} == set(ALL[ALL.index("refine") :])
+    document = run(STUDY)
+    assert ran == []
+    assert document["former"] == []
+
+
+def test_a_folder_that_is_not_the_studys_is_not_removed(study, tmp_path):
+    run, _, fail = study
+    fail["identify"] = KeyboardInterrupt()
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    (tmp_path / "out" / "refine").mkdir()
+    (tmp_path / "out" / "refine" / "thesis.tex").write_text("years")
+    fail.clear()
+    with pytest.raises(BadInputError, match="refine: is there, and not from this study; move it away"):
+        run()
+    assert (tmp_path / "out" / "refine" / "thesis.tex").exists()
+
+
 def test_another_version_does_everything_again(study, monkeypatch):
     run, ran, _ = study
     run()
@@ -383,6 +409,18 @@ def test_an_answer_of_no_is_the_exit_code_and_is_named(study, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["state"] == "done"
     assert cli.main(command(tmp_path)) == 1
     assert "answered no: validate-before" in capsys.readouterr().out
+
+
+def test_a_terminal_sees_each_stage_and_a_pipe_only_the_end(study, tmp_path, capsys, monkeypatch):
+    assert cli.main(command(tmp_path)) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    assert said.out.splitlines()[0] == "mine: Does it hold?"
+    assert said.out.splitlines()[-1].startswith("report: ")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    assert cli.main(command(tmp_path)) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[:2] == ["[1/13] import-one", "  unchanged"]
 
 
 def test_bad_input_is_told_without_a_traceback(study, tmp_path, capsys):

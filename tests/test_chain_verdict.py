@@ -209,6 +209,13 @@ def test_coverage_and_widths(tmp_path):
     assert (level, "none is narrower" in widths) == ("warn", True)
 
 
+def test_widths_that_are_not_known_stay_undefined(tmp_path):
+    write_coverage(tmp_path, "before", 0.95, 0.0)
+    write_coverage(tmp_path, "after", 0.95, None)
+    *_, (widths, level) = chain_verdict._coverage(tmp_path, ("c",), True)
+    assert (level, "CX, Cl undefined" in widths, "none is narrower" in widths) == ("warn", True, True)
+
+
 def test_identification_that_did_not_converge_is_bad_news():
     fit = {
         "parameters": {"a": {"status": "identified"}, "b": {"status": "not-identified"}}, "flights": ["x.parquet"],

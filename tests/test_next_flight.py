@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from jsbsim_schema import schema_errors
 
 from sysid.model_form import read_model_form
 from sysid.residuals import Cutoffs
@@ -47,6 +48,14 @@ method = "corners"
 bounds = { CX = 0.008, CY = 0.010, CZ = 0.05, Cl = 0.0015, Cm = 0.012, Cn = 0.0015 }
 """
 SLOPES = {"CX": 1.0, "CY": 4.0, "CZ": 0.5, "Cl": 0.25, "Cm": 0.1, "Cn": 0.05}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def fewer_points():
+    """A library of a third of the points: these tests are about what is done with them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("uqharness.test_points.AMPLITUDES", (0.2,))
+        yield
 
 
 def known_effects(spec):
@@ -203,6 +212,19 @@ def test_what_scatters_is_asked_of_the_flights_behind(campaign, tmp_path, capsys
     assert any("elevator_pos_deg" in w and "lack" in w for w in document["words"])
 
 
+def test_the_script_keeps_the_missions_lines_and_none_of_its_air(planned):
+    _, out = planned
+    text = (out / "next-flight.xml").read_text()
+    assert (
+        '<property value="120">ap/loiter-center-east-m</property>      <!-- m; the flight begins on the circle' in text
+    )
+    assert '<property value="0">air/wind-mps</property>' in text
+    assert '<property value="0">air/turbulence-w20-kt</property>' in text
+    # What stands above the root of loiter.xml tells of another flight.
+    assert "takes about a minute to settle" not in text
+    assert schema_errors(out / "next-flight.xml") == []
+
+
 def test_the_table_holds_every_step(planned):
     _, out = planned
     document = json.loads((out / "next-flight.json").read_text())
@@ -317,8 +339,8 @@ def test_the_library_follows_the_cards_stops_and_the_models_modes():
     assert times["rudder"] == pytest.approx(0.8)
     points = library(aircraft, [Condition(20.0), Condition(24.0, 25.0)], times)
     assert len(points) == len({p.name for p in points})
-    sizes = {abs(s.size) for p in points for s in p.steps if s.control == "rudder" and "rudder doublet" in p.kind}
-    assert sizes == {2.5, 5.0, 8.8}
+    sizes = {s.size for p in points for s in p.steps if s.control == "rudder" and "rudder doublet" in p.kind}
+    assert sizes == {5.0, -5.0}
     assert all(p.seconds > 4.0 for p in points)
     assert RECOVERY_S > 5.0
 

@@ -27,7 +27,8 @@ from uqharness.refine import Found
 from uqharness.refine_intervals import FlightSet, IntervalJob, fit_intervals, intervals_document
 from uqharness.refine_judge import BEYOND_CHANCE, gap_change
 from uqharness.refine_pbox import MissionPBox, Model, campaign_for, fly_missions
-from uqharness.refine_run import _put
+from uqharness.refine_report import write_report
+from uqharness.refine_run import Refinement, Request, _put, refine
 from uqharness.refine_words import left_over, nowhere
 
 CX_BETA2 = -1.5
@@ -65,17 +66,24 @@ def campaign(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def contradicted(tmp_path_factory) -> Path:
+def judged_flights(tmp_path_factory) -> tuple[Path, Refinement]:
     """Two effects in the train flights, of which the test flight has the first alone."""
     folder = tmp_path_factory.mktemp("contradicted")
     fly(MORE, seed=11, seconds=6.0, rhs=with_two).write(folder / "train.parquet")
     fly(TEST, seed=12, seconds=6.0, rhs=with_p2).write(folder / "test.parquet")
-    code = main([
-        "refine", "espaaro", "--train", str(folder / "train.parquet"), "--test", str(folder / "test.parquet"),
-        "--out", str(folder / "out"), "--workers", "1", "--no-pbox",
-    ])  # fmt: skip
-    assert code in (0, 1)
-    return folder / "out"
+    out = folder / "out"
+    out.mkdir()
+    request = Request(
+        find_aircraft("espaaro"), (folder / "train.parquet",), (folder / "test.parquet",), out, workers=1, pbox=False
+    )
+    done = refine(request)
+    write_report(done, out)
+    return out, done
+
+
+@pytest.fixture(scope="module")
+def contradicted(judged_flights) -> Path:
+    return judged_flights[0]
 
 
 def names(rows) -> list[tuple[str, str]]:
@@ -109,6 +117,19 @@ def test_choice_is_that_of_the_train_flights(contradicted):
     for e in document(contradicted)["chosen"]:
         assert "test" not in e
         assert abs(e["evidence"]["t"]) > 4.0
+
+
+def test_leaving_nothing_out_is_what_was_chosen(judged_flights):
+    """The linear estimate beside which one is left out is the choice itself; leaving all out is the model without effects."""
+    chosen = judged_flights[1].chosen
+    evidence = refine_judge.evidence_of(chosen, None)
+    same = refine_judge.left_out(chosen, evidence, [])
+    for one, other in zip(chosen.selection.chosen, same.selection.chosen, strict=True):
+        assert (one.key, one.value, one.std) == (other.key, pytest.approx(other.value), pytest.approx(other.std))
+    for name, (value, std) in chosen.parameters.items():
+        assert abs(same.parameters[name][0] - value) < 0.1 * std
+    none = refine_judge.left_out(chosen, evidence, [c.key for c in chosen.selection.chosen])
+    assert {n: v for n, (v, _) in none.parameters.items()} == {n: chosen.plain[n] for n in chosen.names}
 
 
 def shown(white: list[np.ndarray]) -> SimpleNamespace:

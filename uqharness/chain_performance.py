@@ -72,7 +72,9 @@ def performance(out: Path, both: bool) -> Iterator[Sentence]:
     flown = {when: _read(out / f"campaign-{when}") for when in ((BEFORE, AFTER) if both else (BEFORE,))}
     last = flown[AFTER if both else BEFORE]
     found = conditions(last.frame)
-    if len(found) > 1:
+    if not any(_asked(last.signed, condition) for condition in found):
+        yield "No excursion can be counted: this aircraft publishes no distance from a path.", WARN
+    elif len(found) > 1:
         yield _tally(last)
     told = found if len(found) <= CONDITIONS_TOLD else [_hardest(found)]
     for condition in told:
@@ -110,10 +112,8 @@ def _same(signed: Sequence[Statement], wanted: Statement) -> Statement | None:
 
 def _tally(flown: _Flown) -> Sentence:
     """The answers of all conditions, counted, for the smallest radius."""
-    radius = min((item.cell.radius_m for item in flown.signed), default=math.nan)
-    asked = [item for item in flown.signed if item.cell.radius_m == radius and item.cell.distance == "horizontal"]
-    if not asked:
-        return "No condition has a count of excursions: this aircraft publishes no distance from a path.", WARN
+    asked = [item for condition in conditions(flown.frame) for item in _asked(flown.signed, condition)]
+    radius = asked[0].cell.radius_m
     words = []
     for answer in (YES, NO, OPEN):
         named = [item.cell.condition.label for item in asked if item.answer == answer]

@@ -47,8 +47,11 @@ def run_chain(
     except OSError as error:
         raise BadInputError(f"--out {out}: cannot be made: {error.strerror or error}; choose another") from None
     with run_lock(out):
-        old = {row["name"]: row for row in (read_study(out) or {}).get("stages", [])}
-        document = {**new, "stages": [_row(stage, old.get(stage.name)) for stage in stages]}
+        was = read_study(out) or {}
+        old = {row["name"]: row for row in (*was.get("former", []), *was.get("stages", []))}
+        document = {**new, "stages": [_row(stage, old.pop(stage.name, None)) for stage in stages]}
+        # Stages that the file no longer asks for left folders, which are this study's all the same.
+        document["former"] = list(old.values())
         write_study(out, document)
         for number, (stage, row) in enumerate(zip(stages, document["stages"], strict=True), start=1):
             say(f"[{number}/{len(stages)}] {stage.name}")
@@ -141,7 +144,9 @@ def _make_room(stage: Stage, row: Mapping[str, Any], out: Path, same: bool) -> N
     if same and stage.resumes:
         return
     for path in stage.owns:
-        if stage.kind == "campaign" and path.is_dir() and row["key"]:
+        if path.is_dir() and not row["key"]:
+            raise BadInputError(f"{path}: is there, and not from this study; move it away, for the stage writes there")
+        if stage.kind == "campaign" and path.is_dir():
             aside = out / _SUPERSEDED / f"{stage.name}-{row['key'][:12]}"
             number = 1
             while aside.exists():

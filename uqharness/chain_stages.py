@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from uqharness.aircraft import Aircraft, find_aircraft
+from uqharness.bounds_command import parse_designs
 from uqharness.campaign_aircraft import system_file
 from uqharness.chain_spec import BoundsSection, ChainSpec, FlySection, IdentifySection, LogSection
 from uqharness.errors import BadInputError
+from uqharness.identify_command import parse_channels
 from uqharness.mission import find_script
 from uqharness.toml_errors import line_of
 
@@ -164,6 +167,8 @@ class _Planner:
         words += ["--start", section.start, "--method", section.method, "--servos", self.spec.study.servos]
         for option in ("params", "biases", "delays"):
             value = getattr(section, option)
+            if value is not None and option != "params":
+                self._tried(partial(parse_channels, f"--{option}"), ",".join(value), "identify", option)
             words += [] if value is None else [f"--{option}", ",".join(value) or "none"]
         options = section.model_dump(mode="json") | {"servos": self.spec.study.servos}
         inputs = {model.label: model.folder} | self._flight_inputs(section.flights)
@@ -190,14 +195,17 @@ class _Planner:
     def _bounds(self, section: BoundsSection, model: _Model, when: str) -> Stage:
         name = f"bounds-{when}"
         out = self.out / name
+        texts = {o: [f"{c}={','.join(names)}" for c, names in getattr(section, o).items()] for o in ("states", "terms")}
+        for option, given in texts.items():
+            if given:
+                states, terms = (given, []) if option == "states" else ([], given)
+                self._tried(lambda pair: parse_designs(pair[0], pair[1], 2, False), (states, terms), "bounds", option)
         words = ["bounds", model.word, *self._flight_words(section.flights), "--out", str(out)]
         words += ["--confidence", f"{section.confidence!r}", "--order", str(section.order), "--select", section.select]
         words += ["--samples", section.samples, "--outside", section.outside, "--servos", self.spec.study.servos]
         for option in ("cutoff_hz", "airspeed_cutoff_hz", "walk_cutoff_hz"):
             words += [f"--{option.replace('_', '-')}", f"{getattr(section, option)!r}"]
-        for option in ("states", "terms"):
-            for coefficient, names in getattr(section, option).items():
-                words += [f"--{option}", f"{coefficient}={','.join(names)}"]
+        words += [word for option, given in texts.items() for text in given for word in (f"--{option}", text)]
         words += ["--roll-terms"] if section.roll_terms else []
         words += [] if section.checks else ["--no-checks"]
         options = section.model_dump(mode="json", exclude={"validate_on"}) | {"servos": self.spec.study.servos}
@@ -312,6 +320,13 @@ class _Planner:
         if not path.is_file():
             raise self._refused(f'"{name}" is no file beside {self.spec.path.name}, in {self.spec.folder}', *location)
         return path
+
+    def _tried(self, read: Callable[[Any], object], value: object, *location: str) -> None:
+        """Let a command's own reader look at an option now, not minutes later. Raises BadInputError."""
+        try:
+            read(value)
+        except BadInputError as error:
+            raise self._refused(error, *location) from None
 
     def _refused(self, why: object, *location: str | int) -> BadInputError:
         section = f"[[{location[0]}]]" if isinstance(location[1], int) else f"[{location[0]}]"

@@ -53,7 +53,9 @@ def _refined(document: Mapping[str, Any]) -> Iterator[Sentence]:
         yield "Refinement leaves something unexplained: " + _unexplained(document) + ".", BAD
     gap = document["gap"]["test"]["channels"]
     ratios = {
-        c: (g["rms_before"] / g["noise_rms"], g["rms_after"] / g["noise_rms"]) for c, g in gap.items() if g["noise_rms"]
+        c: (g["rms_before"] / g["noise_rms"], g["rms_after"] / g["noise_rms"])
+        for c, g in gap.items()
+        if all(g[k] is not None for k in g) and g["noise_rms"] > 0.0
     }
     flown = f"On {', '.join(_stems(document['test']))}, which chose nothing, rms over noise"
     above = {c: r for c, r in ratios.items() if max(r) > _ABOVE_NOISE}
@@ -96,13 +98,20 @@ def _coverage(out: Path, flights: Sequence[str], both: bool) -> Iterator[Sentenc
         yield text, GOOD if holds else BAD
     if both:
         widths = {w: {c: row["mean_width"] for c, row in coverage.items()} for w, coverage in found.items()}
-        change = {c: width / widths[BEFORE][c] - 1.0 for c, width in widths[AFTER].items() if c in widths[BEFORE]}
-        moved = [f"{c} {100 * x:+.0f} %" for c, x in change.items() if abs(x) > SAME]
-        still = [c for c, x in change.items() if abs(x) <= SAME]
-        words = "; ".join(filter(None, (", ".join(moved), f"{', '.join(still)} as before" if still else "")))
+        change = {c: _change(widths[BEFORE][c], width) for c, width in widths[AFTER].items() if c in widths[BEFORE]}
+        moved = ", ".join(f"{c} {100 * x:+.0f} %" for c, x in change.items() if abs(x) > SAME)
+        still = ", ".join(c for c, x in change.items() if abs(x) <= SAME)
+        unknown = ", ".join(c for c, x in change.items() if math.isnan(x))
+        ends = ((moved, ""), (still, " as before"), (unknown, " undefined, a width is 0 or not known"))
+        words = "; ".join(names + end for names, end in ends if names)
         text = f"Mean width of the bounds on {named}, after against before refinement: {words}"
         shrank = [c for c, x in change.items() if x < -SAME]
         yield f"{text}{'' if shrank else '; none is narrower'}.", GOOD if shrank else WARN
+
+
+def _change(before: float | None, after: float | None) -> float:
+    """Relative change; NaN where one is not known or there was nothing to change from."""
+    return math.nan if not before or after is None else after / before - 1.0
 
 
 def _identified(document: Mapping[str, Any], code: int) -> Sentence:

@@ -213,7 +213,14 @@ def _plan(
     write_bytes(out / DOCUMENT, (json.dumps(doc, indent=1) + "\n").encode())
     write_text(
         out / "report.md",
-        report(found, doc, markdown_table(point_rows(found)), markdown_table(where_rows(found)), _command(args)),
+        report(
+            found,
+            doc,
+            markdown_table(point_rows(found)),
+            markdown_table(where_rows(found)),
+            _command(args),
+            not args.no_figures,
+        ),
     )
     if not args.no_figures:
         from uqharness.next_flight_plot import next_flight_figure

@@ -138,7 +138,7 @@ def point_rows(found: NextFlight) -> list[dict[str, str]]:
     ]  # fmt: skip
 
 
-def report(found: NextFlight, doc: Mapping[str, Any], table: str, where: str, command: str) -> str:
+def report(found: NextFlight, doc: Mapping[str, Any], table: str, where: str, command: str, figure: bool) -> str:
     """report.md."""
     lines = [
         f"# Next test flight for {found.coefficient} of {doc['aircraft']['name']}", "", f"    {command}", "",
@@ -148,7 +148,7 @@ def report(found: NextFlight, doc: Mapping[str, Any], table: str, where: str, co
         "", "## What to fly", "", table,
         (f"`uqharness fly {doc['aircraft']['name']} --script next-flight.xml --out FILE` flies it in simulation; test-points.csv "
         "is the same for an operator. *gain*: share of the mean width that the point takes, given those chosen before it."), "",
-        "![next flight](figures/next-flight.svg)", "",
+        *(["![next flight](figures/next-flight.svg)", ""] if figure else []),
     ]  # fmt: skip
     lines += [f"- warning: {w}" for w in doc["warnings"]]
     return "\n".join(lines) + "\n"

@@ -35,8 +35,8 @@ def words(found: NextFlight, winner: Winner, missing: Sequence[MissingTerm] | No
     shown = 1.0 - p.redone.total / p.now.total
     if abs(shown - p.narrowing) > 0.01:
         flight += (
-            f" Bounds made again will show {_percent(shown)}, because residuals scatter differently at the speeds of these points; "
-            "that difference is no knowledge."
+            f" Bounds made again will come out {_percent(abs(shown))} {'narrower' if shown >= 0.0 else 'wider'}, because residuals "
+            "scatter differently at the speeds of these points; that difference is no knowledge."
         )
     out.append(flight)
     out += _first_points(found)

@@ -202,7 +202,10 @@ def _alternative(found: Found, own: Effect, a: Alternative) -> dict[str, Any]:
     other = found.effects[a.key]
     row: dict[str, Any] = {
         **_label(other), "name": other.name,
-        "evidence": {"twice_log_likelihood": a.gain, "t_of_the_effect_beside_it": a.t_beside, "likeness": a.likeness},
+        "evidence": {
+            "twice_log_likelihood": a.gain, "t_of_the_effect_beside_it": a.t_beside, "likeness": a.likeness,
+            "companions": [c.removeprefix("effect/") for c in a.companions],
+        },
         "separable": a.separable,
     }  # fmt: skip
     if not a.separable:

@@ -53,8 +53,9 @@ def separating_manoeuvre(one: Effect, other: Effect) -> str:
         part = (effect.subsystem or "").partition(".")[0]
         if part == "mass" and effect.term == "Ixz":
             return (
-                "no manoeuvre: in flight a wrong product of inertia acts exactly as pitching moment from roll rate squared does; "
-                "measure Ixz on the ground (swing test)"
+                "measure Ixz on the ground (swing test); in the air a wrong Ixz is pitching moment from roll rate squared "
+                "and, with the other sign, from yaw rate squared: rudder doublets tell them apart only as long as the "
+                "aircraft has no moment from yaw rate squared of its own"
             )
         if part in _SUBSYSTEM:
             return _SUBSYSTEM[part]

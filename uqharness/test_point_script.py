@@ -72,6 +72,7 @@ def script_text(
     description = root.find("description")
     if description is None:
         description = etree.Element("description")
+        description.tail = "\n  "
         root.insert(0, description)
     description.text = f"{purpose}: {len(points)} test points"
     use = root.find("use")
@@ -82,24 +83,32 @@ def script_text(
     run.set("end", f"{end_s:g}")
     run.set("dt", f"{aircraft.dt_s:g}")
     present = {(item.text or "").strip(): item for item in run.findall("property")}
-    # Only where the mission does not say: second-order integration, as every flight that is compared with others.
-    for prop, value in {**SECOND_ORDER, MANOEUVRE_PROPERTY: 0.0, "sensor/log": 1.0}.items():
+    # The mission's own air is not that of a test flight: a host sets what it wants.
+    calm: dict[str, float] = {name: 0.0 for name in ("air/wind-mps", "air/turbulence-w20-kt") if name in present}
+    log = {"sensor/log": 1.0} if "sensor/log" in present else {}
+    wanted: dict[str, float] = {**SECOND_ORDER, MANOEUVRE_PROPERTY: 0.0, **calm, **log}
+    for prop, value in wanted.items():
         if prop in present:
             present[prop].set("value", f"{value:g}")
-        elif prop != "sensor/log":
+        else:
             item = etree.Element("property", value=f"{value:g}")
-            item.text = prop
+            item.text, item.tail = prop, "\n    "
             run.insert(0, item)
-    for item in _events(timed, aircraft, has_autopilot):
+    events = [*_events(timed, aircraft, has_autopilot)]
+    if len(run):
+        run[-1].tail = "\n    "
+    for item in events:
+        etree.indent(item, "  ", level=2)
+        item.tail = "\n    "
         run.append(item)
-    etree.indent(root, "  ")
+    events[-1].tail = "\n  "
+    # Comments above the mission's root are left out: they tell of the mission.
     said = (
-        f"\n  {purpose}, made by uqharness next-flight from {mission.name}.\n  {MANOEUVRE_PROPERTY} counts the test points, 0 in "
-        "between; the event that sets a number bears the point's name.\n"
+        f"\n  {purpose}, made by uqharness next-flight from {mission.name}, in still air unless the host says otherwise.\n"
+        f"  {MANOEUVRE_PROPERTY} counts the test points, 0 in between; the event that sets a number bears the point's name.\n"
     )
-    root.insert(0, etree.Comment(said))
-    root[0].tail = "\n  "
-    return etree.tostring(tree, xml_declaration=True, encoding="UTF-8", pretty_print=True)
+    body = etree.tostring(root, encoding="unicode", with_tail=False)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n<!--{said}-->\n{body}\n'.encode()
 
 
 def _events(timed: Sequence[Timed], aircraft: Aircraft, has_autopilot: bool) -> Iterator[etree._Element]:
@@ -132,15 +141,15 @@ def _events(timed: Sequence[Timed], aircraft: Aircraft, has_autopilot: bool) -> 
 def _safety_pilot() -> etree._Element:
     """Ends a point whose attitude or height gets out of hand: the autopilot takes over, and the point's record ends there."""
     event = etree.Element("event", name="safety pilot", persistent="true")
-    limits = "".join(
-        f"<condition>{name} {sign} {value:g}</condition>"
+    condition = etree.SubElement(event, "condition", logic="OR")
+    condition.text = "".join(
+        f"\n        {name} {sign} {value:g}"
         for name, sign, value in (
             ("attitude/phi-rad", "gt", MOST_BANK_RAD), ("attitude/phi-rad", "lt", -MOST_BANK_RAD),
             ("attitude/theta-rad", "gt", MOST_PITCH_RAD), ("attitude/theta-rad", "lt", -MOST_PITCH_RAD),
             ("nav/altitude-error-m", "lt", -MOST_LOSS_M),
         )
-    )  # fmt: skip
-    event.append(etree.fromstring(f'<condition logic="OR">{limits}</condition>'))
+    ) + "\n      "  # fmt: skip
     event.extend([_set("ap/engaged", 1), _set(MANOEUVRE_PROPERTY, 0)])
     return event
 

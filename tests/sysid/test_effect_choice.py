@@ -107,3 +107,16 @@ def test_what_all_candidates_see_a_little_is_none_of_them():
     assert "spread" in careful.refused.why
     there = evidence(columns, 0.3 * misfit + drawn(rng) + 1.0 * columns["c7"])
     assert [c.key for c in select(there, [], candidates, nobody, most=1, empirical=True).chosen] == ["c7"]
+
+
+def test_an_effect_is_found_beside_a_stronger_one_that_its_flights_contradict():
+    """``torn`` has the opposite sign in the confirming part: it is refused, and what is steady enters all the same."""
+    rng = np.random.default_rng(6)
+    torn, steady = drawn(rng), drawn(rng)
+    sign = np.where(CONFIRMING, -1.0, 1.0)[:, None, None]
+    found = evidence({"torn": torn, "steady": steady, "other": drawn(rng)}, sign * torn + 0.4 * steady + drawn(rng))
+    selection = select(found, [], dict.fromkeys(found.names, 0.0), CONFIRMING)
+    assert [c.key for c in selection.chosen] == ["steady"]
+    assert selection.refused is not None
+    assert selection.refused.key == "torn"
+    assert selection.refused.strong
