@@ -8,7 +8,9 @@ import pytest
 from sysid.effects import coefficient_effect
 from sysid.subsystem_effects import subsystem_effects
 from uqharness import engine
+from uqharness.actuators import Actuator
 from uqharness.aircraft import find_aircraft, open_aircraft
+from uqharness.refine_candidates import servo_change
 from uqharness.refine_xml import Written, carrier, write_effects
 from uqharness.xml_estimates import Estimate
 
@@ -133,3 +135,26 @@ def test_the_ground_lifts_by_its_share_and_only_near(tmp_path):
     ratio = pressed(changed, 3.66) / pressed(aircraft, 3.66)
     assert ratio == pytest.approx(1.0 + 0.1 * np.exp(-2.0), rel=3e-3)  # one span up; the aircraft moves a little, too
     assert pressed(changed, 100.0) == pytest.approx(pressed(aircraft, 100.0), rel=1e-12)
+
+
+def test_a_rate_limit_counts_from_the_one_the_servo_has(tmp_path):
+    aircraft = find_aircraft("espaaro")  # 240 deg/s
+    effect = {e.key: e for e in subsystem_effects(["aileron"], [], [])}["effect/actuator.aileron/rate_limit"]
+    write_effects(aircraft, [written(effect, 1.0 / 80.0 - 1.0 / 240.0)], {}, tmp_path / "espaaro")
+    text = "".join(p.read_text(encoding="utf-8") for p in (tmp_path / "espaaro").rglob("*.xml"))
+    assert "<rate_limit>80</rate_limit>" in text
+
+
+def test_a_rate_limits_column_is_what_a_lower_limit_does():
+    servo, h = Actuator(lag=25.0, rate=240.0), 0.02
+    command = np.repeat([0.0, 6.0, -6.0, 0.0], 40)
+    column = servo_change("rate_limit", servo, command, command, h)
+    before = servo.follow(command, h, 0.01)
+    fastest = np.abs(np.diff(before)).max() / h
+    after = Actuator(lag=25.0, rate=0.75 * fastest).follow(command, h, 0.01)
+    assert column * (1.0 / (0.75 * fastest) - 1.0 / 240.0) == pytest.approx(after - before, abs=1e-9)
+    # A servo at its limit already: the zero of the effect is that limit, not none.
+    slow = Actuator(None, rate=100.0)
+    at_limit = servo_change("rate_limit", slow, command, command, h)
+    moved = Actuator(None, rate=75.0).follow(command, h, 0.01) - slow.follow(command, h, 0.01)
+    assert at_limit * (1.0 / 75.0 - 1.0 / 100.0) == pytest.approx(moved, abs=1e-9)

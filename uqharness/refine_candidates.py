@@ -100,7 +100,7 @@ def _subsystem(
         return C, None
     if part == "actuator":
         k = CONTROLS.index(what)
-        moved = _servo(e.term, setup.servos.get(what), segment.controls[:, k], p.controls[:, k], h)
+        moved = servo_change(e.term, setup.servos.get(what), segment.controls[:, k], p.controls[:, k], h)
         if not np.any(moved):
             return None, None
         return p.by_control[:, :, k] * moved[:, None], None
@@ -125,8 +125,9 @@ def _attached(alpha_deg: Array) -> Array:
     return np.asarray((0.5 * (1.0 + np.sqrt(X))) ** 2)
 
 
-def _servo(kind: str, servo: Actuator | None, command: Array, u: Array, h: float) -> Array:
-    """(n,) how far the surface stands from where it was taken to be, per unit of the effect."""
+def servo_change(kind: str, servo: Actuator | None, command: Array, u: Array, h: float) -> Array:
+    """(n,) how far the surface stands from where it was taken to be, per unit of the effect: lag [s] and inverse of the rate limit
+    [s/deg] count from the servo's own, the dead zone [deg] from none. command, u: asked for and standing, at rows h [s] apart."""
     if kind == "deadband":
         # Within half the width around zero the surface stays; beyond, it is short by half of it.
         return np.asarray(-0.5 * np.clip(u / (0.5 * _DEADBAND_DEG), -1.0, 1.0))
@@ -137,9 +138,13 @@ def _servo(kind: str, servo: Actuator | None, command: Array, u: Array, h: float
     if kind == "lag":
         slower = 1.0 / ((1.0 / servo.lag if servo.lag else 0.0) + _LAG_S)
         return (replace(servo, lag=slower).follow(command, h, step) - before) / _LAG_S
-    # Rate limit: the change that a limit a quarter below the fastest motion seen makes, per s/deg of 1/limit.
+    # Rate limit: the change that a limit a quarter below the fastest motion seen makes, per s/deg by which its inverse is above
+    # that of the limit the servo has.
     fastest = float(np.abs(np.diff(before)).max()) / h
     if not fastest > 1.0:
         return np.zeros_like(u)
     limit = 0.75 * fastest
-    return (replace(servo, rate=limit).follow(command, h, step) - before) * limit
+    slower_by = 1.0 / limit - 1.0 / servo.rate
+    if not slower_by > 0.0:
+        return np.zeros_like(u)
+    return (replace(servo, rate=limit).follow(command, h, step) - before) / slower_by

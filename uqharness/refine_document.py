@@ -193,7 +193,8 @@ def _as_written(found: Found, e: Effect, c: Choice) -> tuple[float, float, str]:
         rate = 1.0 / ((1.0 / servo.lag if servo.lag else 0.0) + c.value)
         return rate, rate**2 * c.std, "1/s"
     if e.term == "rate_limit":
-        limit = 1.0 / max(c.value, 1e-9)
+        own = 0.0 if servo is None else 1.0 / servo.rate
+        limit = 1.0 / max(c.value + own, 1e-9)
         return limit, limit**2 * c.std, "deg/s"
     return c.value, c.std, e.unit
 

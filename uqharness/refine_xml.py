@@ -15,6 +15,7 @@ from pathlib import Path
 
 from sysid.effect_terms import V_REFERENCE_MPS, Term
 from sysid.effects import Effect
+from uqharness.actuators import actuators
 from uqharness.aero_section import AeroSection, read_section
 from uqharness.aero_summands import Reference, SectionEdit, add_deltas, add_functions
 from uqharness.aircraft import Aircraft
@@ -360,6 +361,8 @@ def _write_actuator(folder: Path, aircraft: Aircraft, w: Written) -> None:
     """The actuator's own numbers changed: lag [1/s], rate_limit, deadband_width."""
     surface = (w.effect.subsystem or "").partition(".")[2]
     position = aircraft.card.inputs[surface].position
+    # Its numbers may stand in the XML as properties: asked of JSBSim, they are what flies.
+    servo = actuators(aircraft, [surface])[surface]
     remark = f"  <!-- {w.remark.replace('--', '- -')} -->"
     for path in sorted(folder.rglob("*.xml")):
         text = path.read_bytes().decode("utf-8", errors="surrogateescape")
@@ -375,9 +378,9 @@ def _write_actuator(folder: Path, aircraft: Aircraft, w: Written) -> None:
         found = re.search(rf"<{tag}>([^<]*)</{tag}>", body)
         number = float(found.group(1)) if found and re.fullmatch(r"\s*[-+.\deE]+\s*", found.group(1)) else None
         if tag == "lag":
-            rate = 1.0 / ((1.0 / number if number else 0.0) + w.value)
+            rate = 1.0 / ((1.0 / servo.lag if servo.lag else 0.0) + w.value)
         elif tag == "rate_limit":
-            rate = 1.0 / max(w.value, 1e-9)
+            rate = 1.0 / max(w.value + 1.0 / servo.rate, 1e-9)
         else:
             rate = (number or 0.0) + w.value
         if found:
