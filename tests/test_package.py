@@ -52,7 +52,7 @@ def test_the_wheel_holds_every_file_that_commands_look_for(wheel: Path):
     assert data - names == set()
     assert tracked("sysid", "uqharness") - names == set()
     assert {"sysid/py.typed", "uqharness/py.typed", "sysid/signal_maps/dataflash.toml"} <= names
-    assert "uqharness/templates/report.html.j2" in names
+    assert "uqharness/templates/page.html.j2" in names
     assert any(name.endswith("licenses/LICENSE") for name in names)
     # Nothing that another distribution could own, and nobody's results.
     assert {name.split("/")[0].split("-")[0] for name in names} == {"sysid", "uqharness"}
