@@ -32,6 +32,7 @@ _FINER = ((0.03, 0.2, 5.0, 30.0), (0.4, 0.7, 1.4, 2.5), (0.75, 0.87, 1.15, 1.33)
 _MOST_SEGMENTS = 10
 _OF_A_FLIGHT = 6
 _WHOLE = (0.1, 0.2, 0.4, 0.65, 1.5, 2.5, 5.0)
+_NOISIER = ((0.4, 0.6, 0.8, 1.3, 1.8, 2.6), (0.88, 1.14))
 _OWN = ((0.3, 0.55, 1.8, 3.3), (0.75, 1.33))
 
 
@@ -108,6 +109,35 @@ def gust_intensity(
         own[flight], _ = finer(part, values, here, _OWN, ())
     each = [own[f] for f in flights] if flights else [best] * len(steps)
     return best, np.stack([process_of(values, v, b) for values, v in zip(each, V, strict=True)]), gain
+
+
+def noise_factors(
+    steps: Sequence[Steps], measured: Sequence[FloatArray], which: Sequence[int], noise: FloatArray, process: FloatArray,
+    kinds: Sequence[str],
+) -> FloatArray:  # fmt: skip
+    """(m,) factors on the sensors' noise (m,) that make the flights likeliest beside the process noise (S, 11, 11), one for each
+    kind of channel; found on at most ten of the segments.
+
+    In gusts the samples of a channel do not tell its noise by themselves, and a filter that takes sensors for twice as noisy as
+    they are follows them late: that looks like a servo's lag.
+    """
+    some = _spread(range(len(steps)), _MOST_SEGMENTS)
+    few, data = [steps[k] for k in some], [measured[k] for k in some]
+
+    def cost(factors: FloatArray) -> float:
+        found = whiten(few, data, [Columns((), {}, {})] * len(few), which, factors * noise, process[some])
+        return sum(float(np.sum(w.residual**2)) + 2.0 * w.logdet for w in found)
+
+    best = np.ones(len(noise))
+    low = cost(best)
+    for trial_factors in _NOISIER:
+        for kind in dict.fromkeys(kinds):
+            own = np.array([k == kind for k in kinds])
+            trials = [np.where(own, f * best, best) for f in trial_factors]
+            found = [cost(t) for t in trials]
+            if min(found) < low:
+                best, low = trials[int(np.argmin(found))], min(found)
+    return best
 
 
 def _scaled(values: FloatArray, factor: float) -> FloatArray:

@@ -194,7 +194,8 @@ def _in_gusts(
 ) -> Found:  # fmt: skip
     """The same choice made on one-step predictions."""
     controls, bends = positions(bench.model, setup, map_), middles(bench.model, setup, map_)
-    found = gust_refit(bench.straight, setup, controls, bends, base.flown.point, names, limits, map_)
+    found = gust_refit(bench.straight, setup, controls, bends, base.flown.point, names, limits, map_, tune=True)
+    setup = found.setup
     evidence = gust_evidence(setup, found, effect_columns(setup, found.fit.probes, found.fit.flown, effects))
     free = found.fit.columns[0].names
     handicap = {e.key: GUST_ODDS for e in effects if gust_like(e)}

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sysid.effect_score import Evidence, gather
 from sysid.force_coefficients import smooth
-from sysid.gust_intensity import gust_intensity
+from sysid.gust_intensity import gust_intensity, noise_factors
 from sysid.prediction import Columns, White, whiten
 from sysid.rigid_steps import STATES as X_STATES
 from sysid.rigid_steps import Steps
@@ -39,6 +39,9 @@ from uqharness.replay import Segment, by_run
 from uqharness.replay_model import CONTROLS, ReplayModel
 
 Array = NDArray[np.float64]
+_KINDS = {c: kind for kind, members in {"attitude": ("phi", "theta", "psi"), "rate": ("p", "q", "r"), "force": ("ax", "ay", "az"),
+          "wind": ("alpha", "beta")}.items() for c in members}  # fmt: skip
+"""Channels of one kind of sensor, by what stands before their unit."""
 _SMOOTH_HZ = {"V_mps": 2.0}
 
 
@@ -51,6 +54,7 @@ class GustFit:
     white: list[White]
     gain: float
     intensity: Array
+    setup: Setup
 
 
 def measured_flight(setup: Setup, point: Point) -> Flown:
@@ -118,9 +122,10 @@ def _bend(p: Probe, away: Array) -> Array:
 
 def gust_refit(
     straight: ReplayModel, setup: Setup, controls: Sequence[Array], bends: Sequence[Array], start: Point, names: Sequence[str],
-    limits: Mapping[str, tuple[float, float]], map_: Map, process: Array | None = None, iterations: int = 3,
+    limits: Mapping[str, tuple[float, float]], map_: Map, process: Array | None = None, iterations: int = 3, tune: bool = False,
 ) -> GustFit:  # fmt: skip
-    """Parameters, biases and, unless given, the gusts' intensity."""
+    """Parameters, biases and, unless given, the gusts' intensity; tune: the sensors' noise as well (not of an autopilot's log,
+    whose attitudes are filtered). The fit's setup has it."""
     point, analytic, length = start, None, float("inf")
     gain, values = float("nan"), np.zeros(6)
     known = process
@@ -136,16 +141,12 @@ def gust_refit(
                     straight, setup, point, controls, bends, [n for n in own if n not in analytic], map_
                 )
         if process is None and number <= 2:
-            speeds = [float(x[:, 0].mean()) for x in flown.x]
-            values, known, gain = gust_intensity(
-                steps,
-                setup.measured,
-                setup.which,
-                setup.noise,
-                speeds,
-                found[0].mass.b,
-                [s.flight for s in setup.segments],
-            )
+            values, known, gain = _intensity(setup, flown, found, steps)
+            if tune and number == 1 and not setup.late:
+                kinds = [_KINDS.get(c.split("_")[0], c) for c in setup.outputs]
+                factors = noise_factors(steps, setup.measured, setup.which, setup.noise, known, kinds)
+                setup = replace(setup, noise=factors * setup.noise)
+                values, known, gain = _intensity(setup, flown, found, steps)
         assert known is not None
         flown, found = predicted(setup, flown, found, steps, known)
         columns = parameter_columns(setup, found, flown, names, analytic)
@@ -160,7 +161,15 @@ def gust_refit(
     assert analytic is not None
     cost = float(sum(np.sum(w.residual**2) for w in white))
     fit = Fit(replace(flown, cost=cost), found, steps, columns, evidence, analytic, number, length < 0.5)
-    return GustFit(fit, known, white, gain, values)
+    return GustFit(fit, known, white, gain, values, setup)
+
+
+def _intensity(
+    setup: Setup, flown: Flown, found: Sequence[Probe], steps: Sequence[Steps]
+) -> tuple[Array, Array, float]:
+    speeds = [float(x[:, 0].mean()) for x in flown.x]
+    of = [s.flight for s in setup.segments]
+    return gust_intensity(steps, setup.measured, setup.which, setup.noise, speeds, found[0].mass.b, of)
 
 
 def predicted(

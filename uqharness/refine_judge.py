@@ -154,7 +154,7 @@ def evidence_of(found: Found, air: Array | None) -> Evidence:
     rest = [found.effects[c.key] for c in found.selection.chosen if c.key not in flown]
     if found.gusty:
         assert air is not None
-        fit = GustFit(found.after, air, [], float("nan"), np.zeros(6))
+        fit = GustFit(found.after, air, [], float("nan"), np.zeros(6), found.setup)
         columns = effect_columns(found.setup, found.after.probes, found.after.flown, rest)
         evidence = gust_evidence(found.setup, fit, columns)
     else:

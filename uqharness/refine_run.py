@@ -169,6 +169,8 @@ def _judged(request: Request, chosen: Found, train: _Flights, test: _Flights, wo
         setup, air = flights.setup(request.aircraft), None
         if chosen.gusty:
             setup = setup_in_gusts(request.aircraft, setup)
+            if setup.outputs == chosen.setup.outputs:
+                setup = replace(setup, noise=chosen.setup.noise)
             air = air_of(_write(request, chosen, work / name), setup, flights.measured, flights.ideal, map_)
         return Side(setup, flights.measured, flights.ideal, air)
 

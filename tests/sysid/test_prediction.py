@@ -7,6 +7,7 @@ import pytest
 
 from sysid.effect_choice import select, threshold
 from sysid.effect_score import corrected, gather, scores
+from sysid.gust_intensity import noise_factors
 from sysid.prediction import Columns, whiten
 from sysid.rigid_steps import NX, OUTPUTS, Steps
 
@@ -159,3 +160,23 @@ def test_an_effect_taken_out_is_found_again():
     assert abs(scores(away, ["a", "b"], ["c3"]).t[0]) < 4.0
     again = away.taken_out({"c3": 0.2})
     assert scores(again, ["a", "b"], ["c3"]).t[0] == pytest.approx(scores(evidence, ["a", "b"], ["c3"]).t[0], rel=1e-6)
+
+
+def test_noise_that_is_half_of_what_is_stated_is_found_in_gusts():
+    """The filter's own covariance is the truth: outputs drawn from a system with process noise, rates half as noisy as taken."""
+    rng = np.random.default_rng(8)
+    Q = np.diag(np.where(np.arange(NX) < 8, 0.5, 0.0))
+    stated, kinds = np.full(M, 0.5), ["wind"] * 5 + ["rate"] * 3 + ["force"] * 3
+    true = stated * np.where(np.array(kinds) == "rate", 0.5, 1.0)
+    steps, data = [system(120, 30 + k) for k in range(6)], []
+    for s in steps:
+        state, z = np.zeros(NX), np.empty((120, M))
+        for i in range(120):
+            z[i] = s.y_ref[i] + s.H[i] @ state + true * rng.standard_normal(M)
+            if i < 119:
+                shaken = np.sqrt(s.dt_s * np.diagonal(Q)) * rng.standard_normal(NX)
+                state = s.phi[i] @ (state + shaken) + s.defect[i]
+        data.append(z)
+    found = noise_factors(steps, data, range(M), stated, np.repeat(Q[None], 6, axis=0), kinds)
+    assert found[5] == pytest.approx(0.5, rel=0.25)
+    assert found[[0, 8]] == pytest.approx([1.0, 1.0], abs=0.2)
