@@ -19,9 +19,11 @@ from uqharness.refine_fit import PRIOR, Fit, Map, Point, Setup, merged, position
 from uqharness.refine_gusts import gust_evidence, gust_refit, middles
 from uqharness.refine_setup import Bench
 from uqharness.refine_xml import Written, carrier, in_dynamics, write_effects
+from uqharness.replay_model import CONTROLS
 
 LEAST_LATE_ROWS = 0.15
 """A delay or lag below this share of a row is within what a replay resolves, and is no effect."""
+LEAST_LATE_LOG_ROWS = 0.5
 ROUNDS = 4
 EARNED = 0.6
 """Share of limit^2 by which each effect must lower the cost of the flight itself: a linearised gain is not reached to the last."""
@@ -166,7 +168,8 @@ def candidate_evidence(setup: Setup, fit: Fit, effects: Sequence[Effect]) -> Evi
 def eligible(effects: Sequence[Effect], setup: Setup, fit: Fit, evidence: Evidence) -> dict[str, float]:
     """Candidates worth scoring and their odds: delays that a replay cannot resolve are left out."""
     found = scores(evidence, fit.columns[0].names, [e.key for e in effects])
-    least = LEAST_LATE_ROWS * setup.segments[0].dt_s
+    # When within a row of a log a command changed, the log does not say.
+    least = (LEAST_LATE_LOG_ROWS if setup.late else LEAST_LATE_ROWS) * setup.segments[0].dt_s
     out = {}
     for e, estimate, share in zip(effects, found.estimate, found.share, strict=True):
         if not share > 0.0:
@@ -175,8 +178,16 @@ def eligible(effects: Sequence[Effect], setup: Setup, fit: Fit, evidence: Eviden
             continue
         if e.unit == "s" and not abs(estimate) > least:
             continue
+        if e.unit == "s/deg" and not abs(estimate) * largest_step(setup, e) > least:
+            continue
         out[e.key] = e.odds
     return out
+
+
+def largest_step(setup: Setup, effect: Effect) -> float:
+    """Half the range [deg] of the commands that an actuator's effect is about: how far a doublet goes."""
+    k = CONTROLS.index((effect.subsystem or "").partition(".")[2])
+    return 0.5 * max(float(np.ptp(s.controls[:, k])) for s in setup.segments)
 
 
 def stage(

@@ -1,0 +1,55 @@
+"""Which candidates are worth scoring: what a replay, or a log's rows, cannot resolve is left out."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from sysid.effect_score import gather
+from sysid.prediction import White
+from sysid.subsystem_effects import subsystem_effects
+from uqharness.refine_rounds import eligible, largest_step
+
+DT = 0.02
+EFFECTS = [e for e in subsystem_effects(["aileron"], [], []) if e.term in ("lag", "rate_limit")]
+
+
+def at(value: float, late: dict[str, list[str]]) -> dict[str, float]:
+    """Eligible effects where every one of them is estimated at ``value`` exactly; a doublet of 10 deg."""
+    rng = np.random.default_rng(1)
+    columns = rng.standard_normal((50, 2, len(EFFECTS)))
+    residual = value * columns.sum(axis=2)
+    white = White(
+        residual, columns.astype(np.float32), 0.0, np.zeros((8, 1 + len(EFFECTS))), np.ones((50, 2), dtype=bool),
+        np.ones(2), np.zeros((50, 11)),
+    )  # fmt: skip
+    evidence = gather([white], [e.key for e in EFFECTS], ["one"], {})
+    controls = np.zeros((50, 4))
+    controls[10:20, 1], controls[20:30, 1] = 10.0, -10.0
+    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT, controls=controls)], late=late)
+    fit = SimpleNamespace(columns=[SimpleNamespace(names=())])
+    return eligible(EFFECTS, setup, fit, evidence)  # type: ignore[arg-type]
+
+
+def test_the_largest_step_is_half_the_commands_range():
+    controls = np.array([[0.0, -8.0, 0.0, 50.0], [0.0, 8.0, 0.0, 60.0]])
+    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT, controls=controls)])
+    assert largest_step(setup, EFFECTS[0]) == 8.0  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("value", "late", "terms"),
+    [
+        (2e-4, {}, set()),  # 2 ms over the doublet, 0.2 ms of lag: below 0.15 rows of 20 ms
+        (5e-4, {}, {"rate_limit"}),  # 5 ms over the doublet
+        (5e-3, {}, {"rate_limit", "lag"}),
+        (5e-4, {"one": ["gyro"]}, set()),  # in a log half a row is not known
+        (2e-3, {"one": ["gyro"]}, {"rate_limit"}),
+        (2e-2, {"one": ["gyro"]}, {"rate_limit", "lag"}),
+        (-2e-2, {}, set()),  # no servo is faster than its command
+    ],
+)
+def test_what_the_rows_do_not_resolve_is_no_candidate(value, late, terms):
+    assert {k.rpartition("/")[2] for k in at(value, late)} == terms
