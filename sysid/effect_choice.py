@@ -32,9 +32,9 @@ STRONG = 2.0
 """How far above the limit an unconfirmed candidate's |t| must be to say that something is missing all the same."""
 INSEPARABLE_T = 3.0
 """A chosen effect whose t falls below this once another is free cannot be told from that other."""
-INSEPARABLE_SHARE = 0.2
+INSEPARABLE_SHARE = 0.1
 """Beside a twin and its companions a chosen effect must keep this share of its information to be told from them. In theory nothing
-is left; in a replay the twin's linear part goes by derivatives of rates, and the parameters take it up to a tenth (measured)."""
+is left; replays and filters leave a little."""
 MOST_ALTERNATIVES = 3
 
 
@@ -280,6 +280,20 @@ def _pruned(
     return here, trail
 
 
+def _companions(evidence: Evidence, others: Sequence[str], named: Sequence[str]) -> list[str]:
+    """Terms to be left free beside a twin: those named, and for every effect in roll or yaw that stands the same one about the
+    other axis, because a wrong product of inertia turns the one into the other."""
+    if not named:
+        return []
+    swapped = [
+        o.replace(f"effect/{a}/", f"effect/{b}/")
+        for o in others
+        for a, b in (("Cl", "Cn"), ("Cn", "Cl"))
+        if o.startswith(f"effect/{a}/")
+    ]
+    return [c for c in dict.fromkeys((*named, *swapped)) if c in evidence.names and c not in others]
+
+
 def _with_alternatives(
     evidence: Evidence, others: Sequence[str], choice: Choice, open_: Sequence[str], twins: Twins
 ) -> Choice:
@@ -299,7 +313,7 @@ def _with_alternatives(
     alike = likeness(evidence, others, choice.key, near) if near else np.zeros(0)
     rows = []
     for key, same in zip(near, alike, strict=True):
-        companions = [c for c in twins.get((choice.key, key), ()) if c in evidence.names and c not in others]
+        companions = _companions(evidence, others, twins.get((choice.key, key), ()))
         beside = scores(evidence, [*others, key, *companions], [choice.key])
         t = float(beside.t[0]) if np.isfinite(beside.t[0]) else 0.0
         # White t of the effect beside its rival, brought to the colour of the residuals by the ratio found for the effect alone.

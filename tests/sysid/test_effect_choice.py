@@ -84,6 +84,21 @@ def test_without_a_tie_the_companion_tells_them_apart(alike):
     assert alternatives(alike, None).get("inertia", True) is True
 
 
+def test_a_twin_turns_what_stands_in_roll_into_yaw():
+    """A second effect in Cl stands; the twin holds the same in Cn, which no parameter has."""
+    rng = np.random.default_rng(9)
+    square, companion, roll, yaw = drawn(rng), drawn(rng), drawn(rng), drawn(rng)
+    columns = {
+        "square": square, "inertia": square - 0.6 * companion + 1.5 * yaw, "companion": companion, "effect/Cl/de": roll,
+        "effect/Cn/de": yaw,
+    }  # fmt: skip
+    found = evidence(columns, 1.0 * square + 2.0 * roll + drawn(rng))
+    chosen = select(found, [], dict.fromkeys(columns, 0.0), CONFIRMING, twins=TWINS).chosen
+    assert {c.key for c in chosen} == {"square", "effect/Cl/de"}
+    (choice,) = (c for c in chosen if c.key == "square")
+    assert {a.key: a.separable for a in choice.alternatives}["inertia"] is False
+
+
 def test_twins_that_differ_in_more_than_their_companion_are_told_apart():
     rng = np.random.default_rng(4)
     square, companion, own = drawn(rng), drawn(rng), drawn(rng)
