@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from uqharness import __version__
 from uqharness.aircraft import find_aircraft
+from uqharness.command_report import command_as_given, show_stage
 from uqharness.errors import BadInputError
 from uqharness.identify_command import add_flight_arguments, results_folder
 from uqharness.whole_files import check_folder
@@ -208,16 +208,16 @@ def _run_bounds(args: argparse.Namespace) -> int:
 
     options = _options(args)
     flights, measured = read_bounds_flights(args.flight, aircraft, args.manoeuvres, args.map)
-    found = make_bounds(aircraft, flights, measured, [file_hash(p) for p in args.flight], options, _stage)
+    found = make_bounds(aircraft, flights, measured, [file_hash(p) for p in args.flight], options, show_stage)
     system = model_form_xml(found.form, aircraft)
     out = results_folder(args.out)
-    _stage("figures")
+    show_stage("figures")
     figures = [] if args.no_figures else _figures(found, out, args.outside)
-    _stage("")
+    show_stage("")
     document = bounds_document(found)
-    write_text(out / "report.md", bounds_report(found, document, figures, _command(args)))
+    write_text(out / "report.md", bounds_report(found, document, figures, command_as_given(args)))
     write_bytes(out / "model-form.xml", system)
-    kept = document | {"command": _command(args), "version": __version__}
+    kept = document | {"command": command_as_given(args), "version": __version__}
     write_text(out / "bounds.json", json.dumps(kept, indent=1) + "\n")
     write_residuals(found.form, found.residuals, ", ".join(f.name for f in flights), out)
     write_text(out / "model-form.json", found.form.to_json())
@@ -260,8 +260,8 @@ def _run_validate(args: argparse.Namespace) -> int:
         names = ", ".join(f.name for f in flights)
         title = f"{names} within the bounds of {form.aircraft.name}"
         coverage_figure(form, found.residuals, results_folder(out / "figures") / "coverage.svg", title)
-        write_text(out / "report.md", validation_report(found, title, _command(args), ["coverage"]))
-        kept = validation_document(found) | {"command": _command(args), "version": __version__}
+        write_text(out / "report.md", validation_report(found, title, command_as_given(args), ["coverage"]))
+        kept = validation_document(found) | {"command": command_as_given(args), "version": __version__}
         write_residuals(form, found.residuals, names, out)
         write_text(out / "coverage.json", json.dumps(kept, indent=1) + "\n")
         write_report(out)
@@ -272,27 +272,6 @@ def _run_validate(args: argparse.Namespace) -> int:
         lines = [*text_table(validation_rows(found)), *(f"note: {n}" for n in found.notes), verdict(found)]
         print("\n".join(lines))
     return 1 if failed(found) else 0
-
-
-
-
-def _command(args: argparse.Namespace) -> str:
-    """The command as given, files by name alone: what a reader needs to make the report again."""
-    words = ["uqharness", args.command]
-    for action in args.parser._actions:
-        value = getattr(args, action.dest, None)
-        if action.dest in ("out", "json") or value is None or value == action.default:
-            continue
-        words += action.option_strings[:1]
-        values = value if isinstance(value, list) else [] if value is True else [value]
-        words += [v.name if isinstance(v, Path) else str(v) for v in values]
-    return shlex.join(words)
-
-
-def _stage(text: str) -> None:
-    """The stage on a terminal's last line; nothing in a pipe."""
-    if sys.stderr.isatty():
-        print(f"{text:<40}", end="\r", file=sys.stderr, flush=True)
 
 
 def _warn(warnings: Sequence[str]) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sysid.model_form import CoefficientBounds, ModelForm, Outside
 from sysid.residuals import Residuals
 from sysid.variation import STEP_S, Variation
-from uqharness.whole_files import write_whole
+from uqharness.figure_plot import save
 
 Array = NDArray[np.float64]
 matplotlib.rcParams["svg.hashsalt"] = "uqharness"
@@ -82,7 +82,7 @@ def slice_figure(
     for axis in axes[len(bounds.states) :]:
         axis.set_axis_off()
     figure.suptitle(title, fontsize=10)
-    _save(figure, path)
+    save(figure, path)
 
 
 def variation_figure(variations: Mapping[str, Variation], path: Path, title: str) -> None:
@@ -109,7 +109,7 @@ def variation_figure(variations: Mapping[str, Variation], path: Path, title: str
     for axis in axes[len(variations) :]:
         axis.set_axis_off()
     figure.suptitle(title, fontsize=10)
-    _save(figure, path)
+    save(figure, path)
 
 
 def coverage_figure(form: ModelForm, residuals: Residuals, path: Path, title: str) -> None:
@@ -136,9 +136,4 @@ def coverage_figure(form: ModelForm, residuals: Residuals, path: Path, title: st
         axis.margins(x=0)
     axes[-1].set_xlabel("pieces end to end [s]", fontsize=8)
     figure.suptitle(title, fontsize=10)
-    _save(figure, path)
-
-
-def _save(figure: Figure, path: Path) -> None:
-    # No date in the file: the same input gives the same bytes.
-    write_whole(path, lambda target: figure.savefig(target, format="svg", metadata={"Date": None}))
+    save(figure, path)

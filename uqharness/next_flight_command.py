@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from uqharness.command_report import command_as_given, show_stage
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import COEFFICIENTS, TURBULENCE_W20_KT
 from uqharness.whole_files import check_folder
@@ -107,14 +107,14 @@ def _run(args: argparse.Namespace) -> int:
     from uqharness.next_flight import check_form
     from uqharness.sensitivity_winner import find_winner
 
-    _stage("sensitivity")
+    show_stage("sensitivity")
     winner = find_winner(args.folder, args.metric, args.coefficient)
     campaign = open_campaign(args.folder)
     path = _bounds_of(args, campaign, winner.coefficient)
     form = load_form(path)
     aircraft = _aircraft_of(campaign)
     check_form(form, aircraft, winner.coefficient, str(path))
-    _stage("where the mission flies")
+    show_stage("where the mission flies")
     mission = (
         recorded_mission(args.occupancy, aircraft, form.filtering.cutoff_hz)
         if args.occupancy
@@ -190,9 +190,9 @@ def _plan(
     from uqharness.whole_files import write_bytes
 
     flight = _test_flight(args, aircraft, campaign, form)
-    found = plan_flight(form, winner.coefficient, mission, flight, Options(args.minutes, speeds, args.seed), _stage)
+    found = plan_flight(form, winner.coefficient, mission, flight, Options(args.minutes, speeds, args.seed), show_stage)
     missing = _missing(args, form, aircraft, winner.coefficient)
-    _stage("")
+    show_stage("")
     units = {c: card.unit for c, card in aircraft.card.inputs.items()}
     air = {
         "aircraft": {"name": aircraft.name, "sha256": form.aircraft.sha256},
@@ -218,7 +218,7 @@ def _plan(
             doc,
             markdown_table(point_rows(found)),
             markdown_table(where_rows(found)),
-            _command(args),
+            command_as_given(args),
             not args.no_figures,
         ),
     )
@@ -267,7 +267,7 @@ def _missing(
     from sysid.residuals import Cutoffs, together
     from uqharness.point_trials import residuals_of
 
-    _stage("missing terms")
+    show_stage("missing terms")
     cutoffs = Cutoffs(form.filtering.cutoff_hz, form.filtering.airspeed_cutoff_hz)
     residuals = together(residuals_of(aircraft, args.flight, cutoffs))
     try:
@@ -322,7 +322,7 @@ def _redone(args: argparse.Namespace, before: ModelForm, after: ModelForm, missi
     from uqharness.next_flight_redone import achieved, as_text
 
     rows = achieved(before, after, mission, args.out / DOCUMENT)
-    _stage("")
+    show_stage("")
     print(json.dumps({"coefficient": coefficient, "achieved": rows}) if args.json else as_text(rows))
     narrowing = rows[coefficient]["narrowing"]
     return 0 if narrowing is not None and narrowing >= WORTH else 1
@@ -334,22 +334,3 @@ def _text(found: Any, doc: dict[str, Any], out: Path) -> str:
 
     lines = [*doc["words"], "", *text_table(where_rows(found)), "", *text_table(point_rows(found)), ""]
     return "\n".join([*lines, f"{len(found.refused)} of {found.tried} test points were refused; results in {out}"])
-
-
-def _command(args: argparse.Namespace) -> str:
-    """The command as given, files by name alone."""
-    words = ["uqharness", args.command, args.folder.name]
-    for action in args.parser._actions:
-        value = getattr(args, action.dest, None)
-        if action.dest in ("out", "json", "folder") or value is None or value == action.default:
-            continue
-        words += action.option_strings[:1]
-        values = value if isinstance(value, list) else [] if value is True else [value]
-        words += [v.name if isinstance(v, Path) else str(v) for v in values]
-    return shlex.join(words)
-
-
-def _stage(text: str) -> None:
-    """The stage on a terminal's last line; nothing in a pipe."""
-    if sys.stderr.isatty():
-        print(f"{text:<40}", end="\r", file=sys.stderr, flush=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sysid.data_worth import parameter_variance
 from sysid.model_form import CoefficientBounds, Outside
-from uqharness.whole_files import write_whole
+from uqharness.figure_plot import save
 
 Array = NDArray[np.float64]
 matplotlib.rcParams["svg.hashsalt"] = "uqharness"
@@ -56,8 +56,7 @@ def next_flight_figure(
     if pair is not None:
         _maps(bottom, pair, mission, before, after, flown, now)
     figure.suptitle(title, fontsize=11)
-    # No date in the file: the same input gives the same bytes.
-    write_whole(path, lambda target: figure.savefig(target, format="svg", metadata={"Date": None}))
+    save(figure, path)
 
 
 def _profile(

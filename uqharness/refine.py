@@ -220,7 +220,7 @@ def _in_gusts(
         selection = with_resolution(best.selection, by_key, setup.segments[0].dt_s)
     return Found(
         setup if best is None else best.setup, names, found.fit, after, selection, by_key,
-        _in_one_step(last, names, after, selection), (*notes, note), _moved_alone(evidence, names, found.fit), True,
+        in_one_step(last, names, after, selection), (*notes, note), _moved_alone(evidence, names, found.fit), True,
         score_table(evidence, free, odds, by_key), limit, None if best is None else best.staged,
         trail=tuple(f"one-step predictions: {line}" for line in trail),
     )  # fmt: skip
@@ -233,7 +233,7 @@ def _moved_alone(evidence: Evidence, names: Sequence[str], fit: Fit) -> dict[str
     return {n: float(fit.flown.point.values[n] + delta[n]) for n in names}
 
 
-def _in_one_step(
+def in_one_step(
     evidence: Evidence, names: Sequence[str], fit: Fit, selection: Selection
 ) -> dict[str, tuple[float, float]]:
     """(value, corrected standard error) of the parameters beside the effects, the last step taken."""

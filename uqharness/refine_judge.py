@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sysid.effect_choice import Choice
 from sysid.effect_score import Evidence, corrected
 from uqharness.aircraft import Aircraft
-from uqharness.refine import Found, with_resolution
+from uqharness.refine import Found, in_one_step, with_resolution
 from uqharness.refine_candidates import effect_columns
 from uqharness.refine_fit import Map, Setup
 from uqharness.refine_gusts import GustFit, gust_evidence
@@ -176,11 +176,6 @@ def left_out(found: Found, evidence: Evidence, keys: Sequence[str]) -> Found:
     effects = {e.key for e in found.setup.active} | {c.key for c in found.selection.chosen}
     free = [n for n in evidence.names if n not in effects]
     some = [*free, *(c.key for c in kept)]
-    delta = dict(zip(evidence.names, evidence.fitted(evidence.index(some)).tolist(), strict=True))
-    values = found.after.flown.point.values
-    parameters = {
-        n: (values[n] + delta[n], corrected(evidence, [f for f in some if f != n], n)[1]) for n in found.names
-    }
     chosen = []
     for c in kept:
         value, std, _ = corrected(evidence, [f for f in some if f != c.key], c.key)
@@ -188,4 +183,5 @@ def left_out(found: Found, evidence: Evidence, keys: Sequence[str]) -> Found:
     selection = with_resolution(
         replace(found.selection, chosen=tuple(chosen)), found.effects, found.setup.segments[0].dt_s
     )
+    parameters = in_one_step(evidence, found.names, found.after, selection)
     return replace(found, parameters=parameters, selection=selection)

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from uqharness.whole_files import write_whole
+from uqharness.figure_plot import save
 
 Array = NDArray[np.float64]
 matplotlib.rcParams["svg.hashsalt"] = "uqharness"
@@ -98,9 +98,3 @@ def residual_figure(
     axes[-1].set_xlabel("test manoeuvres end to end [s]; band: 95 % of what sensor noise gives", fontsize=8)
     figure.suptitle(title, fontsize=10)
     save(figure, path)
-
-
-def save(figure: Figure, path: Path) -> None:
-    """Write the figure whole or not at all."""
-    # No date in the file: the same input gives the same bytes.
-    write_whole(path, lambda target: figure.savefig(target, format="svg", metadata={"Date": None}))

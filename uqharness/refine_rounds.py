@@ -57,10 +57,10 @@ class Start:
 class Round:
     """Effects flown with everything estimated.
 
-    evidence, odds  as they would be had the effects not been flown, around the flight with them
-    selection       the effects flown, judged there; again: what would be chosen there
-    standing        whether that is the same, with the same numbers where JSBSim reads them once
-    merit           cost and what the effects must earn: less is better
+    evidence   as it would be had the effects not been flown, around the flight with them
+    selection  the effects flown, judged there; again: what would be chosen there
+    standing   whether that is the same, with the same numbers where JSBSim reads them once
+    merit      cost and what the effects must earn: less is better
     """
 
     setup: Setup

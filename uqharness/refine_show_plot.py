@@ -12,9 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from uqharness.figure_plot import save
 from uqharness.pbox import Sample, envelope
 from uqharness.refine_pbox import MissionPBox
-from uqharness.refine_plot import AFTER, BEFORE, LINE, save
+from uqharness.refine_plot import AFTER, BEFORE, LINE
 from uqharness.refine_show import History
 
 Array = NDArray[np.float64]

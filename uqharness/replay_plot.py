@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from uqharness.figure_plot import save
 from uqharness.replay import Segment
-from uqharness.whole_files import write_whole
 
 Array = NDArray[np.float64]
 matplotlib.rcParams["svg.hashsalt"] = "uqharness"
@@ -58,7 +58,7 @@ def segment_figure(
         axis.set_xlabel("time [s]", fontsize=8)
     axes[0].legend(fontsize=7, loc="best")
     figure.suptitle(title, fontsize=10)
-    _save(figure, path)
+    save(figure, path)
 
 
 def gap_figure(ratios: Mapping[str, Mapping[str, float]], path: Path, title: str, limit: float) -> None:
@@ -82,7 +82,7 @@ def gap_figure(ratios: Mapping[str, Mapping[str, float]], path: Path, title: str
     axis.set_xlabel(f"rms of measured minus model, over noise (solid: 1, dashed: limit {limit:g})", fontsize=8)
     axis.legend(fontsize=7)
     figure.suptitle(title, fontsize=10)
-    _save(figure, path)
+    save(figure, path)
 
 
 def coefficient_figure(
@@ -107,9 +107,4 @@ def coefficient_figure(
     axes[0].legend(handles[:2], labels[:2], fontsize=7)
     axes[-1].set_xlabel("segments end to end [s]", fontsize=8)
     figure.suptitle(title, fontsize=10)
-    _save(figure, path)
-
-
-def _save(figure: Figure, path: Path) -> None:
-    # No date in the file: the same input gives the same bytes.
-    write_whole(path, lambda target: figure.savefig(target, format="svg", metadata={"Date": None}))
+    save(figure, path)
