@@ -1,132 +1,195 @@
 """How gusty the air was: process noise of the linearised flight by maximum likelihood.
 
-Gusts enter V, alpha and beta as white rates. The air's rotation goes with them: what changes alpha in time is a slope of
-the vertical
-gust along the flight, q = -dw/dx = -w'/V, smoothed over the span; and r = +dv/dx likewise (MIL-F-8785C 3.7.5):
-
-    alpha' = ... + n_a,   T_q q' = -q + k n_a        beta' = ... + n_b,   T_r r' = -r - k n_b        T_p p' = -p + n_p
-
-with k one, or none where the air was made without rotation. The spectra go with the airspeed V and with the air of the day
-(in MIL-F-8785C with height, too): n_V and n_p as V, n_a and n_b as 1/V, and each flight has intensities of its own.
-Left out, that tie would pass for stability: gusts that pitch the air and change alpha at once made Cm_alpha a third of its size.
+Gusts enter V, alpha and beta as white rates; what else they do, rotating with the air and turning with the aircraft, is in the
+states of `sysid.gust_states`. Whether they do either is decided by the likelihood. The spectra go with the airspeed V and with
+the air of the day (in MIL-F-8785C with height, too): those of V and p as V, those of alpha and beta as 1/V, and each flight has
+intensities of its own.
+Left out, the air's rotation would pass for stability: gusts that pitch the air and change alpha at once made Cm_alpha a third of
+its size. Gusts along the path that turn with the aircraft, left out, were moments from yaw rate squared at |t| of 7.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.prediction import Columns, whiten
-from sysid.rigid_steps import GUST_LENGTHS, NX, Steps
+from sysid.gust_states import GustStates
+from sysid.prediction import Columns, Process, White, whiten
+from sysid.rigid_steps import NX, Steps
 
 FloatArray = NDArray[np.float64]
-_START = np.array([0.25, 5e-4, 5e-4, 5e-2, 1.0, 1e-4])
-"""Intensities of V [m2/s3], alpha and beta [rad2/s], the air's roll [rad2/s3]; k; what the air's pitch and yaw have
-besides [rad2/s3]; all at V_REFERENCE. Light air, to begin with."""
+Linear = Callable[[Sequence[int], GustStates], Sequence[Steps]]
+"""Steps of some of the segments, linearised with gusts that act so."""
 V_REFERENCE = 20.0
-_TIE = 4
+_START = np.array([0.25, 5e-4, 5e-4, 5e-2, 1e-4])
+"""Intensities of V [m2/s3], alpha and beta [rad2/s], the air's roll [rad2/s3], what its pitch and yaw have besides [rad2/s3]; all
+at V_REFERENCE. Light air, to begin with."""
+_MEMORY_S = 10.0
+"""How long gusts along and across the path last: L/V of MIL-F-8785C at the heights of model aircraft."""
 _FACTORS = (1e-4, 1e-2, 0.1, 0.5, 1.0, 2.0, 5.0)
-_FINER = ((0.03, 0.2, 5.0, 30.0), (0.4, 0.7, 1.4, 2.5), (0.75, 0.87, 1.15, 1.33))
+_COARSE = ((0.03, 0.2, 5.0, 30.0), (0.4, 0.7, 1.4, 2.5))
+_FINE = ((0.75, 0.87, 1.15, 1.33),)
 _MOST_SEGMENTS = 10
 _OF_A_FLIGHT = 6
 _WHOLE = (0.1, 0.2, 0.4, 0.65, 1.5, 2.5, 5.0)
 _NOISIER = ((0.4, 0.6, 0.8, 1.3, 1.8, 2.6), (0.88, 1.14))
 _OWN = ((0.3, 0.55, 1.8, 3.3), (0.75, 1.33))
+_OTHER_AIR = ((True, False), (False, False), (False, True))
 
 
-def process_of(values: FloatArray, V: float, b: float) -> FloatArray:
-    """(11, 11) covariance per second of the states' noise at airspeed V, from the six values of _START."""
+@dataclass(frozen=True)
+class Gusts:
+    """The air of some flights.
+
+    states    how gusts act; values (5,) as _START over all flights; own: flight -> (5,)
+    process   noise that they make in each segment; gain: twice the log likelihood gained over calm air
+    """
+
+    states: GustStates
+    values: FloatArray
+    own: Mapping[str, FloatArray]
+    process: Process
+    gain: float
+
+    @property
+    def words(self) -> str:
+        """How the gusts act."""
+        turning = "turn with the aircraft" if self.states.turning_with else "do not turn with the aircraft"
+        return f"gusts that {'rotate the air' if self.states.rotating else 'do not rotate the air'} and {turning}"
+
+
+def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatArray, FloatArray]:
+    """(13, 13) covariance per second of the states' noise at airspeed V, and (13, 13) covariance of the air's at the start, from
+    the five values of _START."""
     faster = V / V_REFERENCE
-    out = np.zeros((NX, NX))
+    lags = states.lags_s(V)
+    noise, begin = np.zeros((NX, NX)), np.zeros((NX, NX))
     # Dryden far above its corner: PSD of u' is 2 sigma^2 V/L, of alpha' = w'/V 3 sigma^2/(L V).
-    out[0, 0], out[8, 8] = values[0] * faster, values[3] * faster
-    out[9, 9] = out[10, 10] = values[5]
-    for state, rate, intensity, sign, length in (
-        (1, 9, values[1], 1.0, GUST_LENGTHS[1]),
-        (2, 10, values[2], -1.0, GUST_LENGTHS[2]),
-    ):
-        gain = np.zeros(NX)
-        gain[state], gain[rate] = 1.0, sign * values[_TIE] * V / (length * b)
-        out += intensity / faster * np.outer(gain, gain)
-    return out
+    noise[0, 0], noise[1, 1], noise[2, 2] = values[0] * faster, values[1] / faster, values[2] / faster
+    noise[8, 8] = values[3] * faster
+    for k in (1, 2):
+        noise[8 + k, 8 + k] = values[4] * lags[k] ** 2
+    for k in range(3):
+        # Stationary from the start: T x' = -x + n has the variance N/(2T), and the states 9 and 10 are T times the rotation.
+        tied = noise[k, k] if k and states.rotating else 0.0
+        begin[8 + k, 8 + k] = 0.5 * lags[k] * (noise[8 + k, 8 + k] + tied)
+    if states.turning_with:
+        begin[11, 11], begin[12, 12] = 0.5 * _MEMORY_S * noise[0, 0], 0.5 * _MEMORY_S * noise[2, 2]
+    return noise, begin
 
 
 def gust_intensity(
-    steps: Sequence[Steps],
-    measured: Sequence[FloatArray],
-    which: Sequence[int],
-    noise: FloatArray,
-    V: Sequence[float],
-    b: float,
-    flights: Sequence[str] | None = None,
-) -> tuple[FloatArray, FloatArray, float]:
-    """The six values, the process noise (S, 11, 11) they make at each segment's airspeed V, twice the log likelihood gained over
-    calm air; found on at most ten of the segments.
+    linear: Linear, measured: Sequence[FloatArray], which: Sequence[int], noise: FloatArray, V: Sequence[float],
+    flights: Sequence[str], states: GustStates, near: Gusts | None = None,
+) -> Gusts:  # fmt: skip
+    """The air of the segments, V their airspeeds, flights whose they are; found on at most ten of them, then of each flight on
+    at most six.
 
-    flights: of each segment; then every flight's values are found besides, on at most six segments, and the noise is made of them.
+    states: what gusts do besides, to begin with; near: an estimate from which to search, whose states stay.
     """
+    search = _Search(linear, measured, which, noise, V)
+    some = _spread(range(len(measured)), _MOST_SEGMENTS)
+    if near is None:
+        first = _Point(states, _START, np.inf)
+        here = search.finer(some, search.best(some, first, [(states, f * _START) for f in _FACTORS]), _COARSE)
+        other = search.other_air(some, here)
+        here = here if other.states == here.states else search.finer(some, other, _COARSE)
+    else:
+        here = search.at(some, near.states, near.values)
+    here = search.finer(some, here, _FINE)
+    gain = near.gain if near is not None else search.calm(some, here.states) - here.cost
+    own = dict.fromkeys(flights, here.values)
+    for flight in own if len(own) > 1 or near is not None else ():
+        part = _spread([k for k, f in enumerate(flights) if f == flight], _OF_A_FLIGHT)
+        if near is not None and flight in near.own:
+            found = search.finer(part, search.at(part, here.states, near.own[flight]), _OWN[1:])
+        else:
+            found = search.at(part, here.states, here.values)
+            found = search.best(part, found, [(here.states, f * here.values) for f in _WHOLE])
+            found = search.finer(part, found, _OWN)
+        own[flight] = found.values
+    made = [process_of(own[f], v, here.states) for f, v in zip(flights, V, strict=True)]
+    process = Process(np.stack([n for n, _ in made]), np.stack([b for _, b in made]))
+    return Gusts(here.states, here.values, own, process, gain)
 
-    def costs_on(some: Sequence[int], points: Sequence[FloatArray]) -> FloatArray:
-        process = np.concatenate([np.stack([process_of(p, V[k], b) for k in some]) for p in points])
-        few, data, many = [steps[k] for k in some], [measured[k] for k in some], len(points)
-        found = whiten(few * many, data * many, [Columns((), {}, {})] * (len(few) * many), which, noise, process)
-        each = np.array([float(np.sum(w.residual**2)) + 2.0 * w.logdet for w in found])
+
+@dataclass(frozen=True)
+class _Point:
+    states: GustStates
+    values: FloatArray
+    cost: float
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Minus twice the log likelihood of segments, by the gusts in them."""
+
+    linear: Linear
+    measured: Sequence[FloatArray]
+    which: Sequence[int]
+    noise: FloatArray
+    V: Sequence[float]
+
+    def costs(self, some: Sequence[int], states: GustStates, points: Sequence[FloatArray]) -> FloatArray:
+        made = [process_of(p, self.V[k], states) for p in points for k in some]
+        process = Process(np.stack([n for n, _ in made]), np.stack([b for _, b in made]))
+        few, data, many = list(self.linear(some, states)), [self.measured[k] for k in some], len(points)
+        none = [Columns((), {}, {})] * (len(few) * many)
+        found = whiten(few * many, data * many, none, self.which, self.noise, process)
+        each = np.array([_cost(w) for w in found])
         return np.asarray(each.reshape(many, len(few)).sum(axis=1))
 
-    def best_of(
-        some: Sequence[int], points: Sequence[FloatArray], best: FloatArray, low: float
-    ) -> tuple[FloatArray, float]:
-        found = costs_on(some, points)
-        return (points[int(np.argmin(found))], float(found.min())) if found.min() < low else (best, low)
+    def at(self, some: Sequence[int], states: GustStates, values: FloatArray) -> _Point:
+        return _Point(states, values, float(self.costs(some, states, [values])[0]))
 
-    def finer(
-        some: Sequence[int], best: FloatArray, low: float, rounds: Sequence[Sequence[float]], ties: Sequence[float]
-    ) -> tuple[FloatArray, float]:
+    def best(self, some: Sequence[int], here: _Point, trials: Sequence[tuple[GustStates, FloatArray]]) -> _Point:
+        states = trials[0][0]
+        found = self.costs(some, states, [v for _, v in trials])
+        k = int(np.argmin(found))
+        return _Point(states, trials[k][1], float(found[k])) if found[k] < here.cost else here
+
+    def finer(self, some: Sequence[int], here: _Point, rounds: Sequence[Sequence[float]]) -> _Point:
+        """One intensity after the other."""
         for factors in rounds:
             for k in range(len(_START)):
-                trial = [
-                    np.where(np.arange(len(_START)) == k, f * best, best) for f in (ties if k == _TIE else factors)
-                ]
-                if trial:
-                    best, low = best_of(some, trial, best, low)
-        return best, low
+                one = np.arange(len(_START)) == k
+                here = self.best(some, here, [(here.states, np.where(one, f, 1.0) * here.values) for f in factors])
+        return here
 
-    some = _spread(range(len(steps)), _MOST_SEGMENTS)
-    first = [_scaled(_START, f) for f in _FACTORS]
-    best, low = best_of(some, first, first[0], np.inf)
-    best, low = finer(some, best, low, _FINER, (0.0,))
-    calm = whiten(
-        [steps[k] for k in some], [measured[k] for k in some], [Columns((), {}, {})] * len(some), which, noise
-    )
-    gain = sum(float(np.sum(w.residual**2)) + 2.0 * w.logdet for w in calm) - low
-    own = dict.fromkeys(flights or (), best)
-    for flight in own if len(own) > 1 else ():
-        part = _spread([k for k, f in enumerate(flights or ()) if f == flight], _OF_A_FLIGHT)
-        here = float(costs_on(part, [best])[0])
-        values, here = best_of(part, [_scaled(best, f) for f in _WHOLE], best, here)
-        own[flight], _ = finer(part, values, here, _OWN, ())
-    each = [own[f] for f in flights] if flights else [best] * len(steps)
-    return best, np.stack([process_of(values, v, b) for values, v in zip(each, V, strict=True)]), gain
+    def other_air(self, some: Sequence[int], here: _Point) -> _Point:
+        """With gusts that do not rotate, or do not turn with the aircraft, where the flights are likelier so."""
+        found = here
+        besides = np.array([1.0, 1.0, 1.0, 1.0, 30.0])
+        for rotating, turning in _OTHER_AIR:
+            states = replace(here.states, rotating=rotating, turning_with=turning)
+            found = self.best(some, found, [(states, here.values), (states, besides * here.values)])
+        return found
+
+    def calm(self, some: Sequence[int], states: GustStates) -> float:
+        none = [Columns((), {}, {})] * len(some)
+        found = whiten(list(self.linear(some, states)), [self.measured[k] for k in some], none, self.which, self.noise)
+        return sum(_cost(w) for w in found)
 
 
 def noise_factors(
-    steps: Sequence[Steps], measured: Sequence[FloatArray], which: Sequence[int], noise: FloatArray, process: FloatArray,
+    steps: Sequence[Steps], measured: Sequence[FloatArray], which: Sequence[int], noise: FloatArray, process: Process,
     kinds: Sequence[str],
 ) -> FloatArray:  # fmt: skip
-    """(m,) factors on the sensors' noise (m,) that make the flights likeliest beside the process noise (S, 11, 11), one for each
-    kind of channel; found on at most ten of the segments.
+    """(m,) factors on the sensors' noise (m,) that make the flights likeliest beside the process noise, one for each kind of
+    channel; found on at most ten of the segments.
 
     In gusts the samples of a channel do not tell its noise by themselves, and a filter that takes sensors for twice as noisy as
     they are follows them late: that looks like a servo's lag.
     """
     some = _spread(range(len(steps)), _MOST_SEGMENTS)
-    few, data = [steps[k] for k in some], [measured[k] for k in some]
+    few, data, theirs = [steps[k] for k in some], [measured[k] for k in some], process.of(some)
 
     def cost(factors: FloatArray) -> float:
-        found = whiten(few, data, [Columns((), {}, {})] * len(few), which, factors * noise, process[some])
-        return sum(float(np.sum(w.residual**2)) + 2.0 * w.logdet for w in found)
+        found = whiten(few, data, [Columns((), {}, {})] * len(few), which, factors * noise, theirs)
+        return sum(_cost(w) for w in found)
 
     best = np.ones(len(noise))
     low = cost(best)
@@ -140,9 +203,8 @@ def noise_factors(
     return best
 
 
-def _scaled(values: FloatArray, factor: float) -> FloatArray:
-    """All intensities times a factor, the tie as it is."""
-    return np.where(np.arange(len(values)) == _TIE, values, factor * values)
+def _cost(white: White) -> float:
+    return float(np.sum(white.residual**2)) + 2.0 * white.logdet
 
 
 def _spread(members: Sequence[int], most: int) -> list[int]:

@@ -52,10 +52,14 @@ class GustStates:
 
     passing_mps: the speed at which the gusts pass, where they are simulated at one whatever the airspeed; None: the airspeed.
     Their rotation is then V over that speed times what alpha and beta say, behind that speed's lags.
+    rotating: q_h, r_h follow from alpha and beta; turning_with: u_h, v_h turn with the heading. Neither is so in all air: some
+    simulators' gusts do not rotate, and no real gust turns with an aircraft.
     """
 
     b: float
     passing_mps: float | None = None
+    rotating: bool = True
+    turning_with: bool = True
 
     def lags_s(self, V: Any) -> tuple[Any, ...]:
         """T_p, T_q, T_r at airspeed V."""
@@ -65,10 +69,10 @@ class GustStates:
         """Airspeed over the speed at which the gusts pass."""
         return V / self.passing_mps if self.passing_mps else 1.0
 
-    def start(self, V: float, alpha: float, beta: float, phi: float) -> tuple[float, ...]:
+    def start(self, V: Any, alpha: Any, beta: Any, phi: Any) -> tuple[Any, ...]:
         """The five states in air that neither moves nor rotates."""
         along, across = np.cos(phi) * alpha + np.sin(phi) * beta, np.cos(phi) * beta - np.sin(phi) * alpha
-        return 0.0, -float(along), float(across), V, float(across)
+        return 0.0 * V, -self.rotating * along, self.rotating * across, V, across
 
     def level(self, x: Any, trig: Trig | None = None) -> tuple[Any, Any, Any]:
         """p_h, q_h, r_h [rad/s], the air's rotation in heading axes, of a whole state x; ``trig``: `sines` of it, if known."""
@@ -76,8 +80,9 @@ class GustStates:
         along = cf * x[1] + sf * x[2]
         along = along - (trig[2] - trig[3] * along) * (1.0 - x[11] / x[0])
         _, T_q, T_r = self.lags_s(x[0])
+        across = cf * x[2] - sf * x[1]
         faster = self._faster(x[0])
-        return x[8], faster * (x[9] + along) / T_q, faster * (x[10] + sf * x[1] - cf * x[2]) / T_r
+        return x[8], faster * (x[9] + self.rotating * along) / T_q, faster * (x[10] - self.rotating * across) / T_r
 
     def rotation(self, x: Any, trig: Trig | None = None) -> tuple[Any, Any, Any]:
         """p_g, q_g, r_g [rad/s]: the air's rotation in body axes."""
@@ -89,7 +94,7 @@ class GustStates:
     def turning(self, x: Any, trig: Trig | None = None) -> tuple[Any, Any, Any]:
         """What the turning of u_h, v_h with the heading adds to the rates of V [m/s2], alpha, beta [rad]."""
         sf, cf, _, ct = trig or sines(x)
-        dpsi = (x[4] * sf + x[5] * cf) / ct
+        dpsi = self.turning_with * (x[4] * sf + x[5] * cf) / ct
         u_h, v_V = x[11] - x[0], x[12] + sf * x[1] - cf * x[2]
         sideways = dpsi * u_h / x[0]
         return dpsi * v_V * x[0], sf * sideways, -cf * sideways
@@ -105,4 +110,5 @@ class GustStates:
         dclimb = (ct + st * lift) * (x[4] * cf - x[5] * sf) - ct * along
         along = along - (dclimb - climb * dV / x[0]) * (1.0 - x[11] / x[0])
         faster = self._faster(x[0])
-        return -p_h / self.lags_s(x[0])[0], -q_h / faster - along, across - r_h / faster, dV, across
+        held = self.rotating
+        return -p_h / self.lags_s(x[0])[0], -q_h / faster - held * along, held * across - r_h / faster, dV, across

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.rigid_steps import NX, Steps
+from sysid.rigid_steps import Steps
 
 FloatArray = NDArray[np.float64]
 _BLOCK_BYTES = 120_000_000
@@ -37,13 +37,26 @@ class Columns:
 
 
 @dataclass(frozen=True)
+class Process:
+    """Process noise: noise (S, 13, 13) covariance per second of each segment's states, begin (S, 13, 13) covariance of those
+    of the air at its start."""
+
+    noise: FloatArray
+    begin: FloatArray
+
+    def of(self, segments: Sequence[int]) -> Process:
+        """That of some segments."""
+        return Process(self.noise[list(segments)], self.begin[list(segments)])
+
+
+@dataclass(frozen=True)
 class White:
     """One segment: whitened innovations (n, m) and columns (n, m, K), the start state projected out; NaN rows are zero.
 
     logdet: sum of the logarithms of the innovations' deviations; start (8, 1 + K): start state that fits best, and its change by
     column; there (n, m): which values were measured; deviation (m,): rms of the innovations' standard deviation, in the
     channels' units;
-    path (n, 11): predicted state less the reference, from what was measured before each sample.
+    path (n, 8 or 13): predicted state less the reference, from what was measured before each sample.
     """
 
     residual: FloatArray
@@ -57,13 +70,11 @@ class White:
 
 def whiten(
     steps: Sequence[Steps], measured: Sequence[FloatArray], columns: Sequence[Columns], which: Sequence[int],
-    noise: FloatArray, process: FloatArray | None = None,
+    noise: FloatArray, process: Process | None = None,
 ) -> list[White]:  # fmt: skip
     """Filter every segment.
 
-    which  rows of the steps' OUTPUTS that ``measured`` (n, m) holds; noise (m,) standard deviations; process (11, 11)
-    covariance per
-    second of the states' noise, or (S, 11, 11), one a segment; None or zero for calm air.
+    which  rows of the steps' OUTPUTS that ``measured`` (n, m) holds; noise (m,) standard deviations; process: None for calm air.
     """
     out: list[White | None] = [None] * len(steps)
     order = sorted(range(len(steps)), key=lambda s: len(measured[s]))
@@ -81,7 +92,7 @@ def whiten(
 
 def _filter(
     group: list[int], steps: Sequence[Steps], measured: Sequence[FloatArray], columns: Sequence[Columns], which: Sequence[int],
-    noise: FloatArray, process: FloatArray | None, out: list[White | None],
+    noise: FloatArray, process: Process | None, out: list[White | None],
 ) -> None:  # fmt: skip
     names = columns[group[0]].names
     S, K, m = len(group), len(names), len(which)
@@ -114,23 +125,23 @@ def _filter(
         for name, values in columns[s].outputs.items():
             assert E is not None
             E[: lengths[i], i, :, names.index(name)] = values
-    X = np.zeros((S, NX, K + 8))
-    X[:, np.arange(8), K + np.arange(8)] = 1.0
-    d = np.zeros((S, NX))
+    size = phi.shape[-1]
+    X = np.zeros((S, size, K + 8))
+    for i, s in enumerate(group):
+        start = steps[s].start
+        X[i, :, K:] = np.eye(size, 8) if start is None else start
+    d = np.zeros((S, size))
     R = noise**2
-    still = process is None or not np.any(process)
-    Q = np.zeros((S, NX, NX)) if process is None else np.broadcast_to(process, (len(steps), NX, NX))[group]
-    P = np.zeros((S, NX, NX))
-    if not still:
-        for k in range(8, NX):
-            fade = np.maximum(-(phi[0, :, k, k] - 1.0) / np.array([steps[s].dt_s for s in group]), 1e-3)
-            P[:, k, k] = Q[:, k, k] / (2.0 * fade)  # the air's rotation is stationary from the start
+    still = process is None
+    Q = P = np.zeros((S, size, size))
+    if process is not None:
+        Q, P = process.noise[group], process.begin[group]
     dt = np.array([steps[s].dt_s for s in group])
-    eye_x = np.eye(NX)
+    eye_x = np.eye(size)
     white, series = np.zeros((n, S, m)), np.zeros((n, S, m, K + 8), dtype=np.float32)
     logdet = np.zeros(S)
     spread = np.zeros((S, m))
-    path = np.zeros((n, S, NX))
+    path = np.zeros((n, S, size))
     eye = np.eye(m)
     for k in range(n):
         seen = there[k]
@@ -170,8 +181,8 @@ def _filter(
             away = phi[k] - eye_x
             half_way = eye_x + 0.5 * away - 0.125 * away @ away
             middle = half_way @ Q @ half_way.transpose(0, 2, 1)
-            last = phi[k] @ Q @ phi[k].transpose(0, 2, 1)
-            P = phi[k] @ P @ phi[k].transpose(0, 2, 1) + dt[:, None, None] / 6.0 * (Q + 4.0 * middle + last)
+            sixth = dt[:, None, None] / 6.0
+            P = phi[k] @ (P + sixth * Q) @ phi[k].transpose(0, 2, 1) + sixth * (Q + 4.0 * middle)
     for i, s in enumerate(group):
         mine = there[: lengths[i], i]
         deviation = np.sqrt(spread[i] / np.maximum(mine.sum(axis=0), 1))

@@ -1,6 +1,6 @@
 """A rigid aeroplane linearised along a reference flight: how a small extra coefficient moves every measured channel.
 
-    dx/dt = f(x, F(t, x))    V alpha beta p q r phi theta, and the air's own rotation pg qg rg
+    dx/dt = f(x, F(t, x))    V alpha beta p q r phi theta, and in turbulence the five states of `sysid.gust_states`
     d(k+1) = Phi(k) d(k) + G0(k) u(k) + G1(k) u(k+1) + defect(k)          d = x - x_ref,  u = extra CX CY CZ Cl Cm Cn
     y(k)   = y_ref(k) + H(k) d(k) + D(k) u(k)
 
@@ -11,11 +11,13 @@ between samples; A is the mean of a step's ends: Phi = exp(A h), G by its series
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sysid.force_coefficients import MassProperties
+from sysid.gust_states import GustStates, sines
 
 FloatArray = NDArray[np.float64]
 STATES = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps", "phi_rad", "theta_rad")
@@ -25,8 +27,8 @@ OUTPUTS = (
     "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2",
 )  # fmt: skip
 G_MPS2 = 9.80665
-GUST_LENGTHS = (4.0 / np.pi, 4.0 / np.pi, 3.0 / np.pi)  # spans; MIL-F-8785C 3.7.3 for p, q, r
-NX = 11
+NX = 13
+"""States in turbulence."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +54,11 @@ class Reference:
 
 @dataclass(frozen=True)
 class Steps:
-    """One segment's linear system: phi (n-1, 11, 11), g0, g1 (n-1, 11, 6), defect (n-1, 11), H (n, m, 11), D (n, m, 6),
-    y_ref (n, m)."""
+    """One segment's linear system of x states, 8 in still air or 13: phi (n-1, x, x), g0, g1 (n-1, x, 6), defect (n-1, x),
+    H (n, m, x), D (n, m, 6), y_ref (n, m).
+
+    start (x, 8): how all states begin by the first eight, the air being still; None: as they are, the others at zero.
+    """
 
     dt_s: float
     phi: FloatArray
@@ -63,23 +68,26 @@ class Steps:
     H: FloatArray
     D: FloatArray
     y_ref: FloatArray
+    start: FloatArray | None = None
 
 
-def linearise(reference: Reference, mass: MassProperties, gravity: float = G_MPS2) -> Steps:
-    """The linear system along a reference, outputs OUTPUTS."""
+def linearise(
+    reference: Reference, mass: MassProperties, gravity: float = G_MPS2, gusts: GustStates | None = None
+) -> Steps:
+    """The linear system along a reference, outputs OUTPUTS; with gusts 13 states, about air at rest."""
     n, h = len(reference.x), reference.dt_s
-    wide = np.zeros((n, NX))
-    wide[:, :8] = reference.x
-    model = _Rigid(reference, mass, gravity)
-    A = np.empty((n, NX, NX))
-    H = np.empty((n, len(OUTPUTS), NX))
+    wide = whole_states(reference.x, gusts)
+    size = wide.shape[1]
+    model = _Rigid(reference, mass, gravity, gusts)
+    A = np.empty((n, size, size))
+    H = np.empty((n, len(OUTPUTS), size))
     rows = np.arange(n, dtype=np.float64)
-    for j in range(NX):
+    for j in range(size):
         turned = wide.astype(complex)
         turned[:, j] += 1e-20j  # complex step: exact to rounding
         rate, out = model(turned, rows)
         A[:, :, j], H[:, :, j] = rate.imag / 1e-20, out.imag / 1e-20
-    B = np.zeros((n, NX, 6))
+    B = np.zeros((n, size, 6))
     D = np.zeros((n, len(OUTPUTS), 6))
     scale = reference.qbar[:, None] * mass.S * np.array([1.0, 1.0, 1.0, mass.b, mass.c, mass.b])
     for j in range(6):
@@ -91,11 +99,23 @@ def linearise(reference: Reference, mass: MassProperties, gravity: float = G_MPS
     mean = 0.5 * (A[:-1] + A[1:])
     phi, to0, to1 = _series(mean, h)
     g0, g1 = to0 @ B[:-1], to1 @ B[1:]
-    defect = np.zeros((n - 1, NX))
+    defect = np.zeros((n - 1, size))
     if not reference.consistent:
         bend = np.zeros((n - 1, 6)) if reference.bend is None else reference.bend
-        defect[:, :8] = (_advance(model, wide, bend, h) - wide[1:])[:, :8]
-    return Steps(h, phi, g0, g1, defect, H, D, y_ref)
+        defect = _advance(model, wide, bend, h) - wide[1:]
+    start = np.empty((size, 8))
+    for j in range(8):
+        first = reference.x[:1].astype(complex)
+        first[:, j] += 1e-20j
+        start[:, j] = whole_states(first, gusts)[0].imag / 1e-20
+    return Steps(h, phi, g0, g1, defect, H, D, y_ref, start)
+
+
+def whole_states(x: NDArray[Any], gusts: GustStates | None) -> NDArray[Any]:
+    """(n, 8) STATES with those of still air, (n, 13); as they are without gusts."""
+    if gusts is None:
+        return x
+    return np.column_stack([x, *gusts.start(x[:, 0], x[:, 1], x[:, 2], x[:, 6])])
 
 
 def _series(A: FloatArray, h: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -113,10 +133,10 @@ def _series(A: FloatArray, h: float) -> tuple[FloatArray, FloatArray, FloatArray
 
 
 class _Rigid:
-    """x (n, 11) at rows -> dx/dt (n, 11) and outputs (n, 11), forces linear about the reference."""
+    """x (n, 8 or 13) at rows -> dx/dt of the same shape and outputs (n, 11), forces linear about the reference."""
 
-    def __init__(self, reference: Reference, mass: MassProperties, gravity: float) -> None:
-        self.reference, self.mass, self.gravity = reference, mass, gravity
+    def __init__(self, reference: Reference, mass: MassProperties, gravity: float, gusts: GustStates | None) -> None:
+        self.reference, self.mass, self.gravity, self.gusts = reference, mass, gravity, gusts
         self.inverse = np.linalg.inv(mass.inertia)
 
     def __call__(
@@ -133,37 +153,45 @@ class _Rigid:
             return np.asarray(values[low] + w * (values[high] - values[low]) if share.any() else values[low])
 
         air = x[:, :6].copy()
-        air[:, 3:6] = air[:, 3:6] - x[:, 8:11]
+        states = x.T
+        trig = sines(states)
+        if self.gusts is not None:
+            air[:, 3:6] = air[:, 3:6] - np.column_stack(self.gusts.rotation(states, trig))
         away = air - at(r.x[:, :6])
         load = np.hstack([at(r.force), at(r.moment)]) + np.einsum("nij,nj->ni", at(r.slopes), away)
         if extra is not None:
             load = load + extra
-        V, alpha, beta, p, q, rr, phi, theta = (x[:, i] for i in range(8))
+        V, alpha, beta, p, q, rr = (x[:, i] for i in range(6))
         g = self.gravity
         felt = load[:, :3] / m.mass
         rates = x[:, 3:6]
         turn = (load[:, 3:] - _cross(rates, rates @ m.inertia.T)) @ self.inverse.T
         ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
+        sf, cf, st, ct = trig
         ub, vb, wb = V * ca * cb, V * sb, V * sa * cb
-        ud = felt[:, 0] + rr * vb - q * wb - g * np.sin(theta)
-        vd = felt[:, 1] + p * wb - rr * ub + g * np.cos(theta) * np.sin(phi)
-        wd = felt[:, 2] + q * ub - p * vb + g * np.cos(theta) * np.cos(phi)
+        ud = felt[:, 0] + rr * vb - q * wb - g * st
+        vd = felt[:, 1] + p * wb - rr * ub + g * ct * sf
+        wd = felt[:, 2] + q * ub - p * vb + g * ct * cf
         Vd = (ub * ud + vb * vd + wb * wd) / V
-        turning = q * np.sin(phi) + rr * np.cos(phi)
-        fade = [-x[:, 8 + k] * V / (GUST_LENGTHS[k] * m.b) for k in range(3)]
-        rate = np.stack([
-            Vd, (ub * wd - wb * ud) / (ub * ub + wb * wb), (V * vd - vb * Vd) / (V * V * cb), turn[:, 0], turn[:, 1], turn[:, 2],
-            p + np.tan(theta) * turning, q * np.cos(phi) - rr * np.sin(phi), *fade,
-        ], axis=1)  # fmt: skip
+        alphad, betad = (ub * wd - wb * ud) / (ub * ub + wb * wb), (V * vd - vb * Vd) / (V * V * cb)
+        phid = p + st / ct * (q * sf + rr * cf)
+        of_air: tuple[NDArray[Any], ...] = ()
+        if self.gusts is not None:
+            dV, dalpha, dbeta = self.gusts.turning(states, trig)
+            Vd, alphad, betad = Vd + dV, alphad + dalpha, betad + dbeta
+            of_air = self.gusts.rates(states, Vd, alphad, betad, phid, trig)
+        rate = np.stack(
+            [Vd, alphad, betad, turn[:, 0], turn[:, 1], turn[:, 2], phid, q * cf - rr * sf, *of_air], axis=1
+        )
         if np.any(r.arm_m):
             arm = np.broadcast_to(r.arm_m, rates.shape)
             felt = felt + _cross(turn, arm) + _cross(rates, _cross(rates, arm))
-        out = np.stack([V, alpha, beta, phi, theta, p, q, rr, felt[:, 0], felt[:, 1], felt[:, 2]], axis=1)
+        out = np.stack([V, alpha, beta, x[:, 6], x[:, 7], p, q, rr, felt[:, 0], felt[:, 1], felt[:, 2]], axis=1)
         return rate, out
 
 
 def _advance(model: _Rigid, x: FloatArray, bend: FloatArray, h: float) -> FloatArray:
-    """(n - 1, 11) one Runge-Kutta step from every sample."""
+    """(n - 1, 8 or 13) one Runge-Kutta step from every sample."""
     at = np.arange(len(x) - 1).astype(float)
     start = x[:-1]
     k1, _ = model(start, at)

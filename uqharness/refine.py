@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from sysid.effect_choice import STRONG, Choice, Refusal, Selection, chance_limit, select, threshold
 from sysid.effect_score import Evidence, corrected, scores
 from sysid.effects import TWINS, Effect
+from sysid.gust_intensity import Gusts
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
 from uqharness.refine_base import base_fit, undetermined
@@ -41,7 +42,7 @@ from uqharness.refine_timing import CONTROLS_LATE, MOST_CORRECTIONS, controls_la
 from uqharness.xml_estimates import Estimate
 
 Array = NDArray[np.float64]
-GUST_LIMIT = 7.0
+GUST_LIMIT = 5.0
 """|t| asked of an effect in turbulence, where the air's spectrum is a model, too."""
 GUST_ODDS = 30.0
 """Odds against what a gust model that is a little off would look like."""
@@ -57,7 +58,7 @@ class Found:
     before, after   fits of the model without and with the effects; after is before where there are none
     parameters      property -> (value, standard error corrected for colour); plain: property -> value without the effects
     scoreboard      the candidates that explain most of what the parameters leave, each alone: (name, t); limit: |t| asked
-    gusty           whether the flights were judged by one-step predictions, because the air was turbulent
+    gusts           the air, where it was turbulent and the flights were judged by one-step predictions
     late_s          by how much all controls were moved later than recorded before the choice was made
     """
 
@@ -70,12 +71,17 @@ class Found:
     parameters: Mapping[str, tuple[float, float]]
     notes: tuple[str, ...]
     plain: Mapping[str, float] = field(default_factory=dict)
-    gusty: bool = False
+    gusts: Gusts | None = None
     scoreboard: tuple[tuple[str, float], ...] = ()
     limit: float = float("nan")
     staged: Aircraft | None = None
     late_s: float = 0.0
     trail: tuple[str, ...] = field(default=())
+
+    @property
+    def gusty(self) -> bool:
+        """Whether one-step predictions judged."""
+        return self.gusts is not None
 
 
 def find_effects(
@@ -99,7 +105,7 @@ def find_effects(
         before, names, notes = keep(stage, lambda: base_fit(aircraft, bench, setup, asked, limits, map_))
         effects = candidates_for(setup, names, extra)
         by_key = {e.key: e for e in effects}
-        if turbulent(setup, before):
+        if turbulent(setup, before.flown):
             say(f"the air was turbulent: predicting one sample ahead, scoring {len(effects)} candidate effects")
             return _in_gusts(
                 bench,
@@ -146,13 +152,13 @@ def find_effects(
         parameters = _parameters(evidence, names, before, none)
         plain = {n: before.flown.point.values[n] for n in names}
         return Found(
-            setup, names, before, before, none, by_key, parameters, tuple(notes), plain, False, board, limit, None,
+            setup, names, before, before, none, by_key, parameters, tuple(notes), plain, None, board, limit, None,
             sum(put_right), tuple(trail),
         )  # fmt: skip
     selection = with_resolution(best.selection, by_key, setup.segments[0].dt_s)
     return Found(
         best.setup, names, before, best.fit, selection, by_key, _parameters(best.evidence, names, best.fit, selection),
-        tuple(notes), {n: before.flown.point.values[n] for n in names}, False, board, limit, best.staged, sum(put_right),
+        tuple(notes), {n: before.flown.point.values[n] for n in names}, None, board, limit, best.staged, sum(put_right),
         tuple(trail),
     )  # fmt: skip
 
@@ -204,14 +210,14 @@ def _in_gusts(
     first = select(evidence, free, odds, confirming, limit=limit, twins=TWINS, empirical=True)
     start = Start(
         bench.aircraft, setup, found.fit, names, effects, limits, confirming, limit, bench.measured, bench.ideal, map_,
-        True, handicap,
+        found.gusts, handicap,
     )  # fmt: skip
     best, trail = settle(start, first, work, say)
     trail = [*(f"round 1: {line}" for line in first.trail), *trail]
     note = (
         "the residuals of replays showed turbulence: effects and parameters were judged by "
         "predictions one sample ahead, with process "
-        f"noise estimated ({found.gain:.0f} more in twice the log likelihood than calm air)"
+        f"noise estimated ({found.gusts.gain:.0f} more in twice the log likelihood than calm air; {found.gusts.words})"
     )
     by_key = {e.key: e for e in effects}
     after, selection, last = found.fit, replace(first, chosen=()), evidence
@@ -220,7 +226,8 @@ def _in_gusts(
         selection = with_resolution(best.selection, by_key, setup.segments[0].dt_s)
     return Found(
         setup if best is None else best.setup, names, found.fit, after, selection, by_key,
-        in_one_step(last, names, after, selection), (*notes, note), _moved_alone(evidence, names, found.fit), True,
+        in_one_step(last, names, after, selection), (*notes, note), _moved_alone(evidence, names, found.fit),
+        found.gusts if best is None else best.gusts,
         score_table(evidence, free, odds, by_key), limit, None if best is None else best.staged,
         trail=tuple(f"one-step predictions: {line}" for line in trail),
     )  # fmt: skip

@@ -11,8 +11,11 @@ from sysid.effect_score import Evidence, solve
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
 from uqharness.identify_start import equation_error_start
-from uqharness.refine_fit import Fit, Map, Point, Setup, fly, positions, refit
-from uqharness.refine_setup import Bench
+from uqharness.refine_fit import Fit, Flown, Map, Point, Setup, fly, positions, refit
+from uqharness.refine_setup import Bench, turbulent
+
+SETTLED = 0.01
+"""Relative fall of the cost."""
 
 
 def base_fit(
@@ -45,12 +48,26 @@ def base_fit(
     # One step tells what the flights hold nothing of; it must not be carried to a bound by rounding.
     first = refit(bench.model, bench.straight, setup, controls, best.point, names, limits, map_, max_iterations=1)
     lost = undetermined(first.evidence, names, limits)
-    fit = first if lost else refit(bench.model, bench.straight, setup, controls, first.flown.point, names, limits, map_)
+
+    def enough(last: Flown, now: Flown) -> bool:
+        # In turbulence a replay's fit is where another method begins; it need not be a minimum.
+        return last.cost - now.cost < SETTLED * now.cost and turbulent(setup, now)
+
+    if not lost:
+        fit = refit(bench.model, bench.straight, setup, controls, first.flown.point, names, limits, map_, enough=enough)
     if lost:
         kept = tuple(n for n in names if n not in lost)
-        values = {**fit.flown.point.values, **{n: float(current[names.index(n)]) for n in lost}}
+        values = {**first.flown.point.values, **{n: float(current[names.index(n)]) for n in lost}}
         fit = refit(
-            bench.model, bench.straight, setup, controls, replace(fit.flown.point, values=values), kept, limits, map_
+            bench.model,
+            bench.straight,
+            setup,
+            controls,
+            replace(first.flown.point, values=values),
+            kept,
+            limits,
+            map_,
+            enough=enough,
         )
         notes = [*notes, f"not determined by these flights and left as they are: {', '.join(lost)}"]
         return fit, kept, notes

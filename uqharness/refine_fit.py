@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from sysid.effect_score import Evidence, gather
 from sysid.effects import Effect
+from sysid.gust_states import GustStates
 from sysid.prediction import Columns, White, whiten
 from sysid.rigid_steps import OUTPUTS as STEP_OUTPUTS
 from sysid.rigid_steps import STATES as X_STATES
@@ -167,11 +168,13 @@ def probes(
     return list(map_(probe, jobs))
 
 
-def steps_of(found: Sequence[Probe], flown: Flown, setup: Setup) -> list[Steps]:
+def steps_of(
+    found: Sequence[Probe], outputs: Sequence[Array], setup: Setup, gusts: GustStates | None = None
+) -> list[Steps]:
     """Linear systems along the flights; where the reference is a replay, its outputs are the replay's own."""
     out = []
-    for p, y in zip(found, flown.outputs, strict=True):
-        steps = linearise(p.reference, p.mass)
+    for p, y in zip(found, outputs, strict=True):
+        steps = linearise(p.reference, p.mass, gusts=gusts)
         if p.reference.consistent:
             full = steps.y_ref.copy()
             full[:, setup.which] = y
@@ -238,8 +241,12 @@ PRIOR = {"bias": 0.1, "delay": 0.1}
 def refit(
     model: ReplayModel, straight: ReplayModel, setup: Setup, controls: Sequence[Array], start: Point, names: Sequence[str],
     limits: Mapping[str, tuple[float, float]], map_: Map, *, max_iterations: int = 12, tolerance: float = 0.05,
+    enough: Callable[[Flown, Flown], bool] | None = None,
 ) -> Fit:  # fmt: skip
-    """Output error from ``start`` over the properties ``names``, biases, delays and start states."""
+    """Output error from ``start`` over the properties ``names``, biases, delays and start states.
+
+    enough(before, after): whether to leave it at an iteration.
+    """
     flown = fly(model, setup, start, map_)
     analytic: tuple[str, ...] | None = None
     keys = {e.key for e in setup.active}
@@ -255,7 +262,7 @@ def refit(
             analytic = tuple(named_terms(straight, setup.segments[0], found[0], own, flown.point.values))
             if len(analytic) < len(own):
                 found = probes(straight, setup, flown, controls, [n for n in own if n not in analytic], map_)
-        steps = steps_of(found, flown, setup)
+        steps = steps_of(found, flown.outputs, setup)
         columns = parameter_columns(setup, found, flown, names, analytic)
         white = whiten(steps, setup.measured, columns, setup.which, setup.noise)
         evidence = gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)
@@ -273,9 +280,11 @@ def refit(
             converged = length < 1.0
             break
         settled = flown.cost - trial.cost < 0.02 and share == 1.0
-        flown = trial
+        last, flown = flown, trial
         if settled:
             converged = True
+            break
+        if enough is not None and enough(last, flown):
             break
     assert analytic is not None
     return Fit(flown, found, steps, columns, evidence, analytic, iteration, converged)

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from sysid.effect_score import Evidence, gather
 from sysid.force_coefficients import smooth
-from sysid.gust_intensity import gust_intensity, noise_factors
+from sysid.gust_intensity import Gusts, gust_intensity, noise_factors
+from sysid.gust_states import GustStates
 from sysid.prediction import Columns, White, whiten
 from sysid.rigid_steps import STATES as X_STATES
-from sysid.rigid_steps import Steps
+from sysid.rigid_steps import Steps, whole_states
 from uqharness.forced import surface_positions
 from uqharness.refine_fit import (
     PRIOR,
@@ -47,13 +48,11 @@ _SMOOTH_HZ = {"V_mps": 2.0}
 
 @dataclass(frozen=True)
 class GustFit:
-    """A fit with the process noise (S, 11, 11) it was made with, filtered segments of its own columns, gain over calm air."""
+    """A fit with the gusts it was made with, and the filtered segments of its own columns."""
 
     fit: Fit
-    process: Array
+    gusts: Gusts
     white: list[White]
-    gain: float
-    intensity: Array
     setup: Setup
 
 
@@ -96,21 +95,26 @@ def _middles(job: tuple[ReplayModel, Segment]) -> Array:
 def predict(
     straight: ReplayModel, setup: Setup, point: Point, controls: Sequence[Array], bends: Sequence[Array], differ: Sequence[str],
     map_: Map,
-) -> tuple[Flown, list[Probe], list[Steps]]:  # fmt: skip
-    """The measured flight, the model's forces along it, and the linear system; outputs are those at the reference, biases added."""
+) -> tuple[Flown, list[Probe]]:  # fmt: skip
+    """The measured flight and the model's forces along it."""
     flown = measured_flight(setup, point)
     found = [
         along(p, bend=_bend(p, b))
         for p, b in zip(probes(straight, setup, flown, controls, differ, map_, consistent=False), bends, strict=True)
     ]
-    steps = steps_of(found, flown, setup)
-    out, outputs = [], []
-    for segment, s in zip(setup.segments, steps, strict=True):
-        y = s.y_ref.copy()
-        y[:, setup.which] = as_sensed(y[:, setup.which], setup, segment, point)
-        out.append(replace(s, y_ref=y))
-        outputs.append(y[:, setup.which])
-    return replace(flown, outputs=outputs), found, out
+    return flown, found
+
+
+def linear(setup: Setup, flown: Flown, found: Sequence[Probe], some: Sequence[int], states: GustStates) -> list[Steps]:
+    """The linear systems of some segments; outputs are those at the reference, biases added."""
+    out = []
+    for k, s in zip(
+        some, steps_of([found[k] for k in some], [flown.outputs[k] for k in some], setup, states), strict=True
+    ):
+        full = s.y_ref.copy()
+        full[:, setup.which] = as_sensed(full[:, setup.which], setup, setup.segments[k], flown.point)
+        out.append(replace(s, y_ref=full))
+    return out
 
 
 def _bend(p: Probe, away: Array) -> Array:
@@ -122,58 +126,79 @@ def _bend(p: Probe, away: Array) -> Array:
 
 def gust_refit(
     straight: ReplayModel, setup: Setup, controls: Sequence[Array], bends: Sequence[Array], start: Point, names: Sequence[str],
-    limits: Mapping[str, tuple[float, float]], map_: Map, process: Array | None = None, iterations: int = 3, tune: bool = False,
+    limits: Mapping[str, tuple[float, float]], map_: Map, near: Gusts | None = None, iterations: int = 3, tune: bool = False,
+    known: bool = False,
 ) -> GustFit:  # fmt: skip
-    """Parameters, biases and, unless given, the gusts' intensity; tune: the sensors' noise as well (not of an autopilot's log,
-    whose attitudes are filtered). The fit's setup has it."""
-    point, analytic, length = start, None, float("inf")
-    gain, values = float("nan"), np.zeros(6)
-    known = process
+    """Parameters, biases and the gusts, searched from ``near``, or ``known`` to be those.
+
+    tune: the sensors' noise as well (not of an autopilot's log, whose attitudes are filtered); the fit's setup has it.
+    """
+    point, analytic, gusts = start, None, near
+    length = float("inf")
     keys = {e.key for e in setup.active}
     own = [n for n in names if n not in keys]
     for number in range(1, iterations + 1):
         differ: list[str] = [] if analytic is None else [n for n in own if n not in analytic]
-        flown, found, steps = predict(straight, setup, point, controls, bends, differ, map_)
+        flown, found = predict(straight, setup, point, controls, bends, differ, map_)
         if analytic is None:
             analytic = tuple(named_terms(straight, setup.segments[0], found[0], own, point.values))
             if len(analytic) < len(own):
-                flown, found, steps = predict(
+                flown, found = predict(
                     straight, setup, point, controls, bends, [n for n in own if n not in analytic], map_
                 )
-        if process is None and number <= 2:
-            values, known, gain = _intensity(setup, flown, found, steps)
+        steps = _Linear(setup, flown, found)
+        if number <= 2 and not known:
+            gusts = _intensity(setup, flown, steps, gusts)
             if tune and number == 1 and not setup.late:
                 kinds = [_KINDS.get(c.split("_")[0], c) for c in setup.outputs]
-                factors = noise_factors(steps, setup.measured, setup.which, setup.noise, known, kinds)
+                every = steps.all(gusts.states)
+                factors = noise_factors(every, setup.measured, setup.which, setup.noise, gusts.process, kinds)
                 setup = replace(setup, noise=factors * setup.noise)
-                values, known, gain = _intensity(setup, flown, found, steps)
-        assert known is not None
-        flown, found = predicted(setup, flown, found, steps, known)
+                gusts = _intensity(setup, flown, steps, gusts)
+        assert gusts is not None
+        linearised = steps.all(gusts.states)
+        flown, found = predicted(setup, flown, found, linearised, gusts)
         columns = parameter_columns(setup, found, flown, names, analytic)
-        white = whiten(steps, setup.measured, columns, setup.which, setup.noise, known)
+        white = whiten(linearised, setup.measured, columns, setup.which, setup.noise, gusts.process)
         evidence = gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)
         delta, length = evidence.step()
         if length < 0.1 or number == iterations:
             break
         step = dict(zip(columns[0].names, delta.tolist(), strict=True))
         point = stepped(setup, point, step, limits)
-    assert known is not None
+    assert gusts is not None
     assert analytic is not None
     cost = float(sum(np.sum(w.residual**2) for w in white))
-    fit = Fit(replace(flown, cost=cost), found, steps, columns, evidence, analytic, number, length < 0.5)
-    return GustFit(fit, known, white, gain, values, setup)
+    fit = Fit(replace(flown, cost=cost), found, linearised, columns, evidence, analytic, number, length < 0.5)
+    return GustFit(fit, gusts, white, setup)
 
 
-def _intensity(
-    setup: Setup, flown: Flown, found: Sequence[Probe], steps: Sequence[Steps]
-) -> tuple[Array, Array, float]:
+class _Linear:
+    """Linear systems of the segments by what gusts do in them, each made once."""
+
+    def __init__(self, setup: Setup, flown: Flown, found: Sequence[Probe]) -> None:
+        self.setup, self.flown, self.found = setup, flown, found
+        self.made: dict[tuple[int, GustStates], Steps] = {}
+
+    def __call__(self, some: Sequence[int], states: GustStates) -> list[Steps]:
+        missing = [k for k in some if (k, states) not in self.made]
+        for k, steps in zip(missing, linear(self.setup, self.flown, self.found, missing, states), strict=True):
+            self.made[k, states] = steps
+        return [self.made[k, states] for k in some]
+
+    def all(self, states: GustStates) -> list[Steps]:
+        return self(range(len(self.found)), states)
+
+
+def _intensity(setup: Setup, flown: Flown, steps: _Linear, near: Gusts | None) -> Gusts:
     speeds = [float(x[:, 0].mean()) for x in flown.x]
     of = [s.flight for s in setup.segments]
-    return gust_intensity(steps, setup.measured, setup.which, setup.noise, speeds, found[0].mass.b, of)
+    states = GustStates(steps.found[0].mass.b)
+    return gust_intensity(steps, setup.measured, setup.which, setup.noise, speeds, of, states, near)
 
 
 def predicted(
-    setup: Setup, flown: Flown, found: Sequence[Probe], steps: Sequence[Steps], process: Array
+    setup: Setup, flown: Flown, found: Sequence[Probe], steps: Sequence[Steps], gusts: Gusts
 ) -> tuple[Flown, list[Probe]]:
     """Probes whose terms are evaluated at states predicted from the past, and the outputs predicted there.
 
@@ -181,14 +206,17 @@ def predicted(
     """
     paths = [
         w.path
-        for w in whiten(steps, setup.measured, [Columns((), {}, {})] * len(steps), setup.which, setup.noise, process)
+        for w in whiten(
+            steps, setup.measured, [Columns((), {}, {})] * len(steps), setup.which, setup.noise, gusts.process
+        )
     ]
     out, outputs = [], []
-    for p, s, d, y in zip(found, steps, paths, flown.outputs, strict=True):
-        air = p.reference.x + d[:, :8]
-        air[:, 3:6] -= d[:, 8:]
+    for p, s, d in zip(found, steps, paths, strict=True):
+        x = whole_states(p.reference.x, gusts.states) + d
+        air = x[:, :8].copy()
+        air[:, 3:6] -= np.column_stack(gusts.states.rotation(x.T))
         out.append(replace(p, air=air))
-        outputs.append(y + np.einsum("nij,nj->ni", s.H[:, setup.which], d))
+        outputs.append(s.y_ref[:, setup.which] + np.einsum("nij,nj->ni", s.H[:, setup.which], d))
     return replace(flown, outputs=outputs), out
 
 
@@ -197,5 +225,5 @@ def gust_evidence(setup: Setup, fitted: GustFit, extra: Sequence[Columns]) -> Ev
     from uqharness.refine_fit import merged
 
     columns = merged(fitted.fit.columns, extra)
-    white = whiten(fitted.fit.steps, setup.measured, columns, setup.which, setup.noise, fitted.process)
+    white = whiten(fitted.fit.steps, setup.measured, columns, setup.which, setup.noise, fitted.gusts.process)
     return gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sysid.effect_choice import Choice
 from sysid.effect_score import Evidence, corrected
+from sysid.gust_intensity import Gusts
 from uqharness.aircraft import Aircraft
 from uqharness.refine import Found, in_one_step, with_resolution
 from uqharness.refine_candidates import effect_columns
@@ -59,12 +60,12 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Side:
-    """Train or test flights: setup, surfaces with measured positions, controls passed straight through, process noise or None."""
+    """Train or test flights: setup, surfaces with measured positions, controls passed straight through, the air or None."""
 
     setup: Setup
     measured: tuple[str, ...]
     ideal: tuple[str, ...]
-    air: Array | None = None
+    air: Gusts | None = None
 
 
 @dataclass(frozen=True)
@@ -148,13 +149,13 @@ def _mean_square(shown: Shown) -> float:
     return shown.cost / sum(int(np.isfinite(w).sum()) for w in shown.white)
 
 
-def evidence_of(found: Found, air: Array | None) -> Evidence:
+def evidence_of(found: Found, air: Gusts | None) -> Evidence:
     """Evidence of the train flights as it is with no effect in the model: columns of parameters, nuisance and chosen effects."""
     flown = {e.key for e in found.setup.active}
     rest = [found.effects[c.key] for c in found.selection.chosen if c.key not in flown]
     if found.gusty:
         assert air is not None
-        fit = GustFit(found.after, air, [], float("nan"), np.zeros(6), found.setup)
+        fit = GustFit(found.after, air, [], found.setup)
         columns = effect_columns(found.setup, found.after.probes, found.after.flown, rest)
         evidence = gust_evidence(found.setup, fit, columns)
     else:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sysid.effect_choice import Selection, judged, select
 from sysid.effect_score import Evidence, gather, scores
 from sysid.effects import TWINS, Effect
+from sysid.gust_intensity import Gusts
 from sysid.prediction import whiten
 from uqharness.aircraft import Aircraft, find_aircraft
 from uqharness.refine_candidates import effect_columns
@@ -35,7 +36,7 @@ class Start:
     """What every round begins from: the aircraft, the flights, the fit without effects, the candidates and how they are judged.
 
     limits: of the parameters; limit: |t| asked of an effect; confirming (S,): segments that confirm
-    gusty: judged by one-step predictions; handicap: key -> odds besides the effect's own
+    gusts: the air, where flights are judged by one-step predictions; handicap: key -> odds besides the effect's own
     """
 
     aircraft: Aircraft
@@ -49,7 +50,7 @@ class Start:
     measured: Sequence[str]
     ideal: Sequence[str]
     map_: Map
-    gusty: bool = False
+    gusts: Gusts | None = None
     handicap: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -60,7 +61,7 @@ class Round:
     evidence   as it would be had the effects not been flown, around the flight with them
     selection  the effects flown, judged there; again: what would be chosen there
     standing   whether that is the same, with the same numbers where JSBSim reads them once
-    merit      cost and what the effects must earn: less is better
+    merit      cost and what the effects must earn: less is better; gusts: the air, as estimated with them
     """
 
     setup: Setup
@@ -71,6 +72,7 @@ class Round:
     again: Selection
     standing: bool
     merit: float
+    gusts: Gusts | None
 
     @property
     def keys(self) -> frozenset[str]:
@@ -105,8 +107,8 @@ def settle(start: Start, selection: Selection, work: Path, say: Say) -> tuple[Ro
             break
         selection = now.again
     # With every round the gusts are estimated anew, and predictions made with other gusts are not to be compared.
-    best = flown[-1] if start.gusty and flown else min(flown, key=lambda r: r.merit, default=None)
-    if start.gusty:
+    best = flown[-1] if start.gusts and flown else min(flown, key=lambda r: r.merit, default=None)
+    if start.gusts:
         return best if selection.chosen or (best and best.standing) else None, trail
     if best is None or not best.merit < start.before.flown.cost:
         if best is not None:
@@ -127,11 +129,14 @@ def _flown(start: Start, selection: Selection, folder: Path) -> Round:
     names = [*start.names, *keys]
     with Bench(staged, start.measured, start.ideal) as bench:
         controls = positions(bench.model, setup, start.map_)
-        if start.gusty:
+        gusts = start.gusts
+        if gusts is not None:
             bends = middles(bench.model, setup, start.map_)
-            gusts = gust_refit(bench.straight, setup, controls, bends, begin, names, start.limits, start.map_)
-            fit = gusts.fit
-            evidence = gust_evidence(setup, gusts, effect_columns(setup, fit.probes, fit.flown, rest))
+            found = gust_refit(
+                bench.straight, setup, controls, bends, begin, names, start.limits, start.map_, gusts
+            )
+            fit, gusts = found.fit, found.gusts
+            evidence = gust_evidence(setup, found, effect_columns(setup, fit.probes, fit.flown, rest))
         else:
             fit = refit(bench.model, bench.straight, setup, controls, begin, names, start.limits, start.map_)
             evidence = candidate_evidence(setup, fit, rest)
@@ -143,7 +148,7 @@ def _flown(start: Start, selection: Selection, folder: Path) -> Round:
     odds = {**eligible(rest, start.setup, fit, evidence), **{k: by_key[k].odds for k in keys}}
     odds = {k: o + start.handicap.get(k, 0.0) for k, o in odds.items()}
     again = select(
-        evidence, free, odds, start.confirming, chosen=keys, limit=start.limit, twins=TWINS, empirical=start.gusty
+        evidence, free, odds, start.confirming, chosen=keys, limit=start.limit, twins=TWINS, empirical=start.gusts is not None
     )
     standing = {c.key for c in again.chosen} == set(keys)
     own = again.chosen if standing else judged(evidence, free, keys, list(odds), start.confirming, TWINS)
@@ -154,7 +159,7 @@ def _flown(start: Start, selection: Selection, folder: Path) -> Round:
     ]  # fmt: skip
     merit = fit.flown.cost + sum(by_key[k].odds + EARNED * start.limit**2 for k in keys)
     return Round(
-        setup, staged, fit, evidence, Selection(own, again.refused, again.trail), again, standing and not moving, merit
+        setup, staged, fit, evidence, Selection(own, again.refused, again.trail), again, standing and not moving, merit, gusts
     )
 
 

@@ -165,13 +165,16 @@ def _identity(request: Request) -> list[str]:
 
 
 def _judged(request: Request, chosen: Found, train: _Flights, test: _Flights, work: Path, map_: Map) -> Judged:
-    def side(flights: _Flights, name: str) -> Side:
+    def side(flights: _Flights, of_train: bool) -> Side:
         setup, air = flights.setup(request.aircraft), None
-        if chosen.gusty:
+        if chosen.gusts is not None:
             setup = setup_in_gusts(request.aircraft, setup)
             if setup.outputs == chosen.setup.outputs:
                 setup = replace(setup, noise=chosen.setup.noise)
-            air = air_of(_write(request, chosen, work / name), setup, flights.measured, flights.ideal, map_)
+            air = chosen.gusts
+            if not of_train:
+                model = _write(request, chosen, work / "air")
+                air = air_of(model, setup, flights.measured, flights.ideal, map_, chosen.gusts)
         return Side(setup, flights.measured, flights.ideal, air)
 
     number = iter(range(1000))
@@ -179,7 +182,7 @@ def _judged(request: Request, chosen: Found, train: _Flights, test: _Flights, wo
     def write(found: Found) -> Aircraft:
         return _write(request, found, work / f"model{next(number)}")
 
-    return judge(chosen, write, side(train, "air-train"), side(test, "air-test"), map_)
+    return judge(chosen, write, side(train, True), side(test, False), map_)
 
 
 def _write(request: Request, found: Found, folder: Path) -> Aircraft:

@@ -20,7 +20,7 @@ from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
 from uqharness.flights import Flight, measured_outputs, segments
 from uqharness.identify import BIASES, OUTPUTS
-from uqharness.refine_fit import Fit, Setup, states_of
+from uqharness.refine_fit import Flown, Setup, states_of
 from uqharness.replay import SENSOR_OF
 from uqharness.replay_model import CONTROLS, ReplayFolder, ReplayModel
 
@@ -123,11 +123,11 @@ def confirming_segments(setup: Setup) -> NDArray[np.bool_]:
     return found
 
 
-def turbulent(setup: Setup, fit: Fit) -> bool:
+def turbulent(setup: Setup, flown: Flown) -> bool:
     """Whether what the replay leaves is coloured, no function of the motion, and there in quiet flight as well."""
     columns = [k for k, c in enumerate(setup.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")]
-    residual = [(z - y)[:, columns] for z, y in zip(setup.measured, fit.flown.outputs, strict=True)]
-    return process_noise_shown(residual, [y[:, columns] for y in fit.flown.outputs], setup.noise[columns])
+    residual = [(z - y)[:, columns] for z, y in zip(setup.measured, flown.outputs, strict=True)]
+    return process_noise_shown(residual, [y[:, columns] for y in flown.outputs], setup.noise[columns])
 
 
 def setup_in_gusts(aircraft: Aircraft, setup: Setup) -> Setup:

@@ -14,6 +14,7 @@ from sysid.aero_terms import COEFFICIENTS
 from sysid.diagnostics import ljung_box
 from sysid.force_coefficients import smooth
 from sysid.gaps import rms, theil
+from sysid.gust_intensity import Gusts
 from uqharness.aircraft import Aircraft
 from uqharness.flights import states
 from uqharness.identify_start import demand_of, forced_at
@@ -62,11 +63,11 @@ class History:
 
 def show(
     aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Map, sensed: Mapping[str, float],
-    process: Array | None = None,
+    gusts: Gusts | None = None,
 ) -> Shown:  # fmt: skip
     """Flights by an aircraft as its XML has it; only start states, biases and (of logs) delays are estimated.
 
-    process (S, 11, 11): process noise of the segments, with which one-step predictions take the place of replays.
+    gusts: the air of the flights, with which one-step predictions take the place of replays.
     """
     with Bench(aircraft, measured, ideal) as bench:
         plain = replace(setup, active=(), carriers={})
@@ -77,14 +78,14 @@ def show(
             for s, (f, p) in zip(setup.segments, [(f, p) for f in setup.flights for p in f.pieces], strict=True)
         ]
         found = list(map_(_coefficient_gap, jobs))
-        if process is None:
+        if gusts is None:
             fit = refit(bench.model, bench.straight, plain, controls, start, (), {}, map_, max_iterations=6)
             residual = [z - y for z, y in zip(setup.measured, fit.flown.outputs, strict=True)]
             white = [r / setup.noise for r in residual]
             flown, noise, cost = fit.flown, setup.noise, fit.flown.cost
         else:
             bends = middles(bench.model, plain, map_)
-            gust = gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, process, iterations=3)
+            gust = gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, gusts, known=True)
             delta, _ = gust.fit.evidence.step()
             white = gust.fit.evidence.residual(delta)
             residual = [r * w.deviation for r, w in zip(white, gust.white, strict=True)]
@@ -96,13 +97,15 @@ def show(
     return Shown(flown, residual, noise, [f[0] for f in found], floor, white, cost)
 
 
-def air_of(aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Map) -> Array:
-    """Process noise (S, 11, 11) of some flights, estimated with a model as it is."""
+def air_of(
+    aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Map, near: Gusts
+) -> Gusts:
+    """The air of some flights, estimated with a model as it is; near: that of others."""
     with Bench(aircraft, measured, ideal) as bench:
         plain = replace(setup, active=(), carriers={})
         start = Point({}, {}, tuple(s.start for s in setup.segments))
         controls, bends = positions(bench.model, plain, map_), middles(bench.model, plain, map_)
-        return gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, iterations=2).process
+        return gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, near, iterations=2).gusts
 
 
 def _coefficient_gap(

@@ -8,7 +8,7 @@ import pytest
 from sysid.effect_choice import select, threshold
 from sysid.effect_score import corrected, gather, scores
 from sysid.gust_intensity import noise_factors
-from sysid.prediction import Columns, whiten
+from sysid.prediction import Columns, Process, whiten
 from sysid.rigid_steps import NX, OUTPUTS, Steps
 
 M = len(OUTPUTS)
@@ -22,7 +22,8 @@ def system(n: int, seed: int) -> Steps:
     H = np.repeat(rng.standard_normal((M, NX))[None], n, axis=0)
     D = np.repeat(0.2 * rng.standard_normal((M, 6))[None], n, axis=0)
     defect = 0.05 * rng.standard_normal((n - 1, NX))
-    return Steps(0.02, phi, g0, g1, defect, H, D, rng.standard_normal((n, M)))
+    start = np.vstack([np.eye(8), rng.standard_normal((NX - 8, 8))])
+    return Steps(0.02, phi, g0, g1, defect, H, D, rng.standard_normal((n, M)), start)
 
 
 def dense(steps: Steps, noise: np.ndarray, Q: np.ndarray, P0: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -35,7 +36,7 @@ def dense(steps: Steps, noise: np.ndarray, Q: np.ndarray, P0: np.ndarray) -> tup
         half = eye + 0.5 * away - 0.125 * away @ away
         added.append(steps.dt_s / 6.0 * (Q + 4.0 * half @ Q @ half.T + phi[k] @ Q @ phi[k].T))
     mean, cov = [np.zeros(NX)], [[P0]]
-    start = [eye[:, :8]]
+    start = [eye[:, :8] if steps.start is None else steps.start]
     for k in range(n - 1):
         mean.append(phi[k] @ mean[-1] + steps.defect[k])
         start.append(phi[k] @ start[-1])
@@ -59,16 +60,17 @@ def test_the_filter_is_the_dense_likelihood(gusty):
     n = 7
     steps, rng = system(n, 1), np.random.default_rng(2)
     noise = 0.2 + rng.random(M)
-    Q = np.zeros((NX, NX))
+    Q = P0 = np.zeros((NX, NX))
     if gusty:
         root = rng.standard_normal((NX, 3))
-        root[8:] = 0.0
         Q = root @ root.T
+        P0 = np.diag(np.where(np.arange(NX) < 8, 0.0, 1.0 + rng.random(NX)))
     z = rng.standard_normal((n, M))
     z[3, 4] = np.nan
     u = rng.standard_normal((n, 6))
-    (white,) = whiten([steps], [z], [Columns(("c",), {"c": (-1, u)}, {})], range(M), noise, Q)
-    y, V, X = dense(steps, noise, Q, np.zeros((NX, NX)))
+    process = Process(Q[None], P0[None]) if gusty else None
+    (white,) = whiten([steps], [z], [Columns(("c",), {"c": (-1, u)}, {})], range(M), noise, process)
+    y, V, X = dense(steps, noise, Q, P0)
     seen = np.isfinite(z).ravel()
     e = (z.ravel() - y)[seen]
     V, X = V[np.ix_(seen, seen)], X[seen]
@@ -177,6 +179,6 @@ def test_noise_that_is_half_of_what_is_stated_is_found_in_gusts():
                 shaken = np.sqrt(s.dt_s * np.diagonal(Q)) * rng.standard_normal(NX)
                 state = s.phi[i] @ (state + shaken) + s.defect[i]
         data.append(z)
-    found = noise_factors(steps, data, range(M), stated, np.repeat(Q[None], 6, axis=0), kinds)
+    found = noise_factors(steps, data, range(M), stated, Process(*(np.repeat(q[None], 6, axis=0) for q in (Q, 0.0 * Q))), kinds)
     assert found[5] == pytest.approx(0.5, rel=0.25)
     assert found[[0, 8]] == pytest.approx([1.0, 1.0], abs=0.2)

@@ -1,0 +1,139 @@
+"""The linear system along a flight against the equations written in the open, and what gusts do in it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sysid.force_coefficients import MassProperties
+from sysid.gust_intensity import gust_intensity, process_of
+from sysid.gust_states import GustStates
+from sysid.open_equations import OpenEquations
+from sysid.rigid_steps import AIR, NX, Reference, linearise, whole_states
+
+MASS = MassProperties(
+    mass=21.0, inertia=np.array([[11.1, 0.0, -0.5], [0.0, 7.7, 0.0], [-0.5, 0.0, 18.4]]), S=1.38, b=3.66, c=0.38
+)
+TERMS = ("CX_0", "CZ_0", "CZ_alpha", "CY_beta", "Cl_beta", "Cl_p", "Cl_r", "Cm_alpha", "Cm_q", "Cn_beta", "Cn_p", "Cn_r")
+VALUES = np.array([-0.03, -0.4, -5.0, -0.6, -0.05, -0.5, 0.1, -0.8, -12.0, 0.07, -0.04, -0.12])
+INPUTS = np.array([*np.zeros(9), 1.2, *np.zeros(6)])
+DT = 0.02
+
+
+def flight(n: int) -> np.ndarray:
+    """(n, 8) a banked, rolling, turning path."""
+    t = DT * np.arange(n)
+    columns = [21.0 + 0.5 * t, 0.05 + 0.02 * np.sin(t), 0.03 * np.cos(2.0 * t), 0.4 * np.cos(1.5 * t), 0.1 + 0.05 * t,
+               0.25 + 0.1 * np.sin(t), 0.5 + 0.3 * np.sin(1.5 * t), 0.1 * np.ones(n)]  # fmt: skip
+    return np.column_stack(columns)
+
+
+def loads(x: np.ndarray, equations: OpenEquations) -> np.ndarray:
+    """(6,) force and moment at (8,) states in still air."""
+    C = np.array(equations._coefficients(*x[:6], INPUTS, VALUES), dtype=float)
+    qS = 0.5 * INPUTS[9] * x[0] ** 2 * MASS.S
+    return qS * np.array([1.0, 1.0, 1.0, MASS.b, MASS.c, MASS.b]) * C
+
+
+def reference(x: np.ndarray, equations: OpenEquations) -> Reference:
+    force = np.array([loads(row, equations) for row in x])
+    slopes = np.empty((len(x), 6, 6))
+    for k in range(len(AIR)):
+        step = 1e-5 * (np.arange(8) == k)
+        slopes[:, :, k] = [(loads(r + step, equations) - loads(r - step, equations)) / 2e-5 for r in x]
+    qbar = 0.5 * INPUTS[9] * x[:, 0] ** 2
+    return Reference(DT, x, force[:, :3], force[:, 3:], slopes, qbar, np.zeros(3), False)
+
+
+@pytest.mark.parametrize(("rotating", "turning"), [(True, True), (True, False), (False, False)])
+def test_the_system_is_that_of_the_open_equations(rotating, turning, monkeypatch):
+    equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
+    gusts = GustStates(MASS.b, rotating=rotating, turning_with=turning)
+    monkeypatch.setattr(OpenEquations, "gusts", gusts)
+    x = flight(4)
+    found = linearise(reference(x, equations), MASS, gusts=gusts)
+    wide = whole_states(x, gusts)
+    middle = 0.5 * (wide[1] + wide[2])
+
+    def f(state: np.ndarray) -> np.ndarray:
+        return np.array(equations.f(state, INPUTS, VALUES), dtype=float)
+
+    A = np.column_stack([(f(middle + h) - f(middle - h)) / 2e-6 for h in 1e-6 * np.eye(NX)])
+    expected = np.eye(NX) + A * DT + A @ A * DT**2 / 2.0 + A @ A @ A * DT**3 / 6.0
+    np.testing.assert_allclose(found.phi[1], expected, atol=2e-4)
+    assert np.abs(found.phi[1][:, 8:] - np.eye(NX)[:, 8:]).max() > 0.01
+    state = wide[1]
+    for _ in range(4):
+        k1 = f(state)
+        k2 = f(state + DT / 8.0 * k1)
+        k3 = f(state + DT / 8.0 * k2)
+        state = state + DT / 24.0 * (k1 + 2.0 * k2 + 2.0 * k3 + f(state + DT / 4.0 * k3))
+    np.testing.assert_allclose(wide[2] + found.defect[1], state, atol=1e-4)
+    assert np.abs(found.defect[1]).max() > 0.01
+
+
+def test_still_air_stays_still_wherever_the_flight_begins():
+    equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
+    x = flight(80)
+    state = whole_states(x[:1], GustStates(MASS.b))[0]
+    for k in range(len(x)):
+        x[k] = state[:8]
+        for _ in range(10):
+            half = state + DT / 20.0 * np.array(equations.f(state, INPUTS, VALUES), dtype=float)
+            state = state + DT / 10.0 * np.array(equations.f(half, INPUTS, VALUES), dtype=float)
+    plain = linearise(reference(x, equations), MASS)
+    gusty = linearise(reference(x, equations), MASS, gusts=GustStates(MASS.b))
+    assert plain.start is not None
+    assert gusty.start is not None
+    small, large = plain.start, gusty.start
+    for k in range(len(x) - 1):
+        small, large = plain.phi[k] @ small, gusty.phi[k] @ large
+    scale = np.abs(small).max(axis=1, keepdims=True)
+    np.testing.assert_allclose(large[:8] / scale, small / scale, atol=5e-3)
+    wrong = np.eye(NX, 8)
+    for k in range(len(x) - 1):
+        wrong = gusty.phi[k] @ wrong
+    assert np.abs(wrong[:8] - small).max() > 10.0 * np.abs(large[:8] - small).max()
+
+
+@pytest.mark.parametrize(("rotating", "turning"), [(True, True), (True, False), (False, False)])
+def test_intensities_and_what_gusts_do_are_found(rotating, turning):
+    """Flights drawn from the linear system itself: intensities within a factor, the air's ways by likelihood."""
+    rng = np.random.default_rng(4)
+    equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
+    truth = GustStates(MASS.b, rotating=rotating, turning_with=turning)
+    values = np.array([0.2, 1e-3, 1e-3, 0.04, 1e-4])
+    noise = np.array([0.3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 0.05, 0.05, 0.05])
+    n, ref = 150, []
+    for k in range(4):
+        x = flight(n + 20 * k)[20 * k :]
+        x[:, 5] += 0.35
+        ref.append(reference(x, equations))
+    made = {
+        s: [linearise(r, MASS, gusts=s) for r in ref]
+        for s in (GustStates(MASS.b, rotating=a, turning_with=b) for a in (True, False) for b in (True, False))
+    }
+    data = []
+    for steps in made[truth]:
+        Q, begin = process_of(values, 22.0, truth)
+        d = np.sqrt(np.diagonal(begin)) * rng.standard_normal(NX)
+        z = np.empty((n, len(noise)))
+        for k in range(n):
+            z[k] = steps.y_ref[k] + steps.H[k] @ d + noise * rng.standard_normal(len(noise))
+            if k < n - 1:
+                d = steps.phi[k] @ (d + np.sqrt(0.5 * DT * np.diagonal(Q)) * rng.standard_normal(NX)) + steps.defect[k]
+                d = d + np.sqrt(0.5 * DT * np.diagonal(Q)) * rng.standard_normal(NX)
+        data.append(z)
+    found = gust_intensity(
+        lambda some, s: [made[s][k] for k in some], data, range(len(noise)), noise, [22.0] * 4, ["a"] * 2 + ["b"] * 2,
+        GustStates(MASS.b),
+    )  # fmt: skip
+    assert (found.states.rotating, found.states.turning_with) == (rotating, turning)
+    np.testing.assert_allclose(np.log(found.values[:4] / values[:4]), 0.0, atol=np.log(1.7))
+    assert set(found.own) == {"a", "b"}
+    assert found.gain > 1000.0
+    again = gust_intensity(
+        lambda some, s: [made[s][k] for k in some], data, range(len(noise)), noise, [22.0] * 4, ["a"] * 2 + ["b"] * 2,
+        GustStates(MASS.b), found,
+    )  # fmt: skip
+    np.testing.assert_allclose(np.log(again.values[:4] / found.values[:4]), 0.0, atol=np.log(1.4))
