@@ -23,10 +23,20 @@ from sysid.gust_intensity import Gusts
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
 from uqharness.refine_base import base_fit, undetermined
+from uqharness.refine_begin import strong_first
 from uqharness.refine_candidates import effect_columns
 from uqharness.refine_fit import Fit, Map, Setup, positions
 from uqharness.refine_gusts import gust_evidence, gust_refit, middles
-from uqharness.refine_rounds import LEAST_LATE_ROWS, Start, candidate_evidence, control_slopes, eligible, settle
+from uqharness.refine_rates import limits_tried
+from uqharness.refine_rounds import (
+    LEAST_LATE_ROWS,
+    Start,
+    candidate_evidence,
+    column_evidence,
+    control_slopes,
+    eligible,
+    settle,
+)
 from uqharness.refine_setup import (
     Bench,
     candidates_for,
@@ -121,6 +131,9 @@ def find_effects(
                 say,
             )
         say(f"scoring {len(effects)} candidate effects")
+        setup = limits_tried(
+            setup, before.probes, before.columns[0].names, lambda extra: column_evidence(setup, before, extra)
+        )
         timed = () if setup.late else (CONTROLS_LATE,)
         evidence = candidate_evidence(setup, before, [*effects, *timed])
         odds = eligible(effects, setup, before, evidence)
@@ -141,11 +154,13 @@ def find_effects(
         return found
     board = score_table(evidence, before.columns[0].names, odds, by_key)
     limit = chance_limit(evidence, before.columns[0].names, list(odds))
-    first = select(evidence, before.columns[0].names, odds, confirming, limit=limit, twins=TWINS)
+    free = before.columns[0].names
+    first = select(evidence, free, odds, confirming, limit=limit, twins=TWINS)
+    first = strong_first(first, evidence, free, odds, confirming, TWINS)
     start = Start(
         aircraft, setup, before, names, effects, limits, confirming, limit, tuple(measured), tuple(ideal), map_
     )
-    best, trail = settle(start, first, work, say)
+    best, trail = settle(start, first, evidence, work, say)
     trail = [*(f"round 1: {line}" for line in first.trail), *trail]
     if best is None:
         none = Selection((), _not_borne_out(first, limit) or first.refused, first.trail)
@@ -201,9 +216,9 @@ def _in_gusts(
     """The same choice made on one-step predictions."""
     controls, bends = positions(bench.model, setup, map_), middles(bench.model, setup, map_)
     found = gust_refit(bench.straight, setup, controls, bends, base.flown.point, names, limits, map_, tune=True)
-    setup = found.setup
-    evidence = gust_evidence(setup, found, effect_columns(setup, found.fit.probes, found.fit.flown, effects))
     free = found.fit.columns[0].names
+    setup = limits_tried(found.setup, found.fit.probes, free, lambda extra: gust_evidence(found.setup, found, extra))
+    evidence = gust_evidence(setup, found, effect_columns(setup, found.fit.probes, found.fit.flown, effects))
     handicap = {e.key: GUST_ODDS for e in effects if gust_like(e)}
     odds = {k: o + handicap.get(k, 0.0) for k, o in eligible(effects, setup, found.fit, evidence).items()}
     limit = max(threshold(len(odds)), GUST_LIMIT)
@@ -212,7 +227,7 @@ def _in_gusts(
         bench.aircraft, setup, found.fit, names, effects, limits, confirming, limit, bench.measured, bench.ideal, map_,
         found.gusts, handicap,
     )  # fmt: skip
-    best, trail = settle(start, first, work, say)
+    best, trail = settle(start, first, evidence, work, say)
     trail = [*(f"round 1: {line}" for line in first.trail), *trail]
     note = (
         "the residuals of replays showed turbulence: effects and parameters were judged by "

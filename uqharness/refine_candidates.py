@@ -100,7 +100,7 @@ def _subsystem(
         return C, None
     if part == "actuator":
         k = CONTROLS.index(what)
-        moved = servo_change(e.term, setup.servos.get(what), segment.controls[:, k], p.controls[:, k], h)
+        moved = servo_change(e.term, setup.servos.get(what), segment.controls[:, k], p.controls[:, k], h, setup.limits.get(what))
         if not np.any(moved):
             return None, None
         return p.by_control[:, :, k] * moved[:, None], None
@@ -125,9 +125,15 @@ def _attached(alpha_deg: Array) -> Array:
     return np.asarray((0.5 * (1.0 + np.sqrt(X))) ** 2)
 
 
-def servo_change(kind: str, servo: Actuator | None, command: Array, u: Array, h: float) -> Array:
-    """(n,) how far the surface stands from where it was taken to be, per unit of the effect: lag [s] and inverse of the rate limit
-    [s/deg] count from the servo's own, the dead zone [deg] from none. command, u: asked for and standing, at rows h [s] apart."""
+def servo_change(
+    kind: str, servo: Actuator | None, command: Array, u: Array, h: float, limits: tuple[float, float] | None = None
+) -> Array:
+    """(n,) how far the surface stands from where it was taken to be, per unit of the effect.
+
+    Lag [s] and inverse of the rate limit [s/deg] count from the servo's own, the dead zone [deg] from none. command, u: asked for
+    and standing, at rows h [s] apart. limits: rate limits [deg/s] whose difference is taken; without them the servo's own and
+    one that is felt.
+    """
     if kind == "deadband":
         # Within half the width around zero the surface stays; beyond, it is short by half of it.
         return np.asarray(-0.5 * np.clip(u / (0.5 * _DEADBAND_DEG), -1.0, 1.0))
@@ -138,7 +144,10 @@ def servo_change(kind: str, servo: Actuator | None, command: Array, u: Array, h:
     if kind == "lag":
         slower = 1.0 / ((1.0 / servo.lag if servo.lag else 0.0) + _LAG_S)
         return (replace(servo, lag=slower).follow(command, h, step) - before) / _LAG_S
-    # Rate limit: the change that a limit a quarter below the fastest motion seen makes, per s/deg by which its inverse is above
+    if limits is not None:
+        one, other = (replace(servo, rate=r).follow(command, h, step) for r in limits)
+        return (other - one) / (1.0 / limits[1] - 1.0 / limits[0])
+    # The change that a limit a quarter below the fastest motion seen makes, per s/deg by which its inverse is above
     # that of the limit the servo has.
     fastest = float(np.abs(np.diff(before)).max()) / h
     if not fastest > 1.0:

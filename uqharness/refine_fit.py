@@ -65,7 +65,8 @@ class Setup:
 
     measured [(n, m)] outputs as logged; noise (m,); late: flight -> sensors whose delay is estimated; biased: channels;
     active: effects that the model being flown has, or that its sensors have; carriers: key -> property of those that have one;
-    servos: actuators of the surfaces whose commands alone were recorded
+    servos: actuators of the surfaces whose commands alone were recorded; limits: surface -> rate limits [deg/s] from and to which
+    a slower servo's effect is read
     """
 
     flights: tuple[Flight, ...]
@@ -79,6 +80,7 @@ class Setup:
     active: tuple[Effect, ...] = ()
     carriers: Mapping[str, str] = field(default_factory=dict)
     servos: Mapping[str, Actuator] = field(default_factory=dict)
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def which(self) -> list[int]:

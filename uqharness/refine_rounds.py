@@ -13,11 +13,13 @@ from sysid.effect_choice import Selection, judged, select
 from sysid.effect_score import Evidence, gather, scores
 from sysid.effects import TWINS, Effect
 from sysid.gust_intensity import Gusts
-from sysid.prediction import whiten
+from sysid.prediction import Columns, whiten
 from uqharness.aircraft import Aircraft, find_aircraft
+from uqharness.refine_begin import About, joint_point
 from uqharness.refine_candidates import effect_columns
-from uqharness.refine_fit import PRIOR, Fit, Map, Point, Setup, merged, positions, refit
+from uqharness.refine_fit import PRIOR, Fit, Map, Point, Setup, fly, merged, positions, refit
 from uqharness.refine_gusts import gust_evidence, gust_refit, middles
+from uqharness.refine_rates import around, slower_servos
 from uqharness.refine_setup import Bench
 from uqharness.refine_xml import Written, carrier, in_dynamics, write_effects
 from uqharness.replay_model import CONTROLS
@@ -61,7 +63,7 @@ class Round:
     evidence   as it would be had the effects not been flown, around the flight with them
     selection  the effects flown, judged there; again: what would be chosen there
     standing   whether that is the same, with the same numbers where JSBSim reads them once
-    merit      cost and what the effects must earn: less is better; gusts: the air, as estimated with them
+    merit      cost and what the effects must earn: less is better; gusts: the air, as estimated with them; about: where it ended
     """
 
     setup: Setup
@@ -73,6 +75,7 @@ class Round:
     standing: bool
     merit: float
     gusts: Gusts | None
+    about: About
 
     @property
     def keys(self) -> frozenset[str]:
@@ -80,7 +83,9 @@ class Round:
         return frozenset(c.key for c in self.selection.chosen)
 
 
-def settle(start: Start, selection: Selection, work: Path, say: Say) -> tuple[Round | None, list[str]]:
+def settle(
+    start: Start, selection: Selection, evidence: Evidence, work: Path, say: Say
+) -> tuple[Round | None, list[str]]:
     """Fly what was chosen and choose again until the choice stands; the best of the rounds flown, and the trail.
 
     None where every round flown is worse than the aircraft as it was. A choice that goes to and fro ends at the second sight of a
@@ -89,13 +94,14 @@ def settle(start: Start, selection: Selection, work: Path, say: Say) -> tuple[Ro
     trail: list[str] = []
     flown: list[Round] = []
     seen: set[frozenset[str]] = set()
+    about = About(start.before.flown.point, evidence, {})
     for number in range(2, ROUNDS + 2):
         if not selection.chosen:
             break
         say(
             f"round {number}: flying with {', '.join(c.key.removeprefix('effect/').replace('/', ' ') for c in selection.chosen)}"
         )
-        now = _flown(start, selection, work / f"round{number}")
+        now = _flown(start, selection, about, work / f"round{number}")
         trail += [f"round {number}: {line}" for line in now.again.trail]
         flown.append(now)
         if now.standing:
@@ -105,7 +111,7 @@ def settle(start: Start, selection: Selection, work: Path, say: Say) -> tuple[Ro
         if following in seen and following != now.keys:
             trail.append(f"round {number}: back to effects flown before; the best round stands")
             break
-        selection = now.again
+        selection, about = now.again, now.about
     # With every round the gusts are estimated anew, and predictions made with other gusts are not to be compared.
     best = flown[-1] if start.gusts and flown else min(flown, key=lambda r: r.merit, default=None)
     if start.gusts:
@@ -119,13 +125,16 @@ def settle(start: Start, selection: Selection, work: Path, say: Say) -> tuple[Ro
     return best, trail
 
 
-def _flown(start: Start, selection: Selection, folder: Path) -> Round:
+def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Round:
     by_key = {e.key: e for e in start.effects}
     chosen = [by_key[c.key] for c in selection.chosen]
     keys = [e.key for e in chosen]
     staged, setup = stage(start.aircraft, start.setup, chosen, selection, start.before, folder)
     rest = [e for e in start.effects if e.key not in keys]
-    begin = with_effects(start.before.flown.point, setup, selection, staged)
+    bare = replace(setup, active=(), carriers={})
+    first = start.before.flown.point
+    joint = joint_point(about, bare, first, start.before.columns[0].names, keys, start.limits)
+    begin = with_effects(joint, setup, selection, staged)
     names = [*start.names, *keys]
     with Bench(staged, start.measured, start.ideal) as bench:
         controls = positions(bench.model, setup, start.map_)
@@ -138,12 +147,14 @@ def _flown(start: Start, selection: Selection, folder: Path) -> Round:
             fit, gusts = found.fit, found.gusts
             evidence = gust_evidence(setup, found, effect_columns(setup, fit.probes, fit.flown, rest))
         else:
+            options = [begin, with_effects(first, setup, selection, staged)]
+            costs = [fly(bench.model, setup, p, start.map_).cost for p in options]
+            begin = options[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))]
             fit = refit(bench.model, bench.straight, setup, controls, begin, names, start.limits, start.map_)
             evidence = candidate_evidence(setup, fit, rest)
     written = {c.key: c.value for c in selection.chosen}
-    evidence = evidence.taken_out(
-        {e.key: effect_value(e, fit.flown.point, setup.carriers, staged, written[e.key]) for e in chosen}
-    )
+    values = {e.key: effect_value(e, fit.flown.point, setup.carriers, staged, written[e.key]) for e in chosen}
+    evidence = evidence.taken_out(values)
     free = [n for n in fit.columns[0].names if n not in keys]
     odds = {**eligible(rest, start.setup, fit, evidence), **{k: by_key[k].odds for k in keys}}
     odds = {k: o + start.handicap.get(k, 0.0) for k, o in odds.items()}
@@ -159,13 +170,19 @@ def _flown(start: Start, selection: Selection, folder: Path) -> Round:
     ]  # fmt: skip
     merit = fit.flown.cost + sum(by_key[k].odds + EARNED * start.limit**2 for k in keys)
     return Round(
-        setup, staged, fit, evidence, Selection(own, again.refused, again.trail), again, standing and not moving, merit, gusts
+        setup, staged, fit, evidence, Selection(own, again.refused, again.trail), again, standing and not moving, merit, gusts,
+        About(fit.flown.point, evidence, values),
     )
 
 
 def candidate_evidence(setup: Setup, fit: Fit, effects: Sequence[Effect]) -> Evidence:
     """Evidence of a fit's own columns and of every candidate's."""
-    columns = merged(fit.columns, effect_columns(setup, fit.probes, fit.flown, effects))
+    return column_evidence(setup, fit, effect_columns(setup, fit.probes, fit.flown, effects))
+
+
+def column_evidence(setup: Setup, fit: Fit, extra: Sequence[Columns]) -> Evidence:
+    """Evidence of a fit's own columns beside others."""
+    columns = merged(fit.columns, extra)
     white = whiten(fit.steps, setup.measured, columns, setup.which, setup.noise)
     return gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)
 
@@ -207,7 +224,8 @@ def stage(
     staged = find_aircraft(target)
     staged = replace(staged, engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
     carriers = {e.key: found[0] for e in chosen if (found := carrier(e, aircraft.folder)) is not None}
-    return staged, replace(setup, active=tuple(chosen), carriers=carriers)
+    limits = {**setup.limits, **{s: around(setup.servos[s], v) for s, v in slower_servos(chosen, value).items()}}
+    return staged, replace(setup, active=tuple(chosen), carriers=carriers, limits=limits)
 
 
 def control_slopes(fit: Fit) -> dict[str, float]:

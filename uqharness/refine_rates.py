@@ -1,0 +1,102 @@
+"""At which rate limit a servo's slowness shows: nothing happens down to the fastest motion asked of it, then more and more.
+
+One slope for all of that is right nowhere: a limit a little below the fastest motion would be estimated above it, where it does
+nothing. So some limits are tried, each against the servo's own, for the one of which the flights want just what it does; its
+column stands for the effect. Once an effect is flown, its column is the slope at the limit that flies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.effect_score import Evidence, scores
+from sysid.effects import Effect
+from sysid.prediction import Columns
+from uqharness.actuators import Actuator
+from uqharness.refine_candidates import servo_change
+from uqharness.refine_fit import Setup
+from uqharness.refine_reference import Probe
+from uqharness.replay import runs_per_row
+from uqharness.replay_model import CONTROLS
+
+Array = NDArray[np.float64]
+SHARES = (0.98, 0.95, 0.9, 0.85, 0.75, 0.6, 0.45, 0.3)
+"""Limits tried, of the fastest motion."""
+NEAR = 0.97
+
+
+def limits_tried(
+    setup: Setup, probes: Sequence[Probe], free: Sequence[str], evidence_of: Callable[[list[Columns]], Evidence]
+) -> Setup:
+    """The setup with the rate limits at which the flights say most of each servo. evidence_of: evidence with columns besides."""
+    tried = {
+        f"{surface}@{share:g}": (surface, limit)
+        for surface, servo in setup.servos.items()
+        for share in SHARES
+        if (limit := share * _fastest(setup, surface, servo)) < servo.rate and limit > 1.0
+    }
+    if not tried:
+        return setup
+    columns = []
+    for segment, p in zip(setup.segments, probes, strict=True):
+        inputs = {}
+        for key, (surface, limit) in tried.items():
+            k, servo = CONTROLS.index(surface), setup.servos[surface]
+            moved = servo_change(
+                "rate_limit", servo, segment.controls[:, k], p.controls[:, k], segment.dt_s, (servo.rate, limit)
+            )
+            inputs[key] = (-1, p.by_control[:, :, k] * moved[:, None])
+        columns.append(Columns(tuple(tried), inputs, {}))
+    found = scores(evidence_of(columns), free, list(tried))
+    limits = {}
+    for surface, servo in setup.servos.items():
+        rows = [k for k, (s, _) in enumerate(tried.values()) if s == surface]
+        asked = np.array([list(tried.values())[k][1] for k in rows])
+        best = _just_so(asked, found.estimate[rows] / (1.0 / asked - 1.0 / servo.rate), found.t[rows])
+        if best is not None:
+            limits[surface] = (servo.rate, best)
+    return replace(setup, limits=limits)
+
+
+def _just_so(limit: Array, wanted: Array, t: Array) -> float | None:
+    """The limit [deg/s] of which the flights want once what it does, wanted (n,) times at falling limits (n,).
+
+    Else the one of which they say most; None where all speaks against a slower servo.
+    """
+    fine = np.isfinite(wanted) & (wanted > 0.0)
+    if not fine.any():
+        return None
+    limit, share, t = limit[fine], np.log(wanted[fine]), t[fine]
+    for k in range(len(limit) - 1):
+        if share[k] >= 0.0 > share[k + 1]:
+            return float(limit[k] + (limit[k + 1] - limit[k]) * share[k] / (share[k] - share[k + 1]))
+    return float(limit[int(np.argmax(t))])
+
+
+def _fastest(setup: Setup, surface: str, servo: Actuator) -> float:
+    """Fastest motion of a surface [deg/s], from row to row."""
+    k = CONTROLS.index(surface)
+    found = [
+        np.abs(np.diff(servo.follow(s.controls[:, k], s.dt_s, s.dt_s / runs_per_row(s.dt_s)))).max(initial=0.0) / s.dt_s
+        for s in setup.segments
+    ]
+    return float(max(found, default=0.0))
+
+
+def slower_servos(chosen: Sequence[Effect], value: Mapping[str, float]) -> dict[str, float]:
+    """surface -> value [s/deg] of the rate limits among some effects."""
+    return {
+        (e.subsystem or "").partition(".")[2]: value[e.key]
+        for e in chosen
+        if e.term == "rate_limit" and (e.subsystem or "").startswith("actuator.")
+    }
+
+
+def around(servo: Actuator, value: float) -> tuple[float, float]:
+    """Limits [deg/s] between which the slope at an effect's value is taken."""
+    limit = 1.0 / max(value + 1.0 / servo.rate, 1e-9)
+    return limit, NEAR * limit
