@@ -29,7 +29,9 @@ Write = Callable[[Found], Aircraft]
 BLOCK_S = 2.0
 """Residuals this far apart count as independent."""
 BEYOND_CHANCE = 1.645
-"""Standard errors by which a gap must have grown for the growth to count: noise alone does that once in twenty times."""
+"""Standard errors beyond which a change of the gap is not chance's: noise alone does that once in twenty times."""
+SHOWN = 0.75
+"""Standard errors by which an effect, were it there, would change a test flight that is asked for more than chance's answer."""
 FAR = 5.0
 """Test flights that lie this many times as far from either model as the train flights do are not of the same aircraft or not
 sound; a difference between the models is lost in what is wrong with them."""
@@ -38,12 +40,14 @@ sound; a difference between the models is lost in what is wrong with them."""
 @dataclass(frozen=True)
 class Verdict:
     """Of one effect on the test flights: by how much the sum of squared residuals over noise is larger without it, and the
-    standard error of that. far: rms of the better model's residuals over noise, over that of the train flights."""
+    standard error of that. expected: by how much it would be, were the effect there as it is written; far: rms of the better
+    model's residuals over noise, over that of the train flights."""
 
     key: str
     change: float
     std: float
     far: float = 1.0
+    expected: float = 0.0
 
     @property
     def z(self) -> float:
@@ -55,7 +59,9 @@ class Verdict:
         """shrank, grew, cannot tell (a change that chance gives as well), or too far (flights that judge neither model)."""
         if self.far > FAR:
             return "too far"
-        return "shrank" if self.z > BEYOND_CHANCE else "grew" if self.z < -BEYOND_CHANCE else "cannot tell"
+        # An effect that is there raises the change by what one that is not lowers it by: between the two, zero is half-way.
+        against = self.change < 0.0 and self.expected > SHOWN * self.std
+        return "shrank" if self.z > BEYOND_CHANCE else "grew" if against or self.z < -BEYOND_CHANCE else "cannot tell"
 
 
 @dataclass(frozen=True)
@@ -135,13 +141,15 @@ def gap_change(key: str, without: Shown, with_: Shown, setup: Setup, fitted: Sho
     sums over blocks, so that residuals may be coloured within them. fitted: the model with its effects on the train flights.
     """
     better = with_ if with_.cost <= without.cost else without
-    change, variance = 0.0, 0.0
+    change, variance, expected = 0.0, 0.0, 0.0
     for a, b, e, segment in zip(without.white, with_.white, better.white, setup.segments, strict=True):
         change += float(np.nansum(a**2 - b**2))
+        expected += float(np.nansum((a - b) ** 2))
         terms = np.nansum(2.0 * e * (a - b), axis=1)
         starts = np.arange(0, len(terms), max(1, round(BLOCK_S / segment.dt_s)))
         variance += float(np.sum(np.add.reduceat(terms, starts) ** 2))
-    return Verdict(key, change, float(np.sqrt(variance)), _mean_square(better) ** 0.5 / _mean_square(fitted) ** 0.5)
+    far = _mean_square(better) ** 0.5 / _mean_square(fitted) ** 0.5
+    return Verdict(key, change, float(np.sqrt(variance)), far, expected)
 
 
 def _mean_square(shown: Shown) -> float:
