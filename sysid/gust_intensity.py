@@ -138,7 +138,11 @@ class _Search:
         process = Process(np.stack([n for n, _ in made]), np.stack([b for _, b in made]))
         few, data, many = list(self.linear(some, states)), [self.measured[k] for k in some], len(points)
         none = [Columns((), {}, {})] * (len(few) * many)
-        found = whiten(few * many, data * many, none, self.which, self.noise, process)
+        try:
+            found = whiten(few * many, data * many, none, self.which, self.noise, process)
+        except np.linalg.LinAlgError:
+            # Air so gusty that what the sensors say is lost in rounding: one of the points at least is no answer.
+            return np.array([np.inf]) if many == 1 else np.concatenate([self.costs(some, states, [p]) for p in points])
         each = np.array([_cost(w) for w in found])
         return np.asarray(each.reshape(many, len(few)).sum(axis=1))
 

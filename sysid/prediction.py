@@ -170,6 +170,7 @@ def _filter(
             after = d + (back @ joint[:, :, :1])[:, :, 0]
             X = X - back @ joint[:, :, 1 : K + 9]
             P = P - back @ half
+            P = 0.5 * (P + P.transpose(0, 2, 1))
         if k == n - 1:
             break
         X = phi[k] @ X

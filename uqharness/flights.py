@@ -22,6 +22,7 @@ from sysid.segmentation import MAX_S, MIN_S, Piece, as_logged, cut
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
 from uqharness.replay import CHANNELS, STATES, Segment
+from uqharness.replay_ground import height_known
 from uqharness.replay_model import CONTROLS
 from uqharness.start_altitude import with_start_altitude
 
@@ -192,6 +193,7 @@ def segments(
             Segment(
                 piece.label, flight.name, grid, np.column_stack([record[c][rows] for c in control_columns(measured)]),
                 start, _altitude(record, rows, h), h, arm_m, np.column_stack([_command(record, c, rows) for c in CONTROLS]),
+                height_known(record),
             )
         )  # fmt: skip
     return out

@@ -13,6 +13,7 @@ from sysid.force_coefficients import MassProperties
 from uqharness import engine
 from uqharness.properties import position_factor
 from uqharness.replay import Segment
+from uqharness.replay_ground import terrain_m
 from uqharness.replay_model import ReplayModel, control_setters
 from uqharness.trim import FT, TRIM_LATITUDE_DEG, body_velocity
 
@@ -64,7 +65,7 @@ def force_states(
     setters = control_setters(fdm, model)
     height = np.full(len(controls), segment.altitude_m) if altitude_m is None else altitude_m
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
-    fdm["ic/terrain-elevation-ft"] = (float(height.min()) - 2000.0) / FT
+    fdm["ic/terrain-elevation-ft"] = min(terrain_m(model, segment), float(height.min())) / FT
     names = (
         "h-sl-ft",
         "phi-rad",

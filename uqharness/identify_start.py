@@ -13,6 +13,7 @@ from sysid.identifiability import assess
 from uqharness.flights import Flight, states
 from uqharness.forced import ForcedModel, force_states, surface_positions
 from uqharness.replay import Segment
+from uqharness.replay_ground import altitudes
 from uqharness.replay_model import CONTROLS, ReplayModel
 
 Array = NDArray[np.float64]
@@ -69,7 +70,7 @@ def forced_at(
 ) -> tuple[ForcedModel, dict[str, Array]]:
     """The model forced to a piece's measured states, and the variables of its coefficient terms there."""
     controls = surface_positions(model, segment, CONTROLS)
-    altitude = segment.altitude_m + (channels["h_m"] - segment.h_m) * 0.0
+    altitude = altitudes(model, segment, channels["h_m"])
     forced = force_states(straight, segment, channels, controls, properties, altitude)
     de, da, dr = (controls[:, model.controls.index(c)] for c in ("elevator", "aileron", "rudder"))
     found = variables(

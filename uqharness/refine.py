@@ -23,7 +23,7 @@ from sysid.gust_intensity import Gusts
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
 from uqharness.refine_base import base_fit, undetermined
-from uqharness.refine_begin import strong_first
+from uqharness.refine_begin import WEAK_IN_GUSTS, strong_first
 from uqharness.refine_candidates import effect_columns
 from uqharness.refine_fit import Fit, Map, Setup, positions
 from uqharness.refine_gusts import gust_evidence, gust_refit, middles
@@ -223,6 +223,7 @@ def _in_gusts(
     odds = {k: o + handicap.get(k, 0.0) for k, o in eligible(effects, setup, found.fit, evidence).items()}
     limit = max(threshold(len(odds)), GUST_LIMIT)
     first = select(evidence, free, odds, confirming, limit=limit, twins=TWINS, empirical=True)
+    first = strong_first(first, evidence, free, odds, confirming, TWINS, WEAK_IN_GUSTS)
     start = Start(
         bench.aircraft, setup, found.fit, names, effects, limits, confirming, limit, bench.measured, bench.ideal, map_,
         found.gusts, handicap,

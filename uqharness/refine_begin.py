@@ -18,7 +18,8 @@ from sysid.rigid_steps import STATES as X_STATES
 from uqharness.refine_fit import Point, Setup, stepped
 from uqharness.replay import STATES
 
-WEAK = 0.1
+WEAK, WEAK_IN_GUSTS, OVERWHELMING = 0.1, 0.6, 20.0
+"""Share of the strongest |t| below which a candidate waits; in gusts, about the flight as measured, when that is overwhelming."""
 
 
 @dataclass(frozen=True)
@@ -56,14 +57,14 @@ def joint_point(
 
 def strong_first(
     selection: Selection, evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], confirming: NDArray[np.bool_],
-    twins: Twins | None,
+    twins: Twins | None, weak: float = WEAK,
 ) -> Selection:  # fmt: skip
     """The choice less what is weak beside its strongest: what linearisation leaves of a strong effect looks like a weak one.
 
     Those come to their turn when it has been flown.
     """
     top = max((abs(c.t) for c in selection.chosen), default=0.0)
-    kept = [c.key for c in selection.chosen if abs(c.t) >= WEAK * top]
+    kept = [c.key for c in selection.chosen if abs(c.t) >= (weak if top > OVERWHELMING else WEAK) * top]
     if len(kept) == len(selection.chosen):
         return selection
     later = ", ".join(c.key for c in selection.chosen if c.key not in kept)

@@ -57,13 +57,15 @@ class GustFit:
 
 
 def measured_flight(setup: Setup, point: Point) -> Flown:
-    """The flight as measured, smoothed, biases taken out, in the place of a replay."""
+    """The flight as measured, smoothed, what the sensors make of it taken out, in the place of a replay."""
     x = []
     for segment, channels in zip(setup.segments, setup.channels, strict=True):
         columns = []
         for name in X_STATES:
             value = np.array(channels[name], dtype=float)
             value = value - point.nuisance.get(f"bias/{segment.flight}/{name}", 0.0)
+            value = value - point.sensed.get(f"effect/sensor.{name}/bias", 0.0)
+            value = value / (1.0 + point.sensed.get(f"effect/sensor.{name}/scale", 0.0))
             columns.append(smooth(value, segment.dt_s, _SMOOTH_HZ.get(name, 6.0)))
         x.append(np.column_stack(columns))
     height = [np.array(c["h_m"], dtype=float) for c in setup.channels]

@@ -16,6 +16,7 @@ from sysid.rigid_steps import AIR, STATES, Reference
 from uqharness import engine
 from uqharness.forced import LBF_N, LBFT_NM, ForcedModel, force_states
 from uqharness.replay import Segment
+from uqharness.replay_ground import altitudes, terrain_m
 from uqharness.replay_model import ReplayModel, control_setters
 from uqharness.trim import FT, TRIM_LATITUDE_DEG, body_velocity
 
@@ -36,7 +37,7 @@ class Probe:
     mass        mass properties; coefficients (n, 6) CX..Cn; other_force, other_moment (n, 3) N, N m: thrust and the like
     by_control  (n, 6, c) change of CX..Cn by each control, per record unit; controls (n, c) positions
     by_property property -> (n, 6) change of CX..Cn by a unit of it
-    height_m    (n,) above the ground
+    height_m    (n,) above the ground; infinite where the record does not say
     air         (n, 8) predicted states in turbulence: a regressor that has seen a sample must not be used to predict that sample
     """
 
@@ -108,7 +109,8 @@ def probe(job: ProbeJob) -> Probe:
         turned[:, c] += np.where(turned[:, c] > 0.0, -_CONTROL_STEP, _CONTROL_STEP)
         states.append(job.x[coarse])
         controls.append(turned)
-    found = _forced(job, np.concatenate(states), np.concatenate(controls), job.properties)
+    parts_of = [base, *[coarse] * (len(states) - 1)]
+    found = _forced(job, np.concatenate(states), np.concatenate(controls), job.properties, np.concatenate(parts_of))
     mass = found.mass
     load = np.hstack([found.aero_force + found.other_force, found.aero_moment + found.other_moment])
     size = [len(s) for s in states]
@@ -148,13 +150,17 @@ def probe(job: ProbeJob) -> Probe:
     )
     return Probe(
         reference, mass, (total - other) / scale, other[:, :3], other[:, 3:], np.stack(by_control, axis=2), job.controls,
-        _differences(job, job.differ, scale), job.height_m,
+        _differences(job, job.differ, scale),
+        job.height_m if job.segment.above_ground else np.full(n, np.inf),
     )  # fmt: skip
 
 
-def _forced(job: ProbeJob, x: Array, controls: Array, properties: Mapping[str, float]) -> ForcedModel:
+def _forced(
+    job: ProbeJob, x: Array, controls: Array, properties: Mapping[str, float], rows: NDArray[np.intp]
+) -> ForcedModel:
     channels = {name: x[:, STATES.index(name)] for name in STATES}
-    return force_states(job.straight, job.segment, channels, controls, properties)
+    height = altitudes(job.straight, job.segment, job.height_m[rows])
+    return force_states(job.straight, job.segment, channels, controls, properties, height)
 
 
 def property_slopes(job: ProbeJob, rows: NDArray[np.intp], names: Sequence[str]) -> dict[str, Array]:
@@ -169,8 +175,9 @@ def property_slopes(job: ProbeJob, rows: NDArray[np.intp], names: Sequence[str])
         engine.start_engines(fdm)
     setters = control_setters(fdm, job.straight)
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
-    fdm["ic/terrain-elevation-ft"] = (job.segment.altitude_m - 2000.0) / FT
-    fdm["ic/h-sl-ft"] = job.segment.altitude_m / FT
+    fdm["ic/terrain-elevation-ft"] = terrain_m(job.straight, job.segment) / FT
+    altitude = engine.handle(fdm, "ic/h-sl-ft").set_double_value
+    height = altitudes(job.straight, job.segment, job.height_m[rows])
     places = ("phi-rad", "theta-rad", "u-fps", "v-fps", "w-fps", "p-rad_sec", "q-rad_sec", "r-rad_sec")
     put = [engine.handle(fdm, f"ic/{name}").set_double_value for name in places]
     loads = [f"forces/fb{a}-total-lbs" for a in "xyz"] + [f"moments/{a}-total-lbsft" for a in "lmn"]
@@ -190,6 +197,7 @@ def property_slopes(job: ProbeJob, rows: NDArray[np.intp], names: Sequence[str])
             put, (phi, theta, *(w / FT for w in body_velocity(V, alpha, beta)), p, q, r), strict=True
         ):
             put_one(float(value))
+        altitude(float(height[k]) / FT)
         engine.run_ic(fdm)
         fdm.suspend_integration()
         for name, move, value, step in zip(names, moved, values, steps, strict=True):

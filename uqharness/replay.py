@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from uqharness import engine
 from uqharness.properties import STANDARD
+from uqharness.replay_ground import terrain_m
 from uqharness.replay_model import ReplayModel, control_setters
 from uqharness.trim import FT, TRIM_LATITUDE_DEG, body_velocity
 
@@ -49,7 +50,7 @@ class Segment:
 
     time_s (n,) equidistant; controls (n, c) in the record's units, in the model's order of controls; start (9,) as STATES;
     altitude_m above sea level at the start; h_m what the record calls its height there; arm_m place of the accelerometers
-    from the CG; targets (n, c) the commands behind measured positions, NaN where there are none.
+    from the CG; targets (n, c) the commands behind measured positions, NaN where there are none. above_ground: whether h_m is that.
     """
 
     label: str
@@ -61,6 +62,7 @@ class Segment:
     h_m: float
     arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     targets: Array | None = None
+    above_ground: bool = False
 
     @property
     def dt_s(self) -> float:
@@ -106,7 +108,7 @@ def _initialise(fdm: Any, segment: Segment, start: Array, setters: list[list[Any
     V, alpha, beta, phi, theta, psi, p, q, r = (float(x) for x in start)
     u, v, w = body_velocity(V, alpha, beta)
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
-    fdm["ic/terrain-elevation-ft"] = (segment.altitude_m - 2000.0) / FT
+    fdm["ic/terrain-elevation-ft"] = terrain_m(model, segment) / FT
     fdm["ic/h-sl-ft"] = segment.altitude_m / FT
     fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = phi, theta, psi % (2.0 * math.pi)
     fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"] = u / FT, v / FT, w / FT

@@ -26,6 +26,7 @@ from uqharness.properties import SECOND_ORDER, position_factor
 
 CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 Array = NDArray[np.float64]
+_HEIGHT = re.compile(r"h-agl-(?:ft|km)|h_b-(?:mac|cg)-ft")
 _ACTUATOR_DYNAMICS = ("lag", "rate_limit", "hysteresis_width", "deadband_width", "bias")
 
 
@@ -38,6 +39,7 @@ class ReplayModel:
     ``factor`` record unit -> property unit of each control, in the order of ``controls``.
     ``throws`` positions and the commands at which the aircraft's own linkage puts them, of normalised controls whose values are
     positions: both ends of a travel seldom have one factor.
+    ``near_ground`` whether its XML reads the height above the ground.
     """
 
     root: Path
@@ -51,6 +53,7 @@ class ReplayModel:
     lagging: tuple[str, ...] = ()
     settings: Mapping[str, float] = field(default_factory=dict)
     throws: tuple[tuple[tuple[float, ...], tuple[float, ...]] | None, ...] = ()
+    near_ground: bool = False
 
     def to_property(self, controls: Array) -> Array:
         """(..., c) values of the controls in the record's units, in those of their properties."""
@@ -107,7 +110,7 @@ class ReplayFolder:
         self.model = ReplayModel(
             root, aircraft.name, aircraft.engine_path, aircraft.systems_path, card, tuple(controls), tuple(measured),
             tuple(_factor(card, name) for name in controls), tuple(c for c in controls if card.inputs[c].position in lagging),
-            dict(settings or {}),
+            dict(settings or {}), near_ground=_asks_for_height(copy),
         )  # fmt: skip
         _declare_orphans(self.model, copy / aircraft.xml.name, aircraft.dt_s)
         self.model = replace(self.model, throws=_throws(self.model, (*measured, *ideal), aircraft.dt_s))
@@ -117,6 +120,12 @@ class ReplayFolder:
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
         self._temporary.cleanup()
+
+
+def _asks_for_height(folder: Path) -> bool:
+    """Whether any XML of an aircraft's folder reads its height above the ground."""
+    texts = (p.read_bytes().decode("utf-8", errors="replace") for p in sorted(folder.rglob("*.xml")))
+    return any(_HEIGHT.search(text) is not None for text in texts)
 
 
 def _factor(card: Card, control: str) -> float:

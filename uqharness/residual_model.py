@@ -44,7 +44,9 @@ class JsbsimPrediction:
         rows = piece.rows
         altitude = np.full(rows.stop - rows.start, segment.altitude_m)
         if "h_m" in record and np.isfinite(record["h_m"][rows]).all():
-            altitude += record["h_m"][rows] - np.median(record["h_m"][rows])
+            # Below the ground's reach its height must be what the terrain was laid for.
+            above = segment.h_m if self.model.near_ground else np.median(record["h_m"][rows])
+            altitude += record["h_m"][rows] - above
         channels = {c: np.asarray(record[c][rows], dtype=float) for c in NEEDED}
         said = force_states(self.straight, segment, channels, controls, {}, altitude)
         names = [f"{c}_pos_deg" if c != "throttle" else "throttle_pct" for c in CONTROLS]
