@@ -56,13 +56,13 @@ def limits_tried(
     for surface, servo in setup.servos.items():
         rows = [k for k, (s, _) in enumerate(tried.values()) if s == surface]
         asked = np.array([list(tried.values())[k][1] for k in rows])
-        best = _just_so(asked, found.estimate[rows] / (1.0 / asked - 1.0 / servo.rate), found.t[rows])
+        best = just_so(asked, found.estimate[rows] / (1.0 / asked - 1.0 / servo.rate), found.t[rows])
         if best is not None:
             limits[surface] = (servo.rate, best)
     return replace(setup, limits=limits)
 
 
-def _just_so(limit: Array, wanted: Array, t: Array) -> float | None:
+def just_so(limit: Array, wanted: Array, t: Array) -> float | None:
     """The limit [deg/s] of which the flights want once what it does, wanted (n,) times at falling limits (n,).
 
     Else the one of which they say most; None where all speaks against a slower servo.
