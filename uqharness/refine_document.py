@@ -11,7 +11,7 @@ import numpy as np
 
 from sysid.aero_terms import COEFFICIENTS
 from sysid.disagreement import Disagreement, dependence, disagreements
-from sysid.effect_choice import Alternative, Choice, Refusal
+from sysid.effect_choice import STRONG, Alternative, Choice, Refusal
 from sysid.effects import Effect
 from uqharness.refine import Found
 from uqharness.refine_fit import Setup
@@ -110,9 +110,10 @@ def document_of(chosen: Found, judged: Judged, folder: Path, controls: Sequence[
     remaining = _remaining(found, setup, after, left, controls)
     effects = [_effect(found, c, judged.verdicts[c.key]) for c in found.selection.chosen]
     withdrawn = [_effect(chosen, c, judged.verdicts[c.key]) for c in judged.withdrawn]
-    remaining["where"] += [_contradicted(chosen.effects[c.key], c) for c in judged.withdrawn]
-    # What the train flights ask for and the test flights speak against is a disagreement without a name.
-    remaining["unexplained"] |= bool(withdrawn) and not effects
+    # What the train flights ask for and the test flights speak against is a disagreement without a name, unless chance asked.
+    asked = [c for c in judged.withdrawn if abs(c.t) > chosen.limit + STRONG]
+    remaining["where"] += [_contradicted(chosen.effects[c.key], c) for c in asked]
+    remaining["unexplained"] |= bool(asked) and not effects
     verdict = "unexplained" if remaining["unexplained"] else "effects-found" if effects else "no-missing-effect"
     refused = found.selection.refused
     return {

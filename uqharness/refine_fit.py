@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from sysid.effect_score import Evidence, gather
 from sysid.effects import Effect
@@ -138,15 +139,27 @@ def fly(model: ReplayModel, setup: Setup, point: Point, map_: Map) -> Flown:
 def as_sensed(y: Array, setup: Setup, segment: Segment, point: Point) -> Array:
     """(n, m) outputs as the sensors give them: late, scaled, off by a constant. Changes ``y`` in place."""
     for k, c in enumerate(setup.outputs):
-        sensor = SENSOR_OF.get(c, c)
-        for name in (f"delay/{segment.flight}/{sensor}", f"effect/sensor.{sensor}/delay"):
-            late = point.nuisance.get(name, 0.0) + point.sensed.get(name, 0.0)
-            if late:
-                y[:, k] -= late * np.gradient(y[:, k], segment.dt_s)
+        late = sensor_late_s(c, segment, point)
+        if late and np.isfinite(y[:, k]).all():
+            y[:, k] = moved_later(y[:, k], late / segment.dt_s)
         y[:, k] *= 1.0 + point.sensed.get(f"effect/sensor.{c}/scale", 0.0)
         y[:, k] += point.sensed.get(f"effect/sensor.{c}/bias", 0.0)
         y[:, k] += point.nuisance.get(f"bias/{segment.flight}/{c}", 0.0)
     return y
+
+
+def sensor_late_s(channel: str, segment: Segment, point: Point) -> float:
+    """By how much a channel is late at a point [s]."""
+    sensor = SENSOR_OF.get(channel, channel)
+    return point.nuisance.get(f"delay/{segment.flight}/{sensor}", 0.0) + point.sensed.get(
+        f"effect/sensor.{sensor}/delay", 0.0
+    )
+
+
+def moved_later(values: Array, rows: float) -> Array:
+    """(n,) values as they come ``rows`` later, along a cubic; the first, or for negative rows the last, held beyond the ends."""
+    at = np.arange(len(values), dtype=float)
+    return np.asarray(CubicSpline(at, values)(np.clip(at - rows, 0.0, at[-1])))
 
 
 def positions(model: ReplayModel, setup: Setup, map_: Map) -> list[Array]:

@@ -30,8 +30,10 @@ from uqharness.refine_fit import (
     Point,
     Setup,
     as_sensed,
+    moved_later,
     parameter_columns,
     probes,
+    sensor_late_s,
     stepped,
     steps_of,
 )
@@ -66,7 +68,9 @@ def measured_flight(setup: Setup, point: Point) -> Flown:
             value = value - point.nuisance.get(f"bias/{segment.flight}/{name}", 0.0)
             value = value - point.sensed.get(f"effect/sensor.{name}/bias", 0.0)
             value = value / (1.0 + point.sensed.get(f"effect/sensor.{name}/scale", 0.0))
-            columns.append(smooth(value, segment.dt_s, _SMOOTH_HZ.get(name, 6.0)))
+            value = smooth(value, segment.dt_s, _SMOOTH_HZ.get(name, 6.0))
+            late = sensor_late_s(name, segment, point)
+            columns.append(moved_later(value, -late / segment.dt_s) if late else value)
         x.append(np.column_stack(columns))
     height = [np.array(c["h_m"], dtype=float) for c in setup.channels]
     return Flown(
