@@ -52,7 +52,7 @@ from uqharness.refine_timing import CONTROLS_LATE, MOST_CORRECTIONS, controls_la
 from uqharness.xml_estimates import Estimate
 
 Array = NDArray[np.float64]
-GUST_LIMIT = 5.0
+GUST_LIMIT = 7.0
 """|t| asked of an effect in turbulence, where the air's spectrum is a model, too."""
 GUST_ODDS = 30.0
 """Odds against what a gust model that is a little off would look like."""
