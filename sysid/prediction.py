@@ -160,7 +160,7 @@ def _filter(
         else:
             PH = P @ Hk.transpose(0, 2, 1)
             cov = Hk @ PH + np.where(seen[:, :, None], R * eye, eye)
-            low = np.linalg.cholesky(cov)
+            low = _root(cov, np.where(seen, R, 1.0))
             joint = np.linalg.solve(low, np.concatenate([e[:, :, None], s_, PH.transpose(0, 2, 1)], axis=2))
             white[k], series[k] = joint[:, :, 0], joint[:, :, 1 : K + 9]
             half = joint[:, :, K + 9 :]
@@ -190,6 +190,20 @@ def _filter(
         out[s] = _projected(
             white[: lengths[i], i], series[: lengths[i], i], float(logdet[i]), mine, deviation, path[: lengths[i], i]
         )
+
+
+def _root(cov: FloatArray, least: FloatArray) -> FloatArray:
+    """Cholesky factors of (S, m, m); where rounding has left one indefinite, of the nearest that is not, variances no less than
+    ``least`` (S, m)."""
+    try:
+        return np.asarray(np.linalg.cholesky(cov), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        scale = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), least))
+        both = scale[:, :, None] * scale[:, None, :]
+        even = 0.5 * (cov + cov.transpose(0, 2, 1)) / both
+        values, vectors = np.linalg.eigh(even)
+        mended = (vectors * np.maximum(values, 1e-9)[:, None, :]) @ vectors.transpose(0, 2, 1)
+        return np.asarray(np.linalg.cholesky(mended * both), dtype=np.float64)
 
 
 def _projected(

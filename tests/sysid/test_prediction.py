@@ -8,7 +8,7 @@ import pytest
 from sysid.effect_choice import select, threshold
 from sysid.effect_score import corrected, gather, scores
 from sysid.gust_intensity import noise_factors
-from sysid.prediction import Columns, Process, whiten
+from sysid.prediction import Columns, Process, _root, whiten
 from sysid.rigid_steps import NX, OUTPUTS, Steps
 
 M = len(OUTPUTS)
@@ -182,3 +182,12 @@ def test_noise_that_is_half_of_what_is_stated_is_found_in_gusts():
     found = noise_factors(steps, data, range(M), stated, Process(*(np.repeat(q[None], 6, axis=0) for q in (Q, 0.0 * Q))), kinds)
     assert found[5] == pytest.approx(0.5, rel=0.25)
     assert found[[0, 8]] == pytest.approx([1.0, 1.0], abs=0.2)
+
+
+def test_covariances_that_rounding_has_spoilt_still_have_a_root():
+    good = np.array([[4.0, 1.0], [1.0, 9.0]])
+    spoilt = np.array([[1.0, 1.0 + 1e-9], [1.0 + 1e-9, 1.0]])
+    low = _root(np.stack([good, spoilt]), np.full((2, 2), 0.5))
+    np.testing.assert_allclose(low @ low.transpose(0, 2, 1), np.stack([good, spoilt]), atol=1e-8)
+    sunk = _root(np.array([[[-1.0, 0.0], [0.0, 1.0]]]), np.full((1, 2), 0.5))
+    assert np.isfinite(sunk).all()
