@@ -139,7 +139,7 @@ class _Search:
         few, data, many = list(self.linear(some, states)), [self.measured[k] for k in some], len(points)
         none = [Columns((), {}, {})] * (len(few) * many)
         try:
-            found = whiten(few * many, data * many, none, self.which, self.noise, process)
+            found = whiten(few * many, data * many, none, self.which, self.noise, process, mend=False)
         except np.linalg.LinAlgError:
             # Air so gusty that what the sensors say is lost in rounding: one of the points at least is no answer.
             return np.array([np.inf]) if many == 1 else np.concatenate([self.costs(some, states, [p]) for p in points])

@@ -70,11 +70,12 @@ class White:
 
 def whiten(
     steps: Sequence[Steps], measured: Sequence[FloatArray], columns: Sequence[Columns], which: Sequence[int],
-    noise: FloatArray, process: Process | None = None,
+    noise: FloatArray, process: Process | None = None, mend: bool = True,
 ) -> list[White]:  # fmt: skip
     """Filter every segment.
 
     which  rows of the steps' OUTPUTS that ``measured`` (n, m) holds; noise (m,) standard deviations; process: None for calm air.
+    mend: go on where rounding spoils a covariance; else LinAlgError is raised.
     """
     out: list[White | None] = [None] * len(steps)
     order = sorted(range(len(steps)), key=lambda s: len(measured[s]))
@@ -83,16 +84,16 @@ def whiten(
     for s in order:
         longest = len(measured[s])
         if group and (len(group) + 1) * longest * 6 * width * 8 > _BLOCK_BYTES:
-            _filter(group, steps, measured, columns, which, noise, process, out)
+            _filter(group, steps, measured, columns, which, noise, process, out, mend)
             group = []
         group.append(s)
-    _filter(group, steps, measured, columns, which, noise, process, out)
+    _filter(group, steps, measured, columns, which, noise, process, out, mend)
     return [w for w in out if w is not None]
 
 
 def _filter(
     group: list[int], steps: Sequence[Steps], measured: Sequence[FloatArray], columns: Sequence[Columns], which: Sequence[int],
-    noise: FloatArray, process: Process | None, out: list[White | None],
+    noise: FloatArray, process: Process | None, out: list[White | None], mend: bool,
 ) -> None:  # fmt: skip
     names = columns[group[0]].names
     S, K, m = len(group), len(names), len(which)
@@ -160,7 +161,7 @@ def _filter(
         else:
             PH = P @ Hk.transpose(0, 2, 1)
             cov = Hk @ PH + np.where(seen[:, :, None], R * eye, eye)
-            low = _root(cov, np.where(seen, R, 1.0))
+            low = _root(cov, np.where(seen, R, 1.0)) if mend else np.linalg.cholesky(cov)
             joint = np.linalg.solve(low, np.concatenate([e[:, :, None], s_, PH.transpose(0, 2, 1)], axis=2))
             white[k], series[k] = joint[:, :, 0], joint[:, :, 1 : K + 9]
             half = joint[:, :, K + 9 :]
