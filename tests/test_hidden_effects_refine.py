@@ -11,7 +11,7 @@ import pytest
 from sysid.flight_record import FlightRecord
 from tests.hidden_effects import sealed
 from tests.hidden_effects.answers import canonical, contract_faults, judge
-from tests.hidden_effects.cases import Case, write
+from tests.hidden_effects.cases import Case, battery, write
 from tests.hidden_effects.catalogue import ENTRIES
 from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.manoeuvres import card
@@ -95,6 +95,17 @@ def test_nothing_is_found_where_nothing_is(place):
     files = NOTHING.files(place.parent / "flights")
     done, found = refine(place, files["train"], files["test"], "nothing")
     assert judge(NOTHING, found, done.returncode).right, (found, done.stderr)
+
+
+@pytest.mark.slow
+def test_sensors_noisier_than_stated_do_not_pass_for_gusts(place):
+    """Twice Table 2.1's noise in light air: taken for gusts that do not turn, it left two effects of |t| above 10."""
+    noisy = next(c for c in battery() if c.kind == "null" and c.air == "light" and c.train[0].noise == 2.0)
+    write([noisy], place.parent / "flights")
+    files = noisy.files(place.parent / "flights")
+    done, found = refine(place, files["train"], files["test"], "noisy")
+    assert judge(noisy, found, done.returncode).right, (found, done.stderr)
+    assert [n for n in found["notes"] if "rotate the air and turn with the aircraft" in n]
 
 
 @pytest.mark.slow

@@ -46,6 +46,8 @@ _KINDS = {c: kind for kind, members in {"attitude": ("phi", "theta", "psi"), "ra
           "wind": ("alpha", "beta")}.items() for c in members}  # fmt: skip
 """Channels of one kind of sensor, by what stands before their unit."""
 _SMOOTH_HZ = {"V_mps": 2.0}
+NOISE_FAR = 1.25
+"""Factor on a sensor's stated noise beyond which what was found beside the stated one is found again."""
 
 
 @dataclass(frozen=True)
@@ -156,11 +158,7 @@ def gust_refit(
         if number <= 2 and not known:
             gusts = _intensity(setup, flown, steps, gusts)
             if tune and number == 1 and not setup.late:
-                kinds = [_KINDS.get(c.split("_")[0], c) for c in setup.outputs]
-                every = steps.all(gusts.states)
-                factors = noise_factors(every, setup.measured, setup.which, setup.noise, gusts.process, kinds)
-                setup = replace(setup, noise=factors * setup.noise)
-                gusts = _intensity(setup, flown, steps, gusts)
+                setup, gusts = _tuned(setup, flown, steps, gusts)
         assert gusts is not None
         linearised = steps.all(gusts.states)
         flown, found = predicted(setup, flown, found, linearised, gusts)
@@ -194,6 +192,23 @@ class _Linear:
 
     def all(self, states: GustStates) -> list[Steps]:
         return self(range(len(self.found)), states)
+
+
+def _tuned(setup: Setup, flown: Flown, steps: _Linear, gusts: Gusts) -> tuple[Setup, Gusts]:
+    """With the sensors' noise that the flights want, and the gusts beside it."""
+    factors = _noise_factors(setup, steps, gusts)
+    setup = replace(setup, noise=factors * setup.noise)
+    if bool(np.any((factors < 1.0 / NOISE_FAR) | (factors > NOISE_FAR))):
+        # Beside sensors taken for half as noisy as they are, noise passed for gusts of 35 times their strength that do not turn:
+        # from there no search leads back.
+        gusts = _intensity(setup, flown, steps, None)
+        setup = replace(setup, noise=_noise_factors(setup, steps, gusts) * setup.noise)
+    return setup, _intensity(setup, flown, steps, gusts)
+
+
+def _noise_factors(setup: Setup, steps: _Linear, gusts: Gusts) -> Array:
+    kinds = [_KINDS.get(c.split("_")[0], c) for c in setup.outputs]
+    return noise_factors(steps.all(gusts.states), setup.measured, setup.which, setup.noise, gusts.process, kinds)
 
 
 def _intensity(setup: Setup, flown: Flown, steps: _Linear, near: Gusts | None) -> Gusts:
