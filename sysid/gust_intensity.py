@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.gust_states import GustStates
-from sysid.prediction import Columns, Process, White, whiten
+from sysid.prediction import Columns, Process, whiten
 from sysid.rigid_steps import NX, Steps
 
 FloatArray = NDArray[np.float64]
@@ -111,8 +111,7 @@ def gust_intensity(
             found = search.best(part, found, [(here.states, f * here.values) for f in _WHOLE])
             found = search.finer(part, found, _OWN)
         own[flight] = found.values
-    made = [process_of(own[f], v, here.states) for f, v in zip(flights, V, strict=True)]
-    process = Process(np.stack([n for n, _ in made]), np.stack([b for _, b in made]))
+    process = _process([own[f] for f in flights], V, here.states)
     return Gusts(here.states, here.values, own, process, gain)
 
 
@@ -134,16 +133,13 @@ class _Search:
     V: Sequence[float]
 
     def costs(self, some: Sequence[int], states: GustStates, points: Sequence[FloatArray]) -> FloatArray:
-        made = [process_of(p, self.V[k], states) for p in points for k in some]
-        process = Process(np.stack([n for n, _ in made]), np.stack([b for _, b in made]))
         few, data, many = list(self.linear(some, states)), [self.measured[k] for k in some], len(points)
-        none = [Columns((), {}, {})] * (len(few) * many)
+        process = _process([p for p in points for _ in some], [self.V[k] for k in some] * many, states)
         try:
-            found = whiten(few * many, data * many, none, self.which, self.noise, process, mend=False)
+            each = _costs(few * many, data * many, self.which, self.noise, process, mend=False)
         except np.linalg.LinAlgError:
             # Air so gusty that what the sensors say is lost in rounding: one of the points at least is no answer.
             return np.array([np.inf]) if many == 1 else np.concatenate([self.costs(some, states, [p]) for p in points])
-        each = np.array([_cost(w) for w in found])
         return np.asarray(each.reshape(many, len(few)).sum(axis=1))
 
     def at(self, some: Sequence[int], states: GustStates, values: FloatArray) -> _Point:
@@ -173,9 +169,8 @@ class _Search:
         return found
 
     def calm(self, some: Sequence[int], states: GustStates) -> float:
-        none = [Columns((), {}, {})] * len(some)
-        found = whiten(list(self.linear(some, states)), [self.measured[k] for k in some], none, self.which, self.noise)
-        return sum(_cost(w) for w in found)
+        data = [self.measured[k] for k in some]
+        return float(_costs(self.linear(some, states), data, self.which, self.noise).sum())
 
 
 def noise_factors(
@@ -192,8 +187,7 @@ def noise_factors(
     few, data, theirs = [steps[k] for k in some], [measured[k] for k in some], process.of(some)
 
     def cost(factors: FloatArray) -> float:
-        found = whiten(few, data, [Columns((), {}, {})] * len(few), which, factors * noise, theirs)
-        return sum(_cost(w) for w in found)
+        return float(_costs(few, data, which, factors * noise, theirs).sum())
 
     best = np.ones(len(noise))
     low = cost(best)
@@ -207,8 +201,19 @@ def noise_factors(
     return best
 
 
-def _cost(white: White) -> float:
-    return float(np.sum(white.residual**2)) + 2.0 * white.logdet
+def _process(values: Sequence[FloatArray], V: Sequence[float], states: GustStates) -> Process:
+    """Of segments with such values and airspeeds."""
+    made = [process_of(p, v, states) for p, v in zip(values, V, strict=True)]
+    return Process(np.stack([noise for noise, _ in made]), np.stack([begin for _, begin in made]))
+
+
+def _costs(
+    steps: Sequence[Steps], measured: Sequence[FloatArray], which: Sequence[int], noise: FloatArray,
+    process: Process | None = None, mend: bool = True,
+) -> FloatArray:  # fmt: skip
+    """(S,) minus twice the log likelihood of each segment."""
+    white = whiten(steps, measured, [Columns((), {}, {})] * len(steps), which, noise, process, mend)
+    return np.array([float(np.sum(w.residual**2)) + 2.0 * w.logdet for w in white])
 
 
 def _spread(members: Sequence[int], most: int) -> list[int]:

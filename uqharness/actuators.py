@@ -29,6 +29,14 @@ class Actuator:
     low: float = -math.inf
     high: float = math.inf
 
+    def lag_with(self, more_s: float) -> float:
+        """Lag [1/s] where its time constant is so much longer."""
+        return 1.0 / ((1.0 / self.lag if self.lag else 0.0) + more_s)
+
+    def slowed_to(self, more_s_per_unit: float) -> float:
+        """Rate limit [unit/s] where each unit of travel takes so much longer."""
+        return 1.0 / max(more_s_per_unit + 1.0 / self.rate, 1e-9)
+
     def follow(self, commands: Array, dt_s: float, step_s: float) -> Array:
         """(n,) positions at rows ``dt_s`` apart, each having seen its row's command for one step of ``step_s``; starts at rest."""
         return self.follow_finely(commands, dt_s, step_s)[0]

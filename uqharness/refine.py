@@ -51,7 +51,6 @@ from uqharness.refine_stages import Stages
 from uqharness.refine_timing import CONTROLS_LATE, MOST_CORRECTIONS, controls_late, later, words
 from uqharness.xml_estimates import Estimate
 
-Array = NDArray[np.float64]
 GUST_LIMIT = 7.0
 """|t| asked of an effect in turbulence, where the air's spectrum is a model, too."""
 GUST_ODDS = 30.0

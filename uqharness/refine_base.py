@@ -11,7 +11,7 @@ from sysid.effect_score import Evidence, solve
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
 from uqharness.identify_start import equation_error_start
-from uqharness.refine_fit import Fit, Flown, Map, Point, Setup, fly, positions, refit
+from uqharness.refine_fit import Fit, Flown, Map, Point, Setup, best_flown, positions, refit
 from uqharness.refine_setup import Bench, turbulent
 
 SETTLED = 0.01
@@ -39,8 +39,7 @@ def base_fit(
     controls = positions(bench.model, setup, map_)
     starts = tuple(s.start for s in setup.segments)
     options = [Point(dict(zip(names, values.tolist(), strict=True)), {}, starts) for values in (near, current)]
-    flown = [fly(bench.model, setup, p, map_) for p in options]
-    best = min(flown, key=lambda f: f.cost)
+    best = best_flown(bench.model, setup, options, map_)
     if not np.isfinite(best.cost):
         raise BadInputError(
             "the model leaves the flight in some segment (its state is no longer finite); check its XML and the controls' signs"
@@ -53,25 +52,13 @@ def base_fit(
         # In turbulence a replay's fit is where another method begins; it need not be a minimum.
         return last.cost - now.cost < SETTLED * now.cost and turbulent(setup, now)
 
-    if not lost:
-        fit = refit(bench.model, bench.straight, setup, controls, first.flown.point, names, limits, map_, enough=enough)
+    kept = tuple(n for n in names if n not in lost)
+    values = {**first.flown.point.values, **{n: float(current[names.index(n)]) for n in lost}}
+    point = replace(first.flown.point, values=values)
+    fit = refit(bench.model, bench.straight, setup, controls, point, kept, limits, map_, enough=enough)
     if lost:
-        kept = tuple(n for n in names if n not in lost)
-        values = {**first.flown.point.values, **{n: float(current[names.index(n)]) for n in lost}}
-        fit = refit(
-            bench.model,
-            bench.straight,
-            setup,
-            controls,
-            replace(first.flown.point, values=values),
-            kept,
-            limits,
-            map_,
-            enough=enough,
-        )
         notes = [*notes, f"not determined by these flights and left as they are: {', '.join(lost)}"]
-        return fit, kept, notes
-    return fit, names, notes
+    return fit, kept, notes
 
 
 def undetermined(evidence: Evidence, names: Sequence[str], limits: Mapping[str, tuple[float, float]]) -> list[str]:

@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 
 from sysid.effect_choice import Selection, Twins, judged
 from sysid.effect_score import Evidence
-from sysid.rigid_steps import STATES as X_STATES
-from uqharness.refine_fit import Point, Setup, stepped
-from uqharness.replay import STATES
+from uqharness.refine_fit import Point, Setup, moved_starts, stepped
 
 WEAK, WEAK_IN_GUSTS, OVERWHELMING = 0.1, 0.6, 20.0
 """Share of the strongest |t| below which a candidate waits; in gusts, about the flight as measured, when that is overwhelming."""
@@ -46,13 +44,7 @@ def joint_point(
     change = delta.copy()
     for key, value in about.flown.items():
         change[evidence.index([key])[0]] -= value
-    order = [STATES.index(s) for s in X_STATES]
-    starts = []
-    for start, w in zip(about.point.starts, evidence.white, strict=True):
-        at = start.copy()
-        at[order] += w.start[:, 0] + w.start[:, 1:] @ change
-        starts.append(at)
-    return replace(moved, starts=tuple(starts))
+    return replace(moved, starts=moved_starts(about.point.starts, evidence.white, change))
 
 
 def strong_first(

@@ -140,13 +140,12 @@ def servo_change(
     if servo is None:
         return np.zeros_like(u)
     step = h / runs_per_row(h)
-    before = servo.follow(command, h, step)
-    if kind == "lag":
-        slower = 1.0 / ((1.0 / servo.lag if servo.lag else 0.0) + _LAG_S)
-        return (replace(servo, lag=slower).follow(command, h, step) - before) / _LAG_S
-    if limits is not None:
+    if kind == "rate_limit" and limits is not None:
         one, other = (replace(servo, rate=r).follow(command, h, step) for r in limits)
         return (other - one) / (1.0 / limits[1] - 1.0 / limits[0])
+    before = servo.follow(command, h, step)
+    if kind == "lag":
+        return (replace(servo, lag=servo.lag_with(_LAG_S)).follow(command, h, step) - before) / _LAG_S
     # The change that a limit a quarter below the fastest motion seen makes, per s/deg by which its inverse is above
     # that of the limit the servo has.
     fastest = float(np.abs(np.diff(before)).max()) / h

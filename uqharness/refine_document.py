@@ -13,6 +13,7 @@ from sysid.aero_terms import COEFFICIENTS
 from sysid.disagreement import Disagreement, dependence, disagreements
 from sysid.effect_choice import STRONG, Alternative, Choice, Refusal
 from sysid.effects import Effect
+from uqharness.actuators import Actuator
 from uqharness.refine import Found
 from uqharness.refine_fit import Setup
 from uqharness.refine_judge import Judged, Verdict
@@ -191,11 +192,10 @@ def _as_written(found: Found, e: Effect, c: Choice) -> tuple[float, float, str]:
     surface = (e.subsystem or "").partition(".")[2]
     servo = found.setup.servos.get(surface)
     if e.term == "lag" and servo is not None:
-        rate = 1.0 / ((1.0 / servo.lag if servo.lag else 0.0) + c.value)
+        rate = servo.lag_with(c.value)
         return rate, rate**2 * c.std, "1/s"
     if e.term == "rate_limit":
-        own = 0.0 if servo is None else 1.0 / servo.rate
-        limit = 1.0 / max(c.value + own, 1e-9)
+        limit = (servo or Actuator(None)).slowed_to(c.value)
         return limit, limit**2 * c.std, "deg/s"
     return c.value, c.std, e.unit
 

@@ -136,6 +136,11 @@ def fly(model: ReplayModel, setup: Setup, point: Point, map_: Map) -> Flown:
     return Flown(point, outputs, x, [r[:, CHANNELS.index("h_m")] for r in raw], cost)
 
 
+def best_flown(model: ReplayModel, setup: Setup, points: Sequence[Point], map_: Map) -> Flown:
+    """The replay of least cost."""
+    return min((fly(model, setup, p, map_) for p in points), key=lambda f: f.cost)
+
+
 def as_sensed(y: Array, setup: Setup, segment: Segment, point: Point) -> Array:
     """(n, m) outputs as the sensors give them: late, scaled, off by a constant. Changes ``y`` in place."""
     for k, c in enumerate(setup.outputs):
@@ -310,13 +315,19 @@ def _moved(
     limits: Mapping[str, tuple[float, float]], share: float,
 ) -> Point:  # fmt: skip
     step = dict(zip(names, (share * delta).tolist(), strict=True))
+    starts = moved_starts(point.starts, white, delta, share)
+    return replace(stepped(setup, point, step, limits), starts=starts)
+
+
+def moved_starts(
+    starts: Sequence[Array], white: Sequence[White], delta: Array, share: float = 1.0
+) -> tuple[Array, ...]:
+    """Start states moved to where they fit best beside a change (K,) of the columns, or a share of the way."""
     order = [STATES.index(s) for s in X_STATES]
-    starts = []
-    for start, w in zip(point.starts, white, strict=True):
-        moved = start.copy()
-        moved[order] += share * (w.start[:, 0] + w.start[:, 1:] @ delta)
-        starts.append(moved)
-    return replace(stepped(setup, point, step, limits), starts=tuple(starts))
+    moved = [start.copy() for start in starts]
+    for start, w in zip(moved, white, strict=True):
+        start[order] += share * (w.start[:, 0] + w.start[:, 1:] @ delta)
+    return tuple(moved)
 
 
 def stepped(setup: Setup, point: Point, step: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> Point:

@@ -113,18 +113,6 @@ def predict(
     return flown, found
 
 
-def linear(setup: Setup, flown: Flown, found: Sequence[Probe], some: Sequence[int], states: GustStates) -> list[Steps]:
-    """The linear systems of some segments; outputs are those at the reference, biases added."""
-    out = []
-    for k, s in zip(
-        some, steps_of([found[k] for k in some], [flown.outputs[k] for k in some], setup, states), strict=True
-    ):
-        full = s.y_ref.copy()
-        full[:, setup.which] = as_sensed(full[:, setup.which], setup, setup.segments[k], flown.point)
-        out.append(replace(s, y_ref=full))
-    return out
-
-
 def _bend(p: Probe, away: Array) -> Array:
     """(n - 1, 6) force and moment that the surfaces' paths add in the middle of a step."""
     scale = p.reference.qbar[:, None] * p.mass.S * np.array([1.0, 1.0, 1.0, p.mass.b, p.mass.c, p.mass.b])
@@ -186,8 +174,12 @@ class _Linear:
 
     def __call__(self, some: Sequence[int], states: GustStates) -> list[Steps]:
         missing = [k for k in some if (k, states) not in self.made]
-        for k, steps in zip(missing, linear(self.setup, self.flown, self.found, missing, states), strict=True):
-            self.made[k, states] = steps
+        found, outputs = [self.found[k] for k in missing], [self.flown.outputs[k] for k in missing]
+        for k, s in zip(missing, steps_of(found, outputs, self.setup, states), strict=True):
+            which, y = self.setup.which, s.y_ref.copy()
+            # Outputs are those at the reference, biases added.
+            y[:, which] = as_sensed(y[:, which], self.setup, self.setup.segments[k], self.flown.point)
+            self.made[k, states] = replace(s, y_ref=y)
         return [self.made[k, states] for k in some]
 
     def all(self, states: GustStates) -> list[Steps]:

@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.effect_choice import Choice
 from sysid.effect_score import Evidence, corrected
@@ -24,7 +23,6 @@ from uqharness.refine_rounds import candidate_evidence, effect_value
 from uqharness.refine_show import Shown, show
 from uqharness.refine_xml import in_dynamics
 
-Array = NDArray[np.float64]
 Write = Callable[[Found], Aircraft]
 BLOCK_S = 2.0
 """Residuals this far apart count as independent."""

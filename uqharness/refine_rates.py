@@ -33,33 +33,41 @@ def limits_tried(
     setup: Setup, probes: Sequence[Probe], free: Sequence[str], evidence_of: Callable[[list[Columns]], Evidence]
 ) -> Setup:
     """The setup with the rate limits at which the flights say most of each servo. evidence_of: evidence with columns besides."""
-    tried = {
-        f"{surface}@{share:g}": (surface, limit)
-        for surface, servo in setup.servos.items()
-        for share in SHARES
-        if (limit := share * _fastest(setup, surface, servo)) < servo.rate and limit > 1.0
-    }
-    if not tried:
+    tried = {surface: _below(_fastest(setup, surface, servo), servo.rate) for surface, servo in setup.servos.items()}
+    if not any(tried.values()):
         return setup
     columns = []
     for segment, p in zip(setup.segments, probes, strict=True):
         inputs = {}
-        for key, (surface, limit) in tried.items():
+        for surface, asked in tried.items():
             k, servo = CONTROLS.index(surface), setup.servos[surface]
-            moved = servo_change(
-                "rate_limit", servo, segment.controls[:, k], p.controls[:, k], segment.dt_s, (servo.rate, limit)
-            )
-            inputs[key] = (-1, p.by_control[:, :, k] * moved[:, None])
-        columns.append(Columns(tuple(tried), inputs, {}))
-    found = scores(evidence_of(columns), free, list(tried))
+            for limit in asked:
+                moved = servo_change(
+                    "rate_limit", servo, segment.controls[:, k], p.controls[:, k], segment.dt_s, (servo.rate, limit)
+                )
+                inputs[_key(surface, limit)] = (-1, p.by_control[:, :, k] * moved[:, None])
+        columns.append(Columns(tuple(inputs), inputs, {}))
+    evidence = evidence_of(columns)
     limits = {}
-    for surface, servo in setup.servos.items():
-        rows = [k for k, (s, _) in enumerate(tried.values()) if s == surface]
-        asked = np.array([list(tried.values())[k][1] for k in rows])
-        best = just_so(asked, found.estimate[rows] / (1.0 / asked - 1.0 / servo.rate), found.t[rows])
+    for surface, asked in tried.items():
+        if not asked:
+            continue
+        servo = setup.servos[surface]
+        found = scores(evidence, free, [_key(surface, limit) for limit in asked])
+        speeds = np.array(asked)
+        best = just_so(speeds, found.estimate / (1.0 / speeds - 1.0 / servo.rate), found.t)
         if best is not None:
             limits[surface] = (servo.rate, best)
     return replace(setup, limits=limits)
+
+
+def _below(fastest: float, own: float) -> list[float]:
+    """Limits to try [deg/s], falling: below the fastest motion and the servo's own."""
+    return [limit for share in SHARES if 1.0 < (limit := share * fastest) < own]
+
+
+def _key(surface: str, limit: float) -> str:
+    return f"{surface}@{limit:g}"
 
 
 def just_so(limit: Array, wanted: Array, t: Array) -> float | None:
@@ -98,5 +106,5 @@ def slower_servos(chosen: Sequence[Effect], value: Mapping[str, float]) -> dict[
 
 def around(servo: Actuator, value: float) -> tuple[float, float]:
     """Limits [deg/s] between which the slope at an effect's value is taken."""
-    limit = 1.0 / max(value + 1.0 / servo.rate, 1e-9)
+    limit = servo.slowed_to(value)
     return limit, NEAR * limit

@@ -17,7 +17,7 @@ from sysid.prediction import Columns, whiten
 from uqharness.aircraft import Aircraft, find_aircraft
 from uqharness.refine_begin import About, joint_point
 from uqharness.refine_candidates import effect_columns
-from uqharness.refine_fit import PRIOR, Fit, Map, Point, Setup, fly, merged, positions, refit
+from uqharness.refine_fit import PRIOR, Fit, Map, Point, Setup, best_flown, merged, positions, refit
 from uqharness.refine_gusts import gust_evidence, gust_refit, middles
 from uqharness.refine_rates import around, slower_servos
 from uqharness.refine_setup import Bench
@@ -131,9 +131,8 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     keys = [e.key for e in chosen]
     staged, setup = stage(start.aircraft, start.setup, chosen, selection, start.before, folder)
     rest = [e for e in start.effects if e.key not in keys]
-    bare = replace(setup, active=(), carriers={})
     first = start.before.flown.point
-    joint = joint_point(about, bare, first, start.before.columns[0].names, keys, start.limits)
+    joint = joint_point(about, start.setup, first, start.before.columns[0].names, keys, start.limits)
     begin = with_effects(joint, setup, selection, staged)
     names = [*start.names, *keys]
     with Bench(staged, start.measured, start.ideal) as bench:
@@ -148,9 +147,8 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
             evidence = gust_evidence(setup, found, effect_columns(setup, fit.probes, fit.flown, rest))
         else:
             options = [begin, with_effects(first, setup, selection, staged)]
-            costs = [fly(bench.model, setup, p, start.map_).cost for p in options]
-            begin = options[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))]
-            fit = refit(bench.model, bench.straight, setup, controls, begin, names, start.limits, start.map_)
+            best = best_flown(bench.model, setup, options, start.map_)
+            fit = refit(bench.model, bench.straight, setup, controls, best.point, names, start.limits, start.map_)
             evidence = candidate_evidence(setup, fit, rest)
     written = {c.key: c.value for c in selection.chosen}
     values = {e.key: effect_value(e, fit.flown.point, setup.carriers, staged, written[e.key]) for e in chosen}

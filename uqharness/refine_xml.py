@@ -378,9 +378,9 @@ def _write_actuator(folder: Path, aircraft: Aircraft, w: Written) -> None:
         found = re.search(rf"<{tag}>([^<]*)</{tag}>", body)
         number = float(found.group(1)) if found and re.fullmatch(r"\s*[-+.\deE]+\s*", found.group(1)) else None
         if tag == "lag":
-            rate = 1.0 / ((1.0 / servo.lag if servo.lag else 0.0) + w.value)
+            rate = servo.lag_with(w.value)
         elif tag == "rate_limit":
-            rate = 1.0 / max(w.value + 1.0 / servo.rate, 1e-9)
+            rate = servo.slowed_to(w.value)
         else:
             rate = (number or 0.0) + w.value
         if found:
