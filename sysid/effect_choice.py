@@ -30,6 +30,9 @@ UNLIKE = 0.3
 """Likeness below which a candidate is asked although the best one was not confirmed."""
 STRONG = 2.0
 """How far above the limit an unconfirmed candidate's |t| must be to say that something is missing all the same."""
+TRACE, MOST_TRACE = 0.1, 8.0
+"""Share of the strongest effect's |t| that another must reach, and |t| with which it stands in any case: a strong effect whose form
+is a little off leaves something behind, and some candidate looks like it."""
 INSEPARABLE_T = 3.0
 """A chosen effect whose t falls below this once another is free cannot be told from that other."""
 INSEPARABLE_SHARE = 0.1
@@ -125,7 +128,7 @@ def select(
 
     free        columns that are estimated in any case; candidates: key -> odds; confirming (S,): segments that confirm
     chosen      effects to begin with, which may be exchanged or removed again
-    limit       |t| asked (default: chance_limit)
+    limit       |t| asked (default: chance_limit), of the strongest; the others must stand out beside it, too (TRACE)
     empirical   whether t must stand above the limit in units of the candidates' own spread, too (Efron, JASA 99, 2004), which is
                 one where nothing but noise is left
     twins       (effect, rival) -> companions: causes that physics makes alike, but for terms that the companions stand for
@@ -139,6 +142,7 @@ def select(
         here, trail = _exchanged(evidence, free, candidates, here, trail)
         here, trail = _pruned(evidence, free, here, trail, limit)
         refused = None
+        asked = _asked(limit, _corrected_t(evidence, free, here))
         if len(here) < most:
             found = _entering(
                 evidence,
@@ -146,7 +150,7 @@ def select(
                 [c for c in candidates if c not in here],
                 candidates,
                 confirming,
-                limit,
+                asked,
                 STRONG if not empirical else np.inf,
                 empirical,
             )
@@ -266,18 +270,29 @@ def _exchanged(
 def _pruned(
     evidence: Evidence, free: Sequence[str], here: list[str], trail: list[str], limit: float
 ) -> tuple[list[str], list[str]]:
-    """The weakest effect below the limit taken out, again and again."""
+    """The weakest effect below what is asked taken out, again and again."""
     while len(here) > 1:
-        t = []
-        for key in here:
-            value, std, _ = corrected(evidence, [*free, *[o for o in here if o != key]], key)
-            t.append(abs(value / std))
+        t = _corrected_t(evidence, free, here)
         worst = int(np.argmin(t))
-        if t[worst] >= limit:
+        if t[worst] >= _asked(limit, t):
             break
         trail = [*trail, f"- {here[worst]} t {t[worst]:.1f}"]
         here = [*here[:worst], *here[worst + 1 :]]
     return here, trail
+
+
+def _corrected_t(evidence: Evidence, free: Sequence[str], here: Sequence[str]) -> list[float]:
+    """|t| of each beside the others."""
+    t = []
+    for key in here:
+        value, std, _ = corrected(evidence, [*free, *[o for o in here if o != key]], key)
+        t.append(abs(value / std))
+    return t
+
+
+def _asked(limit: float, t: Sequence[float]) -> float:
+    """|t| asked of an effect beside those of ``t``."""
+    return max(limit, min(TRACE * max(t, default=0.0), MOST_TRACE))
 
 
 def _companions(evidence: Evidence, others: Sequence[str], named: Sequence[str]) -> list[str]:

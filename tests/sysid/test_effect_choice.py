@@ -135,3 +135,20 @@ def test_an_effect_is_found_beside_a_stronger_one_that_its_flights_contradict():
     assert selection.refused is not None
     assert selection.refused.key == "torn"
     assert selection.refused.strong
+
+
+def test_what_a_strong_effect_may_leave_behind_is_no_effect():
+    """The truth is the strong candidate's form but for a little; what differs looks like the weak one."""
+    rng = np.random.default_rng(8)
+    strong, weak, own = drawn(rng), drawn(rng), drawn(rng)
+    columns = {"strong": strong, "weak": weak, "own": own}
+    odds = dict.fromkeys(columns, 0.0)
+    trace = 5.5 / np.sqrt(np.sum(weak**2))
+    left = evidence(columns, 3.0 * strong + trace * weak + drawn(rng))
+    assert [c.key for c in select(left, [], odds, CONFIRMING).chosen] == ["strong"]
+    alone = evidence(columns, trace * weak + drawn(rng))
+    assert [c.key for c in select(alone, [], odds, CONFIRMING).chosen] == ["weak"]
+    begun = select(left, [], odds, CONFIRMING, chosen=["strong", "weak"])
+    assert [c.key for c in begun.chosen] == ["strong"]
+    both = evidence(columns, 3.0 * strong + 2.0 * trace * weak + drawn(rng))
+    assert {c.key for c in select(both, [], odds, CONFIRMING).chosen} == {"strong", "weak"}
