@@ -46,7 +46,7 @@ _KINDS = {c: kind for kind, members in {"attitude": ("phi", "theta", "psi"), "ra
           "wind": ("alpha", "beta")}.items() for c in members}  # fmt: skip
 """Channels of one kind of sensor, by what stands before their unit."""
 _SMOOTH_HZ = {"V_mps": 2.0}
-NOISE_FAR = 1.25
+NOISE_FAR = 1.2
 """Factor on a sensor's stated noise beyond which what was found beside the stated one is found again."""
 
 
