@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sysid.model_form import read_model_form
+from sysid.model_form import AircraftReference, read_model_form
 from tests import campaign_fakes as fakes
 from tests.campaign_fakes import CAMPAIGN, campaign_file
 from tests.model_forms import PUBLISHED, made_up_form
-from uqharness.aircraft import PROJECT_ROOT, find_aircraft
+from uqharness.aircraft import PROJECT_ROOT, content_hash, find_aircraft
 from uqharness.campaign import run_campaign
+from uqharness.campaign_aircraft import bounds_notes
 from uqharness.campaign_spec import read_campaign
 from uqharness.case_table import CASES, read_table
 from uqharness.cases import Mission, build_cases
@@ -294,6 +295,18 @@ def bounded(tmp_path):
     head = HEAD.replace("150", "2").replace("60", "0").replace("flights = 3", "flights = 1")
     (tmp_path / "campaign.toml").write_text(head.replace('"moderate"', '"light"') + epistemic)
     return read_campaign(tmp_path / "campaign.toml")
+
+
+def test_bounds_of_other_files_are_noted(tmp_path, bounded):
+    (note,) = bounds_notes(bounded)
+    assert "made for aircraft 'espaaro' as it was then" in note
+    for name, told in (("glider", 1), ("espaaro", 1), ("espaaro", 0)):
+        digest = content_hash(find_aircraft(tmp_path / "plane")) if not told else "0" * 64
+        model_form(tmp_path / "model-form.json", aircraft=AircraftReference(name, digest))
+        notes = bounds_notes(read_campaign(tmp_path / "campaign.toml"))
+        assert len(notes) == told
+        assert all("made for aircraft 'glider', not 'espaaro'" in n for n in notes if name == "glider")
+    assert bounds_notes(campaign(tmp_path, 'method = "corners"\n' + BOUNDS)) == []
 
 
 def test_the_bounds_of_a_file_fly_in_a_copy_of_the_aircraft(tmp_path, bounded, monkeypatch):

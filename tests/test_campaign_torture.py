@@ -15,7 +15,9 @@ import psutil
 import pytest
 
 from tests import campaign_fakes as fakes
+from tests.test_campaign_decide import TOML as DECIDE
 from uqharness.campaign import run_campaign
+from uqharness.campaign_spec import read_campaign
 from uqharness.case_table import CASES
 from uqharness.errors import BadInputError
 from uqharness.executor import ProcessExecutor, SerialExecutor
@@ -46,13 +48,14 @@ def finished(out):
 class Victim:
     """A campaign that flies in another process, here or on the cluster, and what of it may be killed."""
 
-    def __init__(self, folder, cluster, flights):
+    def __init__(self, folder, cluster, flights, fake="slow"):
         self.folder, self.out, self.cluster, self.flights = folder, folder / "out", cluster, flights
+        self.fake = fake
         self.process, self.on_dask = None, False
 
     def start(self, on_dask, moment=None):
         how = self.cluster.scheduler_address if on_dask else "fork"
-        words = [sys.executable, "-m", "tests.torture", str(self.folder), str(self.out), str(self.flights), "slow", how]
+        words = [sys.executable, "-m", "tests.torture", str(self.folder), str(self.out), str(self.flights), self.fake, how]
         self.process = subprocess.Popen([*words, *([moment] if moment else [])], cwd=ROOT, stderr=subprocess.DEVNULL)
         self.on_dask = on_dask
 
@@ -109,10 +112,10 @@ def children(pid):
         return []
 
 
-def torture(folder, cluster, flights, kills, seed):
+def torture(folder, cluster, flights, kills, seed, fake="slow"):
     """Names of the kills that hit."""
     chance = random.Random(seed)
-    victim = Victim(folder, cluster, flights)
+    victim = Victim(folder, cluster, flights, fake)
     hit = []
     try:
         for what in kills:
@@ -147,6 +150,20 @@ def test_four_kills_of_four_kinds(tmp_path, cluster):
     hit = torture(tmp_path, cluster, 6, ["journal", "worker", "dask worker", "parent on dask"], seed=20161201)
     check(tmp_path, 6, 4, hit)
     assert "table" in hit
+
+
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+def test_a_campaign_that_decides_is_killed_between_its_looks(tmp_path):
+    """What to fly next depends on what is done: a look at half a round would answer another question."""
+    fakes.campaign_file(tmp_path, DECIDE)
+    kills = ["parent", "journal", "worker", "parent", "table", "parent"]
+    hit = torture(tmp_path, None, "as-is", kills, seed=20161203, fake="by_corner_slowly")
+    assert {"parent", "journal"} <= set(hit), hit
+    spec = read_campaign(tmp_path / "campaign.toml")
+    run_campaign(spec, tmp_path / "out", executor=ProcessExecutor(2, "fork"), fly=fakes.by_corner)
+    run_campaign(spec, tmp_path / "undisturbed", executor=SerialExecutor(), fly=fakes.by_corner)
+    names = (*TABLES, "decisions.csv", "statements.csv")
+    assert [(tmp_path / "out" / n).read_bytes() == (tmp_path / "undisturbed" / n).read_bytes() for n in names] == [True] * 5
 
 
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")

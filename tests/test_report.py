@@ -194,6 +194,18 @@ def test_many_conditions_are_tabled_and_the_first_drawn(tmp_path):
     assert "Further conditions, not drawn: 1;" in report.path.read_text()
 
 
+def test_walks_are_not_called_corners(tmp_path, page):
+    walks = fakes.CAMPAIGN.replace('"corners"', '"walk"\nsamples = 3\nwalk_rate_per_sqrt_s = 0.012')
+    spec = read_campaign(fakes.campaign_file(tmp_path, walks))
+    run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady)
+    report = write_report(tmp_path / "out")
+    text = re.sub(r"<(script|style|svg)\b.*?</\1>|<[^>]*>", " ", report.path.read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert "best to worst walk" in text
+    assert "Worst walk [1/h]" in text
+    assert "corner" not in text.lower()
+    assert "Worst corner [1/h]" in page
+
+
 def test_an_incomplete_or_empty_folder_is_refused(tmp_path, folder):
     with pytest.raises(BadInputError, match="not a campaign folder"):
         write_report(tmp_path)

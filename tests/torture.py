@@ -2,6 +2,7 @@
 
 python -m tests.torture FOLDER OUT FLIGHTS FAKE HOW [MOMENT]: HOW is fork, spawn or the address of a Dask scheduler; MOMENT is
 journal:N (killed with the N-th batch half in the journal) or table:N (killed with the N-th file written and not yet in place).
+FLIGHTS "as-is" flies FOLDER/campaign.toml as it stands.
 """
 
 from __future__ import annotations
@@ -55,6 +56,7 @@ def tear(moment: str) -> None:
 def main() -> None:
     from tests import campaign_fakes as fakes
     from uqharness.campaign import run_campaign
+    from uqharness.campaign_spec import read_campaign
     from uqharness.executor import Executor, ProcessExecutor
 
     folder, out, flights, fake, how = sys.argv[1:6]
@@ -67,7 +69,9 @@ def main() -> None:
         from uqharness.dask_executor import DaskExecutor
 
         executor = DaskExecutor(how)
-    run_campaign(fakes.small_spec(Path(folder), int(flights)), out, executor=executor, fly=getattr(fakes, fake))
+    as_is = flights == "as-is"
+    spec = read_campaign(Path(folder) / "campaign.toml") if as_is else fakes.small_spec(Path(folder), int(flights))
+    run_campaign(spec, out, executor=executor, fly=getattr(fakes, fake))
 
 
 if __name__ == "__main__":

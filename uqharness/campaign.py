@@ -73,13 +73,12 @@ def find_mission(spec: CampaignSpec, folder: Path = Path()) -> Mission:
 
     Bounds from a model form and a trimmed start fly in a copy of the aircraft within the campaign's ``folder``, not made here.
     """
-    from uqharness.aircraft import content_hash, find_aircraft
-    from uqharness.campaign_aircraft import find_copied_mission, needs_copy
+    from uqharness.aircraft import content_hash
+    from uqharness.campaign_aircraft import find_copied_mission, named_aircraft, needs_copy
     from uqharness.mission import find_script
 
-    beside = spec.path.resolve().parent
-    named, script_named = beside / spec.campaign.aircraft, beside / spec.campaign.mission
-    aircraft = find_aircraft(named if named.is_dir() else spec.campaign.aircraft)
+    script_named = spec.path.resolve().parent / spec.campaign.mission
+    aircraft = named_aircraft(spec)
     script: Path | None = None
     if spec.start is None:
         script = (script_named if script_named.is_file() else find_script(spec.campaign.mission)).resolve()

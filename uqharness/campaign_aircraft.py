@@ -30,6 +30,27 @@ def needs_copy(spec: CampaignSpec) -> bool:
     return spec.inputs.model_form is not None or spec.start is not None
 
 
+def named_aircraft(spec: CampaignSpec) -> Aircraft:
+    """The aircraft that the campaign names: beside its own file, else as ``uqharness fly`` finds it. Raises BadInputError."""
+    named = spec.path.resolve().parent / spec.campaign.aircraft
+    return find_aircraft(named if named.is_dir() else spec.campaign.aircraft)
+
+
+def bounds_notes(spec: CampaignSpec) -> list[str]:
+    """What to know before flying: bounds that were made for other files than the aircraft's. Raises BadInputError."""
+    if spec.inputs.model_form is None:
+        return []
+    made_for, aircraft = read_bounds(spec.inputs.model_form).aircraft, named_aircraft(spec)
+    if made_for.sha256 == content_hash(aircraft):
+        return []
+    whose = f"'{made_for.name}' as it was then"
+    if made_for.name != aircraft.name:
+        whose = f"'{made_for.name}', not '{aircraft.name}'"
+    meant = "they mean something only if its aerodynamics are the same"
+    path = spec.inputs.model_form
+    return [f"{path}: the bounds were made for aircraft {whose} (SHA-256 {made_for.sha256[:12]}...); {meant}"]
+
+
 def find_copied_mission(spec: CampaignSpec, aircraft: Aircraft, script: Path | None, folder: Path) -> Mission:
     """The mission that a copy in ``folder`` is going to fly, with the hashes of what it will hold; nothing is left behind.
 

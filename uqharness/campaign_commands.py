@@ -111,6 +111,7 @@ def _verb(verbs: Any, name: str, text: str, example: str) -> argparse.ArgumentPa
 def _run(args: argparse.Namespace) -> int:
     # Imported here: `uqharness --help` should not wait for the numerical libraries.
     from uqharness.campaign import run_campaign
+    from uqharness.campaign_aircraft import bounds_notes
     from uqharness.campaign_spec import read_campaign
     from uqharness.progress_view import ProgressView
     from uqharness.project_files import find_campaign
@@ -121,6 +122,8 @@ def _run(args: argparse.Namespace) -> int:
         spec = spec.with_hours(args.hours)
     if args.samples is not None:
         spec = spec.with_samples(args.samples)
+    for note in bounds_notes(spec):
+        print(f"note: {note}", file=sys.stderr)
     try:
         with ExitStack() as stack:
             executor = _executor(args, stack)

@@ -19,6 +19,7 @@ from uqharness.decide import NO, OPEN, YES
 from uqharness.errors import BadInputError
 from uqharness.page_parts import Level, Say
 from uqharness.pbox import PBox, Sample, pbox
+from uqharness.sample_words import called
 from uqharness.statements import Statement, statements
 
 _QUANTITIES = (
@@ -155,18 +156,19 @@ def _verdict(
     frame: pd.DataFrame, campaign: Mapping[str, Any], findings: Sequence[Finding], signed: Sequence[Statement]
 ) -> list[Say]:
     """The answer in words with numbers: the hardest condition, its excursions, its medians, and what failed."""
+    method = campaign["epistemic"]["method"]
     hardest = hardest_of(conditions(frame))
     duration = campaign["aleatory"]["duration_s"]
     said = [Say(f"Hardest condition flown: {hardest.words}.")]
     for statement in signed:
         if statement.cell.condition == hardest and statement.cell.distance == "horizontal":
-            said.append(Say(report_statements.sentence(statement), answer_level(statement)))
+            said.append(Say(called(report_statements.sentence(statement), method), answer_level(statement)))
     if UNCOMMANDED_METRICS[0] in frame:
         said.append(Say("Nothing was commanded: errors are deviations from the state in which scoring began."))
     for quantity, _, _ in _QUANTITIES:
         both = [item for item in findings if item.condition == hardest and item.quantity == quantity]
         if both:
-            said.append(Say(_median_sentence(both, duration)))
+            said.append(Say(called(_median_sentence(both, duration), method)))
     failed = int((frame["status"] != "ok").sum())
     counted = f"{failed} failed; they are bounded at the worst, not dropped" if failed else "all ended as planned"
     said.append(Say(f"Of {len(frame)} flights, {counted}.", "warn" if failed else "good"))

@@ -14,6 +14,7 @@ from uqharness.page_parts import Block, Bullets, Cell, Facts, Figure, Figures, L
 from uqharness.page_pbox import DrawnBox, corner_words, pbox_figure
 from uqharness.page_sensitivity import sensitivity_section
 from uqharness.pbox import ExcursionRate, best_and_worst, poisson_upper
+from uqharness.sample_words import called
 from uqharness.statements import Statement
 
 CONDITIONS_DRAWN = 4
@@ -26,11 +27,12 @@ _MARKS = {"yes": "✓", "no": "✕", "open": "?"}
 
 def campaign_page(found: CampaignFound, prefix: str = "") -> Page:
     """The page of one campaign; ``prefix`` keeps its figures' names apart from others' in one page."""
-    sections = [grid_section(found.signed), pbox_section(found, prefix)]
+    method = found.campaign["epistemic"]["method"]
+    sections = [called(part, method) for part in (grid_section(found.signed), pbox_section(found, prefix))]
     ranges = sensitivity_section(found.folder, prefix)
     if ranges is not None:
         sections.append(ranges)
-    sections += [*rate_sections(found), failure_section(found.frame), provenance_section(found)]
+    sections += [*(called(s, method) for s in rate_sections(found)), failure_section(found.frame), provenance_section(found)]
     return Page(f"Campaign of {found.aircraft}", found.asked, found.verdict, tuple(sections))
 
 

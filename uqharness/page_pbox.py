@@ -63,7 +63,7 @@ def pbox_figure(
                 at,
                 _between(drawn.box.band_upper[0], drawn.box.band_upper),
                 "limit",
-                "95 % band, all corners",
+                "95 % band, all samples",
                 steps=True,
             )
             chart.line(at, _between(0.0, drawn.box.band_lower), "limit", steps=True)
