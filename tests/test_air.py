@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from uqharness import engine
-from uqharness.air_check import AIR_XML, Condition, Seen, Source, compare, main, measure, open_pinned, write_vehicle
+from uqharness.air_check import compare, main
+from uqharness.air_pinned import AIR_XML, Condition, Seen, Source, measure, open_pinned, write_vehicle
 from uqharness.dryden import COMPONENTS, FT_M, dryden_sigma
 
 ROOT = Path(__file__).parents[1]

@@ -19,8 +19,9 @@ from uqharness import engine
 from uqharness.aircraft import PROJECT_ROOT, content_hash, find_aircraft, open_aircraft
 from uqharness.cli import main
 from uqharness.errors import BadInputError
-from uqharness.instrument import Bounds, plan, undo, write
+from uqharness.instrument import Bounds, plan
 from uqharness.instrument_command import parse_constant
+from uqharness.instrument_folder import undo, write
 from uqharness.plugin_check import check, check_in_child, open_mid_envelope
 from uqharness.study_instrument import study
 

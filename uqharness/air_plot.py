@@ -9,7 +9,8 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from uqharness.air_check import Seen, specified_density, spectrum
+from uqharness.air_check import specified_density, spectrum
+from uqharness.air_pinned import Seen
 from uqharness.dryden import COMPONENTS
 
 _COLOURS = {"jsbsim": "#1b6ca8", "host": "#d1701e", "plain-tustin": "#b0b0b0"}

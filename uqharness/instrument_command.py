@@ -77,7 +77,8 @@ def _run(args: argparse.Namespace) -> int:
     from sysid.log_errors import LogError
     from sysid.model_form import read_model_form
     from uqharness import aircraft_facts
-    from uqharness.instrument import Bounds, metrics_of, plan, write
+    from uqharness.instrument import Bounds, metrics_of, plan
+    from uqharness.instrument_folder import write
     from uqharness.plugin_check import check_in_child
 
     if args.undo:
@@ -118,7 +119,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _undo(args: argparse.Namespace) -> int:
-    from uqharness.instrument import undo
+    from uqharness.instrument_folder import undo
     from uqharness.instrument_record import FILE_NAME
 
     folder = args.out if (args.out / FILE_NAME).is_file() else find_folder(args.aircraft)

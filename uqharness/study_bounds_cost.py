@@ -26,7 +26,8 @@ from uqharness.aircraft import Aircraft, find_aircraft
 from uqharness.benchmark import without_plugin
 from uqharness.flight import set_conditions
 from uqharness.flight_spec import FlightSpec
-from uqharness.instrument import Bounds, plan, write
+from uqharness.instrument import Bounds, plan
+from uqharness.instrument_folder import write
 from uqharness.mission import StagedMission, find_script
 from uqharness.model_form_xml import model_form_xml, state_source
 

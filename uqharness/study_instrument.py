@@ -14,7 +14,8 @@ from pathlib import Path
 from uqharness import engine
 from uqharness.aircraft import find_aircraft
 from uqharness.errors import BadInputError
-from uqharness.instrument import Bounds, plan, write
+from uqharness.instrument import Bounds, plan
+from uqharness.instrument_folder import write
 from uqharness.plugin_check import DURATION_S, Verdict, check_in_child
 
 HEADER = "| aircraft | force axes | functions scaled | result | properties | worst error |"

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from uqharness import engine
-from uqharness.air_check import Condition, compare, measure, open_pinned, write_vehicle
+from uqharness.air_check import compare
+from uqharness.air_pinned import Condition, measure, open_pinned, write_vehicle
 from uqharness.dryden import FT_M, dryden_sigma
 
 CALM = Condition(heading_deg=0.0, wind_mps=0.0, wind_from_deg=0.0)
