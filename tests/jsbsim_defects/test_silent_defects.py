@@ -81,6 +81,23 @@ def test_the_default_integrator_adds_roll_damping(tmp_path, integrator, gain, to
     assert abs(rate / 8.0 - gain) < tolerance
 
 
+def test_the_rates_scale_is_of_the_frame_before_in_a_function_outside_an_axis(tmp_path):
+    scale = "<product><property>aero/bi2vel</property><property>velocities/vt-fps</property></product>"
+    outside, inside = (f"<function name='aero/{name}'>{scale}</function>" for name in ("outside", "inside"))
+    force = f"<axis name='X'><function name='aero/f'><value>20</value></function>{inside}</axis>"
+    fdm = small(tmp_path, aero=outside + force)
+    fdm.run_ic()
+    fdm.run()
+    half_span = 0.5 * fdm["metrics/bw-ft"]
+    for _ in range(5):
+        before = fdm["velocities/vt-fps"]
+        fdm.run()
+        ratio = fdm["velocities/vt-fps"] / before
+        assert ratio > 1.0 + 1e-5
+        assert fdm["aero/inside"] == pytest.approx(half_span, rel=1e-12)
+        assert fdm["aero/outside"] == pytest.approx(half_span * ratio, rel=1e-9)
+
+
 def test_flight_control_reads_the_airspeed_of_the_frame_before_and_the_attitude_of_this(tmp_path):
     copy = "".join(
         f"<pure_gain name='copy/{name}'><input>{source}</input><gain>1</gain></pure_gain>"
