@@ -140,9 +140,8 @@ def select(
     for _ in range(3 * most):
         before = list(here)
         here, trail = _exchanged(evidence, free, candidates, here, trail)
-        here, trail = _pruned(evidence, free, here, trail, limit)
+        here, trail, asked = _pruned(evidence, free, here, trail, limit)
         refused = None
-        asked = _asked(limit, _corrected_t(evidence, free, here))
         if len(here) < most:
             found = _entering(
                 evidence,
@@ -269,16 +268,16 @@ def _exchanged(
 
 def _pruned(
     evidence: Evidence, free: Sequence[str], here: list[str], trail: list[str], limit: float
-) -> tuple[list[str], list[str]]:
-    """The weakest effect below what is asked taken out, again and again."""
-    while len(here) > 1:
+) -> tuple[list[str], list[str], float]:
+    """The weakest effect below what is asked taken out, again and again; and the |t| then asked of one beside the rest."""
+    while True:
         t = _corrected_t(evidence, free, here)
+        asked = _asked(limit, t)
+        if len(here) < 2 or min(t) >= asked:
+            return here, trail, asked
         worst = int(np.argmin(t))
-        if t[worst] >= _asked(limit, t):
-            break
         trail = [*trail, f"- {here[worst]} t {t[worst]:.1f}"]
         here = [*here[:worst], *here[worst + 1 :]]
-    return here, trail
 
 
 def _corrected_t(evidence: Evidence, free: Sequence[str], here: Sequence[str]) -> list[float]:

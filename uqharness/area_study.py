@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from uqharness.area_metric import AreaMetric, area_metric
-from uqharness.campaign_manifest import read_manifest
+from uqharness.campaign_manifest import read_complete
 from uqharness.campaign_rounds import band_confidence
 from uqharness.campaign_tables import CONFIDENCE, Condition, in_condition, pboxes
 from uqharness.case_table import CASES, read_table
@@ -55,9 +55,7 @@ def read_flights(path: Path | None, values: Mapping[str, float]) -> pd.DataFrame
 
 def compare(folder: Path, flights: pd.DataFrame) -> list[Compared]:
     """Compare every metric that both have, in every condition; a flight with a condition of its own in that one. BadInputError."""
-    manifest = read_manifest(folder)
-    if manifest["state"] != "complete":
-        raise BadInputError(f"{folder}: the campaign is not complete; finish it first with: {manifest['command']}")
+    manifest = read_complete(folder)
     frame = read_table(folder / CASES).to_pandas()
     confidence = band_confidence(manifest["campaign"], CONFIDENCE)
     found, known = [], set()

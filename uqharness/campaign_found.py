@@ -11,12 +11,11 @@ from typing import Any
 import pandas as pd
 
 from uqharness import report_statements
-from uqharness.campaign_manifest import read_manifest
+from uqharness.campaign_manifest import read_complete
 from uqharness.campaign_rounds import band_confidence, read_decisions
 from uqharness.campaign_tables import CONFIDENCE, Condition, conditions, in_condition, samples
 from uqharness.case_table import CASES, UNCOMMANDED_METRICS, read_table
 from uqharness.decide import NO, OPEN, YES
-from uqharness.errors import BadInputError
 from uqharness.page_parts import Level, Say
 from uqharness.pbox import PBox, Sample, pbox
 from uqharness.sample_words import called
@@ -82,10 +81,7 @@ class CampaignFound:
 
 def read_found(folder: Path) -> CampaignFound:
     """Read a complete campaign's folder. Raises BadInputError."""
-    manifest = read_manifest(folder)
-    if manifest["state"] != "complete":
-        command = manifest["command"] or "the command that began it"
-        raise BadInputError(f"{folder}: the campaign is not complete; finish it first with: {command}")
+    manifest = read_complete(folder)
     frame = read_table(folder / CASES).to_pandas()
     campaign = manifest["campaign"]
     findings = tuple(_findings(frame, campaign))

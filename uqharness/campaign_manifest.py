@@ -76,6 +76,15 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return manifest
 
 
+def read_complete(folder: Path) -> dict[str, Any]:
+    """Manifest of a campaign folder whose flights are all done. Raises BadInputError, also where some are missing."""
+    manifest = read_manifest(folder)
+    if manifest["state"] != "complete":
+        command = manifest["command"] or "the command that began it"
+        raise BadInputError(f"{folder}: the campaign is not complete; finish it first with: {command}")
+    return manifest
+
+
 def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
     """Write it whole or not at all."""
     write_bytes(folder / MANIFEST, (json.dumps(manifest, indent=2) + "\n").encode())

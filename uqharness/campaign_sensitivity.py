@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from uqharness.campaign_manifest import read_manifest
+from uqharness.campaign_manifest import read_complete
 from uqharness.campaign_tables import Condition, conditions, in_condition
 from uqharness.case_table import CASES, ERROR_METRICS, UNCOMMANDED_METRICS, excursion_columns, read_table
 from uqharness.errors import BadInputError
@@ -107,10 +107,7 @@ def read_interior_campaign(folder: Path, corners: Flown) -> Flown:
 
 
 def _read(folder: Path) -> Flown:
-    manifest = read_manifest(folder)
-    if manifest["state"] != "complete":
-        command = manifest["command"] or "the command that began it"
-        raise BadInputError(f"{folder}: the campaign is not complete; finish it first with: {command}")
+    manifest = read_complete(folder)
     frame = read_table(folder / CASES).to_pandas()
     if len(frame) != manifest["cases"]:
         raise BadInputError(

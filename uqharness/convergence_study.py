@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from uqharness.campaign_manifest import read_manifest
+from uqharness.campaign_manifest import read_complete
 from uqharness.campaign_tables import CONFIDENCE, Condition, conditions, in_condition
 from uqharness.case_table import CASES, ERROR_METRICS, read_table
 from uqharness.convergence import Growth, Repeats, growth, repeats
@@ -46,9 +46,7 @@ class Converged:
 
 def study(folder: Path, metrics: Sequence[str] = (), number: int = REPEATS) -> list[Converged]:
     """Convergence of a complete campaign. Raises BadInputError."""
-    manifest = read_manifest(folder)
-    if manifest["state"] != "complete":
-        raise BadInputError(f"{folder}: the campaign is not complete; finish it first with: {manifest['command']}")
+    manifest = read_complete(folder)
     if number < 2:
         raise BadInputError(f"--repeats {number}: must be at least 2")
     frame = read_table(folder / CASES).to_pandas()

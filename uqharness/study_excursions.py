@@ -22,7 +22,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from uqharness.campaign_manifest import read_manifest
+from uqharness.campaign_manifest import read_complete
 from uqharness.campaign_results import EXCURSIONS
 from uqharness.campaign_tables import CONFIDENCE
 from uqharness.errors import BadInputError
@@ -78,6 +78,12 @@ class Cell:
     answer: str
     published_answer: str
 
+    @property
+    def verdicts(self) -> tuple[str, str, str]:
+        """Beside the print: the best corner, the worst, the worst if excursions do not cluster."""
+        worst = self.published_worst
+        return self.best.beside(self.published_best), self.worst.beside(worst), self.worst_poisson.beside(worst)
+
 
 def published(radius_m: float) -> pd.DataFrame:
     """The print's table for a radius. Raises BadInputError where there is none."""
@@ -90,9 +96,7 @@ def published(radius_m: float) -> pd.DataFrame:
 
 def compare(folder: Path) -> list[Cell]:
     """Every cell of a complete campaign that is in print. Raises BadInputError."""
-    manifest = read_manifest(folder)
-    if manifest["state"] != "complete":
-        raise BadInputError(f"{folder}: the campaign is not complete; finish it first with: {manifest['command']}")
+    manifest = read_complete(folder)
     counted = pd.read_csv(folder / EXCURSIONS)
     keys = ["condition", "radius_m", "distance"]
     poisson = counted.loc[counted["worst"] == 1, [*keys, "simultaneous_lower_per_h", "simultaneous_upper_per_h"]]
@@ -104,11 +108,10 @@ def compare(folder: Path) -> list[Cell]:
 
 
 def _cells(rows: pd.DataFrame, acceptable: float) -> Iterator[Cell]:
-    for row in rows.to_dict("records"):
+    tables = {radius: published(radius) for radius in PUBLISHED}
+    for row in rows[rows["radius_m"].isin(PUBLISHED)].to_dict("records"):
         radius, wind, turbulence = row["radius_m"], row["wind_mps"], row["turbulence"]
-        if radius not in PUBLISHED:
-            continue
-        table = published(radius)
+        table = tables[radius]
         if wind not in table.index or f"{turbulence}_best" not in table.columns:
             continue
         ours = [Range(*(row[f"{end}{which}_per_h"] for which in ("", "_lower", "_upper"))) for end in ("best", "worst")]
@@ -146,8 +149,7 @@ def table(cells: Sequence[Cell]) -> bytes:
         writer.writerow(
             [f"{c.radius_m:g}", c.turbulence, f"{c.wind_mps:g}", f"{c.hours:g}"]
             + ["" if math.isnan(rate) else f"{rate:.6g}" for rate in rates]
-            + [c.best.beside(c.published_best), c.worst.beside(c.published_worst), c.worst_poisson.beside(c.published_worst)]
-            + [c.answer, c.published_answer]
+            + [*c.verdicts, c.answer, c.published_answer]
         )
     return buffer.getvalue().encode()
 
@@ -168,23 +170,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BadInputError as error:
         print(f"study_excursions: error: {error}", file=sys.stderr)
         return 2
-    verdicts = [c.worst.beside(c.published_worst) for c in cells]
-    bests = [c.best.beside(c.published_best) for c in cells]
-    clustered = [c.worst_poisson.beside(c.published_worst) for c in cells]
-    counted = {word: verdicts.count(word) for word in ("as published", "more", "fewer")}
+    bests, worsts, singly = zip(*(c.verdicts for c in cells), strict=True)
+    counted = {word: worsts.count(word) for word in ("as published", "more", "fewer")}
     if args.json:
         print(json.dumps({"cells": len(cells), "worst": counted, "best": {w: bests.count(w) for w in counted}}))
     else:
         for c in cells:
             said = f"[{c.best.rate:.3g}, {c.worst.rate:.3g}] per h, worst within [{c.worst.lower:.3g}, {c.worst.upper:.3g}]"
             told = f"published [{c.published_best.rate:g}, {c.published_worst.rate:g}]"
-            words = c.worst.beside(c.published_worst), c.worst_poisson.beside(c.published_worst)
-            beside = words[0] if words[0] == words[1] else f"{words[0]}; {words[1]} if excursions do not cluster"
+            _, worst, alone = c.verdicts
+            beside = worst if worst == alone else f"{worst}; {alone} if excursions do not cluster"
             print(f"{c.radius_m:g} m, {c.wind_mps:g} m/s {c.turbulence}: {said}; {told}: {beside}")
         print(f"worst corner: {', '.join(f'{n} cells {word}' for word, n in counted.items())}")
-        if clustered != verdicts:
-            print(f"if excursions do not cluster: {', '.join(f'{clustered.count(w)} cells {w}' for w in counted)}")
-    return 0 if all(v == "as published" for v in (*verdicts, *bests)) else 1
+        if singly != worsts:
+            print(f"if excursions do not cluster: {', '.join(f'{singly.count(w)} cells {w}' for w in counted)}")
+    return 0 if all(v == "as published" for v in (*worsts, *bests)) else 1
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from typing import Any
 
 import pandas as pd
 
-from uqharness.campaign_manifest import read_manifest
+from uqharness.campaign_manifest import read_complete
 from uqharness.campaign_tables import CONFIDENCE, Condition, conditions, in_condition, samples
 from uqharness.case_table import CASES, ERROR_METRICS, UNCOMMANDED_METRICS, read_table
 from uqharness.errors import BadInputError
@@ -48,13 +48,9 @@ class Compared:
 
 def compare(corners: Path, walks: Path) -> list[Compared]:
     """Compare two complete campaigns. Raises BadInputError if they differ in more than their epistemic samples and their size."""
-    frames = []
-    manifests = [read_manifest(folder) for folder in (corners, walks)]
-    for folder, manifest in zip((corners, walks), manifests, strict=True):
-        if manifest["state"] != "complete":
-            raise BadInputError(f"{folder}: the campaign is not complete; finish it first with: {manifest['command']}")
-        frames.append(read_table(folder / CASES).to_pandas())
+    manifests = [read_complete(folder) for folder in (corners, walks)]
     _refuse_unlike(manifests, (corners, walks))
+    frames = [read_table(folder / CASES).to_pandas() for folder in (corners, walks)]
     return list(_compared(frames[0], frames[1]))
 
 
