@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pytest
 
@@ -81,6 +83,26 @@ def test_every_kind_of_variable_has_a_form_that_jsbsim_flies(tmp_path, term):
     assert np.isfinite(after).all()
     assert not np.array_equal(after, flown(aircraft, seconds=0.3))
     assert np.array_equal(flown(changed, {effect.property_name: 0.0}, 0.3), flown(aircraft, seconds=0.3))
+
+
+@pytest.mark.parametrize("term", ["p_hat^2", "alphadot_hat"])
+def test_rates_are_of_this_frames_airspeed_where_the_author_has_no_name_for_them(tmp_path, term):
+    known = find_aircraft("espaaro")
+    nameless = tmp_path / "nameless"
+    shutil.copytree(known.folder, nameless)
+    text = (nameless / "espaaro.xml").read_text(encoding="utf-8")
+    for name in ("p_hat", "q_hat", "r_hat", "b_2V", "c_2V"):
+        text = text.replace(f"aero/{name}<", f"aero/own_{name}<").replace(f'aero/{name}"', f'aero/own_{name}"')
+    (nameless / "espaaro.xml").write_text(text, encoding="utf-8")
+    effect = written(coefficient_effect("Cm", term), 3.0)
+    states = []
+    for aircraft, folder in ((known, "a"), (find_aircraft(nameless), "b")):
+        out = tmp_path / folder / "espaaro"
+        out.parent.mkdir()
+        assert write_effects(aircraft, [effect], {}, out) == []
+        states.append(flown(find_aircraft(out)))
+    assert np.abs(states[0] - flown(known)).max() > 1e-3
+    assert np.allclose(states[0], states[1], rtol=0.0, atol=1e-10)
 
 
 def test_beside_the_axes_it_does_the_same_as_in_the_sum(tmp_path):

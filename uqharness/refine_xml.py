@@ -200,25 +200,29 @@ def _has_function(section: AeroSection, name: str) -> bool:
     )
 
 
+def _per_rate(length: str, section: AeroSection) -> str:
+    """b/2V or c/2V [s] of this frame: JSBSim's own aero/bi2vel, aero/ci2vel are a frame old in an effect's function."""
+    if _has_function(section, f"aero/{length}_2V"):
+        return f"<property>aero/{length}_2V</property>"
+    metric = {"b": "metrics/bw-ft", "c": "metrics/cbarw-ft"}[length]
+    speed = "<max> <property>velocities/vt-fps</property> <value>0.1</value> </max>"
+    return f"<quotient> <property>{metric}</property> <product> <value>2</value> {speed} </product> </quotient>"
+
+
 def variable_xml(variable: str, section: AeroSection, aircraft: Aircraft) -> str:
     """XML expression of a term's variable in this aircraft. Raises BadInputError where nothing gives it."""
-
-    def hat(function: str, scale: str, rate: str) -> str:
-        if _has_function(section, function):
-            return f"<property>{function}</property>"
-        return f"<product> <property>{scale}</property> <property>{rate}</property> </product>"
-
     if variable in ("alpha", "beta"):
         return f"<property>aero/{variable}-rad</property>"
     if variable in ("p_hat", "q_hat", "r_hat"):
+        if _has_function(section, f"aero/{variable}"):
+            return f"<property>aero/{variable}</property>"
         axis = variable[0]
-        return hat(
-            f"aero/{variable}", "aero/ci2vel" if axis == "q" else "aero/bi2vel", f"velocities/{axis}-aero-rad_sec"
-        )
+        scale = _per_rate("c" if axis == "q" else "b", section)
+        return f"<product> {scale} <property>velocities/{axis}-aero-rad_sec</property> </product>"
     if variable == "alphadot_hat":
-        return "<product> <property>aero/ci2vel</property> <property>aero/alphadot-rad_sec</property> </product>"
+        return f"<product> {_per_rate('c', section)} <property>aero/alphadot-rad_sec</property> </product>"
     if variable == "betadot_hat":
-        return "<product> <property>aero/bi2vel</property> <property>aero/betadot-rad_sec</property> </product>"
+        return f"<product> {_per_rate('b', section)} <property>aero/betadot-rad_sec</property> </product>"
     if variable in ("de", "da", "dr", "dt"):
         control = {"de": "elevator", "da": "aileron", "dr": "rudder", "dt": "throttle"}[variable]
         source, factor = state_source("throttle_pct" if control == "throttle" else f"{control}_pos_deg", aircraft)
@@ -283,8 +287,8 @@ def _subsystem_terms(w: Written, section: AeroSection, aircraft: Aircraft) -> li
         return [r for r in rows if r[1] != 0.0]
     if part == "stall":
         lag = (
-            "<product> <value>2</value> <property>aero/ci2vel</property> <todegrees> <property>aero/alphadot-rad_sec</property> "
-            "</todegrees> </product>"
+            f"<product> <value>2</value> {_per_rate('c', section)} "
+            "<todegrees> <property>aero/alphadot-rad_sec</property> </todegrees> </product>"
             if term == "dynamic"
             else "<value>0</value>"
         )
