@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import atexit
 import math
+from array import array
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uqharness import engine
 from uqharness.aircraft import find_aircraft, find_folder, folder_hash
@@ -26,6 +28,8 @@ from uqharness.scoring import (
 )
 from uqharness.start_spec import MARK
 from uqharness.stepping import first_levels, has_air, stepper
+
+Array = NDArray[np.float64]
 
 _CONDITION_PROPERTIES = (
     "air/wind-mps",
@@ -108,20 +112,17 @@ def record_mission(
         engine.settle_engines(fdm)
     present = {name: source for name, source in (optional or {}).items() if _exists(fdm, source)}
     table = {"time_s": Source("simulation/sim-time-sec"), **signals, **present}
-    read = _reader(fdm, table)
+    getters = _getters(fdm, table)
     burn = 0 if keep_burn_in else math.ceil(round(spec.burn_in_s / (dt_s * stride), 9))
     total_s = spec.duration_s + (spec.burn_in_s if keep_burn_in else 0.0)
     wanted = math.ceil(round(total_s / (dt_s * stride), 9))
     advance = stepper(fdm, spec, dt_s, (burn + wanted) * stride)
-    rows = np.full((wanted + 1, len(table)), np.nan)
+    read = array("d")
     height = engine.handle(fdm, "position/h-agl-ft").get_double_value
     speed = engine.handle(fdm, "velocities/vt-fps").get_double_value
-    status, reason, done = "ok", "", 0
+    status, reason = "ok", ""
     if burn == 0:
-        rows[0] = read()
-        done = 1
-    else:
-        rows = rows[:-1]
+        read.extend([get() for get in getters])
     try:
         for block in range(burn + wanted):
             advance(stride)
@@ -132,11 +133,11 @@ def record_mission(
                 status, reason = "crashed", f"hit the ground at {_clock(fdm)}"
                 break
             if block >= burn:
-                rows[done] = read()
-                done += 1
+                read.extend([get() for get in getters])
     except engine.RuntimeFailure as error:
         status, reason = "crashed", engine.explain(fdm, error)
-    return Recorded(list(table), rows[:done], status, reason, float(fdm.get_sim_time()))
+    rows = _signals(np.frombuffer(read).reshape(-1, len(getters)), table)
+    return Recorded(list(table), rows, status, reason, float(fdm.get_sim_time()))
 
 
 def _clock(fdm: Any) -> str:
@@ -158,18 +159,24 @@ def _exists(fdm: Any, source: Source) -> bool:
     return bool(manager.hasNode(source.property) and (source.over is None or manager.hasNode(source.over)))
 
 
-def _reader(fdm: Any, table: Mapping[str, Source]) -> Callable[[], list[float]]:
-    engine.require(fdm, [source.property for source in table.values()])
-    plain = all(source.factor == 1.0 and source.over is None for source in table.values())
-    getters = [engine.handle(fdm, source.property).get_double_value for source in table.values()]
-    if plain:
-        return lambda: [get() for get in getters]
-    factors = [source.factor for source in table.values()]
-    over = [engine.handle(fdm, source.over).get_double_value if source.over else None for source in table.values()]
-    return lambda: [
-        get() * factor if divisor is None else get() * factor / divisor()
-        for get, factor, divisor in zip(getters, factors, over, strict=True)
-    ]
+def _getters(fdm: Any, table: Mapping[str, Source]) -> list[Callable[[], float]]:
+    """Of each source's property, then of each divisor's."""
+    names = [s.property for s in table.values()] + [s.over for s in table.values() if s.over is not None]
+    engine.require(fdm, names)
+    return [engine.handle(fdm, name).get_double_value for name in names]
+
+
+def _signals(read: Array, table: Mapping[str, Source]) -> Array:
+    """Signals (n, len(table)) from what the getters gave (n, len(getters)); NaN or infinite where a divisor is zero."""
+    rows = np.empty((len(read), len(table)))
+    divisor = len(table)
+    for column, source in enumerate(table.values()):
+        rows[:, column] = read[:, column] * source.factor
+        if source.over is not None:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                rows[:, column] /= read[:, divisor]
+            divisor += 1
+    return rows
 
 
 def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
