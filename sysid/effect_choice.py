@@ -28,6 +28,8 @@ LOOKED_AT = 12
 TURNS = 3
 UNLIKE = 0.3
 """Likeness below which a candidate is asked although the best one was not confirmed."""
+CONTRADICTING = 2.0
+"""Standard errors between the estimates of the two parts of the flights beyond which they contradict each other."""
 STRONG = 2.0
 """How far above the limit an unconfirmed candidate's |t| must be to say that something is missing all the same."""
 TRACE, MOST_TRACE = 0.1, 8.0
@@ -242,10 +244,11 @@ def _best(
         )
         return Refusal(choice.key, choice.t, choice.gain, why)
     if np.isfinite(choice.confirmed_gain) and not choice.confirmed_gain > 0.0:
-        return Refusal(
-            choice.key, choice.t, choice.gain, "the part of the flights that did not estimate it does not confirm it",
-            abs(choice.t) > limit + strong, True,
-        )  # fmt: skip
+        certain = abs(choice.t) > limit + strong
+        # A part that knows little confirms little. Far above chance it is enough that the parts do not contradict each other.
+        if not (certain and abs(choice.difference) < CONTRADICTING):
+            why = "the part of the flights that did not estimate it does not confirm it"
+            return Refusal(choice.key, choice.t, choice.gain, why, certain, True)
     return choice
 
 

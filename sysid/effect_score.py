@@ -65,10 +65,10 @@ class Evidence:
             return self.everything
         return self.gram[segments].sum(axis=0) + np.diag(self.prior), self.score[segments].sum(axis=0)
 
-    def step(self) -> tuple[FloatArray, float]:
-        """Gauss-Newton step of all columns (K,), and its length in standard errors."""
-        G, u = self.everything
-        delta = solve(G, u[:, None])[:, 0]
+    def step(self, held: Sequence[str] = ()) -> tuple[FloatArray, float]:
+        """Gauss-Newton step of all columns but those held (K,), and its length in standard errors."""
+        _, u = self.everything
+        delta = self.fitted(self.index([n for n in self.names if n not in held]))
         return delta, math.sqrt(max(float(delta @ u), 0.0))
 
     def fitted(self, free: Index, segments: NDArray[np.bool_] | None = None) -> FloatArray:

@@ -187,7 +187,10 @@ def noise_factors(
     few, data, theirs = [steps[k] for k in some], [measured[k] for k in some], process.of(some)
 
     def cost(factors: FloatArray) -> float:
-        return float(_costs(few, data, which, factors * noise, theirs).sum())
+        try:
+            return float(_costs(few, data, which, factors * noise, theirs).sum())
+        except np.linalg.LinAlgError:
+            return np.inf
 
     best = np.ones(len(noise))
     low = cost(best)

@@ -118,6 +118,15 @@ def whole_states(x: NDArray[Any], gusts: GustStates | None) -> NDArray[Any]:
     return np.column_stack([x, *gusts.start(x[:, 0], x[:, 1], x[:, 2], x[:, 6])])
 
 
+def rates(
+    reference: Reference, mass: MassProperties, x: FloatArray, gravity: float = G_MPS2, gusts: GustStates | None = None
+) -> FloatArray:
+    """dx/dt (n, 8 or 13) at whole states x of the reference's times, but for what gusts will add: forces linear about the
+    reference, surfaces where they stand there."""
+    rate, _ = _Rigid(reference, mass, gravity, gusts)(x, np.arange(len(x), dtype=np.float64))
+    return rate
+
+
 def _series(A: FloatArray, h: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """exp(A h), and the weights of an input at a step's start and end, linear in between; (n, nx, nx) each."""
     eye = np.broadcast_to(np.eye(A.shape[1]), A.shape)

@@ -16,8 +16,9 @@ from sysid.effect_choice import Selection, Twins, judged
 from sysid.effect_score import Evidence
 from uqharness.refine_fit import Point, Setup, moved_starts, stepped
 
-WEAK, WEAK_IN_GUSTS, OVERWHELMING = 0.1, 0.6, 20.0
-"""Share of the strongest |t| below which a candidate waits; in gusts, about the flight as measured, when that is overwhelming."""
+WEAK, WEAK_IN_GUSTS, OVERWHELMING = 0.1, 1.0, 15.0
+"""Share of the strongest |t| below which a candidate waits; in gusts, about the flight as measured, when that is overwhelming:
+beside a vane that reads 1.8 times the angle, a centre of gravity elsewhere had two thirds of its |t|, and stayed."""
 
 
 @dataclass(frozen=True)

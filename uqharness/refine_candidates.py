@@ -19,7 +19,7 @@ from uqharness.replay import SENSOR_OF, Segment, runs_per_row
 from uqharness.replay_model import CONTROLS
 
 if TYPE_CHECKING:
-    from uqharness.refine_fit import Flown, Setup
+    from uqharness.refine_fit import Flown, Point, Setup
 
 Array = NDArray[np.float64]
 STALL = {"a1_per_deg": 0.5, "alpha1_deg": 11.0, "alpha2_deg": -20.0}
@@ -43,7 +43,7 @@ def effect_columns(setup: Setup, probes: Sequence[Probe], flown: Flown, effects:
                 assert term is not None
                 inputs[e.key] = (COEFFICIENTS.index(e.coefficient), term.values(found))
                 continue
-            block, channel = _subsystem(e, setup, segment, p, y, found)
+            block, channel = _subsystem(e, setup, segment, p, y, found, flown.point)
             if block is not None:
                 inputs[e.key] = (-1, block)
             if channel is not None:
@@ -52,16 +52,27 @@ def effect_columns(setup: Setup, probes: Sequence[Probe], flown: Flown, effects:
     return out
 
 
+def sensor_gain(channel: str, point: Point) -> float:
+    """By what a sensor multiplies its channel at a point."""
+    return 1.0 + point.sensed.get(f"effect/sensor.{channel}/scale", 0.0)
+
+
+def sensor_offset(channel: str, segment: Segment, point: Point) -> float:
+    """What a sensor adds to its channel at a point, in the channel's unit."""
+    own = point.nuisance.get(f"bias/{segment.flight}/{channel}", 0.0)
+    return own + point.sensed.get(f"effect/sensor.{channel}/bias", 0.0)
+
+
 def _subsystem(
-    e: Effect, setup: Setup, segment: Segment, p: Probe, y: Array, found: Mapping[str, Array]
+    e: Effect, setup: Setup, segment: Segment, p: Probe, y: Array, found: Mapping[str, Array], point: Point
 ) -> tuple[Array | None, Array | None]:
     """(n, 6) extra coefficients and (n, m) extra outputs per unit of a subsystem's effect; None for none."""
     part, _, what = (e.subsystem or "").partition(".")
-    n, h = len(p.x), segment.dt_s
+    n, h = len(y), segment.dt_s
     scale = p.reference.qbar[:, None] * p.mass.S * np.array([1.0, 1.0, 1.0, p.mass.b, p.mass.c, p.mass.b])
     C = np.zeros((n, 6))
     if part == "stall":
-        lag = p.rate(found["alpha"]) * p.mass.c / p.x[:, 0] if e.term == "dynamic" else 0.0
+        lag = p.flow_rate[:, 0] * p.mass.c / p.x[:, 0] if e.term == "dynamic" else 0.0
         slope = p.reference.slopes[:, 2, 1] / scale[:, 2]
         C[:, 2] = slope * found["alpha"] * (_attached(np.degrees(found["alpha"] - lag)) - 1.0)
         return C, None
@@ -85,8 +96,8 @@ def _subsystem(
                 C += own
         return C, None
     if part == "mass":
-        rates = p.x[:, 3:6]
-        dot = p.rate(rates)
+        # Inertia knows nothing of the air: rates and their changes are the body's own.
+        rates, dot = p.body[:, 3:6], p.rate[:, 3:6]
         if e.term == "cg_x":
             C[:, 4], C[:, 5] = p.coefficients[:, 2] / p.mass.c, -p.coefficients[:, 1] / p.mass.b
             out = np.zeros_like(y)
@@ -108,9 +119,9 @@ def _subsystem(
         out = np.zeros_like(y)
         for k, c in enumerate(setup.outputs):
             if e.term == "delay" and SENSOR_OF.get(c, c) == what:
-                out[:, k] = -p.rate(y[:, k])
+                out[:, k] = -p.rate_of(c, y[:, k])
             elif e.term != "delay" and c == what:
-                out[:, k] = y[:, k] if e.term == "scale" else 1.0
+                out[:, k] = (y[:, k] - sensor_offset(c, segment, point)) / sensor_gain(c, point) if e.term == "scale" else 1.0
         return None, out
     if part == "record":
         rate = np.gradient(p.controls, h, axis=0)

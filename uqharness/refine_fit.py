@@ -30,7 +30,7 @@ from sysid.rigid_steps import Steps, linearise
 from uqharness.actuators import Actuator
 from uqharness.flights import Flight, states
 from uqharness.forced import surface_positions
-from uqharness.refine_candidates import effect_columns
+from uqharness.refine_candidates import effect_columns, sensor_gain, sensor_offset
 from uqharness.refine_reference import Probe, ProbeJob, named_terms, probe, term_column
 from uqharness.refine_xml import in_dynamics
 from uqharness.replay import CHANNELS, SENSOR_OF, STATES, Segment, fly_segment
@@ -89,6 +89,11 @@ class Setup:
         return [STEP_OUTPUTS.index(c) for c in self.outputs]
 
     @property
+    def held(self) -> list[str]:
+        """Keys of active effects that JSBSim reads once (mass, servos): no step moves them."""
+        return [e.key for e in self.active if e.key not in self.carriers and in_dynamics(e)]
+
+    @property
     def nuisance(self) -> tuple[str, ...]:
         """Names of gyro biases and delays, estimated beside parameters and effects."""
         names = [f"bias/{f.name}/{c}" for f in self.flights for c in self.biased]
@@ -141,15 +146,19 @@ def best_flown(model: ReplayModel, setup: Setup, points: Sequence[Point], map_: 
     return min((fly(model, setup, p, map_) for p in points), key=lambda f: f.cost)
 
 
-def as_sensed(y: Array, setup: Setup, segment: Segment, point: Point) -> Array:
-    """(n, m) outputs as the sensors give them: late, scaled, off by a constant. Changes ``y`` in place."""
+def as_sensed(
+    y: Array, setup: Setup, segment: Segment, point: Point, earlier: Mapping[str, int] | None = None
+) -> Array:
+    """(n, m) outputs as the sensors give them: late, scaled, off by a constant. Changes ``y`` in place.
+
+    earlier: channel -> rows by which it is compared with what was measured that much later.
+    """
     for k, c in enumerate(setup.outputs):
-        late = sensor_late_s(c, segment, point)
+        late = sensor_late_s(c, segment, point) - (earlier or {}).get(c, 0) * segment.dt_s
         if late and np.isfinite(y[:, k]).all():
             y[:, k] = moved_later(y[:, k], late / segment.dt_s)
-        y[:, k] *= 1.0 + point.sensed.get(f"effect/sensor.{c}/scale", 0.0)
-        y[:, k] += point.sensed.get(f"effect/sensor.{c}/bias", 0.0)
-        y[:, k] += point.nuisance.get(f"bias/{segment.flight}/{c}", 0.0)
+        y[:, k] *= sensor_gain(c, point)
+        y[:, k] += sensor_offset(c, segment, point)
     return y
 
 
@@ -189,12 +198,16 @@ def probes(
 
 
 def steps_of(
-    found: Sequence[Probe], outputs: Sequence[Array], setup: Setup, gusts: GustStates | None = None
+    found: Sequence[Probe], outputs: Sequence[Array], setup: Setup, point: Point, gusts: GustStates | None = None
 ) -> list[Steps]:
-    """Linear systems along the flights; where the reference is a replay, its outputs are the replay's own."""
+    """Linear systems along the flights, outputs as the sensors scale them; where the reference is a replay, its outputs are the
+    replay's own."""
+    gain = np.ones(len(STEP_OUTPUTS))
+    gain[setup.which] = [sensor_gain(c, point) for c in setup.outputs]
     out = []
     for p, y in zip(found, outputs, strict=True):
         steps = linearise(p.reference, p.mass, gusts=gusts)
+        steps = replace(steps, H=steps.H * gain[:, None], D=steps.D * gain[:, None])
         if p.reference.consistent:
             full = steps.y_ref.copy()
             full[:, setup.which] = y
@@ -227,7 +240,7 @@ def parameter_columns(
                 if kind == "bias" and c == what:
                     block[:, k] = 1.0
                 elif kind == "delay" and SENSOR_OF.get(c, c) == what:
-                    block[:, k] = -np.gradient(y[:, k], segment.dt_s)
+                    block[:, k] = -p.rate_of(c, y[:, k])
             outputs[name] = block
         out.append(Columns(every, inputs, outputs))
     return out
@@ -282,11 +295,11 @@ def refit(
             analytic = tuple(named_terms(straight, setup.segments[0], found[0], own, flown.point.values))
             if len(analytic) < len(own):
                 found = probes(straight, setup, flown, controls, [n for n in own if n not in analytic], map_)
-        steps = steps_of(found, flown.outputs, setup)
+        steps = steps_of(found, flown.outputs, setup, flown.point)
         columns = parameter_columns(setup, found, flown, names, analytic)
         white = whiten(steps, setup.measured, columns, setup.which, setup.noise)
         evidence = gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)
-        delta, length = evidence.step()
+        delta, length = evidence.step(setup.held)
         if length < tolerance:
             converged = True
             break

@@ -20,8 +20,9 @@ from sysid.gust_intensity import Gusts, gust_intensity, noise_factors
 from sysid.gust_states import GustStates
 from sysid.prediction import Columns, White, whiten
 from sysid.rigid_steps import STATES as X_STATES
-from sysid.rigid_steps import Steps, whole_states
+from sysid.rigid_steps import Steps, rates, whole_states
 from uqharness.forced import surface_positions
+from uqharness.refine_candidates import sensor_gain, sensor_offset
 from uqharness.refine_fit import (
     PRIOR,
     Fit,
@@ -37,7 +38,7 @@ from uqharness.refine_fit import (
     stepped,
     steps_of,
 )
-from uqharness.refine_reference import Probe, along, named_terms
+from uqharness.refine_reference import Predicted, Probe, along, named_terms
 from uqharness.replay import Segment, by_run
 from uqharness.replay_model import CONTROLS, ReplayModel
 
@@ -49,6 +50,11 @@ _SMOOTH_HZ = {"V_mps": 2.0}
 NOISE_FAR = 1.2
 """Factor on a sensor's stated noise beyond which what was found beside the stated one is found again."""
 
+SETTLED, SEARCH_BY = 5.0, 5
+"""Length of a step, in standard errors, below which the gusts are searched anew; the iteration that does so in any case."""
+TOLERANCE = 0.2
+"""Length of a step, in standard errors, that ends the iteration."""
+
 
 @dataclass(frozen=True)
 class GustFit:
@@ -59,6 +65,11 @@ class GustFit:
     white: list[White]
     setup: Setup
 
+    @property
+    def surprise(self) -> float:
+        """Minus twice the log likelihood of the flights."""
+        return float(sum(np.sum(w.residual**2) + 2.0 * w.logdet for w in self.white))
+
 
 def measured_flight(setup: Setup, point: Point) -> Flown:
     """The flight as measured, smoothed, what the sensors make of it taken out, in the place of a replay."""
@@ -67,9 +78,7 @@ def measured_flight(setup: Setup, point: Point) -> Flown:
         columns = []
         for name in X_STATES:
             value = np.array(channels[name], dtype=float)
-            value = value - point.nuisance.get(f"bias/{segment.flight}/{name}", 0.0)
-            value = value - point.sensed.get(f"effect/sensor.{name}/bias", 0.0)
-            value = value / (1.0 + point.sensed.get(f"effect/sensor.{name}/scale", 0.0))
+            value = (value - sensor_offset(name, segment, point)) / sensor_gain(name, point)
             value = smooth(value, segment.dt_s, _SMOOTH_HZ.get(name, 6.0))
             late = sensor_late_s(name, segment, point)
             columns.append(moved_later(value, -late / segment.dt_s) if late else value)
@@ -78,6 +87,31 @@ def measured_flight(setup: Setup, point: Point) -> Flown:
     return Flown(
         point, [np.zeros((len(s.time_s), len(setup.outputs))) for s in setup.segments], x, height, float("nan")
     )
+
+
+def rows_late(setup: Setup, segment: Segment, point: Point) -> dict[str, int]:
+    """Whole rows by which the channels' sensors are late at a point."""
+    return {c: round(sensor_late_s(c, segment, point) / segment.dt_s) for c in setup.outputs}
+
+
+def in_step(setup: Setup, point: Point) -> list[Array]:
+    """[(n, m)] what was measured, each channel moved by the rows its sensor is late: a sample speaks of the state it was taken of.
+
+    A filter that has the late sample beside the others of its row takes gusts that it has not seen yet for noise.
+    """
+    out = []
+    for segment, z in zip(setup.segments, setup.measured, strict=True):
+        rows = rows_late(setup, segment, point)
+        out.append(np.column_stack([moved(z[:, k], -rows[c]) for k, c in enumerate(setup.outputs)]))
+    return out
+
+
+def moved(values: Array, rows: int) -> Array:
+    """(n,) values whole rows later, or for negative rows earlier; NaN where there are none."""
+    out = np.full(len(values), np.nan)
+    rows = max(-len(values), min(len(values), rows))
+    out[max(rows, 0) : len(values) + min(rows, 0)] = values[max(-rows, 0) : len(values) - max(rows, 0)]
+    return out
 
 
 def middles(model: ReplayModel, setup: Setup, map_: Map) -> list[Array]:
@@ -122,7 +156,7 @@ def _bend(p: Probe, away: Array) -> Array:
 
 def gust_refit(
     straight: ReplayModel, setup: Setup, controls: Sequence[Array], bends: Sequence[Array], start: Point, names: Sequence[str],
-    limits: Mapping[str, tuple[float, float]], map_: Map, near: Gusts | None = None, iterations: int = 3, tune: bool = False,
+    limits: Mapping[str, tuple[float, float]], map_: Map, near: Gusts | None = None, iterations: int = 8, tune: bool = False,
     known: bool = False,
 ) -> GustFit:  # fmt: skip
     """Parameters, biases and the gusts, searched from ``near``, or ``known`` to be those.
@@ -131,6 +165,7 @@ def gust_refit(
     """
     point, analytic, gusts = start, None, near
     length = float("inf")
+    searched = tuned = False
     keys = {e.key for e in setup.active}
     own = [n for n in names if n not in keys]
     for number in range(1, iterations + 1):
@@ -143,18 +178,22 @@ def gust_refit(
                     straight, setup, point, controls, bends, [n for n in own if n not in analytic], map_
                 )
         steps = _Linear(setup, flown, found)
-        if number <= 2 and not known:
+        # Where the flight is far from what the parameters say, what they will explain would be taken for gusts.
+        settled = length < SETTLED or number == min(SEARCH_BY, iterations)
+        if not known and (number <= 2 if near is None else settled and not searched):
             gusts = _intensity(setup, flown, steps, gusts)
-            if tune and number == 1 and not setup.late:
+            searched = True
+            if tune and not tuned and not setup.late:
                 setup, gusts = _tuned(setup, flown, steps, gusts)
+                tuned = True
         assert gusts is not None
         linearised = steps.all(gusts.states)
         flown, found = predicted(setup, flown, found, linearised, gusts)
         columns = parameter_columns(setup, found, flown, names, analytic)
-        white = whiten(linearised, setup.measured, columns, setup.which, setup.noise, gusts.process)
+        white = whiten(linearised, in_step(setup, point), columns, setup.which, setup.noise, gusts.process)
         evidence = gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)
-        delta, length = evidence.step()
-        if length < 0.1 or number == iterations:
+        delta, length = evidence.step(setup.held)
+        if (length < TOLERANCE and (searched or known)) or number == iterations:
             break
         step = dict(zip(columns[0].names, delta.tolist(), strict=True))
         point = stepped(setup, point, step, limits)
@@ -175,10 +214,11 @@ class _Linear:
     def __call__(self, some: Sequence[int], states: GustStates) -> list[Steps]:
         missing = [k for k in some if (k, states) not in self.made]
         found, outputs = [self.found[k] for k in missing], [self.flown.outputs[k] for k in missing]
-        for k, s in zip(missing, steps_of(found, outputs, self.setup, states), strict=True):
-            which, y = self.setup.which, s.y_ref.copy()
+        point = self.flown.point
+        for k, s in zip(missing, steps_of(found, outputs, self.setup, point, states), strict=True):
+            which, y, segment = self.setup.which, s.y_ref.copy(), self.setup.segments[k]
             # Outputs are those at the reference, biases added.
-            y[:, which] = as_sensed(y[:, which], self.setup, self.setup.segments[k], self.flown.point)
+            y[:, which] = as_sensed(y[:, which], self.setup, segment, point, rows_late(self.setup, segment, point))
             self.made[k, states] = replace(s, y_ref=y)
         return [self.made[k, states] for k in some]
 
@@ -200,14 +240,15 @@ def _tuned(setup: Setup, flown: Flown, steps: _Linear, gusts: Gusts) -> tuple[Se
 
 def _noise_factors(setup: Setup, steps: _Linear, gusts: Gusts) -> Array:
     kinds = [_KINDS.get(c.split("_")[0], c) for c in setup.outputs]
-    return noise_factors(steps.all(gusts.states), setup.measured, setup.which, setup.noise, gusts.process, kinds)
+    measured = in_step(setup, steps.flown.point)
+    return noise_factors(steps.all(gusts.states), measured, setup.which, setup.noise, gusts.process, kinds)
 
 
 def _intensity(setup: Setup, flown: Flown, steps: _Linear, near: Gusts | None) -> Gusts:
     speeds = [float(x[:, 0].mean()) for x in flown.x]
     of = [s.flight for s in setup.segments]
     states = GustStates(steps.found[0].mass.b)
-    return gust_intensity(steps, setup.measured, setup.which, setup.noise, speeds, of, states, near)
+    return gust_intensity(steps, in_step(setup, flown.point), setup.which, setup.noise, speeds, of, states, near)
 
 
 def predicted(
@@ -220,15 +261,21 @@ def predicted(
     paths = [
         w.path
         for w in whiten(
-            steps, setup.measured, [Columns((), {}, {})] * len(steps), setup.which, setup.noise, gusts.process
+            steps,
+            in_step(setup, flown.point),
+            [Columns((), {}, {})] * len(steps),
+            setup.which,
+            setup.noise,
+            gusts.process,
         )
     ]
     out, outputs = [], []
     for p, s, d in zip(found, steps, paths, strict=True):
         x = whole_states(p.reference.x, gusts.states) + d
-        air = x[:, :8].copy()
-        air[:, 3:6] -= np.column_stack(gusts.states.rotation(x.T))
-        out.append(replace(p, air=air))
+        air = x[:, 3:6] - np.column_stack(gusts.states.rotation(x.T))
+        whole = rates(p.reference, p.mass, x, gusts=gusts.states)
+        flow = rates(p.reference, p.mass, x, gusts=replace(gusts.states, turning_with=False))
+        out.append(replace(p, predicted=Predicted(x[:, :8], whole[:, :8], flow[:, 1:3], air)))
         outputs.append(s.y_ref[:, setup.which] + np.einsum("nij,nj->ni", s.H[:, setup.which], d))
     return replace(flown, outputs=outputs), out
 
@@ -238,5 +285,6 @@ def gust_evidence(setup: Setup, fitted: GustFit, extra: Sequence[Columns]) -> Ev
     from uqharness.refine_fit import merged
 
     columns = merged(fitted.fit.columns, extra)
-    white = whiten(fitted.fit.steps, setup.measured, columns, setup.which, setup.noise, fitted.gusts.process)
+    measured = in_step(setup, fitted.fit.flown.point)
+    white = whiten(fitted.fit.steps, measured, columns, setup.which, setup.noise, fitted.gusts.process)
     return gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)

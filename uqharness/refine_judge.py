@@ -90,8 +90,7 @@ def judge(found: Found, write: Write, train: Side, test: Side, map_: Map) -> Jud
     """Fly both sides before and after; withdraw effects one by one, the one that harms most first."""
 
     def flown(model: Found, side: Side) -> Shown:
-        sensed = {c.key: c.value for c in model.selection.chosen if not in_dynamics(model.effects[c.key])}
-        return show(write(model), side.setup, side.measured, side.ideal, map_, sensed, side.air)
+        return show(write(model), side.setup, side.measured, side.ideal, map_, sensed_by(model), side.air)
 
     pair = flown(bare(found), train)
     fitted = flown(found, train) if found.selection.chosen else pair
@@ -123,6 +122,11 @@ def judge(found: Found, write: Write, train: Side, test: Side, map_: Map) -> Jud
         standing, after = without[worst.key]
     settled = fitted if not gone else flown(standing, train) if standing.selection.chosen else pair
     return Judged(standing, tuple(gone), verdicts, (train.setup, pair, settled), (test.setup, before, after))
+
+
+def sensed_by(found: Found) -> dict[str, float]:
+    """Values of the chosen effects that are the sensors', by key."""
+    return {c.key: c.value for c in found.selection.chosen if not in_dynamics(found.effects[c.key])}
 
 
 def bare(found: Found) -> Found:

@@ -30,6 +30,21 @@ _CONTROL_STEP = 0.1
 
 
 @dataclass(frozen=True)
+class Predicted:
+    """States in turbulence as predicted from the past: x (n, 8); rate (n, 8) their rates of change as the model has them;
+    flow_rate (n, 2) those of alpha and beta less the air's own acceleration, which is how alphadot and betadot act;
+    air_rates (n, 3) p, q, r relative to the air.
+
+    Differences of predictions would be no rates: every sample moves a prediction, by as much as it surprises.
+    """
+
+    x: Array
+    rate: Array
+    flow_rate: Array
+    air_rates: Array
+
+
+@dataclass(frozen=True)
 class Probe:
     """What JSBSim said along one segment.
 
@@ -38,7 +53,7 @@ class Probe:
     by_control  (n, 6, c) change of CX..Cn by each control, per record unit; controls (n, c) positions
     by_property property -> (n, 6) change of CX..Cn by a unit of it
     height_m    (n,) above the ground; infinite where the record does not say
-    air         (n, 8) predicted states in turbulence: a regressor that has seen a sample must not be used to predict that sample
+    predicted   in turbulence: a regressor that has seen a sample must not be used to predict that sample
     """
 
     reference: Reference
@@ -50,28 +65,50 @@ class Probe:
     controls: Array
     by_property: Mapping[str, Array]
     height_m: Array
-    air: Array | None = None
+    predicted: Predicted | None = None
+
+    @property
+    def body(self) -> Array:
+        """(n, 8) the reference's states, or what was predicted from the past."""
+        return self.reference.x if self.predicted is None else self.predicted.x
 
     @property
     def x(self) -> Array:
-        """(n, 8) states at which terms are evaluated: the reference, or what was predicted from the past, rates relative
-        to the air."""
-        return self.reference.x if self.air is None else self.air
+        """(n, 8) states at which coefficients are evaluated: `body`, rates relative to the air."""
+        if self.predicted is None:
+            return self.reference.x
+        return np.column_stack([self.predicted.x[:, :3], self.predicted.air_rates, self.predicted.x[:, 6:]])
 
-    def rate(self, values: Array) -> Array:
-        """(n, ...) rate of change; of predictions by backward differences, which look at nothing later."""
-        h = self.reference.dt_s
-        return np.gradient(values, h, axis=0) if self.air is None else np.diff(values, axis=0, prepend=values[:1]) / h
+    @property
+    def rate(self) -> Array:
+        """(n, 8) rates of change of `body`."""
+        if self.predicted is None:
+            return np.gradient(self.reference.x, self.reference.dt_s, axis=0)
+        return self.predicted.rate
+
+    @property
+    def flow_rate(self) -> Array:
+        """(n, 2) rates of change of alpha and beta that coefficients depend on."""
+        return self.rate[:, 1:3] if self.predicted is None else self.predicted.flow_rate
+
+    def rate_of(self, channel: str, values: Array) -> Array:
+        """(n,) rate of change of an output: in turbulence the model's, or where it has none that of earlier predictions."""
+        if self.predicted is None:
+            return np.gradient(values, self.reference.dt_s)
+        if channel in STATES:
+            return np.asarray(self.predicted.rate[:, STATES.index(channel)])
+        return np.diff(values, prepend=values[:1]) / self.reference.dt_s
 
     def variables(self) -> dict[str, Array]:
         """Variables of coefficient terms, (n,) each."""
-        V, alpha, beta, p, q, r = (self.x[:, i] for i in range(6))
+        x, rate = self.x, self.flow_rate
+        V, alpha, beta, p, q, r = (x[:, i] for i in range(6))
         half_b, half_c = 0.5 * self.mass.b / V, 0.5 * self.mass.c / V
         de, da, dr, dt = (self.controls[:, k] for k in range(4))
         pressure = self.reference.qbar * self.mass.S
         return {
             "alpha": alpha, "beta": beta, "p_hat": p * half_b, "q_hat": q * half_c, "r_hat": r * half_b,
-            "alphadot_hat": self.rate(alpha) * half_c, "betadot_hat": self.rate(beta) * half_b,
+            "alphadot_hat": rate[:, 0] * half_c, "betadot_hat": rate[:, 1] * half_b,
             "de": de, "da": da, "dr": dr, "dt": dt / 100.0, "CT": self.other_force[:, 0] / pressure,
             "V_rel": V / V_REFERENCE_MPS, "h_over_b": np.maximum(self.height_m / self.mass.b, 0.1),
         }  # fmt: skip

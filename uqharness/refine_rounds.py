@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.effect_choice import Selection, judged, select
+from sysid.effect_choice import Choice, Selection, judged, select
 from sysid.effect_score import Evidence, gather, scores
 from sysid.effects import TWINS, Effect
 from sysid.gust_intensity import Gusts
@@ -17,8 +17,9 @@ from sysid.prediction import Columns, whiten
 from uqharness.aircraft import Aircraft, find_aircraft
 from uqharness.refine_begin import OVERWHELMING, About, joint_point
 from uqharness.refine_candidates import effect_columns
+from uqharness.refine_contest import rivals, winner
 from uqharness.refine_fit import PRIOR, Fit, Map, Point, Setup, best_flown, merged, positions, refit
-from uqharness.refine_gusts import gust_evidence, gust_refit, middles
+from uqharness.refine_gusts import GustFit, gust_evidence, gust_refit, middles
 from uqharness.refine_rates import around, slower_servos
 from uqharness.refine_setup import Bench
 from uqharness.refine_xml import Written, carrier, in_dynamics, write_effects
@@ -64,6 +65,7 @@ class Round:
     selection  the effects flown, judged there; again: what would be chosen there
     standing   whether that is the same, with the same numbers where JSBSim reads them once
     merit      cost and what the effects must earn: less is better; gusts: the air, as estimated with them; about: where it ended
+    surprise   minus twice the log likelihood of one-step predictions; NaN for replays
     """
 
     setup: Setup
@@ -76,6 +78,7 @@ class Round:
     merit: float
     gusts: Gusts | None
     about: About
+    surprise: float = float("nan")
 
     @property
     def keys(self) -> frozenset[str]:
@@ -101,12 +104,30 @@ def settle(
         say(
             f"round {number}: flying with {', '.join(c.key.removeprefix('effect/').replace('/', ' ') for c in selection.chosen)}"
         )
-        now = _flown(start, selection, about, work / f"round{number}")
+        try:
+            now = _flown(start, selection, about, work / f"round{number}")
+        except np.linalg.LinAlgError:
+            trail.append(
+                f"round {number}: no filter follows the flights with these effects; what was flown before stands"
+            )
+            break
         trail += [f"round {number}: {line}" for line in now.again.trail]
         flown.append(now)
         if now.standing:
             break
         seen.add(now.keys)
+        if number == 2 and start.gusts is not None and abs(selection.chosen[0].t) > OVERWHELMING:
+            other = _contested(start, now, selection.chosen[0].key, about, work, say)
+            if other is not None:
+                name = other.chosen[0].key
+                trail.append(f"round 2: flown alone, {name} does better than {selection.chosen[0].key}")
+                flown.pop()
+                now = _flown(start, other, about, work / "contest")
+                trail += [f"round 2: {line}" for line in now.again.trail]
+                flown.append(now)
+                if now.standing:
+                    break
+                seen.add(now.keys)
         following = frozenset(c.key for c in now.again.chosen)
         if following in seen and following != now.keys:
             trail.append(f"round {number}: back to effects flown before; the best round stands")
@@ -125,6 +146,44 @@ def settle(
     return best, trail
 
 
+def _contested(start: Start, now: Round, key: str, about: About, work: Path, say: Say) -> Selection | None:
+    """The effect that should have been flown in place of ``key``, which flew alone and left something; None: rightly it was."""
+    free = start.before.columns[0].names
+    odds = {e.key: e.odds for e in start.effects}
+    odds = {k: o for k, o in odds.items() if k in about.evidence.names}
+    others = rivals(about.evidence, free, odds, key)
+    if not others:
+        return None
+    say(f"flying {', '.join(k.removeprefix('effect/').replace('/', ' ') for k in others)} instead, each alone")
+
+    def alone(name: str) -> Choice:
+        return judged(about.evidence, free, [name], list(odds), start.confirming, TWINS)[0]
+
+    def surprise(choice: Choice) -> float:
+        folder = work / f"rival{others.index(choice.key)}"
+        return _predicted(
+            replace(start, gusts=now.gusts), Selection((choice,)), about, folder, now.setup.noise
+        ).surprise
+
+    found = winner(others, alone, surprise, now.surprise, start.limit**2)
+    return None if found is None else Selection((found,))
+
+
+def _predicted(start: Start, selection: Selection, about: About, folder: Path, noise: NDArray[np.float64]) -> GustFit:
+    """One-step predictions with effects, parameters estimated with them, in air and with sensors' noise as they are known."""
+    assert start.gusts is not None
+    chosen = [e for c in selection.chosen for e in start.effects if e.key == c.key]
+    keys = [e.key for e in chosen]
+    staged, setup = stage(start.aircraft, replace(start.setup, noise=noise), chosen, selection, start.before, folder)
+    joint = joint_point(about, start.setup, start.before.flown.point, start.before.columns[0].names, keys, start.limits)
+    begin = with_effects(joint, setup, selection, staged)
+    with Bench(staged, start.measured, start.ideal) as bench:
+        controls, bends = positions(bench.model, setup, start.map_), middles(bench.model, setup, start.map_)
+        return gust_refit(
+            bench.straight, setup, controls, bends, begin, [*start.names, *keys], start.limits, start.map_, start.gusts, known=True
+        )  # fmt: skip
+
+
 def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Round:
     by_key = {e.key: e for e in start.effects}
     chosen = [by_key[c.key] for c in selection.chosen]
@@ -137,7 +196,7 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     names = [*start.names, *keys]
     with Bench(staged, start.measured, start.ideal) as bench:
         controls = positions(bench.model, setup, start.map_)
-        gusts = start.gusts
+        gusts, surprise = start.gusts, float("nan")
         if gusts is not None:
             bends = middles(bench.model, setup, start.map_)
             # What a strong effect did was noise to the sensors' estimate: vanes came out twice as noisy as they are, and a filter
@@ -146,7 +205,7 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
             found = gust_refit(
                 bench.straight, setup, controls, bends, begin, names, start.limits, start.map_, gusts, tune=tune
             )
-            fit, gusts, setup = found.fit, found.gusts, found.setup
+            fit, gusts, setup, surprise = found.fit, found.gusts, found.setup, found.surprise
             evidence = gust_evidence(setup, found, effect_columns(setup, fit.probes, fit.flown, rest))
         else:
             options = [begin, with_effects(first, setup, selection, staged)]
@@ -160,7 +219,14 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     odds = {**eligible(rest, start.setup, fit, evidence), **{k: by_key[k].odds for k in keys}}
     odds = {k: o + start.handicap.get(k, 0.0) for k, o in odds.items()}
     again = select(
-        evidence, free, odds, start.confirming, chosen=keys, limit=start.limit, twins=TWINS, empirical=start.gusts is not None
+        evidence,
+        free,
+        odds,
+        start.confirming,
+        chosen=keys,
+        limit=start.limit,
+        twins=TWINS,
+        empirical=start.gusts is not None,
     )
     standing = {c.key for c in again.chosen} == set(keys)
     own = again.chosen if standing else judged(evidence, free, keys, list(odds), start.confirming, TWINS)
@@ -172,8 +238,8 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     merit = fit.flown.cost + sum(by_key[k].odds + EARNED * start.limit**2 for k in keys)
     return Round(
         setup, staged, fit, evidence, Selection(own, again.refused, again.trail), again, standing and not moving, merit, gusts,
-        About(fit.flown.point, evidence, values),
-    )
+        About(fit.flown.point, evidence, values), surprise,
+    )  # fmt: skip
 
 
 def candidate_evidence(setup: Setup, fit: Fit, effects: Sequence[Effect]) -> Evidence:

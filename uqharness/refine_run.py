@@ -39,7 +39,7 @@ from uqharness.refine_intervals import (
     intervals_document,
     write_forms,
 )
-from uqharness.refine_judge import Judged, Side, bare, judge
+from uqharness.refine_judge import Judged, Side, bare, judge, sensed_by
 from uqharness.refine_pbox import FOLDER as PBOX
 from uqharness.refine_pbox import MissionResult, Model, campaign_for, fly_missions, no_pbox
 from uqharness.refine_show import air_of, write_bytes_tree
@@ -174,7 +174,7 @@ def _judged(request: Request, chosen: Found, train: _Flights, test: _Flights, wo
             air = chosen.gusts
             if not of_train:
                 model = _write(request, chosen, work / "air")
-                air = air_of(model, setup, flights.measured, flights.ideal, map_, chosen.gusts)
+                air = air_of(model, setup, flights.measured, flights.ideal, map_, sensed_by(chosen), chosen.gusts)
         return Side(setup, flights.measured, flights.ideal, air)
 
     number = iter(range(1000))

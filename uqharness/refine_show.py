@@ -20,7 +20,7 @@ from uqharness.flights import states
 from uqharness.identify_start import demand_of, forced_at
 from uqharness.refine import Bench
 from uqharness.refine_fit import Flown, Map, Point, Setup, positions, refit
-from uqharness.refine_gusts import gust_refit, middles
+from uqharness.refine_gusts import gust_refit, middles, moved, rows_late
 from uqharness.replay import Segment
 from uqharness.replay_model import ReplayModel
 
@@ -87,7 +87,7 @@ def show(
             bends = middles(bench.model, plain, map_)
             gust = gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, gusts, known=True)
             delta, _ = gust.fit.evidence.step()
-            white = gust.fit.evidence.residual(delta)
+            white = _as_recorded(plain, gust.fit.flown.point, gust.fit.evidence.residual(delta))
             residual = [r * w.deviation for r, w in zip(white, gust.white, strict=True)]
             noise = np.sqrt(np.mean([w.deviation**2 for w in gust.white], axis=0))
             cost = float(sum(np.nansum(r**2) for r in white))
@@ -97,13 +97,24 @@ def show(
     return Shown(flown, residual, noise, [f[0] for f in found], floor, white, cost)
 
 
+def _as_recorded(setup: Setup, point: Point, rows: Sequence[Array]) -> list[Array]:
+    """[(n, m)] residuals of predictions at the rows where the samples stand in the record; 0 where none was judged."""
+    out = []
+    for segment, r in zip(setup.segments, rows, strict=True):
+        late = rows_late(setup, segment, point)
+        columns = [np.nan_to_num(moved(r[:, k], late[c])) for k, c in enumerate(setup.outputs)]
+        out.append(np.column_stack(columns))
+    return out
+
+
 def air_of(
-    aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Map, near: Gusts
-) -> Gusts:
-    """The air of some flights, estimated with a model as it is; near: that of others."""
+    aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Map, sensed: Mapping[str, float],
+    near: Gusts,
+) -> Gusts:  # fmt: skip
+    """The air of some flights, estimated with a model and sensors as they are; near: that of others."""
     with Bench(aircraft, measured, ideal) as bench:
         plain = replace(setup, active=(), carriers={})
-        start = Point({}, {}, tuple(s.start for s in setup.segments))
+        start = Point({}, {}, tuple(s.start for s in setup.segments), dict(sensed))
         controls, bends = positions(bench.model, plain, map_), middles(bench.model, plain, map_)
         return gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, near, iterations=2).gusts
 

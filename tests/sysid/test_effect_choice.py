@@ -137,6 +137,25 @@ def test_an_effect_is_found_beside_a_stronger_one_that_its_flights_contradict():
     assert selection.refused.strong
 
 
+@pytest.mark.parametrize(("t", "entering"), [(9.0, True), (5.0, False)])
+def test_far_above_chance_it_is_enough_that_the_parts_do_not_contradict_each_other(t, entering):
+    """The confirming part knows a tenth of it, and what it knows is by chance half a standard error the other way."""
+    rng = np.random.default_rng(11)
+    column = drawn(rng) * np.where(CONFIRMING, 0.2, 1.0)[:, None, None]
+    noise = drawn(rng)
+    for part, off in ((CONFIRMING, -0.5), (~CONFIRMING, 0.0)):
+        x, own = column[part], noise[part]
+        size = np.sum(x**2)
+        own -= x * np.sum(x * own) / size  # no noise along the column but what is wanted
+        noise[part] = own + x * (off / np.sqrt(size) - (t / np.sqrt(np.sum(column**2)) if off else 0.0))
+    found = evidence({"there": column, "other": drawn(rng)}, t / np.sqrt(np.sum(column**2)) * column + noise)
+    selection = select(found, [], dict.fromkeys(found.names, 0.0), CONFIRMING, limit=4.0)
+    assert bool(selection.chosen) == entering
+    if not entering:
+        assert selection.refused is not None
+        assert selection.refused.unconfirmed
+
+
 def test_what_a_strong_effect_may_leave_behind_is_no_effect():
     """The truth is the strong candidate's form but for a little; what differs looks like the weak one."""
     rng = np.random.default_rng(8)

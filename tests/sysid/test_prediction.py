@@ -164,6 +164,17 @@ def test_an_effect_taken_out_is_found_again():
     assert scores(again, ["a", "b"], ["c3"]).t[0] == pytest.approx(scores(evidence, ["a", "b"], ["c3"]).t[0], rel=1e-6)
 
 
+def test_a_step_leaves_what_is_held_where_it_is():
+    evidence = flights({"c3": 0.2}, 3)
+    whole, length = evidence.step()
+    held, shorter = evidence.step(["c3"])
+    at = evidence.index(["c3"])[0]
+    assert abs(whole[at]) > 0.1
+    assert held[at] == 0.0
+    np.testing.assert_allclose(held, evidence.fitted(evidence.index([n for n in evidence.names if n != "c3"])))
+    assert 0.0 < shorter < length
+
+
 def test_noise_that_is_half_of_what_is_stated_is_found_in_gusts():
     """The filter's own covariance is the truth: outputs drawn from a system with process noise, rates half as noisy as taken."""
     rng = np.random.default_rng(8)

@@ -9,12 +9,25 @@ from sysid.force_coefficients import MassProperties
 from sysid.gust_intensity import gust_intensity, process_of
 from sysid.gust_states import GustStates
 from sysid.open_equations import OpenEquations
-from sysid.rigid_steps import AIR, NX, Reference, linearise, whole_states
+from sysid.rigid_steps import AIR, NX, Reference, linearise, rates, whole_states
 
 MASS = MassProperties(
     mass=21.0, inertia=np.array([[11.1, 0.0, -0.5], [0.0, 7.7, 0.0], [-0.5, 0.0, 18.4]]), S=1.38, b=3.66, c=0.38
 )
-TERMS = ("CX_0", "CZ_0", "CZ_alpha", "CY_beta", "Cl_beta", "Cl_p", "Cl_r", "Cm_alpha", "Cm_q", "Cn_beta", "Cn_p", "Cn_r")
+TERMS = (
+    "CX_0",
+    "CZ_0",
+    "CZ_alpha",
+    "CY_beta",
+    "Cl_beta",
+    "Cl_p",
+    "Cl_r",
+    "Cm_alpha",
+    "Cm_q",
+    "Cn_beta",
+    "Cn_p",
+    "Cn_r",
+)
 VALUES = np.array([-0.03, -0.4, -5.0, -0.6, -0.05, -0.5, 0.1, -0.8, -12.0, 0.07, -0.04, -0.12])
 INPUTS = np.array([*np.zeros(9), 1.2, *np.zeros(6)])
 DT = 0.02
@@ -70,6 +83,26 @@ def test_the_system_is_that_of_the_open_equations(rotating, turning, monkeypatch
         state = state + DT / 24.0 * (k1 + 2.0 * k2 + 2.0 * k3 + f(state + DT / 4.0 * k3))
     np.testing.assert_allclose(wide[2] + found.defect[1], state, atol=1e-4)
     assert np.abs(found.defect[1]).max() > 0.01
+
+
+@pytest.mark.parametrize("turning", [True, False])
+def test_rates_of_change_are_those_of_the_open_equations(turning, monkeypatch):
+    """At states away from the reference, air that moves and rotates."""
+    equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
+    gusts = GustStates(MASS.b, turning_with=turning)
+    monkeypatch.setattr(OpenEquations, "gusts", gusts)
+    x = flight(4)
+    away = np.array([0.3, 0.004, -0.003, 0.02, -0.01, 0.01, 0.02, 0.01, 0.05, 0.01, -0.01, 1.5, 0.04])
+    state = whole_states(x, gusts) + away
+    found = rates(reference(x, equations), MASS, state, gusts=gusts)
+    expected = np.array([equations.f(row, INPUTS, VALUES) for row in state], dtype=float)
+    # Forces are linear about the reference: what is left is of second order.
+    np.testing.assert_allclose(found, expected, atol=0.02)
+    still = rates(reference(x, equations), MASS, state, gusts=GustStates(MASS.b, turning_with=False))
+    assert (np.abs(found - still)[:, :3].max() > 1e-3) == turning
+    at = whole_states(x, gusts)
+    exact = np.array([equations.f(row, INPUTS, VALUES) for row in at], dtype=float)
+    np.testing.assert_allclose(rates(reference(x, equations), MASS, at, gusts=gusts), exact, atol=1e-9)
 
 
 def test_still_air_stays_still_wherever_the_flight_begins():

@@ -1,0 +1,224 @@
+"""Refinement in turbulence: sensors in step with each other, regressors that inertia and air ask for, which rival flies best."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from sysid.effect_choice import Choice
+from sysid.effect_score import Evidence, gather
+from sysid.force_coefficients import MassProperties
+from sysid.gust_intensity import noise_factors
+from sysid.prediction import Process, White
+from sysid.rigid_steps import NX, STATES, Reference
+from sysid.subsystem_effects import subsystem_effects
+from uqharness import refine_rounds
+from uqharness.refine_candidates import effect_columns
+from uqharness.refine_contest import rivals, winner
+from uqharness.refine_fit import Point, as_sensed, steps_of
+from uqharness.refine_gusts import in_step, moved, rows_late
+from uqharness.refine_reference import Predicted, Probe
+
+OUTPUTS = ("V_mps", "alpha_rad", "ax_mps2")
+N, DT = 40, 0.02
+MASS = MassProperties(21.0, np.array([[11.1, 0.0, -0.5], [0.0, 7.7, 0.0], [-0.5, 0.0, 18.4]]), 1.38, 0.38, 3.66)
+
+
+def point(**sensed: float) -> Point:
+    return Point({}, {}, (), {f"effect/sensor.{k.replace('__', '/')}": v for k, v in sensed.items()})
+
+
+def setup_of(measured: np.ndarray) -> SimpleNamespace:
+    segment = SimpleNamespace(flight="one", dt_s=DT)
+    return SimpleNamespace(
+        outputs=OUTPUTS, measured=(measured,), segments=(segment,), which=[0, 1, 8], servos={}, limits={}
+    )
+
+
+@pytest.mark.parametrize("rows", [0, 3, -2, 50, -50])
+def test_rows_are_moved_whole_and_leave_nothing_behind(rows):
+    values = np.arange(10.0)
+    found = moved(values, rows)
+    known = np.isfinite(found)
+    assert known.sum() == max(0, 10 - abs(rows))
+    np.testing.assert_array_equal(found[known], (np.arange(10.0) - rows)[known])
+
+
+def test_a_late_sensor_is_compared_with_what_it_was_to_measure():
+    """A vane 95 ms late: four whole rows in the record, the rest along the curve."""
+    t = DT * np.arange(N)
+    truth = np.column_stack([20.0 + t, np.sin(6.0 * t), np.cos(t)])
+    record = truth.copy()
+    record[:, 1] = np.sin(6.0 * (t - 0.095))
+    setup, there = setup_of(record), point(alpha_rad__delay=0.095)
+    (segment,) = setup.segments
+    late = rows_late(setup, segment, there)
+    assert late == {"V_mps": 0, "alpha_rad": 5, "ax_mps2": 0}
+    (z,) = in_step(setup, there)
+    model = as_sensed(truth.copy(), setup, segment, there, late)
+    inside = slice(8, N - 8)
+    np.testing.assert_allclose(z[inside], model[inside], atol=2e-4)
+    np.testing.assert_allclose(model[inside, 1], np.sin(6.0 * (t + 0.005))[inside], atol=2e-4)
+    # As the record has it, the sample is far from the state of its row.
+    assert np.abs(record - model)[inside, 1].max() > 0.3
+    assert np.isnan(z[-5:, 1]).all()
+    np.testing.assert_array_equal(z[:, [0, 2]], record[:, [0, 2]])
+
+
+def probe_of(rng: np.random.Generator, predicted: Predicted | None = None) -> Probe:
+    x = np.column_stack([20.0 + 0.1 * np.arange(N) / N, *(0.1 * rng.standard_normal((7, N)))])
+    loads = rng.standard_normal((N, 6))
+    reference = Reference(
+        DT, x, loads[:, :3], loads[:, 3:], np.zeros((N, 6, 6)), np.full(N, 245.0), np.zeros(3), predicted is None
+    )
+    none = np.zeros((N, 3))
+    return Probe(
+        reference, MASS, rng.standard_normal((N, 6)), none, none, np.zeros((N, 6, 4)), np.zeros((N, 4)), {},
+        np.full(N, np.inf), predicted,
+    )  # fmt: skip
+
+
+def predicted_of(rng: np.random.Generator) -> Predicted:
+    x, rate = rng.standard_normal((2, N, 8))
+    return Predicted(x, rate, rng.standard_normal((N, 2)), rng.standard_normal((N, 3)))
+
+
+def test_inertia_does_not_know_the_airs_rotation():
+    rng = np.random.default_rng(1)
+    there = predicted_of(rng)
+    probe = probe_of(rng, there)
+    (ixz,) = [e for e in subsystem_effects([], [], []) if e.term == "Ixz"]
+    setup, flown = setup_of(np.zeros((N, 3))), SimpleNamespace(outputs=[np.zeros((N, 3))], point=point())
+    (columns,) = effect_columns(setup, [probe], flown, [ixz])  # type: ignore[arg-type]
+    _, found = columns.inputs[ixz.key]
+    (p, q, r), (dp, _, dr) = there.x[:, 3:6].T, there.rate[:, 3:6].T
+    moment = np.column_stack([dr + p * q, r**2 - p**2, dp - q * r])
+    np.testing.assert_allclose(found[:, 3:], moment / (245.0 * MASS.S * np.array([MASS.b, MASS.c, MASS.b])))
+
+
+def test_coefficients_know_the_airs_rotation_and_not_its_acceleration():
+    rng = np.random.default_rng(2)
+    there = predicted_of(rng)
+    variables = probe_of(rng, there).variables()
+    V = there.x[:, 0]
+    np.testing.assert_allclose(variables["p_hat"], there.air_rates[:, 0] * 0.5 * MASS.b / V)
+    np.testing.assert_allclose(variables["alphadot_hat"], there.flow_rate[:, 0] * 0.5 * MASS.c / V)
+    np.testing.assert_allclose(variables["betadot_hat"], there.flow_rate[:, 1] * 0.5 * MASS.b / V)
+
+
+def test_a_delay_takes_the_models_rate_in_gusts_and_the_outputs_own_in_calm_air():
+    rng = np.random.default_rng(3)
+    there, ramp = predicted_of(rng), 3.0 * DT * np.arange(N)
+    probe = probe_of(rng, there)
+    np.testing.assert_array_equal(probe.rate_of("alpha_rad", ramp), there.rate[:, STATES.index("alpha_rad")])
+    np.testing.assert_allclose(probe.rate_of("ax_mps2", ramp)[1:], 3.0)
+    np.testing.assert_allclose(probe_of(rng).rate_of("alpha_rad", ramp), 3.0)
+
+
+def test_what_a_scale_does_is_the_slope_of_what_the_sensor_says():
+    rng = np.random.default_rng(4)
+    truth = rng.standard_normal((N, 3))
+    setup = setup_of(np.zeros((N, 3)))
+    (segment,) = setup.segments
+    (scale,) = [
+        e for e in subsystem_effects([], ["alpha_rad"], []) if (e.subsystem, e.term) == ("sensor.alpha_rad", "scale")
+    ]
+
+    def read(size: float) -> np.ndarray:
+        return as_sensed(truth.copy(), setup, segment, point(alpha_rad__scale=size, alpha_rad__bias=0.4))  # type: ignore[arg-type]
+
+    here = point(alpha_rad__scale=0.8, alpha_rad__bias=0.4)
+    flown = SimpleNamespace(outputs=[read(0.8)], point=here)
+    (columns,) = effect_columns(setup, [probe_of(rng)], flown, [scale])  # type: ignore[arg-type]
+    np.testing.assert_allclose(columns.outputs[scale.key], (read(0.8 + 1e-6) - read(0.8 - 1e-6)) / 2e-6, atol=1e-8)
+
+
+def test_a_sensor_that_reads_more_reads_more_of_everything():
+    rng = np.random.default_rng(5)
+    probe, setup = probe_of(rng), setup_of(np.zeros((N, 3)))
+    plain, scaled = (
+        steps_of([probe], [np.zeros((N, 3))], setup, at)[0] for at in (point(), point(alpha_rad__scale=0.8))
+    )  # type: ignore[arg-type]
+    np.testing.assert_allclose(scaled.H[:, 1], 1.8 * plain.H[:, 1])
+    np.testing.assert_array_equal(np.delete(scaled.H, 1, axis=1), np.delete(plain.H, 1, axis=1))
+    np.testing.assert_array_equal(scaled.phi, plain.phi)
+
+
+def test_noise_that_no_filter_can_follow_is_not_the_likeliest(monkeypatch):
+    """A trial at which the covariance cannot be rooted counts as impossible instead of ending everything."""
+    calls = []
+
+    def costs(steps, measured, which, noise, process):
+        calls.append(float(noise[0]))
+        if noise[0] > 1.0:
+            raise np.linalg.LinAlgError("Matrix is not positive definite")
+        return np.array([noise[0]])
+
+    monkeypatch.setattr("sysid.gust_intensity._costs", costs)
+    air = Process(np.zeros((1, NX, NX)), np.zeros((1, NX, NX)))
+    found = noise_factors([SimpleNamespace()], [np.zeros((2, 1))], [0], np.ones(1), air, ["wind"])  # type: ignore[list-item]
+    assert max(calls) > 1.0
+    assert found[0] < 1.0
+
+
+def test_effects_that_no_filter_can_follow_leave_what_was_flown_before(monkeypatch, tmp_path):
+    def flown(*_):
+        raise np.linalg.LinAlgError("Matrix is not positive definite")
+
+    monkeypatch.setattr(refine_rounds, "_flown", flown)
+    choice = Choice("effect/Cm/p_hat^2", 1.0, 0.1, 10.0, 100.0, 1.0, 0.0)
+    start = SimpleNamespace(
+        before=SimpleNamespace(flown=SimpleNamespace(point=point(), cost=1.0)), gusts=object(), effects=[],
+    )  # fmt: skip
+    best, trail = refine_rounds.settle(
+        start,
+        SimpleNamespace(chosen=(choice,)),
+        None,
+        tmp_path,
+        lambda _: None,  # type: ignore[arg-type]
+    )
+    assert best is None
+    assert any("no filter follows" in line for line in trail)
+
+
+KEYS = ("free", "thrust", "speed", "twin", "other")
+
+
+@pytest.fixture
+def evidence() -> Evidence:
+    """``speed`` is there; ``thrust`` resembles it, ``twin`` is thrust by another name."""
+    rng = np.random.default_rng(6)
+    free, speed, own, other = rng.standard_normal((4, 400, 2))
+    thrust = speed + 0.3 * own
+    columns = np.stack([free, thrust, speed, -2.0 * thrust, other], axis=2)
+    white = White(
+        2.0 * speed + 0.5 * own + rng.standard_normal((400, 2)), columns.astype(np.float32), 0.0, np.zeros((8, 6)),
+        np.ones((400, 2), dtype=bool), np.ones(2), np.zeros((400, 13)),
+    )  # fmt: skip
+    return gather([white], KEYS, ["one"], {})
+
+
+def test_rivals_explain_nearly_as_much_and_are_something_else(evidence):
+    odds = dict.fromkeys(KEYS[1:], 0.0)
+    assert rivals(evidence, ["free"], odds, "thrust") == ["speed"]
+    assert rivals(evidence, ["free"], odds, "speed") in (["thrust"], ["twin"])
+    assert rivals(evidence, ["free"], {"thrust": 0.0}, "thrust") == []
+    assert rivals(evidence, ["free"], odds, "other") != []  # nearly everything beats one that explains nothing
+
+
+def test_the_rival_that_flies_likeliest_wins_by_a_margin():
+    surprise = {"a": 120.0, "b": 90.0, "c": 95.0}
+
+    def alone(key: str) -> Choice:
+        return Choice(key, 1.0, 0.1, 10.0, 100.0, 1.0, 0.0)
+
+    def found(to_beat: float, margin: float = 20.0) -> str | None:
+        choice = winner(list(surprise), alone, lambda c: surprise[c.key], to_beat, margin)
+        return choice and choice.key
+
+    assert found(150.0) == "b"
+    assert found(105.0) is None
+    assert found(105.0, 10.0) == "b"
+    assert winner([], alone, lambda c: 0.0, 150.0, 1.0) is None

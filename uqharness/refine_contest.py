@@ -1,0 +1,49 @@
+"""Which of several causes a strong disagreement in turbulence has, where the linearised flight hardly tells: each is flown alone.
+
+An airspeed sensor that reads a quarter too much looks at first like thrust that is off: |t| 36 and 37. Flown, the right one leaves
+nothing; the wrong one asks for four more effects, and each of them fits a little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from sysid.effect_choice import Choice
+from sysid.effect_score import Evidence, likeness, scores
+
+NEAR = 0.8
+"""Share of the winner's gain that a rival must reach on the linearised flight."""
+ALIKE = 0.99
+"""Likeness from which two candidates are one and the same for this purpose."""
+MOST_RIVALS = 3
+
+
+def rivals(evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], key: str) -> list[str]:
+    """Other candidates that explain nearly as much as ``key`` in its place, the best first, no two of them alike."""
+    others = [k for k in odds if k != key]
+    if not others:
+        return []
+    own = float(scores(evidence, free, [key]).gain[0])
+    gain = np.nan_to_num(scores(evidence, free, others).gain, nan=-np.inf)
+    found: list[str] = []
+    for k in np.argsort(-gain):
+        if gain[k] < NEAR * own or len(found) == MOST_RIVALS:
+            break
+        same = np.abs(np.nan_to_num(likeness(evidence, free, others[k], [key, *found])))
+        if same.max() < ALIKE:
+            found.append(others[k])
+    return found
+
+
+def winner(
+    names: Sequence[str], alone: Callable[[str], Choice], surprise: Callable[[Choice], float], to_beat: float, margin: float
+) -> Choice | None:  # fmt: skip
+    """The rival that flies best, if its flight is likelier than what is to be beaten.
+
+    surprise: minus twice the log likelihood of the flights with one effect; margin: by how much it must be less.
+    """
+    found = [(surprise(choice), choice) for choice in map(alone, names)]
+    least = min(found, key=lambda f: f[0], default=None)
+    return least[1] if least is not None and least[0] < to_beat - margin else None
