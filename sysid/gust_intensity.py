@@ -29,6 +29,10 @@ _START = np.array([0.25, 5e-4, 5e-4, 5e-2, 1e-4])
 at V_REFERENCE. Light air, to begin with."""
 _MEMORY_S = 10.0
 """How long gusts along and across the path last: L/V of MIL-F-8785C at the heights of model aircraft."""
+AIR_SHARE = 0.03
+"""Share of the gain that comes of V, alpha and beta in air. In light Dryden turbulence it is a fifth; where a moment unknown to the
+model comes and goes, nothing."""
+_STILL = np.array([1e-6, 1e-6, 1e-6, 1.0, 1.0])
 _FACTORS = (1e-4, 1e-2, 0.1, 0.5, 1.0, 2.0, 5.0)
 _COARSE = ((0.03, 0.2, 5.0, 30.0), (0.4, 0.7, 1.4, 2.5))
 _FINE = ((0.75, 0.87, 1.15, 1.33),)
@@ -46,6 +50,7 @@ class Gusts:
 
     states    how gusts act; values (5,) as _START over all flights; own: flight -> (5,)
     process   noise that they make in each segment; gain: twice the log likelihood gained over calm air
+    moving    the part of it that is lost where air rotates but does not move along V, alpha and beta
     """
 
     states: GustStates
@@ -53,6 +58,12 @@ class Gusts:
     own: Mapping[str, FloatArray]
     process: Process
     gain: float
+    moving: float = np.inf
+
+    @property
+    def air(self) -> bool:
+        """Whether it is air at all: a moment that nothing explains passes for air that rotates and stands still."""
+        return self.moving > AIR_SHARE * self.gain
 
     @property
     def words(self) -> str:
@@ -101,6 +112,7 @@ def gust_intensity(
         here = search.at(some, near.states, near.values)
     here = search.finer(some, here, _FINE)
     gain = near.gain if near is not None else search.calm(some, here.states) - here.cost
+    moving = near.moving if near is not None else search.at(some, here.states, _STILL * here.values).cost - here.cost
     own = dict.fromkeys(flights, here.values)
     for flight in own if len(own) > 1 or near is not None else ():
         part = _spread([k for k, f in enumerate(flights) if f == flight], _OF_A_FLIGHT)
@@ -112,7 +124,7 @@ def gust_intensity(
             found = search.finer(part, found, _OWN)
         own[flight] = found.values
     process = _process([own[f] for f in flights], V, here.states)
-    return Gusts(here.states, here.values, own, process, gain)
+    return Gusts(here.states, here.values, own, process, gain, moving)
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,8 @@ from sysid.rigid_steps import Steps
 
 FloatArray = NDArray[np.float64]
 _BLOCK_BYTES = 120_000_000
+VIOLENT = 100.0
+"""Largest element of a step's transition matrix that a flight has: beyond, the model is far outside what it was made for."""
 
 
 @dataclass(frozen=True)
@@ -139,6 +141,7 @@ def _filter(
         Q, P = process.noise[group], process.begin[group]
     dt = np.array([steps[s].dt_s for s in group])
     eye_x = np.eye(size)
+    violent = bool(np.abs(phi).max() > VIOLENT)
     white, series = np.zeros((n, S, m)), np.zeros((n, S, m, K + 8), dtype=np.float32)
     logdet = np.zeros(S)
     spread = np.zeros((S, m))
@@ -159,9 +162,18 @@ def _filter(
             spread += np.where(seen, R, 0.0)
             after = d
         else:
+            noisy = np.where(seen[:, :, None], R * eye, eye)
             PH = P @ Hk.transpose(0, 2, 1)
-            cov = Hk @ PH + np.where(seen[:, :, None], R * eye, eye)
-            low = _root(cov, np.where(seen, R, 1.0)) if mend else np.linalg.cholesky(cov)
+            cov = Hk @ PH + noisy
+            try:
+                low = np.asarray(np.linalg.cholesky(cov), dtype=np.float64)
+            except np.linalg.LinAlgError:
+                if not mend:
+                    raise
+                # A variance that rounding has made negative grows with every step of an unstable flight.
+                P = _lawful(P)
+                PH = P @ Hk.transpose(0, 2, 1)
+                low = _root(Hk @ PH + noisy, np.where(seen, R, 1.0))
             joint = np.linalg.solve(low, np.concatenate([e[:, :, None], s_, PH.transpose(0, 2, 1)], axis=2))
             white[k], series[k] = joint[:, :, 0], joint[:, :, 1 : K + 9]
             half = joint[:, :, K + 9 :]
@@ -170,7 +182,13 @@ def _filter(
             back = half.transpose(0, 2, 1)
             after = d + (back @ joint[:, :, :1])[:, :, 0]
             X = X - back @ joint[:, :, 1 : K + 9]
-            P = P - back @ half
+            if violent:
+                # Joseph's form: what an unstable step has blown up, a difference would leave with negative variances.
+                gain = np.linalg.solve(low.transpose(0, 2, 1), half).transpose(0, 2, 1)
+                left = eye_x - gain @ Hk
+                P = left @ P @ left.transpose(0, 2, 1) + gain @ noisy @ gain.transpose(0, 2, 1)
+            else:
+                P = P - back @ half
             P = 0.5 * (P + P.transpose(0, 2, 1))
         if k == n - 1:
             break
@@ -191,6 +209,14 @@ def _filter(
         out[s] = _projected(
             white[: lengths[i], i], series[: lengths[i], i], float(logdet[i]), mine, deviation, path[: lengths[i], i]
         )
+
+
+def _lawful(P: FloatArray) -> FloatArray:
+    """(S, x, x) the nearest covariances without negative variances, each state in its own unit."""
+    scale = np.sqrt(np.maximum(np.abs(np.diagonal(P, axis1=1, axis2=2)), np.finfo(float).tiny))
+    both = scale[:, :, None] * scale[:, None, :]
+    values, vectors = np.linalg.eigh(np.clip(np.nan_to_num(0.5 * (P + P.transpose(0, 2, 1)) / both), -1.0, 1.0))
+    return np.asarray((vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1) * both)
 
 
 def _root(cov: FloatArray, least: FloatArray) -> FloatArray:

@@ -23,10 +23,10 @@ from sysid.gust_intensity import Gusts
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
 from uqharness.refine_base import base_fit, undetermined
-from uqharness.refine_begin import WEAK_IN_GUSTS, strong_first
+from uqharness.refine_begin import OVERWHELMING, WEAK_IN_GUSTS, strong_first
 from uqharness.refine_candidates import effect_columns
 from uqharness.refine_fit import Fit, Map, Setup, positions
-from uqharness.refine_gusts import gust_evidence, gust_refit, middles
+from uqharness.refine_gusts import GustFit, gust_evidence, gust_refit, middles
 from uqharness.refine_rates import limits_tried
 from uqharness.refine_rounds import (
     LEAST_LATE_ROWS,
@@ -57,6 +57,10 @@ GUST_ODDS = 30.0
 """Odds against what a gust model that is a little off would look like."""
 RESOLVED_ROWS = 0.03
 """Standard error, in rows, of a time told by replay."""
+NO_AIR = (
+    "the residuals of replays looked like turbulence, but of air that rotates and does not move: something in the aircraft "
+    "comes and goes, and the flights were judged by replays"
+)
 Say = Callable[[str], None]
 
 
@@ -116,19 +120,13 @@ def find_effects(
         by_key = {e.key: e for e in effects}
         if turbulent(setup, before.flown):
             say(f"the air was turbulent: predicting one sample ahead, scoring {len(effects)} candidate effects")
-            return _in_gusts(
-                bench,
-                setup_in_gusts(aircraft, setup),
-                before,
-                names,
-                limits,
-                effects,
-                confirming,
-                notes,
-                work,
-                map_,
-                say,
-            )
+            gusty = setup_in_gusts(aircraft, setup)
+            controls, bends = positions(bench.model, gusty, map_), middles(bench.model, gusty, map_)
+            at = before.flown.point
+            air = gust_refit(bench.straight, gusty, controls, bends, at, names, limits, map_, tune=True)
+            if air.gusts.air:
+                return _in_gusts(bench, air, names, limits, effects, confirming, notes, work, map_, say)
+            notes = [*notes, NO_AIR]
         say(f"scoring {len(effects)} candidate effects")
         setup = limits_tried(
             setup, before.probes, before.columns[0].names, lambda extra: column_evidence(setup, before, extra)
@@ -209,12 +207,10 @@ def gust_like(effect: Effect) -> bool:
 
 
 def _in_gusts(
-    bench: Bench, setup: Setup, base: Fit, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]],
+    bench: Bench, found: GustFit, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]],
     effects: Sequence[Effect], confirming: NDArray[np.bool_], notes: Sequence[str], work: Path, map_: Map, say: Say,
 ) -> Found:  # fmt: skip
-    """The same choice made on one-step predictions."""
-    controls, bends = positions(bench.model, setup, map_), middles(bench.model, setup, map_)
-    found = gust_refit(bench.straight, setup, controls, bends, base.flown.point, names, limits, map_, tune=True)
+    """The same choice made on one-step predictions; found: the fit without effects."""
     free = found.fit.columns[0].names
     setup = limits_tried(found.setup, found.fit.probes, free, lambda extra: gust_evidence(found.setup, found, extra))
     evidence = gust_evidence(setup, found, effect_columns(setup, found.fit.probes, found.fit.flown, effects))
@@ -235,7 +231,10 @@ def _in_gusts(
         f"noise estimated ({found.gusts.gain:.0f} more in twice the log likelihood than calm air; {found.gusts.words})"
     )
     by_key = {e.key: e for e in effects}
-    after, selection, last = found.fit, replace(first, chosen=()), evidence
+    # Gusts estimated beside it may explain what stood a little above the limit; not what was overwhelming.
+    lost = _not_borne_out(first, OVERWHELMING - STRONG)
+    refused = lost if lost is not None and lost.strong else first.refused
+    after, selection, last = found.fit, replace(first, chosen=(), refused=refused), evidence
     if best is not None:
         after, last = best.fit, best.evidence
         selection = with_resolution(best.selection, by_key, setup.segments[0].dt_s)

@@ -204,6 +204,17 @@ def gust_refit(
     return GustFit(fit, gusts, white, setup)
 
 
+def unfiltered(
+    straight: ReplayModel, setup: Setup, controls: Sequence[Array], bends: Sequence[Array], point: Point, map_: Map,
+    gusts: Gusts,
+) -> tuple[Flown, list[Array]]:  # fmt: skip
+    """The measured flight, and by how much, in units of the noise, the outputs of the model there are not what was measured."""
+    flown, found = predict(straight, setup, point, controls, bends, (), map_)
+    steps = _Linear(setup, flown, found).all(gusts.states)
+    given = in_step(setup, point)
+    return flown, [(z - s.y_ref[:, setup.which]) / setup.noise for z, s in zip(given, steps, strict=True)]
+
+
 class _Linear:
     """Linear systems of the segments by what gusts do in them, each made once."""
 

@@ -104,30 +104,18 @@ def settle(
         say(
             f"round {number}: flying with {', '.join(c.key.removeprefix('effect/').replace('/', ' ') for c in selection.chosen)}"
         )
-        try:
-            now = _flown(start, selection, about, work / f"round{number}")
-        except np.linalg.LinAlgError:
-            trail.append(
-                f"round {number}: no filter follows the flights with these effects; what was flown before stands"
-            )
+        now = _tried(start, selection, about, work / f"round{number}")
+        if now is None:
+            trail.append(f"round {number}: no filter follows flights with these effects; what was flown before stands")
             break
         trail += [f"round {number}: {line}" for line in now.again.trail]
+        if number == 2 and not now.standing:
+            now, lines = _contested(start, now, selection, about, work, say)
+            trail += lines
         flown.append(now)
         if now.standing:
             break
         seen.add(now.keys)
-        if number == 2 and start.gusts is not None and abs(selection.chosen[0].t) > OVERWHELMING:
-            other = _contested(start, now, selection.chosen[0].key, about, work, say)
-            if other is not None:
-                name = other.chosen[0].key
-                trail.append(f"round 2: flown alone, {name} does better than {selection.chosen[0].key}")
-                flown.pop()
-                now = _flown(start, other, about, work / "contest")
-                trail += [f"round 2: {line}" for line in now.again.trail]
-                flown.append(now)
-                if now.standing:
-                    break
-                seen.add(now.keys)
         following = frozenset(c.key for c in now.again.chosen)
         if following in seen and following != now.keys:
             trail.append(f"round {number}: back to effects flown before; the best round stands")
@@ -146,27 +134,46 @@ def settle(
     return best, trail
 
 
-def _contested(start: Start, now: Round, key: str, about: About, work: Path, say: Say) -> Selection | None:
-    """The effect that should have been flown in place of ``key``, which flew alone and left something; None: rightly it was."""
-    free = start.before.columns[0].names
-    odds = {e.key: e.odds for e in start.effects}
-    odds = {k: o for k, o in odds.items() if k in about.evidence.names}
-    others = rivals(about.evidence, free, odds, key)
-    if not others:
+def _tried(start: Start, selection: Selection, about: About, folder: Path) -> Round | None:
+    """The effects flown; None where no filter can follow the flights with them."""
+    try:
+        return _flown(start, selection, about, folder)
+    except np.linalg.LinAlgError:
         return None
+
+
+def _contested(
+    start: Start, now: Round, selection: Selection, about: About, work: Path, say: Say
+) -> tuple[Round, list[str]]:
+    """The first round and what is to be said of it: of an overwhelming effect, flown in gusts, that leaves others, or of the rival
+    that flies better in its place."""
+    key = selection.chosen[0].key
+    if start.gusts is None or abs(selection.chosen[0].t) <= OVERWHELMING:
+        return now, []
+    odds = eligible(start.effects, start.setup, start.before, about.evidence)
+    others = rivals(about.evidence, start.before.columns[0].names, odds, key)
+    if not others:
+        return now, []
     say(f"flying {', '.join(k.removeprefix('effect/').replace('/', ' ') for k in others)} instead, each alone")
+    known = replace(start, gusts=now.gusts)
 
     def alone(name: str) -> Choice:
+        free = start.before.columns[0].names
         return judged(about.evidence, free, [name], list(odds), start.confirming, TWINS)[0]
 
     def surprise(choice: Choice) -> float:
         folder = work / f"rival{others.index(choice.key)}"
-        return _predicted(
-            replace(start, gusts=now.gusts), Selection((choice,)), about, folder, now.setup.noise
-        ).surprise
+        try:
+            return _predicted(known, Selection((choice,)), about, folder, now.setup.noise).surprise
+        except np.linalg.LinAlgError:
+            return np.inf
 
-    found = winner(others, alone, surprise, now.surprise, start.limit**2)
-    return None if found is None else Selection((found,))
+    best = winner(others, alone, surprise, now.surprise, start.limit**2)
+    instead = _tried(start, Selection((best,)), about, work / "rival") if best is not None else None
+    if best is None or instead is None:
+        return now, []
+    told = f"round 2: flown alone, {best.key} does better than {key}"
+    return instead, [told, *(f"round 2: {line}" for line in instead.again.trail)]
 
 
 def _predicted(start: Start, selection: Selection, about: About, folder: Path, noise: NDArray[np.float64]) -> GustFit:

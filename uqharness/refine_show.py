@@ -20,7 +20,7 @@ from uqharness.flights import states
 from uqharness.identify_start import demand_of, forced_at
 from uqharness.refine import Bench
 from uqharness.refine_fit import Flown, Map, Point, Setup, positions, refit
-from uqharness.refine_gusts import gust_refit, middles, moved, rows_late
+from uqharness.refine_gusts import gust_refit, middles, moved, rows_late, unfiltered
 from uqharness.replay import Segment
 from uqharness.replay_model import ReplayModel
 
@@ -85,14 +85,21 @@ def show(
             flown, noise, cost = fit.flown, setup.noise, fit.flown.cost
         else:
             bends = middles(bench.model, plain, map_)
-            gust = gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, gusts, known=True)
-            delta, _ = gust.fit.evidence.step()
-            white = _as_recorded(plain, gust.fit.flown.point, gust.fit.evidence.residual(delta))
-            residual = [r * w.deviation for r, w in zip(white, gust.white, strict=True)]
-            noise = np.sqrt(np.mean([w.deviation**2 for w in gust.white], axis=0))
+            try:
+                gust = gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, gusts, known=True)
+                delta, _ = gust.fit.evidence.step()
+                at, rows = gust.fit.flown, gust.fit.evidence.residual(delta)
+                deviations = [w.deviation for w in gust.white]
+            except np.linalg.LinAlgError:
+                # A model so far outside what it was made for that no filter follows it: what it says at the measured states.
+                at, rows = unfiltered(bench.straight, plain, controls, bends, start, map_, gusts)
+                deviations = [setup.noise] * len(rows)
+            white = _as_recorded(plain, at.point, rows)
+            residual = [r * deviation for r, deviation in zip(white, deviations, strict=True)]
+            noise = np.sqrt(np.mean([deviation**2 for deviation in deviations], axis=0))
             cost = float(sum(np.nansum(r**2) for r in white))
             outputs = [z - r for z, r in zip(setup.measured, residual, strict=True)]
-            flown = replace(gust.fit.flown, outputs=outputs, cost=cost)
+            flown = replace(at, outputs=outputs, cost=cost)
     floor = np.sqrt(np.mean(np.concatenate([f[1] for f in found]) ** 2, axis=0))
     return Shown(flown, residual, noise, [f[0] for f in found], floor, white, cost)
 

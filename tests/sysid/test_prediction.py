@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sysid import prediction
 from sysid.effect_choice import select, threshold
 from sysid.effect_score import corrected, gather, scores
 from sysid.gust_intensity import noise_factors
-from sysid.prediction import Columns, Process, _root, whiten
+from sysid.prediction import Columns, Process, White, _lawful, _root, whiten
 from sysid.rigid_steps import NX, OUTPUTS, Steps
 
 M = len(OUTPUTS)
@@ -190,9 +191,40 @@ def test_noise_that_is_half_of_what_is_stated_is_found_in_gusts():
                 shaken = np.sqrt(s.dt_s * np.diagonal(Q)) * rng.standard_normal(NX)
                 state = s.phi[i] @ (state + shaken) + s.defect[i]
         data.append(z)
-    found = noise_factors(steps, data, range(M), stated, Process(*(np.repeat(q[None], 6, axis=0) for q in (Q, 0.0 * Q))), kinds)
+    found = noise_factors(
+        steps, data, range(M), stated, Process(*(np.repeat(q[None], 6, axis=0) for q in (Q, 0.0 * Q))), kinds
+    )
     assert found[5] == pytest.approx(0.5, rel=0.25)
     assert found[[0, 8]] == pytest.approx([1.0, 1.0], abs=0.2)
+
+
+def test_a_variance_below_zero_becomes_none_and_the_rest_stays():
+    good = np.array([[4e6, 1e2], [1e2, 9e-2]])
+    axes = np.linalg.qr(np.random.default_rng(1).standard_normal((2, 2)))[0]
+    sunk = axes @ np.diag([1.0, -0.2]) @ axes.T
+    found = _lawful(np.stack([good, sunk]))
+    np.testing.assert_allclose(found[0], good, rtol=1e-9)
+    assert np.linalg.eigvalsh(found[1]).min() > -1e-12
+    assert np.linalg.eigvalsh(found[1]).max() > 0.5
+
+
+def test_both_forms_of_the_update_are_one_filter(monkeypatch):
+    rng = np.random.default_rng(12)
+    steps = [system(80, 40)]
+    Q = np.diag(np.where(np.arange(NX) < 8, 0.5, 0.0))[None]
+    data = [steps[0].y_ref + 0.5 * rng.standard_normal((80, M))]
+    columns = [Columns(("c",), {"c": (3, rng.standard_normal(80))}, {})]
+
+    def found() -> White:
+        return whiten(steps, data, columns, range(M), np.full(M, 0.5), Process(Q, 0.0 * Q))[0]
+
+    plain = found()
+    monkeypatch.setattr(prediction, "VIOLENT", 0.0)
+    other = found()
+    assert not np.array_equal(plain.residual, other.residual)
+    np.testing.assert_allclose(other.residual, plain.residual, atol=1e-8)
+    np.testing.assert_allclose(other.columns, plain.columns, atol=1e-4)
+    assert other.logdet == pytest.approx(plain.logdet, rel=1e-10)
 
 
 def test_covariances_that_rounding_has_spoilt_still_have_a_root():
