@@ -7,10 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from sysid.effect_choice import Choice, Selection
 from sysid.effect_score import gather
 from sysid.prediction import White
 from sysid.subsystem_effects import subsystem_effects
-from uqharness.refine_rounds import eligible, largest_step
+from uqharness.refine_rounds import eligible, largest_step, resolved
 
 DT = 0.02
 EFFECTS = [e for e in subsystem_effects(["aileron"], [], []) if e.term in ("lag", "rate_limit")]
@@ -53,3 +54,29 @@ def test_the_largest_step_is_half_the_commands_range():
 )
 def test_what_the_rows_do_not_resolve_is_no_candidate(value, late, terms):
     assert {k.rpartition("/")[2] for k in at(value, late)} == terms
+
+
+def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
+    rng = np.random.default_rng(2)
+    keys = ["effect/sensor.rates/delay", "effect/Cm/p_hat^2"]
+    columns = rng.standard_normal((200, 2, 3))
+    white = White(
+        columns @ np.array([0.4, 1.0, 1.0]), columns.astype(np.float32), 0.0, np.zeros((8, 4)), np.ones((200, 2), dtype=bool),
+        np.ones(2), np.zeros((200, 11)),
+    )  # fmt: skip
+    evidence = gather([white], ["aero/Cm_q", *keys], ["one"], {})
+    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={})
+    start = SimpleNamespace(
+        setup=setup, effects=[SimpleNamespace(key=k, unit=u) for k, u in zip(keys, ("s", "1"), strict=True)],
+        confirming=np.zeros(1, dtype=bool),
+    )  # fmt: skip
+
+    def kept(late_s: float) -> list[str]:
+        chosen = tuple(Choice(k, v, 1e-5, 9.0, 81.0, 1.0, 0.0) for k, v in zip(keys, (late_s, 1.0), strict=True))
+        fit = SimpleNamespace(columns=[SimpleNamespace(names=("aero/Cm_q", *keys))])
+        found = SimpleNamespace(selection=Selection(chosen), fit=fit, evidence=evidence, keys=frozenset(keys))
+        return [c.key for c in resolved(start, found).chosen]  # type: ignore[arg-type]
+
+    assert kept(0.004) == keys
+    assert kept(0.002) == keys[1:]
+    assert kept(-0.002) == keys[1:]

@@ -35,6 +35,7 @@ from uqharness.refine_rounds import (
     column_evidence,
     control_slopes,
     eligible,
+    resolved,
     settle,
 )
 from uqharness.refine_setup import (
@@ -167,7 +168,7 @@ def find_effects(
             setup, names, before, before, none, by_key, parameters, tuple(notes), plain, None, board, limit, None,
             sum(put_right), tuple(trail),
         )  # fmt: skip
-    selection = with_resolution(best.selection, by_key, setup.segments[0].dt_s)
+    selection = with_resolution(resolved(start, best), by_key, setup.segments[0].dt_s)
     return Found(
         best.setup, names, before, best.fit, selection, by_key, _parameters(best.evidence, names, best.fit, selection),
         tuple(notes), {n: before.flown.point.values[n] for n in names}, None, board, limit, best.staged, sum(put_right),
@@ -237,7 +238,7 @@ def _in_gusts(
     after, selection, last = found.fit, replace(first, chosen=(), refused=refused), evidence
     if best is not None:
         after, last = best.fit, best.evidence
-        selection = with_resolution(best.selection, by_key, setup.segments[0].dt_s)
+        selection = with_resolution(resolved(start, best), by_key, setup.segments[0].dt_s)
     return Found(
         setup if best is None else best.setup, names, found.fit, after, selection, by_key,
         in_one_step(last, names, after, selection), (*notes, note), _moved_alone(evidence, names, found.fit),

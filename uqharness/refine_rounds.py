@@ -261,11 +261,29 @@ def column_evidence(setup: Setup, fit: Fit, extra: Sequence[Columns]) -> Evidenc
     return gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)
 
 
+def resolved(start: Start, found: Round) -> Selection:
+    """The effects flown, less times that a replay or a log's rows do not resolve; the rest judged without them."""
+    unit = {e.key: e.unit for e in start.effects}
+    least = _least_late_s(start.setup)
+    chosen = found.selection.chosen
+    kept = [c.key for c in chosen if unit[c.key] != "s" or abs(c.value) > least]
+    if len(kept) == len(chosen):
+        return found.selection
+    free = [n for n in found.fit.columns[0].names if n not in found.keys]
+    known = [e.key for e in start.effects if e.key in found.evidence.names]
+    again = judged(found.evidence, free, kept, known, start.confirming, TWINS)
+    return replace(found.selection, chosen=again)
+
+
+def _least_late_s(setup: Setup) -> float:
+    # When within a row of a log a command changed, the log does not say.
+    return (LEAST_LATE_LOG_ROWS if setup.late else LEAST_LATE_ROWS) * setup.segments[0].dt_s
+
+
 def eligible(effects: Sequence[Effect], setup: Setup, fit: Fit, evidence: Evidence) -> dict[str, float]:
     """Candidates worth scoring and their odds: delays that a replay cannot resolve are left out."""
     found = scores(evidence, fit.columns[0].names, [e.key for e in effects])
-    # When within a row of a log a command changed, the log does not say.
-    least = (LEAST_LATE_LOG_ROWS if setup.late else LEAST_LATE_ROWS) * setup.segments[0].dt_s
+    least = _least_late_s(setup)
     out = {}
     for e, estimate, share in zip(effects, found.estimate, found.share, strict=True):
         if not share > 0.0:
