@@ -23,10 +23,8 @@ MOST_RIVALS = 3
 def rivals(evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], key: str) -> list[str]:
     """Other candidates that explain nearly as much as ``key`` in its place, the best first, no two of them alike."""
     others = [k for k in odds if k != key]
-    if not others:
-        return []
-    own = float(scores(evidence, free, [key]).gain[0])
-    gain = np.nan_to_num(scores(evidence, free, others).gain, nan=-np.inf)
+    own, *gains = np.nan_to_num(scores(evidence, free, [key, *others]).gain, nan=-np.inf)
+    gain = np.array(gains)
     found: list[str] = []
     for k in np.argsort(-gain):
         if gain[k] < NEAR * own or len(found) == MOST_RIVALS:

@@ -165,7 +165,7 @@ def gust_refit(
     """
     point, analytic, gusts = start, None, near
     length = float("inf")
-    searched = tuned = False
+    searched = False
     keys = {e.key for e in setup.active}
     own = [n for n in names if n not in keys]
     for number in range(1, iterations + 1):
@@ -181,16 +181,15 @@ def gust_refit(
         # Where the flight is far from what the parameters say, what they will explain would be taken for gusts.
         settled = length < SETTLED or number == min(SEARCH_BY, iterations)
         if not known and (number <= 2 if near is None else settled and not searched):
-            gusts = _intensity(setup, flown, steps, gusts)
+            gusts = _intensity(setup, steps, gusts)
+            if tune and not searched and not setup.late:
+                setup, gusts = _tuned(setup, steps, gusts)
             searched = True
-            if tune and not tuned and not setup.late:
-                setup, gusts = _tuned(setup, flown, steps, gusts)
-                tuned = True
         assert gusts is not None
         linearised = steps.all(gusts.states)
-        flown, found = predicted(setup, flown, found, linearised, gusts)
+        flown, found = predicted(setup, flown, found, linearised, steps.measured, gusts)
         columns = parameter_columns(setup, found, flown, names, analytic)
-        white = whiten(linearised, in_step(setup, point), columns, setup.which, setup.noise, gusts.process)
+        white = whiten(linearised, steps.measured, columns, setup.which, setup.noise, gusts.process)
         evidence = gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)
         delta, length = evidence.step(setup.held)
         if (length < TOLERANCE and (searched or known)) or number == iterations:
@@ -210,16 +209,17 @@ def unfiltered(
 ) -> tuple[Flown, list[Array]]:  # fmt: skip
     """The measured flight, and by how much, in units of the noise, the outputs of the model there are not what was measured."""
     flown, found = predict(straight, setup, point, controls, bends, (), map_)
-    steps = _Linear(setup, flown, found).all(gusts.states)
-    given = in_step(setup, point)
-    return flown, [(z - s.y_ref[:, setup.which]) / setup.noise for z, s in zip(given, steps, strict=True)]
+    steps = _Linear(setup, flown, found)
+    both = zip(steps.measured, steps.all(gusts.states), strict=True)
+    return flown, [(z - s.y_ref[:, setup.which]) / setup.noise for z, s in both]
 
 
 class _Linear:
-    """Linear systems of the segments by what gusts do in them, each made once."""
+    """Linear systems of the segments by what gusts do in them, each made once; measured: `in_step`, which they speak of."""
 
     def __init__(self, setup: Setup, flown: Flown, found: Sequence[Probe]) -> None:
         self.setup, self.flown, self.found = setup, flown, found
+        self.measured = in_step(setup, flown.point)
         self.made: dict[tuple[int, GustStates], Steps] = {}
 
     def __call__(self, some: Sequence[int], states: GustStates) -> list[Steps]:
@@ -237,49 +237,39 @@ class _Linear:
         return self(range(len(self.found)), states)
 
 
-def _tuned(setup: Setup, flown: Flown, steps: _Linear, gusts: Gusts) -> tuple[Setup, Gusts]:
+def _tuned(setup: Setup, steps: _Linear, gusts: Gusts) -> tuple[Setup, Gusts]:
     """With the sensors' noise that the flights want, and the gusts beside it."""
     factors = _noise_factors(setup, steps, gusts)
     setup = replace(setup, noise=factors * setup.noise)
     if bool(np.any((factors < 1.0 / NOISE_FAR) | (factors > NOISE_FAR))):
         # Beside sensors taken for half as noisy as they are, noise passed for gusts of 35 times their strength that do not turn:
         # from there no search leads back.
-        gusts = _intensity(setup, flown, steps, None)
+        gusts = _intensity(setup, steps, None)
         setup = replace(setup, noise=_noise_factors(setup, steps, gusts) * setup.noise)
-    return setup, _intensity(setup, flown, steps, gusts)
+    return setup, _intensity(setup, steps, gusts)
 
 
 def _noise_factors(setup: Setup, steps: _Linear, gusts: Gusts) -> Array:
     kinds = [_KINDS.get(c.split("_")[0], c) for c in setup.outputs]
-    measured = in_step(setup, steps.flown.point)
-    return noise_factors(steps.all(gusts.states), measured, setup.which, setup.noise, gusts.process, kinds)
+    return noise_factors(steps.all(gusts.states), steps.measured, setup.which, setup.noise, gusts.process, kinds)
 
 
-def _intensity(setup: Setup, flown: Flown, steps: _Linear, near: Gusts | None) -> Gusts:
-    speeds = [float(x[:, 0].mean()) for x in flown.x]
+def _intensity(setup: Setup, steps: _Linear, near: Gusts | None) -> Gusts:
+    speeds = [float(x[:, 0].mean()) for x in steps.flown.x]
     of = [s.flight for s in setup.segments]
     states = GustStates(steps.found[0].mass.b)
-    return gust_intensity(steps, in_step(setup, flown.point), setup.which, setup.noise, speeds, of, states, near)
+    return gust_intensity(steps, steps.measured, setup.which, setup.noise, speeds, of, states, near)
 
 
 def predicted(
-    setup: Setup, flown: Flown, found: Sequence[Probe], steps: Sequence[Steps], gusts: Gusts
+    setup: Setup, flown: Flown, found: Sequence[Probe], steps: Sequence[Steps], measured: Sequence[Array], gusts: Gusts
 ) -> tuple[Flown, list[Probe]]:
     """Probes whose terms are evaluated at states predicted from the past, and the outputs predicted there.
 
     At the measured states a term would know of the gust that it is to predict: Cl_p came out at three quarters.
     """
-    paths = [
-        w.path
-        for w in whiten(
-            steps,
-            in_step(setup, flown.point),
-            [Columns((), {}, {})] * len(steps),
-            setup.which,
-            setup.noise,
-            gusts.process,
-        )
-    ]
+    nothing = [Columns((), {}, {})] * len(steps)
+    paths = [w.path for w in whiten(steps, measured, nothing, setup.which, setup.noise, gusts.process)]
     out, outputs = [], []
     for p, s, d in zip(found, steps, paths, strict=True):
         x = whole_states(p.reference.x, gusts.states) + d

@@ -101,9 +101,7 @@ def settle(
     for number in range(2, ROUNDS + 2):
         if not selection.chosen:
             break
-        say(
-            f"round {number}: flying with {', '.join(c.key.removeprefix('effect/').replace('/', ' ') for c in selection.chosen)}"
-        )
+        say(f"round {number}: flying with {_listed([c.key for c in selection.chosen])}")
         now = _tried(start, selection, about, work / f"round{number}")
         if now is None:
             trail.append(f"round {number}: no filter follows flights with these effects; what was flown before stands")
@@ -134,6 +132,10 @@ def settle(
     return best, trail
 
 
+def _listed(keys: Sequence[str]) -> str:
+    return ", ".join(k.removeprefix("effect/").replace("/", " ") for k in keys)
+
+
 def _tried(start: Start, selection: Selection, about: About, folder: Path) -> Round | None:
     """The effects flown; None where no filter can follow the flights with them."""
     try:
@@ -154,17 +156,17 @@ def _contested(
     others = rivals(about.evidence, start.before.columns[0].names, odds, key)
     if not others:
         return now, []
-    say(f"flying {', '.join(k.removeprefix('effect/').replace('/', ' ') for k in others)} instead, each alone")
-    known = replace(start, gusts=now.gusts)
+    say(f"flying {_listed(others)} instead, each alone")
+    known = replace(start, gusts=now.gusts, setup=replace(start.setup, noise=now.setup.noise))
+    free = start.before.columns[0].names
 
     def alone(name: str) -> Choice:
-        free = start.before.columns[0].names
         return judged(about.evidence, free, [name], list(odds), start.confirming, TWINS)[0]
 
     def surprise(choice: Choice) -> float:
         folder = work / f"rival{others.index(choice.key)}"
         try:
-            return _predicted(known, Selection((choice,)), about, folder, now.setup.noise).surprise
+            return _predicted(known, Selection((choice,)), about, folder).surprise
         except np.linalg.LinAlgError:
             return np.inf
 
@@ -176,31 +178,32 @@ def _contested(
     return instead, [told, *(f"round 2: {line}" for line in instead.again.trail)]
 
 
-def _predicted(start: Start, selection: Selection, about: About, folder: Path, noise: NDArray[np.float64]) -> GustFit:
-    """One-step predictions with effects, parameters estimated with them, in air and with sensors' noise as they are known."""
+def _begun(start: Start, selection: Selection, about: About, folder: Path) -> tuple[Aircraft, Setup, Point, list[str]]:
+    """The aircraft with the effects, the setup that knows of them, the point to begin from, and the names to be estimated there."""
+    by_key = {e.key: e for e in start.effects}
+    keys = [c.key for c in selection.chosen]
+    staged, setup = stage(start.aircraft, start.setup, [by_key[k] for k in keys], selection, start.before, folder)
+    first, free = start.before.flown.point, start.before.columns[0].names
+    joint = joint_point(about, start.setup, first, free, keys, start.limits)
+    return staged, setup, with_effects(joint, setup, selection, staged), [*start.names, *keys]
+
+
+def _predicted(start: Start, selection: Selection, about: About, folder: Path) -> GustFit:
+    """One-step predictions with effects, parameters estimated with them, in air and with sensors' noise as `start` has them."""
     assert start.gusts is not None
-    chosen = [e for c in selection.chosen for e in start.effects if e.key == c.key]
-    keys = [e.key for e in chosen]
-    staged, setup = stage(start.aircraft, replace(start.setup, noise=noise), chosen, selection, start.before, folder)
-    joint = joint_point(about, start.setup, start.before.flown.point, start.before.columns[0].names, keys, start.limits)
-    begin = with_effects(joint, setup, selection, staged)
+    staged, setup, begin, names = _begun(start, selection, about, folder)
     with Bench(staged, start.measured, start.ideal) as bench:
         controls, bends = positions(bench.model, setup, start.map_), middles(bench.model, setup, start.map_)
         return gust_refit(
-            bench.straight, setup, controls, bends, begin, [*start.names, *keys], start.limits, start.map_, start.gusts, known=True
+            bench.straight, setup, controls, bends, begin, names, start.limits, start.map_, start.gusts, known=True
         )  # fmt: skip
 
 
 def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Round:
     by_key = {e.key: e for e in start.effects}
-    chosen = [by_key[c.key] for c in selection.chosen]
-    keys = [e.key for e in chosen]
-    staged, setup = stage(start.aircraft, start.setup, chosen, selection, start.before, folder)
+    keys = [c.key for c in selection.chosen]
+    staged, setup, begin, names = _begun(start, selection, about, folder)
     rest = [e for e in start.effects if e.key not in keys]
-    first = start.before.flown.point
-    joint = joint_point(about, start.setup, first, start.before.columns[0].names, keys, start.limits)
-    begin = with_effects(joint, setup, selection, staged)
-    names = [*start.names, *keys]
     with Bench(staged, start.measured, start.ideal) as bench:
         controls = positions(bench.model, setup, start.map_)
         gusts, surprise = start.gusts, float("nan")
@@ -215,12 +218,12 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
             fit, gusts, setup, surprise = found.fit, found.gusts, found.setup, found.surprise
             evidence = gust_evidence(setup, found, effect_columns(setup, fit.probes, fit.flown, rest))
         else:
-            options = [begin, with_effects(first, setup, selection, staged)]
+            options = [begin, with_effects(start.before.flown.point, setup, selection, staged)]
             best = best_flown(bench.model, setup, options, start.map_)
             fit = refit(bench.model, bench.straight, setup, controls, best.point, names, start.limits, start.map_)
             evidence = candidate_evidence(setup, fit, rest)
     written = {c.key: c.value for c in selection.chosen}
-    values = {e.key: effect_value(e, fit.flown.point, setup.carriers, staged, written[e.key]) for e in chosen}
+    values = {e.key: effect_value(e, fit.flown.point, setup.carriers, staged, written[e.key]) for e in setup.active}
     evidence = evidence.taken_out(values)
     free = [n for n in fit.columns[0].names if n not in keys]
     odds = {**eligible(rest, start.setup, fit, evidence), **{k: by_key[k].odds for k in keys}}
