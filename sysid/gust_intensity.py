@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.gust_cost import costs, minus_twice_log
 from sysid.gust_states import GustStates
 from sysid.prediction import Columns, Process, whiten
 from sysid.rigid_steps import NX, Steps
@@ -145,14 +146,9 @@ class _Search:
     V: Sequence[float]
 
     def costs(self, some: Sequence[int], states: GustStates, points: Sequence[FloatArray]) -> FloatArray:
-        few, data, many = list(self.linear(some, states)), [self.measured[k] for k in some], len(points)
-        process = _process([p for p in points for _ in some], [self.V[k] for k in some] * many, states)
-        try:
-            each = _costs(few * many, data * many, self.which, self.noise, process, mend=False)
-        except np.linalg.LinAlgError:
-            # Air so gusty that what the sensors say is lost in rounding: one of the points at least is no answer.
-            return np.array([np.inf]) if many == 1 else np.concatenate([self.costs(some, states, [p]) for p in points])
-        return np.asarray(each.reshape(many, len(few)).sum(axis=1))
+        few, data, V = self.linear(some, states), [self.measured[k] for k in some], [self.V[k] for k in some]
+        air = [_process([p] * len(some), V, states) for p in points]
+        return costs(few, data, self.which, np.tile(self.noise, (len(points), 1)), air)
 
     def at(self, some: Sequence[int], states: GustStates, values: FloatArray) -> _Point:
         return _Point(states, values, float(self.costs(some, states, [values])[0]))
@@ -182,7 +178,8 @@ class _Search:
 
     def calm(self, some: Sequence[int], states: GustStates) -> float:
         data = [self.measured[k] for k in some]
-        return float(_costs(self.linear(some, states), data, self.which, self.noise).sum())
+        white = whiten(self.linear(some, states), data, [Columns((), {}, {})] * len(data), self.which, self.noise)
+        return minus_twice_log(white)
 
 
 def noise_factors(
@@ -198,21 +195,18 @@ def noise_factors(
     some = _spread(range(len(steps)), _MOST_SEGMENTS)
     few, data, theirs = [steps[k] for k in some], [measured[k] for k in some], process.of(some)
 
-    def cost(factors: FloatArray) -> float:
-        try:
-            return float(_costs(few, data, which, factors * noise, theirs).sum())
-        except np.linalg.LinAlgError:
-            return np.inf
+    def cost(factors: Sequence[FloatArray]) -> FloatArray:
+        return costs(few, data, which, np.array(factors) * noise, [theirs] * len(factors), mend=True)
 
     best = np.ones(len(noise))
-    low = cost(best)
+    low = float(cost([best])[0])
     for trial_factors in _NOISIER:
         for kind in dict.fromkeys(kinds):
             own = np.array([k == kind for k in kinds])
             trials = [np.where(own, f * best, best) for f in trial_factors]
-            found = [cost(t) for t in trials]
-            if min(found) < low:
-                best, low = trials[int(np.argmin(found))], min(found)
+            found = cost(trials)
+            if found.min() < low:
+                best, low = trials[int(np.argmin(found))], float(found.min())
     return best
 
 
@@ -220,15 +214,6 @@ def _process(values: Sequence[FloatArray], V: Sequence[float], states: GustState
     """Of segments with such values and airspeeds."""
     made = [process_of(p, v, states) for p, v in zip(values, V, strict=True)]
     return Process(np.stack([noise for noise, _ in made]), np.stack([begin for _, begin in made]))
-
-
-def _costs(
-    steps: Sequence[Steps], measured: Sequence[FloatArray], which: Sequence[int], noise: FloatArray,
-    process: Process | None = None, mend: bool = True,
-) -> FloatArray:  # fmt: skip
-    """(S,) minus twice the log likelihood of each segment."""
-    white = whiten(steps, measured, [Columns((), {}, {})] * len(steps), which, noise, process, mend)
-    return np.array([float(np.sum(w.residual**2)) + 2.0 * w.logdet for w in white])
 
 
 def _spread(members: Sequence[int], most: int) -> list[int]:

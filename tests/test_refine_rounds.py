@@ -66,10 +66,9 @@ def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
     )  # fmt: skip
     evidence = gather([white], ["aero/Cm_q", *keys], ["one"], {})
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={})
-    start = SimpleNamespace(
-        setup=setup, effects=[SimpleNamespace(key=k, unit=u) for k, u in zip(keys, ("s", "1"), strict=True)],
-        confirming=np.zeros(1, dtype=bool),
-    )  # fmt: skip
+    units = zip(keys, ("s", "1"), strict=True)
+    effects = [SimpleNamespace(key=k, unit=u, positive=False, odds=0.0) for k, u in units]
+    start = SimpleNamespace(setup=setup, effects=effects, confirming=np.zeros(1, dtype=bool))
 
     def kept(late_s: float) -> list[str]:
         chosen = tuple(Choice(k, v, 1e-5, 9.0, 81.0, 1.0, 0.0) for k, v in zip(keys, (late_s, 1.0), strict=True))
@@ -80,3 +79,33 @@ def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
     assert kept(0.004) == keys
     assert kept(0.002) == keys[1:]
     assert kept(-0.002) == keys[1:]
+
+
+@pytest.mark.parametrize(
+    ("alike", "positive", "beside"), [(0.02, False, True), (0.02, True, False), (3.0, False, False)]
+)
+def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(alike, positive, beside):
+    rng = np.random.default_rng(4)
+    term, delay = "effect/CZ/alphadot_hat", "effect/actuator.elevator/lag"
+    columns = rng.standard_normal((200, 2, 2))
+    columns[:, :, 1] = -1000.0 * (
+        columns[:, :, 0] + alike * columns[:, :, 1]
+    )  # -1 ms of it does what 1 of the term does
+    white = White(
+        columns[:, :, 0] + 0.1 * rng.standard_normal((200, 2)), columns.astype(np.float32), 0.0, np.zeros((8, 3)),
+        np.ones((200, 2), dtype=bool), np.ones(2), np.zeros((200, 11)),
+    )  # fmt: skip
+    evidence = gather([white], [term, delay], ["one"], {})
+    start = SimpleNamespace(
+        setup=SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}), confirming=np.zeros(1, dtype=bool),
+        effects=[
+            SimpleNamespace(key=k, unit=u, positive=positive, odds=0.0)
+            for k, u in ((term, "1"), (delay, "s"))
+        ],
+    )  # fmt: skip
+    fit = SimpleNamespace(columns=[SimpleNamespace(names=(term,))])
+    chosen = (Choice(term, 1.0, 0.05, 20.0, 400.0, 1.0, 0.0),)
+    found = SimpleNamespace(selection=Selection(chosen), fit=fit, evidence=evidence, keys=frozenset([term]))
+    (effect,) = resolved(start, found).chosen  # type: ignore[arg-type]
+    assert effect.key == term
+    assert [a.key for a in effect.alternatives if not a.separable] == ([delay] if beside else [])

@@ -132,8 +132,11 @@ def test_leaving_nothing_out_is_what_was_chosen(judged_flights):
     assert {n: v for n, (v, _) in none.parameters.items()} == {n: chosen.plain[n] for n in chosen.names}
 
 
-def shown(white: list[np.ndarray]) -> SimpleNamespace:
-    return SimpleNamespace(white=white, cost=float(sum(np.nansum(w**2) for w in white)))
+def shown(white: list[np.ndarray], deviation: float = 1.0) -> SimpleNamespace:
+    """Predictions with the same deviation of every sample."""
+    logdet = tuple(w.size * float(np.log(deviation)) for w in white)
+    cost = float(sum(np.nansum(w**2) for w in white))
+    return SimpleNamespace(white=white, cost=cost, logdet=logdet, surprise=cost + 2.0 * sum(logdet))
 
 
 def change(rng: np.random.Generator, size: float, truth: bool, colour: float = 0.0):
@@ -176,6 +179,24 @@ def test_chance_withdraws_seldom_and_a_contradiction_does():
         assert np.mean([v.says == says for v in found]) == pytest.approx(0.11 if truth else 0.89, abs=0.08)
     assert all(change(rng, 0.5, True).says == "shrank" for _ in range(20))
     assert all(change(rng, 0.5, False).says == "grew" for _ in range(20))
+
+
+def test_predictions_of_another_damping_are_judged_by_their_likelihood():
+    """A model that damps too little takes the air's motion for larger, and its squares over that are smaller: no merit of it."""
+    rng = np.random.default_rng(4)
+    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
+    found = []
+    for _ in range(100):
+        left = [rng.standard_normal((300, 3)) for _ in range(4)]
+        wide = shown([e / 1.1 for e in left], 1.1)
+        found.append(gap_change("x", wide, shown(left), setup, shown(left)))
+        assert wide.cost < shown(left).cost
+    # Kullback and Leibler's distance of the two normal distributions, twice, of 3600 samples.
+    expected = 3600.0 * (2.0 * np.log(1.1) + 1.0 / 1.1**2 - 1.0)
+    spread = np.std([v.change for v in found])
+    assert np.mean([v.change for v in found]) == pytest.approx(expected, abs=0.4 * spread)
+    assert 0.9 * spread < np.sqrt(np.mean([v.std**2 for v in found])) < 1.5 * spread
+    assert np.mean([v.says == "shrank" for v in found]) > 0.9
 
 
 def judged(monkeypatch, harm: dict[str, float], together: float = 0.0) -> list[str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +14,7 @@ from sysid.force_coefficients import half_width, smooth
 from sysid.gaps import theil, time_shift, white_noise, worst
 from uqharness.aircraft import find_aircraft
 from uqharness.errors import BadInputError
-from uqharness.flights import prepare, read_flight, segments
+from uqharness.flights import prepare, read_flight, segments, states
 from uqharness.forced import force_states
 from uqharness.identify_start import demand_of, forced_at
 from uqharness.replay import CHANNELS, STATES, fly_segment, runs_per_row
@@ -144,8 +146,6 @@ def test_theta_is_laid_out_by_names_and_what_is_unmoved_is_not_flown_again(aircr
 
 
 def test_forced_states_give_the_flights_coefficients_back(aircraft, clean):
-    from uqharness.flights import states
-
     flight = prepare("f", clean, SURFACES)
     with (
         ReplayFolder(aircraft, measured=SURFACES) as model,
@@ -165,6 +165,35 @@ def test_forced_states_give_the_flights_coefficients_back(aircraft, clean):
             straight, segment, {k: v[[7, 300, 7]] for k, v in channels.items()}, segment.controls[[7, 300, 7]], {}
         )
         np.testing.assert_allclose(again.coefficients[0], again.coefficients[2], atol=1e-12)
+
+
+def test_a_force_that_goes_with_alphadot_is_the_one_of_the_state_itself(aircraft, clean, tmp_path):
+    """JSBSim's alphadot is the frame before's: forced one after the other, states would have each other's."""
+    folder = tmp_path / "aircraft" / aircraft.name
+    shutil.copytree(aircraft.folder, folder)
+    xml = folder / aircraft.xml.name
+    term = """<function name="aero/force/CZ_ad"><product><property>aero/qbar-psf</property><property>metrics/Sw-sqft</property>
+        <value>0.3</value><property>aero/alphadot-rad_sec</property></product></function>"""
+    text, found = re.subn(r'(<axis name="Z"[^>]*>)', rf"\1{term}", xml.read_text(encoding="utf-8"))
+    assert found == 1
+    xml.write_text(text, encoding="utf-8")
+    flight = prepare("f", clean, SURFACES)
+    rows, said = [7, 300, 7, 120], []
+    for some in (aircraft, replace(find_aircraft(folder), engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)):
+        with ReplayFolder(some, measured=SURFACES, ideal=CONTROLS) as straight:
+            segment = segments(flight, SURFACES)[0]
+            x = {k: v[rows] for k, v in states(flight, flight.pieces[0]).items()}
+            said.append(force_states(straight, segment, x, segment.controls[rows], {}))
+    plain, with_term = said
+    np.testing.assert_allclose(with_term.coefficients[0], with_term.coefficients[2], atol=1e-7)
+    force = with_term.aero_force + with_term.other_force
+    V, alpha, beta, p, q, r = (x[c] for c in ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps"))
+    u, v, w = V * np.cos(alpha) * np.cos(beta), V * np.sin(beta), V * np.sin(alpha) * np.cos(beta)
+    ud = force[:, 0] / with_term.mass.mass - 9.80665 * np.sin(x["theta_rad"]) + r * v - q * w
+    wd = force[:, 2] / with_term.mass.mass + 9.80665 * np.cos(x["theta_rad"]) * np.cos(x["phi_rad"]) + q * u - p * v
+    alphadot = (u * wd - w * ud) / (u**2 + w**2)
+    assert np.abs(alphadot).max() > 0.02
+    np.testing.assert_allclose(with_term.coefficients[:, 2] - plain.coefficients[:, 2], 0.3 * alphadot, atol=2e-4)
 
 
 def test_the_smoother_is_what_the_differentiator_does_to_a_derivative():

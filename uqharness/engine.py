@@ -221,6 +221,11 @@ def start_engines(fdm: Any) -> None:
 def settle_engines(fdm: Any) -> None:
     """Bring <propulsion> engines to the steady state of their throttles and renew the forces, the aircraft's state unmoved."""
     fdm.get_propulsion().get_steady_state()
+    renew_forces(fdm)
+
+
+def renew_forces(fdm: Any) -> None:
+    """One frame in which time stands still."""
     fdm.suspend_integration()
     try:
         fdm.run()

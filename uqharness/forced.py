@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +24,10 @@ PSF_PA = 47.880258980336
 SLUG_KG = 14.593902937206
 _FORCES = tuple(f"forces/fb{a}-{kind}-lbs" for kind in ("total", "aero") for a in "xyz")
 _MOMENTS = tuple(f"moments/{a}-{kind}-lbsft" for kind in ("total", "aero") for a in "lmn")
+
+
+SETTLED_RADPS, MOST_FRAMES = 1e-6, 25
+"""Change of alphadot and betadot from frame to frame at which a forced state has settled, and the frames that it may take."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,7 @@ def force_states(
     )
     put = [engine.handle(fdm, f"ic/{name}").set_double_value for name in names]
     get = [engine.handle(fdm, name).get_double_value for name in (*_FORCES, *_MOMENTS, "aero/qbar-psf")]
+    rates = [engine.handle(fdm, f"aero/{name}dot-rad_sec").get_double_value for name in ("alpha", "beta")]
     raw = np.empty((len(controls), len(get)))
     scaled = model.to_property(controls)
     for k in range(len(controls)):
@@ -97,12 +102,27 @@ def force_states(
             raise engine.RuntimeFailure(f"JSBSim could not take the state of sample {k}")
         if engines:
             engine.settle_engines(fdm)
+        if model.by_rates:
+            _settle_rates(fdm, *rates)
         raw[k] = [g() for g in get]
     total, aero = raw[:, 0:3] * LBF_N, raw[:, 3:6] * LBF_N
     total_moment, aero_moment = raw[:, 6:9] * LBFT_NM, raw[:, 9:12] * LBFT_NM
     return ForcedModel(
         aero, total - aero, aero_moment, total_moment - aero_moment, raw[:, 12] * PSF_PA, mass_properties(fdm, model)
     )
+
+
+def _settle_rates(fdm: Any, alphadot: Callable[[], float], betadot: Callable[[], float]) -> None:
+    # JSBSim takes alphadot and betadot from the accelerations of the frame before: of another state, when states are forced.
+    before, moved = (alphadot(), betadot()), float("inf")
+    for _ in range(MOST_FRAMES):
+        engine.renew_forces(fdm)
+        now, last = (alphadot(), betadot()), moved
+        moved = abs(now[0] - before[0]) + abs(now[1] - before[1])
+        # A force that outgrows the acceleration that it is a part of settles nowhere, and no frame of it is better than another.
+        if moved < SETTLED_RADPS or not moved < last:
+            return
+        before = now
 
 
 def mass_properties(fdm: Any, model: ReplayModel) -> MassProperties:

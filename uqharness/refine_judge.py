@@ -37,8 +37,8 @@ sound; a difference between the models is lost in what is wrong with them."""
 
 @dataclass(frozen=True)
 class Verdict:
-    """Of one effect on the test flights: by how much the sum of squared residuals over noise is larger without it, and the
-    standard error of that. expected: by how much it would be, were the effect there as it is written; far: rms of the better
+    """Of one effect on the test flights: by how much minus twice the log likelihood is larger without it, and the standard error
+    of that. expected: by how much it would be, were the effect there as it is written; far: rms of the better
     model's residuals over noise, over that of the train flights."""
 
     key: str
@@ -136,18 +136,22 @@ def bare(found: Found) -> Found:
 
 
 def gap_change(key: str, without: Shown, with_: Shown, setup: Setup, fitted: Shown) -> Verdict:
-    """The rise of the cost when an effect is left out.
+    """The rise of minus twice the log likelihood when an effect is left out.
 
     With a and b the whitened residuals without and with it and d = a - b, the rise is sum(a^2 - b^2) = sum(d^2) + 2 sum(b d): what
     noise makes of it is 2 sum(e d), e being noise, for which the residuals of the better model stand. Its variance is that of
-    sums over blocks, so that residuals may be coloured within them. fitted: the model with its effects on the train flights.
+    sums over blocks, so that residuals may be coloured within them. Predictions with another damping have another variance, too:
+    what it changes the squares by, in d, the rise of the logarithms takes back. fitted: the model with its effects on the train
+    flights.
     """
-    better = with_ if with_.cost <= without.cost else without
+    better = with_ if with_.surprise <= without.surprise else without
     change, variance, expected = 0.0, 0.0, 0.0
-    for a, b, e, segment in zip(without.white, with_.white, better.white, setup.segments, strict=True):
-        change += float(np.nansum(a**2 - b**2))
+    wider = 2.0 * (np.array(without.logdet) - np.array(with_.logdet))
+    rows = zip(without.white, with_.white, better.white, wider, setup.segments, strict=True)
+    for a, b, e, logarithms, segment in rows:
+        change += float(np.nansum(a**2 - b**2)) + logarithms
         expected += float(np.nansum((a - b) ** 2))
-        terms = np.nansum(2.0 * e * (a - b), axis=1)
+        terms = np.nansum(2.0 * e * (a - b), axis=1) + logarithms / len(a)
         starts = np.arange(0, len(terms), max(1, round(BLOCK_S / segment.dt_s)))
         variance += float(np.sum(np.add.reduceat(terms, starts) ** 2))
     far = _mean_square(better) ** 0.5 / _mean_square(fitted) ** 0.5

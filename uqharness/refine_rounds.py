@@ -265,17 +265,33 @@ def column_evidence(setup: Setup, fit: Fit, extra: Sequence[Columns]) -> Evidenc
 
 
 def resolved(start: Start, found: Round) -> Selection:
-    """The effects flown, less times that a replay or a log's rows do not resolve; the rest judged without them."""
-    unit = {e.key: e.unit for e in start.effects}
+    """The effects flown, less times that a replay or a log's rows do not resolve; the rest judged without them.
+
+    A time too short to be named may still be what is there: among the alternatives it stands, if it explains as much.
+    """
+    by_key = {e.key: e for e in start.effects}
     least = _least_late_s(start.setup)
     chosen = found.selection.chosen
-    kept = [c.key for c in chosen if unit[c.key] != "s" or abs(c.value) > least]
-    if len(kept) == len(chosen):
-        return found.selection
+    kept = [c.key for c in chosen if by_key[c.key].unit != "s" or abs(c.value) > least]
     free = [n for n in found.fit.columns[0].names if n not in found.keys]
-    known = [e.key for e in start.effects if e.key in found.evidence.names]
-    again = judged(found.evidence, free, kept, known, start.confirming, TWINS)
+    rest = [e for e in start.effects if e.key in found.evidence.names and e.key not in kept]
+    open_ = list(eligible(rest, start.setup, found.fit, found.evidence))
+    brief = _brief([e for e in rest if e.key not in open_], free, kept, found.evidence)
+    if len(kept) == len(chosen) and not brief:
+        return found.selection
+    again = judged(found.evidence, free, kept, [*open_, *brief], start.confirming, TWINS)
     return replace(found.selection, chosen=again)
+
+
+def _brief(effects: Sequence[Effect], free: Sequence[str], kept: Sequence[str], evidence: Evidence) -> list[str]:
+    """Times among effects that are no candidates, being too short, that have their sign in the place of one that was kept."""
+    timed = [e for e in effects if e.unit in ("s", "s/deg")]
+    if not timed or not kept:
+        return []
+    names = [e.key for e in timed]
+    instead = [scores(evidence, [*free, *(o for o in kept if o != k)], names).estimate for k in kept]
+    largest = np.max(np.nan_to_num(instead, nan=-np.inf), axis=0)
+    return [e.key for e, value in zip(timed, largest, strict=True) if value > 0.0 or not e.positive]
 
 
 def _least_late_s(setup: Setup) -> float:

@@ -30,7 +30,8 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 class Shown:
     """One model over some flights: replay or one-step predictions, residuals [(n, m)] and their noise (m,), coefficient residuals
-    [(n, 6)] and their noise (6,), white [(n, m)] residuals over their noise, cost: sum of their squares."""
+    [(n, 6)] and their noise (6,), white [(n, m)] residuals over their noise, cost: sum of their squares; logdet (S,): of each
+    segment, the logarithms of that noise, summed, where the model has a say in it (predictions; 0 for replays)."""
 
     flown: Flown
     residual: list[Array]
@@ -39,6 +40,12 @@ class Shown:
     floor: Array
     white: list[Array]
     cost: float
+    logdet: tuple[float, ...]
+
+    @property
+    def surprise(self) -> float:
+        """Minus twice the log likelihood, less a constant."""
+        return self.cost + 2.0 * sum(self.logdet)
 
     def channel_rms(self, k: int) -> float:
         """Rms of channel ``k``'s residual over all flights."""
@@ -83,17 +90,19 @@ def show(
             residual = [z - y for z, y in zip(setup.measured, fit.flown.outputs, strict=True)]
             white = [r / setup.noise for r in residual]
             flown, noise, cost = fit.flown, setup.noise, fit.flown.cost
+            logdet = [0.0] * len(white)
         else:
             bends = middles(bench.model, plain, map_)
             try:
                 gust = gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, gusts, known=True)
                 delta, _ = gust.fit.evidence.step()
                 at, rows = gust.fit.flown, gust.fit.evidence.residual(delta)
-                deviations = [w.deviation for w in gust.white]
+                deviations, logdet = [w.deviation for w in gust.white], [w.logdet for w in gust.white]
             except np.linalg.LinAlgError:
                 # A model so far outside what it was made for that no filter follows it: what it says at the measured states.
                 at, rows = unfiltered(bench.straight, plain, controls, bends, start, map_, gusts)
                 deviations = [setup.noise] * len(rows)
+                logdet = [float((np.isfinite(r) * np.log(setup.noise)).sum()) for r in rows]
             white = _as_recorded(plain, at.point, rows)
             residual = [r * deviation for r, deviation in zip(white, deviations, strict=True)]
             noise = np.sqrt(np.mean([deviation**2 for deviation in deviations], axis=0))
@@ -101,7 +110,7 @@ def show(
             outputs = [z - r for z, r in zip(setup.measured, residual, strict=True)]
             flown = replace(at, outputs=outputs, cost=cost)
     floor = np.sqrt(np.mean(np.concatenate([f[1] for f in found]) ** 2, axis=0))
-    return Shown(flown, residual, noise, [f[0] for f in found], floor, white, cost)
+    return Shown(flown, residual, noise, [f[0] for f in found], floor, white, cost, tuple(logdet))
 
 
 def _as_recorded(setup: Setup, point: Point, rows: Sequence[Array]) -> list[Array]:

@@ -27,6 +27,7 @@ from uqharness.properties import SECOND_ORDER, position_factor
 CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 Array = NDArray[np.float64]
 _HEIGHT = re.compile(r"h-agl-(?:ft|km)|h_b-(?:mac|cg)-ft")
+_RATES = re.compile(r"(?:alpha|beta)dot-(?:rad|deg)_sec")
 _ACTUATOR_DYNAMICS = ("lag", "rate_limit", "hysteresis_width", "deadband_width", "bias")
 
 
@@ -39,7 +40,7 @@ class ReplayModel:
     ``factor`` record unit -> property unit of each control, in the order of ``controls``.
     ``throws`` positions and the commands at which the aircraft's own linkage puts them, of normalised controls whose values are
     positions: both ends of a travel seldom have one factor.
-    ``near_ground`` whether its XML reads the height above the ground.
+    ``near_ground`` whether its XML reads the height above the ground, ``by_rates`` whether it reads the rates of alpha or beta.
     """
 
     root: Path
@@ -54,6 +55,7 @@ class ReplayModel:
     settings: Mapping[str, float] = field(default_factory=dict)
     throws: tuple[tuple[tuple[float, ...], tuple[float, ...]] | None, ...] = ()
     near_ground: bool = False
+    by_rates: bool = False
 
     def to_property(self, controls: Array) -> Array:
         """(..., c) values of the controls in the record's units, in those of their properties."""
@@ -110,7 +112,7 @@ class ReplayFolder:
         self.model = ReplayModel(
             root, aircraft.name, aircraft.engine_path, aircraft.systems_path, card, tuple(controls), tuple(measured),
             tuple(_factor(card, name) for name in controls), tuple(c for c in controls if card.inputs[c].position in lagging),
-            dict(settings or {}), near_ground=_asks_for_height(copy),
+            dict(settings or {}), near_ground=_asks_for(_HEIGHT, copy), by_rates=_asks_for(_RATES, copy),
         )  # fmt: skip
         _declare_orphans(self.model, copy / aircraft.xml.name, aircraft.dt_s)
         self.model = replace(self.model, throws=_throws(self.model, (*measured, *ideal), aircraft.dt_s))
@@ -122,10 +124,10 @@ class ReplayFolder:
         self._temporary.cleanup()
 
 
-def _asks_for_height(folder: Path) -> bool:
-    """Whether any XML of an aircraft's folder reads its height above the ground."""
+def _asks_for(names: re.Pattern[str], folder: Path) -> bool:
+    """Whether any XML of an aircraft's folder has one of such property names."""
     texts = (p.read_bytes().decode("utf-8", errors="replace") for p in sorted(folder.rglob("*.xml")))
-    return any(_HEIGHT.search(text) is not None for text in texts)
+    return any(names.search(text) is not None for text in texts)
 
 
 def _factor(card: Card, control: str) -> float:

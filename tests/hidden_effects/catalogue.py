@@ -122,4 +122,22 @@ OFF_FORM = (
     Entry("Cm", "q_hat above alpha", -60.0, form="q_hat*maximum(alpha-0.04,0)", proxies=("Cm:alpha*q_hat", "Cm:alpha^2*q_hat")),
 )  # fmt: skip
 
-ENTRIES: Mapping[str, Entry] = {e.key: e for e in (*IN_FORM, *OFF_FORM)}
+# Hidden in fresh draws alone (fresh.py), where the size is found for the case's own flights: the guess only has to be small.
+OTHERS = (
+    *(Entry("CX", term, 0.01) for term in ("alpha^3", "alpha*q_hat", "dr^2", "da^2")),
+    *(Entry("CY", term, 0.01) for term in ("alpha*p_hat", "alpha*r_hat", "beta^3", "CT", "abs(p_hat)*p_hat")),
+    *(Entry("CZ", term, 0.01) for term in ("beta^2", "alphadot_hat", "alpha*q_hat", "V_rel", "p_hat^2")),
+    *(Entry("Cl", term, 0.001) for term in ("alpha*r_hat", "abs(beta)*beta", "beta*CT", "abs(p_hat)*p_hat", "betadot_hat")),
+    *(Entry("Cm", term, 0.001) for term in ("alpha^3", "abs(beta)", "q_hat*CT", "abs(q_hat)*q_hat", "V_rel", "beta*p_hat")),
+    *(Entry("Cn", term, 0.001) for term in ("beta^3", "CT", "alpha*r_hat", "betadot_hat", "abs(p_hat)*p_hat", "q_hat")),
+    *(Entry("Cn", term, 1e-5) for term in ("dr*CT", "alpha*dr")),
+    Entry("propulsion", "inflow", 0.02),
+    Entry("actuator.elevator", "rate_limit", 90.0),
+    Entry("actuator.rudder", "rate_limit", 90.0),
+    Entry("sensor.p_radps", "scale", 0.01),
+    Entry("sensor.q_radps", "scale", 0.01),
+    Entry("sensor.r_radps", "scale", 0.01),
+    Entry("sensor.p_radps", "delay", 0.005),
+)  # fmt: skip
+
+ENTRIES: Mapping[str, Entry] = {e.key: e for e in (*IN_FORM, *OFF_FORM, *OTHERS)}

@@ -1,6 +1,7 @@
 """Asks `uqharness refine` the battery's questions and marks the answers.
 
     python -m tests.hidden_effects.run --out DIR [--cases ID...] [--kinds K,K] [--calm | --turbulence] [--core] [--table FILE]
+    python -m tests.hidden_effects.run --out DIR --fresh DRAW
 
 Each case is flown, given to `uqharness refine` as a process of its own in a sealed copy of the packages, and judged. A run
 that is interrupted goes on where it was: answers stand in DIR/answers/ID.json. Exit code 0: every mark reached.
@@ -25,6 +26,7 @@ from tests.hidden_effects import sealed
 from tests.hidden_effects.airframes import ROOT, write_aircraft
 from tests.hidden_effects.answers import Score, judge
 from tests.hidden_effects.cases import SECOND, Case, battery, write
+from tests.hidden_effects.fresh import fresh
 from tests.hidden_effects.marks import COLUMNS, NOT_FLOWN, marks, row
 from tests.hidden_effects.weigh import weights
 
@@ -112,7 +114,7 @@ def oracle_gap(case: Case, folder: Path, place: Path) -> float:
 
 
 def chosen(given: argparse.Namespace) -> list[Case]:
-    cases = battery()
+    cases = fresh(given.fresh)[0] if given.fresh is not None else battery()
     if given.cases:
         cases = [c for c in cases if c.id in given.cases]
         missing = set(given.cases) - {c.id for c in cases}
@@ -139,6 +141,9 @@ def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder for flights, refinements and answers")
+    parser.add_argument(
+        "--fresh", type=int, metavar="DRAW", help="the cases of this draw of fresh.csv, not the battery"
+    )
     parser.add_argument("--cases", nargs="+", metavar="ID")
     parser.add_argument("--kinds", help="clear,marginal,null,pair,off-form")
     parser.add_argument("--core", action="store_true", help="the smaller battery")
@@ -160,7 +165,7 @@ def main(argv: list[str] | None = None) -> int:
     (folder / "answers").mkdir(parents=True, exist_ok=True)
     place = sealed.seal(folder / "sealed", [folder / "answers"], given.project.resolve())
     shutil.copy(PLACEBO, place)
-    t = weights()
+    t = fresh(given.fresh)[1] if given.fresh is not None else weights()
     options = ["--effects", str(place / PLACEBO.name)] if given.placebo else []
     options += ["--workers", str(given.workers)] if given.workers else []
     rows: list[dict[str, Any]] = []

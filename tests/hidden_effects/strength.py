@@ -60,11 +60,15 @@ def strengths(
 
 
 def strengths_alone(
-    flights: Sequence[Flight], flown: Sequence[Flown], candidates: Sequence[Effect], corrected: bool = False
+    flights: Sequence[Flight],
+    flown: Sequence[Flown],
+    candidates: Sequence[Effect],
+    corrected: bool = False,
+    step_s: float = REPLAY_STEP_S,
 ) -> list[Strength]:
     """Of each candidate by itself in these flights, in which it does not act: what |t| its size would have."""
     with_it = [(*flights[0].effects, e) for e in candidates]
-    columns, changes, residual = _sensitivities(flights, flown, with_it, corrected, REPLAY_STEP_S)
+    columns, changes, residual = _sensitivities(flights, flown, with_it, corrected, step_s)
     nuisance = _Nuisance(columns, residual)
     return [nuisance.judge([c[i] for c in changes]) for i in range(len(candidates))]
 
