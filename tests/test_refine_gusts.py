@@ -14,7 +14,7 @@ from sysid.gust_intensity import noise_factors
 from sysid.prediction import Process, White
 from sysid.rigid_steps import NX, STATES, Reference
 from sysid.subsystem_effects import subsystem_effects
-from uqharness import refine_rounds
+from uqharness import refine_gusts, refine_rounds
 from uqharness.refine_candidates import effect_columns
 from uqharness.refine_contest import rivals, winner
 from uqharness.refine_fit import Point, as_sensed, steps_of
@@ -219,3 +219,51 @@ def test_the_rival_that_flies_likeliest_wins_by_a_margin():
     assert found(105.0) is None
     assert found(105.0, 10.0) == "b"
     assert winner([], alone, lambda c: 0.0, 150.0, 1.0) is None
+
+
+def iterated(monkeypatch, steps, **asked):
+    """`gust_refit` on steps (delta, length) that are given: what the air was sought from, and the steps taken."""
+    queue, sought, taken = iter(steps), [], []
+    air = SimpleNamespace(states=None, process=None)
+    evidence = SimpleNamespace(step=lambda held: (lambda d, length: (np.array([d]), length))(*next(queue)))
+    linear = SimpleNamespace(all=lambda states: [], measured=[])
+    columns = [SimpleNamespace(names=("aero/Cm_q",))]
+    for name, instead in {
+        "predict": lambda *a: (SimpleNamespace(point=None), [None]), "named_terms": lambda *a: ("aero/Cm_q",),
+        "_Linear": lambda *a: linear, "predicted": lambda *a: (a[1], a[2]), "parameter_columns": lambda *a: columns,
+        "whiten": lambda *a: [], "gather": lambda *a: evidence, "replace": lambda x, **_: x,
+        "_intensity": lambda setup, steps, near: sought.append(near) or air,
+        "_tuned": lambda setup, steps, gusts: (setup, gusts),
+        "stepped": lambda setup, point, step, limits: taken.append(step["aero/Cm_q"]) or point,
+        "Fit": lambda *a: SimpleNamespace(iterations=a[6]),
+    }.items():  # fmt: skip
+        monkeypatch.setattr(refine_gusts, name, instead)
+    setup = SimpleNamespace(
+        active=(), held=(), late={}, noise=np.ones(1), which=[0], segments=[SimpleNamespace(flight="one")]
+    )
+    point = SimpleNamespace(values={})
+    refine_gusts.gust_refit(None, setup, [], [], point, ["aero/Cm_q"], {}, map, **asked)  # type: ignore[arg-type]
+    return sought, taken
+
+
+def test_beside_a_strong_effect_the_air_is_sought_from_the_beginning(monkeypatch):
+    before = SimpleNamespace(states=None, process=None)
+    steps = [(1.0, 9.0), (1.0, 4.0), (1.0, 3.0), (1.0, 0.1)]
+    assert iterated(monkeypatch, steps, near=before, tune=True)[0] == [None]
+    assert iterated(monkeypatch, steps, near=before, tune=False)[0] == [before]
+    assert iterated(monkeypatch, steps, near=before, known=True)[0] == []
+    assert iterated(monkeypatch, steps)[0][0] is None
+
+
+def test_steps_that_grow_are_shortened_but_not_because_of_other_air(monkeypatch):
+    air = SimpleNamespace(states=None, process=None)
+    grown = [(1.0, 20.0), (-1.0, 60.0), (1.0, 70.0), (1.0, 40.0), (1.0, 0.1)]
+    assert iterated(monkeypatch, grown, near=air, known=True)[1] == [1.0, -0.5, 0.25, 0.25]
+    # Found anew in the second iteration, whose step is the first in that air.
+    assert iterated(monkeypatch, [(1.0, 4.0), (1.0, 30.0), (1.0, 9.0), (1.0, 0.1)], near=air, tune=True)[1] == [1.0] * 3
+
+
+def test_a_step_that_is_no_number_ends_the_fit(monkeypatch):
+    air = SimpleNamespace(states=None, process=None)
+    with pytest.raises(np.linalg.LinAlgError, match="no numbers"):
+        iterated(monkeypatch, [(1.0, 9.0), (np.nan, np.nan)], near=air, known=True)

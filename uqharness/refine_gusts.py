@@ -184,10 +184,11 @@ def gust_refit(
         # Where the flight is far from what the parameters say, what they will explain would be taken for gusts.
         settled = length < SETTLED or number == min(SEARCH_BY, iterations)
         if not known and (number <= 2 if near is None else settled and not searched):
-            gusts = _intensity(setup, steps, gusts)
+            # What is strong and was unknown passed for gusts of another kind, from which no short search leads back.
+            gusts = _intensity(setup, steps, None if tune and not searched else gusts)
             if tune and not searched and not setup.late:
                 setup, gusts = _tuned(setup, steps, gusts)
-            searched = True
+            searched, length = True, float("inf")
         assert gusts is not None
         linearised = steps.all(gusts.states)
         flown, found = predicted(setup, flown, found, linearised, steps.measured, gusts)
