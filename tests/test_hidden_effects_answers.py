@@ -13,6 +13,7 @@ from tests.hidden_effects.answers import accepted, contract_faults, judge, prope
 from tests.hidden_effects.cases import battery
 from tests.hidden_effects.catalogue import ENTRIES
 from tests.hidden_effects.effects import Effect
+from tests.hidden_effects.fresh import fresh, question
 from tests.hidden_effects.manoeuvres import card
 from tests.hidden_effects.marks import marks
 
@@ -37,6 +38,24 @@ def test_the_battery_is_what_was_asked_for():
     assert {ENTRIES[k].off_form for c in cases if c.kind == "off-form" for k in c.entries} == {True}
     assert len({c.train[0].rate_hz for c in cases}) == 3
     assert {c.train[0].positions for c in cases} == {True, False}
+
+
+def test_a_draw_is_what_chance_said_and_no_part_of_the_battery():
+    cases, t = fresh(1)
+    assert len(cases) == len({c.id for c in cases}) > 40
+    assert not {c.id for c in cases} & {c.id for c in battery()}
+    assert {c.kind for c in cases} == {"null", "clear", "pair"}
+    assert {c.air for c in cases} == {"calm", "light"}
+    assert {c.aircraft for c in cases} == {"espaaro", "second"}
+    assert {c.train[0].rate_hz for c in cases} == {25.0, 50.0, 100.0}
+    for c in cases:
+        asked = question(1, int(c.truth.rpartition("/")[2]))
+        assert asked.case.id == c.id
+        assert asked.case.entries == c.entries == tuple(e.key for e in c.effects)
+        assert set(t[c.id]) == set(c.entries)
+        for key, sign, effect in zip(asked.keys, asked.signs, c.effects, strict=True):
+            assert key.startswith("actuator") or sign * effect.size * ENTRIES[key].guess > 0.0
+    assert fresh(2)[0] == []
 
 
 def gap(after=1.0):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +15,7 @@ from sysid.gust_intensity import noise_factors
 from sysid.prediction import Process, White
 from sysid.rigid_steps import NX, STATES, Reference
 from sysid.subsystem_effects import subsystem_effects
-from uqharness import refine_gusts, refine_rounds
+from uqharness import refine_gusts, refine_rounds, refine_show
 from uqharness.refine_candidates import effect_columns
 from uqharness.refine_contest import rivals, winner
 from uqharness.refine_fit import Point, as_sensed, steps_of
@@ -267,3 +268,20 @@ def test_a_step_that_is_no_number_ends_the_fit(monkeypatch):
     air = SimpleNamespace(states=None, process=None)
     with pytest.raises(np.linalg.LinAlgError, match="no numbers"):
         iterated(monkeypatch, [(1.0, 9.0), (np.nan, np.nan)], near=air, known=True)
+
+
+def test_the_air_of_flights_that_no_filter_follows_is_that_of_the_others(monkeypatch):
+    def refit(*_, **__):
+        raise np.linalg.LinAlgError("Eigenvalues did not converge")
+
+    for name in ("positions", "middles"):
+        monkeypatch.setattr(refine_show, name, lambda *_: [])
+    monkeypatch.setattr(
+        refine_show, "Bench", lambda *_: contextlib.nullcontext(SimpleNamespace(model=None, straight=None))
+    )
+    monkeypatch.setattr(refine_show, "replace", lambda x, **_: x)
+    monkeypatch.setattr(refine_show, "gust_refit", refit)
+    near, setup = SimpleNamespace(), SimpleNamespace(segments=[])
+    assert refine_show.air_of(None, setup, (), (), map, {}, near) is near  # type: ignore[arg-type]
+    monkeypatch.setattr(refine_show, "gust_refit", lambda *_, **__: SimpleNamespace(gusts="their own"))
+    assert refine_show.air_of(None, setup, (), (), map, {}, near) == "their own"  # type: ignore[arg-type]

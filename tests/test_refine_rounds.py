@@ -11,7 +11,7 @@ from sysid.effect_choice import Choice, Selection
 from sysid.effect_score import gather
 from sysid.prediction import White
 from sysid.subsystem_effects import subsystem_effects
-from uqharness.refine_rounds import eligible, largest_step, resolved
+from uqharness.refine_rounds import FAR_OFF, eligible, first_at_values, largest_step, resolved
 
 DT = 0.02
 EFFECTS = [e for e in subsystem_effects(["aileron"], [], []) if e.term in ("lag", "rate_limit")]
@@ -109,3 +109,14 @@ def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(al
     (effect,) = resolved(start, found).chosen  # type: ignore[arg-type]
     assert effect.key == term
     assert [a.key for a in effect.alternatives if not a.separable] == ([delay] if beside else [])
+
+
+@pytest.mark.parametrize(
+    ("flown_s", "following"), [(0.0626, ["lag", "scale"]), (0.0622, ["lag", "scale"]), (0.0454, ["lag"])]
+)
+def test_a_lag_flies_at_its_value_before_others_stand_beside_it(flown_s, following):
+    lag, other = (Choice(k, v, 2e-4, 9.0, 81.0, 1.0, 0.0) for k, v in (("lag", 0.0626), ("scale", 0.1)))
+    found = first_at_values(Selection((lag, other)), [lag], [lag], {"lag": flown_s})
+    assert [c.key for c in found.chosen] == following
+    assert bool(found.trail) is (following == ["lag"])
+    assert FAR_OFF > 2.0

@@ -31,6 +31,8 @@ LEAST_LATE_LOG_ROWS = 0.5
 ROUNDS = 4
 EARNED = 0.6
 """Share of limit^2 by which each effect must lower the cost of the flight itself: a linearised gain is not reached to the last."""
+FAR_OFF = 3.0
+"""Standard errors from its flown value beyond which a number that is held in flight has to fly again before others are chosen."""
 Say = Callable[[str], None]
 
 
@@ -241,15 +243,25 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     standing = {c.key for c in again.chosen} == set(keys)
     own = again.chosen if standing else judged(evidence, free, keys, list(odds), start.confirming, TWINS)
     # What JSBSim reads once (mass, servos) has to be written anew until the number stands.
-    moving = [
-        c for c in own
-        if c.key not in setup.carriers and in_dynamics(by_key[c.key]) and abs(c.value - written[c.key]) > 0.5 * c.std
-    ]  # fmt: skip
+    held = [c for c in own if c.key not in setup.carriers and in_dynamics(by_key[c.key])]
+    moving = [c for c in held if abs(c.value - written[c.key]) > 0.5 * c.std]
+    again = again if start.gusts is None else first_at_values(again, own, held, written)
     merit = fit.flown.cost + sum(by_key[k].odds + EARNED * start.limit**2 for k in keys)
     return Round(
         setup, staged, fit, evidence, Selection(own, again.refused, again.trail), again, standing and not moving, merit, gusts,
         About(fit.flown.point, evidence, values), surprise,
     )  # fmt: skip
+
+
+def first_at_values(
+    again: Selection, own: Sequence[Choice], held: Sequence[Choice], written: Mapping[str, float]
+) -> Selection:
+    """What is to be flown next: of the effects flown, ``own``, nothing but these where a number that is held in flight was far from
+    what the flight wants. Until it flies at its value, what it leaves looks like others."""
+    if not any(abs(c.value - written[c.key]) > FAR_OFF * c.std for c in held):
+        return again
+    trail = (*again.trail, f"first at their values: {_listed([c.key for c in own])}")
+    return replace(again, chosen=tuple(own), trail=trail)
 
 
 def candidate_evidence(setup: Setup, fit: Fit, effects: Sequence[Effect]) -> Evidence:

@@ -127,12 +127,16 @@ def air_of(
     aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Map, sensed: Mapping[str, float],
     near: Gusts,
 ) -> Gusts:  # fmt: skip
-    """The air of some flights, estimated with a model and sensors as they are; near: that of others."""
+    """The air of some flights, estimated with a model and sensors as they are; near: that of others, which stays where no filter
+    follows the flights with such a model."""
     with Bench(aircraft, measured, ideal) as bench:
         plain = replace(setup, active=(), carriers={})
         start = Point({}, {}, tuple(s.start for s in setup.segments), dict(sensed))
         controls, bends = positions(bench.model, plain, map_), middles(bench.model, plain, map_)
-        return gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, near, iterations=2).gusts
+        try:
+            return gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, near, iterations=2).gusts
+        except np.linalg.LinAlgError:
+            return near
 
 
 def _coefficient_gap(

@@ -127,11 +127,11 @@ def fresh(draw: int) -> tuple[list[Case], dict[str, Mapping[str, float]]]:
         if of != draw:
             continue
         case = question(draw, number).case
-        hidden = [r for r in rows if r["key"]]
-        effects = tuple(replace(ENTRIES[r["key"]].effect(10.0), size=float(r["size"])) for r in hidden)
+        hidden = {r["key"]: r for r in rows if r["key"]}
+        effects = tuple(replace(ENTRIES[k].effect(10.0), size=float(hidden[k]["size"])) for k in case.entries)
         case = replace(case, effects=effects)
         cases.append(case)
-        t[case.id] = {r["key"]: float(r["t"]) for r in hidden}
+        t[case.id] = {k: float(hidden[k]["t"]) for k in case.entries}
     return cases, t
 
 
