@@ -9,6 +9,7 @@ has been looked into, the draw is a part of the battery like any other.
 
 from __future__ import annotations
 
+import argparse
 import csv
 import sys
 from collections.abc import Mapping
@@ -155,6 +156,8 @@ def main(draw: int, first: int, last: int) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 4:
-        sys.exit(__doc__)
-    main(*(int(a) for a in sys.argv[1:]))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name, what in (("draw", "number of the draw"), ("first", "first case"), ("last", "last case")):
+        parser.add_argument(name, type=int, help=what)
+    given = parser.parse_args()
+    main(given.draw, given.first, given.last)
