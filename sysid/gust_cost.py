@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.prediction import VIOLENT, Columns, Process, White, whiten
+from sysid.prediction import VIOLENT, Process, half_step, surprise
 from sysid.rigid_steps import Steps
 
 FloatArray = NDArray[np.float64]
@@ -55,18 +55,12 @@ def _carefully(
     """The same by the whole filter, one trial after the other."""
 
     def one(deviations: FloatArray, process: Process) -> float:
-        nothing = [Columns((), {}, {})] * len(steps)
         try:
-            return minus_twice_log(whiten(steps, measured, nothing, which, deviations, process, mend))
+            return surprise(steps, measured, which, deviations, process, mend)
         except np.linalg.LinAlgError:
             return float("inf")
 
     return np.array([one(r, p) for r, p in zip(noise, processes, strict=True)])
-
-
-def minus_twice_log(white: Sequence[White]) -> float:
-    """Minus twice the log likelihood of filtered segments."""
-    return float(sum(np.sum(w.residual**2) + 2.0 * w.logdet for w in white))
 
 
 class _System:
@@ -89,8 +83,7 @@ class _System:
             self.begin[k, :, 1:9] = np.eye(size, 8) if s.start is None else s.start
         self.dt = np.array([s.dt_s for s in steps])[:, None, None]
         self.violent = bool(np.abs(self.phi).max() > VIOLENT)
-        away = self.phi - np.eye(size)
-        self.half_way = np.eye(size) + 0.5 * away - 0.125 * away @ away
+        self.half_way = half_step(self.phi)
 
     def filtered(self, noise: FloatArray, processes: Sequence[Process]) -> FloatArray:
         """(T,) of trials; LinAlgError where one's covariance is none."""
@@ -115,9 +108,8 @@ class _System:
             A -= joint[..., 9:].swapaxes(2, 3) @ joint
             if k == n - 1:
                 break
-            P = A[..., 9:]
             # The noise of a step as in `sysid.prediction`: integral of exp(A s) Q exp(A's) by Simpson's rule.
-            P += sixth * Q
+            A[..., 9:] += sixth * Q
             A = self.phi[k] @ A
             A[..., 0] -= self.defect[k]
             half = self.half_way[k]

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.gust_cost import costs, minus_twice_log
+from sysid.gust_cost import costs
 from sysid.gust_states import GustStates
-from sysid.prediction import Columns, Process, whiten
+from sysid.prediction import Process, surprise
 from sysid.rigid_steps import NX, Steps
 
 FloatArray = NDArray[np.float64]
@@ -178,8 +178,7 @@ class _Search:
 
     def calm(self, some: Sequence[int], states: GustStates) -> float:
         data = [self.measured[k] for k in some]
-        white = whiten(self.linear(some, states), data, [Columns((), {}, {})] * len(data), self.which, self.noise)
-        return minus_twice_log(white)
+        return surprise(self.linear(some, states), data, self.which, self.noise)
 
 
 def noise_factors(

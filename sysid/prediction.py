@@ -198,8 +198,7 @@ def _filter(
         if not still:
             # Noise of a step acts while the step lasts: integral of exp(A s) Q exp(A's) by Simpson's rule. Added at the step's end
             # alone it would come half a step late, and every sensor would look early.
-            away = phi[k] - eye_x
-            half_way = eye_x + 0.5 * away - 0.125 * away @ away
+            half_way = half_step(phi[k])
             middle = half_way @ Q @ half_way.transpose(0, 2, 1)
             sixth = dt[:, None, None] / 6.0
             P = phi[k] @ (P + sixth * Q) @ phi[k].transpose(0, 2, 1) + sixth * (Q + 4.0 * middle)
@@ -209,6 +208,26 @@ def _filter(
         out[s] = _projected(
             white[: lengths[i], i], series[: lengths[i], i], float(logdet[i]), mine, deviation, path[: lengths[i], i]
         )
+
+
+def half_step(phi: FloatArray) -> FloatArray:
+    """(..., x, x) transition over half a step, exp(A h/2), of that over a whole one, phi: its root to second order."""
+    eye = np.eye(phi.shape[-1])
+    away = phi - eye
+    return np.asarray(eye + 0.5 * away - 0.125 * away @ away)
+
+
+def minus_twice_log(white: Sequence[White]) -> float:
+    """Minus twice the log likelihood of filtered segments."""
+    return float(sum(np.sum(w.residual**2) + 2.0 * w.logdet for w in white))
+
+
+def surprise(
+    steps: Sequence[Steps], measured: Sequence[FloatArray], which: Sequence[int], noise: FloatArray,
+    process: Process | None = None, mend: bool = True,
+) -> float:  # fmt: skip
+    """The same of segments that are filtered for it alone; arguments of `whiten`."""
+    return minus_twice_log(whiten(steps, measured, [Columns((), {}, {})] * len(steps), which, noise, process, mend))
 
 
 def _lawful(P: FloatArray) -> FloatArray:

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from sysid.effect_score import Evidence, gather
 from sysid.force_coefficients import smooth
-from sysid.gust_cost import minus_twice_log
 from sysid.gust_intensity import Gusts, gust_intensity, noise_factors
 from sysid.gust_states import GustStates
-from sysid.prediction import Columns, White, whiten
+from sysid.prediction import Columns, White, minus_twice_log, whiten
 from sysid.rigid_steps import STATES as X_STATES
 from sysid.rigid_steps import Steps, rates, whole_states
 from uqharness.forced import surface_positions

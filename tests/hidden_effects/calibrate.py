@@ -9,7 +9,7 @@ import csv
 import sys
 
 from tests.hidden_effects.cases import LIGHT_KT, cards
-from tests.hidden_effects.catalogue import IN_FORM, OFF_FORM, SIZES, Entry, sizes
+from tests.hidden_effects.catalogue import BATTERY, SIZES, Entry, sizes
 from tests.hidden_effects.flights import Flight, fly_and_tell
 from tests.hidden_effects.strength import strengths_alone
 from tests.sixdof import Airframe
@@ -43,13 +43,13 @@ def measure(entries: list[Entry], air: str) -> dict[str, float]:
 
 
 def main(air: str, keys: list[str]) -> None:
-    entries = [e for e in (*IN_FORM, *OFF_FORM) if e.key in keys or (not keys and not (air == "light" and e.off_form))]
+    entries = [e for e in BATTERY if e.key in keys or (not keys and not (air == "light" and e.off_form))]
     found = {a: dict(sizes(a)) for a in ("calm", "light")}
     found[air] |= measure(entries, air)
     with SIZES.open("w", encoding="utf-8", newline="") as handle:
         out = csv.writer(handle, lineterminator="\n")
         out.writerow(["key", "calm", "light"])
-        for key in (e.key for e in (*IN_FORM, *OFF_FORM)):
+        for key in (e.key for e in BATTERY):
             out.writerow([key, *(f"{found[a][key]:.4g}" if key in found[a] else "" for a in ("calm", "light"))])
 
 

@@ -140,4 +140,5 @@ OTHERS = (
     Entry("sensor.p_radps", "delay", 0.005),
 )  # fmt: skip
 
-ENTRIES: Mapping[str, Entry] = {e.key: e for e in (*IN_FORM, *OFF_FORM, *OTHERS)}
+BATTERY = (*IN_FORM, *OFF_FORM)
+ENTRIES: Mapping[str, Entry] = {e.key: e for e in (*BATTERY, *OTHERS)}

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sysid import gust_cost
-from sysid.gust_cost import costs, minus_twice_log
-from sysid.prediction import Columns, Process, whiten
+from sysid.gust_cost import costs
+from sysid.prediction import Columns, Process, minus_twice_log, whiten
 from sysid.rigid_steps import NX
 from tests.sysid.test_prediction import system
 
