@@ -37,9 +37,6 @@ _ROUNDS = 2  # of the search for the size of what is not linear in it
 class Question:
     """What chance has chosen for one case, but for the effects' sizes."""
 
-    draw: int
-    number: int
-    keys: tuple[str, ...]
     signs: tuple[float, ...]
     t: tuple[float, ...]
     case: Case
@@ -71,7 +68,7 @@ def question(draw: int, number: int) -> Question:
         name, "null" if not picked else "pair" if count == 2 else "clear", "light" if light else "calm",
         tuple(e.key for e in picked), (), four[:3], four[3:], airframe, "second" if second else "espaaro",
     )  # fmt: skip
-    return Question(draw, number, case.entries, signs, t, case)
+    return Question(signs, t, case)
 
 
 _CALM_ONLY = {e.key for e in IN_FORM if e.subject.startswith("actuator") and e.term in ("deadband", "rate_limit")}
@@ -86,7 +83,7 @@ def weigh(asked: Question) -> tuple[tuple[float, ...], tuple[float, ...]] | None
     """Sizes that give |t| near what was drawn, and |t| measured with them; None where no such flight can be flown."""
     flights = asked.case.flights("train")
     effects: list[Effect] = []
-    for key, sign in zip(asked.keys, asked.signs, strict=True):
+    for key, sign in zip(asked.case.entries, asked.signs, strict=True):
         entry = ENTRIES[key]
         unit = entry.effect(10.0, "calm")
         effects.append(unit if _one_sided(entry) else unit.scaled(sign))
@@ -146,7 +143,9 @@ def main(draw: int, first: int, last: int) -> None:
         if found is None:
             print(f"{draw}/{number}: no such flight", file=sys.stderr, flush=True)
             continue
-        rows = [(draw, number, key, repr(size), f"{t:.1f}") for key, size, t in zip(asked.keys, *found, strict=True)]
+        rows = [
+            (draw, number, key, repr(size), f"{t:.1f}") for key, size, t in zip(asked.case.entries, *found, strict=True)
+        ]
         fresh_file = not PATH.is_file()
         with PATH.open("a", encoding="utf-8", newline="") as handle:
             csv.writer(handle, lineterminator="\n").writerows(
