@@ -55,7 +55,7 @@ def test_a_draw_is_what_chance_said_and_no_part_of_the_battery():
         assert set(t[c.id]) == set(c.entries)
         for key, sign, effect in zip(asked.case.entries, asked.signs, c.effects, strict=True):
             assert key.startswith("actuator") or sign * effect.size * ENTRIES[key].guess > 0.0
-    assert fresh(2)[0] == []
+    assert fresh(0)[0] == []
 
 
 def gap(after=1.0):

@@ -18,9 +18,10 @@ from sysid.subsystem_effects import subsystem_effects
 from uqharness import refine_gusts, refine_rounds, refine_show
 from uqharness.refine_candidates import effect_columns
 from uqharness.refine_contest import rivals, winner
-from uqharness.refine_fit import Point, as_sensed, steps_of
+from uqharness.refine_fit import Point, steps_of
 from uqharness.refine_gusts import in_step, moved, rows_late
 from uqharness.refine_reference import Predicted, Probe
+from uqharness.refine_sensed import as_sensed
 
 OUTPUTS = ("V_mps", "alpha_rad", "ax_mps2")
 N, DT = 40, 0.02
@@ -222,10 +223,19 @@ def test_the_rival_that_flies_likeliest_wins_by_a_margin():
     assert winner([], alone, lambda c: 0.0, 150.0, 1.0) is None
 
 
-def iterated(monkeypatch, steps, **asked):
-    """`gust_refit` on steps (delta, length) that are given: what the air was sought from, and the steps taken."""
+def some_air(strength=1.0):
+    return SimpleNamespace(states=None, process=None, values=np.array([strength]))
+
+
+def iterated(monkeypatch, steps, strengths=(1.0,), **asked):
+    """`gust_refit` on steps (delta, length) that are given, whose searches find gusts of given strengths, the last of them again
+    and again: the strengths that the air was sought from, None for from the beginning, and the steps taken."""
     queue, sought, taken = iter(steps), [], []
-    air = SimpleNamespace(states=None, process=None)
+
+    def search(setup, steps, near):
+        sought.append(None if near is None else float(near.values[0]))
+        return some_air(strengths[min(len(sought), len(strengths)) - 1])
+
     evidence = SimpleNamespace(step=lambda held: (lambda d, length: (np.array([d]), length))(*next(queue)))
     linear = SimpleNamespace(all=lambda states: [], measured=[])
     columns = [SimpleNamespace(names=("aero/Cm_q",))]
@@ -233,7 +243,7 @@ def iterated(monkeypatch, steps, **asked):
         "predict": lambda *a: (SimpleNamespace(point=None), [None]), "named_terms": lambda *a: ("aero/Cm_q",),
         "_Linear": lambda *a: linear, "predicted": lambda *a: (a[1], a[2]), "parameter_columns": lambda *a: columns,
         "whiten": lambda *a: [], "gather": lambda *a: evidence, "replace": lambda x, **_: x,
-        "_intensity": lambda setup, steps, near: sought.append(near) or air,
+        "_intensity": search,
         "_tuned": lambda setup, steps, gusts: (setup, gusts),
         "stepped": lambda setup, point, step, limits: taken.append(step["aero/Cm_q"]) or point,
         "Fit": lambda *a: SimpleNamespace(iterations=a[6]),
@@ -247,27 +257,34 @@ def iterated(monkeypatch, steps, **asked):
     return sought, taken
 
 
-def test_beside_a_strong_effect_the_air_is_sought_from_the_beginning(monkeypatch):
-    before = SimpleNamespace(states=None, process=None)
+def test_beside_a_strong_effect_the_air_is_sought_from_the_beginning_and_once_more_from_there(monkeypatch):
     steps = [(1.0, 9.0), (1.0, 4.0), (1.0, 3.0), (1.0, 0.1)]
-    assert iterated(monkeypatch, steps, near=before, tune=True)[0] == [None]
-    assert iterated(monkeypatch, steps, near=before, tune=False)[0] == [before]
-    assert iterated(monkeypatch, steps, near=before, known=True)[0] == []
+    assert iterated(monkeypatch, steps, near=some_air(), tune=True)[0] == [None, 1.0]
+    assert iterated(monkeypatch, steps, near=some_air(), tune=False)[0] == [1.0]
+    assert iterated(monkeypatch, steps, near=some_air(), known=True)[0] == []
     assert iterated(monkeypatch, steps)[0][0] is None
 
 
+def test_a_search_that_went_as_far_as_it_could_goes_on(monkeypatch):
+    near = [(1.0, 0.1)] * 9
+    assert iterated(monkeypatch, near, strengths=(6.0, 3.0, 1.0, 1.0), near=some_air(6.0))[0] == [6.0]
+    assert iterated(monkeypatch, near, strengths=(3.0, 1.0, 1.0), near=some_air(6.0))[0] == [6.0, 3.0, 1.0]
+    # Made in haste, because the steps would not become small, it is made once more when they are.
+    hasty = [*[(1.0, 9.0)] * 6, *near]
+    assert iterated(monkeypatch, hasty, near=some_air())[0] == [1.0, 1.0]
+
+
 def test_steps_that_grow_are_shortened_but_not_because_of_other_air(monkeypatch):
-    air = SimpleNamespace(states=None, process=None)
     grown = [(1.0, 20.0), (-1.0, 60.0), (1.0, 70.0), (1.0, 40.0), (1.0, 0.1)]
-    assert iterated(monkeypatch, grown, near=air, known=True)[1] == [1.0, -0.5, 0.25, 0.25]
+    assert iterated(monkeypatch, grown, near=some_air(), known=True)[1] == [1.0, -0.5, 0.25, 0.25]
     # Found anew in the second iteration, whose step is the first in that air.
-    assert iterated(monkeypatch, [(1.0, 4.0), (1.0, 30.0), (1.0, 9.0), (1.0, 0.1)], near=air, tune=True)[1] == [1.0] * 3
+    steps = [(1.0, 4.0), (1.0, 30.0), (1.0, 9.0), (1.0, 0.1), (1.0, 0.1)]
+    assert iterated(monkeypatch, steps, near=some_air(), tune=True)[1] == [1.0] * 4
 
 
 def test_a_step_that_is_no_number_ends_the_fit(monkeypatch):
-    air = SimpleNamespace(states=None, process=None)
     with pytest.raises(np.linalg.LinAlgError, match="no numbers"):
-        iterated(monkeypatch, [(1.0, 9.0), (np.nan, np.nan)], near=air, known=True)
+        iterated(monkeypatch, [(1.0, 9.0), (np.nan, np.nan)], near=some_air(), known=True)
 
 
 def test_the_air_of_flights_that_no_filter_follows_is_that_of_the_others(monkeypatch):

@@ -11,7 +11,7 @@ from sysid.effect_choice import Choice, Selection
 from sysid.effect_score import gather
 from sysid.prediction import White
 from sysid.subsystem_effects import subsystem_effects
-from uqharness.refine_rounds import FAR_OFF, eligible, first_at_values, largest_step, resolved
+from uqharness.refine_rounds import FAR_OFF, eligible, first_at_values, largest_step, likeliest, resolved
 
 DT = 0.02
 EFFECTS = [e for e in subsystem_effects(["aileron"], [], []) if e.term in ("lag", "rate_limit")]
@@ -120,3 +120,26 @@ def test_a_lag_flies_at_its_value_before_others_stand_beside_it(flown_s, followi
     assert [c.key for c in found.chosen] == following
     assert bool(found.trail) is (following == ["lag"])
     assert FAR_OFF > 2.0
+
+
+def flown(merit: float, *keys: str) -> SimpleNamespace:
+    return SimpleNamespace(merit=merit, keys=frozenset(keys))
+
+
+def test_of_rounds_in_gusts_the_likeliest_stands_and_not_the_last():
+    first, second, third = (
+        flown(-640.0, "effect/Cn/de"),
+        flown(-630.0, "effect/Cn/de", "effect/Cm/V_rel"),
+        flown(-650.0),
+    )
+    assert likeliest([first, second]) is first  # type: ignore[list-item]
+    assert likeliest([first, second, third]) is third  # type: ignore[list-item]
+    assert likeliest([]) is None
+
+
+def test_rounds_that_judge_other_samples_are_not_compared():
+    """A late sensor's first samples are before the flight's first row: there are fewer to be surprised by."""
+    first, late = flown(-640.0), flown(-600.0, "effect/sensor.alpha_rad/delay")
+    assert likeliest([first, late]) is late  # type: ignore[list-item]
+    better = flown(-610.0, "effect/sensor.alpha_rad/delay", "effect/Cm/V_rel")
+    assert likeliest([first, better, late]) is better  # type: ignore[list-item]

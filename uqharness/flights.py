@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,10 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.command_edges import logged_rows, place_steps
 from sysid.dropouts import bridge
 from sysid.flight_record import FlightRecord
-from sysid.gaps import white_noise
 from sysid.log_checks import in_degrees
 from sysid.log_errors import LogError
 from sysid.log_import import default_cache, import_log
@@ -21,6 +20,7 @@ from sysid.manoeuvres import label_manoeuvres
 from sysid.segmentation import MAX_S, MIN_S, Piece, as_logged, cut
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
+from uqharness.logged_commands import mean_ahead, with_steps_placed
 from uqharness.replay import CHANNELS, STATES, Segment
 from uqharness.replay_ground import height_known
 from uqharness.replay_model import CONTROLS
@@ -31,7 +31,9 @@ MAX_RATE_HZ = 60.0
 _NEEDED = ("V_mps", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
 _COLUMN = {"elevator": "elevator_deg", "aileron": "aileron_deg", "rudder": "rudder_deg", "throttle": "throttle_pct"}
 _POSITION = {name: f"{name}_pos_deg" for name in ("elevator", "aileron", "rudder")}
-_AXIS = {"elevator_deg": "q_radps", "aileron_deg": "p_radps", "rudder_deg": "r_radps"}
+_JUMPING = ("ax_mps2", "ay_mps2", "az_mps2")  # with a step of a control
+LATE_S = 0.03
+"""By how much a log's accelerometers may be late."""
 _START_S = 0.4
 MAX_GAP_SHARE = 0.5
 
@@ -102,21 +104,21 @@ def prepare(
         raise BadInputError(f"{name}: the record has {len(record)} row(s)")
     commands = [c for c in columns if c not in _POSITION.values()]
     record, bridged = bridge(record, (*_NEEDED, "alpha_rad", "beta_rad", *columns), commands)
-    notes = [f"{name}: {text}" for text in bridged]
+    record, placed = with_steps_placed(record, columns)
+    notes = [f"{name}: {text}" for text in (*bridged, *placed)]
     step = max(1, int(np.ceil(1.0 / (record.dt_s * MAX_RATE_HZ) - 1e-6)))
     if step > 1:
         notes.append(f"{name}: {1 / record.dt_s:.0f} Hz, of which every {step}. row was used")
         mask = np.zeros(len(record), dtype=bool)
         mask[::step] = True
-        held = {c: _mean_ahead(record[c], step) for c in _COLUMN.values() if c in record}
+        held = {c: mean_ahead(record[c], step) for c in _COLUMN.values() if c in record}
         record = record.with_columns(held).rows(mask)
     if 1.0 / record.dt_s < 9.5:
         raise BadInputError(
             f"{name}: {1 / record.dt_s:.1f} rows a second; a replay needs at least 10, or it sees neither short period nor roll"
         )
     record, moved = _aligned(record)
-    record, placed = _with_steps_placed(record, columns)
-    notes += [f"{name}: {text}" for text in (*moved, *placed)]
+    notes += [f"{name}: {text}" for text in moved]
     pieces, how = cut(record, (*_NEEDED, *columns), min_s, max_s)
     if not pieces:
         raise BadInputError(
@@ -137,12 +139,6 @@ def _lost(record: FlightRecord, columns: Sequence[str]) -> str:
     return f" ({', '.join(texts)})" if texts else ""
 
 
-def _mean_ahead(command: Array, step: int) -> Array:
-    """(n,) mean of each row and the step - 1 after it: a command between two rows that are kept acts as long as it did."""
-    padded = np.append(command, np.repeat(command[-1], step - 1))
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, step).mean(axis=1))
-
-
 def _aligned(record: FlightRecord) -> tuple[FlightRecord, list[str]]:
     """Channels that the record's own findings call late, moved to when they were true."""
     columns: dict[str, Array] = {}
@@ -155,25 +151,6 @@ def _aligned(record: FlightRecord) -> tuple[FlightRecord, list[str]]:
         columns[finding.channel] = np.interp(time + late, time, record[finding.channel], right=np.nan)
         notes.append(f"{finding.channel} was moved {1e3 * late:.0f} ms earlier, as the log's findings say")
     return record.with_columns(columns), notes
-
-
-def _with_steps_placed(record: FlightRecord, columns: Sequence[str]) -> tuple[FlightRecord, list[str]]:
-    """Commands logged more slowly than the record's rows, their steps where the gyro saw them act."""
-    found: dict[str, Array] = {}
-    notes = []
-    for column, rate in _AXIS.items():
-        native = record.metadata.native_hz.get(column, 0.0)
-        stride = round(1.0 / (record.dt_s * native)) if native > 0.0 else 1
-        if column not in columns or stride < 2:
-            continue
-        command = np.asarray(record[column], dtype=float)
-        moved, count = place_steps(command, logged_rows(command, stride), record[rate], white_noise([record[rate]]))
-        if count:
-            found[column] = moved
-            notes.append(
-                f"{column} was logged at {native:.0f} Hz: {count} of its steps were moved to where {rate} says they happened"
-            )
-    return record.with_columns(found), notes
 
 
 def segments(
@@ -228,8 +205,12 @@ def _altitude(record: FlightRecord, rows: slice, h: float) -> float:
 
 
 def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[Array]:
-    """[(n, m)] the record's channels as logged (NaN between logged values), one array a piece; headings unwrapped."""
+    """[(n, m)] the record's channels as logged (NaN between logged values), one array a piece; headings unwrapped.
+
+    A log's accelerometers are late, and a piece may begin with a step: what they show of the time before it is NaN, too.
+    """
     out = []
+    before = math.ceil(LATE_S / flight.record.dt_s) if flight.record.metadata.native_hz else 0
     for piece in flight.pieces:
         block = np.full((piece.rows.stop - piece.rows.start, len(channels)), np.nan)
         for k, name in enumerate(channels):
@@ -240,6 +221,8 @@ def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[Array]:
                 good = np.isfinite(values)
                 values[good] = np.unwrap(values[good])
             block[:, k] = values
+            if name in _JUMPING:
+                block[:before, k] = np.nan
         out.append(block)
     return out
 

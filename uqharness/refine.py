@@ -22,7 +22,7 @@ from sysid.effects import TWINS, Effect
 from sysid.gust_intensity import Gusts
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
-from uqharness.refine_base import base_fit, undetermined
+from uqharness.refine_base import base_fit_and_noise, undetermined
 from uqharness.refine_begin import OVERWHELMING, WEAK_IN_GUSTS, strong_first
 from uqharness.refine_candidates import effect_columns
 from uqharness.refine_fit import Fit, Map, Setup, positions
@@ -116,7 +116,11 @@ def find_effects(
         keep = stages or Stages(None, ())
         asked = names
         stage = f"parameters{len(put_right) or ''}"
-        before, names, notes = keep(stage, lambda: base_fit(aircraft, bench, setup, asked, limits, map_))
+        given = setup
+        before, names, notes, noise = keep(
+            stage, lambda: base_fit_and_noise(aircraft, bench, given, asked, limits, map_)
+        )
+        setup = replace(setup, noise=noise)
         effects = candidates_for(setup, names, extra)
         by_key = {e.key: e for e in effects}
         if turbulent(setup, before.flown):

@@ -6,16 +6,49 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sysid.effect_score import Evidence, solve
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
 from uqharness.identify_start import equation_error_start
 from uqharness.refine_fit import Fit, Flown, Map, Point, Setup, best_flown, positions, refit
-from uqharness.refine_setup import Bench, turbulent
+from uqharness.refine_setup import Bench, estimated_channels, turbulent
 
 SETTLED = 0.01
 """Relative fall of the cost."""
+ESTIMATOR_ROUNDS = 2
+
+
+def base_fit_and_noise(
+    aircraft: Aircraft, bench: Bench, setup: Setup, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]], map_: Map
+) -> tuple[Fit, tuple[str, ...], list[str], NDArray[np.float64]]:  # fmt: skip
+    """base_fit, and the noise (m,) of the outputs: that of channels which the autopilot's estimator computed is what the fit
+    leaves of them, for no card knows an estimator's error."""
+    fit, kept, notes = base_fit(aircraft, bench, setup, names, limits, map_)
+    guessed = estimated_channels(setup)
+    if not guessed:
+        return fit, kept, notes, setup.noise
+    controls = positions(bench.model, setup, map_)
+    for _ in range(ESTIMATOR_ROUNDS):
+        setup = replace(setup, noise=noise_left(setup, fit.flown, guessed))
+        fit = refit(bench.model, bench.straight, setup, controls, fit.flown.point, kept, limits, map_)
+    said = ", ".join(f"{c} {setup.noise[setup.outputs.index(c)]:.2g}" for c in guessed)
+    text = (
+        "computed by the autopilot's estimator, measured by no vane; taken to be as uncertain (one standard deviation) as the "
+        f"model leaves them: {said}"
+    )
+    notes = [*notes, text]
+    return fit, kept, notes, setup.noise
+
+
+def noise_left(setup: Setup, flown: Flown, channels: Sequence[str]) -> NDArray[np.float64]:
+    """(m,) noise of the setup, that of some channels the rms of what replays leave of them where this is more than they show."""
+    out = setup.noise.copy()
+    for k in (setup.outputs.index(c) for c in channels):
+        left = np.concatenate([z[:, k] - y[:, k] for z, y in zip(setup.measured, flown.outputs, strict=True)])
+        out[k] = max(out[k], float(np.sqrt(np.nanmean(left**2))))
+    return out
 
 
 def base_fit(

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from sysid.effect_score import Evidence, gather
 from sysid.effects import Effect
@@ -30,10 +29,11 @@ from sysid.rigid_steps import Steps, linearise
 from uqharness.actuators import Actuator
 from uqharness.flights import Flight, states
 from uqharness.forced import surface_positions
-from uqharness.refine_candidates import effect_columns, sensor_gain, sensor_offset
+from uqharness.refine_candidates import effect_columns, sensor_gain
 from uqharness.refine_reference import Probe, ProbeJob, named_terms, probe, term_column
+from uqharness.refine_sensed import as_sensed, late_rate, sensor_late_s
 from uqharness.refine_xml import in_dynamics
-from uqharness.replay import CHANNELS, SENSOR_OF, STATES, Segment, fly_segment
+from uqharness.replay import CHANNELS, SENSOR_OF, STATES, Segment, at_rows, fly_segment
 from uqharness.replay_model import CONTROLS, ReplayModel
 
 Array = NDArray[np.float64]
@@ -121,19 +121,24 @@ class Flown:
     cost: float
 
 
-def _fly(job: tuple[ReplayModel, Segment, Mapping[str, float], Array]) -> Array:
-    model, segment, properties, start = job
-    return fly_segment(model, segment, properties, start)
+def _fly(job: tuple[ReplayModel, Segment, Mapping[str, float], Array, bool]) -> Array:
+    model, segment, properties, start, between = job
+    return fly_segment(model, segment, properties, start, between=between)
 
 
 def fly(model: ReplayModel, setup: Setup, point: Point, map_: Map) -> Flown:
     """Replay every segment at a point; cost inf where a flight leaves the finite."""
-    jobs = [(model, s, dict(point.values), start) for s, start in zip(setup.segments, point.starts, strict=True)]
-    raw = list(map_(_fly, jobs))
+    late = [any(sensor_late_s(c, s, point) for c in setup.outputs) for s in setup.segments]
+    jobs = [
+        (model, s, dict(point.values), start, between)
+        for s, start, between in zip(setup.segments, point.starts, late, strict=True)
+    ]
+    every = list(map_(_fly, jobs))
+    raw = [at_rows(r, len(s.time_s)) for r, s in zip(every, setup.segments, strict=True)]
     columns = [CHANNELS.index(c) for c in setup.outputs]
     outputs, cost = [], 0.0
-    for segment, flown, z in zip(setup.segments, raw, setup.measured, strict=True):
-        y = as_sensed(flown[:, columns].copy(), setup, segment, point)
+    for segment, flown, fine, z in zip(setup.segments, raw, every, setup.measured, strict=True):
+        y = as_sensed(flown[:, columns].copy(), setup, segment, point, between=fine[:, columns])
         outputs.append(y)
         e = np.where(np.isfinite(z), (z - y) / setup.noise, 0.0)
         cost += float(np.sum(e**2)) if np.isfinite(e).all() else math.inf
@@ -144,36 +149,6 @@ def fly(model: ReplayModel, setup: Setup, point: Point, map_: Map) -> Flown:
 def best_flown(model: ReplayModel, setup: Setup, points: Sequence[Point], map_: Map) -> Flown:
     """The replay of least cost."""
     return min((fly(model, setup, p, map_) for p in points), key=lambda f: f.cost)
-
-
-def as_sensed(
-    y: Array, setup: Setup, segment: Segment, point: Point, earlier: Mapping[str, int] | None = None
-) -> Array:
-    """(n, m) outputs as the sensors give them: late, scaled, off by a constant. Changes ``y`` in place.
-
-    earlier: channel -> rows by which it is compared with what was measured that much later.
-    """
-    for k, c in enumerate(setup.outputs):
-        late = sensor_late_s(c, segment, point) - (earlier or {}).get(c, 0) * segment.dt_s
-        if late and np.isfinite(y[:, k]).all():
-            y[:, k] = moved_later(y[:, k], late / segment.dt_s)
-        y[:, k] *= sensor_gain(c, point)
-        y[:, k] += sensor_offset(c, segment, point)
-    return y
-
-
-def sensor_late_s(channel: str, segment: Segment, point: Point) -> float:
-    """By how much a channel is late at a point [s]."""
-    sensor = SENSOR_OF.get(channel, channel)
-    return point.nuisance.get(f"delay/{segment.flight}/{sensor}", 0.0) + point.sensed.get(
-        f"effect/sensor.{sensor}/delay", 0.0
-    )
-
-
-def moved_later(values: Array, rows: float) -> Array:
-    """(n,) values as they come ``rows`` later, along a cubic; the first, or for negative rows the last, held beyond the ends."""
-    at = np.arange(len(values), dtype=float)
-    return np.asarray(CubicSpline(at, values)(np.clip(at - rows, 0.0, at[-1])))
 
 
 def positions(model: ReplayModel, setup: Setup, map_: Map) -> list[Array]:
@@ -240,7 +215,7 @@ def parameter_columns(
                 if kind == "bias" and c == what:
                     block[:, k] = 1.0
                 elif kind == "delay" and SENSOR_OF.get(c, c) == what:
-                    block[:, k] = -p.rate_of(c, y[:, k])
+                    block[:, k] = -late_rate(p, c, y[:, k], sensor_late_s(c, segment, flown.point))
             outputs[name] = block
         out.append(Columns(every, inputs, outputs))
     return out

@@ -30,15 +30,13 @@ from uqharness.refine_fit import (
     Map,
     Point,
     Setup,
-    as_sensed,
-    moved_later,
     parameter_columns,
     probes,
-    sensor_late_s,
     stepped,
     steps_of,
 )
 from uqharness.refine_reference import Predicted, Probe, along, named_terms
+from uqharness.refine_sensed import as_sensed, moved_later, sensor_late_s
 from uqharness.replay import Segment, by_run
 from uqharness.replay_model import CONTROLS, ReplayModel
 
@@ -52,6 +50,8 @@ NOISE_FAR = 1.2
 
 SETTLED, SEARCH_BY = 5.0, 5
 """Length of a step, in standard errors, below which the gusts are searched anew; the iteration that does so in any case."""
+MOVED = 0.2
+"""Logarithm of a gust's strength by which a search must have moved it to be worth another."""
 LEAST_SHARE = 0.125
 """Least share of a step that is taken where steps grow."""
 TOLERANCE = 0.2
@@ -158,7 +158,7 @@ def _bend(p: Probe, away: Array) -> Array:
 
 def gust_refit(
     straight: ReplayModel, setup: Setup, controls: Sequence[Array], bends: Sequence[Array], start: Point, names: Sequence[str],
-    limits: Mapping[str, tuple[float, float]], map_: Map, near: Gusts | None = None, iterations: int = 8, tune: bool = False,
+    limits: Mapping[str, tuple[float, float]], map_: Map, near: Gusts | None = None, iterations: int = 10, tune: bool = False,
     known: bool = False,
 ) -> GustFit:  # fmt: skip
     """Parameters, biases and the gusts, searched from ``near``, or ``known`` to be those.
@@ -167,7 +167,7 @@ def gust_refit(
     """
     point, analytic, gusts = start, None, near
     length, share = float("inf"), 1.0
-    searched = False
+    searched, again = False, False
     keys = {e.key for e in setup.active}
     own = [n for n in names if n not in keys]
     for number in range(1, iterations + 1):
@@ -181,12 +181,15 @@ def gust_refit(
                 )
         steps = _Linear(setup, flown, found)
         # Where the flight is far from what the parameters say, what they will explain would be taken for gusts.
-        settled = length < SETTLED or number == min(SEARCH_BY, iterations)
-        if not known and (number <= 2 if near is None else settled and not searched):
+        settled = length < SETTLED or (number == min(SEARCH_BY, iterations) and not searched)
+        if not known and (number <= 2 if near is None else settled and (again or not searched)):
             # What is strong and was unknown passed for gusts of another kind, from which no short search leads back.
-            gusts = _intensity(setup, steps, None if tune and not searched else gusts)
-            if tune and not searched and not setup.late:
+            anew, last_air = tune and not searched, gusts
+            gusts = _intensity(setup, steps, None if anew else gusts)
+            if (anew or (tune and again)) and not setup.late:
                 setup, gusts = _tuned(setup, steps, gusts)
+            # Far from where the parameters want the flight, what they will explain is in the gusts; and a search goes only so far.
+            again = near is not None and (anew or not length < SETTLED or _other_air(last_air, gusts))
             searched, length = True, float("inf")
         assert gusts is not None
         linearised = steps.all(gusts.states)
@@ -200,7 +203,7 @@ def gust_refit(
         share = max(0.5 * share, LEAST_SHARE) if length > last else share
         if not np.isfinite(delta).all():
             raise np.linalg.LinAlgError("predictions with this model are no numbers")
-        if (length < TOLERANCE and (searched or known)) or number == iterations:
+        if (length < TOLERANCE and (known or (searched and not again))) or number == iterations:
             break
         step = dict(zip(columns[0].names, (share * delta).tolist(), strict=True))
         point = stepped(setup, point, step, limits)
@@ -209,6 +212,13 @@ def gust_refit(
     cost = float(sum(np.sum(w.residual**2) for w in white))
     fit = Fit(replace(flown, cost=cost), found, linearised, columns, evidence, analytic, number, length < 0.5)
     return GustFit(fit, gusts, white, setup)
+
+
+def _other_air(one: Gusts | None, two: Gusts) -> bool:
+    """Whether a search has led to noticeably other gusts."""
+    if one is None or one.states != two.states:
+        return True
+    return bool(np.abs(np.log(two.values / one.values)).max() > MOVED)
 
 
 def unfiltered(

@@ -66,8 +66,8 @@ class Round:
     evidence   as it would be had the effects not been flown, around the flight with them
     selection  the effects flown, judged there; again: what would be chosen there
     standing   whether that is the same, with the same numbers where JSBSim reads them once
-    merit      cost and what the effects must earn: less is better; gusts: the air, as estimated with them; about: where it ended
-    surprise   minus twice the log likelihood of one-step predictions; NaN for replays
+    merit      cost, in gusts `surprise`, and what the effects must earn: less is better; gusts: the air, as estimated with them
+    about      where it ended; surprise: minus twice the log likelihood of one-step predictions; NaN for replays
     """
 
     setup: Setup
@@ -121,10 +121,12 @@ def settle(
             trail.append(f"round {number}: back to effects flown before; the best round stands")
             break
         selection, about = now.again, now.about
-    # With every round the gusts are estimated anew, and predictions made with other gusts are not to be compared.
-    best = flown[-1] if start.gusts and flown else min(flown, key=lambda r: r.merit, default=None)
     if start.gusts:
+        best = likeliest(flown)
+        if best is not None and best is not flown[-1]:
+            trail.append(f"the best of {len(flown)} rounds flown, not the last")
         return best if selection.chosen or (best and best.standing) else None, trail
+    best = min(flown, key=lambda r: r.merit, default=None)
     if best is None or not best.merit < start.before.flown.cost:
         if best is not None:
             trail.append("flown, the effects do not lower the error by what they must earn")
@@ -132,6 +134,15 @@ def settle(
     if not best.standing:
         trail.append(f"the best of {len(flown)} rounds flown, not one that stands")
     return best, trail
+
+
+def likeliest(flown: Sequence[Round]) -> Round | None:
+    """The round of least merit among those that judge the same samples as the last: a sensor's delay takes some away."""
+
+    def late(r: Round) -> frozenset[str]:
+        return frozenset(k for k in r.keys if k.startswith("effect/sensor.") and k.endswith("/delay"))
+
+    return min((r for r in flown if late(r) == late(flown[-1])), key=lambda r: r.merit, default=None)
 
 
 def _listed(keys: Sequence[str]) -> str:
@@ -246,7 +257,8 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     held = [c for c in own if c.key not in setup.carriers and in_dynamics(by_key[c.key])]
     moving = [c for c in held if abs(c.value - written[c.key]) > 0.5 * c.std]
     again = again if start.gusts is None else first_at_values(again, own, held, written)
-    merit = fit.flown.cost + sum(by_key[k].odds + EARNED * start.limit**2 for k in keys)
+    cost = fit.flown.cost if gusts is None else surprise
+    merit = cost + sum(by_key[k].odds + EARNED * start.limit**2 for k in keys)
     return Round(
         setup, staged, fit, evidence, Selection(own, again.refused, again.trail), again, standing and not moving, merit, gusts,
         About(fit.flown.point, evidence, values), surprise,

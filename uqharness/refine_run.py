@@ -42,6 +42,7 @@ from uqharness.refine_intervals import (
 from uqharness.refine_judge import Judged, Side, bare, judge, sensed_by
 from uqharness.refine_pbox import FOLDER as PBOX
 from uqharness.refine_pbox import MissionResult, Model, campaign_for, fly_missions, no_pbox
+from uqharness.refine_setup import estimated_channels
 from uqharness.refine_show import air_of, write_bytes_tree
 from uqharness.refine_stages import FOLDER, Stages
 from uqharness.refine_timing import later
@@ -169,8 +170,9 @@ def _judged(request: Request, chosen: Found, train: _Flights, test: _Flights, wo
         setup, air = flights.setup(request.aircraft), None
         if chosen.gusts is not None:
             setup = setup_in_gusts(request.aircraft, setup)
-            if setup.outputs == chosen.setup.outputs:
-                setup = replace(setup, noise=chosen.setup.noise)
+        if setup.outputs == chosen.setup.outputs and (chosen.gusts is not None or estimated_channels(setup)):
+            setup = replace(setup, noise=chosen.setup.noise)
+        if chosen.gusts is not None:
             air = chosen.gusts
             if not of_train:
                 model = _write(request, chosen, work / "air")

@@ -130,9 +130,15 @@ def turbulent(setup: Setup, flown: Flown) -> bool:
     return process_noise_shown(residual, [y[:, columns] for y in flown.outputs], setup.noise[columns])
 
 
+def estimated_channels(setup: Setup) -> tuple[str, ...]:
+    """Outputs that the logs' findings call computed in any flight."""
+    told = {f.channel for flight in setup.flights for f in flight.record.metadata.findings if f.code == "estimate"}
+    return tuple(c for c in setup.outputs if c in told)
+
+
 def setup_in_gusts(aircraft: Aircraft, setup: Setup) -> Setup:
-    """The same with the card's sensor noise where it says one: third differences of an accelerometer see gusts as noise."""
-    stated = aircraft.card.sensors.noise_std
-    return replace(
-        setup, noise=np.array([stated.get(c, n) for c, n in zip(setup.outputs, setup.noise.tolist(), strict=True)])
-    )
+    """The same with the card's sensor noise where it says one: third differences of an accelerometer see gusts as noise. The card
+    says nothing of what an estimator computed."""
+    stated, guessed = aircraft.card.sensors.noise_std, estimated_channels(setup)
+    given = zip(setup.outputs, setup.noise.tolist(), strict=True)
+    return replace(setup, noise=np.array([n if c in guessed else stated.get(c, n) for c, n in given]))

@@ -40,6 +40,11 @@ SENSOR_OF = {
 CONTROL_DELAY = "controls"
 """What a delay is called by which the controls act late, all of them."""
 MAX_STEP_S = 0.01
+MAX_STEP_BY_RATES_S = 0.0025
+"""Longest run where forces go with the rates of alpha and beta, which JSBSim takes from the run before, and where outputs are
+wanted between rows: after a step of a control the integrators' rates are half a run ahead, and right after three runs."""
+BETWEEN_S = 0.005
+"""Longest time between outputs that are wanted between rows."""
 MIN_RUNS = 2
 _ANGULAR = ("accelerations/pdot-rad_sec2", "accelerations/qdot-rad_sec2", "accelerations/rdot-rad_sec2")
 
@@ -70,9 +75,9 @@ class Segment:
         return float(self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1)
 
 
-def runs_per_row(dt_s: float) -> int:
-    """JSBSim runs from one row to the next: at least two, none longer than MAX_STEP_S."""
-    return max(MIN_RUNS, math.ceil(dt_s / MAX_STEP_S - 1e-6))
+def runs_per_row(dt_s: float, by_rates: bool = False) -> int:
+    """JSBSim runs from one row to the next: at least two, none longer than MAX_STEP_S, or MAX_STEP_BY_RATES_S by rates."""
+    return max(MIN_RUNS, math.ceil(dt_s / (MAX_STEP_BY_RATES_S if by_rates else MAX_STEP_S) - 1e-6))
 
 
 def fly_segment(
@@ -82,14 +87,17 @@ def fly_segment(
     start: Array | None = None,
     extra: Sequence[str] = (),
     late_s: float = 0.0,
+    between: bool = False,
 ) -> Array:
     """(n, 13 + len(extra)) outputs: CHANNELS, then the properties ``extra`` in their own units.
 
     properties are set before initialising; start (9,) replaces the segment's own; controls act ``late_s`` after their time.
+    between: ((n - 1) k + 1, ...) outputs at the rows and at k - 1 equal steps between two of them, BETWEEN_S or less.
     Rows after a failure in flight are NaN.
     Raises BadInputError for a property that the model has not.
     """
-    runs = runs_per_row(segment.dt_s)
+    outputs = math.ceil(segment.dt_s / BETWEEN_S - 1e-6) if between else 1
+    runs = outputs * math.ceil(runs_per_row(segment.dt_s, model.by_rates or between) / outputs)
     fdm = model.open(segment.dt_s / runs)
     for name, value in properties.items():
         engine.set_property(fdm, name, value)
@@ -98,8 +106,22 @@ def fly_segment(
     read = _reader(fdm, [*extra], any(segment.arm_m))
     measured, lagging = ([name in kind for name in model.controls] for kind in (model.measured, model.lagging))
     controls = model.to_property(by_run(segment, runs, measured, lagging, late_s / segment.dt_s * runs))
-    rows = _advance(fdm, controls, setters, read, runs)
-    return _outputs(rows, segment, len(extra))
+    rows = _advance(fdm, controls, setters, read, runs // outputs)
+    return _outputs(rows, segment, len(extra), (len(segment.time_s) - 1) * outputs + 1)
+
+
+def at_rows(between: Array, n: int) -> Array:
+    """(n, ...) the rows of outputs that stand between them as well."""
+    return between[:: (len(between) - 1) // (n - 1)]
+
+
+def late_rows(between: Array, n: int, late: float) -> Array:
+    """(n,) values at the rows, ``late`` rows late (early if negative), of outputs between them; the ends are held.
+
+    Straight from one to the next: a step of a control makes a kink or a jump, across which a smoother curve would ring.
+    """
+    at = np.arange(len(between), dtype=float)
+    return np.asarray(np.interp(at_rows(at, n) - late * ((len(between) - 1) // (n - 1)), at, between))
 
 
 def _initialise(fdm: Any, segment: Segment, start: Array, setters: list[list[Any]], model: ReplayModel) -> None:
@@ -197,9 +219,9 @@ def _advance(fdm: Any, controls: Array, setters: list[list[Any]], read: Any, run
     return out
 
 
-def _outputs(rows: list[list[float]], segment: Segment, extra: int) -> Array:
+def _outputs(rows: list[list[float]], segment: Segment, extra: int, n: int) -> Array:
     raw = np.array(rows)
-    n, c = len(segment.time_s), len(CHANNELS)
+    c = len(CHANNELS)
     out = np.full((n, c + extra), np.nan)
     done = len(raw)
     mass = raw[:, c]

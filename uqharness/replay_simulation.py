@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from uqharness.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF, STATES, Segment, fly_segment
+from uqharness.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF, STATES, Segment, at_rows, fly_segment, late_rows
 from uqharness.replay_model import ReplayModel
 
 Array = NDArray[np.float64]
-_CACHE_BYTES = 400_000_000
+_CACHE_BYTES = 800_000_000
 
 
 class Replay:
@@ -86,10 +86,12 @@ class Replay:
         kept = self._kept.get(number)
         if kept is not None and kept[0] == state:
             return kept[1]
-        flown = self._flown(number, segment, *conditions)[:, self._columns].copy()
+        between = self._flown(number, segment, *conditions)[:, self._columns]
+        n = len(segment.time_s)
+        flown = at_rows(between, n).copy()
         for i, k in late:
             if theta[i] != 0.0:
-                flown[:, k] = _late(flown[:, k], float(theta[i]) / segment.dt_s)
+                flown[:, k] = late_rows(between[:, k], n, float(theta[i]) / segment.dt_s)
         for i, k in biased:
             flown[:, k] += theta[i]
         flown.setflags(write=False)
@@ -102,11 +104,14 @@ class Replay:
         key = self._key(number, properties, start, late_s)
         found = _flown.get(key)
         if found is None:
-            found = fly_segment(self.model, segment, properties, start, late_s=late_s)
+            found = _fly_job(self._job(segment, properties, start, late_s))
             _remember(key, found)
         else:
             _flown.move_to_end(key)
         return found
+
+    def _job(self, segment: Segment, properties: Mapping[str, float], start: Array, late_s: float) -> _Job:
+        return self.model, segment, dict(properties), start, late_s, segment.flight in self._delays
 
     def _key(self, number: int, properties: Mapping[str, float], start: Array, late_s: float) -> _Key:
         return self.token, number, np.array(list(properties.values())).tobytes(), start.tobytes(), late_s
@@ -122,25 +127,11 @@ class Replay:
             for number, (segment, start) in enumerate(zip(self.segments, starts, strict=True)):
                 key = self._key(number, properties, *start)
                 if key not in _flown:
-                    jobs[key] = (self.model, segment, properties, *start)
+                    jobs[key] = self._job(segment, properties, *start)
                 else:
                     _flown.move_to_end(key)
         for key, found in zip(jobs, map_(_fly_job, list(jobs.values())), strict=True):
             _remember(key, found)
-
-
-def _late(values: Array, rows: float) -> Array:
-    """Values as they arrive ``rows`` rows late (early if negative), by cubics through the rows (Catmull and Rom), whose slope in
-    ``rows`` has no jump at whole rows; before the first one and after the last their slopes continue."""
-    n = len(values)
-    at = np.arange(n) - rows
-    below = np.minimum(np.maximum(np.floor(at).astype(int), 0), n - 2)
-    x, slope = at - below, np.gradient(values)
-    outside = (at < 0) | (at > n - 1)
-    a, b = values[below], values[below + 1]
-    sa, sb = slope[below], slope[below + 1]
-    cubic = a + x * (sa + x * (3.0 * (b - a) - 2.0 * sa - sb + x * (sa + sb - 2.0 * (b - a))))
-    return np.asarray(np.where(outside, a + x * (b - a), cubic))
 
 
 # Memory of the process, shared by unpickled copies of a replay: perturbing one segment's start leaves the others as they were.
@@ -158,10 +149,10 @@ def _remember(key: _Key, found: Array) -> None:
         counter["bytes"] -= _flown.popitem(last=False)[1].nbytes
 
 
-_Job = tuple[ReplayModel, Segment, dict[str, float], Array, float]
+_Job = tuple[ReplayModel, Segment, dict[str, float], Array, float, bool]
 
 
 def _fly_job(job: _Job) -> Array:
     # Nothing that goes wrong in flight may end the pool; rows that were not flown are NaN, which rejects the trial point.
-    model, segment, properties, start, late_s = job
-    return fly_segment(model, segment, properties, start, late_s=late_s)
+    model, segment, properties, start, late_s, between = job
+    return fly_segment(model, segment, properties, start, late_s=late_s, between=between)

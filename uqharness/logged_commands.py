@@ -1,0 +1,40 @@
+"""Commands of a record on its rows: logged more slowly than the aircraft was told, or on more rows than a replay takes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.command_edges import logged_rows, place_steps
+from sysid.flight_record import FlightRecord
+from sysid.gaps import white_noise
+
+Array = NDArray[np.float64]
+_AXIS = {"elevator_deg": "q_radps", "aileron_deg": "p_radps", "rudder_deg": "r_radps"}
+
+
+def mean_ahead(command: Array, step: int) -> Array:
+    """(n,) mean of each row and the step - 1 after it: a command between two rows that are kept acts as long as it did."""
+    padded = np.append(command, np.repeat(command[-1], step - 1))
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, step).mean(axis=1))
+
+
+def with_steps_placed(record: FlightRecord, columns: Sequence[str]) -> tuple[FlightRecord, list[str]]:
+    """Commands logged more slowly than the record's rows, their steps where the gyro saw them act."""
+    found: dict[str, Array] = {}
+    notes = []
+    for column, rate in _AXIS.items():
+        native = record.metadata.native_hz.get(column, 0.0)
+        stride = round(1.0 / (record.dt_s * native)) if native > 0.0 else 1
+        if column not in columns or stride < 2:
+            continue
+        command = np.asarray(record[column], dtype=float)
+        noise = white_noise([record[rate]])
+        found[column], count = place_steps(command, logged_rows(command, stride), record[rate], noise, record.dt_s)
+        notes.append(
+            f"{column} was logged at {native:.0f} Hz: {count} of its steps are where {rate} says that they happened, and between "
+            "other logged values it goes straight"
+        )
+    return record.with_columns(found), notes
