@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 LEAST_STEP = 1.0
 """deg: smaller steps leave no kink worth looking for."""
-LATEST_S = 0.02
-"""By how much the gyro's kinks may come after the steps."""
+LATEST_S = 0.05
+"""By how much the gyro's kinks may come after the steps: its filter, and a servo that lags."""
 _AROUND_S = 0.08  # on either side that the kink is fitted to
 _FEWEST = 4  # rows on either side
 _CLEAR = 4.0  # noise variances within which two times by which the gyro may be late are as good as each other

@@ -157,7 +157,7 @@ def find_effects(
     board = score_table(evidence, before.columns[0].names, odds, by_key)
     limit = chance_limit(evidence, before.columns[0].names, list(odds))
     free = before.columns[0].names
-    first = select(evidence, free, odds, confirming, limit=limit, twins=TWINS)
+    first = select(evidence, free, odds, confirming, limit=limit, twins=TWINS, empirical=bool(setup.late))
     first = strong_first(first, evidence, free, odds, confirming, TWINS)
     start = Start(
         aircraft, setup, before, names, effects, limits, confirming, limit, tuple(measured), tuple(ideal), map_

@@ -249,7 +249,7 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
         chosen=keys,
         limit=start.limit,
         twins=TWINS,
-        empirical=start.gusts is not None,
+        empirical=start.gusts is not None or bool(start.setup.late),
     )
     standing = {c.key for c in again.chosen} == set(keys)
     own = again.chosen if standing else judged(evidence, free, keys, list(odds), start.confirming, TWINS)

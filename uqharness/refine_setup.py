@@ -131,8 +131,8 @@ def turbulent(setup: Setup, flown: Flown) -> bool:
 
 
 def estimated_channels(setup: Setup) -> tuple[str, ...]:
-    """Outputs that the logs' findings call computed in any flight."""
-    told = {f.channel for flight in setup.flights for f in flight.record.metadata.findings if f.code == "estimate"}
+    """Outputs that no sensor measured in some flight, the autopilot's estimator computed them."""
+    told = {c for flight in setup.flights for c in flight.record.metadata.estimates}
     return tuple(c for c in setup.outputs if c in told)
 
 

@@ -40,9 +40,11 @@ SENSOR_OF = {
 CONTROL_DELAY = "controls"
 """What a delay is called by which the controls act late, all of them."""
 MAX_STEP_S = 0.01
-MAX_STEP_BY_RATES_S = 0.0025
+MAX_STEP_JUMPING_S = 0.005
+"""Longest run where a surface jumps with its command: the integrators' rates are half a run ahead then, and right after three."""
+MAX_STEP_FINE_S = 0.0025
 """Longest run where forces go with the rates of alpha and beta, which JSBSim takes from the run before, and where outputs are
-wanted between rows: after a step of a control the integrators' rates are half a run ahead, and right after three runs."""
+wanted between rows."""
 BETWEEN_S = 0.005
 """Longest time between outputs that are wanted between rows."""
 MIN_RUNS = 2
@@ -75,9 +77,17 @@ class Segment:
         return float(self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1)
 
 
-def runs_per_row(dt_s: float, by_rates: bool = False) -> int:
-    """JSBSim runs from one row to the next: at least two, none longer than MAX_STEP_S, or MAX_STEP_BY_RATES_S by rates."""
-    return max(MIN_RUNS, math.ceil(dt_s / (MAX_STEP_BY_RATES_S if by_rates else MAX_STEP_S) - 1e-6))
+def longest_run_s(model: ReplayModel, between: bool = False) -> float:
+    """Longest JSBSim run that a replay of the model may take [s]; between: where outputs between rows are wanted."""
+    if model.by_rates or between:
+        return MAX_STEP_FINE_S
+    jumping = set(model.controls) - {"throttle", *model.measured, *model.lagging}
+    return MAX_STEP_JUMPING_S if jumping else MAX_STEP_S
+
+
+def runs_per_row(dt_s: float, longest_s: float = MAX_STEP_S) -> int:
+    """JSBSim runs from one row to the next: at least two, none longer than ``longest_s``."""
+    return max(MIN_RUNS, math.ceil(dt_s / longest_s - 1e-6))
 
 
 def fly_segment(
@@ -97,7 +107,7 @@ def fly_segment(
     Raises BadInputError for a property that the model has not.
     """
     outputs = math.ceil(segment.dt_s / BETWEEN_S - 1e-6) if between else 1
-    runs = outputs * math.ceil(runs_per_row(segment.dt_s, model.by_rates or between) / outputs)
+    runs = outputs * math.ceil(runs_per_row(segment.dt_s, longest_run_s(model, between)) / outputs)
     fdm = model.open(segment.dt_s / runs)
     for name, value in properties.items():
         engine.set_property(fdm, name, value)

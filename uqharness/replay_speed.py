@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass
 
 from uqharness import engine
-from uqharness.replay import Segment, runs_per_row
+from uqharness.replay import Segment, longest_run_s, runs_per_row
 from uqharness.replay_model import ReplayModel
 from uqharness.trim import FT
 
@@ -33,7 +33,7 @@ class Speed:
 
 def bare_rate(model: ReplayModel, segment: Segment) -> float:
     """Flight seconds a second of wall time when the model is stepped and nothing is set or read. Raises BadInputError."""
-    dt_s = segment.dt_s / runs_per_row(segment.dt_s)
+    dt_s = segment.dt_s / runs_per_row(segment.dt_s, longest_run_s(model))
     fdm = model.open(dt_s)
     fdm["ic/h-sl-ft"], fdm["ic/u-fps"] = (segment.altitude_m + 500.0) / FT, float(segment.start[0]) / FT
     engine.run_ic(fdm)
