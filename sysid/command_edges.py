@@ -28,6 +28,15 @@ _SURE = 0.9  # share of likelihood at which a step counts as placed
 
 
 @dataclass(frozen=True)
+class Placed:
+    """command (n,) deg; steps that are placed for sure; late_s: by which the rate turns after them, NaN without a step."""
+
+    command: Array
+    steps: int
+    late_s: float
+
+
+@dataclass(frozen=True)
 class _Step:
     """A step first logged at ``row``. misfit (places, offsets): sum of squares left by a kink an offset after a place."""
 
@@ -36,8 +45,8 @@ class _Step:
     misfit: Array
 
 
-def place_steps(command: Array, logged: NDArray[np.bool_], rate: Array, noise: float, dt_s: float) -> tuple[Array, int]:
-    """The command (n,) deg between its logged rows, and how many steps were placed.
+def place_steps(command: Array, logged: NDArray[np.bool_], rate: Array, noise: float, dt_s: float) -> Placed:
+    """The command between its logged rows, what is known of its steps.
 
     logged (n,): rows whose command was logged; between them it stands held. noise: standard deviation of the rate, rad/s.
     A step alone happened at one of the rows since the logged sample before it, each as likely as a kink of the rate (n,) rad/s
@@ -50,7 +59,7 @@ def place_steps(command: Array, logged: NDArray[np.bool_], rate: Array, noise: f
     around = max(_FEWEST, round(_AROUND_S / dt_s))
     steps = list(_steps(command, rows.tolist(), rate, offsets, around))
     if not steps:
-        return out, 0
+        return Placed(out, 0, float("nan"))
     together = np.sum([s.misfit.min(axis=0) for s in steps], axis=0)
     late = int(np.flatnonzero(together <= together.min() + _CLEAR * noise**2)[0])
     placed = 0
@@ -62,7 +71,7 @@ def place_steps(command: Array, logged: NDArray[np.bool_], rate: Array, noise: f
         before = command[s.places[0] - 1]
         out[s.places[0] : s.row + 1] = before + np.cumsum(likely) * (command[s.row] - before)
         placed += int(likely.max() > _SURE)
-    return out, placed
+    return Placed(out, placed, late * _FINE_S)
 
 
 def logged_rows(command: Array, stride: int) -> NDArray[np.bool_]:

@@ -3,9 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from flown import fly
 
-from sysid.command_edges import logged_rows
+from sysid.command_edges import LATEST_S, logged_rows
 from uqharness.flights import measured_outputs, prepare
 from uqharness.logged_commands import mean_ahead, with_steps_placed
 
@@ -24,9 +25,10 @@ def logged(rate_hz=200.0):
 
 def test_steps_are_placed_on_the_logs_own_rows_before_it_is_thinned():
     record, acted = logged()
-    placed, notes = with_steps_placed(record, ("elevator_deg", "aileron_deg", "rudder_deg"))
+    placed, notes, late_s = with_steps_placed(record, ("elevator_deg", "aileron_deg", "rudder_deg"))
     assert np.abs(placed["aileron_deg"] - acted).sum() < 0.7 * np.abs(record["aileron_deg"] - acted).sum()
     assert len(notes) == 3
+    assert 0.0 <= late_s <= LATEST_S
     assert notes[1].startswith("aileron_deg was logged at 25 Hz")
     flown = prepare("f", record, ()).record["aileron_deg"]
     direct = prepare("f", record.with_columns({"aileron_deg": np.asarray(record["aileron_deg"])}), ()).record[
@@ -40,8 +42,9 @@ def test_steps_are_placed_on_the_logs_own_rows_before_it_is_thinned():
 
 def test_a_record_whose_commands_are_on_every_row_stays_as_it_is():
     record = fly((("roll-yaw", 22.0),), seed=3, positions=False)
-    same, notes = with_steps_placed(record, ("elevator_deg", "aileron_deg", "rudder_deg"))
+    same, notes, late_s = with_steps_placed(record, ("elevator_deg", "aileron_deg", "rudder_deg"))
     assert notes == []
+    assert late_s == 0.0
     np.testing.assert_array_equal(same["aileron_deg"], record["aileron_deg"])
 
 
@@ -59,3 +62,14 @@ def test_the_first_samples_of_a_logs_accelerometers_are_of_the_time_before():
     assert np.isfinite(first[0, 0])
     plain = prepare("f", replace(record, metadata=replace(record.metadata, native_hz={})), ())
     assert np.isfinite(measured_outputs(plain, ("az_mps2",))[0][0, 0])
+
+
+def test_commands_as_felt_are_half_way_at_their_jump_and_as_late_as_the_gyro():
+    record = fly((("roll-yaw", 22.0),), seed=None)
+    flight = prepare("f", record, ())
+    (at,) = np.flatnonzero(np.diff(record["aileron_deg"]) > 5.0)[:1]
+    before, after = record["aileron_deg"][at], record["aileron_deg"][at + 1]
+    for late_s, share in ((0.0, 0.5), (0.005, 0.25)):
+        felt = replace(flight, gyro_late_s=late_s).with_commands_as_felt().record["aileron_deg"]
+        assert felt[at + 1] == pytest.approx(share * after + (1.0 - share) * before)
+        assert felt[at + 2] == pytest.approx(record["aileron_deg"][at + 2])

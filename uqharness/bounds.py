@@ -90,6 +90,7 @@ def make_bounds(
     Raises BadInputError when the flights are too short for any fit.
     """
     arm = aircraft.card.sensors.position_m.get("accelerometer", (0.0, 0.0, 0.0))
+    flights = [f.with_commands_as_felt() for f in flights] if options.ideal_servos else flights
     with prediction_of(aircraft, measured, options.ideal_servos) as pair:
         say("residual coefficients")
         parts = [flight_residuals(pair, f, arm, options.cutoffs) for f in flights]

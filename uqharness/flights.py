@@ -20,7 +20,7 @@ from sysid.manoeuvres import label_manoeuvres
 from sysid.segmentation import MAX_S, MIN_S, Piece, as_logged, cut
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
-from uqharness.logged_commands import mean_ahead, with_steps_placed
+from uqharness.logged_commands import later, mean_ahead, with_steps_placed
 from uqharness.replay import CHANNELS, STATES, Segment
 from uqharness.replay_ground import height_known
 from uqharness.replay_model import CONTROLS
@@ -40,12 +40,27 @@ MAX_GAP_SHARE = 0.5
 
 @dataclass(frozen=True)
 class Flight:
-    """A record ready for replay: at most 60 Hz, channels moved to the time at which they were true. ``notes`` say what was done."""
+    """A record ready for replay: at most 60 Hz, channels moved to the time at which they were true. ``notes`` say what was done.
+
+    gyro_late_s: by how much the rates turn after slowly logged commands stepped.
+    """
 
     name: str
     record: FlightRecord
     pieces: tuple[Piece, ...]
     notes: tuple[str, ...]
+    gyro_late_s: float = 0.0
+
+    def felt_late_s(self) -> float:
+        """By how much a jumping surface's command comes late for what compares it with smoothed rates row by row: as late as the
+        gyro, and half a row, since at the row of its jump it stands half-way."""
+        return self.gyro_late_s + 0.5 * self.record.dt_s
+
+    def with_commands_as_felt(self) -> Flight:
+        """The flight with its commands `felt_late_s` later."""
+        record, late_s = self.record, self.felt_late_s()
+        moved = {c: later(record[c], record["time_s"], late_s) for c in _COLUMN.values() if c in record}
+        return replace(self, record=record.with_columns(moved))
 
 
 def read_flight(
@@ -104,7 +119,7 @@ def prepare(
         raise BadInputError(f"{name}: the record has {len(record)} row(s)")
     commands = [c for c in columns if c not in _POSITION.values()]
     record, bridged = bridge(record, (*_NEEDED, "alpha_rad", "beta_rad", *columns), commands)
-    record, placed = with_steps_placed(record, columns)
+    record, placed, gyro_late_s = with_steps_placed(record, columns)
     notes = [f"{name}: {text}" for text in (*bridged, *placed)]
     step = max(1, int(np.ceil(1.0 / (record.dt_s * MAX_RATE_HZ) - 1e-6)))
     if step > 1:
@@ -126,7 +141,7 @@ def prepare(
             f"{_lost(record, columns)}; nothing can be replayed"
         )
     notes.append(f"{name}: {len(pieces)} segments, {sum(p.end_s - p.start_s for p in pieces):.0f} s; {how}")
-    return Flight(name, record, tuple(pieces), tuple(notes))
+    return Flight(name, record, tuple(pieces), tuple(notes), gyro_late_s)
 
 
 def _lost(record: FlightRecord, columns: Sequence[str]) -> str:

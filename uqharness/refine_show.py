@@ -16,13 +16,14 @@ from sysid.force_coefficients import smooth
 from sysid.gaps import rms, theil
 from sysid.gust_intensity import Gusts
 from uqharness.aircraft import Aircraft
-from uqharness.flights import states
+from uqharness.flights import Flight, states
 from uqharness.identify_start import demand_of, forced_at
+from uqharness.logged_commands import later
 from uqharness.refine import Bench
 from uqharness.refine_fit import Flown, Map, Point, Setup, positions, refit
 from uqharness.refine_gusts import gust_refit, middles, moved, rows_late, unfiltered
 from uqharness.replay import Segment
-from uqharness.replay_model import ReplayModel
+from uqharness.replay_model import CONTROLS, ReplayModel
 
 Array = NDArray[np.float64]
 
@@ -81,7 +82,10 @@ def show(
         start = Point({}, {}, tuple(s.start for s in setup.segments), dict(sensed))
         controls = positions(bench.model, plain, map_)
         jobs = [
-            (bench.model, bench.straight, s, states(f, p), dict(zip(setup.outputs, setup.noise.tolist(), strict=True)))
+            (
+                bench.model, bench.straight, _as_felt(s, f, ideal), states(f, p),
+                dict(zip(setup.outputs, setup.noise.tolist(), strict=True)),
+            )
             for s, (f, p) in zip(setup.segments, [(f, p) for f in setup.flights for p in f.pieces], strict=True)
         ]
         found = list(map_(_coefficient_gap, jobs))
@@ -137,6 +141,14 @@ def air_of(
             return gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, near, iterations=2).gusts
         except np.linalg.LinAlgError:
             return near
+
+
+def _as_felt(segment: Segment, flight: Flight, ideal: Sequence[str]) -> Segment:
+    """The segment with commands of ideal servos as the smoothed rates felt them."""
+    controls = segment.controls.copy()
+    for k in (k for k, c in enumerate(CONTROLS) if c in ideal):
+        controls[:, k] = later(controls[:, k], segment.time_s, flight.felt_late_s())
+    return replace(segment, controls=controls)
 
 
 def _coefficient_gap(

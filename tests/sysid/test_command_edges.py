@@ -32,7 +32,8 @@ def test_steps_are_found_where_they_happened(late_s, dt, stride):
     before = after = 0.0
     for seed in range(10):
         acted, logged, rate = flown(seed, late_s=late_s, dt=dt, stride=stride)
-        placed, moved = place_steps(logged, logged_rows(logged, stride), rate, NOISE, dt)
+        found = place_steps(logged, logged_rows(logged, stride), rate, NOISE, dt)
+        placed, moved = found.command, found.steps
         assert moved > 0
         before += np.abs(logged - acted).sum()
         after += np.abs(placed - acted).sum()
@@ -42,7 +43,8 @@ def test_steps_are_found_where_they_happened(late_s, dt, stride):
 def test_a_gyro_that_is_late_by_half_a_row_puts_no_step_on_the_wrong_side():
     acted, _, rate = flown(3, size=20.0, late_s=0.01)
     logged = acted[(np.arange(600) // STRIDE) * STRIDE]
-    placed, _ = place_steps(logged, logged_rows(logged, STRIDE), rate, NOISE, DT)
+    found = place_steps(logged, logged_rows(logged, STRIDE), rate, NOISE, DT)
+    placed, _ = found.command, found.steps
     np.testing.assert_allclose(placed, acted, atol=1e-3)
 
 
@@ -51,7 +53,8 @@ def test_without_a_kink_a_step_is_where_it_is_expected():
     for seed in range(10):
         _, logged, _ = flown(seed)
         still = NOISE * np.random.default_rng(seed).standard_normal(600)
-        placed, sure = place_steps(logged, logged_rows(logged, STRIDE), still, NOISE, DT)
+        found = place_steps(logged, logged_rows(logged, STRIDE), still, NOISE, DT)
+        placed, sure = found.command, found.steps
         assert sure <= 2
         steps = np.flatnonzero(np.diff(logged)) + 1
         assert (
@@ -66,7 +69,8 @@ def test_a_command_that_moves_all_the_time_goes_straight_between_logged_samples(
     acted = 8.0 * np.sin(0.08 * np.arange(601))
     logged = acted[(np.arange(601) // STRIDE) * STRIDE]
     rate = NOISE * np.random.default_rng(0).standard_normal(601)
-    placed, sure = place_steps(logged, logged_rows(logged, STRIDE), rate, NOISE, DT)
+    found = place_steps(logged, logged_rows(logged, STRIDE), rate, NOISE, DT)
+    placed, sure = found.command, found.steps
     assert sure == 0
     assert np.abs(placed - acted).max() < 0.05 * np.abs(logged - acted).max()
 
@@ -78,13 +82,15 @@ def test_the_logger_need_not_be_regular():
     rows = np.concatenate([[0], rows[rows < 600], [600]])
     acted = 8.0 * np.sin(0.08 * np.arange(601))
     logged = acted[rows[np.searchsorted(rows, np.arange(601), side="right") - 1]]
-    placed, _ = place_steps(logged, logged_rows(logged, 3), NOISE * rng.standard_normal(601), NOISE, DT)
+    found = place_steps(logged, logged_rows(logged, 3), NOISE * rng.standard_normal(601), NOISE, DT)
+    placed, _ = found.command, found.steps
     assert np.abs(placed - acted).max() < 0.05 * np.abs(logged - acted).max()
 
 
 def test_a_command_logged_at_every_row_stays_and_small_steps_are_not_looked_for():
     acted, logged, rate = flown(3)
-    same, sure = place_steps(acted, np.ones(600, dtype=bool), rate, NOISE, DT)
+    found = place_steps(acted, np.ones(600, dtype=bool), rate, NOISE, DT)
+    same, sure = found.command, found.steps
     assert sure == 0
     np.testing.assert_array_equal(same, acted)
-    assert place_steps(logged / 10.0, logged_rows(logged, STRIDE), rate, NOISE, DT)[1] == 0
+    assert place_steps(logged / 10.0, logged_rows(logged, STRIDE), rate, NOISE, DT).steps == 0
