@@ -20,7 +20,7 @@ from sysid.manoeuvres import label_manoeuvres
 from sysid.segmentation import MAX_S, MIN_S, Piece, as_logged, cut
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
-from uqharness.logged_commands import later, mean_ahead, with_steps_placed
+from uqharness.logged_commands import command_later, mean_ahead, with_steps_placed
 from uqharness.replay import CHANNELS, STATES, Segment
 from uqharness.replay_ground import height_known
 from uqharness.replay_model import CONTROLS
@@ -59,7 +59,7 @@ class Flight:
     def with_commands_as_felt(self) -> Flight:
         """The flight with its commands `felt_late_s` later."""
         record, late_s = self.record, self.felt_late_s()
-        moved = {c: later(record[c], record["time_s"], late_s) for c in _COLUMN.values() if c in record}
+        moved = {c: command_later(record[c], record["time_s"], late_s) for c in _COLUMN.values() if c in record}
         return replace(self, record=record.with_columns(moved))
 
 

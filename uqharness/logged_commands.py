@@ -44,6 +44,6 @@ def with_steps_placed(record: FlightRecord, columns: Sequence[str]) -> tuple[Fli
     return record.with_columns(found), notes, late / steps if steps else 0.0
 
 
-def later(command: Array, time_s: Array, late_s: float) -> Array:
+def command_later(command: Array, time_s: Array, late_s: float) -> Array:
     """(n,) a command ``late_s`` after its time; before the first row its value is held."""
     return np.interp(time_s - late_s, time_s, command)

@@ -18,7 +18,7 @@ from sysid.gust_intensity import Gusts
 from uqharness.aircraft import Aircraft
 from uqharness.flights import Flight, states
 from uqharness.identify_start import demand_of, forced_at
-from uqharness.logged_commands import later
+from uqharness.logged_commands import command_later
 from uqharness.refine import Bench
 from uqharness.refine_fit import Flown, Map, Point, Setup, positions, refit
 from uqharness.refine_gusts import gust_refit, middles, moved, rows_late, unfiltered
@@ -83,7 +83,10 @@ def show(
         controls = positions(bench.model, plain, map_)
         jobs = [
             (
-                bench.model, bench.straight, _as_felt(s, f, ideal), states(f, p),
+                bench.model,
+                bench.straight,
+                _as_felt(s, f, ideal),
+                states(f, p),
                 dict(zip(setup.outputs, setup.noise.tolist(), strict=True)),
             )
             for s, (f, p) in zip(setup.segments, [(f, p) for f in setup.flights for p in f.pieces], strict=True)
@@ -147,7 +150,7 @@ def _as_felt(segment: Segment, flight: Flight, ideal: Sequence[str]) -> Segment:
     """The segment with commands of ideal servos as the smoothed rates felt them."""
     controls = segment.controls.copy()
     for k in (k for k, c in enumerate(CONTROLS) if c in ideal):
-        controls[:, k] = later(controls[:, k], segment.time_s, flight.felt_late_s())
+        controls[:, k] = command_later(controls[:, k], segment.time_s, flight.felt_late_s())
     return replace(segment, controls=controls)
 
 

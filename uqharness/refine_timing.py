@@ -16,6 +16,7 @@ from sysid.effect_choice import EXCHANGE
 from sysid.effect_score import Evidence, agreement, corrected, scores, solve
 from sysid.effects import Effect
 from uqharness.flights import Flight, control_columns
+from uqharness.logged_commands import command_later
 from uqharness.replay_model import CONTROLS
 
 CONTROLS_LATE = Effect(
@@ -70,7 +71,7 @@ def later(flights: Sequence[Flight], late_s: float) -> list[Flight]:
 def _moved(flight: Flight, late_s: float) -> dict[str, NDArray[np.float64]]:
     time = flight.record["time_s"]
     names = [c for c in dict.fromkeys((*control_columns(()), *control_columns(CONTROLS[:3]))) if c in flight.record]
-    return {c: np.interp(time - late_s, time, flight.record[c]) for c in names}
+    return {c: command_later(flight.record[c], time, late_s) for c in names}
 
 
 def words(late_s: float, std_s: float, dt_s: float) -> str:
