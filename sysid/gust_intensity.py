@@ -11,15 +11,16 @@ its size. Gusts along the path that turn with the aircraft, left out, were momen
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.gust_cost import costs
+from sysid.gust_cost import Likelihood
 from sysid.gust_states import GustStates
 from sysid.prediction import Process, surprise
 from sysid.rigid_steps import NX, Steps
+from sysid.side_by_side import ALONE, Processes
 
 FloatArray = NDArray[np.float64]
 Linear = Callable[[Sequence[int], GustStates], Sequence[Steps]]
@@ -95,14 +96,14 @@ def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatA
 
 def gust_intensity(
     linear: Linear, measured: Sequence[FloatArray], which: Sequence[int], noise: FloatArray, V: Sequence[float],
-    flights: Sequence[str], states: GustStates, near: Gusts | None = None,
+    flights: Sequence[str], states: GustStates, near: Gusts | None = None, by: Processes = ALONE,
 ) -> Gusts:  # fmt: skip
     """The air of the segments, V their airspeeds, flights whose they are; found on at most ten of them, then of each flight on
     at most six.
 
     states: what gusts do besides, to begin with; near: an estimate from which to search, whose states stay.
     """
-    search = _Search(linear, measured, which, noise, V)
+    search = _Search(linear, measured, which, noise, V, by)
     some = _spread(range(len(measured)), _MOST_SEGMENTS)
     if near is None:
         first = _Point(states, _START, np.inf)
@@ -144,11 +145,17 @@ class _Search:
     which: Sequence[int]
     noise: FloatArray
     V: Sequence[float]
+    by: Processes
+    asked: dict[tuple[tuple[int, ...], GustStates], Likelihood] = field(default_factory=dict)
 
     def costs(self, some: Sequence[int], states: GustStates, points: Sequence[FloatArray]) -> FloatArray:
-        few, data, V = self.linear(some, states), [self.measured[k] for k in some], [self.V[k] for k in some]
+        key = (tuple(some), states)
+        if key not in self.asked:
+            data = [self.measured[k] for k in some]
+            self.asked[key] = Likelihood(self.linear(some, states), data, self.which, self.by)
+        V = [self.V[k] for k in some]
         air = [_process([p] * len(some), V, states) for p in points]
-        return costs(few, data, self.which, np.tile(self.noise, (len(points), 1)), air)
+        return self.asked[key].costs(np.tile(self.noise, (len(points), 1)), air)
 
     def at(self, some: Sequence[int], states: GustStates, values: FloatArray) -> _Point:
         return _Point(states, values, float(self.costs(some, states, [values])[0]))
@@ -183,7 +190,7 @@ class _Search:
 
 def noise_factors(
     steps: Sequence[Steps], measured: Sequence[FloatArray], which: Sequence[int], noise: FloatArray, process: Process,
-    kinds: Sequence[str],
+    kinds: Sequence[str], by: Processes = ALONE,
 ) -> FloatArray:  # fmt: skip
     """(m,) factors on the sensors' noise (m,) that make the flights likeliest beside the process noise, one for each kind of
     channel; found on at most ten of the segments.
@@ -192,10 +199,11 @@ def noise_factors(
     they are follows them late: that looks like a servo's lag.
     """
     some = _spread(range(len(steps)), _MOST_SEGMENTS)
-    few, data, theirs = [steps[k] for k in some], [measured[k] for k in some], process.of(some)
+    likelihood = Likelihood([steps[k] for k in some], [measured[k] for k in some], which, by)
+    theirs = process.of(some)
 
     def cost(factors: Sequence[FloatArray]) -> FloatArray:
-        return costs(few, data, which, np.array(factors) * noise, [theirs] * len(factors), mend=True)
+        return likelihood.costs(np.array(factors) * noise, [theirs] * len(factors), mend=True)
 
     best = np.ones(len(noise))
     low = float(cost([best])[0])

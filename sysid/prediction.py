@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.rigid_steps import Steps
+from sysid.triangular import inverse_lower
 
 FloatArray = NDArray[np.float64]
 _BLOCK_BYTES = 120_000_000
@@ -174,7 +175,7 @@ def _filter(
                 P = _lawful(P)
                 PH = P @ Hk.transpose(0, 2, 1)
                 low = _root(Hk @ PH + noisy, np.where(seen, R, 1.0))
-            joint = np.linalg.inv(low) @ np.concatenate([e[:, :, None], s_, PH.transpose(0, 2, 1)], axis=2)
+            joint = inverse_lower(low) @ np.concatenate([e[:, :, None], s_, PH.transpose(0, 2, 1)], axis=2)
             white[k], series[k] = joint[:, :, 0], joint[:, :, 1 : K + 9]
             half = joint[:, :, K + 9 :]
             logdet += np.log(np.diagonal(low, axis1=1, axis2=2)).sum(axis=1)

@@ -174,3 +174,24 @@ def test_citation_and_licence():
     from uqharness import __version__
 
     assert citation["version"] == __version__
+
+
+def test_what_every_spawned_process_reads_again_loads_nothing():
+    """A worker of a campaign has no use for the command line: pandas, pyarrow and statistics would be 60 MB in each."""
+    heavy = "[name for name in ('uqharness.cli', 'numpy', 'pandas', 'pyarrow', 'scipy') if name in sys.modules]"
+
+    def loaded(module: str) -> list[str]:
+        done = subprocess.run(
+            [sys.executable, "-c", f"import sys, json, {module}; print(json.dumps({heavy}))"],
+            cwd=ROOT, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        return list(json.loads(done.stdout))
+
+    assert 'uqharness = "uqharness.__main__:main"' in (ROOT / "pyproject.toml").read_text()
+    assert loaded("uqharness.__main__") == []
+    assert "pandas" in loaded("uqharness.cli")
+
+
+def test_the_package_runs_as_a_module():
+    done = subprocess.run([sys.executable, "-m", "uqharness", "--version"], cwd=ROOT, capture_output=True, text=True)
+    assert (done.returncode, done.stdout.split()[0]) == (0, "uqharness")

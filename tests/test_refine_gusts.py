@@ -151,11 +151,15 @@ def test_a_sensor_that_reads_more_reads_more_of_everything():
 def test_noise_that_no_filter_can_follow_is_not_the_likeliest(monkeypatch):
     calls: list[float] = []
 
-    def costs(steps, measured, which, noise, processes, mend):
-        calls.extend(noise[:, 0])
-        return np.where(noise[:, 0] > 1.0, np.inf, noise[:, 0])
+    class Likelihood:
+        def __init__(self, steps, measured, which, by):
+            pass
 
-    monkeypatch.setattr("sysid.gust_intensity.costs", costs)
+        def costs(self, noise, processes, mend):
+            calls.extend(noise[:, 0])
+            return np.where(noise[:, 0] > 1.0, np.inf, noise[:, 0])
+
+    monkeypatch.setattr("sysid.gust_intensity.Likelihood", Likelihood)
     air = Process(np.zeros((1, NX, NX)), np.zeros((1, NX, NX)))
     found = noise_factors([SimpleNamespace()], [np.zeros((2, 1))], [0], np.ones(1), air, ["wind"])  # type: ignore[list-item]
     assert max(calls) > 1.0

@@ -234,15 +234,17 @@ class _Lateral:
         self._last: Array | None = None
 
     def take(self, n: int) -> tuple[Array, Array]:
-        noise = self._rng.standard_normal((n, 3))
+        # A row for each source: columns of the array as drawn would be read with strides.
+        noise = np.ascontiguousarray(self._rng.standard_normal((n, 3)).T)
         step, factor, last = self._step, self._factor, self._last
         states = np.empty((3, n))
         # Sums written out: a threaded matrix product may round differently with the number of threads.
         for i in range(3):
-            drive = sum(factor[j, i] * noise[:, j] for j in range(i + 1))
-            assert isinstance(drive, np.ndarray)
+            drive = factor[0, i] * noise[0]
+            for j in range(1, i + 1):
+                drive += factor[j, i] * noise[j]
             if last is None:
-                drive[0] = (self._spread @ noise[0])[i]
+                drive[0] = (self._spread @ noise[:, 0])[i]
             for j in range(i):
                 drive[1:] += step[i, j] * states[j, :-1]
                 if last is not None:

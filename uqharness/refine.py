@@ -20,12 +20,13 @@ from sysid.effect_choice import STRONG, Choice, Refusal, Selection, chance_limit
 from sysid.effect_score import Evidence, corrected, scores
 from sysid.effects import TWINS, Effect
 from sysid.gust_intensity import Gusts
+from sysid.side_by_side import Processes
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
 from uqharness.refine_base import base_fit_and_noise, undetermined
 from uqharness.refine_begin import OVERWHELMING, WEAK_IN_GUSTS, strong_first
 from uqharness.refine_candidates import effect_columns
-from uqharness.refine_fit import Fit, Map, Setup, positions
+from uqharness.refine_fit import Fit, Setup, positions
 from uqharness.refine_gusts import GustFit, gust_evidence, gust_refit, middles
 from uqharness.refine_rates import limits_tried
 from uqharness.refine_rounds import (
@@ -99,8 +100,8 @@ class Found:
 
 
 def find_effects(
-    aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], extra: Sequence[Effect], work: Path, map_: Map,
-    say: Say = lambda _: None, stages: Stages | None = None, put_right: tuple[float, ...] = (),
+    aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], extra: Sequence[Effect], work: Path,
+    map_: Processes, say: Say = lambda _: None, stages: Stages | None = None, put_right: tuple[float, ...] = (),
 ) -> Found:  # fmt: skip
     """Choose and estimate the missing effects on the train flights. ``work``: folder for staged copies of the aircraft;
     put_right: by how much the setup's controls have been moved later already, step by step."""
@@ -213,7 +214,7 @@ def gust_like(effect: Effect) -> bool:
 
 def _in_gusts(
     bench: Bench, found: GustFit, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]],
-    effects: Sequence[Effect], confirming: NDArray[np.bool_], notes: Sequence[str], work: Path, map_: Map, say: Say,
+    effects: Sequence[Effect], confirming: NDArray[np.bool_], notes: Sequence[str], work: Path, map_: Processes, say: Say,
 ) -> Found:  # fmt: skip
     """The same choice made on one-step predictions; found: the fit without effects."""
     free = found.fit.columns[0].names

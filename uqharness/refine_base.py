@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.effect_score import Evidence, solve
+from sysid.side_by_side import Processes
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
 from uqharness.identify_start import equation_error_start
-from uqharness.refine_fit import Fit, Flown, Map, Point, Setup, best_flown, positions, refit
+from uqharness.refine_fit import Fit, Flown, Point, Setup, best_flown, positions, refit
 from uqharness.refine_setup import Bench, estimated_channels, turbulent
 
 SETTLED = 0.01
@@ -21,7 +22,8 @@ ESTIMATOR_ROUNDS = 2
 
 
 def base_fit_and_noise(
-    aircraft: Aircraft, bench: Bench, setup: Setup, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]], map_: Map
+    aircraft: Aircraft, bench: Bench, setup: Setup, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]],
+    map_: Processes,
 ) -> tuple[Fit, tuple[str, ...], list[str], NDArray[np.float64]]:  # fmt: skip
     """base_fit, and the noise (m,) of the outputs: that of channels which the autopilot's estimator computed is what the fit
     leaves of them, for no card knows an estimator's error."""
@@ -57,7 +59,7 @@ def base_fit(
     setup: Setup,
     names: tuple[str, ...],
     limits: Mapping[str, tuple[float, float]],
-    map_: Map,
+    map_: Processes,
 ) -> tuple[Fit, tuple[str, ...], list[str]]:
     """The fit of the model as it is; parameters that the flights do not determine stay where they are and are named in a note."""
     from uqharness import engine

@@ -8,13 +8,8 @@ error's own: at the answer the residuals are orthogonal to sensitivities that do
 from __future__ import annotations
 
 import math
-import multiprocessing
-import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +20,8 @@ from sysid.gust_states import GustStates
 from sysid.prediction import Columns, White, whiten
 from sysid.rigid_steps import OUTPUTS as STEP_OUTPUTS
 from sysid.rigid_steps import STATES as X_STATES
-from sysid.rigid_steps import Steps, linearise
+from sysid.rigid_steps import MassProperties, Reference, Steps, linearise
+from sysid.side_by_side import ALONE, Processes
 from uqharness.actuators import Actuator
 from uqharness.flights import Flight, states
 from uqharness.forced import surface_positions
@@ -37,27 +33,6 @@ from uqharness.replay import CHANNELS, SENSOR_OF, STATES, Segment, at_rows, fly_
 from uqharness.replay_model import CONTROLS, ReplayModel
 
 Array = NDArray[np.float64]
-Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
-
-
-@contextmanager
-def worker_map(workers: int | None = None) -> Iterator[Map]:
-    """An ordered `map` over worker processes; the built-in one for a single worker."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    count = workers or max(1, min(8, cores))
-    if count == 1:
-        yield map
-        return
-    before = os.environ.get("OPENBLAS_NUM_THREADS")
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    try:
-        with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
-            yield lambda f, jobs: pool.map(f, list(jobs), chunksize=1)
-    finally:
-        if before is None:
-            del os.environ["OPENBLAS_NUM_THREADS"]
-        else:
-            os.environ["OPENBLAS_NUM_THREADS"] = before
 
 
 @dataclass(frozen=True)
@@ -126,7 +101,7 @@ def _fly(job: tuple[ReplayModel, Segment, Mapping[str, float], Array, bool]) -> 
     return fly_segment(model, segment, properties, start, between=between)
 
 
-def fly(model: ReplayModel, setup: Setup, point: Point, map_: Map) -> Flown:
+def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flown:
     """Replay every segment at a point; cost inf where a flight leaves the finite."""
     late = [any(sensor_late_s(c, s, point) for c in setup.outputs) for s in setup.segments]
     jobs = [
@@ -146,12 +121,12 @@ def fly(model: ReplayModel, setup: Setup, point: Point, map_: Map) -> Flown:
     return Flown(point, outputs, x, [r[:, CHANNELS.index("h_m")] for r in raw], cost)
 
 
-def best_flown(model: ReplayModel, setup: Setup, points: Sequence[Point], map_: Map) -> Flown:
+def best_flown(model: ReplayModel, setup: Setup, points: Sequence[Point], map_: Processes) -> Flown:
     """The replay of least cost."""
     return min((fly(model, setup, p, map_) for p in points), key=lambda f: f.cost)
 
 
-def positions(model: ReplayModel, setup: Setup, map_: Map) -> list[Array]:
+def positions(model: ReplayModel, setup: Setup, map_: Processes) -> list[Array]:
     """(n, c) where the controls stood in every segment."""
     return list(map_(_positions, [(model, s) for s in setup.segments]))
 
@@ -161,7 +136,7 @@ def _positions(job: tuple[ReplayModel, Segment]) -> Array:
 
 
 def probes(
-    straight: ReplayModel, setup: Setup, flown: Flown, controls: Sequence[Array], differ: Sequence[str], map_: Map,
+    straight: ReplayModel, setup: Setup, flown: Flown, controls: Sequence[Array], differ: Sequence[str], map_: Processes,
     consistent: bool = True,
 ) -> list[Probe]:  # fmt: skip
     """Forces, slopes and so on along the flights flown."""
@@ -172,16 +147,22 @@ def probes(
     return list(map_(probe, jobs))
 
 
+def _linearised(job: tuple[Reference, MassProperties, GustStates | None]) -> Steps:
+    reference, mass, gusts = job
+    return linearise(reference, mass, gusts=gusts)
+
+
 def steps_of(
-    found: Sequence[Probe], outputs: Sequence[Array], setup: Setup, point: Point, gusts: GustStates | None = None
-) -> list[Steps]:
+    found: Sequence[Probe], outputs: Sequence[Array], setup: Setup, point: Point, gusts: GustStates | None = None,
+    by: Processes = ALONE,
+) -> list[Steps]:  # fmt: skip
     """Linear systems along the flights, outputs as the sensors scale them; where the reference is a replay, its outputs are the
     replay's own."""
     gain = np.ones(len(STEP_OUTPUTS))
     gain[setup.which] = [sensor_gain(c, point) for c in setup.outputs]
     out = []
-    for p, y in zip(found, outputs, strict=True):
-        steps = linearise(p.reference, p.mass, gusts=gusts)
+    made = by(_linearised, [(p.reference, p.mass, gusts) for p in found])
+    for p, y, steps in zip(found, outputs, made, strict=True):
         steps = replace(steps, H=steps.H * gain[:, None], D=steps.D * gain[:, None])
         if p.reference.consistent:
             full = steps.y_ref.copy()
@@ -248,7 +229,7 @@ PRIOR = {"bias": 0.1, "delay": 0.1}
 
 def refit(
     model: ReplayModel, straight: ReplayModel, setup: Setup, controls: Sequence[Array], start: Point, names: Sequence[str],
-    limits: Mapping[str, tuple[float, float]], map_: Map, *, max_iterations: int = 12, tolerance: float = 0.05,
+    limits: Mapping[str, tuple[float, float]], map_: Processes, *, max_iterations: int = 12, tolerance: float = 0.05,
     enough: Callable[[Flown, Flown], bool] | None = None,
 ) -> Fit:  # fmt: skip
     """Output error from ``start`` over the properties ``names``, biases, delays and start states.
@@ -270,7 +251,7 @@ def refit(
             analytic = tuple(named_terms(straight, setup.segments[0], found[0], own, flown.point.values))
             if len(analytic) < len(own):
                 found = probes(straight, setup, flown, controls, [n for n in own if n not in analytic], map_)
-        steps = steps_of(found, flown.outputs, setup, flown.point)
+        steps = steps_of(found, flown.outputs, setup, flown.point, by=map_)
         columns = parameter_columns(setup, found, flown, names, analytic)
         white = whiten(steps, setup.measured, columns, setup.which, setup.noise)
         evidence = gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)

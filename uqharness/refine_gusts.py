@@ -21,13 +21,13 @@ from sysid.gust_states import GustStates
 from sysid.prediction import Columns, White, minus_twice_log, whiten
 from sysid.rigid_steps import STATES as X_STATES
 from sysid.rigid_steps import Steps, rates, whole_states
+from sysid.side_by_side import Processes
 from uqharness.forced import surface_positions
 from uqharness.refine_candidates import sensor_gain, sensor_offset
 from uqharness.refine_fit import (
     PRIOR,
     Fit,
     Flown,
-    Map,
     Point,
     Setup,
     parameter_columns,
@@ -116,7 +116,7 @@ def moved(values: Array, rows: int) -> Array:
     return out
 
 
-def middles(model: ReplayModel, setup: Setup, map_: Map) -> list[Array]:
+def middles(model: ReplayModel, setup: Setup, map_: Processes) -> list[Array]:
     """[(n - 1, c)] how far the controls stand from the mean of a step's ends at its middle: a servo's path is no straight line."""
     return list(map_(_middles, [(model, s) for s in setup.segments]))
 
@@ -138,7 +138,7 @@ def _middles(job: tuple[ReplayModel, Segment]) -> Array:
 
 def predict(
     straight: ReplayModel, setup: Setup, point: Point, controls: Sequence[Array], bends: Sequence[Array], differ: Sequence[str],
-    map_: Map,
+    map_: Processes,
 ) -> tuple[Flown, list[Probe]]:  # fmt: skip
     """The measured flight and the model's forces along it."""
     flown = measured_flight(setup, point)
@@ -158,7 +158,7 @@ def _bend(p: Probe, away: Array) -> Array:
 
 def gust_refit(
     straight: ReplayModel, setup: Setup, controls: Sequence[Array], bends: Sequence[Array], start: Point, names: Sequence[str],
-    limits: Mapping[str, tuple[float, float]], map_: Map, near: Gusts | None = None, iterations: int = 10, tune: bool = False,
+    limits: Mapping[str, tuple[float, float]], map_: Processes, near: Gusts | None = None, iterations: int = 10, tune: bool = False,
     known: bool = False,
 ) -> GustFit:  # fmt: skip
     """Parameters, biases and the gusts, searched from ``near``, or ``known`` to be those.
@@ -179,7 +179,7 @@ def gust_refit(
                 flown, found = predict(
                     straight, setup, point, controls, bends, [n for n in own if n not in analytic], map_
                 )
-        steps = _Linear(setup, flown, found)
+        steps = _Linear(setup, flown, found, map_)
         # Where the flight is far from what the parameters say, what they will explain would be taken for gusts.
         settled = length < SETTLED or (number == min(SEARCH_BY, iterations) and not searched)
         if not known and (number <= 2 if near is None else settled and (again or not searched)):
@@ -222,12 +222,12 @@ def _other_air(one: Gusts | None, two: Gusts) -> bool:
 
 
 def unfiltered(
-    straight: ReplayModel, setup: Setup, controls: Sequence[Array], bends: Sequence[Array], point: Point, map_: Map,
+    straight: ReplayModel, setup: Setup, controls: Sequence[Array], bends: Sequence[Array], point: Point, map_: Processes,
     gusts: Gusts,
 ) -> tuple[Flown, list[Array]]:  # fmt: skip
     """The measured flight, and by how much, in units of the noise, the outputs of the model there are not what was measured."""
     flown, found = predict(straight, setup, point, controls, bends, (), map_)
-    steps = _Linear(setup, flown, found)
+    steps = _Linear(setup, flown, found, map_)
     both = zip(steps.measured, steps.all(gusts.states), strict=True)
     return flown, [(z - s.y_ref[:, setup.which]) / setup.noise for z, s in both]
 
@@ -235,8 +235,8 @@ def unfiltered(
 class _Linear:
     """Linear systems of the segments by what gusts do in them, each made once; measured: `in_step`, which they speak of."""
 
-    def __init__(self, setup: Setup, flown: Flown, found: Sequence[Probe]) -> None:
-        self.setup, self.flown, self.found = setup, flown, found
+    def __init__(self, setup: Setup, flown: Flown, found: Sequence[Probe], by: Processes) -> None:
+        self.setup, self.flown, self.found, self.by = setup, flown, found, by
         self.measured = in_step(setup, flown.point)
         self.made: dict[tuple[int, GustStates], Steps] = {}
 
@@ -244,7 +244,7 @@ class _Linear:
         missing = [k for k in some if (k, states) not in self.made]
         found, outputs = [self.found[k] for k in missing], [self.flown.outputs[k] for k in missing]
         point = self.flown.point
-        for k, s in zip(missing, steps_of(found, outputs, self.setup, point, states), strict=True):
+        for k, s in zip(missing, steps_of(found, outputs, self.setup, point, states, self.by), strict=True):
             which, y, segment = self.setup.which, s.y_ref.copy(), self.setup.segments[k]
             # Outputs are those at the reference, biases added.
             y[:, which] = as_sensed(y[:, which], self.setup, segment, point, rows_late(self.setup, segment, point))
@@ -269,14 +269,14 @@ def _tuned(setup: Setup, steps: _Linear, gusts: Gusts) -> tuple[Setup, Gusts]:
 
 def _noise_factors(setup: Setup, steps: _Linear, gusts: Gusts) -> Array:
     kinds = [_KINDS.get(c.split("_")[0], c) for c in setup.outputs]
-    return noise_factors(steps.all(gusts.states), steps.measured, setup.which, setup.noise, gusts.process, kinds)
+    return noise_factors(steps.all(gusts.states), steps.measured, setup.which, setup.noise, gusts.process, kinds, steps.by)
 
 
 def _intensity(setup: Setup, steps: _Linear, near: Gusts | None) -> Gusts:
     speeds = [float(x[:, 0].mean()) for x in steps.flown.x]
     of = [s.flight for s in setup.segments]
     states = GustStates(steps.found[0].mass.b)
-    return gust_intensity(steps, steps.measured, setup.which, setup.noise, speeds, of, states, near)
+    return gust_intensity(steps, steps.measured, setup.which, setup.noise, speeds, of, states, near, steps.by)
 
 
 def predicted(

@@ -10,12 +10,12 @@ from typing import Any
 from sysid.aero_terms import COEFFICIENTS
 from sysid.bounds_coverage import Coverage
 from sysid.model_form import ModelForm
+from sysid.side_by_side import Processes
 from uqharness.aircraft import Aircraft
 from uqharness.bounds import BoundsOptions, make_bounds
 from uqharness.bounds_validation import validate
 from uqharness.errors import BadInputError
 from uqharness.flights import Flight
-from uqharness.refine_fit import Map
 from uqharness.residual_model import recut
 from uqharness.whole_files import write_bytes
 
@@ -65,7 +65,7 @@ def fit_intervals(job: IntervalJob) -> Intervals:
     return Intervals(form, dict(found.coverage))
 
 
-def before_and_after(jobs: Sequence[IntervalJob], map_: Map) -> tuple[Intervals, Intervals]:
+def before_and_after(jobs: Sequence[IntervalJob], map_: Processes) -> tuple[Intervals, Intervals]:
     """Intervals of one or two models; a single one is both before and after."""
     found = list(map_(fit_intervals, jobs))
     return found[0], found[-1]

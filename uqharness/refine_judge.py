@@ -14,10 +14,11 @@ import numpy as np
 from sysid.effect_choice import Choice
 from sysid.effect_score import Evidence, corrected
 from sysid.gust_intensity import Gusts
+from sysid.side_by_side import Processes
 from uqharness.aircraft import Aircraft
 from uqharness.refine import Found, in_one_step, with_resolution
 from uqharness.refine_candidates import effect_columns
-from uqharness.refine_fit import Map, Setup
+from uqharness.refine_fit import Setup
 from uqharness.refine_gusts import GustFit, gust_evidence
 from uqharness.refine_rounds import candidate_evidence, effect_value
 from uqharness.refine_show import Shown, show
@@ -86,7 +87,7 @@ class Judged:
     test: tuple[Setup, Shown, Shown]
 
 
-def judge(found: Found, write: Write, train: Side, test: Side, map_: Map) -> Judged:
+def judge(found: Found, write: Write, train: Side, test: Side, map_: Processes) -> Judged:
     """Fly both sides before and after; withdraw effects one by one, the one that harms most first."""
 
     def flown(model: Found, side: Side) -> Shown:

@@ -14,11 +14,12 @@ from sysid.effect_score import Evidence, gather, scores
 from sysid.effects import TWINS, Effect
 from sysid.gust_intensity import Gusts
 from sysid.prediction import Columns, whiten
+from sysid.side_by_side import Processes
 from uqharness.aircraft import Aircraft, find_aircraft
 from uqharness.refine_begin import OVERWHELMING, About, joint_point
 from uqharness.refine_candidates import effect_columns
 from uqharness.refine_contest import rivals, winner
-from uqharness.refine_fit import PRIOR, Fit, Map, Point, Setup, best_flown, merged, positions, refit
+from uqharness.refine_fit import PRIOR, Fit, Point, Setup, best_flown, merged, positions, refit
 from uqharness.refine_gusts import GustFit, gust_evidence, gust_refit, middles
 from uqharness.refine_rates import around, slower_servos
 from uqharness.refine_setup import Bench
@@ -54,7 +55,7 @@ class Start:
     limit: float
     measured: Sequence[str]
     ideal: Sequence[str]
-    map_: Map
+    map_: Processes
     gusts: Gusts | None = None
     handicap: Mapping[str, float] = field(default_factory=dict)
 

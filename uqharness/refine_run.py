@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid.effects import Effect
+from sysid.side_by_side import Processes
 from uqharness import __version__, engine
 from uqharness.aircraft import Aircraft, content_hash, find_aircraft, open_aircraft
 from uqharness.campaign_manifest import MANIFEST
@@ -29,7 +30,7 @@ from uqharness.refine import (
     setup_in_gusts,
 )
 from uqharness.refine_document import document_of
-from uqharness.refine_fit import Map, Setup, positions, worker_map
+from uqharness.refine_fit import Setup, positions
 from uqharness.refine_intervals import FOLDER as INTERVALS
 from uqharness.refine_intervals import (
     FlightSet,
@@ -48,6 +49,7 @@ from uqharness.refine_stages import FOLDER, Stages
 from uqharness.refine_timing import later
 from uqharness.refine_xml import Written, write_effects
 from uqharness.replay_model import CONTROLS
+from uqharness.worker_map import worker_map
 
 Say = Callable[[str], None]
 
@@ -165,7 +167,7 @@ def _identity(request: Request) -> list[str]:
     ]  # fmt: skip
 
 
-def _judged(request: Request, chosen: Found, train: _Flights, test: _Flights, work: Path, map_: Map) -> Judged:
+def _judged(request: Request, chosen: Found, train: _Flights, test: _Flights, work: Path, map_: Processes) -> Judged:
     def side(flights: _Flights, of_train: bool) -> Side:
         setup, air = flights.setup(request.aircraft), None
         if chosen.gusts is not None:
@@ -225,7 +227,7 @@ def _remove_stale(out: Path, aircraft: Aircraft) -> None:
     (out / INTERVALS / "after.json").unlink(missing_ok=True)
 
 
-def _controls(aircraft: Aircraft, train: _Flights, given: Aircraft, map_: Map) -> list[Any]:
+def _controls(aircraft: Aircraft, train: _Flights, given: Aircraft, map_: Processes) -> list[Any]:
     with Bench(aircraft, train.measured, train.ideal) as bench:
         return positions(bench.model, train.setup(given), map_)
 

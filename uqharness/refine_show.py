@@ -15,12 +15,13 @@ from sysid.diagnostics import ljung_box
 from sysid.force_coefficients import smooth
 from sysid.gaps import rms, theil
 from sysid.gust_intensity import Gusts
+from sysid.side_by_side import Processes
 from uqharness.aircraft import Aircraft
 from uqharness.flights import Flight, states
 from uqharness.identify_start import demand_of, forced_at
 from uqharness.logged_commands import command_later
 from uqharness.refine import Bench
-from uqharness.refine_fit import Flown, Map, Point, Setup, positions, refit
+from uqharness.refine_fit import Flown, Point, Setup, positions, refit
 from uqharness.refine_gusts import gust_refit, middles, moved, rows_late, unfiltered
 from uqharness.replay import Segment
 from uqharness.replay_model import CONTROLS, ReplayModel
@@ -70,7 +71,7 @@ class History:
 
 
 def show(
-    aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Map, sensed: Mapping[str, float],
+    aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Processes, sensed: Mapping[str, float],
     gusts: Gusts | None = None,
 ) -> Shown:  # fmt: skip
     """Flights by an aircraft as its XML has it; only start states, biases and (of logs) delays are estimated.
@@ -131,7 +132,7 @@ def _as_recorded(setup: Setup, point: Point, rows: Sequence[Array]) -> list[Arra
 
 
 def air_of(
-    aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Map, sensed: Mapping[str, float],
+    aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Processes, sensed: Mapping[str, float],
     near: Gusts,
 ) -> Gusts:  # fmt: skip
     """The air of some flights, estimated with a model and sensors as they are; near: that of others, which stays where no filter

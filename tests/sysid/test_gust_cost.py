@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
 from sysid import gust_cost
-from sysid.gust_cost import costs
+from sysid.gust_cost import Likelihood, costs
 from sysid.prediction import Columns, Process, minus_twice_log, whiten
 from sysid.rigid_steps import NX
+from sysid.side_by_side import Held
+from sysid.triangular import inverse_lower
 from tests.sysid.test_prediction import system
 
 STATES = np.arange(NX)
@@ -62,3 +66,36 @@ def test_an_air_that_no_filter_follows_is_impossible_and_the_others_are_what_the
     found = costs(steps, data, ROWS, noise, [*airs[:2], broken, *airs[3:]])
     assert np.isinf(found[2])
     np.testing.assert_allclose(np.delete(found, 2), np.delete(before, 2), rtol=1e-6)
+
+
+class Several:
+    """Stands for processes: what is shared and every job goes through a pickle."""
+
+    def __init__(self, count: int) -> None:
+        self.count, self.jobs = count, 0
+
+    def __call__(self, function, jobs):
+        for job in jobs:
+            self.jobs += 1
+            yield function(pickle.loads(pickle.dumps(job)))
+
+    def share(self, value):
+        return Held(value)
+
+
+@pytest.mark.parametrize("count", [2, 3, 8])
+def test_shared_among_processes_the_figures_are_the_same_to_the_bit(count):
+    steps, data, noise, airs = flights()
+    alone, several = costs(steps, data, ROWS, noise, airs), Several(count)
+    found = Likelihood(steps, data, ROWS, several).costs(noise, airs)
+    np.testing.assert_array_equal(found, alone)
+    assert several.jobs == min(count, len(steps))
+
+
+def test_triangular_inverses_are_those_of_general_matrices():
+    rng = np.random.default_rng(5)
+    for m in (1, 2, 7, 11):
+        low = np.tril(rng.standard_normal((4, 3, m, m))) + 3.0 * np.eye(m)
+        np.testing.assert_allclose(inverse_lower(low), np.linalg.inv(low), rtol=1e-9, atol=1e-12)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        assert not np.isfinite(inverse_lower(np.diag([1.0, 0.0]))).all()

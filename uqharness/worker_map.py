@@ -1,0 +1,76 @@
+"""Worker processes for refinements: an ordered map, and a place for what many jobs read."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import tempfile
+import weakref
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from sysid.side_by_side import ALONE, Processes
+
+_KEPT = 4
+
+
+@contextmanager
+def worker_map(workers: int | None = None) -> Iterator[Processes]:
+    """An ordered `map` over worker processes, as many as there are processors (8 at most) unless told; one: this process."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    count = workers or max(1, min(8, cores))
+    if count == 1:
+        yield ALONE
+        return
+    before = os.environ.get("OPENBLAS_NUM_THREADS")
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    try:
+        with (
+            tempfile.TemporaryDirectory(prefix="uqharness-") as folder,
+            ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool,
+        ):
+            yield _Workers(pool, count, Path(folder))
+    finally:
+        if before is None:
+            del os.environ["OPENBLAS_NUM_THREADS"]
+        else:
+            os.environ["OPENBLAS_NUM_THREADS"] = before
+
+
+class _Workers:
+    def __init__(self, pool: ProcessPoolExecutor, count: int, folder: Path) -> None:
+        self._pool, self.count, self._folder = pool, count, folder
+        self._number = 0
+
+    def __call__(self, function: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterable[Any]:
+        return self._pool.map(function, list(jobs), chunksize=1)
+
+    def share(self, value: Any) -> _InFile:
+        self._number += 1
+        path = self._folder / str(self._number)
+        path.write_bytes(pickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL))
+        shared = _InFile(str(path))
+        weakref.finalize(shared, path.unlink, missing_ok=True)
+        return shared
+
+
+class _InFile:
+    """Written once; each process that needs it reads it once, while it is among the last few."""
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+
+    @property
+    def value(self) -> Any:
+        return _read(self._path)
+
+
+@lru_cache(maxsize=_KEPT)
+def _read(path: str) -> Any:
+    with open(path, "rb") as file:
+        return pickle.load(file)
