@@ -28,7 +28,7 @@ LOOKED_AT = 12
 TURNS = 3
 UNLIKE = 0.3
 """Likeness below which a candidate is asked although the best one was not confirmed."""
-CONTRADICTING = 2.0
+CONTRADICTING = 3.0
 """Standard errors between the estimates of the two parts of the flights beyond which they contradict each other."""
 STRONG = 2.0
 """How far above the limit an unconfirmed candidate's |t| must be to say that something is missing all the same."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from sysid.effect_choice import Choice
-from sysid.effect_score import Evidence, gather
+from sysid.effect_score import Evidence, gather, scores
 from sysid.force_coefficients import MassProperties
 from sysid.gust_intensity import noise_factors
 from sysid.prediction import Process, White
@@ -21,6 +22,7 @@ from uqharness.refine_contest import rivals, winner
 from uqharness.refine_fit import Point, steps_of
 from uqharness.refine_gusts import in_step, moved, rows_late
 from uqharness.refine_reference import Predicted, Probe
+from uqharness.refine_rivals import at_value
 from uqharness.refine_sensed import as_sensed
 
 OUTPUTS = ("V_mps", "alpha_rad", "ax_mps2")
@@ -173,7 +175,7 @@ def test_effects_that_no_filter_can_follow_leave_what_was_flown_before(monkeypat
     monkeypatch.setattr(refine_rounds, "_flown", flown)
     choice = Choice("effect/Cm/p_hat^2", 1.0, 0.1, 10.0, 100.0, 1.0, 0.0)
     start = SimpleNamespace(
-        before=SimpleNamespace(flown=SimpleNamespace(point=point(), cost=1.0)), gusts=object(), effects=[],
+        before=SimpleNamespace(flown=SimpleNamespace(point=point(), cost=1.0)), gusts=object(), effects=[], limit=7.0,
     )  # fmt: skip
     best, trail = refine_rounds.settle(
         start,
@@ -225,6 +227,72 @@ def test_the_rival_that_flies_likeliest_wins_by_a_margin():
     assert found(105.0) is None
     assert found(105.0, 10.0) == "b"
     assert winner([], alone, lambda c: 0.0, 150.0, 1.0) is None
+
+
+def test_another_fault_of_the_same_servo_is_a_rival_from_further_off(evidence):
+    lag, limit, other = "effect/actuator.aileron/lag", "effect/actuator.aileron/rate_limit", "effect/Cl/p_hat^2"
+    (white,) = evidence.white
+    free, speed, noise = (white.columns[:, :, k] for k in (0, 2, 4))
+
+    def found(second: str) -> list[str]:
+        columns = np.stack([free, speed, speed + np.float32(0.6) * noise], axis=2)
+        told = gather([replace(white, columns=columns, start=np.zeros((8, 4)))], ("free", lag, second), ["one"], {})
+        shares = scores(told, ["free"], [lag, second]).gain
+        assert 0.5 < shares[1] / shares[0] < 0.8
+        return rivals(told, ["free"], {lag: 0.0, second: 0.0}, lag)
+
+    assert found(limit) == [limit]
+    assert found(other) == []
+    assert found("effect/actuator.rudder/rate_limit") == []
+
+
+def held_flights(wanted, told=0.01, likeliest=0.5):
+    """Stands for `_predicted`: what JSBSim reads once; flights want ``wanted`` of the way from its value to the likeliest."""
+    flown = []
+
+    def predicted(start, selection, about, folder):
+        (choice,) = selection.chosen
+        flown.append(choice.value)
+        if choice.value < 0.0:
+            raise np.linalg.LinAlgError("Matrix is not positive definite")
+        following = choice.value + wanted * (likeliest - choice.value)
+        rng = np.random.default_rng(2)
+        column = rng.standard_normal((400, 2))
+        noise = rng.standard_normal((400, 2))
+        noise -= column * np.sum(column * noise) / np.sum(column**2)
+        white = White(
+            (following - choice.value) * column / told + noise, (column / told)[:, :, None].astype(np.float32), 0.0,
+            np.zeros((8, 2)), np.ones((400, 2), dtype=bool), np.ones(2), np.zeros((400, 13)),
+        )  # fmt: skip
+        fit = SimpleNamespace(evidence=gather([white], (choice.key,), ["one"], {}))
+        held = [] if choice.key.endswith("free") else [choice.key]
+        return SimpleNamespace(
+            surprise=1000.0 * abs(choice.value - likeliest), fit=fit, setup=SimpleNamespace(held=held)
+        )
+
+    return flown, predicted
+
+
+def test_what_is_read_once_flies_until_its_number_stands(tmp_path):
+    start = SimpleNamespace(
+        before=SimpleNamespace(columns=[SimpleNamespace(names=())]), confirming=np.zeros(1, dtype=bool)
+    )
+    first = Choice("effect/actuator.aileron/lag", 0.1, 0.01, 20.0, 400.0, 1.0, 0.0)
+    flown, predicted = held_flights(wanted=0.8)
+    best, surprise = at_value(start, first, None, tmp_path, predicted)  # type: ignore[arg-type]
+    np.testing.assert_allclose(flown, [0.1, 0.42, 0.5], rtol=1e-3)
+    assert (best.value, surprise) == (pytest.approx(0.5, rel=1e-3), pytest.approx(0.0, abs=0.1))
+    # Where each flight tells a fifteenth of what is left, eight of them get there all the same.
+    flown, predicted = held_flights(wanted=1.0 / 15.0)
+    best, surprise = at_value(start, first, None, tmp_path, predicted)  # type: ignore[arg-type]
+    assert best.value == pytest.approx(0.5, rel=1e-2)
+    flown, predicted = held_flights(wanted=0.8)
+    best, _ = at_value(start, replace(first, value=0.4999), None, tmp_path, predicted)  # type: ignore[arg-type]
+    assert len(flown) == 1
+    free = replace(first, key="effect/free")
+    assert at_value(start, free, None, tmp_path, predicted)[0] is free  # type: ignore[arg-type]
+    assert len(flown) == 2
+    assert at_value(start, replace(first, value=-1.0), None, tmp_path, predicted)[1] == np.inf  # type: ignore[arg-type]
 
 
 def some_air(strength=1.0):

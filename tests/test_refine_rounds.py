@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +12,8 @@ from sysid.effect_choice import Choice, Selection
 from sysid.effect_score import gather
 from sysid.prediction import White
 from sysid.subsystem_effects import subsystem_effects
-from uqharness.refine_rounds import FAR_OFF, eligible, first_at_values, largest_step, likeliest, resolved
+from uqharness.refine_rivals import at_values, far_off, without_weak
+from uqharness.refine_rounds import eligible, first_at_values, largest_step, likeliest, resolved
 
 DT = 0.02
 EFFECTS = [e for e in subsystem_effects(["aileron"], [], []) if e.term in ("lag", "rate_limit")]
@@ -116,10 +118,37 @@ def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(al
 )
 def test_a_lag_flies_at_its_value_before_others_stand_beside_it(flown_s, following):
     lag, other = (Choice(k, v, 2e-4, 9.0, 81.0, 1.0, 0.0) for k, v in (("lag", 0.0626), ("scale", 0.1)))
-    found = first_at_values(Selection((lag, other)), [lag], [lag], {"lag": flown_s})
+    found = first_at_values(Selection((lag, other)), [lag], far_off([lag], {"lag": flown_s}))
     assert [c.key for c in found.chosen] == following
     assert bool(found.trail) is (following == ["lag"])
-    assert FAR_OFF > 2.0
+
+
+def test_calm_rounds_fly_again_until_a_lag_stands(tmp_path):
+    """The flights want a lag of 0.16 s; a replay tells a third of what is left."""
+
+    def flown_at(value: float) -> SimpleNamespace:
+        wanted = Choice("lag", value + (0.16 - value) / 3.0, 1e-3, 60.0, 3600.0, 1.0, 0.0)
+        other = Choice("Cm", 1.0, 0.1, 10.0, 100.0, 1.0, 0.0)
+        return SimpleNamespace(
+            selection=Selection((wanted, other)), far=far_off([wanted], {"lag": value}), about=None, value=value
+        )
+
+    seen: list[tuple[float, float]] = []
+
+    def fly(selection: Selection, about: object, folder: Path) -> SimpleNamespace:
+        lag, other = selection.chosen
+        assert folder.name == f"round2-{len(seen)}"
+        seen.append((lag.value, other.value))
+        return flown_at(lag.value)
+
+    now = at_values(flown_at(0.04), fly, tmp_path / "round2")  # type: ignore[arg-type]
+    assert now.value == pytest.approx(0.16, abs=3e-3)  # type: ignore[attr-defined]
+    assert 2 <= len(seen) <= 4
+    assert {cm for _, cm in seen} == {1.0}
+    seen.clear()
+    assert at_values(flown_at(0.159), fly, tmp_path / "round2").value == 0.159  # type: ignore
+    first = flown_at(0.04)
+    assert at_values(first, lambda *_: None, tmp_path / "round2") is first  # type: ignore
 
 
 def flown(merit: float, *keys: str) -> SimpleNamespace:
@@ -143,3 +172,34 @@ def test_rounds_that_judge_other_samples_are_not_compared():
     assert likeliest([first, late]) is late  # type: ignore[list-item]
     better = flown(-610.0, "effect/sensor.alpha_rad/delay", "effect/Cm/V_rel")
     assert likeliest([first, better, late]) is better  # type: ignore[list-item]
+
+
+def round_of(merit: float, standing: bool = False, **t: float) -> SimpleNamespace:
+    chosen = tuple(Choice(k, 1.0, 0.1, v, v * v, 1.0, 0.0) for k, v in t.items())
+    return SimpleNamespace(
+        merit=merit, standing=standing, selection=Selection(chosen), keys=frozenset(t), about=None
+    )
+
+
+def test_what_says_nothing_once_it_flies_is_left_out(tmp_path):
+    """Cm is there; a rate of alpha beside it is there only while it does not fly."""
+    asked: list[list[str]] = []
+
+    def fly(selection: Selection, about: object, folder: Path) -> SimpleNamespace:
+        asked.append([c.key for c in selection.chosen])
+        return round_of(101.0, Cm=-8.0)
+
+    both, alone = round_of(90.0, Cm=-8.0, alphadot=1.7), round_of(100.0, Cm=-8.1)
+    found, lines = without_weak(both, [both, alone], 4.0, fly, tmp_path)  # type: ignore
+    assert found is alone
+    assert "alphadot" in lines[0]
+    assert not asked
+    found, _ = without_weak(both, [both], 4.0, fly, tmp_path)  # type: ignore
+    assert found is not None
+    assert found.merit == 101.0
+    assert asked == [["Cm"]]
+    for best in (
+        round_of(90.0, Cm=-8.0, alphadot=5.0), round_of(90.0, True, Cm=-8.0, alphadot=1.7), round_of(90.0, Cm=2.0), None,
+    ):  # fmt: skip
+        assert without_weak(best, [], 4.0, fly, tmp_path) == (best, [])  # type: ignore
+    assert without_weak(both, [both], 4.0, lambda *_: None, tmp_path) == (both, [])  # type: ignore

@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 STALL = {"a1_per_deg": 0.5, "alpha1_deg": 11.0, "alpha2_deg": -20.0}
 GROUND_SPANS = 3.0
 """Height in spans above which nothing is asked of the ground: less than half a per cent of its share is left there."""
+LEAST_INFLOW = 1e-9
+"""Change of CX by inflow from which thrust depends on airspeed at all."""
 _DEADBAND_DEG = 0.5
 _LAG_S = 0.002
 
@@ -84,8 +86,13 @@ def _subsystem(
         thrust = np.hstack([p.other_force, p.other_moment]) / scale
         if e.term == "thrust_scale":
             return thrust, None
-        if e.term == "inflow":
+        if e.term == "airspeed":
             return thrust * (found["V_rel"] - 1.0)[:, None], None
+        if e.term == "inflow":
+            if p.by_inflow is None or not np.any(np.abs(p.by_inflow) > LEAST_INFLOW):
+                return None, None
+            C[:, 0] = p.by_inflow
+            return C, None
         if e.term == "torque":
             C[:, 3] = found["CT"]
         elif e.term == "p_factor":
@@ -111,7 +118,11 @@ def _subsystem(
         return C, None
     if part == "actuator":
         k = CONTROLS.index(what)
-        moved = servo_change(e.term, setup.servos.get(what), segment.controls[:, k], p.controls[:, k], h, setup.limits.get(what))
+        servo = setup.servos.get(what)
+        if servo is not None and e.term == "lag" and what in setup.lagging:
+            # The slope where it flies: a slow servo made slower by a little does less than a fast one.
+            servo = replace(servo, lag=servo.lag_with(setup.lagging[what]))
+        moved = servo_change(e.term, servo, segment.controls[:, k], p.controls[:, k], h, setup.limits.get(what))
         if not np.any(moved):
             return None, None
         return p.by_control[:, :, k] * moved[:, None], None

@@ -17,6 +17,8 @@ NEAR = 0.8
 """Share of the winner's gain that a rival must reach on the linearised flight."""
 ALIKE = 0.99
 """Likeness from which two candidates are one and the same for this purpose."""
+OF_A_SERVO = 0.5
+"""The same for another fault of the same servo: none of them is linear in its number, and lags and rate limits trade places."""
 MOST_RIVALS = 3
 
 
@@ -27,12 +29,19 @@ def rivals(evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], k
     gain = np.array(gains)
     found: list[str] = []
     for k in np.argsort(-gain):
-        if gain[k] < NEAR * own or len(found) == MOST_RIVALS:
+        if len(found) == MOST_RIVALS:
             break
+        if not gain[k] >= (OF_A_SERVO if _one_servo(key, others[k]) else NEAR) * own:
+            continue
         same = np.abs(np.nan_to_num(likeness(evidence, free, others[k], [key, *found])))
         if same.max() < ALIKE:
             found.append(others[k])
     return found
+
+
+def _one_servo(one: str, other: str) -> bool:
+    part = one.split("/")[1:2]
+    return part == other.split("/")[1:2] and "".join(part).startswith("actuator.")
 
 
 def winner(

@@ -95,12 +95,12 @@ def _fastest(setup: Setup, surface: str, servo: Actuator) -> float:
     return float(max(found, default=0.0))
 
 
-def slower_servos(chosen: Sequence[Effect], value: Mapping[str, float]) -> dict[str, float]:
-    """surface -> value [s/deg] of the rate limits among some effects."""
+def slower_servos(chosen: Sequence[Effect], value: Mapping[str, float], term: str = "rate_limit") -> dict[str, float]:
+    """surface -> value of the rate limits [s/deg], or lags [s], among some effects."""
     return {
         (e.subsystem or "").partition(".")[2]: value[e.key]
         for e in chosen
-        if e.term == "rate_limit" and (e.subsystem or "").startswith("actuator.")
+        if e.term == term and (e.subsystem or "").startswith("actuator.")
     }
 
 

@@ -53,6 +53,7 @@ class Probe:
     by_control  (n, 6, c) change of CX..Cn by each control, per record unit; controls (n, c) positions
     by_property property -> (n, 6) change of CX..Cn by a unit of it
     height_m    (n,) above the ground; infinite where the record does not say
+    by_inflow   (n,) change of CX by thrust's own slope with airspeed, V dT/dV/(qbar S): by an inflow that is twice the model's
     predicted   in turbulence: a regressor that has seen a sample must not be used to predict that sample
     """
 
@@ -66,6 +67,7 @@ class Probe:
     by_property: Mapping[str, Array]
     height_m: Array
     predicted: Predicted | None = None
+    by_inflow: Array | None = None
 
     @property
     def body(self) -> Array:
@@ -174,6 +176,9 @@ def probe(job: ProbeJob) -> Probe:
         by_control.append(spread((parts[1 + len(AIR) + c] - at_coarse) / step[:, None]) / scale)
     total = all_rows(load[: len(base)])
     other = np.hstack([found.other_force, found.other_moment])
+    pushed = other[edges[1 + AIR.index("V_mps")] : edges[2 + AIR.index("V_mps")], 0]
+    still = other[: len(base), 0] if job.consistent else other[: len(base), 0][coarse]
+    thrust_slope = spread((pushed - still) / _STEPS["V_mps"])
     other = all_rows(other[: len(base)])
     reference = Reference(
         job.segment.dt_s,
@@ -189,6 +194,7 @@ def probe(job: ProbeJob) -> Probe:
         reference, mass, (total - other) / scale, other[:, :3], other[:, 3:], np.stack(by_control, axis=2), job.controls,
         _differences(job, job.differ, scale),
         job.height_m if job.segment.above_ground else np.full(n, np.inf),
+        by_inflow=job.x[:, 0] * thrust_slope / scale[:, 0],
     )  # fmt: skip
 
 

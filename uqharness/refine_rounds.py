@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +19,13 @@ from sysid.side_by_side import Processes
 from uqharness.aircraft import Aircraft, find_aircraft
 from uqharness.refine_begin import OVERWHELMING, About, joint_point
 from uqharness.refine_candidates import effect_columns
-from uqharness.refine_contest import rivals, winner
 from uqharness.refine_fit import PRIOR, Fit, Point, Setup, best_flown, merged, positions, refit
 from uqharness.refine_gusts import GustFit, gust_evidence, gust_refit, middles
 from uqharness.refine_rates import around, slower_servos
+from uqharness.refine_reference import Probe
+from uqharness.refine_rivals import at_values, far_off, rival, strong_first, without_weak
 from uqharness.refine_setup import Bench
+from uqharness.refine_terms_xml import INFLOW_POWERS
 from uqharness.refine_xml import Written, carrier, in_dynamics, write_effects
 from uqharness.replay_model import CONTROLS
 
@@ -32,8 +35,6 @@ LEAST_LATE_LOG_ROWS = 0.5
 ROUNDS = 4
 EARNED = 0.6
 """Share of limit^2 by which each effect must lower the cost of the flight itself: a linearised gain is not reached to the last."""
-FAR_OFF = 3.0
-"""Standard errors from its flown value beyond which a number that is held in flight has to fly again before others are chosen."""
 Say = Callable[[str], None]
 
 
@@ -69,6 +70,7 @@ class Round:
     standing   whether that is the same, with the same numbers where JSBSim reads them once
     merit      cost, in gusts `surprise`, and what the effects must earn: less is better; gusts: the air, as estimated with them
     about      where it ended; surprise: minus twice the log likelihood of one-step predictions; NaN for replays
+    far        key -> value flown, of numbers that JSBSim reads once and the flights want elsewhere
     """
 
     setup: Setup
@@ -82,6 +84,7 @@ class Round:
     gusts: Gusts | None
     about: About
     surprise: float = float("nan")
+    far: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def keys(self) -> frozenset[str]:
@@ -105,7 +108,11 @@ def settle(
         if not selection.chosen:
             break
         say(f"round {number}: flying with {_listed([c.key for c in selection.chosen])}")
-        now = _tried(start, selection, about, work / f"round{number}")
+        folder = work / f"round{number}"
+        first = selection if start.gusts else strong_first(selection, start.effects, start.aircraft.folder)
+        now = _tried(start, first, about, folder)
+        if now is not None and not start.gusts:
+            now = at_values(now, partial(_tried, start), folder)
         if now is None:
             trail.append(f"round {number}: no filter follows flights with these effects; what was flown before stands")
             break
@@ -122,17 +129,18 @@ def settle(
             trail.append(f"round {number}: back to effects flown before; the best round stands")
             break
         selection, about = now.again, now.about
+    best = likeliest(flown) if start.gusts else min(flown, key=lambda r: r.merit, default=None)
+    best, lines = without_weak(best, flown, start.limit, partial(_tried, start), work / "kept")
+    trail += lines
     if start.gusts:
-        best = likeliest(flown)
-        if best is not None and best is not flown[-1]:
+        if best is not None and best is not flown[-1] and not lines:
             trail.append(f"the best of {len(flown)} rounds flown, not the last")
         return best if selection.chosen or (best and best.standing) else None, trail
-    best = min(flown, key=lambda r: r.merit, default=None)
     if best is None or not best.merit < start.before.flown.cost:
         if best is not None:
             trail.append("flown, the effects do not lower the error by what they must earn")
         return None, trail
-    if not best.standing:
+    if not best.standing and not lines:
         trail.append(f"the best of {len(flown)} rounds flown, not one that stands")
     return best, trail
 
@@ -167,24 +175,7 @@ def _contested(
     if start.gusts is None or abs(selection.chosen[0].t) <= OVERWHELMING:
         return now, []
     odds = eligible(start.effects, start.setup, start.before, about.evidence)
-    others = rivals(about.evidence, start.before.columns[0].names, odds, key)
-    if not others:
-        return now, []
-    say(f"flying {_listed(others)} instead, each alone")
-    known = replace(start, gusts=now.gusts, setup=replace(start.setup, noise=now.setup.noise))
-    free = start.before.columns[0].names
-
-    def alone(name: str) -> Choice:
-        return judged(about.evidence, free, [name], list(odds), start.confirming, TWINS)[0]
-
-    def surprise(choice: Choice) -> float:
-        folder = work / f"rival{others.index(choice.key)}"
-        try:
-            return _predicted(known, Selection((choice,)), about, folder).surprise
-        except np.linalg.LinAlgError:
-            return np.inf
-
-    best = winner(others, alone, surprise, now.surprise, start.limit**2)
+    best = rival(start, now, selection, about, odds, work, say, _predicted)
     instead = _tried(start, Selection((best,)), about, work / "rival") if best is not None else None
     if best is None or instead is None:
         return now, []
@@ -257,21 +248,20 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     # What JSBSim reads once (mass, servos) has to be written anew until the number stands.
     held = [c for c in own if c.key not in setup.carriers and in_dynamics(by_key[c.key])]
     moving = [c for c in held if abs(c.value - written[c.key]) > 0.5 * c.std]
-    again = again if start.gusts is None else first_at_values(again, own, held, written)
+    far = far_off(held, written)
+    again = again if start.gusts is None else first_at_values(again, own, far)
     cost = fit.flown.cost if gusts is None else surprise
     merit = cost + sum(by_key[k].odds + EARNED * start.limit**2 for k in keys)
     return Round(
         setup, staged, fit, evidence, Selection(own, again.refused, again.trail), again, standing and not moving, merit, gusts,
-        About(fit.flown.point, evidence, values), surprise,
+        About(fit.flown.point, evidence, values), surprise, far,
     )  # fmt: skip
 
 
-def first_at_values(
-    again: Selection, own: Sequence[Choice], held: Sequence[Choice], written: Mapping[str, float]
-) -> Selection:
+def first_at_values(again: Selection, own: Sequence[Choice], far: Mapping[str, float]) -> Selection:
     """What is to be flown next: of the effects flown, ``own``, nothing but these where a number that is held in flight was far from
     what the flight wants. Until it flies at its value, what it leaves looks like others."""
-    if not any(abs(c.value - written[c.key]) > FAR_OFF * c.std for c in held):
+    if not far:
         return again
     trail = (*again.trail, f"first at their values: {_listed([c.key for c in own])}")
     return replace(again, chosen=tuple(own), trail=trail)
@@ -361,11 +351,12 @@ def stage(
     staged = replace(staged, engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
     carriers = {e.key: found[0] for e in chosen if (found := carrier(e, aircraft.folder)) is not None}
     limits = {**setup.limits, **{s: around(setup.servos[s], v) for s, v in slower_servos(chosen, value).items()}}
-    return staged, replace(setup, active=tuple(chosen), carriers=carriers, limits=limits)
+    lagging = slower_servos(chosen, value, "lag")
+    return staged, replace(setup, active=tuple(chosen), carriers=carriers, limits=limits, lagging=lagging)
 
 
 def control_slopes(fit: Fit) -> dict[str, float]:
-    """Mean change of the coefficients by a degree of elevator and rudder, and of CZ by a radian of alpha."""
+    """Mean change of the coefficients by a degree of elevator and rudder, of CZ by a radian of alpha, of CX by inflow."""
     by = np.concatenate([p.by_control for p in fit.probes])
     out = {
         f"{c}_{u}": float(by[:, k, j].mean())
@@ -373,7 +364,17 @@ def control_slopes(fit: Fit) -> dict[str, float]:
         for k, c in enumerate(("CX", "CY", "CZ", "Cl", "Cm", "Cn"))
     }
     slope = np.concatenate([p.reference.slopes[:, 2, 1] / (p.reference.qbar * p.mass.S) for p in fit.probes])
-    return {**out, "CZ_alpha": float(slope.mean())}
+    return {**out, "CZ_alpha": float(slope.mean()), **_inflow(fit.probes)}
+
+
+def _inflow(probes: Sequence[Probe]) -> dict[str, float]:
+    """Polynomial over CT of what an inflow twice the model's does to CX."""
+    known = [(p.variables()["CT"], p.by_inflow) for p in probes if p.by_inflow is not None]
+    if not known:
+        return {}
+    CT, change = (np.concatenate(columns) for columns in zip(*known, strict=True))
+    numbers, *_ = np.linalg.lstsq(np.vander(CT, INFLOW_POWERS, increasing=True), change, rcond=None)
+    return {f"inflow_{k}": float(number) for k, number in enumerate(numbers)}
 
 
 def with_effects(point: Point, setup: Setup, selection: Selection, staged: Aircraft) -> Point:

@@ -1,0 +1,161 @@
+"""Effects at their own values: what JSBSim reads once (mass, servos) flies until its number stands, and so does, of an overwhelming
+effect in gusts that leaves others, what might stand in its place, each alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sysid.effect_choice import Choice, Selection, judged
+from sysid.effects import Effect
+from uqharness.refine_begin import OVERWHELMING
+from uqharness.refine_contest import rivals, winner
+from uqharness.refine_gusts import GustFit
+from uqharness.refine_xml import carrier, in_dynamics
+
+if TYPE_CHECKING:
+    from uqharness.refine_rounds import About, Round, Start
+
+HELD_FLIGHTS = 8
+"""Flights in which a number that JSBSim reads once may come to its value."""
+FAR_OFF = 3.0
+"""Standard errors from its flown value beyond which a number that is held in flight has to fly again before others are chosen."""
+STANDS = 1.0
+"""Standard errors by which such a number may differ from the one flown and stand."""
+Predicted = Callable[["Start", Selection, "About", Path], GustFit]
+
+
+def rival(
+    start: Start, now: Round, selection: Selection, about: About, odds: dict[str, float], work: Path,
+    say: Callable[[str], None], predicted: Predicted,
+) -> Choice | None:  # fmt: skip
+    """The candidate that, alone, makes the flights likelier than the first chosen effect does, or that effect at another value;
+    None where it stays as it flew.
+
+    now: the flight with what was chosen; odds: candidates; predicted: one-step predictions with effects, in a given air.
+    """
+    first = selection.chosen[0]
+    free = start.before.columns[0].names
+    others = rivals(about.evidence, free, odds, first.key)
+    held = first.key in now.setup.held
+    if not others and not held:
+        return None
+    if others:
+        say(f"flying {', '.join(k.removeprefix('effect/').replace('/', ' ') for k in others)} instead, each alone")
+    known = replace(start, gusts=now.gusts, setup=replace(start.setup, noise=now.setup.noise))
+    flown: dict[str, Choice] = {}
+
+    def surprise(choice: Choice) -> float:
+        folder = work / f"rival{len(flown)}"
+        flown[choice.key], found = at_value(known, choice, about, folder, predicted)
+        return found
+
+    def alone(key: str) -> Choice:
+        return judged(about.evidence, free, [key], list(odds), start.confirming)[0]
+
+    to_beat = now.surprise
+    if held:
+        # It flew at what the linearised flight says of it, from which a servo's lag may be far.
+        to_beat = min(to_beat, surprise(first))
+    best = winner(others, alone, surprise, to_beat, start.limit**2)
+    if best is not None:
+        return flown[best.key]
+    mine = flown.get(first.key, first)
+    return mine if abs(mine.value - first.value) > FAR_OFF * mine.std else None
+
+
+def at_value(start: Start, choice: Choice, about: About, folder: Path, predicted: Predicted) -> tuple[Choice, float]:
+    """The effect alone at the value that makes its flights likeliest, and minus twice the log of that; infinite where no filter
+    follows. What JSBSim reads once (mass, servos) flies until its number stands."""
+    free = start.before.columns[0].names
+    flown: list[tuple[float, Choice]] = []
+    last: tuple[float, float] | None = None
+    for number in range(HELD_FLIGHTS):
+        try:
+            found = predicted(start, Selection((choice,)), about, folder / str(number))
+        except np.linalg.LinAlgError:
+            break
+        flown.append((found.surprise, choice))
+        if choice.key not in found.setup.held:
+            break
+        evidence = found.fit.evidence.taken_out({choice.key: choice.value})
+        wanted = judged(evidence, free, [choice.key], [choice.key], start.confirming)[0]
+        here = (choice.value, wanted.value - choice.value)
+        if not abs(here[1]) > STANDS * wanted.std:
+            break
+        choice = replace(wanted, value=choice.value + ahead(last, here))
+        last = here
+    return min(((c, s) for s, c in flown), key=lambda f: f[1], default=(choice, float("inf")))
+
+
+def strong_first(selection: Selection, effects: Sequence[Effect], folder: Path) -> Selection:
+    """An overwhelming effect that is read once and stronger than the others: it alone, of an aircraft in ``folder``."""
+    first = max(selection.chosen, key=lambda c: abs(c.t))
+    effect = next(e for e in effects if e.key == first.key)
+    once = in_dynamics(effect) and carrier(effect, folder) is None
+    return replace(selection, chosen=(first,)) if once and abs(first.t) > OVERWHELMING else selection
+
+
+def far_off(held: Sequence[Choice], written: Mapping[str, float]) -> dict[str, float]:
+    """key -> value flown, of numbers that JSBSim reads once and the flights want elsewhere."""
+    return {c.key: written[c.key] for c in held if abs(c.value - written[c.key]) > FAR_OFF * c.std}
+
+
+def at_values(now: Round, fly: Callable[[Selection, About, Path], Round | None], folder: Path) -> Round:
+    """The round flown again, its effects the same, until the numbers that JSBSim reads once stand.
+
+    Until they do, what they leave looks like other effects. fly: with effects, from where a round ended, in a folder of its own.
+    """
+    last: dict[str, tuple[float, float]] = {}
+    for number in range(HELD_FLIGHTS):
+        if not now.far:
+            break
+        chosen = []
+        for c in now.selection.chosen:
+            if c.key in now.far:
+                here = (now.far[c.key], c.value - now.far[c.key])
+                chosen.append(replace(c, value=here[0] + ahead(last.get(c.key), here)))
+                last[c.key] = here
+            else:
+                chosen.append(c)
+        following = fly(Selection(tuple(chosen)), now.about, folder.with_name(f"{folder.name}-{number}"))
+        if following is None:
+            break
+        now = following
+    return now
+
+
+def without_weak(
+    best: Round | None, flown: Sequence[Round], limit: float, fly: Callable[[Selection, About, Path], Round | None], folder: Path
+) -> tuple[Round | None, list[str]]:  # fmt: skip
+    """The best round, or where effects that it flies say less than they must once they fly, the one without them; and why.
+
+    Such a choice goes to and fro: what an effect seemed to be is gone when it flies, and there again when it does not.
+    """
+    weak = [c for c in best.selection.chosen if not abs(c.t) > limit] if best is not None and not best.standing else []
+    if best is None or not weak or len(weak) == len(best.selection.chosen):
+        return best, []
+    kept = tuple(c for c in best.selection.chosen if c not in weak)
+    same = [r for r in flown if r.keys == {c.key for c in kept}]
+    found = min(same, key=lambda r: r.merit) if same else fly(Selection(kept), best.about, folder)
+    if found is None:
+        return best, []
+    return found, [f"flown, {c.key} has |t| {abs(c.t):.1f}: the best round without it" for c in weak]
+
+
+def ahead(last: tuple[float, float] | None, here: tuple[float, float]) -> float:
+    """How far to go from a value at which the flights want it changed by so much, (value, change), by the secant; at most to twice
+    the value.
+
+    A lag's slope falls off with the lag: what the flights want next is a small part of what they want in the end.
+    """
+    value, change = here
+    if last is None or last[0] == value:
+        return change
+    slope = (change - last[1]) / (value - last[0])
+    most = max(abs(change), abs(value))
+    return change if not slope < 0.0 else float(np.clip(-change / slope, -most, most))
