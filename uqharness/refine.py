@@ -34,7 +34,6 @@ from uqharness.refine_rounds import (
     Start,
     candidate_evidence,
     column_evidence,
-    control_slopes,
     eligible,
     resolved,
     settle,
@@ -49,6 +48,7 @@ from uqharness.refine_setup import (
     setup_in_gusts,
     turbulent,
 )
+from uqharness.refine_slopes import control_slopes, of_lift_slope
 from uqharness.refine_stages import Stages
 from uqharness.refine_timing import CONTROLS_LATE, MOST_CORRECTIONS, controls_late, later, words
 from uqharness.xml_estimates import Estimate
@@ -75,6 +75,7 @@ class Found:
     scoreboard      the candidates that explain most of what the parameters leave, each alone: (name, t); limit: |t| asked
     gusts           the air, where it was turbulent and the flights were judged by one-step predictions
     late_s          by how much all controls were moved later than recorded before the choice was made
+    slopes          numbers that effects of stall and propulsion are written with
     """
 
     setup: Setup
@@ -92,6 +93,7 @@ class Found:
     staged: Aircraft | None = None
     late_s: float = 0.0
     trail: tuple[str, ...] = field(default=())
+    slopes: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def gusty(self) -> bool:
@@ -174,10 +176,11 @@ def find_effects(
             sum(put_right), tuple(trail),
         )  # fmt: skip
     selection = with_resolution(resolved(start, best), by_key, setup.segments[0].dt_s)
+    selection, slopes = of_lift_slope(selection, before, best.fit)
     return Found(
         best.setup, names, before, best.fit, selection, by_key, _parameters(best.evidence, names, best.fit, selection),
         tuple(notes), {n: before.flown.point.values[n] for n in names}, None, board, limit, best.staged, sum(put_right),
-        tuple(trail),
+        tuple(trail), slopes,
     )  # fmt: skip
 
 
@@ -244,12 +247,14 @@ def _in_gusts(
     if best is not None:
         after, last = best.fit, best.evidence
         selection = with_resolution(resolved(start, best), by_key, setup.segments[0].dt_s)
+    parameters = in_one_step(last, names, after, selection)
+    selection, slopes = of_lift_slope(selection, found.fit, after)
     return Found(
         setup if best is None else best.setup, names, found.fit, after, selection, by_key,
-        in_one_step(last, names, after, selection), (*notes, note), _moved_alone(evidence, names, found.fit),
+        parameters, (*notes, note), _moved_alone(evidence, names, found.fit),
         found.gusts if best is None else best.gusts,
         score_table(evidence, free, odds, by_key), limit, None if best is None else best.staged,
-        trail=tuple(f"one-step predictions: {line}" for line in trail),
+        trail=tuple(f"one-step predictions: {line}" for line in trail), slopes=slopes,
     )  # fmt: skip
 
 

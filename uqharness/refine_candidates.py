@@ -75,7 +75,8 @@ def _subsystem(
     C = np.zeros((n, 6))
     if part == "stall":
         lag = p.flow_rate[:, 0] * p.mass.c / p.x[:, 0] if e.term == "dynamic" else 0.0
-        slope = p.reference.slopes[:, 2, 1] / scale[:, 2]
+        # Flown, it is the number written that counts: the model's own slope has the stall in it.
+        slope = setup.slopes.get("CZ_alpha", p.reference.slopes[:, 2, 1] / scale[:, 2])
         C[:, 2] = slope * found["alpha"] * (_attached(np.degrees(found["alpha"] - lag)) - 1.0)
         return C, None
     if part == "ground":
@@ -98,7 +99,10 @@ def _subsystem(
         elif e.term == "p_factor":
             C[:, 5], C[:, 4] = -found["CT"] * found["alpha"], -found["CT"] * found["beta"]
         else:
-            for k in (0, 2):
+            for k, u in ((0, "de"), (2, "dr")):
+                if setup.slopes:
+                    C += _written(setup.slopes, u) * p.controls[:, [k]] * found["CT"][:, None]
+                    continue
                 own = p.by_control[:, :, k] * p.controls[:, [k]] * found["CT"][:, None]
                 C += own
         return C, None
@@ -138,6 +142,12 @@ def _subsystem(
         rate = np.gradient(p.controls, h, axis=0)
         return -np.einsum("ncj,nj->nc", p.by_control, rate), None
     raise ValueError(f"no model of effect {e.key}")
+
+
+def _written(slopes: Mapping[str, float], control: str) -> Array:
+    """(6,) change of CX..Cn by a degree of a tail surface as the slipstream over it is written."""
+    of = {"de": ("CZ", "Cm"), "dr": ("CY", "Cl", "Cn")}[control]
+    return np.array([slopes.get(f"{c}_{control}", 0.0) if c in of else 0.0 for c in COEFFICIENTS])
 
 
 def _attached(alpha_deg: Array) -> Array:

@@ -42,7 +42,8 @@ class Setup:
     measured [(n, m)] outputs as logged; noise (m,); late: flight -> sensors whose delay is estimated; biased: channels;
     active: effects that the model being flown has, or that its sensors have; carriers: key -> property of those that have one;
     servos: actuators of the surfaces whose commands alone were recorded; limits: surface -> rate limits [deg/s] from and to which
-    a slower servo's effect is read; lagging: surface -> time constant [s] beyond its servo's own with which it flies
+    a slower servo's effect is read; lagging: surface -> time constant [s] beyond its servo's own with which it flies;
+    slopes: numbers that the active effects are written with (`refine_rounds.control_slopes`), none where none is
     """
 
     flights: tuple[Flight, ...]
@@ -58,6 +59,7 @@ class Setup:
     servos: Mapping[str, Actuator] = field(default_factory=dict)
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     lagging: Mapping[str, float] = field(default_factory=dict)
+    slopes: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def which(self) -> list[int]:

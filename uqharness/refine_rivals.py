@@ -92,7 +92,7 @@ def at_value(start: Start, choice: Choice, about: About, folder: Path, predicted
     return min(((c, s) for s, c in flown), key=lambda f: f[1], default=(choice, float("inf")))
 
 
-def strong_first(selection: Selection, effects: Sequence[Effect], folder: Path) -> Selection:
+def read_once_first(selection: Selection, effects: Sequence[Effect], folder: Path) -> Selection:
     """An overwhelming effect that is read once and stronger than the others: it alone, of an aircraft in ``folder``."""
     first = max(selection.chosen, key=lambda c: abs(c.t))
     effect = next(e for e in effects if e.key == first.key)

@@ -22,10 +22,9 @@ from uqharness.refine_candidates import effect_columns
 from uqharness.refine_fit import PRIOR, Fit, Point, Setup, best_flown, merged, positions, refit
 from uqharness.refine_gusts import GustFit, gust_evidence, gust_refit, middles
 from uqharness.refine_rates import around, slower_servos
-from uqharness.refine_reference import Probe
-from uqharness.refine_rivals import at_values, far_off, rival, strong_first, without_weak
+from uqharness.refine_rivals import at_values, far_off, read_once_first, rival, without_weak
 from uqharness.refine_setup import Bench
-from uqharness.refine_terms_xml import INFLOW_POWERS
+from uqharness.refine_slopes import control_slopes
 from uqharness.refine_xml import Written, carrier, in_dynamics, write_effects
 from uqharness.replay_model import CONTROLS
 
@@ -109,7 +108,7 @@ def settle(
             break
         say(f"round {number}: flying with {_listed([c.key for c in selection.chosen])}")
         folder = work / f"round{number}"
-        first = selection if start.gusts else strong_first(selection, start.effects, start.aircraft.folder)
+        first = selection if start.gusts else read_once_first(selection, start.effects, start.aircraft.folder)
         now = _tried(start, first, about, folder)
         if now is not None and not start.gusts:
             now = at_values(now, partial(_tried, start), folder)
@@ -345,36 +344,17 @@ def stage(
     value = {c.key: c.value for c in selection.chosen}
     target = folder / "aircraft" / aircraft.folder.name
     target.parent.mkdir(parents=True)
-    written = [Written(e, value[e.key], "", control_slopes(fit)) for e in chosen]
+    slopes = control_slopes(fit)
+    written = [Written(e, value[e.key], "", slopes) for e in chosen]
     write_effects(aircraft, written, {}, target)
     staged = find_aircraft(target)
     staged = replace(staged, engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
     carriers = {e.key: found[0] for e in chosen if (found := carrier(e, aircraft.folder)) is not None}
     limits = {**setup.limits, **{s: around(setup.servos[s], v) for s, v in slower_servos(chosen, value).items()}}
     lagging = slower_servos(chosen, value, "lag")
-    return staged, replace(setup, active=tuple(chosen), carriers=carriers, limits=limits, lagging=lagging)
-
-
-def control_slopes(fit: Fit) -> dict[str, float]:
-    """Mean change of the coefficients by a degree of elevator and rudder, of CZ by a radian of alpha, of CX by inflow."""
-    by = np.concatenate([p.by_control for p in fit.probes])
-    out = {
-        f"{c}_{u}": float(by[:, k, j].mean())
-        for u, j in (("de", 0), ("dr", 2))
-        for k, c in enumerate(("CX", "CY", "CZ", "Cl", "Cm", "Cn"))
-    }
-    slope = np.concatenate([p.reference.slopes[:, 2, 1] / (p.reference.qbar * p.mass.S) for p in fit.probes])
-    return {**out, "CZ_alpha": float(slope.mean()), **_inflow(fit.probes)}
-
-
-def _inflow(probes: Sequence[Probe]) -> dict[str, float]:
-    """Polynomial over CT of what an inflow twice the model's does to CX."""
-    known = [(p.variables()["CT"], p.by_inflow) for p in probes if p.by_inflow is not None]
-    if not known:
-        return {}
-    CT, change = (np.concatenate(columns) for columns in zip(*known, strict=True))
-    numbers, *_ = np.linalg.lstsq(np.vander(CT, INFLOW_POWERS, increasing=True), change, rcond=None)
-    return {f"inflow_{k}": float(number) for k, number in enumerate(numbers)}
+    return staged, replace(
+        setup, active=tuple(chosen), carriers=carriers, limits=limits, lagging=lagging, slopes=slopes
+    )
 
 
 def with_effects(point: Point, setup: Setup, selection: Selection, staged: Aircraft) -> Point:

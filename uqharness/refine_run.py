@@ -194,7 +194,7 @@ def _write(request: Request, found: Found, folder: Path) -> Aircraft:
     aircraft, names = request.aircraft, [p.name for p in request.train]
     fdm = open_aircraft(aircraft)
     estimates = estimates_of(found, names, {n: float(fdm[n]) for n in found.names})
-    slopes, command = control_slopes(found.before), shlex.join(request.command)
+    slopes, command = found.slopes or control_slopes(found.before), shlex.join(request.command)
     effects = [
         Written(found.effects[c.key], c.value, remark(c, found.effects[c.key], names, command), slopes)
         for c in found.selection.chosen
