@@ -130,8 +130,9 @@ def test_calm_rounds_fly_again_until_a_lag_stands(tmp_path):
         wanted = Choice("lag", value + (0.16 - value) / 3.0, 1e-3, 60.0, 3600.0, 1.0, 0.0)
         other = Choice("Cm", 1.0, 0.1, 10.0, 100.0, 1.0, 0.0)
         return SimpleNamespace(
-            selection=Selection((wanted, other)), far=far_off([wanted], {"lag": value}), about=None, value=value
-        )
+            selection=Selection((wanted, other)), far=far_off([wanted], {"lag": value}), about=None, value=value,
+            merit=1e6 * (0.16 - value) ** 2,
+        )  # fmt: skip
 
     seen: list[tuple[float, float]] = []
 
@@ -146,6 +147,29 @@ def test_calm_rounds_fly_again_until_a_lag_stands(tmp_path):
     assert 2 <= len(seen) <= 4
     assert {cm for _, cm in seen} == {1.0}
     seen.clear()
+
+    earned = [0.0]
+
+    def runs_away(value: float, *others: Choice) -> SimpleNamespace:
+        wanted = Choice("cg", value - 0.012, 2e-3, -5.0, 25.0, 1.0, 0.0)
+        return SimpleNamespace(
+            selection=Selection((wanted, *others)), far=far_off([wanted], {"cg": value}), about=None,
+            merit=1e3 + earned[0] * value,
+        )  # fmt: skip
+
+    def fly_away(selection: Selection, about: object, folder: Path) -> SimpleNamespace:
+        keys = [c.key for c in selection.chosen]
+        if "cg" not in keys:
+            return SimpleNamespace(selection=selection, far={}, about=None, merit=1e3)
+        return runs_away(*(c.value for c in selection.chosen if c.key == "cg"), selection.chosen[-1])
+
+    scale = Choice("scale", 0.027, 7e-4, 38.0, 1444.0, 1.0, 0.0)
+    left = at_values(runs_away(-0.012, scale), fly_away, tmp_path / "round2")  # type: ignore[arg-type]
+    assert [c.key for c in left.selection.chosen] == ["scale"]
+    # Where every change makes the flights likelier, the number goes on.
+    earned[0] = 1e3
+    left = at_values(runs_away(-0.012, scale), fly_away, tmp_path / "round2")  # type: ignore[arg-type]
+    assert [c.key for c in left.selection.chosen] == ["cg", "scale"]
     assert at_values(flown_at(0.159), fly, tmp_path / "round2").value == 0.159  # type: ignore
     first = flown_at(0.04)
     assert at_values(first, lambda *_: None, tmp_path / "round2") is first  # type: ignore

@@ -24,6 +24,10 @@ HELD_FLIGHTS = 8
 """Flights in which a number that JSBSim reads once may come to its value."""
 FAR_OFF = 3.0
 """Standard errors from its flown value beyond which a number that is held in flight has to fly again before others are chosen."""
+NO_NEARER = 0.95
+"""Share of the change wanted before from which flights that want as much again have not come nearer."""
+EARNED = 8.0
+"""By how much a flight's merit must fall for the change of a number to have done something."""
 STANDS = 1.0
 """Standard errors by which such a number may differ from the one flown and stand."""
 Predicted = Callable[["Start", Selection, "About", Path], GustFit]
@@ -108,20 +112,29 @@ def far_off(held: Sequence[Choice], written: Mapping[str, float]) -> dict[str, f
 def at_values(now: Round, fly: Callable[[Selection, About, Path], Round | None], folder: Path) -> Round:
     """The round flown again, its effects the same, until the numbers that JSBSim reads once stand.
 
-    Until they do, what they leave looks like other effects. fly: with effects, from where a round ended, in a folder of its own.
+    Until they do, what they leave looks like other effects. One that flights want changed as much as before it was changed, and no
+    likelier for it, does not do what its column says, and is left out.
+
+    fly: with effects, from where a round ended, in a folder of its own.
     """
     last: dict[str, tuple[float, float]] = {}
+    merit = float("inf")
     for number in range(HELD_FLIGHTS):
         if not now.far:
             break
         chosen = []
         for c in now.selection.chosen:
-            if c.key in now.far:
-                here = (now.far[c.key], c.value - now.far[c.key])
-                chosen.append(replace(c, value=here[0] + ahead(last.get(c.key), here)))
-                last[c.key] = here
-            else:
+            if c.key not in now.far:
                 chosen.append(c)
+                continue
+            here = (now.far[c.key], c.value - now.far[c.key])
+            nearer = c.key not in last or here[1] * np.sign(last[c.key][1]) < NO_NEARER * abs(last[c.key][1])
+            if nearer or merit - now.merit > EARNED:
+                chosen.append(replace(c, value=here[0] + ahead(last.get(c.key), here)))
+            last[c.key] = here
+        if not chosen:
+            break
+        merit = now.merit
         following = fly(Selection(tuple(chosen)), now.about, folder.with_name(f"{folder.name}-{number}"))
         if following is None:
             break

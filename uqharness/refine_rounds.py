@@ -108,8 +108,9 @@ def settle(
             break
         say(f"round {number}: flying with {_listed([c.key for c in selection.chosen])}")
         folder = work / f"round{number}"
-        first = selection if start.gusts else read_once_first(selection, start.effects, start.aircraft.folder)
-        now = _tried(start, first, about, folder)
+        if number == 2 and not start.gusts:
+            selection = read_once_first(selection, start.effects, start.aircraft.folder)
+        now = _tried(start, selection, about, folder)
         if now is not None and not start.gusts:
             now = at_values(now, partial(_tried, start), folder)
         if now is None:
