@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import pickle
 import tempfile
 import weakref
@@ -15,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid.side_by_side import ALONE, Processes
+from uqharness.replay_pool import process_count, process_pool
 
 _KEPT = 4
 
@@ -22,24 +21,12 @@ _KEPT = 4
 @contextmanager
 def worker_map(workers: int | None = None) -> Iterator[Processes]:
     """An ordered `map` over worker processes, as many as there are processors (8 at most) unless told; one: this process."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    count = workers or max(1, min(8, cores))
+    count = process_count(workers)
     if count == 1:
         yield ALONE
         return
-    before = os.environ.get("OPENBLAS_NUM_THREADS")
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    try:
-        with (
-            tempfile.TemporaryDirectory(prefix="uqharness-") as folder,
-            ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool,
-        ):
-            yield _Workers(pool, count, Path(folder))
-    finally:
-        if before is None:
-            del os.environ["OPENBLAS_NUM_THREADS"]
-        else:
-            os.environ["OPENBLAS_NUM_THREADS"] = before
+    with tempfile.TemporaryDirectory(prefix="uqharness-") as folder, process_pool(count) as pool:
+        yield _Workers(pool, count, Path(folder))
 
 
 class _Workers:
