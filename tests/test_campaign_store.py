@@ -61,6 +61,17 @@ def test_a_damaged_journal_is_a_sentence(tmp_path):
         Store(tmp_path)
 
 
+def test_a_journal_whose_making_was_cut_short_has_counted_nothing_and_goes_on(tmp_path):
+    (tmp_path / JOURNAL).touch()
+    with Store(tmp_path, read_only=True) as reader:
+        assert (reader.finished(), reader.statuses().total(), list(reader.outcomes())) == (set(), 0, [])
+        assert reader.outcome("a") is None
+        with Store(tmp_path) as store:
+            store.add([outcome(1)])
+        assert reader.finished() == {outcome(1).case_id}
+        assert reader.statuses().total() == 1
+
+
 def test_a_torn_transaction_is_rolled_back(tmp_path):
     with Store(tmp_path) as store:
         store.add([outcome(1)])

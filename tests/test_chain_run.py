@@ -366,10 +366,9 @@ def kill_in_flight(tmp_path):
             assert process.poll() is None, process.communicate()
             assert time.monotonic() < deadline
             time.sleep(0.02)
-        process.kill()
-        process.communicate(timeout=60)
     finally:
         process.kill()
+        process.communicate(timeout=60)
     return counted(tmp_path / "out" / "campaign-before")
 
 

@@ -17,6 +17,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from uqharness.errors import BadInputError
 from uqharness.worker import CaseOutcome
@@ -63,24 +64,29 @@ class Store:
     def finished(self) -> set[str]:
         """Ids of all cases that are done."""
         with self._explained("read"):
-            return {row[0] for row in self._database.execute("select case_id from outcome")}
+            return {row[0] for row in self._rows("select case_id from outcome")}
 
     def statuses(self) -> Counter[str]:
         """Number of finished cases by status."""
         with self._explained("read"):
-            return Counter(dict(self._database.execute("select status, count(*) from outcome group by status")))
+            return Counter(dict(self._rows("select status, count(*) from outcome group by status")))
 
     def outcomes(self) -> Iterator[CaseOutcome]:
         """All outcomes, ordered by case id."""
         with self._explained("read"):
-            for row in self._database.execute(f"select {_COLUMNS} from outcome order by case_id"):
+            for row in self._rows(f"select {_COLUMNS} from outcome order by case_id"):
                 yield _outcome(row)
 
     def outcome(self, case_id: str) -> CaseOutcome | None:
         """Outcome of one case; None if it is not there."""
         with self._explained("read"):
-            row = self._database.execute(f"select {_COLUMNS} from outcome where case_id = ?", (case_id,)).fetchone()
+            row = next(self._rows(f"select {_COLUMNS} from outcome where case_id = ?", case_id), None)
         return None if row is None else _outcome(row)
+
+    def _rows(self, query: str, *values: str) -> Iterator[tuple[Any, ...]]:
+        # SQLite makes the file before the table: a reader in between, or after a run killed there, finds nothing counted.
+        made = self._database.execute("select 1 from sqlite_master where name = 'outcome'").fetchone()
+        return self._database.execute(query, values) if made else iter(())
 
     def close(self) -> None:
         """Close the journal's database."""
