@@ -42,8 +42,13 @@ def _effect(row: _Row) -> Effect:
     return Effect(None, subsystem, term, name, physics, regime, "", JATEGAONKAR, unit, odds, term in _POSITIVE)
 
 
-def subsystem_effects(surfaces: Sequence[str], channels: Sequence[str], delays: Sequence[str]) -> list[Effect]:
-    """Effects that are no coefficient term, for the surfaces, measured channels and sensors (for delays) at hand."""
+def subsystem_effects(
+    surfaces: Sequence[str], channels: Sequence[str], delays: Sequence[str], parts: Sequence[str] = ()
+) -> list[Effect]:
+    """Effects that are no coefficient term, for the surfaces, measured channels and sensors (for delays) at hand.
+
+    parts: channels of a sensor with several, whose filter may be another than the others'.
+    """
     rows = [*_AIRCRAFT]
     for s in surfaces:
         rows += [
@@ -84,5 +89,9 @@ def subsystem_effects(surfaces: Sequence[str], channels: Sequence[str], delays: 
         (f"sensor.{c}", "delay", f"{c.split('_')[0]} sensor late", "filtering and transport of the signal",
          "fast manoeuvres", "s", 1.5)
         for c in delays
+    ] + [
+        (f"sensor.{c}", "delay", f"{c.split('_')[0]} alone late", "filtered otherwise than the other channels of its sensor",
+         "fast manoeuvres", "s", 4.0)
+        for c in parts
     ]  # fmt: skip
     return [_effect(row) for row in rows]

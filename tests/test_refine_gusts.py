@@ -369,6 +369,7 @@ def test_the_air_of_flights_that_no_filter_follows_is_that_of_the_others(monkeyp
         refine_show, "Bench", lambda *_: contextlib.nullcontext(SimpleNamespace(model=None, straight=None))
     )
     monkeypatch.setattr(refine_show, "replace", lambda x, **_: x)
+    monkeypatch.setattr(refine_show, "with_sensors_of", lambda setup, _: setup)
     monkeypatch.setattr(refine_show, "gust_refit", refit)
     near, setup = SimpleNamespace(), SimpleNamespace(segments=[])
     assert refine_show.air_of(None, setup, (), (), map, {}, near) is near  # type: ignore[arg-type]

@@ -26,14 +26,15 @@ THROTTLE_PCT = 60.0 + 25.0 * np.sin(0.15 * np.arange(N))
 K = 0.2
 
 
-def probed(aircraft: Aircraft) -> Probe:
+def probed(aircraft: Aircraft, elevator_deg: float | np.ndarray = 0.0, consistent: bool = False) -> Probe:
     x = np.zeros((N, 8))
     x[:, 0], x[:, 1], x[:, 7] = V_MPS, 0.05, 0.05
     controls = np.zeros((N, 4))
     controls[:, CONTROLS.index("throttle")] = THROTTLE_PCT
+    controls[:, CONTROLS.index("elevator")] = elevator_deg
     segment = Segment("level", "f", 0.02 * np.arange(N), controls, np.zeros(9), 100.0, 100.0)
     with Bench(aircraft, (), ()) as bench:
-        return probe(ProbeJob(bench.straight, segment, x, controls, {}, (), False, np.full(N, 100.0)))
+        return probe(ProbeJob(bench.straight, segment, x, controls, {}, (), consistent, np.full(N, 100.0)))
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +67,15 @@ def test_written_into_the_aircraft_it_does_what_the_column_says(nominal: Probe, 
     alone = np.column_stack([np.ones_like(CT), CT])
     left = moved[:, 0] - alone @ np.linalg.lstsq(alone, moved[:, 0], rcond=None)[0]
     assert np.std(left) > 0.05 * np.std(moved[:, 0])
+
+
+def test_between_forced_samples_coefficients_jump_with_the_surfaces():
+    """Along a replay every fourth sample is forced; a doublet's edges lie between them."""
+    aircraft, doublet = find_aircraft("espaaro"), np.where(np.arange(N) % 13 < 6, 3.0, -3.0)
+    every, fourth = probed(aircraft, doublet), probed(aircraft, doublet, consistent=True)
+    slack = np.abs(np.diff(every.coefficients[::4], axis=0)).max()
+    assert slack > 0.1
+    np.testing.assert_allclose(fourth.coefficients, every.coefficients, atol=5e-4 * slack)
 
 
 def test_without_a_propeller_there_is_no_inflow():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import tomllib
 
 import numpy as np
 import pytest
@@ -12,8 +13,10 @@ from sysid.subsystem_effects import subsystem_effects
 from uqharness import engine
 from uqharness.actuators import Actuator
 from uqharness.aircraft import find_aircraft, open_aircraft
+from uqharness.card_edit import sensors_from_cg
+from uqharness.errors import BadInputError
 from uqharness.refine_candidates import servo_change
-from uqharness.refine_xml import Written, carrier, write_effects
+from uqharness.refine_xml import Written, carrier, switch_of, write_effects
 from uqharness.xml_estimates import Estimate
 
 STATES = (
@@ -36,7 +39,8 @@ def flown(aircraft, properties=None, seconds=2.0):
     fdm["fcs/elevator-cmd-deg"], fdm["fcs/aileron-cmd-deg"], fdm["fcs/rudder-cmd-deg"] = 1.0, -3.0, 2.0
     engine.run_ic(fdm)
     rows = []
-    for _ in range(round(seconds / 0.01)):
+    for row in range(round(seconds / 0.01)):
+        fdm["fcs/aileron-cmd-deg"] = -3.0 if row < 100 else 4.0
         fdm.run()
         rows.append([fdm[name] for name in STATES])
     return np.array(rows)
@@ -52,7 +56,7 @@ def test_a_term_joins_the_authors_sum_and_0_restores_the_model_bit_for_bit(tmp_p
         "<product> <property>aero/Cm_p2</property> <property>aero/p_hat</property> <property>aero/p_hat</property> </product>"
         in text
     )
-    assert '<property value="3">aero/Cm_p2</property>  <!-- a remark -->' in text
+    assert '<property value="3">aero/Cm_p2</property>  <!-- a remark; 0 switches it off -->' in text
     changed = find_aircraft(out)
     before = flown(aircraft)
     assert np.array_equal(flown(changed, {"aero/Cm_p2": 0.0}), before)
@@ -129,7 +133,8 @@ def test_subsystems_have_their_places(tmp_path):
     text = (out / "espaaro.xml").read_text(encoding="utf-8")
     assert '<property value="0.9">propulsion/thrust-scale</property>' in text
     assert '<ixz unit="KG*M2">0.45</ixz>' in text
-    assert "<lag>20</lag>" in text
+    assert '<property value="20">effect/actuator/aileron-lag</property>' in text
+    assert "<lag>effect/actuator/aileron-lag</lag>" in text
     changed = find_aircraft(out)
     assert np.isfinite(flown(changed)).all()
     assert carrier(by_key["effect/propulsion/thrust_scale"], aircraft.folder) == ("propulsion/thrust-scale", 1.0)
@@ -164,7 +169,92 @@ def test_a_rate_limit_counts_from_the_one_the_servo_has(tmp_path):
     effect = {e.key: e for e in subsystem_effects(["aileron"], [], [])}["effect/actuator.aileron/rate_limit"]
     write_effects(aircraft, [written(effect, 1.0 / 80.0 - 1.0 / 240.0)], {}, tmp_path / "espaaro")
     text = "".join(p.read_text(encoding="utf-8") for p in (tmp_path / "espaaro").rglob("*.xml"))
-    assert "<rate_limit>80</rate_limit>" in text
+    assert (
+        '<property value="80">effect/actuator/aileron-rate_limit</property>  <!-- a remark; 240 switches it off -->'
+        in text
+    )
+    assert "<rate_limit>effect/actuator/aileron-rate_limit</rate_limit>" in text
+    # Found once more in the aircraft that has it: one property, the newer number.
+    write_effects(
+        find_aircraft(tmp_path / "espaaro"),
+        [written(effect, 1.0 / 40.0 - 1.0 / 80.0)],
+        {},
+        tmp_path / "more" / "espaaro",
+    )
+    again = (tmp_path / "more" / "espaaro" / "espaaro.xml").read_text(encoding="utf-8")
+    remarks = "  <!-- a remark; 240 switches it off -->  <!-- a remark; 80 switches it off -->"
+    assert f'<property value="40">effect/actuator/aileron-rate_limit</property>{remarks}\n' in again
+    assert again.count("effect/actuator/aileron-rate_limit</property>") == 1
+
+
+@pytest.mark.parametrize(("term", "value", "off"), [("lag", 0.06, 25.0), ("rate_limit", 0.1, 240.0)])
+def test_a_servos_old_number_in_its_property_restores_the_model_bit_for_bit(tmp_path, term, value, off):
+    aircraft = find_aircraft("espaaro")
+    effect = {e.key: e for e in subsystem_effects(["aileron"], [], [])}[f"effect/actuator.aileron/{term}"]
+    write_effects(aircraft, [written(effect, value)], {}, tmp_path / "espaaro")
+    changed = find_aircraft(tmp_path / "espaaro")
+    assert switch_of(effect, aircraft) == (f"effect/actuator/aileron-{term}", off)
+    before = flown(aircraft)
+    assert np.array_equal(flown(changed, {f"effect/actuator/aileron-{term}": off}), before)
+    assert not np.array_equal(flown(changed), before)
+
+
+def test_what_jsbsim_reads_as_a_number_alone_has_no_switch():
+    aircraft = find_aircraft("espaaro")
+    by_key = {e.key: e for e in subsystem_effects(["aileron"], ["ay_mps2"], [])}
+    for key in ("mass/Ixz", "mass/cg_x", "actuator.aileron/deadband", "sensor.ay_mps2/scale"):
+        assert switch_of(by_key[f"effect/{key}"], aircraft) is None
+
+
+def test_a_commented_actuator_is_none(tmp_path):
+    source = tmp_path / "given" / "espaaro"
+    shutil.copytree(find_aircraft("espaaro").folder, source)
+    xml = source / "espaaro.xml"
+    old = '<!-- <channel name="old"><actuator name="fcs/aileron-pos-deg"><lag>9</lag></actuator></channel> -->'
+    text = xml.read_text(encoding="utf-8")
+    xml.write_text(text.replace("<flight_control", f"{old}\n<flight_control", 1), encoding="utf-8")
+    effect = {e.key: e for e in subsystem_effects(["aileron"], [], [])}["effect/actuator.aileron/lag"]
+    write_effects(find_aircraft(source), [written(effect, 0.01)], {}, tmp_path / "espaaro")
+    assert old in (tmp_path / "espaaro" / "espaaro.xml").read_text(encoding="utf-8")
+    assert np.isfinite(flown(find_aircraft(tmp_path / "espaaro"))).all()
+
+
+def test_a_centre_of_gravity_that_moves_leaves_the_accelerometers_behind(tmp_path):
+    aircraft = find_aircraft("espaaro")
+    effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
+    write_effects(aircraft, [written(effect, 0.05)], {}, tmp_path / "espaaro")
+    changed = find_aircraft(tmp_path / "espaaro")
+    assert changed.accelerometer_m == (-0.05, 0.0, 0.0)
+    assert "<x>-0.05</x>  <!-- a remark -->" in changed.xml.read_text(encoding="utf-8")
+    given, now = ((a.folder / "airframe.toml").read_text(encoding="utf-8").splitlines() for a in (aircraft, changed))
+    assert [n for g, n in zip(given, now, strict=True) if g != n] == [
+        "position_m = { accelerometer = [-0.05, 0.0, 0.0] } # a remark"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("card", "expected"),
+    [
+        ("# mine\n[sensors]\nnoise_std = { q_radps = 0.1 }  # that\n", {"accelerometer": [-0.02, 0.0, 0.0]}),
+        (
+            "[sensors.position_m]\nvane = [1.0, 0.5, 0]\n",
+            {"accelerometer": [-0.02, 0.0, 0.0], "vane": [0.98, 0.5, 0.0]},
+        ),
+        ("a = 1\n", {"accelerometer": [-0.02, 0.0, 0.0]}),
+    ],
+)
+def test_sensors_stay_in_the_airframe_and_remarks_in_the_card(tmp_path, card, expected):
+    path = tmp_path / "airframe.toml"
+    path.write_text(card, encoding="utf-8")
+    sensors_from_cg(path, 0.02, "moved")
+    text = path.read_text(encoding="utf-8")
+    assert tomllib.loads(text)["sensors"]["position_m"] == expected
+    assert all(line in text for line in card.splitlines() if "#" in line)
+    path.write_text("a = [", encoding="utf-8")
+    with pytest.raises(BadInputError, match=r"airframe\.toml"):
+        sensors_from_cg(path, 0.02, "moved")
+    sensors_from_cg(tmp_path / "none.toml", 0.02, "moved")
+    assert not (tmp_path / "none.toml").exists()
 
 
 def test_a_rate_limits_column_is_what_a_lower_limit_does():

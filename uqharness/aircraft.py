@@ -148,6 +148,11 @@ class Aircraft:
         """Integration step [s] that the card asks for."""
         return self.card.aircraft.dt_s
 
+    @property
+    def accelerometer_m(self) -> tuple[float, float, float]:
+        """Place of the accelerometers from the centre of gravity, body axes [m]; at it unless the card says otherwise."""
+        return self.card.sensors.position_m.get("accelerometer", (0.0, 0.0, 0.0))
+
 
 def find_aircraft(name_or_folder: str | Path) -> Aircraft:
     """The aircraft of that folder, or of that name under ./aircraft, the project's aircraft/ or JSBSim's own.

@@ -89,7 +89,7 @@ def make_bounds(
 
     Raises BadInputError when the flights are too short for any fit.
     """
-    arm = aircraft.card.sensors.position_m.get("accelerometer", (0.0, 0.0, 0.0))
+    arm = aircraft.accelerometer_m
     flights = [f.with_commands_as_felt() for f in flights] if options.ideal_servos else flights
     with prediction_of(aircraft, measured, options.ideal_servos) as pair:
         say("residual coefficients")

@@ -49,7 +49,7 @@ def validate(
             "another thing; make bounds for this one (uqharness bounds)"
         )
     cutoffs = Cutoffs(form.filtering.cutoff_hz, form.filtering.airspeed_cutoff_hz)
-    arm = aircraft.card.sensors.position_m.get("accelerometer", (0.0, 0.0, 0.0))
+    arm = aircraft.accelerometer_m
     flights = [f.with_commands_as_felt() for f in flights] if ideal_servos else flights
     with prediction_of(aircraft, measured, ideal_servos) as pair:
         residuals = together([flight_residuals(pair, f, arm, cutoffs) for f in flights])

@@ -127,7 +127,7 @@ def compare(
     delays: Sequence[str] | None = None, ideal_servos: bool = False, workers: int | None = None,
 ) -> Comparison:  # fmt: skip
     """Replay a flight and measure the gap. Raises BadInputError when the model cannot fly any segment."""
-    arm = aircraft.card.sensors.position_m.get("accelerometer", (0.0, 0.0, 0.0))
+    arm = aircraft.accelerometer_m
     cut = segments(flight, measured, arm)
     present = tuple(c for c in CHANNELS if c in flight.record and np.isfinite(flight.record[c]).any())
     judged = tuple(c for c in OUTPUTS if c in present)

@@ -110,7 +110,7 @@ def identify(
     names = _parameter_names(aircraft, parameters)
     ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
     with ReplayFolder(aircraft, measured=measured, ideal=ideal) as model:
-        arm = aircraft.card.sensors.position_m.get("accelerometer", (0.0, 0.0, 0.0))
+        arm = aircraft.accelerometer_m
         cut = [s for f in flights for s in segments(f, measured, arm)]
         initial = _initial(aircraft, model, names, start)
         limits = _limits(aircraft, names, initial)

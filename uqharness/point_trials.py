@@ -129,7 +129,7 @@ def fly_script(
 
 def residuals_of(aircraft: Aircraft, paths: Sequence[Path], cutoffs: Cutoffs) -> list[Residuals]:
     """Residual coefficients of records, one a record. Raises BadInputError."""
-    arm = aircraft.card.sensors.position_m.get("accelerometer", (0.0, 0.0, 0.0))
+    arm = aircraft.accelerometer_m
     flights, measured = read_bounds_flights(paths, aircraft)
     with prediction_of(aircraft, measured) as pair:
         return [flight_residuals(pair, f, arm, cutoffs) for f in flights]

@@ -76,6 +76,7 @@ class Found:
     gusts           the air, where it was turbulent and the flights were judged by one-step predictions
     late_s          by how much all controls were moved later than recorded before the choice was made
     slopes          numbers that effects of stall and propulsion are written with
+    held            key -> value flown in ``after``, of chosen effects whose number JSBSim reads once
     """
 
     setup: Setup
@@ -94,6 +95,7 @@ class Found:
     late_s: float = 0.0
     trail: tuple[str, ...] = field(default=())
     slopes: Mapping[str, float] = field(default_factory=dict)
+    held: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def gusty(self) -> bool:
@@ -176,11 +178,13 @@ def find_effects(
             sum(put_right), tuple(trail),
         )  # fmt: skip
     selection = with_resolution(resolved(start, best), by_key, setup.segments[0].dt_s)
+    # A number that JSBSim reads once stands within its error of the one flown, and what goes with it moves by that, too.
+    parameters = (in_one_step if best.held else _parameters)(best.evidence, names, best.fit, selection)
     selection, slopes = of_lift_slope(selection, before, best.fit)
     return Found(
-        best.setup, names, before, best.fit, selection, by_key, _parameters(best.evidence, names, best.fit, selection),
+        best.setup, names, before, best.fit, selection, by_key, parameters,
         tuple(notes), {n: before.flown.point.values[n] for n in names}, None, board, limit, best.staged, sum(put_right),
-        tuple(trail), slopes,
+        tuple(trail), slopes, best.held,
     )  # fmt: skip
 
 
@@ -254,7 +258,7 @@ def _in_gusts(
         parameters, (*notes, note), _moved_alone(evidence, names, found.fit),
         found.gusts if best is None else best.gusts,
         score_table(evidence, free, odds, by_key), limit, None if best is None else best.staged,
-        trail=tuple(f"one-step predictions: {line}" for line in trail), slopes=slopes,
+        trail=tuple(f"one-step predictions: {line}" for line in trail), slopes=slopes, held={} if best is None else best.held,
     )  # fmt: skip
 
 
@@ -306,7 +310,7 @@ def remark(choice: Choice, effect: Effect, flights: Sequence[str], command: str)
     low, high = choice.value - 1.96 * choice.std, choice.value + 1.96 * choice.std
     return (
         f"{effect.name}: {choice.value:.5g} +/- {choice.std:.2g}, 95 % [{low:.5g}, {high:.5g}]; "
-        f"from {', '.join(flights)}; {command}; 0 switches it off"
+        f"from {', '.join(flights)}; {command}"
     )
 
 

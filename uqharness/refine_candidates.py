@@ -111,8 +111,11 @@ def _subsystem(
         rates, dot = p.body[:, 3:6], p.rate[:, 3:6]
         if e.term == "cg_x":
             C[:, 4], C[:, 5] = p.coefficients[:, 2] / p.mass.c, -p.coefficients[:, 1] / p.mass.b
+            # The accelerometers stay behind: w' x r + w x (w x r).
+            behind = np.array([-1.0, 0.0, 0.0])
+            felt = np.cross(dot, behind) + np.cross(rates, np.cross(rates, behind))
             out = np.zeros_like(y)
-            for name, value in (("ay_mps2", -dot[:, 2]), ("az_mps2", dot[:, 1])):
+            for name, value in zip(("ax_mps2", "ay_mps2", "az_mps2"), felt.T, strict=True):
                 if name in setup.outputs:
                     out[:, setup.outputs.index(name)] = value
             return C, out
@@ -133,7 +136,7 @@ def _subsystem(
     if part == "sensor":
         out = np.zeros_like(y)
         for k, c in enumerate(setup.outputs):
-            if e.term == "delay" and SENSOR_OF.get(c, c) == what:
+            if e.term == "delay" and what in (c, SENSOR_OF.get(c)):
                 out[:, k] = -p.rate_of(c, y[:, k])
             elif e.term != "delay" and c == what:
                 out[:, k] = (y[:, k] - sensor_offset(c, segment, point)) / sensor_gain(c, point) if e.term == "scale" else 1.0

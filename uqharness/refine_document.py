@@ -3,8 +3,7 @@ nothing."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,12 +13,13 @@ from sysid.disagreement import Disagreement, dependence, disagreements
 from sysid.effect_choice import STRONG, Alternative, Choice, Refusal
 from sysid.effects import Effect
 from uqharness.actuators import Actuator
+from uqharness.aircraft import Aircraft
 from uqharness.refine import Found
 from uqharness.refine_fit import Setup
 from uqharness.refine_judge import Judged, Verdict
 from uqharness.refine_show import Shown, gap_document, state_ranges, whiteness
 from uqharness.refine_words import contradicted, separating_manoeuvre, why
-from uqharness.refine_xml import carrier, in_dynamics
+from uqharness.refine_xml import switch_of
 from uqharness.replay import Segment
 
 LIMIT = 1.15
@@ -100,17 +100,18 @@ def _region(d: Disagreement) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def document_of(chosen: Found, judged: Judged, folder: Path, controls: Sequence[Any]) -> dict[str, Any]:
+def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Sequence[Any]) -> dict[str, Any]:
     """refinement.json as far as flights and models say it.
 
-    chosen  what the train flights say, before the test flights were asked; folder: of the aircraft as given; controls: positions
+    chosen  what the train flights say, before the test flights were asked; aircraft: as given; controls: positions
     in every train segment
     """
     found, (setup, before, after) = judged.found, judged.train
     left = find_disagreements(setup, after, after, controls)
     remaining = _remaining(found, setup, after, left, controls)
-    effects = [_effect(found, c, judged.verdicts[c.key]) for c in found.selection.chosen]
-    withdrawn = [_effect(chosen, c, judged.verdicts[c.key]) for c in judged.withdrawn]
+    switches = {c.key: switch_of(chosen.effects[c.key], aircraft) for c in chosen.selection.chosen}
+    effects = [_effect(found, c, judged.verdicts[c.key], switches) for c in found.selection.chosen]
+    withdrawn = [_effect(chosen, c, judged.verdicts[c.key], switches) for c in judged.withdrawn]
     # What the train flights ask for and the test flights speak against is a disagreement without a name, unless chance asked.
     asked = [c for c in judged.withdrawn if abs(c.t) > chosen.limit + STRONG]
     remaining["where"] += [_contradicted(chosen.effects[c.key], c) for c in asked]
@@ -122,13 +123,13 @@ def document_of(chosen: Found, judged: Judged, folder: Path, controls: Sequence[
         "disagreement": [_region(d) for d in find_disagreements(setup, before, after, controls)],
         "effects": effects,
         "withdrawn": withdrawn,
-        "chosen": [_effect(chosen, c, None) for c in chosen.selection.chosen],
+        "chosen": [_effect(chosen, c, None, switches) for c in chosen.selection.chosen],
         "remaining": remaining,
         "gap": {"train": gap_document(*judged.train), "test": gap_document(*judged.test)},
         "switch": [
-            {"property": found.setup.carriers[c.key], "off": off}
+            {"property": found_switch[0], "off": found_switch[1]}
             for c in found.selection.chosen
-            if c.key in found.setup.carriers and (off := _off(found, c.key, folder)) is not None
+            if (found_switch := switches[c.key]) is not None
         ],
         "parameters": {n: {"value": v, "std": s} for n, (v, s) in found.parameters.items()},
         "best_refused": None
@@ -147,11 +148,6 @@ def _contradicted(effect: Effect, choice: Choice) -> dict[str, Any]:
     return {**_label(effect), "t": choice.t, "words": contradicted(effect, choice)}
 
 
-def _off(found: Found, key: str, folder: Path) -> float | None:
-    carried = carrier(found.effects[key], folder)
-    return None if carried is None else carried[1]
-
-
 def _label(effect: Effect) -> dict[str, str]:
     where = (
         {"coefficient": effect.coefficient} if effect.coefficient is not None else {"subsystem": effect.subsystem or ""}
@@ -159,9 +155,11 @@ def _label(effect: Effect) -> dict[str, str]:
     return {**where, "term": effect.term}
 
 
-def _effect(found: Found, c: Choice, verdict: Verdict | None) -> dict[str, Any]:
+def _effect(
+    found: Found, c: Choice, verdict: Verdict | None, switches: Mapping[str, tuple[str, float] | None]
+) -> dict[str, Any]:
     """One effect; what the test flights say of it is no part of what was chosen."""
-    e = found.effects[c.key]
+    e, switch = found.effects[c.key], switches[c.key]
     value, std, unit = _as_written(found, e, c)
     test: dict[str, Any] = {}
     if verdict is not None:
@@ -177,7 +175,7 @@ def _effect(found: Found, c: Choice, verdict: Verdict | None) -> dict[str, Any]:
         "value": value,
         "std": std,
         "unit": unit,
-        "property": e.property_name if in_dynamics(e) else None,
+        "property": None if switch is None else switch[0],
         "evidence": {
             "t": c.t, "twice_log_likelihood": c.gain, "confirmed_on_held_out_manoeuvres": c.confirmed_gain,
             "held_out_estimate_differs_by_std": c.difference, "interval_95": [value - 1.96 * std, value + 1.96 * std],

@@ -9,7 +9,7 @@ import numpy as np
 
 from uqharness.page_parts import Block, Bullets, Figure, Figures, Section, Table, Words, shown
 from uqharness.page_svg import Chart, Scale
-from uqharness.refine_words import test_says
+from uqharness.refine_words import carried_by, test_says
 
 
 def headline(e: Mapping[str, Any]) -> str:
@@ -37,7 +37,7 @@ def effect_section(done: Mapping[str, Any], prefix: str = "") -> Section:
             ("Twice the log-likelihood gained", shown(evidence.get("twice_log_likelihood"), ".4g")),
             ("Gained on held-out manoeuvres", shown(evidence.get("confirmed_on_held_out_manoeuvres"), ".4g")),
             ("Held-out estimate differs by", f"{shown(evidence.get('held_out_estimate_differs_by_std'), '.2f')} standard errors"),
-            ("Property", e.get("property") or "none: a sensor's"),
+            ("Property", carried_by(e)),
         ]  # fmt: skip
         blocks: list[Block] = [
             Words(f"{_capital(e['why']).rstrip('.')}.".replace("+/-", "±")),

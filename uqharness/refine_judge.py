@@ -177,7 +177,7 @@ def evidence_of(found: Found, air: Gusts | None) -> Evidence:
         evidence = candidate_evidence(found.setup, found.after, rest)
     if found.staged is None:
         return evidence
-    values = {c.key: c.value for c in found.selection.chosen}
+    values = {c.key: c.value for c in found.selection.chosen} | dict(found.held)
     point, carriers = found.after.flown.point, found.setup.carriers
     return evidence.taken_out({
         e.key: effect_value(e, point, carriers, found.staged, values.get(e.key, 0.0)) for e in found.setup.active

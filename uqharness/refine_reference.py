@@ -17,7 +17,7 @@ from uqharness import engine
 from uqharness.forced import LBF_N, LBFT_NM, ForcedModel, force_states
 from uqharness.replay import Segment
 from uqharness.replay_ground import altitudes, terrain_m
-from uqharness.replay_model import ReplayModel, control_setters
+from uqharness.replay_model import CONTROLS, ReplayModel, control_setters
 from uqharness.trim import FT, TRIM_LATITUDE_DEG, body_velocity
 
 Array = NDArray[np.float64]
@@ -180,6 +180,13 @@ def probe(job: ProbeJob) -> Probe:
     still = other[: len(base), 0] if job.consistent else other[: len(base), 0][coarse]
     thrust_slope = spread((pushed - still) / _STEPS["V_mps"])
     other = all_rows(other[: len(base)])
+    slope = np.stack(by_control, axis=2)
+    surfaces = [k for k, c in enumerate(CONTROLS) if c != "throttle"]
+    coefficients = (total - other) / scale
+    if job.consistent:
+        # Between the samples that were forced surfaces may have jumped; what is left without them is a straight line.
+        moved = np.einsum("njk,nk->nj", slope[:, :, surfaces], job.controls[:, surfaces])
+        coefficients = spread((coefficients - moved)[coarse]) + moved
     reference = Reference(
         job.segment.dt_s,
         job.x,
@@ -191,7 +198,7 @@ def probe(job: ProbeJob) -> Probe:
         job.consistent,
     )
     return Probe(
-        reference, mass, (total - other) / scale, other[:, :3], other[:, 3:], np.stack(by_control, axis=2), job.controls,
+        reference, mass, coefficients, other[:, :3], other[:, 3:], slope, job.controls,
         _differences(job, job.differ, scale),
         job.height_m if job.segment.above_ground else np.full(n, np.inf),
         by_inflow=job.x[:, 0] * thrust_slope / scale[:, 0],

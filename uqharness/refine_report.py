@@ -13,7 +13,7 @@ from uqharness.histories import columns_of, write_histories
 from uqharness.refine_pbox import DRAWN
 from uqharness.refine_run import Refinement
 from uqharness.refine_show import most_improved
-from uqharness.refine_words import interval_lines, left_over, nowhere, pbox_lines, test_says
+from uqharness.refine_words import carried_by, interval_lines, left_over, nowhere, pbox_lines, test_says
 from uqharness.replay_model import CONTROLS
 from uqharness.report_page import write_report as write_page
 from uqharness.whole_files import write_bytes
@@ -121,7 +121,7 @@ def summary(document: dict[str, Any], out: Path) -> str:
     for e in document["effects"]:
         lines.append(
             f"effect: {e['name']}: {e['value']:.5g} +/- {e['std']:.2g} {e['unit']} "
-            f"({e['property'] or 'a sensor'}), |t| {abs(e['evidence']['t']):.1f}"
+            f"({carried_by(e)}), |t| {abs(e['evidence']['t']):.1f}"
         )
         lines.append(f"        {e['why']}")
         for a in e["alternatives"]:

@@ -23,7 +23,7 @@ from uqharness.refine_fit import PRIOR, Fit, Point, Setup, best_flown, merged, p
 from uqharness.refine_gusts import GustFit, gust_evidence, gust_refit, middles
 from uqharness.refine_rates import around, slower_servos
 from uqharness.refine_rivals import at_values, far_off, read_once_first, rival, without_weak
-from uqharness.refine_setup import Bench
+from uqharness.refine_setup import Bench, with_sensors_of
 from uqharness.refine_slopes import control_slopes
 from uqharness.refine_xml import Written, carrier, in_dynamics, write_effects
 from uqharness.replay_model import CONTROLS
@@ -69,7 +69,7 @@ class Round:
     standing   whether that is the same, with the same numbers where JSBSim reads them once
     merit      cost, in gusts `surprise`, and what the effects must earn: less is better; gusts: the air, as estimated with them
     about      where it ended; surprise: minus twice the log likelihood of one-step predictions; NaN for replays
-    far        key -> value flown, of numbers that JSBSim reads once and the flights want elsewhere
+    held       key -> value flown, of numbers that JSBSim reads once; far: of those that the flights want elsewhere
     """
 
     setup: Setup
@@ -83,6 +83,7 @@ class Round:
     gusts: Gusts | None
     about: About
     surprise: float = float("nan")
+    held: Mapping[str, float] = field(default_factory=dict)
     far: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -132,6 +133,8 @@ def settle(
     best = likeliest(flown) if start.gusts else min(flown, key=lambda r: r.merit, default=None)
     best, lines = without_weak(best, flown, start.limit, partial(_tried, start), work / "kept")
     trail += lines
+    if best is not None and not start.gusts:
+        best = at_values(best, partial(_tried, start), work / "last")
     if start.gusts:
         if best is not None and best is not flown[-1] and not lines:
             trail.append(f"the best of {len(flown)} rounds flown, not the last")
@@ -254,7 +257,7 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     merit = cost + sum(by_key[k].odds + EARNED * start.limit**2 for k in keys)
     return Round(
         setup, staged, fit, evidence, Selection(own, again.refused, again.trail), again, standing and not moving, merit, gusts,
-        About(fit.flown.point, evidence, values), surprise, far,
+        About(fit.flown.point, evidence, values), surprise, {c.key: written[c.key] for c in held}, far,
     )  # fmt: skip
 
 
@@ -354,8 +357,8 @@ def stage(
     limits = {**setup.limits, **{s: around(setup.servos[s], v) for s, v in slower_servos(chosen, value).items()}}
     lagging = slower_servos(chosen, value, "lag")
     return staged, replace(
-        setup, active=tuple(chosen), carriers=carriers, limits=limits, lagging=lagging, slopes=slopes
-    )
+        with_sensors_of(setup, staged), active=tuple(chosen), carriers=carriers, limits=limits, lagging=lagging, slopes=slopes
+    )  # fmt: skip
 
 
 def with_effects(point: Point, setup: Setup, selection: Selection, staged: Aircraft) -> Point:

@@ -145,7 +145,7 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
         controls = _controls(models["before"], train, aircraft, map_)
     forms = write_forms(dict(zip(models, intervals, strict=False)), request.out)
     mission = _mission(request, models, forms, say)
-    document = _document(request, document_of(chosen, judged, aircraft.folder, controls), intervals, mission)
+    document = _document(request, document_of(chosen, judged, aircraft, controls), intervals, mission)
     stages.forget()
     document["seconds"] = round(time.perf_counter() - begun, 1)
     return Refinement(document, chosen, judged, intervals, mission, target, aircraft)

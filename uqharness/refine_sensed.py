@@ -41,8 +41,9 @@ def as_sensed(
 def sensor_late_s(channel: str, segment: Segment, point: Point) -> float:
     """By how much a channel is late at a point [s]."""
     sensor = SENSOR_OF.get(channel, channel)
-    return point.nuisance.get(f"delay/{segment.flight}/{sensor}", 0.0) + point.sensed.get(
-        f"effect/sensor.{sensor}/delay", 0.0
+    own = {sensor, channel}
+    return point.nuisance.get(f"delay/{segment.flight}/{sensor}", 0.0) + sum(
+        point.sensed.get(f"effect/sensor.{s}/delay", 0.0) for s in own
     )
 
 

@@ -49,7 +49,7 @@ def make_setup(
     aircraft: Aircraft, flights: Sequence[Flight], measured: Sequence[str], ideal: Sequence[str] = ()
 ) -> Setup:
     """Segments, measured outputs and noise of some flights."""
-    arm = aircraft.card.sensors.position_m.get("accelerometer", (0.0, 0.0, 0.0))
+    arm = aircraft.accelerometer_m
     cut = [s for f in flights for s in segments(f, measured, arm)]
     outputs = tuple(c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights))
     data = [b for f in flights for b in measured_outputs(f, outputs)]
@@ -63,6 +63,12 @@ def make_setup(
         tuple(flights), tuple(cut), states_of(flights), outputs, tuple(data), np.array([known[c] for c in outputs]),
         tuple(b for b in BIASES if b in outputs), late, servos=servos_of(aircraft, measured, ideal),
     )  # fmt: skip
+
+
+def with_sensors_of(setup: Setup, aircraft: Aircraft) -> Setup:
+    """The same flights with the accelerometers where this aircraft has them: a centre of gravity that moves leaves them behind."""
+    arm = aircraft.accelerometer_m
+    return replace(setup, segments=tuple(replace(s, arm_m=arm) for s in setup.segments))
 
 
 def servos_of(aircraft: Aircraft, measured: Sequence[str], ideal: Sequence[str]) -> dict[str, Actuator]:
@@ -99,8 +105,9 @@ class Bench:
 def candidates_for(setup: Setup, names: Sequence[str], extra: Sequence[Effect]) -> list[Effect]:
     """The catalogue less what the model estimates already, and the user's own effects."""
     surfaces = list(setup.servos)
-    sensors = list(dict.fromkeys(SENSOR_OF.get(c, c) for c in setup.outputs)) if not setup.late else []
-    every = [*extra, *catalogue(), *subsystem_effects(surfaces, setup.outputs, sensors)]
+    timed = setup.outputs if not setup.late else ()
+    sensors, parts = list(dict.fromkeys(SENSOR_OF.get(c, c) for c in timed)), [c for c in timed if c in SENSOR_OF]
+    every = [*extra, *catalogue(), *subsystem_effects(surfaces, setup.outputs, sensors, parts)]
     out: dict[str, Effect] = {}
     for e in every:
         if e.coefficient is not None and e.property_name in names:

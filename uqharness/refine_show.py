@@ -20,9 +20,9 @@ from uqharness.aircraft import Aircraft
 from uqharness.flights import Flight, states
 from uqharness.identify_start import demand_of, forced_at
 from uqharness.logged_commands import command_later
-from uqharness.refine import Bench
 from uqharness.refine_fit import Flown, Point, Setup, positions, refit
 from uqharness.refine_gusts import gust_refit, middles, moved, rows_late, unfiltered
+from uqharness.refine_setup import Bench, with_sensors_of
 from uqharness.replay import Segment
 from uqharness.replay_model import CONTROLS, ReplayModel
 
@@ -79,6 +79,7 @@ def show(
     gusts: the air of the flights, with which one-step predictions take the place of replays.
     """
     with Bench(aircraft, measured, ideal) as bench:
+        setup = with_sensors_of(setup, aircraft)
         plain = replace(setup, active=(), carriers={})
         start = Point({}, {}, tuple(s.start for s in setup.segments), dict(sensed))
         controls = positions(bench.model, plain, map_)
@@ -138,6 +139,7 @@ def air_of(
     """The air of some flights, estimated with a model and sensors as they are; near: that of others, which stays where no filter
     follows the flights with such a model."""
     with Bench(aircraft, measured, ideal) as bench:
+        setup = with_sensors_of(setup, aircraft)
         plain = replace(setup, active=(), carriers={})
         start = Point({}, {}, tuple(s.start for s in setup.segments), dict(sensed))
         controls, bends = positions(bench.model, plain, map_), middles(bench.model, plain, map_)

@@ -149,3 +149,9 @@ def pbox_lines(pbox: Mapping[str, Any]) -> list[str]:
             )
             out.append(f"  {row['metric']}, {row['condition']}: median {words}")
     return out
+
+
+def carried_by(effect: Mapping[str, Any]) -> str:
+    """Where an effect of refinement.json stands: its property, a number of the XML, or a sensor."""
+    sensor = str(effect.get("subsystem", "")).startswith("sensor.")
+    return str(effect.get("property") or ("a sensor's" if sensor else "a number in the XML"))

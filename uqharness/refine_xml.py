@@ -1,8 +1,8 @@
 """Effects written into a copy of an aircraft: a term where the author sums the coefficient, else a body-axis increment
 beside the axes.
 
-Every effect carries a property of its own, which at 0 restores the model without it bit for bit, and a remark with value, interval,
-data and command.
+Every effect carries a remark with value, interval, data and command and, but for mass and dead zones (`refine_numbers_xml`), a
+property of its own that restores the model without it bit for bit: a term's at 0.
 """
 
 from __future__ import annotations
@@ -10,15 +10,14 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sysid.effects import Effect
-from uqharness.actuators import actuators
 from uqharness.aero_section import AeroSection, read_section
 from uqharness.aero_summands import Reference, SectionEdit, add_deltas, add_functions
 from uqharness.aircraft import Aircraft
-from uqharness.errors import BadInputError
+from uqharness.refine_numbers_xml import servo_switch, write_actuator, write_mass
 from uqharness.refine_terms_xml import subsystem_terms, term_xml
 from uqharness.xml_estimates import Estimate, put_values
 from uqharness.xml_text import Document, Node, after, append_child
@@ -58,6 +57,12 @@ def carrier(effect: Effect, folder: Path) -> tuple[str, float] | None:
     return None if name is None else (name, 0.0)
 
 
+def switch_of(effect: Effect, aircraft: Aircraft) -> tuple[str, float] | None:
+    """Property of the aircraft written with the effect, and its value that restores the aircraft as given, bit for bit; None where
+    a number stands in the XML alone, or nothing does."""
+    return carrier(effect, aircraft.folder) or servo_switch(effect, aircraft)
+
+
 def write_effects(
     aircraft: Aircraft, effects: Sequence[Written], estimates: Mapping[str, Estimate], out: Path, deltas: bool = False
 ) -> list[str]:
@@ -66,13 +71,13 @@ def write_effects(
     deltas: put every new term beside the axes, although the author has a sum for it. Raises BadInputError.
     """
     shutil.copytree(aircraft.folder, out, symlinks=False)
-    mine = [w for w in effects if in_dynamics(w.effect)]
+    mine = [_with_switch(w, aircraft) for w in effects if in_dynamics(w.effect)]
     for w in mine:
         # Numbers first: an insertion counts bytes of the file as it was read.
         if w.effect.subsystem == "mass":
-            _write_mass(out, aircraft, w)
+            write_mass(out, aircraft, w.effect, w.value, w.remark)
         elif (w.effect.subsystem or "").startswith("actuator."):
-            _write_actuator(out, aircraft, w)
+            write_actuator(out, aircraft, w.effect, w.value, w.remark)
     section = read_section(out, aircraft.xml.name)
     edit = SectionEdit(section)
     plain: dict[str, Estimate] = {}
@@ -98,6 +103,11 @@ def write_effects(
     for path, content in edit.files().items():
         path.write_bytes(content)
     return put_values(out, dict(estimates) | plain)
+
+
+def _with_switch(w: Written, aircraft: Aircraft) -> Written:
+    switch = switch_of(w.effect, aircraft)
+    return w if switch is None or not w.remark else replace(w, remark=f"{w.remark}; {switch[1]:.8g} switches it off")
 
 
 def _is_scale(effect: Effect) -> bool:
@@ -188,82 +198,3 @@ def _last_property(document: Document, coefficient: str) -> Node | None:
         if n.tag == "property" and "value" in n.attributes and n.text.strip().startswith(f"aero/{coefficient}_")
     ]  # fmt: skip
     return found[-1] if found else None
-
-
-
-def _write_mass(folder: Path, aircraft: Aircraft, w: Written) -> None:
-    """The number in <mass_balance> changed: Ixz [kg m2] with the author's unit and sign convention, or the CG along x."""
-    path = folder / aircraft.xml.name
-    text = path.read_bytes().decode("utf-8", errors="surrogateescape")
-    block = re.search(r"<mass_balance\b([^>]*)>.*?</mass_balance>", text, re.DOTALL)
-    if block is None:
-        raise BadInputError(f"{path}: no <mass_balance> to put effect {w.effect.term} into")
-    remark = f"  <!-- {w.remark.replace('--', '- -')} -->"
-    if w.effect.term == "Ixz":
-        sign = 1.0 if re.search(r"negated_crossproduct_inertia\s*=\s*[\"']false", block.group(1)) else -1.0
-        found = re.search(r"<ixz\b([^>]*)>([^<]*)</ixz>", block.group(0))
-        unit = 1.0 if found and "KG" in found.group(1) else 1.0 / 1.3558179483314
-        change = sign * w.value * unit
-        if found is None:
-            at = block.start() + block.group(0).index(">") + 1
-            line = f'\n    <ixz unit="KG*M2">{sign * w.value:.8g}</ixz>{remark}'
-            text = text[:at] + line + text[at:]
-        else:
-            a, b = block.start() + found.start(2), block.start() + found.end(2)
-            end = text.index("\n", b)
-            text = f"{text[:a]}{float(found.group(2)) + change:.8g}{text[b:end]}{remark}{text[end:]}"
-    else:
-        place = re.search(r"<location\b[^>]*name\s*=\s*[\"']CG[\"'][^>]*>.*?</location>", block.group(0), re.DOTALL)
-        found = re.search(r"<x>([^<]*)</x>", place.group(0)) if place else None
-        if place is None or found is None:
-            raise BadInputError(f'{path}: no <location name="CG"> to move')
-        unit = (
-            1.0
-            if re.search(r"unit\s*=\s*[\"']M[\"']", place.group(0))
-            else 1.0 / 0.0254
-            if "IN" in place.group(0)
-            else 1.0 / FT
-        )
-        a = block.start() + place.start() + found.start(1)
-        b = block.start() + place.start() + found.end(1)
-        # Structural x points aft.
-        text = f"{text[:a]}{float(found.group(1)) - w.value * unit:.8g}{text[b:]}"
-    path.write_bytes(text.encode("utf-8", errors="surrogateescape"))
-
-
-def _write_actuator(folder: Path, aircraft: Aircraft, w: Written) -> None:
-    """The actuator's own numbers changed: lag [1/s], rate_limit, deadband_width."""
-    surface = (w.effect.subsystem or "").partition(".")[2]
-    position = aircraft.card.inputs[surface].position
-    # Its numbers may stand in the XML as properties: asked of JSBSim, they are what flies.
-    servo = actuators(aircraft, [surface])[surface]
-    remark = f"  <!-- {w.remark.replace('--', '- -')} -->"
-    for path in sorted(folder.rglob("*.xml")):
-        text = path.read_bytes().decode("utf-8", errors="surrogateescape")
-        block = re.search(
-            r"<actuator\b[^>]*name\s*=\s*[\"']" + re.escape(position or "?") + r"[\"'][^>]*>.*?</actuator>",
-            text,
-            re.DOTALL,
-        )
-        if block is None:
-            continue
-        body = block.group(0)
-        tag = {"lag": "lag", "rate_limit": "rate_limit", "deadband": "deadband_width"}[w.effect.term]
-        found = re.search(rf"<{tag}>([^<]*)</{tag}>", body)
-        number = float(found.group(1)) if found and re.fullmatch(r"\s*[-+.\deE]+\s*", found.group(1)) else None
-        if tag == "lag":
-            rate = servo.lag_with(w.value)
-        elif tag == "rate_limit":
-            rate = servo.slowed_to(w.value)
-        else:
-            rate = (number or 0.0) + w.value
-        if found:
-            body = f"{body[: found.start(1)]}{rate:.8g}{body[found.end(1) :]}"
-            end = body.find("\n", found.end(1))
-            body = f"{body[:end]}{remark}{body[end:]}" if end > 0 else body
-        else:
-            at = body.index("</input>") + len("</input>")
-            body = f"{body[:at]}\n        <{tag}>{rate:.8g}</{tag}>{remark}{body[at:]}"
-        path.write_bytes((text[: block.start()] + body + text[block.end() :]).encode("utf-8", errors="surrogateescape"))
-        return
-    raise BadInputError(f"aircraft '{aircraft.name}': no <actuator name=\"{position}\"> for effect {w.effect.key}")

@@ -141,4 +141,5 @@ OTHERS = (
 )  # fmt: skip
 
 BATTERY = (*IN_FORM, *OFF_FORM)
-ENTRIES: Mapping[str, Entry] = {e.key: e for e in (*BATTERY, *OTHERS)}
+ON_ORDER = (Entry("mass", "cg_in_airframe", 0.03, same=("mass:cg_x",)),)
+ENTRIES: Mapping[str, Entry] = {e.key: e for e in (*BATTERY, *OTHERS, *ON_ORDER)}

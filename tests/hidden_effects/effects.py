@@ -15,7 +15,8 @@ SURFACES = ("elevator", "aileron", "rudder")
 SUBSYSTEMS: Mapping[str, tuple[str, ...]] = {
     "stall": ("separation", "dynamic"),
     "propulsion": ("thrust_scale", "inflow"),
-    "mass": ("cg_x", "Ixz"),
+    # cg_x takes the accelerometers with it; cg_in_airframe leaves them where they are.
+    "mass": ("cg_x", "cg_in_airframe", "Ixz"),
     "ground": ("lift",),
     # backlash and late (samples) are of no vocabulary: an answer can only come near them.
     **{f"actuator.{s}": ("lag", "deadband", "rate_limit", "backlash", "late") for s in SURFACES},
@@ -41,9 +42,9 @@ class Effect:
     subject  a coefficient (CX ... Cn) or a subsystem ("actuator.elevator", "sensor.alpha_rad", "mass", ...)
     term     what it is called in an answer ("p_hat^2", "lag")
     size     coefficient terms: the coefficient, in the term's own units. lag [1/s], rate_limit [deg/s], deadband and backlash
-             [deg, whole width], late [samples]; thrust_scale and inflow as a fraction to add; Ixz [kg m2] and cg_x [m, forward]
-             to add; sensor bias [unit of the channel], scale [fraction to add], delay [s]; stall: share of the separation's
-             lift loss; ground: lift gained at zero height, as a fraction
+             [deg, whole width], late [samples]; thrust_scale and inflow as a fraction to add; Ixz [kg m2], cg_x and
+             cg_in_airframe [m, forward] to add; sensor bias [unit of the channel], scale [fraction to add], delay [s];
+             stall: share of the separation's lift loss; ground: lift gained at zero height, as a fraction
     form     expression of the regressor where it is not the term itself (effects that no vocabulary knows); besides the
              vocabulary's variables it may use t_s and abs, tanh, sin, sqrt, maximum, where, interp
     """

@@ -43,7 +43,7 @@ class Model:
         self.rate = np.repeat(np.array(RATE)[:, None], self.size, axis=1)
         self.deadband, self.backlash = np.zeros((4, self.size)), np.zeros((4, self.size))
         self.late = np.zeros((4, self.size), dtype=int)
-        self.thrust_scale, self.inflow, self.cg_x = zero.copy(), zero.copy(), zero.copy()
+        self.thrust_scale, self.inflow, self.cg_x, self.cg_in_airframe = (zero.copy() for _ in range(4))
         self.stall, self.dynamic, self.ground = zero.copy(), zero.copy(), zero.copy()
         self._terms: dict[tuple[int, str], Array] = {}
         for lane, hidden in enumerate(effects):
@@ -176,10 +176,11 @@ def evaluate(model: Model, x: Array, s: Array, gust: Array | None, t_s: Array | 
             Vdot = (ua * udot + va * vdot + wa * wdot) / V
             seen["alphadot_hat"] = alphadot * c2V
             seen["betadot_hat"] = (V * vdot - va * Vdot) / (V * np.sqrt(ua * ua + wa * wa)) * b2V
-    # A centre of gravity further forward by cg_x: M += Z cg_x, N -= Y cg_x.
+    # A centre of gravity further forward by cg: M += Z cg, N -= Y cg.
+    cg = M.cg_x + M.cg_in_airframe
     L = qS * M.b * now[3]
-    Mm = qS * (M.c * now[4] + M.cg_x * now[2])
-    N = qS * (M.b * now[5] - M.cg_x * now[1])
+    Mm = qS * (M.c * now[4] + cg * now[2])
+    N = qS * (M.b * now[5] - cg * now[1])
     hx, hy, hz = M.Ixx * p - M.Ixz * r, M.Iyy * q, M.Izz * r - M.Ixz * p
     L, Mm, N = L - (q * hz - r * hy), Mm - (r * hx - p * hz), N - (p * hy - q * hx)
     turning = q * np.sin(phi) + r * np.cos(phi)
@@ -191,7 +192,12 @@ def evaluate(model: Model, x: Array, s: Array, gust: Array | None, t_s: Array | 
             *(body[0][i] * u + body[1][i] * v + body[2][i] * w for i in range(3)),
         ]
     )  # fmt: skip
-    return Air(V, alpha, beta, rho, np.stack([fX, fY, fZ]), dot)
+    felt = np.stack([fX, fY, fZ])
+    if M.cg_in_airframe.any():
+        # The accelerometers stay that far behind it: w' x r + w x (w x r) with r = (-cg, 0, 0).
+        back = M.cg_in_airframe
+        felt = felt + back * np.stack([q * q + r * r, -dot[5] - p * q, dot[4] - p * r])
+    return Air(V, alpha, beta, rho, felt, dot)
 
 
 def lift_share(alpha_deg: Array, lag_deg: Array) -> Array:
