@@ -106,9 +106,10 @@ class Found:
 def find_effects(
     aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], extra: Sequence[Effect], work: Path,
     map_: Processes, say: Say = lambda _: None, stages: Stages | None = None, put_right: tuple[float, ...] = (),
+    lone: bool = True,
 ) -> Found:  # fmt: skip
     """Choose and estimate the missing effects on the train flights. ``work``: folder for staged copies of the aircraft;
-    put_right: by how much the setup's controls have been moved later already, step by step."""
+    put_right: by how much the setup's controls have been moved later already, step by step; lone: as `candidates_for` has it."""
     names = tuple(aircraft.card.parameters)
     if not names:
         raise BadInputError(
@@ -126,7 +127,7 @@ def find_effects(
             stage, lambda: base_fit_and_noise(aircraft, bench, given, asked, limits, map_)
         )
         setup = replace(setup, noise=noise)
-        effects = candidates_for(setup, names, extra)
+        effects = candidates_for(setup, names, extra, lone)
         by_key = {e.key: e for e in effects}
         if turbulent(setup, before.flown):
             say(f"the air was turbulent: predicting one sample ahead, scoring {len(effects)} candidate effects")
@@ -155,7 +156,7 @@ def find_effects(
     if late is not None:
         say(f"all controls act {1e3 * late[0]:.1f} ms after their rows; putting the records right")
         right = make_setup(aircraft, later(setup.flights, late[0]), measured, ideal)
-        found = find_effects(aircraft, right, measured, ideal, extra, work, map_, say, stages, (*put_right, late[0]))
+        found = find_effects(aircraft, right, measured, ideal, extra, work, map_, say, stages, (*put_right, late[0]), lone)
         if not put_right:
             found = replace(found, notes=(words(found.late_s, late[1], dt), *found.notes))
         return found

@@ -19,8 +19,8 @@ from sysid.force_coefficients import smooth
 from sysid.gust_intensity import Gusts, gust_intensity, noise_factors
 from sysid.gust_states import GustStates
 from sysid.prediction import Columns, White, minus_twice_log, whiten
+from sysid.rigid_steps import AIR, Steps, rates, whole_states
 from sysid.rigid_steps import STATES as X_STATES
-from sysid.rigid_steps import Steps, rates, whole_states
 from sysid.side_by_side import Processes
 from uqharness.forced import surface_positions
 from uqharness.refine_candidates import sensor_gain, sensor_offset
@@ -294,9 +294,23 @@ def predicted(
         air = x[:, 3:6] - np.column_stack(gusts.states.rotation(x.T))
         whole = rates(p.reference, p.mass, x, gusts=gusts.states)
         flow = rates(p.reference, p.mass, x, gusts=replace(gusts.states, turning_with=False))
-        out.append(replace(p, predicted=Predicted(x[:, :8], whole[:, :8], flow[:, 1:3], air)))
+        coefficients = p.coefficients + _changed(p, np.column_stack([x[:, :3], air]) - p.reference.x[:, : len(AIR)])
+        out.append(
+            replace(p, coefficients=coefficients, predicted=Predicted(x[:, :8], whole[:, :8], flow[:, 1:3], air))
+        )
         outputs.append(s.y_ref[:, setup.which] + np.einsum("nij,nj->ni", s.H[:, setup.which], d))
     return replace(flown, outputs=outputs), out
+
+
+def _changed(p: Probe, moved: Array) -> Array:
+    """(n, 6) change of CX..Cn where the air is met otherwise than at the reference, by AIR (n, 6)."""
+    scale = p.reference.qbar[:, None] * p.mass.S
+    scale = scale * np.array([1.0, 1.0, 1.0, p.mass.b, p.mass.c, p.mass.b])
+    faster = moved[:, :1] / p.reference.x[:, :1]
+    change = np.einsum("nij,nj->ni", p.reference.slopes, moved) / scale - 2.0 * faster * p.coefficients
+    if p.by_inflow is not None:
+        change[:, 0] -= p.by_inflow * faster[:, 0]
+    return change
 
 
 def gust_evidence(setup: Setup, fitted: GustFit, extra: Sequence[Columns]) -> Evidence:

@@ -97,10 +97,13 @@ def at_value(start: Start, choice: Choice, about: About, folder: Path, predicted
 
 
 def read_once_first(selection: Selection, effects: Sequence[Effect], folder: Path) -> Selection:
-    """An overwhelming effect that is read once and stronger than the others: it alone, of an aircraft in ``folder``."""
+    """An overwhelming effect that is read once, or a time, and stronger than the others: it alone, of an aircraft in ``folder``.
+
+    Neither is linear in what it does: where it is far from none, what its slope leaves looks like others.
+    """
     first = max(selection.chosen, key=lambda c: abs(c.t))
     effect = next(e for e in effects if e.key == first.key)
-    once = in_dynamics(effect) and carrier(effect, folder) is None
+    once = effect.unit == "s" or (in_dynamics(effect) and carrier(effect, folder) is None)
     return replace(selection, chosen=(first,)) if once and abs(first.t) > OVERWHELMING else selection
 
 

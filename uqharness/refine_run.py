@@ -41,6 +41,7 @@ from uqharness.refine_intervals import (
     write_forms,
 )
 from uqharness.refine_judge import Judged, Side, bare, judge, sensed_by
+from uqharness.refine_lone import believed
 from uqharness.refine_pbox import FOLDER as PBOX
 from uqharness.refine_pbox import MissionResult, Model, campaign_for, fly_missions, no_pbox
 from uqharness.refine_setup import estimated_channels
@@ -123,7 +124,11 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
         setup = train.setup(aircraft)
         chosen = stages(
             "effects",
-            lambda: find_effects(aircraft, setup, train.measured, train.ideal, request.extra, work, map_, say, stages),
+            lambda: believed(
+                lambda lone: find_effects(
+                    aircraft, setup, train.measured, train.ideal, request.extra, work / f"lone-{lone}", map_, say, stages, lone=lone
+                )
+            ),
         )
         train, test = train.later(chosen.late_s), test.later(chosen.late_s)
         say("flying the test flights with both models")
