@@ -182,7 +182,8 @@ def _contested(
     instead = _tried(start, Selection((best,)), about, work / "rival") if best is not None else None
     if best is None or instead is None:
         return now, []
-    told = f"round 2: flown alone, {best.key} does better than {key}"
+    other = f"at {best.value:.4g}" if best.key == key else f"than {key}"
+    told = f"round 2: flown alone, {best.key} does better {other}"
     return instead, [told, *(f"round 2: {line}" for line in instead.again.trail)]
 
 
