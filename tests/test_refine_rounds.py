@@ -198,10 +198,10 @@ def test_rounds_that_judge_other_samples_are_not_compared():
     assert likeliest([first, better, late]) is better  # type: ignore[list-item]
 
 
-def round_of(merit: float, standing: bool = False, **t: float) -> SimpleNamespace:
+def round_of(merit: float, standing: bool = False, gusts: object = None, **t: float) -> SimpleNamespace:
     chosen = tuple(Choice(k, 1.0, 0.1, v, v * v, 1.0, 0.0) for k, v in t.items())
     return SimpleNamespace(
-        merit=merit, standing=standing, selection=Selection(chosen), keys=frozenset(t), about=None
+        merit=merit, standing=standing, gusts=gusts, selection=Selection(chosen), keys=frozenset(t), about=None
     )
 
 
@@ -223,7 +223,19 @@ def test_what_says_nothing_once_it_flies_is_left_out(tmp_path):
     assert found.merit == 101.0
     assert asked == [["Cm"]]
     for best in (
-        round_of(90.0, Cm=-8.0, alphadot=5.0), round_of(90.0, True, Cm=-8.0, alphadot=1.7), round_of(90.0, Cm=2.0), None,
+        round_of(90.0, Cm=-8.0, alphadot=5.0), round_of(90.0, True, Cm=-8.0, alphadot=1.7), round_of(90.0, Cm=3.5), None,
     ):  # fmt: skip
         assert without_weak(best, [], 4.0, fly, tmp_path) == (best, [])  # type: ignore
     assert without_weak(both, [both], 4.0, lambda *_: None, tmp_path) == (both, [])  # type: ignore
+
+
+@pytest.mark.parametrize("standing", [False, True])
+def test_nothing_that_says_something_once_it_flies_is_no_effect(tmp_path, standing):
+    """Chance: |t| 4.5 on the linearised flight, 2.7 once it flies."""
+    best = round_of(90.0, standing, alphadot=2.7)
+    assert without_weak(best, [best], 4.0, lambda *_: None, tmp_path) == (
+        None,
+        ["flown, alphadot has |t| 2.7: no effect"],
+    )  # type: ignore
+    for kept in (round_of(90.0, standing, alphadot=3.1), round_of(90.0, standing, object(), alphadot=2.7)):
+        assert without_weak(kept, [kept], 4.0, lambda *_: None, tmp_path) == (kept, [])  # type: ignore

@@ -28,6 +28,8 @@ NO_NEARER = 0.95
 """Share of the change wanted before from which flights that want as much again have not come nearer."""
 EARNED = 8.0
 """By how much a flight's merit must fall for the change of a number to have done something."""
+SAYS_LITTLE = 0.75
+"""Share of the |t| asked of an effect below which, flown, it is no effect: what asked for it is gone."""
 STANDS = 1.0
 """Standard errors by which such a number may differ from the one flown and stand."""
 Predicted = Callable[["Start", Selection, "About", Path], GustFit]
@@ -152,6 +154,8 @@ def without_weak(
 
     Such a choice goes to and fro: what an effect seemed to be is gone when it flies, and there again when it does not.
     """
+    if best is not None and not best.gusts and not any(abs(c.t) > SAYS_LITTLE * limit for c in best.selection.chosen):
+        return None, [f"flown, {c.key} has |t| {abs(c.t):.1f}: no effect" for c in best.selection.chosen]
     weak = [c for c in best.selection.chosen if not abs(c.t) > limit] if best is not None and not best.standing else []
     if best is None or not weak or len(weak) == len(best.selection.chosen):
         return best, []
