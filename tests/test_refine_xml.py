@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import tomllib
 
@@ -270,3 +271,68 @@ def test_a_rate_limits_column_is_what_a_lower_limit_does():
     at_limit = servo_change("rate_limit", slow, command, command, h)
     moved = Actuator(None, rate=75.0).follow(command, h, 0.01) - slow.follow(command, h, 0.01)
     assert at_limit * (1.0 / 75.0 - 1.0 / 100.0) == pytest.approx(moved, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("declared", "bytes_"),
+    [
+        ("UTF-8", "Vol d'été 1".encode()),
+        ("ISO-8859-1", "Vol d'été 1".encode("latin-1")),
+        ("US-ASCII", b"Vol d'&#233;t&#233; 1"),
+    ],
+)
+def test_a_flights_name_with_accents_and_hyphens_is_written_as_the_file_is(tmp_path, declared, bytes_):
+    folder = tmp_path / "given" / "espaaro"
+    shutil.copytree(find_aircraft("espaaro").folder, folder)
+    xml = folder / "espaaro.xml"
+    xml.write_bytes(xml.read_bytes().replace(b'encoding="UTF-8"', f'encoding="{declared}"'.encode(), 1))
+    by_key = {e.key: e for e in subsystem_effects(["aileron"], [], [])}
+    effects = [(by_key["effect/mass/Ixz"], 0.45), (by_key["effect/mass/cg_x"], 0.01), (by_key["effect/actuator.aileron/lag"], 0.01),
+               (coefficient_effect("Cm", "p_hat^2"), 3.0)]  # fmt: skip
+    remark = "Vol d'été 1, a---b"
+    write_effects(find_aircraft(folder), [Written(e, v, remark, {}) for e, v in effects], {}, tmp_path / "espaaro")
+    written_xml = (tmp_path / "espaaro" / "espaaro.xml").read_bytes()
+    assert written_xml.count(b"<!-- " + bytes_ + b", a- - -b") == len(effects)
+    open_aircraft(find_aircraft(tmp_path / "espaaro"))
+
+
+@pytest.mark.parametrize(
+    ("unit", "moved"), [(' unit="IN"', -1.0), ("", -1.0), (' unit="M"', -0.0254), (' unit="FT"', -0.0254 / 0.3048)]
+)
+def test_a_centre_of_gravity_moves_in_the_authors_unit(tmp_path, unit, moved):
+    folder = tmp_path / "given" / "espaaro"
+    shutil.copytree(find_aircraft("espaaro").folder, folder)
+    xml = folder / "espaaro.xml"
+    x = "<!-- <x> 7 </x> --> <x><!-- aft -->2<!-- of the nose --></x>"
+    place = f'<location name="CG"{unit}> {x} <y> 0 </y> <z> 0 </z> </location>'
+    text = re.sub(r'<location name="CG".*?</location>', place, xml.read_text(encoding="utf-8"), flags=re.DOTALL)
+    xml.write_text(text, encoding="utf-8")
+    aircraft = find_aircraft(folder)
+    here = cg_in(aircraft)
+    effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
+    write_effects(aircraft, [written(effect, 0.0254)], {}, tmp_path / "espaaro")
+    changed = find_aircraft(tmp_path / "espaaro")
+    assert cg_in(changed) == pytest.approx(here - 1.0, abs=1e-5)
+    assert f"<x><!-- aft -->{2.0 + moved:.8g}<!-- of the nose --></x>  <!-- a remark -->" in changed.xml.read_text(
+        encoding="utf-8"
+    )
+
+
+def cg_in(aircraft):
+    fdm = open_aircraft(aircraft)
+    fdm["ic/lat-geod-deg"], fdm["ic/h-sl-ft"], fdm["ic/u-fps"] = 45.0, 400.0, 70.0
+    engine.run_ic(fdm)
+    return fdm["inertia/cg-x-in"]
+
+
+def test_a_centre_of_gravity_in_a_unit_that_JSBSim_does_not_know(tmp_path):
+    folder = tmp_path / "given" / "espaaro"
+    shutil.copytree(find_aircraft("espaaro").folder, folder)
+    aircraft = find_aircraft(folder)
+    text = re.sub(
+        r'<location name="CG"[^>]*>', '<location name="CG" unit="CM">', aircraft.xml.read_text(encoding="utf-8")
+    )
+    aircraft.xml.write_text(text, encoding="utf-8")
+    effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
+    with pytest.raises(BadInputError, match=r"espaaro\.xml:\d+: unit \"CM\" of the centre of gravity; use M, FT or IN"):
+        write_effects(aircraft, [written(effect, 0.0254)], {}, tmp_path / "espaaro")

@@ -19,6 +19,7 @@ from uqharness.errors import BadInputError
 from uqharness.properties import position_factor
 from uqharness.whole_files import write_bytes
 from uqharness.xml_expressions import Expression, Powers, call, horner, prop, value
+from uqharness.xml_text import in_comment
 
 RATE_HZ = 50.0
 """Bounds are computed at least this often; levels and deltas in every frame."""
@@ -293,7 +294,7 @@ def _document(remarks: list[str], body: list[str]) -> bytes:
     text = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         "<!--",
-        *(f"  {line.replace('--', '- -')}".rstrip() for line in comment),
+        *(f"  {in_comment(line)}".rstrip() for line in comment),
         "-->",
         '<system name="model-form">',
         *(f"  {line}" for line in body),

@@ -7,7 +7,6 @@ dead zone, as numbers alone.
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 
 from sysid.effects import Effect
@@ -15,12 +14,28 @@ from uqharness.actuators import actuators
 from uqharness.aircraft import Aircraft
 from uqharness.card_edit import sensors_from_cg
 from uqharness.errors import BadInputError
+from uqharness.xml_text import (
+    Document,
+    Insertion,
+    Node,
+    append_child,
+    apply,
+    attribute,
+    before,
+    comment,
+    number,
+    read_document,
+    remarked,
+    with_attribute,
+    with_text,
+)
 
-FT = 0.3048
 FREE_RATE = 1e9
 """Rate limit that limits nothing."""
+SLUGFT2_KGM2 = 1.3558179483314
+_METRES = {"M": 1.0, "FT": 0.3048, "IN": 0.0254, "": 0.0254}
+"""Units of <location>; JSBSim takes inches where none stands."""
 _TAGS = {"lag": "lag", "rate_limit": "rate_limit", "deadband": "deadband_width"}
-_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 
 
 def servo_switch(effect: Effect, aircraft: Aircraft) -> tuple[str, float] | None:
@@ -39,41 +54,32 @@ def write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, r
     """The number in <mass_balance> changed: Ixz [kg m2] with the author's unit and sign convention, or the CG along x [m], with
     the sensors' places from it. Raises BadInputError."""
     path = folder / aircraft.xml.name
-    text = _text(path)
-    block = re.search(r"<mass_balance\b([^>]*)>.*?</mass_balance>", text, re.DOTALL)
+    document = read_document(path)
+    block = document.root.find("mass_balance")
     if block is None:
         raise BadInputError(f"{path}: no <mass_balance> to put effect {effect.term} into")
-    said = _said(remark)
     if effect.term == "Ixz":
-        sign = 1.0 if re.search(r"negated_crossproduct_inertia\s*=\s*[\"']false", block.group(1)) else -1.0
-        found = re.search(r"<ixz\b([^>]*)>([^<]*)</ixz>", block.group(0))
-        unit = 1.0 if found and "KG" in found.group(1) else 1.0 / 1.3558179483314
-        change = sign * value * unit
-        if found is None:
-            at = block.start() + block.group(0).index(">") + 1
-            line = f'\n    <ixz unit="KG*M2">{sign * value:.8g}</ixz>{said}'
-            text = text[:at] + line + text[at:]
-        else:
-            a, b = block.start() + found.start(2), block.start() + found.end(2)
-            end = text.index("\n", b)
-            text = f"{text[:a]}{float(found.group(2)) + change:.8g}{text[b:end]}{said}{text[end:]}"
-    else:
-        place = re.search(r"<location\b[^>]*name\s*=\s*[\"']CG[\"'][^>]*>.*?</location>", block.group(0), re.DOTALL)
-        found = re.search(r"<x>([^<]*)</x>", place.group(0)) if place else None
-        if place is None or found is None:
-            raise BadInputError(f'{path}: no <location name="CG"> to move')
-        unit = (
-            1.0
-            if re.search(r"unit\s*=\s*[\"']M[\"']", place.group(0))
-            else 1.0 / 0.0254
-            if "IN" in place.group(0)
-            else 1.0 / FT
+        sign = 1.0 if attribute(block, "negated_crossproduct_inertia").lower() == "false" else -1.0
+        ixz = block.find("ixz")
+        if ixz is None:
+            line = f'<ixz unit="KG*M2">{sign * value:.8g}</ixz>  {comment(remark)}'
+            path.write_bytes(apply(document, [append_child(document, block, [line])]))
+            return
+        unit = 1.0 if "KG" in attribute(ixz, "unit") else SLUGFT2_KGM2
+        _put(document, ixz, number(ixz, "<ixz>", document) + sign * value / unit, remark)
+        return
+    place = next((p for p in block.all("location") if attribute(p, "name") == "CG"), None)
+    x = place.find("x") if place is not None else None
+    if place is None or x is None:
+        raise BadInputError(f'{path}: no <location name="CG"> to move')
+    unit = _METRES.get(attribute(place, "unit"), math.nan)
+    if math.isnan(unit):
+        raise BadInputError(
+            f'{document.where(place)}: unit "{attribute(place, "unit")}" of the centre of gravity; use M, FT or IN'
         )
-        a, b = (block.start() + place.start() + edge for edge in found.span())
-        # Structural x points aft.
-        text = f"{text[:a]}<x>{float(found.group(1)) - value * unit:.8g}</x>{said}{text[b:]}"
-        sensors_from_cg(folder / "airframe.toml", value, remark)
-    _put(path, text)
+    # Structural x points aft.
+    _put(document, x, number(x, "<x>", document) - value / unit, remark)
+    sensors_from_cg(folder / "airframe.toml", value, remark)
 
 
 def write_actuator(folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str) -> None:
@@ -81,71 +87,68 @@ def write_actuator(folder: Path, aircraft: Aircraft, effect: Effect, value: floa
     Raises BadInputError."""
     surface = (effect.subsystem or "").partition(".")[2]
     position = aircraft.card.inputs[surface].position
+    document, actuator = _actuator(folder, position)
+    if document is None or actuator is None:
+        raise BadInputError(f"aircraft '{aircraft.name}': no <actuator name=\"{position}\"> for effect {effect.key}")
     # Its numbers may stand in the XML as properties: asked of JSBSim, they are what flies.
     servo = actuators(aircraft, [surface])[surface]
     tag, switch = _TAGS[effect.term], servo_switch(effect, aircraft)
-    element = re.compile(
-        r"<actuator\b[^>]*name\s*=\s*[\"']" + re.escape(position or "?") + r"[\"'][^>]*>.*?</actuator>", re.DOTALL
-    )
-    for path in sorted(folder.rglob("*.xml")):
-        text = _text(path)
-        bare = _COMMENT.sub(lambda m: " " * len(m.group()), text)
-        block = element.search(bare)
-        if block is None:
-            continue
-        a, b = block.span()
-        found = re.search(rf"<{tag}>([^<]*)</{tag}>", bare[a:b])
-        if tag == "lag":
-            number = servo.lag_with(value)
-        elif tag == "rate_limit":
-            number = servo.slowed_to(value)
-        else:
-            number = _number(found) + value
-        put = f"{number:.8g}" if switch is None else switch[0]
-        said = _said(remark) if switch is None else ""
-        mine = re.search(_declared(put), bare) if switch is not None else None
-        if mine and found and found.group(1).strip() == put:
+    own = actuator.find(tag)
+    if effect.term == "lag":
+        new = servo.lag_with(value)
+    elif effect.term == "rate_limit":
+        new = servo.slowed_to(value)
+    else:
+        new = value + (0.0 if own is None else number(own, f"<{tag}>", document))
+    if switch is None:
+        edits = [_as_text(document, actuator, own, tag, f"{new:.8g}", f"  {comment(remark)}")]
+        edits += [] if own is None else [remarked(document, own, remark)]
+    else:
+        declared = _declared(document, switch[0])
+        if declared is not None and own is not None and own.text.strip() == switch[0]:
             # The aircraft carries this effect already.
-            end = text.index("\n", mine.end())
-            text = f"{text[: mine.start(1)]}{number:.8g}{text[mine.end(1) : end]}{_said(remark)}{text[end:]}"
-            _put(path, text)
-            return
-        if found:
-            end = text.find("\n", a + found.end(1), b)
-            end = b if end < 0 else end
-            text = (
-                f"{text[: a + found.start(1)]}{put}{text[a + found.end(1) : end]}{said if end < b else ''}{text[end:]}"
-            )
+            edits = [with_attribute(document, declared, "value", f"{new:.8g}"), remarked(document, declared, remark)]
         else:
-            at = a + bare[a:b].index("</input>") + len("</input>")
-            text = f"{text[:at]}\n        <{tag}>{put}</{tag}>{said}{text[at:]}"
-        if switch is not None:
-            at = bare.rindex("<channel", 0, a)
-            margin = text[text.rfind("\n", 0, at) + 1 : at]
-            line = f'<property value="{number:.8g}">{put}</property>{_said(remark)}'
-            text = f"{text[:at]}{line}\n{margin if not margin.strip() else ''}{text[at:]}"
-        _put(path, text)
-        return
-    raise BadInputError(f"aircraft '{aircraft.name}': no <actuator name=\"{position}\"> for effect {effect.key}")
+            line = f'<property value="{new:.8g}">{switch[0]}</property>  {comment(remark)}'
+            edits = [
+                before(document, _channel(actuator), [line]),
+                _as_text(document, actuator, own, tag, switch[0]),
+            ]
+    document.path.write_bytes(apply(document, sorted(edits, key=lambda e: e.at)))
 
 
-def _declared(name: str) -> str:
-    return r"<property\b[^>]*?\bvalue\s*=\s*[\"']([^\"']*)[\"'][^>]*>\s*" + re.escape(name) + r"\s*</property>"
+def _put(document: Document, node: Node, value: float, remark: str) -> None:
+    edits = [with_text(document, node, f"{value:.8g}"), remarked(document, node, remark)]
+    document.path.write_bytes(apply(document, edits))
 
 
-def _number(found: re.Match[str] | None) -> float:
-    if found is None or not re.fullmatch(r"\s*[-+.\deE]+\s*", found.group(1)):
-        return 0.0
-    return float(found.group(1))
+def _as_text(document: Document, actuator: Node, own: Node | None, tag: str, text: str, behind: str = "") -> Insertion:
+    if own is not None:
+        return with_text(document, own, text)
+    return append_child(document, actuator, [f"<{tag}>{text}</{tag}>{behind}"])
 
 
-def _said(remark: str) -> str:
-    return f"  <!-- {remark.replace('--', '- -')} -->"
+def _actuator(folder: Path, position: str | None) -> tuple[Document | None, Node | None]:
+    for path in sorted(folder.rglob("*.xml")):
+        document = read_document(path)
+        for node in document.root.walk():
+            if node.tag == "actuator" and attribute(node, "name") == position:
+                return document, node
+    return None, None
 
 
-def _text(path: Path) -> str:
-    return path.read_bytes().decode("utf-8", errors="surrogateescape")
+def _channel(node: Node) -> Node:
+    """The channel around a component, or the component where there is none."""
+    above = node
+    while above.parent is not None:
+        above = above.parent
+        if above.tag == "channel":
+            return above
+    return node
 
 
-def _put(path: Path, text: str) -> None:
-    path.write_bytes(text.encode("utf-8", errors="surrogateescape"))
+def _declared(document: Document, name: str) -> Node | None:
+    return next(
+        (n for n in document.root.walk() if n.tag == "property" and "value" in n.attributes and n.text.strip() == name),
+        None,
+    )

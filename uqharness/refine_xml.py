@@ -20,7 +20,7 @@ from uqharness.aircraft import Aircraft
 from uqharness.refine_numbers_xml import servo_switch, write_actuator, write_mass
 from uqharness.refine_terms_xml import subsystem_terms, term_xml
 from uqharness.xml_estimates import Estimate, put_values
-from uqharness.xml_text import Document, Node, after, append_child
+from uqharness.xml_text import Document, Node, after, append_child, comment
 
 THRUST_SCALE = "propulsion/thrust-scale"
 FT = 0.3048
@@ -146,7 +146,7 @@ def _add(
     edit: SectionEdit, aircraft: Aircraft, w: Written, summands: dict[str, list[str]], deltas: bool
 ) -> SectionEdit:
     name = w.effect.property_name
-    declare = f'<property value="{w.value:.8g}">{name}</property>  <!-- {w.remark.replace("--", "- -")} -->'
+    declare = f'<property value="{w.value:.8g}">{name}</property>  {comment(w.remark)}'
     if w.effect.coefficient is not None:
         assert w.effect.parsed is not None
         factors = [f"<property>{name}</property>", *term_xml(w.effect.parsed, edit.section, aircraft)]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from uqharness.aero_section import SLOT, AeroSection, Axis
 from uqharness.aero_summands import Reference, SectionEdit
-from uqharness.xml_text import Document, Insertion, Node, append_child, attribute
+from uqharness.xml_text import Document, Insertion, Node, append_child, attribute, in_comment
 
 COEFFICIENT_PROPERTY = re.compile(r"aero/(CX|CY|CZ|Cl|Cm|Cn)_\w+")
 SYSTEM_NAME = "scale-bias"
@@ -81,7 +81,7 @@ def scale_system(rows: list[Scaled]) -> bytes:
     ]
     for row in rows:
         lines += [
-            f'  <property value="1">{row.scale}</property>  <!-- {row.axis}: {row.function.replace("--", "- -")} -->',
+            f'  <property value="1">{row.scale}</property>  <!-- {row.axis}: {in_comment(row.function)} -->',
             f'  <property value="0">{row.bias}</property>',
         ]
     return ("\n".join([*lines, "</system>"]) + "\n").encode("utf-8")

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
+from uqharness.xml_text import comment
 
 _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 _REMARK = re.compile(r"[ \t]*<!-- identified [^>]*?-->")
@@ -61,7 +62,7 @@ def with_value(text: str, name: str, estimate: Estimate) -> str | None:
         rest = text[found.end() : end_of_line]
         carriage = "\r" if rest.endswith("\r") else ""
         rest = _REMARK.sub("", rest.removesuffix("\r")).rstrip(" \t")
-        remark = f"  <!-- identified {estimate.remark.replace('--', '- -')} -->"
+        remark = f"  {comment(f'identified {estimate.remark}')}"
         # A remark inside a comment that runs over lines would end it early; such a line keeps its number alone.
         if "<!--" in _COMMENT.sub("", rest):
             remark = ""

@@ -75,6 +75,16 @@ class Document:
         crlf = self.raw.count(b"\r\n")
         return b"\r\n" if crlf * 2 > self.raw.count(b"\n") else b"\n"
 
+    @property
+    def encoding(self) -> str:
+        """As the XML declaration has it; UTF-8 without one."""
+        said = re.match(rb"(?:\xef\xbb\xbf)?<\?xml[^>]*?\bencoding\s*=\s*[\"']([^\"']+)[\"']", self.raw)
+        return said.group(1).decode("ascii", errors="replace") if said else "utf-8"
+
+    def encoded(self, text: str) -> bytes:
+        """``text`` as the file would have it; what its encoding does not know becomes a character reference."""
+        return text.encode(self.encoding, errors="xmlcharrefreplace")
+
     def indent(self, node: Node) -> str:
         """White space before the element on its line; empty if something else stands there."""
         begin = self.raw.rfind(b"\n", 0, node.start) + 1
@@ -155,7 +165,7 @@ def _tag_end(raw: bytes, start: int) -> int:
 
 @dataclass(frozen=True)
 class Insertion:
-    """``text`` (ASCII, final line ends) put before byte ``at`` in place of ``removed`` bytes.
+    """``text`` (final line ends) put before byte ``at`` in place of ``removed`` bytes.
 
     Where ``<a/>`` is opened for a child, ``opening`` and ``closing`` are the tags' new parts around the text.
     """
@@ -176,14 +186,14 @@ def append_child(document: Document, parent: Node, lines: list[str]) -> Insertio
     block = newline.join(_indented(line, inner, document.step()) for line in lines)
     if parent.empty_tag:
         slash = document.raw.rindex(b"/", parent.start, parent.open_end)
-        opening, closing = f">{newline}".encode("ascii"), f"{outer}</{parent.tag}>".encode("ascii")
+        opening, closing = document.encoded(f">{newline}"), document.encoded(f"{outer}</{parent.tag}>")
         return Insertion(
-            slash, f"{block}{newline}".encode("ascii"), document.raw[slash : parent.open_end], opening, closing
+            slash, document.encoded(f"{block}{newline}"), document.raw[slash : parent.open_end], opening, closing
         )
     begin = document.raw.rfind(b"\n", 0, parent.close_start) + 1
     if document.raw[begin : parent.close_start].strip(b" \t"):
-        return Insertion(parent.close_start, f"{newline}{block}{newline}{outer}".encode("ascii"))
-    return Insertion(begin, f"{block}{newline}".encode("ascii"))
+        return Insertion(parent.close_start, document.encoded(f"{newline}{block}{newline}{outer}"))
+    return Insertion(begin, document.encoded(f"{block}{newline}"))
 
 
 def before(document: Document, node: Node, lines: list[str]) -> Insertion:
@@ -192,8 +202,8 @@ def before(document: Document, node: Node, lines: list[str]) -> Insertion:
     block = newline.join(_indented(line, indent, document.step()) for line in lines)
     begin = document.raw.rfind(b"\n", 0, node.start) + 1
     if document.raw[begin : node.start].strip(b" \t"):
-        return Insertion(node.start, f"{newline}{block}{newline}".encode("ascii"))
-    return Insertion(begin, f"{block}{newline}".encode("ascii"))
+        return Insertion(node.start, document.encoded(f"{newline}{block}{newline}"))
+    return Insertion(begin, document.encoded(f"{block}{newline}"))
 
 
 def after(document: Document, node: Node, lines: list[str]) -> Insertion:
@@ -203,8 +213,39 @@ def after(document: Document, node: Node, lines: list[str]) -> Insertion:
     end_of_line = document.raw.find(b"\n", node.end)
     rest = document.raw[node.end : end_of_line] if end_of_line >= 0 else b""
     if end_of_line >= 0 and not re.sub(rb"<!--.*?-->", b"", rest).strip():
-        return Insertion(end_of_line + 1, f"{block}{newline}".encode("ascii"))
-    return Insertion(node.end, f"{newline}{block}".encode("ascii"))
+        return Insertion(end_of_line + 1, document.encoded(f"{block}{newline}"))
+    return Insertion(node.end, document.encoded(f"{newline}{block}"))
+
+
+def with_text(document: Document, node: Node, text: str) -> Insertion:
+    """The element's own words replaced, white space and comments around them left; an empty element gets them."""
+    old = document.encoded(node.text.strip())
+    at = document.raw.index(old, node.open_end, node.close_start)
+    return Insertion(at, document.encoded(text), old)
+
+
+def with_attribute(document: Document, node: Node, name: str, value: str) -> Insertion:
+    """The value of an attribute that the element has, its quotes left."""
+    tag = document.raw[node.start : node.open_end]
+    found = re.search(rb"\s" + re.escape(name.encode()) + rb"\s*=\s*([\"'])(.*?)\1", tag, re.DOTALL)
+    assert found is not None
+    return Insertion(node.start + found.start(2), document.encoded(value), found.group(2))
+
+
+def remarked(document: Document, node: Node, remark: str) -> Insertion:
+    """A remark behind the element and the remarks that stand behind it on its line."""
+    others = re.compile(rb"(?:[ \t]*<!--(?:(?!-->)[^\n])*-->)*").match(document.raw, node.end)
+    return Insertion(others.end() if others else node.end, document.encoded(f"  {comment(remark)}"))
+
+
+def comment(remark: str) -> str:
+    """``<!-- remark -->``."""
+    return f"<!-- {in_comment(remark)} -->"
+
+
+def in_comment(text: str) -> str:
+    """``text`` without double hyphens, which no XML comment may have."""
+    return re.sub("-(?=-)", "- ", text)
 
 
 def joined(insertions: list[Insertion]) -> list[Insertion]:
