@@ -77,6 +77,7 @@ class Found:
     late_s          by how much all controls were moved later than recorded before the choice was made
     slopes          numbers that effects of stall and propulsion are written with
     held            key -> value flown in ``after``, of chosen effects whose number JSBSim reads once
+    unnamed         effects that were chosen and are too weak to be named beside something unexplained
     """
 
     setup: Setup
@@ -96,6 +97,7 @@ class Found:
     trail: tuple[str, ...] = field(default=())
     slopes: Mapping[str, float] = field(default_factory=dict)
     held: Mapping[str, float] = field(default_factory=dict)
+    unnamed: tuple[Choice, ...] = ()
 
     @property
     def gusty(self) -> bool:

@@ -15,16 +15,13 @@ from sysid.effects import Effect
 from uqharness.actuators import Actuator
 from uqharness.aircraft import Aircraft
 from uqharness.refine import Found
+from uqharness.refine_beside import LIMIT, left_in
 from uqharness.refine_fit import Setup
 from uqharness.refine_judge import Judged, Verdict
-from uqharness.refine_show import Shown, gap_document, state_ranges, whiteness
-from uqharness.refine_words import contradicted, separating_manoeuvre, why
+from uqharness.refine_show import Shown, gap_document, state_ranges
+from uqharness.refine_words import contradicted, separating_manoeuvre, unnamed, why
 from uqharness.refine_xml import switch_of
 from uqharness.replay import Segment
-
-LIMIT = 1.15
-"""As `compare` has it: a channel is at the noise floor when its rms is not above this many times its noise."""
-COLOURED_P = 1e-7
 
 
 def find_disagreements(setup: Setup, shown: Shown, settled: Shown, controls: Sequence[Any]) -> list[Disagreement]:
@@ -54,18 +51,14 @@ def _remaining(
     found: Found, setup: Setup, shown: Shown, left: Sequence[Disagreement], controls: Sequence[Any]
 ) -> dict[str, Any]:
     """Whether anything is left that noise does not explain, where, and on what it depends."""
-    p = whiteness(setup, shown.residual)
-    ratios = {c: shown.channel_rms(k) / float(shown.noise[k]) for k, c in enumerate(setup.outputs)}
-    above = {c: r for c, r in ratios.items() if r > LIMIT}
-    # A gust spectrum is a model: the colour of one-step predictions says nothing of the aircraft.
-    coloured = {} if found.gusty else {c: v for c, v in p.items() if v < COLOURED_P}
+    left_here = left_in(setup, shown, found.gusty)
     refused = found.selection.refused
     strong = refused is not None and refused.strong
-    unexplained = bool(above) or bool(coloured) or strong
+    unexplained = bool(left_here) or strong
     where: list[dict[str, Any]] = []
     if refused is not None and strong:
         where.append(_unconfirmed(found.effects[refused.key], refused))
-    if above or coloured:
+    if left_here:
         where += [_region(d) for d in left]
         states = state_ranges(setup, shown.flown, controls)
         for k, c in enumerate(COEFFICIENTS):
@@ -76,8 +69,8 @@ def _remaining(
                     "depends_on": [{"state": n, "share": s} for n, s in dependence(shown.coefficients, states, k)],
                 })  # fmt: skip
     return {
-        "unexplained": unexplained, "where": where, "channels_above_noise": above,
-        "coloured_channels": sorted(coloured),
+        "unexplained": unexplained, "where": where, "channels_above_noise": left_here.above,
+        "coloured_channels": list(left_here.coloured),
     }  # fmt: skip
 
 
@@ -115,6 +108,7 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
     # What the train flights ask for and the test flights speak against is a disagreement without a name, unless chance asked.
     asked = [c for c in judged.withdrawn if abs(c.t) > chosen.limit + STRONG]
     remaining["where"] += [_contradicted(chosen.effects[c.key], c) for c in asked]
+    remaining["where"] += [_unnamed(chosen.effects[c.key], c) for c in chosen.unnamed]
     remaining["unexplained"] |= bool(asked) and not effects
     verdict = "unexplained" if remaining["unexplained"] else "effects-found" if effects else "no-missing-effect"
     refused = found.selection.refused
@@ -136,7 +130,8 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
         if refused is None
         else {"effect": refused.key.removeprefix("effect/"), "t": refused.t, "why": refused.why},
         "candidates": {
-            "limit": found.limit, "scores": [{"effect": name, "t": t} for name, t in found.scoreboard],
+            "limit": found.limit,
+            "scores": [{"effect": name, "t": t} for name, t in found.scoreboard],
         },
         "timing": {"controls_late_s": found.late_s},
         "trail": list(found.trail),
@@ -146,6 +141,10 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
 
 def _contradicted(effect: Effect, choice: Choice) -> dict[str, Any]:
     return {**_label(effect), "t": choice.t, "words": contradicted(effect, choice)}
+
+
+def _unnamed(effect: Effect, choice: Choice) -> dict[str, Any]:
+    return {**_label(effect), "t": choice.t, "words": unnamed(effect, choice)}
 
 
 def _label(effect: Effect) -> dict[str, str]:

@@ -29,6 +29,7 @@ from uqharness.refine import (
     remark,
     setup_in_gusts,
 )
+from uqharness.refine_beside import named_beside
 from uqharness.refine_document import document_of
 from uqharness.refine_fit import Setup, positions
 from uqharness.refine_intervals import FOLDER as INTERVALS
@@ -131,6 +132,7 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
             ),
         )
         train, test = train.later(chosen.late_s), test.later(chosen.late_s)
+        chosen = stages("named", lambda: _named(request, chosen, train, work, map_))
         say("flying the test flights with both models")
         shown = Stages(request.out / FOLDER, [*identity, *test.hashes])
         judged = shown("judged", lambda: _judged(request, chosen, train, test, work, map_))
@@ -172,26 +174,33 @@ def _identity(request: Request) -> list[str]:
     ]  # fmt: skip
 
 
-def _judged(request: Request, chosen: Found, train: _Flights, test: _Flights, work: Path, map_: Processes) -> Judged:
-    def side(flights: _Flights, of_train: bool) -> Side:
-        setup, air = flights.setup(request.aircraft), None
-        if chosen.gusts is not None:
-            setup = setup_in_gusts(request.aircraft, setup)
-        if setup.outputs == chosen.setup.outputs and (chosen.gusts is not None or estimated_channels(setup)):
-            setup = replace(setup, noise=chosen.setup.noise)
-        if chosen.gusts is not None:
-            air = chosen.gusts
-            if not of_train:
-                model = _write(request, chosen, work / "air")
-                air = air_of(model, setup, flights.measured, flights.ideal, map_, sensed_by(chosen), chosen.gusts)
-        return Side(setup, flights.measured, flights.ideal, air)
+def _side(request: Request, chosen: Found, flights: _Flights) -> Side:
+    """Flights as the chosen effects were judged on; the air is that of the train flights."""
+    setup = flights.setup(request.aircraft)
+    if chosen.gusts is not None:
+        setup = setup_in_gusts(request.aircraft, setup)
+    if setup.outputs == chosen.setup.outputs and (chosen.gusts is not None or estimated_channels(setup)):
+        setup = replace(setup, noise=chosen.setup.noise)
+    return Side(setup, flights.measured, flights.ideal, chosen.gusts)
 
+
+def _named(request: Request, chosen: Found, train: _Flights, work: Path, map_: Processes) -> Found:
+    side = _side(request, chosen, train)
+    return named_beside(chosen, side, lambda found: _write(request, found, work / "all"), map_)
+
+
+def _judged(request: Request, chosen: Found, train: _Flights, test: _Flights, work: Path, map_: Processes) -> Judged:
+    other = _side(request, chosen, test)
+    if chosen.gusts is not None:
+        model = _write(request, chosen, work / "air")
+        air = air_of(model, other.setup, other.measured, other.ideal, map_, sensed_by(chosen), chosen.gusts)
+        other = replace(other, air=air)
     number = iter(range(1000))
 
     def write(found: Found) -> Aircraft:
         return _write(request, found, work / f"model{next(number)}")
 
-    return judge(chosen, write, side(train, True), side(test, False), map_)
+    return judge(chosen, write, _side(request, chosen, train), other, map_)
 
 
 def _write(request: Request, found: Found, folder: Path) -> Aircraft:

@@ -76,6 +76,14 @@ def contradicted(effect: Effect, choice: Choice) -> str:
     )
 
 
+def unnamed(effect: Effect, choice: Choice) -> str:
+    """What is said of an effect that would have been named, were nothing unexplained beside it."""
+    return (
+        f"{effect.name} would explain a part of it (|t| {abs(choice.t):.1f}), too little to be named beside something that nothing "
+        "explains"
+    )
+
+
 def nowhere(document: Mapping[str, Any]) -> str:
     """What is said where no region stands out: nothing at all is missing, or what is missing shows over whole flights alone."""
     named = [abs(e["evidence"]["t"]) for e in (*document["effects"], *document["withdrawn"])]
