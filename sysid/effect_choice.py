@@ -339,6 +339,14 @@ def _with_alternatives(
         inseparable = abs(t) < INSEPARABLE_T or (bool(companions) and kept < INSEPARABLE_SHARE)
         gain = float(found.gain[rivals.index(key)])
         rows.append(Alternative(key, gain, t, float(same), not inseparable, tuple(companions)))
-    together = [r for r in rows if not r.separable][: MOST_ALTERNATIVES - 1]
+    together = _kin_first(choice.key, [r for r in rows if not r.separable], twins)[: MOST_ALTERNATIVES - 1]
     runner_up = [r for r in rows if r.separable][:1]
     return replace(choice, alternatives=(*together, *runner_up))
+
+
+def _kin_first(key: str, alike: Sequence[Alternative], twins: Twins) -> list[Alternative]:
+    """Causes that physics makes alike before a third form of the same: a twin of the effect, or of the nearest alternative."""
+    own = [a for a in alike if (key, a.key) in twins]
+    rest = [a for a in alike if a not in own]
+    theirs = [a for a in rest[1:] if (rest[0].key, a.key) in twins]
+    return [*own, *rest[:1], *theirs, *(a for a in rest[1:] if a not in theirs)]

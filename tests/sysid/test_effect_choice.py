@@ -107,6 +107,26 @@ def test_twins_that_differ_in_more_than_their_companion_are_told_apart():
     assert alternatives(found, TWINS)["inertia"] is True
 
 
+@pytest.mark.parametrize("there", ["square", "modulus"])
+def test_a_twin_is_told_before_a_third_form_of_the_same(there):
+    """``modulus`` and ``fourth`` resemble ``square`` more than ``inertia`` does, whose companion is a parameter of no other."""
+    rng = np.random.default_rng(6)
+    square, companion = drawn(rng), drawn(rng)
+    columns = {
+        "square": square, "modulus": square + 0.1 * drawn(rng), "fourth": square + 0.1 * drawn(rng),
+        "inertia": square - 0.3 * companion, "companion": companion,
+    }  # fmt: skip
+    found = evidence(columns, 0.2 * square + 0.8 * (columns[there] - square) + drawn(rng))
+    open_ = {k: 0.0 for k in columns if k != "companion"}
+    (choice,) = select(found, [], open_, CONFIRMING, twins=TWINS).chosen
+    assert choice.key == there
+    alike_ = [a.key for a in choice.alternatives if not a.separable]
+    assert len(alike_) == 2
+    assert {"square", "inertia"} <= {choice.key, *alike_}
+    (plain,) = select(found, [], open_, CONFIRMING).chosen
+    assert "inertia" not in [a.key for a in plain.alternatives]
+
+
 def test_what_all_candidates_see_a_little_is_none_of_them():
     rng = np.random.default_rng(5)
     misfit = drawn(rng)
