@@ -115,6 +115,11 @@ def test_causes_that_are_the_same_on_the_data():
     assert (together.right, together.together) == (True, True)
     alone = judge(case, refinement(effect("mass:Ixz")), 0)
     assert (alone.right, alone.together, alone.spurious) == (True, False, 0)
+    # The same moment in turbulence, fifty times as large, is Ixz of 9.8 kg m^2: above sqrt(Ixx Izz), 8.3.
+    strong = CASES["Cm:p_hat^2", "clear", "light"]
+    assert judge(strong, refinement(effect("Cm:p_hat^2")), 0).together is None
+    weaker = replace(strong, effects=(replace(strong.effects[0], size=0.8 * strong.effects[0].size),))
+    assert judge(weaker, refinement(effect("Cm:p_hat^2")), 0).together is False
     assert judge(CASES["sensor.alpha_rad:scale", "clear", "calm"], refinement(effect("sensor.alpha:scale")), 0).right
 
 

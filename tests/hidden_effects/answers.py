@@ -10,6 +10,7 @@ from typing import Any
 from tests.hidden_effects.cases import Case
 from tests.hidden_effects.catalogue import ENTRIES
 from tests.hidden_effects.effects import COEFFICIENTS
+from tests.sixdof import isa_density
 
 FLOOR = 1.15  # rms over noise up to which a channel is at the noise floor, as `uqharness compare` has it
 LARGEST_SET = 3
@@ -24,7 +25,8 @@ class Score:
 
     right     the case's own criterion: right name (or inseparable set with it) first; both of a pair; nothing for a null;
               off form: unexplained, or proxies alone that bring the test gap to the floor
-    together  of a cause that is one and the same with another on the data: both stand in the answer (None: no such cause)
+    together  of a cause that is one and the same with another on the data: both stand in the answer (None: no such cause, or
+              the other belongs to no body)
     spurious  effects that stand for nothing hidden
     z         (value - truth) / std of each coefficient term that was named as hidden
     gap       test gap after over the noise, root mean square over channels
@@ -80,7 +82,7 @@ def judge(case: Case, found: Mapping[str, Any], exit_code: int) -> Score:
         right = all(any(s & accepted(e.key) for s in sets) for e in hidden)
     else:
         right = bool(sets) and bool(sets[0] & accepted(hidden[0].key)) and len(sets[0]) <= LARGEST_SET
-    with_twin = [e for e in hidden if e.same and ENTRIES.get(e.same[0])]
+    with_twin = [e for e in hidden if e.same and ENTRIES.get(e.same[0]) and _any_body(case, e.key)]
     together = None
     if with_twin:
         together = all(any({e.key, *e.same} <= s for s in sets) for e in with_twin)
@@ -94,6 +96,16 @@ def judge(case: Case, found: Mapping[str, Any], exit_code: int) -> Score:
         gap,
         faults,
     )
+
+
+def _any_body(case: Case, key: str) -> bool:
+    """Whether a body could have the product of inertia that does what pitching moment from roll rate squared does.
+
+    Ixz p^2 = qbar S c Cm_p2 (p b / 2V)^2, so Ixz = rho S c b^2 Cm_p2 / 8; no body's squared is above Ixx Izz.
+    """
+    a = case.airframe
+    hidden = [e.size for e in case.effects if e.key == key == "Cm:p_hat^2"]
+    return all(abs(isa_density(0.0) * a.S * a.c * a.b**2 * size / 8.0) < math.sqrt(a.Ixx * a.Izz) for size in hidden)
 
 
 def _errors(case: Case, effects: Sequence[Mapping[str, Any]]) -> tuple[float, ...]:
