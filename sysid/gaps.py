@@ -70,17 +70,16 @@ def quiet_share(residual: Sequence[FloatArray], motion: Sequence[FloatArray], no
 
 
 def process_noise_shown(residual: Sequence[FloatArray], motion: Sequence[FloatArray], noise: FloatArray) -> bool:
-    """True when residuals are coloured, most are no function of the simulated motion, and of those one is there in quiet flight
-    too: turbulence.
+    """True when residuals are coloured, are no function of the simulated motion and are there in quiet flight too: turbulence.
 
-    One channel may be a function of the motion in gusty air as well: a sensor's scale is wrong, or a force is.
+    One channel may be a function of the motion in gusty air as well, where a sensor's scale is wrong, or a force is: then half of
+    all channels must be as turbulence leaves them.
     """
     found = colour(list(residual), list(motion))
     strong = (found.p_value < WHITENESS_LEVEL / len(found.p_value)) & (found.predictable > STRONG_SHARE)
-    free = strong & ~(found.explained > FORM_SHARE)
-    if not free.any() or 2 * np.count_nonzero(free) < np.count_nonzero(strong):
-        return False
-    return bool(quiet_share(residual, motion, noise)[free].max() > QUIET_SHARE)
+    formed = strong & (found.explained > FORM_SHARE)
+    gusty = strong & ~formed & (quiet_share(residual, motion, noise) > QUIET_SHARE)
+    return bool(gusty.any() if not formed.any() else 2 * np.count_nonzero(gusty) >= gusty.size)
 
 
 @dataclass(frozen=True)

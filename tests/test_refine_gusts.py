@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from sysid.effect_choice import Choice
+from sysid.effect_choice import Choice, Selection, judged
 from sysid.effect_score import Evidence, gather, scores
+from sysid.effects import coefficient_effect
 from sysid.force_coefficients import MassProperties
 from sysid.gust_intensity import noise_factors
 from sysid.prediction import Process, White
@@ -22,7 +23,8 @@ from uqharness.refine_contest import rivals, winner
 from uqharness.refine_fit import Point, steps_of
 from uqharness.refine_gusts import in_step, moved, rows_late
 from uqharness.refine_reference import Predicted, Probe
-from uqharness.refine_rivals import at_value
+from uqharness.refine_rivals import at_value, rival
+from uqharness.refine_rounds import Start
 from uqharness.refine_sensed import as_sensed
 
 OUTPUTS = ("V_mps", "alpha_rad", "ax_mps2")
@@ -293,6 +295,47 @@ def test_what_is_read_once_flies_until_its_number_stands(tmp_path):
     assert at_value(start, free, None, tmp_path, predicted)[0] is free  # type: ignore[arg-type]
     assert len(flown) == 2
     assert at_value(start, replace(first, value=-1.0), None, tmp_path, predicted)[1] == np.inf  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Noisy:
+    noise: float
+    held: tuple[str, ...] = ()
+
+
+@pytest.mark.parametrize(("first", "anew"), [("effect/Cm/alphadot_hat", True), ("effect/Cm/q_hat^2", False)])
+def test_rivals_of_what_turning_air_does_fly_in_air_of_their_own(evidence, tmp_path, first, anew):
+    """In the first one's air the rival, which is there, makes the flights less likely."""
+    scale = "effect/sensor.beta_rad/scale"
+    (white,) = evidence.white
+    free, speed, noise = (white.columns[:, :, k] for k in (0, 2, 4))
+    columns = np.stack([free, speed, speed + np.float32(0.3) * noise], axis=2)
+    told = gather([replace(white, columns=columns, start=np.zeros((8, 4)))], ("free", first, scale), ["one"], {})
+    airs = []
+
+    def predicted(start, selection, about, folder, anew=False):
+        airs.append((start.gusts, anew))
+        return SimpleNamespace(surprise=500.0 if anew else 1500.0, setup=SimpleNamespace(held=[]))
+
+    effects = [coefficient_effect("Cm", first.rpartition("/")[2]), *subsystem_effects([], ["beta_rad"], [])]
+    start = Start(
+        None, Noisy(1.0), SimpleNamespace(columns=[SimpleNamespace(names=("free",))]), (), effects, {},
+        np.zeros(1, dtype=bool), 4.0, (), (), map, "air before", {},
+    )  # type: ignore[arg-type]  # fmt: skip
+    now = SimpleNamespace(setup=Noisy(2.0), gusts="its air", surprise=1000.0)
+    chosen = judged(told, ["free"], [first], [first, scale], np.zeros(1, dtype=bool))
+    best = rival(
+        start,
+        now,
+        Selection(chosen),
+        SimpleNamespace(evidence=told),
+        {first: 0.0, scale: 0.0},
+        tmp_path,
+        lambda _: None,
+        predicted,
+    )  # type: ignore[arg-type]
+    assert (best.key if best else None) == (scale if anew else None)
+    assert airs == ([("air before", True)] if anew else [("its air", False)])
 
 
 def some_air(strength=1.0):

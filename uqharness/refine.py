@@ -29,6 +29,7 @@ from uqharness.refine_candidates import effect_columns
 from uqharness.refine_fit import Fit, Setup, positions
 from uqharness.refine_gusts import GustFit, gust_evidence, gust_refit, middles
 from uqharness.refine_rates import limits_tried
+from uqharness.refine_rivals import like_turning_air
 from uqharness.refine_rounds import (
     LEAST_LATE_ROWS,
     Start,
@@ -133,10 +134,12 @@ def find_effects(
         by_key = {e.key: e for e in effects}
         if turbulent(setup, before.flown):
             say(f"the air was turbulent: predicting one sample ahead, scoring {len(effects)} candidate effects")
-            gusty = setup_in_gusts(aircraft, setup)
+            gusty, at = setup_in_gusts(aircraft, setup), before.flown.point
             controls, bends = positions(bench.model, gusty, map_), middles(bench.model, gusty, map_)
-            at = before.flown.point
-            air = gust_refit(bench.straight, gusty, controls, bends, at, names, limits, map_, tune=True)
+            air = keep(
+                f"air{len(put_right) or ''}",
+                lambda: gust_refit(bench.straight, gusty, controls, bends, at, names, limits, map_, tune=True),
+            )
             if air.gusts.air:
                 return _in_gusts(bench, air, names, limits, effects, confirming, notes, work, map_, say)
             notes = [*notes, NO_AIR]
@@ -216,10 +219,7 @@ def with_resolution(selection: Selection, effects: Mapping[str, Effect], dt_s: f
 
 def gust_like(effect: Effect) -> bool:
     """Whether a gust model that is a little off looks like this effect: rates of the wind angles, sensors of the wind."""
-    parsed = effect.parsed
-    if parsed is not None:
-        return any(v in ("alphadot_hat", "betadot_hat") for v in parsed.variables)
-    return (effect.subsystem or "").startswith(("sensor.", "actuator.", "mass"))
+    return like_turning_air(effect) or (effect.subsystem or "").startswith(("sensor.", "actuator.", "mass"))
 
 
 def _in_gusts(
@@ -241,10 +241,11 @@ def _in_gusts(
     )  # fmt: skip
     best, trail = settle(start, first, evidence, work, say)
     trail = [*(f"round 1: {line}" for line in first.trail), *trail]
+    air = found.gusts if best is None or best.gusts is None else best.gusts
     note = (
         "the residuals of replays showed turbulence: effects and parameters were judged by "
         "predictions one sample ahead, with process "
-        f"noise estimated ({found.gusts.gain:.0f} more in twice the log likelihood than calm air; {found.gusts.words})"
+        f"noise estimated ({air.gain:.0f} more in twice the log likelihood than calm air; {air.words})"
     )
     by_key = {e.key: e for e in effects}
     # Gusts estimated beside it may explain what stood a little above the limit; not what was overwhelming.
@@ -259,7 +260,7 @@ def _in_gusts(
     return Found(
         setup if best is None else best.setup, names, found.fit, after, selection, by_key,
         parameters, (*notes, note), _moved_alone(evidence, names, found.fit),
-        found.gusts if best is None else best.gusts,
+        air,
         score_table(evidence, free, odds, by_key), limit, None if best is None else best.staged,
         trail=tuple(f"one-step predictions: {line}" for line in trail), slopes=slopes, held={} if best is None else best.held,
     )  # fmt: skip

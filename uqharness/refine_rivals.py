@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,7 +33,7 @@ SAYS_LITTLE = 0.75
 """Share of the |t| asked of an effect below which, flown, it is no effect: what asked for it is gone."""
 STANDS = 1.0
 """Standard errors by which such a number may differ from the one flown and stand."""
-Predicted = Callable[["Start", Selection, "About", Path], GustFit]
+Predicted = Callable[..., GustFit]
 
 
 def rival(
@@ -42,7 +43,8 @@ def rival(
     """The candidate that, alone, makes the flights likelier than the first chosen effect does, or that effect at another value;
     None where it stays as it flew.
 
-    now: the flight with what was chosen; odds: candidates; predicted: one-step predictions with effects, in a given air.
+    now: the flight with what was chosen; odds: candidates; predicted: one-step predictions with effects, in a given air, or in one
+    found with them (anew).
     """
     first = selection.chosen[0]
     free = start.before.columns[0].names
@@ -53,6 +55,9 @@ def rival(
     if others:
         say(f"flying {', '.join(k.removeprefix('effect/').replace('/', ' ') for k in others)} instead, each alone")
     known = replace(start, gusts=now.gusts, setup=replace(start.setup, noise=now.setup.noise))
+    if any(like_turning_air(e) for e in start.effects if e.key == first.key):
+        # Beside it the air was found to turn less than it does, which no rival makes up for.
+        known, predicted = start, partial(predicted, anew=True)
     flown: dict[str, Choice] = {}
 
     def surprise(choice: Choice) -> float:
@@ -72,6 +77,12 @@ def rival(
         return flown[best.key]
     mine = flown.get(first.key, first)
     return mine if abs(mine.value - first.value) > FAR_OFF * mine.std else None
+
+
+def like_turning_air(effect: Effect) -> bool:
+    """Whether it does what air does that turns as it moves: terms with the rates of the wind angles."""
+    term = effect.parsed
+    return term is not None and any(v in ("alphadot_hat", "betadot_hat") for v in term.variables)
 
 
 def at_value(start: Start, choice: Choice, about: About, folder: Path, predicted: Predicted) -> tuple[Choice, float]:

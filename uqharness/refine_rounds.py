@@ -197,14 +197,15 @@ def _begun(start: Start, selection: Selection, about: About, folder: Path) -> tu
     return staged, setup, with_effects(joint, setup, selection, staged), [*start.names, *keys]
 
 
-def _predicted(start: Start, selection: Selection, about: About, folder: Path) -> GustFit:
-    """One-step predictions with effects, parameters estimated with them, in air and with sensors' noise as `start` has them."""
+def _predicted(start: Start, selection: Selection, about: About, folder: Path, anew: bool = False) -> GustFit:
+    """One-step predictions with effects, parameters estimated with them, in air and with sensors' noise as `start` has them, or
+    found anew."""
     assert start.gusts is not None
     staged, setup, begin, names = _begun(start, selection, about, folder)
     with Bench(staged, start.measured, start.ideal) as bench:
         controls, bends = positions(bench.model, setup, start.map_), middles(bench.model, setup, start.map_)
         return gust_refit(
-            bench.straight, setup, controls, bends, begin, names, start.limits, start.map_, start.gusts, known=True
+            bench.straight, setup, controls, bends, begin, names, start.limits, start.map_, start.gusts, tune=anew, known=not anew
         )  # fmt: skip
 
 

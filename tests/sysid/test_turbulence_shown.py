@@ -41,6 +41,12 @@ def test_calm_air_is_calm():
     assert not process_noise_shown(*flights([], []))
 
 
+def test_beside_a_wrong_force_half_of_the_channels_must_be_gusty():
+    assert process_noise_shown(*flights([0, 1], [3]))
+    assert not process_noise_shown(*flights([0], [3]))
+    assert process_noise_shown(*flights([0], []))
+
+
 def test_what_is_wrong_in_most_channels_is_the_models_form():
     assert not process_noise_shown(*flights([0], [1, 2, 3]))
     assert not process_noise_shown(*flights([], [0]))
