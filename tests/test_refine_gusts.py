@@ -19,11 +19,11 @@ from sysid.rigid_steps import NX, STATES, Reference
 from sysid.subsystem_effects import subsystem_effects
 from uqharness import refine_gusts, refine_rounds, refine_show
 from uqharness.refine_candidates import effect_columns
-from uqharness.refine_contest import rivals, winner
+from uqharness.refine_contest import many_asked, rivals, winner
 from uqharness.refine_fit import Point, steps_of
 from uqharness.refine_gusts import in_step, moved, rows_late
 from uqharness.refine_reference import Predicted, Probe
-from uqharness.refine_rivals import at_value, rival
+from uqharness.refine_rivals import at_value, companion, rival
 from uqharness.refine_rounds import Start
 from uqharness.refine_sensed import as_sensed
 
@@ -301,6 +301,57 @@ def test_what_is_read_once_flies_until_its_number_stands(tmp_path):
 class Noisy:
     noise: float
     held: tuple[str, ...] = ()
+
+
+def flown_beside(t_of_new):
+    """A round that flew ``first`` and asks for others with such t."""
+    again = tuple(Choice(k, 1.0, 0.1, t, t * t, 1.0, 0.0) for k, t in {"first": 50.0, **t_of_new}.items())
+    return many_asked({"first"}, again)
+
+
+def test_many_effects_asked_for_at_once_are_doubted():
+    many = {"a": -56.0, "b": 22.0, "c": 8.0}
+    asked = flown_beside(many)
+    assert asked is not None
+    assert asked.key == "a"
+    assert flown_beside({"a": 56.0, "b": 22.0}) is None
+    assert flown_beside({"a": 29.0, "b": 22.0, "c": 8.0}) is None
+    assert flown_beside({}) is None
+
+
+@pytest.mark.parametrize(
+    ("surprises", "best"), [((300.0, 100.0), "speed"), ((100.0, 300.0), "thrust"), ((np.nan, np.nan), None)]
+)
+def test_of_many_asked_for_the_likeliest_by_itself_flies_beside_what_flew(evidence, tmp_path, surprises, best):
+    """``thrust`` is asked for with two more; ``speed``, of which it has a part, explains them as well."""
+    flown = {}
+
+    def predicted(start, selection, about, folder):
+        (key,) = {c.key for c in selection.chosen} - {"other"}
+        flown[key] = (start.gusts, folder)
+        surprise = dict(zip(("thrust", "speed"), surprises, strict=True))[key]
+        if np.isnan(surprise):
+            raise np.linalg.LinAlgError
+        return SimpleNamespace(surprise=surprise)
+
+    start = Start(
+        None, Noisy(1.0), SimpleNamespace(columns=[SimpleNamespace(names=("free",))]), (), (), {},
+        np.zeros(1, dtype=bool), 4.0, (), (), map, "air before", {},
+    )  # type: ignore[arg-type]  # fmt: skip
+    again = [
+        Choice(k, 1.0, 0.1, t, t * t, 1.0, 0.0) for k, t in {"other": 20.0, "thrust": 50.0, "x": 9.0, "y": 9.0}.items()
+    ]
+    now = SimpleNamespace(
+        keys=frozenset({"other"}), again=Selection(tuple(again)), about=SimpleNamespace(evidence=evidence), gusts="its air",
+        setup=Noisy(2.0),
+    )  # fmt: skip
+    got = companion(start, now, {"thrust": 0.0, "speed": 0.0}, tmp_path, lambda _: None, predicted)  # type: ignore[arg-type]
+    assert {c.key for c in got.chosen} - {"other"} == {best} if best else got is None
+    assert set(flown) == {"thrust", "speed"}
+    assert {air for air, _ in flown.values()} == {"its air"}
+    assert len({folder for _, folder in flown.values()}) == 2
+    few = SimpleNamespace(**{**vars(now), "again": Selection(tuple(again[:3]))})
+    assert companion(start, few, {"thrust": 0.0, "speed": 0.0}, tmp_path, lambda _: None, predicted) is None  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("first", "anew"), [("effect/Cm/alphadot_hat", True), ("effect/Cm/q_hat^2", False)])

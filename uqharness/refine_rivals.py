@@ -14,7 +14,7 @@ import numpy as np
 from sysid.effect_choice import Choice, Selection, judged
 from sysid.effects import Effect
 from uqharness.refine_begin import OVERWHELMING
-from uqharness.refine_contest import rivals, winner
+from uqharness.refine_contest import BESIDE, MOST_BESIDE, many_asked, rivals, winner
 from uqharness.refine_gusts import GustFit
 from uqharness.refine_xml import carrier, in_dynamics
 
@@ -77,6 +77,29 @@ def rival(
         return flown[best.key]
     mine = flown.get(first.key, first)
     return mine if abs(mine.value - first.value) > FAR_OFF * mine.std else None
+
+
+def companion(
+    start: Start, now: Round, odds: dict[str, float], work: Path, say: Callable[[str], None], predicted: Predicted
+) -> Selection | None:
+    """What flew with the one effect beside it that makes the flights likeliest, where many are asked for; None where few are."""
+    second = many_asked(now.keys, now.again.chosen)
+    if second is None:
+        return None
+    evidence, keys = now.about.evidence, sorted(now.keys)
+    free = [*start.before.columns[0].names, *keys]
+    names = [second.key, *rivals(evidence, free, odds, second.key, BESIDE, MOST_BESIDE)]
+    say(f"flying {', '.join(k.removeprefix('effect/').replace('/', ' ') for k in names)}, each beside what flew")
+    known = replace(start, gusts=now.gusts, setup=replace(start.setup, noise=now.setup.noise))
+    best: tuple[float, Selection] = (np.inf, now.again)
+    for name in names:
+        both = Selection(judged(evidence, start.before.columns[0].names, [*keys, name], list(odds), start.confirming))
+        try:
+            found = predicted(known, both, now.about, work / f"beside-{names.index(name)}").surprise
+        except np.linalg.LinAlgError:
+            continue
+        best = min(best, (found, both), key=lambda f: f[0])
+    return best[1] if np.isfinite(best[0]) else None
 
 
 def like_turning_air(effect: Effect) -> bool:

@@ -22,7 +22,7 @@ from uqharness.refine_candidates import effect_columns
 from uqharness.refine_fit import PRIOR, Fit, Point, Setup, best_flown, merged, positions, refit
 from uqharness.refine_gusts import GustFit, gust_evidence, gust_refit, middles
 from uqharness.refine_rates import around, slower_servos
-from uqharness.refine_rivals import at_values, far_off, read_once_first, rival, without_weak
+from uqharness.refine_rivals import at_values, companion, far_off, read_once_first, rival, without_weak
 from uqharness.refine_setup import Bench, with_sensors_of
 from uqharness.refine_slopes import control_slopes
 from uqharness.refine_xml import Written, carrier, in_dynamics, write_effects
@@ -130,6 +130,13 @@ def settle(
             trail.append(f"round {number}: back to effects flown before; the best round stands")
             break
         selection, about = now.again, now.about
+        if start.gusts:
+            rest = [e for e in start.effects if e.key not in now.keys]
+            one = companion(start, now, eligible(rest, start.setup, now.fit, now.evidence), folder, say, _predicted)
+            if one is not None:
+                added = [c.key for c in one.chosen if c.key not in now.keys]
+                trail.append(f"round {number}: of what was asked for, {_listed(added)} flies best by itself")
+                selection = one
     best = likeliest(flown) if start.gusts else min(flown, key=lambda r: r.merit, default=None)
     best, lines = without_weak(best, flown, start.limit, partial(_tried, start), work / "kept")
     trail += lines
