@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from sysid.effect_choice import Choice
+from sysid.gaps import NOISE_FLOOR
 from sysid.side_by_side import Processes
 from uqharness.aircraft import Aircraft
 from uqharness.refine import Found
@@ -17,8 +18,6 @@ from uqharness.refine_fit import Setup
 from uqharness.refine_judge import Side, evidence_of, left_out, sensed_by
 from uqharness.refine_show import Shown, show, whiteness
 
-LIMIT = 1.15
-"""As `compare` has it: a channel is at the noise floor when its rms is not above this many times its noise."""
 COLOURED_P = 1e-7
 OF_STRONGEST = 0.5
 """Share of the strongest effect's |t| that another must have."""
@@ -30,7 +29,7 @@ BY_ITSELF = 1.5
 
 @dataclass(frozen=True)
 class Left:
-    """What flights leave: channel -> rms over noise where that is above LIMIT; channels whose residual is not white."""
+    """What flights leave: channel -> rms over noise where that is above NOISE_FLOOR; channels whose residual is not white."""
 
     above: dict[str, float]
     coloured: tuple[str, ...]
@@ -45,7 +44,7 @@ def left_in(setup: Setup, shown: Shown, gusty: bool) -> Left:
     # A gust spectrum is a model: the colour of one-step predictions says nothing of the aircraft.
     p = {} if gusty else whiteness(setup, shown.residual)
     return Left(
-        {c: r for c, r in ratios.items() if r > LIMIT}, tuple(sorted(c for c, v in p.items() if v < COLOURED_P))
+        {c: r for c, r in ratios.items() if r > NOISE_FLOOR}, tuple(sorted(c for c, v in p.items() if v < COLOURED_P))
     )
 
 

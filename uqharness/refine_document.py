@@ -12,10 +12,11 @@ from sysid.aero_terms import COEFFICIENTS
 from sysid.disagreement import Disagreement, dependence, disagreements
 from sysid.effect_choice import STRONG, Alternative, Choice, Refusal
 from sysid.effects import Effect
+from sysid.gaps import NOISE_FLOOR
 from uqharness.actuators import Actuator
 from uqharness.aircraft import Aircraft
 from uqharness.refine import Found
-from uqharness.refine_beside import LIMIT, left_in
+from uqharness.refine_beside import left_in
 from uqharness.refine_fit import Setup
 from uqharness.refine_judge import Judged, Verdict
 from uqharness.refine_show import Shown, gap_document, state_ranges
@@ -27,7 +28,7 @@ from uqharness.replay import Segment
 def find_disagreements(setup: Setup, shown: Shown, settled: Shown, controls: Sequence[Any]) -> list[Disagreement]:
     """Where ``shown`` lies outside what noise gives. A model that is at the noise in flight leaves more than that in coefficients,
     because held commands and gusts have their share there; then what it leaves is what is allowed."""
-    quiet = all(settled.channel_rms(k) <= LIMIT * float(settled.noise[k]) for k in range(len(setup.outputs)))
+    quiet = all(settled.channel_rms(k) <= NOISE_FLOOR * float(settled.noise[k]) for k in range(len(setup.outputs)))
     together: dict[str, list[Any]] = {}
     for s, g in zip(setup.segments, settled.coefficients, strict=True):
         together.setdefault(kind_of(s), []).append(g)
@@ -63,7 +64,7 @@ def _remaining(
         states = state_ranges(setup, shown.flown, controls)
         for k, c in enumerate(COEFFICIENTS):
             ratio = shown.coefficient_rms(k) / float(shown.floor[k])
-            if ratio > LIMIT:
+            if ratio > NOISE_FLOOR:
                 where.append({
                     "coefficient": c, "rms_over_noise": ratio,
                     "depends_on": [{"state": n, "share": s} for n, s in dependence(shown.coefficients, states, k)],
