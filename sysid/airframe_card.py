@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import difflib
 import math
-import tomllib
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from sysid.log_errors import LogError
+from sysid.parsed_text import ParseError, parse_toml
+from sysid.regular_files import read_regular_text
 from sysid.signal_map import read_table
 
 Table = tuple[tuple[float, float], ...]
@@ -67,11 +69,15 @@ def read_card(path: Path) -> AirframeCard:
     """Read airframe.toml (or the folder that holds it). LogError names file, table and key."""
     file = path / "airframe.toml" if path.is_dir() else path
     try:
-        data = tomllib.loads(file.read_text(encoding="utf-8"))
+        data = parse_toml(read_regular_text(file))
     except FileNotFoundError:
         raise LogError("no such file; an aircraft folder needs an airframe.toml", file) from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as e:
-        raise LogError(f"cannot be read as TOML ({e})", file) from None
+    except OSError as e:
+        raise LogError(f"cannot be read: {e.strerror or e}", file) from None
+    except UnicodeDecodeError:
+        raise LogError("cannot be read: not a text file in UTF-8", file) from None
+    except ParseError as e:
+        raise LogError(str(e), file) from None
     name = str(file)
     aircraft = _table(data.get("aircraft", {}), "[aircraft]", name)
     inputs = _table(data.get("inputs", {}), "[inputs]", name)
@@ -113,26 +119,30 @@ def _table(value: Any, where: str, name: str) -> dict[str, Any]:
 def _numbers(value: Any, where: str, name: str) -> dict[str, float]:
     out = {}
     for key, number in _table(value, where, name).items():
-        if isinstance(number, bool) or not isinstance(number, int | float):
-            raise LogError(f"{key} must be a number; received {number!r}", name, where)
-        out[key] = float(number)
+        out[key] = _number(number, key, name, where)
     return out
+
+
+def _number(value: Any, key: str, name: str, where: str) -> float:
+    if not _is_number(value) or not math.isfinite(value):
+        raise LogError(f"{key} must be a finite number; received {value!r}", name, where)
+    return float(value)
 
 
 def _servo(row: dict[str, Any], where: str, name: str) -> Servo:
     limits = row.get("limits", [-math.inf, math.inf])
-    if not (isinstance(limits, list) and len(limits) == 2 and float(limits[0]) < float(limits[1])):
+    if not (isinstance(limits, list) and len(limits) == 2 and all(_is_number(end) for end in limits) and limits[0] < limits[1]):
         raise LogError(f"limits must be [low, high]; received {limits!r}", name, where)
     pwm = row.get("servo_pwm")
     if isinstance(pwm, dict):
         # Linear form: { neutral = 1500, per_us = 0.05 }.
-        if set(pwm) != {"neutral", "per_us"} or not float(pwm["per_us"]):
+        if set(pwm) != {"neutral", "per_us"} or not pwm["per_us"]:
             raise LogError(
                 f"the linear form is {{ neutral = 1500, per_us = 0.05 }} with per_us not 0; received {pwm!r}",
                 name,
                 where,
             )
-        neutral, slope = float(pwm["neutral"]), float(pwm["per_us"])
+        neutral, slope = (_number(pwm[key], key, name, where) for key in ("neutral", "per_us"))
         table: Table = ((neutral, 0.0), (neutral + 100.0, 100.0 * slope))
     else:
         table = read_table(pwm, name, where)
@@ -140,6 +150,11 @@ def _servo(row: dict[str, Any], where: str, name: str) -> Servo:
     if channel is not None and (isinstance(channel, bool) or not isinstance(channel, int) or not 1 <= channel <= 32):
         raise LogError(f"channel must be a servo output from 1 to 32; received {channel!r}", name, where)
     return Servo(table, (float(limits[0]), float(limits[1])), channel)
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value is a number that a float can hold, infinity among them."""
+    return isinstance(value, float) or (type(value) is int and abs(value) <= sys.float_info.max)
 
 
 def _mix(kind: str, value: Any, name: str) -> Mix:
@@ -159,6 +174,6 @@ def _mix(kind: str, value: Any, name: str) -> Mix:
 def _position(value: Any, key: str, name: str) -> tuple[float, float, float]:
     try:
         x, y, z = (float(v) for v in value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise LogError(f"{key} must be [x, y, z] in metres; received {value!r}", name, "[sensors] position_m") from None
     return x, y, z

@@ -31,6 +31,7 @@ FloatArray = NDArray[np.float64]
 _GRID_CHANNELS = ("p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
 _CIRCULAR = {"phi_rad", "psi_rad"}
 _MAX_ROWS = 40_000_000
+_FEW_ROWS, _ROWS_PER_SAMPLE = 1_000_000, 20
 
 
 def assemble(
@@ -145,8 +146,12 @@ def _grid(raw: RawLog, sources: Mapping[str, Callable[[], Channel | None]], map_
     if not np.isfinite(step) or step <= 0:
         raise LogError("no channel has two samples; the log is too short to use")
     span = best.time_s[-1] - best.time_s[0]
-    if span / step > _MAX_ROWS:
-        raise LogError(f"{span:.0f} s at {1 / step:.0f} Hz would be more than {_MAX_ROWS} rows; cut the log into parts")
+    # Gaps become rows: a few stamps a microsecond apart and far from the others would ask for any amount of memory.
+    most = min(_MAX_ROWS, _FEW_ROWS + _ROWS_PER_SAMPLE * len(best.time_s))
+    if span / step > most:
+        raise LogError(
+            f"{span:.0f} s at {1 / step:.0f} Hz would be more than {most} rows; cut the log into parts or correct its times"
+        )
     # Stamps jitter by microseconds: a step of a round number of microseconds keeps the grid on the samples.
     step = round(step, 6) or step
     return np.round(best.time_s[0] + step * np.arange(int(np.floor(span / step + 0.25)) + 1), 9)
@@ -208,7 +213,7 @@ def _servo_channel(raw: RawLog, outputs: ServoOutputs, times: Times, name: str, 
 
 def servo_field(outputs: ServoOutputs, dialect: str, channel: int) -> str:
     """Field name of servo output `channel` (counted from 1; PX4 counts from 0)."""
-    return outputs.field.format(n=channel - 1 if dialect == "ulog" else channel)
+    return outputs.field_of(channel - 1 if dialect == "ulog" else channel)
 
 
 def _phase(

@@ -86,6 +86,8 @@ def _factor(raw: RawLog, source: tuple[str, str], times: Times, at_s: FloatArray
     if table is None or source[1] not in table.fields:
         return 1.0
     keep = times.of((source[0], 0)).keep
+    if table.fields[source[1]].dtype == object:
+        raise LogError(f"{'.'.join(source)}: this factor holds text, not numbers; name another field in times")
     values = table.fields[source[1]][keep].astype(np.float64)
     good = np.isfinite(values) & (values > 0.1) & (values < 10.0)
     return np.interp(at_s, table.time_s[keep][good], values[good]) if good.any() else 1.0

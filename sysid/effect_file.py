@@ -8,12 +8,13 @@ physics = "slipstream on the tail in a roll"        # optional, as are name, reg
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 from sysid.effects import Effect, coefficient_effect
 from sysid.log_errors import LogError
+from sysid.parsed_text import ParseError, parse_toml
+from sysid.regular_files import read_regular_text
 
 _KEYS = {"coefficient", "term", "name", "physics", "regime", "sign", "reference"}
 
@@ -21,11 +22,13 @@ _KEYS = {"coefficient", "term", "name", "physics", "regime", "sign", "reference"
 def read_effects(path: Path) -> list[Effect]:
     """The effects of a file. Raises LogError with file, entry and what is allowed."""
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise LogError("no such file", path) from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise LogError(f"cannot be read as TOML ({error})", path) from None
+        data = parse_toml(read_regular_text(path))
+    except OSError as error:
+        raise LogError(f"cannot be read: {error.strerror or error}", path) from None
+    except ParseError as error:
+        raise LogError(str(error), path) from None
+    except UnicodeDecodeError:
+        raise LogError("not a text file in UTF-8", path) from None
     rows = data.get("effect")
     if set(data) - {"effect"} or not isinstance(rows, list) or not rows:
         raise LogError(f"holds {sorted(data) or 'nothing'}; it needs tables [[effect]] with coefficient and term", path)

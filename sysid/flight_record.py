@@ -13,12 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from sysid.importers.limited import read_record
 from sysid.log_errors import Finding, LogError, finding_from_dict
+from sysid.parsed_text import parse_json
 from sysid.vocabulary import LABELS, SIGNALS
 
 FloatArray = NDArray[np.float64]
@@ -81,7 +80,7 @@ class Metadata:
     @classmethod
     def from_json(cls, text: str) -> Metadata:
         """Inverse of `to_json`; unknown keys are ignored so that newer files stay readable."""
-        d: dict[str, Any] = json.loads(text)
+        d: dict[str, Any] = parse_json(text)
         return cls(
             source=str(d.get("source", "")),
             sha256=str(d.get("sha256", "")),
@@ -191,12 +190,17 @@ class FlightRecord:
     def write(self, path: Path) -> None:
         """Write Parquet (.parquet) or CSV (.csv) by suffix; LogError for any other suffix."""
         if path.suffix.lower() == ".parquet":
+            import pyarrow as pa
+            import pyarrow.parquet as pq
+
             # From the arrays as they are: a DataFrame would be a second copy of a big log.
             table = pa.table(
                 {n: pa.array(v) if n not in LABELS else pa.array(v, pa.string()) for n, v in self.columns.items()}
             )
             pq.write_table(table.replace_schema_metadata({_METADATA_KEY: self.metadata.to_json().encode()}), path)
         elif path.suffix.lower() == ".csv":
+            import pandas as pd
+
             with path.open("w", encoding="utf-8", newline="") as handle:
                 handle.write(f"# flight_record {self.metadata.to_json()}\n")
                 for start in range(0, max(1, len(self)), _CSV_ROWS):
@@ -211,60 +215,16 @@ class FlightRecord:
 
         Raises LogError naming file and column for anything else.
         """
-        if not path.is_file():
-            raise LogError("no such file", path)
-        try:
-            frame, meta = _read_parquet(path) if _starts_with(path, b"PAR1") else _read_csv(path)
-        except (OSError, ValueError, KeyError, TypeError, OverflowError, pa.ArrowException) as e:
-            raise LogError(f"not a readable flight record ({type(e).__name__}: {_one_line(e)})", path) from None
+        columns, meta = read_record(path)
         try:
             metadata = Metadata.from_json(meta) if meta else Metadata(source=path.name, dialect="record")
-        except (ValueError, KeyError, TypeError, AttributeError) as e:
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as e:
             raise LogError(f"its metadata is damaged ({_one_line(e)}); write the record again", path) from None
-        columns: dict[str, NDArray[Any]] = {}
-        for name in frame.columns:
-            if str(name) not in SIGNALS:
-                raise LogError(f"unknown column '{name}'; allowed are {sorted(SIGNALS)}, or give a --map", path)
-            columns[str(name)] = _column(frame[name], str(name), path)
-        if frame.empty:
-            raise LogError("it has a header and no rows; write the record again", path)
         try:
             return cls(columns, metadata)
         except LogError as e:
             raise LogError(str(e), path) from None
 
 
-def _starts_with(path: Path, magic: bytes) -> bool:
-    with path.open("rb") as handle:
-        return handle.read(len(magic)) == magic
-
-
 def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())[:160]
-
-
-def _read_parquet(path: Path) -> tuple[pd.DataFrame, str]:
-    table = pq.read_table(path)
-    meta = (table.schema.metadata or {}).get(_METADATA_KEY, b"")
-    return table.to_pandas(ignore_metadata=True), meta.decode("utf-8")
-
-
-def _read_csv(path: Path) -> tuple[pd.DataFrame, str]:
-    with path.open(encoding="utf-8") as handle:
-        first = handle.readline()
-    meta = first.removeprefix("# flight_record").strip() if first.startswith("# flight_record") else ""
-    frame = pd.read_csv(path, comment="#")
-    if str(frame.columns[0]) == "Unnamed: 0" and pd.api.types.is_integer_dtype(frame.iloc[:, 0]):
-        frame = frame.iloc[:, 1:]  # pandas' own row numbers: DataFrame.to_csv writes them unless told not to
-    return frame, meta
-
-
-def _column(series: pd.Series, name: str, path: Path) -> NDArray[Any]:
-    if name in LABELS:
-        return series.fillna("").astype(str).to_numpy(dtype=object)
-    numbers = pd.to_numeric(series, errors="coerce")
-    bad = numbers.isna() & series.notna()
-    if bool(bad.any()):
-        row = int(np.argmax(bad.to_numpy()))
-        raise LogError(f"column {name} holds '{series.iloc[row]}', which is not a number", path, f"row {row + 1}")
-    return numbers.to_numpy(dtype=np.float64)

@@ -18,6 +18,7 @@ from sysid.log_import import default_cache, import_log
 from sysid.log_info import LogInfo, log_info
 from sysid.manoeuvres import label_manoeuvres
 from sysid.raw_log import Progress
+from sysid.terminal import clean_terminal, drawing, visible
 
 _LOG_HELP = "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, JSBSim's CSV, a flight record in Parquet or CSV"
 
@@ -128,13 +129,13 @@ class _ProgressLine:
 
     def __exit__(self, *_: object) -> None:
         if self.shown >= 0:
-            sys.stderr.write("\r\x1b[K")
+            drawing(sys.stderr).write("\r\x1b[K")
 
     def _show(self, share: float) -> None:
         percent = int(100 * share)
         if percent != self.shown:
             self.shown = percent
-            sys.stderr.write(f"\rreading {self.title} {percent} %")
+            drawing(sys.stderr).write(f"\rreading {visible(self.title)} {percent} %")
             sys.stderr.flush()
 
 
@@ -183,16 +184,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run `info` or `import` alone."""
     parser = argparse.ArgumentParser(prog="python -m sysid.log_commands", description="Flight logs: what is in them.")
     add_arguments(parser.add_subparsers(required=True, metavar="info|import"))
-    args = parser.parse_args(argv)
-    run: Callable[[argparse.Namespace], int] = args.run
-    try:
-        return run(args)
-    except LogError as e:
-        print(f"error: {e}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return 130
+    with clean_terminal():
+        args = parser.parse_args(argv)
+        run: Callable[[argparse.Namespace], int] = args.run
+        try:
+            return run(args)
+        except LogError as e:
+            print(f"error: {e}", file=sys.stderr)
+            return 2
+        except KeyboardInterrupt:
+            print("interrupted", file=sys.stderr)
+            return 130
 
 
 if __name__ == "__main__":

@@ -8,6 +8,24 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+MOST_CHARACTERS = 1000
+"""Of a line of an error: what a file holds is quoted, and a file may hold a word of a megabyte."""
+
+
+MOST_LINES = 40
+"""Of an error that lists mistakes."""
+
+
+def shortened(text: str) -> str:
+    """The text with the middle of every line of more than MOST_CHARACTERS left out, and what comes after MOST_LINES counted."""
+    if len(text) <= MOST_CHARACTERS:
+        return text
+    head, tail = MOST_CHARACTERS * 3 // 4, MOST_CHARACTERS // 5
+    lines = text.split("\n")
+    if len(lines) > MOST_LINES:
+        lines[MOST_LINES - 1 :] = [f"and {len(lines) - MOST_LINES + 1} more"]
+    return "\n".join(x if len(x) <= MOST_CHARACTERS else f"{x[:head]} [...] {x[-tail:]}" for x in lines)
+
 
 class LogError(ValueError):
     """A log, map or card that cannot be used. Says what was received, what is allowed, what to do next."""
@@ -16,7 +34,8 @@ class LogError(ValueError):
         """Join `path` (file) and `where` ("line 12", "offset 4711") in front of `message`."""
         prefix = "" if path is None else f"{path}: "
         place = "" if where is None else f"{where}: "
-        super().__init__(prefix + place + message)
+        # One line, whatever a file has put into it.
+        super().__init__(shortened(" ".join((prefix + place + message).split("\n"))))
 
 
 @dataclass(frozen=True)

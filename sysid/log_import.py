@@ -15,11 +15,12 @@ from pathlib import Path
 from sysid.airframe_card import AirframeCard, read_card
 from sysid.assemble import assemble
 from sysid.flight_record import FlightRecord
-from sysid.importers import dataflash_binary, dataflash_text, tables, tlog, ulog
+from sysid.importers import dataflash_binary, dataflash_text, limited
 from sysid.importers.detect import detect
 from sysid.log_checks import check_units
 from sysid.log_errors import LogError
 from sysid.raw_log import Progress, RawLog
+from sysid.regular_files import open_regular, read_regular_text
 from sysid.signal_map import SignalMap, read_map, shipped_map
 from sysid.vocabulary import SIGNALS
 
@@ -108,13 +109,7 @@ def read_raw(path: Path, dialect: str, signal_map: SignalMap | None, progress: P
             return dataflash_binary.read(path, wanted, progress)
         case "dataflash-text":
             return dataflash_text.read(path, wanted, progress)
-        case "tlog":
-            return tlog.read(path, wanted, progress)
-        case "ulog":
-            return ulog.read(path, wanted, progress)
-        case "parquet":
-            return tables.read_parquet(path)
-    return tables.read_csv(path, jsbsim=dialect == "jsbsim-csv")
+    return limited.read_raw(path, dialect, wanted, progress)
 
 
 def _record_file(path: Path) -> FlightRecord:
@@ -129,12 +124,12 @@ def _record_file(path: Path) -> FlightRecord:
 
 
 def _digest(path: Path) -> str:
-    with path.open("rb") as handle:
+    with open_regular(path) as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
 def _key(digest: str, map_path: Path | None, card: AirframeCard | None) -> str:
-    parts = [_CACHE_FORMAT, digest, "" if map_path is None else map_path.read_text(encoding="utf-8"), repr(card)]
+    parts = [_CACHE_FORMAT, digest, "" if map_path is None else read_regular_text(map_path), repr(card)]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
 
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from sysid.flight_record import FlightRecord
+from sysid.importers.limited import read_table
 from sysid.log_errors import LogError
+
+_MOST_ROWS = 10_000
 
 
 def label_manoeuvres(record: FlightRecord, path: Path, flight: str) -> FlightRecord:
@@ -17,21 +19,22 @@ def label_manoeuvres(record: FlightRecord, path: Path, flight: str) -> FlightRec
     flight  name of the log without its suffix; where the table has a column `flight`, only its rows count.
     Raises LogError for a table without these columns, or without a row that lies in the record.
     """
-    try:
-        table = pd.read_csv(path)
-    except (OSError, ValueError) as e:
-        raise LogError(f"not a readable table of manoeuvres ({' '.join(str(e).split())[:120]})", path) from None
-    missing = {"manoeuvre", "start_s", "end_s"} - set(table.columns)
+    table = read_table(path)
+    missing = {"manoeuvre", "start_s", "end_s"} - set(table)
     if missing:
         raise LogError(f"has no column {sorted(missing)}; it needs manoeuvre, start_s, end_s (and flight)", path)
-    if "flight" in table.columns:
-        table = table[table["flight"].astype(str) == flight]
-    try:
-        rows = [
-            (str(m), float(a), float(b)) for m, a, b in table[["manoeuvre", "start_s", "end_s"]].to_numpy().tolist()
-        ]
-    except ValueError as e:
-        raise LogError(f"holds a time that is no number ({e})", path) from None
+    for column in ("start_s", "end_s"):
+        if table[column].dtype == object:
+            raise LogError(f"the column {column} holds a time that is no number", path)
+    rows = [
+        (str(name), start, end)
+        for name, start, end, of in zip(
+            table["manoeuvre"], table["start_s"], table["end_s"], table.get("flight", table["manoeuvre"]), strict=True
+        )
+        if "flight" not in table or of == flight
+    ]
+    if len(rows) > _MOST_ROWS:
+        raise LogError(f"has {len(rows)} manoeuvres; at most {_MOST_ROWS} are read", path)
     time = record["time_s"]
     labels = np.full(len(record), "", dtype=object)
     for name, start, end in rows:

@@ -22,7 +22,9 @@ from scipy import stats
 
 from sysid.aero_terms import COEFFICIENTS
 from sysid.log_errors import LogError
+from sysid.parsed_text import ParseError, parse_json
 from sysid.polynomial import STATES, Term, parse_term, regressors, stack, term_name
+from sysid.regular_files import read_regular
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -207,11 +209,11 @@ def _plain(value: Any) -> Any:
 def read_model_form(path: Path) -> ModelForm:
     """Read what `ModelForm.write` wrote. Raises LogError naming file and key for anything else."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise LogError(f"cannot be read ({getattr(error, 'strerror', None) or error})", path) from None
-    except json.JSONDecodeError as error:
-        raise LogError(f"is no JSON ({error.msg})", path, f"line {error.lineno}") from None
+        document = parse_json(read_regular(path))
+    except OSError as error:
+        raise LogError(f"cannot be read: {error.strerror or error}", path) from None
+    except ParseError as error:
+        raise LogError(str(error), path, None if error.line is None else f"line {error.line}") from None
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         found = document.get("format") if isinstance(document, dict) else type(document).__name__
         raise LogError(
@@ -224,8 +226,8 @@ def read_model_form(path: Path) -> ModelForm:
             coefficients[where] = _coefficient(where, row)
         where = ""
         form = ModelForm(
-            aircraft=AircraftReference(**document["aircraft"]),
-            flights=tuple(FlightUsed(**{**f, "estimates": tuple(f["estimates"])}) for f in document["flights"]),
+            aircraft=AircraftReference(*(_text(document["aircraft"], key) for key in ("name", "sha256"))),
+            flights=tuple(_flight(row) for row in document["flights"]),
             filtering=_filtering(document["filtering"]),
             confidence=float(document["confidence"]),
             outside=_outside(document["outside"]),
@@ -233,11 +235,24 @@ def read_model_form(path: Path) -> ModelForm:
         )
     except KeyError as error:
         raise LogError(f"lacks the key {error}; write it again with `uqharness bounds`", path, where or None) from None
-    except (TypeError, ValueError, AttributeError) as error:
+    except (TypeError, ValueError, AttributeError, OverflowError) as error:
         raise LogError(f"{error}; write it again with `uqharness bounds`", path, where or None) from None
     if not coefficients:
         raise LogError("holds no coefficient", path)
     return form
+
+
+def _flight(row: Mapping[str, Any]) -> FlightUsed:
+    estimates = tuple(row["estimates"])
+    if not all(isinstance(name, str) for name in estimates):
+        raise ValueError("estimates must be names of channels")
+    return FlightUsed(_text(row, "name"), _text(row, "sha256"), float(row["seconds"]), int(row["samples"]), estimates)
+
+
+def _text(row: Mapping[str, Any], key: str) -> str:
+    if not isinstance(row[key], str):
+        raise ValueError(f"{key} must be text; received {str(row[key])[:80]}")
+    return str(row[key])
 
 
 def _filtering(row: Mapping[str, Any]) -> Filtering:
@@ -273,6 +288,10 @@ def _coefficient(name: str, row: Mapping[str, Any]) -> CoefficientBounds:
         n=int(row["n"]), walk_rate=float("nan") if row["walk_rate"] is None else float(row["walk_rate"]),
         **{key: float(row[key]) for key in ("s2", "dof", "t", "confidence", "leverage_factor", "n_effective")},
     )  # fmt: skip
+    numbers = {key: getattr(out, key) for key in ("s2", "dof", "t", "confidence", "leverage_factor", "n_effective")}
+    infinite = [key for key, value in {**numbers, "leverage": out.hull.leverage}.items() if not np.isfinite(value)]
+    if infinite:
+        raise ValueError(f"{', '.join(infinite)} must be a finite number")
     if not (out.s2 >= 0.0 and out.t > 0.0 and 0.0 < out.confidence < 1.0 and np.all(out.scale > 0.0)):
         raise ValueError("s2 must not be negative; t, confidence and scale must be above 0, confidence below 1")
     return out

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-import tomllib
+import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
@@ -11,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from sysid.log_errors import LogError
+from sysid.parsed_text import ParseError, parse_toml
+from sysid.regular_files import read_regular_text
 from sysid.vocabulary import SIGNALS
 
 FUNCTIONS: dict[str, int] = {
@@ -65,6 +68,10 @@ class ServoOutputs:
     instance: int
     field: str
 
+    def field_of(self, number: int) -> str:
+        """Field name of a channel by the number that the log gives it."""
+        return self.field.replace("{n}", str(number))
+
 
 @dataclass(frozen=True)
 class SignalMap:
@@ -84,7 +91,7 @@ class SignalMap:
                 if entry.times:
                     out.setdefault(entry.times[0], set()).add(entry.times[1])
         if self.servos is not None:
-            channels = {self.servos.field.format(n=n) for n in range(17)}
+            channels = {self.servos.field_of(n) for n in range(17)}
             out.setdefault(self.servos.message, set()).update(channels)
         return {m: frozenset(f) for m, f in out.items()}
 
@@ -115,18 +122,20 @@ def shipped_map(dialect: str) -> SignalMap:
 def read_map(path: Path) -> SignalMap:
     """A user's map file; LogError with file and key when it cannot be used."""
     try:
-        source = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as e:
-        raise LogError(f"cannot read this signal map ({e}); give a TOML file", path) from None
+        source = read_regular_text(path)
+    except OSError as e:
+        raise LogError(f"cannot read this signal map: {e.strerror or e}; give a TOML file", path) from None
+    except UnicodeDecodeError:
+        raise LogError("cannot read this signal map: it is not in UTF-8; give a TOML file", path) from None
     return parse_map(source, str(path))
 
 
 def parse_map(source: str, name: str) -> SignalMap:
     """TOML text to a map. `name` stands in error messages."""
     try:
-        data = tomllib.loads(source)
-    except tomllib.TOMLDecodeError as e:
-        raise LogError(f"not TOML: {e}", name) from None
+        data = parse_toml(source)
+    except ParseError as e:
+        raise LogError(str(e), name) from None
     unknown = sorted(set(data) - {"signals", "servos", "needs"})
     if unknown:
         raise LogError(f"unknown tables {unknown}; allowed are [signals.NAME], [servos], [needs]", name)
@@ -140,8 +149,13 @@ def parse_map(source: str, name: str) -> SignalMap:
             raise LogError(f"unknown signal '{signal}'; allowed are {allowed}", name, f"[signals.{signal}]")
         rows = value if isinstance(value, list) else [value]
         entries[signal] = tuple(_entry(row, f"[signals.{signal}]", name) for row in rows)
-    needs = {str(m): frozenset(str(f) for f in fields) for m, fields in dict(data.get("needs", {})).items()}
-    return SignalMap(name, entries, _servos(data.get("servos"), name), needs)
+    return SignalMap(name, entries, _servos(data.get("servos"), name), _needs(data.get("needs", {}), name))
+
+
+def _needs(data: Any, name: str) -> dict[str, frozenset[str]]:
+    if not isinstance(data, dict) or not all(isinstance(fields, list) for fields in data.values()):
+        raise LogError('must hold lists such as IMU = ["GyrX"]', name, "[needs]")
+    return {message: frozenset(str(field) for field in fields) for message, fields in data.items()}
 
 
 def _servos(data: Any, name: str) -> ServoOutputs | None:
@@ -167,7 +181,7 @@ def _entry(row: Any, where: str, name: str) -> Entry:
     if not isinstance(fields, list) or not fields or not all(isinstance(f, str) for f in fields):
         raise LogError('field = "..." (or fields = [...]) is missing', name, where)
     function = row.get("function", "value")
-    if function not in FUNCTIONS:
+    if not isinstance(function, str) or function not in FUNCTIONS:
         raise LogError(f"unknown function '{function}'; allowed are {sorted(FUNCTIONS)}", name, where)
     if len(fields) != FUNCTIONS[function]:
         raise LogError(f"function '{function}' takes {FUNCTIONS[function]} fields; received {fields}", name, where)
@@ -193,9 +207,10 @@ def read_table(data: Any, name: str, where: str) -> tuple[tuple[float, float], .
     """Check a list of [x, y] pairs with increasing x, at least two; LogError otherwise."""
     try:
         pairs = tuple((float(x), float(y)) for x, y in data)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise LogError(f"a table is a list of [input, output] pairs; received {data!r}", name, where) from None
-    if len(pairs) < 2 or any(b[0] <= a[0] for a, b in itertools.pairwise(pairs)):
+    finite = all(math.isfinite(number) for pair in pairs for number in pair)
+    if len(pairs) < 2 or not finite or any(b[0] <= a[0] for a, b in itertools.pairwise(pairs)):
         raise LogError(f"a table needs two or more pairs with increasing input; received {data!r}", name, where)
     return pairs
 
@@ -203,6 +218,8 @@ def read_table(data: Any, name: str, where: str) -> tuple[tuple[float, float], .
 def _number(value: Any, name: str, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise LogError(f"must be a number; received {value!r}", name, where)
+    if not abs(value) <= sys.float_info.max:
+        raise LogError(f"must be a finite number; received {value!r}", name, where)
     return float(value)
 
 

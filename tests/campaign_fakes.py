@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -192,20 +193,18 @@ class NotThere:
         raise NotImplementedError
 
 
-class NotThereInAChild:
-    """A flight function that a process with Dask in it unpickles, and a worker of its own does not."""
+@contextlib.contextmanager
+def dask_cluster(workers: int = 2) -> Iterator[Any]:
+    """A Dask cluster of processes whose operator trusts this module."""
+    import pytest
+    from distributed import LocalCluster
 
-    def __reduce__(self) -> tuple[Callable[[], Any], tuple[()]]:
-        return _end_unless_dask, ()
+    from uqharness.dask_orders import MODULES_VARIABLE
 
-    def __call__(self, spec: FlightSpec) -> FlightResult:
-        raise NotImplementedError
-
-
-def _end_unless_dask() -> Any:
-    if "distributed" not in sys.modules:
-        _end_at_once()
-    return NotThereInAChild()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(MODULES_VARIABLE, "tests.campaign_fakes")
+        with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=":0") as found:
+            yield found
 
 
 def undefined_speed(spec: FlightSpec) -> FlightResult:

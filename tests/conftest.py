@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from uqharness import engine
-from uqharness.aircraft import PROJECT_ROOT
+from uqharness.aircraft import PROJECT_ROOT, find_aircraft
+from uqharness.staging import staged
 
 
 @pytest.fixture(scope="session")
@@ -16,7 +17,7 @@ def load_mission() -> Callable[..., Any]:
     """A function that loads scripts/<name>.xml at 100 Hz and sets properties; nothing has been run yet."""
 
     def load(properties: Mapping[str, float] | None = None, script: str = "loiter") -> Any:
-        fdm = engine.open_script(PROJECT_ROOT, PROJECT_ROOT / "scripts" / f"{script}.xml", 0.01)
+        fdm = engine.open_script(staged(find_aircraft("espaaro")), PROJECT_ROOT / "scripts" / f"{script}.xml", 0.01)
         for name, value in (properties or {}).items():
             fdm[name] = value
         return fdm

@@ -14,7 +14,8 @@ from uqharness import engine
 from uqharness.aero_section import read_section, require_reference
 from uqharness.aero_summands import Reference, SectionEdit, add_deltas, add_functions, add_system
 from uqharness.errors import BadInputError
-from uqharness.xml_text import append_child, apply, parse_document
+from uqharness.staging import Staging
+from uqharness.xml_text import Document, append_child, apply, parse_document
 
 DELTAS = {name: [f"d/{name}"] for name in COEFFICIENTS}
 DECLARED = [f'<property value="0">d/{name}</property>' for name in COEFFICIENTS]
@@ -67,7 +68,7 @@ def added(folder: Path, reference: Reference | None = None) -> None:
 
 def steps(folder: Path, deltas: dict[str, float], count: int = 20):
     """Forces and moments of a banked, slipping flight whose last frame, and no other, has the deltas."""
-    fdm = engine.open_fdm(folder.parent.parent, "small", 0.01)
+    fdm = engine.open_fdm(Staging(folder.parent.parent, "small"), 0.01)
     fdm["ic/h-sl-ft"], fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"], fdm["ic/p-rad_sec"] = 3000, 70, 9, 12, 0.3
     engine.run_ic(fdm)
     rows = []
@@ -211,3 +212,22 @@ def test_an_empty_section_takes_several_children(tmp_path):
 def test_files_that_are_not_edited(tmp_path, raw, message):
     with pytest.raises(BadInputError, match=message):
         parse_document(tmp_path / "a.xml", raw)
+
+
+def test_a_file_of_one_long_line_is_read_and_edited_at_once(tmp_path):
+    """Every element's indentation is looked up: that must not cost the whole line each time."""
+    many = 20_000
+    text = "<fdm_config>" + '<property value="1">a/b</property>' * many + "<aerodynamics></aerodynamics></fdm_config>"
+    document = parse_document(tmp_path / "a.xml", text.encode())
+    looked = 0
+
+    class Counted(bytes):
+        def __getitem__(self, place):
+            nonlocal looked
+            found = super().__getitem__(place)
+            looked += len(found) if isinstance(found, bytes) else 1
+            return found
+
+    counted = Document(document.path, Counted(document.raw), document.root)
+    append_child(counted, document.root.children[-1], ["<axis>", "  <x/>", "</axis>"])
+    assert looked < 2 * len(text)

@@ -13,7 +13,9 @@ import pytest
 from uqharness import engine
 from uqharness.air_check import compare, main
 from uqharness.air_pinned import AIR_XML, Condition, Seen, Source, measure, open_pinned, write_vehicle
+from uqharness.aircraft import find_aircraft
 from uqharness.dryden import COMPONENTS, FT_M, dryden_sigma
+from uqharness.staging import staged
 
 ROOT = Path(__file__).parents[1]
 SHORT = Condition(heading_deg=0.0, duration_s=900.0)
@@ -122,7 +124,7 @@ def test_steady_wind_blows_from_where_it_is_said_to(pinned: Open, from_deg: floa
 def test_west_wind_carries_the_aircraft_east() -> None:
     drift = {}
     for wind in (0.0, 5.0):
-        fdm = engine.open_fdm(ROOT, "espaaro", 0.01, aircraft_path=ROOT / "aircraft")
+        fdm = engine.open_fdm(staged(find_aircraft("espaaro")), 0.01)
         for name, value in {
             "ic/lat-geod-deg": 45.0,
             "ic/h-sl-ft": 500.0,

@@ -48,6 +48,13 @@ def test_matplotlib_lives_in_plotting_files(package):
     assert all(name.endswith("_plot.py") for name in importers(package, "matplotlib"))
 
 
+@pytest.mark.parametrize("package", ["sysid", "uqharness"])
+@pytest.mark.parametrize("library", ["pickle", "shelve", "marshal", "dill", "cloudpickle", "joblib"])
+def test_nothing_is_read_that_could_run(package, library):
+    assert importers(package, library) == set()
+    assert importers("tests", "pickle") != set()
+
+
 def test_the_walk_sees_nested_and_partial_imports():
     assert "matplotlib.pyplot" in imported_by("def f():\n    import matplotlib.pyplot as plt\n")
     assert "jsbsim" in imported_by("from jsbsim import FGFDMExec\n")

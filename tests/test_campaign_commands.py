@@ -37,7 +37,8 @@ def test_run_says_one_line_and_nothing_else_in_a_pipe(tmp_path, monkeypatch, cap
     monkeypatch.setattr("uqharness.flight.fly", fakes.steady)
     assert call("run", fakes.campaign_file(tmp_path), "--out", tmp_path / "out", "--serial") == 0
     captured = capsys.readouterr()
-    assert captured.err == ""
+    (cost,) = captured.err.splitlines()
+    assert "192 flights (64 epistemic samples, 1 condition, 3 each), 11.2 flight h" in cost
     (line,) = captured.out.splitlines()
     assert "192 flights done, none failed" in line
     assert "flight h per core h" in line

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import socket
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -43,9 +43,7 @@ bounds = { CX = 0.008, CY = 0.010, CZ = 0.05, Cl = 0.0015, Cm = 0.012, Cn = 0.00
 
 @pytest.fixture(scope="module")
 def cluster():
-    from distributed import LocalCluster
-
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as found:
+    with fakes.dask_cluster() as found:
         yield found
 
 
@@ -121,13 +119,12 @@ def test_a_case_that_ends_its_interpreter_is_counted_as_at_home(tmp_path, dask):
 @pytest.mark.slow
 def test_a_case_that_takes_dask_workers_with_it_is_counted_and_no_other(tmp_path):
     import dask
-    from distributed import LocalCluster
 
     cases = flights(tmp_path, range(5, 13))
     # Dask would bring the case to four workers each time; one will do.
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 0}),
-        LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster,
+        fakes.dask_cluster(1) as cluster,
         DaskExecutor(cluster.scheduler_address) as executor,
     ):
         found = fly(executor, fakes.kills_its_parent, cases)
@@ -138,10 +135,8 @@ def test_a_case_that_takes_dask_workers_with_it_is_counted_and_no_other(tmp_path
 
 @pytest.mark.slow
 def test_a_lost_scheduler_is_a_sentence_and_keeps_what_was_done(tmp_path, monkeypatch):
-    from distributed import LocalCluster
-
     monkeypatch.setattr(dask_executor, "_LOST_S", 1.0)
-    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster:
+    with fakes.dask_cluster(1) as cluster:
         executor = DaskExecutor(cluster.scheduler_address)
         batches = executor.run(fakes.slow, flights(tmp_path, range(2000)))
         assert next(batch for batch in batches if batch)
@@ -167,9 +162,40 @@ def test_a_worker_with_other_files_or_versions_is_refused_by_name(tmp_path, dask
         fly(dask, fakes.steady, cases)
 
 
-def test_what_a_worker_cannot_load_is_the_clusters_fault_and_not_the_flights(tmp_path, dask):
-    with pytest.raises(BadInputError, match="before they start"):
-        fly(dask, fakes.NotThereInAChild(), flights(tmp_path, [4]))
+def test_a_worker_flies_with_no_function_that_its_operator_did_not_name(tmp_path, dask):
+    from tests import torture
+
+    with pytest.raises(BadInputError, match=r"Dask worker on .*flies with uqharness.flight:fly alone.*MODULES=tests.torture"):
+        fly(dask, torture.tear, flights(tmp_path, [4]))
+    with pytest.raises(BadInputError, match="flies with a function that its module holds by name"):
+        fly(dask, fakes.NotThere(), flights(tmp_path, [4]))
+
+
+@dataclass(frozen=True)
+class Said:
+    """A worker that gives this answer."""
+
+    answer: object
+
+    def __call__(self, order: str) -> object:
+        return self.answer
+
+
+def test_an_answer_that_is_none_is_a_sentence(tmp_path, dask, monkeypatch):
+    other = '{"outcome": {"case_id": "0005", "status": "ok", "reason": "", "flown_s": 1.0}}'
+    for answer, said in (
+        ("no json", "malformed answer on the Dask cluster"),
+        (b"\x80\x05K\x01.", "malformed answer on the Dask cluster"),
+        (17, "malformed answer on the Dask cluster"),
+        ('{"outcome": null}', "neither an outcome nor a reason"),
+        (other, "answered for case '0005'"),
+        (other.replace("0005", "0004").replace('"ok"', '"fine"'), "with the status 'fine'"),
+    ):
+        monkeypatch.setattr(dask_executor, "fly_order", Said(answer))
+        with pytest.raises(BadInputError, match=said):
+            fly(dask, fakes.steady, flights(tmp_path, [4]))
+    monkeypatch.setattr(dask_executor, "fly_order", Said(other.replace("0005", "0004")))
+    assert fly(dask, fakes.steady, flights(tmp_path, [4]))["0004"].status == "ok"
 
 
 def test_no_dask_and_no_scheduler_are_sentences(tmp_path, monkeypatch):

@@ -11,6 +11,7 @@ import sys
 import pytest
 
 from uqharness.campaign_manifest import read_manifest, refuse_if_different, write_manifest
+from uqharness.campaign_spec import checked_settings
 from uqharness.errors import BadInputError
 from uqharness.store import JOURNAL, Store, is_running, run_lock
 from uqharness.worker import CaseOutcome
@@ -57,7 +58,7 @@ def test_a_full_disk_is_a_sentence_and_loses_nothing(tmp_path):
 
 def test_a_damaged_journal_is_a_sentence(tmp_path):
     (tmp_path / JOURNAL).write_bytes(b"this is no database" * 100)
-    with pytest.raises(BadInputError, match=r"journal\.sqlite: cannot open"):
+    with pytest.raises(BadInputError, match=r"journal\.sqlite: damaged: file is not a database; nothing was changed"):
         Store(tmp_path)
 
 
@@ -80,8 +81,8 @@ def test_a_torn_transaction_is_rolled_back(tmp_path):
         "database = sqlite3.connect(sys.argv[1])\n"
         "database.execute('pragma cache_size = 1')\n"
         "database.execute('pragma cache_spill = 1')\n"
-        "rows = [(f'x{i}', 'ok', '', 1.0, '{}' * 200, '{}') for i in range(5000)]\n"
-        "database.executemany('insert into outcome values (?,?,?,?,?,?)', rows)\n"
+        "rows = [(f'x{i}', 'ok', '', 1.0, '{}' * 200, '{}', '') for i in range(5000)]\n"
+        "database.executemany('insert into outcome values (?,?,?,?,?,?,?)', rows)\n"
         "os.kill(os.getpid(), 9)\n"
     )
     subprocess.run([sys.executable, "-c", script, str(tmp_path / JOURNAL)], check=False)
@@ -124,11 +125,21 @@ def test_a_read_only_folder_is_refused(tmp_path):
         pass
 
 
+CAMPAIGN = {
+    "campaign": {"aircraft": "plane", "mission": "m.xml", "seed": 7},
+    "aleatory": {"flights": 4, "duration_s": 60.0},
+    "epistemic": {"method": "none"},
+}
+
+
 def manifest(**changes):
     base = {
-        "format": 1,
+        "format": 2,
         "state": "running",
-        "campaign": {"campaign": {"aircraft": "plane", "mission": "m.xml", "seed": 7}, "aleatory": {"flights": 4}},
+        "command": "",
+        "seed": 7,
+        "cases": 4,
+        "campaign": checked_settings(CAMPAIGN),
         "versions": {"uqharness": "0.1.0", "jsbsim": "1.3.3", "numpy": "2.4.6", "pyarrow": "26"},
         "hashes": {"aircraft": "a" * 64, "script": "b" * 64},
     }
@@ -145,7 +156,7 @@ def test_folders_that_are_none(tmp_path):
     with pytest.raises(BadInputError, match="not a campaign folder"):
         read_manifest(tmp_path)
     (tmp_path / "manifest.json").write_text("{ torn")
-    with pytest.raises(BadInputError, match="cannot be read"):
+    with pytest.raises(BadInputError, match="damaged: not JSON"):
         read_manifest(tmp_path)
     (tmp_path / "manifest.json").write_text(json.dumps({"name": "a web app"}))
     with pytest.raises(BadInputError, match="not by uqharness"):

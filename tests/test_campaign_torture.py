@@ -31,9 +31,7 @@ WRITES = ("journal", "table")
 
 @pytest.fixture
 def cluster():
-    from distributed import LocalCluster
-
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as found:
+    with fakes.dask_cluster() as found:
         yield found
 
 

@@ -134,15 +134,14 @@ def test_of_many_conditions_the_hardest_is_told(tmp_path):
     assert "6 m/s wind" in about(found, "beyond 15 m per flight hour at every corner? Open")[0]
 
 
-def test_the_widest_part_is_named_from_the_table(tmp_path):
-    table = tmp_path / "sensitivity.csv"
-    head = "condition,metric,coefficient,share_min,share_max\n"
-    row = "3 m/s light,cross_track_median_m,{}\n"
-    table.write_text(head + row.format("CX,.1,.2") + row.format("CY,.4,.75") + row.format("Cl,,"))
+def test_the_widest_part_is_named_from_the_table():
+    common = {"condition": "3 m/s light", "metric": "cross_track_median_m"}
+    rows = (("CX", ".1", ".2"), ("CY", ".4", ".75"), ("Cl", "", ""))
+    table = [common | {"coefficient": c, "share_min": low, "share_max": high} for c, low, high in rows]
     ((text, _),) = chain_performance._widest(table, Condition(3.0, "light"))
     assert "the bounds of CY (cross-track error, 40 to 75 % of the width)" in text
     assert list(chain_performance._widest(table, Condition(3.0, "severe"))) == []
-    assert list(chain_performance._widest(tmp_path / "no.csv", Condition(3.0, "light"))) == []
+    assert list(chain_performance._widest([], Condition(3.0, "light"))) == []
 
 
 def test_area_between_two_corners_is_the_distance_of_their_means():

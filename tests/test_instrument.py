@@ -137,8 +137,9 @@ def test_in_place_and_back(small):
     assert tree(small) == before
 
 
-def test_a_link_to_another_aircrafts_file_is_not_written_through(small, tmp_path):
-    shared = tmp_path / "shared.xml"
+def test_a_link_to_another_aircrafts_file_is_not_written_through(small):
+    shared = small.parent / "other" / "shared.xml"
+    shared.parent.mkdir()
     shutil.copyfile(PROJECT_ROOT / "aircraft" / "espaaro" / "Systems" / "model-form.xml", shared)
     before = shared.read_bytes()
     instrumented(small, small)

@@ -173,7 +173,8 @@ def test_citation_and_licence():
     assert (ROOT / "LICENSE").read_text(encoding="utf-8").startswith("MIT License")
     from uqharness import __version__
 
-    assert citation["version"] == __version__
+    # What can be cited is the last release; a version under way has ".dev" in it.
+    assert citation["version"] == __version__ or ".dev" in __version__
 
 
 def test_what_every_spawned_process_reads_again_loads_nothing():
@@ -189,7 +190,7 @@ def test_what_every_spawned_process_reads_again_loads_nothing():
 
     assert 'uqharness = "uqharness.__main__:main"' in (ROOT / "pyproject.toml").read_text()
     assert loaded("uqharness.__main__") == []
-    assert "pandas" in loaded("uqharness.cli")
+    assert "scipy" in loaded("uqharness.cli")
 
 
 def test_the_package_runs_as_a_module():

@@ -176,8 +176,9 @@ def test_help_and_wrong_input(tmp_path, capsys, flights):
     assert "is no factor" in capsys.readouterr().err
 
 
-def test_a_killed_refinement_goes_on_where_it_was(flights, refined, tmp_path, monkeypatch):
-    """Killed while it flies the test flights, it does not choose again, ends with the same effects, and leaves no stages behind."""
+def test_a_killed_refinement_goes_on_where_it_was(flights, refined, tmp_path, monkeypatch, caplog):
+    """Killed while it flies the test flights, it does not choose again, ends with the same effects, and leaves no stages behind.
+    A stage that was damaged meanwhile is told and computed again."""
     from uqharness import refine_judge, refine_run
 
     out = tmp_path / "out"
@@ -188,13 +189,19 @@ def test_a_killed_refinement_goes_on_where_it_was(flights, refined, tmp_path, mo
     with monkeypatch.context() as patch:
         patch.setattr(refine_judge, "show", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         assert main(arguments) == 130
-    assert list((out / ".stages").glob("effects-*.pickle"))
+    assert list((out / ".stages").glob("effects-*.data"))
     assert not (out / "refinement.json").exists()
+    (named,) = (out / ".stages").glob("named-*.data")
+    content = bytearray(named.read_bytes())
+    content[-100] ^= 1
+    named.write_bytes(content)
     with monkeypatch.context() as patch:
         patch.setattr(refine_run, "find_effects", None)
         assert main(arguments) == 0
     assert document(out)["effects"] == document(refined)["effects"]
     assert not (out / ".stages").exists()
+    (told,) = [text for text in caplog.messages if "computed again" in text]
+    assert f"{named.name}: damaged" in told
 
 
 def commands_alone(record: FlightRecord) -> FlightRecord:

@@ -105,11 +105,11 @@ def test_the_copy_leaves_the_aircraft_as_it_was_and_goes_away(aircraft):
 
     before = content_hash(aircraft)
     with ReplayFolder(aircraft, measured=SURFACES, settings={"aero/Cm_q": -10.0}) as model:
-        text = (model.root / "aircraft" / aircraft.name / aircraft.xml.name).read_text()
+        text = (model.staging.folder / aircraft.xml.name).read_text()
         assert 'file="autopilot"' not in text
         assert text.count("<lag>") == 1  # the motor's, which was not measured
         assert model.open(0.01)["aero/Cm_q"] == -10.0
-        root = model.root
+        root = model.staging.root
     assert not root.exists()
     assert content_hash(aircraft) == before
 

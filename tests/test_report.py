@@ -14,6 +14,7 @@ from lxml import etree, html
 from tests import campaign_fakes as fakes
 from tests.page_checks import problems
 from uqharness.campaign import run_campaign
+from uqharness.campaign_manifest import read_manifest, write_manifest
 from uqharness.campaign_spec import read_campaign
 from uqharness.errors import BadInputError
 from uqharness.executor import SerialExecutor
@@ -209,8 +210,7 @@ def test_walks_are_not_called_corners(tmp_path, page):
 def test_an_incomplete_or_empty_folder_is_refused(tmp_path, folder):
     with pytest.raises(BadInputError, match="not a campaign folder"):
         write_report(tmp_path)
-    manifest = (folder / "manifest.json").read_text()
-    (tmp_path / "manifest.json").write_text(manifest.replace('"complete"', '"interrupted"'))
+    write_manifest(tmp_path, read_manifest(folder) | {"state": "interrupted"})
     with pytest.raises(BadInputError, match="not complete; finish it first"):
         write_report(tmp_path)
 

@@ -160,11 +160,13 @@ def test_sensitivity_joins_the_page_once_it_was_computed(tmp_path, campaigns):
 
 
 def test_a_study_with_two_campaigns_over_each_other(tmp_path, campaigns, refined):
-    stages = [stage(name, "campaign", str(campaigns / name)) for name in ("before", "after")]
-    stages.append(stage("refine", "refine", str(refined), exit=1))
+    for place in (campaigns / "before", campaigns / "after", refined):
+        shutil.copytree(place, tmp_path / "study" / place.name)
+    stages = [stage(name, "campaign", name) for name in ("before", "after")]
+    stages.append(stage("refine", "refine", refined.name, exit=1))
     stages.append(stage("bounds", "bounds", "gone"))
     stages.append(stage("later", "sensitivity", "later", state="waiting"))
-    both = {"before": str(campaigns / "before"), "after": str(campaigns / "after")}
+    both = {"before": "before", "after": "after"}
     folder = written(tmp_path / "study", "study.json", study(stages, before_after=both))
     page = page_of(folder)
     words = words_of(page)

@@ -10,6 +10,7 @@ from tests.doc_names import defined, rows
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "jsbsim-traps.md").read_text(encoding="utf-8")
 DEFECTS = ROOT / "tests" / "jsbsim_defects"
+TRAPS = ("test_defects.py", "test_silent_defects.py", "test_reach.py")
 
 
 def reproductions(*names: str) -> set[str]:
@@ -17,7 +18,7 @@ def reproductions(*names: str) -> set[str]:
 
 
 def test_each_trap_names_its_test():
-    there = reproductions("test_defects.py", "test_silent_defects.py")
+    there = reproductions(*TRAPS)
     untested = 0
     for row in rows(PAGE):
         assert len(row) == 4, row
@@ -32,7 +33,7 @@ def test_each_trap_names_its_test():
 
 def test_each_test_is_named_by_a_page():
     named = set(re.findall(r"`(test_\w+)`", PAGE))
-    lacking = reproductions("test_defects.py", "test_silent_defects.py") - named
+    lacking = reproductions(*TRAPS) - named
     assert lacking == {"test_the_version_these_findings_belong_to"}
     letters = {
         re.match(r"test_([a-z])_", test)[1]

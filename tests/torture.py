@@ -1,8 +1,8 @@
 """A campaign run that a test may kill, or that kills itself in the middle of a write.
 
 python -m tests.torture FOLDER OUT FLIGHTS FAKE HOW [MOMENT]: HOW is fork, spawn or the address of a Dask scheduler; MOMENT is
-journal:N (killed with the N-th batch half in the journal) or table:N (killed with the N-th file written and not yet in place).
-FLIGHTS "as-is" flies FOLDER/campaign.toml as it stands.
+journal:N (killed with the N-th batch half in the journal), table:N (killed with the N-th file written and not yet in place) or
+step:N (killed before the N-th change of a folder). FLIGHTS "as-is" flies FOLDER/campaign.toml as it stands.
 """
 
 from __future__ import annotations
@@ -34,13 +34,26 @@ def tear(moment: str) -> None:
                 # A small cache spills, so that half a transaction is in the file when its writer dies.
                 self._database.execute("pragma cache_size = 1")
                 self._database.execute("begin")
-                rows = [(item.case_id, item.status, item.reason, item.flown_s, "{}", "{}") for item in batch]
-                rows += [(f"torn-{index}", "ok", "x" * 1000, 1.0, "{}", "{}") for index in range(100)]
-                self._database.executemany("insert or replace into outcome values (?,?,?,?,?,?)", rows)
+                rows = [(item.case_id, item.status, item.reason, item.flown_s, "{}", "{}", "") for item in batch]
+                rows += [(f"torn-{index}", "ok", "x" * 1000, 1.0, "{}", "{}", "") for index in range(100)]
+                self._database.executemany("insert or replace into outcome values (?,?,?,?,?,?,?)", rows)
                 _die()
             add(self, batch)
 
         Store.add = torn  # type: ignore[method-assign]
+    elif what == "step":
+
+        def counted(function: Any) -> Any:
+            def call(*given: Any, **named: Any) -> Any:
+                left[0] -= 1
+                if left[0] == 0:
+                    _die()
+                return function(*given, **named)
+
+            return call
+
+        for name in ("replace", "link", "unlink", "mkdir"):
+            setattr(os, name, counted(getattr(os, name)))
     else:
         replace = os.replace
 

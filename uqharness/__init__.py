@@ -1,3 +1,3 @@
 """JSBSim side of the chain: aircraft, flights, campaigns, p-boxes and the command line."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"

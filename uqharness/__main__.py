@@ -4,17 +4,33 @@ Every process that is spawned reads the file its parent was started from: what t
 imports as well, and the command line with all its commands would be 130 MB and more than a second in each of them.
 """
 
-from __future__ import annotations
-
+import os
 import sys
-from collections.abc import Sequence
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def _leave_working_folder() -> None:
+    """Take the working folder, which ``python -m`` puts first, off the path: a ``socket.py`` there is not Python's own.
+
+    It stays if this package lives there.
+    """
+    here = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    if sys.path and not sys.flags.safe_path and sys.path[0] in ("", os.getcwd()) and os.getcwd() != here:
+        del sys.path[0]
+
+
+if __name__ == "__main__":
+    # Before anything else is imported.
+    _leave_working_folder()
+
+
+def main(argv: list[str] | None = None) -> int:
     """Run one command; the process's exit code."""
-    from uqharness.cli import main as command_line
-
-    return command_line(argv)
+    try:
+        from uqharness.start import run
+    except KeyboardInterrupt:
+        os.write(2, b"uqharness: interrupted\n")
+        os._exit(130)
+    return run(argv)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ A stiff feedback holds it; recorded are the total wind less the steady wind and 
 from __future__ import annotations
 
 import shutil
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -18,6 +17,8 @@ from uqharness import engine
 from uqharness.dryden import COMPONENTS, FT_M, KT_MPS, Component, dryden_gusts
 from uqharness.errors import BadInputError
 from uqharness.project_files import PROJECT_ROOT
+from uqharness.scratch import scratch_folder
+from uqharness.staging import Staging
 
 Array = npt.NDArray[np.float64]
 Source = Literal["jsbsim", "host", "plain-tustin", "plain-milspec"]
@@ -151,20 +152,21 @@ class Seen:
         return float(np.corrcoef(0.5 * (r[1:] + r[:-1]), np.diff(v))[0, 1])
 
 
-def write_vehicle(folder: Path, b_m: float, air_xml: Path | None) -> Path:
-    """Write ``pinned/pinned.xml`` below ``folder``, with or without the air system; the folder for ``open_fdm``."""
-    home = folder / "pinned"
+def write_vehicle(folder: Path, b_m: float, air_xml: Path | None) -> Staging:
+    """Write the aircraft ``pinned`` below ``folder``, with or without the air system, ready for ``open_fdm``."""
+    staging = Staging(folder, "pinned")
+    home = staging.folder
     (home / "Systems").mkdir(parents=True, exist_ok=True)
     if air_xml is not None:
         shutil.copyfile(air_xml, home / "Systems" / "air.xml")
     system = '<system file="air"/>' if air_xml is not None else ""
     (home / "pinned.xml").write_text(VEHICLE.format(span_m=b_m, system=system), encoding="utf-8")
-    return folder
+    return staging
 
 
-def open_pinned(folder: Path, condition: Condition, settings: dict[str, float]) -> Any:
+def open_pinned(staging: Staging, condition: Condition, settings: dict[str, float]) -> Any:
     """The vehicle initialised on ``condition``, with ``settings`` (property: value) made before initialising."""
-    fdm = engine.open_fdm(folder, "pinned", condition.dt_s, aircraft_path=folder)
+    fdm = engine.open_fdm(staging, condition.dt_s)
     psi = condition.psi_rad
     wind_n, wind_e = steady_wind_mps(condition)
     north, east = condition.V_mps * np.cos(psi) + wind_n, condition.V_mps * np.sin(psi) + wind_e
@@ -199,10 +201,10 @@ def steady_wind_mps(condition: Condition) -> tuple[float, float]:
 
 def measure(source: Source, condition: Condition) -> Seen:
     """Fly the pinned vehicle and record the gusts that its aerodynamics would use."""
-    with tempfile.TemporaryDirectory() as name:
+    with scratch_folder() as scratch:
         plain = source.startswith("plain")
-        folder = write_vehicle(Path(name), condition.b_m, None if plain else AIR_XML)
-        fdm = open_pinned(folder, condition, {} if plain else _air_settings(source, condition))
+        staging = write_vehicle(scratch.path, condition.b_m, None if plain else AIR_XML)
+        fdm = open_pinned(staging, condition, {} if plain else _air_settings(source, condition))
     if plain:
         _start_plain(fdm, source, condition)
     return _record(fdm, source, condition)

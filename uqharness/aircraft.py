@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import difflib
-import hashlib
-import tempfile
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal
 
 from lxml import etree
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
+from sysid.parsed_text import ParseError, parse_toml
+from sysid.regular_files import read_regular_text
 from uqharness import engine
+from uqharness.aircraft_files import identity, read_xml, signature, walk
 from uqharness.errors import BadInputError
 from uqharness.preflight import ensure_loadable
 from uqharness.project_files import PROJECT_ROOT as PROJECT_ROOT
+from uqharness.staging import fingerprint, staged
+from uqharness.toml_errors import dotted
 
 
 class _Strict(BaseModel):
@@ -190,6 +194,10 @@ def _read_aircraft(folder: Path) -> Aircraft:
                 f"{folder}: no airframe.toml and no {folder.name}.xml, so this is not a JSBSim aircraft folder"
             )
         card = Card(aircraft=_AircraftSection(name=folder.name, xml=xml.name), inputs=_STANDARD_INPUTS)
+    if Path(card.aircraft.xml).name != card.aircraft.xml or "\\" in card.aircraft.xml:
+        raise BadInputError(
+            f'{card_file}: [aircraft] xml = "{card.aircraft.xml}": the name of a file in this folder is wanted'
+        )
     xml = folder / card.aircraft.xml
     if not xml.is_file():
         raise BadInputError(f'{card_file}: [aircraft] xml = "{card.aircraft.xml}", but {xml} does not exist')
@@ -208,16 +216,18 @@ def _read_aircraft(folder: Path) -> Aircraft:
 def read_card(path: Path) -> Card:
     """Read and validate airframe.toml. Raises BadInputError with file, key and what is allowed."""
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BadInputError(f"{path}: not valid TOML: {error}") from None
+        data = parse_toml(read_regular_text(path))
+    except ParseError as error:
+        raise BadInputError(f"{path}: {error}") from None
+    except UnicodeDecodeError:
+        raise BadInputError(f"{path}: not a text file in UTF-8") from None
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror}") from None
     try:
         return Card.model_validate(data)
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
+        key = dotted(first["loc"])
         what = (
             "no such key in airframe.toml; see docs/aircraft.md" if first["type"] == "extra_forbidden" else first["msg"]
         )
@@ -227,10 +237,7 @@ def read_card(path: Path) -> Card:
 def open_aircraft(aircraft: Aircraft, dt_s: float | None = None) -> Any:
     """A fresh ``FGFDMExec`` of the aircraft in its open-loop mode, nothing run. Raises BadInputError."""
     check_loadable(aircraft)
-    with staged(aircraft) as (root, path):
-        fdm = engine.open_fdm(
-            root, aircraft.name, dt_s or aircraft.dt_s, path, aircraft.engine_path, aircraft.systems_path
-        )
+    fdm = engine.open_fdm(staged(aircraft), dt_s or aircraft.dt_s)
     for name, value in aircraft.card.modes.get("open_loop", {}).items():
         engine.set_property(fdm, name, value)
     return fdm
@@ -238,13 +245,12 @@ def open_aircraft(aircraft: Aircraft, dt_s: float | None = None) -> Any:
 
 def check_loadable(aircraft: Aircraft) -> None:
     """BadInputError if loading the aircraft would end the interpreter; see preflight. Cheap when nothing has changed on disk."""
-    stamp = (aircraft.folder, max(path.stat().st_mtime_ns for path in aircraft.folder.rglob("*.xml")))
+    stamp = fingerprint(aircraft)
     if stamp not in _loadable:
-        for path in sorted(aircraft.folder.rglob("*.xml")):
-            refuse_unknown_operations(path)
-        ensure_loadable(
-            aircraft.folder, aircraft.name, content_hash(aircraft), aircraft.engine_path, aircraft.systems_path
-        )
+        for _, path in walk(aircraft.folder):
+            if path.suffix == ".xml":
+                refuse_unknown_operations(path)
+        ensure_loadable(aircraft, content_hash(aircraft))
         _loadable.add(stamp)
 
 
@@ -278,52 +284,32 @@ def refuse_unknown_operations(path: Path) -> None:
         walk(function)
 
 
-_loadable: set[tuple[Path, int]] = set()
-
-
-class staged:
-    """Context with a root and an aircraft path where the aircraft's folder bears the name of its XML, as JSBSim wants it."""
-
-    def __init__(self, aircraft: Aircraft) -> None:
-        self._aircraft = aircraft
-        self._temporary: Any = None
-
-    def __enter__(self) -> tuple[Path, Path]:
-        folder = self._aircraft.folder
-        if folder.name == self._aircraft.name:
-            return folder.parent.parent, folder.parent
-        self._temporary = tempfile.TemporaryDirectory(prefix="uqharness-")
-        path = Path(self._temporary.name) / "aircraft"
-        path.mkdir()
-        (path / self._aircraft.name).symlink_to(folder, target_is_directory=True)
-        engine.show_as(path / self._aircraft.name, folder)
-        return path.parent, path
-
-    def __exit__(self, *_: object) -> None:
-        if self._temporary is not None:
-            self._temporary.cleanup()
+_loadable: set[str] = set()
 
 
 def content_hash(aircraft: Aircraft) -> str:
-    """SHA-256 over every XML and TOML file of the aircraft's folder, names included; the identity a campaign is tied to."""
-    return folder_hash(aircraft.folder)
+    """SHA-256 over every file that decides how the aircraft flies; the identity a campaign is tied to. Raises BadInputError."""
+    return identity(aircraft)
 
 
 def folder_hash(folder: Path) -> str:
-    """The same for a folder whose card has not been read."""
-    digest = hashlib.sha256()
-    for path in sorted(folder.rglob("*")):
-        if path.suffix in {".xml", ".toml"} and path.is_file():
-            digest.update(path.relative_to(folder).as_posix().encode() + b"\0")
-            digest.update(path.read_bytes() + b"\0")
-    return digest.hexdigest()
+    """The same for an aircraft's folder. Raises BadInputError."""
+    return identity(_read_aircraft(folder.resolve()))
+
+
+def folder_fingerprint(folder: Path) -> str:
+    """A text that changes when a file of the aircraft in ``folder`` does; reads none where nothing has. Raises BadInputError."""
+    return fingerprint(_unchanged(folder, signature(folder)))
+
+
+@lru_cache(maxsize=8)
+def _unchanged(folder: Path, _: object) -> Aircraft:
+    return _read_aircraft(folder)
 
 
 def parse_xml(path: Path) -> etree._ElementTree:
     """Parse an XML file with line numbers; BadInputError with file and line if it is not well formed."""
     try:
-        return etree.parse(str(path), etree.XMLParser(remove_comments=False, resolve_entities=False))
+        return etree.parse(BytesIO(read_xml(path)), etree.XMLParser(remove_comments=False, resolve_entities=False))
     except etree.XMLSyntaxError as error:
-        raise BadInputError(f"{path}:{error.lineno}: not well-formed XML: {error.msg}") from None
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
+        raise BadInputError(f"{path}:{error.lineno}: not well-formed XML: {' '.join(error.msg.split())}") from None

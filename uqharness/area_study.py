@@ -11,11 +11,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from sysid.importers.tables import read_small_table
+from sysid.log_errors import LogError
 from uqharness.area_metric import AreaMetric, area_metric
+from uqharness.campaign_files import read_cases
 from uqharness.campaign_manifest import read_complete
 from uqharness.campaign_rounds import band_confidence
 from uqharness.campaign_tables import CONFIDENCE, Condition, in_condition, pboxes
-from uqharness.case_table import CASES, read_table
+from uqharness.case_table import read_table
 from uqharness.errors import BadInputError
 
 AREAS = "area.csv"
@@ -44,19 +47,25 @@ def read_flights(path: Path | None, values: Mapping[str, float]) -> pd.DataFrame
     """
     frames = [pd.DataFrame([values])] if values else []
     if path is not None:
-        try:
-            frames.append(pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path))
-        except (OSError, ValueError) as error:
-            raise BadInputError(f"{path}: cannot be read as a table of flights: {error}") from None
+        frames.append(_read_table(path))
     if not frames or all(frame.empty for frame in frames):
         raise BadInputError("no flight to compare: give --flight FILE.csv|.parquet, or --value METRIC=NUMBER")
     return pd.concat(frames, ignore_index=True)
 
 
+def _read_table(path: Path) -> pd.DataFrame:
+    if path.suffix == ".parquet":
+        return read_table(path).to_pandas()
+    try:
+        return pd.DataFrame(read_small_table(path))
+    except (OSError, LogError) as error:
+        raise BadInputError(f"{path}: cannot be read as a table of flights: {error}") from None
+
+
 def compare(folder: Path, flights: pd.DataFrame) -> list[Compared]:
     """Compare every metric that both have, in every condition; a flight with a condition of its own in that one. BadInputError."""
     manifest = read_complete(folder)
-    frame = read_table(folder / CASES).to_pandas()
+    frame = read_cases(folder, manifest)
     confidence = band_confidence(manifest["campaign"], CONFIDENCE)
     found, known = [], set()
     for metric, condition, box in pboxes(frame, confidence):

@@ -17,9 +17,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import shutil
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -27,11 +25,13 @@ from pathlib import Path
 
 from uqharness import engine
 from uqharness.aircraft import Aircraft, find_aircraft, parse_xml
+from uqharness.aircraft_files import copy_folder
 from uqharness.campaign_aircraft import put_bounds
 from uqharness.executor import ProcessExecutor
 from uqharness.flight import fly, set_conditions
 from uqharness.flight_spec import COEFFICIENTS, DEFAULT_TURBULENCE_SOURCE, FlightResult, FlightSpec, LevelDriver
 from uqharness.mission import StagedMission, find_script
+from uqharness.scratch import scratch_folder
 from uqharness.store import Store
 from uqharness.worker import CaseOutcome, FlightFunction, attempt
 
@@ -42,7 +42,7 @@ REFERENCE_HOURS_PER_CORE_HOUR = 890.0
 def without_plugin(aircraft: Aircraft, folder: Path) -> Aircraft:
     """A copy of the aircraft in ``folder`` whose XML has no model-form system and no uq/ function."""
     target = folder / "aircraft" / aircraft.name
-    shutil.copytree(aircraft.folder, target)
+    copy_folder(aircraft.folder, target)
     path = target / aircraft.card.aircraft.xml
     tree = parse_xml(path)
     for element in list(tree.getroot().iter("system", "function")):
@@ -93,7 +93,7 @@ def harness_loop(spec: FlightSpec, folder: Path) -> Callable[[], float]:
 def with_model_form(aircraft: Aircraft, model_form: Path, folder: Path) -> Aircraft:
     """A copy of the aircraft in ``folder`` that computes the bounds of a model-form.json."""
     made = folder / "aircraft" / aircraft.name
-    shutil.copytree(aircraft.folder, made)
+    copy_folder(aircraft.folder, made)
     put_bounds(made, aircraft, model_form)
     return find_aircraft(made)
 
@@ -139,10 +139,10 @@ def measure(
     model_form: Path | None = None, together: bool = False,
 ) -> dict[str, float]:  # fmt: skip
     """Least microseconds per step of a, b and c, their ratios, and flight hours per core hour of c."""
-    with tempfile.TemporaryDirectory(prefix="uqharness-") as name:
+    with scratch_folder() as scratch:
         aircraft = find_aircraft(aircraft_name)
         if model_form is not None:
-            aircraft = with_model_form(aircraft, model_form, Path(name))
+            aircraft = with_model_form(aircraft, model_form, scratch.path)
         return _measure(aircraft, duration_s, rounds, source, levels, together)
 
 
@@ -157,8 +157,8 @@ def _measure(
     flown = spec if levels == "corner" else replace(spec, levels=_driver(levels), properties={"uq/active": 1.0})
     # Without a host JSBSim has only its own turbulence: that is the air of the bare loops, whatever the harness flies.
     bare = replace(spec, turbulence_source="jsbsim")
-    with tempfile.TemporaryDirectory(prefix="uqharness-") as name:
-        folder = Path(name)
+    with scratch_folder() as scratch:
+        folder = scratch.path
         loops = {
             "a": bare_loop(aircraft, bare),
             "b": bare_loop(without_plugin(aircraft, folder), replace(bare, properties={})),

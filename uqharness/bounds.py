@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,6 +22,8 @@ from sysid.model_form import (
     Outside,
 )
 from sysid.noise_floor import NOISY, noise_floor
+from sysid.parsed_text import parse_json
+from sysid.regular_files import read_regular
 from sysid.residuals import Cutoffs, Residuals, together
 from sysid.variation import WALK_CUTOFF_HZ, Variation, variation
 from uqharness.aircraft import Aircraft, content_hash
@@ -247,9 +248,10 @@ def _identified_from(aircraft: Aircraft, flights: Sequence[Flight], hashes: Sequ
     """Flights that the aircraft's parameters were estimated from, by the fit.json beside an identified aircraft."""
     path = aircraft.folder.parent / "fit.json"
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = parse_json(read_regular(path))
         known, names = document.get("flights_sha256", []), document.get("flights", [])
-    except (OSError, ValueError, AttributeError):
+        known, names = ([text for text in row if isinstance(text, str)] for row in (known, names))
+    except (OSError, ValueError, AttributeError, TypeError):
         return []
     out = []
     for flight, sha256 in zip(flights, hashes, strict=True):

@@ -15,7 +15,7 @@ from uqharness.aircraft import find_aircraft
 from uqharness.command_report import command_as_given, show_stage
 from uqharness.errors import BadInputError
 from uqharness.identify_command import add_flight_arguments, results_folder
-from uqharness.whole_files import check_folder
+from uqharness.whole_files import check_folder, inner_folder
 
 if TYPE_CHECKING:
     from sysid.bounds_fit import Design
@@ -259,7 +259,7 @@ def _run_validate(args: argparse.Namespace) -> int:
         out = results_folder(args.out)
         names = ", ".join(f.name for f in flights)
         title = f"{names} within the bounds of {form.aircraft.name}"
-        coverage_figure(form, found.residuals, results_folder(out / "figures") / "coverage.svg", title)
+        coverage_figure(form, found.residuals, inner_folder(out, "figures") / "coverage.svg", title)
         write_text(out / "report.md", validation_report(found, title, command_as_given(args), ["coverage"]))
         kept = validation_document(found) | {"command": command_as_given(args), "version": __version__}
         write_residuals(form, found.residuals, names, out)
@@ -282,7 +282,7 @@ def _warn(warnings: Sequence[str]) -> None:
 def _figures(found: MadeBounds, out: Path, outside: str) -> list[str]:
     from uqharness.bounds_plot import coverage_figure, slice_figure, variation_figure
 
-    folder = results_folder(out / "figures")
+    folder = inner_folder(out, "figures")
     form, names = found.form, []
     flights = ", ".join(f.name for f in form.flights)
     for c, bounds in form.coefficients.items():

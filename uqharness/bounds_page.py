@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from sysid.model_form import CoefficientBounds, ModelForm
 from uqharness.bounds_validation import HOLDS_FROM, load_form
 from uqharness.channel_units import axis_label, shown_channel
-from uqharness.histories import History, read_histories
-from uqharness.page_files import read_document, read_optional
+from uqharness.errors import BadInputError
+from uqharness.histories import History, have, read_histories
 from uqharness.page_history import end_to_end
 from uqharness.page_parts import Bullets, Cell, Facts, Figure, Figures, Page, Say, Section, Table, Words, shown
 from uqharness.page_svg import Chart, scale
+from uqharness.result_documents import Bounds, Coverage, read_document
 
 Array = NDArray[np.float64]
 FORM, DETAILS, COVERAGE, RESIDUALS = "model-form.json", "bounds.json", "coverage.json", "residuals.parquet"
@@ -29,8 +30,10 @@ _MOST_DOTS = 220
 def bounds_page(folder: Path, prefix: str = "") -> Page:
     """The page of the folder that ``uqharness bounds`` wrote. Raises BadInputError."""
     form = load_form(folder / FORM)
-    details = read_optional(folder / DETAILS)
+    details = read_document(folder / DETAILS, Bounds) if (folder / DETAILS).is_file() else {}
     pieces = read_histories(folder / RESIDUALS)
+    if pieces and not have(pieces, needed := [*form.states, *form.coefficients]):
+        raise BadInputError(f"{folder / RESIDUALS}: must have the columns {', '.join(needed)}; run its command again")
     sections = [_width_section(form, details.get("coefficients", {})), slice_section(form, pieces, prefix)]
     within = within_section(pieces, list(form.coefficients), "The flights within their own bounds", prefix)
     sections += [] if within is None else [within]
@@ -179,7 +182,7 @@ def within_section(pieces: Sequence[History], names: Sequence[str], title: str, 
         return None
     figures = []
     for c in names:
-        if f"{c}_lower" not in pieces[0].columns:
+        if not have(pieces, (c, f"{c}_lower", f"{c}_upper")):
             continue
         band = ([h.columns[f"{c}_lower"] for h in pieces], [h.columns[f"{c}_upper"] for h in pieces], "")
         inside = np.concatenate(
@@ -231,7 +234,7 @@ def _provenance(form: ModelForm, details: Mapping[str, Any]) -> Section:
 
 def coverage_page(folder: Path, prefix: str = "") -> Page:
     """The page of the folder that ``uqharness validate-bounds --out`` wrote. Raises BadInputError."""
-    found = read_document(folder / COVERAGE, ("coverage",))
+    found = read_document(folder / COVERAGE, Coverage)
     pieces = read_histories(folder / RESIDUALS)
     rows = []
     for c, row in found["coverage"].items():

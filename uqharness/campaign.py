@@ -7,22 +7,35 @@ import dataclasses
 import hashlib
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from uqharness.campaign_manifest import SPOILT, describe, read_manifest, refuse_if_different, write_manifest
-from uqharness.campaign_results import write_tables
+from uqharness.aircraft_files import read_xml
+from uqharness.campaign_cost import Cost, Pace, measured_pace, size_of
+from uqharness.campaign_digests import DamageError
+from uqharness.campaign_manifest import (
+    MANIFEST,
+    describe,
+    read_manifest,
+    refuse_if_different,
+    refuse_without_digests,
+    write_manifest,
+)
+from uqharness.campaign_results import make_tables, write_tables
 from uqharness.campaign_rounds import Rounds
+from uqharness.campaign_seal import mend_tables, refuse_if_not_whole, sealed
 from uqharness.campaign_spec import CampaignSpec
 from uqharness.cases import Case, Mission, build_cases
 from uqharness.errors import BadInputError
 from uqharness.executor import Executor, ProcessExecutor, usable_cores
+from uqharness.flight_spec import FlightSpec
+from uqharness.manifest_content import COMPLETE, INTERRUPTED, SPOILT
 from uqharness.shards import SHARDS, Shard
 from uqharness.store import JOURNAL, Store, run_lock
 from uqharness.whole_files import PART
-from uqharness.worker import FlightFunction
+from uqharness.worker import CaseOutcome, FlightFunction
 
 VALIDATION_S = 5.0
 """Flight time of the check that the model flies at all, made in a throw-away process before any case."""
@@ -54,13 +67,17 @@ class Progress:
 
 @dataclass(frozen=True)
 class CampaignSummary:
-    """Outcome of a run: all cases, how many were done before, and the number by status."""
+    """Outcome of a run: all cases, how many were done before, and the number by status.
+
+    ``rewritten``: tables of a campaign that was complete already which had been damaged or lost, and are whole again.
+    """
 
     folder: Path
     cases: int
     done_before: int
     statuses: dict[str, int]
     progress: Progress
+    rewritten: tuple[str, ...] = ()
 
     @property
     def failed(self) -> int:
@@ -85,7 +102,7 @@ def find_mission(spec: CampaignSpec, folder: Path = Path()) -> Mission:
     if needs_copy(spec):
         return find_copied_mission(spec, aircraft, script, folder)
     assert script is not None
-    script_hash = hashlib.sha256(script.read_bytes()).hexdigest()
+    script_hash = hashlib.sha256(read_xml(script)).hexdigest()
     return Mission(aircraft.folder, content_hash(aircraft), script, script_hash)
 
 
@@ -99,14 +116,16 @@ def run_campaign(
     mission: Mission | None = None,
     command: str = "",
     shard: Shard | None = None,
+    before_flying: Callable[[Cost], None] = lambda _: None,
 ) -> CampaignSummary:
     """Fly the campaign's missing cases into ``out_dir`` and write its tables; the same call resumes.
 
-    A ``shard`` flies its share into ``out_dir``/shards/i-of-n and writes no tables; merging does.
+    A ``shard`` flies its share into ``out_dir``/shards/i-of-n and writes no tables; merging does. ``before_flying`` is told the
+    cost after the check flight and before the first flight that counts; what it raises ends the run.
 
     A case counts once it is on the disk. A flight that fails is a counted row with its reason. Raises BadInputError for an
     unusable model or folder, a folder of another campaign, and a second run in the same folder; KeyboardInterrupt passes, with
-    everything finished so far kept.
+    everything finished so far kept. Raises DamageError, and changes nothing, where the journal is not as it was written.
     """
     if fly is None:
         from uqharness.flight import fly as fly_mission
@@ -126,53 +145,105 @@ def run_campaign(
         cases = cases[shard.number - 1 :: shard.count]
         rounds = Rounds(spec, cases, folder)
     executor = executor or ProcessExecutor(usable_cores() if workers is None else workers)
+    size, processes = size_of(spec, 1 if shard is None else shard.count), executor.workers
+
+    def told(pace: Pace | None, done: int) -> None:
+        before_flying(Cost(size, done, pace, processes))
+
     with run_lock(folder):
         manifest = describe(spec, mission, len(cases), command) | ({} if shard is None else {"shard": str(shard)})
-        if (folder / "manifest.json").exists() and _holds_flights(folder):
-            old = read_manifest(folder)
-            refuse_if_different(folder, old, manifest)
-            if old["state"] == SPOILT:
-                raise _spoilt(folder)
-        elif not (folder / "manifest.json").exists():
-            _refuse_foreign(folder)
-        write_manifest(folder, manifest)
+        old, finished = _earlier(folder, manifest)
         if not given:
             from uqharness.campaign_aircraft import make_copy, needs_copy
 
             if needs_copy(spec):
                 make_copy(spec, mission, folder)
+        if old is not None and old["state"] == COMPLETE:
+            return _look_again(folder, old, spec, cases, shard is None, executor.workers)
+        # Tables that other commands added are of these flights, and stay.
+        manifest |= {"tables": old["tables"]} if old is not None and "tables" in old else {}
+        write_manifest(folder, manifest)
         with Store(folder) as store:
             try:
-                summary = _fly_missing(folder, store, rounds, executor, fly, on_progress)
+                summary = _fly_missing(folder, store, finished, rounds, executor, fly, on_progress, told)
             except BaseException:
                 # On a full disk this fails too, and the first reason is the one to hear.
                 with contextlib.suppress(BadInputError):
-                    write_manifest(folder, manifest | {"state": "interrupted"})
+                    write_manifest(folder, manifest | {"state": INTERRUPTED})
                 raise
             _refuse_if_edited(folder, manifest, mission if given else find_mission(spec, folder))
-            if shard is None:
-                write_tables(folder, spec, cases, store.outcomes())
-        write_manifest(folder, manifest | {"state": "complete", "cases": summary.cases})
+            tables = {} if shard is not None else make_tables(spec, cases, store.outcomes(), rounds.decisions)
+            write_tables(folder, tables)
+            write_manifest(folder, sealed(manifest | {"cases": summary.cases}, store, tables))
     return summary
 
 
-def validate_model(fly: FlightFunction, case: Case) -> None:
+def _earlier(folder: Path, manifest: Mapping[str, Any]) -> tuple[dict[str, Any] | None, set[str]]:
+    """Manifest of the folder if it is complete or holds flights, and the flights that need not be flown.
+
+    Raises BadInputError if they are no part of the campaign, DamageError if they are not as they were written.
+    """
+    if not (folder / MANIFEST).exists():
+        if (folder / JOURNAL).exists():
+            raise DamageError(folder / MANIFEST, "it is gone, and there is a journal", folder)
+        _refuse_foreign(folder)
+        return None, set()
+    old = read_manifest(folder)
+    refuse_without_digests(folder, old)
+    complete = old["state"] == COMPLETE
+    finished = set() if complete else _finished(folder)
+    if not complete and not finished:
+        return None, finished
+    refuse_if_different(folder, old, manifest)
+    if old["state"] == SPOILT:
+        raise _spoilt(folder)
+    if complete and not (folder / JOURNAL).exists():
+        raise DamageError(folder / JOURNAL, "it is gone", folder)
+    return old, finished
+
+
+def _look_again(
+    folder: Path, manifest: dict[str, Any], spec: CampaignSpec, cases: Sequence[Case], with_tables: bool, workers: int
+) -> CampaignSummary:
+    """A campaign that is complete: its journal is held against the manifest, a table that is not as written is written again."""
+    with Store(folder) as store:
+        refuse_if_not_whole(folder, store, manifest)
+        statuses = dict(sorted(store.statuses().items()))
+        rewritten = mend_tables(folder, manifest, spec, cases, store) if with_tables else ()
+    done = sum(statuses.values())
+    progress = Progress(done, done, done, done - statuses.get("ok", 0), 0.0, 0.0, workers)
+    return CampaignSummary(folder, done, done, statuses, progress, rewritten)
+
+
+def validate_model(fly: FlightFunction, case: Case) -> Pace | None:
     """Fly the first seconds of a case in a process of its own, so that a model that ends the interpreter ends only that.
 
-    Raises BadInputError with the reason when the model cannot be flown.
+    The pace at which it flies, None where that could not be measured. Raises BadInputError with the reason when the model cannot
+    be flown.
     """
     brief = dataclasses.replace(case.flight, duration_s=min(VALIDATION_S, case.flight.duration_s), burn_in_s=0.0)
-    throwaway = ProcessExecutor(1, timeout_s=lambda flight: 120.0, retries=0)
-    for batch in throwaway.run(fly, [("validation", brief)]):
-        for outcome in batch:
-            if outcome.bad_input:
-                raise BadInputError(outcome.reason)
-            # A flight that was flown and went wrong (into the ground, say) is a result, and the campaign's to count.
-            if outcome.status in ("crashed", "timeout") and outcome.flown_s == 0.0:
-                raise BadInputError(
-                    f"aircraft {brief.aircraft.name} with {brief.script.name}: the check flight before the campaign failed: "
-                    f"{outcome.reason}; try: uqharness fly {brief.aircraft.name} --out check.csv"
-                )
+    throwaway = ProcessExecutor(1, timeout_s=lambda flight: 120.0, retries=0, keep=True)
+
+    def flown(flight: FlightSpec) -> bool:
+        batches = throwaway.run(fly, [("validation", flight)])
+        return all(outcome.status == "ok" for batch in batches for outcome in batch)
+
+    with contextlib.closing(throwaway):
+        for batch in throwaway.run(fly, [("validation", brief)]):
+            for outcome in batch:
+                _refuse_if_not_flown(outcome, brief)
+        return measured_pace(flown, brief, case.flight)
+
+
+def _refuse_if_not_flown(outcome: CaseOutcome, brief: FlightSpec) -> None:
+    if outcome.bad_input:
+        raise BadInputError(outcome.reason)
+    # A flight that was flown and went wrong (into the ground, say) is a result, and the campaign's to count.
+    if outcome.status in ("crashed", "timeout") and outcome.flown_s == 0.0:
+        raise BadInputError(
+            f"aircraft {brief.aircraft.name} with {brief.script.name}: the check flight before the campaign failed: "
+            f"{outcome.reason}; try: uqharness fly {brief.aircraft.name} --out check.csv"
+        )
 
 
 def _refuse_if_edited(folder: Path, manifest: dict[str, Any], mission: Mission) -> None:
@@ -197,12 +268,12 @@ def _folder(path: Path) -> Path:
     return path
 
 
-def _holds_flights(folder: Path) -> bool:
-    """Whether anything has been counted there: a campaign refused before its first flight may be mended and run again."""
+def _finished(folder: Path) -> set[str]:
+    """What has been counted there, every row looked at: a campaign refused before its first flight may be mended and run again."""
     if not (folder / JOURNAL).exists():
-        return False
+        return set()
     with Store(folder, read_only=True) as store:
-        return sum(store.statuses().values()) > 0
+        return store.finished()
 
 
 def _refuse_foreign(folder: Path) -> None:
@@ -214,12 +285,13 @@ def _refuse_foreign(folder: Path) -> None:
 def _fly_missing(
     folder: Path,
     store: Store,
+    finished: set[str],
     rounds: Rounds,
     executor: Executor,
     fly: FlightFunction,
     on_progress: Callable[[Progress], None] | None,
+    before_flying: Callable[[Pace | None, int], None],
 ) -> CampaignSummary:
-    finished = store.finished()
     statuses: Counter[str] = store.statuses()
     done_before = statuses.total()
     flown_s, checked = 0.0, False
@@ -235,7 +307,7 @@ def _fly_missing(
         if not missing:
             continue
         if not checked:
-            validate_model(fly, missing[0])
+            before_flying(validate_model(fly, missing[0]), done_before)
             checked, started = True, time.monotonic()
         batches = executor.run(fly, ((case.case_id, case.flight) for case in missing))
         try:

@@ -13,12 +13,15 @@ from pathlib import Path
 
 from uqharness import engine
 from uqharness.aircraft import Aircraft, content_hash, find_aircraft, parse_xml
+from uqharness.aircraft_files import copy_beside, copy_folder, read_xml
 from uqharness.campaign_inputs import read_bounds
 from uqharness.campaign_spec import CampaignSpec
 from uqharness.cases import Mission
 from uqharness.errors import BadInputError
 from uqharness.model_form_xml import model_form_xml
+from uqharness.scratch import scratch_folder
 from uqharness.steady_start import SCRIPT, write_steady_start
+from uqharness.whole_files import inner_folder
 
 SYSTEM = "model-form"
 _COPIED = "aircraft"
@@ -56,10 +59,10 @@ def find_copied_mission(spec: CampaignSpec, aircraft: Aircraft, script: Path | N
 
     ``script`` None: the steady flight of [start]. Raises BadInputError as :func:`make_copy` does.
     """
-    with tempfile.TemporaryDirectory(prefix="uqharness-") as name:
-        made = _copy(spec, aircraft, Path(name))
+    with scratch_folder("copy") as scratch:
+        made = _copy(spec, aircraft, scratch.path)
         aircraft_hash = content_hash(find_aircraft(made))
-        script_hash = hashlib.sha256((script or Path(name) / SCRIPT).read_bytes()).hexdigest()
+        script_hash = hashlib.sha256(read_xml(script or scratch.path / SCRIPT)).hexdigest()
     place = folder.resolve()
     return Mission(
         place / _COPIED / made.name, aircraft_hash, (script or place / SCRIPT).resolve(), script_hash, aircraft.folder
@@ -84,19 +87,13 @@ def make_copy(spec: CampaignSpec, mission: Mission, folder: Path) -> None:
             if (Path(name) / sub).exists():
                 shutil.rmtree(folder / sub, ignore_errors=True)
                 os.replace(Path(name) / sub, folder / sub)
-        target.parent.mkdir(exist_ok=True)
-        os.replace(made, target)
+        os.replace(made, inner_folder(folder, _COPIED) / target.name)
 
 
 def _copy(spec: CampaignSpec, aircraft: Aircraft, root: Path) -> Path:
     made = root / _COPIED / aircraft.folder.name
-    shutil.copytree(aircraft.folder, made, symlinks=False)
-    # Its own engines and systems lie beside the folder that holds it; JSBSim's need no copy.
-    own = aircraft.folder.parent.parent
-    if own != engine.default_root():
-        for sub in ("engine", "systems"):
-            if (own / sub).is_dir():
-                shutil.copytree(own / sub, root / sub, symlinks=False)
+    copy_folder(aircraft.folder, made)
+    copy_beside(aircraft, root, engine.default_root())
     if spec.inputs.model_form is not None:
         put_bounds(made, aircraft, spec.inputs.model_form)
     if spec.start is not None:

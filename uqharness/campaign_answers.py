@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
-from uqharness.campaign_rounds import ALL_CORNERS, read_decisions
+from uqharness.campaign_files import is_sealed, read_checked, read_decisions
+from uqharness.campaign_rounds import ALL_CORNERS
+from uqharness.csv_rows import csv_rows
 from uqharness.statements import STATEMENTS
 
 _ORDER = ("yes", "no", "open", "flying")
@@ -26,12 +28,16 @@ class Answer:
     hours: float
 
 
-def read_answers(folder: Path) -> list[Answer]:
-    """From decisions.csv, which a run that decides keeps up to date; else from the statements of a complete campaign; else none."""
-    rows = [row for row in read_decisions(folder) if row["epistemic_id"] == ALL_CORNERS]
-    if not rows and (folder / STATEMENTS).exists():
-        with (folder / STATEMENTS).open(encoding="utf-8", newline="") as handle:
-            every = list(csv.DictReader(handle))
+def read_answers(folder: Path, manifest: Mapping[str, Any]) -> list[Answer]:
+    """From decisions.csv, which a run that decides keeps up to date; else from the statements of a complete campaign; else none.
+
+    Raises BadInputError where the table is not as it was written.
+    """
+    rows = [row for row in read_decisions(folder, manifest) if row["epistemic_id"] == ALL_CORNERS]
+    if not rows and ((folder / STATEMENTS).exists() or (is_sealed(manifest) and "shard" not in manifest)):
+        content = read_checked(folder, manifest, STATEMENTS)
+        texts = ("condition", "distance", "answer")
+        every = csv_rows(content, folder / STATEMENTS, ("radius_m", "acceptable_per_h", "hours"), texts)
         smallest = min((float(row["radius_m"]) for row in every), default=0.0)
         rows = [row for row in every if row["distance"] == "horizontal" and float(row["radius_m"]) == smallest]
     return [_answer(row) for row in rows]

@@ -6,12 +6,13 @@ import argparse
 import json
 import shlex
 import sys
-from collections import Counter
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uqharness import campaign_studies_command
+from uqharness import campaign_check_command, campaign_studies_command, campaign_whole_commands
+from uqharness.verb_parser import add_verb
 
 if TYPE_CHECKING:
     from uqharness.campaign import CampaignSummary
@@ -50,13 +51,13 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     """Add the ``campaign`` command and its subcommands to a parser."""
     campaign = commands.add_parser(
         "campaign",
-        help="nested Monte Carlo campaigns: run, status, report, merge, rerun",
+        help="nested Monte Carlo campaigns: check, run, status, report, merge, rerun, verify, salvage",
         description="Fly a campaign over corners of model-form uncertainty, watch it, and report it.",
         epilog=_RUN_EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     verbs = campaign.add_subparsers(dest="campaign_command", metavar="VERB", required=True)
-    run = _verb(verbs, "run", "fly a campaign, or resume it", _RUN_EXAMPLE)
+    run = add_verb(verbs, "run", "fly a campaign, or resume it", _RUN_EXAMPLE)
     run.add_argument(
         "campaign", type=Path, metavar="CAMPAIGN.toml", help="what to fly: a file, or a name under campaigns/"
     )
@@ -79,39 +80,30 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     )
     run.add_argument("--serial", action="store_true", help="fly in this process, for debugging")
     run.add_argument("--shard", metavar="i/n", help="fly the i-th of n shares only, to be merged later")
+    run.add_argument("--yes", action="store_true", help="fly even if it takes more than a day of this machine")
     run.set_defaults(handler=_run)
-    status = _verb(verbs, "status", "how far a campaign is", _STATUS_EXAMPLE)
+    status = add_verb(verbs, "status", "how far a campaign is", _STATUS_EXAMPLE)
     status.add_argument("folder", type=Path, metavar="DIR", help="campaign folder")
     status.set_defaults(handler=_status)
-    report = _verb(verbs, "report", "write report.html and the figures", _REPORT_EXAMPLE)
+    report = add_verb(verbs, "report", "write report.html and the figures", _REPORT_EXAMPLE)
     report.add_argument("folder", type=Path, metavar="DIR", help="campaign folder")
     report.set_defaults(handler=_report)
-    merge = _verb(verbs, "merge", "bring shards together and write the tables", _MERGE_EXAMPLE)
+    merge = add_verb(verbs, "merge", "bring shards together and write the tables", _MERGE_EXAMPLE)
     merge.add_argument("folder", type=Path, metavar="DIR", help="campaign folder with shards")
     merge.set_defaults(handler=_merge)
-    rerun = _verb(verbs, "rerun", "fly one case again with full output and a plot", _RERUN_EXAMPLE)
+    rerun = add_verb(verbs, "rerun", "fly one case again with full output and a plot", _RERUN_EXAMPLE)
     rerun.add_argument("folder", type=Path, metavar="DIR", help="campaign folder")
     rerun.add_argument("--case", required=True, metavar="ID", help="case id, or the beginning of one")
     rerun.set_defaults(handler=_rerun)
-    campaign_studies_command.register(verbs)
-
-
-def _verb(verbs: Any, name: str, text: str, example: str) -> argparse.ArgumentParser:
-    parser: argparse.ArgumentParser = verbs.add_parser(
-        name,
-        help=text,
-        description=text[0].upper() + text[1:] + ".",
-        epilog=example,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--json", action="store_true", help="machine-readable output")
-    return parser
+    for module in (campaign_check_command, campaign_whole_commands, campaign_studies_command):
+        module.register(verbs)
 
 
 def _run(args: argparse.Namespace) -> int:
     # Imported here: `uqharness --help` should not wait for the numerical libraries.
     from uqharness.campaign import run_campaign
     from uqharness.campaign_aircraft import bounds_notes
+    from uqharness.campaign_cost import Cost, refuse_if_long, size_of
     from uqharness.campaign_spec import read_campaign
     from uqharness.progress_view import ProgressView
     from uqharness.project_files import find_campaign
@@ -124,9 +116,19 @@ def _run(args: argparse.Namespace) -> int:
         spec = spec.with_samples(args.samples)
     for note in bounds_notes(spec):
         print(f"note: {note}", file=sys.stderr)
+    shard = parse_shard(args.shard) if args.shard is not None else None
+    agreed = args.yes or args.hours is not None
+
+    def told(cost: Cost) -> None:
+        refuse_if_long(cost, agreed, args.campaign)
+        print(f"{args.campaign}: {cost.words}", file=sys.stderr)
+
     try:
         with ExitStack() as stack:
             executor = _executor(args, stack)
+            # Before anything is made or tried out: what is too long at any pace need not be.
+            size = size_of(spec, 1 if shard is None else shard.count)
+            refuse_if_long(Cost(size, _done_before(args.out), None, executor.workers), agreed, args.campaign)
             view = stack.enter_context(ProgressView())
             summary = run_campaign(
                 spec,
@@ -134,15 +136,33 @@ def _run(args: argparse.Namespace) -> int:
                 executor=executor,
                 on_progress=view.update,
                 command=_command_line(args),
-                shard=parse_shard(args.shard) if args.shard is not None else None,
+                shard=shard,
+                before_flying=told,
             )
     except KeyboardInterrupt:
         print(
             f"{args.out}: stopped; every finished flight is kept, the same command goes on from here", file=sys.stderr
         )
         raise
+    _say_rewritten(summary.folder, summary.rewritten)
     print(json.dumps(_as_json(summary)) if args.json else _sentence(summary))
     return 0
+
+
+def _done_before(folder: Path) -> int:
+    """Flights that need not be flown again; whether the folder may be flown into is asked later."""
+    from uqharness.campaign_status import read_status
+    from uqharness.errors import BadInputError
+
+    try:
+        return read_status(folder).done
+    except BadInputError:
+        return 0
+
+
+def _say_rewritten(folder: Path, names: Sequence[str]) -> None:
+    for name in names:
+        print(f"note: {folder / name} was not as it had been written; it is written again from the journal", file=sys.stderr)
 
 
 def _executor(args: argparse.Namespace, stack: ExitStack) -> Executor:
@@ -173,6 +193,8 @@ def _command_line(args: argparse.Namespace) -> str:
         words += ["--samples", str(args.samples)]
     if args.shard is not None:
         words += ["--shard", args.shard]
+    if args.yes:
+        words += ["--yes"]
     return shlex.join(words)
 
 
@@ -215,38 +237,20 @@ def _failures(statuses: dict[str, int]) -> str:
 
 
 def _status(args: argparse.Namespace) -> int:
-    from uqharness.campaign_answers import as_json, lines, read_answers
-    from uqharness.campaign_manifest import MANIFEST, read_manifest
-    from uqharness.shards import shard_folders
-    from uqharness.store import Store, is_running
+    from uqharness.campaign_answers import as_json, lines
+    from uqharness.campaign_status import read_status
 
-    folders = [args.folder]
-    if not (args.folder / MANIFEST).exists() and shard_folders(args.folder):
-        folders = shard_folders(args.folder)
-    manifest, counted, cases, complete = {}, Counter[str](), 0, True
-    for folder in folders:
-        manifest = read_manifest(folder)
-        with Store(folder, read_only=True) as store:
-            counted.update(store.statuses())
-        cases += int(manifest["cases"])
-        complete = complete and manifest["state"] == "complete"
-    statuses = dict(sorted(counted.items()))
-    done = sum(statuses.values())
-    # A killed run could not say so itself; whether somebody holds the folder tells.
-    state = "complete" if complete else "running" if any(map(is_running, folders)) else "interrupted"
-    found = {"state": state, "cases": cases, "done": done, "failed": done - statuses.get("ok", 0), "statuses": statuses}
-    answers = read_answers(args.folder)
+    found = read_status(args.folder)
+    done, statuses = found.done, dict(found.statuses)
     if args.json:
-        print(json.dumps(found | {"answers": as_json(answers)}))
+        document = {"state": found.state, "cases": found.cases, "done": done, "failed": done - statuses.get("ok", 0)}
+        print(json.dumps(document | {"statuses": statuses, "answers": as_json(found.answers)}))
     else:
-        print(
-            "\n".join(
-                [f"{args.folder}: {state}, {done} of {cases} flights done, {_failures(statuses)}", *lines(answers)]
-            )
-        )
-        if state == "interrupted":
-            print(f"resume with: {manifest['command'] or 'the command that began it'}", file=sys.stderr)
-    return 0 if complete else 1
+        summary = f"{args.folder}: {found.state}, {done} of {found.cases} flights done, {_failures(statuses)}"
+        print("\n".join([summary, *lines(found.answers)]))
+        if found.state == "interrupted":
+            print(f"resume with: {found.command or 'the command that began it'}", file=sys.stderr)
+    return 0 if found.state == "complete" else 1
 
 
 def _report(args: argparse.Namespace) -> int:
@@ -267,6 +271,7 @@ def _merge(args: argparse.Namespace) -> int:
     from uqharness.shards import merge
 
     merged = merge(args.folder)
+    _say_rewritten(merged.folder, merged.rewritten)
     done = merged.cases - merged.missing
     if args.json:
         found = {"cases": merged.cases, "done": done, "missing": merged.missing, "statuses": merged.statuses}

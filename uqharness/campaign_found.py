@@ -11,10 +11,11 @@ from typing import Any
 import pandas as pd
 
 from uqharness import report_statements
+from uqharness.campaign_files import read_cases, read_decisions
 from uqharness.campaign_manifest import read_complete
-from uqharness.campaign_rounds import band_confidence, read_decisions
+from uqharness.campaign_rounds import band_confidence
 from uqharness.campaign_tables import CONFIDENCE, Condition, conditions, in_condition, samples
-from uqharness.case_table import CASES, UNCOMMANDED_METRICS, read_table
+from uqharness.case_table import UNCOMMANDED_METRICS
 from uqharness.decide import NO, OPEN, YES
 from uqharness.page_parts import Level, Say
 from uqharness.pbox import PBox, Sample, pbox
@@ -82,10 +83,10 @@ class CampaignFound:
 def read_found(folder: Path) -> CampaignFound:
     """Read a complete campaign's folder. Raises BadInputError."""
     manifest = read_complete(folder)
-    frame = read_table(folder / CASES).to_pandas()
+    frame = read_cases(folder, manifest)
     campaign = manifest["campaign"]
     findings = tuple(_findings(frame, campaign))
-    signed = tuple(statements(frame, campaign, read_decisions(folder)))
+    signed = tuple(statements(frame, campaign, read_decisions(folder, manifest)))
     verdict = tuple(_verdict(frame, campaign, findings, signed))
     return CampaignFound(folder, manifest, frame, findings, signed, _asked(frame, campaign), verdict)
 

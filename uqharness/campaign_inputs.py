@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.log_errors import LogError
+from sysid.parsed_text import ParseError, parse_json
+from sysid.regular_files import read_regular
 from uqharness.epistemic_spec import PUBLISHED_WALK_RATE_PER_SQRT_S, EpistemicSection
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import COEFFICIENTS
@@ -93,11 +94,9 @@ def _find(name: str, beside: Path, role: str, hashes: dict[str, str]) -> Path:
     given = Path(name)
     path = next((p for p in (beside / given, given) if p.is_file()), None)
     if path is None:
-        raise BadInputError(
-            f"{given}: named as {role} and not there, neither beside the campaign file nor in this folder"
-        )
+        raise BadInputError(f"{beside / given}: named as {role} and not there, nor is {given} in this folder")
     try:
-        hashes[role] = hashlib.sha256(path.read_bytes()).hexdigest()
+        hashes[role] = hashlib.sha256(read_regular(path)).hexdigest()
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
     return path.resolve()
@@ -115,14 +114,16 @@ def _coefficients(section: EpistemicSection, path: Path, form: ModelForm) -> tup
 
 def _estimates(path: Path, asked: tuple[str, ...] | None) -> Estimates:
     try:
-        document = json.loads(path.read_bytes())
-    except (OSError, ValueError) as error:
-        raise BadInputError(f"{path}: cannot be read as JSON: {error}") from None
+        document = parse_json(read_regular(path))
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except ParseError as error:
+        raise BadInputError(f"{path}: {error}") from None
     try:
         names = [str(name) for name in document["names"]]
         covariance = np.array(document["cov"], dtype=np.float64)
         values = np.array([document["parameters"][name]["value"] for name in names], dtype=np.float64)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadInputError(
             f"{path}: not a fit with parameters, names and cov ({error}); make one with: uqharness identify"
         ) from None

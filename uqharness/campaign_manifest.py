@@ -10,16 +10,17 @@ from pathlib import Path
 from typing import Any
 
 import uqharness
+from sysid.regular_files import read_regular
+from uqharness.campaign_digests import DamageError, digest_of_text
 from uqharness.campaign_spec import CampaignSpec, campaign_from
 from uqharness.cases import Mission
 from uqharness.errors import BadInputError
+from uqharness.manifest_content import COMPLETE, FORMAT, FORMAT_WITHOUT_DIGESTS, RUNNING, checked_content
 from uqharness.whole_files import write_bytes
 
 MANIFEST = "manifest.json"
-SPOILT = "spoilt"
-"""State of a folder whose aircraft or script was edited while it flew."""
+_MOST_BYTES = 16_000_000
 
-_FORMAT = 1
 # A change in one of these may change a flight; the others are recorded for the reader.
 _BINDING_VERSIONS = ("uqharness", "jsbsim", "numpy")
 _RECORDED_VERSIONS = ("scipy", "pyarrow", "pandas")
@@ -42,8 +43,8 @@ def binding_versions() -> tuple[tuple[str, str], ...]:
 def describe(spec: CampaignSpec, mission: Mission, cases: int, command: str) -> dict[str, Any]:
     """Manifest of a campaign that is about to run."""
     return {
-        "format": _FORMAT,
-        "state": "running",
+        "format": FORMAT,
+        "state": RUNNING,
         "command": command,
         "seed": spec.campaign.seed,
         "cases": cases,
@@ -60,42 +61,83 @@ def spec_of(manifest: Mapping[str, Any]) -> CampaignSpec:
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """Manifest of a campaign folder. Raises BadInputError if there is none or it cannot be read."""
+    """Manifest of a campaign folder, every part of it checked.
+
+    Raises BadInputError if there is none or it is another program's; DamageError, which is one, if it is not as it was written.
+    """
     path = folder / MANIFEST
     try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
+        content = read_regular(path, _MOST_BYTES)
     except FileNotFoundError:
         raise BadInputError(
             f"{folder}: not a campaign folder (no {MANIFEST}); "
             "make one with: uqharness campaign run CAMPAIGN.toml --out DIR"
         ) from None
-    except (OSError, ValueError) as error:
-        raise BadInputError(f"{path}: cannot be read: {error}") from None
-    if not isinstance(manifest, dict) or manifest.get("format") != _FORMAT:
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    try:
+        return _parsed(content, path)
+    except (ValueError, RecursionError) as error:
+        text = str(error) if isinstance(error, ValueError) else "nested too deeply"
+        raise DamageError(path, " ".join(text.split()), folder) from None
+
+
+def _parsed(content: bytes, path: Path) -> dict[str, Any]:
+    """ValueError for damage, BadInputError for what this program did not write."""
+    try:
+        manifest = json.loads(content.decode("utf-8"))
+    except UnicodeDecodeError:
+        raise ValueError("not text in UTF-8") from None
+    except ValueError as error:
+        raise ValueError(f"not JSON: {error}") from None
+    known = (FORMAT, FORMAT_WITHOUT_DIGESTS)
+    if not isinstance(manifest, dict) or type(found := manifest.get("format")) is not int or found not in known:
         raise BadInputError(f"{path}: written by another version of uqharness, or not by uqharness")
-    return manifest
+    digest = manifest.pop("digest", None)
+    if digest != (digest_of_text(manifest) if found == FORMAT else None):
+        raise ValueError("its content does not fit its digest")
+    return checked_content(manifest)
+
+
+def has_digests(manifest: Mapping[str, Any]) -> bool:
+    """Whether the folder's journal and tables can be held against digests; not those of uqharness 0.1."""
+    return bool(manifest["format"] != FORMAT_WITHOUT_DIGESTS)
+
+
+def refuse_without_digests(folder: Path, manifest: Mapping[str, Any]) -> None:
+    """BadInputError for a folder of uqharness 0.1: it may be read, but nothing may be flown into it."""
+    if not has_digests(manifest):
+        raise BadInputError(
+            f"{folder}: made by uqharness 0.1, whose flights carry no digests: finish it there, or fly it anew with another --out"
+        )
 
 
 def read_complete(folder: Path) -> dict[str, Any]:
     """Manifest of a campaign folder whose flights are all done. Raises BadInputError, also where some are missing."""
     manifest = read_manifest(folder)
-    if manifest["state"] != "complete":
+    if manifest["state"] != COMPLETE:
         command = manifest["command"] or "the command that began it"
         raise BadInputError(f"{folder}: the campaign is not complete; finish it first with: {command}")
     return manifest
 
 
 def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """Write it whole or not at all."""
-    write_bytes(folder / MANIFEST, (json.dumps(manifest, indent=2) + "\n").encode())
+    """Write it, with a digest over its content, whole or not at all."""
+    content = {**manifest, "digest": digest_of_text(dict(manifest))}
+    write_bytes(folder / MANIFEST, (json.dumps(content, indent=2) + "\n").encode())
 
 
-def refuse_if_different(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
-    """BadInputError naming every difference that makes the folder's flights no part of the campaign now asked for."""
+def refuse_if_different(
+    folder: Path, old: Mapping[str, Any], new: Mapping[str, Any], but_for: tuple[str, ...] = ()
+) -> None:
+    """BadInputError naming every difference that makes the folder's flights no part of the campaign now asked for.
+
+    Versions and hashes named in ``but_for`` may differ.
+    """
     differences = [
         f"{name} {old['versions'].get(name)} then, {new['versions'].get(name)} now"
         for name in _BINDING_VERSIONS
-        if old["versions"].get(name) != new["versions"].get(name)
+        if name not in but_for and old["versions"].get(name) != new["versions"].get(name)
     ]
     was, now = _flat(old["campaign"]), _flat(new["campaign"])
     for key in sorted(was.keys() | now.keys()):
@@ -104,7 +146,7 @@ def refuse_if_different(folder: Path, old: Mapping[str, Any], new: Mapping[str, 
             differences.append(f"[{section}] {name} was {json.dumps(was.get(key))}, is {json.dumps(now.get(key))}")
     for name, setting in (("aircraft", "aircraft"), ("script", "mission")):
         before, after = old["hashes"][name], new["hashes"][name]
-        if before != after:
+        if name not in but_for and before != after:
             what = now.get(f"campaign.{setting}")
             differences.append(f"the content of the {name} ({what}) has changed: {before[:12]} then, {after[:12]} now")
     for role in sorted((old["hashes"].keys() | new["hashes"].keys()) - {"aircraft", "script"}):

@@ -29,7 +29,7 @@ def campaign_page(found: CampaignFound, prefix: str = "") -> Page:
     """The page of one campaign; ``prefix`` keeps its figures' names apart from others' in one page."""
     method = found.campaign["epistemic"]["method"]
     sections = [called(part, method) for part in (grid_section(found.signed), pbox_section(found, prefix))]
-    ranges = sensitivity_section(found.folder, prefix)
+    ranges = sensitivity_section(found.folder, found.manifest, prefix)
     if ranges is not None:
         sections.append(ranges)
     sections += [*(called(s, method) for s in rate_sections(found)), failure_section(found.frame), provenance_section(found)]

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
 import pyarrow as pa
 
-from uqharness.campaign_rounds import band_confidence, read_decisions
+from uqharness.campaign_rounds import DECISIONS, band_confidence, decision_rows
 from uqharness.campaign_spec import CampaignSpec
 from uqharness.campaign_tables import CONFIDENCE, in_condition, pboxes
-from uqharness.case_table import CASES, build_table, write_table
+from uqharness.case_table import CASES, build_table, table_bytes
 from uqharness.cases import Case
 from uqharness.pbox import best_and_worst
 from uqharness.statements import STATEMENTS, Statement, number, statements, statements_csv
@@ -31,15 +31,26 @@ _EXCURSION_COLUMNS = (
 )  # fmt: skip
 
 
-def write_tables(folder: Path, spec: CampaignSpec, cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> None:
-    """Write cases.parquet, pbox.parquet, excursions.csv and statements.csv of what was flown. Raises BadInputError."""
+def make_tables(
+    spec: CampaignSpec, cases: Sequence[Case], outcomes: Iterable[CaseOutcome], decisions: bytes | None = None
+) -> dict[str, bytes]:
+    """cases.parquet, pbox.parquet, excursions.csv and statements.csv of what was flown, and ``decisions``, by name."""
     table = build_table(cases, outcomes)
-    write_table(table, folder / CASES)
     frame, campaign = table.to_pandas(), spec.as_dict()
-    found = statements(frame, campaign, read_decisions(folder))
-    write_table(_pbox_table(frame, band_confidence(campaign, CONFIDENCE)), folder / PBOXES)
-    write_bytes(folder / EXCURSIONS, _excursions_csv(frame, found))
-    write_bytes(folder / STATEMENTS, statements_csv(found))
+    found = statements(frame, campaign, [] if decisions is None else decision_rows(decisions, Path(DECISIONS)))
+    made = {
+        CASES: table_bytes(table),
+        PBOXES: table_bytes(_pbox_table(frame, band_confidence(campaign, CONFIDENCE))),
+        EXCURSIONS: _excursions_csv(frame, found),
+        STATEMENTS: statements_csv(found),
+    }
+    return made if decisions is None else made | {DECISIONS: decisions}
+
+
+def write_tables(folder: Path, tables: Mapping[str, bytes]) -> None:
+    """Write tables, each whole or not at all. Raises BadInputError."""
+    for name, content in tables.items():
+        write_bytes(folder / name, content)
 
 
 def _pbox_table(frame: pd.DataFrame, confidence: float) -> pa.Table:

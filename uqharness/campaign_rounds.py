@@ -17,6 +17,7 @@ import numpy as np
 
 from uqharness.campaign_spec import CampaignSpec
 from uqharness.cases import Case
+from uqharness.csv_rows import csv_rows
 from uqharness.decide import Evidence, Question, add, begin, close, look
 from uqharness.errors import BadInputError
 from uqharness.store import Store
@@ -89,10 +90,14 @@ def band_confidence(campaign: Mapping[str, Any], confidence: float) -> float:
 
 
 class Rounds:
-    """Goes through a campaign's rounds. ``most`` is the number of cases that will be flown at most."""
+    """Goes through a campaign's rounds. ``most`` is the number of cases that will be flown at most.
 
-    def __init__(self, spec: CampaignSpec, cases: Sequence[Case], folder: Path) -> None:
+    ``decisions`` is decisions.csv after the last look, None without one; it is written to ``folder``, if that is given, after each.
+    """
+
+    def __init__(self, spec: CampaignSpec, cases: Sequence[Case], folder: Path | None) -> None:
         self.most = len(cases)
+        self.decisions: bytes | None = None
         self._cases, self._folder = cases, folder
         self._rule = rule_of(spec.as_dict(), len({case.epistemic_id for case in cases}))
         self._cells = _cells(cases, self._rule) if self._rule is not None else []
@@ -134,16 +139,14 @@ class Rounds:
         writer.writerow(_COLUMNS)
         for cell in self._cells:
             writer.writerows(cell.rows(self._rule))
-        write_bytes(self._folder / DECISIONS, buffer.getvalue().encode())
+        self.decisions = buffer.getvalue().encode()
+        if self._folder is not None:
+            write_bytes(self._folder / DECISIONS, self.decisions)
 
 
-def read_decisions(folder: Path) -> list[dict[str, str]]:
-    """Rows of decisions.csv, as text; none where the campaign has no such table."""
-    path = folder / DECISIONS
-    if not path.exists():
-        return []
-    with path.open(encoding="utf-8", newline="") as handle:
-        return list(csv.DictReader(handle))
+def decision_rows(content: bytes, path: Path) -> list[dict[str, str]]:
+    """Rows of decisions.csv, as text. Raises BadInputError."""
+    return csv_rows(content, path, ("radius_m", "acceptable_per_h", "hours"), ("condition", "epistemic_id", "answer", "reason"))
 
 
 class _Cell:

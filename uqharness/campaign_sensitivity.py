@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from uqharness.campaign_files import read_cases
 from uqharness.campaign_manifest import read_complete
 from uqharness.campaign_tables import Condition, conditions, in_condition
-from uqharness.case_table import CASES, ERROR_METRICS, UNCOMMANDED_METRICS, excursion_columns, read_table
+from uqharness.case_table import CASES, ERROR_METRICS, UNCOMMANDED_METRICS, excursion_columns
 from uqharness.errors import BadInputError
 from uqharness.sensitivity import Evaluations, MethodResult, Study
 from uqharness.sensitivity.corner_pairs import corner_pairs
@@ -108,12 +109,7 @@ def read_interior_campaign(folder: Path, corners: Flown) -> Flown:
 
 def _read(folder: Path) -> Flown:
     manifest = read_complete(folder)
-    frame = read_table(folder / CASES).to_pandas()
-    if len(frame) != manifest["cases"]:
-        raise BadInputError(
-            f"{folder / CASES}: has {len(frame)} flights, the manifest speaks of {manifest['cases']}; run the campaign again"
-        )
-    return Flown(folder, frame, manifest)
+    return Flown(folder, read_cases(folder, manifest), manifest)
 
 
 def metrics_of(flown: Flown) -> tuple[str, ...]:

@@ -156,6 +156,12 @@ def read_campaign(path: str | Path) -> CampaignSpec:
     return campaign_from(data, path, text)
 
 
+def checked_settings(data: dict[str, Any]) -> dict[str, Any]:
+    """Settings of a campaign as a manifest holds them, defaults filled in. Looks at no file; raises pydantic's ValidationError."""
+    document = _Document.model_validate(without_flights(data))
+    return document.model_dump(mode="json", exclude_none=True)
+
+
 def campaign_from(data: dict[str, Any], path: Path, text: str = "") -> CampaignSpec:
     """Validate the content of a campaign file, as TOML or a manifest holds it. ``path`` is where files it names are looked for."""
     try:
@@ -163,7 +169,7 @@ def campaign_from(data: dict[str, Any], path: Path, text: str = "") -> CampaignS
     except ValidationError as error:
         problems = [explain(_Document, text, data, dict(item)) for item in error.errors()]
         lines = [f"{path}:{line}: {message}" for line, message in sorted(problems)]
-        raise BadInputError("\n".join(dict.fromkeys(lines))) from None
+        raise BadInputError(*dict.fromkeys(lines)) from None
     sections = {name: getattr(document, name) for name in _Document.model_fields}
     inputs = read_inputs(document.epistemic, path.resolve().parent)
     spec = CampaignSpec(path, text, **sections, inputs=inputs)

@@ -6,9 +6,9 @@ import argparse
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from uqharness.errors import BadInputError
+from uqharness.verb_parser import add_verb
 
 _CONVERGENCE_EXAMPLE = """examples:
   uqharness campaign convergence campaigns/demo/results --repeats 4
@@ -26,13 +26,15 @@ Exit codes: 0 no contradiction, 1 flights lie outside by more than chance explai
 
 def register(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the verbs to those of ``campaign``."""
-    convergence = _verb(verbs, "convergence", "were there enough flights and epistemic samples", _CONVERGENCE_EXAMPLE)
+    convergence = add_verb(verbs, "convergence", "were there enough flights and epistemic samples", _CONVERGENCE_EXAMPLE)
+    convergence.add_argument("folder", type=Path, metavar="DIR", help="campaign folder")
     convergence.add_argument("--repeats", type=int, default=10, metavar="N", help="parts of the flights (default 10)")
     convergence.add_argument(
         "--metric", action="append", default=[], metavar="NAME", help="column of cases.parquet (repeatable)"
     )
     convergence.set_defaults(handler=_convergence)
-    area = _verb(verbs, "area", "area metric of real flights against the p-boxes", _AREA_EXAMPLE)
+    area = add_verb(verbs, "area", "area metric of real flights against the p-boxes", _AREA_EXAMPLE)
+    area.add_argument("folder", type=Path, metavar="DIR", help="campaign folder")
     area.add_argument("--flight", type=Path, metavar="FILE", help="table of flights, .csv or .parquet")
     area.add_argument(
         "--value", action="append", default=[], metavar="METRIC=NUMBER", help="metric of a single flight (repeatable)"
@@ -40,28 +42,15 @@ def register(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
     area.set_defaults(handler=_area)
 
 
-def _verb(verbs: Any, name: str, text: str, example: str) -> argparse.ArgumentParser:
-    parser: argparse.ArgumentParser = verbs.add_parser(
-        name,
-        help=text,
-        description=text[0].upper() + text[1:] + ".",
-        epilog=example,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("folder", type=Path, metavar="DIR", help="campaign folder")
-    parser.add_argument("--json", action="store_true", help="machine-readable output")
-    return parser
-
-
 def _convergence(args: argparse.Namespace) -> int:
+    from uqharness.campaign_files import record_table
     from uqharness.convergence_plot import draw_convergence
     from uqharness.convergence_study import CONVERGENCE, as_rows, sentences, study, table
-    from uqharness.whole_files import write_bytes
+    from uqharness.whole_files import inner_folder, write_bytes
 
     found = study(args.folder, args.metric, args.repeats)
-    write_bytes(args.folder / CONVERGENCE, table(found))
-    figures = args.folder / "figures"
-    figures.mkdir(exist_ok=True)
+    record_table(args.folder, CONVERGENCE, table(found))
+    figures = inner_folder(args.folder, "figures")
     paths = []
     for item in found:
         if item.repeats is not None or item.growth:
@@ -81,10 +70,10 @@ def _convergence(args: argparse.Namespace) -> int:
 
 def _area(args: argparse.Namespace) -> int:
     from uqharness.area_study import AREAS, compare, read_flights, table
-    from uqharness.whole_files import write_bytes
+    from uqharness.campaign_files import record_table
 
     found = compare(args.folder, read_flights(args.flight, dict(map(_value, args.value))))
-    write_bytes(args.folder / AREAS, table(found))
+    record_table(args.folder, AREAS, table(found))
     rows = [
         {"metric": item.metric, "condition": item.condition.label, "verdict": item.verdict} | asdict(item.found)
         for item in found

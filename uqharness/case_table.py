@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from sysid.regular_files import read_regular
 from uqharness.cases import Case
 from uqharness.errors import BadInputError
-from uqharness.flight_spec import COEFFICIENTS
+from uqharness.flight_spec import COEFFICIENTS, STATUSES, TURBULENCE_W20_KT
 from uqharness.whole_files import write_bytes
 from uqharness.worker import CaseOutcome
 
 CASES = "cases.parquet"
+_MOST_BYTES = 1_000_000_000
+_MOST_MEMORY_BYTES = 1_500_000_000
+_ALWAYS = ("case_id", "epistemic_id", "aleatory_id", "wind_mps", "turbulence", "seed", "duration_s", "status", "reason")
 
 ERROR_METRICS = tuple(
     f"{quantity}_{statistic}_{unit}{suffix}"
@@ -61,8 +65,8 @@ def build_table(cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> pa.Ta
     return pa.table([pa.array(columns[field.name], field.type) for field in schema], schema=schema)
 
 
-def write_table(table: pa.Table, path: Path) -> None:
-    """Write parquet with every option that moves a byte fixed. Raises BadInputError."""
+def table_bytes(table: pa.Table) -> bytes:
+    """A table as parquet, every option that moves a byte fixed."""
     buffer = io.BytesIO()
     pq.write_table(
         table,
@@ -76,17 +80,70 @@ def write_table(table: pa.Table, path: Path) -> None:
         row_group_size=65536,
         store_schema=False,
     )
-    write_bytes(path, buffer.getvalue())
+    return buffer.getvalue()
+
+
+def write_table(table: pa.Table, path: Path) -> None:
+    """Write parquet with every option that moves a byte fixed. Raises BadInputError."""
+    write_bytes(path, table_bytes(table))
 
 
 def read_table(path: Path) -> pa.Table:
-    """Read a table of a campaign. Raises BadInputError."""
+    """Read a table of this program. Raises BadInputError."""
     try:
-        return pq.read_table(path)
+        content = read_regular(path, _MOST_BYTES)
     except FileNotFoundError:
         raise BadInputError(f"{path}: not there; run the campaign first: uqharness campaign run") from None
-    except (OSError, pa.ArrowException) as error:
-        raise BadInputError(f"{path}: not a readable parquet file: {error}") from None
+    except OSError as error:
+        raise BadInputError(f"{path}: not a readable parquet file: {error.strerror or error}") from None
+    return parse_table(content, path)
+
+
+def parse_table(content: bytes, path: Path, rows: int | None = None) -> pa.Table:
+    """A parquet table from bytes that were read from ``path``. What it says of its size is looked at before memory is asked for.
+
+    ``rows``: how many the manifest speaks of. Raises BadInputError.
+    """
+    try:
+        with pq.ParquetFile(pa.BufferReader(content)) as file:
+            found = file.metadata
+            if rows is not None and found.num_rows != rows:
+                raise BadInputError(
+                    f"{path}: has {found.num_rows} flights, the manifest speaks of {rows}; run the campaign again"
+                )
+            groups = [found.row_group(number).total_byte_size for number in range(found.num_row_groups)]
+            wanted = max(8 * found.num_rows * found.num_columns, sum(groups))
+            if wanted > _MOST_MEMORY_BYTES:
+                raise BadInputError(f"{path}: would take {wanted / 1e9:.3g} GB of memory; at most {_MOST_MEMORY_BYTES / 1e9:g} GB")
+            table = file.read()
+            # Text that is no UTF-8, offsets that lead out of a buffer: the reader itself takes them as they come.
+            table.validate(full=True)
+            return table
+    except (OSError, pa.ArrowException, ValueError, OverflowError, MemoryError) as error:
+        raise BadInputError(f"{path}: not a readable parquet file: {' '.join(str(error).split())}") from None
+
+
+def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> pa.Table:
+    """The table, if it has every column of ``campaign`` (its settings as plain types) with values such as flights leave.
+
+    Raises BadInputError naming the first column that is missing or of another type.
+    """
+    variables = campaign["aleatory"]["variables"]
+    means = tuple(f"level_{name}" for name, item in variables.items() if isinstance(item.get("mean"), list))
+    found = {field.name: field.type for field in table.schema}
+    for field in _schema(campaign["metrics"]["excursion_radius_m"], (), means):
+        if field.name not in found or len(table.schema.get_all_field_indices(field.name)) != 1:
+            raise BadInputError(f"{path}: has no column {field.name}; run the campaign again")
+        if found[field.name] != field.type:
+            raise BadInputError(
+                f"{path}: column {field.name} is of type {found[field.name]}, not {field.type}; run the campaign again"
+            )
+    wrong = [name for name in _ALWAYS if table[name].null_count]
+    for name, known in (("status", STATUSES), ("turbulence", tuple(TURBULENCE_W20_KT))):
+        wrong += [name] if set(table[name].unique().to_pylist()) - set(known) else []
+    if wrong or not table.num_rows:
+        raise BadInputError(f"{path}: column {(wrong or ['case_id'])[0]} holds what no flight leaves; run the campaign again")
+    return table
 
 
 def _schema(radii_m: Sequence[float], more: Sequence[str], inputs: Sequence[str]) -> pa.Schema:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqharness.campaign_manifest import read_manifest
-from uqharness.campaign_rounds import read_decisions
+from uqharness.campaign_files import read_cases, read_decisions
+from uqharness.campaign_manifest import read_complete
 from uqharness.campaign_tables import CONFIDENCE, Condition, conditions, in_condition, samples
-from uqharness.case_table import CASES, read_table
 from uqharness.chain_stages import AFTER, BEFORE
 from uqharness.decide import NO, OPEN, YES
 from uqharness.pbox import Sample, envelope, pbox
+from uqharness.sensitivity_tables import read_sensitivity
 from uqharness.statements import Statement, statements
 
 if TYPE_CHECKING:
@@ -54,17 +53,19 @@ class Width:
 
 @dataclass(frozen=True)
 class _Flown:
-    """A finished campaign: its flights, its settings, its statements."""
+    """A finished campaign: its flights, its settings, its statements, the rows of its sensitivity.csv."""
 
     frame: pd.DataFrame
     campaign: Mapping[str, Any]
     signed: list[Statement]
+    shares: list[dict[str, str]]
 
 
 def _read(folder: Path) -> _Flown:
-    frame = read_table(folder / CASES).to_pandas()
-    campaign = read_manifest(folder)["campaign"]
-    return _Flown(frame, campaign, statements(frame, campaign, read_decisions(folder)))
+    manifest = read_complete(folder)
+    frame, campaign = read_cases(folder, manifest), manifest["campaign"]
+    signed = statements(frame, campaign, read_decisions(folder, manifest))
+    return _Flown(frame, campaign, signed, read_sensitivity(folder, manifest) or [])
 
 
 def performance(out: Path, both: bool) -> Iterator[Sentence]:
@@ -85,7 +86,7 @@ def performance(out: Path, both: bool) -> Iterator[Sentence]:
             present = [side for side in sides.values() if side is not None]
             if len(present) == len(sides):
                 yield _pbox_sentence(words, unit, condition, float(last.campaign["aleatory"]["duration_s"]), present)
-        yield from _widest(out / f"campaign-{AFTER if both else BEFORE}" / "sensitivity.csv", condition)
+        yield from _widest(last.shares, condition)
         # Bounds that are numbers hold everywhere: only those of a model form have an outside.
         if isinstance(last.campaign["epistemic"].get("bounds"), str):
             yield from _outside(in_condition(last.frame, condition), condition)
@@ -218,17 +219,14 @@ def _outside(rows: pd.DataFrame, condition: Condition) -> Iterator[Sentence]:
         yield (text + (", where they are extrapolated." if share > 0 else ".")), WARN if share > MUCH_OUTSIDE else GOOD
 
 
-def _widest(table: Path, condition: Condition) -> Iterator[Sentence]:
+def _widest(shares: Sequence[Mapping[str, str]], condition: Condition) -> Iterator[Sentence]:
     """Which coefficient's bounds give each p-box most of its width, from sensitivity.csv; nothing where that is undefined."""
-    if not table.is_file():
-        return
-    with table.open(encoding="utf-8", newline="") as handle:
-        rows = [row for row in csv.DictReader(handle) if row["condition"] == condition.label and row["share_max"]]
+    rows = [row for row in shares if row["condition"] == condition.label and row["share_max"]]
     parts = []
     for metric, words, _ in _QUANTITIES:
-        shares = [row for row in rows if row["metric"] == metric]
-        if shares:
-            first = max(shares, key=lambda row: float(row["share_max"]))
+        of_metric = [row for row in rows if row["metric"] == metric]
+        if of_metric:
+            first = max(of_metric, key=lambda row: float(row["share_max"]))
             low, high = (100 * float(first[key]) for key in ("share_min", "share_max"))
             parts.append(f"{first['coefficient']} ({words}, {low:.0f} to {high:.0f} % of the width)")
     if parts:

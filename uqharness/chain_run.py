@@ -65,7 +65,8 @@ def run_chain(
                 with contextlib.suppress(BadInputError):
                     write_study(out, document)
                 if isinstance(error, BadInputError):
-                    raise BadInputError(f"stage {stage.name}: {error}\n  the stage alone: {stage.command}") from None
+                    said = f"stage {stage.name}: {error}".split("\n")
+                    raise BadInputError(*said, f"  the stage alone: {stage.command}") from None
                 raise
         pair = {when: f"campaign-{when}" for when in (BEFORE, AFTER) if f"campaign-{when}" in {s.name for s in stages}}
         if len(pair) == 2:
@@ -176,6 +177,8 @@ def _call(stage: Stage, out: Path, workers: int | None) -> int:
     from uqharness.cli import build_parser
 
     words = [*stage.argv, *(["--workers", str(workers)] if stage.workers and workers is not None else [])]
+    # Whoever asked for the study asked for its campaigns.
+    words += ["--yes"] if stage.kind == "campaign" else []
     arguments = build_parser().parse_args(words)
     said = io.StringIO()
     try:

@@ -17,7 +17,7 @@ from uqharness.campaign_spec import CampaignSpec, campaign_from
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import DEFAULT_TURBULENCE_SOURCE
 from uqharness.spec_sections import Coefficient, Number, Section, Turbulence, listed, tupled
-from uqharness.toml_errors import explain, line_of, read_toml
+from uqharness.toml_errors import as_toml, explain, line_of, read_toml
 
 Names = Annotated[tuple[str, ...], BeforeValidator(listed), Field(min_length=1)]
 _NAME = r"[A-Za-z0-9][A-Za-z0-9_.-]*"
@@ -178,7 +178,7 @@ def read_chain(path: str | Path) -> ChainSpec:
     except ValidationError as error:
         problems = [explain(_Document, text, data, dict(item)) for item in error.errors()]
         lines = [f"{path}:{line}: {message}" for line, message in sorted(problems)]
-        raise BadInputError("\n".join(dict.fromkeys(lines))) from None
+        raise BadInputError(*dict.fromkeys(lines)) from None
     sections = {name: data[name] for name in CAMPAIGN_SECTIONS if name in data}
     spec = ChainSpec(
         path, text, document.study, document.fly, document.logs, document.identify, document.compare, document.bounds,
@@ -216,7 +216,7 @@ def _check(spec: ChainSpec) -> None:
     """BadInputError for flights that are not there, are named twice, or would judge what was made from them."""
     problems = [*_naming(spec), *_unknown(spec), *_roles(spec)]
     if problems:
-        raise BadInputError("\n".join(f"{spec.path}:{line}: {text}" for line, text in problems))
+        raise BadInputError(*(f"{spec.path}:{line}: {text}" for line, text in problems))
 
 
 def _naming(spec: ChainSpec) -> Iterable[tuple[int, str]]:
@@ -227,9 +227,9 @@ def _naming(spec: ChainSpec) -> Iterable[tuple[int, str]]:
     for name, place in places:
         line = line_of(spec.source, (*place, "name"))
         if name in seen:
-            yield line, f'[[{place[0]}]] name = "{name}": another flight has this name; give each its own'
+            yield line, f'[[{place[0]}]] name = {as_toml(name)}: another flight has this name; give each its own'
         elif name not in wanted:
-            yield line, f'[[{place[0]}]] name = "{name}": no section uses this flight; name it in one, or leave it out'
+            yield line, f'[[{place[0]}]] name = {as_toml(name)}: no section uses this flight; name it in one, or leave it out'
         seen.add(name)
 
 
@@ -254,9 +254,9 @@ def _unknown(spec: ChainSpec) -> Iterable[tuple[int, str]]:
         for name in names:
             if name not in known:
                 there = ", ".join(known) or "none"
-                yield line, f'[{section}] {key}: no flight is named "{name}"; [[fly]] and [[logs]] have: {there}'
+                yield line, f'[{section}] {key}: no flight is named {as_toml(name)}; [[fly]] and [[logs]] have: {there}'
         for name in dict.fromkeys(n for n in names if names.count(n) > 1):
-            yield line, f'[{section}] {key}: "{name}" is named twice'
+            yield line, f"[{section}] {key}: {as_toml(name)} is named twice"
 
 
 _APART: Sequence[tuple[tuple[str, str], tuple[str, str], str]] = (
@@ -286,5 +286,5 @@ def _roles(spec: ChainSpec) -> Iterable[tuple[int, str]]:
                 line = line_of(spec.source, mine)
                 yield (
                     line,
-                    f'[{mine[0]}] {mine[1]}: "{name}" is also in [{other[0]}] {other[1]}; {why}. Name another flight',
+                    f'[{mine[0]}] {mine[1]}: {as_toml(name)} is also in [{other[0]}] {other[1]}; {why}. Name another flight',
                 )

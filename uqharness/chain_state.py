@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from sysid.parsed_text import ParseError, parse_json
+from sysid.regular_files import open_regular, read_regular
 from uqharness.aircraft import folder_hash
 from uqharness.chain_spec import ChainSpec
 from uqharness.errors import BadInputError
@@ -22,11 +24,13 @@ def read_study(folder: Path) -> dict[str, Any] | None:
     """study.json of a folder; None if it has none. Raises BadInputError if it cannot be read."""
     path = folder / STUDY
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = parse_json(read_regular(path))
     except FileNotFoundError:
         return None
-    except (OSError, ValueError) as error:
-        raise BadInputError(f"{path}: cannot be read: {error}; choose another --out") from None
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read: {error.strerror or error}; choose another --out") from None
+    except ParseError as error:
+        raise BadInputError(f"{path}: {error}; choose another --out") from None
     if not isinstance(document, dict) or document.get("format") != _FORMAT:
         raise BadInputError(
             f"{path}: written by another version of uqharness, or not by uqharness; choose another --out"
@@ -83,7 +87,7 @@ def content(path: Path) -> str:
     if path.is_dir():
         return folder_hash(path)
     try:
-        with path.open("rb") as handle:
+        with open_regular(path) as handle:
             return hashlib.file_digest(handle, "sha256").hexdigest()
     except OSError:
         return ""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -12,29 +11,37 @@ from uqharness.bounds_validation import HOLDS_FROM
 from uqharness.chain_performance import BAD, GOOD, SAME, WARN, Sentence, performance
 from uqharness.chain_spec import ChainSpec
 from uqharness.chain_stages import AFTER, BEFORE, Stage
+from uqharness.errors import BadInputError
+from uqharness.result_documents import Coverage, Fit, Part, read_document
 
 _ABOVE_NOISE = 1.15  # as `compare` and `refine` have it
 
 
 def judge(spec: ChainSpec, stages: Sequence[Stage], rows: Sequence[Mapping[str, Any]], out: Path) -> list[Sentence]:
-    """Every sentence, from what the stages left in ``out``."""
+    """Every sentence, from what the stages left in ``out``. Raises BadInputError for a document that is damaged."""
     kinds = {stage.kind for stage in stages}
     codes = {row["name"]: row["exit"] for row in rows}
     found: list[Sentence] = []
     if "campaign" in kinds:
         found += performance(out, "refine" in kinds)
     if "refine" in kinds:
-        found += _refined(json.loads((out / "refine" / "refinement.json").read_text(encoding="utf-8")))
+        found += _of_refinement(out / "refine" / "refinement.json")
     if "validate-bounds" in kinds:
         found += _coverage(out, spec.bounds.validate_on if spec.bounds else (), "refine" in kinds)
     if "identify" in kinds:
-        found.append(
-            _identified(json.loads((out / "identify" / "fit.json").read_text(encoding="utf-8")), codes["identify"])
-        )
+        found.append(_identified(read_document(out / "identify" / "fit.json", Fit), codes["identify"]))
     ended = [stage.name.removeprefix("fly-") for stage in stages if stage.kind == "fly" and codes[stage.name] == 1]
     if ended:
         found.append((f"Flown but ended early: {', '.join(ended)}; what was recorded until then was used.", WARN))
     return found
+
+
+def _of_refinement(path: Path) -> list[Sentence]:
+    document = read_document(path, Part)
+    try:
+        return list(_refined(document))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise BadInputError(f"{path}: is no refinement's document ({error}); run the study again") from None
 
 
 def _refined(document: Mapping[str, Any]) -> Iterator[Sentence]:
@@ -83,7 +90,7 @@ def _unexplained(document: Mapping[str, Any]) -> str:
 
 def _coverage(out: Path, flights: Sequence[str], both: bool) -> Iterator[Sentence]:
     found = {
-        when: json.loads((out / f"validate-{when}" / "coverage.json").read_text(encoding="utf-8"))["coverage"]
+        when: read_document(out / f"validate-{when}" / "coverage.json", Coverage)["coverage"]
         for when in ((BEFORE, AFTER) if both else (BEFORE,))
     }
     named = ", ".join(flights)

@@ -1,15 +1,17 @@
 """The command line: builds the parser, turns errors into one line and an exit code.
 
-Exit codes: 0 done, 1 ran but the answer is no, 2 bad input, 130 interrupted.
+Exit codes: 0 done, 1 ran but the answer is no, 2 bad input, 130 interrupted (Ctrl-C), 143 ended by a signal (SIGTERM).
 """
 
 from __future__ import annotations
 
 import argparse
+import logging
 import os
 import sys
 from collections.abc import Sequence
 
+from sysid.terminal import clean_terminal
 from uqharness import (
     __version__,
     bounds_command,
@@ -76,6 +78,23 @@ def complete_parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; the process's exit code."""
+    with clean_terminal():
+        return _run(argv)
+
+
+class _Notes(logging.Handler):
+    """What the program has to say of its own accord, a line each on standard error."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print it."""
+        print(f"note: {record.getMessage()}", file=sys.stderr)
+
+
+def _run(argv: Sequence[str] | None) -> int:
+    logger = logging.getLogger("uqharness")
+    if not any(isinstance(handler, _Notes) for handler in logger.handlers):
+        logger.addHandler(_Notes())
+        logger.setLevel(logging.INFO)
     arguments = build_parser().parse_args(argv)
     try:
         code = int(arguments.handler(arguments))
@@ -91,6 +110,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The reader of our output has left (head, less): that is no error, but flushing at exit would complain.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except MemoryError:
+        print("uqharness: error: out of memory; free some, or give the command less to do", file=sys.stderr)
+        return 2
     except OSError as error:
         print(f"uqharness: error: {error.filename or 'file system'}: {error.strerror or error}", file=sys.stderr)
         return 2

@@ -7,6 +7,8 @@ import shlex
 import sys
 from pathlib import Path
 
+from sysid.terminal import drawing, visible
+
 
 def command_as_given(args: argparse.Namespace) -> str:
     """The command as given, files by name alone: what a reader needs to make the report again. ``args.parser`` is its parser."""
@@ -24,4 +26,4 @@ def command_as_given(args: argparse.Namespace) -> str:
 def show_stage(text: str) -> None:
     """The stage on a terminal's last line; nothing in a pipe."""
     if sys.stderr.isatty():
-        print(f"{text:<40}", end="\r", file=sys.stderr, flush=True)
+        print(f"{visible(text):<40}", end="\r", file=drawing(sys.stderr), flush=True)

@@ -12,7 +12,7 @@ from typing import Any
 from uqharness.aircraft import find_aircraft
 from uqharness.errors import BadInputError
 from uqharness.identify_command import add_flight_arguments, parse_channels, results_folder
-from uqharness.whole_files import check_folder
+from uqharness.whole_files import check_folder, inner_folder
 
 _EXAMPLE = """examples:
   uqharness compare espaaro --flight doublets.parquet --out gap
@@ -86,7 +86,7 @@ def _figures(found: Any, out: Any) -> None:
     from uqharness.replay_model import CONTROLS
     from uqharness.replay_plot import coefficient_figure, gap_figure, segment_figure
 
-    folder = results_folder(out / "figures")
+    folder = inner_folder(out, "figures")
     title = f"{found.flight} beside {found.aircraft}"
     shown = {
         m: {c: v for c, v in row.items() if math.isfinite(v) and found.channels[c].judged}

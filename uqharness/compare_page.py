@@ -10,11 +10,11 @@ import numpy as np
 
 from sysid.aero_terms import COEFFICIENTS
 from uqharness.channel_units import shown_channel
-from uqharness.histories import HISTORIES, History, read_histories
-from uqharness.page_files import read_document
+from uqharness.histories import HISTORIES, History, have, read_histories
 from uqharness.page_history import MOST_SEGMENTS, Model, end_to_end, history_section
 from uqharness.page_parts import Bullets, Cell, Facts, Figure, Figures, Level, Page, Say, Section, Table, Words, shown
 from uqharness.page_svg import Chart, Scale
+from uqharness.result_documents import Compare, read_document
 
 COMPARE = "compare.json"
 LIMIT = 1.15
@@ -22,7 +22,7 @@ LIMIT = 1.15
 
 def compare_page(folder: Path, prefix: str = "", segments: int = MOST_SEGMENTS) -> Page:
     """The page of the folder that ``uqharness compare`` wrote. Raises BadInputError."""
-    found = read_document(folder / COMPARE, ("aircraft", "flight", "channels", "coefficients", "reached_noise_floor"))
+    found = read_document(folder / COMPARE, Compare)
     histories = read_histories(folder / HISTORIES)
     # What is not judged (height, heading) may have a noise that says nothing.
     noise = {c: row["noise"] if row.get("judged", True) else None for c, row in found["channels"].items()}
@@ -157,7 +157,7 @@ def _coefficient_section(rows: Mapping[str, Mapping[str, Any]], histories: Seque
     figures = []
     series = [("{}_flight", "second thin", "flight"), ("{}_model", "first thin", "model")]
     for c in COEFFICIENTS:
-        if all(f"{c}_flight" in h.columns for h in histories) and histories:
+        if have(histories, (f"{c}_flight", f"{c}_model")):
             drawn = [(key.format(c), kind, words) for key, kind, words in series]
             label = f"{c} [1] that the flight demanded and that the model gives, segments end to end."
             figures.append(

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from uqharness.campaign_files import read_cases
 from uqharness.campaign_manifest import read_complete
 from uqharness.campaign_tables import CONFIDENCE, Condition, conditions, in_condition
-from uqharness.case_table import CASES, ERROR_METRICS, read_table
+from uqharness.case_table import CASES, ERROR_METRICS
 from uqharness.convergence import Growth, Repeats, growth, repeats
 from uqharness.errors import BadInputError
 
@@ -49,7 +50,7 @@ def study(folder: Path, metrics: Sequence[str] = (), number: int = REPEATS) -> l
     manifest = read_complete(folder)
     if number < 2:
         raise BadInputError(f"--repeats {number}: must be at least 2")
-    frame = read_table(folder / CASES).to_pandas()
+    frame = read_cases(folder, manifest)
     known = [name for name in ERROR_METRICS if name in frame and frame[name].notna().any()]
     wanted = list(metrics) or [name for name in METRICS if name in known]
     unknown = [name for name in wanted if name not in known]

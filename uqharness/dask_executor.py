@@ -7,7 +7,6 @@ way. What a flight may do to its process is dealt with on the worker's side, in 
 from __future__ import annotations
 
 import contextlib
-import pickle
 import queue
 import time
 import uuid
@@ -18,7 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from uqharness.campaign_manifest import binding_versions
-from uqharness.dask_task import Order, content_of, fly_order
+from uqharness.dask_orders import Order, answer_from, flight_name, order_text
+from uqharness.dask_task import content_of, fly_order
 from uqharness.errors import BadInputError
 from uqharness.executor import BATCH_S
 from uqharness.flight_spec import FlightSpec
@@ -73,10 +73,10 @@ class DaskExecutor:
                     future.add_done_callback(landed.put)
                 if not flying:
                     break
-                for future, outcome in self._outcomes(_drain(landed)):
+                for future, answer in self._answers(_drain(landed)):
                     _, order = flying.pop(future.key)
-                    if outcome is not None:
-                        batch.append(outcome)
+                    if answer is not None:
+                        batch.append(answer_from(answer, order.case_id))
                         continue
                     rounds[order.case_id] = rounds.get(order.case_id, 0) + 1
                     if rounds[order.case_id] < _ROUNDS:
@@ -104,8 +104,8 @@ class DaskExecutor:
 
     def _submit(self, key: str, order: Order) -> Any:
         with self._explained():
-            # Packed here, since Dask would look into the arguments for work of its own.
-            return self._client.submit(fly_order, pickle.dumps(order), key=key, pure=False)
+            # Text, since Dask would look into other arguments for work of its own, and its workers run what is no data.
+            return self._client.submit(fly_order, order_text(order), key=key, pure=False)
 
     def _look(self) -> None:
         """Count the cluster's threads now and then, and notice that it has gone."""
@@ -120,8 +120,8 @@ class DaskExecutor:
             self.workers = sum(self._client.nthreads().values())
         self._looked = time.monotonic()
 
-    def _outcomes(self, futures: list[Any]) -> Iterator[tuple[Any, CaseOutcome | None]]:
-        """Each future with its outcome; None where Dask gave the case up because the workers that had it were lost."""
+    def _answers(self, futures: list[Any]) -> Iterator[tuple[Any, Any]]:
+        """Each future with its answer; None where Dask gave the case up because the workers that had it were lost."""
         from distributed import KilledWorker
 
         if futures and all(future.status == "finished" for future in futures):
@@ -135,10 +135,10 @@ class DaskExecutor:
         for future in futures:
             with self._explained():
                 try:
-                    outcome = future.result()
+                    answer = future.result()
                 except KilledWorker:
-                    outcome = None
-            yield future, outcome
+                    answer = None
+            yield future, answer
 
     @contextlib.contextmanager
     def _explained(self) -> Iterator[None]:
@@ -191,13 +191,13 @@ def _connect(address: str, connect_s: float) -> Any:
 
 def _orders(fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[Order]:
     content: dict[tuple[Path, Path], tuple[str, str]] = {}
-    versions = binding_versions()
+    versions, name = binding_versions(), flight_name(fly)
     for case_id, flight in flights:
         aircraft, script = flight.aircraft.resolve(), flight.script.resolve()
         if (aircraft, script) not in content:
             content[aircraft, script] = content_of(aircraft, script)
         there = replace(flight, aircraft=aircraft, script=script)
-        yield Order(case_id, fly, there, content[aircraft, script], versions)
+        yield Order(case_id, name, there, content[aircraft, script], versions)
 
 
 def _drain(landed: queue.SimpleQueue[Any]) -> list[Any]:

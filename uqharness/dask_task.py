@@ -9,31 +9,19 @@ from __future__ import annotations
 import hashlib
 import multiprocessing
 import os
-import pickle
 import socket
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 from uqharness.aircraft import folder_hash
 from uqharness.campaign_manifest import binding_versions
+from uqharness.child_process import CHILD_ENVIRONMENT
+from uqharness.dask_orders import Answer, Order, answer_text, flight_function, order_from
 from uqharness.errors import BadInputError
-from uqharness.executor import SINGLE_THREAD, ProcessExecutor
-from uqharness.flight_spec import FlightSpec
-from uqharness.worker import CaseOutcome, FlightFunction
+from uqharness.executor import ProcessExecutor
+from uqharness.worker import CaseOutcome
 
 ABSENT = "not there"
-
-
-@dataclass(frozen=True)
-class Order:
-    """One case for a worker elsewhere. ``content`` and ``versions`` are what aircraft, script and program must be there."""
-
-    case_id: str
-    fly: FlightFunction
-    flight: FlightSpec
-    content: tuple[str, str]
-    versions: tuple[tuple[str, str], ...]
 
 
 def content_of(aircraft: Path, script: Path) -> tuple[str, str]:
@@ -44,36 +32,42 @@ def content_of(aircraft: Path, script: Path) -> tuple[str, str]:
     )
 
 
-def fly_order(packed: bytes) -> CaseOutcome:
-    """Fly a pickled Order. Raises BadInputError where this machine's files or versions are not the campaign's."""
-    order: Order = pickle.loads(packed)
-    _refuse_unlike(order.versions, order.content, order.flight.aircraft, order.flight.script)
-    key = pickle.dumps(order.fly)
-    executor = _take(key)
+def fly_order(text: str) -> str:
+    """Fly an order and give the answer, both as text; refused where this machine's files or versions are not the campaign's."""
     try:
-        (outcome,) = [item for batch in executor.run(order.fly, [(order.case_id, order.flight)]) for item in batch]
+        return answer_text(Answer(_flown(order_from(text))))
+    except BadInputError as error:
+        return answer_text(Answer(None, f"Dask worker on {socket.gethostname()}: {error}"))
+
+
+def _flown(order: Order) -> CaseOutcome:
+    fly = flight_function(order.fly)
+    _refuse_unlike(order.versions, order.content, order.flight.aircraft, order.flight.script)
+    executor = _take(order.fly)
+    try:
+        (outcome,) = [item for batch in executor.run(fly, [(order.case_id, order.flight)]) for item in batch]
     finally:
-        _idle.append((key, executor))
+        _idle.append((order.fly, executor))
     return outcome
 
 
 # One process per thread of this worker; list operations are atomic, so that threads need no lock.
-_idle: list[tuple[bytes, ProcessExecutor]] = []
+_idle: list[tuple[str, ProcessExecutor]] = []
 
 
-def _take(key: bytes) -> ProcessExecutor:
+def _take(fly: str) -> ProcessExecutor:
     while _idle:
         try:
             found, executor = _idle.pop()
         except IndexError:
             break
-        if found == key:
+        if found == fly:
             return executor
         executor.close()
     # Dask's nannies start workers as daemons, which Python forbids children, lest they be orphaned: ours follow their parent.
     multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
     # For good: the executors of several threads would otherwise restore it under one another's feet.
-    os.environ.update(dict.fromkeys(SINGLE_THREAD, "1"))
+    os.environ.update(CHILD_ENVIRONMENT)
     # This process has threads, so that a fork of it may hang.
     return ProcessExecutor(1, "spawn", keep=True)
 
@@ -84,8 +78,12 @@ _versions_here = lru_cache(maxsize=1)(binding_versions)
 def _refuse_unlike(
     versions: tuple[tuple[str, str], ...], content: tuple[str, str], aircraft: Path, script: Path
 ) -> None:
-    here = dict(_versions_here())
-    unlike = [f"{name} {wanted} there, {here[name]} here" for name, wanted in versions if here[name] != wanted]
+    there, here = dict(versions), dict(_versions_here())
+    unlike = [
+        f"{name} {there.get(name, 'unknown')} there, {here.get(name, 'unknown')} here"
+        for name in dict.fromkeys([*there, *here])
+        if there.get(name) != here.get(name)
+    ]
     found = content_of(aircraft, script)
     for what, path, wanted, have in zip(("aircraft", "script"), (aircraft, script), content, found, strict=True):
         if have == ABSENT:
@@ -94,6 +92,6 @@ def _refuse_unlike(
             unlike.append(f"{what} {path} has other content here")
     if unlike:
         raise BadInputError(
-            f"Dask worker on {socket.gethostname()}: {'; '.join(unlike)}. Every machine needs the same versions, and the files "
+            f"{'; '.join(unlike)}. Every machine needs the same versions, and the files "
             "under the same path: a common disk, or copies"
         )

@@ -7,12 +7,9 @@ Each is met here, so that the callers see :class:`~uqharness.errors.BadInputErro
 
 from __future__ import annotations
 
-import atexit
 import difflib
 import os
 import re
-import shutil
-import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -20,6 +17,7 @@ from typing import Any
 import jsbsim
 
 from uqharness.errors import BadInputError
+from uqharness.staging import Staging
 
 JSBSIM_VERSION: str = jsbsim.__version__
 
@@ -27,6 +25,7 @@ RuntimeFailure = RuntimeError
 """What JSBSim throws: its own errors, which derive from it, and the bare one of an illegal property name."""
 
 _MISSING = re.compile(r"[Pp]roperty\s+\"?([^\s\"]+?)\"?\s+(?:does not exist|is not defined|not found|is undefined)")
+_MOST_MESSAGES, _MOST_SHOWN = 200, 64
 _LEGAL_NAME = re.compile(r"/?[A-Za-z_][\w.\-]*(\[\d+\])?(/[A-Za-z_][\w.\-]*(\[\d+\])?)*")
 
 
@@ -49,9 +48,12 @@ class _Collector(jsbsim.FGLogger):
 
     def message(self, message: str) -> None:
         if self._level >= int(jsbsim.LogLevel.ERROR) and self._level != int(jsbsim.LogLevel.STDOUT):
+            # A model may complain in every frame of an hour.
+            if len(self.entries) >= _MOST_MESSAGES:
+                return
             self.entries.append((self._level, self._place, message))
             if self.mirror is not None:
-                os.write(self.mirror, f"{self._place}{message}\n".encode())
+                os.write(self.mirror, f"{_as_shown(self._place + message)}\n".encode())
 
     def format(self, format: jsbsim.LogFormat) -> None:
         pass
@@ -63,18 +65,24 @@ class _Collector(jsbsim.FGLogger):
         """Text of what was collected, and forget it."""
         text = " ".join((place + message).strip() for _, place, message in self.entries)
         self.entries.clear()
-        for staged, real in _shown_as.items():
-            text = text.replace(staged, real)
-        return re.sub(r"\s+", " ", text).strip()
+        return re.sub(r"\s+", " ", _as_shown(text)).strip()
 
 
 _collector: _Collector | None = None
 _shown_as: dict[str, str] = {}
 
 
-def show_as(staged: Path, real: Path) -> None:
-    """Name ``real`` in messages where JSBSim names ``staged``: the reader knows their own folder, not a copy's."""
-    _shown_as[str(staged)] = str(real)
+def _show_as(staging: Staging) -> None:
+    # The reader knows their own folder, not a copy's; of many stagings only the newest are still spoken of.
+    _shown_as.update((str(staged), str(real)) for staged, real in staging.shown)
+    while len(_shown_as) > _MOST_SHOWN:
+        del _shown_as[next(iter(_shown_as))]
+
+
+def _as_shown(text: str) -> str:
+    for staged, real in _shown_as.items():
+        text = text.replace(staged, real)
+    return text
 
 
 def _collect() -> _Collector:
@@ -96,86 +104,52 @@ def default_root() -> Path:
     return Path(jsbsim.get_default_root_dir())
 
 
-_scratch: str | None = None
-
-
-def _nowhere() -> str:
-    """A folder that goes when the process does: JSBSim opens the files of a model's own <output> even when output is disabled."""
-    global _scratch
-    if _scratch is None:
-        _scratch = tempfile.mkdtemp(prefix="uqharness-output-")
-        atexit.register(shutil.rmtree, _scratch, ignore_errors=True)
-    return _scratch
-
-
-def _new(
-    root: Path, dt_s: float, aircraft: str | Path | None, engine: str | Path | None, systems: str | Path | None
-) -> Any:
+def _new(staging: Staging, dt_s: float) -> Any:
     _collect().take()
-    fdm = jsbsim.FGFDMExec(str(root))
+    _show_as(staging)
+    fdm = jsbsim.FGFDMExec(str(staging.root))
     fdm.set_debug_level(0)
-    if aircraft is not None:
-        fdm.set_aircraft_path(str(aircraft))
-    if engine is not None:
-        fdm.set_engine_path(str(engine))
-    if systems is not None:
-        fdm.set_systems_path(str(systems))
-    fdm.set_output_path(_nowhere())
+    fdm.set_aircraft_path(str(staging.root / "aircraft"))
+    fdm.set_engine_path(str(staging.root / "engine"))
+    fdm.set_systems_path(str(staging.root / "systems"))
+    # No such folder: a model may ask for the state to be written in every frame (simulation/write-state-file).
+    fdm.set_output_path(str(staging.root / "nowhere"))
     fdm.set_dt(dt_s)
     return fdm
 
 
-def open_fdm(
-    root_dir: str | Path,
-    aircraft_name: str,
-    dt_s: float,
-    aircraft_path: str | Path | None = None,
-    engine_path: str | Path | None = None,
-    systems_path: str | Path | None = None,
-) -> Any:
-    """A fresh ``FGFDMExec`` with the model loaded and nothing run.
+def open_fdm(staging: Staging, dt_s: float) -> Any:
+    """A fresh ``FGFDMExec`` with the staged aircraft loaded and nothing run.
 
-    ``aircraft_path`` is the folder that holds the folder ``aircraft_name`` (default ``root_dir/aircraft``). The step is set before
-    loading, because filters compute their coefficients while they are read.
+    The step is set before loading, because filters compute their coefficients while they are read.
 
     Raises BadInputError with file and line when JSBSim does not accept the model.
     """
     log = _collect()
-    fdm = _new(Path(root_dir), dt_s, aircraft_path, engine_path, systems_path)
+    fdm = _new(staging, dt_s)
+    name = staging.name
     try:
-        loaded = fdm.load_model(aircraft_name)
+        loaded = fdm.load_model(name)
     except RuntimeFailure as error:
-        raise BadInputError(
-            f"aircraft '{aircraft_name}': JSBSim refused its XML: {log.take() or _one_line(error)}"
-        ) from None
+        raise BadInputError(f"aircraft '{name}': JSBSim refused its XML: {log.take() or _one_line(error)}") from None
     if not loaded:
         raise BadInputError(
-            f"aircraft '{aircraft_name}': JSBSim could not load it: {log.take() or 'no reason given'}; "
-            f"expected {aircraft_name}/{aircraft_name}.xml with <metrics>, <mass_balance>, <ground_reactions> and <aerodynamics>"
+            f"aircraft '{name}': JSBSim could not load it: {log.take() or 'no reason given'}; "
+            f"expected {name}/{name}.xml with <metrics>, <mass_balance>, <ground_reactions> and <aerodynamics>"
         )
-    # A model may carry <output> elements of its own; a host records for itself.
-    fdm.disable_output()
     return fdm
 
 
-def open_script(
-    root_dir: str | Path,
-    script: str | Path,
-    dt_s: float,
-    aircraft_path: str | Path | None = None,
-    engine_path: str | Path | None = None,
-    systems_path: str | Path | None = None,
-) -> Any:
-    """A fresh ``FGFDMExec`` with a run script, its aircraft and its initial conditions loaded, and nothing run."""
+def open_script(staging: Staging, script: str | Path, dt_s: float) -> Any:
+    """A fresh ``FGFDMExec`` with a run script that passed the gate, the staged aircraft and its initial conditions, nothing run."""
     log = _collect()
-    fdm = _new(Path(root_dir), dt_s, aircraft_path, engine_path, systems_path)
+    fdm = _new(staging, dt_s)
     try:
         loaded = fdm.load_script(str(script), dt_s)
     except RuntimeFailure as error:
         raise BadInputError(f"script {script}: JSBSim refused it: {log.take() or _one_line(error)}") from None
     if not loaded:
         raise BadInputError(f"script {script}: JSBSim could not load it: {log.take() or 'no reason given'}")
-    fdm.disable_output()
     return fdm
 
 

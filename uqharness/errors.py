@@ -2,6 +2,18 @@
 
 from __future__ import annotations
 
+from sysid.log_errors import shortened
+
 
 class BadInputError(Exception):
-    """Input that cannot be used. The text says what was received, what is allowed, and what to do next."""
+    """Input that cannot be used. The text says what was received, what is allowed, and what to do next.
+
+    ``lines`` are one sentence each: a file's mistakes may be several. What a file has put into one does not break it in two.
+    """
+
+    def __init__(self, *lines: str) -> None:
+        text = "\n".join(" ".join(line.split("\n")) for line in lines)
+        super().__init__(*shortened(text).split("\n"))
+
+    def __str__(self) -> str:
+        return "\n".join(self.args)

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from typing import Any, Protocol
 
+from uqharness.child_process import child_settings
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import FlightSpec
 from uqharness.worker import CaseOutcome, FlightFunction, attempt, work
@@ -34,8 +35,6 @@ _OUTSIDE_SIGNALS = (-9, -15)
 _START_FAILURES_ALLOWED = 3
 _START_S = 120.0
 _GOODBYE_S = 2.0
-# One thread per worker: BLAS would start one per core in each, and they would fight.
-SINGLE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
 class Executor(Protocol):
@@ -129,7 +128,7 @@ class ProcessExecutor:
         pool: list[_Worker] = self._kept
         self._start_failures = 0
         done = False
-        with _single_threaded_children():
+        with child_settings():
             try:
                 yield from self._loop(fly, source, again, pool)
                 done = True
@@ -277,17 +276,3 @@ def _describe(code: int | None) -> str:
         return f"signal {-code} ({signal.Signals(-code).name})"
     except ValueError:
         return f"signal {-code}"
-
-
-@contextlib.contextmanager
-def _single_threaded_children() -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in SINGLE_THREAD}
-    os.environ.update(dict.fromkeys(SINGLE_THREAD, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

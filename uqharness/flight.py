@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uqharness import engine
-from uqharness.aircraft import find_aircraft, find_folder, folder_hash
+from uqharness.aircraft import find_aircraft, find_folder, folder_fingerprint
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import TURBULENCE_W20_KT, FlightResult, FlightSpec
 from uqharness.mass_change import CHANGEABLE
@@ -77,7 +77,7 @@ def staged_mission(spec: FlightSpec) -> StagedMission:
 def _fingerprint(spec: FlightSpec) -> str:
     # A worker that lives for days must notice that somebody edited the aircraft: the staged copy is keyed by what it was made from.
     script = find_script(spec.script)
-    return f"{folder_hash(find_folder(spec.aircraft))}-{script.stat().st_mtime_ns}"
+    return f"{folder_fingerprint(find_folder(spec.aircraft))}-{script.stat().st_mtime_ns}"
 
 
 @lru_cache(maxsize=8)

@@ -17,6 +17,7 @@ from sysid.log_checks import in_degrees
 from sysid.log_errors import LogError
 from sysid.log_import import default_cache, import_log
 from sysid.manoeuvres import label_manoeuvres
+from sysid.regular_files import open_regular
 from sysid.segmentation import MAX_S, MIN_S, Piece, as_logged, cut
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
@@ -292,5 +293,5 @@ def read_flights(
 
 def file_hash(path: Path) -> str:
     """SHA-256 of a file's bytes."""
-    with path.open("rb") as handle:
+    with open_regular(path) as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()

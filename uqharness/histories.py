@@ -6,7 +6,7 @@ writer's choosing: a channel by its name as measured, ``<channel>_model`` beside
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from uqharness.case_table import read_table, write_table
+from uqharness.errors import BadInputError
 from uqharness.replay import Segment
 
 Array = NDArray[np.float64]
@@ -62,11 +63,12 @@ def write_pieces(path: Path, pieces: Sequence[tuple[str, str, Array]], columns: 
 
 
 def read_histories(path: Path) -> list[History]:
-    """Segments of a file, none where there is no file. Raises BadInputError for one that cannot be read."""
+    """Segments of a file, none where there is no file. Raises BadInputError for one that `write_pieces` cannot have written."""
     if not path.is_file():
         return []
-    frame = read_table(path).to_pandas()
-    names = [name for name in frame if name not in ("segment", "flight", "manoeuvre", "time_s")]
+    table = _checked(read_table(path), path)
+    frame = table.to_pandas()
+    names = [name for name in frame if name not in _KEYS]
     return [
         History(
             int(str(number)), str(rows["flight"].iloc[0]), str(rows["manoeuvre"].iloc[0]), rows["time_s"].to_numpy(dtype=float),
@@ -74,3 +76,24 @@ def read_histories(path: Path) -> list[History]:
         )
         for number, rows in frame.groupby("segment", sort=True)
     ]  # fmt: skip
+
+
+def have(pieces: Sequence[History], names: Iterable[str]) -> bool:
+    """Whether there are pieces and all have these columns."""
+    return bool(pieces) and set(names) <= set(pieces[0].columns)
+
+
+_KEYS = {"segment": pa.int64(), "flight": pa.string(), "manoeuvre": pa.string(), "time_s": pa.float64()}
+
+
+def _checked(table: pa.Table, path: Path) -> pa.Table:
+    """The table, if its columns are of the kinds that are written. Raises BadInputError naming the first that is not."""
+    names = table.column_names
+    for name in (*_KEYS, *names):
+        wanted = _KEYS.get(name, pa.float64())
+        if names.count(name) != 1 or table.column(name).type != wanted:
+            found = f"{table.column(name).type}" if names.count(name) == 1 else f"there {names.count(name)} times"
+            raise BadInputError(f"{path}: column {name} is {found}, it must be there once, of type {wanted}; run its command again")
+        if name in _KEYS and table.column(name).null_count:
+            raise BadInputError(f"{path}: column {name} has gaps; run its command again")
+    return table

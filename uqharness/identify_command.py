@@ -9,7 +9,7 @@ from pathlib import Path
 
 from uqharness.aircraft import find_aircraft
 from uqharness.errors import BadInputError
-from uqharness.whole_files import check_folder
+from uqharness.whole_files import check_folder, inner_folder
 
 _EXAMPLE = """examples:
   uqharness identify espaaro --flight doublets.parquet --out identified
@@ -165,7 +165,7 @@ def _figures(found: object, out: Path) -> None:
     from uqharness.replay_plot import segment_figure
 
     assert isinstance(found, Identification)
-    folder = results_folder(out / "figures")
+    folder = inner_folder(out, "figures")
     for number, segment in enumerate(found.segments):
         name = re.sub(r"[^\w.-]+", "-", f"{segment.flight}-{number:02d}-{segment.label}")
         title = f"{segment.flight}, {segment.label}, from {segment.time_s[0]:.1f} s ({found.method})"

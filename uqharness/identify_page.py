@@ -10,10 +10,10 @@ import numpy as np
 
 from uqharness.channel_units import shown_channel
 from uqharness.histories import HISTORIES, read_histories
-from uqharness.page_files import read_document
 from uqharness.page_history import MOST_SEGMENTS, Model, history_section
 from uqharness.page_parts import Bullets, Cell, Facts, Figure, Figures, Page, Say, Section, Table, Words, shown
 from uqharness.page_svg import Chart, Scale
+from uqharness.result_documents import Fit, read_document
 
 FIT = "fit.json"
 NEAR_NOISE = 1.15
@@ -22,7 +22,7 @@ _IDENTIFIED = "identified"
 
 def identify_page(folder: Path, prefix: str = "", segments: int = MOST_SEGMENTS) -> Page:
     """The page of the folder that ``uqharness identify`` wrote. Raises BadInputError."""
-    fit = read_document(folder / FIT, ("parameters", "fit", "flights", "aircraft"))
+    fit = read_document(folder / FIT, Fit)
     parameters = fit["parameters"]
     sections = [_parameter_section(parameters, prefix), _fit_section(fit["fit"])]
     noise = {c: row.get("noise") for c, row in fit["fit"].items()}

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import shutil
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uqharness.aircraft import Aircraft
+from uqharness.aircraft_files import copy_folder
 from uqharness.errors import BadInputError
 from uqharness.instrument_carry import carried_files
 from uqharness.instrument_record import FILE_NAME, Change, changed, read_record, restored, to_json
@@ -36,7 +36,7 @@ def write(aircraft: Aircraft, planned: Plan, out: Path) -> None:
         changes = _chained(read_record(aircraft.folder), changes)
     with tempfile.TemporaryDirectory(dir=out.absolute().parent, prefix=".instrument-") as temporary:
         copy = Path(temporary) / "new"
-        shutil.copytree(aircraft.folder, copy, symlinks=in_place, ignore=shutil.ignore_patterns(".git"))
+        copy_folder(aircraft.folder, copy, keep_links=in_place)
         for name, content in files.items():
             _put(copy / name, content)
         (copy / FILE_NAME).write_bytes(to_json(changes))
@@ -52,7 +52,7 @@ def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
     done = []
     with tempfile.TemporaryDirectory(dir=out.absolute().parent, prefix=".instrument-") as temporary:
         copy = Path(temporary) / "new"
-        shutil.copytree(folder, copy, symlinks=out.resolve() == folder.resolve(), ignore=shutil.ignore_patterns(".git"))
+        copy_folder(folder, copy, keep_links=out.resolve() == folder.resolve())
         for name, change in changes.items():
             path = copy / name
             if not path.is_file():

@@ -11,9 +11,11 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
+from sysid.parsed_text import parse_json
+from sysid.regular_files import read_regular
 from uqharness.errors import BadInputError
 from uqharness.xml_text import Insertion
 
@@ -67,14 +69,27 @@ def read_record(folder: Path) -> dict[str, Change]:
     """The changes made to ``folder``. BadInputError if there is no record, or it is not one."""
     path = folder / FILE_NAME
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = parse_json(read_regular(path))
         if document["format"] != FORMAT:
-            raise BadInputError(f"{path}: format is {document['format']!r}; '{FORMAT}' is read")
-        return {name: _change(row) for name, row in document["files"].items()}
+            raise BadInputError(f"{path}: format is {str(document['format'])[:80]!r}; '{FORMAT}' is read")
+        return {_inside(name): _change(row) for name, row in document["files"].items()}
     except FileNotFoundError:
         raise BadInputError(f"{folder}: no {FILE_NAME}, so nothing here was instrumented by uqharness") from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read: {error.strerror}") from None
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+        if isinstance(error, BadInputError):
+            raise
         raise BadInputError(f"{path}: is no record of an instrumentation ({error})") from None
+
+
+def _inside(name: str) -> str:
+    """The name, if it can only be that of a file inside the folder: undoing writes and removes what is named. Raises ValueError."""
+    parts = name.split("/")
+    hidden = any(part in ("", "..") or part.startswith(".") for part in parts)
+    if hidden or name == FILE_NAME or PureWindowsPath(name).drive or "\\" in name or "\0" in name:
+        raise ValueError(f"it names {name[:200]!r}, which is no file that an instrumentation makes")
+    return name
 
 
 def _change(row: Mapping[str, Any]) -> Change:
@@ -83,7 +98,10 @@ def _change(row: Mapping[str, Any]) -> Change:
         for at, text, removed in row.get("insertions", ())
     )
     content = row.get("content")
-    return Change(row["before"], row["after"], insertions, None if content is None else base64.b64decode(content))
+    before, after = row["before"], row["after"]
+    if not (isinstance(before, str) and isinstance(after, str)) or any(i.at < 0 for i in insertions):
+        raise ValueError("a hash is no text, or an insertion lies before its file")
+    return Change(before, after, insertions, None if content is None else base64.b64decode(content))
 
 
 def restored(path: Path, change: Change, now: bytes) -> bytes | None:
@@ -94,10 +112,10 @@ def restored(path: Path, change: Change, now: bytes) -> bytes | None:
     if not change.edited:
         return change.content
     if digest(now) == change.after:
-        return _exactly(change, now)
+        return _exactly(path, change, now)
     for insertion in change.insertions:
         if now.count(insertion.text) != 1:
-            line = insertion.text.decode("latin-1").strip().splitlines()[0]
+            line = next(iter(insertion.text.decode("latin-1").strip().splitlines()), "")
             raise BadInputError(
                 f"{path}: changed since it was instrumented, and the lines that begin with '{line}' are not there once as they "
                 "were written; take the uq/ lines out by hand"
@@ -106,7 +124,7 @@ def restored(path: Path, change: Change, now: bytes) -> bytes | None:
     return now
 
 
-def _exactly(change: Change, now: bytes) -> bytes:
+def _exactly(path: Path, change: Change, now: bytes) -> bytes:
     pieces, position, shift = [], 0, 0
     for insertion in change.insertions:
         begin = insertion.at + shift
@@ -115,5 +133,5 @@ def _exactly(change: Change, now: bytes) -> bytes:
         shift += len(insertion.text) - len(insertion.removed)
     out = b"".join([*pieces, now[position:]])
     if digest(out) != change.before:
-        raise BadInputError("the record of the instrumentation does not fit its file")
+        raise BadInputError(f"{path}: the record of the instrumentation does not fit this file; take the uq/ lines out by hand")
     return out

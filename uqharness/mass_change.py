@@ -18,6 +18,7 @@ from lxml import etree
 from uqharness import engine
 from uqharness.aircraft import Aircraft, parse_xml
 from uqharness.errors import BadInputError
+from uqharness.staging import Staging, copied
 
 _KG_PER_LB, _KG_M2_PER_SLUG_FT2, _M_PER_FT = 0.45359237, 1.3558179483314004, 0.3048
 _LB_PER_SLUG = 32.174049
@@ -58,16 +59,20 @@ CHANGEABLE = frozenset(_PLACES)
 
 
 class MassChange:
-    """Copies of one aircraft with other numbers in its XML, made in ``folder``; ``open_copy`` opens a mission with such a copy."""
+    """Copies of one aircraft with other numbers in its XML, made beside the staged one.
 
-    def __init__(self, aircraft: Aircraft, folder: Path, open_copy: Callable[[Path], Any]) -> None:
+    ``open_copy`` opens a mission with such a copy.
+    """
+
+    def __init__(self, aircraft: Aircraft, staging: Staging, open_copy: Callable[[Staging], Any]) -> None:
         self._aircraft = aircraft
-        self._root = folder / "changed"
+        self._staging = staging
+        self._changed: Staging | None = None
         self._open_copy = open_copy
         self._nominal: dict[str, float] | None = None
 
-    def realise(self, wanted: Mapping[str, float]) -> Path:
-        """Path of the folder that holds the aircraft's folder, in which every property of ``wanted`` stands at its value.
+    def realise(self, wanted: Mapping[str, float]) -> Staging:
+        """The staged copy in which every property of ``wanted`` stands at its value.
 
         Raises BadInputError for a value that cannot be (a mass of 0) and for a number that is not in the aircraft's own XML.
         """
@@ -84,7 +89,8 @@ class MassChange:
             self._move(elements, wanted, found)
             found = self._measure(tree, wanted)
             if all(_near(found[name], value, self._nominal[name]) for name, value in wanted.items()):
-                return self._root / "aircraft"
+                assert self._changed is not None
+                return self._changed
         left = ", ".join(f"{name} stands at {found[name]:g}, {value:g} was wanted" for name, value in wanted.items())
         raise BadInputError(
             f"{self._aircraft.xml}: mass properties cannot be set together as asked: {left}; "
@@ -93,7 +99,7 @@ class MassChange:
 
     def _elements(self, wanted: Mapping[str, float]) -> tuple[dict[str, etree._Element], etree._ElementTree]:
         path = self._aircraft.xml
-        tree = parse_xml(path)
+        tree = parse_xml(self._staging.xml)
         root = tree.getroot()
         found: dict[str, etree._Element] = {}
         for name in wanted:
@@ -132,15 +138,10 @@ class MassChange:
             element.text = repr(float(element.text or 0.0) + change)
 
     def _measure(self, tree: etree._ElementTree, names: Any) -> dict[str, float]:
-        folder = self._root / "aircraft" / self._aircraft.name
-        if not folder.is_dir():
-            folder.mkdir(parents=True)
-            for item in self._aircraft.folder.iterdir():
-                if item != self._aircraft.xml:
-                    (folder / item.name).symlink_to(item, target_is_directory=item.is_dir())
-            engine.show_as(folder, self._aircraft.folder)
-        tree.write(str(folder / self._aircraft.xml.name), encoding="UTF-8", xml_declaration=True)
-        fdm = self._open_copy(self._root / "aircraft")
+        if self._changed is None:
+            self._changed = copied(self._staging, self._staging.root / "changed")
+        tree.write(str(self._changed.xml), encoding="UTF-8", xml_declaration=True)
+        fdm = self._open_copy(self._changed)
         engine.run_ic(fdm)
         return {name: float(fdm[name]) for name in names}
 

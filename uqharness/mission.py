@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from lxml import etree
 
 from uqharness import engine
 from uqharness.aircraft import PROJECT_ROOT, Aircraft, check_loadable, parse_xml
+from uqharness.aircraft_files import read_xml
 from uqharness.errors import BadInputError
 from uqharness.mass_change import MassChange
+from uqharness.scratch import scratch_folder
+from uqharness.staging import Staging, stage
+from uqharness.xml_gate import passed
 
 ENDLESS_S = 1e9
 """End written into a staged script: the host counts steps itself."""
@@ -126,37 +129,36 @@ class StagedMission:
     """A script made ready for an aircraft in any folder; opens fresh instances until closed.
 
     The copy differs from the script in three ways: it uses this aircraft, it has no end unless
-    ``end_s`` gives one (the host counts), and it writes no output
-    files. Not safe to share between processes; cheap to make.
+    ``end_s`` gives one (the host counts), and it neither writes nor listens. Not safe to share between processes; cheap to make.
     """
 
     def __init__(self, aircraft: Aircraft, script_path: Path, end_s: float = ENDLESS_S) -> None:
         check_loadable(aircraft)
         self.aircraft = aircraft
         self.script = read_script(script_path)
+        named = PurePosixPath(self.script.initialize)
+        if named.is_absolute() or ".." in named.parts or "\\" in self.script.initialize:
+            raise BadInputError(
+                f"{script_path}: starts from '{self.script.initialize}'; initial conditions must lie in the aircraft's folder"
+            )
         start = aircraft.folder / self.script.initialize
         if not any(path.is_file() for path in (start, start.with_name(start.name + ".xml"))):
             raise BadInputError(
                 f"{script_path}: starts from the initial conditions '{self.script.initialize}', which aircraft "
                 f"'{aircraft.name}' does not have ({start}.xml); give a script made for this aircraft"
             )
-        self._folder = tempfile.TemporaryDirectory(prefix="uqharness-")
-        root = Path(self._folder.name)
-        (root / "aircraft").mkdir()
-        (root / "aircraft" / aircraft.name).symlink_to(aircraft.folder, target_is_directory=True)
-        engine.show_as(root / "aircraft" / aircraft.name, aircraft.folder)
-        tree = parse_xml(script_path)
-        document = tree.getroot()
+        self._scratch = scratch_folder("mission")
+        self._staging = stage(aircraft, self._scratch.path)
+        script = passed(read_xml(script_path), str(script_path))
+        document = etree.fromstring(script.content, etree.XMLParser(resolve_entities=False))
         use, run = document.find("use"), document.find("run")
         assert use is not None
         assert run is not None
         use.set("aircraft", aircraft.name)
         run.set("end", repr(end_s))
-        for output in document.findall("output"):
-            document.remove(output)
         self._mass: MassChange | None = None
-        self._staged = root / "script.xml"
-        tree.write(str(self._staged), encoding="UTF-8", xml_declaration=True)
+        self._staged = self._staging.root / "script.xml"
+        document.getroottree().write(str(self._staged), encoding="UTF-8", xml_declaration=True)
 
     def open(self, dt_s: float | None = None, changed: Mapping[str, float] | None = None) -> Any:
         """A fresh ``FGFDMExec`` with script, aircraft and initial conditions loaded, nothing run. Raises BadInputError.
@@ -164,25 +166,21 @@ class StagedMission:
         ``changed`` are mass properties (see mass_change) that are to stand at other values than in the aircraft's XML.
         """
         if not changed:
-            return self._open(self._staged.parent / "aircraft", dt_s)
+            return self._open(self._staging, dt_s)
         if self._mass is None:
-            self._mass = MassChange(self.aircraft, self._staged.parent, self._open)
+            self._mass = MassChange(self.aircraft, self._staging, self._open)
         return self._open(self._mass.realise(changed), dt_s)
 
-    def _open(self, aircraft_path: Path, dt_s: float | None = None) -> Any:
-        root = self._staged.parent
+    def _open(self, staging: Staging, dt_s: float | None = None) -> Any:
         try:
-            return engine.open_script(
-                root, self._staged, dt_s or self.aircraft.dt_s, aircraft_path, self.aircraft.engine_path,
-                self.aircraft.systems_path,
-            )  # fmt: skip
+            return engine.open_script(staging, self._staged, dt_s or self.aircraft.dt_s)
         except BadInputError as error:
             # The reader knows their own file, not the copy.
             raise BadInputError(str(error).replace(str(self._staged), str(self.script.path))) from None
 
     def close(self) -> None:
         """Remove the staged copy."""
-        self._folder.cleanup()
+        self._scratch.close()
 
     def __enter__(self) -> StagedMission:
         return self

@@ -16,9 +16,9 @@ from uqharness import properties
 from uqharness.aircraft import Aircraft
 from uqharness.campaign import find_mission
 from uqharness.campaign_aircraft import make_copy, needs_copy
-from uqharness.campaign_manifest import describe, read_manifest, refuse_if_different, spec_of
+from uqharness.campaign_files import read_cases
+from uqharness.campaign_manifest import describe, has_digests, read_complete, refuse_if_different, spec_of
 from uqharness.campaign_spec import CampaignSpec
-from uqharness.case_table import CASES, read_table
 from uqharness.cases import Case, Mission, build_cases
 from uqharness.errors import BadInputError
 from uqharness.flight import record_mission, staged_mission
@@ -55,27 +55,34 @@ class Occupancy:
 
 @dataclass(frozen=True)
 class CampaignMission:
-    """A finished campaign opened to fly some of it again. ``cases`` are those that ended well, ``failed`` how many did not."""
+    """A finished campaign opened to fly some of it again. ``cases`` are those that ended well, ``failed`` how many did not.
+
+    ``same_aircraft`` False: made by uqharness 0.1, which left no identity that tells whether the aircraft is as it was.
+    """
 
     folder: Path
     spec: CampaignSpec
     mission: Mission
     cases: tuple[Case, ...]
     failed: int
+    same_aircraft: bool = True
 
 
 def open_campaign(folder: Path) -> CampaignMission:
     """Raises BadInputError where the campaign's aircraft, script or versions are not what they were."""
-    manifest = read_manifest(folder)
+    manifest = read_complete(folder)
     spec = spec_of(manifest)
     mission = find_mission(spec, folder)
-    refuse_if_different(folder, manifest, describe(spec, mission, manifest["cases"], ""))
+    # What this version calls the same aircraft is not what 0.1 did: its hash may differ with not a byte changed.
+    but_for = () if has_digests(manifest) else ("uqharness", "aircraft")
+    refuse_if_different(folder, manifest, describe(spec, mission, manifest["cases"], ""), but_for)
     if needs_copy(spec):
         make_copy(spec, mission, folder)
-    table = read_table(folder / CASES).to_pandas()
+    table = read_cases(folder, manifest)
     ok = set(table.loc[table["status"] == "ok", "case_id"])
-    every = build_cases(spec, mission)
-    return CampaignMission(folder, spec, mission, tuple(c for c in every if c.case_id in ok), len(every) - len(ok))
+    every = build_cases(spec, replace(mission, aircraft_hash=manifest["hashes"]["aircraft"]))
+    flown = tuple(c for c in every if c.case_id in ok)
+    return CampaignMission(folder, spec, mission, flown, len(table) - len(ok), has_digests(manifest))
 
 
 def some_cases(cases: Sequence[Case], count: int) -> list[Case]:

@@ -6,10 +6,8 @@ Pure but for the flights that it simulates: writes nothing outside a temporary f
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +32,7 @@ from uqharness.point_trials import (
     try_points,
     unit_times,
 )
+from uqharness.scratch import scratch_folder
 from uqharness.test_point_script import MOST_BANK_RAD, RECOVERY_S, TRANSITION_S, schedule
 from uqharness.test_points import QUIET_S, REST_S, Condition, TestPoint, library
 
@@ -275,9 +274,9 @@ def _simulate(
     """The whole flight by the model; a point at which it ends is taken out. Raises BadInputError if it never ends well."""
     cutoffs = Cutoffs(form.filtering.cutoff_hz, form.filtering.airspeed_cutoff_hz)
     left, lost = list(picked), list[Refused]()
-    with tempfile.TemporaryDirectory(prefix="uqharness-") as folder:
+    with scratch_folder() as scratch:
         for attempt in range(_TRIES):
-            path = Path(folder) / f"next-flight-{attempt}.parquet"
+            path = scratch.path / f"next-flight-{attempt}.parquet"
             ok, flown_s, reason = fly_points(flight, [p for p, _ in left], seed, path)
             if ok:
                 return residuals_of(flight.aircraft, [path], cutoffs)[0], left, lost

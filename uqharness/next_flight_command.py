@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from uqharness.command_report import command_as_given, show_stage
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import COEFFICIENTS, TURBULENCE_W20_KT
-from uqharness.whole_files import check_folder
+from uqharness.whole_files import check_folder, inner_folder
 
 if TYPE_CHECKING:
     from sysid.missing_terms import MissingTerm
@@ -229,7 +229,7 @@ def _plan(
         title = f"{found.coefficient} of {aircraft.name}: what not knowing it costs where the mission flies"
         next_flight_figure(
             found.coefficient, bounds, found.bounds_then, mission.of(bounds.states), found.states, form.outside,
-            results_folder(out / "figures") / "next-flight.svg", title,
+            inner_folder(out, "figures") / "next-flight.svg", title,
         )  # fmt: skip
     for text in doc["warnings"]:
         print(f"uqharness: warning: {text}", file=sys.stderr)
@@ -291,6 +291,10 @@ def _warnings(
     if form.aircraft.sha256 != content_hash(aircraft) and campaign.spec.start is None:
         out.append(
             f"aircraft '{aircraft.name}' has changed since the bounds were made: they belong to the model as it was"
+        )
+    if not campaign.same_aircraft:
+        out.append(
+            "the campaign was made by uqharness 0.1: whether its aircraft is as it was cannot be told, nor whether its table is"
         )
     if campaign.spec.inputs.model_form is None:
         kind = "constant ones" if _constant(campaign) else "perhaps: those that the aircraft carries"

@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from uqharness.campaign_tables import Condition
 from uqharness.page_parts import Figure, Figures, Section, Table, Words
 from uqharness.page_svg import Chart, Scale
-from uqharness.sensitivity_command import SENSITIVITY
+from uqharness.sensitivity_tables import read_sensitivity
 
 _SHOWN = ("cross_track_median_m", "altitude_median_m", "speed_median_mps", "heading_median_deg")
 Row = Mapping[str, str]
 
 
-def sensitivity_section(folder: Path, prefix: str = "") -> Section | None:
-    """The section, or None where ``uqharness sensitivity`` has not been run on the folder."""
-    path = folder / SENSITIVITY
-    if not path.is_file():
+def sensitivity_section(folder: Path, manifest: Mapping[str, Any], prefix: str = "") -> Section | None:
+    """The section, or None where ``uqharness sensitivity`` has not been run on the folder. Raises BadInputError."""
+    rows = read_sensitivity(folder, manifest)
+    if not rows:
         return None
-    with path.open(encoding="utf-8", newline="") as handle:
-        rows = list(csv.DictReader(handle))
     order = ("none", "light", "moderate", "severe")
     cells = {(r["wind_mps"], r["turbulence"]) for r in rows}
     wind, air = max(cells, key=lambda cell: (order.index(cell[1]), float(cell[0])))

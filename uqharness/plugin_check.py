@@ -24,9 +24,10 @@ from numpy.typing import NDArray
 
 from sysid.aero_terms import COEFFICIENTS
 from uqharness import engine
-from uqharness.aircraft import Aircraft, find_aircraft, staged
+from uqharness.aircraft import Aircraft, find_aircraft
 from uqharness.errors import BadInputError
 from uqharness.preflight import child_environment
+from uqharness.staging import staged
 
 DELTA = 0.02
 DURATION_S = 10.0
@@ -209,9 +210,7 @@ def open_mid_envelope(aircraft: Aircraft, dt_s: float | None = None) -> tuple[An
 
 
 def _open(aircraft: Aircraft, dt_s: float | None) -> Any:
-    with staged(aircraft) as (root, path):
-        dt = dt_s or aircraft.dt_s
-        return engine.open_fdm(root, aircraft.name, dt, path, aircraft.engine_path, aircraft.systems_path)
+    return engine.open_fdm(staged(aircraft), dt_s or aircraft.dt_s)
 
 
 def _initial(fdm: Any, speed_fps: float) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -22,6 +21,7 @@ from uqharness.linear import linearise, modes
 from uqharness.mission import read_script
 from uqharness.record_writer import write_record
 from uqharness.residual_model import flight_residuals, prediction_of, read_bounds_flights
+from uqharness.scratch import scratch_folder
 from uqharness.test_point_script import AUTOPILOT, MOST_LOSS_M, RECOVERY_S, schedule, script_text
 from uqharness.test_points import TestPoint
 from uqharness.trim import SteadyCondition, find_trim
@@ -144,11 +144,11 @@ def try_points(
     """
     trials: list[Trial] = []
     refused: list[Refused] = []
-    with tempfile.TemporaryDirectory(prefix="uqharness-") as folder:
+    with scratch_folder() as scratch:
         for number, (_, group) in enumerate(groupby(points, key=lambda p: p.condition)):
             left, again = list(group), 0
             while left:
-                path = Path(folder) / f"trial-{number}-{again}.parquet"
+                path = scratch.path / f"trial-{number}-{again}.parquet"
                 again += 1
                 ok, flown_s, reason = fly_points(flight, left, seed + number, path)
                 timed, _ = schedule(left, flight.begin_s)

@@ -11,19 +11,27 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
+from sysid.memory_limit import MemoryLimit
+from sysid.regular_files import in_words
 from uqharness import engine
 from uqharness.errors import BadInputError
+from uqharness.staging import Named, staged
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 20.0
+MOST_BYTES = 1_500_000_000
+"""Of memory for one model: the largest that comes with JSBSim takes some 20 MB."""
+_REFUSED, _NOT_INITIALISED = 3, 4
 _checked: set[str] = set()
 
 
-def ensure_loadable(folder: Path, name: str, content: str, engine_path: Path, systems_path: Path) -> None:
-    """BadInputError if loading and initialising the model kills or hangs a process; returns at once if it is known to be sound.
+def ensure_loadable(aircraft: Named, content: str) -> None:
+    """BadInputError if the model cannot be loaded, or if initialising it kills or hangs a process; returns at once for a known one.
 
-    An error that JSBSim reports in an orderly way is not raised here: the caller meets it with better words. ``content`` is the
+    What JSBSim refuses in an orderly way is not loaded a second time in this process: after some such refusals (a propeller without
+    its tables) JSBSim's memory is spoilt. What it says when it initialises, the caller meets with better words. ``content`` is the
     hash of the model's files.
     """
     key = f"{content}-{engine.JSBSIM_VERSION}"
@@ -31,19 +39,24 @@ def ensure_loadable(folder: Path, name: str, content: str, engine_path: Path, sy
         return
     mark = _cache_folder() / key
     if not mark.is_file():
-        _try_in_child(folder, name, engine_path, systems_path)
+        _try_in_child(aircraft)
         _remember(mark)
     _checked.add(key)
 
 
-def _try_in_child(folder: Path, name: str, engine_path: Path, systems_path: Path) -> None:
-    command = [sys.executable, "-m", "uqharness.preflight", str(folder), name, str(engine_path), str(systems_path)]
+def _try_in_child(aircraft: Named) -> None:
+    folder = aircraft.folder
+    places = (folder, aircraft.xml.name, aircraft.engine_path, aircraft.systems_path)
+    command = [sys.executable, "-m", "uqharness.preflight", *map(str, places)]
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, timeout=TIMEOUT_S, env=child_environment(), check=False
+            command, capture_output=True, text=True, errors="replace", timeout=TIMEOUT_S, env=child_environment(), check=False
         )
     except subprocess.TimeoutExpired:
         raise BadInputError(f"aircraft {folder}: JSBSim did not finish loading it within {TIMEOUT_S:g} s") from None
+    if done.returncode == _REFUSED and done.stderr.strip():
+        words = done.stderr.strip()
+        raise BadInputError(words if str(folder) in words else f"{folder}: {words}")
     if done.returncode < 0 or done.returncode >= 128:
         number = -done.returncode if done.returncode < 0 else done.returncode - 128
         try:
@@ -58,8 +71,14 @@ def _try_in_child(folder: Path, name: str, engine_path: Path, systems_path: Path
 
 
 def child_environment() -> dict[str, str]:
-    """The environment in which a child process finds this package, wherever it was imported from."""
-    return os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).resolve().parent.parent), *sys.path])}
+    """The environment in which a child process finds this package, wherever it was imported from, and nothing of its folder.
+
+    Python puts the working folder first where a module or a command is run by name: a ``socket.py`` there would be imported.
+    """
+    here = str(Path(__file__).resolve().parent.parent)
+    foreign = {"", os.curdir, os.getcwd()}
+    places = [here, *(place for place in sys.path if place not in foreign)]
+    return os.environ | {"PYTHONPATH": os.pathsep.join(places), "PYTHONSAFEPATH": "1"}
 
 
 def _cache_folder() -> Path:
@@ -76,19 +95,36 @@ def _remember(mark: Path) -> None:
         return
 
 
-def _child(folder: str, name: str, engine_path: str, systems_path: str) -> int:
-    import tempfile
+@dataclass(frozen=True)
+class _Unread:
+    """An aircraft by its places alone, its card unread."""
 
+    folder: Path
+    xml: Path
+    engine_path: Path
+    systems_path: Path
+
+    @property
+    def name(self) -> str:
+        return self.xml.stem
+
+
+def _child(folder: str, xml: str, engine_path: str, systems_path: str) -> int:
     engine.mirror_messages(sys.stdout.fileno())
-    with tempfile.TemporaryDirectory(prefix="uqharness-") as temporary:
-        aircraft_path = Path(temporary) / "aircraft"
-        aircraft_path.mkdir()
-        (aircraft_path / name).symlink_to(folder, target_is_directory=True)
+    aircraft = _Unread(Path(folder), Path(folder) / xml, Path(engine_path), Path(systems_path))
+    with MemoryLimit(MOST_BYTES):
         try:
-            fdm = engine.open_fdm(temporary, name, 0.01, aircraft_path, engine_path, systems_path)
+            fdm = engine.open_fdm(staged(aircraft), 0.01)
+        except BadInputError as error:
+            print(error, file=sys.stderr)
+            return _REFUSED
+        except MemoryError:
+            print(f"loading it takes more than {in_words(MOST_BYTES)} of memory", file=sys.stderr)
+            return _REFUSED
+        try:
             engine.run_ic(fdm)
         except BadInputError:
-            return 3
+            return _NOT_INITIALISED
     return 0
 
 

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn
 from rich.progress import Progress as Bar
 
+from sysid.terminal import drawing
 from uqharness.campaign import Progress
 
 
@@ -16,7 +17,8 @@ class ProgressView:
     """Context whose ``update`` is a campaign's ``on_progress``. Draws on standard error, and only on a terminal."""
 
     def __init__(self, console: Console | None = None) -> None:
-        self._console = console or Console(stderr=True, file=sys.stderr)
+        # The bar moves the cursor itself; what it writes beside it holds no text of anybody's.
+        self._console = console or Console(stderr=True, file=drawing(sys.stderr))
         self._bar: Bar | None = None
         self._task: TaskID | None = None
 

@@ -23,7 +23,7 @@ from sysid.gust_intensity import Gusts
 from sysid.side_by_side import Processes
 from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
-from uqharness.refine_base import base_fit_and_noise, undetermined
+from uqharness.refine_base import Base, base_fit_and_noise, undetermined
 from uqharness.refine_begin import OVERWHELMING, WEAK_IN_GUSTS, strong_first
 from uqharness.refine_candidates import effect_columns
 from uqharness.refine_fit import Fit, Setup, positions
@@ -77,7 +77,7 @@ class Found:
     gusts           the air, where it was turbulent and the flights were judged by one-step predictions
     late_s          by how much all controls were moved later than recorded before the choice was made
     slopes          numbers that effects of stall and propulsion are written with
-    held            key -> value flown in ``after``, of chosen effects whose number JSBSim reads once
+    flown           key -> value that an effect has in ``after``
     unnamed         effects that were chosen and are too weak to be named beside something unexplained
     """
 
@@ -93,11 +93,10 @@ class Found:
     gusts: Gusts | None = None
     scoreboard: tuple[tuple[str, float], ...] = ()
     limit: float = float("nan")
-    staged: Aircraft | None = None
     late_s: float = 0.0
     trail: tuple[str, ...] = field(default=())
     slopes: Mapping[str, float] = field(default_factory=dict)
-    held: Mapping[str, float] = field(default_factory=dict)
+    flown: Mapping[str, float] = field(default_factory=dict)
     unnamed: tuple[Choice, ...] = ()
 
     @property
@@ -127,7 +126,7 @@ def find_effects(
         stage = f"parameters{len(put_right) or ''}"
         given = setup
         before, names, notes, noise = keep(
-            stage, lambda: base_fit_and_noise(aircraft, bench, given, asked, limits, map_)
+            stage, Base, lambda: base_fit_and_noise(aircraft, bench, given, asked, limits, map_)
         )
         setup = replace(setup, noise=noise)
         effects = candidates_for(setup, names, extra, lone)
@@ -138,6 +137,7 @@ def find_effects(
             controls, bends = positions(bench.model, gusty, map_), middles(bench.model, gusty, map_)
             air = keep(
                 f"air{len(put_right) or ''}",
+                GustFit,
                 lambda: gust_refit(bench.straight, gusty, controls, bends, at, names, limits, map_, tune=True),
             )
             if air.gusts.air:
@@ -180,7 +180,7 @@ def find_effects(
         parameters = _parameters(evidence, names, before, none)
         plain = {n: before.flown.point.values[n] for n in names}
         return Found(
-            setup, names, before, before, none, by_key, parameters, tuple(notes), plain, None, board, limit, None,
+            setup, names, before, before, none, by_key, parameters, tuple(notes), plain, None, board, limit,
             sum(put_right), tuple(trail),
         )  # fmt: skip
     selection = with_resolution(resolved(start, best), by_key, setup.segments[0].dt_s)
@@ -189,8 +189,8 @@ def find_effects(
     selection, slopes = of_lift_slope(selection, before, best.fit)
     return Found(
         best.setup, names, before, best.fit, selection, by_key, parameters,
-        tuple(notes), {n: before.flown.point.values[n] for n in names}, None, board, limit, best.staged, sum(put_right),
-        tuple(trail), slopes, best.held,
+        tuple(notes), {n: before.flown.point.values[n] for n in names}, None, board, limit, sum(put_right),
+        tuple(trail), slopes, best.about.flown,
     )  # fmt: skip
 
 
@@ -261,8 +261,9 @@ def _in_gusts(
         setup if best is None else best.setup, names, found.fit, after, selection, by_key,
         parameters, (*notes, note), _moved_alone(evidence, names, found.fit),
         air,
-        score_table(evidence, free, odds, by_key), limit, None if best is None else best.staged,
-        trail=tuple(f"one-step predictions: {line}" for line in trail), slopes=slopes, held={} if best is None else best.held,
+        score_table(evidence, free, odds, by_key), limit,
+        trail=tuple(f"one-step predictions: {line}" for line in trail), slopes=slopes,
+        flown={} if best is None else best.about.flown,
     )  # fmt: skip
 
 

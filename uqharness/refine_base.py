@@ -19,12 +19,14 @@ from uqharness.refine_setup import Bench, estimated_channels, turbulent
 SETTLED = 0.01
 """Relative fall of the cost."""
 ESTIMATOR_ROUNDS = 2
+Base = tuple[Fit, tuple[str, ...], list[str], NDArray[np.float64]]
+"""Fit, names estimated, notes, and the noise (m,) of the outputs."""
 
 
 def base_fit_and_noise(
     aircraft: Aircraft, bench: Bench, setup: Setup, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]],
     map_: Processes,
-) -> tuple[Fit, tuple[str, ...], list[str], NDArray[np.float64]]:  # fmt: skip
+) -> Base:  # fmt: skip
     """base_fit, and the noise (m,) of the outputs: that of channels which the autopilot's estimator computed is what the fit
     leaves of them, for no card knows an estimator's error."""
     fit, kept, notes = base_fit(aircraft, bench, setup, names, limits, map_)

@@ -17,7 +17,7 @@ from uqharness.bounds_validation import validate
 from uqharness.errors import BadInputError
 from uqharness.flights import Flight
 from uqharness.residual_model import recut
-from uqharness.whole_files import write_bytes
+from uqharness.whole_files import inner_folder, write_bytes
 
 FOLDER = "intervals"
 LEVEL = 0.95
@@ -76,7 +76,7 @@ def write_forms(found: Mapping[str, Intervals], out: Path) -> dict[str, Path]:
     paths = {}
     for name, intervals in found.items():
         if intervals.form is not None:
-            paths[name] = out / FOLDER / f"{name}.json"
+            paths[name] = inner_folder(out, FOLDER) / f"{name}.json"
             write_bytes(paths[name], intervals.form.to_json().encode())
     return paths
 

@@ -20,7 +20,7 @@ from uqharness.refine import Found, in_one_step, with_resolution
 from uqharness.refine_candidates import effect_columns
 from uqharness.refine_fit import Setup
 from uqharness.refine_gusts import GustFit, gust_evidence
-from uqharness.refine_rounds import candidate_evidence, effect_value
+from uqharness.refine_rounds import candidate_evidence
 from uqharness.refine_show import Shown, show
 from uqharness.refine_xml import in_dynamics
 
@@ -175,13 +175,7 @@ def evidence_of(found: Found, air: Gusts | None) -> Evidence:
         evidence = gust_evidence(found.setup, fit, columns)
     else:
         evidence = candidate_evidence(found.setup, found.after, rest)
-    if found.staged is None:
-        return evidence
-    values = {c.key: c.value for c in found.selection.chosen} | dict(found.held)
-    point, carriers = found.after.flown.point, found.setup.carriers
-    return evidence.taken_out({
-        e.key: effect_value(e, point, carriers, found.staged, values.get(e.key, 0.0)) for e in found.setup.active
-    })  # fmt: skip
+    return evidence.taken_out(found.flown) if found.flown else evidence
 
 
 def left_out(found: Found, evidence: Evidence, keys: Sequence[str]) -> Found:

@@ -11,8 +11,7 @@ import numpy as np
 from sysid.aero_terms import COEFFICIENTS
 from uqharness.channel_units import shown_channel
 from uqharness.compare_page import ratio_figure
-from uqharness.histories import HISTORIES, History, read_histories
-from uqharness.page_files import read_document
+from uqharness.histories import HISTORIES, History, have, read_histories
 from uqharness.page_history import Z95, Model, end_to_end, history_section
 from uqharness.page_parts import (
     Block,
@@ -32,6 +31,8 @@ from uqharness.page_parts import (
 from uqharness.refine_effects_page import effect_section, headline
 from uqharness.refine_shown_page import interval_section, mission_section
 from uqharness.refine_words import left_over, nowhere, test_says
+from uqharness.refinement_content import Refinement
+from uqharness.result_documents import read_document
 
 REFINEMENT = "refinement.json"
 _DIFF_LINES = 400
@@ -39,7 +40,7 @@ _DIFF_LINES = 400
 
 def refine_page(folder: Path, prefix: str = "") -> Page:
     """The page of the folder that ``uqharness refine`` wrote. Raises BadInputError."""
-    done = read_document(folder / REFINEMENT, ("verdict", "effects", "disagreement", "gap", "remaining"))
+    done = read_document(folder / REFINEMENT, Refinement)
     histories = read_histories(folder / HISTORIES)
     gap = done["gap"]["test"]
     sections = [effect_section(done, prefix), _where_section(done), gap_section(gap, prefix)]
@@ -182,7 +183,7 @@ def _coefficient_figures(
 ) -> tuple[Figure, ...]:
     out = []
     for c in names:
-        if not histories or not all(f"{c}_gap_before" in h.columns for h in histories):
+        if not have(histories, (f"{c}_gap_before", f"{c}_gap_after")):
             continue
         noise = gap["coefficients"].get(c, {}).get("noise_rms")
         band = None

@@ -17,15 +17,24 @@ import pandas as pd
 from uqharness import engine
 from uqharness.aircraft import Aircraft, open_aircraft
 from uqharness.campaign import Progress, find_mission, run_campaign
-from uqharness.campaign_manifest import MANIFEST, describe, read_manifest, refuse_if_different
+from uqharness.campaign_files import read_cases
+from uqharness.campaign_manifest import (
+    MANIFEST,
+    describe,
+    has_digests,
+    read_complete,
+    read_manifest,
+    refuse_if_different,
+)
 from uqharness.campaign_spec import CampaignSpec, campaign_from, read_campaign
 from uqharness.campaign_tables import conditions, in_condition, samples
-from uqharness.case_table import CASES, ERROR_METRICS, UNCOMMANDED_METRICS, read_table
+from uqharness.case_table import ERROR_METRICS, UNCOMMANDED_METRICS
 from uqharness.errors import BadInputError
 from uqharness.executor import ProcessExecutor, usable_cores
 from uqharness.mission import find_script, read_script
 from uqharness.pbox import Sample, envelope
 from uqharness.start_spec import STEADY
+from uqharness.whole_files import inner_folder
 
 FOLDER = "pbox"
 DRAWN = ("cross_track_median_m", "cross_track_max_m", "altitude_median_m")
@@ -152,10 +161,10 @@ def fly_missions(
             data = campaign_for(next(iter(models.values())).aircraft, campaign)
             for name, model in models.items():
                 spec = specification(data, model)
-                folder = out / FOLDER / name
+                folder = inner_folder(out, FOLDER, name)
                 _clear_if_other(folder, spec)
                 run_campaign(spec, folder, executor=executor, on_progress=_told(say, name), command="uqharness refine")
-                frames[name] = read_table(folder / CASES).to_pandas()
+                frames[name] = read_cases(folder, read_complete(folder))
         except BadInputError as error:
             return no_pbox(str(error))
     every = list(frames.values())
@@ -165,12 +174,16 @@ def fly_missions(
 
 
 def _clear_if_other(folder: Path, spec: CampaignSpec) -> None:
-    """Remove an earlier refinement's campaign, whose model or intervals were others."""
+    """Remove an earlier refinement's campaign, whose model or intervals were others. Raises BadInputError for a damaged one."""
     if not (folder / MANIFEST).is_file():
         return
+    manifest = read_manifest(folder)
     try:
-        refuse_if_different(folder, read_manifest(folder), describe(spec, find_mission(spec, folder), 0, ""))
+        refuse_if_different(folder, manifest, describe(spec, find_mission(spec, folder), 0, ""))
+        other = not has_digests(manifest)
     except BadInputError:
+        other = True
+    if other:
         shutil.rmtree(folder)
 
 

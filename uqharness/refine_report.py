@@ -16,7 +16,7 @@ from uqharness.refine_show import most_improved
 from uqharness.refine_words import carried_by, interval_lines, left_over, nowhere, pbox_lines, test_says
 from uqharness.replay_model import CONTROLS
 from uqharness.report_page import write_report as write_page
-from uqharness.whole_files import write_bytes
+from uqharness.whole_files import inner_folder, write_bytes
 
 FIGURES = ("gap.svg", "history.svg", "intervals.svg", "pbox.svg", "candidates.svg", "coefficients.svg")
 
@@ -64,8 +64,7 @@ def _figures(done: Refinement, out: Path) -> None:
     from uqharness.refine_plot import candidates_figure, residual_figure, shrinkage_figure
     from uqharness.refine_show_plot import history_figure, intervals_figure, pbox_figure
 
-    folder = out / "figures"
-    folder.mkdir(exist_ok=True)
+    folder = inner_folder(out, "figures")
     gap = done.document["gap"]["test"]
     setup, before, after = done.judged.test
     shrinkage_figure(gap, folder / "gap.svg", "Test flights: gap before and after")

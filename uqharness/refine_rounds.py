@@ -73,7 +73,6 @@ class Round:
     """
 
     setup: Setup
-    staged: Aircraft
     fit: Fit
     evidence: Evidence
     selection: Selection
@@ -265,7 +264,7 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     cost = fit.flown.cost if gusts is None else surprise
     merit = cost + sum(by_key[k].odds + EARNED * start.limit**2 for k in keys)
     return Round(
-        setup, staged, fit, evidence, Selection(own, again.refused, again.trail), again, standing and not moving, merit, gusts,
+        setup, fit, evidence, Selection(own, again.refused, again.trail), again, standing and not moving, merit, gusts,
         About(fit.flown.point, evidence, values), surprise, {c.key: written[c.key] for c in held}, far,
     )  # fmt: skip
 

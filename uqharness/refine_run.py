@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import shutil
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,6 +14,7 @@ from sysid.effects import Effect
 from sysid.side_by_side import Processes
 from uqharness import __version__, engine
 from uqharness.aircraft import Aircraft, content_hash, find_aircraft, open_aircraft
+from uqharness.aircraft_files import copy_beside
 from uqharness.campaign_manifest import MANIFEST
 from uqharness.flights import Flight, read_flights, renamed
 from uqharness.refine import (
@@ -51,6 +51,8 @@ from uqharness.refine_stages import FOLDER, Stages
 from uqharness.refine_timing import later
 from uqharness.refine_xml import Written, write_effects
 from uqharness.replay_model import CONTROLS
+from uqharness.scratch import scratch_folder
+from uqharness.whole_files import inner_folder
 from uqharness.worker_map import worker_map
 
 Say = Callable[[str], None]
@@ -118,13 +120,14 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
     train, test = _read(request, request.train), _read(request, request.test)
     names = renamed([f.name for f in test.flights])
     test = replace(test, flights=[replace(f, name=n) for f, n in zip(test.flights, names, strict=True)])
-    with worker_map(request.workers) as map_, tempfile.TemporaryDirectory(prefix="uqharness-") as temporary:
-        work = Path(temporary)
+    with worker_map(request.workers) as map_, scratch_folder() as scratch:
+        work = scratch.path
         identity = _identity(request)
         stages = Stages(request.out / FOLDER, identity)
         setup = train.setup(aircraft)
         chosen = stages(
             "effects",
+            Found,
             lambda: believed(
                 lambda lone: find_effects(
                     aircraft, setup, train.measured, train.ideal, request.extra, work / f"lone-{lone}", map_, say, stages, lone=lone
@@ -132,10 +135,10 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
             ),
         )
         train, test = train.later(chosen.late_s), test.later(chosen.late_s)
-        chosen = stages("named", lambda: _named(request, chosen, train, work, map_))
+        chosen = stages("named", Found, lambda: _named(request, chosen, train, work, map_))
         say("flying the test flights with both models")
         shown = Stages(request.out / FOLDER, [*identity, *test.hashes])
-        judged = shown("judged", lambda: _judged(request, chosen, train, test, work, map_))
+        judged = shown("judged", Judged, lambda: _judged(request, chosen, train, test, work, map_))
         say("writing the aircraft")
         target = _put(_write(request, judged.found, work / "refined"), aircraft, request.out)
         models = {"before": target}
@@ -148,7 +151,7 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
             _remove_stale(request.out, aircraft)
         say("intervals of both models")
         jobs = [IntervalJob(m, train.set(), test.set(), request.ideal_servos) for m in models.values()]
-        intervals = shown("intervals", lambda: before_and_after(jobs, map_))
+        intervals = shown("intervals", tuple[Intervals, Intervals], lambda: before_and_after(jobs, map_))
         controls = _controls(models["before"], train, aircraft, map_)
     forms = write_forms(dict(zip(models, intervals, strict=False)), request.out)
     mission = _mission(request, models, forms, say)
@@ -221,13 +224,9 @@ def _write(request: Request, found: Found, folder: Path) -> Aircraft:
 
 def _put(made: Aircraft, given: Aircraft, root: Path) -> Aircraft:
     """The aircraft in its place under ``root``, with the engines and systems that lie beside the one given."""
-    target = root / "aircraft" / made.folder.name
-    target.parent.mkdir(parents=True, exist_ok=True)
+    target = inner_folder(root, "aircraft") / made.folder.name
     write_bytes_tree(made.folder, target)
-    own = given.folder.parent.parent
-    for part in ("engine", "systems"):
-        if own != engine.default_root() and (own / part).is_dir():
-            write_bytes_tree(own / part, root / part)
+    copy_beside(given, root, engine.default_root())
     return find_aircraft(target)
 
 

@@ -3,6 +3,7 @@ their own."""
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from sysid.gaps import rms, theil
 from sysid.gust_intensity import Gusts
 from sysid.side_by_side import Processes
 from uqharness.aircraft import Aircraft
+from uqharness.aircraft_files import copy_folder
 from uqharness.flights import Flight, states
 from uqharness.identify_start import demand_of, forced_at
 from uqharness.logged_commands import command_later
@@ -251,11 +253,9 @@ def state_ranges(setup: Setup, flown: Flown, controls: Sequence[Array]) -> list[
 
 def write_bytes_tree(source: Path, target: Path) -> None:
     """Copy a folder beside its place and put it there at once; an earlier one is replaced."""
-    import shutil
-
     beside = target.with_name(f".{target.name}.part")
     shutil.rmtree(beside, ignore_errors=True)
-    shutil.copytree(source, beside)
+    copy_folder(source, beside)
     if target.exists():
         shutil.rmtree(target)
     beside.rename(target)

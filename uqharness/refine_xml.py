@@ -8,7 +8,6 @@ property of its own that restores the model without it bit for bit: a term's at 
 from __future__ import annotations
 
 import re
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from sysid.effects import Effect
 from uqharness.aero_section import AeroSection, read_section
 from uqharness.aero_summands import Reference, SectionEdit, add_deltas, add_functions
 from uqharness.aircraft import Aircraft
+from uqharness.aircraft_files import copy_folder
 from uqharness.refine_numbers_xml import servo_switch, write_actuator, write_mass
 from uqharness.refine_terms_xml import subsystem_terms, term_xml
 from uqharness.xml_estimates import Estimate, put_values
@@ -70,7 +70,7 @@ def write_effects(
 
     deltas: put every new term beside the axes, although the author has a sum for it. Raises BadInputError.
     """
-    shutil.copytree(aircraft.folder, out, symlinks=False)
+    copy_folder(aircraft.folder, out)
     mine = [_with_switch(w, aircraft) for w in effects if in_dynamics(w.effect)]
     for w in mine:
         # Numbers first: an insertion counts bytes of the file as it was read.

@@ -7,8 +7,6 @@ a second time. Only the copy differs; every number of the aerodynamics is the or
 from __future__ import annotations
 
 import re
-import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -23,6 +21,8 @@ from uqharness import engine
 from uqharness.aircraft import Aircraft, Card, check_loadable, parse_xml
 from uqharness.errors import BadInputError
 from uqharness.properties import SECOND_ORDER, position_factor
+from uqharness.scratch import scratch_folder
+from uqharness.staging import Staging, stage
 
 CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 Array = NDArray[np.float64]
@@ -43,10 +43,7 @@ class ReplayModel:
     ``near_ground`` whether its XML reads the height above the ground, ``by_rates`` whether it reads the rates of alpha or beta.
     """
 
-    root: Path
-    name: str
-    engine_path: Path
-    systems_path: Path
+    staging: Staging
     card: Card
     controls: tuple[str, ...]
     measured: tuple[str, ...]
@@ -67,7 +64,7 @@ class ReplayModel:
 
     def open(self, dt_s: float) -> Any:
         """A fresh ``FGFDMExec`` in the card's open-loop mode with the replay's integrators, nothing run. Raises BadInputError."""
-        fdm = engine.open_fdm(self.root, self.name, dt_s, self.root / "aircraft", self.engine_path, self.systems_path)
+        fdm = engine.open_fdm(self.staging, dt_s)
         for name, value in {**self.card.modes.get("open_loop", {}), **self.settings}.items():
             engine.set_property(fdm, name, value)
         for name, value in SECOND_ORDER.items():
@@ -103,25 +100,23 @@ class ReplayFolder:
                 f"aircraft '{aircraft.name}': its airframe.toml has no [inputs.{missing[0]}]; a replay needs to know which "
                 "property that control is"
             )
-        self._temporary = tempfile.TemporaryDirectory(prefix="uqharness-")
-        root = Path(self._temporary.name)
-        copy = root / "aircraft" / aircraft.name
-        shutil.copytree(aircraft.folder, copy, symlinks=False)
-        card = aircraft.card
+        self._scratch = scratch_folder("replay")
+        staging = stage(aircraft, self._scratch.path)
+        copy, card = staging.folder, aircraft.card
         lagging = _edit(copy, aircraft.xml.name, card, (*measured, *ideal))
         self.model = ReplayModel(
-            root, aircraft.name, aircraft.engine_path, aircraft.systems_path, card, tuple(controls), tuple(measured),
+            staging, card, tuple(controls), tuple(measured),
             tuple(_factor(card, name) for name in controls), tuple(c for c in controls if card.inputs[c].position in lagging),
             dict(settings or {}), near_ground=_asks_for(_HEIGHT, copy), by_rates=_asks_for(_RATES, copy),
         )  # fmt: skip
-        _declare_orphans(self.model, copy / aircraft.xml.name, aircraft.dt_s)
+        _declare_orphans(self.model, staging.xml, aircraft.dt_s)
         self.model = replace(self.model, throws=_throws(self.model, (*measured, *ideal), aircraft.dt_s))
 
     def __enter__(self) -> ReplayModel:
         return self.model
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
-        self._temporary.cleanup()
+        self._scratch.close()
 
 
 def _asks_for(names: re.Pattern[str], folder: Path) -> bool:
@@ -219,7 +214,7 @@ def _surface(name: str) -> str:
 
 def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> None:
     """Declare, at zero, the properties that only the systems left out used to make."""
-    fdm = engine.open_fdm(model.root, model.name, dt_s, model.root / "aircraft", model.engine_path, model.systems_path)
+    fdm = engine.open_fdm(model.staging, dt_s)
     manager = fdm.get_property_manager()
     names = [n for n in model.card.modes.get("open_loop", {}) if not manager.hasNode(n)]
     names += engine.undefined_properties(fdm)

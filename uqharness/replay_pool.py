@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from uqharness.child_process import child_settings
 from uqharness.replay_simulation import Replay
+from uqharness.worker import end_with_parent
 
 Array = NDArray[np.float64]
 
@@ -25,18 +27,10 @@ def process_count(workers: int | None) -> int:
 
 @contextmanager
 def process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
-    """So many spawned processes of one thread each."""
-    # Small matrices: idle threads of a linear algebra library would only take the cores from the simulations.
-    before = os.environ.get("OPENBLAS_NUM_THREADS")
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    try:
-        with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
-            yield pool
-    finally:
-        if before is None:
-            del os.environ["OPENBLAS_NUM_THREADS"]
-        else:
-            os.environ["OPENBLAS_NUM_THREADS"] = before
+    """So many spawned processes, of one thread each, that import nothing from the working folder."""
+    context = multiprocessing.get_context("spawn")
+    with child_settings(), ProcessPoolExecutor(count, mp_context=context, initializer=end_with_parent) as pool:
+        yield pool
 
 
 @contextmanager

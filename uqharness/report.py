@@ -9,7 +9,7 @@ from uqharness.campaign_found import read_found
 from uqharness.campaign_page import campaign_page
 from uqharness.page_parts import figures_of, render
 from uqharness.page_svg import standalone
-from uqharness.whole_files import write_bytes
+from uqharness.whole_files import inner_folder, write_bytes
 
 REPORT = "report.html"
 
@@ -28,9 +28,8 @@ def write_report(folder: Path) -> Report:
     page = campaign_page(read_found(folder))
     path = folder / REPORT
     write_bytes(path, render(page).encode())
-    (folder / "figures").mkdir(exist_ok=True)
-    paths = []
+    figures, paths = inner_folder(folder, "figures"), []
     for figure in figures_of(page.sections):
-        paths.append(folder / "figures" / f"{figure.name}.svg")
+        paths.append(figures / f"{figure.name}.svg")
         write_bytes(paths[-1], standalone(figure.svg).encode())
     return Report(path, tuple(paths), tuple(item.text for item in page.verdict))

@@ -12,7 +12,13 @@ from typing import Any
 from uqharness import properties
 from uqharness.campaign import find_mission
 from uqharness.campaign_aircraft import make_copy, needs_copy
-from uqharness.campaign_manifest import describe, read_manifest, refuse_if_different, spec_of
+from uqharness.campaign_manifest import (
+    describe,
+    read_manifest,
+    refuse_if_different,
+    refuse_without_digests,
+    spec_of,
+)
 from uqharness.cases import Case, build_cases
 from uqharness.errors import BadInputError
 from uqharness.executor import ProcessExecutor
@@ -21,7 +27,7 @@ from uqharness.flight_spec import COEFFICIENTS, FlightResult, FlightSpec
 from uqharness.properties import Source
 from uqharness.record_writer import write_record
 from uqharness.store import Store
-from uqharness.whole_files import write_bytes
+from uqharness.whole_files import inner_folder, write_bytes
 from uqharness.worker import CaseOutcome
 
 FOLDER = "rerun"
@@ -72,14 +78,15 @@ def rerun_case(folder: Path, case_id: str) -> Rerun:
     Raises BadInputError for a folder without a campaign, an unknown id, and an aircraft, script or version that is not as it was.
     """
     manifest = read_manifest(folder)
+    refuse_without_digests(folder, manifest)
     spec = spec_of(manifest)
     mission = find_mission(spec, folder)
     refuse_if_different(folder, manifest, describe(spec, mission, manifest["cases"], ""))
     case = _find_case(build_cases(spec, mission), case_id, folder)
     if needs_copy(spec):
         make_copy(spec, mission, folder)
-    target = folder / FOLDER / case.case_id
-    target.mkdir(parents=True, exist_ok=True)
+    stored = _stored(folder, case.case_id)
+    target = inner_folder(folder, FOLDER, case.case_id)
     record = target / "record.parquet"
     record.unlink(missing_ok=True)
     # A case that ends the interpreter must end another one than ours.
@@ -91,7 +98,6 @@ def rerun_case(folder: Path, case_id: str) -> Rerun:
     ]
     if outcome.bad_input:
         raise BadInputError(outcome.reason)
-    stored = _stored(folder, case.case_id)
     differences = () if stored is None else tuple(_differences(stored, outcome))
     same = None if stored is None else not differences
     files = _write(target, case, outcome, same, differences, record)
@@ -136,7 +142,11 @@ def _find_case(cases: tuple[Case, ...], case_id: str, folder: Path) -> Case:
 
 def _stored(folder: Path, case_id: str) -> CaseOutcome | None:
     with Store(folder, read_only=True) as store:
-        return store.outcome(case_id)
+        found = store.outcome(case_id)
+        if found is None:
+            # Not flown yet, if all that was flown is there.
+            store.finished()
+        return found
 
 
 def _differences(stored: CaseOutcome, outcome: CaseOutcome) -> list[str]:

@@ -11,12 +11,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sysid.terminal import drawing, visible
 from uqharness.errors import BadInputError
 
 if TYPE_CHECKING:
     from uqharness.campaign_sensitivity import MetricSensitivity
 
-SENSITIVITY = "sensitivity.csv"
 READINGS = ("as_corrected", "as_published")
 
 _EXAMPLE = """examples:
@@ -98,19 +98,19 @@ def _modal_json(methods: Any) -> dict[str, dict[str, Any]]:
 
 
 def _campaign(args: argparse.Namespace) -> int:
+    from uqharness.campaign_files import record_table
     from uqharness.campaign_sensitivity import (
         analyse_campaign,
         read_corner_campaign,
         read_interior_campaign,
     )
-    from uqharness.sensitivity_tables import as_csv, as_json
-    from uqharness.whole_files import write_bytes
+    from uqharness.sensitivity_tables import SENSITIVITY, as_csv, as_json
 
     flown = read_corner_campaign(args.folder)
     interior = None if args.interior is None else read_interior_campaign(args.interior, flown)
     with _progress("metrics") as update:
         found = analyse_campaign(flown, interior, seed=args.seed, on_progress=update)
-    write_bytes(args.folder / SENSITIVITY, as_csv(found))
+    record_table(args.folder, SENSITIVITY, as_csv(found))
     figures = _figures(args.folder, found)
     if args.json:
         written = {"csv": str(args.folder / SENSITIVITY), "figures": [str(path) for path in figures]}
@@ -123,10 +123,9 @@ def _campaign(args: argparse.Namespace) -> int:
 def _figures(folder: Path, found: Sequence[MetricSensitivity]) -> list[Path]:
     from uqharness.sensitivity.result import PairRange
     from uqharness.sensitivity_plot import Panel, RangeBar, draw_ranges
-    from uqharness.whole_files import write_bytes
+    from uqharness.whole_files import inner_folder, write_bytes
 
-    (folder / "figures").mkdir(exist_ok=True)
-    paths = []
+    figures, paths = inner_folder(folder, "figures"), []
     for condition in dict.fromkeys(item.condition for item in found):
         panels = []
         for metric, title in zip(_SHOWN, _TITLES, strict=True):
@@ -142,7 +141,7 @@ def _figures(folder: Path, found: Sequence[MetricSensitivity]) -> list[Path]:
                     panels.append(Panel(title, sorted(bars, key=lambda bar: -(bar.minimum + bar.maximum))))
         if panels:
             name = f"sensitivity-{condition.wind_mps:g}mps-{condition.turbulence}"
-            paths.append(folder / "figures" / f"{name}.svg")
+            paths.append(figures / f"{name}.svg")
             write_bytes(paths[-1], draw_ranges(panels, name).encode())
     return paths
 
@@ -153,6 +152,7 @@ def _or(value: float, other: float) -> float:
 
 def _campaign_text(folder: Path, found: Sequence[MetricSensitivity], figures: Sequence[Path]) -> str:
     from uqharness.sensitivity.analysis import cell
+    from uqharness.sensitivity_tables import SENSITIVITY
 
     lines = []
     for condition in dict.fromkeys(item.condition for item in found):
@@ -180,7 +180,7 @@ def _progress(what: str) -> Iterator[Callable[[int, int], None]]:
 
     def update(done: int, total: int) -> None:
         if terminal:
-            print(f"\r{what}: {done} of {total}", end="", file=sys.stderr, flush=True)
+            print(f"\r{visible(what)}: {done} of {total}", end="", file=drawing(sys.stderr), flush=True)
 
     yield update
     if terminal:

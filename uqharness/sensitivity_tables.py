@@ -5,13 +5,19 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+from uqharness.campaign_files import read_checked
 from uqharness.campaign_sensitivity import MetricSensitivity
+from uqharness.csv_rows import csv_rows
+from uqharness.errors import BadInputError
+from uqharness.flight_spec import TURBULENCE_W20_KT
 from uqharness.sensitivity import PairRange
 from uqharness.sensitivity_words import unit_of
 
+SENSITIVITY = "sensitivity.csv"
 COLUMNS = (
     "condition", "wind_mps", "turbulence", "metric", "unit", "coefficient", "share_min", "share_max", "share_low",
     "share_high", "shrink_min", "shrink_max", "shrink_low", "shrink_high", "width", "width_low", "width_high", "flights",
@@ -64,3 +70,20 @@ def as_json(found: Sequence[MetricSensitivity]) -> dict[str, dict[str, Any]]:
             "words": item.words,
         }
     return by_condition
+
+
+_NUMBERS = (
+    "share_min", "share_max", "share_low", "share_high", "shrink_min", "shrink_max", "shrink_low", "shrink_high",
+)  # fmt: skip
+
+
+def read_sensitivity(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str, str]] | None:
+    """Rows of a campaign's sensitivity.csv, None where there is none. Raises BadInputError."""
+    if SENSITIVITY not in manifest.get("tables", {}) and not (folder / SENSITIVITY).exists():
+        return None
+    content = read_checked(folder, manifest, SENSITIVITY)
+    texts = ("condition", "turbulence", "metric", "coefficient", "reason")
+    rows = csv_rows(content, folder / SENSITIVITY, ("wind_mps",), texts, _NUMBERS)
+    if any(row["turbulence"] not in TURBULENCE_W20_KT or bool(row["share_min"]) != bool(row["share_max"]) for row in rows):
+        raise BadInputError(f"{folder / SENSITIVITY}: holds what `uqharness sensitivity` does not write; run it again")
+    return rows

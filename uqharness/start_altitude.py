@@ -8,6 +8,8 @@ from pathlib import Path
 from lxml import etree
 
 from sysid.flight_record import FlightRecord
+from uqharness.aircraft import parse_xml
+from uqharness.errors import BadInputError
 
 _METRES = {"M": 1.0, "FT": 0.3048, "KM": 1000.0}
 _SETTLES = "a column rho_kgpm3 settles it"
@@ -40,8 +42,8 @@ def _initial_altitudes(folder: Path) -> list[tuple[str, float]]:
     out = []
     for path in sorted(folder.glob("*.xml")):
         try:
-            root = etree.parse(str(path)).getroot()
-        except (OSError, etree.XMLSyntaxError):
+            root = parse_xml(path).getroot()
+        except BadInputError:
             continue
         if root.tag != "initialize":
             continue

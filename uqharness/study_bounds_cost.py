@@ -11,9 +11,7 @@ from __future__ import annotations
 
 import argparse
 import math
-import shutil
 import sys
-import tempfile
 import time
 from pathlib import Path
 
@@ -30,6 +28,7 @@ from uqharness.instrument import Bounds, plan
 from uqharness.instrument_folder import write
 from uqharness.mission import StagedMission, find_script
 from uqharness.model_form_xml import model_form_xml, state_source
+from uqharness.scratch import scratch_folder
 
 RATES_HZ = (100.0, 50.0, 10.0, 1.0)
 STEPS = 20_000
@@ -119,9 +118,8 @@ def main(argv: list[str] | None = None) -> int:
     )
     arguments = parser.parse_args(argv)
     aircraft, form = find_aircraft(arguments.aircraft), read_model_form(arguments.bounds)
-    with tempfile.TemporaryDirectory(prefix="uqharness-") as temporary:
-        folder = Path(temporary)
-        best = cost(aircraft, form, arguments.script, arguments.rounds, folder)
+    with scratch_folder() as scratch:
+        best = cost(aircraft, form, arguments.script, arguments.rounds, scratch.path)
         print("| variant | us per step | more than no plugin | more than constant bounds |\n|---|---|---|---|")
         for name, us in best.items():
             print(f"| {name} | {us:.2f} | {us - best['no plugin']:.2f} | {us - best['constant bounds']:.2f} |")
@@ -130,13 +128,12 @@ def main(argv: list[str] | None = None) -> int:
             flush=True,
         )
         for turbulence in ("light", "moderate", "severe"):
-            errors, outside = hold_error(aircraft, form, arguments.script, turbulence, arguments.minutes, folder)
+            errors, outside = hold_error(aircraft, form, arguments.script, turbulence, arguments.minutes, scratch.path)
             for rate, row in zip(RATES_HZ, errors, strict=True):
                 print(
                     f"| {turbulence}, {outside:.0%} outside | {rate:g} Hz | {' | '.join(f'{value:.3f}' for value in row)} |",
                     flush=True,
                 )
-        shutil.rmtree(folder, ignore_errors=True)
     return 0
 
 

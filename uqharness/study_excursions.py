@@ -22,6 +22,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from uqharness.campaign_files import read_checked
 from uqharness.campaign_manifest import read_complete
 from uqharness.campaign_results import EXCURSIONS
 from uqharness.campaign_tables import CONFIDENCE
@@ -97,10 +98,10 @@ def published(radius_m: float) -> pd.DataFrame:
 def compare(folder: Path) -> list[Cell]:
     """Every cell of a complete campaign that is in print. Raises BadInputError."""
     manifest = read_complete(folder)
-    counted = pd.read_csv(folder / EXCURSIONS)
+    counted = pd.read_csv(io.BytesIO(read_checked(folder, manifest, EXCURSIONS)))
     keys = ["condition", "radius_m", "distance"]
     poisson = counted.loc[counted["worst"] == 1, [*keys, "simultaneous_lower_per_h", "simultaneous_upper_per_h"]]
-    rows = pd.read_csv(folder / STATEMENTS).merge(poisson, on=keys)
+    rows = pd.read_csv(io.BytesIO(read_checked(folder, manifest, STATEMENTS))).merge(poisson, on=keys)
     found = list(_cells(rows[rows["distance"] == "horizontal"], manifest["campaign"]["metrics"]["acceptable_per_h"]))
     if not found:
         raise BadInputError(f"{folder}: no wind (0 to 7 m/s), turbulence and radius (15 or 25 m) of Tables 3.1 and 3.2")

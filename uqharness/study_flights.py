@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 import io
 import re
-import shutil
 from pathlib import Path
 
 from uqharness.aircraft import find_aircraft
+from uqharness.aircraft_files import copy_folder
 from uqharness.errors import BadInputError
 from uqharness.manoeuvre_script import PLANS, script
 
@@ -55,7 +55,7 @@ def fly_flights(
 def _finer(aircraft: str, folder: Path) -> str:
     """The aircraft and the scripts written into ``folder`` for a step of FINE_STEP_S; the aircraft's folder."""
     copy = folder / aircraft
-    shutil.copytree(find_aircraft(aircraft).folder, copy, dirs_exist_ok=True)
+    copy_folder(find_aircraft(aircraft).folder, copy)
     card = copy / "airframe.toml"
     text, count = re.subn(r"(?m)^dt_s *=.*$", f"dt_s = {FINE_STEP_S}", card.read_text(encoding="utf-8"))
     if count != 1:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from uqharness.errors import BadInputError
 from uqharness.instrument import Bounds, plan
 from uqharness.instrument_folder import write
 from uqharness.plugin_check import DURATION_S, Verdict, check_in_child
+from uqharness.scratch import scratch_folder
 
 HEADER = "| aircraft | force axes | functions scaled | result | properties | worst error |"
 
@@ -73,8 +73,8 @@ def main(argv: list[str] | None = None) -> int:
     print("|---|---|---|---|---|---|", flush=True)
     counts: dict[str, int] = {}
     for name in names:
-        with tempfile.TemporaryDirectory(prefix="uqharness-") as temporary:
-            row = study(root / name, Path(temporary) / name, arguments.duration_s)
+        with scratch_folder() as scratch:
+            row = study(root / name, scratch.path / name, arguments.duration_s)
         counts[row.verdict.status] = counts.get(row.verdict.status, 0) + 1
         print(row.line(), flush=True)
     print("\n" + ", ".join(f"{count} {status}" for status, count in sorted(counts.items())))

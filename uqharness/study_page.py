@@ -14,7 +14,6 @@ from uqharness.compare_page import compare_page
 from uqharness.errors import BadInputError
 from uqharness.identify_page import identify_page
 from uqharness.overlay_page import overlay_section
-from uqharness.page_files import read_document
 from uqharness.page_parts import (
     Bullets,
     Cell,
@@ -30,6 +29,7 @@ from uqharness.page_parts import (
     shown,
 )
 from uqharness.refine_page import refine_page
+from uqharness.result_documents import Study, read_document
 
 STUDY = "study.json"
 _STATES: Mapping[str, Level] = {"done": "good", "running": "warn", "waiting": "", "failed": "bad"}
@@ -57,7 +57,7 @@ _SHOWN_ABOVE = _KEPT["campaign"][:2]
 
 def study_page(folder: Path) -> Page:
     """The page of the folder that ``uqharness study`` wrote, finished or not. Raises BadInputError."""
-    study = read_document(folder / STUDY, ("study", "stages"))
+    study = read_document(folder / STUDY, Study)
     missing: list[str] = []
     sections: list[Section] = []
     both = study.get("before_after") or {}

@@ -21,9 +21,10 @@ from typing import Any
 
 import pandas as pd
 
+from uqharness.campaign_files import read_cases
 from uqharness.campaign_manifest import read_complete
 from uqharness.campaign_tables import CONFIDENCE, Condition, conditions, in_condition, samples
-from uqharness.case_table import CASES, ERROR_METRICS, UNCOMMANDED_METRICS, read_table
+from uqharness.case_table import ERROR_METRICS, UNCOMMANDED_METRICS
 from uqharness.errors import BadInputError
 from uqharness.pbox import Containment, containment
 from uqharness.whole_files import write_bytes
@@ -50,7 +51,7 @@ def compare(corners: Path, walks: Path) -> list[Compared]:
     """Compare two complete campaigns. Raises BadInputError if they differ in more than their epistemic samples and their size."""
     manifests = [read_complete(folder) for folder in (corners, walks)]
     _refuse_unlike(manifests, (corners, walks))
-    frames = [read_table(folder / CASES).to_pandas() for folder in (corners, walks)]
+    frames = [read_cases(*pair) for pair in zip((corners, walks), manifests, strict=True)]
     return list(_compared(frames[0], frames[1]))
 
 

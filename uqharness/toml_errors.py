@@ -3,30 +3,30 @@
 from __future__ import annotations
 
 import difflib
+import json
 import re
-import tomllib
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
 
+from sysid.parsed_text import ParseError, parse_toml
+from sysid.regular_files import read_regular_text
 from uqharness.errors import BadInputError
 
 
 def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     """Content and text of a TOML file. Raises BadInputError with file and line."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_regular_text(path)
     except UnicodeDecodeError:
         raise BadInputError(f"{path}: not a text file in UTF-8") from None
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
     try:
-        return tomllib.loads(text), text
-    except tomllib.TOMLDecodeError as error:
-        where = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
-        line = where.group(1) if where else str(text.count("\n") + 1)
-        raise BadInputError(f"{path}:{line}: not valid TOML: {error}") from None
+        return parse_toml(text), text
+    except ParseError as error:
+        raise BadInputError(f"{path}:{error.line or 1}: {error}") from None
 
 
 def explain(document: type[BaseModel], text: str, data: dict[str, Any], error: dict[str, Any]) -> tuple[int, str]:
@@ -53,12 +53,17 @@ def _name(location: tuple[Any, ...]) -> str:
     if not location:
         return "the file"
     if len(location) >= 2 and isinstance(location[1], int) and (location[0],) in _TABLES:
-        return " ".join([f"[[{location[0]}]] number {location[1] + 1}", ".".join(map(str, location[2:]))]).strip()
+        return " ".join([f"[[{location[0]}]] number {location[1] + 1}", dotted(location[2:])]).strip()
     if len(location) >= 2 and (location[0], location[1]) in _SUBSECTIONS:
         depth = _SUBSECTIONS[location[0], location[1]]
-        head = ".".join(f'"{part}"' if re.search(r"[^\w-]", str(part)) else str(part) for part in location[:depth])
-        return " ".join([f"[{head}]", ".".join(map(str, location[depth:]))]).strip()
-    return " ".join([f"[{location[0]}]", ".".join(map(str, location[1:]))]).strip()
+        return " ".join([f"[{dotted(location[:depth])}]", dotted(location[depth:])]).strip()
+    return " ".join([f"[{dotted(location[:1])}]", dotted(location[1:])]).strip()
+
+
+def dotted(parts: tuple[Any, ...]) -> str:
+    """Parts of a key as TOML writes them."""
+    plain = re.compile(r"[\w-]+")
+    return ".".join(t if plain.fullmatch(t) else json.dumps(t, ensure_ascii=False) for t in map(str, parts))
 
 
 # Tables that a file writes as sections of their own, and how many parts their headers have.
@@ -154,4 +159,4 @@ def as_toml(value: Any) -> str:
         return str(value).lower()
     if isinstance(value, (tuple, list)):
         return "[" + ", ".join(map(as_toml, value)) + "]"
-    return f'"{value}"' if isinstance(value, str) else str(value)
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)

@@ -22,6 +22,8 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     temporary = path.with_name(f".{path.name}{PART}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        # In a folder that came from elsewhere it may be a link to any file.
+        temporary.unlink(missing_ok=True)
         write(temporary)
         with temporary.open("rb+") as handle:
             os.fsync(handle.fileno())
@@ -36,6 +38,27 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
 def write_bytes(path: Path, content: bytes) -> None:
     """The same for content that is at hand."""
     write_whole(path, lambda target: target.write_bytes(content))
+
+
+def inner_folder(folder: Path, *parts: str) -> Path:
+    """The folder ``folder``/parts, made if need be. ``folder`` may be a link of the user's own; a part may not.
+
+    A results folder that came from elsewhere could have a link in it, and files would be written where that leads. Raises
+    BadInputError.
+    """
+    place = folder
+    try:
+        for part in parts:
+            place = place / part
+            if place.is_symlink():
+                raise BadInputError(
+                    f"{place}: is a link to {os.readlink(place)}; files are written into a results folder's own folders alone: "
+                    "remove the link"
+                )
+            place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInputError(f"{place}: cannot be made: {error.strerror or error}") from None
+    return place
 
 
 def check_out(path: Path) -> None:

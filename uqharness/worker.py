@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import faulthandler
+import math
 import multiprocessing
 import os
 import signal
@@ -41,7 +42,8 @@ def attempt(fly: FlightFunction, case_id: str, flight: FlightSpec) -> CaseOutcom
             result.status,
             result.reason,
             float(result.flown_s),
-            {name: float(value) for name, value in result.metrics.items()},
+            # Text carries one NaN, so that tables have the same bytes wherever a case was flown.
+            {name: math.nan if math.isnan(value) else float(value) for name, value in result.metrics.items()},
             dict(result.undefined),
         )
     except BadInputError as error:
@@ -58,7 +60,7 @@ def work(pipe: Connection, fly: FlightFunction) -> None:
     """A worker's life: take a case, fly it, send the outcome; end with the parent."""
     # Ctrl-C reaches the whole group; the parent decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_follow_parent, daemon=True).start()
+    end_with_parent()
     # Python's own crash report would be noise: the parent records the signal.
     if faulthandler.is_enabled():
         faulthandler.disable()
@@ -69,6 +71,11 @@ def work(pipe: Connection, fly: FlightFunction) -> None:
             pipe.send(attempt(fly, case_id, flight))
     except (EOFError, OSError):
         return
+
+
+def end_with_parent() -> None:
+    """From now on this process ends when its parent has gone, even one that was killed."""
+    threading.Thread(target=_follow_parent, daemon=True).start()
 
 
 def _follow_parent() -> None:

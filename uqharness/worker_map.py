@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-import tempfile
 import weakref
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -12,8 +10,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from sysid.data_file import dump, load
 from sysid.side_by_side import ALONE, Processes
 from uqharness.replay_pool import process_count, process_pool
+from uqharness.scratch import scratch_folder
 
 _KEPT = 4
 
@@ -25,8 +25,8 @@ def worker_map(workers: int | None = None) -> Iterator[Processes]:
     if count == 1:
         yield ALONE
         return
-    with tempfile.TemporaryDirectory(prefix="uqharness-") as folder, process_pool(count) as pool:
-        yield _Workers(pool, count, Path(folder))
+    with scratch_folder("shared") as folder, process_pool(count) as pool:
+        yield _Workers(pool, count, folder.path)
 
 
 class _Workers:
@@ -40,14 +40,15 @@ class _Workers:
     def share(self, value: Any) -> _InFile:
         self._number += 1
         path = self._folder / str(self._number)
-        path.write_bytes(pickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL))
+        path.write_bytes(dump(value))
         shared = _InFile(str(path))
         weakref.finalize(shared, path.unlink, missing_ok=True)
         return shared
 
 
 class _InFile:
-    """Written once; each process that needs it reads it once, while it is among the last few."""
+    """Written once, as data that is not run where it is read; each process that needs it reads it once, while it is among the
+    last few."""
 
     def __init__(self, path: str) -> None:
         self._path = path
@@ -59,5 +60,4 @@ class _InFile:
 
 @lru_cache(maxsize=_KEPT)
 def _read(path: str) -> Any:
-    with open(path, "rb") as file:
-        return pickle.load(file)
+    return load(Path(path).read_bytes())

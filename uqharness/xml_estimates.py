@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import shutil
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from uqharness.aircraft import Aircraft
+from uqharness.aircraft_files import copy_folder
 from uqharness.errors import BadInputError
 from uqharness.xml_text import comment
 
@@ -36,7 +36,7 @@ def write_estimates(aircraft: Aircraft, estimates: Mapping[str, Estimate], out: 
         )
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=".aircraft-") as temporary:
         copy = Path(temporary) / "new"
-        shutil.copytree(aircraft.folder, copy)
+        copy_folder(aircraft.folder, copy)
         left = put_values(copy, estimates)
         old = Path(temporary) / "old"
         if out.exists():

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
+from sysid.regular_files import read_regular
 from uqharness.errors import BadInputError
 
 
@@ -87,9 +88,11 @@ class Document:
 
     def indent(self, node: Node) -> str:
         """White space before the element on its line; empty if something else stands there."""
-        begin = self.raw.rfind(b"\n", 0, node.start) + 1
-        before = self.raw[begin : node.start]
-        return before.decode("ascii") if not before.strip(b" \t") else ""
+        # A file may be one line of megabytes: what is looked at is the white space alone.
+        begin = node.start
+        while begin and self.raw[begin - 1] in b" \t":
+            begin -= 1
+        return self.raw[begin : node.start].decode("ascii") if not begin or self.raw[begin - 1] == 0x0A else ""
 
     def step(self) -> str:
         """One level of the author's indentation: the shortest a child of the root has, two spaces if none is indented."""
@@ -101,7 +104,7 @@ class Document:
 def read_document(path: Path) -> Document:
     """Read and parse; BadInputError with file and line if it is not well formed, or in an encoding that is not edited here."""
     try:
-        return parse_document(path, path.read_bytes())
+        return parse_document(path, read_regular(path))
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
 
@@ -111,13 +114,15 @@ def parse_document(path: Path, raw: bytes) -> Document:
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise BadInputError(f"{path}:1: UTF-16 is not edited here; save the file as UTF-8 or ISO-8859-1")
     parser = expat.ParserCreate()
+    # Text comes line by line otherwise, and is copied as often.
+    parser.buffer_text, parser.buffer_size = True, 1 << 20
     stack: list[Node] = []
     top: list[Node] = []
 
     def opened(tag: str, attributes: dict[str, str]) -> None:
         parent = stack[-1] if stack else None
         node = Node(tag, attributes, parser.CurrentLineNumber, parser.CurrentByteIndex, parent)
-        node.open_end = _tag_end(raw, node.start)
+        node.open_end = tag_end(raw, node.start)
         (parent.children if parent is not None else top).append(node)
         stack.append(node)
 
@@ -127,7 +132,7 @@ def parse_document(path: Path, raw: bytes) -> Document:
         if raw[node.open_end - 2 : node.open_end] == b"/>":
             node.close_start = node.end = node.open_end
         else:
-            node.close_start, node.end = at, _tag_end(raw, at)
+            node.close_start, node.end = at, tag_end(raw, at)
 
     def characters(data: str) -> None:
         if stack:
@@ -149,7 +154,7 @@ def parse_document(path: Path, raw: bytes) -> Document:
     return Document(path, raw, top[0])
 
 
-def _tag_end(raw: bytes, start: int) -> int:
+def tag_end(raw: bytes, start: int) -> int:
     """Byte behind the ``>`` of the tag at ``start``; a ``>`` in quotes does not count."""
     quote = 0
     for at in range(start, len(raw)):
@@ -183,7 +188,8 @@ def append_child(document: Document, parent: Node, lines: list[str]) -> Insertio
     outer = document.indent(parent)
     inner = document.indent(parent.children[-1]) if parent.children else ""
     inner = inner or outer + document.step()
-    block = newline.join(_indented(line, inner, document.step()) for line in lines)
+    step = document.step()
+    block = newline.join(_indented(line, inner, step) for line in lines)
     if parent.empty_tag:
         slash = document.raw.rindex(b"/", parent.start, parent.open_end)
         opening, closing = document.encoded(f">{newline}"), document.encoded(f"{outer}</{parent.tag}>")
@@ -198,8 +204,8 @@ def append_child(document: Document, parent: Node, lines: list[str]) -> Insertio
 
 def before(document: Document, node: Node, lines: list[str]) -> Insertion:
     """``lines`` as siblings before ``node``, on lines of their own."""
-    newline, indent = document.newline.decode(), document.indent(node)
-    block = newline.join(_indented(line, indent, document.step()) for line in lines)
+    newline, indent, step = document.newline.decode(), document.indent(node), document.step()
+    block = newline.join(_indented(line, indent, step) for line in lines)
     begin = document.raw.rfind(b"\n", 0, node.start) + 1
     if document.raw[begin : node.start].strip(b" \t"):
         return Insertion(node.start, document.encoded(f"{newline}{block}{newline}"))
@@ -208,8 +214,8 @@ def before(document: Document, node: Node, lines: list[str]) -> Insertion:
 
 def after(document: Document, node: Node, lines: list[str]) -> Insertion:
     """``lines`` as siblings after ``node``, below the line that it ends on (a remark there stays with it)."""
-    newline, indent = document.newline.decode(), document.indent(node)
-    block = newline.join(_indented(line, indent, document.step()) for line in lines)
+    newline, indent, step = document.newline.decode(), document.indent(node), document.step()
+    block = newline.join(_indented(line, indent, step) for line in lines)
     end_of_line = document.raw.find(b"\n", node.end)
     rest = document.raw[node.end : end_of_line] if end_of_line >= 0 else b""
     if end_of_line >= 0 and not re.sub(rb"<!--.*?-->", b"", rest).strip():

@@ -8,6 +8,7 @@ the bytes it skipped.
 from __future__ import annotations
 
 import contextlib
+import os
 from collections import defaultdict
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -19,6 +20,7 @@ from sysid.importers.dataflash_format import CHARACTERS, FMT_LENGTH, FMT_TYPE, M
 from sysid.importers.dataflash_tables import ALWAYS, Columns, assemble
 from sysid.log_errors import Finding, LogError
 from sysid.raw_log import Progress, RawLog, Wanted
+from sysid.regular_files import open_regular
 
 BLOCK_BYTES = 8 << 20
 _FMT_FORMAT = Format(FMT_TYPE, FMT_LENGTH, "FMT", "BBnNZ", ("Type", "Length", "Name", "Format", "Columns"))
@@ -34,7 +36,8 @@ class _Walker:
         self.lengths[FMT_TYPE] = FMT_LENGTH
         # One growing buffer per field: thousands of small arrays would leave the memory in pieces.
         self.collected: dict[str, dict[str, bytearray]] = defaultdict(lambda: defaultdict(bytearray))
-        self.characters: dict[str, dict[str, str]] = {}
+        # The format that a message's columns were collected by.
+        self.kept: dict[str, Format] = {}
         self.counts: dict[str, int] = defaultdict(int)
         self.skipped_bytes = 0
         self.skips = 0
@@ -113,9 +116,10 @@ class _Walker:
         if not keep or not found:
             return
         columns = self.collected[fmt.name]
-        if fmt.name in self.characters and set(self.characters[fmt.name]) != set(keep):
+        known = self.kept.setdefault(fmt.name, fmt)
+        if (known.characters, known.columns) != (fmt.characters, fmt.columns):
             columns.clear()  # the format changed: an array of one field must not fall out of step with the others
-        self.characters[fmt.name] = {c: fmt.characters[fmt.columns.index(c)] for c in keep}
+        self.kept[fmt.name] = fmt
         buffer = np.frombuffer(data, dtype=np.uint8)
         starts = np.asarray(found, dtype=np.int64) + 3
         for column in keep:
@@ -134,10 +138,8 @@ class _Walker:
         """Message name -> field -> scaled array."""
         out: dict[str, Columns] = {}
         for name, columns in self.collected.items():
-            out[name] = {
-                c: scaled(_array(data, self.characters[name][c]), self.characters[name][c])
-                for c, data in columns.items()
-            }
+            characters = dict(zip(self.kept[name].columns, self.kept[name].characters, strict=True))
+            out[name] = {c: scaled(_array(data, characters[c]), characters[c]) for c, data in columns.items()}
         return out
 
     def findings(self, size: int) -> list[Finding]:
@@ -179,8 +181,8 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
     Raises LogError when no record can be read.
     """
     walker = _Walker(wanted)
-    size = path.stat().st_size
-    with path.open("rb") as handle:
+    with open_regular(path) as handle:
+        size = os.fstat(handle.fileno()).st_size
         _blocks(handle, walker, size, progress)
     if sum(walker.counts.values()) - walker.counts["FMT"] <= 0:
         raise LogError(
@@ -191,7 +193,7 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
     return assemble(
         "dataflash",
         walker.tables(),
-        {f.name: f for f in walker.formats.values()},
+        walker.kept,
         walker.counts,
         walker.findings(size),
         path,

@@ -16,6 +16,7 @@ from sysid.raw_log import MessageTable, RawLog
 
 Columns = dict[str, NDArray[Any]]
 # Messages that identify the vehicle, its parameters and its modes; small in every log.
+MOST_INSTANCES = 256  # of one kind of message
 ALWAYS = frozenset({"PARM", "MSG", "MODE", "VER", "ARM", "EV", "ORGN"})
 # VER.BU, the number of the firmware's build type.
 _BUILD = {1: "ArduRover", 2: "ArduCopter", 3: "ArduPlane", 4: "AntennaTracker", 7: "ArduSub", 12: "Blimp", 13: "Heli"}
@@ -59,12 +60,14 @@ def assemble(
 
 
 def _instances(table: Columns, column: str | None) -> list[tuple[int, Any]]:
+    """(instance, its rows); a column of more numbers than any vehicle has sensors counts something else."""
     if column is None or column not in table:
         return [(0, slice(None))]
     numbers = table[column]
     if len(numbers) and numbers.min() == numbers.max():
         return [(int(numbers[0]), slice(None))]
-    return [(int(i), numbers == i) for i in np.unique(numbers)]
+    found = np.unique(numbers)
+    return [(int(i), numbers == i) for i in found] if len(found) <= MOST_INSTANCES else [(0, slice(None))]
 
 
 def _texts(messages: Mapping[tuple[str, int], MessageTable]) -> tuple[tuple[float, str], ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from array import array
 from collections import defaultdict
 from pathlib import Path
@@ -13,14 +14,18 @@ from sysid.importers.dataflash_format import CHARACTERS, Format
 from sysid.importers.dataflash_tables import ALWAYS, Columns, assemble
 from sysid.log_errors import Finding, LogError
 from sysid.raw_log import Progress, RawLog, Wanted
+from sysid.regular_files import open_regular
 
 _MAX_LINE = 4096
+_MOST_FORMATS = 1000  # the binary form can number 256
+_WHOLE = frozenset("bBhHiIqQM")
 
 
 class _Collector:
     def __init__(self, fmt: Format, keep: list[str]) -> None:
         self.where = [fmt.columns.index(c) for c in keep]
         self.text = [CHARACTERS[fmt.characters[i]][0].startswith("S") for i in self.where]
+        self.whole = [fmt.characters[i] in _WHOLE for i in self.where]
         self.keep = keep
         self.values: list[Any] = [[] if text else array("d") for text in self.text]
 
@@ -28,8 +33,11 @@ class _Collector:
         """Append one record; False, and nothing appended, when a number cannot be read."""
         row: list[Any] = []
         try:
-            for i, text in zip(self.where, self.text, strict=True):
-                row.append(cells[i].strip() if text else float(cells[i]))
+            for i, text, whole in zip(self.where, self.text, self.whole, strict=True):
+                value = cells[i].strip() if text else float(cells[i])
+                if whole and not float(value).is_integer():  # nan and inf are none either
+                    return False
+                row.append(value)
         except (ValueError, IndexError):
             return False
         for store, value in zip(self.values, row, strict=True):
@@ -47,8 +55,8 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
     collectors: dict[str, _Collector | None] = {}
     counts: dict[str, int] = defaultdict(int)
     bad_lines, first_bad, done, line_number = 0, 0, 0, 0
-    size = max(1, path.stat().st_size)
-    with path.open("rb") as handle:
+    with open_regular(path) as handle:
+        size = max(1, os.fstat(handle.fileno()).st_size)
         while raw := handle.readline(_MAX_LINE):
             line_number += 1
             done += len(raw)
@@ -61,6 +69,8 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
             name = name.strip()
             if name == "FMT":
                 fmt = _format(rest)
+                if fmt is not None and fmt.name not in formats and len(formats) >= _MOST_FORMATS:
+                    fmt = None
                 if fmt is not None and formats.get(fmt.name) != fmt:
                     formats[fmt.name] = fmt
                     keep = _keep(fmt, wanted)
@@ -73,8 +83,9 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
                 good = collector is None or collector.add(cells)
             else:
                 good = False
-            counts[name] += int(good)
-            if not good:
+            if good:
+                counts[name] += 1
+            else:
                 bad_lines += 1
                 first_bad = first_bad or line_number
     if not any(n for name, n in counts.items() if name != "FMT"):
@@ -85,7 +96,7 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
         numbers = {"lines": float(bad_lines), "first_line": float(first_bad)}
         findings.append(Finding("damaged-lines", "", "warning", message, numbers))
     columns = {name: c.columns() for name, c in collectors.items() if c is not None and counts[name]}
-    return assemble("dataflash-text", columns, formats, {k: n for k, n in counts.items() if n}, findings, path)
+    return assemble("dataflash-text", columns, formats, dict(counts), findings, path)
 
 
 def _keep(fmt: Format, wanted: Wanted | None) -> list[str]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from sysid.importers.dataflash_format import FMT_LENGTH, FMT_TYPE, MAGIC
 from sysid.log_errors import LogError
+from sysid.regular_files import open_regular
 from sysid.vocabulary import SIGNALS
 
 _FOREIGN = {
@@ -23,6 +24,7 @@ _FOREIGN = {
     b"\x89HDF": "an HDF5 file (export it to CSV)",
     b"MATLAB": "a MATLAB file (export it to CSV)",
     b"SQLite": "an SQLite database",
+    b"PARE": "an encrypted Parquet file (export it without)",
 }
 _KNOWN = "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, a flight record in Parquet or CSV, JSBSim's CSV"
 _HEAD_BYTES = 65536
@@ -30,15 +32,15 @@ _HEAD_BYTES = 65536
 
 def detect(path: Path) -> str:
     """dataflash | dataflash-text | tlog | ulog | parquet | jsbsim-csv | csv. LogError for anything else."""
-    if path.is_dir():
-        raise LogError(f"is a folder; give a file: {_KNOWN}", path)
     try:
-        with path.open("rb") as handle:
+        with open_regular(path) as handle:
             head = handle.read(_HEAD_BYTES)
     except FileNotFoundError:
         raise LogError("no such file", path) from None
+    except IsADirectoryError:
+        raise LogError(f"is a folder; give a file: {_KNOWN}", path) from None
     except OSError as e:
-        raise LogError(f"cannot be read ({e.strerror})", path) from None
+        raise LogError(f"cannot be read: {e.strerror}", path) from None
     if not head:
         raise LogError("the file is empty (0 bytes); copy the log again", path)
     for magic, what in _FOREIGN.items():

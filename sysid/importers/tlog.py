@@ -6,6 +6,7 @@ Each packet from another system than the first autopilot heard is left out.
 
 from __future__ import annotations
 
+import os
 from array import array
 from collections import defaultdict
 from pathlib import Path
@@ -17,6 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sysid.importers.detect import frame_length, frame_time
 from sysid.log_errors import Finding, LogError
 from sysid.raw_log import MessageTable, Progress, RawLog, Wanted
+from sysid.regular_files import open_regular
 
 BLOCK_BYTES = 4 << 20
 _AUTOPILOT_TYPES = {1: "fixed wing", 2: "quadrotor", 3: "coaxial helicopter", 4: "helicopter", 10: "rover", 11: "boat",
@@ -72,12 +74,14 @@ class _Tlog:
     def _packet(self, data: bytes, pos: int, end: int) -> None:
         two = data[pos + 8] == 0xFD
         number = int.from_bytes(data[pos + 15 : pos + 18], "little") if two else data[pos + 13]
-        self.counts[self.all_names.get(number, str(number))] += 1
+        self.counts[self.all_names.get(number, "unknown")] += 1
         name = self.names.get(number)
         if name is None:
             return
         try:
             message = self.parser.decode(bytearray(data[pos + 8 : end]))
+        except MemoryError:
+            raise
         except Exception:  # pymavlink raises struct.error, KeyError, MAVError... for a damaged packet
             self.bad_packets += 1
             return
@@ -111,9 +115,9 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
     """Read a .tlog; message times are the vehicle's own (time since boot) where a message carries one, otherwise
     the time of receipt moved onto the vehicle's clock. Raises LogError when no packet can be read."""
     state = _Tlog(wanted)
-    size = max(1, path.stat().st_size)
     rest, done = b"", 0
-    with path.open("rb") as handle:
+    with open_regular(path) as handle:
+        size = max(1, os.fstat(handle.fileno()).st_size)
         while True:
             fresh = handle.read(BLOCK_BYTES)
             data = rest + fresh

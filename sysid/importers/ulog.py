@@ -12,6 +12,7 @@ from pyulog import ULog
 
 from sysid.log_errors import Finding, LogError
 from sysid.raw_log import MessageTable, Progress, RawLog, Wanted
+from sysid.regular_files import open_regular
 
 # PX4's MAV_TYPE parameter and vehicle_status.vehicle_type.
 _MAV_TYPES = {1: "fixed wing", 2: "quadrotor", 10: "rover", 13: "hexarotor", 14: "octorotor",
@@ -25,8 +26,10 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
     try:
         # pyulog prints what it finds corrupt; it belongs into the findings, not onto the terminal.
         # Given an open file, since pyulog leaves a file open that it opened itself and could not read.
-        with path.open("rb") as handle, contextlib.redirect_stdout(chatter), np.errstate(all="ignore"):
+        with open_regular(path) as handle, contextlib.redirect_stdout(chatter), np.errstate(all="ignore"):
             log = ULog(handle, None if wanted is None else sorted(wanted), disable_str_exceptions=True)
+    except MemoryError:
+        raise
     except Exception as e:  # pyulog meets damage with whatever its parsing runs into
         raise LogError(
             f"damaged or not a ULog file ({type(e).__name__}: {' '.join(str(e).split())[:120]}); copy the log again",

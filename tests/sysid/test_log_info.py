@@ -151,7 +151,7 @@ def test_shipped_maps_are_sound_and_use_the_vocabulary() -> None:
         ("[signals.q_radps]\nmessage='A'\nfield='b'\nfunction='polar_cos'", "takes 2 fields"),
         ("[servos]\nmessage='RCOU'\nfield='C'", "must contain {n}"),
         ("[other]\na=1", "unknown tables"),
-        ("not toml at all", "not TOML"),
+        ("not toml at all", "not valid TOML"),
     ],
 )
 def test_bad_maps_are_refused_with_the_place(text: str, message: str) -> None:

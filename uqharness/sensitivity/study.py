@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from sysid.parsed_text import parse_json
 from uqharness.errors import BadInputError
+from uqharness.sensitivity.array_archive import read_arrays
 from uqharness.sensitivity.problem import Array, Problem, aleatory_centre, aleatory_draws, corners, make_problem
 from uqharness.whole_files import write_bytes
 
@@ -241,17 +243,51 @@ def write_study(study: Study, path: str | Path) -> None:
 
 def read_study(path: str | Path) -> Study:
     """Read a study that ``write_study`` wrote. Raises BadInputError."""
+    arrays = read_arrays(Path(path))
     try:
-        with np.load(Path(path), allow_pickle=False) as file:
-            header = json.loads(file["header"].tobytes())
-            outputs = {
-                output: Evaluations(
-                    **{field.name: file[f"{k}/{field.name}"] for field in fields(Evaluations)
-                       if f"{k}/{field.name}" in file}
-                )
-                for k, output in enumerate(header["outputs"])
-            }  # fmt: skip
-            arrays = {name: file[name] for name in _ARRAYS}
-            return Study(names=tuple(header["names"]), outputs=outputs, chance=bool(header["chance"]), **arrays)
-    except (OSError, ValueError, KeyError) as error:
-        raise BadInputError(f"{path}: not a study written by uqharness: {error}") from None
+        header = parse_json(arrays["header"].tobytes())
+        names, outputs = list(map(_text, header["names"])), list(map(_text, header["outputs"]))
+        d, samples = len(names), len(arrays["theta"])
+        found = {
+            output: Evaluations(
+                **{field.name: arrays[f"{k}/{field.name}"] for field in fields(Evaluations) if f"{k}/{field.name}" in arrays}
+            )
+            for k, output in enumerate(outputs)
+        }
+        for name in _ARRAYS:
+            _require(name, arrays[name], (samples, d) if name == "theta" else (d,))
+        for evaluations in found.values():
+            _check_evaluations(evaluations, d, samples)
+        kept: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
+        return Study(names=tuple(names), chance=header["chance"] is True, outputs=found, **kept)
+    except (ValueError, KeyError, TypeError) as error:
+        what = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise BadInputError(f"{path}: not a study written by uqharness: {what}") from None
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise ValueError(f"a name is {value!r}")
+    return value
+
+
+def _require(name: str, values: Array, shape: tuple[int | None, ...]) -> None:
+    fits = values.ndim == len(shape) and all(n is None or n == m for n, m in zip(shape, values.shape, strict=True))
+    if values.dtype != np.float64 or not fits:
+        wanted = " x ".join("any" if n is None else str(n) for n in shape)
+        raise ValueError(f"{name} is {values.dtype} of shape {values.shape}; {wanted} numbers are needed")
+
+
+def _check_evaluations(found: Evaluations, d: int, samples: int) -> None:
+    """ValueError unless every stage has the shape that its docstring tells, with the same draws everywhere."""
+    given = {field.name: getattr(found, field.name) for field in fields(Evaluations)}
+    given = {name: values for name, values in given.items() if values is not None}
+    draws = {values.shape[-1] for name, values in given.items() if name not in ("nominal", "forward") and values.ndim}
+    if len(draws) > 1:
+        raise ValueError(f"stages have {sorted(draws)} draws, which must be as many everywhere")
+    shapes: dict[str, tuple[int | None, ...]] = {
+        "nominal": (1,), "forward": (d,), "sampled": (samples, None), "second": (samples, None), "mixed": (d, samples, None),
+        "pinned": (d, samples, None), "corners": (2**d if d < 64 else -1, None), "interior": (None, None),
+    }  # fmt: skip
+    for name, values in given.items():
+        _require(name, values, shapes[name])

@@ -1,0 +1,94 @@
+"""Files that others hand in, opened so that none of them can hold the program up or fill its memory.
+
+A pipe waits for a writer, a device never ends, and a file of a hundred gigabytes is a small one on paper. Each is refused here
+before a byte of it is read, with an OSError whose ``strerror`` ends a sentence ("cannot be read: is a pipe, not a regular file").
+"""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import stat
+from pathlib import Path
+
+MOST_BYTES = 64_000_000
+"""What a text file (map, card, TOML, JSON) may hold: far above any that is written by hand or by this program."""
+
+_KINDS = (
+    (stat.S_ISDIR, errno.EISDIR, "a folder"),
+    (stat.S_ISFIFO, errno.EINVAL, "a pipe"),
+    (stat.S_ISSOCK, errno.EINVAL, "a socket"),
+    (stat.S_ISCHR, errno.EINVAL, "a device"),
+    (stat.S_ISBLK, errno.EINVAL, "a device"),
+)
+
+
+def require_regular(path: Path) -> os.stat_result:
+    """What the system knows of a regular file, or of the one that a link leads to.
+
+    Raises
+    ------
+    OSError
+        For a pipe, folder, socket or device, or when there is no such file; ``strerror`` says which, ``filename`` is the path.
+    """
+    try:
+        found = os.stat(path)
+    except ValueError as error:  # a name with a NUL in it
+        raise OSError(errno.EINVAL, f"is no file name ({error})", str(path)) from None
+    _refuse_others(found, path)
+    return found
+
+
+def open_regular(path: Path) -> io.BufferedReader:
+    """A regular file opened for reading bytes; never waits for a pipe's other end. Raises OSError as `require_regular`."""
+    require_regular(path)
+    # What stands there may change between the look and the opening: without waiting it is opened, then looked at again.
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
+    handle = os.open(path, flags)
+    try:
+        _refuse_others(os.fstat(handle), path)
+    except OSError:
+        os.close(handle)
+        raise
+    return io.BufferedReader(io.FileIO(handle, "rb"))
+
+
+def read_regular(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
+    """The whole content of a regular file of at most ``most_bytes`` bytes. Raises OSError as `require_regular`, and for size."""
+    with open_regular(path) as handle:
+        size = os.fstat(handle.fileno()).st_size
+        if size > most_bytes:
+            raise _too_big(size, most_bytes, path)
+        # A file may grow while it is read, and some systems' own files say that they are empty.
+        content = handle.read(most_bytes + 1)
+    if len(content) > most_bytes:
+        raise _too_big(len(content), most_bytes, path)
+    return content
+
+
+def read_regular_text(path: Path, most_bytes: int = MOST_BYTES) -> str:
+    """The same as text in UTF-8 with every end of line as ``\\n``. Raises OSError, and UnicodeDecodeError for other bytes."""
+    text = read_regular(path, most_bytes).decode("utf-8")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def in_words(size: float) -> str:
+    """A number of bytes as people say it: "3.2 GB", "62 KB"."""
+    for unit, bytes_each in (("GB", 1e9), ("MB", 1e6), ("KB", 1e3)):
+        if size >= bytes_each:
+            return f"{size / bytes_each:.4g} {unit}" if size >= 1000 * bytes_each else f"{size / bytes_each:.3g} {unit}"
+    return f"{size:g} bytes"
+
+
+def _refuse_others(found: os.stat_result, path: Path) -> None:
+    if stat.S_ISREG(found.st_mode):
+        return
+    code, kind = next(
+        ((number, name) for test, number, name in _KINDS if test(found.st_mode)), (errno.EINVAL, "something else")
+    )
+    raise OSError(code, f"is {kind}, not a regular file", str(path))
+
+
+def _too_big(size: int, most_bytes: int, path: Path) -> OSError:
+    return OSError(errno.EFBIG, f"has {in_words(size)}; at most {in_words(most_bytes)} are read here", str(path))

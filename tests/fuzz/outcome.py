@@ -1,0 +1,108 @@
+"""What a target says: a result, or a refusal whose text is judged as a reader would."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import sys
+import unicodedata
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+_MOST_CHARACTERS = 2500
+_MOST_LINES = 60
+# Overrides of the writing direction: what is printed then reads as something else.
+_BIDI = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+
+
+class Refused(Exception):
+    """The program's own error; its text is what a user reads."""
+
+
+def command(*arguments: str) -> None:
+    """Run a command of the command line in this process. Raises Refused for exit code 2; whatever else it raises is a finding."""
+    from uqharness import cli
+
+    made = _parser()
+    cli.build_parser = lambda: made  # made once: a parser costs more than most inputs
+    out, err = (io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True) for _ in range(2))
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            code: Any = cli.main(list(arguments))
+        except SystemExit as left:  # argparse; a fixed command line cannot be at fault
+            code = left.code
+    told, said = (stream.buffer.getvalue().decode("utf-8", "replace") for stream in (out, err))
+    if odd := control_characters(told + said):
+        raise AssertionError(f"prints control characters {odd}")
+    if code == 2:
+        raise Refused(said)
+    if code not in (0, 1):
+        raise AssertionError(f"exit code {code}")
+
+
+@lru_cache(maxsize=1)
+def _parser() -> Any:
+    from uqharness.cli import build_parser
+
+    return build_parser()
+
+
+def call(function: Callable[..., Any], *arguments: Any, own: tuple[type[Exception], ...] = ()) -> Any:
+    """The function's answer. Raises Refused for the errors that its layer promises (``own`` adds some)."""
+    from sysid.log_errors import LogError
+    from uqharness.errors import BadInputError
+
+    try:
+        return function(*arguments)
+    except (LogError, BadInputError, *own) as error:
+        raise Refused(_printed(str(error))) from None
+
+
+def _printed(text: str) -> str:
+    """The text as the command line would print it."""
+    from sysid.terminal import visible
+
+    return visible(text)
+
+
+def faults(text: str, places: tuple[str, ...]) -> str:
+    """What is wrong with the text of a refusal, "" if nothing: it names one of ``places`` and can be read."""
+    lines = [line for line in text.strip().splitlines() if not line.startswith("note: ")]
+    if not lines:
+        return "says nothing"
+    if odd := control_characters(text):
+        return f"control characters {odd}"
+    if "Traceback" in text:
+        return "a traceback"
+    if len(lines) > _MOST_LINES or max(map(len, lines)) > _MOST_CHARACTERS:
+        return f"{len(lines)} lines of up to {max(map(len, lines))} characters"
+    named = [any(place in line for place in places) for line in lines]
+    if not any(named):
+        return f"names no file: {lines[0][:200]}"
+    if len(lines) > 1 and not all(named[:-1] if re.fullmatch(r"and \d+ more", lines[-1]) else named):
+        return f"is more than a sentence: {' | '.join(lines)[:300]}"
+    return ""
+
+
+def control_characters(text: str) -> str:
+    """Those in ``text`` that a terminal would act on, as their names; "" for none."""
+    odd = {c for c in text if (unicodedata.category(c) in ("Cc", "Cs") and c not in "\n\t") or c in _BIDI}
+    return ", ".join(sorted(f"U+{ord(c):04X}" for c in odd))
+
+
+def stop_colour() -> None:
+    """No library may take the worker for a terminal."""
+    sys.stdin = io.StringIO()
+
+
+@lru_cache(maxsize=1)
+def known_verbs() -> frozenset[str]:
+    """Verbs of ``campaign``."""
+    import argparse
+
+    def choices(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+        return next(dict(a.choices) for a in parser._actions if isinstance(a, argparse._SubParsersAction))  # type: ignore[arg-type]
+
+    return frozenset(choices(choices(_parser())["campaign"]))

@@ -1,0 +1,109 @@
+"""The fuzzer finds what it is there to find, every sound input is read, and fixed seeds of every format give no findings."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.fuzz.__main__ import main
+from tests.fuzz.bad_targets import BAD, GOOD
+from tests.fuzz.formats import CORPUS, SOUND, all_formats
+from tests.fuzz.harness import Counts, Outcome, Worker, by_number, run
+
+FORMATS = all_formats()
+
+
+@pytest.fixture(scope="module")
+def bad_worker():
+    with Worker("tests.fuzz.bad_targets", limit_s=4.0, limit_mb=280.0) as worker:
+        yield worker
+
+
+@pytest.fixture(scope="module")
+def worker():
+    with Worker() as found:
+        yield found
+
+
+SAID = {
+    "raises": "KeyError", "hangs": "no answer", "grows": "MB", "grows-in-a-child": "MB", "writes": "writes",
+    "writes-unseen": "leaves",
+    "writes-far-away": "uq-fuzz-outside", "removes": "removes", "leaves": "among temporary files", "listens": "socket.bind",
+    "listens-in-a-child": "opens the network: tcp", "unpickles": "unpickles", "runs": "starts", "aborts": "SIGABRT",
+    "leaves-the-process": "exit code 3", "bare-error": "ValueError", "says-nothing": "says nothing",
+    "names-no-file": "names no file",
+    "prints-escapes": "U+001B", "prints-bidi": "U+202E", "prints-a-traceback": "traceback", "says-too-much": "more than a sentence",
+    "quotes-everything": "characters",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_is_bad_is_found(name, bad_worker):
+    found = bad_worker.attempt(name, 1)
+    assert found.outcome == "finding"
+    assert SAID[name] in found.what
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_what_is_good_is_not(name, bad_worker):
+    found = bad_worker.attempt(name, 1)
+    assert found.outcome == ("result" if name == "fine" else "refusal"), found.what
+
+
+def test_the_worker_serves_on_after_each_death(bad_worker):
+    for name in ("aborts", "fine", "hangs", "fine"):
+        found = bad_worker.attempt(name, 1)
+        assert (found.outcome == "result") == (name == "fine")
+
+
+def test_findings_are_counted_and_told():
+    counts, told = {"raises": Counts(), "fine": Counts()}, []
+    run(by_number(counts, 7, 3), counts, told.append, "tests.fuzz.bad_targets")
+    assert (counts["raises"].findings, counts["fine"].results) == (3, 3)
+    assert [(t.name, t.seed) for t in told] == [("raises", 7), ("raises", 8), ("raises", 9)]
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_sound_input_is_read(name, worker):
+    """Otherwise nothing behind the first refusal is ever tried."""
+    found = worker.attempt(name, SOUND)
+    assert found.outcome == "result", found.what
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_an_input_follows_from_its_seed(name):
+    item = FORMATS[name]
+    assert item.make(3) == item.make(3)
+    assert len({json.dumps({k: v.hex() for k, v in item.make(seed).items()}) for seed in range(12)}) > 6
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_fixed_seeds_give_no_findings(name, worker):
+    found = [worker.attempt(name, seed) for seed in range(3)]
+    assert [f for f in found if f.outcome == "finding"] == []
+
+
+@pytest.mark.slow
+def test_many_seeds_give_no_findings():
+    counts: dict[str, Counts] = {name: Counts() for name in FORMATS}
+    findings: list[Outcome] = []
+    run(by_number(FORMATS, 1000, 40), counts, findings.append)
+    assert findings == []
+
+
+def test_the_corpus_is_small():
+    assert sum(path.stat().st_size for path in CORPUS.rglob("*") if path.is_file()) < 300_000
+
+
+def test_the_command_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["--inputs", "2", "--seed", "5", "--format", "effects", "--json"]) == 0
+    counts = json.loads(capsys.readouterr().out)["formats"]["effects"]
+    assert (counts["inputs"], counts["seeds"]) == (2, [5, 6])
+    assert main(["--reproduce", "effects", "5"]) == 0
+    assert (tmp_path / "fuzz-effects-5" / "effects.toml").read_bytes() == FORMATS["effects"].make(5)["effects.toml"]
+    assert capsys.readouterr().out.splitlines()[1].startswith(("result in", "refusal in"))
+    with pytest.raises(SystemExit) as left:
+        main(["--reproduce", "nothing", "5"])
+    assert left.value.code == 2

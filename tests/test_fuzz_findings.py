@@ -1,0 +1,141 @@
+"""What the fuzzer has found, each in its smallest form: refused in one sentence that names the file."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from sysid.log_errors import LogError
+from sysid.log_import import import_log
+from tests.fuzz.formats import CORPUS
+from uqharness.aircraft import find_aircraft, parse_xml
+from uqharness.aircraft_files import opened
+from uqharness.chain_spec import read_chain
+from uqharness.dask_orders import order_from
+from uqharness.errors import BadInputError
+from uqharness.instrument_folder import undo
+from uqharness.instrument_record import FILE_NAME
+from uqharness.mission import read_script
+from uqharness.toml_errors import dotted
+
+DIGITS = "9" * 5000
+DEEP = "[" * 5000 + "]" * 5000
+
+
+@pytest.fixture
+def dart(tmp_path):
+    """The corpus' aircraft, to be spoilt."""
+    shutil.copytree(CORPUS / "aircraft" / "dart", tmp_path / "dart")
+    return tmp_path / "dart"
+
+
+def refusal(kind, function, *arguments):
+    with pytest.raises(kind) as found:
+        function(*arguments)
+    assert "\n" not in str(found.value)
+    return str(found.value)
+
+
+@pytest.mark.parametrize("encoding", ["UTV-8", "base64", "idna"])
+def test_an_encoding_that_nobody_knows(encoding, dart):
+    path = dart / "Systems" / "gusts.xml"
+    path.write_text(path.read_text().replace("UTF-8", encoding))
+    assert str(path) in refusal(BadInputError, opened, find_aircraft(dart))
+
+
+def test_a_file_named_longer_than_names_may_be(dart):
+    path = dart / "dart.xml"
+    path.write_text(path.read_text().replace('file="prop"', f'file="{"a" * 300}"'))
+    assert str(path) in refusal(BadInputError, opened, find_aircraft(dart))
+
+
+def test_lxmls_messages_of_several_lines(dart):
+    path = dart / "cruise.xml"
+    path.write_bytes(path.read_bytes().replace(b"<psi", b"\0<psi"))
+    assert str(path) in refusal(BadInputError, parse_xml, path)
+
+
+@pytest.mark.parametrize("text", [f"a = {DIGITS}", f"a = {DEEP}", f'["x\\ny"]\nb = {DIGITS}'])
+def test_cards_in_both_readers(text, dart):
+    card = dart / "airframe.toml"
+    sound = card.read_text()
+    card.write_text(f"{text}\n{sound}")
+    assert str(card) in refusal(BadInputError, find_aircraft, dart)
+    assert str(card) in refusal(LogError, import_log, CORPUS / "logs" / "flight.bin", None, card)
+
+
+def test_a_key_with_a_line_break(dart):
+    card = dart / "airframe.toml"
+    card.write_text(card.read_text() + '\n["a\\nb"]\nc = 1\n')
+    assert '"a\\nb"' in refusal(BadInputError, find_aircraft, dart)
+    assert dotted(("a", "b c", 3)) == 'a."b c".3'
+    order = json.loads((CORPUS / "results" / "order.json").read_text())
+    order["flight"]["properties"] = {"a\nb": "x"}
+    refusal(BadInputError, order_from, json.dumps(order))
+
+
+@pytest.mark.parametrize("entry", ['function = ["value"]', 'function = {}', 'times = ["csv", "note"]'])
+def test_maps_with_other_things_than_text(entry, tmp_path):
+    (tmp_path / "map.toml").write_text(f'[signals.V_mps]\nmessage = "csv"\nfield = "v"\n{entry}\n')
+    (tmp_path / "table.csv").write_text("time,v,note\n" + "".join(f"{k},{k},word\n" for k in range(50)))
+    refusal(LogError, import_log, tmp_path / "table.csv", tmp_path / "map.toml")
+
+
+def test_a_sentence_stays_one_whatever_a_file_puts_into_it(dart):
+    script = CORPUS / "aircraft" / "script.xml"
+    path = dart.parent / "script.xml"
+    path.write_text(script.read_text().replace('name="flight/manoeuvre" value="1"', 'name="flight/manoeuvre" value="a&#10;b"'))
+    assert str(path) in refusal(BadInputError, read_script, path)
+    listed = BadInputError("a.toml:1: one\nand more", "a.toml:2: two")
+    assert str(listed).splitlines() == ["a.toml:1: one and more", "a.toml:2: two"]
+    assert str(pickle.loads(pickle.dumps(listed))) == str(listed)
+
+
+def test_an_integer_beyond_all_floats_in_a_table(tmp_path):
+    (tmp_path / "map.toml").write_text('[signals.V_mps]\nmessage = "csv"\nfield = "v"\n')
+    rows = "".join(f"{k / 10},{20 + k}\n" for k in range(50))
+    (tmp_path / "table.csv").write_text(f"time,v\n{rows}5.0,1{'0' * 400}\n5.1,words\n")
+    record = import_log(tmp_path / "table.csv", tmp_path / "map.toml")
+    assert record["V_mps"][:3].tolist() == [20.0, 21.0, 22.0]
+
+
+@pytest.mark.parametrize("text", ["something else", ""])
+def test_a_record_that_does_not_fit_its_file(text, tmp_path):
+    folder = tmp_path / "dart"
+    shutil.copytree(CORPUS / "results" / "instrumented", folder)
+    record = json.loads((folder / FILE_NAME).read_text())
+    if text:
+        record["files"]["dart.xml"]["before"] = "0" * 64
+    else:
+        record["files"]["dart.xml"]["after"] = "0" * 64
+        record["files"]["dart.xml"]["insertions"][0][1] = ""
+    (folder / FILE_NAME).write_text(json.dumps(record))
+    assert "dart.xml" in refusal(BadInputError, undo, folder, folder)
+
+
+def test_a_study_with_hundreds_of_mistakes(tmp_path):
+    text = "".join(f'[[fly]]\nname = "f{k}"\nnonsense = 1\n' for k in range(200))
+    (tmp_path / "study.toml").write_text(text)
+    with pytest.raises(BadInputError) as found:
+        read_chain(tmp_path / "study.toml")
+    lines = str(found.value).splitlines()
+    assert len(lines) <= 40
+    assert lines[-1].startswith("and ")
+
+
+@pytest.mark.parametrize("command", [["modes", "--speed-mps", "22", "--altitude-m", "100"], ["instrument", "--out", "out"]])
+def test_a_propeller_that_spoils_jsbsims_memory(command, dart):
+    """Once JSBSim has refused it, anything may happen in that process: it is a child, and the program does not follow."""
+    path = dart / "Engines" / "prop.xml"
+    path.write_text(path.read_text().replace("<propeller", "<nosuch").replace("</propeller", "</nosuch"))
+    line = [sys.executable, "-m", "uqharness", command[0], str(dart), *command[1:]]
+    for _ in range(3):
+        done = subprocess.run(line, capture_output=True, text=True, cwd=dart.parent, check=False)
+        assert done.returncode == 2
+        assert str(dart) in done.stderr
+        assert len(done.stderr.splitlines()) == 1

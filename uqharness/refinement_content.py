@@ -1,0 +1,254 @@
+"""What refinement.json must hold for a page to be written from it; see result_documents."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from uqharness.result_documents import Ends, FolderName, Number, Part
+
+
+class Evidence(Part):
+    """What speaks for an effect."""
+
+    interval_95: Ends | None = None
+    t: Number = None
+    twice_log_likelihood: Number = None
+    confirmed_on_held_out_manoeuvres: Number = None
+    held_out_estimate_differs_by_std: Number = None
+
+
+class Alternative(Part):
+    """What an effect may be taken for."""
+
+    name: str
+    separable: bool
+    would_separate: str = ""
+
+    @model_validator(mode="after")
+    def _told(self) -> Alternative:
+        if not self.separable and "would_separate" not in self.model_fields_set:
+            raise ValueError("an alternative that is not separable needs would_separate")
+        return self
+
+
+class Trial(Part):
+    """What the test flights say of an effect."""
+
+    gap: str
+    change_of_twice_log_likelihood: float
+    std: float
+    rms_over_that_of_train: float = 0.0
+
+    @model_validator(mode="after")
+    def _told(self) -> Trial:
+        if self.gap == "too far" and "rms_over_that_of_train" not in self.model_fields_set:
+            raise ValueError("a gap that is too far needs rms_over_that_of_train")
+        return self
+
+
+class Effect(Part):
+    """An effect of refinement.json."""
+
+    name: str
+    term: str
+    why: str
+    value: Number
+    std: Number
+    coefficient: str | None = None
+    subsystem: str | None = None
+    property: str | None = None
+    unit: str | None = None
+    evidence: Evidence = Evidence()
+    alternatives: list[Alternative] = Field(default_factory=list)
+    test: Trial | None = None
+
+
+class Withdrawn(Effect):
+    """An effect that the test flights spoke against."""
+
+    test: Trial
+
+
+class Region(Part):
+    """Where model and flights disagreed."""
+
+    coefficient: str
+    manoeuvre: str
+    region: dict[str, Ends] = Field(default_factory=dict)
+    share_outside_95: Number
+    size: Number
+
+
+class State(Part):
+    """A state that a residual depends on."""
+
+    state: str
+
+
+class Left(Part):
+    """A place where something is left: in words, or as a coefficient and what it depends on."""
+
+    words: str = ""
+    t: float = 0.0
+    coefficient: str = ""
+    rms_over_noise: float = 0.0
+    depends_on: list[State] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _told(self) -> Left:
+        if not self.model_fields_set & {"words"} and not self.model_fields_set >= {
+            "coefficient",
+            "rms_over_noise",
+            "depends_on",
+        }:
+            raise ValueError("needs words, or coefficient, rms_over_noise and depends_on")
+        return self
+
+
+class Remaining(Part):
+    """What a refinement left."""
+
+    unexplained: bool
+    where: list[Left]
+    channels_above_noise: dict[str, float]
+    coloured_channels: list[str]
+
+
+class BeforeAfter(Part):
+    """A root mean square before and after."""
+
+    rms_before: Number = None
+    rms_after: Number = None
+    noise_rms: Number
+
+
+class Interval(Part):
+    """A coefficient's intervals before and after."""
+
+    width_before: Number
+    width_after: Number
+    coverage_before: Number
+    coverage_after: Number
+    coverage_std_before: Number
+    coverage_std_after: Number
+
+
+class Intervals(Part):
+    """Intervals on the test flights, or the reason why there are none."""
+
+    reason: str | None
+    confidence: float = 0.0
+    coefficients: dict[str, Interval] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _whole(self) -> Intervals:
+        if self.reason is None and not self.model_fields_set >= {"confidence", "coefficients"}:
+            raise ValueError("intervals need confidence and coefficients, or a reason")
+        return self
+
+
+class Failed(Part):
+    """Flights of a mission that failed."""
+
+    failed: int
+
+
+class Mission(Part):
+    """A mission flown with both models, or the reason why it was not."""
+
+    reason: str | None = None
+    folders: Annotated[list[FolderName], Field(max_length=2)] = Field(default_factory=list)
+    mission: str = ""
+    corners: int = 0
+    flights_per_corner: int = 0
+    duration_s: float = 0.0
+    before: Failed = Failed(failed=0)
+    after: Failed = Failed(failed=0)
+
+    @model_validator(mode="after")
+    def _whole(self) -> Mission:
+        needed = {"folders", "mission", "corners", "flights_per_corner", "duration_s", "before", "after"}
+        if self.reason is None and not self.model_fields_set >= needed:
+            raise ValueError(f"a mission needs {', '.join(sorted(needed - self.model_fields_set))}, or a reason")
+        return self
+
+
+class Theil(Part):
+    """Theil's U before and after."""
+
+    before: Number = None
+    after: Number = None
+
+
+class GapShown(Part):
+    """The gap on the test flights."""
+
+    channels: dict[str, BeforeAfter]
+    coefficients: dict[str, BeforeAfter]
+    theil: Theil = Theil()
+    intervals: Intervals | None = None
+    pbox: Mission | None = None
+
+
+class Gaps(Part):
+    """Gaps by the use of the flights."""
+
+    test: GapShown
+
+
+class Identified(Part):
+    """A parameter of refinement.json."""
+
+    value: Number
+    std: Number
+
+
+class Switch(Part):
+    """A property that takes an effect out."""
+
+    property: str
+    off: float
+
+
+class Refused(Part):
+    """The best candidate that was refused."""
+
+    effect: str
+    why: str
+    t: Number = None
+
+
+class Score(Part):
+    """A candidate."""
+
+    effect: str
+    t: Number = None
+
+
+class Candidates(Part):
+    """Candidates, the likeliest first."""
+
+    limit: Number = None
+    scores: list[Score] = Field(default_factory=list)
+
+
+class Refinement(Part):
+    """refinement.json of `uqharness refine`."""
+
+    verdict: str
+    effects: list[Effect]
+    withdrawn: list[Withdrawn] = Field(default_factory=list)
+    disagreement: list[Region]
+    gap: Gaps
+    remaining: Remaining
+    parameters: dict[str, Identified] = Field(default_factory=dict)
+    switch: list[Switch] = Field(default_factory=list)
+    best_refused: Refused | None = None
+    candidates: Candidates = Candidates()
+    notes: list[str] = Field(default_factory=list)
+    train: list[str] = Field(default_factory=list)
+    test: list[str] = Field(default_factory=list)
+    command: str | None = None
+    seconds: Number = None
