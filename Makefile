@@ -5,7 +5,7 @@ VENV   := .venv
 PY     := $(VENV)/bin/python
 STAMP  := $(VENV)/.installed
 
-.PHONY: setup demo test test-slow test-browser docs lint lock bench clean
+.PHONY: setup demo test test-slow test-browser fuzz docs lint lock bench clean
 
 setup: $(STAMP)
 
@@ -28,6 +28,10 @@ test: setup lint
 
 test-slow: setup
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 -m slow
+
+# A minute of mutated files of every format; another stretch of inputs: make fuzz SEED=1000000.
+fuzz: setup
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m tests.fuzz --seconds 60 --seed $(or $(SEED),0)
 
 docs: setup
 	$(PY) docs/site/build.py --out build/docs

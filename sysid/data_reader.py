@@ -117,7 +117,8 @@ class Reader:
         if _count(shape) * kind.itemsize != len(content) or (kind.itemsize == 0 and _count(shape)):
             raise ValueError("an array's bytes are not those of its shape and type")
         flat = np.frombuffer(content, np.uint8).view(kind) if len(content) else np.empty(0, kind)
-        return _shaped(flat.copy() if _of(bool, writeable) else flat, shape, order, writeable), ()
+        # Copied, as it lies in the file at any address: sums of unaligned numbers are slower and may differ in the last digit.
+        return _shaped(flat.copy(), shape, order, writeable), ()
 
     def _texts(self, shape: Any, order: Any, writeable: Any, lengths: Any, joined: Any) -> tuple[Any, Sequence[int]]:
         sizes, content = np.frombuffer(self._buffer(lengths), "<i8"), self._buffer(joined)

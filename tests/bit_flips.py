@@ -61,15 +61,28 @@ def make_folders(root: Path) -> list[Folder]:
     """A complete campaign, one that decided, one stopped before its tables, with free pages, and one killed in a batch."""
     from tests.test_campaign_decide import TOML
 
+    if not (root / "killed").exists():
+        _fly(root, TOML)
+    plain, decide = root / "campaign.toml", root / "decide.toml"
+    complete = (MANIFEST, JOURNAL, *TABLES)
+    return [
+        Folder(root / "plain", plain, tuple(name for name in complete if (root / "plain" / name).exists())),
+        Folder(root / "decide", decide, tuple(name for name in complete if (root / "decide" / name).exists())),
+        Folder(root / "unfinished", plain, (MANIFEST, JOURNAL)),
+        Folder(root / "killed", plain, (JOURNAL, LEFTOVER)),
+    ]
+
+
+def _fly(root: Path, deciding: str) -> None:
     root.mkdir(parents=True, exist_ok=True)
     text = fakes.CAMPAIGN.replace("flights = 3", "flights = 24").partition("[epistemic]")[0]
     text += '[epistemic]\nmethod = "corners"\ncoefficients = ["CX", "CY"]\nbounds = { CX = 0.008, CY = 0.010 }\n'
     text += "[metrics]\nexcursion_radius_m = 15\n"
     plain, decide = fakes.campaign_file(root, text), root / "decide.toml"
-    decide.write_text(TOML.replace("flights = 40", "flights = 8").replace("[metrics]", "[metrics]\nexcursion_radius_m = 15"))
+    decide.write_text(deciding.replace("flights = 40", "flights = 8").replace("[metrics]", "[metrics]\nexcursion_radius_m = 15"))
     for name, campaign in (("plain", plain), ("decide", decide)):
         assert _call("campaign", "run", campaign, "--out", root / name, "--serial")[0] == 0
-        assert _call("sensitivity", root / name)[0] in (0, 1)
+    assert _call("sensitivity", plain.parent / "plain")[0] in (0, 1)
     unfinished = root / "unfinished"
     shutil.copytree(root / "plain", unfinished)
     _stop_before_the_tables(unfinished)
@@ -78,13 +91,6 @@ def make_folders(root: Path) -> list[Folder]:
     killed = root / "killed"
     shutil.copytree(unfinished, killed)
     _kill_in_a_batch(killed)
-    complete = (MANIFEST, JOURNAL, *TABLES)
-    return [
-        Folder(root / "plain", plain, tuple(name for name in complete if (root / "plain" / name).exists())),
-        Folder(root / "decide", decide, tuple(name for name in complete if (root / "decide" / name).exists())),
-        Folder(unfinished, plain, (MANIFEST, JOURNAL)),
-        Folder(killed, plain, (JOURNAL, LEFTOVER)),
-    ]
 
 
 def _stop_before_the_tables(folder: Path) -> None:
@@ -191,16 +197,16 @@ def judge(seen: Seen, reference: Seen) -> str:
 
 
 def run(count: int, seed: int, root: Path, say: Callable[[str], None] = lambda _: None) -> dict[str, Counter[str]]:
-    """Outcomes by folder and file."""
-    with _harmless():
+    """Outcomes by folder and file; the folders are made in ``root`` unless they are there."""
+    with harmless():
         folders = make_folders(root / "made")
         references = {}
         for folder in folders:
-            references[folder.path] = look(folder, _copied(folder, root / "copy"))
+            references[folder.path] = look(folder, copied(folder, root / "copy"))
             assert not references[folder.path].complaints, references[folder.path].complaints
         found: dict[str, Counter[str]] = {}
         for number, (folder, name, bit) in enumerate(flips(folders, count, random.Random(seed))):
-            place = _copied(folder, root / "copy")
+            place = copied(folder, root / "copy")
             flip(place / name, bit)
             seen = look(folder, place, name in _REPORTED)
             outcome = judge(seen, references[folder.path])
@@ -217,14 +223,15 @@ def flip(path: Path, bit: int) -> None:
     path.write_bytes(content)
 
 
-def _copied(folder: Folder, place: Path) -> Path:
+def copied(folder: Folder, place: Path) -> Path:
+    """A copy of a folder in place of what is there."""
     shutil.rmtree(place, ignore_errors=True)
     shutil.copytree(folder.path, place)
     return place
 
 
 @contextlib.contextmanager
-def _harmless() -> Iterator[None]:
+def harmless() -> Iterator[None]:
     """Flights and check flights that cost nothing, and tables that are made once from the same flights."""
     import uqharness.campaign as campaign
     import uqharness.campaign_seal as seal

@@ -3,8 +3,8 @@
     python -m tests.golden make DIR          a campaign, an identification, bounds, a refinement and a study, in some three minutes
     python -m tests.golden compare A B       exit code 1, and a line a file, where the two differ
 
-Figures in the files depend on the processor's arithmetic, so both are made on one machine. Compared are tables and documents; paths,
-versions, commands and times of day in them are left out. Pages and pictures are not compared: their words may change.
+Figures in the files depend on the processor's arithmetic, so both are made on one machine. Compared are tables and documents;
+paths, versions, commands and times of day in them are left out. Pages and pictures are not compared: their words may change.
 """
 
 from __future__ import annotations
@@ -18,11 +18,14 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-KINDS = {".parquet", ".csv", ".json", ".xml", ".toml", ".diff"}
+KINDS = {".parquet", ".csv", ".json", ".xml", ".diff"}
+# What a folder was made by and where, which its tables do not depend on.
+LEFT_OUT = {"manifest.json", "study.json"}
 # Of where and by what something was made, and how long it took.
 ASIDE = frozenset(
     {"command", "commands", "versions", "campaign_file", "path", "folder", "report", "figures", "digest", "tables", "seconds"}
     | {"elapsed_s", "time_s", "made_by", "hash", "key", "source", "model"}
+    | {"simulations_per_s", "flight_s_per_s", "bare_flight_s_per_s"}
 )
 CAMPAIGN = """
 [campaign]
@@ -99,9 +102,15 @@ def without(value: Any) -> Any:
     return [without(item) for item in value] if isinstance(value, list) else value
 
 
+def compared(folder: Path) -> list[str]:
+    """Names of the files below a folder that are looked at."""
+    found = (path for path in folder.rglob("*") if path.suffix in KINDS and path.name not in LEFT_OUT)
+    return [path.relative_to(folder).as_posix() for path in found]
+
+
 def compare(first: Path, second: Path) -> list[str]:
     """A line for each file that differs or is missing."""
-    names = [{p.relative_to(d).as_posix() for p in d.rglob("*") if p.suffix in KINDS} for d in (first, second)]
+    names = [set(compared(folder)) for folder in (first, second)]
     lines = [f"{name}: only in one" for name in sorted(names[0] ^ names[1])]
     for name in sorted(names[0] & names[1]):
         if repr(content(first / name, first)) != repr(content(second / name, second)):

@@ -86,7 +86,7 @@ def test_a_campaign_of_years_is_refused_at_once_in_little_memory(tmp_path, capsy
     said = capsys.readouterr()
     assert (code, said.out) == (2, "")
     assert "64000000 flights (64 epistemic samples, 1 condition, 1000000 each), 3733333 flight h" in said.err
-    assert "115 GB of disk" in said.err
+    assert "128 GB of disk" in said.err
     assert "give --yes to fly it all the same, or --hours H" in said.err
     assert most < 200e6
     assert not (tmp_path / "out").exists()

@@ -16,7 +16,7 @@ FORMATS = all_formats()
 
 @pytest.fixture(scope="module")
 def bad_worker():
-    with Worker("tests.fuzz.bad_targets", limit_s=4.0, limit_mb=280.0) as worker:
+    with Worker("tests.fuzz.bad_targets", limit_s=2.5, limit_mb=280.0) as worker:
         yield worker
 
 
@@ -80,7 +80,8 @@ def test_an_input_follows_from_its_seed(name):
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_fixed_seeds_give_no_findings(name, worker):
-    found = [worker.attempt(name, seed) for seed in range(3)]
+    # JSBSim's own process is started for each of the flown ones.
+    found = [worker.attempt(name, seed) for seed in range(1 if name.endswith("-flown") else 3)]
     assert [f for f in found if f.outcome == "finding"] == []
 
 
@@ -88,7 +89,7 @@ def test_fixed_seeds_give_no_findings(name, worker):
 def test_many_seeds_give_no_findings():
     counts: dict[str, Counts] = {name: Counts() for name in FORMATS}
     findings: list[Outcome] = []
-    run(by_number(FORMATS, 1000, 40), counts, findings.append)
+    run(by_number(FORMATS, 1000, 20), counts, findings.append)
     assert findings == []
 
 

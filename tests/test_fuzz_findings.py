@@ -8,6 +8,8 @@ import shutil
 import subprocess
 import sys
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from sysid.log_errors import LogError
@@ -15,12 +17,19 @@ from sysid.log_import import import_log
 from tests.fuzz.formats import CORPUS
 from uqharness.aircraft import find_aircraft, parse_xml
 from uqharness.aircraft_files import opened
+from uqharness.area_study import read_flights
+from uqharness.campaign_spec import read_campaign
+from uqharness.campaign_status import read_status
+from uqharness.campaign_verify import look_at_journal
 from uqharness.chain_spec import read_chain
 from uqharness.dask_orders import order_from
 from uqharness.errors import BadInputError
 from uqharness.instrument_folder import undo
 from uqharness.instrument_record import FILE_NAME
+from uqharness.journal_recovery import JournalScan
 from uqharness.mission import read_script
+from uqharness.spec_sections import is_number
+from uqharness.store import Store
 from uqharness.toml_errors import dotted
 
 DIGITS = "9" * 5000
@@ -96,6 +105,31 @@ def test_a_sentence_stays_one_whatever_a_file_puts_into_it(dart):
     assert str(pickle.loads(pickle.dumps(listed))) == str(listed)
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda t: t.append_column("more", pa.array([{"a": 1}] * len(t))), "column more is of type struct"),
+        (lambda t: t.append_column("status", t["status"]), "or there twice"),
+        (lambda t: t.slice(0, 0), "holds no flight"),
+    ],
+)
+def test_tables_of_flights(change, said, tmp_path):
+    table = pq.read_table(CORPUS / "settings" / "flights.parquet")
+    noted = table.replace_schema_metadata({b"pandas": b'\xff{"index_columns": {}}'})
+    pq.write_table(noted, tmp_path / "sound.parquet")
+    assert len(read_flights(tmp_path / "sound.parquet", {})) == len(table)
+    pq.write_table(change(table), tmp_path / "flights.parquet")
+    assert said in refusal(BadInputError, read_flights, tmp_path / "flights.parquet", {})
+
+
+def test_rows_longer_than_the_header(tmp_path):
+    """Cells without a name were taken for names of rows: columns moved over, and hundreds of them took ever longer."""
+    (tmp_path / "table.csv").write_text("time_s,V_mps\n" + "".join(f"{k / 10},{20 + k},7,7\n" for k in range(50)))
+    assert "4 cells, the header 2" in refusal(LogError, import_log, tmp_path / "table.csv")
+    (tmp_path / "table.csv").write_text("time_s,V_mps\n\n" + "".join(f'{k / 10},"{20 + k}"\n' for k in range(50)))
+    assert len(import_log(tmp_path / "table.csv")) == 50
+
+
 def test_an_integer_beyond_all_floats_in_a_table(tmp_path):
     (tmp_path / "map.toml").write_text('[signals.V_mps]\nmessage = "csv"\nfield = "v"\n')
     rows = "".join(f"{k / 10},{20 + k}\n" for k in range(50))
@@ -116,6 +150,41 @@ def test_a_record_that_does_not_fit_its_file(text, tmp_path):
         record["files"]["dart.xml"]["insertions"][0][1] = ""
     (folder / FILE_NAME).write_text(json.dumps(record))
     assert "dart.xml" in refusal(BadInputError, undo, folder, folder)
+
+
+def test_a_record_that_names_a_file_of_thousands_of_letters(tmp_path):
+    folder = tmp_path / "dart"
+    shutil.copytree(CORPUS / "results" / "instrumented", folder)
+    record = json.loads((folder / FILE_NAME).read_text())
+    record["files"]["x" * 20_000] = record["files"]["dart.xml"]
+    (folder / FILE_NAME).write_text(json.dumps(record))
+    assert len(refusal(BadInputError, undo, folder, folder)) < 2000
+
+
+def test_a_journal_whose_damage_sqlite_cannot_spell(tmp_path):
+    """SQLite quotes the damaged name in its message, and Python cannot decode the message."""
+    folder = tmp_path / "results"
+    shutil.copytree(CORPUS.parent.parent / "format_1" / "results", folder)
+    journal = folder / "journal.sqlite"
+    content = journal.read_bytes()
+    assert content.count(b"on outcome (status)") == 1
+    journal.write_bytes(content.replace(b"on outcome (status)", b"on outcome (st\xactus)"))
+
+    def every_row():
+        with Store(folder, read_only=True) as store:
+            store.statuses()
+
+    assert "journal.sqlite" in refusal(BadInputError, every_row)
+    assert "journal.sqlite" in refusal(BadInputError, read_status, folder)
+    list(JournalScan(folder, tmp_path / "scratch").rows())
+    assert look_at_journal(folder, None).problem
+
+
+def test_numbers_larger_than_any_float_in_a_campaign(tmp_path):
+    text = (CORPUS / "settings" / "campaign.toml").read_text()
+    (tmp_path / "campaign.toml").write_text(text.replace("CX = 0.008", f"CX = 1{'0' * 400}"))
+    assert "CX = 1" in refusal(BadInputError, read_campaign, tmp_path / "campaign.toml")
+    assert [is_number(x) for x in (1, 1.5, True, 10**400, float("nan"), float("inf"), "1")] == [True, True] + [False] * 5
 
 
 def test_a_study_with_hundreds_of_mistakes(tmp_path):

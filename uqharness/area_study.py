@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 
 from sysid.importers.tables import read_small_table
 from sysid.log_errors import LogError
@@ -23,6 +24,9 @@ from uqharness.errors import BadInputError
 
 AREAS = "area.csv"
 _WHERE = ("wind_mps", "turbulence")
+_PLAIN = (
+    pa.types.is_floating, pa.types.is_integer, pa.types.is_boolean, pa.types.is_string, pa.types.is_large_string,
+)  # fmt: skip
 _COLUMNS = ("metric", "condition", "flights", "area", "area_below", "area_above", "beyond_chance", "verdict")
 
 
@@ -48,6 +52,8 @@ def read_flights(path: Path | None, values: Mapping[str, float]) -> pd.DataFrame
     frames = [pd.DataFrame([values])] if values else []
     if path is not None:
         frames.append(_read_table(path))
+        if frames[-1].empty:
+            raise BadInputError(f"{path}: holds no flight; give a table with a row per flight")
     if not frames or all(frame.empty for frame in frames):
         raise BadInputError("no flight to compare: give --flight FILE.csv|.parquet, or --value METRIC=NUMBER")
     return pd.concat(frames, ignore_index=True)
@@ -55,7 +61,14 @@ def read_flights(path: Path | None, values: Mapping[str, float]) -> pd.DataFrame
 
 def _read_table(path: Path) -> pd.DataFrame:
     if path.suffix == ".parquet":
-        return read_table(path).to_pandas()
+        found = read_table(path)
+        for field in found.schema:
+            if not any(test(field.type) for test in _PLAIN) or found.column_names.count(field.name) > 1:
+                raise BadInputError(
+                    f"{path}: column {field.name} is of type {field.type}, or there twice; columns of numbers and texts are "
+                    "compared, each there once"
+                )
+        return found.to_pandas()
     try:
         return pd.DataFrame(read_small_table(path))
     except (OSError, LogError) as error:

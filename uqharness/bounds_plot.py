@@ -76,7 +76,7 @@ def slice_figure(
                 axis.plot(factor * at, end, style, color=_BOUND, lw=1.3 if style == "-" else 0.9)
         axis.axhline(0.0, color=_RULE, lw=0.7)
         axis.set_xlabel(label, fontsize=8)
-        axis.set_ylabel(f"$\\Delta${coefficient}", fontsize=8)
+        axis.set_ylabel(f"Δ{coefficient}", fontsize=8)
         axis.tick_params(labelsize=7)
         axis.margins(x=0)
     for axis in axes[len(bounds.states) :]:
@@ -131,7 +131,7 @@ def coverage_figure(form: ModelForm, residuals: Residuals, path: Path, title: st
         start = float(at[-1]) + 0.5
     for axis, name in zip(axes, names, strict=True):
         axis.axhline(0.0, color=_RULE, lw=0.6)
-        axis.set_ylabel(f"$\\Delta${name}", fontsize=8)
+        axis.set_ylabel(f"Δ{name}", fontsize=8)
         axis.tick_params(labelsize=7)
         axis.margins(x=0)
     axes[-1].set_xlabel("pieces end to end [s]", fontsize=8)

@@ -14,8 +14,8 @@ from uqharness.epistemic_spec import SAMPLED
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import FlightSpec
 
-DISK_BYTES_PER_FLIGHT = 1800
-"""Measured on 100,000 flights: 1400 of the journal (1100 of text and digest, the rest room between rows), 400 of the tables."""
+DISK_BYTES_PER_FLIGHT = 2000
+"""Measured: 1400 of the journal (100,000 flights; 1100 of text and digest, the rest room between rows), 500 of the tables."""
 
 DAY_S = 86_400.0
 """A campaign that takes longer is asked about before it starts."""
@@ -146,7 +146,7 @@ def one_case(spec: CampaignSpec, mission: Mission) -> Case:
 
 
 def measured_pace(flown: Callable[[FlightSpec], bool], brief: FlightSpec, whole: FlightSpec) -> Pace | None:
-    """The pace from two flights of a process that has flown ``brief`` before; None where one of them does not end well.
+    """The pace from a few flights of a process that has flown ``brief`` before; None where one of them does not end well.
 
     ``flown`` flies and says whether that went well; ``whole`` is the flight as the campaign has it.
     """
@@ -164,8 +164,14 @@ def measured_pace(flown: Callable[[FlightSpec], bool], brief: FlightSpec, whole:
 
 
 def _timed(flown: Callable[[FlightSpec], bool], flight: FlightSpec) -> float | None:
-    started = time.monotonic()
-    return time.monotonic() - started if flown(flight) else None
+    """The lesser of two times: other work on the machine only ever adds."""
+    least = math.inf
+    for _ in range(2):
+        started = time.monotonic()
+        if not flown(flight):
+            return None
+        least = min(least, time.monotonic() - started)
+    return least
 
 
 def refuse_if_long(cost: Cost, agreed: bool, path: object) -> None:

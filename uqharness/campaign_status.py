@@ -72,7 +72,7 @@ def _counted_without_digests(path: Path) -> Mapping[str, int]:
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=30.0)) as database:
             found = dict(database.execute("select status, count(*) from outcome group by status").fetchall())
-    except (sqlite3.Error, OverflowError, MemoryError) as error:
+    except (sqlite3.Error, OverflowError, MemoryError, UnicodeError) as error:
         raise BadInputError(f"{path}: cannot be read: {error}; the folder was made by uqharness 0.1") from None
     if not all(isinstance(status, str) for status in found):
         raise BadInputError(f"{path}: damaged: a status is no text; the folder was made by uqharness 0.1")

@@ -125,7 +125,7 @@ def look_at_journal(folder: Path, manifest: Mapping[str, Any] | None) -> Journal
                 problem, expected = _opened(folder, folder)
             scan = JournalScan(folder, scratch.path)
             digests = {row[0]: row[-1] for row in scan.rows()}
-        except (sqlite3.Error, OSError) as error:
+        except (sqlite3.Error, OSError, UnicodeError) as error:
             return JournalFound(0, 0, None, f"cannot be read: {error}")
     if manifest is not None and is_sealed(manifest):
         expected = int(manifest["journal"]["rows"])

@@ -118,7 +118,8 @@ def parse_table(content: bytes, path: Path, rows: int | None = None) -> pa.Table
             table = file.read()
             # Text that is no UTF-8, offsets that lead out of a buffer: the reader itself takes them as they come.
             table.validate(full=True)
-            return table
+            # What others have noted for their own readers may be anything, and would steer ours.
+            return table.replace_schema_metadata(None)
     except (OSError, pa.ArrowException, ValueError, OverflowError, MemoryError) as error:
         raise BadInputError(f"{path}: not a readable parquet file: {' '.join(str(error).split())}") from None
 

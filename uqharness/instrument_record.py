@@ -86,7 +86,7 @@ def read_record(folder: Path) -> dict[str, Change]:
 def _inside(name: str) -> str:
     """The name, if it can only be that of a file inside the folder: undoing writes and removes what is named. Raises ValueError."""
     parts = name.split("/")
-    hidden = any(part in ("", "..") or part.startswith(".") for part in parts)
+    hidden = any(part in ("", "..") or part.startswith(".") or len(part) > 100 for part in parts)
     if hidden or name == FILE_NAME or PureWindowsPath(name).drive or "\\" in name or "\0" in name:
         raise ValueError(f"it names {name[:200]!r}, which is no file that an instrumentation makes")
     return name

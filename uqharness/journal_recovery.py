@@ -14,7 +14,7 @@ from uqharness.store import COLUMNS, JOURNAL, LONGEST_BYTES, create_tables, outc
 LEFTOVER = f"{JOURNAL}-journal"
 """What a writer that was killed leaves beside the journal; SQLite takes back what was half written by it."""
 
-_UNREADABLE = (sqlite3.Error, OverflowError, MemoryError)
+_UNREADABLE = (sqlite3.Error, OverflowError, MemoryError, UnicodeError)
 
 
 class JournalScan:

@@ -12,6 +12,8 @@ from typing import Any, ClassVar, Literal
 import jinja2
 from markupsafe import Markup
 
+from sysid.terminal import visible
+
 Level = Literal["good", "warn", "bad", ""]
 SIGNS: Mapping[str, str] = {"good": "✓", "bad": "✕", "warn": "!", "": ""}
 """What stands beside a colour, for readers without it."""
@@ -156,9 +158,11 @@ def render(page: Page) -> str:
     )
     cursors = any(figure.cursor for figure in figures_of(page.sections))
     sheets = [_text(name) for name in ("figure.css", "page.css")]
-    return environment.get_template("page.html.j2").render(
+    rendered = environment.get_template("page.html.j2").render(
         page=page, style=Markup("".join(sheets)), script=Markup(_text("page.js")) if cursors else ""
     )
+    # A control character in a file's or a flight's name has no meaning on a page.
+    return visible(rendered)
 
 
 def figures_of(sections: Iterable[Section]) -> list[Figure]:

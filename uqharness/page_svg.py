@@ -18,6 +18,8 @@ import numpy as np
 from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
+from sysid.terminal import visible
+
 Array = NDArray[np.float64]
 WIDTH = 360
 _LEFT, _RIGHT, _TOP, _BOTTOM = 34, 12, 24, 38
@@ -206,7 +208,7 @@ def standalone(svg: Markup) -> str:
     """The same drawing as a file of its own, its style inside."""
     inside = f'<svg xmlns="http://www.w3.org/2000/svg" width="{2 * WIDTH}" class="chart"'
     styled = str(svg).replace('<svg class="chart"', inside, 1)
-    return styled.replace("><clipPath", f"><style>{style()}</style><clipPath", 1) + "\n"
+    return visible(styled.replace("><clipPath", f"><style>{style()}</style><clipPath", 1)) + "\n"
 
 
 @cache

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from uqharness.flight_spec import COEFFICIENTS, TURBULENCE_W20_KT
 
+_LARGEST = sys.float_info.max
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Turbulence = Literal["none", "light", "moderate", "severe"]
 Coefficient = Literal["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
@@ -34,7 +35,8 @@ def tupled(value: Any) -> Any:
 
 def is_number(value: Any) -> bool:
     """Whether a TOML value is a finite number, true and false excluded."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    # Compared, not converted: an integer may be larger than any float.
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and -_LARGEST <= value <= _LARGEST
 
 
 def ordered(value: tuple[str, ...]) -> tuple[str, ...]:

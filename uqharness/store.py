@@ -132,17 +132,17 @@ class Store:
         with self._explained("read"):
             if not self._schema():
                 return
-            counted, total = Counter[str](), "0"
+            counted, total = Counter[str](), 0
             self._database.execute("begin")
             try:
                 expected = self._tally()
                 for row in self._database.execute(f"select {COLUMNS} from outcome order by case_id"):
                     yield (outcome := self._outcome(row))
                     counted[outcome.status] += 1
-                    total = summed(total, [row[-1]])
+                    total += int(row[-1], 16)
             finally:
                 self._database.rollback()
-            if (counted, summed(total, [])) != expected:
+            if (counted, summed(f"{total:x}", ())) != expected:
                 raise self._damage(
                     f"{counted.total()} flights are in it, {expected[0].total()} were stored, or they are not the same"
                 )
@@ -203,7 +203,8 @@ class Store:
                 f"{self._path}: cannot {verb}: {error}; everything counted so far is kept: "
                 "free space or mend the folder's permissions, then run the same command again"
             ) from None
-        except (OverflowError, MemoryError) as error:
+        except (OverflowError, MemoryError, ValueError) as error:
+            # SQLite's own message may quote a damaged name, which is no text; a digest may be no number.
             raise self._damage(f"cannot be read ({type(error).__name__})") from None
 
 
@@ -215,22 +216,23 @@ def create_tables(database: sqlite3.Connection) -> None:
         if database.execute("select count(*) from sqlite_master").fetchone() == (0,):
             for statement in SCHEMA:
                 database.execute(statement)
-            database.execute("insert into tally values (?,?,?)", _tally_row(Counter(), summed("0", [])))
+            database.execute("insert into tally values (?,?,?)", _tally_row(Counter(), summed("0", ())))
 
 
 def add_rows(
     database: sqlite3.Connection, rows: Iterable[Sequence[Any]], statuses: Counter[str], total: str
 ) -> None:
     """Write rows within the transaction that is open and bring the tally, which was ``statuses`` and ``total``, up to date."""
-    statuses = statuses.copy()
+    statuses, added, removed = statuses.copy(), [], []
     for row in rows:
         query = "select status, digest from outcome where case_id = ?"
         for status, digest in database.execute(query, (row[0],)).fetchall():
             statuses[status] -= 1
-            total = summed(total, [], [digest])
+            removed.append(digest)
         database.execute("insert or replace into outcome values (?,?,?,?,?,?,?)", row)
         statuses[row[1]] += 1
-        total = summed(total, [row[-1]])
+        added.append(row[-1])
+    total = summed(total, added, removed)
     database.execute("update tally set statuses = ?, digest_sum = ?, digest = ?", _tally_row(+statuses, total))
 
 

@@ -23,6 +23,7 @@ def stage(folder: Path) -> None:
     pages = [
         ROOT / "README.md",
         ROOT / "CHANGELOG.md",
+        ROOT / "SECURITY.md",
         *(ROOT / "docs").glob("*.md"),
         *(ROOT / "campaigns").glob("*/*.md"),
     ]

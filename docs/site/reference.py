@@ -117,7 +117,7 @@ def files() -> str:
 
 # File, the functions whose returned dictionaries make it, meanings.
 DOCUMENTS = (
-    ("manifest.json", ("uqharness.campaign_manifest:describe",), words.MANIFEST),
+    ("manifest.json", ("uqharness.campaign_manifest:describe", "+tables", "+journal", "+digest"), words.MANIFEST),
     ("fit.json", ("uqharness.identify_report:fit_document",), words.FIT),
     ("compare.json", ("uqharness.compare_report:document_of", "+command"), words.COMPARE),
     ("bounds.json", ("uqharness.bounds_report:bounds_document", "+command", "+version"), words.BOUNDS_REPORT),

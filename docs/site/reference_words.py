@@ -100,7 +100,7 @@ SENSITIVITY = {
 }
 MANIFEST = {
     "format": "version of this file",
-    "state": "running, complete, or spoilt where aircraft or script was edited meanwhile",
+    "state": "running, interrupted, complete, or spoilt where aircraft or script was edited meanwhile",
     "command": "what repeats the run",
     "seed": "root of every random stream",
     "cases": "number of flights",
@@ -108,6 +108,9 @@ MANIFEST = {
     "campaign_file": "where it was read from",
     "versions": "of this program, Python and the libraries that fly and write",
     "hashes": "SHA-256 of aircraft, script and files named in the campaign",
+    "tables": "once complete: table → SHA-256 of its bytes",
+    "journal": "once complete: rows, and digest (SHA-256) over the digests of all rows in the order of the case ids",
+    "digest": "SHA-256 of all of the above, as JSON without spaces, keys in order",
 }
 FIT = {
     "aircraft": "which one",

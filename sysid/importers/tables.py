@@ -6,6 +6,7 @@ its writer a byte, or nothing where it is packed, and its reader eight.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,6 +29,7 @@ _METADATA_KEY = b"flight_record"
 _CSV_MARK = "# flight_record"
 _MESSAGE = "csv"
 _ROWS_LOOKED_AT = 100
+_QUOTED = re.compile(rb'"[^"]*"')
 # Suffix of a JSBSim property -> factor into SI. Angles keep the suffix's unit (a map's scale turns them).
 _SUFFIXES = {
     "-ft_sec2": 0.3048,
@@ -171,16 +173,23 @@ def _check_csv(path: Path) -> None:
     """Refuse a table that is wider, or whose lines are longer, than any flight's, and one whose cells would fill the memory."""
     with open_regular(path) as handle:
         columns = number = rows_seen = 0
+        cells: dict[int, int] = {}
         while rows_seen < _ROWS_LOOKED_AT and (line := handle.readline(MOST_COMMENT + 1)):
             number += 1
             most = MOST_COMMENT if line.startswith(b"#") else MOST_LINE
             if len(line) > most:
                 raise LogError(f"has more than {in_words(most)}; a table's lines are shorter", path, f"line {number}")
-            if not line.startswith(b"#"):
+            if not line.startswith(b"#") and line.strip():
                 rows_seen += 1
                 columns = max(columns, line.count(b",") + 1)
+                if rows_seen <= 2:
+                    cells[number] = _QUOTED.sub(b"", line).count(b",") + 1
         if columns > MOST_COLUMNS:
             raise LogError(f"has {columns} columns; at most {MOST_COLUMNS} are read", path)
+        (_, named), (first, found) = [*cells.items(), (0, 0), (0, 0)][:2]
+        if found > named:
+            # The reader would take what is too much for names of rows, and every column for its neighbour.
+            raise LogError(f"has {found} cells, the header {named}; give every column a name", path, f"line {first}")
         handle.seek(0)
         rows = size = 0
         while block := handle.read(1 << 20):

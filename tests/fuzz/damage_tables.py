@@ -136,7 +136,7 @@ def _rows(table: pa.Table, rng: np.random.Generator) -> pa.Table:
 
 
 def _metadata(table: pa.Table, rng: np.random.Generator) -> pa.Table:
-    kept = dict(table.schema.metadata or {b"note": b"{}"})
+    kept = dict(table.schema.metadata or {b"pandas": b'{"index_columns": [], "columns": []}'})
     key = list(kept)[int(rng.integers(0, len(kept)))]
     if rng.random() < 0.3:
         kept[key] = rng.bytes(50)

@@ -59,6 +59,8 @@ def logs() -> None:
     )
     flown.write(out / "flight.csv")
     flown.write(out / "flight.parquet")
+    settings = CORPUS / "settings"
+    pd.read_csv(settings / "flights.csv").to_parquet(settings / "flights.parquet", index=False)
     _bomb(out / "bomb.parquet", "time_s", "V_mps", "q_radps")
     _bomb(out / "bomb-of-table.parquet", "time", "speed_kts", "q_degps")
     header = "Time,/fdm/jsbsim/velocities/vtrue-fps,/fdm/jsbsim/velocities/q-rad_sec,/fdm/jsbsim/fcs/elevator-cmd-deg"

@@ -60,6 +60,11 @@ def _report(place: Path, seed: int) -> None:
     command("report", str(place), *(["--json"] if seed % 2 else []))
 
 
+def _area(kind: str) -> Target:
+    """``campaign area`` with a table of flights."""
+    return lambda place, _: command("campaign", "area", str(place), "--flight", str(place / f"flights.{kind}"))
+
+
 def _undo(place: Path, seed: int) -> None:
     command("instrument", "dart", "--undo", "--out", str(place / "dart"))
 
@@ -156,6 +161,9 @@ FORMATS = (
     _campaign_file("excursions.csv", damaged_table),
     _campaign_file("statements.csv", damaged_table),
     _campaign_file("decisions.csv", damaged_table),
+    Format("area-csv", (_CAMPAIGNS[0] | {"flights.csv": "settings/flights.csv"},), ("flights.csv",), damaged_table, _area("csv")),
+    Format("area-parquet", (_CAMPAIGNS[0] | {"flights.parquet": "settings/flights.parquet"},), ("flights.parquet",),
+           parquet_damage, _area("parquet")),
     _page("fit-json", "fit"),
     _page("compare-json", "compare"),
     _page("model-form-json", "bounds"),
@@ -166,8 +174,8 @@ FORMATS = (
     _pieces("residuals-parquet", "coverage"),
     Format("instrument-record", (folder("results/instrumented", "dart"),), ("dart/uq-instrument.json",), _json_or_bytes, _undo),
     Format("study-npz", ({"study.npz": "results/study.npz"},), ("study.npz",), npz_damage, _npz),
-    Format("stage-data", ({"stage.data": "results/stage.data"},), ("stage.data",), _stage_damage, _stage),
+    Format("stage-data", ({"stage.data": "results/stage.data"},), ("stage.data",), _stage_damage, _stage, 0.3),
     Format("dask-wire", ({"order.json": "results/order.json"}, {"order.json": "results/answer.json"}),
-           ("order.json",), _json_or_bytes, _order),
+           ("order.json",), _json_or_bytes, _order, 0.3),
 )  # fmt: skip
 """A campaign's folder, documents and pieces of report pages, the record of an instrumentation, studies, stages, orders."""

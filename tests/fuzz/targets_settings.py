@@ -63,7 +63,7 @@ _CAMPAIGN = {**_DART, "script.xml": "aircraft/script.xml", "model-form.json": "r
 FORMATS = (
     Format("signal-map", ({"map.toml": "settings/map.toml", "table.csv": "logs/table.csv"},), ("map.toml",), toml_damage, _map),
     Format("card", ({**_DART, "flight.bin": "logs/flight.bin"},), ("dart/airframe.toml",), toml_damage, _card),
-    Format("effects", ({"effects.toml": "settings/effects.toml"},), ("effects.toml",), toml_damage, _effects),
+    Format("effects", ({"effects.toml": "settings/effects.toml"},), ("effects.toml",), toml_damage, _effects, 0.3),
     Format("campaign", tuple({**_CAMPAIGN, "campaign.toml": f"settings/{name}.toml"} for name in ("campaign", "sampled", "steady")),
            ("campaign.toml",), toml_damage, _campaign),
     Format("campaign-inputs", ({**_CAMPAIGN, "campaign.toml": "settings/sampled.toml"},), ("model-form.json", "fit.json"),

@@ -20,13 +20,15 @@ from typing import Any
 
 from tests.fuzz.formats import Format, all_formats
 from tests.fuzz.guard import Guard, forget_peak, internet_sockets, peak_mb, resident_mb, tree
-from tests.fuzz.hostile import OUTSIDE
+from tests.fuzz.hostile import OUTSIDE, STRINGS
 from tests.fuzz.outcome import Refused, faults, stop_colour
 
 INPUT = "a/b/in"
 """Where an input is put below BASE: deep enough that ``../..`` stays in it."""
 _OWN_FOLDER = re.compile(r"uqharness-\d+-[a-z0-9_]{8}")
 _MOST_KEPT = 40
+# A settings file may name any file; a refusal that tells of that one tells of the right one.
+_NAMED = tuple(text for text in STRINGS if text.startswith("/") and len(text) > 1)
 
 
 class Bench:
@@ -52,7 +54,7 @@ class Bench:
             except BaseException as error:  # whatever an input makes the program raise
                 outcome, what = "finding", _last_words(error)
         seconds, megabytes = time.monotonic() - started, self._megabytes()
-        if outcome == "refusal" and (fault := faults(what, (str(self.place), str(self.place.relative_to(self.base))))):
+        if outcome == "refusal" and (fault := faults(what, (str(self.place), *_NAMED))):
             outcome, what = "finding", f"refusal {fault}"
         deeds = [*deeds, *self._changes(before), *self._left_behind(temporary)]
         if deeds:
