@@ -98,7 +98,7 @@ def test_any_part_missing_or_of_another_type_is_one_sentence(made, tmp_path, cap
 
 @pytest.mark.parametrize(
     "text",
-    ["", "null", "[]", "[" * 99_999, '{"format": 2}', '{"format": 1}', '{"format": true}', '{"format": [2]}', "\ufeff{}", "1" * 5000],
+    ["", "null", "[]", "[" * 99_999, "\ufeff{}", "1" * 5000, *(f'{{"format": {what}}}' for what in ("2", "1", "true", "[2]"))],
     ids=range(10),
 )
 def test_a_manifest_that_is_none(tmp_path, capsys, text):

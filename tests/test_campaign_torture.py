@@ -196,11 +196,12 @@ def test_a_folder_that_nobody_may_write_is_refused(tmp_path):
 
 
 @pytest.mark.slow
-def test_twenty_kills_at_random(tmp_path, cluster):
+@pytest.mark.parametrize("seed", range(64, 69))
+def test_twenty_kills_at_random(tmp_path, cluster, seed):
     fakes.campaign_file(tmp_path)
-    chance = random.Random(64)
+    chance = random.Random(seed)
     kills = [*LOCAL, *DASK, "journal", *chance.choices([*LOCAL, *DASK, "journal"], k=18)]
     chance.shuffle(kills)
-    hit = torture(tmp_path, cluster, 60, kills, seed=7)
+    hit = torture(tmp_path, cluster, 60, kills, seed=seed - 57)
     check(tmp_path, 60, 20, hit)
     assert set(hit) == {*LOCAL, *DASK, *WRITES}

@@ -273,9 +273,13 @@ def test_engines_beside_the_aircraft_go_with_it(tmp_path):
     """An aircraft whose engines lie beside it finds them beside its refined copy as well."""
     made = shutil.copytree(find_aircraft("espaaro").folder, tmp_path / "own" / "aircraft" / "espaaro")
     (tmp_path / "own" / "engine").mkdir()
-    (tmp_path / "own" / "engine" / "own.xml").write_text("<propeller/>", encoding="utf-8")
+    for name in ("own", "unused"):
+        (tmp_path / "own" / "engine" / f"{name}.xml").write_text("<propeller/>", encoding="utf-8")
+    xml = made / "espaaro.xml"
+    used = '<propulsion><engine file="own"/></propulsion></fdm_config>'
+    xml.write_text(xml.read_text(encoding="utf-8").replace("</fdm_config>", used), encoding="utf-8")
     given = find_aircraft(made)
     put = _put(given, given, tmp_path / "out")
     assert put.folder == tmp_path / "out" / "aircraft" / "espaaro"
     assert put.engine_path == tmp_path / "out" / "engine"
-    assert (put.engine_path / "own.xml").is_file()
+    assert [path.name for path in put.engine_path.iterdir()] == ["own.xml"]
