@@ -17,6 +17,7 @@ from sysid.log_errors import Finding
 FloatArray = NDArray[np.float64]
 BAND_HZ = (0.08, 2.0)
 _MIN_SEGMENT_S = 20.0
+_MIN_ROWS = 20  # the band-pass needs 16; a log so slow that the band is not in it has nothing to compare
 _G = 9.80665
 _ATTITUDE = ("phi_rad", "theta_rad", "psi_rad")
 _RATES = ("p_radps", "q_radps", "r_radps")
@@ -99,7 +100,8 @@ def _longest(record: FlightRecord, names: tuple[str, ...]) -> FlightRecord | Non
         return None
     best = max(segments, key=lambda s: s.stop - s.start)
     # Ten minutes are plenty, and keep the check quick on long logs.
-    return record.rows(slice(best.start, min(best.stop, best.start + int(600.0 / record.dt_s))))
+    part = record.rows(slice(best.start, min(best.stop, best.start + int(600.0 / record.dt_s))))
+    return part if len(part) >= _MIN_ROWS and 0.4 / part.dt_s > BAND_HZ[0] else None
 
 
 def _attitude_against_rates(record: FlightRecord) -> list[Finding]:

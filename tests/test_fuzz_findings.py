@@ -8,10 +8,14 @@ import shutil
 import subprocess
 import sys
 
+import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from sysid.flight_record import FlightRecord
+from sysid.kinematic_checks import check_kinematics
 from sysid.log_errors import LogError
 from sysid.log_import import import_log
 from tests.fuzz.formats import CORPUS
@@ -22,6 +26,7 @@ from uqharness.campaign_spec import read_campaign
 from uqharness.campaign_status import read_status
 from uqharness.campaign_verify import look_at_journal
 from uqharness.chain_spec import read_chain
+from uqharness.cli import main
 from uqharness.dask_orders import order_from
 from uqharness.errors import BadInputError
 from uqharness.instrument_folder import undo
@@ -185,6 +190,22 @@ def test_numbers_larger_than_any_float_in_a_campaign(tmp_path):
     (tmp_path / "campaign.toml").write_text(text.replace("CX = 0.008", f"CX = 1{'0' * 400}"))
     assert "CX = 1" in refusal(BadInputError, read_campaign, tmp_path / "campaign.toml")
     assert [is_number(x) for x in (1, 1.5, True, 10**400, float("nan"), float("inf"), "1")] == [True, True] + [False] * 5
+
+
+@pytest.mark.parametrize("dt_s", [2e7, 30.0, 4.0, 1.5])
+def test_a_record_too_slow_for_the_kinematic_checks(dt_s):
+    n = 18
+    columns = {name: np.sin(np.arange(n)) for name in ("phi_rad", "theta_rad", "psi_rad", "p_radps", "q_radps", "r_radps")}
+    assert check_kinematics(FlightRecord({"time_s": dt_s * np.arange(n), **columns})) == []
+
+
+def test_a_script_that_names_manoeuvres_and_does_not_count_them(dart):
+    script = (CORPUS / "aircraft" / "script.xml").read_text()
+    path = dart.parent / "script.xml"
+    path.write_text(script.replace('<property value="0">flight/manoeuvre</property>', ""))
+    out = dart.parent / "out.csv"
+    assert main(["fly", str(dart), "--script", str(path), "--duration-s", "0.5", "--out", str(out)]) == 0
+    assert set(pd.read_csv(out, comment="#")["manoeuvre"]) == {"script"}
 
 
 def test_a_study_with_hundreds_of_mistakes(tmp_path):

@@ -205,7 +205,8 @@ def to_record(
 
     columns = dict(recorded.signals)
     columns["h_m"] = columns["h_m"] - columns["h_m"][0]
-    number = columns.pop(_NUMBER, np.zeros(0))
+    # A script may name manoeuvres and never declare the property that counts them.
+    number = columns.pop(_NUMBER, None)
     if spec.sensor_noise:
         for name, std in aircraft.card.sensors.noise_std.items():
             if name in columns:
@@ -216,5 +217,5 @@ def to_record(
                 columns[name] = columns[name] + std * stream.standard_normal(columns[name].size)
     columns["psi_rad"] = np.mod(columns["psi_rad"], 2.0 * np.pi)
     frame = pd.DataFrame(columns)
-    frame["manoeuvre"] = [named.get(int(k), "") for k in number] if named else manoeuvre
+    frame["manoeuvre"] = [named.get(int(k), "") for k in number] if named and number is not None else manoeuvre
     return frame
