@@ -79,12 +79,15 @@ def pages(tmp_path_factory):
         "refine": folders.refined(root / "refined"), "bounds": folders.bounded(root / "bounds"),
         "validate-bounds": folders.covered(root / "check"), "campaign": campaigns / "before",
     }  # fmt: skip
-    stages = [folders.stage(kind, kind, str(folder)) for kind, folder in made.items()]
-    stages.append(folders.stage("after", "campaign", str(campaigns / "after")))
-    both = {"before": str(campaigns / "before"), "after": str(campaigns / "after")}
-    made["study"] = folders.written(root / "study", "study.json", folders.study(stages, before_after=both))
-    for folder in made.values():
+    for kind, folder in made.items():
         write_report(folder)
+        shutil.copytree(folder, root / "study" / kind)
+    shutil.copytree(campaigns / "after", root / "study" / "after")
+    stages = [folders.stage(kind, kind, kind) for kind in made]
+    stages.append(folders.stage("after", "campaign", "after"))
+    both = {"before": "campaign", "after": "after"}
+    made["study"] = folders.written(root / "study", "study.json", folders.study(stages, before_after=both))
+    write_report(made["study"])
     return made
 
 
