@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uqharness.verb_parser import add_verb
+from uqharness.verb_parser import add_verb, asked_campaign
 
 if TYPE_CHECKING:
     from uqharness.campaign_cost import Cost
@@ -39,18 +39,12 @@ def _check(args: argparse.Namespace) -> int:
     from uqharness.campaign import find_mission, validate_model
     from uqharness.campaign_aircraft import make_copy, needs_copy
     from uqharness.campaign_cost import Cost, one_case, size_of
-    from uqharness.campaign_spec import read_campaign
     from uqharness.errors import BadInputError
     from uqharness.executor import usable_cores
     from uqharness.flight import fly
-    from uqharness.project_files import find_campaign
     from uqharness.scratch import scratch_folder
 
-    spec = read_campaign(find_campaign(args.campaign))
-    if args.hours is not None:
-        spec = spec.with_hours(args.hours)
-    if args.samples is not None:
-        spec = spec.with_samples(args.samples)
+    spec = asked_campaign(args)
     workers = usable_cores() if args.workers is None else args.workers
     if workers < 1:
         raise BadInputError(f"--workers {workers}: must be at least 1")

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uqharness import campaign_check_command, campaign_studies_command, campaign_whole_commands
-from uqharness.verb_parser import add_verb
+from uqharness.verb_parser import add_verb, asked_campaign
 
 if TYPE_CHECKING:
     from uqharness.campaign import CampaignSummary
@@ -104,16 +104,10 @@ def _run(args: argparse.Namespace) -> int:
     from uqharness.campaign import run_campaign
     from uqharness.campaign_aircraft import bounds_notes
     from uqharness.campaign_cost import Cost, refuse_if_long, size_of
-    from uqharness.campaign_spec import read_campaign
     from uqharness.progress_view import ProgressView
-    from uqharness.project_files import find_campaign
     from uqharness.shards import parse_shard
 
-    spec = read_campaign(find_campaign(args.campaign))
-    if args.hours is not None:
-        spec = spec.with_hours(args.hours)
-    if args.samples is not None:
-        spec = spec.with_samples(args.samples)
+    spec = asked_campaign(args)
     for note in bounds_notes(spec):
         print(f"note: {note}", file=sys.stderr)
     shard = parse_shard(args.shard) if args.shard is not None else None

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uqharness.verb_parser import add_verb
+from uqharness.verb_parser import add_verb, asked_campaign
 
 if TYPE_CHECKING:
     from uqharness.campaign_salvage import Salvaged
@@ -77,20 +77,16 @@ def _verified_lines(found: Verified) -> Iterator[str]:
 def _salvage(args: argparse.Namespace) -> int:
     from uqharness.campaign_cost import Cost, refuse_if_long
     from uqharness.campaign_salvage import Flying, salvage
-    from uqharness.campaign_spec import read_campaign
     from uqharness.errors import BadInputError
     from uqharness.executor import ProcessExecutor, usable_cores
     from uqharness.progress_view import ProgressView
-    from uqharness.project_files import find_campaign
 
-    spec = None if args.campaign is None else read_campaign(find_campaign(args.campaign))
-    if spec is None and (args.hours is not None or args.samples is not None):
+    if args.campaign is None and (args.hours is not None or args.samples is not None):
         raise BadInputError("--hours and --samples belong to --campaign, the file they were given with")
+    spec = None if args.campaign is None else asked_campaign(args)
     command = ["uqharness", "campaign", "run", str(args.campaign), "--out", str(args.folder)]
-    if spec is not None and args.hours is not None:
-        spec, command = spec.with_hours(args.hours), [*command, "--hours", f"{args.hours:g}"]
-    if spec is not None and args.samples is not None:
-        spec, command = spec.with_samples(args.samples), [*command, "--samples", str(args.samples)]
+    command += [] if args.hours is None else ["--hours", f"{args.hours:g}"]
+    command += [] if args.samples is None else ["--samples", str(args.samples)]
 
     def told(cost: Cost) -> None:
         refuse_if_long(cost, args.yes, args.folder)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 from lxml import etree
@@ -16,7 +16,7 @@ from uqharness.errors import BadInputError
 from uqharness.mass_change import MassChange
 from uqharness.scratch import scratch_folder
 from uqharness.staging import Staging, stage
-from uqharness.xml_gate import passed
+from uqharness.xml_gate import leads_out, passed
 
 ENDLESS_S = 1e9
 """End written into a staged script: the host counts steps itself."""
@@ -136,8 +136,7 @@ class StagedMission:
         check_loadable(aircraft)
         self.aircraft = aircraft
         self.script = read_script(script_path)
-        named = PurePosixPath(self.script.initialize)
-        if named.is_absolute() or ".." in named.parts or "\\" in self.script.initialize:
+        if leads_out(self.script.initialize) or "\\" in self.script.initialize:
             raise BadInputError(
                 f"{script_path}: starts from '{self.script.initialize}'; initial conditions must lie in the aircraft's folder"
             )

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from uqharness.campaign_spec import CampaignSpec
 
 
 def add_verb(verbs: Any, name: str, text: str, example: str) -> argparse.ArgumentParser:
@@ -17,3 +20,17 @@ def add_verb(verbs: Any, name: str, text: str, example: str) -> argparse.Argumen
     )
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     return parser
+
+
+def asked_campaign(args: argparse.Namespace) -> CampaignSpec:
+    """The campaign of ``args.campaign`` with ``--hours`` and ``--samples`` in it. Raises BadInputError."""
+    # Imported here: `uqharness --help` should not wait for the numerical libraries.
+    from uqharness.campaign_spec import read_campaign
+    from uqharness.project_files import find_campaign
+
+    spec = read_campaign(find_campaign(args.campaign))
+    if args.hours is not None:
+        spec = spec.with_hours(args.hours)
+    if args.samples is not None:
+        spec = spec.with_samples(args.samples)
+    return spec

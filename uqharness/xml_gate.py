@@ -102,9 +102,7 @@ class _Scan:
         self.depth -= 1
 
     def _inside(self, tag: str, name: str, line: int) -> str:
-        parts = {*PurePosixPath(name).parts, *PureWindowsPath(name).parts}
-        windows = PureWindowsPath(name)
-        if name.startswith(("/", "~")) or windows.drive or windows.root or ".." in parts or "\0" in name:
+        if leads_out(name):
             raise BadInputError(
                 f'{self.where}:{line}: <{tag} file="{name}"> leads out of the aircraft; a file must be named within the '
                 "aircraft's folder or within the folders engine and systems beside it: put it there"
@@ -112,6 +110,13 @@ class _Scan:
         if max(map(len, name.encode(errors="replace").split(b"/"))) > _LONGEST_NAME:
             raise BadInputError(f'{self.where}:{line}: <{tag} file="{name[:60]}..."> is longer than a file\'s name may be')
         return name if not name or name.endswith(".xml") else f"{name}.xml"
+
+
+def leads_out(name: str) -> bool:
+    """Whether a file's name, read as this or as another system reads it, may lie outside the folder that it is looked for in."""
+    windows = PureWindowsPath(name)
+    parts = {*PurePosixPath(name).parts, *windows.parts}
+    return bool(name.startswith(("/", "~")) or windows.drive or windows.root or ".." in parts or "\0" in name)
 
 
 @lru_cache(maxsize=128)
