@@ -62,7 +62,6 @@ def _items_fit(value: Collection[Any], kind: Any, args: tuple[Any, ...]) -> bool
     return not args or all(fits(item, args[0]) for item in value)
 
 
-
 def _is_protocol(kind: type) -> bool:
     """Whether it says what methods a value has: data has none."""
     return bool(getattr(kind, "_is_protocol", False))

@@ -23,7 +23,19 @@ KINDS = {".parquet", ".csv", ".json", ".xml", ".diff"}
 LEFT_OUT = {"manifest.json", "study.json"}
 # Of where and by what something was made, and how long it took.
 ASIDE = frozenset(
-    {"command", "commands", "versions", "campaign_file", "path", "folder", "report", "figures", "digest", "tables", "seconds"}
+    {
+        "command",
+        "commands",
+        "versions",
+        "campaign_file",
+        "path",
+        "folder",
+        "report",
+        "figures",
+        "digest",
+        "tables",
+        "seconds",
+    }
     | {"elapsed_s", "time_s", "made_by", "hash", "key", "source", "model"}
     | {"simulations_per_s", "flight_s_per_s", "bare_flight_s_per_s"}
 )
@@ -50,7 +62,19 @@ def commands(out: Path) -> list[list[str]]:
     """What is run, in order."""
     flown = {name: str(out / f"{name}.parquet") for name in FLIGHTS}
     fly = [
-        ["fly", "espaaro_truth", "--script", script, "--turbulence", "light", "--noise", "--seed", str(seed), "--out", flown[name]]
+        [
+            "fly",
+            "espaaro_truth",
+            "--script",
+            script,
+            "--turbulence",
+            "light",
+            "--noise",
+            "--seed",
+            str(seed),
+            "--out",
+            flown[name],
+        ]
         for name, (script, seed) in FLIGHTS.items()
     ]
     calm = [[*words[:4], *words[6:-1], words[-1].replace(".parquet", "-calm.parquet")] for words in fly]
@@ -63,7 +87,19 @@ def commands(out: Path) -> list[list[str]]:
         ["sensitivity", str(out / "campaign")],
         ["identify", "espaaro", "--flight", ident, "--no-figures", "--out", str(out / "identify")],
         ["bounds", "espaaro", "--flight", flown["bounds"], "--no-figures", "--out", str(out / "bounds")],
-        ["refine", "espaaro", "--train", ident, "--train", bounds, "--test", validation, "--out", str(out / "refine"), "--no-pbox"],
+        [
+            "refine",
+            "espaaro",
+            "--train",
+            ident,
+            "--train",
+            bounds,
+            "--test",
+            validation,
+            "--out",
+            str(out / "refine"),
+            "--no-pbox",
+        ],
         ["study", study, "--out", str(out / "study")],
     ]
 
@@ -74,7 +110,9 @@ def make(out: Path) -> int:
     (out / "campaign.toml").write_text(CAMPAIGN.format(root=ROOT))
     for words in commands(out):
         print("uqharness", *words, flush=True)
-        done = subprocess.run([sys.executable, "-m", "uqharness", *words], cwd=ROOT, stdout=subprocess.DEVNULL, check=False)
+        done = subprocess.run(
+            [sys.executable, "-m", "uqharness", *words], cwd=ROOT, stdout=subprocess.DEVNULL, check=False
+        )
         if done.returncode not in (0, 1):
             print(f"ended with {done.returncode}")
             return 1

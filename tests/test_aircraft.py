@@ -143,7 +143,13 @@ def test_inactive_plugin_is_bit_identical_to_none(copy):
 def test_rates_are_made_dimensionless_with_the_airspeed_of_this_frame(name):
     """A frame late they were 0.25 % off while the speed changed, which an estimator took for damping that goes with alpha."""
     fdm = open_aircraft(find_aircraft(name))
-    fdm["ic/h-sl-ft"], fdm["ic/vt-fps"], fdm["ic/p-rad_sec"], fdm["ic/q-rad_sec"], fdm["ic/r-rad_sec"] = 900.0, 72.0, 0.3, 0.2, 0.1
+    fdm["ic/h-sl-ft"], fdm["ic/vt-fps"], fdm["ic/p-rad_sec"], fdm["ic/q-rad_sec"], fdm["ic/r-rad_sec"] = (
+        900.0,
+        72.0,
+        0.3,
+        0.2,
+        0.1,
+    )
     engine.run_ic(fdm)
     fdm.run()
     for _ in range(5):
@@ -151,7 +157,9 @@ def test_rates_are_made_dimensionless_with_the_airspeed_of_this_frame(name):
         fdm.run()
         assert abs(fdm["velocities/vt-fps"] / before - 1.0) > 1e-5
         for axis, length in (("p", "bw"), ("q", "cbarw"), ("r", "bw")):
-            expected = fdm[f"velocities/{axis}-rad_sec"] * fdm[f"metrics/{length}-ft"] / (2.0 * fdm["velocities/vt-fps"])
+            expected = (
+                fdm[f"velocities/{axis}-rad_sec"] * fdm[f"metrics/{length}-ft"] / (2.0 * fdm["velocities/vt-fps"])
+            )
             assert fdm[f"aero/{axis}_hat"] == pytest.approx(expected, rel=1e-12)
 
 

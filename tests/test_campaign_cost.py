@@ -62,7 +62,9 @@ def test_time_is_that_of_what_is_missing():
 
 
 def test_pace_separates_what_a_flight_takes_from_what_a_second_takes(monkeypatch):
-    monkeypatch.setattr(cost, "_timed", lambda flown, flight: 0.1 + 0.001 * flight.duration_s if flown(flight) else None)
+    monkeypatch.setattr(
+        cost, "_timed", lambda flown, flight: 0.1 + 0.001 * flight.duration_s if flown(flight) else None
+    )
     brief, whole = (FlightSpec(Path("plane"), Path("loiter.xml"), duration_s=seconds) for seconds in (5.0, 600.0))
     pace = cost.measured_pace(lambda flight: True, brief, whole)
     assert pace == cost.Pace(pytest.approx(0.1), pytest.approx(0.001))
@@ -71,7 +73,8 @@ def test_pace_separates_what_a_flight_takes_from_what_a_second_takes(monkeypatch
 
 
 @pytest.mark.parametrize(
-    ("seconds", "words"), [(0.2, "1 s"), (90, "1.5 min"), (3600 * 30, "30 h"), (86400 * 3, "3 days"), (4e9, "127 years")]
+    ("seconds", "words"),
+    [(0.2, "1 s"), (90, "1.5 min"), (3600 * 30, "30 h"), (86400 * 3, "3 days"), (4e9, "127 years")],
 )
 def test_times_in_words(seconds, words):
     assert cost.time_in_words(seconds) == words
@@ -115,7 +118,12 @@ def test_check_flies_nothing_that_counts(tmp_path, capsys):
     before = sorted(tmp_path.rglob("*"))
     assert main(["campaign", "check", str(path), "--json", "--workers", "2"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert (found["flights"], found["epistemic_samples"], found["conditions"], found["more_than_a_day"]) == (192, 64, 1, False)
+    assert (found["flights"], found["epistemic_samples"], found["conditions"], found["more_than_a_day"]) == (
+        192,
+        64,
+        1,
+        False,
+    )
     assert 0.1 < found["expected_s"] < 3600.0
     assert sorted(tmp_path.rglob("*")) == before
     assert main(["campaign", "check", str(path), "--hours", "1000000"]) == 0

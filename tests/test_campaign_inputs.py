@@ -355,7 +355,12 @@ def test_a_plugin_without_switches_has_its_certain_bounds_set_to_zero(tmp_path):
     spec = campaign(tmp_path, 'method = "corners"\ncoefficients = ["CX"]\n', HEAD.replace('"plane"', f'"{folder}"'))
     flight = build_cases(spec, mission(tmp_path))[1].flight
     brief = dataclasses.replace(
-        flight, aircraft=folder, script=PROJECT_ROOT / "scripts" / "trim.xml", duration_s=1.0, burn_in_s=0.0, turbulence="none"
+        flight,
+        aircraft=folder,
+        script=PROJECT_ROOT / "scripts" / "trim.xml",
+        duration_s=1.0,
+        burn_in_s=0.0,
+        turbulence="none",
     )
     signals = {f"{name}_delta": Source(f"uq/{name}/delta") for name in COEFFICIENTS}
     with StagedMission(find_aircraft(folder), PROJECT_ROOT / "scripts" / "trim.xml") as flown:

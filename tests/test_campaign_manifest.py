@@ -41,7 +41,9 @@ def made(tmp_path_factory):
     text += '[epistemic]\nmethod = "corners"\ncoefficients = ["CX", "CY"]\nbounds = { CX = 0.008, CY = 0.010 }\n'
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("uqharness.campaign.validate_model", lambda fly, case: None)
-        run_campaign(read_campaign(fakes.campaign_file(root, text)), root / "out", executor=SerialExecutor(), fly=fakes.steady)
+        run_campaign(
+            read_campaign(fakes.campaign_file(root, text)), root / "out", executor=SerialExecutor(), fly=fakes.steady
+        )
     return root / "out"
 
 
@@ -98,7 +100,15 @@ def test_any_part_missing_or_of_another_type_is_one_sentence(made, tmp_path, cap
 
 @pytest.mark.parametrize(
     "text",
-    ["", "null", "[]", "[" * 99_999, "\ufeff{}", "1" * 5000, *(f'{{"format": {what}}}' for what in ("2", "1", "true", "[2]"))],
+    [
+        "",
+        "null",
+        "[]",
+        "[" * 99_999,
+        "\ufeff{}",
+        "1" * 5000,
+        *(f'{{"format": {what}}}' for what in ("2", "1", "true", "[2]")),
+    ],
     ids=range(10),
 )
 def test_a_manifest_that_is_none(tmp_path, capsys, text):

@@ -107,13 +107,19 @@ def test_bad_toml_names_the_line(tmp_path):
 @pytest.mark.parametrize(
     ("addition", "fragment"),
     [
-        ('[stop]\nrule = "decide"\nradius_m = 20\n', ":21: [stop] radius_m = 20: must be among [metrics] excursion_radius_m"),
+        (
+            '[stop]\nrule = "decide"\nradius_m = 20\n',
+            ":21: [stop] radius_m = 20: must be among [metrics] excursion_radius_m",
+        ),
         ('[stop]\nrule = "decide"\nindifference_per_h = [0.2, 0.3]\n', "must hold [metrics] acceptable_per_h = 0.1"),
         ('[stop]\nrule = "decide"\nindifference_per_h = [0.3, 0.05]\n', "must be [lower, upper]"),
         ('[stop]\nrule = "decide"\nerror_rate = 0.5\n', "[stop] error_rate: must be less than 0.5"),
         ('[stop]\nrule = "decide"\nhours = 500\n', 'hours belongs to rule = "hours", not to "decide"'),
         ('[stop]\nrule = "band-width"\n', '"band-width" needs band_width'),
-        ('[stop]\nrule = "hours"\nhours = 500\n', "flights = 3, but [stop] hours = 500 of flights of 150 s asks for 12000"),
+        (
+            '[stop]\nrule = "hours"\nhours = 500\n',
+            "flights = 3, but [stop] hours = 500 of flights of 150 s asks for 12000",
+        ),
         ('[stop]\nrule = "sprt"\n', "[stop] rule: must be 'flights', 'hours', 'band-width' or 'decide'"),
         ("[metrics]\ndispersion = 0.5\n", "[metrics] dispersion: must be greater than or equal to 1"),
         ('[epistemic.parameters]\nfit = "fit.json"\n', "[epistemic.parameters] needs samples"),
@@ -153,7 +159,9 @@ def test_a_walk_with_one_rate_for_all_or_one_each(tmp_path):
     assert read(tmp_path, text.replace("sqrt_s = 0.012", f"sqrt_s = {{ {rates} }}")).inputs.walk_rates["Cn"] == 0.06
 
 
-VARIABLE = '\n[aleatory.variables."inertia/pointmass-weight-lbs[1]"]\ndistribution = "normal"\nmean = [1, 2]\nstd = 0.5\n'
+VARIABLE = (
+    '\n[aleatory.variables."inertia/pointmass-weight-lbs[1]"]\ndistribution = "normal"\nmean = [1, 2]\nstd = 0.5\n'
+)
 
 
 def test_variables_with_known_and_unknown_means(tmp_path):

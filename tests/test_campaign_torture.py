@@ -53,7 +53,16 @@ class Victim:
 
     def start(self, on_dask, moment=None):
         how = self.cluster.scheduler_address if on_dask else "fork"
-        words = [sys.executable, "-m", "tests.torture", str(self.folder), str(self.out), str(self.flights), self.fake, how]
+        words = [
+            sys.executable,
+            "-m",
+            "tests.torture",
+            str(self.folder),
+            str(self.out),
+            str(self.flights),
+            self.fake,
+            how,
+        ]
         self.process = subprocess.Popen([*words, *([moment] if moment else [])], cwd=ROOT, stderr=subprocess.DEVNULL)
         self.on_dask = on_dask
 
@@ -161,7 +170,9 @@ def test_a_campaign_that_decides_is_killed_between_its_looks(tmp_path):
     run_campaign(spec, tmp_path / "out", executor=ProcessExecutor(2, "fork"), fly=fakes.by_corner)
     run_campaign(spec, tmp_path / "undisturbed", executor=SerialExecutor(), fly=fakes.by_corner)
     names = (*TABLES, "decisions.csv", "statements.csv")
-    assert [(tmp_path / "out" / n).read_bytes() == (tmp_path / "undisturbed" / n).read_bytes() for n in names] == [True] * 5
+    assert [(tmp_path / "out" / n).read_bytes() == (tmp_path / "undisturbed" / n).read_bytes() for n in names] == [
+        True
+    ] * 5
 
 
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")

@@ -31,12 +31,15 @@ from uqharness.report import write_report
 from uqharness.shards import Shard, merge
 from uqharness.store import JOURNAL, Store
 
-SMALL = fakes.CAMPAIGN.replace("flights = 3", "flights = 8").partition("[epistemic]")[0] + """
+SMALL = (
+    fakes.CAMPAIGN.replace("flights = 3", "flights = 8").partition("[epistemic]")[0]
+    + """
 [epistemic]
 method = "corners"
 coefficients = ["CX", "CY"]
 bounds = { CX = 0.008, CY = 0.010 }
 """
+)
 TABLES = ("cases.parquet", "pbox.parquet", "excursions.csv", "statements.csv")
 FLYING = Flying(SerialExecutor(), fly=fakes.steady)
 
@@ -53,12 +56,16 @@ def made(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("uqharness.campaign.validate_model", lambda fly, case: None)
         spec = read_campaign(fakes.campaign_file(root, SMALL))
-        run_campaign(spec, root / "plain", executor=SerialExecutor(), fly=fakes.steady, command="uqharness campaign run")
+        run_campaign(
+            spec, root / "plain", executor=SerialExecutor(), fly=fakes.steady, command="uqharness campaign run"
+        )
         for number in (1, 2):
             run_campaign(spec, root / "parts", executor=SerialExecutor(), fly=fakes.steady, shard=Shard(number, 2))
         merge(root / "parts")
         (root / "decide.toml").write_text(DECIDE)
-        run_campaign(read_campaign(root / "decide.toml"), root / "decide", executor=SerialExecutor(), fly=fakes.by_corner)
+        run_campaign(
+            read_campaign(root / "decide.toml"), root / "decide", executor=SerialExecutor(), fly=fakes.by_corner
+        )
     return root
 
 
@@ -400,7 +407,11 @@ def test_a_pipe_in_place_of_a_file_is_refused_at_once(copy, capsys):
         os.mkfifo(folder / name)
         for verb in ("status", "report"):
             code, said = says(capsys, verb, folder)
-            assert code == 2 or (verb, name) in (("status", "cases.parquet"), ("report", JOURNAL), ("report", "statements.csv"))
+            assert code == 2 or (verb, name) in (
+                ("status", "cases.parquet"),
+                ("report", JOURNAL),
+                ("report", "statements.csv"),
+            )
             assert code == 0 or "is a pipe, not a regular file" in said.err
         shutil.rmtree(folder)
 

@@ -12,7 +12,15 @@ import pytest
 from uqharness.child_process import CHILD_ENVIRONMENT, child_settings
 
 ROOT = Path(__file__).resolve().parent.parent
-HOSTILE = ("jsbsim.py", "socket.py", "signal.py", "numpy.py", "pickle.py", "multiprocessing/__init__.py", "uqharness/__init__.py")
+HOSTILE = (
+    "jsbsim.py",
+    "socket.py",
+    "signal.py",
+    "numpy.py",
+    "pickle.py",
+    "multiprocessing/__init__.py",
+    "uqharness/__init__.py",
+)
 SCRIPT = """
 import sys
 from pathlib import Path
@@ -43,7 +51,9 @@ def place(tmp_path) -> Path:
     for name in HOSTILE:
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(f"open({str(tmp_path / 'marks')!r}, 'a').write({name!r})\nraise SystemExit('imported {name}')\n")
+        path.write_text(
+            f"open({str(tmp_path / 'marks')!r}, 'a').write({name!r})\nraise SystemExit('imported {name}')\n"
+        )
     return folder
 
 
@@ -63,7 +73,9 @@ def run_script(place: Path, *how: str) -> tuple[subprocess.CompletedProcess, str
     return run(place, sys.executable, str(script), *how)
 
 
-@pytest.mark.parametrize(("how", "said"), [("spawn", "['ok']"), ("forkserver", "['ok']"), ("fork", "['ok']"), ("pool", "[1, 2]")])
+@pytest.mark.parametrize(
+    ("how", "said"), [("spawn", "['ok']"), ("forkserver", "['ok']"), ("fork", "['ok']"), ("pool", "[1, 2]")]
+)
 def test_no_worker_imports_what_lies_in_the_working_folder(place, how, said):
     done, marks = run_script(place, how)
     assert (done.returncode, done.stdout.strip(), marks) == (0, said, ""), done.stderr

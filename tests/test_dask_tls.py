@@ -26,7 +26,19 @@ def certificate(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """The environment of everybody who takes part."""
     folder = tmp_path_factory.mktemp("tls")
     names = ("-keyout", folder / "key.pem", "-out", folder / "cert.pem")
-    command = ["openssl", "req", "-x509", "-newkey", "rsa:3072", "-nodes", "-days", "2", "-subj", "/CN=campaign", *names]
+    command = [
+        "openssl",
+        "req",
+        "-x509",
+        "-newkey",
+        "rsa:3072",
+        "-nodes",
+        "-days",
+        "2",
+        "-subj",
+        "/CN=campaign",
+        *names,
+    ]
     subprocess.run(command, check=True, capture_output=True)
     settings = {"REQUIRE_ENCRYPTION": "true", "TLS__CA_FILE": folder / "cert.pem"}
     for role in ("SCHEDULER", "WORKER", "CLIENT"):
@@ -56,7 +68,16 @@ def cluster(certificate: dict[str, str]) -> Iterator[tuple[str, list[int]]]:
 
 
 def run(address: str, out: Path, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
-    command = [BIN / "uqharness", "campaign", "run", ROOT / "tests" / "doc_campaign.toml", "--out", out, "--dask", address]
+    command = [
+        BIN / "uqharness",
+        "campaign",
+        "run",
+        ROOT / "tests" / "doc_campaign.toml",
+        "--out",
+        out,
+        "--dask",
+        address,
+    ]
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=240)
 
 

@@ -146,7 +146,10 @@ def test_what_is_asked_here_is_in_the_catalogue():
 
 def test_the_way_from_a_case_to_its_mark(tmp_path):
     """Short flights with a strong effect: flown, asked in the seal, judged; the file keeps its contract."""
-    short = (card(51, 22.0, seconds=14.0, kinds=("roll and yaw",)), card(52, 22.0, seconds=14.0, kinds=("roll and yaw",)))
+    short = (
+        card(51, 22.0, seconds=14.0, kinds=("roll and yaw",)),
+        card(52, 22.0, seconds=14.0, kinds=("roll and yaw",)),
+    )
     strong = Case("strong", "clear", "calm", ("Cm:p_hat^2",), (Effect("Cm", "p_hat^2", 6.0),), short[:1], short[1:])
     write([strong], tmp_path / "flights")
     (tmp_path / "answers").mkdir()

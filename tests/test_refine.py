@@ -128,7 +128,8 @@ def test_test_flights_choose_nothing(flights, refined, tmp_path):
             str(out),
             "--workers",
             "1",
-            "--no-figures", "--no-pbox",
+            "--no-figures",
+            "--no-pbox",
         ]
     )
     keys = ("coefficient", "term", "value", "std", "evidence")

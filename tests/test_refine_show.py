@@ -132,7 +132,12 @@ def test_without_an_effect_before_is_after(tmp_path, campaign, capsys):
     fly(TRAIN[:2], seed=3, seconds=6.0).write(tmp_path / "train.parquet")
     fly(TEST, seed=4, seconds=6.0).write(tmp_path / "test.parquet")
     # What an earlier refinement, with an effect, left there.
-    for stale in ("before/aircraft/espaaro/espaaro.xml", "pbox/after/manifest.json", "intervals/after.json", "figures/history.svg"):
+    for stale in (
+        "before/aircraft/espaaro/espaaro.xml",
+        "pbox/after/manifest.json",
+        "intervals/after.json",
+        "figures/history.svg",
+    ):
         (tmp_path / "out" / stale).parent.mkdir(parents=True)
         (tmp_path / "out" / stale).touch()
     code = main([
@@ -166,7 +171,9 @@ def test_a_mission_is_flown_by_aircraft_that_have_one(tmp_path, campaign):
     given = campaign_for(find_aircraft("c172x"), campaign)
     assert Path(given["campaign"]["mission"]).is_file()
     nothing = tmp_path / "none.toml"
-    nothing.write_text(CAMPAIGN.replace('"corners"', '"none"').replace('coefficients = ["CX", "Cl"]', ""), encoding="utf-8")
+    nothing.write_text(
+        CAMPAIGN.replace('"corners"', '"none"').replace('coefficients = ["CX", "Cl"]', ""), encoding="utf-8"
+    )
     with pytest.raises(BadInputError, match="flies no intervals"):
         campaign_for(find_aircraft("espaaro"), nothing)
 
@@ -185,7 +192,9 @@ def test_intervals_that_cannot_be_told_have_a_reason(tmp_path):
     """Without sideslip there is no residual coefficient: NaN, the reason, and no error."""
     record = fly(TEST, seed=4, seconds=6.0)
     record.write(tmp_path / "whole.parquet")
-    type(record)({c: record[c] for c in record.columns if c != "beta_rad"}, record.metadata).write(tmp_path / "part.parquet")
+    type(record)({c: record[c] for c in record.columns if c != "beta_rad"}, record.metadata).write(
+        tmp_path / "part.parquet"
+    )
     aircraft = find_aircraft("espaaro")
     sets = []
     for name in ("whole", "part"):

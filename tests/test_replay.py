@@ -179,7 +179,10 @@ def test_a_force_that_goes_with_alphadot_is_the_one_of_the_state_itself(aircraft
     xml.write_text(text, encoding="utf-8")
     flight = prepare("f", clean, SURFACES)
     rows, said = [7, 300, 7, 120], []
-    for some in (aircraft, replace(find_aircraft(folder), engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)):
+    for some in (
+        aircraft,
+        replace(find_aircraft(folder), engine_path=aircraft.engine_path, systems_path=aircraft.systems_path),
+    ):
         with ReplayFolder(some, measured=SURFACES, ideal=CONTROLS) as straight:
             segment = segments(flight, SURFACES)[0]
             x = {k: v[rows] for k, v in states(flight, flight.pieces[0]).items()}

@@ -114,7 +114,9 @@ def test_the_cursor_names_the_corner_behind_each_side(folder, page):
     assert box["value"] == pytest.approx(rows["value"].tolist(), rel=1e-4)
     assert box["lower"] == pytest.approx(rows["lower"].tolist(), abs=1e-4)
     assert box["upper"] == pytest.approx(rows["upper"].tolist(), abs=1e-4)
-    cases = pq.read_table(folder / "cases.parquet").to_pandas().drop_duplicates("epistemic_id").set_index("epistemic_id")
+    cases = (
+        pq.read_table(folder / "cases.parquet").to_pandas().drop_duplicates("epistemic_id").set_index("epistemic_id")
+    )
     for side, corner in ((box["at_least"], "corner_lower"), (box["at_most"], "corner_upper")):
         for place, name in zip(side, rows[corner], strict=True):
             levels = {c: cases.loc[name, f"level_{c}"] for c in ("CX", "CY", "CZ", "Cl", "Cm", "Cn")}
@@ -200,7 +202,9 @@ def test_walks_are_not_called_corners(tmp_path, page):
     spec = read_campaign(fakes.campaign_file(tmp_path, walks))
     run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady)
     report = write_report(tmp_path / "out")
-    text = re.sub(r"<(script|style|svg)\b.*?</\1>|<[^>]*>", " ", report.path.read_text(encoding="utf-8"), flags=re.DOTALL)
+    text = re.sub(
+        r"<(script|style|svg)\b.*?</\1>|<[^>]*>", " ", report.path.read_text(encoding="utf-8"), flags=re.DOTALL
+    )
     assert "best to worst walk" in text
     assert "Worst walk [1/h]" in text
     assert "corner" not in text.lower()

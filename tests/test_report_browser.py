@@ -126,7 +126,9 @@ def opened(browser, pages):
         page.wrong = []
         page.on("console", lambda message: page.wrong.append(f"console: {message.text}"))
         page.on("pageerror", lambda error: page.wrong.append(f"error: {error}"))
-        page.on("request", lambda request: request.url.startswith("file:") or page.wrong.append(f"fetched {request.url}"))
+        page.on(
+            "request", lambda request: request.url.startswith("file:") or page.wrong.append(f"fetched {request.url}")
+        )
         page.goto((pages[kind] / "report.html").as_uri())
         return page
 
@@ -153,7 +155,16 @@ def test_the_accessibility_tree_has_a_name_for_everything(opened, kind):
     shown = [n for n in nodes if not n.get("ignored")]
     roles = [n["role"]["value"] for n in shown]
     for node in shown:
-        if node["role"]["value"] in ("image", "img", "slider", "table", "region", "heading", "columnheader", "RootWebArea"):
+        if node["role"]["value"] in (
+            "image",
+            "img",
+            "slider",
+            "table",
+            "region",
+            "heading",
+            "columnheader",
+            "RootWebArea",
+        ):
             assert node.get("name", {}).get("value", "").strip(), node["role"]
     levels = [
         p["value"]["value"] for n in shown if n["role"]["value"] == "heading" for p in n["properties"] if p["name"] == "level"
@@ -180,7 +191,10 @@ def test_the_cursor_reads_the_pbox_by_keyboard_mouse_and_touch(opened, pages):
     table = pq.read_table(pages["campaign"] / "pbox.parquet").to_pandas()
     rows = table[(table["metric"] == "cross_track_median_m") & (table["value"] <= at)].iloc[-1]
     read = output.inner_text()
-    assert [f"{100 * rows[k]:.0f} %" in read or f"{100 * rows[k]:.1f} %" in read for k in ("lower", "upper")] == [True, True]
+    assert [f"{100 * rows[k]:.0f} %" in read or f"{100 * rows[k]:.1f} %" in read for k in ("lower", "upper")] == [
+        True,
+        True,
+    ]
     corners = json.loads(figure.locator("script").text_content())["boxes"][0]["corners"]
     assert any(corner in read for corner in corners)
     assert figure.locator(".picked").count() >= 1

@@ -87,7 +87,6 @@ def changed(folder, change):
     pq.write_table(change(pq.read_table(path)), path)
 
 
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [

@@ -42,7 +42,9 @@ def _interrupted(command: list[str], number: int, folder: Path) -> tuple[int, st
     return process.wait(), process.communicate()[1]
 
 
-@pytest.mark.parametrize(("number", "code", "said"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")])
+@pytest.mark.parametrize(
+    ("number", "code", "said"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
+)
 @pytest.mark.parametrize("swallowed", [False, True])
 def test_a_signal_while_modules_load_is_one_line(
     tmp_path: Path, number: int, code: int, said: str, swallowed: bool
@@ -109,7 +111,15 @@ def test_a_campaign_that_is_killed_leaves_no_process_and_after_the_next_command_
 ) -> None:
     place = tmp_path / "place"
     place.mkdir()
-    run = ["campaign", "run", str(ROOT / "campaigns/demo/campaign.toml"), "--out", str(tmp_path / "out"), "--workers", "2"]
+    run = [
+        "campaign",
+        "run",
+        str(ROOT / "campaigns/demo/campaign.toml"),
+        "--out",
+        str(tmp_path / "out"),
+        "--workers",
+        "2",
+    ]
     process = subprocess.Popen(
         _command(*run, module=True), cwd=ROOT, env=_environment(TMPDIR=str(place)),
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True,
@@ -123,12 +133,18 @@ def test_a_campaign_that_is_killed_leaves_no_process_and_after_the_next_command_
     assert process.returncode == (143 if number == signal.SIGTERM else -number)
     fly = ["fly", "espaaro", "--script", "loiter", "--duration-s", "1", "--out", str(tmp_path / "a.csv")]
     subprocess.run(
-        _command(*fly, module=True), cwd=ROOT, env=_environment(TMPDIR=str(place)), check=True, stdout=subprocess.DEVNULL
+        _command(*fly, module=True),
+        cwd=ROOT,
+        env=_environment(TMPDIR=str(place)),
+        check=True,
+        stdout=subprocess.DEVNULL,
     )
     assert list(place.glob("uqharness-*")) == []
 
 
-@pytest.mark.parametrize("name", ["../precious.xml", "/etc/passwd", "a/../../b", "C:\\x", "a\\..\\b", ".git/hooks/x", "", "a//b"])
+@pytest.mark.parametrize(
+    "name", ["../precious.xml", "/etc/passwd", "a/../../b", "C:\\x", "a\\..\\b", ".git/hooks/x", "", "a//b"]
+)
 @pytest.mark.parametrize("row", ['{"before": "", "after": ""}', '{"before": "", "after": "", "content": "aGk="}'])
 def test_undo_neither_writes_nor_removes_outside_its_folder(tmp_path: Path, name: str, row: str) -> None:
     folder = tmp_path / "aircraft"

@@ -180,7 +180,9 @@ def _named_in(file: Passed, named: set[str], files: dict[str, Path]) -> Iterator
 
 def _read_beside(path: Path, folder: Path) -> bytes:
     if not path.resolve().is_relative_to(folder.resolve()):
-        raise BadInputError(f"{path}: is a link to {path.resolve()}, outside {folder}; put a copy of the file there instead")
+        raise BadInputError(
+            f"{path}: is a link to {path.resolve()}, outside {folder}; put a copy of the file there instead"
+        )
     return read_xml(path)
 
 

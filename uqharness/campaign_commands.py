@@ -156,7 +156,10 @@ def _done_before(folder: Path) -> int:
 
 def _say_rewritten(folder: Path, names: Sequence[str]) -> None:
     for name in names:
-        print(f"note: {folder / name} was not as it had been written; it is written again from the journal", file=sys.stderr)
+        print(
+            f"note: {folder / name} was not as it had been written; it is written again from the journal",
+            file=sys.stderr,
+        )
 
 
 def _executor(args: argparse.Namespace, stack: ExitStack) -> Executor:

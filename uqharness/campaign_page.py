@@ -32,7 +32,11 @@ def campaign_page(found: CampaignFound, prefix: str = "") -> Page:
     ranges = sensitivity_section(found.folder, found.manifest, prefix)
     if ranges is not None:
         sections.append(ranges)
-    sections += [*(called(s, method) for s in rate_sections(found)), failure_section(found.frame), provenance_section(found)]
+    sections += [
+        *(called(s, method) for s in rate_sections(found)),
+        failure_section(found.frame),
+        provenance_section(found),
+    ]
     return Page(f"Campaign of {found.aircraft}", found.asked, found.verdict, tuple(sections))
 
 

@@ -146,7 +146,9 @@ class Rounds:
 
 def decision_rows(content: bytes, path: Path) -> list[dict[str, str]]:
     """Rows of decisions.csv, as text. Raises BadInputError."""
-    return csv_rows(content, path, ("radius_m", "acceptable_per_h", "hours"), ("condition", "epistemic_id", "answer", "reason"))
+    return csv_rows(
+        content, path, ("radius_m", "acceptable_per_h", "hours"), ("condition", "epistemic_id", "answer", "reason")
+    )
 
 
 class _Cell:

@@ -26,7 +26,9 @@ Exit codes: 0 no contradiction, 1 flights lie outside by more than chance explai
 
 def register(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the verbs to those of ``campaign``."""
-    convergence = add_verb(verbs, "convergence", "were there enough flights and epistemic samples", _CONVERGENCE_EXAMPLE)
+    convergence = add_verb(
+        verbs, "convergence", "were there enough flights and epistemic samples", _CONVERGENCE_EXAMPLE
+    )
     convergence.add_argument("folder", type=Path, metavar="DIR", help="campaign folder")
     convergence.add_argument("--repeats", type=int, default=10, metavar="N", help="parts of the flights (default 10)")
     convergence.add_argument(

@@ -35,7 +35,9 @@ def register(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
     verify = add_verb(verbs, "verify", "is everything as it was written", _VERIFY_EXAMPLE)
     verify.add_argument("folder", type=Path, metavar="DIR", help="campaign folder")
     verify.set_defaults(handler=_verify)
-    salvage = add_verb(verbs, "salvage", "keep what is sound of a damaged campaign and fly the rest again", _SALVAGE_EXAMPLE)
+    salvage = add_verb(
+        verbs, "salvage", "keep what is sound of a damaged campaign and fly the rest again", _SALVAGE_EXAMPLE
+    )
     salvage.add_argument("folder", type=Path, metavar="DIR", help="campaign folder, or that of a shard")
     salvage.add_argument(
         "--campaign", type=Path, metavar="CAMPAIGN.toml", help="what was flown, where manifest.json is damaged or gone"
@@ -57,9 +59,15 @@ def _verify(args: argparse.Namespace) -> int:
 
 def _verified_json(found: Verified) -> dict[str, Any]:
     items = [
-        {"name": item.name, "state": item.state, "remark": item.remark, "digest": item.digest or None} for item in found.items
+        {"name": item.name, "state": item.state, "remark": item.remark, "digest": item.digest or None}
+        for item in found.items
     ]
-    document: dict[str, Any] = {"folder": str(found.folder), "whole": found.whole, "complete": found.complete, "items": items}
+    document: dict[str, Any] = {
+        "folder": str(found.folder),
+        "whole": found.whole,
+        "complete": found.complete,
+        "items": items,
+    }
     return document | {"shards": [_verified_json(part) for part in found.shards]}
 
 
@@ -101,7 +109,12 @@ def _salvage(args: argparse.Namespace) -> int:
 
 
 def _salvaged_json(found: Salvaged) -> dict[str, Any]:
-    document: dict[str, Any] = {"folder": str(found.folder), "kept": found.kept, "flown": found.flown, "missing": found.missing}
+    document: dict[str, Any] = {
+        "folder": str(found.folder),
+        "kept": found.kept,
+        "flown": found.flown,
+        "missing": found.missing,
+    }
     document |= {"statuses": dict(found.statuses), "rewritten": list(found.rewritten), "aside": list(found.aside)}
     return document | {"shards": [_salvaged_json(part) for part in found.parts]}
 
@@ -113,6 +126,10 @@ def _salvaged_lines(found: Salvaged) -> Iterator[str]:
     text += f", {found.missing} are in no shard" if found.missing else ""
     text += f"; written again: {', '.join(found.rewritten)}" if found.rewritten else ""
     yield text + (f"; damaged, under another name: {', '.join(found.aside)}" if found.aside else "")
-    for name, command in (("sensitivity", "sensitivity"), ("convergence", "campaign convergence"), ("area", "campaign area")):
+    for name, command in (
+        ("sensitivity", "sensitivity"),
+        ("convergence", "campaign convergence"),
+        ("area", "campaign area"),
+    ):
         if any(item.startswith(f"{name}.damaged-") for item in found.aside):
             yield f"  {name}.csv is written again by: uqharness {command} {shlex.quote(str(found.folder))}"

@@ -114,7 +114,9 @@ def parse_table(content: bytes, path: Path, rows: int | None = None) -> pa.Table
             groups = [found.row_group(number).total_byte_size for number in range(found.num_row_groups)]
             wanted = max(8 * found.num_rows * found.num_columns, sum(groups))
             if wanted > _MOST_MEMORY_BYTES:
-                raise BadInputError(f"{path}: would take {wanted / 1e9:.3g} GB of memory; at most {_MOST_MEMORY_BYTES / 1e9:g} GB")
+                raise BadInputError(
+                    f"{path}: would take {wanted / 1e9:.3g} GB of memory; at most {_MOST_MEMORY_BYTES / 1e9:g} GB"
+                )
             table = file.read()
             # Text that is no UTF-8, offsets that lead out of a buffer: the reader itself takes them as they come.
             table.validate(full=True)
@@ -143,7 +145,9 @@ def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> p
     for name, known in (("status", STATUSES), ("turbulence", tuple(TURBULENCE_W20_KT))):
         wrong += [name] if set(table[name].unique().to_pylist()) - set(known) else []
     if wrong or not table.num_rows:
-        raise BadInputError(f"{path}: column {(wrong or ['case_id'])[0]} holds what no flight leaves; run the campaign again")
+        raise BadInputError(
+            f"{path}: column {(wrong or ['case_id'])[0]} holds what no flight leaves; run the campaign again"
+        )
     return table
 
 

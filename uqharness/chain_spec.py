@@ -227,9 +227,12 @@ def _naming(spec: ChainSpec) -> Iterable[tuple[int, str]]:
     for name, place in places:
         line = line_of(spec.source, (*place, "name"))
         if name in seen:
-            yield line, f'[[{place[0]}]] name = {as_toml(name)}: another flight has this name; give each its own'
+            yield line, f"[[{place[0]}]] name = {as_toml(name)}: another flight has this name; give each its own"
         elif name not in wanted:
-            yield line, f'[[{place[0]}]] name = {as_toml(name)}: no section uses this flight; name it in one, or leave it out'
+            yield (
+                line,
+                f"[[{place[0]}]] name = {as_toml(name)}: no section uses this flight; name it in one, or leave it out",
+            )
         seen.add(name)
 
 
@@ -254,7 +257,7 @@ def _unknown(spec: ChainSpec) -> Iterable[tuple[int, str]]:
         for name in names:
             if name not in known:
                 there = ", ".join(known) or "none"
-                yield line, f'[{section}] {key}: no flight is named {as_toml(name)}; [[fly]] and [[logs]] have: {there}'
+                yield line, f"[{section}] {key}: no flight is named {as_toml(name)}; [[fly]] and [[logs]] have: {there}"
         for name in dict.fromkeys(n for n in names if names.count(n) > 1):
             yield line, f"[{section}] {key}: {as_toml(name)} is named twice"
 
@@ -286,5 +289,5 @@ def _roles(spec: ChainSpec) -> Iterable[tuple[int, str]]:
                 line = line_of(spec.source, mine)
                 yield (
                     line,
-                    f'[{mine[0]}] {mine[1]}: {as_toml(name)} is also in [{other[0]}] {other[1]}; {why}. Name another flight',
+                    f"[{mine[0]}] {mine[1]}: {as_toml(name)} is also in [{other[0]}] {other[1]}; {why}. Name another flight",
                 )

@@ -41,7 +41,14 @@ def _repeats(axes: Any, item: Converged) -> None:
     assert found is not None
     share = np.arange(1, found.flights + 1) / found.flights
     for curve in found.curves:
-        axes.step(np.insert(curve, 0, curve[0]), np.insert(share, 0, 0.0), where="post", color="#0072b2", linewidth=0.8, alpha=0.8)
+        axes.step(
+            np.insert(curve, 0, curve[0]),
+            np.insert(share, 0, 0.0),
+            where="post",
+            color="#0072b2",
+            linewidth=0.8,
+            alpha=0.8,
+        )
     axes.set_xlabel(item.metric)
     axes.set_ylabel("probability of at most this")
     axes.set_ylim(0, 1)

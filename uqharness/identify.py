@@ -265,7 +265,9 @@ def _left_over(residual: Sequence[Array], outputs: Sequence[str], noise: Mapping
     if not above:
         return []
     return [
-        "residuals above the noise: " + ", ".join(f"{c} {r:.2f} times" for c, r in above.items()) + "; something acted that the "
+        "residuals above the noise: "
+        + ", ".join(f"{c} {r:.2f} times" for c, r in above.items())
+        + "; something acted that the "
         "replay does not have (commands between rows while an autopilot flew, gusts, a missing term), and estimates may be off by "
         "more than std: label the manoeuvres, record surface positions or log faster"
     ]

@@ -133,5 +133,7 @@ def _exactly(path: Path, change: Change, now: bytes) -> bytes:
         shift += len(insertion.text) - len(insertion.removed)
     out = b"".join([*pieces, now[position:]])
     if digest(out) != change.before:
-        raise BadInputError(f"{path}: the record of the instrumentation does not fit this file; take the uq/ lines out by hand")
+        raise BadInputError(
+            f"{path}: the record of the instrumentation does not fit this file; take the uq/ lines out by hand"
+        )
     return out

@@ -57,12 +57,16 @@ class JournalScan:
     ) -> Iterator[tuple[Any, ...]]:
         met = set[Any]()
         for direction in ("asc", "desc"):
-            yield from self._sound(database, f"select {COLUMNS} from outcome order by case_id {direction}", (), seen, met)
+            yield from self._sound(
+                database, f"select {COLUMNS} from outcome order by case_id {direction}", (), seen, met
+            )
             if not self.unreadable:
                 return
         for case_id in wanted:
             if case_id not in seen:
-                yield from self._sound(database, f"select {COLUMNS} from outcome where case_id = ?", (case_id,), seen, met)
+                yield from self._sound(
+                    database, f"select {COLUMNS} from outcome where case_id = ?", (case_id,), seen, met
+                )
 
     def _sound(
         self, database: sqlite3.Connection, query: str, values: tuple[str, ...], seen: Collection[str], met: set[Any]

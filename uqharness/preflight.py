@@ -50,7 +50,13 @@ def _try_in_child(aircraft: Named) -> None:
     command = [sys.executable, "-m", "uqharness.preflight", *map(str, places)]
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, errors="replace", timeout=TIMEOUT_S, env=child_environment(), check=False
+            command,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=TIMEOUT_S,
+            env=child_environment(),
+            check=False,
         )
     except subprocess.TimeoutExpired:
         raise BadInputError(f"aircraft {folder}: JSBSim did not finish loading it within {TIMEOUT_S:g} s") from None

@@ -161,7 +161,9 @@ def find_effects(
     if late is not None:
         say(f"all controls act {1e3 * late[0]:.1f} ms after their rows; putting the records right")
         right = make_setup(aircraft, later(setup.flights, late[0]), measured, ideal)
-        found = find_effects(aircraft, right, measured, ideal, extra, work, map_, say, stages, (*put_right, late[0]), lone)
+        found = find_effects(
+            aircraft, right, measured, ideal, extra, work, map_, say, stages, (*put_right, late[0]), lone
+        )
         if not put_right:
             found = replace(found, notes=(words(found.late_s, late[1], dt), *found.notes))
         return found

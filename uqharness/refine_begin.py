@@ -31,7 +31,12 @@ class About:
 
 
 def joint_point(
-    about: About, setup: Setup, plain: Point, free: Sequence[str], keys: Sequence[str], limits: Mapping[str, tuple[float, float]]
+    about: About,
+    setup: Setup,
+    plain: Point,
+    free: Sequence[str],
+    keys: Sequence[str],
+    limits: Mapping[str, tuple[float, float]],
 ) -> Point:
     """Parameters, nuisance and start states where they are best beside the effects ``keys``, linearly; no effect in it yet.
 

@@ -269,7 +269,9 @@ def _tuned(setup: Setup, steps: _Linear, gusts: Gusts) -> tuple[Setup, Gusts]:
 
 def _noise_factors(setup: Setup, steps: _Linear, gusts: Gusts) -> Array:
     kinds = [_KINDS.get(c.split("_")[0], c) for c in setup.outputs]
-    return noise_factors(steps.all(gusts.states), steps.measured, setup.which, setup.noise, gusts.process, kinds, steps.by)
+    return noise_factors(
+        steps.all(gusts.states), steps.measured, setup.which, setup.noise, gusts.process, kinds, steps.by
+    )
 
 
 def _intensity(setup: Setup, steps: _Linear, near: Gusts | None) -> Gusts:

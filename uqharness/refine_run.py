@@ -130,7 +130,16 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
             Found,
             lambda: believed(
                 lambda lone: find_effects(
-                    aircraft, setup, train.measured, train.ideal, request.extra, work / f"lone-{lone}", map_, say, stages, lone=lone
+                    aircraft,
+                    setup,
+                    train.measured,
+                    train.ideal,
+                    request.extra,
+                    work / f"lone-{lone}",
+                    map_,
+                    say,
+                    stages,
+                    lone=lone,
                 )
             ),
         )

@@ -109,7 +109,10 @@ def candidates_for(setup: Setup, names: Sequence[str], extra: Sequence[Effect], 
     """
     surfaces = list(setup.servos)
     timed = setup.outputs if not setup.late else ()
-    sensors, parts = list(dict.fromkeys(SENSOR_OF.get(c, c) for c in timed)), [c for c in timed if lone and c in SENSOR_OF]
+    sensors, parts = (
+        list(dict.fromkeys(SENSOR_OF.get(c, c) for c in timed)),
+        [c for c in timed if lone and c in SENSOR_OF],
+    )
     every = [*extra, *catalogue(), *subsystem_effects(surfaces, setup.outputs, sensors, parts)]
     out: dict[str, Effect] = {}
     for e in every:

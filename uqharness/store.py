@@ -219,9 +219,7 @@ def create_tables(database: sqlite3.Connection) -> None:
             database.execute("insert into tally values (?,?,?)", _tally_row(Counter(), summed("0", ())))
 
 
-def add_rows(
-    database: sqlite3.Connection, rows: Iterable[Sequence[Any]], statuses: Counter[str], total: str
-) -> None:
+def add_rows(database: sqlite3.Connection, rows: Iterable[Sequence[Any]], statuses: Counter[str], total: str) -> None:
     """Write rows within the transaction that is open and bring the tally, which was ``statuses`` and ``total``, up to date."""
     statuses, added, removed = statuses.copy(), [], []
     for row in rows:
@@ -260,7 +258,11 @@ def outcome_of(row: Sequence[Any]) -> CaseOutcome:
 def read_tally(database: sqlite3.Connection) -> tuple[Counter[str], str]:
     """Number of rows by status and the sum of their digests. ValueError where they are not what was written."""
     rows = database.execute("select statuses, digest_sum, digest from tally").fetchall()
-    if len(rows) != 1 or not all(isinstance(item, str) for item in rows[0]) or digest_of_text(rows[0][:2]) != rows[0][2]:
+    if (
+        len(rows) != 1
+        or not all(isinstance(item, str) for item in rows[0])
+        or digest_of_text(rows[0][:2]) != rows[0][2]
+    ):
         raise ValueError("its tally of flights does not fit its digest")
     statuses = _mapping(rows[0][0], (int,))
     if statuses is None or not set(statuses) <= set(STATUSES):

@@ -108,7 +108,9 @@ class _Scan:
                 "aircraft's folder or within the folders engine and systems beside it: put it there"
             )
         if max(map(len, name.encode(errors="replace").split(b"/"))) > _LONGEST_NAME:
-            raise BadInputError(f'{self.where}:{line}: <{tag} file="{name[:60]}..."> is longer than a file\'s name may be')
+            raise BadInputError(
+                f'{self.where}:{line}: <{tag} file="{name[:60]}..."> is longer than a file\'s name may be'
+            )
         return name if not name or name.endswith(".xml") else f"{name}.xml"
 
 
@@ -138,11 +140,12 @@ def passed(raw: bytes, where: str) -> Passed:
     content = b"".join([*pieces, raw[position:]])
     left = _Scan(content, where).run()
     if left.spans or left.references != scan.references:
-        raise BadInputError(f"{where}:{scan.spans[0][1]}: <{scan.spans[0][0]}> cannot be taken out of this file; remove it")
+        raise BadInputError(
+            f"{where}:{scan.spans[0][1]}: <{scan.spans[0][0]}> cannot be taken out of this file; remove it"
+        )
     return Passed(content, scan.root, tuple(scan.references), tuple((tag, line) for tag, line, _, _ in scan.spans))
 
 
 def _blank(text: bytes) -> Iterator[int]:
     """Spaces for everything but line ends: messages keep their line numbers."""
     return (byte if byte in b"\r\n" else 0x20 for byte in text)
-

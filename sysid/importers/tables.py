@@ -215,7 +215,9 @@ def _is_text(kind: pa.DataType) -> bool:
     return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_binary(kind))
 
 
-def _read_columns(file: pq.ParquetFile, names: Sequence[str], path: Path, most_bytes: int | None) -> Iterator[pd.Series]:
+def _read_columns(
+    file: pq.ParquetFile, names: Sequence[str], path: Path, most_bytes: int | None
+) -> Iterator[pd.Series]:
     """One column after another, so that packed and unpacked are never both there as a whole."""
     twice = next((name for name in names if file.schema_arrow.names.count(name) > 1), None)
     if twice is not None:

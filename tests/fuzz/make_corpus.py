@@ -79,7 +79,9 @@ def _bomb(path: Path, *names: str) -> None:
     """Two hundred million rows of the same numbers: some kilobytes of file, gigabytes of memory for who believes in it."""
     rows = 10_000_000
     piece = pa.table({name: np.zeros(rows) for name in names})
-    with pq.ParquetWriter(path, piece.schema, compression="zstd", write_statistics=False, max_rows_per_page=rows) as writer:
+    with pq.ParquetWriter(
+        path, piece.schema, compression="zstd", write_statistics=False, max_rows_per_page=rows
+    ) as writer:
         for _ in range(20):
             writer.write_table(piece, row_group_size=rows)
 

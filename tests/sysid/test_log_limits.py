@@ -58,7 +58,9 @@ def _same(a: RawLog, b: RawLog) -> None:
         for name, values in table.fields.items():
             assert values.dtype == b.messages[key].fields[name].dtype
             np.testing.assert_array_equal(values, b.messages[key].fields[name])
-    rest = [(r.dialect, dict(r.counts), dict(r.parameters), r.texts, r.vehicle, dict(r.facts), r.findings) for r in (a, b)]
+    rest = [
+        (r.dialect, dict(r.counts), dict(r.parameters), r.texts, r.vehicle, dict(r.facts), r.findings) for r in (a, b)
+    ]
     assert rest[0] == rest[1]
 
 
@@ -251,7 +253,13 @@ def test_a_text_log_of_nothing_but_formats_is_refused(tmp_path: Path) -> None:
 
 def test_a_binary_logs_type_with_two_names_keeps_both(tmp_path: Path) -> None:
     def fmt(name: bytes, characters: bytes, columns: bytes) -> bytes:
-        return b"\xa3\x95\x80" + bytes([200, 19]) + name.ljust(4, b"\0") + characters.ljust(16, b"\0") + columns.ljust(64, b"\0")
+        return (
+            b"\xa3\x95\x80"
+            + bytes([200, 19])
+            + name.ljust(4, b"\0")
+            + characters.ljust(16, b"\0")
+            + columns.ljust(64, b"\0")
+        )
 
     def row(k: int, value: float) -> bytes:
         return b"\xa3\x95\xc8" + struct.pack("<Qff", 20000 * k, value, value)

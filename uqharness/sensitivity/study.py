@@ -250,7 +250,11 @@ def read_study(path: str | Path) -> Study:
         d, samples = len(names), len(arrays["theta"])
         found = {
             output: Evaluations(
-                **{field.name: arrays[f"{k}/{field.name}"] for field in fields(Evaluations) if f"{k}/{field.name}" in arrays}
+                **{
+                    field.name: arrays[f"{k}/{field.name}"]
+                    for field in fields(Evaluations)
+                    if f"{k}/{field.name}" in arrays
+                }
             )
             for k, output in enumerate(outputs)
         }
