@@ -131,12 +131,7 @@ def _number(value: Any, key: str, name: str, where: str) -> float:
 
 def _servo(row: dict[str, Any], where: str, name: str) -> Servo:
     limits = row.get("limits", [-math.inf, math.inf])
-    if not (
-        isinstance(limits, list)
-        and len(limits) == 2
-        and all(_is_number(end) for end in limits)
-        and limits[0] < limits[1]
-    ):
+    if not (isinstance(limits, list) and len(limits) == 2 and all(_is_number(end) for end in limits) and limits[0] < limits[1]):
         raise LogError(f"limits must be [low, high]; received {limits!r}", name, where)
     pwm = row.get("servo_pwm")
     if isinstance(pwm, dict):

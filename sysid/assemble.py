@@ -34,9 +34,7 @@ _MAX_ROWS = 40_000_000
 _FEW_ROWS, _ROWS_PER_SAMPLE = 1_000_000, 20
 
 
-def assemble(
-    raw: RawLog, signal_map: SignalMap, card: AirframeCard | None, source: str = "", sha256: str = ""
-) -> FlightRecord:
+def assemble(raw: RawLog, signal_map: SignalMap, card: AirframeCard | None, source: str = "", sha256: str = "") -> FlightRecord:
     """Build the record of a whole log, with everything the checks found in its metadata.
 
     Raises LogError when the log has none of the channels a record is made of.

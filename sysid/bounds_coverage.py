@@ -42,9 +42,7 @@ def coverage(form: ModelForm, residuals: Residuals, levels: Sequence[float] = LE
     return {c: _of(c, b, form.outside, residuals, levels) for c, b in form.coefficients.items()}
 
 
-def _of(
-    coefficient: str, bounds: CoefficientBounds, outside: Outside, residuals: Residuals, levels: Sequence[float]
-) -> Coverage:
+def _of(coefficient: str, bounds: CoefficientBounds, outside: Outside, residuals: Residuals, levels: Sequence[float]) -> Coverage:
     y = residuals.columns(coefficient)
     inside: dict[float, list[FloatArray]] = {}
     for level in levels:
@@ -113,7 +111,6 @@ def leave_one_out(
             out[label] = dict.fromkeys(designs, float("nan"))
             continue
         out[label] = {
-            c: _of(c, f.bounds, outside, left_out, [options.confidence]).share[options.confidence]
-            for c, f in fitted.items()
+            c: _of(c, f.bounds, outside, left_out, [options.confidence]).share[options.confidence] for c, f in fitted.items()
         }
     return out

@@ -100,9 +100,7 @@ def _moving(
     names = ", ".join(design.states[k] for k in still)
     wanted = design.terms if design.terms is not None else full_polynomial(len(design.states), design.order)
     terms = tuple(t for t in wanted if not any(t[k] for k in still))
-    note = (
-        f"{coefficient}: {names} hardly varied; the bounds do not depend on it, and any other value is outside the data"
-    )
+    note = f"{coefficient}: {names} hardly varied; the bounds do not depend on it, and any other value is outside the data"
     return terms or (tuple(0 for _ in design.states),), (note,)
 
 

@@ -40,16 +40,13 @@ def as_segments(value: Any, what: str, *, dropouts: bool) -> list[Array]:
         if part.ndim != 2 or part.shape[0] == 0 or part.shape[1] == 0:
             raise ValueError(f"{where} has shape {part.shape}; give (n samples, m channels) with n, m >= 1")
         if part.shape[1] != parts[0].shape[1]:
-            raise ValueError(
-                f"{where} has {part.shape[1]} columns, segment 0 has {parts[0].shape[1]}; give all the same"
-            )
+            raise ValueError(f"{where} has {part.shape[1]} columns, segment 0 has {parts[0].shape[1]}; give all the same")
         bad = np.isinf(part) if dropouts else ~np.isfinite(part)
         if bad.any():
             row, column = np.argwhere(bad)[0]
             cure = "mark dropouts as NaN" if dropouts else "repair or cut these samples"
             raise ValueError(
-                f"{where} holds {int(bad.sum())} value(s) that are not finite, first at row {row}, "
-                f"column {column}; {cure}"
+                f"{where} holds {int(bad.sum())} value(s) that are not finite, first at row {row}, column {column}; {cure}"
             )
     return parts
 
@@ -98,9 +95,7 @@ def as_bounds(bounds: Any, theta0: Array, names: tuple[str, ...]) -> tuple[Array
             if len(pairs) == 2 and count != 2:
                 pairs = list(zip(np.broadcast_to(pairs[0], count), np.broadcast_to(pairs[1], count), strict=True))
         if len(pairs) != count or any(pair is not None and len(pair) != 2 for pair in pairs):
-            raise ValueError(
-                f"bounds has {len(pairs)} entries for {count} parameters; give one (lower, upper) for each"
-            )
+            raise ValueError(f"bounds has {len(pairs)} entries for {count} parameters; give one (lower, upper) for each")
         for index, pair in enumerate(pairs):
             low, high = pair if pair is not None else (None, None)
             lower[index] = -np.inf if low is None else float(low)
@@ -108,13 +103,9 @@ def as_bounds(bounds: Any, theta0: Array, names: tuple[str, ...]) -> tuple[Array
     for index, name in enumerate(names):
         low, high, start = lower[index], upper[index], theta0[index]
         if not low < high:
-            raise ValueError(
-                f"bounds of {name} are ({low}, {high}); the lower must be below the upper (use free= to fix)"
-            )
+            raise ValueError(f"bounds of {name} are ({low}, {high}); the lower must be below the upper (use free= to fix)")
         if not low <= start <= high:
-            raise ValueError(
-                f"theta0 of {name} is {start}, outside its bounds ({low}, {high}); move the start or the bounds"
-            )
+            raise ValueError(f"theta0 of {name} is {start}, outside its bounds ({low}, {high}); move the start or the bounds")
     return lower, upper
 
 

@@ -141,9 +141,7 @@ def coloured_information(sensitivity: list[Array], residual: list[Array]) -> Arr
             lags = min(lags, 2 * last)  # kept in full up to the last significant lag, then let go linearly
             deviation = np.sqrt(variances)
             omega = np.exp(-2j * np.pi * np.arange(frequencies) / size)
-            gamma = np.repeat((correlation[0] * np.outer(deviation, deviation))[None], frequencies, axis=0).astype(
-                complex
-            )
+            gamma = np.repeat((correlation[0] * np.outer(deviation, deviation))[None], frequencies, axis=0).astype(complex)
             gamma[:, np.arange(m), np.arange(m)] = variances
             for lag in range(1, lags + 1):
                 taper = min(1.0, (lags + 1.0 - lag) / (lags + 1.0 - last))

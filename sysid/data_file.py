@@ -101,13 +101,9 @@ class _Writer:
 
     def bytes(self) -> bytes:
         lengths = [len(buffer) for buffer in self._buffers]
-        header = (
-            f'{{"classes":{_json(self._class_nodes)},"buffers":{_json(lengths)},"nodes":[{",".join(self._nodes)}]}}'
-        ).encode()
+        header = (f'{{"classes":{_json(self._class_nodes)},"buffers":{_json(lengths)},"nodes":[{",".join(self._nodes)}]}}').encode()
         if len(header) > HEADER_MOST:
-            raise DataFileError(
-                f"the value takes {len(header)} bytes beside its arrays; a data file allows {HEADER_MOST}"
-            )
+            raise DataFileError(f"the value takes {len(header)} bytes beside its arrays; a data file allows {HEADER_MOST}")
         parts = [len(header).to_bytes(8, "little"), header]
         for buffer in self._buffers:
             parts += [buffer, bytes(_padding(len(buffer)))]

@@ -92,9 +92,7 @@ def for_ever(bounds: CoefficientBounds) -> CoefficientBounds:
     return replace(bounds, XtX_inv=np.zeros_like(bounds.XtX_inv), dof=float("inf"), t=t)
 
 
-def parameter_variance(
-    bounds: CoefficientBounds, states: Mapping[str, FloatArray], outside: Outside = "grow"
-) -> FloatArray:
+def parameter_variance(bounds: CoefficientBounds, states: Mapping[str, FloatArray], outside: Outside = "grow") -> FloatArray:
     """(n,) f s2 x'Cx: variance of the fitted polynomial at states."""
     return bounds.leverage_factor * bounds.s2 * bounds.leverage(bounds.normalised(states, outside))
 

@@ -37,9 +37,7 @@ def bridge(
         good = np.flatnonzero(np.isfinite(values))
         # The step from one finite sample to the next, for the samples in between.
         jumps = np.flatnonzero((np.diff(good) > 1) & (np.diff(time[good]) <= longest_s + record.dt_s))
-        inside = (
-            np.concatenate([np.arange(good[j] + 1, good[j + 1]) for j in jumps]) if jumps.size else np.zeros(0, int)
-        )
+        inside = np.concatenate([np.arange(good[j] + 1, good[j + 1]) for j in jumps]) if jumps.size else np.zeros(0, int)
         if not inside.size or inside.size > MOST * (good.size + inside.size):
             continue
         if name in held:

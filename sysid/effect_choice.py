@@ -106,9 +106,7 @@ def chance_limit(evidence: Evidence, free: Sequence[str], candidates: Sequence[s
     Candidates resemble each other, so the largest of 400 is the largest of fewer: drawn from their own correlation, what the free
     columns take up removed. Never above Sidak's limit, which is for candidates that have nothing in common.
     """
-    known = [
-        k for k, share in zip(candidates, scores(evidence, free, candidates).share, strict=True) if share > DEPENDENT
-    ]
+    known = [k for k, share in zip(candidates, scores(evidence, free, candidates).share, strict=True) if share > DEPENDENT]
     if len(known) < 2:
         return threshold(len(known), family)
     G, _ = evidence.everything
@@ -239,9 +237,7 @@ def _best(
         if not abs(choice.t) > limit:
             return Refusal(choice.key, choice.t, choice.gain, f"|t| {abs(choice.t):.1f} is not above {limit:.1f}")
     if not np.sqrt(choice.gain) > limit * spread:
-        why = (
-            f"|t| {np.sqrt(choice.gain):.1f} is not above {limit:.1f} times {spread:.2f}, the spread of all candidates"
-        )
+        why = f"|t| {np.sqrt(choice.gain):.1f} is not above {limit:.1f} times {spread:.2f}, the spread of all candidates"
         return Refusal(choice.key, choice.t, choice.gain, why)
     if np.isfinite(choice.confirmed_gain) and not choice.confirmed_gain > 0.0:
         certain = abs(choice.t) > limit + strong
@@ -311,9 +307,7 @@ def _companions(evidence: Evidence, others: Sequence[str], named: Sequence[str])
     return [c for c in dict.fromkeys((*named, *swapped)) if c in evidence.names and c not in others]
 
 
-def _with_alternatives(
-    evidence: Evidence, others: Sequence[str], choice: Choice, open_: Sequence[str], twins: Twins
-) -> Choice:
+def _with_alternatives(evidence: Evidence, others: Sequence[str], choice: Choice, open_: Sequence[str], twins: Twins) -> Choice:
     """The effect with the candidates that would do nearly as well in its place, the best first; inseparable ones before."""
     rivals = [k for k in open_ if k != choice.key]
     if not rivals:
@@ -322,11 +316,7 @@ def _with_alternatives(
     alone = float(scores(evidence, others, [choice.key]).information[0])
     order = np.argsort(-np.nan_to_num(found.gain, nan=-np.inf))[:LOOKED_AT]
     near = [rivals[i] for i in order if np.isfinite(found.gain[i]) and found.gain[i] > 0.25 * choice.gain]
-    near += [
-        k
-        for k, g in zip(rivals, found.gain, strict=True)
-        if (choice.key, k) in twins and k not in near and np.isfinite(g)
-    ]
+    near += [k for k, g in zip(rivals, found.gain, strict=True) if (choice.key, k) in twins and k not in near and np.isfinite(g)]
     alike = likeness(evidence, others, choice.key, near) if near else np.zeros(0)
     rows = []
     for key, same in zip(near, alike, strict=True):

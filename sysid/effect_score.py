@@ -87,24 +87,17 @@ class Evidence:
         for name, value in values.items():
             v[self._where[name]] = value
         used = np.flatnonzero(v)
-        white = [
-            replace(w, residual=w.residual + w.columns[:, :, used].astype(np.float64) @ v[used]) for w in self.white
-        ]
+        white = [replace(w, residual=w.residual + w.columns[:, :, used].astype(np.float64) @ v[used]) for w in self.white]
         square = np.array([float(np.sum(w.residual**2)) for w in white])
         return replace(self, score=self.score + self.gram @ v, square=square, white=white)
 
     def residual(self, delta: FloatArray) -> list[FloatArray]:
         """[(n, m)] whitened innovations after a change of the columns, NaN where nothing was measured."""
         used = np.flatnonzero(delta)
-        return [
-            np.where(w.there, w.residual - w.columns[:, :, used].astype(np.float64) @ delta[used], np.nan)
-            for w in self.white
-        ]
+        return [np.where(w.there, w.residual - w.columns[:, :, used].astype(np.float64) @ delta[used], np.nan) for w in self.white]
 
 
-def gather(
-    white: Sequence[White], names: Sequence[str], flights: Sequence[str], prior: Mapping[str, float]
-) -> Evidence:
+def gather(white: Sequence[White], names: Sequence[str], flights: Sequence[str], prior: Mapping[str, float]) -> Evidence:
     """Evidence from filtered segments; prior: kind of column (its name up to the first /) -> standard deviation known
     beforehand."""
     K = len(names)
@@ -146,9 +139,7 @@ class Scores:
     share: FloatArray
 
 
-def scores(
-    evidence: Evidence, free: Sequence[str], candidates: Sequence[str], segments: NDArray[np.bool_] | None = None
-) -> Scores:
+def scores(evidence: Evidence, free: Sequence[str], candidates: Sequence[str], segments: NDArray[np.bool_] | None = None) -> Scores:
     """Equation (LM) for every candidate; NaN where the data hold nothing of it that the free columns do not."""
     G, u = evidence.part(segments)
     b, c = evidence.index(free), evidence.index(candidates)
@@ -164,9 +155,7 @@ def scores(
         return Scores(tuple(candidates), left / g, g, left / np.sqrt(g), left**2 / g, share)
 
 
-def corrected(
-    evidence: Evidence, free: Sequence[str], candidate: str, scale: float = 1.0
-) -> tuple[float, float, float]:
+def corrected(evidence: Evidence, free: Sequence[str], candidate: str, scale: float = 1.0) -> tuple[float, float, float]:
     """Estimate of one candidate, its standard error by the residuals' colour after the fit, and the error were they white.
 
     scale: residuals' standard deviation in units of the noise used (1 for the noise itself).

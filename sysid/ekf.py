@@ -70,9 +70,7 @@ def make_model(f: ModelFunction, g: ModelFunction, x: Array, u: Array, theta: Ar
         if value.size != rows:
             raise ValueError(f"{name}(x, u, theta) returned {value.size} value(s); it must return {rows}")
         if not np.isfinite(value).all():
-            raise ValueError(
-                f"{name}(x, u, theta) is not finite at x0, theta0: {value.ravel().tolist()}; choose another start"
-            )
+            raise ValueError(f"{name}(x, u, theta) is not finite at x0, theta0: {value.ravel().tolist()}; choose another start")
     lanes = next(size for size in (7, 11, 13, 17, 19) if size not in (x.size, u.size, theta.size, outputs))
     shift = 1.0 + 1e-3 * np.arange(lanes)
     xs, us, thetas = x[:, None] * shift + 1e-4 * np.arange(lanes), u[:, None] * shift, theta[:, None] * shift
@@ -193,9 +191,7 @@ def run_filter(
             P[diagonal, diagonal] += third
             if k % 100 == 0 and not (np.abs(x) < 1e100).all():
                 return None
-    if not (
-        np.isfinite(e_all).all() and (np.abs(e_all) < 1e100).all() and np.isfinite(s_all).all() and (s_all > 0).all()
-    ):
+    if not (np.isfinite(e_all).all() and (np.abs(e_all) < 1e100).all() and np.isfinite(s_all).all() and (s_all > 0).all()):
         return None
     return Innovations(raw, e_all, s_all)
 

@@ -90,16 +90,12 @@ def filter_error(
     if (counts == 0).any():
         raise ValueError(f"z output(s) {np.flatnonzero(counts == 0).tolist()} hold no sample at all; leave them out")
     if counts.sum() <= columns.size:
-        raise ValueError(
-            f"{int(counts.sum())} measured values for {columns.size} parameters; measure more or free fewer"
-        )
+        raise ValueError(f"{int(counts.sum())} measured values for {columns.size} parameters; measure more or free fewer")
     model = make_model(f, g, initial[:, 0], record.u[0, :, 0], theta, m)
     noisy = noisy_states(process_noise, nx)
 
     spread = output_spread(record)
-    measurement = (
-        positive_vector(noise_start, m, "noise_start") if noise_start is not None else measurement_noise(record)
-    )
+    measurement = positive_vector(noise_start, m, "noise_start") if noise_start is not None else measurement_noise(record)
     scale = state_scale(model, record, theta, initial, spread)
     deviation = positive_vector(x0_std, nx, "x0_std") if x0_std is not None else scale * (1e-3 if estimate_x0 else 1.0)
     layout = Layout(theta, columns, noisy, m, nx, segments, estimate_x0)
@@ -109,9 +105,7 @@ def filter_error(
         every=jacobian_every,
         state_scale=scale,
     )  # fmt: skip
-    process = (
-        positive_vector(process_noise_start, nx, "process_noise_start") if process_noise_start is not None else None
-    )
+    process = positive_vector(process_noise_start, nx, "process_noise_start") if process_noise_start is not None else None
     tried = [(factor * scale) ** 2 for factor in FIRST_NOISE]
     q = process**2 if process is not None else problem.best_process_noise(theta, tried, measurement)
     start_point = layout.pack(theta, q, measurement, initial)
@@ -129,9 +123,7 @@ def filter_error(
     )  # fmt: skip
 
 
-def _from(
-    problem: FilterProblem, point: Array, low: Array, high: Array, tolerance: float, max_iterations: int
-) -> Minimum:
+def _from(problem: FilterProblem, point: Array, low: Array, high: Array, tolerance: float, max_iterations: int) -> Minimum:
     """The minimum reached from a packed point at which the filter works.
 
     Far from the answer a likelihood gains most by calling the model's errors measurement noise, and then looks no further.
@@ -143,9 +135,7 @@ def _from(
     near_high[logs] = np.minimum(high[logs], point[logs] + NEAR_NOISE)
     first = _descend(problem, point, near_low, near_high, 0.3, max_iterations)
     best = _descend(problem, first.theta, low, high, tolerance, max_iterations)
-    return replace(
-        best, iterations=first.iterations + best.iterations, cost_history=first.cost_history + best.cost_history[1:]
-    )
+    return replace(best, iterations=first.iterations + best.iterations, cost_history=first.cost_history + best.cost_history[1:])
 
 
 def _from_high_gain(
@@ -167,11 +157,7 @@ def _from_high_gain(
     return _from(problem, near, low, high, tolerance, max_iterations)
 
 
-def _descend(
-    problem: FilterProblem, point: Array, low: Array, high: Array, tolerance: float, max_iterations: int
-) -> Minimum:
+def _descend(problem: FilterProblem, point: Array, low: Array, high: Array, tolerance: float, max_iterations: int) -> Minimum:
     start = problem.evaluate(point)
     assert start is not None
-    return minimise(
-        problem, point, start, low, high, tolerance=tolerance, max_iterations=max_iterations, always_central=False
-    )
+    return minimise(problem, point, start, low, high, tolerance=tolerance, max_iterations=max_iterations, always_central=False)

@@ -25,15 +25,11 @@ def read_record(x0: Any, u: Any, z: Any, t: Any, held: bool, u_middle: Any = Non
         )
     for number, time in enumerate(times):
         if time.size < 2 or not (np.diff(time) > 0.0).all():
-            raise ValueError(
-                f"t of segment {number} does not increase at every sample (or has fewer than 2); sort or split it"
-            )
+            raise ValueError(f"t of segment {number} does not increase at every sample (or has fewer than 2); sort or split it")
     each = is_many(x0) or np.ndim(x0) == 2  # a vector a segment, be they arrays, lists or the rows of one array
     starts = [as_parameters(part, "x0") for part in (x0 if each else [x0] * len(lengths))]
     if len(starts) != len(lengths) or any(part.size != starts[0].size for part in starts):
-        raise ValueError(
-            f"x0 has {len(starts)} vectors of {[p.size for p in starts]}, z has {len(lengths)} segments; match them"
-        )
+        raise ValueError(f"x0 has {len(starts)} vectors of {[p.size for p in starts]}, z has {len(lengths)} segments; match them")
     longest, s = max(lengths), len(lengths)
     U = np.zeros((longest, inputs[0].shape[1], s))
     Z = np.full((longest, outputs[0].shape[1], s), np.nan)
@@ -67,11 +63,7 @@ def noisy_states(chosen: Any, nx: int) -> NDArray[np.intp]:
     if chosen is None:
         return np.arange(nx)
     try:
-        return (
-            np.flatnonzero(as_free(list(chosen), tuple(f"x{i}" for i in range(nx))))
-            if len(list(chosen))
-            else np.arange(0)
-        )
+        return np.flatnonzero(as_free(list(chosen), tuple(f"x{i}" for i in range(nx)))) if len(list(chosen)) else np.arange(0)
     except ValueError as error:
         raise ValueError(f"process_noise: {error}") from None
 

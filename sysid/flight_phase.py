@@ -50,9 +50,7 @@ def find(
         return FlightPhase(None, None, None, "no airspeed and no ground speed: whether it flew cannot be said")
     usual = float(np.quantile(known, 0.9))
     if usual < MIN_SPEED_MPS:
-        text = (
-            f"it never flew: the speed stays below {usual:.1f} m/s for 90 % of the time (at least {MIN_SPEED_MPS:.0f})"
-        )
+        text = f"it never flew: the speed stays below {usual:.1f} m/s for 90 % of the time (at least {MIN_SPEED_MPS:.0f})"
         return FlightPhase(None, None, None, text)
     flying = smooth > max(0.5 * usual, 5.0)
     begins_at_rest = bool(np.nanmedian(smooth[: max(1, round(1.0 / step))]) < 3.0)

@@ -194,9 +194,7 @@ class FlightRecord:
             import pyarrow.parquet as pq
 
             # From the arrays as they are: a DataFrame would be a second copy of a big log.
-            table = pa.table(
-                {n: pa.array(v) if n not in LABELS else pa.array(v, pa.string()) for n, v in self.columns.items()}
-            )
+            table = pa.table({n: pa.array(v) if n not in LABELS else pa.array(v, pa.string()) for n, v in self.columns.items()})
             pq.write_table(table.replace_schema_metadata({_METADATA_KEY: self.metadata.to_json().encode()}), path)
         elif path.suffix.lower() == ".csv":
             import pandas as pd

@@ -113,9 +113,7 @@ class Shift:
     std: float
 
 
-def time_shift(
-    measured: Sequence[FloatArray], modelled: Sequence[FloatArray], dt_s: float, at_most_s: float = 0.2
-) -> Shift:
+def time_shift(measured: Sequence[FloatArray], modelled: Sequence[FloatArray], dt_s: float, at_most_s: float = 0.2) -> Shift:
     """Delay tau that makes modelled(t - tau) fit measured(t) best, by Gauss-Newton on the model's slope, offset left free.
 
     The standard error allows for coloured residuals by their integral time. NaN when the model does not move.
@@ -150,9 +148,7 @@ def time_shift(
     return Shift(tau, float(np.sqrt(variance * integral_time(left) / bottom)))
 
 
-def worst(
-    residual: FloatArray, time_s: FloatArray, noise: float, count: int, apart_s: float
-) -> list[tuple[float, float]]:
+def worst(residual: FloatArray, time_s: FloatArray, noise: float, count: int, apart_s: float) -> list[tuple[float, float]]:
     """(time, residual) of the ``count`` largest residuals in units of noise, at least ``apart_s`` from one another."""
     size = np.where(np.isfinite(residual), np.abs(residual), -1.0) / (noise if noise > 0 else 1.0)
     out: list[tuple[float, float]] = []

@@ -67,9 +67,7 @@ class Minimum:
     message: str
 
 
-def damped_step(
-    gradient: Array, information: Array, damping: float, down: Array, up: Array, allowed: NDArray[np.bool_]
-) -> Array:
+def damped_step(gradient: Array, information: Array, damping: float, down: Array, up: Array, allowed: NDArray[np.bool_]) -> Array:
     """The damped step (k,) within [-down, up]; those that would leave are put on their bound, the rest re-solved."""
     k = gradient.size
     step, fixed = np.zeros(k), ~allowed
@@ -120,9 +118,7 @@ def minimise(
         gradient, information = line.gradient, line.information
         outward = ((theta >= upper) & (gradient > 0.0)) | ((theta <= lower) & (gradient < 0.0))
         allowed = ~outward
-        free_step = damped_step(
-            gradient, information, 0.0, np.full(theta.size, np.inf), np.full(theta.size, np.inf), allowed
-        )
+        free_step = damped_step(gradient, information, 0.0, np.full(theta.size, np.inf), np.full(theta.size, np.inf), allowed)
         decrement = float(np.sqrt(np.maximum(free_step @ information @ free_step, 0.0)))
         if decrement < tolerance and line.exact:
             converged, message = True, f"the next step would be {decrement:.1e} standard errors long"
@@ -164,7 +160,5 @@ def minimise(
             break
         central = decrement < 0.5
     else:
-        message = (
-            f"stopped after {max_iterations} iterations; the next step would be {decrement:.1e} standard errors long"
-        )
+        message = f"stopped after {max_iterations} iterations; the next step would be {decrement:.1e} standard errors long"
     return Minimum(theta, cost, history, iteration, converged, decrement, rejected, failed, message)

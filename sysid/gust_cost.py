@@ -30,9 +30,7 @@ LANES = 80
 class Likelihood:
     """Segments whose likelihood is asked for in many airs; arguments of `costs`. Who does the work does not change a bit of it."""
 
-    def __init__(
-        self, steps: Sequence[Steps], measured: Sequence[FloatArray], which: Sequence[int], by: Processes = ALONE
-    ) -> None:
+    def __init__(self, steps: Sequence[Steps], measured: Sequence[FloatArray], which: Sequence[int], by: Processes = ALONE) -> None:
         self._careful = (steps, measured, which)
         self._by = by
         # The longest first: those that have ended stand behind those that go on.

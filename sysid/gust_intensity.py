@@ -225,6 +225,4 @@ def _process(values: Sequence[FloatArray], V: Sequence[float], states: GustState
 
 def _spread(members: Sequence[int], most: int) -> list[int]:
     """At most so many of them, from the first to the last."""
-    return [
-        members[k] for k in np.unique(np.linspace(0, len(members) - 1, min(len(members), most)).astype(int)).tolist()
-    ]
+    return [members[k] for k in np.unique(np.linspace(0, len(members) - 1, min(len(members), most)).astype(int)).tolist()]

@@ -127,9 +127,7 @@ class FilterProblem:
 
     def _first_steps(self, vector: Array) -> Array:
         step = 1e-4 * np.where(vector != 0.0, np.abs(vector), 1.0)
-        step[self.layout.process] = 1e-3 * np.maximum(
-            vector[self.layout.process], 1e-6 * self.state_scale[self.layout.noisy] ** 2
-        )
+        step[self.layout.process] = 1e-3 * np.maximum(vector[self.layout.process], 1e-6 * self.state_scale[self.layout.noisy] ** 2)
         step[self.layout.logs] = LOG_STEP
         if self.layout.with_x0:
             step[self.layout.logs.stop :] = 1e-3 * np.tile(self.state_scale, self.layout.segments)
@@ -202,9 +200,7 @@ class FilterProblem:
         if self.step is None:
             self.step = self._first_steps(vector)
         size = vector.size
-        new = Sensitivities(
-            vector.copy(), state.e, state.s, np.zeros((*state.e.shape, size)), np.zeros((*state.e.shape, size))
-        )
+        new = Sensitivities(vector.copy(), state.e, state.s, np.zeros((*state.e.shape, size)), np.zeros((*state.e.shape, size)))
         pending = list(range(size))
         for attempt in range(4):
             again: list[int] = []
@@ -224,11 +220,7 @@ class FilterProblem:
         if found is None:
             if len(some) > 1:  # one bad point spoils the batch: find it
                 half = len(some) // 2
-                return [
-                    index
-                    for part in (some[:half], some[half:])
-                    for index in self._differences(new, part, central, last)
-                ]
+                return [index for part in (some[:half], some[half:]) for index in self._differences(new, part, central, last)]
             self.step[some[0]] *= 0.03
             return list(some)
         again = []

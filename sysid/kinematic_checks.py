@@ -59,9 +59,7 @@ def compare(reference: FloatArray, measured: FloatArray, dt_s: float, max_delay_
     residual = y[edge] - a @ np.array([slope, lag])
     count = max(4.0, 2.0 * (BAND_HZ[1] - BAND_HZ[0]) * len(residual) * dt_s)
     spread = np.sqrt(np.mean(residual**2) / (count * max(np.mean(rate[edge] ** 2), 1e-30)))
-    return Comparison(
-        float(slope), coarse * dt_s + float(lag / slope), float(spread / abs(slope)), float(abs(rho[best]))
-    )
+    return Comparison(float(slope), coarse * dt_s + float(lag / slope), float(spread / abs(slope)), float(abs(rho[best])))
 
 
 def _band(x: FloatArray, dt_s: float) -> FloatArray:

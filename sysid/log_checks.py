@@ -119,9 +119,7 @@ def _wrap(name: str, c: Channel) -> list[Finding]:
     for span, what in ((65536.0, "16-bit"), (655.36, "16-bit, 1/100"), (65.536, "16-bit, 1/1000"), (256.0, "8-bit")):
         hits = int(np.sum(np.abs(steps - span) < 0.03 * span))
         if hits and span > 20.0 * usual and span > 0.4 * float(np.ptp(c.raw[np.isfinite(c.raw)])):
-            text = (
-                f"{name} ({c.label}) jumps by {span:g} {hits} times while it usually moves {usual:.3g}: a {what} wrap"
-            )
+            text = f"{name} ({c.label}) jumps by {span:g} {hits} times while it usually moves {usual:.3g}: a {what} wrap"
             return [Finding("wraps", name, "error", text, {"jumps": float(hits), "span": span})]
     return []
 
@@ -168,11 +166,7 @@ def check_record(record: FlightRecord, free_s: tuple[float, float] | None) -> li
         below = float(np.mean(speed < 0)) if len(speed) else 0.0
         if below > 0.5:
             text = f"airspeed is negative in {100 * below:.0f} % of the samples (median {np.median(speed):.2f} m/s)"
-            out.append(
-                Finding(
-                    "negative-airspeed", "V_mps", "error", text, {"share": below, "median": float(np.median(speed))}
-                )
-            )
+            out.append(Finding("negative-airspeed", "V_mps", "error", text, {"share": below, "median": float(np.median(speed))}))
     if free_s is not None:
         out += check_kinematics(flight)
     return out

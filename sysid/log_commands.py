@@ -43,9 +43,7 @@ def add_arguments(subparsers: Any) -> None:
     )
     _common(importing)
     importing.add_argument("--out", type=Path, required=True, metavar="FILE", help="FILE.parquet or FILE.csv")
-    importing.add_argument(
-        "--whole", action="store_true", help="keep ground and tow; without it free flight alone is kept"
-    )
+    importing.add_argument("--whole", action="store_true", help="keep ground and tow; without it free flight alone is kept")
     importing.add_argument(
         "--manoeuvres",
         type=Path,

@@ -115,9 +115,7 @@ def read_raw(path: Path, dialect: str, signal_map: SignalMap | None, progress: P
 def _record_file(path: Path) -> FlightRecord:
     record = FlightRecord.read(path)
     if not set(record.columns) & (set(SIGNALS) - {"time_s", "manoeuvre", "mode"}):
-        raise LogError(
-            "the table holds a time and no signal; name the columns as the vocabulary does or give a --map", path
-        )
+        raise LogError("the table holds a time and no signal; name the columns as the vocabulary does or give a --map", path)
     if record.metadata.dialect != "record" or record.metadata.findings:
         return record  # an importer has looked at it
     return replace(record, metadata=replace(record.metadata, findings=tuple(check_units(record))))

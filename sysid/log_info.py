@@ -18,9 +18,7 @@ REPLAY_MIN_HZ = 10.0
 LOITER_MIN_HZ = 1.0
 LOITER_MIN_S = 300.0
 MIN_MOVING_DEG = 0.5
-_NOT_AEROPLANES = re.compile(
-    r"copter|rover|sub\b|quad|hexa|octo|tricopter|helicopter|boat|antenna|blimp|rotary", re.IGNORECASE
-)
+_NOT_AEROPLANES = re.compile(r"copter|rover|sub\b|quad|hexa|octo|tricopter|helicopter|boat|antenna|blimp|rotary", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -63,9 +61,7 @@ class LogInfo:
             "start_s": self.start_s,
             "free_flight_s": None if self.flight_s is None else list(self.flight_s),
             "grid_hz": self.grid_hz,
-            "channels": {
-                n: {"source": self.channels.get(n, ""), "rate_hz": self.rates_hz.get(n)} for n in self.channels
-            },
+            "channels": {n: {"source": self.channels.get(n, ""), "rate_hz": self.rates_hz.get(n)} for n in self.channels},
             "findings": [f.as_dict() for f in self.findings],
             "purposes": {p.name: {"serves": p.serves, "reason": p.reason} for p in self.purposes},
             "serves": self.serves,

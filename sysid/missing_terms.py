@@ -34,9 +34,7 @@ class MissingTerm:
     share: float
 
 
-def missing_terms(
-    residuals: Residuals, coefficient: str, bounds: CoefficientBounds, most: int = MOST
-) -> list[MissingTerm]:
+def missing_terms(residuals: Residuals, coefficient: str, bounds: CoefficientBounds, most: int = MOST) -> list[MissingTerm]:
     """Terms that flights show to be missing, the most telling first; empty when what is left is noise.
 
     residuals: of the flights behind the bounds. Raises ValueError if they lack a state of the bounds.

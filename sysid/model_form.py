@@ -168,9 +168,7 @@ class ModelForm:
     outside: Outside
     coefficients: Mapping[str, CoefficientBounds]
 
-    def bounds(
-        self, states: Mapping[str, FloatArray], confidence: float | None = None
-    ) -> dict[str, tuple[FloatArray, FloatArray]]:
+    def bounds(self, states: Mapping[str, FloatArray], confidence: float | None = None) -> dict[str, tuple[FloatArray, FloatArray]]:
         """Coefficient -> lower and upper (n,) at states (n,) each, lower <= 0 <= upper. Raises KeyError for a missing state."""
         return {c: b.bounds(states, confidence, self.outside) for c, b in self.coefficients.items()}
 
@@ -216,9 +214,7 @@ def read_model_form(path: Path) -> ModelForm:
         raise LogError(str(error), path, None if error.line is None else f"line {error.line}") from None
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         found = document.get("format") if isinstance(document, dict) else type(document).__name__
-        raise LogError(
-            f"is no model form: format is {found!r}, '{FORMAT}' is read; make one with `uqharness bounds`", path
-        )
+        raise LogError(f"is no model form: format is {found!r}, '{FORMAT}' is read; make one with `uqharness bounds`", path)
     where = ""
     try:
         coefficients = {}

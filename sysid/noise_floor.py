@@ -35,9 +35,7 @@ def noise_floor(
     total = np.zeros(plain.shape[1])
     for _ in range(repeats):
         noisy = {
-            c: record[c] + noise_std[c] * rng.standard_normal(len(record))
-            for c in NOISY
-            if np.isfinite(noise_std.get(c, np.nan))
+            c: record[c] + noise_std[c] * rng.standard_normal(len(record)) for c in NOISY if np.isfinite(noise_std.get(c, np.nan))
         }
         changed = residual_coefficients(record.with_columns(noisy), pieces, model, arm_m, cutoffs).delta
         total += np.mean((changed - plain) ** 2, axis=0)

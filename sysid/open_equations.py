@@ -49,9 +49,7 @@ class OpenEquations:
     def __post_init__(self) -> None:
         unknown = [t for t in self.terms if split_name(t) is None]
         if unknown:
-            raise ValueError(
-                f"{unknown[0]} is no coefficient term; filter error knows {', '.join(COEFFICIENTS)} with their terms"
-            )
+            raise ValueError(f"{unknown[0]} is no coefficient term; filter error knows {', '.join(COEFFICIENTS)} with their terms")
 
     @property
     def gusts(self) -> GustStates:

@@ -133,9 +133,7 @@ class OutputErrorProblem:
         if self.target is None:
             small = np.zeros_like(self.step)
             small[self.columns] = 1e-3 * self.step[self.columns]
-            rough, runs = roughness(
-                self.simulation, self.whole(theta), outputs, small, self.limits, self.spread, self.map_
-            )
+            rough, runs = roughness(self.simulation, self.whole(theta), outputs, small, self.limits, self.spread, self.map_)
             self.target, self.runs = target_for(rough), self.runs + runs
         self.sensitivity, self._updates = found.sensitivity, 0
         self._active = active_columns(found.sensitivity, self.edges)

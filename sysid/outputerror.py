@@ -80,14 +80,10 @@ def output_error(
     stacked = np.concatenate(segments)
     counts = np.isfinite(stacked).sum(axis=0)
     if (counts == 0).any():
-        raise ValueError(
-            f"measured output(s) {np.flatnonzero(counts == 0).tolist()} hold no sample at all; leave them out"
-        )
+        raise ValueError(f"measured output(s) {np.flatnonzero(counts == 0).tolist()} hold no sample at all; leave them out")
     columns = [int(index) for index in np.flatnonzero(mask)]
     if counts.sum() <= len(columns):
-        raise ValueError(
-            f"{int(counts.sum())} measured values for {len(columns)} parameters; measure more or free fewer"
-        )
+        raise ValueError(f"{int(counts.sum())} measured values for {len(columns)} parameters; measure more or free fewer")
     with np.errstate(invalid="ignore"):
         spread = np.nanstd(stacked, axis=0)
     size = np.nanmax(np.abs(stacked), axis=0)
@@ -108,9 +104,7 @@ def output_error(
     )
     start = problem.evaluate(theta[columns])
     if start is None:
-        raise ValueError(
-            f"the simulation fails at theta0: {problem.last_failure}; start from values that can be simulated"
-        )
+        raise ValueError(f"the simulation fails at theta0: {problem.last_failure}; start from values that can be simulated")
     edges = [0, *np.cumsum([part.shape[0] for part in segments]).tolist()]
     limits = (lower[columns], upper[columns])
 
@@ -213,9 +207,7 @@ def _assemble(
     elif not converged:
         warnings.insert(0, "not converged: no parameter is identified at the point reached; try another start")
     if best.failed:
-        warnings.append(
-            f"{best.failed} trial point(s) could not be simulated and were rejected: {problem.last_failure}"
-        )
+        warnings.append(f"{best.failed} trial point(s) could not be simulated and were rejected: {problem.last_failure}")
     return OutputErrorFit(
         names=labels,
         theta=out,

@@ -172,9 +172,7 @@ class _Search:
                 break
         return mean, cov, passes, settled
 
-    def _sweep(
-        self, prior: Mapping[str, float], noise: Noise, smooth: bool
-    ) -> tuple[FloatArray, FloatArray, list[Pass]]:
+    def _sweep(self, prior: Mapping[str, float], noise: Noise, smooth: bool) -> tuple[FloatArray, FloatArray, list[Pass]]:
         """All stretches in turn: sensor errors and wind are carried from one to the next, the state begins anew."""
         mean, cov = np.zeros(len(NAMES)), np.zeros((len(NAMES), len(NAMES)))
         for n, std in prior.items():
@@ -198,9 +196,7 @@ class _Search:
             # Linearise everywhere about the newest sensor errors, not about those known when the stretch was passed.
             path[fixed] = mean[fixed, None]
             self.nominal[k] = path
-        joined = np.concatenate(
-            [p.residual2 * np.where(np.isfinite(p.innovation), 1.0, np.nan) for p in passes], axis=1
-        )
+        joined = np.concatenate([p.residual2 * np.where(np.isfinite(p.innovation), 1.0, np.nan) for p in passes], axis=1)
         floor = NOISE_FLOOR * np.array([FIRST_NOISE[c] for c in OUTPUTS])
         compared = np.isfinite(joined).any(axis=1)
         levels = self.noise.outputs.copy()

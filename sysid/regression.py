@@ -30,9 +30,7 @@ def checked_regressors(X: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
     if regressors.ndim != 2 or regressors.shape[1] == 0:
         raise ValueError(f"X has shape {regressors.shape}; give (n samples, k regressors)")
     if response.shape != (regressors.shape[0],):
-        raise ValueError(
-            f"y has shape {response.shape}, X has {regressors.shape[0]} rows; give one y for each row of X"
-        )
+        raise ValueError(f"y has shape {response.shape}, X has {regressors.shape[0]} rows; give one y for each row of X")
     bad = ~np.isfinite(regressors).all(axis=1) | ~np.isfinite(response)
     if bad.any():
         raise ValueError(
@@ -52,9 +50,7 @@ def segment_edges(segments: Sequence[int] | None, n: int) -> list[int]:
         return [0, n]
     lengths = [int(length) for length in segments]
     if not lengths or min(lengths) < 1 or sum(lengths) != n:
-        raise ValueError(
-            f"segments has lengths {lengths} summing to {sum(lengths)}; they must be positive and sum to {n}"
-        )
+        raise ValueError(f"segments has lengths {lengths} summing to {sum(lengths)}; they must be positive and sum to {n}")
     return [0, *np.cumsum(lengths).tolist()]
 
 

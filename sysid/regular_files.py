@@ -84,9 +84,7 @@ def in_words(size: float) -> str:
 def _refuse_others(found: os.stat_result, path: Path) -> None:
     if stat.S_ISREG(found.st_mode):
         return
-    code, kind = next(
-        ((number, name) for test, number, name in _KINDS if test(found.st_mode)), (errno.EINVAL, "something else")
-    )
+    code, kind = next(((number, name) for test, number, name in _KINDS if test(found.st_mode)), (errno.EINVAL, "something else"))
     raise OSError(code, f"is {kind}, not a regular file", str(path))
 
 

@@ -99,9 +99,7 @@ def judge(
     assert scaled is not None
     marked = np.where(there, white, np.nan)
     counts = there.sum(axis=0)
-    inflate = np.sqrt(
-        counts / np.maximum(counts - spent, 1.0)
-    )  # the autocovariance divides by N, R by N minus the share
+    inflate = np.sqrt(counts / np.maximum(counts - spent, 1.0))  # the autocovariance divides by N, R by N minus the share
     bracket = coloured_information(split(scaled, edges), split(marked * inflate, edges))
     crb, coloured = gate.inverse, gate.inverse @ bracket @ gate.inverse  # (MK) in coloured.py
 

@@ -71,9 +71,7 @@ class Steps:
     start: FloatArray | None = None
 
 
-def linearise(
-    reference: Reference, mass: MassProperties, gravity: float = G_MPS2, gusts: GustStates | None = None
-) -> Steps:
+def linearise(reference: Reference, mass: MassProperties, gravity: float = G_MPS2, gusts: GustStates | None = None) -> Steps:
     """The linear system along a reference, outputs OUTPUTS; with gusts 13 states, about air at rest."""
     n, h = len(reference.x), reference.dt_s
     wide = whole_states(reference.x, gusts)
@@ -148,9 +146,7 @@ class _Rigid:
         self.reference, self.mass, self.gravity, self.gusts = reference, mass, gravity, gusts
         self.inverse = np.linalg.inv(mass.inertia)
 
-    def __call__(
-        self, x: FloatArray, rows: FloatArray, extra: FloatArray | None = None
-    ) -> tuple[FloatArray, FloatArray]:
+    def __call__(self, x: FloatArray, rows: FloatArray, extra: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """rows (n,): where along the reference, in samples; halves are the middles of steps."""
         r, m = self.reference, self.mass
         low = np.floor(rows).astype(int)
@@ -189,9 +185,7 @@ class _Rigid:
             dV, dalpha, dbeta = self.gusts.turning(states, trig)
             Vd, alphad, betad = Vd + dV, alphad + dalpha, betad + dbeta
             of_air = self.gusts.rates(states, Vd, alphad, betad, phid, trig)
-        rate = np.stack(
-            [Vd, alphad, betad, turn[:, 0], turn[:, 1], turn[:, 2], phid, q * cf - rr * sf, *of_air], axis=1
-        )
+        rate = np.stack([Vd, alphad, betad, turn[:, 0], turn[:, 1], turn[:, 2], phid, q * cf - rr * sf, *of_air], axis=1)
         if np.any(r.arm_m):
             arm = np.broadcast_to(r.arm_m, rates.shape)
             felt = felt + _cross(turn, arm) + _cross(rates, _cross(rates, arm))

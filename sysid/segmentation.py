@@ -30,9 +30,7 @@ class Piece:
     end_s: float
 
 
-def cut(
-    record: FlightRecord, needed: Sequence[str], min_s: float = MIN_S, max_s: float = MAX_S
-) -> tuple[list[Piece], str]:
+def cut(record: FlightRecord, needed: Sequence[str], min_s: float = MIN_S, max_s: float = MAX_S) -> tuple[list[Piece], str]:
     """Pieces in order of time, and one sentence saying how they were found.
 
     needed  channels that must be finite throughout a piece; pieces shorter than ``min_s`` seconds are left out, longer ones

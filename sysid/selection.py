@@ -55,9 +55,7 @@ def stepwise(
     if any(not 0 <= index < k for index in keep):
         raise ValueError(f"keep holds {list(keep)}; allowed are indices 0 to {k - 1}")
     if f_enter is not None and f_remove is not None and f_remove > f_enter:
-        raise ValueError(
-            f"f_remove {f_remove} exceeds f_enter {f_enter}: terms would enter and leave for ever; lower it"
-        )
+        raise ValueError(f"f_remove {f_remove} exceeds f_enter {f_enter}: terms would enter and leave for ever; lower it")
     data = _Data(regressors, response, labels, segments)
     candidates = max(k - len(set(keep)), 1)
     chosen, history = sorted(set(keep)), list[SelectionStep]()
@@ -66,9 +64,7 @@ def stepwise(
     while True:
         freedom = max(n - len(chosen) - 1, 1)
         enter = f_enter if f_enter is not None else float(stats.f.isf(ALPHA_ENTER / candidates, 1, freedom))
-        remove = (
-            f_remove if f_remove is not None else min(enter, float(stats.f.isf(ALPHA_REMOVE / candidates, 1, freedom)))
-        )
+        remove = f_remove if f_remove is not None else min(enter, float(stats.f.isf(ALPHA_REMOVE / candidates, 1, freedom)))
         entering = data.best_entry(chosen, enter) if len(chosen) < limit else None
         if entering is None:
             break
@@ -169,9 +165,7 @@ class _Data:
             return -1, np.inf, np.inf
         return chosen[order[0]], float(partial[order[0]]), float(effective[order[0]])
 
-    def step(
-        self, action: str, index: int, partial: float, effective: float, threshold: float, chosen: list[int]
-    ) -> SelectionStep:
+    def step(self, action: str, index: int, partial: float, effective: float, threshold: float, chosen: list[int]) -> SelectionStep:
         """The record of one decision with the resulting model's R2, PRESS and PSE."""
         n, p = self.y.size, len(chosen)
         q = self.basis(chosen)

@@ -54,9 +54,7 @@ class SafeSimulation:
         parts = [part[:, None] if part.ndim == 1 else part for part in parts]
         shapes, wanted = [part.shape for part in parts], [(length, self.outputs) for length in self.lengths]
         if shapes != wanted:
-            return (
-                f"simulate returned shapes {shapes}, measured has {wanted}; return the outputs at the measured samples"
-            )
+            return f"simulate returned shapes {shapes}, measured has {wanted}; return the outputs at the measured samples"
         out = np.concatenate(parts)
         sound = np.abs(out) < HUGE  # False for NaN too
         if not sound.all():

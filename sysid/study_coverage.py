@@ -28,9 +28,7 @@ def parser() -> argparse.ArgumentParser:
     out.add_argument("--seeds", type=int, default=100, help="flights per case (default 100)")
     out.add_argument("--segments", type=int, default=4, help="manoeuvres a flight (default 4)")
     out.add_argument("--samples", type=int, default=500, help="samples a manoeuvre at 50 Hz (default 500, 10 s)")
-    out.add_argument(
-        "--only", default="", help=f"cases whose name contains this, of: {'; '.join(c.name for c in CASES)}"
-    )
+    out.add_argument("--only", default="", help=f"cases whose name contains this, of: {'; '.join(c.name for c in CASES)}")
     out.add_argument("--out", type=Path, required=True, help="CSV to write, one row a parameter and case")
     out.add_argument("--json", action="store_true", help="print the pooled rows as JSON")
     return out

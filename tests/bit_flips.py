@@ -79,9 +79,7 @@ def _fly(root: Path, deciding: str) -> None:
     text += '[epistemic]\nmethod = "corners"\ncoefficients = ["CX", "CY"]\nbounds = { CX = 0.008, CY = 0.010 }\n'
     text += "[metrics]\nexcursion_radius_m = 15\n"
     plain, decide = fakes.campaign_file(root, text), root / "decide.toml"
-    decide.write_text(
-        deciding.replace("flights = 40", "flights = 8").replace("[metrics]", "[metrics]\nexcursion_radius_m = 15")
-    )
+    decide.write_text(deciding.replace("flights = 40", "flights = 8").replace("[metrics]", "[metrics]\nexcursion_radius_m = 15"))
     for name, campaign in (("plain", plain), ("decide", decide)):
         assert _call("campaign", "run", campaign, "--out", root / name, "--serial")[0] == 0
         assert _call("sensitivity", root / name)[0] in (0, 1)

@@ -138,9 +138,7 @@ def hazardous(spec: FlightSpec) -> FlightResult:
     if kind == 1:
         os.kill(os.getpid(), signal.SIGSEGV)
     if kind == 2:
-        return FlightResult(
-            "diverged", "the state was no longer finite at 90.0 s", 90.0, {"excursions_15m": 2.0}, {}, {}
-        )
+        return FlightResult("diverged", "the state was no longer finite at 90.0 s", 90.0, {"excursions_15m": 2.0}, {}, {})
     if kind == 3:
         raise RuntimeError("a flight that raises")
     if kind == 4:

@@ -159,9 +159,7 @@ def directives(comment: str, where: str) -> tuple[tuple[str, str], ...]:
     for line in filter(None, map(str.strip, body.splitlines())):
         key, colon, value = line.partition(":")
         if key not in DIRECTIVES or not colon or not value.strip():
-            raise ValueError(
-                f"{where}: '{line}' is no directive; there are: {', '.join(sorted(DIRECTIVES))}, each with ': ...'"
-            )
+            raise ValueError(f"{where}: '{line}' is no directive; there are: {', '.join(sorted(DIRECTIVES))}, each with ': ...'")
         if key == "fast" and "=>" not in value:
             raise ValueError(f"{where}: '{line}': fast: OLD => NEW")
         if key in {"leave out", "slow line"} and " -- " not in value:
@@ -301,9 +299,7 @@ def check_toml(example: Example) -> None:
         pieces = [tomllib.loads(part) for part in re.split(r"\n\s*\n", example.text)]
     for piece in pieces:
         for name, section in piece.items():
-            assert name in CAMPAIGN_SECTIONS, (
-                f"{example.where}: [{name}] is no section of a campaign file; mark it 'file: NAME'"
-            )
+            assert name in CAMPAIGN_SECTIONS, f"{example.where}: [{name}] is no section of a campaign file; mark it 'file: NAME'"
             try:
                 CAMPAIGN_SECTIONS[name].model_validate(section)
             except ValidationError as error:

@@ -92,9 +92,7 @@ def fly(
         between = 0.5 * (surface + np.vstack([surface[1:], surface[-1:]]))
         x = simulate(airframe, x0, between, fine, rhs)[:-1]
         stride = round(dt / fine)
-        felt = np.array(
-            [_specific_force(airframe, s, u, rhs) for s, u in zip(x[::stride], surface[::stride], strict=True)]
-        )
+        felt = np.array([_specific_force(airframe, s, u, rhs) for s, u in zip(x[::stride], surface[::stride], strict=True)])
         parts.append(_columns(x[::stride], felt, command[::stride], surface[::stride], dt, number * (seconds + 1.0)))
         parts[-1]["manoeuvre"] = np.full(len(felt), kind, dtype=object)
     columns = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}

@@ -110,9 +110,7 @@ def make(out: Path) -> int:
     (out / "campaign.toml").write_text(CAMPAIGN.format(root=ROOT))
     for words in commands(out):
         print("uqharness", *words, flush=True)
-        done = subprocess.run(
-            [sys.executable, "-m", "uqharness", *words], cwd=ROOT, stdout=subprocess.DEVNULL, check=False
-        )
+        done = subprocess.run([sys.executable, "-m", "uqharness", *words], cwd=ROOT, stdout=subprocess.DEVNULL, check=False)
         if done.returncode not in (0, 1):
             print(f"ended with {done.returncode}")
             return 1

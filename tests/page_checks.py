@@ -107,6 +107,4 @@ def _tables(tree: html.HtmlElement) -> list[str]:
 def _text(tree: html.HtmlElement) -> list[str]:
     shown = [e for e in tree.find("body").iter(etree.Element) if e.tag != "script"]
     text = " ".join(part for e in shown for part in (e.text, e.tail) if part)
-    return [
-        f"'{word}' in the text" for word in re.findall(r"(?<![\w-])(?:nan|NaN|inf|Infinity)(?![\w-])|None(?!\.)", text)
-    ]
+    return [f"'{word}' in the text" for word in re.findall(r"(?<![\w-])(?:nan|NaN|inf|Infinity)(?![\w-])|None(?!\.)", text)]

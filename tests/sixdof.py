@@ -68,21 +68,9 @@ def coefficients(k: Mapping[str, float], alpha: float, beta: float, p: float, q:
             k["CX_0"] + k["CX_alpha"] * alpha + k["CX_alpha2"] * alpha**2,
             k["CY_0"] + k["CY_beta"] * beta + k["CY_p"] * p + k["CY_r"] * r + k["CY_dr"] * dr,
             k["CZ_0"] + k["CZ_alpha"] * alpha + k["CZ_q"] * q + k["CZ_de"] * de,
-            k["Cl_0"]
-            + k["Cl_beta"] * beta
-            + k["Cl_p"] * p
-            + k["Cl_r"] * r
-            + k["Cl_dr"] * dr
-            + k["Cl_da"] * da
-            + k["Cl_de"] * de,
+            k["Cl_0"] + k["Cl_beta"] * beta + k["Cl_p"] * p + k["Cl_r"] * r + k["Cl_dr"] * dr + k["Cl_da"] * da + k["Cl_de"] * de,
             k["Cm_0"] + k["Cm_alpha"] * alpha + k["Cm_q"] * q + k["Cm_de"] * de + k["Cm_dr"] * dr,
-            k["Cn_0"]
-            + k["Cn_beta"] * beta
-            + k["Cn_p"] * p
-            + k["Cn_r"] * r
-            + k["Cn_dr"] * dr
-            + k["Cn_da"] * da
-            + k["Cn_de"] * de,
+            k["Cn_0"] + k["Cn_beta"] * beta + k["Cn_p"] * p + k["Cn_r"] * r + k["Cn_dr"] * dr + k["Cn_da"] * da + k["Cn_de"] * de,
         ]
     )
 
@@ -110,11 +98,7 @@ def derivative(airframe: Airframe, x: Array, u: Array) -> Array:
     b2V, c2V = airframe.b / (2 * V), airframe.c / (2 * V)
     C = coefficients(airframe.coefficients, alpha, beta, rates[0] * b2V, rates[1] * c2V, rates[2] * b2V, u[:3])
     to_body = rotation_to_body(phi, theta, psi)
-    force = (
-        qS * C[:3]
-        + np.array([thrust(u[3], V, rho), 0.0, 0.0])
-        + to_body @ np.array([0.0, 0.0, airframe.m * airframe.g])
-    )
+    force = qS * C[:3] + np.array([thrust(u[3], V, rho), 0.0, 0.0]) + to_body @ np.array([0.0, 0.0, airframe.m * airframe.g])
     moment = qS * C[3:] * np.array([airframe.b, airframe.c, airframe.b])
     inertia = np.array([[airframe.Ixx, 0, -airframe.Ixz], [0, airframe.Iyy, 0], [-airframe.Ixz, 0, airframe.Izz]])
     velocity_dot = force / airframe.m - np.cross(rates, velocity)

@@ -50,9 +50,7 @@ def function(name: str, value: float) -> str:
 def write(root: Path, aero: str) -> Path:
     folder = root / "aircraft" / "small"
     folder.mkdir(parents=True, exist_ok=True)
-    skeleton = (
-        SKELETON.replace("<aerodynamics>{aero}</aerodynamics>", "<aerodynamics/>") if "EMPTY" in aero else SKELETON
-    )
+    skeleton = SKELETON.replace("<aerodynamics>{aero}</aerodynamics>", "<aerodynamics/>") if "EMPTY" in aero else SKELETON
     aero = aero.replace("EMPTY", "")
     text = skeleton.format(fcs="", aero=aero, ixz="<ixz unit='KG*M2'>0.4</ixz>", mass_attributes="", aerorp=-0.3)
     (folder / "small.xml").write_text(text)

@@ -72,9 +72,7 @@ def test_a_delta_is_its_bound_times_qS_and_lengths_at_the_cg_and_moves_nothing_e
     lower, upper = -0.004 - 0.001 * index, 0.007 + 0.001 * index
     others = {f"uq/{other}/{bound}": 0.0 for other in COEFFICIENTS if other != name for bound in ("lower", "upper")}
     plain = outputs()
-    moved = outputs(
-        {"uq/active": 1.0, f"uq/{name}/lower": lower, f"uq/{name}/upper": upper, f"uq/{name}/level": level, **others}
-    )
+    moved = outputs({"uq/active": 1.0, f"uq/{name}/lower": lower, f"uq/{name}/upper": upper, f"uq/{name}/level": level, **others})
     delta = lower + level * (upper - lower)
     # JSBSim's own feet: its metre has ten digits, and the claim is about the delta, not about the metre.
     qS = plain["aero/qbar-psf"] * plain["metrics/Sw-sqft"]
@@ -134,9 +132,7 @@ def test_inactive_plugin_is_bit_identical_to_none(copy):
     without_plugin(copy)
     assert "uq/" not in re.sub(r"<!--.*?-->", "", (copy / "espaaro.xml").read_text(), flags=re.S)
     assert np.array_equal(with_plugin, fly(copy, 1000))
-    assert not np.array_equal(
-        with_plugin, fly(PROJECT_ROOT / "aircraft" / "espaaro", 1000, uq__active=1.0, uq__CX__level=1.0)
-    )
+    assert not np.array_equal(with_plugin, fly(PROJECT_ROOT / "aircraft" / "espaaro", 1000, uq__active=1.0, uq__CX__level=1.0))
 
 
 @pytest.mark.parametrize("name", ["espaaro", "espaaro_truth", "synthetic_stall"])
@@ -157,9 +153,7 @@ def test_rates_are_made_dimensionless_with_the_airspeed_of_this_frame(name):
         fdm.run()
         assert abs(fdm["velocities/vt-fps"] / before - 1.0) > 1e-5
         for axis, length in (("p", "bw"), ("q", "cbarw"), ("r", "bw")):
-            expected = (
-                fdm[f"velocities/{axis}-rad_sec"] * fdm[f"metrics/{length}-ft"] / (2.0 * fdm["velocities/vt-fps"])
-            )
+            expected = fdm[f"velocities/{axis}-rad_sec"] * fdm[f"metrics/{length}-ft"] / (2.0 * fdm["velocities/vt-fps"])
             assert fdm[f"aero/{axis}_hat"] == pytest.approx(expected, rel=1e-12)
 
 

@@ -160,9 +160,7 @@ def test_steady_offset_of_the_loiter_law(mission):
 def test_offset_grows_with_the_square_of_the_period(mission):
     widened = 120 * (mission(CALM)["ap/EAS2TAS"] ** 2 - 1)
     assert widened == pytest.approx(1.17, abs=0.02)
-    of_the_law = [
-        settled(mission({**CALM, "ap/NAVL1_PERIOD": period}))[:, 0].mean() - widened for period in (17.0, 30.0)
-    ]
+    of_the_law = [settled(mission({**CALM, "ap/NAVL1_PERIOD": period}))[:, 0].mean() - widened for period in (17.0, 30.0)]
     assert of_the_law[1] / of_the_law[0] == pytest.approx((30 / 17) ** 2, rel=0.05)
 
 
@@ -208,9 +206,7 @@ def test_capture_in_strong_wind(load_mission, wind_from_deg):
 
 
 def test_holds_the_loiter_in_7_mps_wind_and_severe_turbulence(mission):
-    fdm = mission(
-        {"air/wind-mps": 7, "air/turbulence-w20-kt": 45, "simulation/randomseed": 5, "atmosphere/randomseed": 6}
-    )
+    fdm = mission({"air/wind-mps": 7, "air/turbulence-w20-kt": 45, "simulation/randomseed": 5, "atmosphere/randomseed": 6})
     fly(fdm, 120.0, TRACK)
     rows = np.abs(fly(fdm, 600.0, (*TRACK, *ATTITUDE)))
     assert np.isfinite(rows).all()

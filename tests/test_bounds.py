@@ -177,9 +177,7 @@ def test_another_aircrafts_bounds_and_bad_files_are_refused(made, flights, tmp_p
 
 
 def test_an_identified_model_is_not_bounded_by_its_own_flight(flights, tmp_path, capsys):
-    (tmp_path / "fit.json").write_text(
-        json.dumps({"flights": ["x.bin"], "flights_sha256": [file_hash(flights["clean"])]})
-    )
+    (tmp_path / "fit.json").write_text(json.dumps({"flights": ["x.bin"], "flights_sha256": [file_hash(flights["clean"])]}))
     shutil.copytree(PROJECT_ROOT / "aircraft" / MODEL, tmp_path / "aircraft")
     arguments = ["bounds", str(tmp_path / "aircraft"), "--flight", str(flights["clean"]), "--out", str(tmp_path / "b")]
     assert main([*arguments, "--no-checks", "--no-figures"]) == 0
@@ -219,10 +217,7 @@ def test_genuine_logs_of_three_flights(tmp_path, capsys):
         pytest.skip("set UQ_FLIGHT_DATA to the folder with espaaro-ardupilot/ to run on genuine logs")
     more = ["--manoeuvres", str(folder / "manoeuvres.csv"), "--servos", "ideal"]
     flight = str(folder / "flight2_uncertainty.BIN")
-    assert (
-        main(["bounds", MODEL, "--flight", flight, *more, "--out", str(tmp_path / "b"), "--no-checks", "--no-figures"])
-        == 0
-    )
+    assert main(["bounds", MODEL, "--flight", flight, *more, "--out", str(tmp_path / "b"), "--no-checks", "--no-figures"]) == 0
     assert "come from an estimator" in capsys.readouterr().err
     form = str(tmp_path / "b" / "model-form.json")
     flight = str(folder / "flight3_validation.BIN")

@@ -46,9 +46,7 @@ def test_seeds_are_in_the_range_of_the_generator_and_distinct():
 
 def test_walks_depend_on_sample_and_coefficient():
     states = {
-        tuple(walk_stream(1, name, coefficient).generate_state(4).tolist())
-        for name in ("w0", "w1")
-        for coefficient in COEFFICIENTS
+        tuple(walk_stream(1, name, coefficient).generate_state(4).tolist()) for name in ("w0", "w1") for coefficient in COEFFICIENTS
     }
     assert len(states) == 12
     assert np.array_equal(walk_stream(1, "w0", "CX").generate_state(4), walk_stream(1, "w0", "CX").generate_state(4))

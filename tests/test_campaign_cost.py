@@ -26,9 +26,7 @@ CORNERS = 'method = "corners"'
 LEVELS = 'method = "levels"\nlevels = [0, 0.5, 1]'
 
 
-@pytest.mark.parametrize(
-    "method", [CORNERS, LEVELS, 'method = "lhs"\nsamples = 7', 'method = "white"\nsamples = 3', "none"]
-)
+@pytest.mark.parametrize("method", [CORNERS, LEVELS, 'method = "lhs"\nsamples = 7', 'method = "white"\nsamples = 3', "none"])
 @pytest.mark.parametrize("mean", ["", MEAN])
 def test_flights_are_counted_as_they_are_built(tmp_path, method, mean):
     text = fakes.CAMPAIGN.replace("wind_mps = 3", "wind_mps = [1, 3]")
@@ -62,9 +60,7 @@ def test_time_is_that_of_what_is_missing():
 
 
 def test_pace_separates_what_a_flight_takes_from_what_a_second_takes(monkeypatch):
-    monkeypatch.setattr(
-        cost, "_timed", lambda flown, flight: 0.1 + 0.001 * flight.duration_s if flown(flight) else None
-    )
+    monkeypatch.setattr(cost, "_timed", lambda flown, flight: 0.1 + 0.001 * flight.duration_s if flown(flight) else None)
     brief, whole = (FlightSpec(Path("plane"), Path("loiter.xml"), duration_s=seconds) for seconds in (5.0, 600.0))
     pace = cost.measured_pace(lambda flight: True, brief, whole)
     assert pace == cost.Pace(pytest.approx(0.1), pytest.approx(0.001))

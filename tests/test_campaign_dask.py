@@ -70,8 +70,7 @@ def tables(folder):
 def flights(folder, numbers):
     fakes.campaign_file(folder)
     return [
-        (f"{index:04d}", FlightSpec(folder / "plane", folder / "loiter.xml", 150.0, seed_turbulence=index))
-        for index in numbers
+        (f"{index:04d}", FlightSpec(folder / "plane", folder / "loiter.xml", 150.0, seed_turbulence=index)) for index in numbers
     ]
 
 
@@ -165,9 +164,7 @@ def test_a_worker_with_other_files_or_versions_is_refused_by_name(tmp_path, dask
 def test_a_worker_flies_with_no_function_that_its_operator_did_not_name(tmp_path, dask):
     from tests import torture
 
-    with pytest.raises(
-        BadInputError, match=r"Dask worker on .*flies with uqharness.flight:fly alone.*MODULES=tests.torture"
-    ):
+    with pytest.raises(BadInputError, match=r"Dask worker on .*flies with uqharness.flight:fly alone.*MODULES=tests.torture"):
         fly(dask, torture.tear, flights(tmp_path, [4]))
     with pytest.raises(BadInputError, match="flies with a function that its module holds by name"):
         fly(dask, fakes.NotThere(), flights(tmp_path, [4]))

@@ -84,9 +84,7 @@ def test_each_cell_gets_its_answer_and_no_flight_more_than_it_needs(tmp_path):
     for (_, name), group in frame.groupby(["wind_mps", "epistemic_id"]):
         assert group["aleatory_id"].tolist() == list(range(len(group))), name
         assert len(group) % 4 == 0
-    signed = {
-        (row["condition"], row["radius_m"], row["distance"]): row for row in rows(tmp_path / "out", "statements.csv")
-    }
+    signed = {(row["condition"], row["radius_m"], row["distance"]): row for row in rows(tmp_path / "out", "statements.csv")}
     calm = signed["3 m/s severe", "15", "horizontal"]
     assert (calm["answer"], calm["best_per_h"], calm["worst_lower_per_h"]) == ("yes", "0", "0")
     rough = signed["7 m/s severe", "15", "horizontal"]
@@ -193,9 +191,7 @@ def test_failed_flights_keep_a_cell_from_yes(tmp_path):
     (cell,) = [row for row in rows(tmp_path / "out", "decisions.csv") if row["epistemic_id"] == "all"]
     assert (cell["answer"], cell["reason"]) == ("open", "all flights flown")
     (signed,) = [
-        row
-        for row in rows(tmp_path / "out", "statements.csv")
-        if row["radius_m"] == "15" and row["distance"] == "horizontal"
+        row for row in rows(tmp_path / "out", "statements.csv") if row["radius_m"] == "15" and row["distance"] == "horizontal"
     ]
     assert (signed["answer"], signed["failed"]) == ("open", "32")
 

@@ -22,8 +22,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:This process .* is multi-threade
 
 def flights(number):
     return [
-        (f"{index:04d}", FlightSpec(Path("plane"), Path("loiter.xml"), 150.0, seed_turbulence=index))
-        for index in range(number)
+        (f"{index:04d}", FlightSpec(Path("plane"), Path("loiter.xml"), 150.0, seed_turbulence=index)) for index in range(number)
     ]
 
 

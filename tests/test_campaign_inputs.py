@@ -84,9 +84,7 @@ def test_walks_are_numbered_drivers_in_their_own_streams(tmp_path):
     samples = epistemic_samples(campaign(tmp_path, text))
     assert samples[2].driver == LevelDriver("walk", 7, "walk-000002", COEFFICIENTS, (0.012,) * 6)
     assert not samples[2].levels
-    assert walk_stream(7, "walk-000002", "CX").generate_state(1) != walk_stream(7, "walk-000001", "CX").generate_state(
-        1
-    )
+    assert walk_stream(7, "walk-000002", "CX").generate_state(1) != walk_stream(7, "walk-000001", "CX").generate_state(1)
     cases = build_cases(campaign(tmp_path, text), mission(tmp_path))
     # One walk over all flights, and the air common to all walks.
     assert {case.flight.levels for case in cases if case.epistemic_id == "walk-000001"} == {samples[1].driver}

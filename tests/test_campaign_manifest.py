@@ -41,9 +41,7 @@ def made(tmp_path_factory):
     text += '[epistemic]\nmethod = "corners"\ncoefficients = ["CX", "CY"]\nbounds = { CX = 0.008, CY = 0.010 }\n'
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("uqharness.campaign.validate_model", lambda fly, case: None)
-        run_campaign(
-            read_campaign(fakes.campaign_file(root, text)), root / "out", executor=SerialExecutor(), fly=fakes.steady
-        )
+        run_campaign(read_campaign(fakes.campaign_file(root, text)), root / "out", executor=SerialExecutor(), fly=fakes.steady)
     return root / "out"
 
 

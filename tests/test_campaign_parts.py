@@ -156,9 +156,7 @@ def test_a_case_comes_out_as_stored_with_full_output_and_a_plot(flown, capsys):
     record = pd.read_parquet(target / "record.parquet")
     # Burn-in included, 50 Hz, everything that moves: the scored part gives the stored score.
     assert len(record) == 8 * 50 + 1
-    assert {"V_mps", "elevator_deg", "error_cross_track", "level_CX", "delta_Cm", "upper_CX", "wind_down_mps"} <= set(
-        record
-    )
+    assert {"V_mps", "elevator_deg", "error_cross_track", "level_CX", "delta_Cm", "upper_CX", "wind_down_mps"} <= set(record)
     assert record["level_Cm"].nunique() > 300
     scored = record[record["scored"]]["error_cross_track"].abs()
     assert scored.max() >= row["cross_track_max_m"] > 0.99 * scored.max()

@@ -96,9 +96,7 @@ def test_failures_are_rows_with_reasons(tmp_path):
     assert len(frame) == 128
     assert summary.failed == (frame["status"] != "ok").sum() > 0
     assert {"SIGABRT", "SIGSEGV", "exit code 3", "RuntimeError"} <= {
-        word
-        for word in ("SIGABRT", "SIGSEGV", "exit code 3", "RuntimeError")
-        if frame["reason"].str.contains(word).any()
+        word for word in ("SIGABRT", "SIGSEGV", "exit code 3", "RuntimeError") if frame["reason"].str.contains(word).any()
     }
     diverged = frame[frame["status"] == "diverged"].iloc[0]
     assert diverged["duration_s"] == 30.0

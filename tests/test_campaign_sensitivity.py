@@ -142,9 +142,7 @@ def test_interior_levels_check_the_corners(tmp_path):
 
 def test_failed_flights_leave_their_air_out_everywhere_and_end_certainty(tmp_path):
     folder = fly(tmp_path, one_fails, flights=30)
-    lost = sum(
-        row["status"] != "ok" for row in read_corner_campaign(folder).frame[["status"]].to_dict(orient="records")
-    )
+    lost = sum(row["status"] != "ok" for row in read_corner_campaign(folder).frame[["status"]].to_dict(orient="records"))
     assert 0 < lost <= 3 * 10
     found = found_in(folder, "cross_track_median_m")
     if lost <= 3:
@@ -171,9 +169,7 @@ def test_only_some_coefficients_may_be_uncertain(tmp_path):
         return result
 
     found = found_in(fly(tmp_path, two, text=text), "cross_track_median_m")
-    assert {name: index.maximum.value for name, index in found.result.indices.items()} == pytest.approx(
-        {"CX": 0.75, "Cm": 0.25}
-    )
+    assert {name: index.maximum.value for name, index in found.result.indices.items()} == pytest.approx({"CX": 0.75, "Cm": 0.25})
 
 
 def test_one_flight_per_corner_has_shares_but_no_certainty(tmp_path):
@@ -187,9 +183,7 @@ def test_one_flight_per_corner_has_shares_but_no_certainty(tmp_path):
 def test_campaigns_that_are_no_corners_or_not_complete_are_refused(tmp_path, flown):
     with pytest.raises(BadInputError, match="not a campaign folder"):
         read_corner_campaign(tmp_path)
-    none = fly(
-        tmp_path, fakes.steady, "none", fakes.CAMPAIGN.split("[epistemic]")[0] + '[epistemic]\nmethod = "none"\n'
-    )
+    none = fly(tmp_path, fakes.steady, "none", fakes.CAMPAIGN.split("[epistemic]")[0] + '[epistemic]\nmethod = "none"\n')
     with pytest.raises(BadInputError, match=r'not a corner campaign \(method = "none"\)'):
         read_corner_campaign(none)
     middle_text = fakes.CAMPAIGN.replace('method = "corners"', 'method = "levels"\nlevels = [0.5]')
@@ -252,9 +246,7 @@ def test_ranking_needs_a_lead_to_be_certain():
 
     def ranked(lead, lost=0):
         indices = {"a": share(0.5, 0.6), "b": share(0.2, 0.3)}
-        return rank(
-            MethodResult("proposed", 8, indices, True, "", {"lead": np.array([[0.0, lead], [-0.4, 0.0]])}), lost
-        )
+        return rank(MethodResult("proposed", 8, indices, True, "", {"lead": np.array([[0.0, lead], [-0.4, 0.0]])}), lost)
 
     assert ranked(0.05).certain
     assert not ranked(0.05, lost=1).certain

@@ -159,9 +159,7 @@ def test_a_walk_with_one_rate_for_all_or_one_each(tmp_path):
     assert read(tmp_path, text.replace("sqrt_s = 0.012", f"sqrt_s = {{ {rates} }}")).inputs.walk_rates["Cn"] == 0.06
 
 
-VARIABLE = (
-    '\n[aleatory.variables."inertia/pointmass-weight-lbs[1]"]\ndistribution = "normal"\nmean = [1, 2]\nstd = 0.5\n'
-)
+VARIABLE = '\n[aleatory.variables."inertia/pointmass-weight-lbs[1]"]\ndistribution = "normal"\nmean = [1, 2]\nstd = 0.5\n'
 
 
 def test_variables_with_known_and_unknown_means(tmp_path):

@@ -107,9 +107,7 @@ def test_the_folder_is_held_by_one_run(tmp_path):
             "print(is_running(Path(sys.argv[1])))\n"
             "with run_lock(Path(sys.argv[1])): pass"
         )
-        done = subprocess.run(
-            [sys.executable, "-c", program, str(tmp_path)], capture_output=True, text=True, check=False
-        )
+        done = subprocess.run([sys.executable, "-c", program, str(tmp_path)], capture_output=True, text=True, check=False)
         assert done.stdout == "True\n"
         assert f"another run is using this folder (process {os.getpid()} on " in done.stderr
     assert not is_running(tmp_path)

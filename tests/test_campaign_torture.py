@@ -145,9 +145,7 @@ def check(tmp_path, flights, at_least, hit):
     run_campaign(spec, tmp_path / "undisturbed", executor=SerialExecutor(), fly=fakes.steady)
     for name in TABLES:
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "undisturbed" / name).read_bytes(), name
-    left = {path.name for path in (tmp_path / "out").iterdir()} - {
-        path.name for path in (tmp_path / "undisturbed").iterdir()
-    }
+    left = {path.name for path in (tmp_path / "out").iterdir()} - {path.name for path in (tmp_path / "undisturbed").iterdir()}
     assert all(name.endswith(".part") for name in left), left
     assert len(hit) >= at_least, hit
 
@@ -170,9 +168,7 @@ def test_a_campaign_that_decides_is_killed_between_its_looks(tmp_path):
     run_campaign(spec, tmp_path / "out", executor=ProcessExecutor(2, "fork"), fly=fakes.by_corner)
     run_campaign(spec, tmp_path / "undisturbed", executor=SerialExecutor(), fly=fakes.by_corner)
     names = (*TABLES, "decisions.csv", "statements.csv")
-    assert [(tmp_path / "out" / n).read_bytes() == (tmp_path / "undisturbed" / n).read_bytes() for n in names] == [
-        True
-    ] * 5
+    assert [(tmp_path / "out" / n).read_bytes() == (tmp_path / "undisturbed" / n).read_bytes() for n in names] == [True] * 5
 
 
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
@@ -187,9 +183,7 @@ def test_a_disk_that_fills_up_is_a_sentence_and_the_same_command_goes_on(tmp_pat
         resource.setrlimit(resource.RLIMIT_FSIZE, ((out / "journal.sqlite").stat().st_size, before[1]))
 
     try:
-        with pytest.raises(
-            BadInputError, match=r"journal\.sqlite: cannot write: .*kept: free space .* same command again"
-        ):
+        with pytest.raises(BadInputError, match=r"journal\.sqlite: cannot write: .*kept: free space .* same command again"):
             run_campaign(spec, out, executor=ProcessExecutor(2, "fork"), fly=fakes.slow, on_progress=fill)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)

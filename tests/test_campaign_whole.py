@@ -56,16 +56,12 @@ def made(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("uqharness.campaign.validate_model", lambda fly, case: None)
         spec = read_campaign(fakes.campaign_file(root, SMALL))
-        run_campaign(
-            spec, root / "plain", executor=SerialExecutor(), fly=fakes.steady, command="uqharness campaign run"
-        )
+        run_campaign(spec, root / "plain", executor=SerialExecutor(), fly=fakes.steady, command="uqharness campaign run")
         for number in (1, 2):
             run_campaign(spec, root / "parts", executor=SerialExecutor(), fly=fakes.steady, shard=Shard(number, 2))
         merge(root / "parts")
         (root / "decide.toml").write_text(DECIDE)
-        run_campaign(
-            read_campaign(root / "decide.toml"), root / "decide", executor=SerialExecutor(), fly=fakes.by_corner
-        )
+        run_campaign(read_campaign(root / "decide.toml"), root / "decide", executor=SerialExecutor(), fly=fakes.by_corner)
     return root
 
 

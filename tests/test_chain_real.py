@@ -77,9 +77,7 @@ def test_a_small_study_from_logs_to_p_boxes(tmp_path, capsys):
     form = read_model_form(out / "bounds-before" / "model-form.json")
     assert form.aircraft.sha256 == content_hash(find_aircraft(out / "identify" / "aircraft"))
     flown = find_aircraft(out / "campaign-before" / "aircraft" / "aircraft")
-    assert (flown.folder / "Systems" / "model-form.xml").read_bytes() == (
-        out / "bounds-before" / "model-form.xml"
-    ).read_bytes()
+    assert (flown.folder / "Systems" / "model-form.xml").read_bytes() == (out / "bounds-before" / "model-form.xml").read_bytes()
     assert (flown.folder / "espaaro.xml").read_bytes() == (out / "identify" / "aircraft" / "espaaro.xml").read_bytes()
     manifest = json.loads((out / "campaign-before" / "manifest.json").read_text())
     assert manifest["cases"] == 8
@@ -93,11 +91,7 @@ def test_a_small_study_from_logs_to_p_boxes(tmp_path, capsys):
 @pytest.mark.slow
 def test_the_whole_chain_names_what_is_missing_and_the_refined_model_knows_more(tmp_path):
     text = (PROJECT_ROOT / "campaigns" / "chain" / "chain.toml").read_text()
-    text = (
-        text.replace("../../scripts/", "")
-        .replace("flights = 4 ", "flights = 1 ")
-        .replace('["light", "moderate"]', '"light"')
-    )
+    text = text.replace("../../scripts/", "").replace("flights = 4 ", "flights = 1 ").replace('["light", "moderate"]', '"light"')
     (tmp_path / "study.toml").write_text(text)
     document = run_chain(read_chain(tmp_path / "study.toml"), tmp_path / "out")
     assert {row["exit"] for row in document["stages"]} == {0}

@@ -231,9 +231,7 @@ def test_a_stage_that_answers_no_is_done_and_the_study_goes_on(study):
 def test_a_stage_that_cannot_use_its_input_stops_the_study_and_is_tried_again(study, tmp_path):
     run, ran, fail = study
     fail["bounds-before"] = BadInputError("two.parquet: too short")
-    with pytest.raises(
-        BadInputError, match=r"stage bounds-before: two.parquet: too short\n  the stage alone: uqharness bounds"
-    ):
+    with pytest.raises(BadInputError, match=r"stage bounds-before: two.parquet: too short\n  the stage alone: uqharness bounds"):
         run()
     document = read_study(tmp_path / "out")
     assert document["state"] == "failed"
@@ -281,9 +279,7 @@ def test_a_folder_of_something_else_is_refused(study, tmp_path):
     run, ran, _ = study
     run()
     other = STUDY.replace("flights = 3", "flights = 5")
-    with pytest.raises(
-        BadInputError, match=r'holds the study "mine" of .*study.toml, not "mine" of .*other.toml; choose'
-    ):
+    with pytest.raises(BadInputError, match=r'holds the study "mine" of .*study.toml, not "mine" of .*other.toml; choose'):
         run(other, file="other.toml")
     with pytest.raises(BadInputError, match='not "another" of'):
         run(STUDY.replace('"mine"', '"another"'))

@@ -90,9 +90,7 @@ def test_failed_flights_leave_the_p_box_open(tmp_path):
     found = flown(tmp_path / "mended", failing, wide)
     text, level = about(found, "Median cross-track error")
     assert level == "good"
-    assert (
-        "became narrower: before, 8 of 32 flights have no such error, which leaves its sides open; after, none" in text
-    )
+    assert "became narrower: before, 8 of 32 flights have no such error, which leaves its sides open; after, none" in text
     text, level = about(found, "Flights: ")
     assert level == "warn"
     assert "32 before (8 failed, control lost in 0), 32 after (0 failed, control lost in 0)" in text
@@ -123,9 +121,7 @@ def test_several_conditions_are_counted_and_told(tmp_path):
     text, _ = about(found, "Of 2 conditions")
     assert "open in 2 (1 m/s moderate, 6 m/s moderate)" in text
     for wind in (1, 6):
-        assert (
-            about(found, f"In {wind} m/s wind and moderate turbulence: at most 0.1 excursions beyond 15 m")[1] == "warn"
-        )
+        assert about(found, f"In {wind} m/s wind and moderate turbulence: at most 0.1 excursions beyond 15 m")[1] == "warn"
 
 
 def test_of_many_conditions_the_hardest_is_told(tmp_path):

@@ -51,9 +51,7 @@ def place(tmp_path) -> Path:
     for name in HOSTILE:
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(
-            f"open({str(tmp_path / 'marks')!r}, 'a').write({name!r})\nraise SystemExit('imported {name}')\n"
-        )
+        path.write_text(f"open({str(tmp_path / 'marks')!r}, 'a').write({name!r})\nraise SystemExit('imported {name}')\n")
     return folder
 
 
@@ -73,9 +71,7 @@ def run_script(place: Path, *how: str) -> tuple[subprocess.CompletedProcess, str
     return run(place, sys.executable, str(script), *how)
 
 
-@pytest.mark.parametrize(
-    ("how", "said"), [("spawn", "['ok']"), ("forkserver", "['ok']"), ("fork", "['ok']"), ("pool", "[1, 2]")]
-)
+@pytest.mark.parametrize(("how", "said"), [("spawn", "['ok']"), ("forkserver", "['ok']"), ("fork", "['ok']"), ("pool", "[1, 2]")])
 def test_no_worker_imports_what_lies_in_the_working_folder(place, how, said):
     done, marks = run_script(place, how)
     assert (done.returncode, done.stdout.strip(), marks) == (0, said, ""), done.stderr

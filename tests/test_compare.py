@@ -22,9 +22,7 @@ def record():
 def run(record, folder, *more):
     record.write(folder / "flight.parquet")
     out = folder / "gap"
-    code = main(
-        ["compare", "espaaro", "--flight", str(folder / "flight.parquet"), "--out", str(out), "--workers", "1", *more]
-    )
+    code = main(["compare", "espaaro", "--flight", str(folder / "flight.parquet"), "--out", str(out), "--workers", "1", *more])
     assert problems((out / "report.html").read_text(encoding="utf-8")) == []
     return code, json.loads((out / "compare.json").read_text()), out
 

@@ -51,9 +51,7 @@ def test_an_order_comes_back_as_it_was():
     assert back != replace(ORDER, flight=replace(FLIGHT, duration_s=0.3))
     given_so = MappingProxyType({"x": np.float64(1 / 3)})
     odd = replace(ORDER, flight=replace(FLIGHT, properties=given_so, levels=None, seed_noise=np.int64(3)))
-    assert order_from(order_text(odd)) == replace(
-        ORDER, flight=replace(FLIGHT, properties={"x": 1 / 3}, levels=None, seed_noise=3)
-    )
+    assert order_from(order_text(odd)) == replace(ORDER, flight=replace(FLIGHT, properties={"x": 1 / 3}, levels=None, seed_noise=3))
 
 
 @settings(max_examples=300, deadline=None)

@@ -44,9 +44,7 @@ def test_horizontal_and_vertical_agree_at_1000_ft() -> None:
 
 @pytest.mark.parametrize("component", COMPONENTS)
 @pytest.mark.parametrize("air", [AIR, (60.0, 20.0, 15.0, 11.0), (15.0, 300.0, 45.0, 1.5)])
-def test_sigma_is_the_root_of_the_integrated_spectrum(
-    component: Component, air: tuple[float, float, float, float]
-) -> None:
+def test_sigma_is_the_root_of_the_integrated_spectrum(component: Component, air: tuple[float, float, float, float]) -> None:
     variance = quad(lambda log_w: float(dryden_psd(component, np.exp(log_w), *air)) * np.exp(log_w), -15, 20, limit=400)
     assert dryden_sigma(component, *air) == pytest.approx(np.sqrt(variance[0]), rel=1e-5)
 
@@ -88,8 +86,7 @@ def test_spectra_of_the_samples() -> None:
             band = (frequency >= low) & (frequency < high)
             # What lies above half the sampling rate folds down: the sampled process has the sum of the images.
             images = sum(
-                2 * np.pi * dryden_psd(component, 2 * np.pi * np.abs(frequency[band] + k / dt), *AIR)
-                for k in range(-20, 21)
+                2 * np.pi * dryden_psd(component, 2 * np.pi * np.abs(frequency[band] + k / dt), *AIR) for k in range(-20, 21)
             )
             error = np.sqrt(1.0 / (0.95 * (high - low) * n * dt))
             assert np.mean(density[band] / images) == pytest.approx(1.0, abs=5 * error), (component, low)

@@ -90,9 +90,7 @@ def test_doublet_agrees_to_one_percent(control):
 
 def disagrees(changes: dict[str, float]) -> bool:
     # "not below" rather than "above": a change that makes the flight diverge leaves NaN, and that is seen too.
-    return any(
-        not excess(fly_jsbsim(control, changes=changes)[0], nominal(control)[1]).max() < 1.0 for control in DOUBLETS
-    )
+    return any(not excess(fly_jsbsim(control, changes=changes)[0], nominal(control)[1]).max() < 1.0 for control in DOUBLETS)
 
 
 @pytest.mark.parametrize("name", [key for key, value in TABLE_2_6.items() if value != 0.0])

@@ -282,9 +282,7 @@ def test_an_aircraft_without_air_meets_wind_and_gusts_through_jsbsim(tmp_path):
     folder = tmp_path / "aircraft" / "espaaro"
     shutil.copytree(PROJECT_ROOT / "aircraft" / "espaaro", folder)
     (folder / "Systems" / "air.xml").write_text(
-        '<system name="air">'
-        + "".join(f'<property value="0">air/{axis}-gust-rad_sec</property>' for axis in "pqr")
-        + "</system>"
+        '<system name="air">' + "".join(f'<property value="0">air/{axis}-gust-rad_sec</property>' for axis in "pqr") + "</system>"
     )
     with pytest.raises(BadInputError, match='turbulence_source = "spec"'):
         fly(replace(SPEC, aircraft=folder, script=Path("trim"), turbulence_source="jsbsim"))

@@ -103,9 +103,7 @@ def test_maps_with_other_things_than_text(entry, tmp_path):
 def test_a_sentence_stays_one_whatever_a_file_puts_into_it(dart):
     script = CORPUS / "aircraft" / "script.xml"
     path = dart.parent / "script.xml"
-    path.write_text(
-        script.read_text().replace('name="flight/manoeuvre" value="1"', 'name="flight/manoeuvre" value="a&#10;b"')
-    )
+    path.write_text(script.read_text().replace('name="flight/manoeuvre" value="1"', 'name="flight/manoeuvre" value="a&#10;b"'))
     assert str(path) in refusal(BadInputError, read_script, path)
     listed = BadInputError("a.toml:1: one\nand more", "a.toml:2: two")
     assert str(listed).splitlines() == ["a.toml:1: one and more", "a.toml:2: two"]
@@ -191,17 +189,13 @@ def test_numbers_larger_than_any_float_in_a_campaign(tmp_path):
     text = (CORPUS / "settings" / "campaign.toml").read_text()
     (tmp_path / "campaign.toml").write_text(text.replace("CX = 0.008", f"CX = 1{'0' * 400}"))
     assert "CX = 1" in refusal(BadInputError, read_campaign, tmp_path / "campaign.toml")
-    assert [is_number(x) for x in (1, 1.5, True, 10**400, float("nan"), float("inf"), "1")] == [True, True] + [
-        False
-    ] * 5
+    assert [is_number(x) for x in (1, 1.5, True, 10**400, float("nan"), float("inf"), "1")] == [True, True] + [False] * 5
 
 
 @pytest.mark.parametrize("dt_s", [2e7, 30.0, 4.0, 1.5])
 def test_a_record_too_slow_for_the_kinematic_checks(dt_s):
     n = 18
-    columns = {
-        name: np.sin(np.arange(n)) for name in ("phi_rad", "theta_rad", "psi_rad", "p_radps", "q_radps", "r_radps")
-    }
+    columns = {name: np.sin(np.arange(n)) for name in ("phi_rad", "theta_rad", "psi_rad", "p_radps", "q_radps", "r_radps")}
     assert check_kinematics(FlightRecord({"time_s": dt_s * np.arange(n), **columns})) == []
 
 
@@ -224,9 +218,7 @@ def test_a_study_with_hundreds_of_mistakes(tmp_path):
     assert lines[-1].startswith("and ")
 
 
-@pytest.mark.parametrize(
-    "command", [["modes", "--speed-mps", "22", "--altitude-m", "100"], ["instrument", "--out", "out"]]
-)
+@pytest.mark.parametrize("command", [["modes", "--speed-mps", "22", "--altitude-m", "100"], ["instrument", "--out", "out"]])
 def test_a_propeller_that_spoils_jsbsims_memory(command, dart):
     """Once JSBSim has refused it, anything may happen in that process: it is a child, and the program does not follow."""
     path = dart / "Engines" / "prop.xml"

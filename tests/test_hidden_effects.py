@@ -125,11 +125,7 @@ def compare(record, folder, aircraft="espaaro"):
             "--no-figures",
         ]
     )
-    return code, {
-        c: row["ratio"]
-        for c, row in json.loads((out / "compare.json").read_text())["channels"].items()
-        if row["judged"]
-    }
+    return code, {c: row["ratio"] for c, row in json.loads((out / "compare.json").read_text())["channels"].items() if row["judged"]}
 
 
 def test_a_flight_without_an_effect_is_at_jsbsims_noise_floor(plain, tmp_path):
@@ -188,18 +184,14 @@ def test_terms_enter_as_the_vocabulary_says():
 
     p_hat = x[3] * 3.66 / (2.0 * plain_air.V)
     np.testing.assert_allclose(gained(Effect("Cm", "p_hat^2", 3.0))[4], qS * 0.53 * 3.0 * p_hat**2 / 8.26, rtol=1e-9)
-    np.testing.assert_allclose(
-        gained(Effect("CX", "beta^2", -0.1))[0], qS * -0.1 * plain_air.beta**2 / 21.34, rtol=1e-9
-    )
+    np.testing.assert_allclose(gained(Effect("CX", "beta^2", -0.1))[0], qS * -0.1 * plain_air.beta**2 / 21.34, rtol=1e-9)
     np.testing.assert_allclose(
         gained(Effect("CY", "abs(beta)*beta", 0.5))[1],
         qS * 0.5 * abs(plain_air.beta) * plain_air.beta / 21.34,
         rtol=1e-9,
     )
     # The same thing under two names: thrust along x is CT.
-    np.testing.assert_allclose(
-        gained(Effect("propulsion", "thrust_scale", 0.1)), gained(Effect("CX", "CT", 0.1)), atol=1e-12
-    )
+    np.testing.assert_allclose(gained(Effect("propulsion", "thrust_scale", 0.1)), gained(Effect("CX", "CT", 0.1)), atol=1e-12)
     # alphadot_hat c/2V of the motion itself.
     a, dot = plain_air, plain_air.dot
     alphadot = (x[0] * dot[2] - x[2] * dot[0]) / (x[0] ** 2 + x[2] ** 2)
@@ -252,8 +244,7 @@ def weighed():
         "Ixz": ((inertia,), 1.0), "both": ((pitch, inertia), 1.0),
     }  # fmt: skip
     flights = {
-        name: [Flight(replace(c, noise=noise), Airframe(), hidden) for c in flown]
-        for name, (hidden, noise) in variants.items()
+        name: [Flight(replace(c, noise=noise), Airframe(), hidden) for c in flown] for name, (hidden, noise) in variants.items()
     }
     told = iter(fly_and_tell([f for two in flights.values() for f in two], 0.01))
     return {name: strengths(two, [next(told) for _ in two], step_s=0.02) for name, two in flights.items()}
@@ -280,9 +271,7 @@ def test_what_the_parameters_can_take_up_has_no_strength(weighed):
 def test_strength_is_output_errors_own(tmp_path):
     """|t| from these equations' sensitivities against the standard error of identify, which flies JSBSim."""
     hidden = Effect("CZ", "q_hat", -2.0)
-    flights = [
-        Flight(card(50 + i, V, seconds=33.0, first=3 * i), Airframe(), (hidden,)) for i, V in enumerate((21.0, 25.0))
-    ]
+    flights = [Flight(card(50 + i, V, seconds=33.0, first=3 * i), Airframe(), (hidden,)) for i, V in enumerate((21.0, 25.0))]
     flown = fly_and_tell(flights)
     paths = [tmp_path / f"{i}.parquet" for i in range(len(flown))]
     for path, one in zip(paths, flown, strict=True):

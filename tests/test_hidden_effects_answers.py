@@ -234,9 +234,7 @@ def test_the_product_does_not_know_the_examination():
 def test_written_flights_are_read_back(tmp_path):
     from tests.hidden_effects.cases import write
 
-    case = replace(
-        CASES["CX:q_hat", "clear", "calm"], train=(card(1, 22.0, seconds=12.0),), test=(card(2, 22.0, seconds=12.0),)
-    )
+    case = replace(CASES["CX:q_hat", "clear", "calm"], train=(card(1, 22.0, seconds=12.0),), test=(card(2, 22.0, seconds=12.0),))
     write([case], tmp_path)
     files = case.files(tmp_path)
     record = FlightRecord.read(files["train"][0])
@@ -250,9 +248,7 @@ def test_written_flights_are_read_back(tmp_path):
 def test_a_flight_that_comes_to_grief_is_named_and_leaves_no_file(tmp_path):
     from tests.hidden_effects.cases import write
 
-    good = replace(
-        CASES["CX:q_hat", "clear", "calm"], train=(card(1, 22.0, seconds=12.0),), test=(card(2, 22.0, seconds=12.0),)
-    )
+    good = replace(CASES["CX:q_hat", "clear", "calm"], train=(card(1, 22.0, seconds=12.0),), test=(card(2, 22.0, seconds=12.0),))
     wild = replace(good, truth="too much", effects=(Effect("Cm", "p_hat^2", 1e9),))
     assert write([good, wild], tmp_path) == {wild.id}
     assert all(p.is_file() for paths in good.files(tmp_path).values() for p in paths)

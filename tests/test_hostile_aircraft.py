@@ -61,9 +61,7 @@ def files_below(folder: Path) -> set[Path]:
     return {path for path in folder.rglob("*") if path.is_file()}
 
 
-def test_outputs_write_nothing_wherever_they_point(
-    plane: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_outputs_write_nothing_wherever_they_point(plane: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     text = 'type="CSV" rate="10"><property caption="&#10;touch X&#10;#">position/h-sl-ft</property></output>'
     put(plane, f'<output name="{tmp_path}/x.sh" {text}<output name="../../y.csv" {text}<output file="{tmp_path}/z"/>')
     before = files_below(tmp_path)
@@ -84,9 +82,7 @@ def test_without_the_gate_the_same_file_writes(plane: Path, tmp_path: Path) -> N
         "import jsbsim, sys; f = jsbsim.FGFDMExec(sys.argv[1]); f.set_aircraft_path(sys.argv[1]);"
         "f.set_engine_path(sys.argv[2]); f.set_systems_path(sys.argv[3]); f.load_model('plane'); f.run_ic(); f.run()"
     )
-    subprocess.run(
-        [sys.executable, "-c", code, tmp_path, stock / "engine", stock / "systems"], check=True, capture_output=True
-    )
+    subprocess.run([sys.executable, "-c", code, tmp_path, stock / "engine", stock / "systems"], check=True, capture_output=True)
     assert (tmp_path / "x.csv").is_file()
 
 
@@ -110,9 +106,7 @@ def test_no_socket_is_opened(plane: Path) -> None:
             other.bind(("127.0.0.1", port))
 
 
-def test_a_state_asked_for_in_every_frame_is_not_written(
-    plane: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_state_asked_for_in_every_frame_is_not_written(plane: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     put(
         plane,

@@ -172,9 +172,7 @@ def test_bad_input_is_one_line_and_exit_code_2(flights, tmp_path, capsys):
     (tmp_path / "empty.csv").write_text("")
     (tmp_path / "text.csv").write_text("hello\nworld\n")
     whole = fly((("pitch-doublet", 22.0),), seconds=3.0)
-    type(whole)({k: v for k, v in whole.columns.items() if not k.startswith(("aileron", "rudder"))}).write(
-        tmp_path / "bare.csv"
-    )
+    type(whole)({k: v for k, v in whole.columns.items() if not k.startswith(("aileron", "rudder"))}).write(tmp_path / "bare.csv")
     from dataclasses import replace
 
     foreign = whole.with_columns({}, replace(whole.metadata, aircraft="c172"))

@@ -109,9 +109,7 @@ def test_scales_multiply_each_function_and_biases_add_a_coefficient(small, tmp_p
     qSc = plain["aero/qbar-psf"] * plain["metrics/Sw-sqft"] * plain["metrics/cbarw-ft"]
     assert moments(bias__q=0.01)[m] - plain[m] == pytest.approx(0.01 * qSc, rel=1e-9)
     lifted = moments(**{"scale__lift-alpha": 2.0})
-    assert lifted["forces/fwz-aero-lbs"] - plain["forces/fwz-aero-lbs"] == pytest.approx(
-        plain["aero/force/lift-alpha"], rel=1e-9
-    )
+    assert lifted["forces/fwz-aero-lbs"] - plain["forces/fwz-aero-lbs"] == pytest.approx(plain["aero/force/lift-alpha"], rel=1e-9)
 
 
 def test_undo_restores_the_bytes_and_keeps_what_an_author_changed_since(small, tmp_path):
@@ -213,13 +211,9 @@ def test_engines_and_systems_beside_the_folder_go_along(small, tmp_path):
     root = small.parent.parent
     (root / "engine").mkdir()
     (root / "systems").mkdir()
-    (root / "engine" / "puller.xml").write_text(
-        '<electric_engine name="puller"><power unit="WATTS">500</power></electric_engine>'
-    )
+    (root / "engine" / "puller.xml").write_text('<electric_engine name="puller"><power unit="WATTS">500</power></electric_engine>')
     (root / "engine" / "nozzle.xml").write_text('<direct name="Direct"></direct>')
-    (root / "systems" / "aside.xml").write_text(
-        '<system name="aside"><property value="1">own/aside</property></system>'
-    )
+    (root / "systems" / "aside.xml").write_text('<system name="aside"><property value="1">own/aside</property></system>')
     xml = small / "small.xml"
     parts = (
         '<propulsion><engine file="puller"><location unit="M"><x>0</x><y>0</y><z>0</z></location>'
@@ -269,9 +263,7 @@ def test_the_command_writes_card_table_and_record(small, tmp_path, capsys):
     north, east = (fdm[f"position/from-start-neu-{axis}-ft"] for axis in "ne")
     course = np.arctan2(fdm["ic/ve-fps"], fdm["ic/vn-fps"])
     # The errors are read every tenth frame, and this is one.
-    assert fdm["nav/cross-track-m"] == pytest.approx(
-        0.3048 * (east * np.cos(course) - north * np.sin(course)), abs=0.05
-    )
+    assert fdm["nav/cross-track-m"] == pytest.approx(0.3048 * (east * np.cos(course) - north * np.sin(course)), abs=0.05)
     assert fdm["nav/altitude-error-m"] == pytest.approx(0.3048 * (fdm["position/h-sl-ft"] - 5000.0), abs=0.05)
     assert main(["instrument", str(small), "--out", str(out), "--undo"]) == 0
     assert tree(out) == tree(small)
@@ -291,9 +283,7 @@ def test_an_aircraft_that_only_its_host_can_fly_is_instrumented_on_demand(small,
 
 def test_bad_input_is_one_line_and_exit_code_two(small, tmp_path, capsys):
     (tmp_path / "bounds.json").write_text("{}")
-    assert (
-        main(["instrument", str(small), "--out", str(tmp_path / "o"), "--bounds", str(tmp_path / "bounds.json")]) == 2
-    )
+    assert main(["instrument", str(small), "--out", str(tmp_path / "o"), "--bounds", str(tmp_path / "bounds.json")]) == 2
     error = capsys.readouterr().err
     assert "bounds.json" in error
     assert "Traceback" not in error
@@ -305,9 +295,7 @@ def test_an_aircraft_that_ends_the_interpreter_is_a_verdict(small, tmp_path):
     (broken / "small.xml").rename(broken / "broken.xml")
     xml = broken / "broken.xml"
     xml.write_bytes(
-        xml.read_bytes()
-        .replace(b"<sum>", b"<smu>")
-        .replace(b"<product><property>own/used", b"<prodct><property>own/used")
+        xml.read_bytes().replace(b"<sum>", b"<smu>").replace(b"<product><property>own/used", b"<prodct><property>own/used")
     )
     verdict = check_in_child(broken, broken, 0.7)
     assert verdict.status == "fails"

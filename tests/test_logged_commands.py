@@ -31,9 +31,7 @@ def test_steps_are_placed_on_the_logs_own_rows_before_it_is_thinned():
     assert 0.0 <= late_s <= LATEST_S
     assert notes[1].startswith("aileron_deg was logged at 25 Hz")
     flown = prepare("f", record, ()).record["aileron_deg"]
-    direct = prepare("f", record.with_columns({"aileron_deg": np.asarray(record["aileron_deg"])}), ()).record[
-        "aileron_deg"
-    ]
+    direct = prepare("f", record.with_columns({"aileron_deg": np.asarray(record["aileron_deg"])}), ()).record["aileron_deg"]
     np.testing.assert_array_equal(flown, direct)
     right = mean_ahead(acted, 4)[::4]
     held = mean_ahead(np.asarray(record["aileron_deg"]), 4)[::4]

@@ -69,9 +69,7 @@ def test_modes_that_lie_close_together_or_have_split_still_come_out():
 
 
 def test_corrected_reading_agrees_with_an_independent_linearisation_of_the_same_aeroplane():
-    zeta_phugoid, wn_phugoid, zeta, wn = (
-        float(value[0]) for value in modes_of(system_matrix("as_corrected", arrays()))
-    )
+    zeta_phugoid, wn_phugoid, zeta, wn = (float(value[0]) for value in modes_of(system_matrix("as_corrected", arrays())))
     # Six-degree-of-freedom linearisation, thrust held: -4.728 +- 3.786i, -0.0449 +- 0.4418i; the chapter's model drops small terms.
     assert (zeta, wn) == pytest.approx((0.781, 6.06), rel=0.005)
     assert wn_phugoid == pytest.approx(0.444, rel=0.01)

@@ -50,9 +50,7 @@ def states_forced_upon(aircraft: Aircraft, count: int, fresh: bool):
         speed, alpha, beta, phi, theta, p, q, r, elevator, throttle = row
         body = speed / 0.3048 * np.array([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
         fdm["ic/h-sl-ft"], fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = 1000.0, phi, theta, 0.3
-        for name, value in zip(
-            ("u-fps", "v-fps", "w-fps", "p-rad_sec", "q-rad_sec", "r-rad_sec"), [*body, p, q, r], strict=True
-        ):
+        for name, value in zip(("u-fps", "v-fps", "w-fps", "p-rad_sec", "q-rad_sec", "r-rad_sec"), [*body, p, q, r], strict=True):
             fdm[f"ic/{name}"] = value
         fdm["fcs/elevator-cmd-deg"], fdm["fcs/throttle-cmd-pct"] = elevator, throttle
         engine.run_ic(fdm)
@@ -149,9 +147,7 @@ def test_bounds_run_at_least_at_their_rate(aircraft, dt_s, rate_hz, every):
 
 def test_the_same_form_gives_the_same_bytes_and_the_xml_fits_the_schema(aircraft, tmp_path):
     first = write_model_form_xml(made_up_form(), aircraft, tmp_path / "a.xml")
-    assert (
-        write_model_form_xml(made_up_form(), aircraft, tmp_path / "b.xml") == first == (tmp_path / "a.xml").read_bytes()
-    )
+    assert write_model_form_xml(made_up_form(), aircraft, tmp_path / "b.xml") == first == (tmp_path / "a.xml").read_bytes()
     assert model_form_xml(made_up_form(seed=2), aircraft) != first
     assert schema_errors(tmp_path / "a.xml") == []
 

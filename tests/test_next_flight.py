@@ -179,18 +179,14 @@ def test_the_script_flies_and_the_redone_bounds_are_as_predicted(planned, campai
     main([*arguments, "--redone", str(both / "model-form.json")])
     achieved = json.loads(capsys.readouterr().out)["achieved"]
     for c in ("CY", "Cn"):
-        assert achieved[c]["parameter_narrowing"] == pytest.approx(
-            document["prospects"][c]["parameter_narrowing"], rel=0.2
-        )
+        assert achieved[c]["parameter_narrowing"] == pytest.approx(document["prospects"][c]["parameter_narrowing"], rel=0.2)
         assert achieved[c]["predicted_parameter"] == document["prospects"][c]["parameter_narrowing"]
 
 
 def test_what_scatters_is_asked_of_the_flights_behind(campaign, tmp_path, capsys):
     """In still air the reference truth's Cl_de is most of what scatters in Cl; polynomials of V, beta, p and r lack it."""
     flight, made = tmp_path / "calm.parquet", tmp_path / "bounds"
-    assert (
-        main(["fly", "espaaro_truth", "--script", "flight-bounds", "--noise", "--seed", "3", "--out", str(flight)]) == 0
-    )
+    assert main(["fly", "espaaro_truth", "--script", "flight-bounds", "--noise", "--seed", "3", "--out", str(flight)]) == 0
     assert main(["bounds", "espaaro", "--flight", str(flight), "--out", str(made), "--no-checks", "--no-figures"]) == 0
     capsys.readouterr()
     arguments = [
@@ -215,9 +211,7 @@ def test_what_scatters_is_asked_of_the_flights_behind(campaign, tmp_path, capsys
 def test_the_script_keeps_the_missions_lines_and_none_of_its_air(planned):
     _, out = planned
     text = (out / "next-flight.xml").read_text()
-    assert (
-        '<property value="120">ap/loiter-center-east-m</property>      <!-- m; the flight begins on the circle' in text
-    )
+    assert '<property value="120">ap/loiter-center-east-m</property>      <!-- m; the flight begins on the circle' in text
     assert '<property value="0">air/wind-mps</property>' in text
     assert '<property value="0">air/turbulence-w20-kt</property>' in text
     # What stands above the root of loiter.xml tells of another flight.
@@ -274,9 +268,7 @@ def test_points_are_flown_as_they_are_written(held, tmp_path):
     points = [
         TestPoint("dive", (Steps("elevator", 15.0, 1.5, ((1, 1.0),)),), Condition(22.0), 6.0),
         TestPoint("doublet", (Steps("elevator", 2.0, 0.5),), Condition(22.0)),
-        TestPoint(
-            "left turn", (Steps("aileron", 3.0, 0.5), Steps("rudder", -2.0, 0.4, start_s=0.3)), Condition(24.0, -20.0)
-        ),
+        TestPoint("left turn", (Steps("aileron", 3.0, 0.5), Steps("rudder", -2.0, 0.4, start_s=0.3)), Condition(24.0, -20.0)),
     ]
     path = tmp_path / "flight.parquet"
     ok, _, _ = fly_points(held, points, 1, path)
@@ -316,9 +308,7 @@ def test_a_point_that_leaves_what_may_be_flown_is_refused_and_the_rest_are_tried
 
 def test_an_aircraft_without_the_autopilot_gets_steps_on_top_of_its_mission(tmp_path):
     """JSBSim's own c172x holds height and heading; a step of its elevator command is added to what its pilot commands."""
-    flight = TestFlight(
-        find_aircraft("c172x"), PROJECT_ROOT / "campaigns" / "c172" / "hold.xml", False, 10.0, noise=False
-    )
+    flight = TestFlight(find_aircraft("c172x"), PROJECT_ROOT / "campaigns" / "c172" / "hold.xml", False, 10.0, noise=False)
     point = TestPoint("elevator", (Steps("elevator", 0.1, 0.5),), Condition())
     path = tmp_path / "c172.parquet"
     ok, _, reason = fly_points(flight, [point], 1, path)
@@ -396,9 +386,7 @@ def test_what_cannot_be_answered_is_refused_with_what_to_do(campaign, bounds, tm
 def test_a_campaign_without_corners_is_refused(tmp_path, bounds, capsys):
     text = CAMPAIGN.replace('method = "corners"', 'method = "levels"\nlevels = [0.5]')
     folder = flown_campaign(tmp_path / "middle", text)
-    assert "not a corner campaign" in refused(
-        capsys, str(folder), "--bounds", str(bounds), "--out", str(tmp_path / "n")
-    )
+    assert "not a corner campaign" in refused(capsys, str(folder), "--bounds", str(bounds), "--out", str(tmp_path / "n"))
 
 
 def test_the_campaigns_own_form_is_taken_where_it_flew_one(tmp_path, bounds, capsys):

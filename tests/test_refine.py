@@ -133,9 +133,7 @@ def test_test_flights_choose_nothing(flights, refined, tmp_path):
         ]
     )
     keys = ("coefficient", "term", "value", "std", "evidence")
-    assert [[e[k] for k in keys] for e in document(out)["effects"]] == [
-        [e[k] for k in keys] for e in document(refined)["effects"]
-    ]
+    assert [[e[k] for k in keys] for e in document(out)["effects"]] == [[e[k] for k in keys] for e in document(refined)["effects"]]
 
 
 def test_nothing_is_found_where_nothing_is_missing(flights, tmp_path, capsys):
@@ -147,18 +145,14 @@ def test_nothing_is_found_where_nothing_is_missing(flights, tmp_path, capsys):
     found = json.loads(capsys.readouterr().out)
     assert (code, found["verdict"], found["effects"]) == (0, "no-missing-effect", [])
     assert (
-        found["gap"]["test"]["channels"]["q_radps"]["rms_after"]
-        < 1.15 * found["gap"]["test"]["channels"]["q_radps"]["noise_rms"]
+        found["gap"]["test"]["channels"]["q_radps"]["rms_after"] < 1.15 * found["gap"]["test"]["channels"]["q_radps"]["noise_rms"]
     )
 
 
 def test_a_train_flight_given_as_test_is_refused_by_its_content(flights, tmp_path, capsys):
     copy = tmp_path / "renamed.parquet"
     copy.write_bytes(flights["train"].read_bytes())
-    assert (
-        main(["refine", "espaaro", "--train", str(flights["train"]), "--test", str(copy), "--out", str(tmp_path / "o")])
-        == 2
-    )
+    assert main(["refine", "espaaro", "--train", str(flights["train"]), "--test", str(copy), "--out", str(tmp_path / "o")]) == 2
     assert "proves nothing" in capsys.readouterr().err
 
 

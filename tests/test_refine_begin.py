@@ -74,9 +74,7 @@ def test_the_weak_wait_for_the_strong(t, weak, kept):
 
 def test_the_limit_is_the_one_of_which_the_flights_want_just_what_it_does():
     servo, h = Actuator(lag=25.0, rate=240.0), 0.02
-    ramp = np.concatenate(
-        [np.zeros(20), np.linspace(0.0, 9.6, 5), np.full(30, 9.6), np.linspace(9.6, -9.6, 9), np.full(30, -9.6)]
-    )
+    ramp = np.concatenate([np.zeros(20), np.linspace(0.0, 9.6, 5), np.full(30, 9.6), np.linspace(9.6, -9.6, 9), np.full(30, -9.6)])
     before = servo.follow(ramp, h, 0.01)
     fastest = float(np.abs(np.diff(before)).max()) / h
     limits = np.array(SHARES) * fastest

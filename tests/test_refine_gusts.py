@@ -32,9 +32,7 @@ def point(**sensed: float) -> Point:
 
 def setup_of(measured: np.ndarray) -> SimpleNamespace:
     segment = SimpleNamespace(flight="one", dt_s=DT)
-    return SimpleNamespace(
-        outputs=OUTPUTS, measured=(measured,), segments=(segment,), which=[0, 1, 8], servos={}, limits={}
-    )
+    return SimpleNamespace(outputs=OUTPUTS, measured=(measured,), segments=(segment,), which=[0, 1, 8], servos={}, limits={})
 
 
 @pytest.mark.parametrize("rows", [0, 3, -2, 50, -50])
@@ -70,9 +68,7 @@ def test_a_late_sensor_is_compared_with_what_it_was_to_measure():
 def probe_of(rng: np.random.Generator, predicted: Predicted | None = None) -> Probe:
     x = np.column_stack([20.0 + 0.1 * np.arange(N) / N, *(0.1 * rng.standard_normal((7, N)))])
     loads = rng.standard_normal((N, 6))
-    reference = Reference(
-        DT, x, loads[:, :3], loads[:, 3:], np.zeros((N, 6, 6)), np.full(N, 245.0), np.zeros(3), predicted is None
-    )
+    reference = Reference(DT, x, loads[:, :3], loads[:, 3:], np.zeros((N, 6, 6)), np.full(N, 245.0), np.zeros(3), predicted is None)
     none = np.zeros((N, 3))
     return Probe(
         reference, MASS, rng.standard_normal((N, 6)), none, none, np.zeros((N, 6, 4)), np.zeros((N, 4)), {},
@@ -122,9 +118,7 @@ def test_what_a_scale_does_is_the_slope_of_what_the_sensor_says():
     truth = rng.standard_normal((N, 3))
     setup = setup_of(np.zeros((N, 3)))
     (segment,) = setup.segments
-    (scale,) = [
-        e for e in subsystem_effects([], ["alpha_rad"], []) if (e.subsystem, e.term) == ("sensor.alpha_rad", "scale")
-    ]
+    (scale,) = [e for e in subsystem_effects([], ["alpha_rad"], []) if (e.subsystem, e.term) == ("sensor.alpha_rad", "scale")]
 
     def read(size: float) -> np.ndarray:
         return as_sensed(truth.copy(), setup, segment, point(alpha_rad__scale=size, alpha_rad__bias=0.4))  # type: ignore[arg-type]
@@ -138,9 +132,7 @@ def test_what_a_scale_does_is_the_slope_of_what_the_sensor_says():
 def test_a_sensor_that_reads_more_reads_more_of_everything():
     rng = np.random.default_rng(5)
     probe, setup = probe_of(rng), setup_of(np.zeros((N, 3)))
-    plain, scaled = (
-        steps_of([probe], [np.zeros((N, 3))], setup, at)[0] for at in (point(), point(alpha_rad__scale=0.8))
-    )  # type: ignore[arg-type]
+    plain, scaled = (steps_of([probe], [np.zeros((N, 3))], setup, at)[0] for at in (point(), point(alpha_rad__scale=0.8)))  # type: ignore[arg-type]
     np.testing.assert_allclose(scaled.H[:, 1], 1.8 * plain.H[:, 1])
     np.testing.assert_array_equal(np.delete(scaled.H, 1, axis=1), np.delete(plain.H, 1, axis=1))
     np.testing.assert_array_equal(scaled.phi, plain.phi)
@@ -210,9 +202,7 @@ def iterated(monkeypatch, steps, strengths=(1.0,), **asked):
         "Fit": lambda *a: SimpleNamespace(iterations=a[6]),
     }.items():  # fmt: skip
         monkeypatch.setattr(refine_gusts, name, instead)
-    setup = SimpleNamespace(
-        active=(), held=(), late={}, noise=np.ones(1), which=[0], segments=[SimpleNamespace(flight="one")]
-    )
+    setup = SimpleNamespace(active=(), held=(), late={}, noise=np.ones(1), which=[0], segments=[SimpleNamespace(flight="one")])
     point = SimpleNamespace(values={})
     refine_gusts.gust_refit(None, setup, [], [], point, ["aero/Cm_q"], {}, map, **asked)  # type: ignore[arg-type]
     return sought, taken
@@ -254,9 +244,7 @@ def test_the_air_of_flights_that_no_filter_follows_is_that_of_the_others(monkeyp
 
     for name in ("positions", "middles"):
         monkeypatch.setattr(refine_show, name, lambda *_: [])
-    monkeypatch.setattr(
-        refine_show, "Bench", lambda *_: contextlib.nullcontext(SimpleNamespace(model=None, straight=None))
-    )
+    monkeypatch.setattr(refine_show, "Bench", lambda *_: contextlib.nullcontext(SimpleNamespace(model=None, straight=None)))
     monkeypatch.setattr(refine_show, "replace", lambda x, **_: x)
     monkeypatch.setattr(refine_show, "with_sensors_of", lambda setup, _: setup)
     monkeypatch.setattr(refine_show, "gust_refit", refit)

@@ -92,9 +92,7 @@ def judged(monkeypatch, harm: dict[str, float], together: float = 0.0) -> list[s
     def flown(model, setup, *_) -> SimpleNamespace:
         white = noise.copy()
         for k, (key, size) in enumerate(harm.items()):
-            white[:, 0] += (
-                size if key in model and size > 0.0 else -size if key not in model and size < 0.0 else 0.0
-            ) * wave[k]
+            white[:, 0] += (size if key in model and size > 0.0 else -size if key not in model and size < 0.0 else 0.0) * wave[k]
         white[:, 1] += (together if len(model) > 1 else 0.0) * wave[-1]
         return shown([white])
 

@@ -95,17 +95,13 @@ def held_flights(wanted, told=0.01, likeliest=0.5):
         )  # fmt: skip
         fit = SimpleNamespace(evidence=gather([white], (choice.key,), ["one"], {}))
         held = [] if choice.key.endswith("free") else [choice.key]
-        return SimpleNamespace(
-            surprise=1000.0 * abs(choice.value - likeliest), fit=fit, setup=SimpleNamespace(held=held)
-        )
+        return SimpleNamespace(surprise=1000.0 * abs(choice.value - likeliest), fit=fit, setup=SimpleNamespace(held=held))
 
     return flown, predicted
 
 
 def test_what_is_read_once_flies_until_its_number_stands(tmp_path):
-    start = SimpleNamespace(
-        before=SimpleNamespace(columns=[SimpleNamespace(names=())]), confirming=np.zeros(1, dtype=bool)
-    )
+    start = SimpleNamespace(before=SimpleNamespace(columns=[SimpleNamespace(names=())]), confirming=np.zeros(1, dtype=bool))
     first = Choice("effect/actuator.aileron/lag", 0.1, 0.01, 20.0, 400.0, 1.0, 0.0)
     flown, predicted = held_flights(wanted=0.8)
     best, surprise = at_value(start, first, None, tmp_path, predicted)  # type: ignore[arg-type]
@@ -146,9 +142,7 @@ def test_many_effects_asked_for_at_once_are_doubted():
     assert flown_beside({}) is None
 
 
-@pytest.mark.parametrize(
-    ("surprises", "best"), [((300.0, 100.0), "speed"), ((100.0, 300.0), "thrust"), ((np.nan, np.nan), None)]
-)
+@pytest.mark.parametrize(("surprises", "best"), [((300.0, 100.0), "speed"), ((100.0, 300.0), "thrust"), ((np.nan, np.nan), None)])
 def test_of_many_asked_for_the_likeliest_by_itself_flies_beside_what_flew(evidence, tmp_path, surprises, best):
     """``thrust`` is asked for with two more; ``speed``, of which it has a part, explains them as well."""
     flown = {}
@@ -165,9 +159,7 @@ def test_of_many_asked_for_the_likeliest_by_itself_flies_beside_what_flew(eviden
         None, Noisy(1.0), SimpleNamespace(columns=[SimpleNamespace(names=("free",))]), (), (), {},
         np.zeros(1, dtype=bool), 4.0, (), (), map, "air before", {},
     )  # type: ignore[arg-type]  # fmt: skip
-    again = [
-        Choice(k, 1.0, 0.1, t, t * t, 1.0, 0.0) for k, t in {"other": 20.0, "thrust": 50.0, "x": 9.0, "y": 9.0}.items()
-    ]
+    again = [Choice(k, 1.0, 0.1, t, t * t, 1.0, 0.0) for k, t in {"other": 20.0, "thrust": 50.0, "x": 9.0, "y": 9.0}.items()]
     now = SimpleNamespace(
         keys=frozenset({"other"}), again=Selection(tuple(again)), about=SimpleNamespace(evidence=evidence), gusts="its air",
         setup=Noisy(2.0),

@@ -83,16 +83,12 @@ def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
     assert kept(-0.002) == keys[1:]
 
 
-@pytest.mark.parametrize(
-    ("alike", "positive", "beside"), [(0.02, False, True), (0.02, True, False), (3.0, False, False)]
-)
+@pytest.mark.parametrize(("alike", "positive", "beside"), [(0.02, False, True), (0.02, True, False), (3.0, False, False)])
 def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(alike, positive, beside):
     rng = np.random.default_rng(4)
     term, delay = "effect/CZ/alphadot_hat", "effect/actuator.elevator/lag"
     columns = rng.standard_normal((200, 2, 2))
-    columns[:, :, 1] = -1000.0 * (
-        columns[:, :, 0] + alike * columns[:, :, 1]
-    )  # -1 ms of it does what 1 of the term does
+    columns[:, :, 1] = -1000.0 * (columns[:, :, 0] + alike * columns[:, :, 1])  # -1 ms of it does what 1 of the term does
     white = White(
         columns[:, :, 0] + 0.1 * rng.standard_normal((200, 2)), columns.astype(np.float32), 0.0, np.zeros((8, 3)),
         np.ones((200, 2), dtype=bool), np.ones(2), np.zeros((200, 11)),
@@ -113,9 +109,7 @@ def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(al
     assert [a.key for a in effect.alternatives if not a.separable] == ([delay] if beside else [])
 
 
-@pytest.mark.parametrize(
-    ("flown_s", "following"), [(0.0626, ["lag", "scale"]), (0.0622, ["lag", "scale"]), (0.0454, ["lag"])]
-)
+@pytest.mark.parametrize(("flown_s", "following"), [(0.0626, ["lag", "scale"]), (0.0622, ["lag", "scale"]), (0.0454, ["lag"])])
 def test_a_lag_flies_at_its_value_before_others_stand_beside_it(flown_s, following):
     lag, other = (Choice(k, v, 2e-4, 9.0, 81.0, 1.0, 0.0) for k, v in (("lag", 0.0626), ("scale", 0.1)))
     found = first_at_values(Selection((lag, other)), [lag], far_off([lag], {"lag": flown_s}))
@@ -200,9 +194,7 @@ def test_rounds_that_judge_other_samples_are_not_compared():
 
 def round_of(merit: float, standing: bool = False, gusts: object = None, **t: float) -> SimpleNamespace:
     chosen = tuple(Choice(k, 1.0, 0.1, v, v * v, 1.0, 0.0) for k, v in t.items())
-    return SimpleNamespace(
-        merit=merit, standing=standing, gusts=gusts, selection=Selection(chosen), keys=frozenset(t), about=None
-    )
+    return SimpleNamespace(merit=merit, standing=standing, gusts=gusts, selection=Selection(chosen), keys=frozenset(t), about=None)
 
 
 def test_what_says_nothing_once_it_flies_is_left_out(tmp_path):

@@ -68,9 +68,7 @@ def judged_flights(tmp_path_factory) -> tuple[Path, Refinement]:
     fly(TEST, seed=12, seconds=6.0, rhs=with_p2).write(folder / "test.parquet")
     out = folder / "out"
     out.mkdir()
-    request = Request(
-        find_aircraft("espaaro"), (folder / "train.parquet",), (folder / "test.parquet",), out, workers=1, pbox=False
-    )
+    request = Request(find_aircraft("espaaro"), (folder / "train.parquet",), (folder / "test.parquet",), out, workers=1, pbox=False)
     done = refine(request)
     write_report(done, out)
     return out, done
@@ -171,9 +169,7 @@ def test_a_mission_is_flown_by_aircraft_that_have_one(tmp_path, campaign):
     given = campaign_for(find_aircraft("c172x"), campaign)
     assert Path(given["campaign"]["mission"]).is_file()
     nothing = tmp_path / "none.toml"
-    nothing.write_text(
-        CAMPAIGN.replace('"corners"', '"none"').replace('coefficients = ["CX", "Cl"]', ""), encoding="utf-8"
-    )
+    nothing.write_text(CAMPAIGN.replace('"corners"', '"none"').replace('coefficients = ["CX", "Cl"]', ""), encoding="utf-8")
     with pytest.raises(BadInputError, match="flies no intervals"):
         campaign_for(find_aircraft("espaaro"), nothing)
 
@@ -192,9 +188,7 @@ def test_intervals_that_cannot_be_told_have_a_reason(tmp_path):
     """Without sideslip there is no residual coefficient: NaN, the reason, and no error."""
     record = fly(TEST, seed=4, seconds=6.0)
     record.write(tmp_path / "whole.parquet")
-    type(record)({c: record[c] for c in record.columns if c != "beta_rad"}, record.metadata).write(
-        tmp_path / "part.parquet"
-    )
+    type(record)({c: record[c] for c in record.columns if c != "beta_rad"}, record.metadata).write(tmp_path / "part.parquet")
     aircraft = find_aircraft("espaaro")
     sets = []
     for name in ("whole", "part"):

@@ -170,10 +170,7 @@ def test_a_rate_limit_counts_from_the_one_the_servo_has(tmp_path):
     effect = {e.key: e for e in subsystem_effects(["aileron"], [], [])}["effect/actuator.aileron/rate_limit"]
     write_effects(aircraft, [written(effect, 1.0 / 80.0 - 1.0 / 240.0)], {}, tmp_path / "espaaro")
     text = "".join(p.read_text(encoding="utf-8") for p in (tmp_path / "espaaro").rglob("*.xml"))
-    assert (
-        '<property value="80">effect/actuator/aileron-rate_limit</property>  <!-- a remark; 240 switches it off -->'
-        in text
-    )
+    assert '<property value="80">effect/actuator/aileron-rate_limit</property>  <!-- a remark; 240 switches it off -->' in text
     assert "<rate_limit>effect/actuator/aileron-rate_limit</rate_limit>" in text
     # Found once more in the aircraft that has it: one property, the newer number.
     write_effects(
@@ -313,9 +310,7 @@ def test_a_centre_of_gravity_moves_in_the_authors_unit(tmp_path, unit, moved):
     write_effects(aircraft, [written(effect, 0.0254)], {}, tmp_path / "espaaro")
     changed = find_aircraft(tmp_path / "espaaro")
     assert cg_in(changed) == pytest.approx(here - 1.0, abs=1e-5)
-    assert f"<x><!-- aft -->{2.0 + moved:.8g}<!-- of the nose --></x>  <!-- a remark -->" in changed.xml.read_text(
-        encoding="utf-8"
-    )
+    assert f"<x><!-- aft -->{2.0 + moved:.8g}<!-- of the nose --></x>  <!-- a remark -->" in changed.xml.read_text(encoding="utf-8")
 
 
 def cg_in(aircraft):
@@ -329,9 +324,7 @@ def test_a_centre_of_gravity_in_a_unit_that_JSBSim_does_not_know(tmp_path):
     folder = tmp_path / "given" / "espaaro"
     shutil.copytree(find_aircraft("espaaro").folder, folder)
     aircraft = find_aircraft(folder)
-    text = re.sub(
-        r'<location name="CG"[^>]*>', '<location name="CG" unit="CM">', aircraft.xml.read_text(encoding="utf-8")
-    )
+    text = re.sub(r'<location name="CG"[^>]*>', '<location name="CG" unit="CM">', aircraft.xml.read_text(encoding="utf-8"))
     aircraft.xml.write_text(text, encoding="utf-8")
     effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
     with pytest.raises(BadInputError, match=r"espaaro\.xml:\d+: unit \"CM\" of the centre of gravity; use M, FT or IN"):

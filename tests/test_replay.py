@@ -161,9 +161,7 @@ def test_forced_states_give_the_flights_coefficients_back(aircraft, clean):
         assert forced.mass.inertia[0, 2] == pytest.approx(-0.25, rel=1e-3)
         assert forced.mass.mass == pytest.approx(21.34, rel=1e-3)
         # The same sample asked twice, once after another: no state is remembered.
-        again = force_states(
-            straight, segment, {k: v[[7, 300, 7]] for k, v in channels.items()}, segment.controls[[7, 300, 7]], {}
-        )
+        again = force_states(straight, segment, {k: v[[7, 300, 7]] for k, v in channels.items()}, segment.controls[[7, 300, 7]], {})
         np.testing.assert_allclose(again.coefficients[0], again.coefficients[2], atol=1e-12)
 
 

@@ -114,9 +114,7 @@ def test_the_cursor_names_the_corner_behind_each_side(folder, page):
     assert box["value"] == pytest.approx(rows["value"].tolist(), rel=1e-4)
     assert box["lower"] == pytest.approx(rows["lower"].tolist(), abs=1e-4)
     assert box["upper"] == pytest.approx(rows["upper"].tolist(), abs=1e-4)
-    cases = (
-        pq.read_table(folder / "cases.parquet").to_pandas().drop_duplicates("epistemic_id").set_index("epistemic_id")
-    )
+    cases = pq.read_table(folder / "cases.parquet").to_pandas().drop_duplicates("epistemic_id").set_index("epistemic_id")
     for side, corner in ((box["at_least"], "corner_lower"), (box["at_most"], "corner_upper")):
         for place, name in zip(side, rows[corner], strict=True):
             levels = {c: cases.loc[name, f"level_{c}"] for c in ("CX", "CY", "CZ", "Cl", "Cm", "Cn")}
@@ -148,12 +146,8 @@ def test_the_verdict_comes_first_and_agrees_with_the_tables(folder, page):
     assert report.verdict[1] in html.document_fromstring(page).text_content()
     text = " ".join(report.verdict)
     assert text.startswith("Hardest condition flown: 3 m/s wind and moderate turbulence.")
-    assert re.search(
-        r"Median cross-track error of a typical 150 s flight, .*: at least [\d.]+ m in truth, .* measured", text
-    )
-    assert re.search(
-        r"published flight's 9.41 m lies (below|within|above) what single flights measured, [\d.]+ to", text
-    )
+    assert re.search(r"Median cross-track error of a typical 150 s flight, .*: at least [\d.]+ m in truth, .* measured", text)
+    assert re.search(r"published flight's 9.41 m lies (below|within|above) what single flights measured, [\d.]+ to", text)
     assert re.search(r"beyond 15 m per flight hour: [\d.]+ at the best corner, [\d.]+ at the worst", text)
     assert re.search(r"Of 192 flights, \d+ failed", text)
     (signed,) = [
@@ -202,9 +196,7 @@ def test_walks_are_not_called_corners(tmp_path, page):
     spec = read_campaign(fakes.campaign_file(tmp_path, walks))
     run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady)
     report = write_report(tmp_path / "out")
-    text = re.sub(
-        r"<(script|style|svg)\b.*?</\1>|<[^>]*>", " ", report.path.read_text(encoding="utf-8"), flags=re.DOTALL
-    )
+    text = re.sub(r"<(script|style|svg)\b.*?</\1>|<[^>]*>", " ", report.path.read_text(encoding="utf-8"), flags=re.DOTALL)
     assert "best to worst walk" in text
     assert "Worst walk [1/h]" in text
     assert "corner" not in text.lower()

@@ -126,9 +126,7 @@ def opened(browser, pages):
         page.wrong = []
         page.on("console", lambda message: page.wrong.append(f"console: {message.text}"))
         page.on("pageerror", lambda error: page.wrong.append(f"error: {error}"))
-        page.on(
-            "request", lambda request: request.url.startswith("file:") or page.wrong.append(f"fetched {request.url}")
-        )
+        page.on("request", lambda request: request.url.startswith("file:") or page.wrong.append(f"fetched {request.url}"))
         page.goto((pages[kind] / "report.html").as_uri())
         return page
 

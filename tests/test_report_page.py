@@ -69,9 +69,7 @@ def test_an_identification(identified):
     # An unknown noise, a share without a value and a parameter that is not identified say so.
     assert "undefined" in words
     assert "not identified" in words
-    row = [
-        e.text_content().strip() for e in html.document_fromstring(page).xpath("//tr[th[contains(., 'V [m/s]')]]/td")
-    ]
+    row = [e.text_content().strip() for e in html.document_fromstring(page).xpath("//tr[th[contains(., 'V [m/s]')]]/td")]
     assert row == ["0.5", "undefined", "undefined", "undefined"]
     # 0.01 rad/s is 0.573 deg/s.
     assert "0.573" in words
@@ -192,9 +190,7 @@ def test_a_study_with_two_campaigns_over_each_other(tmp_path, campaigns, refined
     [("running", "running", "is not finished: 0 of 1"), ("failed", "failed", "fly failed")],
 )
 def test_a_study_that_is_not_done_says_so_first(tmp_path, state, stage_state, said):
-    folder = written(
-        tmp_path, "study.json", study([stage("fly", "fly", "fly", state=stage_state, error="no wind")], state=state)
-    )
+    folder = written(tmp_path, "study.json", study([stage("fly", "fly", "fly", state=stage_state, error="no wind")], state=state))
     first = html.document_fromstring(page_of(folder)).find(".//section[@class='verdict']//li")
     assert said in first.text_content()
     assert first.get("class") in ("warn", "bad")
@@ -329,9 +325,7 @@ def test_thinning_keeps_the_peaks():
     assert few[values.argmax()] == x[12345]
 
 
-@pytest.mark.parametrize(
-    ("low", "high"), [(0.0, 1.0), (-3e-5, 2e-5), (1000.0, 1003.0), (-0.5, 7.3), (1e-12, 3e-12), (2e6, 9e6)]
-)
+@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3e-5, 2e-5), (1000.0, 1003.0), (-0.5, 7.3), (1e-12, 3e-12), (2e6, 9e6)])
 def test_ticks_are_round_inside_and_distinct(low, high):
     ticks = Scale("x [m]", low, high).ticks()
     assert 3 <= len(ticks) <= 8

@@ -315,9 +315,7 @@ def test_variance_intervals_cover():
 
 
 def test_scatter_intervals_cover_the_mean_over_repeats():
-    study = [
-        run(linear, UNIT, NOISE, ("scatter",), samples=128, draws=8, seed=seed)["scatter"] for seed in range(REPEATS)
-    ]
+    study = [run(linear, UNIT, NOISE, ("scatter",), samples=128, draws=8, seed=seed)["scatter"] for seed in range(REPEATS)]
     for name in "ab":
         mean = np.mean([found.indices[name].value for found in study])
         inside = np.mean([found.indices[name].low <= mean <= found.indices[name].high for found in study])
@@ -327,9 +325,7 @@ def test_scatter_intervals_cover_the_mean_over_repeats():
 
 
 def test_pinching_intervals_cover_the_mean_over_repeats():
-    study = [
-        run(lambda a, b, c: a * b + 0.5 * c, UNIT, only=("pbox",), samples=128, seed=s)["pbox"] for s in range(REPEATS)
-    ]
+    study = [run(lambda a, b, c: a * b + 0.5 * c, UNIT, only=("pbox",), samples=128, seed=s)["pbox"] for s in range(REPEATS)]
     for name in "abc":
         mean = np.mean([found.indices[name].value for found in study])
         inside = np.mean([found.indices[name].low <= mean <= found.indices[name].high for found in study])

@@ -193,6 +193,4 @@ def test_flies_with_jsbsim_alone(name):
         "assert f.load_model(sys.argv[2]); f.load_ic('cruise', True); f.run_ic(); [f.run() for _ in range(100)];"
         "assert 15 < f['velocities/vt-fps'] * 0.3048 < 30"
     )
-    subprocess.run(
-        [sys.executable, "-c", program, str(PROJECT_ROOT), name], check=True, capture_output=True, timeout=60
-    )
+    subprocess.run([sys.executable, "-c", program, str(PROJECT_ROOT), name], check=True, capture_output=True, timeout=60)

@@ -42,13 +42,9 @@ def _interrupted(command: list[str], number: int, folder: Path) -> tuple[int, st
     return process.wait(), process.communicate()[1]
 
 
-@pytest.mark.parametrize(
-    ("number", "code", "said"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
-)
+@pytest.mark.parametrize(("number", "code", "said"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")])
 @pytest.mark.parametrize("swallowed", [False, True])
-def test_a_signal_while_modules_load_is_one_line(
-    tmp_path: Path, number: int, code: int, said: str, swallowed: bool
-) -> None:
+def test_a_signal_while_modules_load_is_one_line(tmp_path: Path, number: int, code: int, said: str, swallowed: bool) -> None:
     # Stands for any module that takes long to load; some turn an interruption into an error of their own.
     hold = "import pathlib, time\npathlib.Path('loading').touch()\n"
     swallowing = "try:\n    time.sleep(60)\nexcept KeyboardInterrupt:\n    raise ImportError('no')\n"
@@ -97,18 +93,14 @@ def test_python_files_of_the_working_folder_do_not_run(tmp_path: Path) -> None:
     # Python's own `-m` reads contextlib and a few others from there before any of this program's code runs.
     for name in ("signal", "threading", "socket", "json", "numpy", "jsbsim", "sysid"):
         (tmp_path / f"{name}.py").write_text(f"open('ran-{name}', 'w')\n")
-    done = subprocess.run(
-        _command("--version", module=True), cwd=tmp_path, capture_output=True, text=True, env=_environment()
-    )
+    done = subprocess.run(_command("--version", module=True), cwd=tmp_path, capture_output=True, text=True, env=_environment())
     assert done.returncode == 0, done.stderr
     assert not list(tmp_path.glob("ran-*"))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_a_campaign_that_is_killed_leaves_no_process_and_after_the_next_command_no_folder(
-    tmp_path: Path, number: int
-) -> None:
+def test_a_campaign_that_is_killed_leaves_no_process_and_after_the_next_command_no_folder(tmp_path: Path, number: int) -> None:
     place = tmp_path / "place"
     place.mkdir()
     run = [
@@ -142,9 +134,7 @@ def test_a_campaign_that_is_killed_leaves_no_process_and_after_the_next_command_
     assert list(place.glob("uqharness-*")) == []
 
 
-@pytest.mark.parametrize(
-    "name", ["../precious.xml", "/etc/passwd", "a/../../b", "C:\\x", "a\\..\\b", ".git/hooks/x", "", "a//b"]
-)
+@pytest.mark.parametrize("name", ["../precious.xml", "/etc/passwd", "a/../../b", "C:\\x", "a\\..\\b", ".git/hooks/x", "", "a//b"])
 @pytest.mark.parametrize("row", ['{"before": "", "after": ""}', '{"before": "", "after": "", "content": "aGk="}'])
 def test_undo_neither_writes_nor_removes_outside_its_folder(tmp_path: Path, name: str, row: str) -> None:
     folder = tmp_path / "aircraft"

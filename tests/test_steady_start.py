@@ -161,9 +161,7 @@ def test_deviations_by_hand():
     assert result.undefined["cross_track"] == "no path is commanded"
     assert "excursions_15m" not in result.metrics
     straight = np.column_stack([rows, [0.0, 10.0, 20.0], [0.0, 10.0, 52.0], [5.0, 0.0, 0.0], [5.0, 9.0, 9.0]])
-    onwards = score_from_start(
-        SPEC, Recorded([*names, "north_m", "east_m", "vn_mps", "ve_mps"], straight, "ok", "", 3.0)
-    )
+    onwards = score_from_start(SPEC, Recorded([*names, "north_m", "east_m", "vn_mps", "ve_mps"], straight, "ok", "", 3.0))
     # Began towards the north-east; 52 m east and 20 m north lies 32/sqrt(2) m to the right of that line.
     assert onwards.metrics["cross_track_max_m"] == pytest.approx(32.0 / np.sqrt(2.0))
     assert (onwards.metrics["excursions_15m"], onwards.metrics["excursions_25m"]) == (1.0, 0.0)

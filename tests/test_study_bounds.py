@@ -54,9 +54,7 @@ def test_the_tables_and_the_verdict_say_so(rows):
     assert "99.4 / 64" in text
     assert "3-2-1-1, 20 m/s" in text
     assert verdict(rows.assign(share_95=0.95, mean_width=1.0, forced_width=1.0)) == []
-    bad = verdict(
-        rows.assign(share_95=np.where(rows["coefficient"] == "Cm", 0.9, 0.95), mean_width=1.4, forced_width=1.0)
-    )
+    bad = verdict(rows.assign(share_95=np.where(rows["coefficient"] == "Cm", 0.9, 0.95), mean_width=1.4, forced_width=1.0))
     assert any(line.startswith("Cm: 90.0 %") for line in bad)
     assert any("CY" in line and "1.40 times" in line for line in bad)
 

@@ -36,18 +36,14 @@ def counting(within_15m, within_25m):
         counts = {f"excursions_{r}m{d}": int(draw.poisson(rate)) for r, rate in ((15, within_15m), (20, 0.0), (25, within_25m))
                   for d in ("", "_3d")}  # fmt: skip
         metrics = {name: float(draw.gamma(4.0)) for name in fakes.ERROR_METRICS}
-        return FlightResult(
-            "ok", "", spec.burn_in_s + spec.duration_s, metrics | counts | {"loss_of_control": 0.0}, {}, {}
-        )
+        return FlightResult("ok", "", spec.burn_in_s + spec.duration_s, metrics | counts | {"loss_of_control": 0.0}, {}, {})
 
     return fly
 
 
 def flown(tmp_path, name, fly, wind=7, turbulence="severe"):
     text = SEVERE.replace("wind_mps = 3", f"wind_mps = {wind}").replace('"moderate"', f'"{turbulence}"')
-    run_campaign(
-        read_campaign(fakes.campaign_file(tmp_path, text)), tmp_path / name, executor=SerialExecutor(), fly=fly
-    )
+    run_campaign(read_campaign(fakes.campaign_file(tmp_path, text)), tmp_path / name, executor=SerialExecutor(), fly=fly)
     return str(tmp_path / name)
 
 

@@ -35,9 +35,7 @@ HEIGHT = 120.0
 def independent(model, derivative):
     """dx/dt and specific force of the independent equations at STATE, in the study's states."""
     s = STATE
-    uvw = s["V"] * np.array(
-        [np.cos(s["alpha"]) * np.cos(s["beta"]), np.sin(s["beta"]), np.sin(s["alpha"]) * np.cos(s["beta"])]
-    )
+    uvw = s["V"] * np.array([np.cos(s["alpha"]) * np.cos(s["beta"]), np.sin(s["beta"]), np.sin(s["alpha"]) * np.cos(s["beta"])])
     x = np.concatenate([uvw, [s["p"], s["q"], s["r"], s["phi"], s["theta"], 0.4, 0.0, 0.0, -HEIGHT]])
     dot = derivative(model, x, U)
     gravity = sixdof.rotation_to_body(s["phi"], s["theta"], 0.4) @ np.array([0.0, 0.0, model.g])
@@ -66,9 +64,7 @@ def test_equations_are_the_independent_ones(name):
     np.testing.assert_allclose(equations.f(x, u, theta)[:8], expected, rtol=1e-9, atol=1e-9)
     y = dict(zip(OUTPUTS, equations.g(x, u, theta), strict=True))
     np.testing.assert_allclose([y["ax_mps2"], y["ay_mps2"], y["az_mps2"]], force, rtol=1e-9, atol=1e-9)
-    assert [y["V_mps"], y["alpha_rad"], y["q_radps"], y["theta_rad"]] == [
-        STATE[k] for k in ("V", "alpha", "q", "theta")
-    ]
+    assert [y["V_mps"], y["alpha_rad"], y["q_radps"], y["theta_rad"]] == [STATE[k] for k in ("V", "alpha", "q", "theta")]
 
 
 def test_air_that_rotates_counts_as_the_body_rotating_the_other_way():
@@ -137,9 +133,7 @@ def test_positions_half_way_between_rows():
     rows, middle = servo.follow_finely(commands, 0.02, 0.01)  # steps: 0, 0, 1, 2, 3, 4, 5
     np.testing.assert_allclose(rows, [0.0, 1.0, 3.0, 5.0])
     np.testing.assert_allclose(middle, [0.0, 2.0, 4.0])
-    rows, middle = servo.follow_finely(
-        commands, 0.03, 0.01
-    )  # steps: 0, 0, 0, 1, 2, 3, 4, 5, 5, 5: the middle between two
+    rows, middle = servo.follow_finely(commands, 0.03, 0.01)  # steps: 0, 0, 0, 1, 2, 3, 4, 5, 5, 5: the middle between two
     np.testing.assert_allclose(rows, [0.0, 1.0, 4.0, 5.0])
     np.testing.assert_allclose(middle, [0.0, 2.5, 5.0])
 
@@ -180,9 +174,7 @@ def test_table_and_its_figures():
 
 @pytest.fixture(scope="module")
 def gusty(tmp_path_factory):
-    return read_data(
-        fly_flights("synthetic_stall", tmp_path_factory.mktemp("gusty"), 1, fine=True)[0], "synthetic_stall"
-    )
+    return read_data(fly_flights("synthetic_stall", tmp_path_factory.mktemp("gusty"), 1, fine=True)[0], "synthetic_stall")
 
 
 def test_roll_parameters_in_turbulence(gusty):

@@ -52,19 +52,14 @@ def test_a_throw_of_nothing_is_refused():
 def rows(rates: list[float], positions: list[float] | None) -> list[dict[str, float]]:
     named = positions or [None] * 3
     return [
-        {"velocities/q-rad_sec": q, **({} if p is None else {"fcs/elevator-pos-deg": p})}
-        for q, p in zip(rates, named, strict=True)
+        {"velocities/q-rad_sec": q, **({} if p is None else {"fcs/elevator-pos-deg": p})} for q, p in zip(rates, named, strict=True)
     ]
 
 
 def test_sense_and_throw_are_read_from_the_answer():
-    assert _facts("elevator", rows([0.2, 0.0, -0.2], [-20.0, 0.0, 20.0])) == ControlFacts(
-        1, 20.0, "fcs/elevator-pos-deg"
-    )
+    assert _facts("elevator", rows([0.2, 0.0, -0.2], [-20.0, 0.0, 20.0])) == ControlFacts(1, 20.0, "fcs/elevator-pos-deg")
     # Commands and surfaces that count the other way; an uneven throw, a surface that never rested, a command that does nothing.
-    assert _facts("elevator", rows([-0.2, 0.0, 0.2], [-20.0, 0.0, 20.0])) == ControlFacts(
-        -1, 20.0, "fcs/elevator-pos-deg"
-    )
+    assert _facts("elevator", rows([-0.2, 0.0, 0.2], [-20.0, 0.0, 20.0])) == ControlFacts(-1, 20.0, "fcs/elevator-pos-deg")
     assert _facts("elevator", rows([0.2, 0.0, -0.2], [20.0, 0.0, -20.0])) == ControlFacts(1, 20.0, None)
     assert _facts("elevator", rows([0.2, 0.0, -0.2], [-28.0, 0.0, 23.0])) == ControlFacts(1, 25.5, None)
     assert _facts("elevator", rows([0.2, 0.0, -0.2], None)) == ControlFacts(1, None, None)

@@ -125,9 +125,7 @@ def test_unlike_campaigns_are_not_compared(folders, capsys):
 
 
 def test_the_committed_campaigns_fly_the_same_air():
-    read = [
-        read_campaign(PROJECT_ROOT / "campaigns" / "time-varying" / f"{name}.toml") for name in ("walks", "corners")
-    ]
+    read = [read_campaign(PROJECT_ROOT / "campaigns" / "time-varying" / f"{name}.toml") for name in ("walks", "corners")]
     assert read[0].aleatory == read[1].aleatory
     assert read[0].campaign == read[1].campaign
     assert read[0].epistemic.bounds == read[1].epistemic.bounds

@@ -140,11 +140,7 @@ def test_a_trim_that_does_not_exist_is_a_reported_result(capsys):
 def test_the_named_modes_are_the_eigenvalues_each_once(bank_deg):
     aircraft = find_aircraft("espaaro")
     model = linearise(aircraft, find_trim(aircraft, SteadyCondition(22.2, bank_rad=math.radians(bank_deg))))
-    named = [
-        value
-        for m in modes(model)
-        for value in ([complex(m.real, m.imag)] + [complex(m.real, -m.imag)] * (m.imag != 0))
-    ]
+    named = [value for m in modes(model) for value in ([complex(m.real, m.imag)] + [complex(m.real, -m.imag)] * (m.imag != 0))]
     assert np.sort_complex(np.array(named)) == pytest.approx(np.sort_complex(np.linalg.eigvals(model.A)), abs=1e-9)
 
 
@@ -218,8 +214,7 @@ def test_lightly_damped_dutch_roll_loses_levels():
 
     def level(zeta: float, wn: float) -> int:
         changed = [
-            Mode("dutch_roll", -zeta * wn, wn * math.sqrt(1 - zeta**2), wn, zeta) if m.name == "dutch_roll" else m
-            for m in found
+            Mode("dutch_roll", -zeta * wn, wn * math.sqrt(1 - zeta**2), wn, zeta) if m.name == "dutch_roll" else m for m in found
         ]
         return next(a.level for a in assess(model, changed, "B") if a.mode == "dutch_roll")
 

@@ -75,9 +75,7 @@ def read_section(folder: Path, xml: str) -> AeroSection:
     """The aerodynamics of the aircraft ``folder/xml``. Raises BadInputError with file and line for what cannot be instrumented."""
     main = read_document(folder / xml)
     if main.root.tag != "fdm_config":
-        raise BadInputError(
-            f"{main.where(main.root)}: <{main.root.tag}>, but a JSBSim aircraft begins with <fdm_config>"
-        )
+        raise BadInputError(f"{main.where(main.root)}: <{main.root.tag}>, but a JSBSim aircraft begins with <fdm_config>")
     outer = main.root.find("aerodynamics")
     if outer is None:
         raise BadInputError(f"{main.where(main.root)}: no <aerodynamics>, so there are no coefficients to add to")
@@ -178,9 +176,7 @@ def read_reference(section: AeroSection) -> tuple[float, float, float]:
             continue
         unit = attribute(node, "unit")
         if unit not in units:
-            raise BadInputError(
-                f"{document.where(node)}: unit '{unit}' of <{name}>; allowed are {', '.join(filter(None, units))}"
-            )
+            raise BadInputError(f"{document.where(node)}: unit '{unit}' of <{name}>; allowed are {', '.join(filter(None, units))}")
         out.append(number(node, name, document) * units[unit])
     return out[0], out[1], out[2]
 

@@ -89,11 +89,7 @@ class SectionEdit:
 
     def files(self) -> dict[Path, bytes]:
         """Path (inside the aircraft's folder as it was read) to the file's new content, for every file that changes."""
-        return {
-            document.path: apply(document, mine)
-            for document in self.section.documents
-            if (mine := self.made_in(document))
-        }
+        return {document.path: apply(document, mine) for document in self.section.documents if (mine := self.made_in(document))}
 
     def made_in(self, document: Document) -> list[Insertion]:
         """The insertions into one file, in its order."""

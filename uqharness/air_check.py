@@ -137,9 +137,7 @@ def write_csv(rows: Sequence[Row], path: Path) -> None:
     bands = [f"psd_ratio_{low:g}_{high:g}_hz" for low, high in BANDS_HZ]
     with path.open("w", newline="", encoding="utf-8") as handle:
         writer = csv.writer(handle)
-        writer.writerow(
-            ["source", "heading_deg", "component", "sd_spec", "sd_measured", "sd_ratio", "sd_ratio_error", *bands]
-        )
+        writer.writerow(["source", "heading_deg", "component", "sd_spec", "sd_measured", "sd_ratio", "sd_ratio_error", *bands])
         for row in rows:
             values = (row.sd_spec, row.sd_measured, row.sd_ratio, row.sd_ratio_error, *row.band_ratios)
             writer.writerow([row.source, row.heading_deg, row.component, *(f"{value:.5g}" for value in values)])
@@ -163,8 +161,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"air_check: {error}", file=sys.stderr)
         return 2
     correlations: dict[tuple[str, float], tuple[float, float]] = {
-        (seen.source, seen.condition.heading_deg): (seen.q_slope_correlation(), seen.r_slope_correlation())
-        for seen in flights
+        (seen.source, seen.condition.heading_deg): (seen.q_slope_correlation(), seen.r_slope_correlation()) for seen in flights
     }
     table = markdown(rows, correlations)
     write_csv(rows, args.out / "air.csv")
@@ -181,9 +178,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0 if good else 1
 
 
-def run_all(
-    headings_deg: Sequence[float], hours: float, W20_kt: float, h_m: float, seed: int
-) -> tuple[list[Row], list[Seen]]:
+def run_all(headings_deg: Sequence[float], hours: float, W20_kt: float, h_m: float, seed: int) -> tuple[list[Row], list[Seen]]:
     """All four airs at all headings; progress on a terminal."""
     if not hours > 0.0:
         raise BadInputError(f"--hours {hours}: must be positive")
@@ -194,9 +189,7 @@ def run_all(
         for index, heading in enumerate(headings_deg):
             if sys.stderr.isatty():
                 print(f"{source}, {heading:.0f} deg to the wind", file=sys.stderr)
-            condition = Condition(
-                heading_deg=heading, W20_kt=W20_kt, h_m=h_m, duration_s=3600.0 * hours, seed=seed + index
-            )
+            condition = Condition(heading_deg=heading, W20_kt=W20_kt, h_m=h_m, duration_s=3600.0 * hours, seed=seed + index)
             flights.append(measure(source, condition))
             rows += compare(flights[-1])
     return rows, flights

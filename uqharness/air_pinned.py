@@ -237,9 +237,7 @@ def _record(fdm: Any, source: Source, condition: Condition) -> Seen:
     rows = np.empty((n, len(getters)))
     run = fdm.run
     if source == "host":
-        gusts = dryden_gusts(
-            n, condition.dt_s, condition.V_mps, condition.h_m, condition.W20_kt, condition.b_m, condition.seed
-        )
+        gusts = dryden_gusts(n, condition.dt_s, condition.V_mps, condition.h_m, condition.W20_kt, condition.b_m, condition.seed)
         setters = [engine.handle(fdm, f"air/host/{name}").set_double_value for name in _HOST]
         values = np.column_stack([gusts.component(name) for name in COMPONENTS]).tolist()
         for k in range(n):

@@ -190,14 +190,10 @@ def _read_aircraft(folder: Path) -> Aircraft:
     else:
         xml = folder / f"{folder.name}.xml"
         if not xml.is_file():
-            raise BadInputError(
-                f"{folder}: no airframe.toml and no {folder.name}.xml, so this is not a JSBSim aircraft folder"
-            )
+            raise BadInputError(f"{folder}: no airframe.toml and no {folder.name}.xml, so this is not a JSBSim aircraft folder")
         card = Card(aircraft=_AircraftSection(name=folder.name, xml=xml.name), inputs=_STANDARD_INPUTS)
     if Path(card.aircraft.xml).name != card.aircraft.xml or "\\" in card.aircraft.xml:
-        raise BadInputError(
-            f'{card_file}: [aircraft] xml = "{card.aircraft.xml}": the name of a file in this folder is wanted'
-        )
+        raise BadInputError(f'{card_file}: [aircraft] xml = "{card.aircraft.xml}": the name of a file in this folder is wanted')
     xml = folder / card.aircraft.xml
     if not xml.is_file():
         raise BadInputError(f'{card_file}: [aircraft] xml = "{card.aircraft.xml}", but {xml} does not exist')
@@ -228,9 +224,7 @@ def read_card(path: Path) -> Card:
     except ValidationError as error:
         first = error.errors()[0]
         key = dotted(first["loc"])
-        what = (
-            "no such key in airframe.toml; see docs/aircraft.md" if first["type"] == "extra_forbidden" else first["msg"]
-        )
+        what = "no such key in airframe.toml; see docs/aircraft.md" if first["type"] == "extra_forbidden" else first["msg"]
         raise BadInputError(f"{path}: {key}: {what}; received {first.get('input')!r}") from None
 
 

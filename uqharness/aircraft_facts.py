@@ -132,9 +132,7 @@ def ask_in_child(folder: Path, timeout_s: float = 120.0) -> AircraftFacts:
     """The same in a process of its own. Raises BadInputError with its last words."""
     command = [sys.executable, "-m", "uqharness.aircraft_facts", str(folder)]
     try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=timeout_s, env=child_environment(), check=False
-        )
+        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, env=child_environment(), check=False)
     except subprocess.TimeoutExpired:
         raise BadInputError(f"aircraft {folder}: did not fly half a second within {timeout_s:g} s") from None
     lines = done.stdout.splitlines()

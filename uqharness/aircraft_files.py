@@ -113,9 +113,7 @@ def _refuse_link(path: Path, allowed: tuple[Path, ...]) -> None:
     except (OSError, RuntimeError):
         raise BadInputError(f"{path}: is a link that leads nowhere ({_target(path)}); remove it") from None
     if not any(target.is_relative_to(place) for place in allowed):
-        raise BadInputError(
-            f"{path}: is a link to {target}, outside the aircraft's folder; put a copy of the file there instead"
-        )
+        raise BadInputError(f"{path}: is a link to {target}, outside the aircraft's folder; put a copy of the file there instead")
 
 
 def _target(path: Path) -> str:
@@ -180,9 +178,7 @@ def _named_in(file: Passed, named: set[str], files: dict[str, Path]) -> Iterator
 
 def _read_beside(path: Path, folder: Path) -> bytes:
     if not path.resolve().is_relative_to(folder.resolve()):
-        raise BadInputError(
-            f"{path}: is a link to {path.resolve()}, outside {folder}; put a copy of the file there instead"
-        )
+        raise BadInputError(f"{path}: is a link to {path.resolve()}, outside {folder}; put a copy of the file there instead")
     return read_xml(path)
 
 

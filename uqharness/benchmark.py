@@ -53,9 +53,7 @@ def without_plugin(aircraft: Aircraft, folder: Path) -> Aircraft:
     return find_aircraft(target)
 
 
-def bare_loop(
-    aircraft: Aircraft, spec: FlightSpec, clock: Callable[[], float] = time.process_time
-) -> Callable[[], float]:
+def bare_loop(aircraft: Aircraft, spec: FlightSpec, clock: Callable[[], float] = time.process_time) -> Callable[[], float]:
     """A function that flies ``spec`` with JSBSim's bare loop and returns the seconds spent in it by ``clock``."""
     mission = StagedMission(aircraft, find_script(spec.script), end_s=spec.duration_s)
 
@@ -108,9 +106,7 @@ def side_by_side(bare: FlightSpec, flown: FlightSpec, rounds: int, workers: int 
     """Flight seconds per second by the clock: that many bare loops at once, as many workers, and the ratio."""
 
     def fly_all(executor: ProcessExecutor, function: FlightFunction, spec: FlightSpec, count: int) -> list[CaseOutcome]:
-        found = [
-            item for batch in executor.run(function, [(f"{n:016x}", spec) for n in range(count)]) for item in batch
-        ]
+        found = [item for batch in executor.run(function, [(f"{n:016x}", spec) for n in range(count)]) for item in batch]
         assert all(item.status == "ok" for item in found), found
         return found
 
@@ -146,9 +142,7 @@ def measure(
         return _measure(aircraft, duration_s, rounds, source, levels, together)
 
 
-def _measure(
-    aircraft: Aircraft, duration_s: float, rounds: int, source: str, levels: str, together: bool
-) -> dict[str, float]:
+def _measure(aircraft: Aircraft, duration_s: float, rounds: int, source: str, levels: str, together: bool) -> dict[str, float]:
     deltas = {"uq/active": 1.0} | {f"uq/{name}/level": 1.0 for name in COEFFICIENTS}
     spec = FlightSpec(
         aircraft.folder, find_script("loiter"), duration_s, wind_mps=3.0, turbulence="moderate", turbulence_source=source,
@@ -223,19 +217,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     if args.json:
         print(json.dumps(figures))
         return 0
-    print(
-        f"{args.aircraft}, loiter, moderate turbulence ({args.turbulence_source}), {args.rounds} rounds of {args.duration_s:g} s"
-    )
+    print(f"{args.aircraft}, loiter, moderate turbulence ({args.turbulence_source}), {args.rounds} rounds of {args.duration_s:g} s")
     print(f"  a  bare loop, plugin, air, sensors  {figures['a_us_per_step']:7.2f} us/step")
+    print(f"  b  the same without the plugin      {figures['b_us_per_step']:7.2f} us/step   a/b {figures['a_over_b']:.3f}")
+    print(f"  c  harness with levels, stored      {figures['c_us_per_step']:7.2f} us/step   c/a {figures['c_over_a']:.3f}")
     print(
-        f"  b  the same without the plugin      {figures['b_us_per_step']:7.2f} us/step   a/b {figures['a_over_b']:.3f}"
-    )
-    print(
-        f"  c  harness with levels, stored      {figures['c_us_per_step']:7.2f} us/step   c/a {figures['c_over_a']:.3f}"
-    )
-    print(
-        f"  flight hours per core hour: {figures['flight_hours_per_core_hour']:.0f}"
-        f" (to beat: {REFERENCE_HOURS_PER_CORE_HOUR:.0f})"
+        f"  flight hours per core hour: {figures['flight_hours_per_core_hour']:.0f} (to beat: {REFERENCE_HOURS_PER_CORE_HOUR:.0f})"
     )
     if args.side_by_side:
         print(

@@ -107,9 +107,7 @@ def make_bounds(
     form = ModelForm(
         aircraft=AircraftReference(aircraft.name, content_hash(aircraft)),
         flights=tuple(_used(f, r, h) for f, r, h in zip(flights, parts, hashes, strict=True)),
-        filtering=Filtering(
-            options.cutoffs.all_hz, options.cutoffs.airspeed_hz, options.walk_cutoff_hz, 1.0 / residuals.dt_s
-        ),
+        filtering=Filtering(options.cutoffs.all_hz, options.cutoffs.airspeed_hz, options.walk_cutoff_hz, 1.0 / residuals.dt_s),
         confidence=options.fit.confidence,
         outside=options.outside,
         coefficients=with_walk_rates(fitted, {c: w.rate for c, w in walks.items()}),
@@ -157,8 +155,7 @@ def _noise(
     pair: ReplayPair, flights: Sequence[Flight], aircraft: Aircraft, arm: Sequence[float], cutoffs: Cutoffs
 ) -> dict[str, float]:
     squares = [
-        noise_floor(f.record, f.pieces, pair.of(f, remember=False), noise_of(f, aircraft), arm, cutoffs) ** 2
-        for f in flights
+        noise_floor(f.record, f.pieces, pair.of(f, remember=False), noise_of(f, aircraft), arm, cutoffs) ** 2 for f in flights
     ]
     seconds = [sum(p.end_s - p.start_s for p in f.pieces) for f in flights]
     return dict(zip(COEFFICIENTS, np.sqrt(np.average(squares, axis=0, weights=seconds)).tolist(), strict=True))
@@ -210,9 +207,7 @@ def _warnings(
     out = [*flight_warnings(flights, form, cutoffs), *_identified_from(aircraft, flights, hashes)]
     short = [c for c, w in walks.items() if not np.isfinite(w.rate)]
     if short:
-        out.append(
-            f"no piece is long enough for a rate of variation of {', '.join(short)} at {form.filtering.walk_cutoff_hz:g} Hz"
-        )
+        out.append(f"no piece is long enough for a rate of variation of {', '.join(short)} at {form.filtering.walk_cutoff_hz:g} Hz")
     return out
 
 
@@ -226,11 +221,7 @@ def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs
             out.append(
                 f"{flight.name}: {', '.join(estimated)} come from an estimator, not a sensor: its errors are in the intervals"
             )
-        slow = [
-            c
-            for c, hz in record.metadata.native_hz.items()
-            if c in NOISY and hz < 2.5 * cutoffs.all_hz and c != "V_mps"
-        ]
+        slow = [c for c, hz in record.metadata.native_hz.items() if c in NOISY and hz < 2.5 * cutoffs.all_hz and c != "V_mps"]
         if slow:
             out.append(
                 f"{flight.name}: {', '.join(slow)} were logged too slowly for a filter at {cutoffs.all_hz:g} Hz; lower --cutoff-hz"

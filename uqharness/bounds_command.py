@@ -84,9 +84,7 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         default="grow",
         help="beyond the data: grow as published (default), or clamp",
     )
-    parser.add_argument(
-        "--cutoff-hz", type=float, default=6.0, metavar="F", help="differentiator and smoother (default 6)"
-    )
+    parser.add_argument("--cutoff-hz", type=float, default=6.0, metavar="F", help="differentiator and smoother (default 6)")
     parser.add_argument(
         "--airspeed-cutoff-hz",
         type=float,
@@ -101,9 +99,7 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         metavar="F",
         help="low-pass for the rate of variation (default 0.5)",
     )
-    parser.add_argument(
-        "--no-checks", action="store_true", help="leave out noise floor, leave-one-out and other filters"
-    )
+    parser.add_argument("--no-checks", action="store_true", help="leave out noise floor, leave-one-out and other filters")
     parser.add_argument("--no-figures", action="store_true", help="leave out the figures")
     parser.add_argument("--json", action="store_true", help="machine-readable summary")
     parser.set_defaults(handler=_run_bounds, parser=parser)
@@ -118,9 +114,7 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     parser.add_argument("aircraft", metavar="AIRCRAFT", help="name under aircraft/ or a folder")
     parser.add_argument("form", type=Path, metavar="MODEL-FORM.json", help="what `uqharness bounds` wrote")
     add_flight_arguments(parser, many=True, replay=False, aircraft=False, out=False)
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder for a report and figures (default: none are made)"
-    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for a report and figures (default: none are made)")
     parser.add_argument("--json", action="store_true", help="print the coverage as JSON")
     parser.set_defaults(handler=_run_validate, parser=parser)
 
@@ -165,9 +159,7 @@ def _assignment(option: str, text: str, known: list[str]) -> tuple[str, list[str
     coefficient, equals, rest = text.partition("=")
     names = [n.strip() for n in rest.split(",") if n.strip()]
     if not equals or not names or coefficient not in known:
-        raise BadInputError(
-            f"{option} {text}: C=name,name with C one of {', '.join(known)} is needed, such as {option} CX=V,alpha"
-        )
+        raise BadInputError(f"{option} {text}: C=name,name with C one of {', '.join(known)} is needed, such as {option} CX=V,alpha")
     return coefficient, names
 
 

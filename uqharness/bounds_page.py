@@ -53,18 +53,14 @@ def bounds_page(folder: Path, prefix: str = "") -> Page:
 def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Say, ...]:
     rows = details.get("coefficients", {})
     said = []
-    ratios = {
-        c: r["mean_width"] / r["noise_width"] for c, r in rows.items() if r.get("mean_width") and r.get("noise_width")
-    }
+    ratios = {c: r["mean_width"] / r["noise_width"] for c, r in rows.items() if r.get("mean_width") and r.get("noise_width")}
     if ratios:
         model = [f"{c} {v:.1f}" for c, v in ratios.items() if v >= 1.5]
         noise = [f"{c} {v:.1f}" for c, v in ratios.items() if v < 1.5]
         if model:
             said.append(Say(f"Wider than the sensors' noise forces, so the model's own: {', '.join(model)} times."))
         if noise:
-            said.append(
-                Say(f"Hardly wider than the sensors' noise forces, so the sensors': {', '.join(noise)} times.", "warn")
-            )
+            said.append(Say(f"Hardly wider than the sensors' noise forces, so the sensors': {', '.join(noise)} times.", "warn"))
     kept = {c: r["left_out_share"] for c, r in rows.items() if r.get("left_out_share") is not None}
     if kept:
         worst = min(kept, key=lambda c: kept[c])
@@ -77,11 +73,7 @@ def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Say, ...]:
         )
     most, name = max((len(b.states), c) for c, b in form.coefficients.items())
     far = "grow" if form.outside == "grow" else "stand at the edge of the data"
-    said.append(
-        Say(
-            f"{len(form.coefficients)} coefficients, of at most {most} states ({name}); beyond the data the bounds {far}."
-        )
-    )
+    said.append(Say(f"{len(form.coefficients)} coefficients, of at most {most} states ({name}); beyond the data the bounds {far}."))
     return tuple(said)
 
 
@@ -106,9 +98,7 @@ def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Se
         "Independent: what the autocorrelated samples are worth. Width noise forces: what adding the sensors' noise once more "
         "gives; a ratio near 1 says that the interval is the sensors', not the model's."
     )
-    return Section(
-        "How wide the bounds are", (Words(text, note=True), Table("Bounds by coefficient.", head, tuple(table)))
-    )
+    return Section("How wide the bounds are", (Words(text, note=True), Table("Bounds by coefficient.", head, tuple(table))))
 
 
 def slice_section(form: ModelForm, pieces: Sequence[History], prefix: str = "") -> Section:
@@ -116,11 +106,7 @@ def slice_section(form: ModelForm, pieces: Sequence[History], prefix: str = "") 
     text = (
         "Along each state the others stand at the medians of the data. Solid: "
         f"{100 * form.confidence:g} % bounds, dotted: 68 %; shaded: where the data are."
-        + (
-            " Dots: flight minus model where the other states are within a standard deviation of the slice."
-            if pieces
-            else ""
-        )
+        + (" Dots: flight minus model where the other states are within a standard deviation of the slice." if pieces else "")
     )
     legend = [
         ("first", f"{100 * form.confidence:g} % bounds"),
@@ -189,9 +175,7 @@ def within_section(pieces: Sequence[History], names: Sequence[str], title: str, 
             [(h.columns[c] >= low) & (h.columns[c] <= high) for h, low, high in zip(pieces, *band[:2], strict=True)]
         )
         share = 100.0 * float(np.mean(inside))
-        label = (
-            f"Flight minus model, {c} [1], along the pieces within its bounds: {share:.1f} % of the samples lie inside."
-        )
+        label = f"Flight minus model, {c} [1], along the pieces within its bounds: {share:.1f} % of the samples lie inside."
         figures.append(
             end_to_end(
                 pieces, f"{prefix}within-{c}", [(c, "plain thin", "")], band, label, f"flight minus model, {c} [1]",
@@ -219,9 +203,7 @@ def _share(value: float | None) -> Cell:
 def _provenance(form: ModelForm, details: Mapping[str, Any]) -> Section:
     cut = form.filtering
     airspeed = "none" if np.isinf(cut.airspeed_cutoff_hz) else f"{cut.airspeed_cutoff_hz:g} Hz"
-    filters = (
-        f"{cut.cutoff_hz:g} Hz, airspeed {airspeed}, walk {cut.walk_cutoff_hz:g} Hz, {cut.rate_hz:.0f} samples a second"
-    )
+    filters = f"{cut.cutoff_hz:g} Hz, airspeed {airspeed}, walk {cut.walk_cutoff_hz:g} Hz, {cut.rate_hz:.0f} samples a second"
     items = [
         ("Command", details.get("command") or "not recorded"), ("Version", f"uqharness {details.get('version', 'not recorded')}"),
         (f"Aircraft {form.aircraft.name} (SHA-256)", form.aircraft.sha256),

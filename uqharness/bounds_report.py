@@ -121,8 +121,7 @@ def bounds_report(found: MadeBounds, document: Mapping[str, Any], figures: Seque
     ]
     if document["left_out"]:
         rows = [
-            {"manoeuvre left out": m, **{c: _figure(v, ".2f") for c, v in row.items()}}
-            for m, row in document["left_out"].items()
+            {"manoeuvre left out": m, **{c: _figure(v, ".2f") for c, v in row.items()}} for m, row in document["left_out"].items()
         ]
         lines += ["## Leaving one manoeuvre out", "", markdown_table(rows)]
     lines += ["## Where the data are", "", markdown_table(hull_rows(form)), _HULL, ""]
@@ -160,9 +159,7 @@ def hull_rows(form: ModelForm) -> list[dict[str, str]]:
             values = [bounds.hull.low[k], *bounds.hull.middle[k], bounds.hull.high[k]]
             unit = state.rsplit("_", 1)[1].replace("radps", "deg/s").replace("rad", "deg").replace("mps", "m/s")
             row = {"state": state.rsplit("_", 1)[0], "unit": unit}
-            row |= {
-                n: f"{degrees * v:.4g}" for n, v in zip(("low", "25 %", "50 %", "75 %", "high"), values, strict=True)
-            }
+            row |= {n: f"{degrees * v:.4g}" for n, v in zip(("low", "25 %", "50 %", "75 %", "high"), values, strict=True)}
             out[state] = row
     return [out[s] for s in form.states]
 

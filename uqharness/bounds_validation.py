@@ -58,9 +58,7 @@ def validate(
         raise BadInputError(f"the bounds depend on {', '.join(missing)}, which these flights do not have throughout")
     warnings = flight_warnings(flights, form, cutoffs)
     if form.aircraft.sha256 != content_hash(aircraft):
-        warnings.append(
-            f"aircraft '{aircraft.name}' has changed since the bounds were made: they belong to the model as it was"
-        )
+        warnings.append(f"aircraft '{aircraft.name}' has changed since the bounds were made: they belong to the model as it was")
     for flight, sha256 in zip(flights, hashes, strict=True):
         if sha256 in {f.sha256 for f in form.flights}:
             warnings.append(f"{flight.name}: the bounds were made from this flight; coverage on it validates nothing")

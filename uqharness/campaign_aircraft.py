@@ -64,9 +64,7 @@ def find_copied_mission(spec: CampaignSpec, aircraft: Aircraft, script: Path | N
         aircraft_hash = content_hash(find_aircraft(made))
         script_hash = hashlib.sha256(read_xml(script or scratch.path / SCRIPT)).hexdigest()
     place = folder.resolve()
-    return Mission(
-        place / _COPIED / made.name, aircraft_hash, (script or place / SCRIPT).resolve(), script_hash, aircraft.folder
-    )
+    return Mission(place / _COPIED / made.name, aircraft_hash, (script or place / SCRIPT).resolve(), script_hash, aircraft.folder)
 
 
 def make_copy(spec: CampaignSpec, mission: Mission, folder: Path) -> None:

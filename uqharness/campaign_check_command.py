@@ -29,9 +29,7 @@ def register(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
     check.add_argument(
         "--hours", type=float, metavar="H", help="flight hours per corner and condition, in place of [aleatory] flights"
     )
-    check.add_argument(
-        "--samples", type=int, metavar="N", help="epistemic samples to draw, in place of [epistemic] samples"
-    )
+    check.add_argument("--samples", type=int, metavar="N", help="epistemic samples to draw, in place of [epistemic] samples")
     check.set_defaults(handler=_check)
 
 

@@ -58,26 +58,20 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     )
     verbs = campaign.add_subparsers(dest="campaign_command", metavar="VERB", required=True)
     run = add_verb(verbs, "run", "fly a campaign, or resume it", _RUN_EXAMPLE)
-    run.add_argument(
-        "campaign", type=Path, metavar="CAMPAIGN.toml", help="what to fly: a file, or a name under campaigns/"
-    )
+    run.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml", help="what to fly: a file, or a name under campaigns/")
     run.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
     run.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
     run.add_argument(
         "--hours", type=float, metavar="H", help="flight hours per corner and condition, in place of [aleatory] flights"
     )
-    run.add_argument(
-        "--samples", type=int, metavar="N", help="epistemic samples to draw, in place of [epistemic] samples"
-    )
+    run.add_argument("--samples", type=int, metavar="N", help="epistemic samples to draw, in place of [epistemic] samples")
     run.add_argument(
         "--start-method",
         choices=("spawn", "forkserver", "fork"),
         default="spawn",
         help="of the processes (default spawn)",
     )
-    run.add_argument(
-        "--dask", metavar="ADDRESS", help="fly on the Dask cluster of this scheduler (address or scheduler file)"
-    )
+    run.add_argument("--dask", metavar="ADDRESS", help="fly on the Dask cluster of this scheduler (address or scheduler file)")
     run.add_argument("--serial", action="store_true", help="fly in this process, for debugging")
     run.add_argument("--shard", metavar="i/n", help="fly the i-th of n shares only, to be merged later")
     run.add_argument("--yes", action="store_true", help="fly even if it takes more than a day of this machine")
@@ -134,9 +128,7 @@ def _run(args: argparse.Namespace) -> int:
                 before_flying=told,
             )
     except KeyboardInterrupt:
-        print(
-            f"{args.out}: stopped; every finished flight is kept, the same command goes on from here", file=sys.stderr
-        )
+        print(f"{args.out}: stopped; every finished flight is kept, the same command goes on from here", file=sys.stderr)
         raise
     _say_rewritten(summary.folder, summary.rewritten)
     print(json.dumps(_as_json(summary)) if args.json else _sentence(summary))
@@ -219,9 +211,7 @@ def _sentence(summary: CampaignSummary) -> str:
         text += f", {summary.done_before} of them before this run"
     text += f", {_failures(summary.statuses)}"
     if new:
-        text += (
-            f"; {progress.flown_s / 3600.0:.2f} flight h in {clock(progress.elapsed_s)} on {progress.workers} workers"
-        )
+        text += f"; {progress.flown_s / 3600.0:.2f} flight h in {clock(progress.elapsed_s)} on {progress.workers} workers"
         text += f", {progress.hours_per_core_hour:.0f} flight h per core h"
     return text
 
@@ -274,9 +264,7 @@ def _merge(args: argparse.Namespace) -> int:
         found = {"cases": merged.cases, "done": done, "missing": merged.missing, "statuses": merged.statuses}
         print(json.dumps(found | {"shards": list(merged.shards)}))
     else:
-        print(
-            f"{merged.folder}: {done} of {merged.cases} flights from {len(merged.shards)} shards, {_failures(merged.statuses)}"
-        )
+        print(f"{merged.folder}: {done} of {merged.cases} flights from {len(merged.shards)} shards, {_failures(merged.statuses)}")
     if merged.missing and not args.json:
         print(
             f"{merged.missing} flights are in none of {', '.join(merged.shards)}; fly the shards that lack, then merge again",

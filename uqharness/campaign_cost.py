@@ -129,9 +129,7 @@ def epistemic_count(spec: CampaignSpec) -> int:
     means = sum(item.mean_interval is not None for item in spec.aleatory.variables.values())
     moved = 0 if section.method == "none" else len(spec.inputs.coefficients)
     values = len(section.levels) if section.method == "levels" and section.levels else 2
-    return int(
-        values ** (moved + means) * (section.samples if section.parameters is not None and section.samples else 1)
-    )
+    return int(values ** (moved + means) * (section.samples if section.parameters is not None and section.samples else 1))
 
 
 def one_case(spec: CampaignSpec, mission: Mission) -> Case:

@@ -60,9 +60,7 @@ def read_checked(folder: Path, manifest: Mapping[str, Any], name: str) -> bytes:
     if is_sealed(manifest):
         expected = manifest.get("tables", {}).get(name)
         if expected is None:
-            raise DamageError(
-                path, "the manifest knows of no such table; the command that wrote it writes it again", folder
-            )
+            raise DamageError(path, "the manifest knows of no such table; the command that wrote it writes it again", folder)
         if digest_of(content) != expected:
             raise DamageError(path, "its content does not fit the digest in the manifest", folder)
     return content

@@ -104,9 +104,7 @@ def _findings(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> list[Finding]
                     continue
                 box = pbox(corners, band_confidence(campaign, CONFIDENCE))
                 published = _published(campaign, condition, quantity) if measured else None
-                found.append(
-                    Finding(metric, quantity, words, _UNITS[unit], measured, condition, box, corners, published)
-                )
+                found.append(Finding(metric, quantity, words, _UNITS[unit], measured, condition, box, corners, published))
     return found
 
 
@@ -131,9 +129,7 @@ def _asked(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> str:
     }[epistemic["method"]]
     if epistemic["method"] == "walk":
         rates = epistemic["walk_rate_per_sqrt_s"]
-        samples_text += (
-            " at " + ", ".join(f"{name} {rate:.3g}" for name, rate in rates.items()) + " per square root of a second"
-        )
+        samples_text += " at " + ", ".join(f"{name} {rate:.3g}" for name, rate in rates.items()) + " per square root of a second"
     if "parameters" in epistemic:
         samples_text += f"; parameters drawn from {Path(epistemic['parameters']['fit']).name}"
     winds = ", ".join(f"{wind:g}" for wind in air["wind_mps"])
@@ -201,16 +197,12 @@ def _median_sentence(both: Sequence[Finding], duration_s: float) -> str:
     for item in sorted(both, key=lambda finding: finding.measured):
         low, high = item.box.quantile(0.5)
         parts.append(f"{span(low, high)} {item.unit} {'as measured' if item.measured else 'in truth'}")
-    text = (
-        f"Median {both[0].words} error of a typical {duration_s:g} s flight, best to worst corner: {', '.join(parts)}"
-    )
+    text = f"Median {both[0].words} error of a typical {duration_s:g} s flight, best to worst corner: {', '.join(parts)}"
     for item in both:
         if item.published is not None:
             low, high = item.box.value[0], item.box.value[-1]
             where = "within" if low <= item.published <= high else "below" if item.published < low else "above"
-            text += (
-                f"; the published flight's {item.published:g} {item.unit} lies {where} what single flights measured, "
-            )
+            text += f"; the published flight's {item.published:g} {item.unit} lies {where} what single flights measured, "
             text += f"{low:.3g} to {high:.3g} {item.unit}"
     return text + "."
 

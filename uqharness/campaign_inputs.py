@@ -128,24 +128,16 @@ def _estimates(path: Path, asked: tuple[str, ...] | None) -> Estimates:
             f"{path}: not a fit with parameters, names and cov ({error}); make one with: uqharness identify"
         ) from None
     if not names:
-        raise BadInputError(
-            f"{path}: nothing was identified in this fit, so there is no parameter uncertainty to draw from"
-        )
-    if covariance.shape != (len(names), len(names)) or not (
-        np.isfinite(covariance).all() and np.isfinite(values).all()
-    ):
-        raise BadInputError(
-            f"{path}: cov must be a finite {len(names)} x {len(names)} matrix, as many as there are names"
-        )
+        raise BadInputError(f"{path}: nothing was identified in this fit, so there is no parameter uncertainty to draw from")
+    if covariance.shape != (len(names), len(names)) or not (np.isfinite(covariance).all() and np.isfinite(values).all()):
+        raise BadInputError(f"{path}: cov must be a finite {len(names)} x {len(names)} matrix, as many as there are names")
     if not np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0):
         raise BadInputError(f"{path}: cov is not symmetric")
     found = Estimates(tuple(names), values, 0.5 * (covariance + covariance.T))
     if asked is not None:
         unknown = [name for name in asked if name not in names]
         if unknown:
-            raise BadInputError(
-                f"{path}: {', '.join(unknown)} is not among the identified parameters ({', '.join(names)})"
-            )
+            raise BadInputError(f"{path}: {', '.join(unknown)} is not among the identified parameters ({', '.join(names)})")
         rows = [names.index(name) for name in asked]
         found = Estimates(asked, values[rows], found.covariance[np.ix_(rows, rows)])
     try:

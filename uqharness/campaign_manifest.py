@@ -70,8 +70,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         content = read_regular(path, _MOST_BYTES)
     except FileNotFoundError:
         raise BadInputError(
-            f"{folder}: not a campaign folder (no {MANIFEST}); "
-            "make one with: uqharness campaign run CAMPAIGN.toml --out DIR"
+            f"{folder}: not a campaign folder (no {MANIFEST}); make one with: uqharness campaign run CAMPAIGN.toml --out DIR"
         ) from None
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
@@ -127,9 +126,7 @@ def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
     write_bytes(folder / MANIFEST, (json.dumps(content, indent=2) + "\n").encode())
 
 
-def refuse_if_different(
-    folder: Path, old: Mapping[str, Any], new: Mapping[str, Any], but_for: tuple[str, ...] = ()
-) -> None:
+def refuse_if_different(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any], but_for: tuple[str, ...] = ()) -> None:
     """BadInputError naming every difference that makes the folder's flights no part of the campaign now asked for.
 
     Versions and hashes named in ``but_for`` may differ.
@@ -155,8 +152,7 @@ def refuse_if_different(
             differences.append(f"the content of the file named as {role} has changed: {before} then, {after} now")
     if differences:
         raise BadInputError(
-            f"{folder}: this folder holds another campaign: {'; '.join(differences)}. "
-            "Choose another --out, or restore what changed"
+            f"{folder}: this folder holds another campaign: {'; '.join(differences)}. Choose another --out, or restore what changed"
         )
 
 

@@ -44,9 +44,7 @@ def pbox_section(found: CampaignFound, prefix: str = "") -> Section:
     """P-boxes of the medians in the first conditions, and the table of their middles in all."""
     drawn = hardest_first(conditions(found.frame))[:CONDITIONS_DRAWN]
     words = corner_words(found.frame)
-    figures = tuple(
-        _figure(item, words, prefix) for condition in drawn for item in found.findings if item.condition == condition
-    )
+    figures = tuple(_figure(item, words, prefix) for condition in drawn for item in found.findings if item.condition == condition)
     intro = (
         "Each thin curve is one epistemic sample: the share of its flights whose median error is at most the value below. "
         "The bold pair is their envelope, the p-box; its width is what is not known of the model, its slope is chance. The "
@@ -106,14 +104,11 @@ def grid_section(signed: Sequence[Statement], title: str = "Where the answer is 
         }
         winds = sorted({wind for _, wind in cells})
         rows: list[tuple[str | Cell, ...]] = [
-            (air, *(_grid_cell(cells.get((air, wind))) for wind in winds))
-            for air in dict.fromkeys(air for air, _ in cells)
+            (air, *(_grid_cell(cells.get((air, wind))) for wind in winds)) for air in dict.fromkeys(air for air, _ in cells)
         ]
         head = ("Turbulence", *(f"{wind:g} m/s wind" for wind in winds))
         if cells:
-            tables.append(
-                Table(f"Excursions beyond {radius:g} m, horizontal distance, per flight hour.", head, tuple(rows))
-            )
+            tables.append(Table(f"Excursions beyond {radius:g} m, horizontal distance, per flight hour.", head, tuple(rows)))
     return Section(title, (Words(text, note=True), *tables))
 
 
@@ -121,9 +116,7 @@ def _grid_cell(item: Statement | None) -> Cell:
     if item is None:
         return Cell("not flown")
     limits = f"{item.worst.lower:.2g} to {shown(item.worst.upper)}"
-    rate = (
-        "undefined: no flight was scored" if math.isnan(item.worst.rate) else f"{item.worst.rate:.3g} per h [{limits}]"
-    )
+    rate = "undefined: no flight was scored" if math.isnan(item.worst.rate) else f"{item.worst.rate:.3g} per h [{limits}]"
     level: Level = answer_level(item)
     return Cell(item.answer, level, rate, mark=_MARKS[item.answer])
 
@@ -192,9 +185,7 @@ def _excursion_row(cell: ExcursionCell, words: dict[str, str]) -> tuple[str | Ce
         cell.condition.label,
         f"{cell.radius_m:g} m, {'3-D' if cell.distance == '3d' else 'horizontal'}",
         Cell(_rate(best, best.rate, best.events), small=words.get(best.epistemic_id, best.epistemic_id)),
-        Cell(
-            _rate(worst, worst.rate_upper, worst.events_upper), small=words.get(worst.epistemic_id, worst.epistemic_id)
-        ),
+        Cell(_rate(worst, worst.rate_upper, worst.events_upper), small=words.get(worst.epistemic_id, worst.epistemic_id)),
         f"{best.simultaneous[0]:.2g} to {shown(worst.simultaneous[1])}",
         f"{worst.hours:.3g}",
         str(sum(rate.failed for rate in cell.rates)),
@@ -214,9 +205,7 @@ def failure_section(frame: pd.DataFrame) -> Section:
     failed = frame[frame["status"] != "ok"]
     if failed.empty:
         return Section("Failed flights", (Words("None."),))
-    more = (
-        f", the first {_FAILURES_LISTED} are listed; all are in cases.parquet" if len(failed) > _FAILURES_LISTED else ""
-    )
+    more = f", the first {_FAILURES_LISTED} are listed; all are in cases.parquet" if len(failed) > _FAILURES_LISTED else ""
     names = ["case_id", "epistemic_id", "aleatory_id", "wind_mps", "turbulence", "status", "reason"]
     rows = []
     for case, corner, flight, wind, air, status, reason in failed[names].head(_FAILURES_LISTED).itertuples(index=False):

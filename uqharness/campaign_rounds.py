@@ -116,9 +116,7 @@ class Rounds:
         first, flown, flights = 0, 0, 1 + max(case.aleatory_id for case in self._cases)
         while first < flights and any(cell.evidence.open.any() for cell in self._cells):
             ids = range(first, min(first + self._rule.look_every, flights))
-            now = sorted(
-                (case for cell in self._cells for case in cell.open_cases(ids)), key=lambda case: order[case.case_id]
-            )
+            now = sorted((case for cell in self._cells for case in cell.open_cases(ids)), key=lambda case: order[case.case_id])
             flown += len(now)
             yield now
             outcomes = {case.case_id: _outcome(store, case) for case in now}
@@ -146,9 +144,7 @@ class Rounds:
 
 def decision_rows(content: bytes, path: Path) -> list[dict[str, str]]:
     """Rows of decisions.csv, as text. Raises BadInputError."""
-    return csv_rows(
-        content, path, ("radius_m", "acceptable_per_h", "hours"), ("condition", "epistemic_id", "answer", "reason")
-    )
+    return csv_rows(content, path, ("radius_m", "acceptable_per_h", "hours"), ("condition", "epistemic_id", "answer", "reason"))
 
 
 class _Cell:

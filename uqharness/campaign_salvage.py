@@ -150,9 +150,7 @@ def _salvage_campaign(folder: Path, flying: Flying, campaign: CampaignSpec | Non
     with run_lock(folder):
         spec, manifest, aside = _known_campaign(folder, campaign, command)
         if manifest["state"] == SPOILT:
-            raise BadInputError(
-                f"{folder}: aircraft or script was edited while this campaign flew; remove it and run again"
-            )
+            raise BadInputError(f"{folder}: aircraft or script was edited while this campaign flew; remove it and run again")
         wanted = _case_ids(folder, spec, manifest)
         try:
             _refuse_damage(folder, manifest)
@@ -173,9 +171,7 @@ def _salvage_campaign(folder: Path, flying: Flying, campaign: CampaignSpec | Non
     return Salvaged(folder, kept, flown, 0, summary.statuses, summary.rewritten, tuple(aside))
 
 
-def _known_campaign(
-    folder: Path, campaign: CampaignSpec | None, command: str
-) -> tuple[CampaignSpec, dict[str, Any], list[str]]:
+def _known_campaign(folder: Path, campaign: CampaignSpec | None, command: str) -> tuple[CampaignSpec, dict[str, Any], list[str]]:
     """The campaign of the folder and its manifest, rebuilt from ``campaign`` where it is damaged; what was put aside."""
     try:
         manifest = read_manifest(folder)
@@ -204,9 +200,7 @@ def _refuse_other_versions(folder: Path) -> None:
     """A damaged manifest can often still be read for the versions that flew; flights of two are not mixed."""
     with contextlib.suppress(OSError, ValueError, RecursionError, AttributeError):
         said = json.loads(read_regular(folder / MANIFEST)).get("versions")
-        differences = [
-            f"{name} {said[name]} then, {now} now" for name, now in binding_versions() if said.get(name, now) != now
-        ]
+        differences = [f"{name} {said[name]} then, {now} now" for name, now in binding_versions() if said.get(name, now) != now]
         if differences:
             raise BadInputError(f"{folder}: this folder holds flights of other versions: {'; '.join(differences)}")
 
@@ -343,7 +337,5 @@ def _out_of(folder: Path, shard: Shard | None) -> Path:
         return folder
     place = folder.resolve()
     if (place.parent.name, place.name) != (SHARDS, shard.folder):
-        raise BadInputError(
-            f"{folder}: holds shard {shard} and must lie in {SHARDS}/{shard.folder} of the campaign's folder"
-        )
+        raise BadInputError(f"{folder}: holds shard {shard} and must lie in {SHARDS}/{shard.folder} of the campaign's folder")
     return place.parent.parent

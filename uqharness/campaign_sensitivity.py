@@ -89,19 +89,11 @@ def read_interior_campaign(folder: Path, corners: Flown) -> Flown:
         raise BadInputError(f'{folder}: not a campaign of levels; fly one with method = "levels", levels = [0.5]')
     mine, theirs = flown.manifest["campaign"], corners.manifest["campaign"]
     different = [key for key in ("seed",) if mine["campaign"][key] != theirs["campaign"][key]]
-    different += [
-        key for key in theirs["aleatory"] if key != "flights" and mine["aleatory"].get(key) != theirs["aleatory"][key]
-    ]
-    different += [
-        key for key in ("coefficients", "bounds") if mine["epistemic"].get(key) != theirs["epistemic"].get(key)
-    ]
-    different += [
-        key for key, value in corners.manifest["hashes"].items() if flown.manifest["hashes"].get(key) != value
-    ]
+    different += [key for key in theirs["aleatory"] if key != "flights" and mine["aleatory"].get(key) != theirs["aleatory"][key]]
+    different += [key for key in ("coefficients", "bounds") if mine["epistemic"].get(key) != theirs["epistemic"].get(key)]
+    different += [key for key, value in corners.manifest["hashes"].items() if flown.manifest["hashes"].get(key) != value]
     if mine["aleatory"]["flights"] < theirs["aleatory"]["flights"]:
-        different.append(
-            f"flights ({mine['aleatory']['flights']}, at least {theirs['aleatory']['flights']} are needed)"
-        )
+        different.append(f"flights ({mine['aleatory']['flights']}, at least {theirs['aleatory']['flights']} are needed)")
     if different:
         raise BadInputError(f"{folder}: does not belong to {corners.folder}: {', '.join(different)} differ")
     return flown

@@ -110,15 +110,11 @@ class CampaignSpec:
         """Every setting, defaults included, as plain JSON types: two files that mean the same give the same."""
         sections = {name: getattr(self, name) for name in _Document.model_fields}
         found = {
-            name: section.model_dump(mode="json", exclude_none=True)
-            for name, section in sections.items()
-            if section is not None
+            name: section.model_dump(mode="json", exclude_none=True) for name, section in sections.items() if section is not None
         }
         found["epistemic"]["coefficients"] = list(self.inputs.coefficients)
         if self.epistemic.method == "walk":
-            found["epistemic"]["walk_rate_per_sqrt_s"] = {
-                name: self.inputs.walk_rates[name] for name in self.inputs.coefficients
-            }
+            found["epistemic"]["walk_rate_per_sqrt_s"] = {name: self.inputs.walk_rates[name] for name in self.inputs.coefficients}
         return found
 
     def with_hours(self, hours: float) -> CampaignSpec:
@@ -126,9 +122,7 @@ class CampaignSpec:
         if not (math.isfinite(hours) and hours > 0):
             raise BadInputError(f"--hours {hours:g}: must be a number of flight hours greater than 0")
         if self.stop.rule == "band-width":
-            raise BadInputError(
-                f'--hours {hours:g}: [stop] rule = "band-width" says how much is flown; leave out one of them'
-            )
+            raise BadInputError(f'--hours {hours:g}: [stop] rule = "band-width" says how much is flown; leave out one of them')
         flights = math.ceil(hours * 3600.0 / self.aleatory.duration_s - 1e-9)
         given = self.stop.model_copy(update={"hours": float(hours)}) if self.stop.rule == "hours" else self.stop
         return dataclasses.replace(self.with_flights(max(1, flights)), stop=given)

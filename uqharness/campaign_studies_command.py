@@ -26,14 +26,10 @@ Exit codes: 0 no contradiction, 1 flights lie outside by more than chance explai
 
 def register(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the verbs to those of ``campaign``."""
-    convergence = add_verb(
-        verbs, "convergence", "were there enough flights and epistemic samples", _CONVERGENCE_EXAMPLE
-    )
+    convergence = add_verb(verbs, "convergence", "were there enough flights and epistemic samples", _CONVERGENCE_EXAMPLE)
     convergence.add_argument("folder", type=Path, metavar="DIR", help="campaign folder")
     convergence.add_argument("--repeats", type=int, default=10, metavar="N", help="parts of the flights (default 10)")
-    convergence.add_argument(
-        "--metric", action="append", default=[], metavar="NAME", help="column of cases.parquet (repeatable)"
-    )
+    convergence.add_argument("--metric", action="append", default=[], metavar="NAME", help="column of cases.parquet (repeatable)")
     convergence.set_defaults(handler=_convergence)
     area = add_verb(verbs, "area", "area metric of real flights against the p-boxes", _AREA_EXAMPLE)
     area.add_argument("folder", type=Path, metavar="DIR", help="campaign folder")
@@ -60,11 +56,7 @@ def _convergence(args: argparse.Namespace) -> int:
             paths.append(figures / f"convergence-{item.metric.replace('_', '-')}-{condition}.svg")
             write_bytes(paths[-1], draw_convergence(item))
     if args.json:
-        print(
-            json.dumps(
-                {"table": str(args.folder / CONVERGENCE), "figures": list(map(str, paths)), "rows": as_rows(found)}
-            )
-        )
+        print(json.dumps({"table": str(args.folder / CONVERGENCE), "figures": list(map(str, paths)), "rows": as_rows(found)}))
     else:
         print("\n".join([*sentences(found), f"{args.folder / CONVERGENCE}: written, with {len(paths)} figures"]))
     return 0
@@ -77,8 +69,7 @@ def _area(args: argparse.Namespace) -> int:
     found = compare(args.folder, read_flights(args.flight, dict(map(_value, args.value))))
     record_table(args.folder, AREAS, table(found))
     rows = [
-        {"metric": item.metric, "condition": item.condition.label, "verdict": item.verdict} | asdict(item.found)
-        for item in found
+        {"metric": item.metric, "condition": item.condition.label, "verdict": item.verdict} | asdict(item.found) for item in found
     ]
     if args.json:
         print(json.dumps({"table": str(args.folder / AREAS), "rows": rows}))
@@ -96,6 +87,4 @@ def _value(text: str) -> tuple[str, float]:
     try:
         return name.strip(), float(number)
     except ValueError:
-        raise BadInputError(
-            f"--value {text}: must be METRIC=NUMBER, such as cross_track_median_m_measured=9.41"
-        ) from None
+        raise BadInputError(f"--value {text}: must be METRIC=NUMBER, such as cross_track_median_m_measured=9.41") from None

@@ -35,9 +35,7 @@ def register(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
     verify = add_verb(verbs, "verify", "is everything as it was written", _VERIFY_EXAMPLE)
     verify.add_argument("folder", type=Path, metavar="DIR", help="campaign folder")
     verify.set_defaults(handler=_verify)
-    salvage = add_verb(
-        verbs, "salvage", "keep what is sound of a damaged campaign and fly the rest again", _SALVAGE_EXAMPLE
-    )
+    salvage = add_verb(verbs, "salvage", "keep what is sound of a damaged campaign and fly the rest again", _SALVAGE_EXAMPLE)
     salvage.add_argument("folder", type=Path, metavar="DIR", help="campaign folder, or that of a shard")
     salvage.add_argument(
         "--campaign", type=Path, metavar="CAMPAIGN.toml", help="what was flown, where manifest.json is damaged or gone"
@@ -58,10 +56,7 @@ def _verify(args: argparse.Namespace) -> int:
 
 
 def _verified_json(found: Verified) -> dict[str, Any]:
-    items = [
-        {"name": item.name, "state": item.state, "remark": item.remark, "digest": item.digest or None}
-        for item in found.items
-    ]
+    items = [{"name": item.name, "state": item.state, "remark": item.remark, "digest": item.digest or None} for item in found.items]
     document: dict[str, Any] = {
         "folder": str(found.folder),
         "whole": found.whole,

@@ -39,9 +39,7 @@ UNCOMMANDED_METRICS = ("heading_median_deg", "heading_mean_deg", "heading_max_de
 def excursion_columns(radii_m: Iterable[float]) -> tuple[str, ...]:
     """Names of the excursion counts: horizontal distance first, then the 3-D ones."""
     radii = tuple(radii_m)
-    return tuple(f"excursions_{radius:g}m" for radius in radii) + tuple(
-        f"excursions_{radius:g}m_3d" for radius in radii
-    )
+    return tuple(f"excursions_{radius:g}m" for radius in radii) + tuple(f"excursions_{radius:g}m_3d" for radius in radii)
 
 
 def build_table(cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> pa.Table:
@@ -108,15 +106,11 @@ def parse_table(content: bytes, path: Path, rows: int | None = None) -> pa.Table
         with pq.ParquetFile(pa.BufferReader(content)) as file:
             found = file.metadata
             if rows is not None and found.num_rows != rows:
-                raise BadInputError(
-                    f"{path}: has {found.num_rows} flights, the manifest speaks of {rows}; run the campaign again"
-                )
+                raise BadInputError(f"{path}: has {found.num_rows} flights, the manifest speaks of {rows}; run the campaign again")
             groups = [found.row_group(number).total_byte_size for number in range(found.num_row_groups)]
             wanted = max(8 * found.num_rows * found.num_columns, sum(groups))
             if wanted > _MOST_MEMORY_BYTES:
-                raise BadInputError(
-                    f"{path}: would take {wanted / 1e9:.3g} GB of memory; at most {_MOST_MEMORY_BYTES / 1e9:g} GB"
-                )
+                raise BadInputError(f"{path}: would take {wanted / 1e9:.3g} GB of memory; at most {_MOST_MEMORY_BYTES / 1e9:g} GB")
             table = file.read()
             # Text that is no UTF-8, offsets that lead out of a buffer: the reader itself takes them as they come.
             table.validate(full=True)
@@ -145,9 +139,7 @@ def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> p
     for name, known in (("status", STATUSES), ("turbulence", tuple(TURBULENCE_W20_KT))):
         wrong += [name] if set(table[name].unique().to_pylist()) - set(known) else []
     if wrong or not table.num_rows:
-        raise BadInputError(
-            f"{path}: column {(wrong or ['case_id'])[0]} holds what no flight leaves; run the campaign again"
-        )
+        raise BadInputError(f"{path}: column {(wrong or ['case_id'])[0]} holds what no flight leaves; run the campaign again")
     return table
 
 

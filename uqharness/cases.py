@@ -93,9 +93,7 @@ def _cases(spec: CampaignSpec, mission: Mission) -> Iterator[Case]:
         draws = {name: unit_draw(root_seed, aleatory_id, name, item) for name, item in air.variables.items()}
         for wind_mps, turbulence in itertools.product(air.wind_mps, air.turbulence):
             for sample, properties in samples:
-                values = {
-                    name: item.value(draws[name], sample.means.get(name, 0.5)) for name, item in air.variables.items()
-                }
+                values = {name: item.value(draws[name], sample.means.get(name, 0.5)) for name, item in air.variables.items()}
                 flight = FlightSpec(
                     aircraft=mission.aircraft,
                     script=mission.script,

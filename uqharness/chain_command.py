@@ -30,9 +30,7 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("study", type=Path, metavar="STUDY.toml", help="what to do with which flights")
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the results, made if need be"
-    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results, made if need be")
     parser.add_argument("--workers", type=int, metavar="N", help="processes of each stage (default: one per core)")
     parser.add_argument("--json", action="store_true", help="print study.json, and where the report is")
     parser.set_defaults(handler=_run)

@@ -134,9 +134,7 @@ def _excursions(item: Statement, before: Statement | None) -> Sentence:
     )
     if before is None:
         return asked + ".", _LEVELS[item.answer]
-    return f"{asked}. Before refinement: {_ANSWERS[before.answer].split(',')[0]}, {_rates(before)}.", _LEVELS[
-        item.answer
-    ]
+    return f"{asked}. Before refinement: {_ANSWERS[before.answer].split(',')[0]}, {_rates(before)}.", _LEVELS[item.answer]
 
 
 def _rates(item: Statement) -> str:
@@ -160,9 +158,7 @@ def _width(rows: pd.DataFrame, metric: str) -> Width | None:
     median = pbox(found, CONFIDENCE).quantile(0.5)
     unknown = sum(sample.unknown for sample in found)
     if unknown:
-        return Width(
-            math.inf, median, f"{unknown} of {len(rows)} flights have no such error, which leaves its sides open"
-        )
+        return Width(math.inf, median, f"{unknown} of {len(rows)} flights have no such error, which leaves its sides open")
     return Width(area(found), median)
 
 
@@ -204,9 +200,7 @@ def _ended(flown: Mapping[str, _Flown]) -> Sentence:
     for when, item in flown.items():
         frame = item.frame
         failed, lost = int((frame["status"] != "ok").sum()), int(frame["loss_of_control"].fillna(0).sum())
-        parts.append(
-            f"{len(frame)} {when if len(flown) > 1 else ''}".strip() + f" ({failed} failed, control lost in {lost})"
-        )
+        parts.append(f"{len(frame)} {when if len(flown) > 1 else ''}".strip() + f" ({failed} failed, control lost in {lost})")
         failed_any, lost_any = failed_any or failed > 0, lost_any or lost > 0
     level = BAD if lost_any else WARN if failed_any else GOOD
     return f"Flights: {', '.join(parts)}; a failed flight is bounded at the worst, never dropped.", level

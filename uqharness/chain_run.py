@@ -71,9 +71,7 @@ def run_chain(
         pair = {when: f"campaign-{when}" for when in (BEFORE, AFTER) if f"campaign-{when}" in {s.name for s in stages}}
         if len(pair) == 2:
             document["before_after"] = pair
-        document["verdict"] = [
-            {"text": text, "level": level} for text, level in judge(spec, stages, document["stages"], out)
-        ]
+        document["verdict"] = [{"text": text, "level": level} for text, level in judge(spec, stages, document["stages"], out)]
         document["state"] = "done"
         write_study(out, document)
     return document
@@ -94,9 +92,7 @@ def _row(stage: Stage, old: Mapping[str, Any] | None) -> dict[str, Any]:
     return row | {"name": stage.name, "kind": stage.kind, "folder": stage.folder, "command": stage.command}
 
 
-def _settle(
-    stage: Stage, row: dict[str, Any], out: Path, workers: int | None, save: Callable[[], None], say: Say
-) -> None:
+def _settle(stage: Stage, row: dict[str, Any], out: Path, workers: int | None, save: Callable[[], None], say: Say) -> None:
     """Bring one stage to done, unless it is and would come out the same; ``row`` is brought up to date and saved."""
     inputs = {label: content(path) for label, path in stage.inputs.items()}
     missing = [label for label, digest in inputs.items() if not digest]

@@ -129,9 +129,7 @@ class _Document(Section):
     @model_validator(mode="after")
     def _something(self) -> _Document:
         if not (self.identify or self.compare or self.bounds or self.refine or self.campaign is not None):
-            raise ValueError(
-                "asks for nothing; give at least one of [identify], [compare], [bounds], [refine], [campaign]"
-            )
+            raise ValueError("asks for nothing; give at least one of [identify], [compare], [bounds], [refine], [campaign]")
         return self
 
 

@@ -145,9 +145,7 @@ class _Planner:
             words += ["--set", f"{name}={value!r}"]
         options = item.model_dump(mode="json", exclude={"aircraft", "script"})
         inputs = {truth.label: truth.folder, f"{item.script} (script)": script}
-        return self._stage(
-            f"fly-{item.name}", "fly", out.parent, [*words, "--out", str(out)], inputs, [out], options, owns=[out]
-        )
+        return self._stage(f"fly-{item.name}", "fly", out.parent, [*words, "--out", str(out)], inputs, [out], options, owns=[out])
 
     def _import(self, name: str, log: Path, model: _Model, own: LogSection | None, number: int = 0) -> Stage:
         out = self.records[name]
@@ -172,9 +170,7 @@ class _Planner:
             words += [] if value is None else [f"--{option}", ",".join(value) or "none"]
         options = section.model_dump(mode="json") | {"servos": self.spec.study.servos}
         inputs = {model.label: model.folder} | self._flight_inputs(section.flights)
-        return self._stage(
-            "identify", "identify", out, words, inputs, [out / "fit.json", out / "aircraft"], options, workers=True
-        )
+        return self._stage("identify", "identify", out, words, inputs, [out / "fit.json", out / "aircraft"], options, workers=True)
 
     def _compare(self, flight: str, model: _Model, when: str) -> Stage:
         name = f"compare-{flight}-{when}"

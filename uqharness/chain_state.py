@@ -32,9 +32,7 @@ def read_study(folder: Path) -> dict[str, Any] | None:
     except ParseError as error:
         raise BadInputError(f"{path}: {error}; choose another --out") from None
     if not isinstance(document, dict) or document.get("format") != _FORMAT:
-        raise BadInputError(
-            f"{path}: written by another version of uqharness, or not by uqharness; choose another --out"
-        )
+        raise BadInputError(f"{path}: written by another version of uqharness, or not by uqharness; choose another --out")
     return document
 
 
@@ -66,13 +64,9 @@ def refuse_foreign(folder: Path, old: Mapping[str, Any] | None, new: Mapping[str
     The same file in the same place may have been edited, and the same content may have moved: the stages tell what still holds.
     """
     if old is None:
-        others = (
-            sorted(p.name for p in folder.iterdir() if p.name != LOCK and p.suffix != PART) if folder.is_dir() else []
-        )
+        others = sorted(p.name for p in folder.iterdir() if p.name != LOCK and p.suffix != PART) if folder.is_dir() else []
         if others:
-            raise BadInputError(
-                f"--out {folder}: not empty and no study's folder (it has {others[0]}); choose another --out"
-            )
+            raise BadInputError(f"--out {folder}: not empty and no study's folder (it has {others[0]}); choose another --out")
         return
     elsewhere = old["path"] != new["path"] and old["hash"] != new["hash"]
     if old["study"] != new["study"] or elsewhere:

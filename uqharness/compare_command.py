@@ -89,13 +89,10 @@ def _figures(found: Any, out: Any) -> None:
     folder = inner_folder(out, "figures")
     title = f"{found.flight} beside {found.aircraft}"
     shown = {
-        m: {c: v for c, v in row.items() if math.isfinite(v) and found.channels[c].judged}
-        for m, row in found.manoeuvres.items()
+        m: {c: v for c, v in row.items() if math.isfinite(v) and found.channels[c].judged} for m, row in found.manoeuvres.items()
     }
     gap_figure(shown, folder / "gaps.svg", title, LIMIT)
-    coefficient_figure(
-        [s.time_s for s in found.segments], found.demanded, found.predicted, folder / "coefficients.svg", title
-    )
+    coefficient_figure([s.time_s for s in found.segments], found.demanded, found.predicted, folder / "coefficients.svg", title)
     for number, segment in enumerate(found.segments):
         name = re.sub(r"[^\w.-]+", "-", f"{number:02d}-{segment.label}")
         segment_figure(

@@ -27,16 +27,12 @@ def compare_page(folder: Path, prefix: str = "", segments: int = MOST_SEGMENTS) 
     # What is not judged (height, heading) may have a noise that says nothing.
     noise = {c: row["noise"] if row.get("judged", True) else None for c, row in found["channels"].items()}
     sections = [_channel_section(found["channels"], prefix)]
-    drawn = history_section(
-        histories, noise, [Model("_model", "first", "model")], "Log against model", f"{prefix}gap-", segments
-    )
+    drawn = history_section(histories, noise, [Model("_model", "first", "model")], "Log against model", f"{prefix}gap-", segments)
     sections += [] if drawn is None else [drawn]
     sections += [_coefficient_section(found["coefficients"], histories, prefix), _manoeuvre_section(found)]
     if found.get("notes"):
         sections.append(Section("Notes", (Bullets(tuple(found["notes"])),)))
-    files = (
-        "compare.json, channels.csv, coefficients.csv, manoeuvres.csv, moments.csv, histories.parquet, beside this page"
-    )
+    files = "compare.json, channels.csv, coefficients.csv, manoeuvres.csv, moments.csv, histories.parquet, beside this page"
     facts = (
         ("Command", found.get("command") or "not recorded"),
         ("Rule", found.get("rule", "not recorded")),
@@ -54,20 +50,12 @@ def _verdict(found: Mapping[str, Any]) -> tuple[Say, ...]:
         said = [Say(found["verdict"], "good" if reached else "bad")]
     else:
         above = ", ".join(f"{c} {channels[c]['ratio']:.2f}" for c in found.get("above", ()))
-        text = (
-            "The model reaches the noise floor." if reached else f"The model does not reach the noise floor: {above}."
-        )
+        text = "The model reaches the noise floor." if reached else f"The model does not reach the noise floor: {above}."
         said = [Say(text, "good" if reached else "bad")]
-    known = {
-        c: r["rms"] / r["noise"]
-        for c, r in found["coefficients"].items()
-        if r.get("rms") is not None and r.get("noise")
-    }
+    known = {c: r["rms"] / r["noise"] for c, r in found["coefficients"].items() if r.get("rms") is not None and r.get("noise")}
     if known:
         worst = max(known, key=lambda c: known[c])
-        said.append(
-            Say(f"Of the coefficients {worst} is farthest from the flight: {known[worst]:.2f} times what noise gives.")
-        )
+        said.append(Say(f"Of the coefficients {worst} is farthest from the flight: {known[worst]:.2f} times what noise gives."))
     return tuple(said)
 
 
@@ -79,20 +67,10 @@ def _channel_section(channels: Mapping[str, Mapping[str, Any]], prefix: str) -> 
         ratio = row["ratio"]
         judged = row.get("judged", True)
         level: Level = "" if not judged or ratio is None else "good" if ratio <= LIMIT else "bad"
-        answer = (
-            "not judged"
-            if not judged
-            else "undefined"
-            if ratio is None
-            else "at the noise"
-            if level == "good"
-            else "above"
-        )
+        answer = "not judged" if not judged else "undefined" if ratio is None else "at the noise" if level == "good" else "above"
         delay = f"{shown(_milli(row.get('delay_s')), '.1f')} ± {shown(_milli(row.get('delay_std_s')), '.1f')}"
         theil = shown(row.get("theil_u"), ".3f")
-        rows.append(
-            (f"{quantity} [{unit}]", shown(rms), shown(noise), shown(ratio, ".2f"), Cell(answer, level), delay, theil)
-        )
+        rows.append((f"{quantity} [{unit}]", shown(rms), shown(noise), shown(ratio, ".2f"), Cell(answer, level), delay, theil))
     head = ("Channel", "rms of log minus model", "Noise", "Ratio", "Answer", "Delay [ms]", "Theil's U")
     ratios = {
         shown_channel(c)[0]: {"model": r["ratio"]}
@@ -161,9 +139,7 @@ def _coefficient_section(rows: Mapping[str, Mapping[str, Any]], histories: Seque
             drawn = [(key.format(c), kind, words) for key, kind, words in series]
             label = f"{c} [1] that the flight demanded and that the model gives, segments end to end."
             figures.append(
-                end_to_end(
-                    histories, f"{prefix}gap-{c}", drawn, None, label, f"{c} [1]", f"{c} [1], segments end to end"
-                )
+                end_to_end(histories, f"{prefix}gap-{c}", drawn, None, label, f"{c} [1]", f"{c} [1], segments end to end")
             )
     blocks = (Figures(tuple(figures)),) if figures else ()
     return Section("Gap by coefficient", (*blocks, table))

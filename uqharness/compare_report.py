@@ -168,9 +168,6 @@ def summary(found: Comparison, out: Path) -> str:
             + ("" if row["verdict"] != "not judged" else "  not judged")
         )
     lines += [f"{r['coefficient']:<12}{r['rms']:>10}{r['noise']:>10}{r['ratio']:>7}" for r in coefficient_rows(found)]
-    lines += [
-        f"worst: {m.time_s:.2f} s {m.channel} {m.gap:.3g} ({m.noises:.1f} noises), {m.manoeuvre}"
-        for m in found.moments[:5]
-    ]
+    lines += [f"worst: {m.time_s:.2f} s {m.channel} {m.gap:.3g} ({m.noises:.1f} noises), {m.manoeuvre}" for m in found.moments[:5]]
     lines += [f"note: {n}" for n in found.notes]
     return "\n".join([*lines, verdict(found), f"results in {out}"])

@@ -71,12 +71,9 @@ def study(folder: Path, metrics: Sequence[str] = (), number: int = REPEATS) -> l
 def _of_metric(frame: pd.DataFrame, metric: str, number: int, drawn: bool, seed: int) -> Iterator[Converged]:
     for condition in conditions(frame):
         groups = {
-            str(name): _values(rows, metric)
-            for name, rows in in_condition(frame, condition).groupby("epistemic_id", sort=False)
+            str(name): _values(rows, metric) for name, rows in in_condition(frame, condition).groupby("epistemic_id", sort=False)
         }
-        apart = {
-            name: repeats(values, number, CONFIDENCE) for name, values in groups.items() if values.size >= 2 * number
-        }
+        apart = {name: repeats(values, number, CONFIDENCE) for name, values in groups.items() if values.size >= 2 * number}
         name = max(apart, key=lambda item: apart[item].distance) if apart else ""
         enough = drawn and len(groups) >= 4 and any(np.isfinite(values).any() for values in groups.values())
         grown = tuple(growth(list(groups.values()), seed)) if enough else ()

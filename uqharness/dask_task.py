@@ -75,9 +75,7 @@ def _take(fly: str) -> ProcessExecutor:
 _versions_here = lru_cache(maxsize=1)(binding_versions)
 
 
-def _refuse_unlike(
-    versions: tuple[tuple[str, str], ...], content: tuple[str, str], aircraft: Path, script: Path
-) -> None:
+def _refuse_unlike(versions: tuple[tuple[str, str], ...], content: tuple[str, str], aircraft: Path, script: Path) -> None:
     there, here = dict(versions), dict(_versions_here())
     unlike = [
         f"{name} {there.get(name, 'unknown')} there, {here.get(name, 'unknown')} here"

@@ -131,6 +131,4 @@ def close(evidence: Evidence) -> Evidence:
     if evidence.cell:
         return evidence
     answers = tuple(answer or OPEN for answer in evidence.answers)
-    return replace(
-        evidence, answers=answers, cell=NO if NO in answers else OPEN, reason="" if NO in answers else USED_UP
-    )
+    return replace(evidence, answers=answers, cell=NO if NO in answers else OPEN, reason="" if NO in answers else USED_UP)

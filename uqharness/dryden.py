@@ -103,9 +103,7 @@ def dryden_parameters(V_mps: float, h_m: float, W20_kt: float, b_m: float) -> Dr
     )
 
 
-def dryden_psd(
-    component: Component, omega_radps: npt.ArrayLike, V_mps: float, h_m: float, W20_kt: float, b_m: float
-) -> Array:
+def dryden_psd(component: Component, omega_radps: npt.ArrayLike, V_mps: float, h_m: float, W20_kt: float, b_m: float) -> Array:
     """One-sided spectral density over angular frequency; its integral from 0 to infinity is the variance.
 
     Unit (m/s)^2 s for u, v, w and (rad/s)^2 s for p, q, r.
@@ -146,9 +144,7 @@ def dryden_sigma(component: Component, V_mps: float, h_m: float, W20_kt: float, 
     raise BadInputError(f"component '{component}': expected one of {', '.join(COMPONENTS)}")
 
 
-def dryden_gusts(
-    n: int, dt_s: float, V_mps: float, h_m: float, W20_kt: float, b_m: float, seed: int | Sequence[int]
-) -> GustSeries:
+def dryden_gusts(n: int, dt_s: float, V_mps: float, h_m: float, W20_kt: float, b_m: float, seed: int | Sequence[int]) -> GustSeries:
     """``n`` samples of all six gusts at constant airspeed and height.
 
     ``seed`` is the root seed or a sequence that begins with it, such as (root, aleatory id). u, v with r, w with q, and

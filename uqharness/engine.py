@@ -256,9 +256,7 @@ def require(fdm: Any, names: Iterable[str]) -> None:
     for name in names:
         if not _LEGAL_NAME.fullmatch(name):
             # Property trees of other JSBSim builds end the interpreter at such a name, so it must never get there.
-            raise BadInputError(
-                f"property '{name}': not a legal JSBSim property name (letters, digits, _, -, / and [index])"
-            )
+            raise BadInputError(f"property '{name}': not a legal JSBSim property name (letters, digits, _, -, / and [index])")
         if not manager.hasNode(name):
             near = difflib.get_close_matches(name, catalog(fdm), n=3, cutoff=0.6)
             hint = f"; did you mean {', '.join(near)}?" if near else "; see the aircraft's XML for its properties"

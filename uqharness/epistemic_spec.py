@@ -69,9 +69,7 @@ class EpistemicSection(Section):
     @classmethod
     def _bounds(cls, value: Any) -> Any:
         if isinstance(value, str) and not value.endswith(".json"):
-            raise ValueError(
-                'must be numbers, as { CX = 0.008, ... }, or the file of a model form, as "model-form.json"'
-            )
+            raise ValueError('must be numbers, as { CX = 0.008, ... }, or the file of a model form, as "model-form.json"')
         return {n: _interval(str(n), item) for n, item in value.items()} if isinstance(value, dict) else value
 
     @field_validator("levels", mode="before")
@@ -133,9 +131,7 @@ class EpistemicSection(Section):
             raise ValueError(f'walk_rate_per_sqrt_s belongs to method = "walk", not to "{self.method}"')
         missing = [name for name in self.coefficients if name not in self.walk_rate_per_sqrt_s]
         if missing and not isinstance(self.bounds, str):
-            raise ValueError(
-                f"walk_rate_per_sqrt_s lacks {', '.join(missing)}: give them, or leave them out of coefficients"
-            )
+            raise ValueError(f"walk_rate_per_sqrt_s lacks {', '.join(missing)}: give them, or leave them out of coefficients")
 
 
 def _interval(name: str, item: Any) -> Any:
@@ -147,7 +143,5 @@ def _interval(name: str, item: Any) -> Any:
     if not (isinstance(item, list) and len(item) == 2 and all(map(is_number, item))):
         raise ValueError(f"{name} = {as_toml(item)}: must be a number (±) or a pair [lower, upper]")
     if not item[0] <= 0 <= item[1]:
-        raise ValueError(
-            f"{name} = {as_toml(item)}: must have lower <= 0 <= upper, so that the model itself lies inside"
-        )
+        raise ValueError(f"{name} = {as_toml(item)}: must have lower <= 0 <= upper, so that the model itself lies inside")
     return (float(item[0]), float(item[1]))

@@ -210,9 +210,7 @@ class ProcessExecutor:
         if not worker.ready:
             self._start_failures += 1
             if self._start_failures > _START_FAILURES_ALLOWED and code not in _OUTSIDE_SIGNALS:
-                raise BadInputError(
-                    f"worker processes end before they start ({_describe(code)}); see their message above"
-                )
+                raise BadInputError(f"worker processes end before they start ({_describe(code)}); see their message above")
             again.extendleft(reversed(worker.tasks))
             return []
         outside = code in _OUTSIDE_SIGNALS
@@ -224,9 +222,7 @@ class ProcessExecutor:
         worker.pipe.close()
         return self._second_chance(worker, again, False, "timeout", f"no result after {limit_s:g} s")
 
-    def _second_chance(
-        self, worker: _Worker, again: deque[_Task], outside: bool, status: str, reason: str
-    ) -> list[CaseOutcome]:
+    def _second_chance(self, worker: _Worker, again: deque[_Task], outside: bool, status: str, reason: str) -> list[CaseOutcome]:
         """The case at the head of the dead worker's queue gets the blame; those behind it were not begun."""
         if not worker.tasks:
             return []

@@ -58,9 +58,7 @@ class Prospect:
         return 1.0 - self.ever.total / self.now.total
 
 
-def prospects(
-    form: ModelForm, mission: Occupancy, flown: Residuals, weight: float, trials: Sequence[Trial]
-) -> dict[str, Prospect]:
+def prospects(form: ModelForm, mission: Occupancy, flown: Residuals, weight: float, trials: Sequence[Trial]) -> dict[str, Prospect]:
     """Of every coefficient, from a simulated flight's states. weight: see `sysid.data_worth.information`."""
     behind_s = sum(f.seconds for f in form.flights)
     new_s = sum(float(p.time_s[-1] - p.time_s[0]) for p in flown.pieces)
@@ -70,14 +68,10 @@ def prospects(
         states = mission.of(bounds.states)
         told = [information(bounds, flown.states, weight)]
         share = new_s / behind_s if behind_s > 0.0 else math.nan
-        same = Information(
-            np.asarray(share * np.linalg.inv(bounds.XtX_inv)), share * bounds.n, bounds.hull.low, bounds.hull.high
-        )
+        same = Information(np.asarray(share * np.linalg.inv(bounds.XtX_inv)), share * bounds.n, bounds.hull.low, bounds.hull.high)
         repeated = after(bounds, [same]) if math.isfinite(share) else bounds
         then = after(bounds, told), after(bounds, told, scatter[c]), repeated, for_ever(bounds)
-        out[c] = Prospect(
-            width(bounds, states, form.outside), *(expected_width(bounds, b, states, form.outside) for b in then)
-        )
+        out[c] = Prospect(width(bounds, states, form.outside), *(expected_width(bounds, b, states, form.outside) for b in then))
     return out
 
 

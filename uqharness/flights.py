@@ -64,9 +64,7 @@ class Flight:
         return replace(self, record=record.with_columns(moved))
 
 
-def read_flight(
-    path: Path, aircraft: Aircraft, manoeuvres: Path | None = None, map_path: Path | None = None
-) -> FlightRecord:
+def read_flight(path: Path, aircraft: Aircraft, manoeuvres: Path | None = None, map_path: Path | None = None) -> FlightRecord:
     """The record of a log or record file, free flight alone, manoeuvres labelled if a table is given. Raises BadInputError."""
     try:
         card = aircraft.folder if (aircraft.folder / "airframe.toml").is_file() else None
@@ -102,9 +100,7 @@ def control_columns(measured: Sequence[str]) -> tuple[str, ...]:
     return tuple(_POSITION[name] if name in measured else _COLUMN[name] for name in CONTROLS)
 
 
-def prepare(
-    name: str, record: FlightRecord, measured: Sequence[str], min_s: float = MIN_S, max_s: float = MAX_S
-) -> Flight:
+def prepare(name: str, record: FlightRecord, measured: Sequence[str], min_s: float = MIN_S, max_s: float = MAX_S) -> Flight:
     """Check, thin, align and cut a record. Raises BadInputError naming the channel that is missing and what needs it."""
     columns = control_columns(measured)
     missing = [c for c in (*_NEEDED, *columns) if c not in record or not np.isfinite(record[c]).any()]
@@ -169,9 +165,7 @@ def _aligned(record: FlightRecord) -> tuple[FlightRecord, list[str]]:
     return record.with_columns(columns), notes
 
 
-def segments(
-    flight: Flight, measured: Sequence[str], arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-) -> list[Segment]:
+def segments(flight: Flight, measured: Sequence[str], arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> list[Segment]:
     """Replay segments of a flight's pieces, each from the state measured at its start (straight lines through 0.4 s)."""
     record = flight.record
     out = []
@@ -277,17 +271,14 @@ def read_flights(
     hashes = [file_hash(path) if path.is_file() else str(path) for path in paths]
     twice = next((path for path, digest in zip(paths, hashes, strict=True) if hashes.count(digest) > 1), None)
     if twice is not None:
-        raise BadInputError(
-            f"--flight {twice} is given more than once: its noise would count as if it were measured anew"
-        )
+        raise BadInputError(f"--flight {twice} is given more than once: its noise would count as if it were measured anew")
     records = [read_flight(path, aircraft, manoeuvres, map_path) for path in paths]
     measured = tuple(n for n in measured_surfaces(records) if n in aircraft.card.inputs)
     names = renamed([path.stem for path in paths])
     placed = [with_start_altitude(record, aircraft.folder) for record in records]
     flights = [prepare(n, r, measured, min_s, max_s) for n, (r, _) in zip(names, placed, strict=True)]
     return [
-        replace(f, notes=(f"{f.name}: {said}", *f.notes)) if said else f
-        for f, (_, said) in zip(flights, placed, strict=True)
+        replace(f, notes=(f"{f.name}: {said}", *f.notes)) if said else f for f, (_, said) in zip(flights, placed, strict=True)
     ], measured
 
 

@@ -53,16 +53,12 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     parser.add_argument(
         "--script", default="loiter", metavar="S", help="run script, a path or a name under scripts/ (default loiter)"
     )
-    parser.add_argument(
-        "--duration-s", type=float, metavar="T", help="length of the flight (default: the script's end)"
-    )
+    parser.add_argument("--duration-s", type=float, metavar="T", help="length of the flight (default: the script's end)")
     parser.add_argument("--wind-mps", type=float, default=None, metavar="W", help="steady wind (default 0)")
     parser.add_argument(
         "--wind-from-deg", type=float, default=None, metavar="D", help="direction it blows from, true (default 270)"
     )
-    parser.add_argument(
-        "--turbulence", choices=tuple(TURBULENCE_W20_KT), default=None, help="MIL-F-8785C intensity (default none)"
-    )
+    parser.add_argument("--turbulence", choices=tuple(TURBULENCE_W20_KT), default=None, help="MIL-F-8785C intensity (default none)")
     parser.add_argument(
         "--turbulence-source",
         choices=("jsbsim", "spec"),
@@ -70,9 +66,7 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         help="which Dryden model (default %(default)s)",
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of turbulence and noise (default 0)")
-    parser.add_argument(
-        "--noise", action="store_true", help="sensor noise, in what the autopilot is told and in the record"
-    )
+    parser.add_argument("--noise", action="store_true", help="sensor noise, in what the autopilot is told and in the record")
     parser.add_argument(
         "--set",
         action="append",
@@ -211,9 +205,7 @@ def to_record(
         for name, std in aircraft.card.sensors.noise_std.items():
             if name in columns:
                 # One stream a channel, named by the channel: adding a sensor changes no other's noise.
-                stream = np.random.Generator(
-                    np.random.Philox(np.random.SeedSequence([spec.seed_noise, zlib.crc32(name.encode())]))
-                )
+                stream = np.random.Generator(np.random.Philox(np.random.SeedSequence([spec.seed_noise, zlib.crc32(name.encode())])))
                 columns[name] = columns[name] + std * stream.standard_normal(columns[name].size)
     columns["psi_rad"] = np.mod(columns["psi_rad"], 2.0 * np.pi)
     frame = pd.DataFrame(columns)

@@ -37,9 +37,7 @@ class Assessment:
     paragraph: str
 
 
-def assess(
-    model: LinearModel, found: Sequence[Mode], category: str = "B", aircraft_class: str = "I"
-) -> list[Assessment]:
+def assess(model: LinearModel, found: Sequence[Mode], category: str = "B", aircraft_class: str = "I") -> list[Assessment]:
     """Levels of every mode that has a requirement. ValueError for an unknown category or class."""
     if category not in CATEGORIES or aircraft_class not in CLASSES:
         raise ValueError(

@@ -93,9 +93,7 @@ def _checked(table: pa.Table, path: Path) -> pa.Table:
         wanted = _KEYS.get(name, pa.float64())
         if names.count(name) != 1 or table.column(name).type != wanted:
             found = f"{table.column(name).type}" if names.count(name) == 1 else f"there {names.count(name)} times"
-            raise BadInputError(
-                f"{path}: column {name} is {found}, it must be there once, of type {wanted}; run its command again"
-            )
+            raise BadInputError(f"{path}: column {name} is {found}, it must be there once, of type {wanted}; run its command again")
         if name in _KEYS and table.column(name).null_count:
             raise BadInputError(f"{path}: column {name} has gaps; run its command again")
     return table

@@ -139,9 +139,7 @@ def identify(
         seconds = time.perf_counter() - begun
         flown_s = (counter["rows"] - flown) * cut[0].dt_s
         speed = Speed(fit.n_simulations / taken, flown_s / taken, process_count(workers), bare)
-        found = _assemble(
-            aircraft, names, initial, fit, layout, replay, cut, outputs, data, noise, notes, seconds, speed
-        )
+        found = _assemble(aircraft, names, initial, fit, layout, replay, cut, outputs, data, noise, notes, seconds, speed)
         found = replace(found, warnings=(*misplaced(flights, cut, found.nuisance), *found.warnings))
         if method == "output-error" or (method == "auto" and not process_noise_shown(*_sensed(found))):
             return found
@@ -237,9 +235,7 @@ def _output_error(
         try:
             fit = fit_from(theta0, free)
         except ValueError as again:
-            raise BadInputError(
-                f"the model cannot fly these segments: {again}; give other start values (--start)"
-            ) from None
+            raise BadInputError(f"the model cannot fly these segments: {again}; give other start values (--start)") from None
     lost = [n for n in names if fit.status[n] == "not-identified"]
     if lost:
         # What the data do not determine goes back to where it was, so that the rest is estimated beside values that will be flown.
@@ -265,9 +261,7 @@ def _left_over(residual: Sequence[Array], outputs: Sequence[str], noise: Mapping
     if not above:
         return []
     return [
-        "residuals above the noise: "
-        + ", ".join(f"{c} {r:.2f} times" for c, r in above.items())
-        + "; something acted that the "
+        "residuals above the noise: " + ", ".join(f"{c} {r:.2f} times" for c, r in above.items()) + "; something acted that the "
         "replay does not have (commands between rows while an autopilot flew, gusts, a missing term), and estimates may be off by "
         "more than std: label the manoeuvres, record surface positions or log faster"
     ]

@@ -30,9 +30,7 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_flight_arguments(parser, many=True)
-    parser.add_argument(
-        "--params", metavar="P,P", help="JSBSim properties to estimate (default: the card's [parameters])"
-    )
+    parser.add_argument("--params", metavar="P,P", help="JSBSim properties to estimate (default: the card's [parameters])")
     parser.add_argument(
         "--start", choices=("initial", "current"), default="current",
         help="start from the card's first guesses or the XML's values (default %(default)s)",
@@ -58,9 +56,7 @@ def add_flight_arguments(
         metavar="FILE", help="flight record (.parquet, .csv) or any log that `log import` reads" + ("; repeatable" if many else ""),
     )  # fmt: skip
     if out:
-        parser.add_argument(
-            "--out", type=Path, required=True, metavar="DIR", help="folder for the results, made if need be"
-        )
+        parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results, made if need be")
     parser.add_argument("--map", type=Path, metavar="MAP.toml", help="signal map of your own for logs")
     parser.add_argument(
         "--manoeuvres",
@@ -74,9 +70,7 @@ def add_flight_arguments(
     )  # fmt: skip
     if not replay:
         return
-    parser.add_argument(
-        "--biases", metavar="C,C", help="channels with a constant sensor bias to estimate, or none (default p,q,r)"
-    )
+    parser.add_argument("--biases", metavar="C,C", help="channels with a constant sensor bias to estimate, or none (default p,q,r)")
     parser.add_argument(
         "--delays",
         metavar="C,C",
@@ -101,9 +95,7 @@ def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
     further = (CONTROL_DELAY,) if option == "--delays" else ()
     unknown = [n for n in names if n not in (*OUTPUTS, *further)]
     if unknown:
-        raise BadInputError(
-            f"{option} {text}: unknown channel {unknown[0]}; allowed are none, {', '.join((*further, *short))}"
-        )
+        raise BadInputError(f"{option} {text}: unknown channel {unknown[0]}; allowed are none, {', '.join((*further, *short))}")
     return tuple(dict.fromkeys(names))
 
 

@@ -80,9 +80,7 @@ def _parameter_section(parameters: Mapping[str, Mapping[str, Any]], prefix: str)
     for name, row in parameters.items():
         known = row["status"] == _IDENTIFIED
         status = Cell(row["status"], "good" if known else "warn", row.get("reason") or "")
-        spread = (
-            (shown(row["std"], ".2g"), shown(row["std_crb"], ".2g")) if known else ("not identified", "not identified")
-        )
+        spread = (shown(row["std"], ".2g"), shown(row["std_crb"], ".2g")) if known else ("not identified", "not identified")
         value = shown(row["value"], ".5g")
         rows.append((Cell(name, code=True), shown(row.get("initial"), ".5g"), value, *spread, status))
     head = ("Parameter", "Initial value", "Estimate", "Standard error", "Cramér-Rao bound", "Status")

@@ -133,9 +133,7 @@ def bounds_xml(aircraft: Aircraft, bounds: Bounds) -> bytes:
     if bounds.form is not None:
         return model_form_xml(bounds.form, aircraft)
     remark = (
-        "Constant bounds, given by hand."
-        if bounds.constant
-        else "No bounds yet: all are zero. Write some, or instrument again."
+        "Constant bounds, given by hand." if bounds.constant else "No bounds yet: all are zero. Write some, or instrument again."
     )
     return constant_xml(bounds.constant, remark)
 
@@ -145,9 +143,7 @@ def _reference(aircraft: Aircraft, section: AeroSection) -> Reference:
     card = aircraft.card.reference
     wanted = (card.S_m2 and card.S_m2 / _FT**2, card.b_m and card.b_m / _FT, card.c_m and card.c_m / _FT)
     written = read_reference(section)
-    return Reference(
-        *(None if w is None or abs(w - x) <= _SAME * w else w for w, x in zip(wanted, written, strict=True))
-    )
+    return Reference(*(None if w is None or abs(w - x) <= _SAME * w else w for w, x in zip(wanted, written, strict=True)))
 
 
 def metrics_of(aircraft: Aircraft) -> tuple[float, float, float]:
@@ -233,10 +229,7 @@ def _plugin_system(aircraft: Aircraft, section: AeroSection) -> str:
 
 
 def _declares(document: Document, name: str) -> bool:
-    return any(
-        node.tag == "property" and "value" in node.attributes and node.text.strip() == name
-        for node in document.root.walk()
-    )
+    return any(node.tag == "property" and "value" in node.attributes and node.text.strip() == name for node in document.root.walk())
 
 
 def _candidates(aircraft: Aircraft, name: str) -> list[Path]:
@@ -253,9 +246,7 @@ def _system_file(aircraft: Aircraft, name: str) -> str:
     """Where a new system goes; BadInputError if the aircraft has another of that name."""
     for path in _candidates(aircraft, name)[:3]:
         if path.is_file() and not _declares(read_document(path), "uq/active"):
-            raise BadInputError(
-                f"{path}:1: the aircraft has a system of this name; rename it, because the plugin brings its own"
-            )
+            raise BadInputError(f"{path}:1: the aircraft has a system of this name; rename it, because the plugin brings its own")
     return f"Systems/{name}.xml"
 
 
@@ -299,9 +290,7 @@ def _rows(section: AeroSection, had: bool) -> tuple[tuple[str, str, str], ...]:
     for slot, c in enumerate(COEFFICIENTS):
         own = section.axes.get(slot)
         name = axis_name(section, slot)
-        turned = (
-            (spread is not None and (slot != 1 or section.force == "wind")) if slot < 3 else section.moment != "body"
-        )
+        turned = (spread is not None and (slot != 1 or section.force == "wind")) if slot < 3 else section.moment != "body"
         target = name if not turned else spread if slot < 3 and spread else f"ROLL, PITCH, YAW ({section.moment})"
         where = own.document.where(own.node) if own else f"{section.document.where(section.node)} (axis made)"
         out.append((c, target, where))

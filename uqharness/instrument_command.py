@@ -33,15 +33,11 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         epilog=_EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument(
-        "aircraft", metavar="AIRCRAFT", help="name under aircraft/, of JSBSim's collection, or a folder"
-    )
+    parser.add_argument("aircraft", metavar="AIRCRAFT", help="name under aircraft/, of JSBSim's collection, or a folder")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the instrumented aircraft")
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--bounds", type=Path, metavar="FILE", help="model-form.json of `uqharness bounds`")
-    source.add_argument(
-        "--constant", metavar="C=B,...", help="constant bounds: half width B or LOWER:UPPER per coefficient"
-    )
+    source.add_argument("--constant", metavar="C=B,...", help="constant bounds: half width B or LOWER:UPPER per coefficient")
     source.add_argument("--undo", action="store_true", help="take the plugin out again, to the byte")
     parser.add_argument("--air", action="store_true", help="add this project's wind and turbulence (docs/air.md) too")
     parser.add_argument("--dry-run", action="store_true", help="say what would be done, write nothing")
@@ -65,9 +61,7 @@ def parse_constant(text: str) -> dict[str, tuple[float, float]]:
         except ValueError:
             raise BadInputError(f"--constant {part.strip()!r}: a half width or LOWER:UPPER is needed") from None
         if not (all(math.isfinite(b) for b in bounds) and bounds[0] <= 0.0 <= bounds[1]):
-            raise BadInputError(
-                f"--constant {part.strip()!r}: lower must be <= 0 and upper >= 0, so that the model lies inside"
-            )
+            raise BadInputError(f"--constant {part.strip()!r}: lower must be <= 0 and upper >= 0, so that the model lies inside")
         out[name] = (bounds[0] + 0.0, bounds[1])
     return out
 
@@ -98,9 +92,7 @@ def _run(args: argparse.Namespace) -> int:
             facts = aircraft_facts.ask_in_child(aircraft.folder)
         except BadInputError as error:
             if not args.no_check:
-                raise BadInputError(
-                    f"{error}; --no-check instruments it unflown, for a host that knows better"
-                ) from None
+                raise BadInputError(f"{error}; --no-check instruments it unflown, for a host that knows better") from None
             facts, unflown = aircraft_facts.assumed(*metrics_of(aircraft)), f"unflown, so the card is a guess: {error}"
     planned = plan(aircraft, bounds, facts, args.air)
     report = _report(aircraft, planned, args)
@@ -135,9 +127,7 @@ def _report(aircraft: Aircraft, planned: Any, args: argparse.Namespace) -> dict[
     files = []
     for name, change in sorted(planned.changes.items()):
         kind = "edited" if change.edited else "added" if not change.before else "replaced"
-        lines = (
-            sum(i.text.count(b"\n") for i in change.insertions) if change.edited else planned.files[name].count(b"\n")
-        )
+        lines = sum(i.text.count(b"\n") for i in change.insertions) if change.edited else planned.files[name].count(b"\n")
         files.append({"file": name, "change": kind, "lines": lines})
     return {
         "aircraft": aircraft.name,

@@ -68,16 +68,9 @@ def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
             else:
                 _put(path, content)
                 same = changed(None, content).after == change.before
-                done.append(
-                    (name, "as it was, byte for byte" if same else "without the plugin; other changes since are kept")
-                )
+                done.append((name, "as it was, byte for byte" if same else "without the plugin; other changes since are kept"))
         (copy / FILE_NAME).unlink()
-        if (
-            out.exists()
-            and out.resolve() != folder.resolve()
-            and not (out / FILE_NAME).is_file()
-            and any(out.iterdir())
-        ):
+        if out.exists() and out.resolve() != folder.resolve() and not (out / FILE_NAME).is_file() and any(out.iterdir()):
             raise BadInputError(f"{out}: exists and is no instrumented aircraft; remove it or choose another --out")
         _swap(copy, out, Path(temporary) / "old")
     return done

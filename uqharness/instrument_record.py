@@ -56,9 +56,7 @@ def to_json(changes: Mapping[str, Change]) -> bytes:
     for name, change in sorted(changes.items()):
         row: dict[str, Any] = {"before": change.before, "after": change.after}
         if change.edited:
-            row["insertions"] = [
-                [i.at, i.text.decode("latin-1"), i.removed.decode("latin-1")] for i in change.insertions
-            ]
+            row["insertions"] = [[i.at, i.text.decode("latin-1"), i.removed.decode("latin-1")] for i in change.insertions]
         elif change.content is not None:
             row["content"] = base64.b64encode(change.content).decode("ascii")
         files[name] = row
@@ -94,8 +92,7 @@ def _inside(name: str) -> str:
 
 def _change(row: Mapping[str, Any]) -> Change:
     insertions = tuple(
-        Insertion(int(at), text.encode("latin-1"), removed.encode("latin-1"))
-        for at, text, removed in row.get("insertions", ())
+        Insertion(int(at), text.encode("latin-1"), removed.encode("latin-1")) for at, text, removed in row.get("insertions", ())
     )
     content = row.get("content")
     before, after = row["before"], row["after"]
@@ -133,7 +130,5 @@ def _exactly(path: Path, change: Change, now: bytes) -> bytes:
         shift += len(insertion.text) - len(insertion.removed)
     out = b"".join([*pieces, now[position:]])
     if digest(out) != change.before:
-        raise BadInputError(
-            f"{path}: the record of the instrumentation does not fit this file; take the uq/ lines out by hand"
-        )
+        raise BadInputError(f"{path}: the record of the instrumentation does not fit this file; take the uq/ lines out by hand")
     return out

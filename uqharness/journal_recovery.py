@@ -52,21 +52,15 @@ class JournalScan:
         if _give_first_page(mended, begun / "empty.sqlite"):
             yield mended
 
-    def _found(
-        self, database: sqlite3.Connection, wanted: Collection[str], seen: Collection[str]
-    ) -> Iterator[tuple[Any, ...]]:
+    def _found(self, database: sqlite3.Connection, wanted: Collection[str], seen: Collection[str]) -> Iterator[tuple[Any, ...]]:
         met = set[Any]()
         for direction in ("asc", "desc"):
-            yield from self._sound(
-                database, f"select {COLUMNS} from outcome order by case_id {direction}", (), seen, met
-            )
+            yield from self._sound(database, f"select {COLUMNS} from outcome order by case_id {direction}", (), seen, met)
             if not self.unreadable:
                 return
         for case_id in wanted:
             if case_id not in seen:
-                yield from self._sound(
-                    database, f"select {COLUMNS} from outcome where case_id = ?", (case_id,), seen, met
-                )
+                yield from self._sound(database, f"select {COLUMNS} from outcome where case_id = ?", (case_id,), seen, met)
 
     def _sound(
         self, database: sqlite3.Connection, query: str, values: tuple[str, ...], seen: Collection[str], met: set[Any]

@@ -52,9 +52,7 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
         raise BadInputError(f"cannot linearise: {trim.reason}")
     condition = trim.condition
     u, v, w = body_velocity(condition.V_mps, trim.alpha_rad, trim.beta_rad)
-    centre = BodyState(
-        u, v, w, condition.bank_rad, trim.theta_rad, condition.heading_rad, trim.p_radps, trim.q_radps, trim.r_radps
-    )
+    centre = BodyState(u, v, w, condition.bank_rad, trim.theta_rad, condition.heading_rad, trim.p_radps, trim.q_radps, trim.r_radps)
 
     def derivative(state: BodyState, controls: dict[str, float]) -> NDArray[np.float64]:
         acceleration, _ = force_state(aircraft, state, controls, condition.altitude_m, condition.properties)

@@ -39,14 +39,10 @@ def count_excursions(distance: NDArray[np.float64], radius_m: float, rearm_m: fl
     return int(decided[0]) + int(np.count_nonzero(decided[1:] & ~decided[:-1]))
 
 
-def lost_control(
-    phi_rad: NDArray[np.float64], alpha_rad: NDArray[np.float64], altitude_error_m: NDArray[np.float64]
-) -> bool:
+def lost_control(phi_rad: NDArray[np.float64], alpha_rad: NDArray[np.float64], altitude_error_m: NDArray[np.float64]) -> bool:
     """Whether a flight lost control at any sample; a sample that is not finite counts as lost."""
     finite = np.isfinite(phi_rad) & np.isfinite(alpha_rad) & np.isfinite(altitude_error_m)
     beyond = (
-        (np.abs(phi_rad) > BANK_LIMIT_RAD)
-        | (np.abs(alpha_rad) > ALPHA_LIMIT_RAD)
-        | (np.abs(altitude_error_m) > ALTITUDE_LIMIT_M)
+        (np.abs(phi_rad) > BANK_LIMIT_RAD) | (np.abs(alpha_rad) > ALPHA_LIMIT_RAD) | (np.abs(altitude_error_m) > ALTITUDE_LIMIT_M)
     )
     return bool(np.any(beyond | ~finite))

@@ -29,12 +29,8 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("aircraft", metavar="AIRCRAFT", help="name under aircraft/ or a folder")
-    parser.add_argument(
-        "--script", default="loiter", metavar="S", help="run script that engages the autopilot (default loiter)"
-    )
-    parser.add_argument(
-        "--loop", action="append", choices=tuple(LOOPS), help="only this actuator; repeatable (default all)"
-    )
+    parser.add_argument("--script", default="loiter", metavar="S", help="run script that engages the autopilot (default loiter)")
+    parser.add_argument("--loop", action="append", choices=tuple(LOOPS), help="only this actuator; repeatable (default all)")
     parser.add_argument(
         "--flight", choices=("loiter", "straight"), default="loiter", help="on the circle or straight (default loiter)"
     )

@@ -47,9 +47,7 @@ _PLACES: Mapping[str, _Place] = {
         f"inertia/{name}-slugs_ft2": _Place(f"mass_balance/{name}", _INERTIA, "SLUG*FT2")
         for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     },
-    **{
-        f"inertia/cg-{axis}-in": _Place(f"mass_balance/location[@name='CG']/{axis}", _LENGTH_IN, "IN") for axis in "xyz"
-    },
+    **{f"inertia/cg-{axis}-in": _Place(f"mass_balance/location[@name='CG']/{axis}", _LENGTH_IN, "IN") for axis in "xyz"},
     "metrics/bw-ft": _Place("metrics/wingspan", _LENGTH_FT, "FT"),
     "metrics/cbarw-ft": _Place("metrics/chord", _LENGTH_FT, "FT"),
 }
@@ -80,9 +78,7 @@ class MassChange:
         if self._nominal is None:
             self._nominal = self._measure(tree, CHANGEABLE)
         for name, value in wanted.items():
-            if not math.isfinite(value) or (
-                value <= 0.0 and not name.startswith(("inertia/cg", "inertia/ix", "inertia/iyz"))
-            ):
+            if not math.isfinite(value) or (value <= 0.0 and not name.startswith(("inertia/cg", "inertia/ix", "inertia/iyz"))):
                 raise BadInputError(f"property {name} = {value:g}: must be a positive number")
         found = {name: self._nominal[name] for name in wanted}
         for _ in range(_TRIES):
@@ -117,16 +113,12 @@ class MassChange:
                     "so it cannot be changed"
                 )
             if element in found.values():
-                raise BadInputError(
-                    f"{path}:{element.sourceline}: two of the properties to set come from the same <{element.tag}>"
-                )
+                raise BadInputError(f"{path}:{element.sourceline}: two of the properties to set come from the same <{element.tag}>")
             _unit(path, element, place)
             found[name] = element
         return found, tree
 
-    def _move(
-        self, elements: Mapping[str, etree._Element], wanted: Mapping[str, float], found: Mapping[str, float]
-    ) -> None:
+    def _move(self, elements: Mapping[str, etree._Element], wanted: Mapping[str, float], found: Mapping[str, float]) -> None:
         for name, element in elements.items():
             place = _PLACES[name]
             change = (wanted[name] - found[name]) * place.per_property_unit * _unit(self._aircraft.xml, element, place)
@@ -159,9 +151,7 @@ def _unit(path: Path, element: etree._Element, place: _Place) -> float:
         owner = parent
     unit = owner.get("unit", place.default)
     if unit not in place.units:
-        raise BadInputError(
-            f"{path}:{owner.sourceline}: unit {unit!r} of <{owner.tag}>: known are {', '.join(place.units)}"
-        )
+        raise BadInputError(f"{path}:{owner.sourceline}: unit {unit!r} of <{owner.tag}>: known are {', '.join(place.units)}")
     try:
         float(element.text or "")
     except ValueError:

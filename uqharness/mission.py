@@ -48,18 +48,14 @@ def find_script(name_or_path: str | Path) -> Path:
         if path.is_file():
             return path.resolve()
     known = sorted(path.stem for path in (PROJECT_ROOT / "scripts").glob("*.xml"))
-    raise BadInputError(
-        f"script '{name_or_path}' not found: no such file, and scripts/ has {', '.join(known) or 'none'}"
-    )
+    raise BadInputError(f"script '{name_or_path}' not found: no such file, and scripts/ has {', '.join(known) or 'none'}")
 
 
 def read_script(path: Path) -> Script:
     """Parse a run script. Raises BadInputError with file and line."""
     root = parse_xml(path).getroot()
     if root.tag != "runscript":
-        raise BadInputError(
-            f"{path}:{root.sourceline}: the root element is <{root.tag}>, a run script begins with <runscript>"
-        )
+        raise BadInputError(f"{path}:{root.sourceline}: the root element is <{root.tag}>, a run script begins with <runscript>")
     use, run = root.find("use"), root.find("run")
     if use is None or run is None:
         raise BadInputError(
@@ -108,9 +104,7 @@ def _number(path: Path, element: etree._Element, key: str) -> float:
             f"{path}:{element.sourceline}: <run {key}=...> is {text!r}, a positive number of seconds is needed"
         ) from None
     if not 0.0 < value < float("inf"):
-        raise BadInputError(
-            f"{path}:{element.sourceline}: <run {key}=...> is {text!r}, a positive number of seconds is needed"
-        )
+        raise BadInputError(f"{path}:{element.sourceline}: <run {key}=...> is {text!r}, a positive number of seconds is needed")
     return value
 
 

@@ -84,9 +84,7 @@ def linear_model(start: ModalTrim, properties: Mapping[str, float]) -> tuple[Arr
     centre, controls = _level(start.V_mps, x), _controls(x)
 
     def derivative(step: Array) -> tuple[Array, float]:
-        state = BodyState(
-            centre.u + step[0], 0.0, centre.w + step[1], 0.0, centre.theta + step[3], 0.0, q=float(step[2])
-        )
+        state = BodyState(centre.u + step[0], 0.0, centre.w + step[1], 0.0, centre.theta + step[3], 0.0, q=float(step[2]))
         acceleration, out = force_state(start.aircraft, state, controls, 0.0, properties, (_THRUST,))
         return np.array([*acceleration[list(_LONGITUDINAL)], step[2]]), out.get(_THRUST, math.nan)
 

@@ -99,9 +99,7 @@ def longitudinal_modes(A: Array) -> tuple[Array, Array, Array, Array]:
     unsorted = np.linalg.eigvals(A)
     values = np.take_along_axis(unsorted, np.argsort(np.abs(unsorted), axis=-1), axis=-1)
     slow, fast = values[..., :2], values[..., 2:]
-    return *_damping(-slow.sum(axis=-1).real, slow.prod(axis=-1).real), *_damping(
-        -fast.sum(axis=-1).real, fast.prod(axis=-1).real
-    )
+    return *_damping(-slow.sum(axis=-1).real, slow.prod(axis=-1).real), *_damping(-fast.sum(axis=-1).real, fast.prod(axis=-1).real)
 
 
 def _damping(r: Array, s: Array) -> tuple[Array, Array]:

@@ -244,9 +244,7 @@ def _deltas() -> list[str]:
     for name in COEFFICIENTS:
         lower, upper = prop(f"uq/{name}/lower"), prop(f"uq/{name}/upper")
         inside = call("sum", lower, call("product", prop(f"uq/{name}/level"), call("difference", upper, lower)))
-        lines += _indent(
-            _component(f"uq/{name}/delta", call("product", prop("uq/active"), prop(f"uq/{name}/active"), inside))
-        )
+        lines += _indent(_component(f"uq/{name}/delta", call("product", prop("uq/active"), prop(f"uq/{name}/active"), inside)))
     return [*lines, "</channel>"]
 
 

@@ -29,26 +29,14 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     )
     parser.add_argument("aircraft", metavar="AIRCRAFT", help="name under aircraft/ or a folder")
     parser.add_argument("--speed-mps", type=float, required=True, metavar="V", help="true airspeed")
-    parser.add_argument(
-        "--altitude-m", type=float, default=0.0, metavar="H", help="altitude above sea level (default 0)"
-    )
+    parser.add_argument("--altitude-m", type=float, default=0.0, metavar="H", help="altitude above sea level (default 0)")
     parser.add_argument("--climb-deg", type=float, default=0.0, metavar="G", help="flight-path angle (default 0)")
-    parser.add_argument(
-        "--bank-deg", type=float, default=0.0, metavar="B", help="bank of a coordinated turn (default 0)"
-    )
-    parser.add_argument(
-        "--wind-mps", type=float, default=0.0, metavar="W", help="steady wind; moves the path only (default 0)"
-    )
-    parser.add_argument(
-        "--wind-from-deg", type=float, default=270.0, metavar="D", help="where it blows from, true (default 270)"
-    )
+    parser.add_argument("--bank-deg", type=float, default=0.0, metavar="B", help="bank of a coordinated turn (default 0)")
+    parser.add_argument("--wind-mps", type=float, default=0.0, metavar="W", help="steady wind; moves the path only (default 0)")
+    parser.add_argument("--wind-from-deg", type=float, default=270.0, metavar="D", help="where it blows from, true (default 270)")
     parser.add_argument("--heading-deg", type=float, default=0.0, metavar="P", help="true heading (default 0)")
-    parser.add_argument(
-        "--category", choices=CATEGORIES, default="B", help="flight-phase category (default B: cruise, loiter)"
-    )
-    parser.add_argument(
-        "--class", dest="aircraft_class", choices=CLASSES, default="I", help="aircraft class (default I: light)"
-    )
+    parser.add_argument("--category", choices=CATEGORIES, default="B", help="flight-phase category (default B: cruise, loiter)")
+    parser.add_argument("--class", dest="aircraft_class", choices=CLASSES, default="I", help="aircraft class (default I: light)")
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     parser.set_defaults(handler=_run)
 
@@ -76,18 +64,12 @@ def _run(args: argparse.Namespace) -> int:
     )
     trim = find_trim(aircraft, condition)
     if not trim.converged:
-        print(
-            json.dumps({"trim": None, "reason": trim.reason, "modes": []}) if args.json else f"no trim: {trim.reason}"
-        )
+        print(json.dumps({"trim": None, "reason": trim.reason, "modes": []}) if args.json else f"no trim: {trim.reason}")
         return 1
     model = linearise(aircraft, trim)
     found = modes(model)
     levels = assess(model, found, args.category, args.aircraft_class)
-    print(
-        json.dumps(_as_json(aircraft, trim, found, levels))
-        if args.json
-        else _as_text(aircraft.name, trim, found, levels)
-    )
+    print(json.dumps(_as_json(aircraft, trim, found, levels)) if args.json else _as_text(aircraft.name, trim, found, levels))
     return 0
 
 

@@ -217,10 +217,7 @@ def plan_from(
     bounds = form.coefficients[coefficient]
     states = mission.of(bounds.states)
     weight = form.filtering.rate_hz / flight.rate_hz
-    offers = [
-        Offer(t.point.condition.text, t.point.seconds + RECOVERY_S, information(bounds, t.states, weight))
-        for t in trials
-    ]
+    offers = [Offer(t.point.condition.text, t.point.seconds + RECOVERY_S, information(bounds, t.states, weight)) for t in trials]
     transition = TRANSITION_S if flight.has_autopilot else 0.0
     chosen = choose(bounds, offers, states, 60.0 * options.minutes - flight.begin_s, transition, form.outside)
     if not chosen:

@@ -53,15 +53,9 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         help="what `uqharness bounds` wrote (default: what the campaign flew)",
     )
     parser.add_argument("--metric", metavar="NAME", help="of the campaign's table (default cross_track_median_m)")
-    parser.add_argument(
-        "--coefficient", choices=COEFFICIENTS, help="instead of the one that the metric depends on most"
-    )
-    parser.add_argument(
-        "--minutes", type=float, default=5.0, metavar="N", help="length of the flight at most (default 5)"
-    )
-    parser.add_argument(
-        "--speeds", metavar="V,V", help="true airspeeds of the test points, m/s (default: where the mission flies)"
-    )
+    parser.add_argument("--coefficient", choices=COEFFICIENTS, help="instead of the one that the metric depends on most")
+    parser.add_argument("--minutes", type=float, default=5.0, metavar="N", help="length of the flight at most (default 5)")
+    parser.add_argument("--speeds", metavar="V,V", help="true airspeeds of the test points, m/s (default: where the mission flies)")
     parser.add_argument(
         "--turbulence",
         choices=tuple(TURBULENCE_W20_KT),
@@ -93,9 +87,7 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     )
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the simulated flights (default 1)")
     parser.add_argument("--no-figures", action="store_true", help="leave out the figure")
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the results, made if need be"
-    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results, made if need be")
     parser.add_argument("--json", action="store_true", help="print next-flight.json")
     parser.set_defaults(handler=_run, parser=parser)
 
@@ -199,9 +191,7 @@ def _plan(
         "campaign": str(args.folder), "bounds": str(path),
         "simulated": {"turbulence": flight.turbulence, "sensor_noise": flight.noise, "autopilot": flight.has_autopilot},
     }  # fmt: skip
-    doc = document(
-        found, winner, mission, missing, air, units, _warnings(form, aircraft, campaign, mission, flight, args)
-    )
+    doc = document(found, winner, mission, missing, air, units, _warnings(form, aircraft, campaign, mission, flight, args))
     out = results_folder(args.out)
     points = [p.point for p in found.plan]
     purpose = f"Flight for {found.coefficient}"
@@ -237,9 +227,7 @@ def _plan(
     return 0 if found.worth_flying else 1
 
 
-def _test_flight(
-    args: argparse.Namespace, aircraft: Aircraft, campaign: CampaignMission, form: ModelForm
-) -> TestFlight:
+def _test_flight(args: argparse.Namespace, aircraft: Aircraft, campaign: CampaignMission, form: ModelForm) -> TestFlight:
     from uqharness.point_trials import TestFlight, has_autopilot, has_noise
 
     held = campaign.spec.start is None and has_autopilot(aircraft)
@@ -257,9 +245,7 @@ def _test_flight(
     )
 
 
-def _missing(
-    args: argparse.Namespace, form: ModelForm, aircraft: Aircraft, coefficient: str
-) -> list[MissingTerm] | None:
+def _missing(args: argparse.Namespace, form: ModelForm, aircraft: Aircraft, coefficient: str) -> list[MissingTerm] | None:
     """Terms that the flights of --flight show to be missing; None where none were given. Raises BadInputError."""
     if not args.flight:
         return None
@@ -289,9 +275,7 @@ def _warnings(
 
     out = []
     if form.aircraft.sha256 != content_hash(aircraft) and campaign.spec.start is None:
-        out.append(
-            f"aircraft '{aircraft.name}' has changed since the bounds were made: they belong to the model as it was"
-        )
+        out.append(f"aircraft '{aircraft.name}' has changed since the bounds were made: they belong to the model as it was")
     if not campaign.same_aircraft:
         out.append(
             "the campaign was made by uqharness 0.1: whether its aircraft is as it was cannot be told, nor whether its table is"
@@ -308,9 +292,7 @@ def _warnings(
             f"--flight {', '.join(others)}: not among the flights behind the bounds; what scatters there may be another thing"
         )
     if campaign.failed and not args.occupancy:
-        out.append(
-            f"{campaign.failed} flights of the campaign did not end well and say nothing of where the mission flies"
-        )
+        out.append(f"{campaign.failed} flights of the campaign did not end well and say nothing of where the mission flies")
     if not flight.noise:
         out.append(f"aircraft '{aircraft.name}' has no sensors system: the flight was simulated without sensor noise")
     if not flight.has_autopilot:

@@ -70,9 +70,7 @@ def _profile(
     middle = factor * 0.5 * (edges[1:] + edges[:-1])
     scatter = now.t * np.sqrt(now.s2)
     tallest = 1.15 * max(float(before.max(initial=0.0)) * 0.6, scatter)
-    axis.bar(
-        middle, 0.6 * tallest * count / count.max(), width=factor * (edges[1] - edges[0]), color=_SEEN, label="mission"
-    )
+    axis.bar(middle, 0.6 * tallest * count / count.max(), width=factor * (edges[1] - edges[0]), color=_SEEN, label="mission")
     many = count >= 3
     for curve, colour, name in ((before, _NOW, "now"), (after, _THEN, "after the flight")):
         mean = np.bincount(bins, curve, _BINS)[many] / count[many]
@@ -122,9 +120,7 @@ def _maps(
         axis.set_xlabel(x_label, fontsize=9)
         axis.tick_params(labelsize=8)
     stride = max(1, len(flown[pair[0]]) // _MOST)
-    axes[1].plot(
-        x_factor * flown[pair[0]][::stride], y_factor * flown[pair[1]][::stride], ".", ms=2.2, color=_THEN, alpha=0.55
-    )
+    axes[1].plot(x_factor * flown[pair[0]][::stride], y_factor * flown[pair[1]][::stride], ".", ms=2.2, color=_THEN, alpha=0.55)
     i, j = (now.states.index(s) for s in pair)
     across = np.array([now.hull.low[i], now.hull.high[i], now.hull.high[i], now.hull.low[i], now.hull.low[i]])
     up = np.array([now.hull.low[j], now.hull.low[j], now.hull.high[j], now.hull.high[j], now.hull.low[j]])
@@ -144,6 +140,4 @@ def _reach(box: Array, values: Array) -> tuple[float, float]:
     """Axis limits: the mission, and the flight as far as it lies within as much again on either side."""
     span = float(box[1] - box[0])
     low, high = np.quantile(values, [0.01, 0.99])
-    return max(min(float(box[0]), float(low)), float(box[0]) - span), min(
-        max(float(box[1]), float(high)), float(box[1]) + span
-    )
+    return max(min(float(box[0]), float(low)), float(box[0]) - span), min(max(float(box[1]), float(high)), float(box[1]) + span)

@@ -31,9 +31,7 @@ def achieved(before: ModelForm, after: ModelForm, mission: Occupancy, planned: P
 
 def as_text(rows: Mapping[str, Row]) -> str:
     """A table for a terminal."""
-    return "\n".join(
-        text_table([{"coefficient": c, **{k: _cell(k, v) for k, v in row.items()}} for c, row in rows.items()])
-    )
+    return "\n".join(text_table([{"coefficient": c, **{k: _cell(k, v) for k, v in row.items()}} for c, row in rows.items()]))
 
 
 def _cell(key: str, value: float | None) -> str:

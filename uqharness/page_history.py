@@ -65,18 +65,14 @@ def _segment(
     when = f" {models[0].words}" if len(models) > 1 else ""
     blocks: list[Block] = []
     if math.isfinite(ratio):
-        blocks.append(
-            Words(f"Farthest in {shown_channel(channel)[0]}: rms of log minus model{when} {ratio:.2f} times the noise.")
-        )
+        blocks.append(Words(f"Farthest in {shown_channel(channel)[0]}: rms of log minus model{when} {ratio:.2f} times the noise."))
     return Section(history.title, (*blocks, Figures(tuple(figures), legend, narrow=True)))
 
 
 def _channel(history: History, name: str, noise: float | None, models: Sequence[Model], prefix: str) -> Figure:
     quantity, unit, factor = shown_channel(name)
     measured = factor * history.columns[name]
-    drawn = [
-        (m, factor * history.columns[f"{name}{m.suffix}"]) for m in models if f"{name}{m.suffix}" in history.columns
-    ]
+    drawn = [(m, factor * history.columns[f"{name}{m.suffix}"]) for m in models if f"{name}{m.suffix}" in history.columns]
     band = None if noise is None or not drawn else Z95 * factor * noise
     shown = [measured, *(y for _, y in drawn)]
     if band is not None:
@@ -84,9 +80,7 @@ def _channel(history: History, name: str, noise: float | None, models: Sequence[
     label = f"{quantity} [{unit}] against time [s], {history.title}: log and {', '.join(m.words for m, _ in drawn)}."
     if not np.isfinite(measured).any():
         label += " The log has no value of it here."
-    chart = Chart(
-        f"{prefix}history-{history.number}-{name}", label, _time(history), scale(axis_label(name), shown), height=180
-    )
+    chart = Chart(f"{prefix}history-{history.number}-{name}", label, _time(history), scale(axis_label(name), shown), height=180)
     if band is not None:
         last = drawn[-1][1]
         chart.band(history.time_s, last - band, last + band, "fill1")

@@ -31,9 +31,7 @@ def sensitivity_section(folder: Path, manifest: Mapping[str, Any], prefix: str =
     wanted = [*_SHOWN, *counts[:1]]
     by_metric = {m: [r for r in rows if r["metric"] == m] for m in wanted}
     by_metric = {m: found for m, found in by_metric.items() if found}
-    figures = tuple(
-        _figure(m, found, hardest, prefix) for m, found in by_metric.items() if any(r["share_min"] for r in found)
-    )
+    figures = tuple(_figure(m, found, hardest, prefix) for m, found in by_metric.items() if any(r["share_min"] for r in found))
     text = (
         "How much of the p-box's width each coefficient's interval makes: the thick bar runs from the smallest to the largest "
         "share over the values of the others, the wide pale one is its 95 % sampling interval. Ranges that overlap do not rank. "
@@ -44,9 +42,7 @@ def sensitivity_section(folder: Path, manifest: Mapping[str, Any], prefix: str =
         ("Metric", "Coefficient", "Share", "Its 95 % interval", "Shrinks by"),
         tuple(_table_row(r) for found in by_metric.values() for r in _ordered(found)),
     )
-    return Section(
-        "Which uncertainty makes the width", (Words(text, note=True), Figures(figures, _LEGEND, True), table)
-    )
+    return Section("Which uncertainty makes the width", (Words(text, note=True), Figures(figures, _LEGEND, True), table))
 
 
 _LEGEND = (("thick", "smallest to largest share over the pairs of corners"), ("wide", "95 % sampling interval"))

@@ -193,9 +193,7 @@ class Chart:
         for value, words in self.x.ticks():
             u, _ = self.at(value, 0.0)
             out.append(f'<path class="grid" d="M{u:.1f} {top}v{height}"/>')
-            out.append(
-                f'<text text-anchor="middle" x="{u:.1f}" y="{self.height - _BOTTOM + 14}">{escape(words)}</text>'
-            )
+            out.append(f'<text text-anchor="middle" x="{u:.1f}" y="{self.height - _BOTTOM + 14}">{escape(words)}</text>')
         for value, words in self.y.ticks():
             _, v = self.at(0.0, value)
             if not self.y.names:

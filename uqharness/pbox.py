@@ -176,9 +176,7 @@ def containment(inner: Sequence[Sample], outer: Sequence[Sample], confidence: fl
     excess = {side: max(0.0, float(beyond[side][index])) for side, index in worst.items()}
     at = {side: float(value[index]) if excess[side] > 0.0 else float("nan") for side, index in worst.items()}
     share = 0.5 * (1.0 + confidence)
-    chance = sum(
-        band_half_width(min(sample.size for sample in samples), len(samples), share) for samples in (inner, outer)
-    )
+    chance = sum(band_half_width(min(sample.size for sample in samples), len(samples), share) for samples in (inner, outer))
     chance = min(1.0, chance)
     widths = [float(np.sum((upper - lower)[:-1] * np.diff(value))) for lower, upper in (within, around)]
     ratio = widths[0] / widths[1] if widths[1] > 0.0 else float("nan")

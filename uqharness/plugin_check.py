@@ -80,9 +80,7 @@ def check(untouched: Aircraft, instrumented: Aircraft, duration_s: float = DURAT
     if not np.isfinite(first[:, [height, speed]]).all():
         return Verdict("fails", "the state does not stay finite")
     if first[:, height].min() <= 0.0:
-        return Verdict(
-            "fails", f"reaches the ground after {SAMPLE_EVERY * untouched.dt_s * first[:, height].argmin():.1f} s"
-        )
+        return Verdict("fails", f"reaches the ground after {SAMPLE_EVERY * untouched.dt_s * first[:, height].argmin():.1f} s")
     steady = np.all((first == again) | (np.isnan(first) & np.isnan(again)), axis=0)
     if _has_air(instrumented) and not _has_air(untouched):
         steady &= np.array([not _AIR_OWNS.fullmatch(name) for name in names])
@@ -94,9 +92,7 @@ def check(untouched: Aircraft, instrumented: Aircraft, duration_s: float = DURAT
         differs = ~np.all((idle == flown) | (np.isnan(idle) & np.isnan(flown)), axis=0)
         if differs.any():
             changed = [name for name, bad in zip(compared, differs, strict=True) if bad]
-            return Verdict(
-                "wrong", f"with uq/active 0 {len(changed)} properties differ: {', '.join(changed[:5])}", **same
-            )
+            return Verdict("wrong", f"with uq/active 0 {len(changed)} properties differ: {', '.join(changed[:5])}", **same)
         return _switched(instrumented, compared, same)
     except (BadInputError, engine.RuntimeFailure) as error:
         return Verdict("wrong", " ".join(str(error).split()), **same)
@@ -136,9 +132,7 @@ def _switched(aircraft: Aircraft, names: Sequence[str], same: Mapping[str, Any])
     return Verdict("works", worst=worst, **same)
 
 
-def _frame(
-    aircraft: Aircraft, names: Sequence[str], coefficient: str | None
-) -> tuple[NDArray[np.float64], float, list[float]]:
+def _frame(aircraft: Aircraft, names: Sequence[str], coefficient: str | None) -> tuple[NDArray[np.float64], float, list[float]]:
     """Properties of the frame after SWITCHED_AFTER idle ones, with one coefficient on; its delta, and force or moment per unit."""
     fdm, step = open_mid_envelope(aircraft)
     for k in range(SWITCHED_AFTER):
@@ -236,15 +230,11 @@ def _get(fdm: Any, name: str) -> float:
     return float(fdm.get_property_value(name))
 
 
-def check_in_child(
-    untouched: Path, instrumented: Path, duration_s: float = DURATION_S, timeout_s: float = 300.0
-) -> Verdict:
+def check_in_child(untouched: Path, instrumented: Path, duration_s: float = DURATION_S, timeout_s: float = 300.0) -> Verdict:
     """The same in a process of its own; its death is a verdict: fails if the untouched aircraft dies alone as well, else wrong."""
     command = [sys.executable, "-m", "uqharness.plugin_check", str(untouched), str(instrumented), repr(duration_s)]
     try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=timeout_s, env=child_environment(), check=False
-        )
+        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, env=child_environment(), check=False)
     except subprocess.TimeoutExpired:
         return Verdict("fails", f"no answer within {timeout_s:g} s")
     lines = [line for line in done.stdout.splitlines() if line.startswith('{"status"')]

@@ -103,16 +103,12 @@ def unit_times(aircraft: Aircraft, speed_mps: float, altitude_m: float) -> dict[
 def fly_points(flight: TestFlight, points: Sequence[TestPoint], seed: int, path: Path) -> tuple[bool, float, str]:
     """Fly the points, write the record; whether it ended well, how long it flew, and why it ended."""
     script = path.with_suffix(".xml")
-    text = script_text(
-        flight.mission, flight.aircraft, points, flight.begin_s, flight.has_autopilot, path.stem, "Test points"
-    )
+    text = script_text(flight.mission, flight.aircraft, points, flight.begin_s, flight.has_autopilot, path.stem, "Test points")
     script.write_bytes(text)
     return fly_script(flight, script, seed, path)
 
 
-def fly_script(
-    flight: TestFlight, script: Path, seed: int, path: Path, duration_s: float | None = None
-) -> tuple[bool, float, str]:
+def fly_script(flight: TestFlight, script: Path, seed: int, path: Path, duration_s: float | None = None) -> tuple[bool, float, str]:
     """The same for a script that is written already, or its first seconds."""
     read = read_script(script)
     turbulence, noise = two_seeds(seed)

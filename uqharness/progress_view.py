@@ -40,9 +40,7 @@ class ProgressView:
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, total=progress.cases, completed=progress.done, note=describe(progress))
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         if self._bar is not None:
             self._bar.stop()
 

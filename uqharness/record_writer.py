@@ -26,9 +26,7 @@ def write_record(
     Raises BadInputError for another suffix, a folder that cannot be written, or a card without servo tables.
     """
     if path.suffix not in FORMATS:
-        raise BadInputError(
-            f"--out {path}: the format follows the name's ending, {', '.join(FORMATS)}; received '{path.suffix}'"
-        )
+        raise BadInputError(f"--out {path}: the format follows the name's ending, {', '.join(FORMATS)}; received '{path.suffix}'")
     if path.suffix == ".bin":
         return _write_dataflash(table, path, aircraft, start or {})
     if path.suffix == ".csv":
@@ -39,9 +37,7 @@ def write_record(
     return ()
 
 
-def _write_dataflash(
-    table: pd.DataFrame, path: Path, aircraft: Aircraft | None, start: Mapping[str, float]
-) -> tuple[str, ...]:
+def _write_dataflash(table: pd.DataFrame, path: Path, aircraft: Aircraft | None, start: Mapping[str, float]) -> tuple[str, ...]:
     from sysid.airframe_card import read_card
     from sysid.dataflash_writer import write_dataflash
     from sysid.flight_record import FlightRecord, Metadata
@@ -51,11 +47,7 @@ def _write_dataflash(
     known = {str(name): table[name].to_numpy() for name in table.columns if name in SIGNALS}
     left: list[str] = [str(name) for name in table.columns if name not in SIGNALS]
     try:
-        card = (
-            read_card(aircraft.folder)
-            if aircraft is not None and (aircraft.folder / "airframe.toml").is_file()
-            else None
-        )
+        card = read_card(aircraft.folder) if aircraft is not None and (aircraft.folder / "airframe.toml").is_file() else None
         record = FlightRecord(known, Metadata(dialect="simulation", start=dict(start)))
         write_whole(path, lambda target: left.extend(write_dataflash(record, target, card, surfaces=True)))
     except LogError as error:

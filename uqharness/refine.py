@@ -125,9 +125,7 @@ def find_effects(
         asked = names
         stage = f"parameters{len(put_right) or ''}"
         given = setup
-        before, names, notes, noise = keep(
-            stage, Base, lambda: base_fit_and_noise(aircraft, bench, given, asked, limits, map_)
-        )
+        before, names, notes, noise = keep(stage, Base, lambda: base_fit_and_noise(aircraft, bench, given, asked, limits, map_))
         setup = replace(setup, noise=noise)
         effects = candidates_for(setup, names, extra, lone)
         by_key = {e.key: e for e in effects}
@@ -144,26 +142,20 @@ def find_effects(
                 return _in_gusts(bench, air, names, limits, effects, confirming, notes, work, map_, say)
             notes = [*notes, NO_AIR]
         say(f"scoring {len(effects)} candidate effects")
-        setup = limits_tried(
-            setup, before.probes, before.columns[0].names, lambda extra: column_evidence(setup, before, extra)
-        )
+        setup = limits_tried(setup, before.probes, before.columns[0].names, lambda extra: column_evidence(setup, before, extra))
         timed = () if setup.late else (CONTROLS_LATE,)
         evidence = candidate_evidence(setup, before, [*effects, *timed])
         odds = eligible(effects, setup, before, evidence)
         dt = setup.segments[0].dt_s
         late = (
-            controls_late(
-                evidence, before.columns[0].names, odds, confirming, threshold(len(odds) + 1), LEAST_LATE_ROWS * dt, dt
-            )
+            controls_late(evidence, before.columns[0].names, odds, confirming, threshold(len(odds) + 1), LEAST_LATE_ROWS * dt, dt)
             if timed and len(put_right) < MOST_CORRECTIONS
             else None
         )
     if late is not None:
         say(f"all controls act {1e3 * late[0]:.1f} ms after their rows; putting the records right")
         right = make_setup(aircraft, later(setup.flights, late[0]), measured, ideal)
-        found = find_effects(
-            aircraft, right, measured, ideal, extra, work, map_, say, stages, (*put_right, late[0]), lone
-        )
+        found = find_effects(aircraft, right, measured, ideal, extra, work, map_, say, stages, (*put_right, late[0]), lone)
         if not put_right:
             found = replace(found, notes=(words(found.late_s, late[1], dt), *found.notes))
         return found
@@ -172,9 +164,7 @@ def find_effects(
     free = before.columns[0].names
     first = select(evidence, free, odds, confirming, limit=limit, twins=TWINS, empirical=bool(setup.late))
     first = strong_first(first, evidence, free, odds, confirming, TWINS)
-    start = Start(
-        aircraft, setup, before, names, effects, limits, confirming, limit, tuple(measured), tuple(ideal), map_
-    )
+    start = Start(aircraft, setup, before, names, effects, limits, confirming, limit, tuple(measured), tuple(ideal), map_)
     best, trail = settle(start, first, evidence, work, say)
     trail = [*(f"round 1: {line}" for line in first.trail), *trail]
     if best is None:
@@ -201,9 +191,7 @@ def _not_borne_out(first: Selection, limit: float) -> Refusal | None:
     if not first.chosen:
         return None
     c = first.chosen[0]
-    return Refusal(
-        c.key, c.t, c.gain, "flown in the simulation it does not lower the error by as much", abs(c.t) > limit + STRONG
-    )
+    return Refusal(c.key, c.t, c.gain, "flown in the simulation it does not lower the error by as much", abs(c.t) > limit + STRONG)
 
 
 def with_resolution(selection: Selection, effects: Mapping[str, Effect], dt_s: float) -> Selection:
@@ -276,16 +264,11 @@ def _moved_alone(evidence: Evidence, names: Sequence[str], fit: Fit) -> dict[str
     return {n: float(fit.flown.point.values[n] + delta[n]) for n in names}
 
 
-def in_one_step(
-    evidence: Evidence, names: Sequence[str], fit: Fit, selection: Selection
-) -> dict[str, tuple[float, float]]:
+def in_one_step(evidence: Evidence, names: Sequence[str], fit: Fit, selection: Selection) -> dict[str, tuple[float, float]]:
     """(value, corrected standard error) of the parameters beside the effects, the last step taken."""
     free = [*(n for n in fit.columns[0].names if not n.startswith("effect/")), *(c.key for c in selection.chosen)]
     delta = dict(zip(evidence.names, evidence.fitted(evidence.index(free)), strict=True))
-    return {
-        n: (float(fit.flown.point.values[n] + delta[n]), corrected(evidence, [f for f in free if f != n], n)[1])
-        for n in names
-    }
+    return {n: (float(fit.flown.point.values[n] + delta[n]), corrected(evidence, [f for f in free if f != n], n)[1]) for n in names}
 
 
 def score_table(
@@ -301,9 +284,7 @@ def _short(e: Effect) -> str:
     return f"{e.coefficient or e.subsystem} {e.term}"
 
 
-def _parameters(
-    evidence: Evidence, names: Sequence[str], fit: Fit, selection: Selection
-) -> dict[str, tuple[float, float]]:
+def _parameters(evidence: Evidence, names: Sequence[str], fit: Fit, selection: Selection) -> dict[str, tuple[float, float]]:
     free = [*[n for n in fit.columns[0].names if not n.startswith("effect/")], *[c.key for c in selection.chosen]]
     out = {}
     for n in names:
@@ -325,9 +306,7 @@ def estimates_of(found: Found, flights: Sequence[str], initial: Mapping[str, flo
     """New numbers of the re-identified parameters with their remarks."""
     out = {}
     for n, (value, std) in found.parameters.items():
-        out[n] = Estimate(
-            value, f"{value:.5g} +/- {std:.2g}, was {initial.get(n, float('nan')):.5g}; refine; {', '.join(flights)}"
-        )
+        out[n] = Estimate(value, f"{value:.5g} +/- {std:.2g}, was {initial.get(n, float('nan')):.5g}; refine; {', '.join(flights)}")
     return out
 
 

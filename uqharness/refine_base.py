@@ -117,10 +117,6 @@ def undetermined(evidence: Evidence, names: Sequence[str], limits: Mapping[str, 
     for k, column in enumerate(alive.tolist()):
         name = evidence.names[column]
         low, high = limits.get(name, (-np.inf, np.inf))
-        if (
-            name in names
-            and name not in dead
-            and float(np.sqrt(inverse[k, k])) / scale[column] > (high - low) / np.sqrt(12.0)
-        ):
+        if name in names and name not in dead and float(np.sqrt(inverse[k, k])) / scale[column] > (high - low) / np.sqrt(12.0):
             dead.append(name)
     return dead

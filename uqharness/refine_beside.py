@@ -43,9 +43,7 @@ def left_in(setup: Setup, shown: Shown, gusty: bool) -> Left:
     ratios = {c: shown.channel_rms(k) / float(shown.noise[k]) for k, c in enumerate(setup.outputs)}
     # A gust spectrum is a model: the colour of one-step predictions says nothing of the aircraft.
     p = {} if gusty else whiteness(setup, shown.residual)
-    return Left(
-        {c: r for c, r in ratios.items() if r > NOISE_FLOOR}, tuple(sorted(c for c, v in p.items() if v < COLOURED_P))
-    )
+    return Left({c: r for c, r in ratios.items() if r > NOISE_FLOOR}, tuple(sorted(c for c, v in p.items() if v < COLOURED_P)))
 
 
 def too_weak(chosen: Sequence[Choice], limit: float) -> tuple[Choice, ...]:

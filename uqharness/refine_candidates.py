@@ -139,9 +139,7 @@ def _subsystem(
             if e.term == "delay" and what in (c, SENSOR_OF.get(c)):
                 out[:, k] = -p.rate_of(c, y[:, k])
             elif e.term != "delay" and c == what:
-                out[:, k] = (
-                    (y[:, k] - sensor_offset(c, segment, point)) / sensor_gain(c, point) if e.term == "scale" else 1.0
-                )
+                out[:, k] = (y[:, k] - sensor_offset(c, segment, point)) / sensor_gain(c, point) if e.term == "scale" else 1.0
         return None, out
     if part == "record":
         rate = np.gradient(p.controls, h, axis=0)

@@ -41,9 +41,7 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
             f"--{name}", type=Path, nargs="+", action="extend", required=True, metavar="FILE",
             help=f"{text}: records (.parquet, .csv) or any log that `log import` reads; repeatable",
         )  # fmt: skip
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the results, made if need be"
-    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results, made if need be")
     parser.add_argument("--effects", type=Path, metavar="FILE.toml", help="effects of your own beside the catalogue")
     parser.add_argument("--map", type=Path, metavar="MAP.toml", help="signal map of your own for logs")
     parser.add_argument(
@@ -74,9 +72,7 @@ def _run(args: argparse.Namespace) -> int:
     if args.campaign is not None and args.no_pbox:
         raise BadInputError("--campaign and --no-pbox: a campaign is flown for its p-box; leave out one of them")
     if not args.out.exists() and not args.out.absolute().parent.is_dir():
-        raise BadInputError(
-            f"--out {args.out}: the folder {args.out.absolute().parent} does not exist; create it first"
-        )
+        raise BadInputError(f"--out {args.out}: the folder {args.out.absolute().parent} does not exist; create it first")
     # Imported here: scipy and pandas take a second that --help should not pay.
     from sysid.effect_file import read_effects
     from sysid.log_errors import LogError

@@ -38,9 +38,7 @@ def find_disagreements(setup: Setup, shown: Shown, settled: Shown, controls: Seq
         for s, g in zip(setup.segments, shown.coefficients, strict=True)
     ]
     labels = [kind_of(s) for s in setup.segments]
-    return disagreements(
-        shown.coefficients, allowed, state_ranges(setup, shown.flown, controls), labels, setup.segments[0].dt_s
-    )
+    return disagreements(shown.coefficients, allowed, state_ranges(setup, shown.flown, controls), labels, setup.segments[0].dt_s)
 
 
 def kind_of(segment: Segment) -> str:
@@ -48,9 +46,7 @@ def kind_of(segment: Segment) -> str:
     return segment.label.split(",")[0]
 
 
-def _remaining(
-    found: Found, setup: Setup, shown: Shown, left: Sequence[Disagreement], controls: Sequence[Any]
-) -> dict[str, Any]:
+def _remaining(found: Found, setup: Setup, shown: Shown, left: Sequence[Disagreement], controls: Sequence[Any]) -> dict[str, Any]:
     """Whether anything is left that noise does not explain, where, and on what it depends."""
     left_here = left_in(setup, shown, found.gusty)
     refused = found.selection.refused
@@ -149,15 +145,11 @@ def _unnamed(effect: Effect, choice: Choice) -> dict[str, Any]:
 
 
 def _label(effect: Effect) -> dict[str, str]:
-    where = (
-        {"coefficient": effect.coefficient} if effect.coefficient is not None else {"subsystem": effect.subsystem or ""}
-    )
+    where = {"coefficient": effect.coefficient} if effect.coefficient is not None else {"subsystem": effect.subsystem or ""}
     return {**where, "term": effect.term}
 
 
-def _effect(
-    found: Found, c: Choice, verdict: Verdict | None, switches: Mapping[str, tuple[str, float] | None]
-) -> dict[str, Any]:
+def _effect(found: Found, c: Choice, verdict: Verdict | None, switches: Mapping[str, tuple[str, float] | None]) -> dict[str, Any]:
     """One effect; what the test flights say of it is no part of what was chosen."""
     e, switch = found.effects[c.key], switches[c.key]
     value, std, unit = _as_written(found, e, c)

@@ -87,7 +87,5 @@ def _candidates(done: Mapping[str, Any], prefix: str) -> Figure | None:
         chart.line(np.array([0.0, t]), np.array([float(k)] * 2), "thick" if name in chosen else "wide")
     if limit is not None:
         chart.upright(limit, "limit", "reached by chance by the best of all")
-    caption = (
-        "What explains the disagreement of the train flights, each alone: |t| [1]. Chosen ones are dark and carry a ●."
-    )
+    caption = "What explains the disagreement of the train flights, each alone: |t| [1]. Chosen ones are dark and carry a ●."
     return Figure(chart.name, chart.svg(), caption)

@@ -108,8 +108,7 @@ def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flow
     """Replay every segment at a point; cost inf where a flight leaves the finite."""
     late = [any(sensor_late_s(c, s, point) for c in setup.outputs) for s in setup.segments]
     jobs = [
-        (model, s, dict(point.values), start, between)
-        for s, start, between in zip(setup.segments, point.starts, late, strict=True)
+        (model, s, dict(point.values), start, between) for s, start, between in zip(setup.segments, point.starts, late, strict=True)
     ]
     every = list(map_(_fly, jobs))
     raw = [at_rows(r, len(s.time_s)) for r, s in zip(every, setup.segments, strict=True)]
@@ -291,9 +290,7 @@ def _moved(
     return replace(stepped(setup, point, step, limits), starts=starts)
 
 
-def moved_starts(
-    starts: Sequence[Array], white: Sequence[White], delta: Array, share: float = 1.0
-) -> tuple[Array, ...]:
+def moved_starts(starts: Sequence[Array], white: Sequence[White], delta: Array, share: float = 1.0) -> tuple[Array, ...]:
     """Start states moved to where they fit best beside a change (K,) of the columns, or a share of the way."""
     order = [STATES.index(s) for s in X_STATES]
     moved = [start.copy() for start in starts]

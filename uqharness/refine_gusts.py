@@ -86,9 +86,7 @@ def measured_flight(setup: Setup, point: Point) -> Flown:
             columns.append(moved_later(value, -late / segment.dt_s) if late else value)
         x.append(np.column_stack(columns))
     height = [np.array(c["h_m"], dtype=float) for c in setup.channels]
-    return Flown(
-        point, [np.zeros((len(s.time_s), len(setup.outputs))) for s in setup.segments], x, height, float("nan")
-    )
+    return Flown(point, [np.zeros((len(s.time_s), len(setup.outputs))) for s in setup.segments], x, height, float("nan"))
 
 
 def rows_late(setup: Setup, segment: Segment, point: Point) -> dict[str, int]:
@@ -176,9 +174,7 @@ def gust_refit(
         if analytic is None:
             analytic = tuple(named_terms(straight, setup.segments[0], found[0], own, point.values))
             if len(analytic) < len(own):
-                flown, found = predict(
-                    straight, setup, point, controls, bends, [n for n in own if n not in analytic], map_
-                )
+                flown, found = predict(straight, setup, point, controls, bends, [n for n in own if n not in analytic], map_)
         steps = _Linear(setup, flown, found, map_)
         # Where the flight is far from what the parameters say, what they will explain would be taken for gusts.
         settled = length < SETTLED or (number == min(SEARCH_BY, iterations) and not searched)
@@ -269,9 +265,7 @@ def _tuned(setup: Setup, steps: _Linear, gusts: Gusts) -> tuple[Setup, Gusts]:
 
 def _noise_factors(setup: Setup, steps: _Linear, gusts: Gusts) -> Array:
     kinds = [_KINDS.get(c.split("_")[0], c) for c in setup.outputs]
-    return noise_factors(
-        steps.all(gusts.states), steps.measured, setup.which, setup.noise, gusts.process, kinds, steps.by
-    )
+    return noise_factors(steps.all(gusts.states), steps.measured, setup.which, setup.noise, gusts.process, kinds, steps.by)
 
 
 def _intensity(setup: Setup, steps: _Linear, near: Gusts | None) -> Gusts:
@@ -297,9 +291,7 @@ def predicted(
         whole = rates(p.reference, p.mass, x, gusts=gusts.states)
         flow = rates(p.reference, p.mass, x, gusts=replace(gusts.states, turning_with=False))
         coefficients = p.coefficients + _changed(p, np.column_stack([x[:, :3], air]) - p.reference.x[:, : len(AIR)])
-        out.append(
-            replace(p, coefficients=coefficients, predicted=Predicted(x[:, :8], whole[:, :8], flow[:, 1:3], air))
-        )
+        out.append(replace(p, coefficients=coefficients, predicted=Predicted(x[:, :8], whole[:, :8], flow[:, 1:3], air)))
         outputs.append(s.y_ref[:, setup.which] + np.einsum("nij,nj->ni", s.H[:, setup.which], d))
     return replace(flown, outputs=outputs), out
 

@@ -190,8 +190,6 @@ def left_out(found: Found, evidence: Evidence, keys: Sequence[str]) -> Found:
     for c in kept:
         value, std, _ = corrected(evidence, [f for f in some if f != c.key], c.key)
         chosen.append(replace(c, value=value, std=std, t=value / std))
-    selection = with_resolution(
-        replace(found.selection, chosen=tuple(chosen)), found.effects, found.setup.segments[0].dt_s
-    )
+    selection = with_resolution(replace(found.selection, chosen=tuple(chosen)), found.effects, found.setup.segments[0].dt_s)
     parameters = in_one_step(evidence, found.names, found.after, selection)
     return replace(found, parameters=parameters, selection=selection)

@@ -74,9 +74,7 @@ def write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, r
         raise BadInputError(f'{path}: no <location name="CG"> to move')
     unit = _METRES.get(attribute(place, "unit"), math.nan)
     if math.isnan(unit):
-        raise BadInputError(
-            f'{document.where(place)}: unit "{attribute(place, "unit")}" of the centre of gravity; use M, FT or IN'
-        )
+        raise BadInputError(f'{document.where(place)}: unit "{attribute(place, "unit")}" of the centre of gravity; use M, FT or IN')
     # Structural x points aft.
     _put(document, x, number(x, "<x>", document) - value / unit, remark)
     sensors_from_cg(folder / "airframe.toml", value, remark)

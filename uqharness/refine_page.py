@@ -149,9 +149,7 @@ def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
         ratios = {}
         for name, r in gap.get(kind, {}).items():
             quantity, unit, factor = shown_channel(name)
-            before, after, noise = (
-                None if r.get(k) is None else factor * r[k] for k in ("rms_before", "rms_after", "noise_rms")
-            )
+            before, after, noise = (None if r.get(k) is None else factor * r[k] for k in ("rms_before", "rms_after", "noise_rms"))
             if before is not None and after is not None and noise:
                 ratios[quantity] = {"before": before / noise, "after": after / noise}
                 answer = Cell(shown(after), "good" if after <= before else "bad")
@@ -163,19 +161,13 @@ def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
         figures += [figure] if figure else []
     theil = gap.get("theil", {})
     if theil:
-        rows.append(
-            ("Theil's U, mean [1]", shown(theil.get("before"), ".4f"), Cell(shown(theil.get("after"), ".4f")), "")
-        )
+        rows.append(("Theil's U, mean [1]", shown(theil.get("before"), ".4f"), Cell(shown(theil.get("after"), ".4f")), ""))
     text = (
         "Before: the model with its parameters identified again, without the effects. After: with them. Start states and biases "
         "are each flight's own. ✓: not larger than before."
     )
-    table = Table(
-        "Gap on the test flights: rms of log minus model.", ("Quantity", "Before", "After", "Noise"), tuple(rows)
-    )
-    return Section(
-        "Gap on the test flights, before and after", (Words(text, note=True), Figures(tuple(figures)), table)
-    )
+    table = Table("Gap on the test flights: rms of log minus model.", ("Quantity", "Before", "After", "Noise"), tuple(rows))
+    return Section("Gap on the test flights, before and after", (Words(text, note=True), Figures(tuple(figures)), table))
 
 
 def _coefficient_figures(
@@ -192,11 +184,7 @@ def _coefficient_figures(
             band = ([-h for h in half], half, "")
         label = f"{c} [1] demanded by the test flights minus the model's, before and after, segments end to end."
         series = [(f"{c}_gap_before", "second thin", ""), (f"{c}_gap_after", "first thin", "")]
-        out.append(
-            end_to_end(
-                histories, f"{prefix}demand-{c}", series, band, label, f"flight minus model, {c} [1]", f"{c} [1]"
-            )
-        )
+        out.append(end_to_end(histories, f"{prefix}demand-{c}", series, band, label, f"flight minus model, {c} [1]", f"{c} [1]"))
     return tuple(out)
 
 
@@ -205,15 +193,12 @@ def _left_section(done: Mapping[str, Any]) -> Section:
     if said:
         return Section("What is left", (Bullets(said),))
     unplaced = done["remaining"].get("unexplained")
-    return Section(
-        "What is left", (Words("More than noise, and nothing tells where." if unplaced else "Nothing beyond noise."),)
-    )
+    return Section("What is left", (Words("More than noise, and nothing tells where." if unplaced else "Nothing beyond noise."),))
 
 
 def _parameter_section(done: Mapping[str, Any]) -> Section:
     rows = tuple(
-        (Cell(n, code=True), shown(r["value"], ".6g"), shown(r["std"], ".2g"))
-        for n, r in done.get("parameters", {}).items()
+        (Cell(n, code=True), shown(r["value"], ".6g"), shown(r["std"], ".2g")) for n, r in done.get("parameters", {}).items()
     )
     head = ("Property", "Value", "Standard error")
     return Section("Parameters, identified with the effects", (Table("Parameters of the refined model.", head, rows),))

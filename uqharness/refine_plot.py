@@ -49,9 +49,7 @@ def shrinkage_figure(gap: Mapping[str, Mapping[str, Mapping[str, float]]], path:
     save(figure, path)
 
 
-def candidates_figure(
-    rows: Sequence[tuple[str, float]], limit: float, chosen: Sequence[str], path: Path, title: str
-) -> None:
+def candidates_figure(rows: Sequence[tuple[str, float]], limit: float, chosen: Sequence[str], path: Path, title: str) -> None:
     """|t| of the candidates that explain most of what the parameters leave, chosen ones in red; the limit as a line."""
     figure = Figure(figsize=(8, 0.9 + 0.27 * len(rows)), layout="constrained")
     axis = figure.subplots()
@@ -61,9 +59,7 @@ def candidates_figure(
     axis.set_yticks(at, [n for n, _ in rows], fontsize=8)
     axis.invert_yaxis()
     axis.tick_params(labelsize=8)
-    axis.set_xlabel(
-        "|t| of the score test, each candidate alone (dashed: what the best of all reaches by chance)", fontsize=8
-    )
+    axis.set_xlabel("|t| of the score test, each candidate alone (dashed: what the best of all reaches by chance)", fontsize=8)
     figure.suptitle(title, fontsize=10)
     save(figure, path)
 

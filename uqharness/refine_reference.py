@@ -205,9 +205,7 @@ def probe(job: ProbeJob) -> Probe:
     )  # fmt: skip
 
 
-def _forced(
-    job: ProbeJob, x: Array, controls: Array, properties: Mapping[str, float], rows: NDArray[np.intp]
-) -> ForcedModel:
+def _forced(job: ProbeJob, x: Array, controls: Array, properties: Mapping[str, float], rows: NDArray[np.intp]) -> ForcedModel:
     channels = {name: x[:, STATES.index(name)] for name in STATES}
     height = altitudes(job.straight, job.segment, job.height_m[rows])
     return force_states(job.straight, job.segment, channels, controls, properties, height)
@@ -243,9 +241,7 @@ def property_slopes(job: ProbeJob, rows: NDArray[np.intp], names: Sequence[str])
         for handles, value in zip(setters, scaled[k], strict=True):
             for setter in handles:
                 setter(float(value))
-        for put_one, value in zip(
-            put, (phi, theta, *(w / FT for w in body_velocity(V, alpha, beta)), p, q, r), strict=True
-        ):
+        for put_one, value in zip(put, (phi, theta, *(w / FT for w in body_velocity(V, alpha, beta)), p, q, r), strict=True):
             put_one(float(value))
         altitude(float(height[k]) / FT)
         engine.run_ic(fdm)
@@ -270,9 +266,7 @@ def _differences(job: ProbeJob, names: Sequence[str], scale: Array) -> dict[str,
     coarse = np.unique(np.append(np.arange(0, n, EVERY), n - 1))
     found = property_slopes(job, coarse, names)
     full = np.arange(n)
-    return {
-        name: np.column_stack([np.interp(full, coarse, v[:, j]) for j in range(6)]) / scale for name, v in found.items()
-    }
+    return {name: np.column_stack([np.interp(full, coarse, v[:, j]) for j in range(6)]) / scale for name, v in found.items()}
 
 
 def named_terms(

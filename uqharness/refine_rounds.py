@@ -91,9 +91,7 @@ class Round:
         return frozenset(c.key for c in self.selection.chosen)
 
 
-def settle(
-    start: Start, selection: Selection, evidence: Evidence, work: Path, say: Say
-) -> tuple[Round | None, list[str]]:
+def settle(start: Start, selection: Selection, evidence: Evidence, work: Path, say: Say) -> tuple[Round | None, list[str]]:
     """Fly what was chosen and choose again until the choice stands; the best of the rounds flown, and the trail.
 
     None where every round flown is worse than the aircraft as it was. A choice that goes to and fro ends at the second sight of a
@@ -175,9 +173,7 @@ def _tried(start: Start, selection: Selection, about: About, folder: Path) -> Ro
         return None
 
 
-def _contested(
-    start: Start, now: Round, selection: Selection, about: About, work: Path, say: Say
-) -> tuple[Round, list[str]]:
+def _contested(start: Start, now: Round, selection: Selection, about: About, work: Path, say: Say) -> tuple[Round, list[str]]:
     """The first round and what is to be said of it: of an overwhelming effect, flown in gusts, that leaves others, or of the rival
     that flies better in its place."""
     key = selection.chosen[0].key
@@ -228,9 +224,7 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
             # What a strong effect did was noise to the sensors' estimate: vanes came out twice as noisy as they are, and a filter
             # that follows them late finds their scales and rates.
             tune = any(abs(c.t) > OVERWHELMING for c in selection.chosen)
-            found = gust_refit(
-                bench.straight, setup, controls, bends, begin, names, start.limits, start.map_, gusts, tune=tune
-            )
+            found = gust_refit(bench.straight, setup, controls, bends, begin, names, start.limits, start.map_, gusts, tune=tune)
             fit, gusts, setup, surprise = found.fit, found.gusts, found.setup, found.surprise
             evidence = gust_evidence(setup, found, effect_columns(setup, fit.probes, fit.flown, rest))
         else:

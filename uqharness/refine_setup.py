@@ -45,20 +45,14 @@ def refuse_shared(train: Sequence[Path], test: Sequence[Path]) -> None:
             )
 
 
-def make_setup(
-    aircraft: Aircraft, flights: Sequence[Flight], measured: Sequence[str], ideal: Sequence[str] = ()
-) -> Setup:
+def make_setup(aircraft: Aircraft, flights: Sequence[Flight], measured: Sequence[str], ideal: Sequence[str] = ()) -> Setup:
     """Segments, measured outputs and noise of some flights."""
     arm = aircraft.accelerometer_m
     cut = [s for f in flights for s in segments(f, measured, arm)]
     outputs = tuple(c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights))
     data = [b for f in flights for b in measured_outputs(f, outputs)]
     known = channel_noise(data, outputs, aircraft.card.sensors.noise_std)
-    late = {
-        f.name: list(dict.fromkeys(SENSOR_OF.get(c, c) for c in outputs))
-        for f in flights
-        if f.record.metadata.native_hz
-    }
+    late = {f.name: list(dict.fromkeys(SENSOR_OF.get(c, c) for c in outputs)) for f in flights if f.record.metadata.native_hz}
     return Setup(
         tuple(flights), tuple(cut), states_of(flights), outputs, tuple(data), np.array([known[c] for c in outputs]),
         tuple(b for b in BIASES if b in outputs), late, servos=servos_of(aircraft, measured, ideal),
@@ -90,12 +84,8 @@ class Bench:
         self._stack = ExitStack()
 
     def __enter__(self) -> Bench:
-        self.model: ReplayModel = self._stack.enter_context(
-            ReplayFolder(self.aircraft, measured=self.measured, ideal=self.ideal)
-        )
-        self.straight: ReplayModel = self._stack.enter_context(
-            ReplayFolder(self.aircraft, measured=self.measured, ideal=CONTROLS)
-        )
+        self.model: ReplayModel = self._stack.enter_context(ReplayFolder(self.aircraft, measured=self.measured, ideal=self.ideal))
+        self.straight: ReplayModel = self._stack.enter_context(ReplayFolder(self.aircraft, measured=self.measured, ideal=CONTROLS))
         return self
 
     def __exit__(self, *_: object) -> None:

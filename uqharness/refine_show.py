@@ -166,8 +166,7 @@ def _coefficient_gap(
     model, straight, segment, channels, noise = job
     rng = np.random.default_rng(1)
     noisy = {
-        c: v + (noise[c] * rng.standard_normal(len(v)) if np.isfinite(noise.get(c, np.nan)) else 0.0)
-        for c, v in channels.items()
+        c: v + (noise[c] * rng.standard_normal(len(v)) if np.isfinite(noise.get(c, np.nan)) else 0.0) for c, v in channels.items()
     }
     gaps = []
     for given in (channels, noisy):
@@ -194,12 +193,10 @@ def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]
 
     return {
         "channels": {
-            c: row(before.channel_rms(k), after.channel_rms(k), float(after.noise[k]))
-            for k, c in enumerate(setup.outputs)
+            c: row(before.channel_rms(k), after.channel_rms(k), float(after.noise[k])) for k, c in enumerate(setup.outputs)
         },
         "coefficients": {
-            c: row(before.coefficient_rms(k), after.coefficient_rms(k), float(after.floor[k]))
-            for k, c in enumerate(COEFFICIENTS)
+            c: row(before.coefficient_rms(k), after.coefficient_rms(k), float(after.floor[k])) for k, c in enumerate(COEFFICIENTS)
         },
         "theil": {"before": coefficient(before), "after": coefficient(after)},
         "cost": {

@@ -68,8 +68,7 @@ def intervals_figure(document: Mapping[str, Any], path: Path, title: str) -> Non
     left.set_ylim(0.0, 1.12 * max(1.0, float(np.nanmax(after / before))))
     for when, shift, colour in (("before", -0.1, BEFORE), ("after", 0.1, AFTER)):
         share, std = (
-            np.array([100.0 * rows[c][f"{what}_{when}"] for c in names], dtype=float)
-            for what in ("coverage", "coverage_std")
+            np.array([100.0 * rows[c][f"{what}_{when}"] for c in names], dtype=float) for what in ("coverage", "coverage_std")
         )
         right.errorbar(at + shift, share, 1.96 * std, fmt="o", ms=5, color=colour, capsize=3, lw=1.2, label=when)
     right.axhline(100.0 * document["confidence"], color="black", lw=0.8, ls="--")

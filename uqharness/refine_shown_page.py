@@ -22,9 +22,7 @@ def interval_section(gap: Mapping[str, Any]) -> Section:
     for name, r in intervals["coefficients"].items():
         before, after = r["width_before"], r["width_after"]
         level: Level = "" if before is None or after is None or before == after else "good" if after < before else "bad"
-        rows.append(
-            (name, shown(before), Cell(shown(after), level), *(_share(r, when) for when in ("before", "after")))
-        )
+        rows.append((name, shown(before), Cell(shown(after), level), *(_share(r, when) for when in ("before", "after"))))
     head = ("Coefficient [1]", "Mean width before", "After", "Test samples inside before [%]", "After [%]")
     caption = f"{100.0 * intervals['confidence']:g} % intervals of each model, fitted on the train flights."
     text = "As uqharness bounds fits them, one set for each model; ± is one standard error, neighbouring samples being alike."
@@ -33,9 +31,7 @@ def interval_section(gap: Mapping[str, Any]) -> Section:
 
 def _share(row: Mapping[str, Any], when: str) -> str:
     share, std = row[f"coverage_{when}"], row[f"coverage_std_{when}"]
-    return (
-        "undefined" if share is None else f"{100.0 * share:.1f} ± {shown(None if std is None else 100.0 * std, '.1f')}"
-    )
+    return "undefined" if share is None else f"{100.0 * share:.1f} ± {shown(None if std is None else 100.0 * std, '.1f')}"
 
 
 def mission_section(folder: Path, gap: Mapping[str, Any], prefix: str = "") -> Section:
@@ -56,7 +52,5 @@ def mission_section(folder: Path, gap: Mapping[str, Any], prefix: str = "") -> S
         pair = [read_found(folder / name) for name in folders]
     except BadInputError as error:
         return Section(title, (Words(f"{said} The campaigns cannot be read: {error}"),))
-    drawn = overlay_section(
-        pair[0], pair[1], dict(zip(("before", "after"), folders, strict=True)), f"{prefix}mission-", title
-    )
+    drawn = overlay_section(pair[0], pair[1], dict(zip(("before", "after"), folders, strict=True)), f"{prefix}mission-", title)
     return Section(title, (Words(said, note=True), *drawn.blocks))

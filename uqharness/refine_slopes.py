@@ -46,7 +46,6 @@ def of_lift_slope(selection: Selection, before: Fit, after: Fit) -> tuple[Select
         return selection, slopes
     ratio = slopes["CZ_alpha"] / own
     chosen = tuple(
-        replace(c, value=ratio * c.value, std=ratio * c.std) if c.key.startswith("effect/stall/") else c
-        for c in selection.chosen
+        replace(c, value=ratio * c.value, std=ratio * c.std) if c.key.startswith("effect/stall/") else c for c in selection.chosen
     )
     return replace(selection, chosen=chosen), {**slopes, "CZ_alpha": own}

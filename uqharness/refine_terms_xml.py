@@ -19,9 +19,7 @@ INFLOW_POWERS = 4
 
 def _has_function(section: AeroSection, name: str) -> bool:
     return any(
-        n.tag == "function" and n.attributes.get("name", "").strip() == name
-        for d in section.documents
-        for n in d.root.walk()
+        n.tag == "function" and n.attributes.get("name", "").strip() == name for d in section.documents for n in d.root.walk()
     )
 
 

@@ -152,9 +152,7 @@ def pbox_lines(pbox: Mapping[str, Any]) -> list[str]:
     for row in pbox["metrics"]:
         if "_median_" in row["metric"]:
             ends = [row["quantiles"]["0.5"][when] for when in ("before", "after")]
-            words = " -> ".join(
-                "[" + ", ".join("open" if e is None else f"{e:.3g}" for e in pair) + "]" for pair in ends
-            )
+            words = " -> ".join("[" + ", ".join("open" if e is None else f"{e:.3g}" for e in pair) + "]" for pair in ends)
             out.append(f"  {row['metric']}, {row['condition']}: median {words}")
     return out
 

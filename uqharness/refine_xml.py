@@ -131,9 +131,7 @@ _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 
 def _number(folder: Path, name: str) -> str | None:
     """The number that some file of the folder gives a property, as written."""
-    pattern = re.compile(
-        r"<property\b[^>]*?\bvalue\s*=\s*[\"']([^\"']*)[\"'][^>]*>\s*" + re.escape(name) + r"\s*</property>"
-    )
+    pattern = re.compile(r"<property\b[^>]*?\bvalue\s*=\s*[\"']([^\"']*)[\"'][^>]*>\s*" + re.escape(name) + r"\s*</property>")
     for path in sorted(folder.rglob("*.xml")):
         text = _COMMENT.sub("", path.read_bytes().decode("utf-8", errors="surrogateescape"))
         found = pattern.search(text)
@@ -142,9 +140,7 @@ def _number(folder: Path, name: str) -> str | None:
     return None
 
 
-def _add(
-    edit: SectionEdit, aircraft: Aircraft, w: Written, summands: dict[str, list[str]], deltas: bool
-) -> SectionEdit:
+def _add(edit: SectionEdit, aircraft: Aircraft, w: Written, summands: dict[str, list[str]], deltas: bool) -> SectionEdit:
     name = w.effect.property_name
     declare = f'<property value="{w.value:.8g}">{name}</property>  {comment(w.remark)}'
     if w.effect.coefficient is not None:
@@ -154,11 +150,7 @@ def _add(
         if home is not None:
             document, total = home
             last = _last_property(document, w.effect.coefficient)
-            edit = (
-                add_functions(edit, [declare])
-                if last is None
-                else edit.plus(document, after(document, last, [declare]))
-            )
+            edit = add_functions(edit, [declare]) if last is None else edit.plus(document, after(document, last, [declare]))
             return edit.plus(document, append_child(document, total, [f"<product> {' '.join(factors)} </product>"]))
         return _function(edit, w.effect.coefficient, name, declare, factors, summands)
     for coefficient, number, factors in subsystem_terms(w.effect, w.slopes, edit.section, aircraft):

@@ -77,9 +77,7 @@ def late_limit_s(flight: Flight, dt_s: float) -> float:
     return math.inf if flight.record.metadata.native_hz else max(LATE_ROWS * dt_s, _LEAST_LATE_S)
 
 
-def misplaced(
-    flights: Sequence[Flight], cut: Sequence[Segment], nuisance: Mapping[str, tuple[float, float]]
-) -> list[str]:
+def misplaced(flights: Sequence[Flight], cut: Sequence[Segment], nuisance: Mapping[str, tuple[float, float]]) -> list[str]:
     """A sentence for every flight whose controls, by the estimate in ``nuisance``, act when its record says they do not."""
     said = []
     for flight in flights:

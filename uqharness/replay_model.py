@@ -181,9 +181,7 @@ def _edit(folder: Path, main: str, card: Card, direct: Sequence[str]) -> set[str
     actuators keep a lag.
     """
     lagging: set[str] = set()
-    surfaces = {
-        _surface(position): position for entry in card.inputs.values() if (position := entry.position) is not None
-    }
+    surfaces = {_surface(position): position for entry in card.inputs.values() if (position := entry.position) is not None}
     positions = {card.inputs[name].position for name in direct} - {None}
     for path in sorted(folder.rglob("*.xml")):
         tree = parse_xml(path)

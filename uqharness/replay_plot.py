@@ -65,9 +65,7 @@ def gap_figure(ratios: Mapping[str, Mapping[str, float]], path: Path, title: str
     """Horizontal bars: rms over noise of each channel in each manoeuvre (outer key: manoeuvre), with the limit as a line."""
     manoeuvres = list(ratios)
     channels = list(next(iter(ratios.values())))
-    figure = Figure(
-        figsize=(9, 0.9 + 0.28 * len(channels) + 0.12 * len(channels) * len(manoeuvres)), layout="constrained"
-    )
+    figure = Figure(figsize=(9, 0.9 + 0.28 * len(channels) + 0.12 * len(channels) * len(manoeuvres)), layout="constrained")
     axis = figure.subplots()
     height = 0.8 / len(manoeuvres)
     colours = matplotlib.colormaps["viridis"](np.linspace(0.05, 0.9, len(manoeuvres)))
@@ -85,9 +83,7 @@ def gap_figure(ratios: Mapping[str, Mapping[str, float]], path: Path, title: str
     save(figure, path)
 
 
-def coefficient_figure(
-    time_s: Sequence[Array], flight: Sequence[Array], model: Sequence[Array], path: Path, title: str
-) -> None:
+def coefficient_figure(time_s: Sequence[Array], flight: Sequence[Array], model: Sequence[Array], path: Path, title: str) -> None:
     """CX ... Cn that the flight demanded against the model's at the same states, pieces end to end, as SVG."""
     figure = Figure(figsize=(11, 8), layout="constrained")
     axes = figure.subplots(6, 1, sharex=True)

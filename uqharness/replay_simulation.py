@@ -98,9 +98,7 @@ class Replay:
         self._kept[number] = (state, flown)
         return flown
 
-    def _flown(
-        self, number: int, segment: Segment, properties: Mapping[str, float], start: Array, late_s: float
-    ) -> Array:
+    def _flown(self, number: int, segment: Segment, properties: Mapping[str, float], start: Array, late_s: float) -> Array:
         key = self._key(number, properties, start, late_s)
         found = _flown.get(key)
         if found is None:

@@ -23,9 +23,7 @@ def sentence(item: Statement) -> str:
     text += f" ({CONFIDENCE:.0%} limits {_limits(item.best)} and {_limits(item.worst)}, flights as the unit, "
     hours = max(rate.hours for rate in cell.rates)
     text = text.replace("%", " %") + f"{hours:.3g} h per corner{' at most' if _uneven(item) else ''}). "
-    return (
-        text + f"At most {item.acceptable_per_h:g} per hour at every corner? {_ANSWER_WORDS[item.answer].capitalize()}."
-    )
+    return text + f"At most {item.acceptable_per_h:g} per hour at every corner? {_ANSWER_WORDS[item.answer].capitalize()}."
 
 
 def row(item: Statement) -> dict[str, str]:

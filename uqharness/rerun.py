@@ -58,11 +58,7 @@ class RecordedFlight:
         result = fly(spec)
         mission = staged_mission(spec)
         table = {name: source for name, source in properties.sources(mission.aircraft).items() if name != "time_s"}
-        optional = (
-            {}
-            if mission.aircraft.has_card
-            else {name: table.pop(name) for name in set(table) - set(properties.STANDARD)}
-        )
+        optional = {} if mission.aircraft.has_card else {name: table.pop(name) for name in set(table) - set(properties.STANDARD)}
         optional |= properties.standard_positions() | _more(mission.aircraft.card.metrics)
         rate_hz = min(RECORD_HZ, 1.0 / mission.aircraft.dt_s)
         full = record_mission(mission, _at_rate(spec, rate_hz), table, optional, keep_burn_in=True)
@@ -90,12 +86,8 @@ def rerun_case(folder: Path, case_id: str) -> Rerun:
     record = target / "record.parquet"
     record.unlink(missing_ok=True)
     # A case that ends the interpreter must end another one than ours.
-    executor = ProcessExecutor(
-        1, timeout_s=lambda flight: 120.0 + 0.5 * (flight.duration_s + flight.burn_in_s), retries=0
-    )
-    (outcome,) = [
-        item for batch in executor.run(RecordedFlight(record), [(case.case_id, case.flight)]) for item in batch
-    ]
+    executor = ProcessExecutor(1, timeout_s=lambda flight: 120.0 + 0.5 * (flight.duration_s + flight.burn_in_s), retries=0)
+    (outcome,) = [item for batch in executor.run(RecordedFlight(record), [(case.case_id, case.flight)]) for item in batch]
     if outcome.bad_input:
         raise BadInputError(outcome.reason)
     differences = () if stored is None else tuple(_differences(stored, outcome))
@@ -124,8 +116,7 @@ def _more(metrics: Mapping[str, Any]) -> dict[str, Source]:
             table[f"{what}_{name}"] = Source(f"uq/{name}/{what}")
     table["extrapolated"] = Source("uq/extrapolated")
     return table | {
-        f"wind_{axis}_mps": Source(f"atmosphere/total-wind-{axis}-fps", properties.FT)
-        for axis in ("north", "east", "down")
+        f"wind_{axis}_mps": Source(f"atmosphere/total-wind-{axis}-fps", properties.FT) for axis in ("north", "east", "down")
     }
 
 

@@ -26,9 +26,7 @@ _POINTS = 4000
 def draw_flight(record: pd.DataFrame, flight: FlightSpec, title: str, path: Path) -> None:
     """Draw the record of one flight as SVG. Same record, same bytes. What was flown and not scored is shaded."""
     shown = record.iloc[:: max(1, len(record) // _POINTS)]
-    with matplotlib.rc_context(
-        {"svg.hashsalt": "uqharness", "font.size": 8, "axes.grid": True, "grid.color": "#dddddd"}
-    ):
+    with matplotlib.rc_context({"svg.hashsalt": "uqharness", "font.size": 8, "axes.grid": True, "grid.color": "#dddddd"}):
         figure = Figure(figsize=(11, 7.5), layout="constrained")
         grid = figure.add_gridspec(4, 3)
         _track(figure.add_subplot(grid[:2, 0]), shown)

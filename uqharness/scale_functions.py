@@ -62,9 +62,7 @@ def add_scales(edit: SectionEdit, reference: Reference) -> tuple[SectionEdit, li
                 for node in nodes
             ]  # fmt: skip
             done += rows
-            edit = edit.plus(
-                axis.document, append_child(axis.document, axis.node, _function(axis, rows, at_cg, reference))
-            )
+            edit = edit.plus(axis.document, append_child(axis.document, axis.node, _function(axis, rows, at_cg, reference)))
     return edit, done
 
 
@@ -116,9 +114,7 @@ def _names(edit: SectionEdit) -> tuple[dict[int, str], SectionEdit]:
             name = attribute(node, "name")
             if not name:
                 name = f"uq/own/{axis.name}-{k}"
-                edit = edit.plus(
-                    axis.document, Insertion(node.start + len("<function"), f' name="{name}"'.encode("ascii"))
-                )
+                edit = edit.plus(axis.document, Insertion(node.start + len("<function"), f' name="{name}"'.encode("ascii")))
             # JSBSim turns white space within a name into hyphens (FGPropertyManager::mkPropertyName).
             names[id(node)] = re.sub(r"\s", "-", name)
     return names, edit

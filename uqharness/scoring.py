@@ -22,9 +22,7 @@ LOAD_FACTOR = "load_factor_max"
 class Recorded:
     """Signals of one flight as flown so far, and how it ended."""
 
-    def __init__(
-        self, names: Sequence[str], rows: NDArray[np.float64], status: str, reason: str, flown_s: float
-    ) -> None:
+    def __init__(self, names: Sequence[str], rows: NDArray[np.float64], status: str, reason: str, flown_s: float) -> None:
         self.status = status
         self.reason = reason
         self.flown_s = flown_s
@@ -34,9 +32,7 @@ class Recorded:
 def commanded_signals(aircraft: Aircraft) -> dict[str, Source]:
     """The card's error signals, true and measured."""
     signals = {key: Source(card.true) for key, card in aircraft.card.metrics.items()}
-    return signals | {
-        f"{key}_measured": Source(card.measured) for key, card in aircraft.card.metrics.items() if card.measured
-    }
+    return signals | {f"{key}_measured": Source(card.measured) for key, card in aircraft.card.metrics.items() if card.measured}
 
 
 def from_start_signals(straight: bool) -> dict[str, Source]:

@@ -47,9 +47,7 @@ class Scratch:
     def __enter__(self) -> Scratch:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
 
@@ -125,9 +123,7 @@ def _new_home() -> _Home:
                 if os.path.samestat(os.stat(path / LOCK), os.fstat(handle)):
                     return _Home(path, handle)
         os.close(handle)
-    raise BadInputError(
-        f"{tempfile.gettempdir()}: no folder for temporary files can be kept there; set TMPDIR to another folder"
-    )
+    raise BadInputError(f"{tempfile.gettempdir()}: no folder for temporary files can be kept there; set TMPDIR to another folder")
 
 
 def _leave(number: int) -> None:
@@ -172,9 +168,7 @@ def _candidates() -> Iterator[Path]:
 
 def _open_lock(folder: Path, flags: int) -> int | None:
     with contextlib.suppress(OSError):
-        handle = os.open(
-            folder / LOCK, os.O_RDWR | flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), 0o600
-        )
+        handle = os.open(folder / LOCK, os.O_RDWR | flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), 0o600)
         if stat.S_ISREG(os.fstat(handle).st_mode):
             return handle
         os.close(handle)

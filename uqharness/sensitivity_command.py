@@ -42,16 +42,10 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("folder", type=Path, nargs="?", metavar="DIR", help="folder of a finished corner campaign")
-    parser.add_argument(
-        "--interior", type=Path, metavar="DIR2", help="a campaign of levels inside the bounds, as a check"
-    )
+    parser.add_argument("--interior", type=Path, metavar="DIR2", help="a campaign of levels inside the bounds, as a check")
     parser.add_argument("--modal", choices=READINGS, help="the dissertation's modal example, in one of two readings")
-    parser.add_argument(
-        "--repeats", type=int, default=10, metavar="R", help="with --modal: independent repeats (default 10)"
-    )
-    parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="of the repeats or of the resampling (default 0)"
-    )
+    parser.add_argument("--repeats", type=int, default=10, metavar="R", help="with --modal: independent repeats (default 10)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the repeats or of the resampling (default 0)")
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     parser.set_defaults(handler=_run)
 
@@ -135,9 +129,7 @@ def _figures(folder: Path, found: Sequence[MetricSensitivity]) -> list[Path]:
                     for name, index in item.result.indices.items():
                         assert isinstance(index, PairRange)
                         ends = index.minimum.value, index.maximum.value
-                        bars.append(
-                            RangeBar(name, _or(index.minimum.low, ends[0]), *ends, _or(index.maximum.high, ends[1]))
-                        )
+                        bars.append(RangeBar(name, _or(index.minimum.low, ends[0]), *ends, _or(index.maximum.high, ends[1])))
                     panels.append(Panel(title, sorted(bars, key=lambda bar: -(bar.minimum + bar.maximum))))
         if panels:
             name = f"sensitivity-{condition.wind_mps:g}mps-{condition.turbulence}"
@@ -157,17 +149,12 @@ def _campaign_text(folder: Path, found: Sequence[MetricSensitivity], figures: Se
     lines = []
     for condition in dict.fromkeys(item.condition for item in found):
         shown = [item for metric in _SHOWN for item in found if item.condition == condition and item.metric == metric]
-        lines.append(
-            f"{condition.words}: share of the p-box's width, smallest..largest over the pairs [95 % interval of both]"
-        )
+        lines.append(f"{condition.words}: share of the p-box's width, smallest..largest over the pairs [95 % interval of both]")
         lines.append(f"  {'':<4}" + "".join(f"{item.metric:>32}" for item in shown))
         for name in shown[0].result.indices if shown else ():
             lines.append(f"  {name:<4}" + "".join(f"{cell(item.result.indices[name]):>32}" for item in shown))
         lines += [f"  {item.words}" for item in shown]
-        lines += [
-            f"  {statement}"
-            for statement in dict.fromkeys(item.result.statement for item in shown if item.ranking.first)
-        ]
+        lines += [f"  {statement}" for statement in dict.fromkeys(item.result.statement for item in shown if item.ranking.first)]
         lines.append("")
     written = ", ".join(str(path) for path in (folder / SENSITIVITY, *figures))
     return "\n".join([*lines, f"written: {written}"])

@@ -53,9 +53,7 @@ def draw_ranges(panels: Sequence[Panel], name: str) -> str:
                 axes.plot([bar.minimum, bar.maximum], [row, row], color=_BAR, linewidth=4, solid_capstyle="butt",
                           label="smallest to largest over the pairs of corners" if first else None)  # fmt: skip
                 # A range may be too narrow to see.
-                axes.plot(
-                    [bar.minimum, bar.maximum], [row, row], color=_BAR, linestyle="none", marker="|", markersize=9
-                )
+                axes.plot([bar.minimum, bar.maximum], [row, row], color=_BAR, linestyle="none", marker="|", markersize=9)
             axes.set_yticks(range(len(panel.bars)), [bar.name for bar in panel.bars])
             axes.set_ylim(len(panel.bars) - 0.5, -0.5)
             axes.set_xlim(0.0, 1.0)

@@ -84,8 +84,6 @@ def read_sensitivity(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str
     content = read_checked(folder, manifest, SENSITIVITY)
     texts = ("condition", "turbulence", "metric", "coefficient", "reason")
     rows = csv_rows(content, folder / SENSITIVITY, ("wind_mps",), texts, _NUMBERS)
-    if any(
-        row["turbulence"] not in TURBULENCE_W20_KT or bool(row["share_min"]) != bool(row["share_max"]) for row in rows
-    ):
+    if any(row["turbulence"] not in TURBULENCE_W20_KT or bool(row["share_min"]) != bool(row["share_max"]) for row in rows):
         raise BadInputError(f"{folder / SENSITIVITY}: holds what `uqharness sensitivity` does not write; run it again")
     return rows

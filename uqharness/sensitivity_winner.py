@@ -42,9 +42,7 @@ def find_winner(
     chosen = metric or (DEFAULT_METRIC if DEFAULT_METRIC in there else (there or ("",))[0])
     if chosen not in there:
         raise BadInputError(f"--metric {chosen}: {folder} has {', '.join(there) or 'no metric that any flight got'}")
-    found = [
-        f for f in analyse_campaign(flown, metrics=[chosen], seed=seed, on_progress=on_progress) if f.ranking.first
-    ]
+    found = [f for f in analyse_campaign(flown, metrics=[chosen], seed=seed, on_progress=on_progress) if f.ranking.first]
     if not found:
         raise BadInputError(
             f"{folder}: no sensitivity of {chosen} (uqharness sensitivity {folder} says why); fly more of the campaign, choose "

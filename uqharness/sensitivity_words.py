@@ -46,17 +46,13 @@ def words(result: MethodResult, metric: str, ranking: Ranking, lost: int, flight
     if ranking.by_ranges:
         doubts.append(f"at some values of the other coefficients {_listed(ranking.by_ranges)} may matter as much")
     if ranking.by_sampling:
-        doubts.append(
-            f"by the sampling error of {flights - lost} flights {_listed(ranking.by_sampling)} may come first"
-        )
+        doubts.append(f"by the sampling error of {flights - lost} flights {_listed(ranking.by_sampling)} may come first")
     if doubts:
         text += f" Not certain: {'; '.join(doubts)}."
     if ranking.certain:
         text += " Certain: it holds at every corner of the other coefficients and for the sampling error (95 %)."
     if lost:
-        text += (
-            f" {lost} of {flights} aleatory samples are left out, because a flight of theirs failed in some corner; "
-        )
+        text += f" {lost} of {flights} aleatory samples are left out, because a flight of theirs failed in some corner; "
         text += "what is said holds for the others only."
     return text
 

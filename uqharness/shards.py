@@ -101,9 +101,7 @@ def merge(folder: Path) -> Merged:
             refuse_without_digests(part, found)
             refuse_if_different(part, found, manifest)
             if found["state"] == SPOILT:
-                raise BadInputError(
-                    f"{part}: aircraft or script was edited while it flew; remove it and fly that shard again"
-                )
+                raise BadInputError(f"{part}: aircraft or script was edited while it flew; remove it and fly that shard again")
         if old is not None and old["state"] == COMPLETE:
             with Store(folder) as store:
                 refuse_if_not_whole(folder, store, old)

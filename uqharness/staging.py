@@ -97,9 +97,7 @@ def _say(path: str, file: Passed) -> None:
     counts = Counter(tag for tag, _ in file.taken_out)
     what = " and ".join(f"{number} <{tag}>" for tag, number in sorted(counts.items()))
     lines = ", ".join(dict.fromkeys(str(line) for _, line in file.taken_out))
-    _LOG.info(
-        "%s: %s left out (line %s): a flight writes no file and opens no connection for its aircraft", path, what, lines
-    )
+    _LOG.info("%s: %s left out (line %s): a flight writes no file and opens no connection for its aircraft", path, what, lines)
 
 
 @dataclass(frozen=True)

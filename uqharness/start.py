@@ -110,11 +110,7 @@ def _address_limit() -> int | None:
 
 
 def _no_memory(limit: int | None) -> int:
-    allowed = (
-        ""
-        if limit is None
-        else f": {limit / 1e6:.0f} MB of address space are allowed (ulimit -v), about 1000 MB are needed"
-    )
+    allowed = "" if limit is None else f": {limit / 1e6:.0f} MB of address space are allowed (ulimit -v), about 1000 MB are needed"
     _say(f"error: not enough memory to start{allowed}")
     return 2
 

@@ -71,9 +71,7 @@ MIN_EXCURSIONS = 10
 def statements(frame: Any, campaign: Mapping[str, Any], decisions: Sequence[Mapping[str, str]] = ()) -> list[Statement]:
     """Statements from a case table. ``campaign``: its settings as plain types; ``decisions``: rows of decisions.csv."""
     rule = rule_of(campaign, frame["epistemic_id"].nunique())
-    answers = {
-        (row["condition"], row["radius_m"]): row["answer"] for row in decisions if row["epistemic_id"] == ALL_CORNERS
-    }
+    answers = {(row["condition"], row["radius_m"]): row["answer"] for row in decisions if row["epistemic_id"] == ALL_CORNERS}
     found = []
     for cell in excursion_cells(frame, campaign["metrics"]["excursion_radius_m"]):
         decided = answers.get((cell.condition.label, f"{cell.radius_m:g}")) if cell.distance == "horizontal" else None
@@ -81,9 +79,7 @@ def statements(frame: Any, campaign: Mapping[str, Any], decisions: Sequence[Mapp
     return found
 
 
-def _statement(
-    frame: Any, campaign: Mapping[str, Any], cell: ExcursionCell, rule: Rule | None, decided: str | None
-) -> Statement:
+def _statement(frame: Any, campaign: Mapping[str, Any], cell: ExcursionCell, rule: Rule | None, decided: str | None) -> Statement:
     rows = in_condition(frame, cell.condition)
     column = f"excursions_{cell.radius_m:g}m" + ("_3d" if cell.distance == "3d" else "")
     groups = [group for _, group in rows.groupby("epistemic_id", sort=False)]

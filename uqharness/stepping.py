@@ -53,9 +53,7 @@ def first_levels(spec: FlightSpec, dt_s: float) -> dict[str, float]:
         return {}
     row = next(level_blocks(spec.levels, 1, dt_s))[0]
     return {
-        f"uq/{name}/level": float(value)
-        for name, value in zip(COEFFICIENTS, row, strict=True)
-        if name in spec.levels.coefficients
+        f"uq/{name}/level": float(value) for name, value in zip(COEFFICIENTS, row, strict=True) if name in spec.levels.coefficients
     }
 
 
@@ -155,8 +153,7 @@ def _gust_blocks(fdm: Any, spec: FlightSpec, dt_s: float, steps: int) -> Iterato
         block=BLOCK_STEPS,
     )
     return (
-        np.column_stack([gusts.u_mps, gusts.v_mps, gusts.w_mps, gusts.p_radps, gusts.q_radps, gusts.r_radps])
-        for gusts in blocks
+        np.column_stack([gusts.u_mps, gusts.v_mps, gusts.w_mps, gusts.p_radps, gusts.q_radps, gusts.r_radps]) for gusts in blocks
     )
 
 

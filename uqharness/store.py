@@ -258,11 +258,7 @@ def outcome_of(row: Sequence[Any]) -> CaseOutcome:
 def read_tally(database: sqlite3.Connection) -> tuple[Counter[str], str]:
     """Number of rows by status and the sum of their digests. ValueError where they are not what was written."""
     rows = database.execute("select statuses, digest_sum, digest from tally").fetchall()
-    if (
-        len(rows) != 1
-        or not all(isinstance(item, str) for item in rows[0])
-        or digest_of_text(rows[0][:2]) != rows[0][2]
-    ):
+    if len(rows) != 1 or not all(isinstance(item, str) for item in rows[0]) or digest_of_text(rows[0][:2]) != rows[0][2]:
         raise ValueError("its tally of flights does not fit its digest")
     statuses = _mapping(rows[0][0], (int,))
     if statuses is None or not set(statuses) <= set(STATUSES):
@@ -336,9 +332,7 @@ def is_running(folder: Path) -> bool:
 
 
 def _in_use(folder: Path, holder: str) -> BadInputError:
-    return BadInputError(
-        f"{folder}: another run is using this folder ({holder}); wait for it, stop it, or choose another --out"
-    )
+    return BadInputError(f"{folder}: another run is using this folder ({holder}); wait for it, stop it, or choose another --out")
 
 
 # A record lock does not exclude its own process: a second run in another thread would pass.

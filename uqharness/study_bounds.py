@@ -115,9 +115,7 @@ def run_case(case: Case, seed: int, folder: Path) -> list[dict[str, object]]:
     flights, measured = read_bounds_flights(paths, model)
     rows: list[dict[str, object]] = []
     with prediction_of(model, measured) as pair:
-        floor = noise_floor(
-            flights[1].record, flights[1].pieces, pair.of(flights[1]), noise_of(flights[1], model), _ARM, Cutoffs()
-        )
+        floor = noise_floor(flights[1].record, flights[1].pieces, pair.of(flights[1]), noise_of(flights[1], model), _ARM, Cutoffs())
         air = np.zeros(len(COEFFICIENTS))
         if len(flights) > 2:
             left = fit_bounds(flight_residuals(pair, flights[2], _ARM, Cutoffs()))
@@ -223,13 +221,9 @@ def _variant_rows(part: pd.DataFrame) -> list[dict[str, str]]:
 
 
 def _manoeuvre_rows(part: pd.DataFrame) -> list[dict[str, str]]:
-    shares = pd.DataFrame([json.loads(text) for text in part["manoeuvres"]]).assign(
-        coefficient=part["coefficient"].to_numpy()
-    )
+    shares = pd.DataFrame([json.loads(text) for text in part["manoeuvres"]]).assign(coefficient=part["coefficient"].to_numpy())
     means = shares.groupby("coefficient").mean()
-    return [
-        {"manoeuvre": str(m), **{c: f"{100 * float(means[m][c]):.1f}" for c in COEFFICIENTS}} for m in means.columns
-    ]
+    return [{"manoeuvre": str(m), **{c: f"{100 * float(means[m][c]):.1f}" for c in COEFFICIENTS}} for m in means.columns]
 
 
 def verdict(rows: pd.DataFrame) -> list[str]:

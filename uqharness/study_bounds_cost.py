@@ -74,9 +74,7 @@ def hold_error(
     write(aircraft, planned, out)
     system = next(file for file in planned.files if file.endswith("model-form.xml"))
     (out / system).write_bytes(model_form_xml(form, aircraft, 1.0 / aircraft.dt_s))
-    spec = FlightSpec(
-        out, Path(script), duration_s=60.0 * minutes, wind_mps=2.0, turbulence=turbulence, turbulence_source="jsbsim"
-    )
+    spec = FlightSpec(out, Path(script), duration_s=60.0 * minutes, wind_mps=2.0, turbulence=turbulence, turbulence_source="jsbsim")
     with StagedMission(find_aircraft(out), find_script(script)) as mission:
         fdm = mission.open()
         set_conditions(fdm, mission, spec)
@@ -106,16 +104,12 @@ def hold_error(
 
 def main(argv: list[str] | None = None) -> int:
     """Run the study; the process's exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m uqharness.study_bounds_cost", description="Cost and hold error of bounds."
-    )
+    parser = argparse.ArgumentParser(prog="python -m uqharness.study_bounds_cost", description="Cost and hold error of bounds.")
     parser.add_argument("aircraft", metavar="AIRCRAFT")
     parser.add_argument("--bounds", type=Path, required=True, metavar="FILE", help="model-form.json")
     parser.add_argument("--script", default="loiter", help="mission flown (default %(default)s)")
     parser.add_argument("--rounds", type=int, default=8, metavar="N", help="default %(default)s")
-    parser.add_argument(
-        "--minutes", type=float, default=10.0, metavar="M", help="of each hold flight (default %(default)s)"
-    )
+    parser.add_argument("--minutes", type=float, default=10.0, metavar="M", help="of each hold flight (default %(default)s)")
     arguments = parser.parse_args(argv)
     aircraft, form = find_aircraft(arguments.aircraft), read_model_form(arguments.bounds)
     with scratch_folder() as scratch:

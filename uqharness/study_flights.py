@@ -45,9 +45,7 @@ def fly_flights(
         with contextlib.redirect_stdout(said):
             code = command([*arguments, "--turbulence", turbulence])
         if code:
-            raise BadInputError(
-                f"{aircraft}, {name}, seed {seed + k}: the flight did not end well: {said.getvalue().strip()}"
-            )
+            raise BadInputError(f"{aircraft}, {name}, seed {seed + k}: the flight did not end well: {said.getvalue().strip()}")
         paths.append(path)
     return paths
 

@@ -96,10 +96,7 @@ def read_data(path: Path, aircraft_name: str, step_s: float = FINE_STEP_S) -> Da
     record = flight.record
     columns = control_columns(())
     # Over the whole flight, not manoeuvre by manoeuvre: where an actuator stands at a start follows from what went before.
-    positions = [
-        servos[c].follow_finely(record[column], record.dt_s, step_s)
-        for c, column in zip(CONTROLS, columns, strict=True)
-    ]
+    positions = [servos[c].follow_finely(record[column], record.dt_s, step_s) for c, column in zip(CONTROLS, columns, strict=True)]
     rho = record["rho_kgpm3"]
     u = np.column_stack([*(rows for rows, _ in positions), rho])
     u_middle = np.column_stack([*(between for _, between in positions), 0.5 * (rho[:-1] + rho[1:])])
@@ -113,9 +110,7 @@ def read_data(path: Path, aircraft_name: str, step_s: float = FINE_STEP_S) -> Da
     return out
 
 
-def identify(
-    case: Case, data: Data, start: Mapping[str, float] | None = None, free: Sequence[str] | None = None
-) -> FilterErrorFit:
+def identify(case: Case, data: Data, start: Mapping[str, float] | None = None, free: Sequence[str] | None = None) -> FilterErrorFit:
     """Filter error from the card's first guesses (or ``start``), over all of the model's parameters or those of ``free``."""
     card = find_aircraft(case.model).card
     known = dict(zip(parameters(tuple(card.parameters)), card.parameters.values(), strict=True))
@@ -212,18 +207,14 @@ def run_seed(
     seed: int, folder: Path, cases: Sequence[Case] = CASES, turbulence: str = "light"
 ) -> dict[str, tuple[pd.DataFrame, FilterErrorFit]]:
     """Fly, read back and identify every case with one seed."""
-    logs = {
-        name: fly_flights(name, folder, seed, turbulence, fine=True) for name in dict.fromkeys(c.flown for c in cases)
-    }
+    logs = {name: fly_flights(name, folder, seed, turbulence, fine=True) for name in dict.fromkeys(c.flown for c in cases)}
     out = {}
     for case in cases:
         begun = time.perf_counter()
         fit = identify(case, read_data(logs[case.flown][0], case.model))
         out[case.name] = side_by_side(case, fit), fit
         state = "converged" if fit.converged else "NOT converged"
-        print(
-            f"{case.name}: {state}, {fit.iterations} iterations, {time.perf_counter() - begun:.0f} s", file=sys.stderr
-        )
+        print(f"{case.name}: {state}, {fit.iterations} iterations, {time.perf_counter() - begun:.0f} s", file=sys.stderr)
         for warning in fit.warnings:
             print(f"  {warning}", file=sys.stderr)
     return out
@@ -237,9 +228,7 @@ def pooled(tables: Sequence[pd.DataFrame]) -> dict[str, float]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study; the process's exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--out", type=Path, required=True, help="folder for logs, tables.md, tables.csv and summary.json"
-    )
+    parser.add_argument("--out", type=Path, required=True, help="folder for logs, tables.md, tables.csv and summary.json")
     parser.add_argument("--seed", type=int, default=1, help="of the first flight (default 1)")
     parser.add_argument("--seeds", type=int, default=1, help="repeat with seeds 10 apart and pool (default 1)")
     parser.add_argument("--cases", nargs="+", default=[c.name for c in CASES], choices=[c.name for c in CASES])

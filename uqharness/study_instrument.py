@@ -63,9 +63,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run the study; the process's exit code."""
     parser = argparse.ArgumentParser(prog="python -m uqharness.study_instrument", description=__doc__.splitlines()[0])
     parser.add_argument("--aircraft", action="append", metavar="NAME", help="only this one; repeatable")
-    parser.add_argument(
-        "--duration-s", type=float, default=DURATION_S, metavar="T", help="flight time (default %(default)s)"
-    )
+    parser.add_argument("--duration-s", type=float, default=DURATION_S, metavar="T", help="flight time (default %(default)s)")
     arguments = parser.parse_args(argv)
     root = engine.default_root() / "aircraft"
     names = arguments.aircraft or sorted(path.name for path in root.iterdir() if path.is_dir())

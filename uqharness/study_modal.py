@@ -46,9 +46,7 @@ def published(output: str) -> pd.DataFrame:
     """The printed table of one output as text, indexed by parameter: digits tell the rounding. Raises BadInputError."""
     path = PUBLISHED / f"table_{TABLES[output]}.csv"
     if not path.is_file():
-        raise BadInputError(
-            f"{path}: not there; the printed tables come with the project's source, not with the package"
-        )
+        raise BadInputError(f"{path}: not there; the printed tables come with the project's source, not with the package")
     return pd.read_csv(path, comment="#", index_col=0, dtype=str)
 
 
@@ -150,9 +148,7 @@ def _range(index: Index | PairRange) -> str:
 
 
 def _main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m uqharness.study_modal", description=(__doc__ or "").splitlines()[0]
-    )
+    parser = argparse.ArgumentParser(prog="python -m uqharness.study_modal", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for tables.md and jsbsim.npz")
     parser.add_argument("--repeats", type=int, default=20, metavar="R", help="repeats of each reading (default 20)")
     args = parser.parse_args(argv)
@@ -170,9 +166,7 @@ def _main(argv: Sequence[str] | None = None) -> int:
         models = by_reading["as_published"], by_reading["as_corrected"], through
         parts.append(f"{output}, three models\n\n{beside_jsbsim(*models, output)}")
     lines = ["| model | phugoid zeta | wn, rad/s | short-period zeta | wn, rad/s |", "|---|---|---|---|---|"]
-    lines += [
-        f"| {name} | " + " | ".join(f"{value:.4f}" for value in row) + " |" for name, row in what_is_left_out(aircraft)
-    ]
+    lines += [f"| {name} | " + " | ".join(f"{value:.4f}" for value in row) + " |" for name, row in what_is_left_out(aircraft)]
     parts.append("What the linear model leaves out\n\n" + "\n".join(lines))
     write_bytes(args.out / "tables.md", ("\n\n".join(parts) + "\n").encode())
     print(args.out / "tables.md")

@@ -119,9 +119,7 @@ class Study:
         form = form_from([made])
         if case.seconds not in self.tried:
             self.tried[case.seconds] = try_library(form, self.mission, self.flight(MODEL), self.options, _CUTOFFS)
-        plan = plan_from(
-            form, case.coefficient, self.mission, self.flight(MODEL), self.options, *self.tried[case.seconds]
-        )
+        plan = plan_from(form, case.coefficient, self.mission, self.flight(MODEL), self.options, *self.tried[case.seconds])
         path = self.folder / f"next-{case.coefficient}-{stem}.parquet"
         ok, _, reason = fly_points(truth, [p.point for p in plan.plan], base + 2, path)
         if not ok:
@@ -134,9 +132,7 @@ class Study:
         return [_row(case, seed, c, plan, redone[c], naive[c].redone, again[c]) for c in form.coefficients]
 
 
-def _row(
-    case: Case, seed: int, coefficient: str, plan: NextFlight, redone: Width, naive: Width, again: Width
-) -> dict[str, object]:
+def _row(case: Case, seed: int, coefficient: str, plan: NextFlight, redone: Width, naive: Width, again: Width) -> dict[str, object]:
     p = plan.prospects[coefficient]
     return {
         "case": case.name, "seed": seed, "for": case.coefficient, "coefficient": coefficient, "seconds": plan.end_s,
@@ -164,9 +160,7 @@ def narrowings(rows: pd.DataFrame) -> pd.DataFrame:
                     continue
                 share = 100.0 * (1.0 - part[what + suffix] / part["now" + suffix])
                 row[what + suffix] = float(share.mean())
-                row[f"{what}{suffix}_error"] = (
-                    float(share.std(ddof=1) / math.sqrt(len(part))) if len(part) > 1 else math.nan
-                )
+                row[f"{what}{suffix}_error"] = float(share.std(ddof=1) / math.sqrt(len(part))) if len(part) > 1 else math.nan
         for suffix in ("", "_parameter"):
             row[f"ratio{suffix}"] = float(row["predicted" + suffix]) / float(row["achieved" + suffix])  # type: ignore[arg-type]
         out.append(row)

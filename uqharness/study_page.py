@@ -67,9 +67,7 @@ def study_page(folder: Path) -> Page:
     if pair[0] is not None and pair[1] is not None:
         sections += [overlay_section(pair[0], pair[1], both)]
         sections += [
-            grid_section(side.signed, f"Answers {when}")
-            for side, when in zip(pair, ("before", "after"), strict=True)
-            if side
+            grid_section(side.signed, f"Answers {when}") for side, when in zip(pair, ("before", "after"), strict=True) if side
         ]
     for number, stage in enumerate(study["stages"]):
         section = _stage_page(folder, stage, number, missing, [both.get("before"), both.get("after")], read)
@@ -108,17 +106,13 @@ def _stage_section(study: Mapping[str, Any]) -> Section:
         answer = {0: "done", 1: "ran, the answer is no"}.get(stage.get("exit"), "")
         seconds = "" if stage.get("seconds") is None else shown(stage["seconds"], ".1f")
         rows.append((stage["name"], stage["kind"], state, answer, seconds))
-    table = Table(
-        "Stages in the order in which they run.", ("Stage", "Kind", "State", "Answer", "Time [s]"), tuple(rows)
-    )
+    table = Table("Stages in the order in which they run.", ("Stage", "Kind", "State", "Answer", "Time [s]"), tuple(rows))
     commands = "\n".join(stage["command"] for stage in study["stages"] if stage.get("command"))
     words = Words("The commands of the stages, each of which repeats its stage from a shell:", note=True)
     return Section("Stages", (table, *((words, Code("Commands of the stages", commands)) if commands else ())))
 
 
-def _campaign(
-    folder: Path, name: str | None, missing: list[str], read: Callable[[Path], CampaignFound]
-) -> CampaignFound | None:
+def _campaign(folder: Path, name: str | None, missing: list[str], read: Callable[[Path], CampaignFound]) -> CampaignFound | None:
     if not name:
         return None
     try:

@@ -164,9 +164,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument(
-        "--out", type=Path, required=True, help="folder for logs, aircraft, round-trip.md and round-trip.json"
-    )
+    parser.add_argument("--out", type=Path, required=True, help="folder for logs, aircraft, round-trip.md and round-trip.json")
     parser.add_argument("--seed", type=int, default=1, help="of the noise in the first flight (default 1)")
     parser.add_argument("--forms", nargs="+", default=[f.name for f in FORMS], choices=[f.name for f in FORMS])
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core, 8 at most)")

@@ -57,14 +57,9 @@ def compare(corners: Path, walks: Path) -> list[Compared]:
 
 def _refuse_unlike(manifests: Sequence[dict[str, Any]], folders: tuple[Path, Path]) -> None:
     first, second = manifests
-    pairs = [
-        (f"[aleatory] {name}", first["campaign"]["aleatory"][name], second["campaign"]["aleatory"][name])
-        for name in _SAME
-    ]
+    pairs = [(f"[aleatory] {name}", first["campaign"]["aleatory"][name], second["campaign"]["aleatory"][name]) for name in _SAME]
     pairs += [("[campaign] seed", first["seed"], second["seed"])]
-    pairs += [
-        (f"the content of the {name}", first["hashes"][name], second["hashes"][name]) for name in ("aircraft", "script")
-    ]
+    pairs += [(f"the content of the {name}", first["hashes"][name], second["hashes"][name]) for name in ("aircraft", "script")]
     unlike = [f"{name} ({one} and {two})" for name, one, two in pairs if one != two]
     if unlike:
         raise BadInputError(
@@ -82,9 +77,7 @@ def _compared(outer: pd.DataFrame, inner: pd.DataFrame) -> Iterator[Compared]:
             rows = [in_condition(frame, condition) for frame in (outer, inner)]
             found = [samples(part, metric) for part in rows]
             if all(any(sample.values.size for sample in part) for part in found):
-                hours = [
-                    float(part["duration_s"].sum()) / 3600.0 / len(some) for part, some in zip(rows, found, strict=True)
-                ]
+                hours = [float(part["duration_s"].sum()) / 3600.0 / len(some) for part, some in zip(rows, found, strict=True)]
                 yield Compared(
                     metric, condition, containment(found[1], found[0], CONFIDENCE), (len(found[0]), len(found[1])),
                     (hours[0], hours[1]),

@@ -234,9 +234,7 @@ def _result(
     state, controls, rate = unpack(x)
     left = residual(x)
     keys = {key: aircraft.card.outputs[key] for key in ("thrust_N", "rpm") if key in aircraft.card.outputs}
-    surfaces = {
-        name: aircraft.card.inputs[name].position or f"fcs/{name}-pos-deg" for name in names if name != "throttle"
-    }
+    surfaces = {name: aircraft.card.inputs[name].position or f"fcs/{name}-pos-deg" for name in names if name != "throttle"}
     wanted = (*keys.values(), *surfaces.values(), *_ENGINE_THRUSTS, _PROPELLER_RPM)
     _, out = force_state(aircraft, state, controls, condition.altitude_m, condition.properties, wanted)
     engines_lbf = [out[name] for name in _ENGINE_THRUSTS if name in out]

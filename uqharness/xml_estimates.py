@@ -31,9 +31,7 @@ def write_estimates(aircraft: Aircraft, estimates: Mapping[str, Estimate], out: 
     The copy appears whole or not at all; an existing ``out`` is replaced only if it is an aircraft's folder. Raises BadInputError.
     """
     if out.exists() and not (out / "airframe.toml").is_file() and any(out.iterdir()):
-        raise BadInputError(
-            f"{out}: exists and is no aircraft folder of an earlier run; remove it or choose another --out"
-        )
+        raise BadInputError(f"{out}: exists and is no aircraft folder of an earlier run; remove it or choose another --out")
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=".aircraft-") as temporary:
         copy = Path(temporary) / "new"
         copy_folder(aircraft.folder, copy)
@@ -51,9 +49,7 @@ def with_value(text: str, name: str, estimate: Estimate) -> str | None:
     An earlier remark of ours is replaced as well; the author's comments are not.
     """
     hidden = [m.span() for m in _COMMENT.finditer(text)]
-    pattern = re.compile(
-        r"(<property\b[^>]*?\bvalue\s*=\s*)([\"'])([^\"']*)\2([^>]*>\s*" + re.escape(name) + r"\s*</property>)"
-    )
+    pattern = re.compile(r"(<property\b[^>]*?\bvalue\s*=\s*)([\"'])([^\"']*)\2([^>]*>\s*" + re.escape(name) + r"\s*</property>)")
     for found in pattern.finditer(text):
         if any(a <= found.start() < b for a, b in hidden):
             continue

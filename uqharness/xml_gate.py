@@ -64,9 +64,7 @@ class _Scan:
         try:
             self.parser.Parse(self.raw, True)
         except expat.ExpatError as error:
-            raise BadInputError(
-                f"{self.where}:{error.lineno}: not well-formed XML: {expat.ErrorString(error.code)}"
-            ) from None
+            raise BadInputError(f"{self.where}:{error.lineno}: not well-formed XML: {expat.ErrorString(error.code)}") from None
         except (ValueError, LookupError) as error:  # an encoding that Python does not know
             raise BadInputError(f"{self.where}:1: not readable as XML: {error}") from None
         return self
@@ -85,9 +83,7 @@ class _Scan:
                     raise BadInputError(f"{self.where}:{line}: <{tag}> comes from an entity; such a file is not loaded")
                 self._open = (tag, line, start)
             if tag == "child":
-                raise BadInputError(
-                    f"{self.where}:{line}: <child> loads a second aircraft, which is not supported; remove it"
-                )
+                raise BadInputError(f"{self.where}:{line}: <child> loads a second aircraft, which is not supported; remove it")
         if "file" in attributes and self._open is None:
             self.references.append(Reference(tag, self._inside(tag, attributes["file"].strip(), line), line))
 
@@ -108,9 +104,7 @@ class _Scan:
                 "aircraft's folder or within the folders engine and systems beside it: put it there"
             )
         if max(map(len, name.encode(errors="replace").split(b"/"))) > _LONGEST_NAME:
-            raise BadInputError(
-                f'{self.where}:{line}: <{tag} file="{name[:60]}..."> is longer than a file\'s name may be'
-            )
+            raise BadInputError(f'{self.where}:{line}: <{tag} file="{name[:60]}..."> is longer than a file\'s name may be')
         return name if not name or name.endswith(".xml") else f"{name}.xml"
 
 
@@ -140,9 +134,7 @@ def passed(raw: bytes, where: str) -> Passed:
     content = b"".join([*pieces, raw[position:]])
     left = _Scan(content, where).run()
     if left.spans or left.references != scan.references:
-        raise BadInputError(
-            f"{where}:{scan.spans[0][1]}: <{scan.spans[0][0]}> cannot be taken out of this file; remove it"
-        )
+        raise BadInputError(f"{where}:{scan.spans[0][1]}: <{scan.spans[0][0]}> cannot be taken out of this file; remove it")
     return Passed(content, scan.root, tuple(scan.references), tuple((tag, line) for tag, line, _, _ in scan.spans))
 
 

@@ -148,9 +148,7 @@ def parse_document(path: Path, raw: bytes) -> Document:
     for node in top[0].walk():
         # An element that came out of an entity has no place of its own in the bytes.
         if not re.match(rb"<" + re.escape(node.tag.encode()) + rb"[\s/>]", raw[node.start : node.open_end]):
-            raise BadInputError(
-                f"{path}:{node.line}: <{node.tag}> comes from an entity; such a file is not edited here"
-            )
+            raise BadInputError(f"{path}:{node.line}: <{node.tag}> comes from an entity; such a file is not edited here")
     return Document(path, raw, top[0])
 
 
@@ -193,9 +191,7 @@ def append_child(document: Document, parent: Node, lines: list[str]) -> Insertio
     if parent.empty_tag:
         slash = document.raw.rindex(b"/", parent.start, parent.open_end)
         opening, closing = document.encoded(f">{newline}"), document.encoded(f"{outer}</{parent.tag}>")
-        return Insertion(
-            slash, document.encoded(f"{block}{newline}"), document.raw[slash : parent.open_end], opening, closing
-        )
+        return Insertion(slash, document.encoded(f"{block}{newline}"), document.raw[slash : parent.open_end], opening, closing)
     begin = document.raw.rfind(b"\n", 0, parent.close_start) + 1
     if document.raw[begin : parent.close_start].strip(b" \t"):
         return Insertion(parent.close_start, document.encoded(f"{newline}{block}{newline}{outer}"))
@@ -295,9 +291,7 @@ def number(node: Node, what: str, document: Document) -> float:
     try:
         return float(node.text)
     except ValueError:
-        raise BadInputError(
-            f"{document.where(node)}: {what} must be a number; received {node.text.strip()!r}"
-        ) from None
+        raise BadInputError(f"{document.where(node)}: {what} must be a number; received {node.text.strip()!r}") from None
 
 
 def attribute(node: Node, name: str) -> str:

@@ -73,9 +73,7 @@ def build(out: Path) -> int:
     try:
         from sphinx.cmd.build import main as sphinx
     except ImportError:
-        print(
-            "the documentation needs its extra: pip install 'uqharness[docs]' (make setup installs it)", file=sys.stderr
-        )
+        print("the documentation needs its extra: pip install 'uqharness[docs]' (make setup installs it)", file=sys.stderr)
         return 2
     with tempfile.TemporaryDirectory(prefix="uqharness-docs-") as name:
         source = Path(name) / "source"

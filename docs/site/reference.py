@@ -45,9 +45,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def commands() -> str:
     """Every command with its options and examples, as `--help` has them."""
     parser = cli.complete_parser()
-    text = (
-        NOTE + "# Commands, option by option\n\nWhat `--help` says. What they are for: [Commands](../commands.md).\n\n"
-    )
+    text = NOTE + "# Commands, option by option\n\nWhat `--help` says. What they are for: [Commands](../commands.md).\n\n"
     return text + "".join(command(leaf) for leaf in leaves(parser))
 
 
@@ -65,12 +63,7 @@ def command(parser: argparse.ArgumentParser) -> str:
         name = f"`{', '.join(action.option_strings)}`" if action.option_strings else f"`{metavar(action)}`"
         if action.option_strings and action.nargs != 0 and action.choices is None:
             name += f" {metavar(action)}"
-        told = (
-            (action.help or "")
-            .replace("%(default)s", str(action.default))
-            .replace("%%", "%")
-            .replace(str(Path.home()), "~")
-        )
+        told = (action.help or "").replace("%(default)s", str(action.default)).replace("%%", "%").replace(str(Path.home()), "~")
         if action.choices is not None:
             told += "; one of " + ", ".join(f"`{choice}`" for choice in action.choices)
         if action.option_strings and action.required:
@@ -166,9 +159,7 @@ def keys(found: Sequence[str], told: Mapping[str, str]) -> str:
 def described(columns: Sequence[tuple[str, str]], told: dict[str, str]) -> str:
     if not any(kind for _, kind in columns):
         return table(["column", "meaning"], [(f"`{name}`", words.meaning(name, told)) for name, _ in columns])
-    return table(
-        ["column", "type", "meaning"], [(f"`{name}`", kind, words.meaning(name, told)) for name, kind in columns]
-    )
+    return table(["column", "type", "meaning"], [(f"`{name}`", kind, words.meaning(name, told)) for name, kind in columns])
 
 
 def case_columns() -> list[tuple[str, str]]:
@@ -188,8 +179,7 @@ def _no_flights() -> typing.Any:
 
 def jsbsim_sources() -> list[tuple[str, str, str]]:
     return [
-        (f"`{name}`", f"`{s.property}`" + (f" / `{s.over}`" if s.over else ""), f"{s.factor:g}")
-        for name, s in STANDARD.items()
+        (f"`{name}`", f"`{s.property}`" + (f" / `{s.over}`" if s.over else ""), f"{s.factor:g}") for name, s in STANDARD.items()
     ]
 
 
@@ -198,16 +188,11 @@ def jsbsim_sources() -> list[tuple[str, str, str]]:
 
 def properties() -> str:
     """Properties that the aircraft's XML declares, with its own remarks."""
-    text = (
-        NOTE
-        + "# Properties\n\nDeclared in the XML with the value that stands here; a host or a script may set them.\n\n"
-    )
+    text = NOTE + "# Properties\n\nDeclared in the XML with the value that stands here; a host or a script may set them.\n\n"
     text += "## The plugin\n\n`<C>` is one of CX CY CZ Cl Cm Cn; see [instrument](../instrument.md).\n\n"
     text += table(["property", "meaning"], [(f"`{name}`", told) for name, told in words.PROPERTIES.items()])
     folder = PROJECT_ROOT / "aircraft" / "espaaro"
-    text += (
-        "An aircraft without coefficient properties of its own gets `uq/scale/...` (1) and `uq/bias/...` (0) for each\n"
-    )
+    text += "An aircraft without coefficient properties of its own gets `uq/scale/...` (1) and `uq/bias/...` (0) for each\n"
     text += "function of its aerodynamics; `uq-instrument.json` in its folder lists them.\n\n"
     for title, path in (
         ("E-SPAARO: coefficients, commands, servos", folder / "espaaro.xml"),
@@ -216,9 +201,7 @@ def properties() -> str:
         ("Autopilot", folder / "Systems" / "autopilot.xml"),
     ):
         rows = [(f"`{name}`", value, remark) for name, value, remark in declared(path)]
-        text += f"## {title}\n\nFrom `{path.relative_to(PROJECT_ROOT)}`.\n\n" + table(
-            ["property", "value", "remark"], rows
-        )
+        text += f"## {title}\n\nFrom `{path.relative_to(PROJECT_ROOT)}`.\n\n" + table(["property", "value", "remark"], rows)
     return text
 
 
@@ -253,9 +236,7 @@ def settings() -> str:
     for title, model in (("campaign.toml", _Document), ("airframe.toml", Card)):
         text += f"## {title}\n\n"
         for name, field in model.model_fields.items():
-            section = next(
-                (t for t in (field.annotation, *parts(field.annotation)) if hasattr(t, "model_fields")), None
-            )
+            section = next((t for t in (field.annotation, *parts(field.annotation)) if hasattr(t, "model_fields")), None)
             if section is None:
                 text += f"### {title}: [{name}]\n\nProperties or outputs by name.\n\n"
                 continue
@@ -306,9 +287,7 @@ def in_words(annotation: typing.Any) -> str:
     if origin is tuple:
         if not arguments:
             return "list"
-        return (
-            f"list of {in_words(arguments[0])}" if arguments[-1] is ... else f"[{', '.join(map(in_words, arguments))}]"
-        )
+        return f"list of {in_words(arguments[0])}" if arguments[-1] is ... else f"[{', '.join(map(in_words, arguments))}]"
     if origin in (dict, collections.abc.Mapping):
         return f"table of {in_words(arguments[1])}"
     return _WORDS.get(annotation, "sections, see above" if hasattr(annotation, "model_fields") else str(annotation))

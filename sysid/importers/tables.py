@@ -215,9 +215,7 @@ def _is_text(kind: pa.DataType) -> bool:
     return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_binary(kind))
 
 
-def _read_columns(
-    file: pq.ParquetFile, names: Sequence[str], path: Path, most_bytes: int | None
-) -> Iterator[pd.Series]:
+def _read_columns(file: pq.ParquetFile, names: Sequence[str], path: Path, most_bytes: int | None) -> Iterator[pd.Series]:
     """One column after another, so that packed and unpacked are never both there as a whole."""
     twice = next((name for name in names if file.schema_arrow.names.count(name) > 1), None)
     if twice is not None:
@@ -297,6 +295,4 @@ def _from_columns(columns: Any, rows: int, path: Path, jsbsim: bool) -> RawLog:
     fields = {n: v[good] for n, v in fields.items()}
     dialect = "jsbsim-csv" if jsbsim else "csv"
     table = MessageTable(time_s[good], fields)
-    return RawLog(
-        dialect, {(_MESSAGE, 0): table}, {_MESSAGE: rows}, vehicle="JSBSim" if jsbsim else "", findings=tuple(findings)
-    )
+    return RawLog(dialect, {(_MESSAGE, 0): table}, {_MESSAGE: rows}, vehicle="JSBSim" if jsbsim else "", findings=tuple(findings))

@@ -164,9 +164,7 @@ def _clock_offset(state: _Tlog) -> float:
     best = []
     for name in ("ATTITUDE", "GLOBAL_POSITION_INT", "SYSTEM_TIME", "SCALED_IMU2"):
         if name in state.receipt:
-            late = np.frombuffer(state.receipt[name], dtype=np.float64) - np.frombuffer(
-                state.boot[name], dtype=np.float64
-            )
+            late = np.frombuffer(state.receipt[name], dtype=np.float64) - np.frombuffer(state.boot[name], dtype=np.float64)
             late = late[np.isfinite(late)]
             if len(late):
                 # 5 % quantile, not the minimum: one packet with a damaged time must not move the clock.

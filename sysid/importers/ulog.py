@@ -84,9 +84,7 @@ def _findings(log: ULog, chatter: str) -> list[Finding]:
     if log.dropouts:
         lost = sum(d.duration for d in log.dropouts) * 1e-3
         text = f"the logger reports {len(log.dropouts)} dropouts, {lost:.2f} s together"
-        out.append(
-            Finding("logger-dropouts", "", "warning", text, {"count": float(len(log.dropouts)), "seconds": lost})
-        )
+        out.append(Finding("logger-dropouts", "", "warning", text, {"count": float(len(log.dropouts)), "seconds": lost}))
     if log.file_corruption:
         lines = " ".join(chatter.split())[:160]
         out.append(Finding("damaged-bytes", "", "warning", f"parts of the file could not be read ({lines})", {}))

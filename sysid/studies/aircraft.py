@@ -174,9 +174,7 @@ def simulate(plane: Plane, theta: Array, inputs: list[Array], gusts: list[Array]
     return out
 
 
-def dryden(
-    plane: Plane, lengths: list[int], wind_kt: float, rng: np.random.Generator, height_m: float = 100.0
-) -> list[Array]:
+def dryden(plane: Plane, lengths: list[int], wind_kt: float, rng: np.random.Generator, height_m: float = 100.0) -> list[Array]:
     """Increments (FINE n, 4) a segment of the air-relative states as Dryden gusts change (MIL-F-8785C, low altitude).
 
     wind_kt: wind at 20 ft, 15 = light. Longitudinal: u_g on V, w_g on alpha; lateral: v_g on beta. First and second

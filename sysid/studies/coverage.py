@@ -64,9 +64,7 @@ def run_seed(case: Case, seed: int, lengths: list[int]) -> Draw:
     inputs, measured = aircraft.fly(case.plane, truth, lengths, case.wind_kt, rng)
     began = time.perf_counter()
     if case.method == "output_error":
-        fit = output_error(
-            lambda theta: aircraft.simulate(case.plane, theta, inputs), start, measured, names=case.plane.names
-        )
+        fit = output_error(lambda theta: aircraft.simulate(case.plane, theta, inputs), start, measured, names=case.plane.names)
     else:
         times = [np.arange(n) * aircraft.DT for n in lengths]
         fit = filter_error(
@@ -76,9 +74,7 @@ def run_seed(case: Case, seed: int, lengths: list[int]) -> Draw:
     return Draw(truth, fit, time.perf_counter() - began)
 
 
-def run_case(
-    case: Case, seeds: int, lengths: list[int], tick: Callable[[str], None] = lambda text: None
-) -> pd.DataFrame:
+def run_case(case: Case, seeds: int, lengths: list[int], tick: Callable[[str], None] = lambda text: None) -> pd.DataFrame:
     """The case's table: a row a parameter and a pooled one. Columns: see `tabulate`."""
     draws = []
     for seed in range(seeds):
@@ -123,9 +119,7 @@ def tabulate(case: Case, draws: list[Draw]) -> pd.DataFrame:
                 "crb_coverage_pct": 100.0 * float(hit_crb[:, column].sum()) / max(n, 1),
                 "low": low,
                 "high": high,
-                "inside": bool(93.0 <= 100.0 * covered / max(n, 1) <= 97.0)
-                if name == "pooled"
-                else low <= covered <= high,
+                "inside": bool(93.0 <= 100.0 * covered / max(n, 1) <= 97.0) if name == "pooled" else low <= covered <= high,
                 "median_error_over_true_pct": 100.0 * float(np.median(np.abs(error[:, column] / truth[:, column]))),
                 "std_over_crb": float(np.nanmedian((std / crb)[:, column])) if n else float("nan"),
                 **fits,

@@ -28,14 +28,10 @@ def main(argv: list[str] | None = None) -> int:
     amount.add_argument("--seconds", type=float, metavar="N", help="for so long, formats in turn (default 60)")
     amount.add_argument("--inputs", type=int, metavar="N", help="so many of each format")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="first seed of each format (default 0)")
-    parser.add_argument(
-        "--format", action="append", choices=sorted(formats), metavar="F", help="this format alone (repeatable)"
-    )
+    parser.add_argument("--format", action="append", choices=sorted(formats), metavar="F", help="this format alone (repeatable)")
     parser.add_argument("--list", action="store_true", help="name the formats")
     parser.add_argument("--json", action="store_true", help="machine-readable output")
-    parser.add_argument(
-        "--reproduce", nargs=2, metavar=("FORMAT", "SEED"), help="write one input here and show its outcome"
-    )
+    parser.add_argument("--reproduce", nargs=2, metavar=("FORMAT", "SEED"), help="write one input here and show its outcome")
     args = parser.parse_args(argv)
     if args.list:
         print("\n".join(formats))
@@ -61,11 +57,7 @@ def main(argv: list[str] | None = None) -> int:
 
     run(wanted, counts, tell)
     if args.json:
-        print(
-            json.dumps(
-                {"formats": {n: asdict(c) for n, c in counts.items()}, "findings": [asdict(f) for f in findings]}
-            )
-        )
+        print(json.dumps({"formats": {n: asdict(c) for n, c in counts.items()}, "findings": [asdict(f) for f in findings]}))
     else:
         print(table(counts))
     return 1 if findings else 0

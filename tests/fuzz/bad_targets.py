@@ -31,9 +31,7 @@ def _grows(place: Path, seed: int) -> None:
 
 
 def _grows_in_a_child(place: Path, seed: int) -> None:
-    subprocess.run(
-        [sys.executable, "-c", "import time; x = bytearray(b'x') * 300_000_000; time.sleep(0.1)"], check=True
-    )
+    subprocess.run([sys.executable, "-c", "import time; x = bytearray(b'x') * 300_000_000; time.sleep(0.1)"], check=True)
 
 
 def _writes(place: Path, seed: int) -> None:

@@ -177,10 +177,7 @@ def _statement(base: sqlite3.Connection, rng: np.random.Generator) -> None:
     column = columns[int(rng.integers(0, len(columns)))]
     kind = int(rng.integers(0, 12))
     some = " where rowid % 2" if rng.random() < 0.3 else ""
-    if (
-        "without rowid"
-        in (base.execute("select sql from sqlite_master where name = ?", (table,)).fetchone()[0] or "").lower()
-    ):
+    if "without rowid" in (base.execute("select sql from sqlite_master where name = ?", (table,)).fetchone()[0] or "").lower():
         some = ""
     if kind == 0:
         base.execute(f'drop table "{table}"')
@@ -249,9 +246,7 @@ def npz_damage(data: bytes, rng: np.random.Generator) -> bytes:
     elif kind == 5:
         members[name] = _array(np.array([_Runs()], dtype=object))
     elif kind == 6:
-        members[name] = _claims(
-            tuple(int(rng.choice([0, 3, 10**6, 10**10])) for _ in range(int(rng.integers(1, 4)))), rng
-        )
+        members[name] = _claims(tuple(int(rng.choice([0, 3, 10**6, 10**10])) for _ in range(int(rng.integers(1, 4)))), rng)
     elif kind == 7:
         members[name] = _array(np.zeros(tuple(int(rng.choice([0, 1, 3, 7])) for _ in range(int(rng.integers(0, 4))))))
     else:

@@ -142,19 +142,13 @@ def toml_damage(data: bytes, rng: np.random.Generator) -> bytes:
         return damaged_text(data, rng)
     tree = damaged_tree(tomllib.loads(data.decode()), rng)
     text = _written_out(toml_text(tree if isinstance(tree, dict) else {"root": tree}), rng)
-    return (
-        damaged_text(text.encode("utf-8", "surrogatepass"), rng)
-        if rng.random() < 0.1
-        else text.encode("utf-8", "surrogatepass")
-    )
+    return damaged_text(text.encode("utf-8", "surrogatepass"), rng) if rng.random() < 0.1 else text.encode("utf-8", "surrogatepass")
 
 
 def _written_out(text: str, rng: np.random.Generator) -> str:
     """The markers for depth and for long integers as what they stand for."""
     depth = int(rng.choice(_PLACES))
-    return text.replace(json.dumps(_DEEP), "[" * depth + "]" * depth).replace(
-        json.dumps(_LONG), "9" * int(rng.choice(_PLACES))
-    )
+    return text.replace(json.dumps(_DEEP), "[" * depth + "]" * depth).replace(json.dumps(_LONG), "9" * int(rng.choice(_PLACES)))
 
 
 def toml_text(tree: dict[str, Any]) -> str:
@@ -182,9 +176,7 @@ def _has_tables(item: Any) -> bool:
 
 
 def _is_section(item: Any) -> bool:
-    return isinstance(item, dict) or (
-        isinstance(item, list) and bool(item) and all(isinstance(row, dict) for row in item)
-    )
+    return isinstance(item, dict) or (isinstance(item, list) and bool(item) and all(isinstance(row, dict) for row in item))
 
 
 def _toml(item: Any) -> str:

@@ -95,16 +95,12 @@ def xml_damage(data: bytes, rng: np.random.Generator, others: Sequence[bytes] = 
         nodes = [node for node in root.iter() if isinstance(node.tag, str)]
         node = nodes[int(rng.integers(0, len(nodes)))]
         _KINDS[int(rng.integers(0, len(_KINDS)))](node, nodes, rng, others)
-    return etree.tostring(
-        root, xml_declaration=True, encoding=str(rng.choice(["UTF-8"] * 8 + ["UTF-16", "ISO-8859-1"]))
-    )
+    return etree.tostring(root, xml_declaration=True, encoding=str(rng.choice(["UTF-8"] * 8 + ["UTF-16", "ISO-8859-1"])))
 
 
 def _xml_text(text: str) -> str:
     """What of a text XML may hold at all."""
-    return "".join(
-        c for c in text if c in "\t\n\r" or (c >= " " and not "\ud800" <= c <= "\udfff" and c not in "\ufffe\uffff")
-    )
+    return "".join(c for c in text if c in "\t\n\r" or (c >= " " and not "\ud800" <= c <= "\udfff" and c not in "\ufffe\uffff"))
 
 
 def _delete(node, nodes, rng, others) -> None:
@@ -119,9 +115,7 @@ def _double(node, nodes, rng, others) -> None:
 
 
 def _rename(node, nodes, rng, others) -> None:
-    node.tag = str(
-        rng.choice(["x", "nosuch", "function", "property", "output", "input", "system", "value", "table", "a-b.c"])
-    )
+    node.tag = str(rng.choice(["x", "nosuch", "function", "property", "output", "input", "system", "value", "table", "a-b.c"]))
 
 
 def _move(node, nodes, rng, others) -> None:
@@ -166,9 +160,7 @@ def _plant(node, nodes, rng, others) -> None:
 def _lend(node, nodes, rng, others) -> None:
     """An element of another file."""
     if others:
-        donor = [
-            n for n in etree.fromstring(others[int(rng.integers(0, len(others)))]).iter() if isinstance(n.tag, str)
-        ]
+        donor = [n for n in etree.fromstring(others[int(rng.integers(0, len(others)))]).iter() if isinstance(n.tag, str)]
         node.append(copy.deepcopy(donor[int(rng.integers(0, len(donor)))]))
 
 

@@ -54,15 +54,11 @@ class Guard:
             return
         if event == "open":
             path, mode, flags = args
-            writes = (
-                flags & _WRITES if isinstance(flags, int) else isinstance(mode, str) and not set(mode) <= set("rbtU")
-            )
+            writes = flags & _WRITES if isinstance(flags, int) else isinstance(mode, str) and not set(mode) <= set("rbtU")
             if writes and isinstance(path, (str, bytes)):
                 self._changed("writes", path)
         elif event in _CHANGES:
-            for path in (
-                args[:2] if event in ("os.rename", "os.link") else args[1:2] if event == "os.symlink" else args[:1]
-            ):
+            for path in args[:2] if event in ("os.rename", "os.link") else args[1:2] if event == "os.symlink" else args[:1]:
                 if isinstance(path, (str, bytes, os.PathLike)):
                     self._changed(event, _from(args[-1], path) if event in _FROM_A_FOLDER else path)
         elif event in _NETWORK:

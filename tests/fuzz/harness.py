@@ -185,9 +185,7 @@ def by_number(names: Iterable[str], seed: int, inputs: int) -> Iterator[tuple[st
             yield name, k
 
 
-def by_time(
-    shares: dict[str, float], counts: dict[str, Counts], seed: int, seconds: float
-) -> Iterator[tuple[str, int]]:
+def by_time(shares: dict[str, float], counts: dict[str, Counts], seed: int, seconds: float) -> Iterator[tuple[str, int]]:
     """Seeds of each format from ``seed`` on, the next of the one that has had least of its share, for so long."""
     end = time.monotonic() + seconds
     following = dict.fromkeys(shares, seed)

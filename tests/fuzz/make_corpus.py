@@ -54,9 +54,7 @@ def logs() -> None:
     us = np.rint(flown["time_s"] * 1e6).astype(np.int64)
     names = {"gyro_rad": ("p_radps", "q_radps", "r_radps"), "accelerometer_m_s2": ("ax_mps2", "ay_mps2", "az_mps2")}
     imu = {f"{g}[{i}]": flown[n] for g, members in names.items() for i, n in enumerate(members)}
-    write_ulog(
-        out / "flight.ulg", {"sensor_combined": (us, imu), "airspeed": (us, {"true_airspeed_m_s": flown["V_mps"]})}
-    )
+    write_ulog(out / "flight.ulg", {"sensor_combined": (us, imu), "airspeed": (us, {"true_airspeed_m_s": flown["V_mps"]})})
     flown.write(out / "flight.csv")
     flown.write(out / "flight.parquet")
     settings = CORPUS / "settings"
@@ -79,9 +77,7 @@ def _bomb(path: Path, *names: str) -> None:
     """Two hundred million rows of the same numbers: some kilobytes of file, gigabytes of memory for who believes in it."""
     rows = 10_000_000
     piece = pa.table({name: np.zeros(rows) for name in names})
-    with pq.ParquetWriter(
-        path, piece.schema, compression="zstd", write_statistics=False, max_rows_per_page=rows
-    ) as writer:
+    with pq.ParquetWriter(path, piece.schema, compression="zstd", write_statistics=False, max_rows_per_page=rows) as writer:
         for _ in range(20):
             writer.write_table(piece, row_group_size=rows)
 
@@ -115,9 +111,7 @@ def results() -> None:
     (root / "stage.data").write_bytes(dump(_stage()))
     _wire(root)
     shutil.rmtree(CORPUS / "results", ignore_errors=True)
-    shutil.copytree(
-        root, CORPUS / "results", ignore=shutil.ignore_patterns("*.lock", "report.html", "figures", "input")
-    )
+    shutil.copytree(root, CORPUS / "results", ignore=shutil.ignore_patterns("*.lock", "report.html", "figures", "input"))
 
 
 def _normal() -> object:
@@ -197,9 +191,7 @@ def _wire(root: Path) -> None:
 
     spec = small_spec(_SCRATCH / "wire")
     case = build_cases(spec, find_mission(spec, _SCRATCH / "wire"))[0]
-    order = Order(
-        case.case_id, OWN_FLIGHT, case.flight, ("ab" * 32, "cd" * 32), (("uqharness", "0"), ("jsbsim", "1.3.3"))
-    )
+    order = Order(case.case_id, OWN_FLIGHT, case.flight, ("ab" * 32, "cd" * 32), (("uqharness", "0"), ("jsbsim", "1.3.3")))
     (root / "order.json").write_text(order_text(order))
     outcome = CaseOutcome("4c4000eebc386034", "ok", "", 210.0, {"cross_track_median_m": 2.5}, {})
     (root / "answer.json").write_text(answer_text(Answer(outcome)))

@@ -49,9 +49,7 @@ def _fly(place: Path, seed: int) -> None:
     """Commands that end in JSBSim: its own child process judges the aircraft first."""
     aircraft = str(place / "dart")
     if seed % 3 == 0:
-        command(
-            "fly", aircraft, "--script", str(place / "script.xml"), "--duration-s", "1", "--out", str(place / "out.csv")
-        )
+        command("fly", aircraft, "--script", str(place / "script.xml"), "--duration-s", "1", "--out", str(place / "out.csv"))
     elif seed % 3 == 1:
         command("modes", aircraft, "--speed-mps", "22", "--altitude-m", "100")
     else:

@@ -48,9 +48,7 @@ def _log(kind: str, mutate: Mutator, share: float = 1.0) -> Format:
     # Renamed: the content tells what it is.
     source = {"flight.dat": f"logs/flight.{kind}", "airframe.toml": "aircraft/dart/airframe.toml"}
     sources = (*(source,) * 9, source | {"flight.dat": "logs/bomb.parquet"}) if kind == "parquet" else (source,)
-    return Format(
-        f"log-{kind}", sources, ("flight.dat",), mutate, _read("flight.dat", "--aircraft", "airframe.toml"), share
-    )
+    return Format(f"log-{kind}", sources, ("flight.dat",), mutate, _read("flight.dat", "--aircraft", "airframe.toml"), share)
 
 
 def _text_log(data: bytes, rng: np.random.Generator) -> bytes:

@@ -16,9 +16,7 @@ def _map(place: Path, seed: int) -> None:
 def _card(place: Path, seed: int) -> None:
     """The two readers of a card: that of logs and that of aircraft."""
     if seed % 2:
-        command(
-            "log", "info", str(place / "flight.bin"), "--no-cache", "--aircraft", str(place / "dart" / "airframe.toml")
-        )
+        command("log", "info", str(place / "flight.bin"), "--no-cache", "--aircraft", str(place / "dart" / "airframe.toml"))
     else:
         from uqharness.aircraft import find_aircraft
 

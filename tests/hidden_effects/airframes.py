@@ -41,9 +41,7 @@ def write_aircraft(name: str, airframe: Airframe, folder: Path) -> Path:
         if found != 1:
             raise ValueError(f"aero/{key} stands {found} times in {xml}")
     for tag, attribute in _MASS.items():
-        text, found = re.subn(
-            rf"(<{tag} unit=[^>]*>)[^<]*(</{tag}>)", rf"\g<1>{getattr(airframe, attribute)!r}\g<2>", text
-        )
+        text, found = re.subn(rf"(<{tag} unit=[^>]*>)[^<]*(</{tag}>)", rf"\g<1>{getattr(airframe, attribute)!r}\g<2>", text)
         if found != 1:
             raise ValueError(f"<{tag}> stands {found} times in {xml}")
     xml.unlink()

@@ -148,9 +148,7 @@ def _positive(x: object) -> bool:
 
 def contract_faults(found: Mapping[str, Any], exit_code: int) -> list[str]:
     """What refinement.json's contract asks for and the file does not have."""
-    out = [
-        f"no {key}" for key in ("verdict", "disagreement", "effects", "remaining", "gap", "model") if key not in found
-    ]
+    out = [f"no {key}" for key in ("verdict", "disagreement", "effects", "remaining", "gap", "model") if key not in found]
     verdict = found.get("verdict")
     if verdict not in VERDICTS:
         out.append(f"verdict {verdict!r}")
@@ -163,9 +161,7 @@ def contract_faults(found: Mapping[str, Any], exit_code: int) -> list[str]:
         out.append("no-missing-effect with effects")
     for e in effects:
         out += [
-            f"effect without {key}"
-            for key in ("term", "name", "why", "value", "std", "evidence", "alternatives")
-            if key not in e
+            f"effect without {key}" for key in ("term", "name", "why", "value", "std", "evidence", "alternatives") if key not in e
         ]
         if ("coefficient" in e) == ("subsystem" in e):
             out.append("effect with both or neither of coefficient and subsystem")
@@ -178,9 +174,7 @@ def contract_faults(found: Mapping[str, Any], exit_code: int) -> list[str]:
         if not channels:
             out.append(f"gap.{which} without channels")
         for name, c in channels.items():
-            out += [
-                f"gap.{which}.{name} without {key}" for key in ("rms_before", "rms_after", "noise_rms") if key not in c
-            ]
+            out += [f"gap.{which}.{name} without {key}" for key in ("rms_before", "rms_after", "noise_rms") if key not in c]
     return out
 
 

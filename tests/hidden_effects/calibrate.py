@@ -22,8 +22,7 @@ def measure(entries: list[Entry], air: str) -> dict[str, float]:
     """Key -> size at |t| = 10."""
     known = sizes(air)
     now = {
-        e.key: e.effect(10.0, air) if e.key in known else e.effect(10.0).scaled(_LIGHT if air == "light" else 1.0)
-        for e in entries
+        e.key: e.effect(10.0, air) if e.key in known else e.effect(10.0).scaled(_LIGHT if air == "light" else 1.0) for e in entries
     }
     for kind in sorted({e.flown for e in entries}):
         part = [e for e in entries if e.flown == kind and e.term != "late"]

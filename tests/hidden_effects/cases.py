@@ -181,17 +181,13 @@ def _nulls() -> list[Case]:
             elif kind == "second":
                 airframe, aircraft = perturbed(SECOND, rng), "second"
             four = cards(f"{name}/{air}", "slow" if i % 10 == 9 else "mixed", w20, noise, rate, positions=i % 5 == 4)
-            found.append(
-                Case(f"{name} {kind}", "null", air, (), effects, four[:3], four[3:], airframe, aircraft, core=i < 6)
-            )
+            found.append(Case(f"{name} {kind}", "null", air, (), effects, four[:3], four[3:], airframe, aircraft, core=i < 6))
     return found
 
 
 def perturbed(airframe: Airframe, rng: np.random.Generator) -> Airframe:
     """The airframe with every coefficient moved by 15 % (one standard deviation); those carried at zero stay there."""
-    moved = {
-        n: v * (1.0 + 0.15 * float(np.clip(rng.standard_normal(), -2.0, 2.0))) for n, v in airframe.coefficients.items()
-    }
+    moved = {n: v * (1.0 + 0.15 * float(np.clip(rng.standard_normal(), -2.0, 2.0))) for n, v in airframe.coefficients.items()}
     return replace(airframe, coefficients=moved)
 
 

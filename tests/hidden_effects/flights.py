@@ -74,9 +74,7 @@ def _together(flights: Sequence[Flight], step_s: float) -> list[Flown]:
     for lane, c in enumerate(cards):
         rng = np.random.default_rng([c.seed, 1])
         drawn.append({name: c.noise * std * rng.standard_normal(n) for name, std in NOISE.items()})
-        instruments[:, :, lane] = np.column_stack(
-            [drawn[-1][name] for name in ("V_mps", "phi_rad", "theta_rad", "h_m")]
-        )
+        instruments[:, :, lane] = np.column_stack([drawn[-1][name] for name in ("V_mps", "phi_rad", "theta_rad", "h_m")])
     # A dead zone swallows its half: the commands that hold the trim lie beyond it.
     held = s0 + np.sign(s0) * 0.5 * model.deadband
     pilot = Pilot(cards, x0, held, instruments)
@@ -142,9 +140,7 @@ def _record(flight: Flight, history: History, lane: int, noise: dict[str, Array]
     labels = np.full(len(time), "", dtype=object)
     for m in card.manoeuvres:
         labels[(time >= m.at_s - 1e-9) & (time < m.at_s + m.length_s - 1e-9)] = m.label
-    return FlightRecord(
-        {**columns, "manoeuvre": labels}, Metadata(source="flight", dialect="simulation", grid_hz=1.0 / dt)
-    )
+    return FlightRecord({**columns, "manoeuvre": labels}, Metadata(source="flight", dialect="simulation", grid_hz=1.0 / dt))
 
 
 def sensed(values: Array, effect: Effect, dt: float) -> Array:

@@ -143,14 +143,10 @@ def main(draw: int, first: int, last: int) -> None:
         if found is None:
             print(f"{draw}/{number}: no such flight", file=sys.stderr, flush=True)
             continue
-        rows = [
-            (draw, number, key, repr(size), f"{t:.1f}") for key, size, t in zip(asked.case.entries, *found, strict=True)
-        ]
+        rows = [(draw, number, key, repr(size), f"{t:.1f}") for key, size, t in zip(asked.case.entries, *found, strict=True)]
         fresh_file = not PATH.is_file()
         with PATH.open("a", encoding="utf-8", newline="") as handle:
-            csv.writer(handle, lineterminator="\n").writerows(
-                [COLUMNS] * fresh_file + (rows or [(draw, number, "", "", "")])
-            )
+            csv.writer(handle, lineterminator="\n").writerows([COLUMNS] * fresh_file + (rows or [(draw, number, "", "", "")]))
         print(f"{draw}/{number}: written", file=sys.stderr, flush=True)
 
 

@@ -90,9 +90,7 @@ def marks(rows: Sequence[Row]) -> tuple[bool, str]:
     )
     mark("files that keep their contract", _share(rows, lambda r: not r["faults"]), 1.0)
     if lost:
-        lines.append(
-            f"not asked, since their flights come to grief: {len(lost)} ({', '.join(r['case'] for r in lost)})"
-        )
+        lines.append(f"not asked, since their flights come to grief: {len(lost)} ({', '.join(r['case'] for r in lost)})")
     slow = sorted(r["seconds"] for r in rows)
     if slow:
         lines.append(f"seconds a case: median {slow[len(slow) // 2]:.0f}, largest {slow[-1]:.0f}")

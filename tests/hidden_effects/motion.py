@@ -118,14 +118,8 @@ def evaluate(model: Model, x: Array, s: Array, gust: Array | None, t_s: Array | 
         ua, va, wa, pa, qa, ra = u, v, w, p, q, r
     else:
         level = rotation(phi, theta, np.zeros_like(psi))
-        ua, va, wa = (
-            s0 - sum(e * g for e, g in zip(row, gust[:3], strict=True))
-            for s0, row in zip((u, v, w), level, strict=True)
-        )
-        pa, qa, ra = (
-            s0 - sum(e * g for e, g in zip(row, gust[3:], strict=True))
-            for s0, row in zip((p, q, r), level, strict=True)
-        )
+        ua, va, wa = (s0 - sum(e * g for e, g in zip(row, gust[:3], strict=True)) for s0, row in zip((u, v, w), level, strict=True))
+        pa, qa, ra = (s0 - sum(e * g for e, g in zip(row, gust[3:], strict=True)) for s0, row in zip((p, q, r), level, strict=True))
     V = np.sqrt(ua * ua + va * va + wa * wa)
     alpha, beta = np.arctan2(wa, ua), np.arcsin(va / V)
     rho = 1.225 * (1.0 + 2.25577e-5 * down) ** 4.25588

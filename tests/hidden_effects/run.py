@@ -46,9 +46,7 @@ def ask(case: Case, folder: Path, place: Path, extra: Sequence[str] = ()) -> dic
     files = case.files(folder / "flights")
     out = folder / "refined" / case.id
     out.parent.mkdir(parents=True, exist_ok=True)
-    aircraft = (
-        case.aircraft if case.aircraft == "espaaro" else str(write_aircraft(case.aircraft, SECOND, folder / "aircraft"))
-    )
+    aircraft = case.aircraft if case.aircraft == "espaaro" else str(write_aircraft(case.aircraft, SECOND, folder / "aircraft"))
     command = [
         "-m",
         "uqharness.cli",
@@ -145,15 +143,11 @@ def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder for flights, refinements and answers")
-    parser.add_argument(
-        "--fresh", type=int, metavar="DRAW", help="the cases of this draw of fresh.csv, not the battery"
-    )
+    parser.add_argument("--fresh", type=int, metavar="DRAW", help="the cases of this draw of fresh.csv, not the battery")
     parser.add_argument("--cases", nargs="+", metavar="ID")
     parser.add_argument("--kinds", help="clear,marginal,null,pair,off-form")
     parser.add_argument("--core", action="store_true", help="the smaller battery")
-    parser.add_argument(
-        "--part", type=int, nargs=2, default=(0, 1), metavar=("I", "N"), help="every N-th case from the I-th"
-    )
+    parser.add_argument("--part", type=int, nargs=2, default=(0, 1), metavar=("I", "N"), help="every N-th case from the I-th")
     air = parser.add_mutually_exclusive_group()
     air.add_argument("--calm", action="store_true")
     air.add_argument("--turbulence", action="store_true")

@@ -54,9 +54,7 @@ def strengths(
     effects = flights[0].effects
     without = [effects[:i] + effects[i + 1 :] for i in range(len(effects))]
     columns, changes, residual = _sensitivities(flights, flown, without, corrected, step_s)
-    return [
-        _Nuisance(_beside(columns, changes, i), residual).judge([c[i] for c in changes]) for i in range(len(effects))
-    ]
+    return [_Nuisance(_beside(columns, changes, i), residual).judge([c[i] for c in changes]) for i in range(len(effects))]
 
 
 def strengths_alone(
@@ -117,22 +115,17 @@ class _Nuisance:
     def _fit(self, blocks: list[Array]) -> Array:
         flat = [part.reshape(-1, part.shape[2]) for part in self.S]
         return np.asarray(
-            _inverse(np.asarray(sum(f.T @ f for f in flat)))
-            @ sum(f.T @ d.ravel() for f, d in zip(flat, blocks, strict=True))
+            _inverse(np.asarray(sum(f.T @ f for f in flat))) @ sum(f.T @ d.ravel() for f, d in zip(flat, blocks, strict=True))
         )
 
     def judge(self, change: list[Array]) -> Strength:
         d = [part / self.size for part in change]
-        theta = self.inverse @ sum(
-            part.reshape(-1, part.shape[2]).T @ e.ravel() for part, e in zip(self.S, d, strict=True)
-        )
+        theta = self.inverse @ sum(part.reshape(-1, part.shape[2]).T @ e.ravel() for part, e in zip(self.S, d, strict=True))
         perp = [e - part @ theta for e, part in zip(d, self.S, strict=True)]
         square, whole = sum(float(np.sum(p**2)) for p in perp), sum(float(np.sum(p**2)) for p in d)
         if square <= 0.0:
             return Strength(0.0, 0.0, 0.0)
-        spread = (
-            square if self.left is None else float(coloured_information([p[:, :, None] for p in perp], self.left)[0, 0])
-        )
+        spread = square if self.left is None else float(coloured_information([p[:, :, None] for p in perp], self.left)[0, 0])
         count = sum(p.size for p in d)
         return Strength(square / float(np.sqrt(spread)), float(np.sqrt(square / whole)), float(np.sqrt(whole / count)))
 
@@ -140,9 +133,7 @@ class _Nuisance:
 def _beside(columns: list[Array], changes: list[list[Array]], which: int) -> list[Array]:
     """The columns with what every other effect does among them."""
     others = [i for i in range(len(changes[0])) if i != which]
-    return [
-        np.concatenate([c, *(d[i][:, :, None] for i in others)], axis=2) for c, d in zip(columns, changes, strict=True)
-    ]
+    return [np.concatenate([c, *(d[i][:, :, None] for i in others)], axis=2) for c, d in zip(columns, changes, strict=True)]
 
 
 def _inverse(information: Array) -> Array:
@@ -155,9 +146,7 @@ def _inverse(information: Array) -> Array:
 class _Piece:
     """One labelled manoeuvre of a flight: its rows and the lanes flown for it."""
 
-    def __init__(
-        self, flight: Flight, flown: Flown, manoeuvre: Manoeuvre, variants: Sequence[tuple[Effect, ...]]
-    ) -> None:
+    def __init__(self, flight: Flight, flown: Flown, manoeuvre: Manoeuvre, variants: Sequence[tuple[Effect, ...]]) -> None:
         self.flight, self.flown = flight, flown
         self.dt = 1.0 / flight.card.rate_hz
         first = int(np.ceil(manoeuvre.at_s / self.dt - 1e-6))
@@ -180,9 +169,7 @@ class _Piece:
     def commands(self, n: int) -> Array:
         """(n, 4, lanes), the last one held on."""
         own = self.flown.commands[self.rows]
-        return np.repeat(
-            np.concatenate([own, np.repeat(own[-1:], n - len(own), axis=0)])[:, :, None], len(self.lanes), axis=2
-        )
+        return np.repeat(np.concatenate([own, np.repeat(own[-1:], n - len(own), axis=0)])[:, :, None], len(self.lanes), axis=2)
 
 
 def _replayed(pieces: list[_Piece], step_s: float) -> list[tuple[Array, list[Array], Array]]:
@@ -194,9 +181,7 @@ def _replayed(pieces: list[_Piece], step_s: float) -> list[tuple[Array, list[Arr
     model = Model([a for a, _ in lanes], [e for _, e in lanes])
     x0 = np.concatenate([p.starts() for p in pieces], axis=1)
     begun = np.concatenate([np.full(len(p.lanes), p.rows.start * dt) for p in pieces])
-    history = integrate(
-        model, x0, commands[0], n, dt, substeps(dt, step_s), lambda j, air, x: commands[j], begun_s=begun
-    )
+    history = integrate(model, x0, commands[0], n, dt, substeps(dt, step_s), lambda j, air, x: commands[j], begun_s=begun)
     y = _outputs(history)
     for lane, (_, hidden) in enumerate(lanes):
         for e in hidden:

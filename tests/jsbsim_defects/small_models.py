@@ -36,9 +36,7 @@ class _Quiet(jsbsim.FGLogger):
     def flush(self) -> None: ...
 
 
-def write_model(
-    root: Path, fcs: str = "", aero: str = "", ixz: str = "", mass_attributes: str = "", aerorp: float = 0.0
-) -> Path:
+def write_model(root: Path, fcs: str = "", aero: str = "", ixz: str = "", mass_attributes: str = "", aerorp: float = 0.0) -> Path:
     folder = root / "aircraft" / "small"
     folder.mkdir(parents=True, exist_ok=True)
     text = SKELETON.format(fcs=fcs, aero=aero, ixz=ixz, mass_attributes=mass_attributes, aerorp=aerorp)

@@ -59,9 +59,7 @@ def test_an_illegal_property_name_raises_outside_jsbsims_own_errors(tmp_path):
 def test_a_second_load_on_one_instance_ends_the_interpreter(tmp_path):
     write_model(tmp_path, fcs=channel("<pure_gain name='g'><input>test/in</input><gain>2</gain></pure_gain>"))
     again = LOADING + "node = fdm.get_property_manager().get_node('fcs/g')\nfdm.load_model('small')\n"
-    assert (
-        dies(again + "fdm.run_ic()\n[fdm.run() for _ in range(50)]\nnode.get_double_value()\ndel fdm\n", tmp_path) != 0
-    )
+    assert dies(again + "fdm.run_ic()\n[fdm.run() for _ in range(50)]\nnode.get_double_value()\ndel fdm\n", tmp_path) != 0
 
 
 def test_misspelt_reads_and_writes(tmp_path):
@@ -101,9 +99,7 @@ def test_the_ground_stops_nobody(tmp_path):
 
 def test_ixz_is_read_with_its_sign_reversed(tmp_path):
     plain = small(tmp_path / "a", ixz='<ixz unit="KG*M2">0.25</ixz>')
-    said = small(
-        tmp_path / "b", ixz='<ixz unit="KG*M2">0.25</ixz>', mass_attributes='negated_crossproduct_inertia="false"'
-    )
+    said = small(tmp_path / "b", ixz='<ixz unit="KG*M2">0.25</ixz>', mass_attributes='negated_crossproduct_inertia="false"')
     for fdm in (plain, said):
         fdm.run_ic()
     assert plain["inertia/ixz-slugs_ft2"] == pytest.approx(-said["inertia/ixz-slugs_ft2"])
@@ -153,9 +149,7 @@ def test_a_delay_of_n_frames_is_n_minus_one_and_only_sensors_and_actuators_have_
 
 
 def test_percent_noise_is_a_fraction(tmp_path):
-    parts = (
-        "<sensor name='s'><input>test/in</input><noise variation='PERCENT' distribution='GAUSSIAN'>0.5</noise></sensor>"
-    )
+    parts = "<sensor name='s'><input>test/in</input><noise variation='PERCENT' distribution='GAUSSIAN'>0.5</noise></sensor>"
     fdm = small(tmp_path, fcs=channel(parts))
     fdm.run_ic()
     fdm["test/in"] = 10.0

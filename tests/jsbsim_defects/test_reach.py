@@ -56,9 +56,7 @@ def test_an_output_connects_to_a_machine_of_the_authors_choice(tmp_path: Path) -
         listener.bind((LOCAL, 0))
         listener.listen()
         listener.settimeout(10)
-        element = (
-            f"<output type='SOCKET' name='localhost' protocol='TCP' port='{listener.getsockname()[1]}' rate='10'/>"
-        )
+        element = f"<output type='SOCKET' name='localhost' protocol='TCP' port='{listener.getsockname()[1]}' rate='10'/>"
         fdm = load(with_elements(tmp_path, element))
         fdm.run_ic()
         listener.accept()[0].close()

@@ -32,8 +32,7 @@ def write_ulog(path: Path, topics: dict[str, tuple[np.ndarray, dict[str, np.ndar
     for number, (name, (time_us, values)) in enumerate(arrays.items()):
         out.append(message(b"A", struct.pack("<BH", 0, number) + name.encode()))
         rows += [
-            (int(t), message(b"D", struct.pack("<HQ", number, int(t)) + v.tobytes()))
-            for t, v in zip(time_us, values, strict=True)
+            (int(t), message(b"D", struct.pack("<HQ", number, int(t)) + v.tobytes())) for t, v in zip(time_us, values, strict=True)
         ]
     path.write_bytes(b"".join(out) + b"".join(r for _, r in sorted(rows, key=lambda r: r[0])))
 

@@ -68,9 +68,7 @@ def test_the_comparison_tells_bits_apart():
     assert not same(np.zeros(2), np.zeros(2, dtype=">f8"))
 
 
-@pytest.mark.parametrize(
-    "dtype", ["?", "u1", "<i2", ">i4", "<u8", "<f2", ">f8", "<c16", "S3", "<U4", "V5", "<M8[ns]", "<m8[25us]"]
-)
+@pytest.mark.parametrize("dtype", ["?", "u1", "<i2", ">i4", "<u8", "<f2", ">f8", "<c16", "S3", "<U4", "V5", "<M8[ns]", "<m8[25us]"])
 @pytest.mark.parametrize("shape", [(), (0,), (7,), (2, 0, 3), (3, 4)])
 def test_arrays_come_back_bit_for_bit(dtype, shape):
     count = int(np.prod(shape)) * np.dtype(dtype).itemsize
@@ -97,9 +95,7 @@ def test_structured_and_object_arrays_come_back():
 
 
 LEAVES = st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.binary(max_size=20)
-KEYS = st.recursive(
-    LEAVES.filter(lambda k: k == k), lambda k: st.tuples(k, k) | st.frozensets(k, max_size=3), max_leaves=5
-)
+KEYS = st.recursive(LEAVES.filter(lambda k: k == k), lambda k: st.tuples(k, k) | st.frozensets(k, max_size=3), max_leaves=5)
 VALUES = st.recursive(
     LEAVES,
     lambda v: st.lists(v, max_size=4) | st.tuples(v, v) | st.dictionaries(KEYS, v, max_size=4),
@@ -328,9 +324,7 @@ def test_a_forged_file_is_refused_and_takes_no_memory(content):
         assert tracemalloc.get_traced_memory()[1] < 3_000_000 + 30 * len(content)
     finally:
         tracemalloc.stop()
-    assert not {
-        name for name in set(sys.modules) - before if name.startswith(("uqharness.data", "tests.sysid.test_data"))
-    }
+    assert not {name for name in set(sys.modules) - before if name.startswith(("uqharness.data", "tests.sysid.test_data"))}
 
 
 def test_another_version_is_refused_as_that():

@@ -51,9 +51,7 @@ def assert_equal_to_pymavlink(ours: RawLog, theirs: dict[str, list[dict]]) -> in
 
 
 def test_written_log_is_read_alike_by_pymavlink(bin_log: Path) -> None:
-    compared = assert_equal_to_pymavlink(
-        dataflash_binary.read(bin_log), pymavlink_tables(DFReader.DFReader_binary(str(bin_log)))
-    )
+    compared = assert_equal_to_pymavlink(dataflash_binary.read(bin_log), pymavlink_tables(DFReader.DFReader_binary(str(bin_log))))
     assert compared > 60
 
 
@@ -96,9 +94,7 @@ def test_estimated_angles_come_back_as_estimates(tmp_path: Path, flown: FlightRe
     assert set(import_log(path).metadata.estimates) == {"alpha_rad", "beta_rad"}
 
 
-def test_dropouts_modes_and_manoeuvres_survive(
-    tmp_path: Path, flown: FlightRecord, card: AirframeCard, card_path: Path
-) -> None:
+def test_dropouts_modes_and_manoeuvres_survive(tmp_path: Path, flown: FlightRecord, card: AirframeCard, card_path: Path) -> None:
     n = len(flown)
     labels = np.full(n, "", dtype=object)
     labels[100:200] = "pitch-doublet"
@@ -140,9 +136,7 @@ def test_servo_function_mixing_without_a_card_entry_is_reported(
 ) -> None:
     path = tmp_path / "f.bin"
     panel = card.servos["elevator"].table
-    mixed = AirframeCard(
-        "m", servos=card.servos, mixes=(Mix("vtail", Servo(panel, channel=2), Servo(panel, channel=4)),)
-    )
+    mixed = AirframeCard("m", servos=card.servos, mixes=(Mix("vtail", Servo(panel, channel=2), Servo(panel, channel=4)),))
     write_dataflash(flown, path, mixed)
     back = import_log(path, card_path=card_path)
     np.testing.assert_allclose(back["rudder_deg"], flown["rudder_deg"], atol=0.03)

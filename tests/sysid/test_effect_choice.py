@@ -52,9 +52,7 @@ def test_nothing_is_chosen_from_noise_more_often_than_the_limit_allows():
     columns = {"free": drawn(rng), **{f"c{k}": drawn(rng) + shared for k in range(20)}}
     candidates = {f"c{k}": 0.0 for k in range(20)}
     limit = chance_limit(evidence(columns, shared), ["free"], list(candidates), 0.05)
-    largest = [
-        float(np.abs(scores(evidence(columns, drawn(rng)), ["free"], list(candidates)).t).max()) for _ in range(300)
-    ]
+    largest = [float(np.abs(scores(evidence(columns, drawn(rng)), ["free"], list(candidates)).t).max()) for _ in range(300)]
     assert 0.02 < np.mean(np.array(largest) > limit) < 0.085
 
 

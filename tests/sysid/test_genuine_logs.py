@@ -54,9 +54,7 @@ def test_manoeuvres_show_in_their_surfaces(flight_data: Path, card_path: Path) -
     """Every doublet of the list moves its own surface within its time, by the sign table of the card."""
     record, _ = load(flight_data, card_path, "flight1_ident")
     with (flight_data / "espaaro-ardupilot" / "manoeuvres.csv").open() as handle:
-        rows = [
-            r for r in csv.DictReader(handle) if r["flight"] == "flight1_ident" and r["manoeuvre"].endswith("doublet")
-        ]
+        rows = [r for r in csv.DictReader(handle) if r["flight"] == "flight1_ident" and r["manoeuvre"].endswith("doublet")]
     assert len(rows) >= 18
     for row in rows:
         column = {"pitch": "elevator_deg"}.get(row["manoeuvre"].split("-")[0], row["manoeuvre"].split("-")[0] + "_deg")

@@ -36,9 +36,7 @@ def flights(seed: int = 3):
 
 def one_by_one(steps, data, noise, airs):
     nothing = [Columns((), {}, {})] * len(steps)
-    return np.array(
-        [minus_twice_log(whiten(steps, data, nothing, ROWS, r, p)) for r, p in zip(noise, airs, strict=True)]
-    )
+    return np.array([minus_twice_log(whiten(steps, data, nothing, ROWS, r, p)) for r, p in zip(noise, airs, strict=True)])
 
 
 @pytest.mark.parametrize("lanes", [80, 7, 1])

@@ -33,9 +33,7 @@ def samples(tmp_path_factory: pytest.TempPathFactory, flown: FlightRecord, card:
     us = np.rint(short["time_s"] * 1e6).astype(np.int64)
     names = {"gyro_rad": ("p_radps", "q_radps", "r_radps"), "accelerometer_m_s2": ("ax_mps2", "ay_mps2", "az_mps2")}
     imu = {f"{g}[{i}]": short[n] for g, members in names.items() for i, n in enumerate(members)}
-    write_ulog(
-        folder / "a.ulg", {"sensor_combined": (us, imu), "airspeed": (us, {"true_airspeed_m_s": short["V_mps"]})}
-    )
+    write_ulog(folder / "a.ulg", {"sensor_combined": (us, imu), "airspeed": (us, {"true_airspeed_m_s": short["V_mps"]})})
     short.write(folder / "a.csv")
     short.write(folder / "a.parquet")
     header = "Time,/fdm/jsbsim/velocities/vtrue-fps,/fdm/jsbsim/velocities/q-rad_sec,/fdm/jsbsim/fcs/elevator-cmd-deg"

@@ -41,10 +41,7 @@ def test_tlog_gives_its_channels_on_the_vehicles_clock(tmp_path: Path) -> None:
     np.testing.assert_allclose(back["theta_rad"], theta, atol=2e-3)
     az = np.interp(back["time_s"], record["time_s"], record["az_mps2"])
     np.testing.assert_allclose(back["az_mps2"], az, atol=0.02)
-    assert (
-        "Hz; at least 20 Hz"
-        in purposes(import_log(path, card_path=Path(__file__).parent / "data"))["identification"][1]
-    )
+    assert "Hz; at least 20 Hz" in purposes(import_log(path, card_path=Path(__file__).parent / "data"))["identification"][1]
 
 
 def test_four_hertz_telemetry_is_refused_for_identification_and_replay(tmp_path: Path, card_path: Path) -> None:

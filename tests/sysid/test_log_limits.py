@@ -58,9 +58,7 @@ def _same(a: RawLog, b: RawLog) -> None:
         for name, values in table.fields.items():
             assert values.dtype == b.messages[key].fields[name].dtype
             np.testing.assert_array_equal(values, b.messages[key].fields[name])
-    rest = [
-        (r.dialect, dict(r.counts), dict(r.parameters), r.texts, r.vehicle, dict(r.facts), r.findings) for r in (a, b)
-    ]
+    rest = [(r.dialect, dict(r.counts), dict(r.parameters), r.texts, r.vehicle, dict(r.facts), r.findings) for r in (a, b)]
     assert rest[0] == rest[1]
 
 
@@ -176,9 +174,7 @@ def test_tables_that_are_made_to_harm_are_refused(tmp_path: Path, text: str, sai
     ],
 )
 @pytest.mark.parametrize("mapped", [True, False])
-def test_columns_of_lists_structs_and_bytes_are_refused(
-    tmp_path: Path, column: pa.Array, said: str, mapped: bool
-) -> None:
+def test_columns_of_lists_structs_and_bytes_are_refused(tmp_path: Path, column: pa.Array, said: str, mapped: bool) -> None:
     name = "odd" if mapped else "q_radps"
     pq.write_table(pa.table({"time_s": np.arange(50) * 0.02, name: column}), tmp_path / "a.parquet")
     (tmp_path / "map.toml").write_text('[signals.q_radps]\nmessage = "csv"\nfield = "odd"\n')
@@ -253,13 +249,7 @@ def test_a_text_log_of_nothing_but_formats_is_refused(tmp_path: Path) -> None:
 
 def test_a_binary_logs_type_with_two_names_keeps_both(tmp_path: Path) -> None:
     def fmt(name: bytes, characters: bytes, columns: bytes) -> bytes:
-        return (
-            b"\xa3\x95\x80"
-            + bytes([200, 19])
-            + name.ljust(4, b"\0")
-            + characters.ljust(16, b"\0")
-            + columns.ljust(64, b"\0")
-        )
+        return b"\xa3\x95\x80" + bytes([200, 19]) + name.ljust(4, b"\0") + characters.ljust(16, b"\0") + columns.ljust(64, b"\0")
 
     def row(k: int, value: float) -> bytes:
         return b"\xa3\x95\xc8" + struct.pack("<Qff", 20000 * k, value, value)
@@ -332,9 +322,7 @@ def test_the_child_ends_with_a_killed_parent_even_in_the_middle_of_a_file(tmp_pa
 def test_two_threads_wait_for_each_other(tmp_path: Path, flown: FlightRecord) -> None:
     flown.write(tmp_path / "a.csv")
     lengths: list[int] = []
-    threads = [
-        threading.Thread(target=lambda: lengths.append(len(FlightRecord.read(tmp_path / "a.csv")))) for _ in range(4)
-    ]
+    threads = [threading.Thread(target=lambda: lengths.append(len(FlightRecord.read(tmp_path / "a.csv")))) for _ in range(4)]
     for thread in threads:
         thread.start()
     for thread in threads:

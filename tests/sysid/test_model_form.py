@@ -232,9 +232,7 @@ def test_a_state_that_stood_still_is_left_out_and_said():
     assert "theta_rad hardly varied" in fitted.notes[0]
     elsewhere = {s: np.array([m]) for s, m in zip(STATES, MEAN, strict=True)} | {"theta_rad": np.array([0.3])}
     assert fitted.bounds.distance(elsewhere)[0] > 0.0
-    assert np.array_equal(
-        fitted.bounds.bounds(elsewhere), fitted.bounds.bounds({**elsewhere, "theta_rad": np.array([0.06])})
-    )
+    assert np.array_equal(fitted.bounds.bounds(elsewhere), fitted.bounds.bounds({**elsewhere, "theta_rad": np.array([0.06])}))
     quite = {s: np.full_like(v, 0.1) for s, v in still[0].states.items()}
     none = Residuals((dataclasses.replace(still[0], states=quite),), 0.02, Cutoffs())
     assert fit_bounds(none, {"CX": Design(STATES)})["CX"].bounds.terms == ((0, 0, 0, 0),)
@@ -242,9 +240,7 @@ def test_a_state_that_stood_still_is_left_out_and_said():
 
 def test_collinear_states_leave_terms_out_and_the_bounds_finite():
     residuals = made_up(10)
-    tied = [
-        dataclasses.replace(p, states={**p.states, "theta_rad": 0.5 * p.states["alpha_rad"]}) for p in residuals.pieces
-    ]
+    tied = [dataclasses.replace(p, states={**p.states, "theta_rad": 0.5 * p.states["alpha_rad"]}) for p in residuals.pieces]
     fitted = fit_bounds(Residuals(tuple(tied), 0.02, Cutoffs()), {"CX": Design(STATES)})["CX"]
     assert len(fitted.bounds.terms) == 10
     assert "theta_rad" in fitted.notes[0]
@@ -280,9 +276,7 @@ def test_a_manoeuvre_of_its_own_kind_is_found_by_leaving_it_out():
 
 def test_pieces_of_one_name_are_left_out_by_stretch():
     residuals = made_up(13, n=150, pieces=24)
-    same = tuple(
-        dataclasses.replace(p, label="excited", time_s=p.time_s + 10.0 * k) for k, p in enumerate(residuals.pieces)
-    )
+    same = tuple(dataclasses.replace(p, label="excited", time_s=p.time_s + 10.0 * k) for k, p in enumerate(residuals.pieces))
     found = leave_one_out(Residuals(same, 0.02, Cutoffs()), {"CX": Design(STATES)}, FitOptions())
     assert len(found) == 10
     assert "excited, 0 to 23 s" in found

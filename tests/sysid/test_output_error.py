@@ -181,10 +181,7 @@ def test_an_all_zero_start_of_an_unstable_looking_model_is_brought_home():
 
 def test_sensitivities_carried_on_give_the_same_answer_with_fewer_simulations():
     measured = noisy(7)
-    fits = {
-        way: output_error(lambda theta: decay(theta, T), 0.6 * TRUE, measured, differences=way)
-        for way in ("auto", "secant")
-    }
+    fits = {way: output_error(lambda theta: decay(theta, T), 0.6 * TRUE, measured, differences=way) for way in ("auto", "secant")}
     assert all(fit.converged for fit in fits.values())
     np.testing.assert_allclose(fits["secant"].theta, fits["auto"].theta, atol=1e-2 * fits["auto"].std.min())
     np.testing.assert_allclose(fits["secant"].std, fits["auto"].std, rtol=2e-3)

@@ -130,9 +130,7 @@ def test_a_wandering_wind_is_seen_as_gusts() -> None:
     record, _ = measured(3, 40.0, slow=False)
     rng = np.random.default_rng(5)
     walk = np.cumsum(0.5 * np.sqrt(0.04) * rng.standard_normal(len(record)))
-    gusty = record.with_columns(
-        {"vn_mps": record["vn_mps"] + walk, "north_m": record["north_m"] + np.cumsum(walk) * 0.04}
-    )
+    gusty = record.with_columns({"vn_mps": record["vn_mps"] + walk, "north_m": record["north_m"] + np.cumsum(walk) * 0.04})
     found = reconstruct_path(gusty)
     assert 0.2 <= found.wind_walk <= 1.0
     assert any("gusty" in w for w in found.warnings)
@@ -183,11 +181,7 @@ def test_gaps_are_never_integrated_across() -> None:
 
 def test_what_is_missing_is_said() -> None:
     record, _ = measured(4)
-    few = {
-        c: v
-        for c, v in record.columns.items()
-        if c not in ("beta_rad", "vn_mps", "ve_mps", "vd_mps", "north_m", "east_m")
-    }
+    few = {c: v for c, v in record.columns.items() if c not in ("beta_rad", "vn_mps", "ve_mps", "vd_mps", "north_m", "east_m")}
     found = reconstruct_path(FlightRecord(few), free=("bias_p", "scale_beta", "wind_n"))
     assert "no measured beta_rad" in found.parameters["scale_beta"].reason
     assert "no ground velocity" in found.parameters["wind_n"].reason

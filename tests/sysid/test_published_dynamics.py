@@ -14,9 +14,7 @@ NAMES = ("Zw", "Zq", "Zde", "Mw", "Mq", "Mde")
 PUBLISHED = np.array([-1.4249, -1.4768, -6.2632, 0.2163, -3.7067, -12.784])
 START = np.array([-1.22871, -1.4768, -4.20491, 0.116197, -2.7067, -18.7718])  # the author's
 DT = 0.05
-DATA = np.loadtxt(
-    Path(__file__).parents[1] / "reference" / "unstable_aircraft.csv", delimiter=",", comments="#", skiprows=3
-)
+DATA = np.loadtxt(Path(__file__).parents[1] / "reference" / "unstable_aircraft.csv", delimiter=",", comments="#", skiprows=3)
 W, Q, DE, AZ = DATA.T
 MEASURED = np.column_stack([AZ, W, Q])
 
@@ -78,8 +76,7 @@ def test_output_error_of_an_unstable_aircraft_comes_home_from_far_off(start):
 
 def test_output_error_is_as_near_as_its_input_between_samples_allows():
     held, straight = (
-        output_error(lambda theta, held=held: simulate(theta, DE, held), START, MEASURED, names=NAMES)
-        for held in (True, False)
+        output_error(lambda theta, held=held: simulate(theta, DE, held), START, MEASURED, names=NAMES) for held in (True, False)
     )
     np.testing.assert_allclose(straight.theta, PUBLISHED, rtol=0.03)
     assert not np.allclose(held.theta, PUBLISHED, rtol=0.15)

@@ -48,9 +48,7 @@ def test_pipes_sockets_devices_and_folders_are_refused_at_once_and_by_name(tmp_p
                 assert refusal.value.filename == str(path)
 
 
-def test_what_became_a_pipe_after_the_look_is_refused_without_waiting(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_became_a_pipe_after_the_look_is_refused_without_waiting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     os.mkfifo(tmp_path / "pipe")
     monkeypatch.setattr("sysid.regular_files.require_regular", lambda path: None)
     with pytest.raises(OSError, match="is a pipe"):

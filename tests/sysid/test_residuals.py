@@ -141,9 +141,7 @@ def test_noise_is_what_the_filters_weights_make_of_it():
         return Prediction(np.zeros((len(qbar), 6)), zero, zero, qbar, mass, {})
 
     noise = {"ay_mps2": 0.16, "p_radps": 0.0035}
-    found = noise_floor(
-        record, [Piece("x", slice(0, n), 0.0, 0.02 * n)], predict, noise, (0, 0, 0), Cutoffs(), repeats=4
-    )
+    found = noise_floor(record, [Piece("x", slice(0, n), 0.0, 0.02 * n)], predict, noise, (0, 0, 0), Cutoffs(), repeats=4)
     pressure = 0.5 * rho * V**2 * a.S
     side = a.m * 0.16 * np.sqrt(0.3**2 + 2 * 0.25**2 + 2 * 0.1**2) / pressure
     roll = a.Ixx * 0.0035 * np.sqrt(2 * (1 + 4)) / (10 * 0.02) / (pressure * a.b)

@@ -11,9 +11,7 @@ from sysid.gust_states import GustStates
 from sysid.open_equations import OpenEquations
 from sysid.rigid_steps import AIR, NX, Reference, Steps, linearise, rates, whole_states
 
-MASS = MassProperties(
-    mass=21.0, inertia=np.array([[11.1, 0.0, -0.5], [0.0, 7.7, 0.0], [-0.5, 0.0, 18.4]]), S=1.38, b=3.66, c=0.38
-)
+MASS = MassProperties(mass=21.0, inertia=np.array([[11.1, 0.0, -0.5], [0.0, 7.7, 0.0], [-0.5, 0.0, 18.4]]), S=1.38, b=3.66, c=0.38)
 TERMS = (
     "CX_0",
     "CZ_0",

@@ -38,8 +38,7 @@ class Sensitivity:
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON types; null where an index is undefined, its reason beside it."""
         return {
-            output: {method: result.as_dict() for method, result in methods.items()}
-            for output, methods in self.results.items()
+            output: {method: result.as_dict() for method, result in methods.items()} for output, methods in self.results.items()
         }
 
     def text(self) -> str:

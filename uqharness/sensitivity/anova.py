@@ -48,8 +48,7 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
         low, high = _bootstrap(f_A, f_B, f_AB, seed)
         low, high = total - np.hypot(total - low, reach), total + np.hypot(high - total, reach)
     indices = {
-        name: Index(float(value), float(lo), float(hi))
-        for name, value, lo, hi in zip(study.names, total, low, high, strict=True)
+        name: Index(float(value), float(lo), float(hi)) for name, value, lo, hi in zip(study.names, total, low, high, strict=True)
     }
     together = float(total.sum())
     above = [name for name, index in indices.items() if index.value > 1.0]

@@ -33,9 +33,7 @@ def corner_pairs(study: Study, runs: Evaluations, seed: int = 0, intervals: bool
     if is_flat(area, y) or (interior is not None and is_flat(area, interior)):
         reason = "the corners' envelope has no width"
         if interior is not None and not is_flat(box_area(interior), interior):
-            reason += (
-                ", though samples inside the box differ: the output is not monotone and the corners do not show it"
-            )
+            reason += ", though samples inside the box differ: the output is not monotone and the corners do not show it"
         return all_undefined(METHOD, study.names, reason, y.size)
     band = pair_band(y, d, seed, resamples=RESAMPLES if intervals else 0, chance=study.chance)
     indices = {}
@@ -90,11 +88,7 @@ def _smoothness(corners: Array, interior: Array | None, area: float) -> tuple[bo
     beyond = np.maximum(inside - ordered.max(axis=0), 0.0) + np.maximum(ordered.min(axis=0) - inside, 0.0)
     worst = float(beyond.mean(axis=-1).max() / area)
     holds = worst <= OUTSIDE_ALLOWED
-    text = (
-        f"of {len(inside)} interior samples the worst leaves the corners' envelope by {worst:.1%} of its area".replace(
-            "%", " %"
-        )
-    )
+    text = f"of {len(inside)} interior samples the worst leaves the corners' envelope by {worst:.1%} of its area".replace("%", " %")
     if not holds:
         text += ": the output is not monotone enough, the corners miss part of the p-box and these ranges are too small"
     return holds, text, worst

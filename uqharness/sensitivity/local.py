@@ -46,9 +46,7 @@ def local(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
     }
     holds, statement = None, "linearity over the intervals is assumed and was not checked: the study has no corner runs"
     if runs.corners is not None and not missing_values(corners=runs.corners):
-        holds, statement = _linearity(
-            float(np.sum(study.width * slope)), box_area(runs.corners), is_flat(area, runs.corners)
-        )
+        holds, statement = _linearity(float(np.sum(study.width * slope)), box_area(runs.corners), is_flat(area, runs.corners))
     return MethodResult(METHOD, cost, indices, holds, statement, {"slope": slope, "area": area})
 
 

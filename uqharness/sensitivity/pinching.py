@@ -37,9 +37,7 @@ def pinching(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = T
 
     value = shares(np.arange(free.shape[0]), np.arange(free.shape[1]))
     reach = reach_of_box(shares, free.shape, seed) if intervals else np.full_like(value, np.nan)
-    indices = {
-        name: Index(float(v), float(v - r), float(v + r)) for name, v, r in zip(study.names, value, reach, strict=True)
-    }
+    indices = {name: Index(float(v), float(v - r), float(v + r)) for name, v, r in zip(study.names, value, reach, strict=True)}
     holds, statement = None, "the nominal value is taken for the true one; not checked against the corners"
     if runs.corners is not None and not missing_values(corners=runs.corners):
         corner_area = box_area(runs.corners)

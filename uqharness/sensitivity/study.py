@@ -149,9 +149,7 @@ def _check(problem: Problem, samples: int, draws: int, methods: Sequence[str]) -
     if samples < 16 or draws < 1:
         raise BadInputError(f"samples = {samples}, draws = {draws}: at least 16 samples and 1 draw are needed")
     if problem.aleatory and draws < 2:
-        raise BadInputError(
-            f"draws = {draws}: with aleatory variables at least 2 draws are needed, and 8 for intervals"
-        )
+        raise BadInputError(f"draws = {draws}: with aleatory variables at least 2 draws are needed, and 8 for intervals")
     if "anova" in methods and samples & (samples - 1):
         raise BadInputError(
             f"samples = {samples}: the variance-based method needs a power of two; "
@@ -250,11 +248,7 @@ def read_study(path: str | Path) -> Study:
         d, samples = len(names), len(arrays["theta"])
         found = {
             output: Evaluations(
-                **{
-                    field.name: arrays[f"{k}/{field.name}"]
-                    for field in fields(Evaluations)
-                    if f"{k}/{field.name}" in arrays
-                }
+                **{field.name: arrays[f"{k}/{field.name}"] for field in fields(Evaluations) if f"{k}/{field.name}" in arrays}
             )
             for k, output in enumerate(outputs)
         }
