@@ -14,7 +14,7 @@ from sysid.flight_record import FlightRecord
 from sysid.model_form import read_model_form
 from tests.page_checks import problems
 from uqharness.aircraft import PROJECT_ROOT
-from uqharness.bounds_command import parse_designs
+from uqharness.bounds_designs import parse_designs
 from uqharness.cli import main
 from uqharness.errors import BadInputError
 from uqharness.flights import file_hash

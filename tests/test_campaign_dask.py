@@ -14,11 +14,12 @@ from tests import campaign_fakes as fakes
 from uqharness import campaign_commands, dask_executor
 from uqharness.campaign import run_campaign
 from uqharness.campaign_spec import read_campaign
-from uqharness.case_table import CASES, read_table
+from uqharness.case_table import CASES
 from uqharness.dask_executor import DaskExecutor
 from uqharness.errors import BadInputError
 from uqharness.executor import ProcessExecutor, SerialExecutor
 from uqharness.flight_spec import FlightSpec
+from uqharness.parquet_files import read_table
 
 TABLES = (CASES, "pbox.parquet", "excursions.csv")
 REAL = """

@@ -13,10 +13,11 @@ from tests.page_checks import problems
 from uqharness.campaign import run_campaign
 from uqharness.campaign_manifest import read_manifest
 from uqharness.campaign_spec import read_campaign
-from uqharness.case_table import CASES, read_table
+from uqharness.case_table import CASES
 from uqharness.cli import main
 from uqharness.errors import BadInputError
 from uqharness.executor import ProcessExecutor, SerialExecutor
+from uqharness.parquet_files import read_table
 from uqharness.report import write_report
 from uqharness.shards import Shard
 

@@ -19,7 +19,7 @@ from uqharness.aircraft import PROJECT_ROOT, content_hash, find_aircraft
 from uqharness.campaign import run_campaign
 from uqharness.campaign_aircraft import bounds_notes
 from uqharness.campaign_spec import read_campaign
-from uqharness.case_table import CASES, read_table
+from uqharness.case_table import CASES
 from uqharness.cases import Mission, build_cases
 from uqharness.cli import main
 from uqharness.epistemic import epistemic_samples
@@ -29,6 +29,7 @@ from uqharness.flight import record_mission
 from uqharness.flight_spec import COEFFICIENTS, FlightResult, LevelDriver
 from uqharness.mission import StagedMission
 from uqharness.model_form_xml import model_form_xml
+from uqharness.parquet_files import read_table
 from uqharness.properties import Source
 from uqharness.seeds import walk_stream
 

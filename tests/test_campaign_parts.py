@@ -14,11 +14,12 @@ from uqharness.aircraft import PROJECT_ROOT
 from uqharness.campaign import run_campaign
 from uqharness.campaign_manifest import read_manifest, write_manifest
 from uqharness.campaign_spec import read_campaign
-from uqharness.case_table import CASES, read_table
+from uqharness.case_table import CASES
 from uqharness.chain_spec import read_chain
 from uqharness.cli import main
 from uqharness.errors import BadInputError
 from uqharness.executor import SerialExecutor
+from uqharness.parquet_files import read_table
 from uqharness.report import write_report
 from uqharness.shards import Shard, merge, parse_shard, shard_folders
 from uqharness.store import Store, run_lock

@@ -16,9 +16,10 @@ import pytest
 from tests import campaign_fakes as fakes
 from uqharness.campaign import Progress, find_mission, run_campaign
 from uqharness.campaign_manifest import read_manifest
-from uqharness.case_table import CASES, ERROR_METRICS, excursion_columns, read_table
+from uqharness.case_table import CASES, ERROR_METRICS, excursion_columns
 from uqharness.errors import BadInputError
 from uqharness.executor import ProcessExecutor, SerialExecutor
+from uqharness.parquet_files import read_table
 from uqharness.store import Store, run_lock
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -93,7 +93,7 @@ def test_the_whole_chain_names_what_is_missing_and_the_refined_model_knows_more(
     text = (PROJECT_ROOT / "campaigns" / "chain" / "chain.toml").read_text()
     text = text.replace("../../scripts/", "").replace("flights = 4 ", "flights = 1 ").replace('["light", "moderate"]', '"light"')
     (tmp_path / "study.toml").write_text(text)
-    document = run_chain(read_chain(tmp_path / "study.toml"), tmp_path / "out")
+    document = run_chain(cli.run_words, read_chain(tmp_path / "study.toml"), tmp_path / "out")
     assert {row["exit"] for row in document["stages"]} == {0}
     said = {sentence["text"]: sentence["level"] for sentence in document["verdict"]}
     named = next(words for words in said if words.startswith("Refinement named"))

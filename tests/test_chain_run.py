@@ -89,7 +89,7 @@ def study(tmp_path, monkeypatch):
     ran: list[str] = []
     fail: dict[str, BaseException | int] = {}
 
-    def call(stage, out, workers):
+    def call(run, stage, out, workers):
         ran.append(stage.name)
         what = fail.get(stage.name, 0)
         if isinstance(what, BaseException):
@@ -113,7 +113,7 @@ def study(tmp_path, monkeypatch):
         if text is not None:
             (tmp_path / file).write_text(text)
         ran.clear()
-        return run_chain(read_chain(tmp_path / file), tmp_path / out)
+        return run_chain(cli.run_words, read_chain(tmp_path / file), tmp_path / out)
 
     return run, ran, fail
 
@@ -270,7 +270,7 @@ def test_what_a_half_done_stage_left_is_taken_away(study, tmp_path):
 
 def test_a_stage_that_leaves_nothing_is_no_success(study, monkeypatch):
     run, _, _ = study
-    monkeypatch.setattr(chain_run, "_call", lambda stage, out, workers: 0)
+    monkeypatch.setattr(chain_run, "_call", lambda run, stage, out, workers: 0)
     with pytest.raises(BadInputError, match=r"left no flights/one\.parquet"):
         run()
 

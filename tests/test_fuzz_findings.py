@@ -33,7 +33,7 @@ from uqharness.instrument_folder import undo
 from uqharness.instrument_record import FILE_NAME
 from uqharness.journal_recovery import JournalScan
 from uqharness.mission import read_script
-from uqharness.spec_sections import is_number
+from uqharness.settings import is_number
 from uqharness.store import Store
 from uqharness.toml_errors import dotted
 

@@ -22,7 +22,8 @@ from uqharness.errors import BadInputError
 from uqharness.instrument import Bounds, plan
 from uqharness.instrument_command import parse_constant
 from uqharness.instrument_folder import undo, write
-from uqharness.plugin_check import check, check_in_child, open_mid_envelope
+from uqharness.mid_envelope import open_mid_envelope
+from uqharness.plugin_check import check, check_in_child
 from uqharness.study_instrument import study
 
 OWN = """

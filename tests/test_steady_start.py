@@ -14,13 +14,14 @@ from tests.page_checks import problems
 from uqharness.campaign import find_mission, run_campaign
 from uqharness.campaign_aircraft import make_copy
 from uqharness.campaign_spec import read_campaign
-from uqharness.case_table import CASES, UNCOMMANDED_METRICS, read_table
+from uqharness.case_table import CASES, UNCOMMANDED_METRICS
 from uqharness.cases import build_cases
 from uqharness.cli import main
 from uqharness.errors import BadInputError
 from uqharness.executor import SerialExecutor
 from uqharness.flight import fly
 from uqharness.flight_spec import FlightResult
+from uqharness.parquet_files import read_table
 from uqharness.report import write_report
 from uqharness.scoring import Recorded, score_from_start
 

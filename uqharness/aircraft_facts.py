@@ -18,7 +18,7 @@ from typing import Any
 from uqharness import engine
 from uqharness.aircraft import find_aircraft
 from uqharness.errors import BadInputError
-from uqharness.plugin_check import open_mid_envelope
+from uqharness.mid_envelope import open_mid_envelope
 from uqharness.preflight import child_environment
 
 _FT = 0.3048

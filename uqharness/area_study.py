@@ -19,8 +19,8 @@ from uqharness.campaign_files import read_cases
 from uqharness.campaign_manifest import read_complete
 from uqharness.campaign_rounds import band_confidence
 from uqharness.campaign_tables import CONFIDENCE, Condition, in_condition, pboxes
-from uqharness.case_table import read_table
 from uqharness.errors import BadInputError
+from uqharness.parquet_files import read_table
 
 AREAS = "area.csv"
 _WHERE = ("wind_mps", "turbulence")

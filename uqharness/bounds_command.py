@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 from uqharness import __version__
 from uqharness.aircraft import find_aircraft
+from uqharness.bounds_designs import parse_designs
 from uqharness.command_report import command_as_given, show_stage
 from uqharness.errors import BadInputError
 from uqharness.identify_command import add_flight_arguments, results_folder
 from uqharness.whole_files import check_folder, inner_folder
 
 if TYPE_CHECKING:
-    from sysid.bounds_fit import Design
     from uqharness.bounds import BoundsOptions, MadeBounds
 
 _EXAMPLE = """examples:
@@ -34,11 +34,6 @@ _VALIDATE_EXAMPLE = """examples:
   uqharness validate-bounds espaaro bounds/model-form.json --flight flight3.bin --manoeuvres manoeuvres.csv --out check
 
 Exit code 1: some coefficient has less than 85 % of the flight inside its 95 % bounds."""
-_SHORT = {
-    "V": "V_mps", "alpha": "alpha_rad", "beta": "beta_rad", "phi": "phi_rad", "theta": "theta_rad", "p": "p_radps",
-    "q": "q_radps", "r": "r_radps", "de": "elevator_pos_deg", "da": "aileron_pos_deg", "dr": "rudder_pos_deg",
-    "dt": "throttle_pct",
-}  # fmt: skip
 
 
 def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -119,50 +114,6 @@ def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     parser.set_defaults(handler=_run_validate, parser=parser)
 
 
-def parse_designs(states: Sequence[str], terms: Sequence[str], order: int, roll_terms: bool) -> dict[str, Design]:
-    """Designs from --states, --terms, --order and --roll-terms. Raises BadInputError."""
-    from sysid.bounds_fit import Design, default_designs
-    from sysid.polynomial import STATES, parse_term
-
-    designs = {c: Design(d.states, None, order) for c, d in default_designs().items()}
-    if roll_terms:
-        designs["Cm"] = Design((*designs["Cm"].states, "p_radps"), None, order)
-    for text in states:
-        coefficient, names = _assignment("--states", text, list(designs))
-        unknown = [n for n in names if _SHORT.get(n, n) not in STATES]
-        if unknown or len(set(names)) < len(names):
-            raise BadInputError(
-                f"--states {text}: {f'unknown state {unknown[0]}' if unknown else 'a state is named twice'}; "
-                f"allowed are {', '.join(_SHORT)}"
-            )
-        designs[coefficient] = Design(tuple(_SHORT.get(n, n) for n in names), None, order)
-    for text in terms:
-        coefficient, names = _assignment("--terms", text, list(designs))
-        written = ["*".join(_long(f) for f in name.split("*")) for name in names]
-        used = tuple(s for s in STATES if any(s == f.split("^")[0] for name in written for f in name.split("*")))
-        try:
-            chosen = tuple(parse_term(name, used) for name in written)
-        except ValueError as error:
-            raise BadInputError(f"--terms {text}: {error}; states are {', '.join(_SHORT)}") from None
-        if len(set(chosen)) < len(chosen) or not used:
-            raise BadInputError(f"--terms {text}: {'a term is named twice' if used else 'no term depends on a state'}")
-        designs[coefficient] = Design(used, chosen)
-    return designs
-
-
-def _long(factor: str) -> str:
-    state, caret, power = factor.strip().partition("^")
-    return f"{_SHORT.get(state, state)}{caret}{power}"
-
-
-def _assignment(option: str, text: str, known: list[str]) -> tuple[str, list[str]]:
-    coefficient, equals, rest = text.partition("=")
-    names = [n.strip() for n in rest.split(",") if n.strip()]
-    if not equals or not names or coefficient not in known:
-        raise BadInputError(f"{option} {text}: C=name,name with C one of {', '.join(known)} is needed, such as {option} CX=V,alpha")
-    return coefficient, names
-
-
 def _options(args: argparse.Namespace) -> BoundsOptions:
     from sysid.bounds_fit import FitOptions
     from sysid.residuals import Cutoffs
@@ -190,12 +141,13 @@ def _run_bounds(args: argparse.Namespace) -> int:
     check_folder(args.out)
     # Imported here: scipy and pandas take a second that --help should not pay.
     from uqharness.bounds import make_bounds
-    from uqharness.bounds_report import bounds_document, bounds_report, bounds_rows, text_table, write_residuals
+    from uqharness.bounds_report import bounds_document, bounds_report, bounds_rows, write_residuals
     from uqharness.flights import file_hash
     from uqharness.identify_report import write_text
     from uqharness.model_form_xml import model_form_xml
     from uqharness.report_page import write_report
     from uqharness.residual_model import read_bounds_flights
+    from uqharness.text_tables import text_table
     from uqharness.whole_files import write_bytes
 
     options = _options(args)
@@ -227,19 +179,13 @@ def _run_validate(args: argparse.Namespace) -> int:
     aircraft = find_aircraft(args.aircraft)
     if args.out is not None:
         check_folder(args.out)
-    from uqharness.bounds_report import (
-        text_table,
-        validation_document,
-        validation_report,
-        validation_rows,
-        verdict,
-        write_residuals,
-    )  # fmt: skip
+    from uqharness.bounds_report import validation_document, validation_report, validation_rows, verdict, write_residuals
     from uqharness.bounds_validation import failed, load_form, validate
     from uqharness.flights import file_hash
     from uqharness.identify_report import write_text
     from uqharness.report_page import write_report
     from uqharness.residual_model import read_bounds_flights
+    from uqharness.text_tables import text_table
 
     form = load_form(args.form)
     flights, measured = read_bounds_flights(args.flight, aircraft, args.manoeuvres, args.map)

@@ -255,10 +255,3 @@ def write_residuals(form: ModelForm, residuals: Residuals, flights: str, out: Pa
         columns[name] = residuals.columns(name)
         columns[f"{name}_lower"], columns[f"{name}_upper"] = [low for low, _ in bounds], [high for _, high in bounds]
     write_pieces(out / RESIDUALS, [(flights, piece.label, piece.time_s) for piece in residuals.pieces], columns)
-
-
-def text_table(rows: Sequence[Mapping[str, str]]) -> list[str]:
-    """Rows of equal keys as lines for a terminal."""
-    keys = list(rows[0])
-    width = {k: max(len(k), *(len(r[k]) for r in rows)) for k in keys}
-    return ["  ".join(k.rjust(width[k]) for k in keys), *("  ".join(r[k].rjust(width[k]) for k in keys) for r in rows)]

@@ -275,17 +275,19 @@ def _merge(args: argparse.Namespace) -> int:
 
 def _rerun(args: argparse.Namespace) -> int:
     from uqharness.rerun import rerun_case
+    from uqharness.rerun_plot import draw_rerun
 
     found = rerun_case(args.folder, args.case)
+    files = [*found.files, *draw_rerun(found)]
     outcome = found.outcome
     if args.json:
         document: dict[str, Any] = {"case_id": found.case.case_id, "status": outcome.status, "reason": outcome.reason}
         document |= {"same_as_stored": found.same, "differences": list(found.differences)}
-        print(json.dumps(document | {"files": [str(path) for path in found.files]}))
+        print(json.dumps(document | {"files": [str(path) for path in files]}))
     else:
         how = {True: "as stored", False: "NOT as stored", None: "not flown before"}[found.same]
         end = f" ({outcome.reason})" if outcome.reason else ""
-        print(f"{found.folder}: {outcome.status}{end}, {how}; {', '.join(path.name for path in found.files)}")
+        print(f"{found.folder}: {outcome.status}{end}, {how}; {', '.join(path.name for path in files)}")
         for difference in found.differences:
             print(f"  {difference}")
     return 1 if found.same is False else 0

@@ -10,9 +10,10 @@ from sysid.regular_files import read_regular
 from uqharness.campaign_digests import DamageError, digest_of
 from uqharness.campaign_manifest import has_digests, read_manifest, write_manifest
 from uqharness.campaign_rounds import DECISIONS, decision_rows
-from uqharness.case_table import CASES, checked_table, parse_table
+from uqharness.case_table import CASES, checked_table
 from uqharness.errors import BadInputError
 from uqharness.manifest_content import COMPLETE
+from uqharness.parquet_files import parse_table
 from uqharness.whole_files import write_bytes
 
 if TYPE_CHECKING:

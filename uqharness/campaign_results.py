@@ -13,8 +13,9 @@ import pyarrow as pa
 from uqharness.campaign_rounds import DECISIONS, band_confidence, decision_rows
 from uqharness.campaign_spec import CampaignSpec
 from uqharness.campaign_tables import CONFIDENCE, in_condition, pboxes
-from uqharness.case_table import CASES, build_table, table_bytes
+from uqharness.case_table import CASES, build_table
 from uqharness.cases import Case
+from uqharness.parquet_files import table_bytes
 from uqharness.pbox import best_and_worst
 from uqharness.statements import STATEMENTS, Statement, number, statements, statements_csv
 from uqharness.whole_files import write_bytes

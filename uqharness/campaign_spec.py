@@ -17,7 +17,8 @@ from uqharness.campaign_inputs import CampaignInputs, read_inputs
 from uqharness.epistemic_spec import MOST_SAMPLES, EpistemicSection
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import DEFAULT_TURBULENCE_SOURCE
-from uqharness.spec_sections import Number, Section, Turbulence, listed
+from uqharness.settings import Number, Section, listed
+from uqharness.spec_sections import Turbulence
 from uqharness.start_spec import STEADY, StartSection
 from uqharness.stop_spec import StopSection, planned, settled, without_flights
 from uqharness.toml_errors import explain, read_toml

@@ -48,7 +48,7 @@ def _run(args: argparse.Namespace) -> int:
     spec = read_chain(find_campaign(args.study, "chain.toml"))
     command = shlex.join(["uqharness", "study", str(args.study), "--out", str(args.out)])
     try:
-        document = run_chain(spec, args.out, args.workers, command, _say)
+        document = run_chain(args.run_words, spec, args.out, args.workers, command, _say)
     except KeyboardInterrupt:
         print(f"{args.out}: stopped; what is done is kept, the same command goes on from here", file=sys.stderr)
         raise

@@ -28,12 +28,14 @@ LOGS = "log"
 """Folder of what each stage printed."""
 _SUPERSEDED = "superseded"
 Say = Callable[[str], None]
+Command = Callable[[list[str]], int]
+"""Runs the words of one ``uqharness`` command in this process; its exit code."""
 
 
 def run_chain(
-    spec: ChainSpec, out: Path, workers: int | None = None, command: str = "", say: Say = lambda _: None
+    run: Command, spec: ChainSpec, out: Path, workers: int | None = None, command: str = "", say: Say = lambda _: None
 ) -> dict[str, Any]:
-    """Run the stages that are missing into ``out``; the content of its study.json.
+    """Run the stages that are missing into ``out``, each by ``run``; the content of its study.json.
 
     A stage that ends with 1, its answer being no, is done, and the study goes on. Raises BadInputError for a folder of something
     else, a second run in the same folder, and a stage that cannot use its input; KeyboardInterrupt passes. What is done is kept.
@@ -56,7 +58,7 @@ def run_chain(
         for number, (stage, row) in enumerate(zip(stages, document["stages"], strict=True), start=1):
             say(f"[{number}/{len(stages)}] {stage.name}")
             try:
-                _settle(stage, row, out, workers, lambda: write_study(out, document), say)
+                _settle(run, stage, row, out, workers, lambda: write_study(out, document), say)
             except KeyboardInterrupt:
                 raise
             except BaseException as error:
@@ -92,7 +94,9 @@ def _row(stage: Stage, old: Mapping[str, Any] | None) -> dict[str, Any]:
     return row | {"name": stage.name, "kind": stage.kind, "folder": stage.folder, "command": stage.command}
 
 
-def _settle(stage: Stage, row: dict[str, Any], out: Path, workers: int | None, save: Callable[[], None], say: Say) -> None:
+def _settle(
+    run: Command, stage: Stage, row: dict[str, Any], out: Path, workers: int | None, save: Callable[[], None], say: Say
+) -> None:
     """Bring one stage to done, unless it is and would come out the same; ``row`` is brought up to date and saved."""
     inputs = {label: content(path) for label, path in stage.inputs.items()}
     missing = [label for label, digest in inputs.items() if not digest]
@@ -112,7 +116,7 @@ def _settle(stage: Stage, row: dict[str, Any], out: Path, workers: int | None, s
         path, data = stage.writes
         write_bytes(path, (_HEADER + toml_text(data)).encode())
     begun = time.monotonic()
-    code = _call(stage, out, workers)
+    code = _call(run, stage, out, workers)
     row |= {
         "exit": code,
         "seconds": round(time.monotonic() - begun, 1),
@@ -167,19 +171,15 @@ def _refuse_other_model(form: Path, folder: Path) -> None:
         )
 
 
-def _call(stage: Stage, out: Path, workers: int | None) -> int:
-    """Run the stage's command in this process, as the command line would; what it prints goes to a file."""
-    # Imported here: the command line knows this module.
-    from uqharness.cli import build_parser
-
+def _call(run: Command, stage: Stage, out: Path, workers: int | None) -> int:
+    """Run the stage's command; what it prints goes to a file."""
     words = [*stage.argv, *(["--workers", str(workers)] if stage.workers and workers is not None else [])]
     # Whoever asked for the study asked for its campaigns.
     words += ["--yes"] if stage.kind == "campaign" else []
-    arguments = build_parser().parse_args(words)
     said = io.StringIO()
     try:
         with contextlib.redirect_stdout(said), _quiet(said):
-            return int(arguments.handler(arguments))
+            return run(words)
     finally:
         text = f"$ {stage.command}\n{said.getvalue()}"
         with contextlib.suppress(BadInputError):

@@ -16,7 +16,8 @@ from pydantic import BeforeValidator, Field, ValidationError, field_validator, m
 from uqharness.campaign_spec import CampaignSpec, campaign_from
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import DEFAULT_TURBULENCE_SOURCE
-from uqharness.spec_sections import Coefficient, Number, Section, Turbulence, listed, tupled
+from uqharness.settings import Number, Section, listed, tupled
+from uqharness.spec_sections import Coefficient, Turbulence
 from uqharness.toml_errors import as_toml, explain, line_of, read_toml
 
 Names = Annotated[tuple[str, ...], BeforeValidator(listed), Field(min_length=1)]

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from uqharness.aircraft import Aircraft, find_aircraft
-from uqharness.bounds_command import parse_designs
+from uqharness.bounds_designs import parse_designs
 from uqharness.campaign_aircraft import system_file
 from uqharness.chain_spec import BoundsSection, ChainSpec, FlySection, IdentifySection, LogSection
 from uqharness.errors import BadInputError
-from uqharness.identify_command import parse_channels
+from uqharness.identify_channels import parse_channels
 from uqharness.mission import find_script
 from uqharness.toml_errors import line_of
 

@@ -47,6 +47,8 @@ def build_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"uqharness {__version__}")
+    # A study runs other commands in its own process.
+    parser.set_defaults(run_words=run_words)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for module in (
         fly_command,
@@ -74,6 +76,12 @@ def complete_parser() -> argparse.ArgumentParser:
     (commands,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
     log_command.complete(commands.choices["log"])
     return parser
+
+
+def run_words(words: Sequence[str]) -> int:
+    """Run one command in this process, errors left to the caller; its exit code."""
+    arguments = build_parser().parse_args(words)
+    return int(arguments.handler(arguments))
 
 
 def main(argv: Sequence[str] | None = None) -> int:

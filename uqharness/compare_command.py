@@ -11,7 +11,8 @@ from typing import Any
 
 from uqharness.aircraft import find_aircraft
 from uqharness.errors import BadInputError
-from uqharness.identify_command import add_flight_arguments, parse_channels, results_folder
+from uqharness.identify_channels import parse_channels
+from uqharness.identify_command import add_flight_arguments, results_folder
 from uqharness.whole_files import check_folder, inner_folder
 
 _EXAMPLE = """examples:

@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from uqharness.flight_spec import COEFFICIENTS
-from uqharness.spec_sections import Coefficient, Number, Section, is_number, ordered, tupled
+from uqharness.settings import Number, Section, is_number, tupled
+from uqharness.spec_sections import Coefficient, ordered
 from uqharness.toml_errors import as_toml
 
 SAMPLED = ("lhs", "white", "walk")

@@ -5,39 +5,26 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
-import zlib
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from uqharness import properties
 from uqharness.aircraft import Aircraft, find_aircraft
 from uqharness.errors import BadInputError
-from uqharness.flight import Recorded, record_mission
 from uqharness.flight_spec import DEFAULT_TURBULENCE_SOURCE, TURBULENCE_W20_KT, FlightSpec
-from uqharness.mission import MANOEUVRE_PROPERTY, Script, StagedMission, find_script, read_script
-from uqharness.properties import Source
+from uqharness.mission import find_script, read_script
 from uqharness.record_writer import FORMATS, write_record
+from uqharness.recorded_flight import recorded_flight, two_seeds
 from uqharness.whole_files import check_out
 
 if TYPE_CHECKING:
-    import pandas as pd
+    pass
 
 _EXAMPLE = """examples:
   uqharness fly espaaro --script scripts/doublet-elevator.xml --out doublet.csv
   uqharness fly espaaro --duration-s 600 --wind-mps 3 --wind-from-deg 270 --turbulence moderate --seed 7 --noise --out x.parquet
   uqharness fly espaaro --set aero/Cm_q=-10 --set uq/active=1 --set uq/CX/level=1 --out changed.csv
 """
-_NUMBER = "manoeuvre_number"
-_OPTIONAL = {
-    "north_m": Source("nav/north-m"),
-    "east_m": Source("nav/east-m"),
-    "cross_track_m": Source("nav/cross-track-m"),
-    _NUMBER: Source(MANOEUVRE_PROPERTY),
-}
 
 
 def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -114,23 +101,6 @@ def _run(args: argparse.Namespace) -> int:
     return 0 if recorded.status == "ok" else 1
 
 
-def recorded_flight(aircraft: Aircraft, script: Script, spec: FlightSpec) -> tuple[pd.DataFrame, Recorded]:
-    """Fly ``spec`` from its start on: the flight record, and how the flight ended. Raises BadInputError."""
-    with StagedMission(aircraft, script.path) as mission:
-        table = {name: source for name, source in properties.sources(aircraft).items() if name != "time_s"}
-        optional = dict(_OPTIONAL)
-        if not aircraft.has_card:
-            # What a card would have promised is only hoped for: a glider has no throttle.
-            controls = set(table) - set(properties.STANDARD)
-            optional |= {name: table.pop(name) for name in controls} | properties.standard_positions()
-            print(
-                f"uqharness: note: {aircraft.folder} has no airframe.toml, so the record's commands are JSBSim's fcs/...-cmd-norm",
-                file=sys.stderr,
-            )
-        recorded = record_mission(mission, spec, table, optional, keep_burn_in=True)
-    return to_record(recorded, aircraft, spec, script.path.stem, script.manoeuvres), recorded
-
-
 def _spec(args: argparse.Namespace, aircraft: Aircraft, script: Path, end_s: float) -> FlightSpec:
     duration = end_s if args.duration_s is None else args.duration_s
     for name, value, low, high in (
@@ -160,12 +130,6 @@ def _spec(args: argparse.Namespace, aircraft: Aircraft, script: Path, end_s: flo
     )
 
 
-def two_seeds(seed: int) -> tuple[int, int]:
-    """Seeds of turbulence and of noise: two streams from one number."""
-    turbulence, noise = (int(x) for x in np.random.SeedSequence(seed).generate_state(2, np.uint32) % (2**31 - 2))
-    return turbulence, noise
-
-
 def _seed(value: int) -> int:
     if value < 0:
         raise BadInputError(f"--seed {value}: an integer of at least 0 is needed")
@@ -185,29 +149,3 @@ def parse_settings(settings: list[str]) -> dict[str, float]:
             raise BadInputError(f"--set {text}: PROP=VALUE with a finite number is needed, such as --set aero/Cm_q=-10")
         parsed[name] = number
     return parsed
-
-
-def to_record(
-    recorded: Recorded, aircraft: Aircraft, spec: FlightSpec, manoeuvre: str, named: Mapping[int, str] | None = None
-) -> pd.DataFrame:
-    """The flight record of a recorded flight: heights from the start, headings within 0..2 pi, noise where asked for.
-
-    The column ``manoeuvre`` follows the script's count of ``named`` manoeuvres, empty in between; without any it is ``manoeuvre``.
-    """
-    # Imported here: a second of loading that no other command should pay.
-    import pandas as pd
-
-    columns = dict(recorded.signals)
-    columns["h_m"] = columns["h_m"] - columns["h_m"][0]
-    # A script may name manoeuvres and never declare the property that counts them.
-    number = columns.pop(_NUMBER, None)
-    if spec.sensor_noise:
-        for name, std in aircraft.card.sensors.noise_std.items():
-            if name in columns:
-                # One stream a channel, named by the channel: adding a sensor changes no other's noise.
-                stream = np.random.Generator(np.random.Philox(np.random.SeedSequence([spec.seed_noise, zlib.crc32(name.encode())])))
-                columns[name] = columns[name] + std * stream.standard_normal(columns[name].size)
-    columns["psi_rad"] = np.mod(columns["psi_rad"], 2.0 * np.pi)
-    frame = pd.DataFrame(columns)
-    frame["manoeuvre"] = [named.get(int(k), "") for k in number] if named and number is not None else manoeuvre
-    return frame

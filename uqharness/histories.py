@@ -14,8 +14,8 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from uqharness.case_table import read_table, write_table
 from uqharness.errors import BadInputError
+from uqharness.parquet_files import read_table, write_table
 from uqharness.replay import Segment
 
 Array = NDArray[np.float64]

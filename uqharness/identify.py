@@ -24,10 +24,11 @@ from uqharness.aircraft import Aircraft
 from uqharness.errors import BadInputError
 from uqharness.flights import Flight, measured_outputs, segments
 from uqharness.identify_start import demand_of, equation_error_start, forced_at
+from uqharness.parallel import process_count
 from uqharness.replay import CHANNELS, STATES, Segment
 from uqharness.replay_layout import Layout, delayed, misplaced, nuisance_layout
 from uqharness.replay_model import CONTROLS, ReplayFolder, ReplayModel
-from uqharness.replay_pool import process_count, replay_pool
+from uqharness.replay_pool import replay_pool
 from uqharness.replay_simulation import Replay, counter
 from uqharness.replay_speed import Speed, bare_rate
 

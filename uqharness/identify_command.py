@@ -9,6 +9,7 @@ from pathlib import Path
 
 from uqharness.aircraft import find_aircraft
 from uqharness.errors import BadInputError
+from uqharness.identify_channels import parse_channels
 from uqharness.whole_files import check_folder, inner_folder
 
 _EXAMPLE = """examples:
@@ -76,27 +77,6 @@ def add_flight_arguments(
         metavar="C,C",
         help="what is late by a delay to be estimated: channels, controls, or none (default: controls, and all of a log)",
     )
-
-
-def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
-    """Channel names of an option; short forms p, alpha, ax stand for p_radps, alpha_rad, ax_mps2; None where it was not given.
-
-    Raises BadInputError.
-    """
-    from uqharness.identify import OUTPUTS
-    from uqharness.replay import CONTROL_DELAY
-
-    if text is None:
-        return None
-    if text in ("none", ""):
-        return ()
-    short = {c.split("_")[0]: c for c in OUTPUTS}
-    names = [short.get(n.strip(), n.strip()) for n in text.split(",")]
-    further = (CONTROL_DELAY,) if option == "--delays" else ()
-    unknown = [n for n in names if n not in (*OUTPUTS, *further)]
-    if unknown:
-        raise BadInputError(f"{option} {text}: unknown channel {unknown[0]}; allowed are none, {', '.join((*further, *short))}")
-    return tuple(dict.fromkeys(names))
 
 
 def results_folder(path: Path) -> Path:

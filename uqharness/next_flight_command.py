@@ -315,8 +315,8 @@ def _redone(args: argparse.Namespace, before: ModelForm, after: ModelForm, missi
 
 
 def _text(found: Any, doc: dict[str, Any], out: Path) -> str:
-    from uqharness.bounds_report import text_table
     from uqharness.next_flight_report import point_rows, where_rows
+    from uqharness.text_tables import text_table
 
     lines = [*doc["words"], "", *text_table(where_rows(found)), "", *text_table(point_rows(found)), ""]
     return "\n".join([*lines, f"{len(found.refused)} of {found.tried} test points were refused; results in {out}"])

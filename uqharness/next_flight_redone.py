@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from sysid.model_form import ModelForm
-from uqharness.bounds_report import text_table
 from uqharness.flight_prospects import widths_over
 from uqharness.mission_states import Occupancy
+from uqharness.text_tables import text_table
 
 Row = Mapping[str, float | None]
 

@@ -16,10 +16,10 @@ from uqharness import properties
 from uqharness.aircraft import Aircraft, open_aircraft
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import DEFAULT_TURBULENCE_SOURCE, FlightSpec
-from uqharness.fly_command import recorded_flight, two_seeds
 from uqharness.linear import linearise, modes
 from uqharness.mission import read_script
 from uqharness.record_writer import write_record
+from uqharness.recorded_flight import recorded_flight, two_seeds
 from uqharness.residual_model import flight_residuals, prediction_of, read_bounds_flights
 from uqharness.scratch import scratch_folder
 from uqharness.test_point_script import AUTOPILOT, MOST_LOSS_M, RECOVERY_S, schedule, script_text

@@ -2,35 +2,17 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uqharness.child_process import child_settings
+from uqharness.parallel import process_count, process_pool
 from uqharness.replay_simulation import Replay
-from uqharness.worker import end_with_parent
 
 Array = NDArray[np.float64]
-
-
-def process_count(workers: int | None) -> int:
-    """``workers``, or as many as there are processors for this process, 8 at most."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return workers or max(1, min(8, cores))
-
-
-@contextmanager
-def process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
-    """So many spawned processes, of one thread each, that import nothing from the working folder."""
-    context = multiprocessing.get_context("spawn")
-    with child_settings(), ProcessPoolExecutor(count, mp_context=context, initializer=end_with_parent) as pool:
-        yield pool
 
 
 @contextmanager

@@ -170,14 +170,5 @@ def _write(
     files = [target / "result.json"]
     write_bytes(files[0], (json.dumps(document, indent=1) + "\n").encode())
     if record.is_file():
-        import pandas as pd
-
-        from uqharness.rerun_plot import draw_flight
-
-        files += [record, target / "flight.svg"]
-        title = (
-            f"case {case.case_id}: {case.epistemic_id}, flight {case.aleatory_id}, {case.wind_mps:g} m/s "
-            f"{case.turbulence}; {outcome.status}"
-        )
-        draw_flight(pd.read_parquet(record), case.flight, title, files[-1])
+        files.append(record)
     return tuple(files)

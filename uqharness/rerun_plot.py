@@ -15,12 +15,26 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from uqharness.flight_spec import COEFFICIENTS, FlightSpec
+from uqharness.rerun import Rerun
 from uqharness.whole_files import write_whole
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 _ANGLES = ("phi_rad", "theta_rad", "alpha_rad", "beta_rad")
 _CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 _POINTS = 4000
+
+
+def draw_rerun(found: Rerun) -> list[Path]:
+    """Draw a case that was flown again beside its record; none where it left no record."""
+    record = next((path for path in found.files if path.suffix == ".parquet"), None)
+    if record is None:
+        return []
+    case = found.case
+    where = f"flight {case.aleatory_id}, {case.wind_mps:g} m/s {case.turbulence}"
+    path = found.folder / "flight.svg"
+    title = f"case {case.case_id}: {case.epistemic_id}, {where}; {found.outcome.status}"
+    draw_flight(pd.read_parquet(record), case.flight, title, path)
+    return [path]
 
 
 def draw_flight(record: pd.DataFrame, flight: FlightSpec, title: str, path: Path) -> None:

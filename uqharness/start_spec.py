@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from uqharness.spec_sections import Number, Section
+from uqharness.settings import Number, Section
 
 STEADY = "steady"
 """The mission that [start] describes."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from uqharness.errors import BadInputError
-from uqharness.spec_sections import Number, Section, tupled
+from uqharness.settings import Number, Section, tupled
 from uqharness.toml_errors import line_of
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from uqharness.spec_sections import Number, Section, tupled
+from uqharness.settings import Number, Section, tupled
 
 Pair = tuple[Number, Number]
 

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import faulthandler
 import math
-import multiprocessing
-import os
 import signal
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 
 from uqharness.errors import BadInputError
 from uqharness.flight_spec import STATUSES, FlightResult, FlightSpec
+from uqharness.parallel import end_with_parent
 
 FlightFunction = Callable[[FlightSpec], FlightResult]
 
@@ -71,17 +69,3 @@ def work(pipe: Connection, fly: FlightFunction) -> None:
             pipe.send(attempt(fly, case_id, flight))
     except (EOFError, OSError):
         return
-
-
-def end_with_parent() -> None:
-    """From now on this process ends when its parent has gone, even one that was killed."""
-    threading.Thread(target=_follow_parent, daemon=True).start()
-
-
-def _follow_parent() -> None:
-    """End this process when its parent has gone, even in the middle of a flight."""
-    parent, number = multiprocessing.parent_process(), os.getppid()
-    while parent is not None:
-        parent.join(timeout=1.0)
-        if not parent.is_alive() or os.getppid() != number:
-            os._exit(1)

@@ -12,7 +12,7 @@ from typing import Any
 
 from sysid.data_file import dump, load
 from sysid.side_by_side import ALONE, Processes
-from uqharness.replay_pool import process_count, process_pool
+from uqharness.parallel import process_count, process_pool
 from uqharness.scratch import scratch_folder
 
 _KEPT = 4

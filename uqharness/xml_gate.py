@@ -16,7 +16,6 @@ from typing import Any
 from xml.parsers import expat
 
 from uqharness.errors import BadInputError
-from uqharness.xml_text import tag_end
 
 TAKEN_OUT = frozenset({"output", "input"})
 """Children of a file's root that are blanked: a host records and commands for itself."""
@@ -141,3 +140,17 @@ def passed(raw: bytes, where: str) -> Passed:
 def _blank(text: bytes) -> Iterator[int]:
     """Spaces for everything but line ends: messages keep their line numbers."""
     return (byte if byte in b"\r\n" else 0x20 for byte in text)
+
+
+def tag_end(raw: bytes, start: int) -> int:
+    """Byte behind the ``>`` of the tag at ``start``; a ``>`` in quotes does not count."""
+    quote = 0
+    for at in range(start, len(raw)):
+        byte = raw[at]
+        if quote:
+            quote = 0 if byte == quote else quote
+        elif byte in b"\"'":
+            quote = byte
+        elif byte == 0x3E:
+            return at + 1
+    return len(raw)

@@ -16,6 +16,7 @@ from xml.parsers import expat
 
 from sysid.regular_files import read_regular
 from uqharness.errors import BadInputError
+from uqharness.xml_gate import tag_end
 
 
 @dataclass(eq=False)
@@ -150,20 +151,6 @@ def parse_document(path: Path, raw: bytes) -> Document:
         if not re.match(rb"<" + re.escape(node.tag.encode()) + rb"[\s/>]", raw[node.start : node.open_end]):
             raise BadInputError(f"{path}:{node.line}: <{node.tag}> comes from an entity; such a file is not edited here")
     return Document(path, raw, top[0])
-
-
-def tag_end(raw: bytes, start: int) -> int:
-    """Byte behind the ``>`` of the tag at ``start``; a ``>`` in quotes does not count."""
-    quote = 0
-    for at in range(start, len(raw)):
-        byte = raw[at]
-        if quote:
-            quote = 0 if byte == quote else quote
-        elif byte in b"\"'":
-            quote = byte
-        elif byte == 0x3E:
-            return at + 1
-    return len(raw)
 
 
 @dataclass(frozen=True)

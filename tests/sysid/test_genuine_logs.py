@@ -14,7 +14,6 @@ from sysid.flight_record import FlightRecord
 from sysid.importers import dataflash_binary
 from sysid.log_import import import_log
 from sysid.log_info import LogInfo, log_info
-from sysid.path_reconstruction import reconstruct_path
 
 RELEASED = {
     "flight1_ident": 61.6,
@@ -73,17 +72,6 @@ def test_reader_equals_pymavlink(flight_data: Path) -> None:
     path = flight_data / "espaaro-ardupilot" / "flight1_ident.BIN"
     theirs = pymavlink_tables(DFReader.DFReader_binary(str(path)))
     assert assert_equal_to_pymavlink(dataflash_binary.read(path), theirs) > 150
-
-
-def test_path_of_a_calm_flight(flight_data: Path, card_path: Path) -> None:
-    record, _ = load(flight_data, card_path, "flight1_ident")
-    found = reconstruct_path(record.between(80.0, 200.0))
-    assert abs(found.parameters["wind_n"].value) < 0.5
-    assert abs(found.parameters["wind_e"].value) < 0.5
-    assert abs(found.parameters["bias_q"].value) < 0.005  # "slow bias up to 0.003"
-    assert "alpha_rad is an estimate and was not compared" in found.warnings
-    estimate = np.interp(found.path["time_s"], record["time_s"], record["alpha_rad"])
-    assert np.nanstd(found.path["alpha_rad"] - estimate) < np.radians(0.5)
 
 
 def test_px4_vtol_on_the_ground_serves_nothing(flight_data: Path) -> None:

@@ -1,0 +1,73 @@
+"""Parquet tables of this program: written to the same bytes, read within limits."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from sysid.regular_files import read_regular
+from uqharness.errors import BadInputError
+from uqharness.whole_files import write_bytes
+
+_MOST_BYTES = 1_000_000_000
+_MOST_MEMORY_BYTES = 1_500_000_000
+
+
+def table_bytes(table: pa.Table) -> bytes:
+    """A table as parquet, every option that moves a byte fixed."""
+    buffer = io.BytesIO()
+    pq.write_table(
+        table,
+        buffer,
+        version="2.6",
+        data_page_version="1.0",
+        compression="zstd",
+        compression_level=3,
+        use_dictionary=True,
+        write_statistics=True,
+        row_group_size=65536,
+        store_schema=False,
+    )
+    return buffer.getvalue()
+
+
+def write_table(table: pa.Table, path: Path) -> None:
+    """Write parquet with every option that moves a byte fixed. Raises BadInputError."""
+    write_bytes(path, table_bytes(table))
+
+
+def read_table(path: Path) -> pa.Table:
+    """Read a table of this program. Raises BadInputError."""
+    try:
+        content = read_regular(path, _MOST_BYTES)
+    except FileNotFoundError:
+        raise BadInputError(f"{path}: not there; run the campaign first: uqharness campaign run") from None
+    except OSError as error:
+        raise BadInputError(f"{path}: not a readable parquet file: {error.strerror or error}") from None
+    return parse_table(content, path)
+
+
+def parse_table(content: bytes, path: Path, rows: int | None = None) -> pa.Table:
+    """A parquet table from bytes that were read from ``path``. What it says of its size is looked at before memory is asked for.
+
+    ``rows``: how many the manifest speaks of. Raises BadInputError.
+    """
+    try:
+        with pq.ParquetFile(pa.BufferReader(content)) as file:
+            found = file.metadata
+            if rows is not None and found.num_rows != rows:
+                raise BadInputError(f"{path}: has {found.num_rows} flights, the manifest speaks of {rows}; run the campaign again")
+            groups = [found.row_group(number).total_byte_size for number in range(found.num_row_groups)]
+            wanted = max(8 * found.num_rows * found.num_columns, sum(groups))
+            if wanted > _MOST_MEMORY_BYTES:
+                raise BadInputError(f"{path}: would take {wanted / 1e9:.3g} GB of memory; at most {_MOST_MEMORY_BYTES / 1e9:g} GB")
+            table = file.read()
+            # Text that is no UTF-8, offsets that lead out of a buffer: the reader itself takes them as they come.
+            table.validate(full=True)
+            # What others have noted for their own readers may be anything, and would steer ours.
+            return table.replace_schema_metadata(None)
+    except (OSError, pa.ArrowException, ValueError, OverflowError, MemoryError) as error:
+        raise BadInputError(f"{path}: not a readable parquet file: {' '.join(str(error).split())}") from None
