@@ -42,7 +42,7 @@ test-browser: setup
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -m browser -rs
 
 bench: setup
-	$(PY) -m uqharness.benchmark
+	$(PY) -m uqharness.cli.benchmark
 
 lock:
 	$(PYTHON) -m piptools compile --no-emit-find-links --quiet --strip-extras --extra dev --output-file requirements.lock pyproject.toml

@@ -6,13 +6,13 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sysid.filtererror import filter_error
-    from sysid.flight_record import FlightRecord
-    from sysid.log_errors import LogError
-    from sysid.model_form import ModelForm, read_model_form
-    from sysid.outputerror import output_error
-    from sysid.regression import equation_error
-    from sysid.selection import stepwise
+    from sysid.errors import LogError
+    from sysid.estimation.filter_error import filter_error
+    from sysid.estimation.output_error import output_error
+    from sysid.estimation.regression import equation_error
+    from sysid.estimation.stepwise import stepwise
+    from sysid.model_form.model_form import ModelForm, read_model_form
+    from sysid.record import FlightRecord
 
 __all__ = [
     "FlightRecord",
@@ -26,14 +26,14 @@ __all__ = [
 ]
 
 _HOMES = {
-    "FlightRecord": "flight_record",
-    "LogError": "log_errors",
-    "ModelForm": "model_form",
-    "equation_error": "regression",
-    "filter_error": "filtererror",
-    "output_error": "outputerror",
-    "read_model_form": "model_form",
-    "stepwise": "selection",
+    "FlightRecord": "record",
+    "LogError": "errors",
+    "ModelForm": "model_form.model_form",
+    "equation_error": "estimation.regression",
+    "filter_error": "estimation.filter_error",
+    "output_error": "estimation.output_error",
+    "read_model_form": "model_form.model_form",
+    "stepwise": "estimation.stepwise",
 }
 
 

@@ -1,6 +1,6 @@
 """The one vocabulary: every signal a flight record may hold, its unit, sign and plausible range.
 
-Where a signal comes from in each log dialect stands in `signal_maps/*.toml`; `python -m sysid.vocabulary_table`
+Where a signal comes from in each log dialect stands in `signal_maps/*.toml`; `python -m sysid.logs.vocabulary_table`
 prints both as the table of docs/logs.md.
 """
 

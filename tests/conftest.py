@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from uqharness import engine
-from uqharness.aircraft import PROJECT_ROOT, find_aircraft
-from uqharness.staging import staged
+from uqharness.simulator import engine
+from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
+from uqharness.simulator.staging import staged
 
 
 @pytest.fixture(scope="session")

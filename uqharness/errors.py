@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sysid.log_errors import shortened
+from sysid.errors import shortened
 
 
 class BadInputError(Exception):

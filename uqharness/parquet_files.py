@@ -8,9 +8,9 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from sysid.regular_files import read_regular
+from sysid.foreign.regular_files import read_regular
 from uqharness.errors import BadInputError
-from uqharness.whole_files import write_bytes
+from uqharness.files import write_bytes
 
 _MOST_BYTES = 1_000_000_000
 _MOST_MEMORY_BYTES = 1_500_000_000

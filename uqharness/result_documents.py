@@ -11,10 +11,10 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from sysid.parsed_text import ParseError, parse_json
-from sysid.regular_files import read_regular
+from sysid.foreign.parsed_text import ParseError, parse_json
+from sysid.foreign.regular_files import read_regular
 from uqharness.errors import BadInputError
-from uqharness.toml_errors import dotted
+from uqharness.toml import dotted
 
 
 def _inside(name: str) -> str:

@@ -17,12 +17,16 @@ from pathlib import Path
 import reference_words as words
 from lxml import etree
 
-from sysid.model_form import CoefficientBounds, ModelForm
-from sysid.vocabulary_table import markdown_table
-from uqharness import campaign_results, campaign_rounds, case_table, cli, sensitivity_tables, statements
-from uqharness.aircraft import PROJECT_ROOT, Card
-from uqharness.campaign_spec import CampaignSpec, _Document
-from uqharness.properties import STANDARD
+from sysid.logs.vocabulary_table import markdown_table
+from sysid.model_form.model_form import CoefficientBounds, ModelForm
+from uqharness.campaign import rounds as campaign_rounds
+from uqharness.campaign import sensitivity_tables, statements
+from uqharness.campaign.folder import case_table
+from uqharness.campaign.folder import tables as campaign_results
+from uqharness.campaign.spec.campaign import CampaignSpec, _Document
+from uqharness.cli import main as cli
+from uqharness.simulator.aircraft import PROJECT_ROOT, Card
+from uqharness.simulator.signals import STANDARD
 
 NOTE = "<!-- Written by docs/site/reference.py at every build. -->\n\n"
 
@@ -110,14 +114,18 @@ def files() -> str:
 
 # File, the functions whose returned dictionaries make it, meanings.
 DOCUMENTS = (
-    ("manifest.json", ("uqharness.campaign_manifest:describe", "+tables", "+journal", "+digest"), words.MANIFEST),
-    ("fit.json", ("uqharness.identify_report:fit_document",), words.FIT),
-    ("compare.json", ("uqharness.compare_report:document_of", "+command"), words.COMPARE),
-    ("bounds.json", ("uqharness.bounds_report:bounds_document", "+command", "+version"), words.BOUNDS_REPORT),
-    ("coverage.json", ("uqharness.bounds_report:validation_document", "+command", "+version"), words.COVERAGE),
-    ("refinement.json", ("uqharness.refine_document:document_of", "uqharness.refine_run:_document"), words.REFINEMENT),
-    ("next-flight.json", ("uqharness.next_flight_report:document",), words.NEXT_FLIGHT),
-    ("study.json", ("uqharness.chain_state:begin",), words.STUDY),
+    ("manifest.json", ("uqharness.campaign.folder.manifest:describe", "+tables", "+journal", "+digest"), words.MANIFEST),
+    ("fit.json", ("uqharness.report.identify:fit_document",), words.FIT),
+    ("compare.json", ("uqharness.report.compare:document_of", "+command"), words.COMPARE),
+    ("bounds.json", ("uqharness.report.model_form:bounds_document", "+command", "+version"), words.BOUNDS_REPORT),
+    ("coverage.json", ("uqharness.report.model_form:validation_document", "+command", "+version"), words.COVERAGE),
+    (
+        "refinement.json",
+        ("uqharness.refinement.showing.document:document_of", "uqharness.refinement.run:_document"),
+        words.REFINEMENT,
+    ),
+    ("next-flight.json", ("uqharness.report.next_flight:document",), words.NEXT_FLIGHT),
+    ("study.json", ("uqharness.study.state:begin",), words.STUDY),
 )
 
 

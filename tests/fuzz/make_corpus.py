@@ -37,11 +37,10 @@ def main() -> None:
 
 def logs() -> None:
     """One short flight in every dialect, and tables with names of their own."""
-    from log_writers import write_text_log, write_tlog, write_ulog
-    from synthetic import flight
-
-    from sysid.airframe_card import read_card
-    from sysid.dataflash_writer import write_dataflash
+    from sysid.logs.card import read_card
+    from sysid.logs.dataflash_writer import write_dataflash
+    from tests.helpers.log_writers import write_text_log, write_tlog, write_ulog
+    from tests.helpers.synthetic import flight
 
     out = CORPUS / "logs"
     out.mkdir(exist_ok=True)
@@ -84,12 +83,11 @@ def _bomb(path: Path, *names: str) -> None:
 
 def results() -> None:
     """A small folder of each kind of results."""
-    import report_folders as folders
+    import tests.helpers.report_folders as folders
 
     folders.TIME = np.arange(0.0, 1.0, 0.02)
-    from model_forms import made_up_form
-
-    from sysid.data_file import dump
+    from sysid.foreign.data_file import dump
+    from tests.helpers.model_forms import made_up_form
     from uqharness.sensitivity.study import run_study, write_study
 
     root = _SCRATCH / "results"
@@ -129,11 +127,10 @@ def _fit(folder: Path) -> None:
 
 def _campaign(folder: Path) -> None:
     """Two coefficients, two conditions, a rule that decides."""
-    import campaign_fakes as fakes
-
-    from uqharness.campaign import run_campaign
-    from uqharness.campaign_spec import read_campaign
-    from uqharness.executor import SerialExecutor
+    import tests.helpers.campaign_fakes as fakes
+    from uqharness.campaign.execution.processes import SerialExecutor
+    from uqharness.campaign.run import run_campaign
+    from uqharness.campaign.spec.campaign import read_campaign
 
     beside = folder.parent / "input"
     beside.mkdir()
@@ -147,7 +144,7 @@ def _campaign(folder: Path) -> None:
 
 def _study(root: Path) -> None:
     """A study whose stages are the other folders."""
-    import report_folders as folders
+    import tests.helpers.report_folders as folders
 
     inside = root / "study"
     for name in ("fit", "coverage"):
@@ -158,7 +155,7 @@ def _study(root: Path) -> None:
 
 def _instrumented(root: Path) -> None:
     """The small aircraft with the plugin and its record."""
-    from uqharness.cli import main as command_line
+    from uqharness.cli.main import main as command_line
 
     copy = _SCRATCH / "aircraft" / "dart"
     shutil.copytree(CORPUS / "aircraft" / "dart", copy)
@@ -182,12 +179,11 @@ def _stage() -> object:
 
 def _wire(root: Path) -> None:
     """An order and an answer as they go over Dask's wire."""
-    from campaign_fakes import small_spec
-
-    from uqharness.campaign import find_mission
-    from uqharness.cases import build_cases
-    from uqharness.dask_orders import OWN_FLIGHT, Answer, Order, answer_text, order_text
-    from uqharness.worker import CaseOutcome
+    from tests.helpers.campaign_fakes import small_spec
+    from uqharness.campaign.cases import build_cases
+    from uqharness.campaign.execution.dask_orders import OWN_FLIGHT, Answer, Order, answer_text, order_text
+    from uqharness.campaign.execution.worker import CaseOutcome
+    from uqharness.campaign.run import find_mission
 
     spec = small_spec(_SCRATCH / "wire")
     case = build_cases(spec, find_mission(spec, _SCRATCH / "wire"))[0]

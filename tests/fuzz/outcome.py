@@ -23,7 +23,7 @@ class Refused(Exception):
 
 def command(*arguments: str) -> None:
     """Run a command of the command line in this process. Raises Refused for exit code 2; whatever else it raises is a finding."""
-    from uqharness import cli
+    from uqharness.cli import main as cli
 
     made = _parser()
     cli.build_parser = lambda: made  # made once: a parser costs more than most inputs
@@ -44,14 +44,14 @@ def command(*arguments: str) -> None:
 
 @lru_cache(maxsize=1)
 def _parser() -> Any:
-    from uqharness.cli import build_parser
+    from uqharness.cli.main import build_parser
 
     return build_parser()
 
 
 def call(function: Callable[..., Any], *arguments: Any, own: tuple[type[Exception], ...] = ()) -> Any:
     """The function's answer. Raises Refused for the errors that its layer promises (``own`` adds some)."""
-    from sysid.log_errors import LogError
+    from sysid.errors import LogError
     from uqharness.errors import BadInputError
 
     try:

@@ -29,10 +29,10 @@ def _read(place: Path, seed: int) -> None:
     """All that reads the XML before JSBSim does; JSBSim itself is left out."""
 
     def readers() -> None:
-        from uqharness.aircraft import content_hash, find_aircraft, refuse_unknown_operations
-        from uqharness.aircraft_files import opened
-        from uqharness.instrument import Bounds, plan
-        from uqharness.mission import read_script
+        from uqharness.plugin.instrument import Bounds, plan
+        from uqharness.simulator.aircraft import content_hash, find_aircraft, refuse_unknown_operations
+        from uqharness.simulator.aircraft_files import opened
+        from uqharness.simulator.mission import read_script
 
         aircraft = find_aircraft(place / "dart")
         content_hash(aircraft)

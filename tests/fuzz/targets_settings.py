@@ -18,13 +18,13 @@ def _card(place: Path, seed: int) -> None:
     if seed % 2:
         command("log", "info", str(place / "flight.bin"), "--no-cache", "--aircraft", str(place / "dart" / "airframe.toml"))
     else:
-        from uqharness.aircraft import find_aircraft
+        from uqharness.simulator.aircraft import find_aircraft
 
         call(find_aircraft, place / "dart")
 
 
 def _effects(place: Path, seed: int) -> None:
-    from sysid.effect_file import read_effects
+    from sysid.effects.file import read_effects
 
     call(read_effects, place / "effects.toml")
 
@@ -33,10 +33,10 @@ def _campaign(place: Path, seed: int) -> None:
     """Reading, and what is worked out from the settings before anything flies."""
 
     def plan() -> None:
-        from uqharness.campaign_cost import epistemic_count, size_of
-        from uqharness.campaign_rounds import rule_of
-        from uqharness.campaign_spec import read_campaign
-        from uqharness.epistemic import epistemic_samples
+        from uqharness.campaign.cost import epistemic_count, size_of
+        from uqharness.campaign.rounds import rule_of
+        from uqharness.campaign.spec.campaign import read_campaign
+        from uqharness.campaign.spec.samples import epistemic_samples
 
         spec = read_campaign(place / "campaign.toml")
         rule_of(spec.as_dict(), 4)
@@ -49,7 +49,7 @@ def _campaign(place: Path, seed: int) -> None:
 
 
 def _study(place: Path, seed: int) -> None:
-    from uqharness.chain_spec import read_chain
+    from uqharness.study.spec import read_chain
 
     call(read_chain, place / "study.toml")
 

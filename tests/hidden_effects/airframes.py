@@ -6,7 +6,7 @@ import re
 import shutil
 from pathlib import Path
 
-from tests.sixdof import Airframe
+from tests.helpers.sixdof import Airframe
 
 ROOT = Path(__file__).resolve().parents[2]
 _MASS = {

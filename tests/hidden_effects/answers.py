@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from tests.helpers.sixdof import isa_density
 from tests.hidden_effects.cases import Case
 from tests.hidden_effects.catalogue import ENTRIES
 from tests.hidden_effects.effects import COEFFICIENTS
-from tests.sixdof import isa_density
 
 FLOOR = 1.15  # rms over noise up to which a channel is at the noise floor, as `uqharness compare` has it
 LARGEST_SET = 3

@@ -8,11 +8,11 @@ from __future__ import annotations
 import csv
 import sys
 
+from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.cases import LIGHT_KT, cards
 from tests.hidden_effects.catalogue import BATTERY, SIZES, Entry, sizes
 from tests.hidden_effects.flights import Flight, fly_and_tell
 from tests.hidden_effects.strength import strengths_alone
-from tests.sixdof import Airframe
 
 ROUNDS = 2  # most effects are linear in their size; servos are not
 _LIGHT = 3.0  # where the search begins in light turbulence, small enough for every flight to stay one

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.helpers.sixdof import TABLE_2_6, Airframe
 from tests.hidden_effects.catalogue import ENTRIES, IN_FORM, OFF_FORM, Entry, sizes
 from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.flights import Flight, fly
 from tests.hidden_effects.manoeuvres import KINDS, Card, card
-from tests.sixdof import TABLE_2_6, Airframe
 
 LIGHT_KT = 15.0
 SLOW_KINDS = (

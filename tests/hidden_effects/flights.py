@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.flight_record import FlightRecord, Metadata
+from sysid.record import FlightRecord, Metadata
+from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.gusts import NODE_S, turbulence
 from tests.hidden_effects.manoeuvres import Card, Pilot
 from tests.hidden_effects.motion import Gusts, History, Model, integrate, no_gusts, trim
-from tests.sixdof import Airframe
 
 Array = NDArray[np.float64]
 STEP_S = 0.004

@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.cases import SECOND, Case, _seed, cards, perturbed
 from tests.hidden_effects.catalogue import ENTRIES, IN_FORM, OTHERS, Entry
 from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.flights import Flight, fly_and_tell
 from tests.hidden_effects.strength import strengths, strengths_alone
-from tests.sixdof import Airframe
 
 PATH = Path(__file__).with_name("fresh.csv")
 COLUMNS = ("draw", "number", "key", "size", "t")

@@ -12,10 +12,10 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
+from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.airframes import aircraft_folder
 from tests.hidden_effects.cases import LIGHT_KT, SECOND, Case, battery, cards, write
 from tests.hidden_effects.catalogue import ENTRIES
-from tests.sixdof import Airframe
 
 
 def known(keys: list[str], t: float, seed: int, air: str, rate_hz: float, positions: bool, size: float | None) -> Case:

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.helpers.sixdof import TABLE_2_6, Airframe
 from tests.hidden_effects import effects as fx
 from tests.hidden_effects.effects import Effect
-from tests.sixdof import TABLE_2_6, Airframe
 
 Array = NDArray[np.float64]
 LAG = (25.0, 25.0, 25.0, 6.0)  # 1/s, the aircraft's actuators

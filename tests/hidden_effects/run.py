@@ -49,7 +49,7 @@ def ask(case: Case, folder: Path, place: Path, extra: Sequence[str] = ()) -> dic
     aircraft = case.aircraft if case.aircraft == "espaaro" else str(write_aircraft(case.aircraft, SECOND, folder / "aircraft"))
     command = [
         "-m",
-        "uqharness.cli",
+        "uqharness.cli.main",
         "refine",
         aircraft,
         "--train",
@@ -107,7 +107,7 @@ def oracle_gap(case: Case, folder: Path, place: Path, extra: Sequence[str] = ())
         ],
     )
     for step in steps:
-        sealed.run(place, ["-m", "uqharness.cli", *step], TIMEOUT_S)
+        sealed.run(place, ["-m", "uqharness.cli.main", *step], TIMEOUT_S)
     path = out / "gap" / "compare.json"
     if not path.is_file():
         return math.nan

@@ -17,12 +17,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.coloured import coloured_information
+from sysid.estimation.coloured import coloured_information
+from tests.helpers.sixdof import TABLE_2_6
 from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.flights import NOISE, Flight, Flown, sensed, substeps
 from tests.hidden_effects.manoeuvres import Manoeuvre
 from tests.hidden_effects.motion import History, Model, integrate
-from tests.sixdof import TABLE_2_6
 
 Array = NDArray[np.float64]
 OUTPUTS = (

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uqharness import engine
-from uqharness.air_check import compare
-from uqharness.air_pinned import Condition, measure, open_pinned, write_vehicle
-from uqharness.dryden import FT_M, dryden_sigma
+from campaigns.air.pinned import Condition, measure, open_pinned, write_vehicle
+from campaigns.air.reproduce import compare
+from uqharness.flight.dryden import FT_M, dryden_sigma
+from uqharness.simulator import engine
 
 CALM = Condition(heading_deg=0.0, wind_mps=0.0, wind_from_deg=0.0)
 W20_FPS = 50.0

@@ -6,13 +6,14 @@ import os
 from pathlib import Path
 
 import pytest
-from synthetic import flight
 
-from sysid.airframe_card import AirframeCard, read_card
-from sysid.dataflash_writer import write_dataflash
-from sysid.flight_record import FlightRecord
+from sysid.logs.card import AirframeCard, read_card
+from sysid.logs.dataflash_writer import write_dataflash
+from sysid.record import FlightRecord
+from tests.helpers.places import TESTS
+from tests.helpers.synthetic import flight
 
-DATA = Path(__file__).parent / "data"
+DATA = TESTS / "sysid" / "data"
 
 
 @pytest.fixture(scope="session")

@@ -8,11 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from log_writers import write_text_log
 
-from sysid import log_commands
-from sysid.flight_record import FlightRecord
+from sysid.logs import commands as log_commands
+from sysid.record import FlightRecord
 from sysid.terminal import clean_streams, clean_terminal, drawing, visible
+from tests.helpers.log_writers import write_text_log
 
 HOSTILE = "\x1b]0;owned\x07 \x9b2J \u202egpj.exe \r\x7f \udc80 \x00\x08"
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.regular_files import in_words, read_regular
+from sysid.foreign.regular_files import in_words, read_regular
 from uqharness.errors import BadInputError
 
 MOST_FILE_BYTES = 500_000_000

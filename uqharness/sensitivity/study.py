@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from sysid.parsed_text import parse_json
+from sysid.foreign.parsed_text import parse_json
 from uqharness.errors import BadInputError
+from uqharness.files import write_bytes
 from uqharness.sensitivity.array_archive import read_arrays
 from uqharness.sensitivity.problem import Array, Problem, aleatory_centre, aleatory_draws, corners, make_problem
-from uqharness.whole_files import write_bytes
 
 METHODS = ("local", "scatter", "anova", "pbox", "proposed")
 """Finite difference, scatter regression, total-effect Sobol, p-box pinching, corner pairs: chapter 4's five."""

@@ -1,0 +1,145 @@
+"""Walks against corners: does the p-box of model-form errors that change in flight lie within that of the corners?
+
+    python -m campaigns.time-varying.reproduce CORNERS WALKS --out DIR
+
+CORNERS and WALKS are complete campaign folders with the same conditions, seed and duration (campaigns/time-varying). Writes
+DIR/containment.csv and, per median error and condition, a figure after Fig 3.10 of Hale (2016). Exit code 0: every p-box lies
+inside, or outside by no more than chance explains; 1: one does not; 2: bad input.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from uqharness.campaign.conditions import CONFIDENCE, Condition, conditions, in_condition, samples
+from uqharness.campaign.folder.case_table import ERROR_METRICS, UNCOMMANDED_METRICS
+from uqharness.campaign.folder.files import read_cases
+from uqharness.campaign.folder.manifest import read_complete
+from uqharness.errors import BadInputError
+from uqharness.files import write_bytes
+from uqharness.statistics.pbox import Containment, containment
+
+_COLUMNS = (
+    "metric", "condition", "corners", "walks", "hours_per_corner", "hours_per_walk", "area_ratio", "excess_lower", "at_lower",
+    "excess_upper", "at_upper", "chance", "verdict",
+)  # fmt: skip
+_SAME = ("duration_s", "burn_in_s", "wind_from_deg", "turbulence_source", "sensor_noise")
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One metric in one condition: how the walks' p-box lies to the corners', from how many samples and hours."""
+
+    metric: str
+    condition: Condition
+    found: Containment
+    samples: tuple[int, int]
+    hours: tuple[float, float]
+
+
+def compare(corners: Path, walks: Path) -> list[Compared]:
+    """Compare two complete campaigns. Raises BadInputError if they differ in more than their epistemic samples and their size."""
+    manifests = [read_complete(folder) for folder in (corners, walks)]
+    _refuse_unlike(manifests, (corners, walks))
+    frames = [read_cases(*pair) for pair in zip((corners, walks), manifests, strict=True)]
+    return list(_compared(frames[0], frames[1]))
+
+
+def _refuse_unlike(manifests: Sequence[dict[str, Any]], folders: tuple[Path, Path]) -> None:
+    first, second = manifests
+    pairs = [(f"[aleatory] {name}", first["campaign"]["aleatory"][name], second["campaign"]["aleatory"][name]) for name in _SAME]
+    pairs += [("[campaign] seed", first["seed"], second["seed"])]
+    pairs += [(f"the content of the {name}", first["hashes"][name], second["hashes"][name]) for name in ("aircraft", "script")]
+    unlike = [f"{name} ({one} and {two})" for name, one, two in pairs if one != two]
+    if unlike:
+        raise BadInputError(
+            f"{folders[0]} and {folders[1]} differ in {', '.join(unlike)}: their medians have another spread or another air and "
+            "cannot be compared"
+        )
+
+
+def _compared(outer: pd.DataFrame, inner: pd.DataFrame) -> Iterator[Compared]:
+    common = [item for item in conditions(inner) if item in conditions(outer)]
+    if not common:
+        raise BadInputError("the two campaigns have no condition in common")
+    for metric in (*ERROR_METRICS, *(name for name in UNCOMMANDED_METRICS if name in outer and name in inner)):
+        for condition in common:
+            rows = [in_condition(frame, condition) for frame in (outer, inner)]
+            found = [samples(part, metric) for part in rows]
+            if all(any(sample.values.size for sample in part) for part in found):
+                hours = [float(part["duration_s"].sum()) / 3600.0 / len(some) for part, some in zip(rows, found, strict=True)]
+                yield Compared(
+                    metric, condition, containment(found[1], found[0], CONFIDENCE), (len(found[0]), len(found[1])),
+                    (hours[0], hours[1]),
+                )  # fmt: skip
+
+
+def table(compared: Sequence[Compared]) -> bytes:
+    """containment.csv."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    for item in compared:
+        found = item.found
+        numbers = [
+            found.area_ratio,
+            found.excess_lower,
+            found.at_lower,
+            found.excess_upper,
+            found.at_upper,
+            found.chance,
+        ]
+        writer.writerow(
+            [item.metric, item.condition.label, *item.samples, *(f"{hours:g}" for hours in item.hours)]
+            + [f"{number:.6g}" for number in numbers]
+            + [found.verdict]
+        )
+    return buffer.getvalue().encode()
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the study; the process's exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m campaigns.time-varying.reproduce", description="Does the walks' p-box lie within the corners'?"
+    )
+    parser.add_argument("corners", type=Path, metavar="CORNERS")
+    parser.add_argument("walks", type=Path, metavar="WALKS")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    parser.add_argument("--json", action="store_true")
+    args = parser.parse_args(argv)
+    try:
+        compared = compare(args.corners, args.walks)
+        args.out.mkdir(parents=True, exist_ok=True)
+        write_bytes(args.out / "containment.csv", table(compared))
+        from uqharness.report.plots.containment import draw_containment
+
+        for item in compared:
+            if "_median_" in item.metric:
+                name = f"{item.metric.replace('_', '-')}-{item.condition.label.replace(' m/s ', 'mps-')}.svg"
+                draw_containment(item.found, f"{item.metric}, {item.condition.words}", args.out / name)
+    except BadInputError as error:
+        print(f"reproduce: error: {error}", file=sys.stderr)
+        return 2
+    verdicts = {f"{item.metric}, {item.condition.label}": item.found.verdict for item in compared}
+    if args.json:
+        print(json.dumps(verdicts))
+    else:
+        for item in compared:
+            if "_median_" in item.metric:
+                share = f"area {item.found.area_ratio:.2f} of the corners'"
+                print(f"{item.metric}, {item.condition.label}: {item.found.verdict}, {share}")
+    return 1 if "outside" in verdicts.values() else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,132 @@
+"""Where a model and flights disagree: coefficient by manoeuvre and region of the state, in shares of samples and in words. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.aerodynamics.terms import COEFFICIENTS
+
+FloatArray = NDArray[np.float64]
+OUTSIDE = 0.05
+_LEAST_SHARE = 0.12
+_LEAST_S = 0.5
+
+
+@dataclass(frozen=True)
+class Region:
+    """A state's range [low, high] in its own unit."""
+
+    state: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """Share of the samples of a manoeuvre, in a region, at which a coefficient lies outside its 95 % interval; rms there over the
+    allowed standard deviation; seconds outside and in all."""
+
+    coefficient: str
+    manoeuvre: str
+    region: Region
+    share: float
+    size: float
+    outside_s: float
+    total_s: float
+
+    @property
+    def words(self) -> str:
+        """One sentence: coefficient, manoeuvre, state region, share and time outside the 95 % interval."""
+        r = self.region
+        return (
+            f"{self.coefficient}, {self.manoeuvre}, {r.state} {r.low:.3g} to {r.high:.3g}: "
+            f"{100 * self.share:.0f} % of samples outside the "
+            f"95 % interval, {self.outside_s:.1f} s of {self.total_s:.1f} s; "
+            f"rms {self.size:.1f} times what noise and parameters allow"
+        )
+
+
+def disagreements(
+    gap: Sequence[FloatArray], allowed: Sequence[FloatArray], states: Sequence[Mapping[str, FloatArray]], labels: Sequence[str],
+    dt_s: float, most: int = 12,
+) -> list[Disagreement]:  # fmt: skip
+    """gap, allowed [(n, 6)]: coefficients demanded minus predicted, and the standard deviation that noise and parameters allow;
+    states: name -> (n,), where a region may be looked for; labels: manoeuvre of every segment.
+
+    Each entry is the third of a state's range, of the state that tells most, in which the share outside is largest.
+    """
+    out: list[Disagreement] = []
+    kinds = list(dict.fromkeys(labels))
+    for kind in kinds:
+        mine = [k for k, label in enumerate(labels) if label == kind]
+        ratio = np.concatenate([gap[k] / allowed[k] for k in mine])
+        found = {n: np.concatenate([states[k][n] for k in mine]) for n in states[mine[0]]}
+        for c, coefficient in enumerate(COEFFICIENTS):
+            z = ratio[:, c]
+            outside = np.abs(z) > 1.96
+            if not len(z) or outside.mean() < _LEAST_SHARE or np.sqrt(np.mean(z**2)) < 1.25:
+                continue
+            region, mask = _telling(outside, found)
+            seconds = float(outside[mask].sum()) * dt_s
+            if seconds < _LEAST_S:
+                continue
+            out.append(
+                Disagreement(
+                    coefficient,
+                    kind,
+                    region,
+                    float(outside[mask].mean()),
+                    float(np.sqrt(np.mean(z[mask] ** 2))),
+                    seconds,
+                    len(z) * dt_s,
+                )
+            )
+    return sorted(out, key=lambda d: -d.size * d.outside_s)[:most]
+
+
+def _telling(outside: NDArray[np.bool_], states: Mapping[str, FloatArray]) -> tuple[Region, NDArray[np.bool_]]:
+    """The region, a third of some state's samples, in which most of the samples outside are gathered."""
+    best: tuple[float, Region, NDArray[np.bool_]] | None = None
+    for name, values in states.items():
+        edges = np.quantile(values, [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0])
+        for low, high in pairwise(edges.tolist()):
+            mask = (values >= low) & (values <= high)
+            if mask.sum() < 10 or high <= low:
+                continue
+            share = float(outside[mask].mean())
+            if best is None or share > best[0]:
+                best = (share, Region(name, float(low), float(high)), mask)
+    if best is None:
+        return Region("all", float("nan"), float("nan")), np.ones(len(outside), dtype=bool)
+    return best[1], best[2]
+
+
+def dependence(
+    gap: Sequence[FloatArray], states: Sequence[Mapping[str, FloatArray]], coefficient: int, most: int = 3
+) -> list[tuple[str, float]]:
+    """Variables on which a coefficient's residual depends: (name, share of its variance that a smooth curve in it explains).
+
+    The curve is a mean by tenths of the variable, the share adjusted for its ten numbers.
+    """
+    y = np.concatenate([g[:, coefficient] for g in gap])
+    y = y - y.mean()
+    total = float(y @ y)
+    out = []
+    for name in states[0]:
+        x = np.concatenate([s[name] for s in states])
+        edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, 11)[1:-1]))
+        where = np.searchsorted(edges, x)
+        explained = 0.0
+        for b in range(len(edges) + 1):
+            part = y[where == b]
+            if part.size:
+                explained += part.size * float(part.mean()) ** 2
+        share = explained / total if total > 0 else 0.0
+        n = len(y)
+        out.append((name, 1.0 - (1.0 - share) * (n - 1) / max(n - len(edges) - 1, 1)))
+    return sorted(out, key=lambda r: -r[1])[:most]

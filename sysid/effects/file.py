@@ -1,0 +1,58 @@
+"""A user's own effects from a TOML file:
+
+[[effect]]
+coefficient = "Cm"
+term = "p_hat^2*CT"
+physics = "slipstream on the tail in a roll"        # optional, as are name, regime, sign, reference
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from sysid.effects.catalogue import Effect, coefficient_effect
+from sysid.errors import LogError
+from sysid.foreign.parsed_text import ParseError, parse_toml
+from sysid.foreign.regular_files import read_regular_text
+
+_KEYS = {"coefficient", "term", "name", "physics", "regime", "sign", "reference"}
+
+
+def read_effects(path: Path) -> list[Effect]:
+    """The effects of a file. Raises LogError with file, entry and what is allowed."""
+    try:
+        data = parse_toml(read_regular_text(path))
+    except OSError as error:
+        raise LogError(f"cannot be read: {error.strerror or error}", path) from None
+    except ParseError as error:
+        raise LogError(str(error), path) from None
+    except UnicodeDecodeError:
+        raise LogError("not a text file in UTF-8", path) from None
+    rows = data.get("effect")
+    if set(data) - {"effect"} or not isinstance(rows, list) or not rows:
+        raise LogError(f"holds {sorted(data) or 'nothing'}; it needs tables [[effect]] with coefficient and term", path)
+    out: list[Effect] = []
+    for number, row in enumerate(rows, 1):
+        where = f"[[effect]] {number}"
+        if not isinstance(row, dict) or {"coefficient", "term"} - set(row):
+            raise LogError("needs coefficient and term", path, where)
+        unknown = set(row) - _KEYS
+        if unknown:
+            raise LogError(f"unknown key '{sorted(unknown)[0]}'; allowed are {', '.join(sorted(_KEYS))}", path, where)
+        wrong = [k for k, v in row.items() if not isinstance(v, str)]
+        if wrong:
+            raise LogError(f"{wrong[0]} must be text; received {row[wrong[0]]!r}", path, where)
+        try:
+            effect = coefficient_effect(
+                row["coefficient"],
+                row["term"],
+                row.get("physics", ""),
+                row.get("regime", ""),
+                row.get("reference", ""),
+                row.get("sign", ""),
+            )
+        except ValueError as error:
+            raise LogError(str(error), path, where) from None
+        out.append(replace(effect, name=row.get("name", effect.name), odds=0.0))
+    return out

@@ -1,0 +1,200 @@
+"""Score tests of candidate effects on whitened innovations: who explains what is left, and can the data tell them apart.
+
+With columns b of the parameters already free and one column c per candidate (start states projected out of all of them),
+
+    g = G_cc - G_cb G_bb^-1 G_bc,   u = u_c - G_cb G_bb^-1 u_b,   estimate u/g,   t = u/sqrt(g),   gain u^2/g          (LM)
+
+the gain being twice the rise of the log likelihood: Rao's score (Lagrange multiplier) test. Where residuals are coloured, t is
+corrected as standard errors are (coloured.py). Sums are kept by segment, so that any part of the flights can be fitted
+and any other
+asked whether it agrees.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.effects.prediction import White
+from sysid.estimation.coloured import coloured_information
+
+FloatArray = NDArray[np.float64]
+Index = NDArray[np.intp]
+DEPENDENT = 1e-5
+"""Share of a column that must be left after the free parameters' part is taken out; less is no information."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Sums over segments of whitened columns and innovations.
+
+    gram (S, K, K), score (S, K), square (S,): Y'Y, Y'e, e'e; samples (S,): values measured; prior (K,): information held besides
+    """
+
+    names: tuple[str, ...]
+    gram: FloatArray
+    score: FloatArray
+    square: FloatArray
+    samples: FloatArray
+    prior: FloatArray
+    white: Sequence[White]
+    flights: tuple[str, ...]
+
+    def index(self, names: Sequence[str]) -> Index:
+        """Positions (n,) of those unknowns in ``gram`` and ``score``. Raises KeyError for a name that is not there."""
+        where = self._where
+        return np.array([where[n] for n in names], dtype=np.intp)
+
+    @cached_property
+    def _where(self) -> dict[str, int]:
+        return {n: i for i, n in enumerate(self.names)}
+
+    @cached_property
+    def everything(self) -> tuple[FloatArray, FloatArray]:
+        """Information (n, n), prior included, and score (n,), summed over all manoeuvres."""
+        return self.gram.sum(axis=0) + np.diag(self.prior), self.score.sum(axis=0)
+
+    def part(self, segments: NDArray[np.bool_] | None) -> tuple[FloatArray, FloatArray]:
+        """(K, K) information and (K,) score of some segments, priors included."""
+        if segments is None:
+            return self.everything
+        return self.gram[segments].sum(axis=0) + np.diag(self.prior), self.score[segments].sum(axis=0)
+
+    def step(self, held: Sequence[str] = ()) -> tuple[FloatArray, float]:
+        """Gauss-Newton step of all columns but those held (K,), and its length in standard errors."""
+        _, u = self.everything
+        delta = self.fitted(self.index([n for n in self.names if n not in held]))
+        return delta, math.sqrt(max(float(delta @ u), 0.0))
+
+    def fitted(self, free: Index, segments: NDArray[np.bool_] | None = None) -> FloatArray:
+        """(K,) estimates of the free columns, 0 elsewhere."""
+        G, u = self.part(segments)
+        out = np.zeros(len(self.names))
+        out[free] = solve(G[np.ix_(free, free)], u[free, None])[:, 0]
+        return out
+
+    def taken_out(self, values: Mapping[str, float]) -> Evidence:
+        """The evidence as it would be had the columns ``values`` not been in the model flown: their part is back in the residual.
+
+        So one flight, flown with the effects chosen, serves to choose again.
+        """
+        v = np.zeros(len(self.names))
+        for name, value in values.items():
+            v[self._where[name]] = value
+        used = np.flatnonzero(v)
+        white = [replace(w, residual=w.residual + w.columns[:, :, used].astype(np.float64) @ v[used]) for w in self.white]
+        square = np.array([float(np.sum(w.residual**2)) for w in white])
+        return replace(self, score=self.score + self.gram @ v, square=square, white=white)
+
+    def residual(self, delta: FloatArray) -> list[FloatArray]:
+        """[(n, m)] whitened innovations after a change of the columns, NaN where nothing was measured."""
+        used = np.flatnonzero(delta)
+        return [np.where(w.there, w.residual - w.columns[:, :, used].astype(np.float64) @ delta[used], np.nan) for w in self.white]
+
+
+def gather(white: Sequence[White], names: Sequence[str], flights: Sequence[str], prior: Mapping[str, float]) -> Evidence:
+    """Evidence from filtered segments; prior: kind of column (its name up to the first /) -> standard deviation known
+    beforehand."""
+    K = len(names)
+    gram, score = np.zeros((len(white), K, K)), np.zeros((len(white), K))
+    for s, w in enumerate(white):
+        flat = w.columns.reshape(-1, K)
+        scale = np.sqrt(np.einsum("ij,ij->j", flat, flat, dtype=np.float64))
+        # Columns differ by many powers of ten; single precision is for columns of unit length.
+        unit = flat / np.where(scale > 0.0, scale, 1.0).astype(np.float32)
+        gram[s] = (unit.T @ unit).astype(np.float64) * np.outer(scale, scale)
+        score[s] = flat.astype(np.float64).T @ w.residual.ravel()
+    known = np.array([1.0 / prior[n.split("/")[0]] ** 2 if n.split("/")[0] in prior else 0.0 for n in names])
+    square = np.array([float(np.sum(w.residual**2)) for w in white])
+    samples = np.array([float(w.there.sum()) for w in white])
+    return Evidence(tuple(names), gram, score, square, samples, known, white, tuple(flights))
+
+
+def solve(G: FloatArray, right: FloatArray) -> FloatArray:
+    """G x = right for an information matrix whose lost directions get nothing."""
+    if not len(G):
+        return np.zeros_like(right)
+    scale = np.sqrt(np.maximum(np.diagonal(G), 0.0))
+    scale[scale == 0.0] = 1.0
+    values, vectors = np.linalg.eigh(G / np.outer(scale, scale))
+    kept = values > 1e-9 * max(values[-1], 1e-300)
+    basis = vectors[:, kept]
+    return np.asarray((basis @ ((basis.T @ (right / scale[:, None])) / values[kept][:, None])) / scale[:, None])
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Of candidates c, given free columns: estimate, information g, t, gain (all (C,)), share: what of a column is its own."""
+
+    names: tuple[str, ...]
+    estimate: FloatArray
+    information: FloatArray
+    t: FloatArray
+    gain: FloatArray
+    share: FloatArray
+
+
+def scores(evidence: Evidence, free: Sequence[str], candidates: Sequence[str], segments: NDArray[np.bool_] | None = None) -> Scores:
+    """Equation (LM) for every candidate; NaN where the data hold nothing of it that the free columns do not."""
+    G, u = evidence.part(segments)
+    b, c = evidence.index(free), evidence.index(candidates)
+    right = np.column_stack([G[np.ix_(b, c)], u[b]])
+    x = solve(G[np.ix_(b, b)], right)
+    own = np.diagonal(G)[c]
+    g = own - np.einsum("bc,bc->c", G[np.ix_(b, c)], x[:, :-1])
+    left = u[c] - G[np.ix_(c, b)] @ x[:, -1]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(own > 0.0, g / own, 0.0)
+        known = share > DEPENDENT
+        g = np.where(known, g, np.nan)
+        return Scores(tuple(candidates), left / g, g, left / np.sqrt(g), left**2 / g, share)
+
+
+def corrected(evidence: Evidence, free: Sequence[str], candidate: str, scale: float = 1.0) -> tuple[float, float, float]:
+    """Estimate of one candidate, its standard error by the residuals' colour after the fit, and the error were they white.
+
+    scale: residuals' standard deviation in units of the noise used (1 for the noise itself).
+    """
+    names = [*free, candidate]
+    some = evidence.index(names)
+    G, _ = evidence.everything
+    delta = evidence.fitted(some)
+    b, c = some[:-1], some[-1]
+    x = solve(G[np.ix_(b, b)], G[np.ix_(b, [c])])[:, 0]
+    g = float(G[c, c] - G[c, b] @ x)
+    own = [
+        (w.columns[:, :, [c]].astype(np.float64)[:, :, 0] - w.columns[:, :, b].astype(np.float64) @ x)[:, :, None]
+        for w in evidence.white
+    ]
+    left = [np.where(np.isnan(e), np.nan, e) for e in evidence.residual(delta)]
+    bracket = float(coloured_information(own, left)[0, 0])
+    plain = 1.0 / np.sqrt(g)
+    return float(delta[c]), float(max(np.sqrt(max(bracket, 0.0)) / g, scale * plain)), float(plain)
+
+
+def agreement(evidence: Evidence, free: Sequence[str], candidate: str, part: NDArray[np.bool_]) -> tuple[float, float]:
+    """(gain on the other segments of the value estimated on ``part``, difference of the two estimates in standard errors).
+
+    The free columns are fitted anew on either side: only the effect itself is carried over.
+    """
+    here = scores(evidence, free, [candidate], part)
+    there = scores(evidence, free, [candidate], ~part)
+    a, b = float(here.estimate[0]), float(there.estimate[0])
+    ga, gb = float(here.information[0]), float(there.information[0])
+    gain = gb * (2.0 * a * b - a * a)  # 2 u a - g a^2 with u = g b
+    return gain, (a - b) / float(np.sqrt(1.0 / ga + 1.0 / gb)) if ga > 0 and gb > 0 else float("nan")
+
+
+def likeness(evidence: Evidence, free: Sequence[str], first: str, others: Sequence[str]) -> FloatArray:
+    """Correlation (C,) of what is left of a column with what is left of others, the free columns taken out."""
+    G, _ = evidence.everything
+    b, c = evidence.index(free), evidence.index([first, *others])
+    left = G[np.ix_(c, c)] - G[np.ix_(c, b)] @ solve(G[np.ix_(b, b)], G[np.ix_(b, c)])
+    size = np.sqrt(np.maximum(np.diagonal(left), 0.0))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(left[0, 1:] / (size[0] * size[1:]))

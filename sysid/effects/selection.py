@@ -1,0 +1,342 @@
+"""Which candidates are in the data: forward selection with exchange and removal on the linearised likelihood, by a fixed rule.
+
+A candidate enters when it explains most (gain less its odds), when its t, corrected for the colour of what it leaves,
+stands above what
+the largest of all candidates reaches by chance (Sidak), and when a part of the flights that did not estimate it agrees. What it
+replaces is taken out again. Candidates without which the answer would be as likely are its alternatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from sysid.effects.score import DEPENDENT, Evidence, agreement, corrected, likeness, scores, solve
+
+FloatArray = NDArray[np.float64]
+Twins = Mapping[tuple[str, str], Sequence[str]]
+FAMILY = 0.02
+"""Chance that the best of all candidates passes when nothing is missing; the part that confirms is asked besides."""
+DRAWS = 40_000
+EXCHANGE = 9.0
+"""Gain by which another candidate must beat a chosen one to take its place."""
+LOOKED_AT = 12
+TURNS = 3
+UNLIKE = 0.3
+"""Likeness below which a candidate is asked although the best one was not confirmed."""
+CONTRADICTING = 3.0
+"""Standard errors between the estimates of the two parts of the flights beyond which they contradict each other."""
+STRONG = 2.0
+"""How far above the limit an unconfirmed candidate's |t| must be to say that something is missing all the same."""
+TRACE, MOST_TRACE = 0.1, 8.0
+"""Share of the strongest effect's |t| that another must reach, and |t| with which it stands in any case: a strong effect whose form
+is a little off leaves something behind, and some candidate looks like it."""
+INSEPARABLE_T = 3.0
+"""A chosen effect whose t falls below this once another is free cannot be told from that other."""
+INSEPARABLE_SHARE = 0.1
+"""Beside a twin and its companions a chosen effect must keep this share of its information to be told from them. In theory nothing
+is left; replays and filters leave a little."""
+MOST_ALTERNATIVES = 3
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Another candidate for the same residual: its gain in the effect's place, the effect's t beside it, likeness of the two.
+
+    companions: terms left free beside it when the two were told apart
+    """
+
+    key: str
+    gain: float
+    t_beside: float
+    likeness: float
+    separable: bool
+    companions: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One effect: estimate, corrected and white standard error, t, gain, agreement with the confirming part (gain there,
+    difference)."""
+
+    key: str
+    value: float
+    std: float
+    t: float
+    gain: float
+    confirmed_gain: float
+    difference: float
+    alternatives: tuple[Alternative, ...] = ()
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """The best candidate that did not enter, and why. strong: it stands well above chance, so something is there; unconfirmed: the
+    flights that did not estimate it spoke against it."""
+
+    key: str
+    t: float
+    gain: float
+    why: str
+    strong: bool = False
+    unconfirmed: bool = False
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What the choice came to: effects in order of choice, the candidate refused if any, and the steps in words."""
+
+    chosen: tuple[Choice, ...]
+    refused: Refusal | None = None
+    trail: tuple[str, ...] = field(default=())
+
+
+def threshold(candidates: int, family: float = FAMILY) -> float:
+    """|t| that the largest of so many candidates exceeds with probability ``family`` when nothing is there (Sidak)."""
+    return float(stats.norm.isf(0.5 * (1.0 - (1.0 - family) ** (1.0 / max(candidates, 1)))))
+
+
+def chance_limit(evidence: Evidence, free: Sequence[str], candidates: Sequence[str], family: float = FAMILY) -> float:
+    """|t| that the largest of the candidates exceeds with probability ``family`` when nothing is there.
+
+    Candidates resemble each other, so the largest of 400 is the largest of fewer: drawn from their own correlation, what the free
+    columns take up removed. Never above Sidak's limit, which is for candidates that have nothing in common.
+    """
+    known = [k for k, share in zip(candidates, scores(evidence, free, candidates).share, strict=True) if share > DEPENDENT]
+    if len(known) < 2:
+        return threshold(len(known), family)
+    G, _ = evidence.everything
+    b, c = evidence.index(free), evidence.index(known)
+    left = G[np.ix_(c, c)] - G[np.ix_(c, b)] @ solve(G[np.ix_(b, b)], G[np.ix_(b, c)])
+    size = np.sqrt(np.diagonal(left))
+    values, vectors = np.linalg.eigh(left / np.outer(size, size))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    rng = np.random.default_rng(len(known))
+    largest = np.abs(rng.standard_normal((DRAWS, len(known))) @ root.T).max(axis=1)
+    return min(threshold(len(known), family), float(np.quantile(largest, 1.0 - family)))
+
+
+def select(
+    evidence: Evidence, free: Sequence[str], candidates: Mapping[str, float], confirming: NDArray[np.bool_],
+    chosen: Sequence[str] = (), most: int = 6, limit: float | None = None, twins: Twins | None = None, empirical: bool = False,
+) -> Selection:  # fmt: skip
+    """Choose effects.
+
+    free        columns that are estimated in any case; candidates: key -> odds; confirming (S,): segments that confirm
+    chosen      effects to begin with, which may be exchanged or removed again
+    limit       |t| asked (default: chance_limit), of the strongest; the others must stand out beside it, too (TRACE)
+    empirical   whether t must stand above the limit in units of the candidates' own spread, too (Efron, JASA 99, 2004), which is
+                one where nothing but noise is left
+    twins       (effect, rival) -> companions: causes that physics makes alike, but for terms that the companions stand for
+    """
+    limit = chance_limit(evidence, free, list(candidates)) if limit is None else limit
+    here: list[str] = list(chosen)
+    trail: list[str] = []
+    refused: Refusal | None = None
+    for _ in range(3 * most):
+        before = list(here)
+        here, trail = _exchanged(evidence, free, candidates, here, trail)
+        here, trail, asked = _pruned(evidence, free, here, trail, limit)
+        refused = None
+        if len(here) < most:
+            found = _entering(
+                evidence,
+                [*free, *here],
+                [c for c in candidates if c not in here],
+                candidates,
+                confirming,
+                asked,
+                STRONG if not empirical else np.inf,
+                empirical,
+            )
+            if isinstance(found, Refusal):
+                refused = found
+            elif found is not None:
+                here.append(found.key)
+                trail.append(f"+ {found.key} t {found.t:.1f} gain {found.gain:.0f}")
+        if here == before:
+            break
+    return Selection(judged(evidence, free, here, list(candidates), confirming, twins), refused, tuple(trail))
+
+
+def judged(
+    evidence: Evidence, free: Sequence[str], here: Sequence[str], candidates: Sequence[str], confirming: NDArray[np.bool_],
+    twins: Twins | None = None,
+) -> tuple[Choice, ...]:  # fmt: skip
+    """The effects ``here`` as they stand, each beside the others, with alternatives among the candidates; the strongest first."""
+    out = []
+    for key in here:
+        others = [*free, *[o for o in here if o != key]]
+        open_ = [k for k in candidates if k not in here]
+        choice = _judged(evidence, others, key, confirming)
+        out.append(_with_alternatives(evidence, others, choice, open_, twins or {}))
+    return tuple(sorted(out, key=lambda c: -c.gain))
+
+
+def _judged(evidence: Evidence, free: Sequence[str], key: str, confirming: NDArray[np.bool_]) -> Choice:
+    value, std, _ = corrected(evidence, free, key)
+    gain = float(scores(evidence, free, [key]).gain[0])
+    if confirming.any() and not confirming.all():
+        there, difference = agreement(evidence, free, key, ~confirming)
+        back, _ = agreement(evidence, free, key, confirming)
+        there = min(there, back)
+    else:
+        there, difference = float("nan"), float("nan")
+    return Choice(key, value, std, value / std, gain, there, difference)
+
+
+def _entering(
+    evidence: Evidence, free: Sequence[str], open_: Sequence[str], odds: Mapping[str, float], confirming: NDArray[np.bool_],
+    limit: float, strong: float = STRONG, empirical: bool = False,
+) -> Choice | Refusal | None:  # fmt: skip
+    """The candidate to enter. One that its own flights do not confirm may be disturbed by another that is missing as well: those
+    that do not resemble it are then asked; it comes to its turn again beside them."""
+    first: Refusal | None = None
+    for _ in range(TURNS):
+        found = _best(evidence, free, open_, odds, confirming, limit, strong, empirical)
+        if isinstance(found, Choice) or found is None:
+            return found or first
+        first = first or found
+        if not found.unconfirmed:
+            break
+        alike = likeness(evidence, free, found.key, open_)
+        open_ = [k for k, a in zip(open_, alike, strict=True) if k != found.key and abs(np.nan_to_num(a)) < UNLIKE]
+    return first
+
+
+def _best(
+    evidence: Evidence, free: Sequence[str], open_: Sequence[str], odds: Mapping[str, float], confirming: NDArray[np.bool_],
+    limit: float, strong: float = STRONG, empirical: bool = False,
+) -> Choice | Refusal | None:  # fmt: skip
+    if not open_:
+        return None
+    found = scores(evidence, free, open_)
+    # A candidate that is really there moves few of the others: their median does not know of it.
+    spread = max(1.0, float(np.nanmedian(np.abs(found.t))) / stats.norm.isf(0.25)) if empirical else 1.0
+    merit = np.nan_to_num(found.gain - np.array([odds[k] for k in open_]), nan=-np.inf)
+    order = np.argsort(-merit)
+    best = int(order[0])
+    if not np.isfinite(merit[best]):
+        return None
+    choice = _judged(evidence, free, open_[best], confirming)
+    if not abs(choice.t) > limit:
+        # Colour may weigh on one candidate more than on the next.
+        for other in order[1:LOOKED_AT]:
+            if merit[other] < limit**2:
+                break
+            second = _judged(evidence, free, open_[int(other)], confirming)
+            if abs(second.t) > limit and merit[other] > 0.7 * merit[best]:
+                choice = second
+                break
+        else:
+            return Refusal(choice.key, choice.t, choice.gain, f"|t| {abs(choice.t):.1f} is not above {limit:.1f}")
+        if not abs(choice.t) > limit:
+            return Refusal(choice.key, choice.t, choice.gain, f"|t| {abs(choice.t):.1f} is not above {limit:.1f}")
+    if not np.sqrt(choice.gain) > limit * spread:
+        why = f"|t| {np.sqrt(choice.gain):.1f} is not above {limit:.1f} times {spread:.2f}, the spread of all candidates"
+        return Refusal(choice.key, choice.t, choice.gain, why)
+    if np.isfinite(choice.confirmed_gain) and not choice.confirmed_gain > 0.0:
+        certain = abs(choice.t) > limit + strong
+        # A part that knows little confirms little. Far above chance it is enough that the parts do not contradict each other.
+        if not (certain and abs(choice.difference) < CONTRADICTING):
+            why = "the part of the flights that did not estimate it does not confirm it"
+            return Refusal(choice.key, choice.t, choice.gain, why, certain, True)
+    return choice
+
+
+def _exchanged(
+    evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], here: list[str], trail: list[str]
+) -> tuple[list[str], list[str]]:
+    """Every chosen effect against every other candidate in its place."""
+    for k, key in enumerate(list(here)):
+        others = [*free, *here[:k], *here[k + 1 :]]
+        open_ = [c for c in odds if c not in here or c == key]
+        merit = scores(evidence, others, open_).gain - np.array([odds[c] for c in open_])
+        merit = np.nan_to_num(merit, nan=-np.inf)
+        best = int(np.argmax(merit))
+        margin = EXCHANGE if len(here) == 1 else 2.0
+        if open_[best] != key and merit[best] > merit[open_.index(key)] + margin:
+            here = [*here[:k], open_[best], *here[k + 1 :]]
+            trail = [*trail, f"{key} -> {open_[best]}"]
+    return here, trail
+
+
+def _pruned(
+    evidence: Evidence, free: Sequence[str], here: list[str], trail: list[str], limit: float
+) -> tuple[list[str], list[str], float]:
+    """The weakest effect below what is asked taken out, again and again; and the |t| then asked of one beside the rest."""
+    while True:
+        t = _corrected_t(evidence, free, here)
+        asked = _asked(limit, t)
+        if len(here) < 2 or min(t) >= asked:
+            return here, trail, asked
+        worst = int(np.argmin(t))
+        trail = [*trail, f"- {here[worst]} t {t[worst]:.1f}"]
+        here = [*here[:worst], *here[worst + 1 :]]
+
+
+def _corrected_t(evidence: Evidence, free: Sequence[str], here: Sequence[str]) -> list[float]:
+    """|t| of each beside the others."""
+    t = []
+    for key in here:
+        value, std, _ = corrected(evidence, [*free, *[o for o in here if o != key]], key)
+        t.append(abs(value / std))
+    return t
+
+
+def _asked(limit: float, t: Sequence[float]) -> float:
+    """|t| asked of an effect beside those of ``t``."""
+    return max(limit, min(TRACE * max(t, default=0.0), MOST_TRACE))
+
+
+def _companions(evidence: Evidence, others: Sequence[str], named: Sequence[str]) -> list[str]:
+    """Terms to be left free beside a twin: those named, and for every effect in roll or yaw that stands the same one about the
+    other axis, because a wrong product of inertia turns the one into the other."""
+    if not named:
+        return []
+    swapped = [
+        o.replace(f"effect/{a}/", f"effect/{b}/")
+        for o in others
+        for a, b in (("Cl", "Cn"), ("Cn", "Cl"))
+        if o.startswith(f"effect/{a}/")
+    ]
+    return [c for c in dict.fromkeys((*named, *swapped)) if c in evidence.names and c not in others]
+
+
+def _with_alternatives(evidence: Evidence, others: Sequence[str], choice: Choice, open_: Sequence[str], twins: Twins) -> Choice:
+    """The effect with the candidates that would do nearly as well in its place, the best first; inseparable ones before."""
+    rivals = [k for k in open_ if k != choice.key]
+    if not rivals:
+        return choice
+    found = scores(evidence, others, rivals)
+    alone = float(scores(evidence, others, [choice.key]).information[0])
+    order = np.argsort(-np.nan_to_num(found.gain, nan=-np.inf))[:LOOKED_AT]
+    near = [rivals[i] for i in order if np.isfinite(found.gain[i]) and found.gain[i] > 0.25 * choice.gain]
+    near += [k for k, g in zip(rivals, found.gain, strict=True) if (choice.key, k) in twins and k not in near and np.isfinite(g)]
+    alike = likeness(evidence, others, choice.key, near) if near else np.zeros(0)
+    rows = []
+    for key, same in zip(near, alike, strict=True):
+        companions = _companions(evidence, others, twins.get((choice.key, key), ()))
+        beside = scores(evidence, [*others, key, *companions], [choice.key])
+        t = float(beside.t[0]) if np.isfinite(beside.t[0]) else 0.0
+        # White t of the effect beside its rival, brought to the colour of the residuals by the ratio found for the effect alone.
+        t *= abs(choice.t) / np.sqrt(choice.gain) if choice.gain > 0 else 1.0
+        kept = float(np.nan_to_num(beside.information[0])) / alone
+        inseparable = abs(t) < INSEPARABLE_T or (bool(companions) and kept < INSEPARABLE_SHARE)
+        gain = float(found.gain[rivals.index(key)])
+        rows.append(Alternative(key, gain, t, float(same), not inseparable, tuple(companions)))
+    together = _kin_first(choice.key, [r for r in rows if not r.separable], twins)[: MOST_ALTERNATIVES - 1]
+    runner_up = [r for r in rows if r.separable][:1]
+    return replace(choice, alternatives=(*together, *runner_up))
+
+
+def _kin_first(key: str, alike: Sequence[Alternative], twins: Twins) -> list[Alternative]:
+    """Causes that physics makes alike before a third form of the same: a twin of the effect, or of the nearest alternative."""
+    own = [a for a in alike if (key, a.key) in twins]
+    rest = [a for a in alike if a not in own]
+    theirs = [a for a in rest[1:] if (rest[0].key, a.key) in twins]
+    return [*own, *rest[:1], *theirs, *(a for a in rest[1:] if a not in theirs)]

@@ -1,0 +1,139 @@
+"""Residual diagnostics: is what is left white, and if not, is it weather or the model?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from sysid.arrays import Array
+from sysid.estimation.coloured import autocovariance, residual_models
+
+WHITENESS_LEVEL = 1e-4  # p-value, shared out over the outputs; rejects a white record once in 10 000
+STRONG_SHARE = 0.15  # share of an output's residual predictable from its own past that counts as process noise
+STRONG_RATIO = 1.7  # coloured over Cramer-Rao standard error, median, that counts as process noise
+
+
+@dataclass(frozen=True)
+class Colour:
+    """Per output (m,): Ljung-Box p-value, predictable share of the residual's variance, share of its power below a
+    tenth of the Nyquist frequency (0.1 if white), share explained by the simulated motion."""
+
+    p_value: Array
+    predictable: Array
+    slow: Array
+    explained: Array
+
+
+def ljung_box(segments: list[Array], lags: int) -> float:
+    """p-value of Ljung and Box's test (Biometrika 65, 1978): Q = n(n+2) sum r_l^2/(n-l) against chi-square(lags)."""
+    n = int(sum(np.isfinite(part).sum() for part in segments))
+    covariance = autocovariance(segments, lags)
+    if covariance[0] <= 0.0 or n <= lags + 1:
+        return float("nan")
+    r = covariance[1:] / covariance[0]
+    q = n * (n + 2.0) * np.sum(r**2 / (n - np.arange(1, lags + 1)))
+    return float(stats.chi2.sf(q, lags))
+
+
+def _slow_share(segments: list[Array]) -> float:
+    low = total = 0.0
+    for part in segments:
+        power = np.abs(np.fft.rfft(np.nan_to_num(part))) ** 2
+        edge = max(1, int(0.1 * power.size))
+        low += float(power[1 : edge + 1].sum())
+        total += float(power[1:].sum())
+    return low / total if total > 0.0 else float("nan")
+
+
+def _explained(residual: list[Array], motion: list[Array]) -> Array:
+    """Adjusted share (m,) of each residual that is a quadratic function of the simulated motion (no cross products
+    beyond 6 outputs); what turbulence does is no function of it, what a wrong model does is."""
+    stacked, outputs = np.concatenate(residual), np.concatenate(motion)
+    m = outputs.shape[1]
+    spread = outputs.std(axis=0)
+    base = (outputs[:, spread > 0] - outputs[:, spread > 0].mean(axis=0)) / spread[spread > 0]
+    columns = [base, base**2]
+    if base.shape[1] <= 6:
+        columns += [base[:, [i]] * base[:, i + 1 :] for i in range(base.shape[1] - 1)]
+    design = np.column_stack([np.ones(len(outputs)), *columns])
+    share = np.full(m, np.nan)
+    for channel in range(m):
+        there = np.isfinite(stacked[:, channel])
+        value = stacked[there, channel]
+        if value.size <= 3 * design.shape[1] or value.std() == 0.0:
+            continue
+        fit = design[there] @ np.linalg.lstsq(design[there], value, rcond=1e-10)[0]
+        ratio = 1.0 - np.sum((value - fit) ** 2) / np.sum((value - value.mean()) ** 2)
+        share[channel] = 1.0 - (1.0 - ratio) * (value.size - 1) / (value.size - design.shape[1])
+    return share
+
+
+def colour(residual: list[Array], motion: list[Array] | None = None) -> Colour:
+    """Judge residuals (n, m), one array a segment, NaN = dropout; motion: the simulated outputs, same shapes."""
+    m = residual[0].shape[1]
+    n = min(int(np.isfinite(np.concatenate([part[:, c] for part in residual])).sum()) for c in range(m))
+    lags = max(1, min(20, n // 5, max(part.shape[0] for part in residual) - 1))
+    _models, innovation = residual_models(residual)
+    variance = np.array([autocovariance([part[:, c] for part in residual], 0)[0] for c in range(m)])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        predictable = np.where(variance > 0, 1.0 - innovation / variance, 0.0)
+    return Colour(
+        p_value=np.array([ljung_box([part[:, c] for part in residual], lags) for c in range(m)]),
+        predictable=predictable,
+        slow=np.array([_slow_share([part[:, c] for part in residual]) for c in range(m)]),
+        explained=_explained(residual, motion) if motion is not None else np.full(m, np.nan),
+    )
+
+
+def colour_warnings(found: Colour, std: Array, std_crb: Array, method: str) -> list[str]:
+    """Sentences with evidence when residuals are coloured enough to matter, [] when they are not.
+
+    Two conditions must meet: whiteness is rejected, and the colour is large enough to move the standard errors; so that
+    long records do not cry at trifles.
+    """
+    m = found.p_value.size
+    rejected = np.flatnonzero(found.p_value < WHITENESS_LEVEL / m)
+    ratio = std / std_crb
+    ratio = ratio[np.isfinite(ratio)]
+    median = float(np.median(ratio)) if ratio.size else float("nan")
+    if rejected.size == 0 or ratio.size == 0:
+        return []
+    strong = [c for c in rejected if found.predictable[c] > STRONG_SHARE]
+    if not strong and median < STRONG_RATIO:
+        return []
+    worst = rejected[np.argsort(-found.predictable[rejected])][:4]
+    evidence = "; ".join(
+        f"output {c}: {100 * found.predictable[c]:.0f} % of the residual's variance is predictable from its past "
+        f"(Ljung-Box p = {found.p_value[c]:.1g}), {100 * found.slow[c]:.0f} % of its power lies below a tenth of the "
+        f"Nyquist frequency (white: 10 %)"
+        for c in worst
+    )
+    explained = found.explained[worst]
+    explained = explained[np.isfinite(explained)]
+    if explained.size and explained.max() > 0.6:
+        cause = (
+            f"up to {100 * explained.max():.0f} % of it is a function of the simulated motion: "
+            "suspect the model's form (a missing term, a wrong lag) first, process noise second"
+        )
+    elif explained.size:
+        cause = (
+            f"at most {100 * max(explained.max(), 0.0):.0f} % of it is a function of the simulated motion: "
+            "suspect process noise (turbulence) first, the model's form second"
+        )
+    else:
+        cause = "suspect process noise (turbulence) or a wrong model form"
+    largest = float(ratio.max())
+    cure = {
+        "output error": "Output error assumes neither: its estimates may be biased by more than its bounds and its "
+        f"Cramer-Rao bounds are {'too small' if median >= 1.0 else 'not its errors'}; use filter_error, "
+        "or measured alpha, beta and V as inputs",
+        "filter error": "The filter's model does not explain the data: give more states noise, or revise f and g",
+    }[method]
+    return [
+        (
+            f"coloured residuals: process noise (turbulence) or wrong model form. {evidence}; {cause}. Coloured "
+            f"standard errors are {median:.2g} times the Cramer-Rao bounds (median; largest {largest:.2g}). {cure}."
+        )
+    ]

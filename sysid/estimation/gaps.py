@@ -1,0 +1,160 @@
+"""How far a model is from a flight: root mean squares against noise, Theil's inequality, time shifts, worst moments. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.estimation.autocorrelation import integral_time
+from sysid.estimation.diagnostics import STRONG_SHARE, WHITENESS_LEVEL, colour
+
+FloatArray = NDArray[np.float64]
+FORM_SHARE = 0.6  # share of a residual that is a function of the motion above which the model's form is to blame
+
+QUIET_SHARE = 0.5  # residual power beyond noise in quiet flight, over that in motion, above which the air is to blame
+
+
+NOISE_FLOOR = 1.15
+"""A channel left at so many times its noise, or less, is at the noise."""
+
+
+def rms(values: FloatArray) -> float:
+    """Root mean square of the finite values; NaN when there are none."""
+    good = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(good**2))) if good.size else float("nan")
+
+
+def white_noise(pieces: Sequence[FloatArray]) -> float:
+    """Standard deviation of a channel's white noise, from third differences of its finite samples; NaN below 8 samples.
+
+    A third difference takes out any motion that is quadratic over four samples and multiplies the noise's variance by 20.
+    """
+    squares = [np.diff(p[np.isfinite(p)], 3) ** 2 for p in pieces if np.isfinite(p).sum() >= 8]
+    if not squares:
+        return float("nan")
+    # Median of squares: steps of surfaces and other sudden motion are few samples, and must not count as noise.
+    return float(np.sqrt(np.median(np.concatenate(squares)) / 0.454936 / 20.0))
+
+
+def channel_noise(data: Sequence[FloatArray], channels: Sequence[str], card: Mapping[str, float]) -> dict[str, float]:
+    """Noise of each channel: what its own samples show, or what the card says of the sensor, whichever is larger.
+
+    Attitudes of an autopilot are filtered and look cleaner than they are true; there the card's figure counts.
+    """
+    out = {}
+    for k, name in enumerate(channels):
+        shown = white_noise([block[:, k] for block in data])
+        stated = card.get(name, float("nan"))
+        known = [v for v in (shown, stated) if np.isfinite(v)]
+        out[name] = max(known) if known else float("nan")
+    return out
+
+
+def quiet_share(residual: Sequence[FloatArray], motion: Sequence[FloatArray], noise: FloatArray) -> FloatArray:
+    """(m,) power beyond noise (m,) of each residual while the aircraft moves little, over that while it moves much.
+
+    1 is what turbulence gives, which does not wait for manoeuvres; 0 what a wrong model or a late surface gives. The halves
+    are those of the simulated motion's speed of change, all channels together.
+    """
+    spread = np.concatenate(list(motion)).std(axis=0)
+    spread = np.where(spread > 0.0, spread, 1.0)
+    speed = np.concatenate([np.sqrt(np.mean((np.gradient(y, axis=0) / spread) ** 2, axis=1)) for y in motion])
+    quiet = speed <= np.median(speed)
+    stacked = np.concatenate(list(residual))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        still, moving = (np.nanmean(stacked[part] ** 2, axis=0) - noise**2 for part in (quiet, ~quiet))
+        return np.asarray(np.where(moving > 0.2 * noise**2, np.maximum(still, 0.0) / moving, 0.0))
+
+
+def process_noise_shown(residual: Sequence[FloatArray], motion: Sequence[FloatArray], noise: FloatArray) -> bool:
+    """True when residuals are coloured, are no function of the simulated motion and are there in quiet flight too: turbulence.
+
+    One channel may be a function of the motion in gusty air as well, where a sensor's scale is wrong, or a force is: then half of
+    all channels must be as turbulence leaves them.
+    """
+    found = colour(list(residual), list(motion))
+    strong = (found.p_value < WHITENESS_LEVEL / len(found.p_value)) & (found.predictable > STRONG_SHARE)
+    formed = strong & (found.explained > FORM_SHARE)
+    gusty = strong & ~formed & (quiet_share(residual, motion, noise) > QUIET_SHARE)
+    return bool(gusty.any() if not formed.any() else 2 * np.count_nonzero(gusty) >= gusty.size)
+
+
+@dataclass(frozen=True)
+class Theil:
+    """Theil's inequality coefficient, 0 perfect to 1, and what it is made of (shares that add up to 1)."""
+
+    u: float
+    bias: float
+    variance: float
+    covariance: float
+
+
+def theil(measured: FloatArray, modelled: FloatArray) -> Theil:
+    """Over the samples where both are finite. Theil, "Economic Forecasts and Policy" (1961); Jategaonkar (2015), ch. 11."""
+    good = np.isfinite(measured) & np.isfinite(modelled)
+    z, y = measured[good], modelled[good]
+    error = float(np.mean((z - y) ** 2)) if z.size else float("nan")
+    size = np.sqrt(np.mean(z**2)) + np.sqrt(np.mean(y**2)) if z.size else float("nan")
+    if not error > 0.0:
+        return Theil(error, 0.0, 0.0, 0.0) if z.size else Theil(error, error, error, error)
+    sz, sy = float(z.std()), float(y.std())
+    bias, variance = float((z.mean() - y.mean()) ** 2) / error, (sz - sy) ** 2 / error
+    return Theil(float(np.sqrt(error) / size), bias, variance, max(0.0, 1.0 - bias - variance))
+
+
+@dataclass(frozen=True)
+class Shift:
+    """How late the measured channel comes after the model's, s, its standard error, and whether that is worth a word."""
+
+    seconds: float
+    std: float
+
+
+def time_shift(measured: Sequence[FloatArray], modelled: Sequence[FloatArray], dt_s: float, at_most_s: float = 0.2) -> Shift:
+    """Delay tau that makes modelled(t - tau) fit measured(t) best, by Gauss-Newton on the model's slope, offset left free.
+
+    The standard error allows for coloured residuals by their integral time. NaN when the model does not move.
+    """
+    tau = 0.0
+    for _ in range(8):
+        top = bottom = 0.0
+        left: list[FloatArray] = []
+        slopes: list[FloatArray] = []
+        for z, y in zip(measured, modelled, strict=True):
+            if len(y) < 8 or not np.isfinite(y).all():
+                continue
+            at = np.arange(len(y))
+            moved = np.interp(at - tau / dt_s, at, y)
+            slope = -np.gradient(moved, dt_s)
+            good = np.isfinite(z)
+            if good.sum() < 8:
+                continue
+            e = z[good] - moved[good]
+            s = slope[good] - slope[good].mean()
+            e = e - e.mean()
+            top, bottom = top + float(s @ e), bottom + float(s @ s)
+            left.append(e)
+            slopes.append(s)
+        if not bottom > 0.0:
+            return Shift(float("nan"), float("nan"))
+        step = float(np.clip(top / bottom, -0.05, 0.05))
+        tau = float(np.clip(tau + step, -at_most_s, at_most_s))
+        if abs(step) < 1e-5:
+            break
+    variance = sum(float(e @ e) for e in left) / max(1, sum(e.size for e in left) - 2)
+    return Shift(tau, float(np.sqrt(variance * integral_time(left) / bottom)))
+
+
+def worst(residual: FloatArray, time_s: FloatArray, noise: float, count: int, apart_s: float) -> list[tuple[float, float]]:
+    """(time, residual) of the ``count`` largest residuals in units of noise, at least ``apart_s`` from one another."""
+    size = np.where(np.isfinite(residual), np.abs(residual), -1.0) / (noise if noise > 0 else 1.0)
+    out: list[tuple[float, float]] = []
+    for k in np.argsort(-size):
+        if len(out) == count or size[k] < 0:
+            break
+        if all(abs(time_s[k] - t) >= apart_s for t, _ in out):
+            out.append((float(time_s[k]), float(residual[k])))
+    return out

@@ -1,0 +1,164 @@
+"""Damped Gauss-Newton (Fisher scoring) on a negative log-likelihood, with bounds, that only ever goes down.
+
+Step: (M + lambda diag M) delta = g with M the information and g minus the gradient (Levenberg 1944, Marquardt 1963);
+lambda by gain ratio (Nielsen, IMM-REP-1999-05, Technical University of Denmark). Directions without information
+(identifiability.py) get no step. Parameters at a bound that the data push outwards are held there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.arrays import Array
+
+S = TypeVar("S")
+
+LOST = 1e-10  # eigenvalues of the scaled information below this share of the largest get no step
+DAMPING = 1e-4  # first lambda: nearly Gauss-Newton
+NEAR = 0.05  # standard errors: as near as an imprecise or slowly settling likelihood need be called
+TRIALS = 14  # rejected steps in one iteration before giving up
+TRIALS_CARRIED = 2  # the same with sensitivities carried on from another point: they may be what is wrong
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """gradient (k,) of minus the cost, information (k, k), predict(delta): the cost the linearised model expects.
+
+    exact: good enough to call convergence by; fresh: differenced at this very point, not carried on from another.
+    """
+
+    gradient: Array
+    information: Array
+    predict: Callable[[Array], float]
+    exact: bool = True
+    fresh: bool = True
+
+
+class Problem(Protocol[S]):
+    """A cost in k parameters; `evaluate` answers None where the model fails."""
+
+    def evaluate(self, theta: Array) -> tuple[float, S] | None:
+        """Cost at ``theta`` (k,) and the state that :meth:`linearise` needs; None where the model cannot be run."""
+        ...
+
+    def linearise(self, theta: Array, state: S, central: bool) -> Linearisation:
+        """Gradient and information at ``theta``, by central or forward differences."""
+        ...
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """theta (k,), its cost, cost_history of accepted points, iterations, converged, decrement: the last undamped step's
+    expected length in standard errors; rejected: trial points refused; failed: those of them where the model failed."""
+
+    theta: Array
+    cost: float
+    cost_history: list[float]
+    iterations: int
+    converged: bool
+    decrement: float
+    rejected: int
+    failed: int
+    message: str
+
+
+def damped_step(gradient: Array, information: Array, damping: float, down: Array, up: Array, allowed: NDArray[np.bool_]) -> Array:
+    """The damped step (k,) within [-down, up]; those that would leave are put on their bound, the rest re-solved."""
+    k = gradient.size
+    step, fixed = np.zeros(k), ~allowed
+    for _ in range(k + 1):
+        index = np.flatnonzero(~fixed & (np.diagonal(information) > 0.0))
+        if index.size == 0:
+            break
+        right = gradient[index] - information[np.ix_(index, np.flatnonzero(fixed))] @ step[fixed]
+        scale = np.sqrt(np.diagonal(information)[index])
+        values, vectors = np.linalg.eigh(information[np.ix_(index, index)] / np.outer(scale, scale))
+        kept = values > LOST * values[-1]
+        turned = vectors[:, kept].T @ (right / scale)
+        trial = vectors[:, kept] @ (turned / (values[kept] + damping)) / scale
+        over, under = trial > up[index], trial < -down[index]
+        step[index] = trial
+        if not (over | under).any():
+            break
+        step[index[over]] = up[index[over]]
+        step[index[under]] = -down[index[under]]
+        fixed[index[over | under]] = True
+    return step
+
+
+def minimise(
+    problem: Problem[S],
+    theta0: Array,
+    start: tuple[float, S],
+    lower: Array,
+    upper: Array,
+    *,
+    tolerance: float,
+    max_iterations: int,
+    always_central: bool,
+) -> Minimum:
+    """From theta0 (k,), whose evaluation is `start`, to where the undamped step is `tolerance` standard errors long."""
+    theta, (cost, state) = theta0.copy(), start
+    history, damping, growth = [cost], DAMPING, 2.0
+    rejected = failed = 0
+    central, stalled = True, 0
+    decrement, message, converged = float("inf"), "", False
+    iteration, renewed = 0, True
+    while iteration < max_iterations:
+        iteration += 1
+        line = problem.linearise(theta, state, central or always_central)
+        if line.fresh and not renewed:
+            damping, growth = DAMPING, 2.0
+        renewed = line.fresh
+        gradient, information = line.gradient, line.information
+        outward = ((theta >= upper) & (gradient > 0.0)) | ((theta <= lower) & (gradient < 0.0))
+        allowed = ~outward
+        free_step = damped_step(gradient, information, 0.0, np.full(theta.size, np.inf), np.full(theta.size, np.inf), allowed)
+        decrement = float(np.sqrt(np.maximum(free_step @ information @ free_step, 0.0)))
+        if decrement < tolerance and line.exact:
+            converged, message = True, f"the next step would be {decrement:.1e} standard errors long"
+            last = np.clip(theta + free_step, lower, upper)  # taken all the same, if it does no harm: it is nearly free
+            answer = problem.evaluate(last)
+            if answer is not None and answer[0] <= cost:
+                theta, (cost, state) = last, answer
+                history.append(cost)
+            break
+        accepted = False
+        for _ in range(TRIALS if line.fresh else TRIALS_CARRIED):
+            step = damped_step(gradient, information, damping, theta - lower, upper - theta, allowed)
+            trial = np.asarray(np.clip(theta + step, lower, upper))
+            if np.array_equal(trial, theta):
+                break
+            answer = problem.evaluate(trial)
+            if answer is None:
+                failed += 1
+            elif np.isfinite(answer[0]) and answer[0] < cost:
+                expected = cost - line.predict(trial - theta)
+                gain = (cost - answer[0]) / expected if expected > 0.0 else 0.5
+                damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-12)  # Nielsen eq. (2.21)
+                growth = 2.0
+                stalled = stalled + 1 if cost - answer[0] < 1e-12 * max(1.0, abs(cost)) else 0
+                theta, (cost, state) = trial, answer
+                history.append(cost)
+                accepted = True
+                break
+            rejected += 1
+            damping = max(damping, 1e-6) * growth
+            growth *= 2.0
+        if not accepted or stalled >= 3:
+            if not line.fresh or not (central or always_central):
+                central, damping, growth, stalled = True, DAMPING, 2.0, 0  # forward differences may be what failed
+                continue
+            # With an imprecise simulation the slope never vanishes: close enough in standard errors is converged.
+            converged = decrement < NEAR
+            message = f"no lower cost found; the next step would be {decrement:.1e} standard errors long"
+            break
+        central = decrement < 0.5
+    else:
+        message = f"stopped after {max_iterations} iterations; the next step would be {decrement:.1e} standard errors long"
+    return Minimum(theta, cost, history, iteration, converged, decrement, rejected, failed, message)

@@ -1,0 +1,157 @@
+"""Output error's cost over the free parameters, with the sensitivities its steps need: differenced anew, or carried on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.arrays import Array
+from sysid.estimation.gauss_newton import Linearisation
+from sysid.estimation.noise import Noise, concentrated, residual_noise
+from sysid.estimation.sensitivities import TARGET, MapLike, SafeSimulation, roughness, sensitivities, target_for
+from sysid.linalg.blocks import active_columns
+
+CARRIED = 8  # secant updates before sensitivities are differenced anew
+NEARBY = 0.5  # standard errors within which sensitivities need no renewal
+
+
+@dataclass
+class OutputErrorProblem:
+    """The cost over the free parameters; counts simulations and keeps the adapted difference steps."""
+
+    simulation: SafeSimulation
+    measured: Array
+    full_theta: Array
+    columns: list[int]
+    limits: tuple[Array, Array]
+    spread: Array
+    full: bool
+    map_: MapLike | None
+    step: Array
+    secant: bool = False
+    runs: int = 0
+    target: float | None = None
+    last_failure: str = ""
+    sensitivity: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    _last: tuple[Array, Array] | None = None
+    _fresh: tuple[Array, Array, Array] | None = None
+    _metric: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    _updates: int = 0
+    _active: list[NDArray[np.intp]] = field(default_factory=list)
+
+    @property
+    def edges(self) -> list[int]:
+        """Rows at which segments begin, and the number of rows at the end."""
+        return [0, *np.cumsum(self.simulation.lengths).tolist()]
+
+    @property
+    def floor(self) -> Array:
+        """Least noise (ny,) an output may have: rounding of its own spread."""
+        return 1e-9 * self.spread
+
+    def whole(self, theta: Array) -> Array:
+        """All parameters, with the free ones at ``theta`` and the fixed ones at their given values."""
+        out = self.full_theta.copy()
+        out[self.columns] = theta
+        return out
+
+    def noise(self, outputs: Array) -> Noise:
+        """Measurement noise at its maximum-likelihood value for these outputs (n, ny)."""
+        return residual_noise(self.measured - outputs, self.floor, self.full)
+
+    def evaluate(self, theta: Array) -> tuple[float, Array] | None:
+        """Concentrated cost at ``theta`` and the outputs (n, ny); None where the simulation failed."""
+        self.runs += 1
+        outputs = self.simulation(self.whole(theta))
+        if isinstance(outputs, str):
+            self.last_failure = outputs
+            return None
+        return concentrated(self.measured - outputs, self.noise(outputs)), outputs
+
+    def linearise(self, theta: Array, outputs: Array, central: bool) -> Linearisation:
+        """Gradient and information at theta (k,), whose outputs (N, m) are given.
+
+        With ``secant`` the sensitivities of the last point are carried on by Broyden's update (Math. Comp. 19, 1965)
+
+            S += (dy - S d) (W d)' / (d' W d),    W = diag M
+
+        (segment by segment, where S is not zero: Schubert, Math. Comp. 24, 1970), which costs no simulation; they are differenced
+        anew, forwards, when that has been done CARRIED times, when the search nears its end, and at a point asked for twice.
+        """
+        carried = self._carry(theta, outputs, central) if self.secant else None
+        if carried is None:
+            self._difference(theta, outputs, central and not self.secant)
+        line = self._line(outputs)
+        self._metric, self._last = line.information, (theta.copy(), outputs)
+        if carried is None:
+            self._fresh = (theta.copy(), self.sensitivity, line.information)
+            return replace(line, exact=central or self.secant)
+        return replace(line, exact=carried, fresh=False)
+
+    def settle(self, theta: Array, outputs: Array) -> Linearisation:
+        """The linearisation that bounds are computed from: differences at theta itself, or a small part of a bound away."""
+        if self.secant and self._fresh is not None and self._distance(theta) < NEARBY:
+            self.sensitivity = self._fresh[1]
+        else:
+            self._difference(theta, outputs, not self.secant)
+        return self._line(outputs)
+
+    def _distance(self, theta: Array) -> float:
+        """Standard errors from where sensitivities were last differenced."""
+        assert self._fresh is not None
+        away = theta - self._fresh[0]
+        return float(np.sqrt(np.maximum(away @ self._fresh[2] @ away, 0.0)))
+
+    def _carry(self, theta: Array, outputs: Array, central: bool) -> bool | None:
+        """Sensitivities carried on to theta: True near where they were differenced, False far from there, None: not possible."""
+        if self._last is None or self._updates >= CARRIED:
+            return None
+        step = theta - self._last[0]
+        along = np.diagonal(self._metric) * step
+        near = self._distance(theta) < NEARBY
+        if not float(step @ along) > 0.0 or (central and not near):
+            return None
+        change = outputs - self._last[1] - self.sensitivity @ step
+        self.sensitivity = self.sensitivity.copy()
+        for (a, b), columns in zip(pairwise(self.edges), self._active, strict=True):
+            size = float(step[columns] @ along[columns])
+            if size > 0.0:
+                self.sensitivity[a:b, :, columns] += change[a:b, :, None] * (along[columns] / size)
+        self._updates += 1
+        return near
+
+    def _difference(self, theta: Array, outputs: Array, central: bool) -> None:
+        """Sensitivities by differences; the first time, also how small their steps may be."""
+        found = sensitivities(
+            self.simulation, self.whole(theta), outputs, self.step, self.columns, self.limits, self.spread,
+            central=central, map_=self.map_, target=self.target or TARGET,
+        )  # fmt: skip
+        self.step, self.runs = found.step, self.runs + found.runs
+        if self.target is None:
+            small = np.zeros_like(self.step)
+            small[self.columns] = 1e-3 * self.step[self.columns]
+            rough, runs = roughness(self.simulation, self.whole(theta), outputs, small, self.limits, self.spread, self.map_)
+            self.target, self.runs = target_for(rough), self.runs + runs
+        self.sensitivity, self._updates = found.sensitivity, 0
+        self._active = active_columns(found.sensitivity, self.edges)
+
+    def _line(self, outputs: Array) -> Linearisation:
+        sensitivity, residual, noise = self.sensitivity, self.measured - outputs, self.noise(outputs)
+        k = len(self.columns)
+        gradient, information = np.zeros(k), np.zeros((k, k))
+        for (a, b), columns in zip(pairwise(self.edges), self._active, strict=True):
+            white, scaled = noise.whiten(residual[a:b], sensitivity[a:b][:, :, columns])
+            assert scaled is not None
+            flat = scaled.reshape(-1, columns.size)
+            gradient[columns] += flat.T @ white.ravel()
+            information[np.ix_(columns, columns)] += flat.T @ flat
+
+        def predict(delta: Array) -> float:
+            expected = residual - sensitivity @ delta
+            return concentrated(expected, residual_noise(expected, self.floor, self.full))
+
+        # M = sum S' R^-1 S,  g = sum S' R^-1 v: one Gauss-Newton step is M^-1 g
+        return Linearisation(gradient, information, predict)

@@ -1,0 +1,143 @@
+"""From sensitivities and residuals at the optimum to what may be said: bounds, gate, warnings. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.arrays import Array
+from sysid.estimation.coloured import coloured_information
+from sysid.estimation.diagnostics import Colour, colour, colour_warnings
+from sysid.estimation.identifiability import Identifiability, assess, masked_covariance
+from sysid.estimation.noise import Noise, residual_noise
+from sysid.estimation.result import split
+from sysid.linalg.blocks import information, leverage
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Over the k free parameters: covariances (k, k), gate, noise with degrees of freedom, colour, sentences."""
+
+    cov: Array
+    cov_crb: Array
+    identified: NDArray[np.bool_]
+    reason: tuple[str, ...]
+    vif: Array
+    noise: Noise
+    colour: Colour
+    warnings: list[str]
+
+
+def outward(theta: Array, gradient: Array, lower: Array, upper: Array) -> NDArray[np.bool_]:
+    """(k,): at a bound, with minus the cost's gradient pointing beyond it."""
+    return np.asarray(((theta >= upper) & (gradient > 0.0)) | ((theta <= lower) & (gradient < 0.0)))
+
+
+def at_bound(value: float, lower: float, upper: float) -> str:
+    """The reason given for a parameter held at a bound."""
+    side, bound = ("upper", upper) if value >= upper else ("lower", lower)
+    return f"at its {side} bound {bound:g}: the data pull it beyond, the bound decides its value"
+
+
+def idle_bound(std: float, width: float) -> str:
+    """The reason given when the bounds alone (uniform, std width/sqrt(12)) say more than the data; "" otherwise."""
+    if np.isfinite(width) and std > width / np.sqrt(12.0):
+        return f"standard error {std:.3g} exceeds what its bounds alone say ({width:.3g} wide)"
+    return ""
+
+
+def unknown_noise(counts: NDArray[np.intp], spent: Array, reach: Array) -> list[str]:
+    """Reasons (k,) for parameters informed by an output that has no degree of freedom left: its noise is unknown.
+
+    counts, spent (m,) samples and degrees of freedom spent of each output; reach (m, k) its largest sensitivities.
+    """
+    out = [""] * reach.shape[1]
+    for a in np.flatnonzero(counts - spent < 1.0 - 1e-6):
+        text = (
+            f"output {a} has {int(counts[a])} samples, of which the parameters use up {spent[a]:.1f}: "
+            "its noise, and so any bound, is unknown"
+        )
+        for k in np.flatnonzero(reach[a] > 0.0):
+            out[k] = out[k] or text
+    return out
+
+
+def judge(
+    *,
+    theta: Array,
+    gradient: Array,
+    sensitivity: Array,
+    residual: Array,
+    motion: Array,
+    edges: list[int],
+    names: tuple[str, ...],
+    bounds: tuple[Array, Array],
+    floor: Array,
+    full: bool,
+    method: str,
+) -> Findings:
+    """Bounds and warnings at the optimum theta (k,): sensitivity (N, m, k), residual and motion (N, m), segment edges,
+    gradient (k,) of minus the cost, by which an active bound is told from one merely touched."""
+    lower, upper = bounds
+    held = outward(theta, gradient, lower, upper)
+    inside = np.flatnonzero(~held)
+    there = np.isfinite(residual)
+    sensitivity = np.where(there[:, :, None], sensitivity, 0.0)[:, :, inside]
+
+    # Degrees of freedom: each output has spent its share of the leverage, sum_i S_a D S_a'/R_aa; one output: k.
+    noise = residual_noise(residual, floor, full)
+    gate = _gate(noise, residual, sensitivity, names, inside, edges)
+    _, scaled = noise.whiten(residual, sensitivity)
+    assert scaled is not None
+    spent = leverage(scaled, gate.inverse, edges)
+    noise = residual_noise(residual, floor, full, spent)
+    gate = _gate(noise, residual, sensitivity, names, inside, edges)
+
+    white, scaled = noise.whiten(residual, sensitivity)
+    assert scaled is not None
+    marked = np.where(there, white, np.nan)
+    counts = there.sum(axis=0)
+    inflate = np.sqrt(counts / np.maximum(counts - spent, 1.0))  # the autocovariance divides by N, R by N minus the share
+    bracket = coloured_information(split(scaled, edges), split(marked * inflate, edges))
+    crb, coloured = gate.inverse, gate.inverse @ bracket @ gate.inverse  # (MK) in coloured.py
+
+    k = theta.size
+    cov, cov_crb, vif = np.full((k, k), np.nan), np.full((k, k), np.nan), np.full(k, np.inf)
+    cov[np.ix_(inside, inside)] = masked_covariance(coloured, gate.identified)
+    cov_crb[np.ix_(inside, inside)] = masked_covariance(crb, gate.identified)
+    vif[inside] = gate.vif
+    reason = [""] * k
+    for position, index in enumerate(inside.tolist()):
+        reason[index] = gate.reason[position]
+    warnings = list(gate.notes)
+    for index in range(k):
+        if held[index]:
+            reason[index] = at_bound(theta[index], lower[index], upper[index])
+        else:
+            reason[index] = reason[index] or idle_bound(float(np.sqrt(cov[index, index])), upper[index] - lower[index])
+    unknown = unknown_noise(counts, spent, np.abs(scaled).max(axis=0, initial=0.0))
+    for position, index in enumerate(inside.tolist()):
+        reason[index] = reason[index] or unknown[position]
+    identified = np.array([not text for text in reason])
+    cov, cov_crb = masked_covariance(cov, identified), masked_covariance(cov_crb, identified)
+    warnings += [f"{names[i]} not identified: {reason[i]}" for i in range(k) if reason[i]]
+
+    found = colour(split(residual, edges), split(motion, edges))
+    warnings += colour_warnings(found, np.sqrt(np.diagonal(cov)), np.sqrt(np.diagonal(cov_crb)), method)
+    return Findings(cov, cov_crb, identified, tuple(reason), vif, noise, found, warnings)
+
+
+def _gate(
+    noise: Noise,
+    residual: Array,
+    sensitivity: Array,
+    names: tuple[str, ...],
+    inside: NDArray[np.intp],
+    edges: list[int],
+) -> Identifiability:
+    """The identifiability of the parameters that are not held at a bound."""
+    _, scaled = noise.whiten(residual, sensitivity)
+    assert scaled is not None
+    return assess(information(scaled, edges), tuple(names[index] for index in inside))

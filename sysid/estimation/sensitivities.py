@@ -1,0 +1,209 @@
+"""Output sensitivities by finite differences of a simulation that may fail.
+
+A step is sized by what it does to the outputs, not by the parameter's magnitude: a small part of an output's spread.
+So parameters of any unit, and starts at zero, need no hint.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.arrays import Array, is_many
+
+TARGET = 3e-4  # first wanted change of the most affected output, in its spread; then `target_for` its roughness
+TARGETS = (3e-5, 3e-2)  # range of wanted changes: truncation ~ target^2, rounding ~ roughness / target
+WITHIN = (3e-3, 30.0)  # a change outside this range of the wanted one is repeated with another step
+NO_EFFECT = 1e-11  # a smaller change at the largest step tried is rounding, not an effect
+SMALLEST = 1e-12  # of a parameter's value: the shortest step
+HUGE = 1e100  # outputs beyond this are a diverged simulation; their squares must not overflow
+
+MapLike = Callable[[Callable[[Array], Any], Iterable[Array]], Iterable[Any]]
+
+
+@dataclass(frozen=True)
+class SafeSimulation:
+    """simulate(theta) made total: the stacked outputs (N, m), or a sentence saying what went wrong.
+
+    A module-level class, so that a process pool can receive it whenever it can receive `simulate`.
+    """
+
+    simulate: Callable[[Array], Any]
+    lengths: tuple[int, ...]
+    outputs: int
+
+    def __call__(self, theta: Array) -> Array | str:
+        with np.errstate(all="ignore"):
+            try:
+                value = self.simulate(theta.copy())
+            except Exception as error:  # a model's own failure at a trial point is a rejected step, whatever its type
+                return f"simulate raised {type(error).__name__}: {error}"
+        return self.stacked(value)
+
+    def stacked(self, value: Any) -> Array | str:
+        """Outputs of any permitted form as one (N, m) array; a sentence if the form is wrong or values not finite."""
+        try:
+            parts = [np.asarray(part, dtype=float) for part in (value if is_many(value) else [value])]
+        except (TypeError, ValueError) as error:
+            return f"simulate returned something not numeric: {error}"
+        parts = [part[:, None] if part.ndim == 1 else part for part in parts]
+        shapes, wanted = [part.shape for part in parts], [(length, self.outputs) for length in self.lengths]
+        if shapes != wanted:
+            return f"simulate returned shapes {shapes}, measured has {wanted}; return the outputs at the measured samples"
+        out = np.concatenate(parts)
+        sound = np.abs(out) < HUGE  # False for NaN too
+        if not sound.all():
+            row = int(np.argwhere(~sound)[0][0])
+            return f"simulate returned values that are not finite, or beyond {HUGE:g}, from stacked sample {row} on"
+        return out
+
+
+def run_all(simulation: SafeSimulation, thetas: Sequence[Array], map_: MapLike | None) -> list[Array | str]:
+    """Every theta simulated, in order, through the injected map if there is one."""
+    return list((map_ or map)(simulation, thetas))
+
+
+@dataclass(frozen=True)
+class Differences:
+    """sensitivity (N, m, len(columns)); step (k,) as adapted; effect (len(columns),) bool; runs: simulations spent."""
+
+    sensitivity: Array
+    step: Array
+    effect: NDArray[np.bool_]
+    runs: int
+
+
+def first_steps(theta: Array, lower: Array, upper: Array) -> Array:
+    """Starting steps (k,): a small part of the value, of the bounds' width, or of one."""
+    width = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
+    return np.asarray(1e-4 * np.where(theta != 0.0, np.abs(theta), width))
+
+
+def sensitivities(
+    simulation: SafeSimulation,
+    theta: Array,
+    base: Array,
+    step: Array,
+    columns: Sequence[int],
+    limits: tuple[Array, Array],
+    spread: Array,
+    *,
+    central: bool,
+    map_: MapLike | None,
+    target: float = TARGET,
+) -> Differences:
+    """d(outputs)/d(theta) at `theta`, whose outputs are `base` (N, m).
+
+    Central differences, or forward ones; one-sided at a bound or where one side fails. spread (m,) scales the outputs.
+    target: wanted change of the most affected output, in its spread.
+    A parameter whose every perturbed run fails gets effect False.
+    """
+    step = step.copy()
+    lower, upper = limits
+    out = np.zeros((*base.shape, len(columns)))
+    effect = np.zeros(len(columns), dtype=bool)
+    pending, runs, largest = list(range(len(columns))), 0, np.zeros(len(columns))
+    for attempt in range(6):
+        # Below this a step is lost in the parameter's own rounding, and shrinking it further would never find an effect again.
+        step = np.maximum(step, SMALLEST * np.abs(theta))
+        plan: list[tuple[int, float]] = []
+        for position in pending:
+            j = columns[position]
+            up, down = min(step[j], upper[j] - theta[j]), min(step[j], theta[j] - lower[j])
+            floor = 0.5 * step[j]
+            forward = up >= floor or up >= down
+            if forward:
+                plan.append((position, up))
+            if (central and down >= floor) or not forward:
+                plan.append((position, -down))
+        points = []
+        for position, shift in plan:
+            point = theta.copy()
+            point[columns[position]] += shift
+            points.append(point)
+        answers = run_all(simulation, points, map_)
+        runs += len(points)
+        again = []
+        for position in pending:
+            j = columns[position]
+            # the step as the machine sees it: (theta + h) - theta
+            sides = [
+                (point[j] - theta[j], answer)
+                for (where, _), point, answer in zip(plan, points, answers, strict=True)
+                if where == position and not isinstance(answer, str) and point[j] != theta[j]
+            ]
+            if not sides:
+                step[j] *= 0.03
+                again.append(position)
+                continue
+            if len(sides) == 2:
+                column = (sides[0][1] - sides[1][1]) / (sides[0][0] - sides[1][0])
+            else:
+                column = (sides[0][1] - base) / sides[0][0]
+            used = max(abs(shift) for shift, _ in sides)
+            with np.errstate(over="ignore", invalid="ignore"):
+                change = float(np.max(np.sqrt(np.mean(column**2, axis=0)) * used / spread))
+            if not np.isfinite(change):
+                step[j] *= 1e-4
+                again.append(position)
+                continue
+            largest[position] = max(largest[position], change)
+            out[:, :, position] = column
+            effect[position] = change > NO_EFFECT
+            if change <= NO_EFFECT:
+                unit = max(abs(theta[j]), 1.0)
+                if step[j] < 99.0 * unit and attempt < 5:
+                    step[j] = unit if step[j] < 0.5 * unit else 100.0 * unit
+                    again.append(position)
+                else:
+                    step[j] = 1e-4 * unit
+            elif not WITHIN[0] <= change / target <= WITHIN[1] and attempt < 5:
+                wanted = step[j] * target / change
+                room = upper[j] - lower[j]
+                wanted = min(wanted, 0.01 * room) if np.isfinite(room) else wanted
+                if not 0.5 < wanted / step[j] < 2.0:
+                    step[j] = wanted
+                    again.append(position)
+            else:
+                step[j] *= float(np.clip(target / change, 0.1, 10.0))
+        pending = again
+        if not pending:
+            break
+    out[:, :, ~effect] = 0.0
+    return Differences(out, step, effect, runs)
+
+
+def roughness(
+    simulation: SafeSimulation, theta: Array, base: Array, small: Array, limits: tuple[Array, Array], spread: Array,
+    map_: MapLike | None,
+) -> tuple[float, int]:  # fmt: skip
+    """How far the outputs are from smooth in theta, in their spread (rms), and the simulations it took to find out.
+
+    Six points along small (k,) steps away from theta: a smooth function leaves nothing in high differences, rounding,
+    iterated trims and printed decimals do. More, J. J. and Wild, S. M., SIAM J. Sci. Comput. 33 (2011), eq. (2.4).
+    """
+    lower, upper = limits
+    inward = np.where(theta + 7.0 * small > upper, -small, small)
+    points = [theta + count * inward for count in range(1, 7)]
+    points = [np.clip(point, lower, upper) for point in points]
+    answers = run_all(simulation, points, map_)
+    if any(isinstance(answer, str) for answer in answers):
+        return 0.0, len(points)
+    table = np.stack([base, *(answer for answer in answers if not isinstance(answer, str))])
+    found = []
+    for order in range(1, 6):
+        table = np.diff(table, axis=0)
+        if order >= 4:
+            factor = math.factorial(order) ** 2 / math.factorial(2 * order)
+            found.append(np.sqrt(factor * np.mean(table**2, axis=(0, 1))) / spread)
+    return float(np.min(found, axis=0).max()), len(points)
+
+
+def target_for(rough: float) -> float:
+    """The output change at which a central difference's truncation and rounding balance, about roughness^(1/3)."""
+    return float(np.clip(np.cbrt(rough), *TARGETS))

@@ -1,0 +1,259 @@
+"""Foreign formats read in a child process with a time and a memory limit: pyulog, pymavlink, pandas and pyarrow meet a file there.
+
+What they make of it comes back as data, never as code, so that a file that leads one of them astray can end the child and
+nothing else. The child is kept for the files that follow. Where the system has no limit of address space (Windows, macOS) the
+time limit holds alone.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import json
+import os
+import struct
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+import sysid
+from sysid.errors import LogError, finding_from_dict
+from sysid.foreign.data_file import DataFileError, load
+from sysid.foreign.limits import LIMITS, Limit
+from sysid.foreign.raw import MessageTable, Progress, RawLog, Wanted
+from sysid.foreign.regular_files import in_words, open_regular, require_regular
+
+_START_S = 120.0  # nothing of a stranger's is read yet: only a busy disk makes this long
+# The package is found where this one is, and its folder is on the path for no longer than that takes.
+_BEGIN = (
+    "import sys; sys.path.insert(0, sys.argv[1]); import sysid; del sys.path[0]; "
+    "from sysid.logs.importers.limited_child import main; main()"
+)
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+
+
+def read_raw(path: Path, dialect: str, wanted: Wanted | None, progress: Progress | None = None) -> RawLog:
+    """A log of dialect ulog, tlog, csv, jsbsim-csv or parquet; `wanted` as in the importers.
+
+    Raises LogError for what cannot be read, and for what takes more time or memory than a file of its size should.
+    """
+    names = None if wanted is None else {message: sorted(fields) for message, fields in wanted.items()}
+    messages: dict[tuple[str, int], MessageTable] = {}
+    about: dict[str, Any] = {}
+    for kind, *content in _ask(path, dialect, {"wanted": names}, progress):
+        if kind == "table":
+            name, instance, time_s, fields = content
+            messages[name, instance] = MessageTable(time_s, fields)
+        else:
+            (about,) = content
+    return RawLog(
+        dialect=about["dialect"],
+        messages=messages,
+        counts=dict(zip(about["counted"].tolist(), about["counts"].tolist(), strict=True)),
+        parameters=dict(zip(about["parameters"].tolist(), about["values"].tolist(), strict=True)),
+        texts=tuple(zip(about["said_s"].tolist(), about["said"].tolist(), strict=True)),
+        vehicle=about["vehicle"],
+        facts=about["facts"],
+        findings=tuple(finding_from_dict(row) for row in about["findings"]),
+    )
+
+
+def read_record(path: Path) -> tuple[dict[str, NDArray[Any]], str]:
+    """Columns and metadata (JSON, "" where there is none) of a flight record's file. Raises LogError as `read_raw`."""
+    columns: dict[str, NDArray[Any]] = {}
+    metadata = ""
+    for kind, *content in _ask(path, "record", {}):
+        if kind == "column":
+            name, values = content
+            columns[name] = values
+        else:
+            (metadata,) = content
+    return columns, metadata
+
+
+def read_table(path: Path) -> dict[str, NDArray[Any]]:
+    """Columns of a small CSV table, each of float64 or of texts. Raises LogError as `read_raw`."""
+    return {name: values for _, name, values in _ask(path, "table", {})}
+
+
+class _Child:
+    """A reader process, and the pipes to and from it."""
+
+    def __init__(self) -> None:
+        environment = {**os.environ, **dict.fromkeys(_THREADS, "1"), "ARROW_DEFAULT_MEMORY_POOL": "system"}
+        # It says nothing on the terminal: what is wrong comes back as a sentence.
+        self.process = subprocess.Popen(
+            [sys.executable, "-P", "-c", _BEGIN, str(Path(sysid.__file__).parent.parent)],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment,
+        )  # fmt: skip
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.orders, self.answers = self.process.stdin, self.process.stdout
+
+    def frame(self) -> tuple[bytes, int]:
+        """Kind and length of the next answer. Raises _Ended when the child has ended."""
+        head = self.content(9)
+        return head[:1], struct.unpack("<Q", head[1:])[0]
+
+    def content(self, length: int) -> bytes:
+        """That many bytes of the answer. Raises _Ended."""
+        found = self.answers.read(length)
+        if len(found) < length:
+            raise _Ended
+        return found
+
+    def end(self) -> None:
+        """Kill it. Safe to call again."""
+        self.process.kill()
+        for pipe in (self.orders, self.answers):
+            with contextlib.suppress(OSError):
+                pipe.close()
+        self.process.wait()
+
+
+class _Deadline:
+    """Kills a child that is not done in time."""
+
+    def __init__(self, child: _Child, seconds: float) -> None:
+        self._child, self.passed = child, False
+        self._timer = threading.Timer(seconds, self._end)
+        self._timer.daemon = True
+
+    def _end(self) -> None:
+        self.passed = True
+        self._child.process.kill()
+
+    def __enter__(self) -> _Deadline:
+        self._timer.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._timer.cancel()
+
+
+_using = threading.Lock()
+_children: dict[int, _Child] = {}  # by process: a forked one must not talk to its parent's
+
+
+def _ask(path: Path, kind: str, details: Mapping[str, Any], progress: Progress | None = None) -> list[tuple[Any, ...]]:
+    """What the child has to say of one file, part by part."""
+    try:
+        size = require_regular(path).st_size
+    except OSError as error:
+        raise LogError(f"cannot be read: {error.strerror}", path) from None
+    limit = LIMITS[_limit_name(kind, path)]
+    # A path of its own kind: this process may have changed its folder since the child began.
+    file = os.path.abspath(path)
+    order = {"kind": kind, "path": file, "memory": limit.bytes(size), **details}
+    with _using:
+        child = _ready(path)
+        try:
+            _begin(child, order, path)
+            with _Deadline(child, limit.seconds(size)) as deadline:
+                parts, refusal = _answers(child, limit.bytes(size), progress)
+        except BaseException as error:
+            _end_children()
+            if isinstance(error, _Ended):
+                raise LogError(_why_ended(error, child, deadline, limit, size), path) from None
+            raise
+        if deadline.passed:
+            _end_children()
+    if refusal:
+        raise LogError(f"{path}{refusal.removeprefix(file)}" if refusal.startswith(f"{file}: ") else refusal)
+    return parts
+
+
+class _Ended(Exception):
+    """The child has ended, or must: `reason` says why in words where it is known."""
+
+    def __init__(self, reason: str = "") -> None:
+        self.reason = reason
+
+
+def _begin(child: _Child, order: Mapping[str, Any], path: Path) -> None:
+    """Give an order and wait until the reader has loaded what it needs. Raises LogError where it has not."""
+    with contextlib.suppress(OSError, _Ended), _Deadline(child, _START_S):
+        child.orders.write(json.dumps(order).encode() + b"\n")
+        child.orders.flush()
+        kind, length = child.frame()
+        if kind == b"r":
+            return
+        raise RuntimeError(f"{path}: the reader failed:\n{child.content(length).decode('utf-8', 'replace')}")
+    raise _not_started(path)
+
+
+def _answers(child: _Child, most_bytes: int, progress: Progress | None) -> tuple[list[tuple[Any, ...]], str]:
+    """The parts of an answer, and the sentence of a refusal ("" if there is none)."""
+    parts: list[tuple[Any, ...]] = []
+    received = 0
+    while True:
+        kind, length = child.frame()
+        received += length
+        if received > most_bytes:
+            raise _Ended("memory")
+        content = child.content(length)
+        if kind == b"p":
+            if progress is not None:
+                progress(struct.unpack("<d", content)[0])
+        elif kind == b"c":
+            try:
+                parts.append(load(content))
+            except DataFileError as error:
+                raise _Ended(str(error)) from None
+        elif kind == b"d":
+            return parts, ""
+        elif kind == b"e":
+            return [], content.decode("utf-8", "surrogatepass")
+        elif kind == b"m":
+            raise _Ended("memory")
+        else:
+            raise RuntimeError(f"the reader of a log failed:\n{content.decode('utf-8', 'replace')}")
+
+
+def _why_ended(ended: _Ended, child: _Child, deadline: _Deadline, limit: Limit, size: int) -> str:
+    again = "it is damaged or made to do so; copy the log again"
+    if deadline.passed:
+        return f"reading took longer than the {limit.seconds(size):.0f} s that a file of {in_words(size)} may take: {again}"
+    if ended.reason == "memory":
+        allowed = in_words(limit.bytes(size))
+        return f"reading took more than the {allowed} of memory that a file of {in_words(size)} may take: {again}"
+    why = ended.reason or f"code {child.process.returncode}"
+    return f"the reader of this format ended without an answer ({why}): the file is damaged; copy the log again"
+
+
+def _limit_name(kind: str, path: Path) -> str:
+    if kind in LIMITS:
+        return kind
+    with open_regular(path) as handle:
+        return "parquet" if handle.read(4) == b"PAR1" else "csv"
+
+
+def _ready(path: Path) -> _Child:
+    """The reader of this process, started if there is none. Raises LogError where it cannot be."""
+    child = _children.get(os.getpid())
+    if child is not None and child.process.poll() is None:
+        return child
+    _end_children()
+    try:
+        child = _children[os.getpid()] = _Child()
+    except (OSError, MemoryError):
+        raise _not_started(path) from None
+    return child
+
+
+def _not_started(path: Path) -> LogError:
+    return LogError("the process that reads this format could not be started; free some memory and try again", path)
+
+
+def _end_children() -> None:
+    child = _children.pop(os.getpid(), None)
+    if child is not None:
+        child.end()
+
+
+atexit.register(_end_children)

@@ -1,0 +1,282 @@
+"""RawLog + signal map + airframe card -> FlightRecord on one grid. Pure: no files are touched here.
+
+The grid is uniform at the usual rate of the fastest of the rate and acceleration channels (for tables: their own
+times). Commands are held onto it, everything else is interpolated, nothing across a gap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.errors import Finding, LogError
+from sysid.flight_modes import MANOEUVRE_TEXT, PLANE_MODES
+from sysid.foreign.raw import RawLog
+from sysid.logs import phase as flight_phase
+from sysid.logs.card import AirframeCard
+from sysid.logs.channels import Channel, Times, resolve
+from sysid.logs.checks import check_channel, check_record
+from sysid.logs.servo import Control, controls, deflection, elevator_channel
+from sysid.logs.signal_map import ServoOutputs, SignalMap
+from sysid.logs.time_base import hold, interpolate
+from sysid.record import FlightRecord, Metadata
+from sysid.vocabulary import COMMANDS, SIGNALS
+
+FloatArray = NDArray[np.float64]
+_GRID_CHANNELS = ("p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
+_CIRCULAR = {"phi_rad", "psi_rad"}
+_MAX_ROWS = 40_000_000
+_FEW_ROWS, _ROWS_PER_SAMPLE = 1_000_000, 20
+
+
+def assemble(raw: RawLog, signal_map: SignalMap, card: AirframeCard | None, source: str = "", sha256: str = "") -> FlightRecord:
+    """Build the record of a whole log, with everything the checks found in its metadata.
+
+    Raises LogError when the log has none of the channels a record is made of.
+    """
+    raw = replace(raw, messages=dict(raw.messages))  # ours to empty as the work proceeds
+    start = _start(raw)
+    times = Times(raw)
+    servos, findings = _servo_channels(raw, signal_map.servos, card, times)
+    sources: dict[str, Callable[[], Channel | None]] = {
+        name: partial(resolve, raw, name, candidates, times) for name, candidates in signal_map.entries.items()
+    }
+    for name, make in servos.items():
+        sources[name] = partial(_first_of, sources.get(name), make)
+    grid = _grid(raw, sources, signal_map.name, source)
+    step = float(np.median(np.diff(grid)))
+    columns: dict[str, NDArray[Any]] = {"time_s": grid}
+    about: dict[str, tuple[str, float, bool]] = {}
+    checked: set[str] = set()
+    mode_changes = np.array([])
+    last_use = _last_use(signal_map)
+    for name in SIGNALS:
+        # One channel at a time, and what no later one needs is dropped: a big log must not be in memory as messages,
+        # channels and columns all at once.
+        channel = sources[name]() if name in sources else None
+        _drop(raw, last_use.get(name, ()))  # the channel holds its own copy
+        if channel is None:
+            continue
+        findings += check_channel(channel, step, checked)
+        columns[name] = _on_grid(channel, grid)
+        about[name] = (channel.label, channel.rate_hz, channel.estimate)
+        if name == "mode":
+            columns[name] = _mode_names(columns[name], raw)
+            mode_changes = channel.time_s[1:][np.diff(channel.values) != 0]
+    labels = _manoeuvres(raw, grid)
+    if labels is not None:
+        columns["manoeuvre"] = labels
+    for column in columns.values():
+        column.setflags(write=False)  # the record then shares them instead of copying
+    phase = _phase(raw, columns, signal_map.servos, times, mode_changes)
+    meta = Metadata(
+        source=source,
+        sha256=sha256,
+        dialect=raw.dialect,
+        vehicle=raw.vehicle,
+        aircraft="" if card is None else card.name,
+        grid_hz=round(1.0 / step, 6),
+        start=start,
+        native_hz={n: round(rate, 4) for n, (_, rate, _) in about.items() if np.isfinite(rate)},
+        channels={n: label for n, (label, _, _) in about.items()},
+        estimates=tuple(n for n, (_, _, estimate) in about.items() if estimate),
+        free_flight_s=() if phase.free_s is None else (phase.free_s,),
+    )
+    record = FlightRecord(columns, meta)
+    findings = [
+        *raw.findings,
+        Finding("flight-phase", "", "info", phase.why, {} if phase.tow_s is None else {"tow_end_s": phase.tow_s[1]}),
+        *findings,
+        *check_record(record, phase.free_s),
+    ]
+    return FlightRecord(record.columns, replace(meta, findings=tuple(findings)))
+
+
+def _first_of(own: Callable[[], Channel | None] | None, servo: Callable[[], Channel | None]) -> Channel | None:
+    """A surface's own message if the log carries it, else what its servo output says."""
+    found = own() if own is not None else None
+    return found if found is not None else servo()
+
+
+def _last_use(signal_map: SignalMap) -> dict[str, list[str]]:
+    """signal -> messages that no later signal of the vocabulary's order may need (servo outputs stay)."""
+    last: dict[str, str] = {}
+    for name in SIGNALS:
+        for entry in signal_map.entries.get(name, ()):
+            last[entry.message] = name
+            if entry.times is not None:
+                last[entry.times[0]] = name
+    if signal_map.servos is not None:
+        last.pop(signal_map.servos.message, None)
+    out: dict[str, list[str]] = {}
+    for message, name in last.items():
+        out.setdefault(name, []).append(message)
+    return out
+
+
+def _drop(raw: RawLog, messages: Iterable[str]) -> None:
+    kept = raw.messages
+    assert isinstance(kept, dict)
+    for key in [k for k in kept if k[0] in messages]:
+        del kept[key]
+
+
+def _grid(raw: RawLog, sources: Mapping[str, Callable[[], Channel | None]], map_name: str, source: str) -> FloatArray:
+    best: Channel | None = None
+    for names in (_GRID_CHANNELS, tuple(n for n in SIGNALS if n not in (*_GRID_CHANNELS, "mode"))):
+        for name in names:
+            channel = sources[name]() if name in sources else None
+            if channel is not None and (best is None or channel.rate_hz > best.rate_hz):
+                best = channel
+        if best is not None:
+            break
+    if best is None:
+        have = ", ".join(sorted({m for m, _ in raw.messages})[:20])
+        raise LogError(f"no signal of the map '{map_name}' is in this log; it has {have}; give a --map")
+    if ("csv", 0) in raw.messages:
+        return best.time_s
+    step = best.clean.step_s
+    if not np.isfinite(step) or step <= 0:
+        raise LogError("no channel has two samples; the log is too short to use")
+    span = best.time_s[-1] - best.time_s[0]
+    # Gaps become rows: a few stamps a microsecond apart and far from the others would ask for any amount of memory.
+    most = min(_MAX_ROWS, _FEW_ROWS + _ROWS_PER_SAMPLE * len(best.time_s))
+    if span / step > most:
+        raise LogError(
+            f"{span:.0f} s at {1 / step:.0f} Hz would be more than {most} rows; cut the log into parts or correct its times"
+        )
+    # Stamps jitter by microseconds: a step of a round number of microseconds keeps the grid on the samples.
+    step = round(step, 6) or step
+    return np.round(best.time_s[0] + step * np.arange(int(np.floor(span / step + 0.25)) + 1), 9)
+
+
+def _on_grid(c: Channel, grid: FloatArray) -> NDArray[Any]:
+    if c.name == "mode":
+        at = np.searchsorted(c.time_s, grid, side="right") - 1
+        return np.where(at >= 0, c.values[np.maximum(at, 0)], np.nan)
+    if len(c.time_s) == len(grid) and np.array_equal(c.time_s, grid):
+        return c.values
+    if c.name in COMMANDS:
+        return hold(c.time_s, c.values, c.clean.gaps, grid, c.clean.step_s)
+    if c.name in _CIRCULAR:
+        return _interpolate_angle(c.name, c, grid)
+    return interpolate(c.time_s, c.values, c.clean.gaps, grid)
+
+
+def _interpolate_angle(name: str, c: Channel, grid: FloatArray) -> FloatArray:
+    sine = interpolate(c.time_s, np.sin(c.values), c.clean.gaps, grid)
+    good = np.isfinite(c.values)
+    turned = c.values.copy()
+    turned[good] = np.unwrap(c.values[good])
+    out = interpolate(c.time_s, turned, c.clean.gaps, grid)
+    out = np.mod(out, 2 * np.pi) if name == "psi_rad" else np.mod(out + np.pi, 2 * np.pi) - np.pi
+    return np.where(np.isfinite(sine), out, np.nan)
+
+
+def _servo_channels(
+    raw: RawLog, outputs: ServoOutputs | None, card: AirframeCard | None, times: Times
+) -> tuple[dict[str, Callable[[], Channel | None]], list[Finding]]:
+    if outputs is None or (outputs.message, outputs.instance) not in raw.messages:
+        return {}, []
+    key = (outputs.message, outputs.instance)
+    if int(times.of(key).keep.sum()) < 2:
+        return {}, []
+    wanted, findings = controls(card, raw.parameters)
+    if card is None:
+        text = "servo outputs are logged but no card says what angles they mean: give --aircraft, or tables in --map"
+        findings.append(Finding("no-card", outputs.message, "warning", text, {}))
+    return {n: partial(_servo_channel, raw, outputs, times, n, control) for n, control in wanted.items()}, findings
+
+
+def _servo_channel(raw: RawLog, outputs: ServoOutputs, times: Times, name: str, control: Control) -> Channel | None:
+    key = (outputs.message, outputs.instance)
+    table, cleaned = raw.messages[key], times.of(key)
+    fields = [servo_field(outputs, raw.dialect, channel) for channel, _, _ in control.parts]
+    if not all(f in table.fields for f in fields):
+        return None
+    parts = [table.fields[f][cleaned.keep].astype(np.float64) for f in fields]
+    values = sum(
+        (w * deflection(pwm, servo) for pwm, (_, servo, w) in zip(parts, control.parts, strict=True)),
+        start=np.zeros(int(cleaned.keep.sum())),
+    )
+    if not np.isfinite(values).any():
+        return None
+    return Channel(name, f"{outputs.message} {control.label}", table.time_s[cleaned.keep], values, cleaned, False)
+
+
+def servo_field(outputs: ServoOutputs, dialect: str, channel: int) -> str:
+    """Field name of servo output `channel` (counted from 1; PX4 counts from 0)."""
+    return outputs.field_of(channel - 1 if dialect == "ulog" else channel)
+
+
+def _phase(
+    raw: RawLog,
+    columns: Mapping[str, NDArray[Any]],
+    outputs: ServoOutputs | None,
+    times: Times,
+    mode_changes_s: FloatArray,
+) -> flight_phase.FlightPhase:
+    grid = columns["time_s"]
+    speed = columns.get("V_mps")
+    if speed is None and "vn_mps" in columns and "ve_mps" in columns:
+        speed = np.hypot(columns["vn_mps"], columns["ve_mps"])
+    elevator = columns.get("elevator_deg")
+    if elevator is None and outputs is not None and (outputs.message, outputs.instance) in raw.messages:
+        key = (outputs.message, outputs.instance)
+        field = servo_field(outputs, raw.dialect, elevator_channel(raw.parameters))
+        cleaned = times.of(key)
+        if field in raw.messages[key].fields and int(cleaned.keep.sum()) > 1:
+            pwm = raw.messages[key].fields[field][cleaned.keep].astype(np.float64)
+            elevator = hold(raw.messages[key].time_s[cleaned.keep], pwm, cleaned.gaps, grid, cleaned.step_s)
+    return flight_phase.find(
+        grid,
+        np.full(len(grid), np.nan) if speed is None else speed,
+        columns.get("h_m"),
+        columns.get("q_radps"),
+        elevator,
+        mode_changes_s,
+    )
+
+
+def _mode_names(numbers: FloatArray, raw: RawLog) -> NDArray[Any]:
+    plane = raw.dialect.startswith("dataflash") or raw.facts.get("mav_type") == 1.0
+    known = PLANE_MODES if plane else {}
+    unique, inverse = np.unique(np.where(np.isfinite(numbers), numbers, -1), return_inverse=True)
+    names = ["" if u < 0 else known.get(int(u), f"mode {int(u)}") for u in unique]
+    return np.array(names, dtype=object)[inverse]
+
+
+def _manoeuvres(raw: RawLog, grid: FloatArray) -> NDArray[Any] | None:
+    """Labels from texts such as "manoeuvre pitch-doublet" ... "manoeuvre end", which our own logs carry."""
+    marks = [(t, text.removeprefix(MANOEUVRE_TEXT)) for t, text in raw.texts if text.startswith(MANOEUVRE_TEXT)]
+    if not marks:
+        return None
+    names = np.array(["", *("" if name == "end" else name for _, name in marks)], dtype=object)
+    half = 0.5 * float(np.median(np.diff(grid)))
+    return names[np.searchsorted(np.array([t for t, _ in marks]), grid + half, side="right")]
+
+
+def _start(raw: RawLog) -> dict[str, float]:
+    for message, lat, lon, alt, scale in (
+        ("GPS", "Lat", "Lng", "Alt", 1.0),
+        ("GLOBAL_POSITION_INT", "lat", "lon", "alt", 1e-7),
+        ("vehicle_gps_position", "lat", "lon", "alt", 1e-7),
+    ):
+        table = raw.messages.get((message, 0))
+        if table is None or lat not in table.fields or lon not in table.fields:
+            continue
+        fix = np.flatnonzero(np.abs(table.fields[lat].astype(float)) > 0)
+        if len(fix):
+            start = {
+                "lat_deg": float(table.fields[lat][fix[0]]) * scale,
+                "lon_deg": float(table.fields[lon][fix[0]]) * scale,
+            }
+            if alt in table.fields:
+                start["alt_m"] = float(table.fields[alt][fix[0]]) * (1.0 if scale == 1.0 else 1e-3)
+            return start
+    return {}

@@ -1,0 +1,145 @@
+"""One signal from a raw log by its map entry: fields, function, scale and table applied, on the message's own times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.errors import LogError
+from sysid.foreign.raw import MessageTable, RawLog
+from sysid.logs.servo import extrapolating_table
+from sysid.logs.signal_map import Entry
+from sysid.logs.time_base import CleanTime, clean
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A signal on its own time stamps (increasing), before it is put onto the record's grid.
+
+    raw  (n,) values as logged, for the checks of wrapping integers; None where several fields are combined
+    """
+
+    name: str
+    label: str
+    time_s: FloatArray
+    values: FloatArray
+    clean: CleanTime
+    estimate: bool
+    raw: FloatArray | None = None
+
+    @property
+    def rate_hz(self) -> float:
+        """Usual rate, NaN below two samples."""
+        return 1.0 / self.clean.step_s if self.clean.step_s > 0 else float("nan")
+
+
+class Times:
+    """Cleans each message's time stamps once."""
+
+    def __init__(self, raw: RawLog) -> None:
+        self._raw = raw
+        self._known: dict[tuple[str, int], CleanTime] = {}
+
+    def of(self, key: tuple[str, int]) -> CleanTime:
+        """The cleaned times of one message."""
+        if key not in self._known:
+            self._known[key] = clean(self._raw.messages[key].time_s)
+        return self._known[key]
+
+
+def resolve(raw: RawLog, name: str, candidates: tuple[Entry, ...], times: Times) -> Channel | None:
+    """The first candidate that the log carries with two or more usable samples, None when there is none."""
+    for entry in candidates:
+        key = (entry.message, entry.instance)
+        table = raw.messages.get(key)
+        if table is None or not all(f in table.fields for f in entry.fields):
+            continue
+        cleaned = times.of(key)
+        if int(cleaned.keep.sum()) < (1 if name == "mode" else 2):
+            continue
+        fields = [_numeric(table, f, entry)[cleaned.keep] for f in entry.fields]
+        time_s = table.time_s[cleaned.keep]
+        values = _apply(entry, fields, time_s)
+        if entry.times is not None:
+            values = values * _factor(raw, entry.times, times, time_s)
+        if not np.any(np.isfinite(values)):
+            continue
+        raw_values = fields[0] if len(fields) == 1 else None
+        return Channel(name, entry.label, time_s, values, cleaned, entry.estimate, raw_values)
+    return None
+
+
+def _numeric(table: MessageTable, field: str, entry: Entry) -> FloatArray:
+    values = table.fields[field]
+    if values.dtype == object or values.ndim != 1:
+        raise LogError(f"{entry.label}: the field {field} holds text or arrays, not numbers; map another field")
+    with np.errstate(invalid="ignore"):
+        return values.astype(np.float64)
+
+
+def _factor(raw: RawLog, source: tuple[str, str], times: Times, at_s: FloatArray) -> FloatArray | float:
+    table = raw.messages.get((source[0], 0))
+    if table is None or source[1] not in table.fields:
+        return 1.0
+    keep = times.of((source[0], 0)).keep
+    if table.fields[source[1]].dtype == object:
+        raise LogError(f"{'.'.join(source)}: this factor holds text, not numbers; name another field in times")
+    values = table.fields[source[1]][keep].astype(np.float64)
+    good = np.isfinite(values) & (values > 0.1) & (values < 10.0)
+    return np.interp(at_s, table.time_s[keep][good], values[good]) if good.any() else 1.0
+
+
+def _apply(entry: Entry, fields: list[FloatArray], time_s: FloatArray) -> FloatArray:
+    if entry.table:
+        return extrapolating_table(fields[0], entry.table)
+    x = fields[0]
+    scale, offset = entry.scale, entry.offset
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        match entry.function:
+            case "value":
+                return offset + scale * x
+            case "heading":
+                return np.mod(offset + scale * x, 2 * np.pi)
+            case "product":
+                return offset + scale * x * fields[1]
+            case "polar_cos":
+                return offset + scale * x * np.cos(np.radians(fields[1]))
+            case "polar_sin":
+                return offset + scale * x * np.sin(np.radians(fields[1]))
+            case "density_of_eas2tas":
+                return np.where(x > 0.5, 1.225 / x**2, np.nan)
+            case "above_start":
+                y = offset + scale * x
+                return y - float(np.nanmedian(y[time_s <= time_s[0] + 1.0]))
+            case "north_of_start" | "east_of_start":
+                return _local(scale * x, scale * fields[1])[0 if entry.function == "north_of_start" else 1]
+        return _euler(fields)[("quaternion_roll", "quaternion_pitch", "quaternion_yaw").index(entry.function)]
+
+
+def _local(lat_deg: FloatArray, lon_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """North and east of the first fix on the WGS 84 ellipsoid's local plane, m; NaN where there is no fix (0, 0)."""
+    fix = np.isfinite(lat_deg) & np.isfinite(lon_deg) & ((np.abs(lat_deg) > 1e-6) | (np.abs(lon_deg) > 1e-6))
+    if not fix.any():
+        return np.full(len(lat_deg), np.nan), np.full(len(lat_deg), np.nan)
+    first = int(np.argmax(fix))
+    lat0 = np.radians(lat_deg[first])
+    a, e2 = 6378137.0, 6.69437999014e-3
+    w = 1.0 - e2 * np.sin(lat0) ** 2
+    north = np.radians(lat_deg - lat_deg[first]) * a * (1 - e2) / w**1.5
+    turn = np.mod(lon_deg - lon_deg[first] + 180.0, 360.0) - 180.0
+    east = np.radians(turn) * a / np.sqrt(w) * np.cos(lat0)
+    return np.where(fix, north, np.nan), np.where(fix, east, np.nan)
+
+
+def _euler(q: list[FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    w, x, y, z = q
+    size = np.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = (c / np.where(size > 0.5, size, np.nan) for c in (w, x, y, z))
+    phi = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    theta = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+    psi = np.mod(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)), 2 * np.pi)
+    return phi, theta, psi

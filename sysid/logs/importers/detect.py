@@ -1,0 +1,129 @@
+"""Which importer a file needs, told by its content: logs get renamed, and a .bin may be anything."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+from sysid.errors import LogError
+from sysid.foreign.regular_files import open_regular
+from sysid.logs.importers.dataflash_format import FMT_LENGTH, FMT_TYPE, MAGIC
+from sysid.vocabulary import SIGNALS
+
+_FOREIGN = {
+    b"\x89PNG": "a PNG picture",
+    b"PK\x03\x04": "a ZIP archive (unpack it first)",
+    b"\x1f\x8b": "a gzip archive (unpack it first)",
+    b"BZh": "a bzip2 archive (unpack it first)",
+    b"\xfd7zXZ": "an xz archive (unpack it first)",
+    b"7z\xbc\xaf": "a 7-Zip archive (unpack it first)",
+    b"%PDF": "a PDF document",
+    b"\xff\xd8\xff": "a JPEG picture",
+    b"GIF8": "a GIF picture",
+    b"\x7fELF": "a program",
+    b"\x89HDF": "an HDF5 file (export it to CSV)",
+    b"MATLAB": "a MATLAB file (export it to CSV)",
+    b"SQLite": "an SQLite database",
+    b"PARE": "an encrypted Parquet file (export it without)",
+}
+_KNOWN = "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, a flight record in Parquet or CSV, JSBSim's CSV"
+_HEAD_BYTES = 65536
+
+
+def detect(path: Path) -> str:
+    """dataflash | dataflash-text | tlog | ulog | parquet | jsbsim-csv | csv. LogError for anything else."""
+    try:
+        with open_regular(path) as handle:
+            head = handle.read(_HEAD_BYTES)
+    except FileNotFoundError:
+        raise LogError("no such file", path) from None
+    except IsADirectoryError:
+        raise LogError(f"is a folder; give a file: {_KNOWN}", path) from None
+    except OSError as e:
+        raise LogError(f"cannot be read: {e.strerror}", path) from None
+    if not head:
+        raise LogError("the file is empty (0 bytes); copy the log again", path)
+    for magic, what in _FOREIGN.items():
+        if head.startswith(magic):
+            raise LogError(f"this is {what}, not a flight log; allowed are {_KNOWN}", path)
+    found = _binary(head) or _text(head)
+    if found is None:
+        raise LogError(
+            f"not recognised as a flight log (it begins with {head[:8].hex(' ')}); allowed are {_KNOWN}. "
+            "If this is one of them its beginning is damaged: copy the log again",
+            path,
+        )
+    return found
+
+
+def _binary(head: bytes) -> str | None:
+    if head.startswith(b"PAR1"):
+        return "parquet"
+    if head.startswith(b"ULog\x01\x12\x35"):
+        return "ulog"
+    if head.startswith(MAGIC) or MAGIC + bytes((FMT_TYPE, FMT_TYPE, FMT_LENGTH)) in head:
+        return "dataflash"
+    return "tlog" if _tlog_frames(head) >= min(3, max(1, len(head) // 300)) else None
+
+
+def _tlog_frames(head: bytes) -> int:
+    """Longest run of frames (8 bytes of time, then a MAVLink packet) that follow one another near the beginning."""
+    best = 0
+    for start in range(min(600, len(head) - 16)):
+        if head[start + 8] not in (0xFE, 0xFD):
+            continue
+        pos, run = start, 0
+        while pos + 12 < len(head) and head[pos + 8] in (0xFE, 0xFD):
+            pos += 8 + frame_length(head, pos + 8)
+            run += int(pos <= len(head))
+        best = max(best, run)
+        if best >= 10:
+            break
+    return best
+
+
+def frame_length(data: bytes, pos: int) -> int:
+    """Length of the MAVLink packet at `pos` by its header (version 1 or 2, signed or not)."""
+    if data[pos] == 0xFE:
+        return 8 + data[pos + 1]
+    return 12 + data[pos + 1] + (13 if data[pos + 2] & 1 else 0)
+
+
+def frame_time(data: bytes, pos: int) -> float:
+    """The 8-byte big-endian time in front of a packet, in seconds since 1970."""
+    return float(struct.unpack_from(">Q", data, pos)[0]) * 1e-6
+
+
+def _text(head: bytes) -> str | None:
+    if b"\0" in head:
+        return None
+    try:
+        # A multi-byte character may be cut at the end of the head.
+        text = head.decode("utf-8", errors="strict" if len(head) < _HEAD_BYTES else "ignore")
+    except UnicodeDecodeError:
+        return None
+    lines = [line for line in text.splitlines() if line.strip()]
+    if any(line.startswith(("FMT,", "FMT, ")) for line in lines[:20]):
+        return "dataflash-text"
+    header = next((line for line in lines if not line.startswith("#")), "")
+    names = [name.strip().strip('"') for name in header.split(",")]
+    if len(names) < 2:
+        return None
+    if names[0] == "Time" and any("/" in name or "fdm" in name for name in names):
+        return "jsbsim-csv"
+    if "time_s" in names or sum(name in SIGNALS for name in names) >= 2:
+        return "csv"
+    # A table of numbers with other names can be used with a user's map.
+    numeric = [all(_is_number(cell) for cell in line.split(",")) for line in lines[1:6] if not line.startswith("#")]
+    return "csv" if numeric and all(numeric) else None
+
+
+def _is_number(cell: str) -> bool:
+    cell = cell.strip()
+    if not cell:
+        return True
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

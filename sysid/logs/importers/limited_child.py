@@ -1,0 +1,158 @@
+"""The process that `limited` starts: it reads one file after another, each within the memory it was told, and sends data.
+
+An order is a line of JSON on standard input. An answer is a row of frames on standard output: a letter, a length of 8 bytes, so
+many bytes. r: reading begins; p: share done; c: a part, as `sysid.foreign.data_file` writes it; d: done; e: refused, the sentence;
+m: out of memory; x: failed, a traceback.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import queue
+import signal
+import struct
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from sysid.errors import LogError
+from sysid.foreign.data_file import dump
+from sysid.foreign.memory_limit import MemoryLimit
+from sysid.foreign.raw import Progress, RawLog
+
+_PROGRESS_S = 0.1
+
+
+def main() -> None:
+    """Serve orders until standard input ends, which it does with the parent."""
+    # Ctrl-C reaches the whole group; the parent decides what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # What a library prints must not come between the frames.
+    answers = os.fdopen(os.dup(1), "wb")
+    quiet = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(quiet, 1)
+    orders: queue.Queue[bytes] = queue.Queue()
+    threading.Thread(target=_receive, args=(orders,), daemon=True).start()
+    while True:
+        _serve(json.loads(orders.get()), answers)
+
+
+def _receive(orders: queue.Queue[bytes]) -> None:
+    """Take orders; end this process, whatever it is at, when there can be no more."""
+    for line in sys.stdin.buffer:
+        orders.put(line)
+    os._exit(0)
+
+
+def _serve(order: Mapping[str, Any], answers: BinaryIO) -> None:
+    try:
+        # Loading the libraries counts neither as time nor as memory of the file.
+        module, read = _READERS[order["kind"]]
+        importer = importlib.import_module(f"sysid.logs.importers.{module}")
+        _frame(answers, b"r")
+        with MemoryLimit(int(order["memory"])):
+            for part in read(importer, Path(order["path"]), order, _progress(answers)):
+                _frame(answers, b"c", dump(part))
+    except LogError as error:
+        _frame(answers, b"e", str(error).encode("utf-8", "surrogatepass"))
+    except MemoryError:
+        _frame(answers, b"m")
+    except BrokenPipeError:
+        os._exit(0)
+    except Exception:
+        _frame(answers, b"x", traceback.format_exc().encode("utf-8", "replace"))
+    else:
+        _frame(answers, b"d")
+
+
+def _frame(answers: BinaryIO, kind: bytes, content: bytes = b"") -> None:
+    answers.write(kind + struct.pack("<Q", len(content)))
+    answers.write(content)
+    answers.flush()
+
+
+def _progress(answers: BinaryIO) -> Progress:
+    last = time.monotonic()
+
+    def tell(share: float) -> None:
+        nonlocal last
+        if time.monotonic() - last >= _PROGRESS_S:
+            last = time.monotonic()
+            _frame(answers, b"p", struct.pack("<d", share))
+
+    return tell
+
+
+Parts = Iterator[tuple[Any, ...]]
+
+
+def _messages(importer: Any, path: Path, order: Mapping[str, Any], progress: Progress) -> Parts:
+    return _log_parts(importer.read(path, _wanted(order), progress))
+
+
+def _csv(tables: Any, path: Path, order: Mapping[str, Any], progress: Progress) -> Parts:
+    return _log_parts(tables.read_csv(path, _wanted(order), order["kind"] == "jsbsim-csv"))
+
+
+def _parquet(tables: Any, path: Path, order: Mapping[str, Any], progress: Progress) -> Parts:
+    return _log_parts(tables.read_parquet(path, _wanted(order), int(order["memory"])))
+
+
+def _record(tables: Any, path: Path, order: Mapping[str, Any], progress: Progress) -> Parts:
+    columns, metadata = tables.read_record(path, int(order["memory"]))
+    for name, values in columns.items():
+        yield "column", name, values
+    yield "metadata", metadata
+
+
+def _table(tables: Any, path: Path, order: Mapping[str, Any], progress: Progress) -> Parts:
+    for name, values in tables.read_small_table(path).items():
+        yield "column", name, values
+
+
+_READERS: dict[str, tuple[str, Callable[..., Parts]]] = {
+    "ulog": ("ulog", _messages),
+    "tlog": ("tlog", _messages),
+    "csv": ("tables", _csv),
+    "jsbsim-csv": ("tables", _csv),
+    "parquet": ("tables", _parquet),
+    "record": ("tables", _record),
+    "table": ("tables", _table),
+}
+
+
+def _wanted(order: Mapping[str, Any]) -> dict[str, frozenset[str]] | None:
+    wanted = order["wanted"]
+    return None if wanted is None else {message: frozenset(fields) for message, fields in wanted.items()}
+
+
+def _log_parts(raw: RawLog) -> Parts:
+    for (name, instance), table in raw.messages.items():
+        yield "table", name, instance, table.time_s, dict(table.fields)
+    yield (
+        "about",
+        {
+            "dialect": raw.dialect,
+            "counted": _texts(raw.counts), "counts": np.array(list(raw.counts.values()), dtype=np.int64),
+            "parameters": _texts(raw.parameters), "values": np.array(list(raw.parameters.values()), dtype=np.float64),
+            "said_s": np.array([t for t, _ in raw.texts], dtype=np.float64), "said": _texts(text for _, text in raw.texts),
+            "vehicle": raw.vehicle,
+            "facts": dict(raw.facts),
+            "findings": [finding.as_dict() for finding in raw.findings],
+        },
+    )  # fmt: skip
+
+
+def _texts(texts: Any) -> np.ndarray[Any, Any]:
+    found = list(texts)
+    out = np.empty(len(found), dtype=object)
+    out[:] = found
+    return out

@@ -1,0 +1,298 @@
+"""Tables as logs: a flight record in CSV or Parquet, any CSV with a user's map, and JSBSim's own CSV output.
+
+Only the columns that are asked for are read. Rows and columns are counted before memory is asked for: a cell of a table costs
+its writer a byte, or nothing where it is packed, and its reader eight.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from sysid.errors import Finding, LogError
+from sysid.foreign.limits import LIMITS, MOST_COLUMNS, MOST_COMMENT, MOST_LINE, too_much
+from sysid.foreign.raw import MessageTable, RawLog, Wanted
+from sysid.foreign.regular_files import in_words, open_regular
+from sysid.vocabulary import LABELS, SIGNALS
+
+_TIME_NAMES = ("time_s", "Time", "time", "t", "t_s", "Time (s)", "timestamp")
+_METADATA_KEY = b"flight_record"
+_CSV_MARK = "# flight_record"
+_MESSAGE = "csv"
+_ROWS_LOOKED_AT = 100
+_QUOTED = re.compile(rb'"[^"]*"')
+# Suffix of a JSBSim property -> factor into SI. Angles keep the suffix's unit (a map's scale turns them).
+_SUFFIXES = {
+    "-ft_sec2": 0.3048,
+    "-fps_sec": 0.3048,
+    "-fps": 0.3048,
+    "-ft": 0.3048,
+    "-kts": 0.514444444444,
+    "-slugs_ft3": 515.378818393,
+    "-lbs": 4.4482216152605,
+    "-lbs_ft2": 47.88025898,
+    "-psf": 47.88025898,
+    "-slugs": 14.59390294,
+    "-slug_ft2": 1.3558179483314,
+}
+
+
+def si_factor(name: str) -> float:
+    """Factor that turns a JSBSim property into SI by its suffix; 1 where the suffix is unknown or an angle."""
+    return next((f for s, f in _SUFFIXES.items() if name.endswith(s)), 1.0)
+
+
+def read_csv(path: Path, wanted: Wanted | None = None, jsbsim: bool = False) -> RawLog:
+    """One message "csv" whose fields are the columns that are wanted. Raises LogError with the line for a table that is none.
+
+    jsbsim  property names lose a leading /fdm/jsbsim/ and are turned into SI by their suffix
+    """
+    _check_csv(path)
+    with _readable("CSV table", path):
+        # All columns, for pandas says nothing of lines that are too long when it is to leave some out.
+        frame = pd.read_csv(path, comment="#", skipinitialspace=True, low_memory=False)
+    names = [_plain(name, jsbsim) for name in frame.columns]
+    kept = _kept(names, wanted, path)
+    columns = [(name, frame.iloc[:, k]) for k, name in enumerate(names) if name in kept]
+    return _from_columns(columns, len(frame), path, jsbsim)
+
+
+def read_parquet(path: Path, wanted: Wanted | None = None, most_bytes: int | None = None) -> RawLog:
+    """As `read_csv`, for Parquet; `most_bytes` of memory may be asked for."""
+    with open_regular(path) as handle:
+        file = _opened(handle, path)
+        names = [str(name).strip() for name in file.schema_arrow.names]
+        kept = _kept(names, wanted, path)
+        chosen = [(name, column) for name, column in zip(names, file.schema_arrow.names, strict=True) if name in kept]
+        columns = _read_columns(file, [column for _, column in chosen], path, most_bytes)
+        named = [(name, values) for (name, _), values in zip(chosen, columns, strict=True)]
+        return _from_columns(named, file.metadata.num_rows, path, False)
+
+
+def read_record(path: Path, most_bytes: int | None = None) -> tuple[dict[str, NDArray[Any]], str]:
+    """Columns and metadata (JSON) of a flight record, recognised by content. Raises LogError naming file and column."""
+    with open_regular(path) as handle:
+        packed = handle.read(4) == b"PAR1"
+    columns, metadata = _record_parquet(path, most_bytes) if packed else _record_csv(path)
+    if not len(next(iter(columns.values()), ())):
+        raise LogError("it has a header and no rows; write the record again", path)
+    return columns, metadata
+
+
+def read_small_table(path: Path) -> dict[str, NDArray[Any]]:
+    """Columns of a CSV table with a header, texts where they are not numbers throughout. Raises LogError."""
+    _check_csv(path)
+    with _readable("CSV table", path):
+        frame = pd.read_csv(path, dtype={"manoeuvre": str, "flight": str})
+    return {str(name): _plain_values(frame[name]) for name in frame.columns}
+
+
+def _record_csv(path: Path) -> tuple[dict[str, NDArray[Any]], str]:
+    _check_csv(path)
+    with _readable("flight record", path):
+        with path.open(encoding="utf-8") as handle:
+            first = handle.readline()
+        metadata = first.removeprefix(_CSV_MARK).strip() if first.startswith(_CSV_MARK) else ""
+        names = list(pd.read_csv(path, comment="#", nrows=0).columns)
+        # pandas' own row numbers: DataFrame.to_csv writes them unless told not to.
+        numbered = bool(names) and names[0] == "Unnamed: 0"
+        _refuse_unknown(names[1:] if numbered else names, path)
+        frame = pd.read_csv(path, comment="#")
+    if numbered:
+        if not pd.api.types.is_integer_dtype(frame.iloc[:, 0]):
+            _refuse_unknown(names, path)
+        frame = frame.iloc[:, 1:]
+    return {str(name): _record_column(frame[name], str(name), path) for name in frame.columns}, metadata
+
+
+def _record_parquet(path: Path, most_bytes: int | None) -> tuple[dict[str, NDArray[Any]], str]:
+    with open_regular(path) as handle:
+        file = _opened(handle, path)
+        names = file.schema_arrow.names
+        _refuse_unknown(names, path)
+        columns = {
+            name: _record_column(values, name, path)
+            for name, values in zip(names, _read_columns(file, names, path, most_bytes), strict=True)
+        }
+        return columns, (file.schema_arrow.metadata or {}).get(_METADATA_KEY, b"").decode("utf-8", "replace")
+
+
+def _refuse_unknown(names: Sequence[Any], path: Path) -> None:
+    unknown = next((name for name in names if str(name) not in SIGNALS), None)
+    if unknown is not None:
+        raise LogError(f"unknown column '{str(unknown)[:80]}'; allowed are {sorted(SIGNALS)}, or give a --map", path)
+
+
+def _record_column(series: pd.Series, name: str, path: Path) -> NDArray[Any]:
+    if name in LABELS:
+        return series.fillna("").astype(str).to_numpy(dtype=object)
+    numbers, bad = _numbers(series)
+    if bool(bad.any()):
+        row = int(np.argmax(bad))
+        raise LogError(f"column {name} holds '{series.iloc[row]}', which is not a number", path, f"row {row + 1}")
+    return numbers
+
+
+def _plain_values(series: pd.Series) -> NDArray[Any]:
+    if pd.api.types.is_numeric_dtype(series):
+        return series.to_numpy(dtype=np.float64)
+    return series.fillna("").astype(str).to_numpy(dtype=object)
+
+
+def _numbers(series: pd.Series) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """The values as numbers (NaN where they are none), and where they are something else than a number or nothing."""
+    try:
+        numbers = pd.to_numeric(series, errors="coerce")
+    except OverflowError:  # an integer beyond what a float holds; as text it is infinite
+        numbers = pd.to_numeric(series.astype(str), errors="coerce")
+    return numbers.to_numpy(dtype=np.float64), (numbers.isna() & series.notna()).to_numpy()
+
+
+@contextmanager
+def _readable(kind: str, path: Path) -> Iterator[None]:
+    """What a library raises for damage, as a LogError. Want of memory is told otherwise: see `limited`."""
+    try:
+        yield
+    except (LogError, MemoryError):
+        raise
+    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        why = " ".join(str(error).split())[:160]
+        raise LogError(f"not a readable {kind} ({type(error).__name__}: {why})", path) from None
+
+
+def _check_csv(path: Path) -> None:
+    """Refuse a table that is wider, or whose lines are longer, than any flight's, and one whose cells would fill the memory."""
+    with open_regular(path) as handle:
+        columns = number = rows_seen = 0
+        cells: dict[int, int] = {}
+        while rows_seen < _ROWS_LOOKED_AT and (line := handle.readline(MOST_COMMENT + 1)):
+            number += 1
+            most = MOST_COMMENT if line.startswith(b"#") else MOST_LINE
+            if len(line) > most:
+                raise LogError(f"has more than {in_words(most)}; a table's lines are shorter", path, f"line {number}")
+            if not line.startswith(b"#") and line.strip():
+                rows_seen += 1
+                columns = max(columns, line.count(b",") + 1)
+                if rows_seen <= 2:
+                    cells[number] = _QUOTED.sub(b"", line).count(b",") + 1
+        if columns > MOST_COLUMNS:
+            raise LogError(f"has {columns} columns; at most {MOST_COLUMNS} are read", path)
+        (_, named), (first, found) = [*cells.items(), (0, 0), (0, 0)][:2]
+        if found > named:
+            # The reader would take what is too much for names of rows, and every column for its neighbour.
+            raise LogError(f"has {found} cells, the header {named}; give every column a name", path, f"line {first}")
+        handle.seek(0)
+        rows = size = 0
+        while block := handle.read(1 << 20):
+            size += len(block)
+            rows += max(block.count(b"\n"), block.count(b"\r"))
+    needed, allowed = 8 * rows * columns, LIMITS["csv"].bytes(size) // 2
+    if needed > allowed:
+        raise LogError(too_much(f"{rows} lines of {columns} columns", needed, allowed), path)
+
+
+def _opened(handle: Any, path: Path) -> pq.ParquetFile:
+    """The file with its texts as dictionaries: what repeats is held once."""
+    with _readable("Parquet file", path):
+        schema = pq.read_schema(handle)
+        if len(schema.names) > MOST_COLUMNS:
+            raise LogError(f"has {len(schema.names)} columns; at most {MOST_COLUMNS} are read", path)
+        texts = [field.name for field in schema if _is_text(field.type)]
+        handle.seek(0)
+        return pq.ParquetFile(handle, read_dictionary=texts)
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_binary(kind))
+
+
+def _read_columns(file: pq.ParquetFile, names: Sequence[str], path: Path, most_bytes: int | None) -> Iterator[pd.Series]:
+    """One column after another, so that packed and unpacked are never both there as a whole."""
+    twice = next((name for name in names if file.schema_arrow.names.count(name) > 1), None)
+    if twice is not None:
+        raise LogError(f"has several columns '{twice}'; export it with one", path)
+    for name in names:
+        kind = file.schema_arrow.field(name).type
+        if pa.types.is_nested(kind):
+            raise LogError(f"column {name} holds {str(kind)[:60]}, not one number a row; export it flat", path)
+    rows = file.metadata.num_rows
+    needed, allowed = 8 * rows * len(names), (LIMITS["parquet"].bytes(0) if most_bytes is None else most_bytes) // 2
+    if needed > allowed:
+        raise LogError(too_much(f"{rows} rows of {len(names)} columns", needed, allowed), path)
+    for name in names:
+        with _readable("Parquet file", path):
+            column = file.read(columns=[name], use_threads=False).column(name)
+            if len(column) != rows:
+                raise LogError(f"column {name} has {len(column)} rows, the file says {rows}; export it again", path)
+            values = _series(column)
+        yield values
+
+
+def _series(column: pa.ChunkedArray) -> pd.Series:
+    if not pa.types.is_dictionary(column.type):
+        return column.to_pandas()
+    column = column.unify_dictionaries()
+    texts = column.chunk(0).dictionary.to_pylist() if column.num_chunks else []
+    if any(isinstance(text, bytes) for text in texts):
+        texts = [text.decode("utf-8") for text in texts]
+    codes = np.concatenate([chunk.indices.fill_null(-1).to_numpy() for chunk in column.chunks] or [[]]).astype(np.int64)
+    values = np.empty(len(texts) + 1, dtype=object)
+    values[:-1] = texts
+    return pd.Series(values[codes])
+
+
+def _plain(name: Any, jsbsim: bool) -> str:
+    text = str(name).strip()
+    return text.removeprefix("/fdm/jsbsim/") if jsbsim else text
+
+
+def _kept(names: Sequence[str], wanted: Wanted | None, path: Path) -> set[str]:
+    """The names that are to be read. Raises LogError where there is no time."""
+    time_name = _time_name(names, path)
+    return set(names) if wanted is None else {time_name, *wanted.get(_MESSAGE, ())}
+
+
+def _time_name(names: Sequence[str], path: Path) -> str:
+    found = next((name for name in _TIME_NAMES if name in names), None)
+    if found is None:
+        received = [name[:80] for name in names[:8]]
+        raise LogError(f"no time column; it must be one of {_TIME_NAMES}, received {received}", path)
+    return found
+
+
+def _from_columns(columns: Any, rows: int, path: Path, jsbsim: bool) -> RawLog:
+    if rows < 2:
+        raise LogError(f"only {rows} rows; a flight needs at least two", path)
+    fields: dict[str, NDArray[Any]] = {}
+    findings = []
+    for name, series in columns:
+        numbers, wrong = _numbers(series)
+        bad = int(wrong.sum())
+        if bad == rows or (bad and name not in _TIME_NAMES and bad > rows // 2):
+            fields[name] = series.astype(str).to_numpy(dtype=object)
+            continue
+        if bad:
+            row = int(np.argmax(wrong)) + 2
+            text = f"{bad} cells of column {name} are no numbers (the first in line {row}); they count as dropouts"
+            findings.append(Finding("damaged-cells", name, "warning", text, {"cells": float(bad), "line": float(row)}))
+        fields[name] = numbers * (si_factor(name) if jsbsim else 1.0)
+    time_name = _time_name(list(fields), path)
+    time_s = fields.pop(time_name)
+    if time_s.dtype == object:
+        raise LogError(f"the time column {time_name} holds text", path)
+    good = np.isfinite(time_s)
+    if good.sum() < 2:
+        raise LogError(f"the time column {time_name} holds fewer than two numbers", path)
+    fields = {n: v[good] for n, v in fields.items()}
+    dialect = "jsbsim-csv" if jsbsim else "csv"
+    table = MessageTable(time_s[good], fields)
+    return RawLog(dialect, {(_MESSAGE, 0): table}, {_MESSAGE: rows}, vehicle="JSBSim" if jsbsim else "", findings=tuple(findings))

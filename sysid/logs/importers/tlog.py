@@ -1,0 +1,183 @@
+"""MAVLink telemetry logs (.tlog): 8 bytes of time, then a packet, again and again. Packets decoded by pymavlink.
+
+Only packets of a wanted kind are decoded (the checksum is verified then), so that the cost follows what is needed.
+Each packet from another system than the first autopilot heard is left out.
+"""
+
+from __future__ import annotations
+
+import os
+from array import array
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from sysid.errors import Finding, LogError
+from sysid.foreign.raw import MessageTable, Progress, RawLog, Wanted
+from sysid.foreign.regular_files import open_regular
+from sysid.logs.importers.detect import frame_length, frame_time
+
+BLOCK_BYTES = 4 << 20
+_AUTOPILOT_TYPES = {1: "fixed wing", 2: "quadrotor", 3: "coaxial helicopter", 4: "helicopter", 10: "rover", 11: "boat",
+                    12: "submarine", 13: "hexarotor", 14: "octorotor", 15: "tricopter", 16: "flapping wing",
+                    19: "VTOL tail-sitter", 20: "VTOL tail-sitter", 21: "VTOL tiltrotor", 22: "VTOL"}  # fmt: skip
+_NOT_VEHICLES = {5, 6, 18, 26, 27, 30}  # antenna tracker, ground station, onboard controller, gimbal, ADSB, camera
+_BOOT_FIELDS = (("time_boot_ms", 1e-3), ("time_usec", 1e-6), ("time_us", 1e-6))
+
+
+class _Tlog:
+    def __init__(self, wanted: Wanted | None) -> None:
+        # `mavlink.mavlink_map` is keyed by packet number; MAVLink classes know their fields.
+        everything = {cls.msgname: number for number, cls in mavlink.mavlink_map.items()}
+        names = set(everything if wanted is None else wanted) | {"HEARTBEAT", "STATUSTEXT", "PARAM_VALUE"}
+        self.wanted = wanted
+        self.names = {everything[n]: n for n in names if n in everything}
+        self.all_names = {number: n for n, number in everything.items()}
+        self.parser = mavlink.MAVLink(None)
+        self.receipt: dict[str, array[float]] = defaultdict(lambda: array("d"))
+        self.boot: dict[str, array[float]] = defaultdict(lambda: array("d"))
+        self.values: dict[str, dict[str, array[float]]] = defaultdict(lambda: defaultdict(lambda: array("d")))
+        self.counts: dict[str, int] = defaultdict(int)
+        self.texts: list[tuple[float, str]] = []
+        self.parameters: dict[str, float] = {}
+        self.system: int | None = None
+        self.vehicle_type: int | None = None
+        self.bad_packets = 0
+        self.skipped_bytes = 0
+
+    def block(self, data: bytes, last: bool) -> int:
+        """Work through the whole frames of `data`; return the bytes used."""
+        pos, size = 0, len(data)
+        while pos + 20 <= size:
+            if data[pos + 8] in (0xFE, 0xFD):
+                end = pos + 8 + frame_length(data, pos + 8)
+                if end > size:
+                    # Cut off at the end of the file, unless it was no frame at all.
+                    if last:
+                        break
+                    return pos
+                # A frame counts when another one follows, or the block ends with it.
+                if end + 9 > size or data[end + 8] in (0xFE, 0xFD):
+                    self._packet(data, pos, end)
+                    pos = end
+                    continue
+            pos += 1
+            self.skipped_bytes += 1
+        if last:
+            self.skipped_bytes += max(0, size - pos)
+            return size
+        return pos
+
+    def _packet(self, data: bytes, pos: int, end: int) -> None:
+        two = data[pos + 8] == 0xFD
+        number = int.from_bytes(data[pos + 15 : pos + 18], "little") if two else data[pos + 13]
+        self.counts[self.all_names.get(number, "unknown")] += 1
+        name = self.names.get(number)
+        if name is None:
+            return
+        try:
+            message = self.parser.decode(bytearray(data[pos + 8 : end]))
+        except MemoryError:
+            raise
+        except Exception:  # pymavlink raises struct.error, KeyError, MAVError... for a damaged packet
+            self.bad_packets += 1
+            return
+        self._keep(name, message, frame_time(data, pos))
+
+    def _keep(self, name: str, message: Any, receipt_s: float) -> None:
+        system = message.get_srcSystem()
+        if name == "HEARTBEAT" and message.type not in _NOT_VEHICLES and self.system is None:
+            self.system, self.vehicle_type = system, int(message.type)
+        if self.system is not None and system != self.system:
+            return
+        if name == "STATUSTEXT":
+            self.texts.append((receipt_s, str(message.text)))
+            return
+        if name == "PARAM_VALUE":
+            self.parameters[str(message.param_id)] = float(message.param_value)
+            return
+        if name == "HEARTBEAT" and message.type in _NOT_VEHICLES:
+            return
+        self.receipt[name].append(receipt_s)
+        boot = next((getattr(message, f) * s for f, s in _BOOT_FIELDS if f in message.fieldnames), float("nan"))
+        self.boot[name].append(boot)
+        store = self.values[name]
+        for f in message.fieldnames:
+            value = getattr(message, f)
+            if isinstance(value, int | float) and (self.wanted is None or f in self.wanted.get(name, ())):
+                store[f].append(float(value))
+
+
+def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = None) -> RawLog:
+    """Read a .tlog; message times are the vehicle's own (time since boot) where a message carries one, otherwise
+    the time of receipt moved onto the vehicle's clock. Raises LogError when no packet can be read."""
+    state = _Tlog(wanted)
+    rest, done = b"", 0
+    with open_regular(path) as handle:
+        size = max(1, os.fstat(handle.fileno()).st_size)
+        while True:
+            fresh = handle.read(BLOCK_BYTES)
+            data = rest + fresh
+            used = state.block(data, last=not fresh)
+            rest, done = data[used:], done + used
+            if progress is not None:
+                progress(done / size)
+            if not fresh:
+                break
+    if not state.receipt:
+        raise LogError(
+            f"no MAVLink packet with flight data could be read in {size} bytes"
+            f" ({state.bad_packets} packets failed their checksum); record the telemetry again",
+            path,
+        )
+    offset = _clock_offset(state)
+    messages = {}
+    for name, receipt in state.receipt.items():
+        arrived = np.frombuffer(receipt, dtype=np.float64) - offset
+        boot = np.frombuffer(state.boot[name], dtype=np.float64)
+        # Some senders put the date into time_usec; it is then as good as the time of receipt.
+        on_clock = np.isfinite(boot) & (np.abs(boot - arrived) < 3600.0)
+        time_s = np.where(on_clock, boot, arrived)
+        fields = {f: np.frombuffer(v, dtype=np.float64) for f, v in state.values[name].items()}
+        messages[(name, 0)] = MessageTable(time_s, {f: v for f, v in fields.items() if len(v) == len(time_s)})
+    kind = state.vehicle_type
+    return RawLog(
+        dialect="tlog",
+        messages=messages,
+        counts=dict(state.counts),
+        parameters=state.parameters,
+        texts=tuple((t - offset, text) for t, text in state.texts),
+        vehicle="" if kind is None else _AUTOPILOT_TYPES.get(kind, f"MAV_TYPE {kind}"),
+        facts={} if kind is None else {"mav_type": float(kind)},
+        findings=tuple(_findings(state, size)),
+    )
+
+
+def _clock_offset(state: _Tlog) -> float:
+    """Receipt time minus boot time: the smallest difference seen, i.e. the packet that was least delayed.
+
+    The boot clock of ATTITUDE and GLOBAL_POSITION_INT counts; without either, time zero is the first packet.
+    """
+    best = []
+    for name in ("ATTITUDE", "GLOBAL_POSITION_INT", "SYSTEM_TIME", "SCALED_IMU2"):
+        if name in state.receipt:
+            late = np.frombuffer(state.receipt[name], dtype=np.float64) - np.frombuffer(state.boot[name], dtype=np.float64)
+            late = late[np.isfinite(late)]
+            if len(late):
+                # 5 % quantile, not the minimum: one packet with a damaged time must not move the clock.
+                best.append(float(np.quantile(late, 0.05)))
+    return min(best) if best else min(float(r[0]) for r in state.receipt.values())
+
+
+def _findings(state: _Tlog, size: int) -> list[Finding]:
+    out = []
+    if state.skipped_bytes:
+        text = f"{state.skipped_bytes} of {size} bytes belong to no packet: the log is damaged or cut short"
+        out.append(Finding("damaged-bytes", "", "warning", text, {"bytes": float(state.skipped_bytes)}))
+    if state.bad_packets:
+        text = f"{state.bad_packets} packets failed their checksum and were left out"
+        out.append(Finding("damaged-packets", "", "warning", text, {"packets": float(state.bad_packets)}))
+    return out

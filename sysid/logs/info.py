@@ -1,0 +1,213 @@
+"""What a log is good for, purpose by purpose, with the reason. Pure: from a record to a report."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sysid.errors import Finding
+from sysid.record import FlightRecord
+from sysid.vocabulary import SURFACES
+
+IDENTIFICATION_MIN_HZ = 20.0  # short periods of small aircraft lie near 1 Hz: twenty samples a cycle
+REPLAY_MIN_HZ = 10.0
+LOITER_MIN_HZ = 1.0
+LOITER_MIN_S = 300.0
+MIN_MOVING_DEG = 0.5
+_NOT_AEROPLANES = re.compile(r"copter|rover|sub\b|quad|hexa|octo|tricopter|helicopter|boat|antenna|blimp|rotary", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Purpose:
+    """name  loiter-metrics | replay | identification; serves  the verdict; reason  why (not), in a sentence."""
+
+    name: str
+    serves: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class LogInfo:
+    """The report of `log info`. `duration_s` and `flight_s` in seconds; rates in Hz by channel."""
+
+    source: str
+    dialect: str
+    vehicle: str
+    duration_s: float
+    start_s: float
+    flight_s: tuple[float, float] | None
+    grid_hz: float
+    rates_hz: Mapping[str, float]
+    channels: Mapping[str, str]
+    findings: tuple[Finding, ...]
+    purposes: tuple[Purpose, ...]
+
+    @property
+    def serves(self) -> bool:
+        """True when at least one purpose is served."""
+        return any(p.serves for p in self.purposes)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For --json."""
+        return {
+            "source": self.source,
+            "dialect": self.dialect,
+            "vehicle": self.vehicle,
+            "duration_s": self.duration_s,
+            "start_s": self.start_s,
+            "free_flight_s": None if self.flight_s is None else list(self.flight_s),
+            "grid_hz": self.grid_hz,
+            "channels": {n: {"source": self.channels.get(n, ""), "rate_hz": self.rates_hz.get(n)} for n in self.channels},
+            "findings": [f.as_dict() for f in self.findings],
+            "purposes": {p.name: {"serves": p.serves, "reason": p.reason} for p in self.purposes},
+            "serves": self.serves,
+        }
+
+
+def log_info(record: FlightRecord) -> LogInfo:
+    """Judge a record of a whole log (as `import_log` returns it)."""
+    meta = record.metadata
+    time = record["time_s"]
+    flight_s = meta.free_flight_s[0] if meta.free_flight_s else None
+    obstacle = _no_flight(record)
+    flight = record if flight_s is None else record.between(*flight_s)
+    judged = {"loiter-metrics": _loiter, "replay": _replay, "identification": _identification}
+    purposes = []
+    for name, judge in judged.items():
+        serves, reason = (False, obstacle) if obstacle else judge(flight)
+        purposes.append(Purpose(name, serves, reason))
+    channels = dict(meta.channels) or {n: "column" for n in record.columns if n != "time_s"}
+    return LogInfo(
+        source=meta.source,
+        dialect=meta.dialect,
+        vehicle=meta.vehicle,
+        duration_s=float(time[-1] - time[0]),
+        start_s=float(time[0]),
+        flight_s=flight_s,
+        grid_hz=1.0 / record.dt_s,
+        rates_hz=dict(meta.native_hz) or dict.fromkeys(channels, 1.0 / record.dt_s),
+        channels=channels,
+        findings=meta.findings,
+        purposes=tuple(purposes),
+    )
+
+
+def _no_flight(record: FlightRecord) -> str:
+    """Reason for which nothing can be served, "" when there is none."""
+    meta = record.metadata
+    if _NOT_AEROPLANES.search(meta.vehicle):
+        return f"no aeroplane: the log is of '{meta.vehicle}'"
+    negative = _finding(record, "negative-airspeed")
+    never = "" if meta.free_flight_s or meta.dialect in ("record", "") else _phase_text(record)
+    vtol = f" ({meta.vehicle})" if "VTOL" in meta.vehicle else ""
+    reasons = [r for r in (never and never + vtol, negative) if r]
+    return "; ".join(reasons)
+
+
+def _phase_text(record: FlightRecord) -> str:
+    return _finding(record, "flight-phase") or "no part of it is free flight"
+
+
+def _finding(record: FlightRecord, code: str) -> str:
+    return next((f.message for f in record.metadata.findings if f.code == code), "")
+
+
+def _missing(record: FlightRecord, names: tuple[str, ...]) -> list[str]:
+    return [n for n in names if n not in record or not np.isfinite(record[n]).any()]
+
+
+def _rate(record: FlightRecord, names: tuple[str, ...]) -> float:
+    """Slowest native rate among `names` that are there; the grid's own rate where the log does not say."""
+    native = record.metadata.native_hz
+    return min((native.get(n, 1.0 / record.dt_s) for n in names if n in record), default=float("nan"))
+
+
+def _loiter(record: FlightRecord) -> tuple[bool, str]:
+    path = ("cross_track_m",) if not _missing(record, ("cross_track_m",)) else ("north_m", "east_m")
+    missing = _missing(record, (*path, "h_m", "V_mps"))
+    if missing:
+        return False, f"no {', '.join(missing)}"
+    rate = _rate(record, (*path, "h_m", "V_mps"))
+    if rate < 0.9 * LOITER_MIN_HZ:
+        return False, f"the slowest of path, height and speed is logged at {rate:.2g} Hz; at least {LOITER_MIN_HZ:g} Hz"
+    loiter_s = _loiter_seconds(record)
+    if loiter_s < LOITER_MIN_S:
+        return False, f"only {loiter_s:.0f} s of circling flight; at least {LOITER_MIN_S:.0f} s give stable medians"
+    return True, f"{loiter_s / 60:.1f} min of circling flight with {', '.join(path)}, height and speed at {rate:.1f} Hz"
+
+
+def _loiter_seconds(record: FlightRecord) -> float:
+    """Time in the mode LOITER (or CIRCLE), else time on turns of one sense that go round at least three times."""
+    if "mode" in record:
+        inside = (record["mode"] == "LOITER") | (record["mode"] == "CIRCLE")
+        if inside.any():
+            return float(inside.sum() * record.dt_s)
+    if "psi_rad" not in record:
+        return 0.0
+    psi = record["psi_rad"]
+    turned = np.unwrap(psi[np.isfinite(psi)])
+    if not len(turned) or abs(turned[-1] - turned[0]) < 6 * np.pi:
+        return 0.0
+    rate = abs(turned[-1] - turned[0]) / (len(turned) * record.dt_s)
+    return float(len(turned) * record.dt_s) if rate > 0.02 else 0.0
+
+
+def _moving(record: FlightRecord) -> list[str]:
+    spans = {n: float(np.nanmax(record[n]) - np.nanmin(record[n])) for n in SURFACES if not _missing(record, (n,))}
+    return [n for n, span in spans.items() if span > MIN_MOVING_DEG]
+
+
+def _surfaces(record: FlightRecord) -> str:
+    """Reason for which the surfaces do not serve, "" when they do."""
+    positions = tuple(n.replace("_deg", "_pos_deg") for n in SURFACES)
+    if all(not _missing(record, (p,)) for p in positions):
+        return ""
+    missing = _missing(record, SURFACES)
+    if len(missing) == len(SURFACES):
+        needs = _finding(record, "no-card")
+        return f"no surfaces: {needs}" if needs else "no surfaces are logged"
+    if not _moving(record):
+        return f"the surfaces stand still (less than {MIN_MOVING_DEG} deg)"
+    return f"no {', '.join(missing)}" if missing else ""
+
+
+def _replay(record: FlightRecord) -> tuple[bool, str]:
+    missing = _missing(record, ("V_mps", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "h_m"))
+    if missing:
+        return False, f"no {', '.join(missing)}"
+    if reason := _surfaces(record):
+        return False, reason
+    if _missing(record, ("throttle_pct",)):
+        return False, "no throttle_pct"
+    rate = _rate(record, (*SURFACES, "p_radps", "q_radps", "r_radps"))
+    if rate < 0.75 * REPLAY_MIN_HZ:
+        return False, f"commands and rates come at {rate:.1f} Hz; a replay needs at least {REPLAY_MIN_HZ:g} Hz"
+    note = "" if rate >= 20 else "; at this rate fast manoeuvres are blurred"
+    return True, f"surfaces, throttle, attitude, rates, speed and height at {rate:.1f} Hz or more{note}"
+
+
+def _identification(record: FlightRecord) -> tuple[bool, str]:
+    rates = ("p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
+    missing = _missing(record, (*rates, "V_mps"))
+    if missing:
+        return False, f"no {', '.join(missing)}"
+    if reason := _surfaces(record):
+        return False, reason
+    rate = min(_rate(record, rates), _rate(record, SURFACES))
+    if rate < 0.95 * IDENTIFICATION_MIN_HZ:
+        return False, f"rates, accelerations or surfaces come at {rate:.1f} Hz; at least {IDENTIFICATION_MIN_HZ:g} Hz"
+    bad = [f for f in record.metadata.findings if f.severity == "error" and f.channel in (*rates, *SURFACES, "V_mps")]
+    if bad:
+        return False, bad[0].message
+    estimates = [n for n in record.metadata.estimates if n in ("alpha_rad", "beta_rad")]
+    if estimates:
+        note = f"; {' and '.join(estimates)} are estimates: good in calm air only"
+    elif _missing(record, ("alpha_rad", "beta_rad")):
+        note = "; no alpha or beta: reconstruct the flight path first"
+    else:
+        note = ""
+    return True, f"rates, accelerations and surfaces at {rate:.1f} Hz or more, surfaces moving{note}"

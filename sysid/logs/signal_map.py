@@ -1,0 +1,229 @@
+"""Signal maps: which message and field of a log dialect becomes which signal. Data in TOML, read and checked here."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from sysid.errors import LogError
+from sysid.foreign.parsed_text import ParseError, parse_toml
+from sysid.foreign.regular_files import read_regular_text
+from sysid.vocabulary import SIGNALS
+
+FUNCTIONS: dict[str, int] = {
+    # name -> number of fields it takes
+    "value": 1,
+    "heading": 1,  # any angle -> 0 .. 2 pi
+    "product": 2,
+    "polar_cos": 2,  # (magnitude, direction in degrees) -> component along the zero direction
+    "polar_sin": 2,
+    "quaternion_roll": 4,  # (w, x, y, z), body to north-east-down
+    "quaternion_pitch": 4,
+    "quaternion_yaw": 4,
+    "north_of_start": 2,  # (latitude, longitude) after scale, in degrees
+    "east_of_start": 2,
+    "above_start": 1,  # minus the median of the first second
+    "density_of_eas2tas": 1,  # 1.225 / ratio^2
+}
+_KEYS = {"message", "instance", "field", "fields", "scale", "offset", "table", "function", "estimate", "times"}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One way to obtain one signal: y = table or offset + scale * function(fields), times another message's field.
+
+    table  pairs (x, y), linear between and beyond its ends held; takes the place of scale and offset
+    times  (message, field) that multiplies the result, interpolated; the factor is 1 where that message is absent
+    """
+
+    message: str
+    instance: int
+    fields: tuple[str, ...]
+    scale: float = 1.0
+    offset: float = 0.0
+    table: tuple[tuple[float, float], ...] = ()
+    function: str = "value"
+    estimate: bool = False
+    times: tuple[str, str] | None = None
+
+    @property
+    def label(self) -> str:
+        """Short name, e.g. "IMU.GyrY", "RCOU.C2", "GPS.Spd+GCrs"."""
+        instance = f"[{self.instance}]" if self.instance else ""
+        extra = f" x {self.times[0]}.{self.times[1]}" if self.times else ""
+        return f"{self.message}{instance}.{'+'.join(self.fields)}{extra}"
+
+
+@dataclass(frozen=True)
+class ServoOutputs:
+    """Where a dialect logs the servo outputs: message, instance and a field pattern with {n} for the channel number."""
+
+    message: str
+    instance: int
+    field: str
+
+    def field_of(self, number: int) -> str:
+        """Field name of a channel by the number that the log gives it."""
+        return self.field.replace("{n}", str(number))
+
+
+@dataclass(frozen=True)
+class SignalMap:
+    """entries: signal -> candidates, the first that the log carries wins."""
+
+    name: str
+    entries: Mapping[str, tuple[Entry, ...]]
+    servos: ServoOutputs | None = None
+    needs: Mapping[str, frozenset[str]] = field(default_factory=dict)
+
+    def wanted(self) -> dict[str, frozenset[str]]:
+        """message -> fields, for the importers."""
+        out: dict[str, set[str]] = {m: set(f) for m, f in self.needs.items()}
+        for candidates in self.entries.values():
+            for entry in candidates:
+                out.setdefault(entry.message, set()).update(entry.fields)
+                if entry.times:
+                    out.setdefault(entry.times[0], set()).add(entry.times[1])
+        if self.servos is not None:
+            channels = {self.servos.field_of(n) for n in range(17)}
+            out.setdefault(self.servos.message, set()).update(channels)
+        return {m: frozenset(f) for m, f in out.items()}
+
+    def overlaid(self, other: SignalMap) -> SignalMap:
+        """This map with every signal that `other` names taken from `other`."""
+        return SignalMap(
+            f"{self.name} + {other.name}",
+            {**self.entries, **other.entries},
+            other.servos or self.servos,
+            {**self.needs, **other.needs},
+        )
+
+
+def shipped_dialects() -> list[str]:
+    """Names of the maps that come with the package."""
+    folder = resources.files("sysid.logs") / "signal_maps"
+    return sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml"))
+
+
+def shipped_map(dialect: str) -> SignalMap:
+    """The package's own map of a dialect; LogError when there is none."""
+    if dialect not in shipped_dialects():
+        raise LogError(f"no signal map for dialect '{dialect}'; there are {shipped_dialects()}")
+    source = (resources.files("sysid.logs") / "signal_maps" / f"{dialect}.toml").read_text(encoding="utf-8")
+    return parse_map(source, dialect)
+
+
+def read_map(path: Path) -> SignalMap:
+    """A user's map file; LogError with file and key when it cannot be used."""
+    try:
+        source = read_regular_text(path)
+    except OSError as e:
+        raise LogError(f"cannot read this signal map: {e.strerror or e}; give a TOML file", path) from None
+    except UnicodeDecodeError:
+        raise LogError("cannot read this signal map: it is not in UTF-8; give a TOML file", path) from None
+    return parse_map(source, str(path))
+
+
+def parse_map(source: str, name: str) -> SignalMap:
+    """TOML text to a map. `name` stands in error messages."""
+    try:
+        data = parse_toml(source)
+    except ParseError as e:
+        raise LogError(str(e), name) from None
+    unknown = sorted(set(data) - {"signals", "servos", "needs"})
+    if unknown:
+        raise LogError(f"unknown tables {unknown}; allowed are [signals.NAME], [servos], [needs]", name)
+    signals = data.get("signals", {})
+    if not isinstance(signals, dict):
+        raise LogError("[signals] must hold tables such as [signals.q_radps]", name)
+    entries: dict[str, tuple[Entry, ...]] = {}
+    for signal, value in signals.items():
+        if signal not in SIGNALS or signal == "time_s":
+            allowed = [s for s in SIGNALS if s != "time_s"]
+            raise LogError(f"unknown signal '{signal}'; allowed are {allowed}", name, f"[signals.{signal}]")
+        rows = value if isinstance(value, list) else [value]
+        entries[signal] = tuple(_entry(row, f"[signals.{signal}]", name) for row in rows)
+    return SignalMap(name, entries, _servos(data.get("servos"), name), _needs(data.get("needs", {}), name))
+
+
+def _needs(data: Any, name: str) -> dict[str, frozenset[str]]:
+    if not isinstance(data, dict) or not all(isinstance(fields, list) for fields in data.values()):
+        raise LogError('must hold lists such as IMU = ["GyrX"]', name, "[needs]")
+    return {message: frozenset(str(field) for field in fields) for message, fields in data.items()}
+
+
+def _servos(data: Any, name: str) -> ServoOutputs | None:
+    if data is None:
+        return None
+    if not isinstance(data, dict) or set(data) - {"message", "instance", "field"} or "message" not in data:
+        raise LogError('allowed keys are message, instance, field = "C{n}"', name, "[servos]")
+    pattern = str(data.get("field", ""))
+    if "{n}" not in pattern:
+        raise LogError(f'field = "{pattern}" must contain {{n}} for the channel number', name, "[servos]")
+    return ServoOutputs(str(data["message"]), _integer(data.get("instance", 0), name, "[servos]"), pattern)
+
+
+def _entry(row: Any, where: str, name: str) -> Entry:
+    if not isinstance(row, dict):
+        raise LogError(f"must be a table with {sorted(_KEYS)}; received {row!r}", name, where)
+    unknown = sorted(set(row) - _KEYS)
+    if unknown:
+        raise LogError(f"unknown keys {unknown}; allowed are {sorted(_KEYS)}", name, where)
+    if not isinstance(row.get("message"), str):
+        raise LogError('message = "..." is missing', name, where)
+    fields = row.get("fields", [row["field"]] if "field" in row else [])
+    if not isinstance(fields, list) or not fields or not all(isinstance(f, str) for f in fields):
+        raise LogError('field = "..." (or fields = [...]) is missing', name, where)
+    function = row.get("function", "value")
+    if not isinstance(function, str) or function not in FUNCTIONS:
+        raise LogError(f"unknown function '{function}'; allowed are {sorted(FUNCTIONS)}", name, where)
+    if len(fields) != FUNCTIONS[function]:
+        raise LogError(f"function '{function}' takes {FUNCTIONS[function]} fields; received {fields}", name, where)
+    if "table" in row and ("scale" in row or "offset" in row):
+        raise LogError("give either table or scale and offset, not both", name, where)
+    times = row.get("times")
+    if times is not None and (not isinstance(times, list) or len(times) != 2):
+        raise LogError('times must be ["MESSAGE", "field"]', name, where)
+    return Entry(
+        message=row["message"],
+        instance=_integer(row.get("instance", 0), name, where),
+        fields=tuple(fields),
+        scale=_number(row.get("scale", 1.0), name, where),
+        offset=_number(row.get("offset", 0.0), name, where),
+        table=read_table(row["table"], name, where) if "table" in row else (),
+        function=function,
+        estimate=bool(row.get("estimate", False)),
+        times=None if times is None else (str(times[0]), str(times[1])),
+    )
+
+
+def read_table(data: Any, name: str, where: str) -> tuple[tuple[float, float], ...]:
+    """Check a list of [x, y] pairs with increasing x, at least two; LogError otherwise."""
+    try:
+        pairs = tuple((float(x), float(y)) for x, y in data)
+    except (TypeError, ValueError, OverflowError):
+        raise LogError(f"a table is a list of [input, output] pairs; received {data!r}", name, where) from None
+    finite = all(math.isfinite(number) for pair in pairs for number in pair)
+    if len(pairs) < 2 or not finite or any(b[0] <= a[0] for a, b in itertools.pairwise(pairs)):
+        raise LogError(f"a table needs two or more pairs with increasing input; received {data!r}", name, where)
+    return pairs
+
+
+def _number(value: Any, name: str, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise LogError(f"must be a number; received {value!r}", name, where)
+    if not abs(value) <= sys.float_info.max:
+        raise LogError(f"must be a finite number; received {value!r}", name, where)
+    return float(value)
+
+
+def _integer(value: Any, name: str, where: str) -> int:
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise LogError(f"instance must be a whole number; received {value!r}", name, where)
+    return value

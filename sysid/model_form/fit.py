@@ -1,0 +1,208 @@
+"""From residual coefficients to intervals: regression on polynomials of flight states (dissertation eqs 2.17, 2.18).
+
+The published interval counts every sample as news. Residuals sampled at 50 Hz and filtered at some hertz are not: n samples are
+worth n/tau independent ones, tau their integral time (autocorrelation.py). By default the degrees of freedom, the residual
+variance and the leverage's weight are those of the independent ones; ``samples = "all"`` is the published way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from sysid.aerodynamics.polynomial import Term, full_polynomial, regressors, stack, term_name
+from sysid.aerodynamics.residuals import Residuals
+from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.estimation.autocorrelation import effective_samples
+from sysid.estimation.stepwise import stepwise
+from sysid.model_form.model_form import CoefficientBounds, Hull
+
+FloatArray = NDArray[np.float64]
+LONGITUDINAL = ("V_mps", "alpha_rad", "q_radps", "theta_rad")
+LATERAL = ("V_mps", "beta_rad", "p_radps", "r_radps")
+MIN_SAMPLES_PER_TERM = 2.0
+"""Effective samples a term needs; below, the polynomial's order is lowered rather than a residual fitted away."""
+_STILL = {
+    "V_mps": 0.2, "alpha_rad": 0.002, "beta_rad": 0.002, "phi_rad": 0.006, "theta_rad": 0.006, "p_radps": 0.004,
+    "q_radps": 0.004, "r_radps": 0.004, "throttle_pct": 0.5,
+}  # fmt: skip
+_STILL_SURFACE_DEG = 0.1
+"""A state whose deviation is below this varied hardly more than filtered sensor noise (Table 2.1 of the dissertation): a polynomial
+in it, and above all its growth beyond such data, would be made of noise."""
+_COLLINEAR = 1e-6  # part of a regressor's length that the ones before it must leave
+
+
+@dataclass(frozen=True)
+class Design:
+    """What one coefficient is regressed on: states, and its terms; without terms the full polynomial of ``order``."""
+
+    states: tuple[str, ...]
+    terms: tuple[Term, ...] | None = None
+    order: int = 2
+
+
+def default_designs() -> dict[str, Design]:
+    """Full second-order polynomials: CX CZ Cm in V, alpha, q, theta; CY Cl Cn in V, beta, p, r."""
+    return {c: Design(LONGITUDINAL if c in ("CX", "CZ", "Cm") else LATERAL) for c in COEFFICIENTS}
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """confidence of the interval; samples: how autocorrelation counts; select: all terms, or those a statistic asks for."""
+
+    confidence: float = 0.95
+    samples: Literal["effective", "all"] = "effective"
+    select: Literal["full", "stepwise"] = "full"
+
+
+@dataclass(frozen=True)
+class FittedBounds:
+    """An interval, what is left of the residual in each piece (flight minus fit, [(n,)]), and what was done about its terms."""
+
+    bounds: CoefficientBounds
+    left: list[FloatArray]
+    notes: tuple[str, ...] = field(default=())
+
+
+def fit_bounds(
+    residuals: Residuals, designs: Mapping[str, Design] | None = None, options: FitOptions | None = None
+) -> dict[str, FittedBounds]:
+    """Intervals of the coefficients in ``designs`` (default: all six). Raises ValueError: a missing state, too short a flight.
+
+    Terms in a state that hardly varied are left out with a note; it stays in the hull. States are normalised by their
+    mean and deviation over all samples, the same for every coefficient, so that coefficients with the same states share one
+    (X'X)^-1.
+    """
+    designs, options = designs or default_designs(), options or FitOptions()
+    states = residuals.states
+    wanted = dict.fromkeys(s for d in designs.values() for s in d.states)
+    missing = [s for s in wanted if s not in states]
+    if missing:
+        raise ValueError(f"these flights have no {', '.join(missing)} throughout; they have {', '.join(states)}")
+    scaling = {}
+    for name in wanted:
+        scaling[name] = (float(states[name].mean()), max(float(states[name].std()), _still(name)))
+    return {c: _fit(residuals, c, d, scaling, options) for c, d in designs.items()}
+
+
+def _moving(
+    coefficient: str, design: Design, scaling: Mapping[str, tuple[float, float]]
+) -> tuple[tuple[Term, ...] | None, tuple[str, ...]]:
+    """Terms without states that stood still (None: all orders are open), and a note saying so."""
+    still = [k for k, s in enumerate(design.states) if scaling[s][1] <= _still(s)]
+    if not still:
+        return design.terms, ()
+    names = ", ".join(design.states[k] for k in still)
+    wanted = design.terms if design.terms is not None else full_polynomial(len(design.states), design.order)
+    terms = tuple(t for t in wanted if not any(t[k] for k in still))
+    note = f"{coefficient}: {names} hardly varied; the bounds do not depend on it, and any other value is outside the data"
+    return terms or (tuple(0 for _ in design.states),), (note,)
+
+
+def _still(state: str) -> float:
+    return _STILL.get(state, _STILL_SURFACE_DEG)
+
+
+def _fit(
+    residuals: Residuals, coefficient: str, design: Design, scaling: Mapping[str, tuple[float, float]], options: FitOptions
+) -> FittedBounds:  # fmt: skip
+    y = residuals.columns(coefficient)
+    n = sum(residuals.lengths)
+    open_terms, said_of_states = _moving(coefficient, design, scaling)
+    asked = open_terms if open_terms is not None else full_polynomial(len(design.states), design.order)
+    orders = [None] if design.terms is not None else range(design.order, -1, -1)
+    n_effective, notes = float(n), list[str]()
+    for order in orders:
+        terms = asked if order is None else tuple(t for t in asked if sum(t) <= order)
+        kept, said = _chosen(residuals, coefficient, design, terms, scaling, options)
+        if n <= len(kept):
+            continue
+        x = _design_matrix(residuals, design, kept, scaling)
+        left = _left(x, np.concatenate(y), residuals.lengths)
+        n_effective = effective_samples(left) if options.samples == "effective" else float(n)
+        if n_effective >= MIN_SAMPLES_PER_TERM * len(kept):
+            if order is not None and order < design.order:
+                notes.append(f"{coefficient}: too short a flight for order {design.order}; order {order} was fitted")
+            bounds = _bounds(residuals, design, kept, scaling, x, np.concatenate(y), left, n_effective, options)
+            return FittedBounds(bounds, left, (*said_of_states, *notes, *said))
+    raise ValueError(
+        f"{coefficient}: {n} samples are worth {n_effective:.0f} independent ones, at least {MIN_SAMPLES_PER_TERM:g} a term are "
+        "needed; fly longer or choose fewer terms"
+    )
+
+
+def _design_matrix(
+    residuals: Residuals, design: Design, terms: Sequence[Term], scaling: Mapping[str, tuple[float, float]]
+) -> FloatArray:
+    centre, scale = (np.array([scaling[s][k] for s in design.states]) for k in (0, 1))
+    return regressors((stack(residuals.states, design.states) - centre) / scale, terms)
+
+
+def _chosen(
+    residuals: Residuals, coefficient: str, design: Design, terms: Sequence[Term],
+    scaling: Mapping[str, tuple[float, float]], options: FitOptions,
+) -> tuple[tuple[Term, ...], list[str]]:  # fmt: skip
+    """Terms that the data tell apart, in order (those that a stepwise choice keeps, if asked for), and what was left out."""
+    x = _design_matrix(residuals, design, terms, scaling)
+    independent, basis = [], np.zeros((len(x), 0))
+    for k in range(x.shape[1]):
+        length = float(np.linalg.norm(x[:, k]))
+        own = x[:, k] / length if length > 0.0 else x[:, k]
+        for _ in range(2):
+            own = own - basis @ (basis.T @ own)
+        rest = float(np.linalg.norm(own))
+        if rest > _COLLINEAR:
+            independent.append(k)
+            basis = np.column_stack([basis, own / rest])
+    notes = []
+    lost = [term_name(terms[k], design.states) for k in range(len(terms)) if k not in independent]
+    if lost:
+        notes.append(f"{coefficient}: the flights do not tell {', '.join(lost)} apart from other terms; left out")
+    if options.select == "stepwise":
+        constant = [i for i, k in enumerate(independent) if not any(terms[k])]
+        y = np.concatenate(residuals.columns(coefficient))
+        chosen = stepwise(x[:, independent], y, keep=constant, segments=residuals.lengths)
+        independent = [independent[i] for i in chosen.selected]
+        names = ", ".join(term_name(terms[k], design.states) for k in independent)
+        notes.append(f"{coefficient}: stepwise choice of {names or 'no term'} among {len(terms)}")
+    return tuple(terms[k] for k in independent), notes
+
+
+def _left(x: FloatArray, y: FloatArray, lengths: Sequence[int]) -> list[FloatArray]:
+    """What least squares leaves of y (n,), piece by piece."""
+    beta = np.linalg.lstsq(x, y, rcond=None)[0] if x.shape[1] else np.zeros(0)
+    return list(np.split(y - x @ beta, np.cumsum(lengths)[:-1]))
+
+
+def _bounds(
+    residuals: Residuals, design: Design, terms: tuple[Term, ...], scaling: Mapping[str, tuple[float, float]],
+    x: FloatArray, y: FloatArray, left: Sequence[FloatArray], n_effective: float, options: FitOptions,
+) -> CoefficientBounds:  # fmt: skip
+    q, r = np.linalg.qr(x)
+    inverse = np.linalg.inv(r)
+    beta = inverse @ (q.T @ y)
+    n, m = x.shape
+    dof = n_effective - m  # n - (k + 1) with k regressors beside the constant
+    # Residual sum over its degrees of freedom; with every sample counted it is the published mean squared error.
+    s2 = sum(float(e @ e) for e in left) / n * n_effective / dof
+    states = stack(residuals.states, design.states)
+    return CoefficientBounds(
+        states=design.states, centre=np.array([scaling[s][0] for s in design.states]),
+        scale=np.array([scaling[s][1] for s in design.states]), terms=terms, beta_hat=beta, XtX_inv=inverse @ inverse.T,
+        s2=s2, dof=float(dof), t=float(stats.t.ppf(0.5 + 0.5 * options.confidence, dof)), confidence=options.confidence,
+        leverage_factor=n / n_effective, n=n, n_effective=n_effective, walk_rate=float("nan"),
+        hull=Hull(
+            states.min(axis=0), states.max(axis=0), float(np.max(np.sum(q**2, axis=1))),
+            np.percentile(states, [25, 50, 75], axis=0).T,
+        ),
+    )  # fmt: skip
+
+
+def with_walk_rates(fitted: Mapping[str, FittedBounds], rates: Mapping[str, float]) -> dict[str, CoefficientBounds]:
+    """The intervals with their rates of variation [1/sqrt(s)]."""
+    return {c: replace(f.bounds, walk_rate=rates[c]) for c, f in fitted.items()}

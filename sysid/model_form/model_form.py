@@ -1,0 +1,300 @@
+"""ModelForm: the waist between flights and everything that samples what a flight model does not know.
+
+Per coefficient an interval for the residual dC = flight minus model at flight states x (dissertation eqs 2.17, 2.18):
+
+    y(x) +/- t sqrt(s2 (1 + f x' (X'X)^-1 x)),        upper := max(upper, 0), lower := min(lower, 0)
+
+with x the polynomial terms of normalised states (polynomial.py), so that the identified model always lies inside. dC adds to the
+model's own coefficient, body axes, SI (CZ down). f is 1 as published; above 1 when the samples' autocorrelation is allowed for.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from sysid.aerodynamics.polynomial import STATES, Term, parse_term, regressors, stack, term_name
+from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.errors import LogError
+from sysid.foreign.parsed_text import ParseError, parse_json
+from sysid.foreign.regular_files import read_regular
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+FORMAT = "model-form 1"
+Outside = Literal["grow", "clamp"]
+_ROUNDING = 1e-9  # of a hull's edge: a sample on the edge lies inside, whatever the last digits say
+
+
+@dataclass(frozen=True)
+class Hull:
+    """Where the data are: per state the smallest and largest value (k,), and the largest leverage x'(X'X)^-1 x of a sample.
+
+    The box stops single states, the leverage their combinations: the ellipsoid-like set of leverages up to the data's largest
+    is the hull of a regression's regressors (Cook 1979; Montgomery, Peck and Vining, "Linear Regression Analysis", 3.8).
+    middle (k, 3): quartiles of each state, which say where inside the box the data are dense.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    leverage: float
+    middle: FloatArray
+
+
+@dataclass(frozen=True)
+class CoefficientBounds:
+    """The interval of one coefficient.
+
+    states (k,)          record columns, units as named         centre, scale (k,)  z = (x - centre)/scale
+    terms (m,)           powers of z                            beta_hat (m,), XtX_inv (m, m)  over the terms
+    s2, dof, t           residual variance, degrees of freedom, two-sided quantile of Student's t at ``confidence``
+    leverage_factor      f above        n, n_effective  samples, and how many independent ones they are worth
+    walk_rate            1/sqrt(s), of the interval's width; NaN (null in the file) where the flight is too short
+    hull                 where the data are
+    """
+
+    states: tuple[str, ...]
+    centre: FloatArray
+    scale: FloatArray
+    terms: tuple[Term, ...]
+    beta_hat: FloatArray
+    XtX_inv: FloatArray
+    s2: float
+    dof: float
+    t: float
+    confidence: float
+    leverage_factor: float
+    n: int
+    n_effective: float
+    walk_rate: float
+    hull: Hull
+
+    def normalised(self, states: Mapping[str, FloatArray], outside: Outside = "grow") -> FloatArray:
+        """(n, k) z of the states; with ``clamp`` each state goes no further than the data's box."""
+        x = stack(states, self.states)
+        if outside == "clamp":
+            x = np.clip(x, self.hull.low, self.hull.high)
+        return np.asarray((x - self.centre) / self.scale)
+
+    def leverage(self, z: FloatArray) -> FloatArray:
+        """(n,) x'(X'X)^-1 x at normalised states (n, k)."""
+        x = regressors(z, self.terms)
+        return np.asarray(np.einsum("ni,ij,nj->n", x, self.XtX_inv, x))
+
+    def t_at(self, confidence: float) -> float:
+        """Two-sided quantile of Student's t with ``dof`` degrees of freedom."""
+        return self.t if confidence == self.confidence else float(stats.t.ppf(0.5 + 0.5 * confidence, self.dof))
+
+    def interval(
+        self, states: Mapping[str, FloatArray], confidence: float | None = None, outside: Outside = "grow"
+    ) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper end (n,) of the prediction interval, before the sign clip."""
+        z = self.normalised(states, outside)
+        t = self.t if confidence is None else self.t_at(confidence)
+        y = regressors(z, self.terms) @ self.beta_hat  # (2.17)
+        half = t * np.sqrt(self.s2 * (1.0 + self.leverage_factor * self.leverage(z)))  # (2.18)
+        return y - half, y + half
+
+    def bounds(
+        self, states: Mapping[str, FloatArray], confidence: float | None = None, outside: Outside = "grow"
+    ) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper bound (n,), lower <= 0 <= upper."""
+        lower, upper = self.interval(states, confidence, outside)
+        return np.minimum(lower, 0.0), np.maximum(upper, 0.0)
+
+    def distance(self, states: Mapping[str, FloatArray]) -> FloatArray:
+        """(n,) how far states lie outside the data: 0 inside, else the larger of box excess in widths and sqrt(h/h_max) - 1."""
+        x = stack(states, self.states)
+        width = np.where(self.hull.high > self.hull.low, self.hull.high - self.hull.low, 1.0)
+        box = np.max(np.maximum(self.hull.low - x, x - self.hull.high) / width, axis=1)
+        ellipse = np.sqrt(self.leverage(self.normalised(states)) / self.hull.leverage) - 1.0
+        far = np.maximum(box, ellipse)
+        return np.where(far > _ROUNDING, far, 0.0)
+
+
+@dataclass(frozen=True)
+class AircraftReference:
+    """Name and SHA-256 (of XML and card) of the aircraft whose residuals these are: bounds around another model mean nothing."""
+
+    name: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class FlightUsed:
+    """A flight behind the bounds. estimates: channels that an estimator made up and no sensor measured (alpha without a vane)."""
+
+    name: str
+    sha256: str
+    seconds: float
+    samples: int
+    estimates: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Filtering:
+    """What the intervals' widths hang on, cut-offs (half power) in Hz.
+
+    cutoff_hz           differentiator and smoother of everything that is compared
+    airspeed_cutoff_hz  low-pass of the airspeed before that; inf (null in the file): none
+    walk_cutoff_hz      low-pass of the residual before its rate of variation is taken
+    rate_hz             samples a second
+    """
+
+    cutoff_hz: float
+    airspeed_cutoff_hz: float
+    walk_cutoff_hz: float
+    rate_hz: float
+
+
+@dataclass(frozen=True)
+class ModelForm:
+    """Bounds of the coefficients (keys of COEFFICIENTS), where they come from and what happens outside the data.
+
+    outside  "grow": the polynomial goes on (published); "clamp": states are held at the data's box
+    """
+
+    aircraft: AircraftReference
+    flights: tuple[FlightUsed, ...]
+    filtering: Filtering
+    confidence: float
+    outside: Outside
+    coefficients: Mapping[str, CoefficientBounds]
+
+    def bounds(self, states: Mapping[str, FloatArray], confidence: float | None = None) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Coefficient -> lower and upper (n,) at states (n,) each, lower <= 0 <= upper. Raises KeyError for a missing state."""
+        return {c: b.bounds(states, confidence, self.outside) for c, b in self.coefficients.items()}
+
+    def extrapolated(self, states: Mapping[str, FloatArray]) -> BoolArray:
+        """(n,) whether any coefficient's data do not reach these states."""
+        return np.any([b.distance(states) > 0.0 for b in self.coefficients.values()], axis=0)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """All states that the bounds depend on, in the vocabulary's order."""
+        used = {s for b in self.coefficients.values() for s in b.states}
+        return tuple(s for s in STATES if s in used)
+
+    def to_json(self) -> str:
+        """The file's text; the same form gives the same bytes."""
+        document: dict[str, Any] = {"format": FORMAT, **asdict(self)}
+        if not np.isfinite(self.filtering.airspeed_cutoff_hz):
+            document["filtering"]["airspeed_cutoff_hz"] = None
+        for name, bounds in self.coefficients.items():
+            row = document["coefficients"][name]
+            row["terms"] = [term_name(t, bounds.states) for t in bounds.terms]
+            row["walk_rate"] = bounds.walk_rate if np.isfinite(bounds.walk_rate) else None
+        return json.dumps(document, indent=1, default=_plain, allow_nan=False) + "\n"
+
+    def write(self, path: Path) -> None:
+        """Write model-form.json."""
+        path.write_text(self.to_json(), encoding="utf-8")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} has no place in a model form")
+
+
+def read_model_form(path: Path) -> ModelForm:
+    """Read what `ModelForm.write` wrote. Raises LogError naming file and key for anything else."""
+    try:
+        document = parse_json(read_regular(path))
+    except OSError as error:
+        raise LogError(f"cannot be read: {error.strerror or error}", path) from None
+    except ParseError as error:
+        raise LogError(str(error), path, None if error.line is None else f"line {error.line}") from None
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        found = document.get("format") if isinstance(document, dict) else type(document).__name__
+        raise LogError(f"is no model form: format is {found!r}, '{FORMAT}' is read; make one with `uqharness bounds`", path)
+    where = ""
+    try:
+        coefficients = {}
+        for where, row in document["coefficients"].items():
+            coefficients[where] = _coefficient(where, row)
+        where = ""
+        form = ModelForm(
+            aircraft=AircraftReference(*(_text(document["aircraft"], key) for key in ("name", "sha256"))),
+            flights=tuple(_flight(row) for row in document["flights"]),
+            filtering=_filtering(document["filtering"]),
+            confidence=float(document["confidence"]),
+            outside=_outside(document["outside"]),
+            coefficients=coefficients,
+        )
+    except KeyError as error:
+        raise LogError(f"lacks the key {error}; write it again with `uqharness bounds`", path, where or None) from None
+    except (TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise LogError(f"{error}; write it again with `uqharness bounds`", path, where or None) from None
+    if not coefficients:
+        raise LogError("holds no coefficient", path)
+    return form
+
+
+def _flight(row: Mapping[str, Any]) -> FlightUsed:
+    estimates = tuple(row["estimates"])
+    if not all(isinstance(name, str) for name in estimates):
+        raise ValueError("estimates must be names of channels")
+    return FlightUsed(_text(row, "name"), _text(row, "sha256"), float(row["seconds"]), int(row["samples"]), estimates)
+
+
+def _text(row: Mapping[str, Any], key: str) -> str:
+    if not isinstance(row[key], str):
+        raise ValueError(f"{key} must be text; received {str(row[key])[:80]}")
+    return str(row[key])
+
+
+def _filtering(row: Mapping[str, Any]) -> Filtering:
+    values = dict(row)
+    if values["airspeed_cutoff_hz"] is None:
+        values["airspeed_cutoff_hz"] = float("inf")
+    return Filtering(**{key: float(value) for key, value in values.items()})
+
+
+def _outside(value: Any) -> Outside:
+    if value == "grow":
+        return "grow"
+    if value == "clamp":
+        return "clamp"
+    raise ValueError(f"outside is {value!r}; allowed are grow and clamp")
+
+
+def _coefficient(name: str, row: Mapping[str, Any]) -> CoefficientBounds:
+    if name not in COEFFICIENTS:
+        raise ValueError(f"'{name}' is no coefficient; allowed are {', '.join(COEFFICIENTS)}")
+    states = tuple(row["states"])
+    unknown = [s for s in states if s not in STATES]
+    if unknown or not states:
+        raise ValueError(f"states holds {unknown or 'nothing'}; allowed are {', '.join(STATES)}")
+    terms = tuple(parse_term(text, states) for text in row["terms"])
+    k, m = len(states), len(terms)
+    hull = row["hull"]
+    out = CoefficientBounds(
+        states=states, terms=terms,
+        centre=_array(row, "centre", k), scale=_array(row, "scale", k),
+        beta_hat=_array(row, "beta_hat", m), XtX_inv=_array(row, "XtX_inv", m, m),
+        hull=Hull(_array(hull, "low", k), _array(hull, "high", k), float(hull["leverage"]), _array(hull, "middle", k, 3)),
+        n=int(row["n"]), walk_rate=float("nan") if row["walk_rate"] is None else float(row["walk_rate"]),
+        **{key: float(row[key]) for key in ("s2", "dof", "t", "confidence", "leverage_factor", "n_effective")},
+    )  # fmt: skip
+    numbers = {key: getattr(out, key) for key in ("s2", "dof", "t", "confidence", "leverage_factor", "n_effective")}
+    infinite = [key for key, value in {**numbers, "leverage": out.hull.leverage}.items() if not np.isfinite(value)]
+    if infinite:
+        raise ValueError(f"{', '.join(infinite)} must be a finite number")
+    if not (out.s2 >= 0.0 and out.t > 0.0 and 0.0 < out.confidence < 1.0 and np.all(out.scale > 0.0)):
+        raise ValueError("s2 must not be negative; t, confidence and scale must be above 0, confidence below 1")
+    return out
+
+
+def _array(row: Mapping[str, Any], key: str, *shape: int) -> FloatArray:
+    values = np.asarray(row[key], dtype=float)
+    if values.shape != shape or not np.isfinite(values).all():
+        raise ValueError(f"{key} must be {' x '.join(map(str, shape))} finite numbers; received shape {values.shape}")
+    return values

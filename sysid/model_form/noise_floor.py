@@ -1,0 +1,48 @@
+"""What sensor noise alone does to residual coefficients: noise is added once more, and the change passes the same filter.
+
+A width far above 2 t times this is the model's; one near it is the sensors', and says little about the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.aerodynamics.residuals import Cutoffs, Model, residual_coefficients
+from sysid.aerodynamics.segmentation import Piece
+from sysid.record import FlightRecord
+
+FloatArray = NDArray[np.float64]
+MAX_SAMPLES = 10_000
+NOISY = (
+    "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2",
+)  # fmt: skip
+
+
+def noise_floor(
+    record: FlightRecord, pieces: Sequence[Piece], model: Model, noise_std: Mapping[str, float], arm_m: Sequence[float],
+    cutoffs: Cutoffs, repeats: int = 3, seed: int = 1,
+) -> FloatArray:  # fmt: skip
+    """(6,) standard deviation of each residual coefficient under white noise of ``noise_std`` (channel -> std), by experiment.
+
+    Over the pieces, or as many of them, evenly chosen, as MAX_SAMPLES allows.
+    """
+    pieces = _some(pieces)
+    plain = residual_coefficients(record, pieces, model, arm_m, cutoffs).delta
+    rng = np.random.default_rng(seed)
+    total = np.zeros(plain.shape[1])
+    for _ in range(repeats):
+        noisy = {
+            c: record[c] + noise_std[c] * rng.standard_normal(len(record)) for c in NOISY if np.isfinite(noise_std.get(c, np.nan))
+        }
+        changed = residual_coefficients(record.with_columns(noisy), pieces, model, arm_m, cutoffs).delta
+        total += np.mean((changed - plain) ** 2, axis=0)
+    return np.asarray(np.sqrt(total / repeats))
+
+
+def _some(pieces: Sequence[Piece]) -> list[Piece]:
+    rows = sum(p.rows.stop - p.rows.start for p in pieces)
+    stride = max(1, int(np.ceil(rows / MAX_SAMPLES)))
+    return list(pieces[::stride])

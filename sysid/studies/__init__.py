@@ -1,1 +1,0 @@
-"""Studies that measure the estimators against known truth."""

@@ -1,0 +1,91 @@
+"""Excursions beside the published tables: by hand, and over a campaign."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from campaigns.excursions.reproduce import Range, main, published
+from tests.helpers import campaign_fakes as fakes
+from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.run import run_campaign
+from uqharness.campaign.spec.campaign import read_campaign
+from uqharness.flight.spec import FlightResult
+
+pytestmark = pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+SEVERE = fakes.CAMPAIGN.partition("bounds =")[0].replace("flights = 3", "flights = 20").replace("150", "3600") + (
+    'coefficients = ["CX"]\nbounds = { CX = 0.008 }\n\n[metrics]\nexcursion_radius_m = [15, 20, 25]\n'
+)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _no_check_flight():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)
+        yield
+
+
+def counting(within_15m, within_25m):
+    """Flights with so many excursions an hour at either corner."""
+
+    def fly(spec):
+        draw = np.random.default_rng([spec.seed_turbulence, spec.seed_noise])
+        counts = {f"excursions_{r}m{d}": int(draw.poisson(rate)) for r, rate in ((15, within_15m), (20, 0.0), (25, within_25m))
+                  for d in ("", "_3d")}  # fmt: skip
+        metrics = {name: float(draw.gamma(4.0)) for name in fakes.ERROR_METRICS}
+        return FlightResult("ok", "", spec.burn_in_s + spec.duration_s, metrics | counts | {"loss_of_control": 0.0}, {}, {})
+
+    return fly
+
+
+def flown(tmp_path, name, fly, wind=7, turbulence="severe"):
+    text = SEVERE.replace("wind_mps = 3", f"wind_mps = {wind}").replace('"moderate"', f'"{turbulence}"')
+    run_campaign(read_campaign(fakes.campaign_file(tmp_path, text)), tmp_path / name, executor=SerialExecutor(), fly=fly)
+    return str(tmp_path / name)
+
+
+def test_the_published_tables_are_as_printed():
+    near, far = published(15.0), published(25.0)
+    assert (near.shape, far.shape) == ((8, 6), (8, 6))
+    assert near["severe_worst"].tolist() == [0.068, 0.092, 0.136, 0.31, 0.868, 2.44, 7.762, 25.342]
+    assert near["moderate_worst"].sum() == pytest.approx(4.248)
+    assert far.to_numpy().sum() == pytest.approx(0.002)
+
+
+def test_limits_that_overlap_agree():
+    few = Range(0.0, 0.0, 0.02)
+    assert few.beside(Range(0.01, 0.001, 0.03)) == "as published"
+    assert few.beside(Range(0.1, 0.05, 0.2)) == "fewer"
+    assert Range(0.1, 0.05, 0.2).beside(few) == "more"
+
+
+def test_a_campaign_beside_the_print(tmp_path, capsys):
+    like = flown(tmp_path, "like", counting(25.0, 0.0))
+    assert main([like, "--out", str(tmp_path / "out"), "--json"]) == 1  # the best corner of the print has 0.002, not 25
+    told = json.loads(capsys.readouterr().out)
+    assert told["worst"] == {"as published": 2, "more": 0, "fewer": 0}
+    assert told["best"]["more"] == 1
+    frame = pd.read_csv(tmp_path / "out" / "beside-published.csv")
+    assert frame["radius_m"].tolist() == [15.0, 25.0]  # nothing was published for 20 m
+    assert (frame["hours"] == 40.0).all()
+    assert frame["published_worst_per_h"].tolist() == [25.342, 0.002]
+    assert frame["published_worst_lower_per_h"][0] < 25.342 < frame["published_worst_upper_per_h"][0]
+    many = flown(tmp_path, "many", counting(60.0, 2.0))
+    assert main([many, "--out", str(tmp_path / "out")]) == 1
+    assert "2 cells more" in capsys.readouterr().out
+
+
+def test_quiet_air_agrees(tmp_path, capsys):
+    quiet = flown(tmp_path, "quiet", counting(0.0, 0.0), wind=1, turbulence="light")
+    assert main([quiet, "--out", str(tmp_path / "out")]) == 0
+    assert "published [0, 0]: as published" in capsys.readouterr().out
+
+
+def test_what_is_not_in_print_is_refused(tmp_path, capsys):
+    gale = flown(tmp_path, "gale", counting(0.0, 0.0), wind=12)
+    assert main([gale, "--out", str(tmp_path / "out")]) == 2
+    assert "no wind" in capsys.readouterr().err
+    assert main([str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")]) == 2

@@ -1,0 +1,54 @@
+"""The study of the next flight over seeds: one seed always, in full when there is time."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+
+from tests.helpers.campaign_scripts import campaign_script
+from uqharness.next_flight.plan import Options
+
+_SCRIPT = campaign_script("next-flight")
+CASES = _SCRIPT.CASES
+Study = _SCRIPT.Study
+main = _SCRIPT.main
+mission_of = _SCRIPT.mission_of
+narrowings = _SCRIPT.narrowings
+tables = _SCRIPT.tables
+verdict = _SCRIPT.verdict
+
+
+@pytest.fixture(scope="module")
+def rows(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
+    """One seed of the case with most to learn, from fewer points and a flight of a minute and a quarter."""
+    folder = tmp_path_factory.mktemp("flights")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("uqharness.next_flight.points.AMPLITUDES", (0.2,))
+        study = Study(folder, mission_of(folder), Options(1.25, (22.0,)), {})
+        return pd.DataFrame(study.run(CASES[0], 2))
+
+
+def test_one_seed_comes_out_as_predicted(rows):
+    own = narrowings(rows).query("coefficient == `for`").iloc[0]
+    assert own["achieved_parameter"] > 80.0
+    assert own["ratio_parameter"] == pytest.approx(1.0, abs=0.1)
+    assert own["achieved"] > 30.0
+    assert own["ratio"] == pytest.approx(1.0, abs=0.35)
+    assert set(rows["coefficient"]) == {"CX", "CY", "CZ", "Cl", "Cm", "Cn"}
+
+
+def test_the_verdict_says_no_where_a_prediction_is_off(rows):
+    seeds = pd.concat([rows.assign(seed=k, achieved=rows["predicted"] * (1.0 + 0.01 * k)) for k in range(3)])
+    seeds["achieved_parameter"] = seeds["predicted_parameter"]
+    assert verdict(narrowings(seeds)) == []
+    assert "| CY |" in tables(seeds)
+    off = seeds.assign(achieved_parameter=0.5 * (seeds["now_parameter"] + seeds["predicted_parameter"]))
+    assert any("parameter part is 2.00" in line for line in verdict(narrowings(off)))
+    wide = seeds.assign(achieved=0.5 * (seeds["now"] + seeds["achieved"]))
+    assert any("of the width" in line for line in verdict(narrowings(wide)))
+
+
+@pytest.mark.slow
+def test_eight_seeds(tmp_path):
+    assert main(["--out", str(tmp_path), "--seeds", "8"]) == 0
+    assert "as asked for" in (tmp_path / "tables.md").read_text()

@@ -1,0 +1,176 @@
+"""Small folders of results, written by hand, one for each kind of report page."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+from tests.helpers import campaign_fakes as fakes
+from tests.helpers.model_forms import made_up_form
+from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.run import run_campaign
+from uqharness.replay.histories import write_pieces
+
+TIME = np.arange(0.0, 4.0, 0.02)
+
+
+def written(folder, name, document):
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / name).write_text(json.dumps(document))
+    return folder
+
+
+def pieces(folder, name, columns):
+    write_pieces(folder / name, [("flight1", "roll doublet", TIME), ("flight1", "yaw doublet", TIME + 9.0)], columns)
+
+
+def wave(scale=1.0):
+    return [scale * np.sin(TIME), scale * np.cos(3.0 * TIME)]
+
+
+def identified(folder):
+    """An identification with a parameter that is not identified and a channel without noise or value."""
+    parameters = {
+        "aero/Cm_q": {"value": -13.5, "std": 0.4, "std_crb": 0.1, "status": "identified", "reason": "", "initial": -9.7},
+        "aero/Cl_0": {"value": 0.001, "std": 1e-5, "std_crb": 1e-5, "status": "identified", "reason": "", "initial": 0.0},
+        "aero/Cn_p": {
+            "value": 0.2, "std": None, "std_crb": None, "status": "not-identified", "reason": "<no> roll", "initial": 0.2,
+        },
+    }  # fmt: skip
+    fit = {
+        "aircraft": "plane & co", "method": "output error", "converged": True, "parameters": parameters, "names": [], "cov": [],
+        "warnings": ["coloured residuals"], "notes": [], "flights": ["a<b>.parquet"], "flights_sha256": ["ab" * 32],
+        "fit": {"q_radps": {"rms": 0.01, "noise": 0.004, "predictable_share": None}, "V_mps": {"rms": 0.5, "noise": None}},
+        "command": "uqharness identify plane --flight 'a<b>.parquet' --out out",
+    }  # fmt: skip
+    out = written(folder, "fit.json", fit)
+    nothing = [np.full(TIME.size, np.nan)] * 2
+    columns = {
+        "q_radps": wave(0.3),
+        "q_radps_model": wave(0.29),
+        "V_mps": nothing,
+        "V_mps_model": wave(),
+        "elevator": wave(5.0),
+    }
+    pieces(out, "histories.parquet", columns)
+    return out
+
+
+def compared(folder):
+    """A comparison with a channel that is not judged."""
+    channel = {"theil_u": 0.1, "delay_s": 0.0, "delay_std_s": None}
+    document = {
+        "aircraft": "plane", "flight": "flight1", "reached_noise_floor": False, "above": ["q_radps"], "rule": "a rule",
+        "channels": {
+            "q_radps": {"rms": 0.02, "noise": 0.004, "ratio": 5.0, "judged": True, **channel},
+            "psi_rad": {"rms": 0.02, "noise": 1e-9, "ratio": 2e7, "judged": False, **channel},
+        },
+        "coefficients": {"Cm": {"rms": 0.002, "noise": 0.001, "mean": None}},
+        "manoeuvres": {"roll doublet": {"channels": {"q_radps": 5.0}, "coefficients": {"Cm": None}}},
+        "moments": [{"time_s": 1.0, "channel": "q_radps", "manoeuvre": "roll doublet", "gap": 0.1, "noises": 9.0}], "notes": [],
+    }  # fmt: skip
+    out = written(folder, "compare.json", document)
+    columns = {"q_radps": wave(0.3), "q_radps_model": wave(0.2), "psi_rad": wave(), "psi_rad_model": wave()}
+    pieces(out, "histories.parquet", columns | {"Cm_flight": wave(0.01), "Cm_model": wave(0.02)})
+    return out
+
+
+def refinement(**changes):
+    """refinement.json."""
+    effect = {
+        "coefficient": "Cm", "term": "p_hat^2", "name": "pitching moment due to roll rate squared", "why": "the tail gains angle",
+        "value": 2.9963, "std": 0.018, "unit": "1", "property": "aero/Cm_p2", "withdrawn": False,
+        "evidence": {"t": 164.7, "twice_log_likelihood": None, "interval_95": [2.961, 3.032]},
+        "alternatives": [
+            {"term": "da^2", "name": "aileron squared", "separable": False, "would_separate": "a roll at rest"},
+            {"term": "r_hat^2", "name": "yaw rate squared", "separable": True},
+        ],
+    }  # fmt: skip
+    where = {
+        "coefficient": "Cm",
+        "manoeuvre": "roll",
+        "region": {"p_radps": [0.5, 2.0]},
+        "share_outside_95": 0.7,
+        "size": 4.2,
+    }
+    row = {"rms_before": 0.0071, "rms_after": 0.0034, "noise_rms": 0.0035}
+    gap = {"channels": {"q_radps": row}, "coefficients": {"Cm": row}, "theil": {"before": 0.1, "after": 0.05}}
+    inside = {"width_before": 0.04, "width_after": 0.03, "coverage_before": 0.97, "coverage_after": 0.96}
+    inside |= {"coverage_std_before": 0.01, "coverage_std_after": None}
+    test = gap | {
+        "intervals": {"reason": None, "confidence": 0.95, "coefficients": {"Cm": inside}}, "pbox": {"reason": "no loiter here"},
+    }  # fmt: skip
+    harmful = effect | {
+        "name": "yawing moment due to elevator", "alternatives": [], "withdrawn": True,
+        "test": {"gap": "grew", "change_of_twice_log_likelihood": -30.0, "std": 5.0},
+    }  # fmt: skip
+    return {
+        "verdict": "effects-found", "effects": [effect], "withdrawn": [harmful], "gap": {"train": gap, "test": test},
+        "model": "aircraft/plane/plane.xml",
+        "disagreement": [where],
+        "remaining": {"unexplained": False, "where": [], "channels_above_noise": {}, "coloured_channels": []},
+        "parameters": {"aero/Cm_q": {"value": -13.8, "std": 0.1}},
+        "switch": [{"property": "aero/Cm_p2", "off": 0.0}], "best_refused": None, "notes": [], "train": ["a"], "test": ["b"],
+        "candidates": {"limit": 4.2, "scores": [{"effect": "Cm p_hat^2", "t": 164.7}, {"effect": "Cm da^2", "t": -90.0}]},
+        "command": "uqharness refine plane --train a --test b", "seconds": 9.0,
+    } | changes  # fmt: skip
+
+
+def refined(folder):
+    """A refinement with one effect, a rival it is not told from and one it is."""
+    out = written(folder, "refinement.json", refinement())
+    (out / "model.diff").write_text("--- a/plane.xml\n+++ b/plane.xml\n+  <property>aero/Cm_p2</property>\n")
+    q = {"q_radps": wave(0.3), "q_radps_before": wave(0.2), "q_radps_after": wave(0.3)}
+    pieces(out, "histories.parquet", q | {"Cm_gap_before": wave(0.01), "Cm_gap_after": wave(0.001)})
+    return out
+
+
+def bounded(folder):
+    """A form alone, without the flights behind it."""
+    folder.mkdir()
+    made_up_form().write(folder / "model-form.json")
+    return folder
+
+
+def covered(folder):
+    """A validation in which one coefficient's bounds do not hold, with the samples behind it."""
+    row = {"0.95": 0.97, "0.68": 0.7, "n_effective": 80.0, "mean_width": 0.02}
+    coverage = {"CX": row, "Cm": row | {"0.95": 0.4, "n_effective": None}}
+    document = {
+        "coverage": coverage,
+        "errors": {"CX": {"0.95": 0.01, "0.68": None}},
+        "failed": ["Cm"],
+        "warnings": [],
+        "notes": [],
+    }
+    out = written(folder, "coverage.json", document)
+    edge = [np.full(TIME.size, 0.8)] * 2
+    columns = {c: wave() for c in ("CX", "Cm")}
+    for c in ("CX", "Cm"):
+        columns |= {f"{c}_lower": [-v for v in edge], f"{c}_upper": edge}
+    pieces(out, "residuals.parquet", columns)
+    return out
+
+
+def campaigns(root):
+    """Two small campaigns, before and after, which differ in the number of flights."""
+    for name, flights in (("before", 2), ("after", 3)):
+        (root / f"{name}-input").mkdir()
+        spec = fakes.small_spec(root / f"{name}-input", flights)
+        run_campaign(spec, root / name, executor=SerialExecutor(), fly=fakes.steady)
+    return root
+
+
+def stage(name, kind, folder, **changes):
+    """A stage of study.json."""
+    row = {"name": name, "kind": kind, "folder": folder, "command": f"uqharness {kind} ...", "state": "done", "exit": 0}
+    return row | {"seconds": 1.5, "inputs": {"flight.bin": "cd" * 32}, "error": ""} | changes
+
+
+def study(stages, **changes):
+    """study.json."""
+    said = [{"text": "It holds.", "level": "good"}]
+    row = {"study": "small", "question": "Is it good enough?", "file": "small.toml", "hash": "ef" * 32, "version": "0"}
+    row |= {"state": "done", "command": "uqharness study small.toml --out out", "stages": stages, "verdict": said}
+    return row | changes

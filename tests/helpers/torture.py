@@ -1,0 +1,94 @@
+"""A campaign run that a test may kill, or that kills itself in the middle of a write.
+
+python -m tests.helpers.torture FOLDER OUT FLIGHTS FAKE HOW [MOMENT]: HOW is fork, spawn or the address of a Dask scheduler;
+MOMENT is
+journal:N (killed with the N-th batch half in the journal), table:N (killed with the N-th file written and not yet in place) or
+step:N (killed before the N-th change of a folder). FLIGHTS "as-is" flies FOLDER/campaign.toml as it stands.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+
+def _die() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def tear(moment: str) -> None:
+    """Arrange for this process to be killed at that moment."""
+    what, _, number = moment.partition(":")
+    left = [int(number)]
+    if what == "journal":
+        from uqharness.campaign.folder.store import Store
+
+        add = Store.add
+
+        def torn(self: Any, outcomes: Any) -> None:
+            batch = list(outcomes)
+            left[0] -= bool(batch)
+            if left[0] == 0:
+                # A small cache spills, so that half a transaction is in the file when its writer dies.
+                self._database.execute("pragma cache_size = 1")
+                self._database.execute("begin")
+                rows = [(item.case_id, item.status, item.reason, item.flown_s, "{}", "{}", "") for item in batch]
+                rows += [(f"torn-{index}", "ok", "x" * 1000, 1.0, "{}", "{}", "") for index in range(100)]
+                self._database.executemany("insert or replace into outcome values (?,?,?,?,?,?,?)", rows)
+                _die()
+            add(self, batch)
+
+        Store.add = torn  # type: ignore[method-assign]
+    elif what == "step":
+
+        def counted(function: Any) -> Any:
+            def call(*given: Any, **named: Any) -> Any:
+                left[0] -= 1
+                if left[0] == 0:
+                    _die()
+                return function(*given, **named)
+
+            return call
+
+        for name in ("replace", "link", "unlink", "mkdir"):
+            setattr(os, name, counted(getattr(os, name)))
+    else:
+        replace = os.replace
+
+        def stopped(source: Any, target: Any) -> None:
+            left[0] -= 1
+            if left[0] == 0:
+                _die()
+            replace(source, target)
+
+        os.replace = stopped  # type: ignore[assignment]
+
+
+def main() -> None:
+    from tests.helpers import campaign_fakes as fakes
+    from uqharness.campaign.execution.processes import Executor, ProcessExecutor
+    from uqharness.campaign.run import run_campaign
+    from uqharness.campaign.spec.campaign import read_campaign
+
+    folder, out, flights, fake, how = sys.argv[1:6]
+    if len(sys.argv) > 6:
+        tear(sys.argv[6])
+    executor: Executor
+    if how in ("fork", "spawn"):
+        executor = ProcessExecutor(2, how)
+    else:
+        from uqharness.campaign.execution.dask import DaskExecutor
+
+        executor = DaskExecutor(how)
+    as_is = flights == "as-is"
+    spec = read_campaign(Path(folder) / "campaign.toml") if as_is else fakes.small_spec(Path(folder), int(flights))
+    run_campaign(spec, out, executor=executor, fly=getattr(fakes, fake))
+
+
+if __name__ == "__main__":
+    import tests.helpers.torture
+
+    tests.helpers.torture.main()

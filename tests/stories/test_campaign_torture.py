@@ -1,0 +1,212 @@
+"""Kill whatever flies a campaign, at random moments and in the middle of its writes: the end is that of the undisturbed run."""
+
+from __future__ import annotations
+
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from tests.helpers import campaign_fakes as fakes
+from tests.helpers.places import ROOT
+from tests.uqharness.campaign.test_rounds import TOML as DECIDE
+from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor
+from uqharness.campaign.folder.case_table import CASES
+from uqharness.campaign.folder.store import Store
+from uqharness.campaign.run import run_campaign
+from uqharness.campaign.spec.campaign import read_campaign
+from uqharness.errors import BadInputError
+
+TABLES = (CASES, "pbox.parquet", "excursions.csv")
+LOCAL, DASK = ("parent", "worker"), ("parent on dask", "dask worker", "child of a dask worker")
+WRITES = ("journal", "table")
+
+
+@pytest.fixture
+def cluster():
+    with fakes.dask_cluster() as found:
+        yield found
+
+
+def finished(out):
+    try:
+        with Store(out, read_only=True) as store:
+            return len(store.finished())
+    except BadInputError:
+        return 0
+
+
+class Victim:
+    """A campaign that flies in another process, here or on the cluster, and what of it may be killed."""
+
+    def __init__(self, folder, cluster, flights, fake="slow"):
+        self.folder, self.out, self.cluster, self.flights = folder, folder / "out", cluster, flights
+        self.fake = fake
+        self.process, self.on_dask = None, False
+
+    def start(self, on_dask, moment=None):
+        how = self.cluster.scheduler_address if on_dask else "fork"
+        words = [
+            sys.executable,
+            "-m",
+            "tests.helpers.torture",
+            str(self.folder),
+            str(self.out),
+            str(self.flights),
+            self.fake,
+            how,
+        ]
+        self.process = subprocess.Popen([*words, *([moment] if moment else [])], cwd=ROOT, stderr=subprocess.DEVNULL)
+        self.on_dask = on_dask
+
+    def flying(self, on_dask):
+        """Have it fly there; a run that is elsewhere is killed, which counts for nothing."""
+        if self.process is None or self.process.poll() is not None or self.on_dask != on_dask:
+            self.end()
+            self.start(on_dask)
+
+    def await_progress(self):
+        before, deadline = finished(self.out), time.monotonic() + 60
+        while finished(self.out) <= before and self.process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.02)
+
+    def end(self):
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait()
+
+    def kill(self, what, chance):
+        """True if something was there to be killed."""
+        self.flying(what in DASK)
+        self.await_progress()
+        time.sleep(chance.uniform(0.0, 0.2))
+        if self.process.poll() is not None:
+            return False
+        if what.startswith("parent"):
+            self.process.kill()
+            self.process.wait()
+            return True
+        if what == "worker":
+            targets = children(self.process.pid)
+        else:
+            nannies = [nanny.pid for nanny in self.cluster.workers.values() if nanny.pid]
+            targets = nannies if what == "dask worker" else [child for pid in nannies for child in children(pid)]
+        if not targets:
+            return False
+        os.kill(chance.choice(targets), signal.SIGKILL)
+        return True
+
+    def tear(self, what, chance, number):
+        """Let it run into its own end in the middle of a write; for a table that is its last act."""
+        self.end()
+        self.start(False, f"{what}:{number}")
+        self.process.wait(120)
+        return self.process.returncode == -signal.SIGKILL
+
+
+def children(pid):
+    try:
+        found = psutil.Process(pid).children()
+        return [child.pid for child in found if "resource_tracker" not in " ".join(child.cmdline())]
+    except psutil.Error:
+        return []
+
+
+def torture(folder, cluster, flights, kills, seed, fake="slow"):
+    """Names of the kills that hit."""
+    chance = random.Random(seed)
+    victim = Victim(folder, cluster, flights, fake)
+    hit = []
+    try:
+        for what in kills:
+            found = victim.tear(what, chance, chance.randint(1, 2)) if what in WRITES else victim.kill(what, chance)
+            hit += [what] if found else []
+        victim.end()
+        # Killed among the tables, of which the last run writes a manifest and three, or at the manifest that says complete.
+        victim.start(False, f"table:{chance.randint(2, 5)}")
+        victim.process.wait(300)
+        hit += ["table"] if victim.process.returncode == -signal.SIGKILL else []
+    finally:
+        victim.end()
+    return hit
+
+
+def check(tmp_path, flights, at_least, hit):
+    spec = fakes.small_spec(tmp_path, flights)
+    summary = run_campaign(spec, tmp_path / "out", executor=ProcessExecutor(2, "spawn"), fly=fakes.steady)
+    assert summary.statuses == {"ok": 64 * flights}
+    run_campaign(spec, tmp_path / "undisturbed", executor=SerialExecutor(), fly=fakes.steady)
+    for name in TABLES:
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "undisturbed" / name).read_bytes(), name
+    left = {path.name for path in (tmp_path / "out").iterdir()} - {path.name for path in (tmp_path / "undisturbed").iterdir()}
+    assert all(name.endswith(".part") for name in left), left
+    assert len(hit) >= at_least, hit
+
+
+def test_four_kills_of_four_kinds(tmp_path, cluster):
+    fakes.campaign_file(tmp_path)
+    hit = torture(tmp_path, cluster, 6, ["journal", "worker", "dask worker", "parent on dask"], seed=20161201)
+    check(tmp_path, 6, 4, hit)
+    assert "table" in hit
+
+
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+def test_a_campaign_that_decides_is_killed_between_its_looks(tmp_path):
+    """What to fly next depends on what is done: a look at half a round would answer another question."""
+    fakes.campaign_file(tmp_path, DECIDE)
+    kills = ["parent", "journal", "worker", "parent", "table", "parent"]
+    hit = torture(tmp_path, None, "as-is", kills, seed=20161203, fake="by_corner_slowly")
+    assert {"parent", "journal"} <= set(hit), hit
+    spec = read_campaign(tmp_path / "campaign.toml")
+    run_campaign(spec, tmp_path / "out", executor=ProcessExecutor(2, "fork"), fly=fakes.by_corner)
+    run_campaign(spec, tmp_path / "undisturbed", executor=SerialExecutor(), fly=fakes.by_corner)
+    names = (*TABLES, "decisions.csv", "statements.csv")
+    assert [(tmp_path / "out" / n).read_bytes() == (tmp_path / "undisturbed" / n).read_bytes() for n in names] == [True] * 5
+
+
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+def test_a_disk_that_fills_up_is_a_sentence_and_the_same_command_goes_on(tmp_path):
+    spec, out = fakes.small_spec(tmp_path, 3), tmp_path / "out"
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    kept = []
+
+    def fill(progress):
+        # No file may grow any more: what a full disk does, without filling one.
+        kept.append(progress.done)
+        resource.setrlimit(resource.RLIMIT_FSIZE, ((out / "journal.sqlite").stat().st_size, before[1]))
+
+    try:
+        with pytest.raises(BadInputError, match=r"journal\.sqlite: cannot write: .*kept: free space .* same command again"):
+            run_campaign(spec, out, executor=ProcessExecutor(2, "fork"), fly=fakes.slow, on_progress=fill)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert finished(out) == kept[-1] < 192
+    check(tmp_path, 3, 0, [])
+
+
+@pytest.mark.skipif(not Path("/sys/kernel").is_dir(), reason="no file system at hand on which nobody may write")
+def test_a_folder_that_nobody_may_write_is_refused(tmp_path):
+    spec = fakes.small_spec(tmp_path)
+    with pytest.raises(BadInputError, match=r"/sys/kernel: cannot be written: .*choose another --out"):
+        run_campaign(spec, "/sys/kernel", executor=SerialExecutor(), fly=fakes.steady)
+    with pytest.raises(BadInputError, match=r"/sys/kernel/campaign: cannot be made: .*choose another --out"):
+        run_campaign(spec, "/sys/kernel/campaign", executor=SerialExecutor(), fly=fakes.steady)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(64, 69))
+def test_twenty_kills_at_random(tmp_path, cluster, seed):
+    fakes.campaign_file(tmp_path)
+    chance = random.Random(seed)
+    kills = [*LOCAL, *DASK, "journal", *chance.choices([*LOCAL, *DASK, "journal"], k=18)]
+    chance.shuffle(kills)
+    hit = torture(tmp_path, cluster, 60, kills, seed=seed - 57)
+    check(tmp_path, 60, 20, hit)
+    assert set(hit) == {*LOCAL, *DASK, *WRITES}

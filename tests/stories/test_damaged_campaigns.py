@@ -1,0 +1,435 @@
+"""Damage to a campaign's folder: found by every command, told by verify, made good by run and salvage."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import random
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing
+
+import pytest
+
+from tests.helpers import campaign_fakes as fakes
+from tests.helpers.torture import tear
+from tests.uqharness.campaign.test_rounds import TOML as DECIDE
+from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.folder.digests import DamageError
+from uqharness.campaign.folder.manifest import read_manifest, write_manifest
+from uqharness.campaign.folder.salvage import Flying, salvage
+from uqharness.campaign.folder.shards import Shard, merge
+from uqharness.campaign.folder.store import JOURNAL, Store
+from uqharness.campaign.folder.verify import verify
+from uqharness.campaign.run import run_campaign
+from uqharness.campaign.spec.campaign import read_campaign
+from uqharness.cli.main import main
+from uqharness.errors import BadInputError
+from uqharness.report.write import write_report
+
+SMALL = (
+    fakes.CAMPAIGN.replace("flights = 3", "flights = 8").partition("[epistemic]")[0]
+    + """
+[epistemic]
+method = "corners"
+coefficients = ["CX", "CY"]
+bounds = { CX = 0.008, CY = 0.010 }
+"""
+)
+TABLES = ("cases.parquet", "pbox.parquet", "excursions.csv", "statements.csv")
+FLYING = Flying(SerialExecutor(), fly=fakes.steady)
+
+
+@pytest.fixture(autouse=True)
+def _no_check_flight(monkeypatch):
+    monkeypatch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A complete campaign, one that decided, one in two shards, merged."""
+    root = tmp_path_factory.mktemp("whole")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)
+        spec = read_campaign(fakes.campaign_file(root, SMALL))
+        run_campaign(spec, root / "plain", executor=SerialExecutor(), fly=fakes.steady, command="uqharness campaign run")
+        for number in (1, 2):
+            run_campaign(spec, root / "parts", executor=SerialExecutor(), fly=fakes.steady, shard=Shard(number, 2))
+        merge(root / "parts")
+        (root / "decide.toml").write_text(DECIDE)
+        run_campaign(read_campaign(root / "decide.toml"), root / "decide", executor=SerialExecutor(), fly=fakes.by_corner)
+    return root
+
+
+@pytest.fixture
+def copy(made, tmp_path):
+    """A copy of what ``made`` has under a name; where the campaign's files lie stays as it is."""
+
+    def copied(name):
+        shutil.copytree(made / name, tmp_path / name)
+        return tmp_path / name
+
+    return copied
+
+
+def tables(folder, names=TABLES):
+    return {name: (folder / name).read_bytes() for name in names}
+
+
+def flip(path, bit):
+    content = bytearray(path.read_bytes())
+    content[bit // 8] ^= 1 << (bit % 8)
+    path.write_bytes(content)
+
+
+def flip_text(path, text, bit=0):
+    """Flip a bit within a text of the file."""
+    place = path.read_bytes().index(text)
+    flip(path, 8 * (place + len(text) // 2) + bit)
+
+
+def states(found):
+    return {item.name: item.state for item in found.items}
+
+
+def unseal(folder, state):
+    """Make it a campaign that was stopped after its last flight."""
+    rest = {key: value for key, value in read_manifest(folder).items() if key not in ("journal", "tables")}
+    write_manifest(folder, rest | {"state": state})
+
+
+def says(capsys, *words):
+    """Exit code and what a command says on standard error."""
+    capsys.readouterr()
+    code = main(["campaign", *map(str, words)])
+    return code, capsys.readouterr()
+
+
+def test_a_folder_as_it_was_written_is_whole(copy, capsys):
+    for name in ("plain", "decide", "parts"):
+        folder = copy(name)
+        before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+        found = verify(folder)
+        assert found.whole
+        assert found.complete
+        decided = ["decisions.csv"] if name == "decide" else []
+        assert states(found) == dict.fromkeys(("manifest.json", JOURNAL, *TABLES, *decided), "whole")
+        assert [part.whole for part in found.shards] == [True] * (2 * (name == "parts"))
+        code, said = says(capsys, "verify", folder, "--json")
+        assert (code, json.loads(said.out)["whole"]) == (0, True)
+        assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+
+
+def test_a_flipped_row_is_found_by_every_reader_and_salvaged(copy, made, capsys):
+    folder = copy("plain")
+    flip_text(folder / JOURNAL, b'"cross_track_max_m": ')
+    before = (folder / JOURNAL).read_bytes()
+    code, said = says(capsys, "run", made / "campaign.toml", "--out", folder, "--serial")
+    assert code == 2
+    assert f"{JOURNAL}: damaged: the row of flight" in said.err
+    assert "nothing was changed" in said.err
+    assert f"uqharness campaign salvage {folder}" in said.err
+    assert tables(folder) == tables(made / "plain")
+    code, said = says(capsys, "verify", folder)
+    assert code == 1
+    assert "flights: 31 sound, 1 damaged, 0 missing" in said.out
+    found = salvage(folder, FLYING)
+    assert (found.kept, found.flown, found.aside) == (31, 1, ("journal.damaged-1.sqlite",))
+    assert (folder / "journal.damaged-1.sqlite").read_bytes() == before
+    assert tables(folder) == tables(made / "plain")
+    assert verify(folder).whole
+    assert not list(folder.glob(".salvage*"))
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_damaged_table_is_not_read_and_written_again_from_the_journal(copy, made, monkeypatch, capsys, name):
+    monkeypatch.setattr("uqharness.flight.fly.fly", fakes.aborts_always)
+    folder = copy("plain")
+    for spoil in (lambda path: flip(path, 8 * 400), lambda path: path.unlink()):
+        spoil(folder / name)
+        commands = [("report",), ("convergence", "--repeats", "2"), ("area", "--value", "altitude_median_m=3")]
+        if name == "statements.csv":
+            commands = [("status",)]
+        for verb, *words in commands if name in ("cases.parquet", "statements.csv") else []:
+            code, said = says(capsys, verb, folder, *words)
+            assert code == 2
+            assert name in said.err
+        assert not verify(folder).whole
+        code, said = says(capsys, "run", made / "campaign.toml", "--out", folder, "--serial")
+        assert code == 0
+        assert f"{name} was not as it had been written" in said.err
+        assert tables(folder) == tables(made / "plain")
+        assert verify(folder).whole
+    spoil = folder / name
+    flip(spoil, 100)
+    assert salvage(folder, FLYING).rewritten == (name,)
+    assert verify(folder).whole
+
+
+def test_the_tables_of_a_decided_campaign_are_written_again(copy, made):
+    folder = copy("decide")
+    names = (*TABLES, "decisions.csv")
+    flip(folder / "decisions.csv", 3000)
+    with pytest.raises(BadInputError, match=r"decisions\.csv: damaged"):
+        write_report(folder)
+    spec = read_campaign(made / "decide.toml")
+    summary = run_campaign(spec, folder, executor=SerialExecutor(), fly=fakes.aborts_always)
+    assert summary.rewritten == ("decisions.csv",)
+    assert tables(folder, names) == tables(made / "decide", names)
+    flip_text(folder / JOURNAL, b'"excursions_15m": ')
+    assert salvage(folder, Flying(SerialExecutor(), fly=fakes.by_corner)).flown == 1
+    assert tables(folder, names) == tables(made / "decide", names)
+
+
+def test_a_run_that_was_not_complete_is_held_against_its_rows(copy, made, tmp_path):
+    """Without a seal: a row lost, changed or added, and a tally that was, each by itself."""
+    folder = copy("plain")
+    unseal(folder, "interrupted")
+    spoils = {
+        "delete from outcome where case_id = (select min(case_id) from outcome)": "31 flights are in it, 32 were stored",
+        "update outcome set flown_s = 1.0 where case_id = (select min(case_id) from outcome)": "does not fit its digest",
+        "update outcome set status = 'crashed'": "does not fit its digest",
+        "update tally set statuses = '{\"ok\": 31}'": "tally of flights does not fit",
+        "drop table tally": "its tables are not those",
+        "create table more (x)": "its tables are not those",
+    }
+    for statement, said in spoils.items():
+        place = tmp_path / "spoilt"
+        shutil.copytree(folder, place)
+        with closing(sqlite3.connect(place / JOURNAL)) as database, database:
+            database.execute(statement)
+        with pytest.raises(BadInputError, match=said):
+            run_campaign(read_campaign(made / "campaign.toml"), place, executor=SerialExecutor(), fly=fakes.steady)
+        assert not verify(place).whole
+        salvage(place, FLYING)
+        assert tables(place) == tables(made / "plain")
+        shutil.rmtree(place)
+    assert verify(folder).whole
+    assert verify(folder).complete is False
+
+
+@pytest.mark.parametrize("offset", [0, 20, 100, 8192, 8195, 3 * 8192])
+def test_what_can_be_read_of_a_torn_file_is_kept(copy, made, offset):
+    folder = copy("plain")
+    content = bytearray((folder / JOURNAL).read_bytes())
+    content[offset : offset + 40] = bytes(40)
+    (folder / JOURNAL).write_bytes(content)
+    assert states(verify(folder))[JOURNAL] == "damaged"
+    found = salvage(folder, FLYING)
+    assert found.kept + found.flown == 32
+    assert tables(folder) == tables(made / "plain")
+    if offset in (0, 20, 100):
+        assert found.kept == 32  # the first page is the same in all journals
+    assert verify(folder).whole
+
+
+@pytest.mark.parametrize("gone", ["text", "cut", "empty", "deleted"])
+def test_a_journal_that_is_none_is_flown_again(copy, made, gone):
+    folder = copy("plain")
+    path = folder / JOURNAL
+    if gone == "deleted":
+        path.unlink()
+    else:
+        path.write_bytes({"text": b"no database" * 900, "cut": path.read_bytes()[:9000], "empty": b""}[gone])
+    with pytest.raises(BadInputError, match="damaged"):
+        run_campaign(read_campaign(made / "campaign.toml"), folder, executor=SerialExecutor(), fly=fakes.steady)
+    assert not verify(folder).whole
+    salvage(folder, FLYING)
+    assert tables(folder) == tables(made / "plain")
+    assert verify(folder).whole
+
+
+def test_a_damaged_manifest_is_rebuilt_from_the_campaign_file(copy, made, capsys):
+    spec = read_campaign(made / "campaign.toml")
+    for spoil in (lambda path: flip(path, 800), lambda path: path.unlink(), lambda path: path.write_text("{")):
+        folder = copy("plain")
+        spoil(folder / "manifest.json")
+        for verb in ("status", "report"):
+            assert says(capsys, verb, folder)[0] == 2
+        assert says(capsys, "verify", folder)[0] == 1
+        with pytest.raises(BadInputError, match=r"--campaign CAMPAIGN\.toml"):
+            salvage(folder, FLYING)
+        other = read_campaign(made / "decide.toml")
+        with pytest.raises(BadInputError, match="32 of its 32 sound flights are no part of"):
+            salvage(folder, FLYING, other)
+        with pytest.raises(BadInputError, match="4 of its 32 sound flights are no part of"):
+            salvage(folder, FLYING, spec.with_flights(7))
+        found = salvage(folder, FLYING, spec, "uqharness campaign run x")
+        assert (found.kept, found.flown) == (32, 0)
+        assert tables(folder) == tables(made / "plain")
+        assert read_manifest(folder)["command"] == "uqharness campaign run x"
+        assert verify(folder).whole
+        shutil.rmtree(folder)
+
+
+def test_shards_are_salvaged_each_and_merged_again(copy, made, capsys):
+    folder = copy("parts")
+    flip_text(folder / "shards" / "1-of-2" / JOURNAL, b'"speed_mean_mps": ')
+    assert merge(folder).missing == 0  # the merged folder has what it needs
+    found = verify(folder)
+    assert [part.whole for part in found.shards] == [False, True]
+    assert not found.whole
+    done = salvage(folder, FLYING)
+    assert [(part.folder.name, part.flown) for part in done.parts] == [("1-of-2", 1)]
+    assert verify(folder).whole
+    flip_text(folder / JOURNAL, b'"speed_mean_mps": ')
+    with pytest.raises(BadInputError, match="damaged"):
+        merge(folder)
+    done = salvage(folder, FLYING)
+    assert (done.kept, done.flown, done.missing, done.aside) == (32, 0, 0, ("journal.damaged-1.sqlite",))
+    (folder / "manifest.json").write_text("{")
+    salvage(folder, FLYING)
+    flip(folder / "shards" / "2-of-2" / "manifest.json", 900)
+    salvage(folder, FLYING, read_campaign(made / "campaign.toml"))
+    assert verify(folder).whole
+    assert tables(folder) == tables(made / "plain")
+    flip_text(folder / "shards" / "2-of-2" / JOURNAL, b'"speed_mean_mps": ')
+    assert salvage(folder / "shards" / "2-of-2", FLYING).flown == 1
+    assert verify(folder).whole
+
+
+def test_tables_of_other_commands_carry_digests_too(copy, capsys):
+    folder = copy("plain")
+    assert main(["campaign", "convergence", str(folder), "--repeats", "2"]) == 0
+    assert main(["campaign", "area", str(folder), "--value", "altitude_median_m=3"]) in (0, 1)
+    assert main(["sensitivity", str(folder)]) in (0, 1)
+    assert {"sensitivity.csv", "convergence.csv", "area.csv"} <= set(states(verify(folder)))
+    assert verify(folder).whole
+    flip(folder / "sensitivity.csv", 2000)
+    code, said = says(capsys, "report", folder)
+    assert (code, "sensitivity.csv: damaged" in said.err) == (2, True)
+    found = salvage(folder, FLYING)
+    assert found.aside == ("sensitivity.damaged-1.csv",)
+    assert says(capsys, "report", folder)[0] == 0
+    assert verify(folder).whole
+    # One that the manifest does not know is not believed either.
+    shutil.copyfile(folder / "sensitivity.damaged-1.csv", folder / "sensitivity.csv")
+    assert says(capsys, "report", folder)[0] == 2
+    assert main(["sensitivity", str(folder)]) in (0, 1)
+    assert says(capsys, "report", folder)[0] == 0
+
+
+def test_a_writer_killed_in_a_batch_is_no_damage(copy, made):
+    folder = copy("plain")
+    unseal(folder, "running")
+    script = (
+        "import os, sqlite3, sys\n"
+        "database = sqlite3.connect(sys.argv[1])\n"
+        "database.execute('pragma cache_size = 1')\n"
+        "database.execute('delete from outcome')\n"
+        "rows = [(f'x{i}', 'ok', '', 1.0, '{}' * 900, '{}', '') for i in range(500)]\n"
+        "database.executemany('insert into outcome values (?,?,?,?,?,?,?)', rows)\n"
+        "os.kill(os.getpid(), 9)\n"
+    )
+    subprocess.run([sys.executable, "-c", script, str(folder / JOURNAL)], check=False)
+    leftover = folder / f"{JOURNAL}-journal"
+    before = (folder / JOURNAL).read_bytes(), leftover.read_bytes()
+    assert verify(folder).whole
+    assert ((folder / JOURNAL).read_bytes(), leftover.read_bytes()) == before
+    # With what was to be taken back gone, the file is half written, and that is found.
+    torn = folder.parent / "torn"
+    shutil.copytree(folder, torn)
+    (torn / leftover.name).unlink()
+    assert not verify(torn).whole
+    salvage(torn, FLYING)
+    assert tables(torn) == tables(made / "plain")
+    found = salvage(folder, FLYING)
+    assert (found.kept, found.flown, found.aside) == (32, 0, ())
+    assert tables(folder) == tables(made / "plain")
+
+
+def killed_at(step, folder):
+    """Whether a salvage in another process was killed before its n-th change of the folder, or came to its end."""
+    process = os.fork()
+    if process == 0:
+        with contextlib.suppress(BaseException):
+            tear(f"step:{step}")
+            salvage(folder, FLYING)
+            os._exit(0)
+        os._exit(9)
+    code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+    assert code in (0, -signal.SIGKILL)
+    return code != 0
+
+
+def kill_and_go_on(step, folder, made):
+    """False where the salvage came to its end before that step."""
+    flip_text(folder / JOURNAL, b'"speed_mean_mps": ')
+    killed = killed_at(step, folder)
+    if step % 2 and killed:
+        salvage(folder, FLYING)
+    else:
+        try:
+            run_campaign(read_campaign(made / "campaign.toml"), folder, executor=SerialExecutor(), fly=fakes.steady)
+        except DamageError:
+            salvage(folder, FLYING)
+    assert tables(folder) == tables(made / "plain"), step
+    assert verify(folder).whole, step
+    return killed
+
+
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+def test_a_killed_salvage_goes_on(copy, made):
+    for step in (3, 6, 9, 12):
+        folder = copy("plain")
+        assert kill_and_go_on(step, folder, made)
+        shutil.rmtree(folder)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+def test_a_salvage_killed_at_any_change_goes_on(copy, made):
+    step = 1
+    while kill_and_go_on(step, folder := copy("plain"), made):
+        shutil.rmtree(folder)
+        step += 1
+    assert step > 12
+
+
+def test_what_is_no_campaign_folder_has_exit_code_2(tmp_path, capsys):
+    for verb in ("verify", "salvage"):
+        code, said = says(capsys, verb, tmp_path)
+        assert (code, "not a campaign folder" in said.err) == (2, True)
+
+
+def test_a_pipe_in_place_of_a_file_is_refused_at_once(copy, capsys):
+    for name in ("manifest.json", JOURNAL, "statements.csv", "cases.parquet"):
+        folder = copy("plain")
+        (folder / name).unlink()
+        os.mkfifo(folder / name)
+        for verb in ("status", "report"):
+            code, said = says(capsys, verb, folder)
+            assert code == 2 or (verb, name) in (
+                ("status", "cases.parquet"),
+                ("report", JOURNAL),
+                ("report", "statements.csv"),
+            )
+            assert code == 0 or "is a pipe, not a regular file" in said.err
+        shutil.rmtree(folder)
+
+
+def test_random_bytes_over_any_file_are_found_or_do_nothing(made, tmp_path, capsys):
+    chance = random.Random(7)
+    for number in range(12):
+        folder = tmp_path / str(number)
+        shutil.copytree(made / "plain", folder)
+        path = folder / chance.choice(["manifest.json", JOURNAL, *TABLES])
+        content = bytearray(path.read_bytes())
+        place = chance.randrange(len(content))
+        content[place : place + 30] = chance.randbytes(30)
+        path.write_bytes(content)
+        assert says(capsys, "status", folder)[0] in (0, 2)
+        with Store(made / "plain", read_only=True) as store:
+            expected = store.summary()
+        try:
+            with Store(folder, read_only=True) as store:
+                store.finished()
+                assert store.summary() == expected
+        except BadInputError:
+            assert path.name == JOURNAL
+        salvage(folder, FLYING, read_campaign(made / "campaign.toml"))
+        assert tables(folder) == tables(made / "plain")

@@ -1,0 +1,198 @@
+"""What a user installs: a wheel with everything in it that the commands look for, types, docstrings, licence and citation."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import subprocess
+import sys
+import sysconfig
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.places import ROOT
+from uqharness.errors import BadInputError
+from uqharness.project_files import find_campaign
+from uqharness.simulator import engine
+from uqharness.simulator.aircraft import PROJECT_ROOT
+
+yaml = pytest.importorskip("yaml")
+
+
+def tracked(*folders: str) -> set[str]:
+    """Files of a clean checkout under these folders: what lies there, less caches and results."""
+    found = set()
+    for folder in folders:
+        for path in (ROOT / folder).rglob("*"):
+            parts = path.relative_to(ROOT).parts
+            if path.is_file() and not any(p == "__pycache__" or p.startswith("results") for p in parts):
+                found.add("/".join(parts))
+    return found
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The project's wheel, built offline by the build backend of this environment."""
+    pytest.importorskip("hatchling")
+    folder = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+def test_the_wheel_holds_every_file_that_commands_look_for(wheel: Path):
+    names = set(zipfile.ZipFile(wheel).namelist())
+    data = {f"uqharness/data/{name}" for name in tracked("aircraft", "scripts", "campaigns")}
+    assert len(data) > 40
+    assert data - names == set()
+    assert tracked("sysid", "uqharness") - names == set()
+    assert {"sysid/py.typed", "uqharness/py.typed", "sysid/logs/signal_maps/dataflash.toml"} <= names
+    assert "uqharness/report/templates/page.html.j2" in names
+    assert any(name.endswith("licenses/LICENSE") for name in names)
+    # Nothing that another distribution could own, and nobody's results.
+    assert {name.split("/")[0].split("-")[0] for name in names} == {"sysid", "uqharness"}
+    assert not any("results" in name.split("/") or "__pycache__" in name for name in names)
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """bin of a fresh environment with the wheel in it, the dependencies borrowed from this one, the working copy out of sight."""
+    folder = tmp_path_factory.mktemp("env")
+    venv.create(folder, with_pip=False, symlinks=True)
+    python = folder / "bin" / "python"
+    command = ["--python", str(python), "install", "--quiet", "--no-deps", "--no-index", str(wheel)]
+    subprocess.run([sys.executable, "-m", "pip", *command], check=True, capture_output=True)
+    site = Path(sysconfig.get_path("purelib", vars={"base": str(folder), "platbase": str(folder)}))
+    borrowed = [path for path in sys.path if path.endswith(("site-packages", "dist-packages"))]
+    (site / "borrowed.pth").write_text("\n".join(borrowed) + "\n")
+    # JSBSim looks for its own aircraft in the environment's folders alone.
+    (site / "jsbsim").symlink_to(engine.default_root(), target_is_directory=True)
+    return folder / "bin"
+
+
+def run(installed: Path, folder: Path, *words: str) -> str:
+    environment = {key: value for key, value in os.environ.items() if key not in {"PYTHONPATH", "PYTHONHOME"}}
+    command = [installed / "uqharness", *words]
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_installed_wheel_works_in_a_folder_of_its_own(installed: Path, tmp_path: Path):
+    where = subprocess.run(
+        [installed / "python", "-c", "import uqharness, sysid; print(uqharness.__file__, sysid.__file__)"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    assert str(ROOT / "uqharness") not in where
+    assert where.count(str(installed.parent)) == 2
+    modes = json.loads(run(installed, tmp_path, "modes", "espaaro", "--speed-mps", "22.2", "--json"))
+    assert modes["trim"]["alpha_deg"] == pytest.approx(0.833, abs=0.01)
+    run(installed, tmp_path, "fly", "espaaro_truth", "--script", "doublet-elevator", "--out", "doublet.csv")
+    assert len((tmp_path / "doublet.csv").read_text().splitlines()) > 100
+    # Two flights of the demonstration's 512, by name.
+    part = ["campaign", "run", "demo", "--out", "part", "--hours", "0.05", "--shard", "1/32", "--serial"]
+    assert "2 flights done" in run(installed, tmp_path, *part)
+
+
+@pytest.mark.slow
+def test_the_wheel_installs_from_the_index_into_an_empty_environment(wheel: Path, tmp_path: Path):
+    environment = tmp_path / "env"
+    venv.create(environment, with_pip=True)
+    pip = [environment / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check", str(wheel)]
+    done = subprocess.run(pip, capture_output=True, text=True, check=False)
+    if done.returncode and "No matching distribution" in done.stderr + done.stdout:
+        pytest.skip("no package index can be reached from here")
+    assert done.returncode == 0, done.stderr
+    run(environment / "bin", tmp_path, "modes", "espaaro", "--speed-mps", "22.2")
+    run(environment / "bin", tmp_path, "campaign", "run", "demo", "--out", "all", "--hours", "0.05")
+    run(environment / "bin", tmp_path, "campaign", "report", "all")
+    assert (tmp_path / "all" / "report.html").stat().st_size > 10_000
+
+
+def test_campaigns_are_found_by_name_and_by_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    demo = PROJECT_ROOT / "campaigns" / "demo" / "campaign.toml"
+    for given in ("demo", "campaigns/demo", "campaigns/demo/campaign.toml", demo):
+        assert find_campaign(given) == demo
+    own = tmp_path / "demo" / "campaign.toml"
+    own.parent.mkdir()
+    own.write_text("")
+    assert find_campaign("demo").resolve() == own
+    with pytest.raises(BadInputError, match=r"campaign 'demonstration' not found.*there: .*demo"):
+        find_campaign("demonstration")
+
+
+def undocumented(source: str) -> list[str]:
+    """Public classes, functions and methods of a module without a docstring, and the module itself as ``<module>``."""
+    tree = ast.parse(source)
+    found = [] if ast.get_docstring(tree) or not tree.body else ["<module>"]
+
+    def walk(node: ast.Module | ast.ClassDef, prefix: str) -> None:
+        for child in node.body:
+            if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)) and child.name[0] != "_":
+                if ast.get_docstring(child) is None:
+                    found.append(prefix + child.name)
+                if isinstance(child, ast.ClassDef):
+                    walk(child, f"{prefix}{child.name}.")
+
+    walk(tree, "")
+    return found
+
+
+@pytest.mark.parametrize("package", ["sysid", "uqharness"])
+def test_every_public_name_says_what_it_is(package: str):
+    lacking = {
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in sorted((ROOT / package).rglob("*.py"))
+        for name in undocumented(path.read_text(encoding="utf-8"))
+    }
+    assert lacking == set()
+
+
+def test_a_missing_docstring_is_seen():
+    source = '"""M."""\ndef _private(): ...\ndef f(): ...\nclass C:\n    """C."""\n    def m(self): ...\n'
+    assert undocumented(source) == ["f", "C.m"]
+    assert undocumented("x = 1") == ["<module>"]
+
+
+def test_citation_and_licence():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert {"cff-version", "message", "title", "authors"} <= set(citation)
+    assert citation["cff-version"] == "1.2.0"
+    assert citation["type"] == "software"
+    assert citation["authors"]
+    assert citation["license"] == "MIT"
+    assert (ROOT / "LICENSE").read_text(encoding="utf-8").startswith("MIT License")
+    from uqharness import __version__
+
+    # What can be cited is the last release; a version under way has ".dev" in it.
+    assert citation["version"] == __version__ or ".dev" in __version__
+
+
+def test_what_every_spawned_process_reads_again_loads_nothing():
+    """A worker of a campaign has no use for the command line: pandas, pyarrow and statistics would be 60 MB in each."""
+    heavy = "[name for name in ('uqharness.cli.main', 'numpy', 'pandas', 'pyarrow', 'scipy') if name in sys.modules]"
+
+    def loaded(module: str) -> list[str]:
+        done = subprocess.run(
+            [sys.executable, "-c", f"import sys, json, {module}; print(json.dumps({heavy}))"],
+            cwd=ROOT, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        return list(json.loads(done.stdout))
+
+    assert 'uqharness = "uqharness.__main__:main"' in (ROOT / "pyproject.toml").read_text()
+    assert loaded("uqharness.__main__") == []
+    assert "scipy" in loaded("uqharness.cli.main")
+
+
+def test_the_package_runs_as_a_module():
+    done = subprocess.run([sys.executable, "-m", "uqharness", "--version"], cwd=ROOT, capture_output=True, text=True)
+    assert (done.returncode, done.stdout.split()[0]) == (0, "uqharness")

@@ -1,0 +1,238 @@
+"""Report pages in a real browser: what a reader sees, can reach by keyboard and touch, and hears read out.
+
+Needs the package playwright (extra ``browser``) and a Chromium: playwright's own, one on the path, or the one named by UQ_BROWSER.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from itertools import pairwise
+
+import pyarrow.parquet as pq
+import pytest
+
+from tests.helpers import report_folders as folders
+from uqharness.cli.main import main
+from uqharness.report.pages.index import write_report
+
+pytestmark = pytest.mark.browser
+
+_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+KINDS = ("identify", "compare", "refine", "bounds", "validate-bounds", "campaign", "study")
+VIEWS = [(1400, "light", False), (390, "dark", True), (390, "light", True)]
+
+LAYOUT = """() => {
+  const wrong = [], wide = document.documentElement.clientWidth;
+  if (document.documentElement.scrollWidth > wide) wrong.push(`page is ${document.documentElement.scrollWidth} wide in ${wide}`);
+  for (const svg of document.querySelectorAll("svg.chart")) {
+    const box = svg.getBoundingClientRect(), name = svg.getAttribute("aria-label") || "a swatch";
+    const least = svg.getAttribute("aria-hidden") ? [20, 8] : [200, 80];
+    if (box.width < least[0] || box.height < least[1] || box.left < 0 || box.right > wide + 1)
+      wrong.push(`${name}: ${box.width} x ${box.height} at ${box.left}`);
+    if (!svg.checkVisibility({ opacityProperty: true, visibilityProperty: true })) wrong.push(`${name}: hidden`);
+    const texts = [...svg.querySelectorAll("text")], boxes = texts.map((text) => text.getBBox());
+    texts.forEach((text, i) => {
+      const b = boxes[i], area = svg.viewBox.baseVal;
+      if (b.x < -0.5 || b.x + b.width > area.width + 0.5 || b.y + b.height > area.height + 0.5)
+        wrong.push(`${name}: '${text.textContent}' leaves the drawing`);
+      for (let j = 0; j < i; j += 1) {
+        const c = boxes[j];
+        const across = b.x < c.x + c.width - 1 && c.x < b.x + b.width - 1;
+        const down = b.y < c.y + c.height - 3 && c.y < b.y + b.height - 3;
+        if (b.width && c.width && across && down)
+          wrong.push(`${name}: '${text.textContent}' lies over '${texts[j].textContent}'`);
+      }
+    });
+  }
+  return wrong;
+}"""
+
+CONTRAST = """() => {
+  const parts = (c) => (c.match(/[\\d.]+/g) || []).map(Number);
+  const linear = (v) => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+  const light = (c) => { const [r, g, b] = c.map((v) => linear(v / 255));
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b; };
+  const ground = (e) => { for (let at = e; at; at = at.parentElement) { const c = parts(getComputedStyle(at).backgroundColor);
+    if (c.length === 3 || c[3] > 0) return c.slice(0, 3); } return [255, 255, 255]; };
+  const wrong = new Set();
+  for (const e of document.querySelectorAll("body *")) {
+    if (!e.checkVisibility() || e.matches("script, style")) continue;
+    if (![...e.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim())) continue;
+    const style = getComputedStyle(e), colour = parts(e.matches("text") ? style.fill : style.color).slice(0, 3);
+    const [high, low] = [light(colour), light(ground(e))].sort((a, b) => b - a), ratio = (high + 0.05) / (low + 0.05);
+    if (ratio < 4.5) wrong.add(`${e.tagName}.${e.className.baseVal ?? e.className} ${colour} on ${ground(e)}: ${ratio.toFixed(2)}`);
+  }
+  return [...wrong];
+}"""
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    """One report of every kind, and the folders they stand in."""
+    root = tmp_path_factory.mktemp("pages")
+    campaigns = folders.campaigns(root)
+    assert main(["sensitivity", str(campaigns / "before"), "--json"]) == 0
+    made = {
+        "identify": folders.identified(root / "identified"), "compare": folders.compared(root / "compared"),
+        "refine": folders.refined(root / "refined"), "bounds": folders.bounded(root / "bounds"),
+        "validate-bounds": folders.covered(root / "check"), "campaign": campaigns / "before",
+    }  # fmt: skip
+    for kind, folder in made.items():
+        write_report(folder)
+        shutil.copytree(folder, root / "study" / kind)
+    shutil.copytree(campaigns / "after", root / "study" / "after")
+    stages = [folders.stage(kind, kind, kind) for kind in made]
+    stages.append(folders.stage("after", "campaign", "after"))
+    both = {"before": "campaign", "after": "after"}
+    made["study"] = folders.written(root / "study", "study.json", folders.study(stages, before_after=both))
+    write_report(made["study"])
+    return made
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """The first Chromium that starts; without one the tests are skipped, with what was tried."""
+    # Here and not above: a module that is skipped whole leaves pytest -m browser without a test, which it calls a failure.
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="no browser test: playwright is not installed (pip install -e '.[browser]')"
+    )
+    tried = []
+    with playwright.sync_playwright() as play:
+        for path in dict.fromkeys((os.environ.get("UQ_BROWSER"), None, *map(shutil.which, _NAMES))):
+            try:
+                found = play.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-dev-shm-usage"])
+            except playwright.Error as error:
+                tried.append(f"{path or 'its own'}: {str(error).splitlines()[0]}")
+                continue
+            yield found
+            found.close()
+            return
+    pytest.skip(f"no browser test: no Chromium starts ({'; '.join(tried)})")
+
+
+@pytest.fixture
+def opened(browser, pages):
+    """Opens a page and collects everything that goes wrong while it is open."""
+    contexts = []
+
+    def visit(kind, width=1400, scheme="light", touch=False, script=True):
+        context = browser.new_context(
+            viewport={"width": width, "height": 900}, color_scheme=scheme, has_touch=touch, java_script_enabled=script
+        )
+        contexts.append(context)
+        page = context.new_page()
+        page.wrong = []
+        page.on("console", lambda message: page.wrong.append(f"console: {message.text}"))
+        page.on("pageerror", lambda error: page.wrong.append(f"error: {error}"))
+        page.on("request", lambda request: request.url.startswith("file:") or page.wrong.append(f"fetched {request.url}"))
+        page.goto((pages[kind] / "report.html").as_uri())
+        return page
+
+    yield visit
+    for context in contexts:
+        context.close()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("width", "scheme", "touch"), VIEWS)
+def test_everything_is_seen_and_nothing_overflows(opened, kind, width, scheme, touch):
+    page = opened(kind, width, scheme, touch)
+    assert page.locator("figure svg").count() > 0
+    assert page.evaluate(LAYOUT) == []
+    assert page.evaluate(CONTRAST) == []
+    assert page.wrong == []
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_accessibility_tree_has_a_name_for_everything(opened, kind):
+    """What a screen reader gets, from the browser's own tree."""
+    page = opened(kind)
+    nodes = page.context.new_cdp_session(page).send("Accessibility.getFullAXTree")["nodes"]
+    shown = [n for n in nodes if not n.get("ignored")]
+    roles = [n["role"]["value"] for n in shown]
+    for node in shown:
+        if node["role"]["value"] in (
+            "image",
+            "img",
+            "slider",
+            "table",
+            "region",
+            "heading",
+            "columnheader",
+            "RootWebArea",
+        ):
+            assert node.get("name", {}).get("value", "").strip(), node["role"]
+    levels = [
+        p["value"]["value"] for n in shown if n["role"]["value"] == "heading" for p in n["properties"] if p["name"] == "level"
+    ]  # fmt: skip
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(b <= a + 1 for a, b in pairwise(levels))
+    figures = page.locator("figure").count()
+    assert sum(role in ("image", "img") for role in roles) == figures
+    assert "main" in roles
+
+
+def test_the_cursor_reads_the_pbox_by_keyboard_mouse_and_touch(opened, pages):
+    page = opened("campaign", 390, touch=True)
+    figure = page.locator("#pbox-cross-track-median-m-3mps-moderate")
+    slider, output = figure.locator("input"), figure.locator("output")
+    slider.focus()
+    before = output.inner_text()
+    for _ in range(30):
+        page.keyboard.press("ArrowRight")
+    assert output.inner_text() != before
+    assert slider.get_attribute("aria-valuetext").split() == output.inner_text().split()
+    at = float(slider.input_value())
+    table = pq.read_table(pages["campaign"] / "pbox.parquet").to_pandas()
+    rows = table[(table["metric"] == "cross_track_median_m") & (table["value"] <= at)].iloc[-1]
+    read = output.inner_text()
+    assert [f"{100 * rows[k]:.0f} %" in read or f"{100 * rows[k]:.1f} %" in read for k in ("lower", "upper")] == [
+        True,
+        True,
+    ]
+    corners = json.loads(figure.locator("script").text_content())["boxes"][0]["corners"]
+    assert any(corner in read for corner in corners)
+    assert figure.locator(".picked").count() >= 1
+    svg = figure.locator("svg")
+    svg.scroll_into_view_if_needed()
+    box = svg.bounding_box()
+    page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.4 * box["height"])
+    by_mouse = output.inner_text()
+    page.touchscreen.tap(box["x"] + 0.7 * box["width"], box["y"] + 0.4 * box["height"])
+    assert len({read, by_mouse, output.inner_text()}) == 3
+    assert page.wrong == []
+
+
+@pytest.mark.parametrize("kind", ["campaign", "study"])
+def test_without_scripts_the_page_says_the_same(opened, kind):
+    page = opened(kind, 390, script=False)
+    assert page.locator(".reader").count() == 0
+    assert page.locator("figure svg").count() > 0
+    assert page.locator("table").count() > 0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_on_paper_it_is_dark_on_white_and_fits(opened, kind):
+    page = opened(kind, 718, "dark")
+    page.emulate_media(media="print")
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    assert page.evaluate(CONTRAST) == []
+    assert page.locator(".reader").first.is_hidden() if page.locator(".reader").count() else True
+    cut = "[...document.querySelectorAll('figure svg')].filter((s) => s.getBoundingClientRect().right > innerWidth + 1).length"
+    assert page.evaluate(cut) == 0
+
+
+def test_the_checks_say_no(opened):
+    page = opened("campaign")
+    page.evaluate("""() => {
+      document.querySelector("h2").style.cssText = "color: #999; width: 3000px";
+      document.querySelector("figure svg").style.width = "0";
+      console.error("trouble");
+    }""")
+    assert any("page is 3" in text for text in page.evaluate(LAYOUT))
+    assert any("P-box" in text for text in page.evaluate(LAYOUT))
+    assert any("H2" in text for text in page.evaluate(CONTRAST))
+    assert page.wrong == ["console: trouble"]

@@ -1,0 +1,195 @@
+"""The two aircraft whose lift separates, flown by JSBSim and by independent equations; what belongs to whom in their files."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from tests.helpers import sixdof, stall_model
+from tests.helpers.stall_model import Separation, StallingAirframe
+from uqharness.simulator import engine
+from uqharness.simulator.aircraft import PROJECT_ROOT, content_hash, find_aircraft, open_aircraft
+from uqharness.simulator.trim import BodyState, SteadyCondition, apply_controls, body_velocity, find_trim, force_state
+
+FT, DT, HEIGHT = 0.3048, 0.001, 400.0
+SPEED = {"synthetic_stall": 21.0, "espaaro_truth": 22.2}
+MODELS = {"synthetic_stall": stall_model.synthetic, "espaaro_truth": stall_model.truth}
+# control, then (time, deflection from trim) steps. The pull ends deep in the stall; the push reaches negative separation's flank.
+MANOEUVRES = {
+    "doublet": ("elevator", [(0.5, 4.0), (1.0, -4.0), (1.5, 0.0)]),
+    "stall": ("elevator", [(0.5, -14.0), (1.6, 6.0), (2.2, 0.0)]),
+    "roll": ("aileron", [(0.5, 8.0), (1.5, -8.0), (2.5, 0.0)]),
+    "yaw": ("rudder", [(0.5, 8.0), (1.0, -8.0), (1.5, 0.0)]),
+}
+DURATION = 4.0
+STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "h")
+FLOOR = np.array([2e-3, 2e-3, 2e-3, 2.5e-4, 2.5e-4, 2.5e-4, 3e-4, 3e-4, 1.5e-3, 1e-2])
+PROPERTIES = (
+    "velocities/u-fps", "velocities/v-fps", "velocities/w-fps",
+    "velocities/p-rad_sec", "velocities/q-rad_sec", "velocities/r-rad_sec",
+    "attitude/phi-rad", "attitude/theta-rad", "attitude/psi-rad", "position/h-sl-ft",
+    "fcs/elevator-pos-deg", "fcs/aileron-pos-deg", "fcs/rudder-pos-deg", "fcs/throttle-pos-pct",
+    "aero/stall_X",
+)  # fmt: skip
+STEADY = ("synthetic_stall", "espaaro_truth")
+
+
+@functools.cache
+def trim_of(name: str):
+    return find_trim(find_aircraft(name), SteadyCondition(SPEED[name], altitude_m=HEIGHT))
+
+
+@functools.cache
+def fly(name: str, manoeuvre: str, changes: tuple[tuple[str, float], ...] = ()):
+    """States (n + 1, 10), positions (n + 1, 4) and X (n + 1,) of a manoeuvre from the nominal trim."""
+    aircraft, trim = find_aircraft(name), trim_of(name)
+    fdm = open_aircraft(aircraft, DT)
+    apply_controls(fdm, aircraft, trim.controls)
+    for prop, value in changes:
+        engine.set_property(fdm, prop, value)
+    u, v, w = body_velocity(SPEED[name], trim.alpha_rad, trim.beta_rad)
+    fdm["ic/lat-geod-deg"], fdm["ic/h-sl-ft"] = 45.0, HEIGHT / FT
+    fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = 0.0, trim.theta_rad, 0.0
+    fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"] = u / FT, v / FT, w / FT
+    engine.run_ic(fdm)
+    control, steps = MANOEUVRES[manoeuvre]
+    command = engine.handle(fdm, aircraft.card.inputs[control].property).set_double_value
+    reads = [engine.handle(fdm, prop).get_double_value for prop in PROPERTIES]
+    rows = [[read() for read in reads]]
+    for k in range(1, round(DURATION / DT) + 1):
+        offset = next((d for t, d in reversed(steps) if k * DT >= t), 0.0)
+        command(trim.controls[control] + offset)
+        fdm.run()
+        rows.append([read() for read in reads])
+    table = np.array(rows)
+    states = table[:, :10]
+    states[:, :3] *= FT
+    states[:, 9] *= FT
+    states[:, 8] = np.unwrap(states[:, 8])
+    return states, table[:, 10:14], table[:, 14]
+
+
+@functools.cache
+def reference(name: str, manoeuvre: str):
+    return integrate(MODELS[name](), name, manoeuvre)
+
+
+def integrate(airframe: StallingAirframe, name: str, manoeuvre: str):
+    states, positions, _ = fly(name, manoeuvre)
+    start = np.zeros(12)
+    start[:9], start[11] = states[0, :9], -states[0, 9]
+    solution = sixdof.simulate(airframe, start, positions[:-1], DT, stall_model.derivative)
+    return np.column_stack([solution[:, :9], -solution[:, 11]])
+
+
+def excess(states, expected) -> float:
+    """Largest difference over what is allowed: 1 % of a state's peak excursion, or the floor."""
+    peak = np.max(np.abs(expected - expected[0]), axis=0)
+    return float(np.max(np.max(np.abs(states - expected), axis=0) / np.maximum(0.01 * peak, FLOOR)))
+
+
+@pytest.mark.parametrize("name", STEADY)
+@pytest.mark.parametrize("manoeuvre", MANOEUVRES)
+def test_flight_agrees_to_one_percent(name, manoeuvre):
+    assert excess(fly(name, manoeuvre)[0], reference(name, manoeuvre)) < 1.0
+
+
+@pytest.mark.parametrize("name", STEADY)
+def test_the_pull_enters_the_stall(name):
+    states, _, X = fly(name, "stall")
+    assert X.min() < 0.3
+    assert np.degrees(np.arctan2(states[:, 2], states[:, 0])).max() > 12.0
+
+
+SEEN = [
+    ("stall", {"aero/stall": 0.0}),
+    ("stall", {"aero/stall_tau2": 0.0}),
+    ("stall", {"aero/stall_a1_per_deg": 0.4}),
+    ("stall", {"aero/stall_alpha1_deg": 11.5}),
+]
+SEEN_SYNTHETIC = [
+    ("stall", {"aero/oswald_e": 0.7}), ("doublet", {"aero/CT_dt": 80.0}), ("doublet", {"aero/CL_de": 0.0004}),
+    ("doublet", {"aero/Cm_q": 0.0}), ("doublet", {"aero/CD_0": 0.105}), ("doublet", {"aero/CL_0": 0.37}),
+    ("doublet", {"aero/CL_alpha": 3.0}), ("roll", {"aero/Cn_da": 0.00006}), ("roll", {"aero/Cl_r": 0.04}),
+    ("roll", {"aero/Cn_p": 0.023}), ("roll", {"aero/CY_p": 0.033}), ("yaw", {"aero/Cl_dr": -0.0002}), ("yaw", {"aero/CY_r": 0.1}),
+]  # fmt: skip
+SEEN_TRUTH = [("stall", {"aero/CX_q": 0.0}), ("roll", {"aero/Cm_p2": 0.0}), ("doublet", {"aero/Cl_de": 0.0})]
+
+
+@pytest.mark.parametrize(
+    ("name", "manoeuvre", "changes"),
+    [(name, *case) for name in STEADY for case in SEEN]
+    + [("synthetic_stall", *case) for case in SEEN_SYNTHETIC]
+    + [("espaaro_truth", *case) for case in SEEN_TRUTH],
+)
+def test_a_wrong_number_is_seen(name, manoeuvre, changes):
+    assert excess(fly(name, manoeuvre, tuple(changes.items()))[0], reference(name, manoeuvre)) > 1.0
+
+
+@pytest.mark.parametrize("second", [1.0, -1.0])
+@pytest.mark.parametrize("alpha", [-24.0, -20.0, -5.0, 3.0, 11.0, 16.0])
+def test_separation_point_at_a_forced_state(alpha, second):
+    # Falling out of balance, the aircraft has an alphadot at once, which the lag must take with its sign.
+    u, _, w = body_velocity(21.0, np.radians(alpha), 0.0)
+    names = ("aero/stall_X", "aero/stall_lift_factor", "aero/alpha_lag-deg", "aero/alphadot-rad_sec")
+    _, out = force_state(
+        find_aircraft("synthetic_stall"), BodyState(u, 0.0, w, 0.0, np.radians(alpha), 0.0),
+        {"elevator": 0.0, "aileron": 0.0, "rudder": 0.0, "throttle": 60.0}, HEIGHT,
+        {"aero/stall_second_lag": second, "aero/stall_tau2": 0.7}, names,
+    )  # fmt: skip
+    X, share, lag, alphadot = (out[name] for name in names)
+    assert abs(lag) > 0.01
+    assert lag == pytest.approx(0.7 * 0.53 / 21.0 * np.degrees(alphadot), rel=1e-6)
+    model = Separation(second=second)
+    assert pytest.approx(model.attached(alpha, lag), rel=1e-6) == X
+    assert share == pytest.approx(model.lift_share(alpha, lag), rel=1e-6)
+
+
+def test_the_print_differs_from_our_reading_at_the_negative_stall_alone():
+    ours, printed = Separation(), Separation(second=-1.0)
+    assert ours.attached(8.0, 2.0) == pytest.approx(printed.attached(8.0, 2.0), abs=1e-9)
+    assert abs(ours.attached(-19.0, -2.0) - printed.attached(-19.0, -2.0)) > 0.3
+
+
+def test_simplified_models_by_property():
+    # SL and the fully attached true model are the same thing.
+    states, positions, _ = fly("synthetic_stall", "doublet", (("aero/stall", 0.0),))
+    model = StallingAirframe(coefficients=stall_model.TABLE_2_4, separation=Separation(on=False))
+    start = np.zeros(12)
+    start[:9], start[11] = states[0, :9], -states[0, 9]
+    solution = sixdof.simulate(model, start, positions[:-1], DT, stall_model.derivative)
+    assert excess(states, np.column_stack([solution[:, :9], -solution[:, 11]])) < 1.0
+
+
+def test_the_truth_is_the_espaaro_and_four_effects():
+    folder = PROJECT_ROOT / "aircraft"
+    ours = (folder / "espaaro/espaaro.xml").read_text().splitlines()
+    truth = (folder / "espaaro_truth/espaaro_truth.xml").read_text().splitlines()
+    gone = [line[2:].strip() for line in difflib.ndiff(ours, truth) if line.startswith("- ")]
+    names = ("espaaro", "E-SPAARO", "CZ_alpha</property> <property>aero/alpha-rad", "aero/Cl_de</property>")
+    assert len(gone) == 5
+    assert all(any(name in line for name in names) for line in gone), gone
+
+
+@pytest.mark.parametrize("name", STEADY)
+def test_systems_are_the_espaaros(name):
+    own = PROJECT_ROOT / "aircraft/espaaro/Systems"
+    for path in own.glob("*.xml"):
+        assert (PROJECT_ROOT / "aircraft" / name / "Systems" / path.name).resolve() == path.resolve()
+    # A link's content counts for the identity of the aircraft.
+    assert content_hash(find_aircraft(name)) != content_hash(find_aircraft("espaaro"))
+
+
+@pytest.mark.parametrize("name", STEADY)
+def test_flies_with_jsbsim_alone(name):
+    program = (
+        "import jsbsim, sys; f = jsbsim.FGFDMExec(sys.argv[1]); f.set_debug_level(0); f.set_dt(0.01);"
+        "assert f.load_model(sys.argv[2]); f.load_ic('cruise', True); f.run_ic(); [f.run() for _ in range(100)];"
+        "assert 15 < f['velocities/vt-fps'] * 0.3048 < 30"
+    )
+    subprocess.run([sys.executable, "-c", program, str(PROJECT_ROOT), name], check=True, capture_output=True, timeout=60)

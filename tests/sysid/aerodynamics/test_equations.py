@@ -1,0 +1,109 @@
+"""The equations in the open against an independent set, and records cut into segments."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sysid.aerodynamics.coefficients import MassProperties
+from sysid.aerodynamics.equations import OUTPUTS, OpenEquations
+from sysid.aerodynamics.segmentation import as_logged, cut
+from sysid.aerodynamics.terms import split_name
+from sysid.record import FlightRecord, Metadata
+from tests.helpers.sixdof import TABLE_2_6, Airframe, derivative, isa_density, thrust
+
+TERMS = tuple(f"aero/{n}" for n in TABLE_2_6)
+BODY = Airframe()
+MASS = MassProperties(
+    BODY.m, np.array([[BODY.Ixx, 0, -BODY.Ixz], [0, BODY.Iyy, 0], [-BODY.Ixz, 0, BODY.Izz]]), BODY.S, BODY.b, BODY.c
+)
+
+
+def test_rates_and_specific_force_are_those_of_the_independent_equations():
+    rng = np.random.default_rng(2)
+    equations = OpenEquations(TERMS, ("p_radps",), OUTPUTS, MASS, BODY.g)
+    theta = np.array([*TABLE_2_6.values(), 0.01])
+    for _ in range(20):
+        V, alpha, beta = rng.uniform(15, 30), rng.uniform(-0.1, 0.2), rng.uniform(-0.1, 0.1)
+        p, q, r, phi, pitch = rng.uniform(-0.5, 0.5, 5)
+        de, da, dr, throttle = *rng.uniform(-5, 5, 3), rng.uniform(20, 80)
+        velocity = V * np.array([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
+        state = np.array([*velocity, p, q, r, phi, pitch, 0.0, 0.0, 0.0, -100.0])
+        rate = derivative(BODY, state, np.array([de, da, dr, throttle]))
+        rho = isa_density(100.0)
+        u = np.array([de, da, dr, thrust(throttle, V, rho), 0, 0, 0, 0, 0, rho, *np.zeros(6)])
+        x = equations.start([V, alpha, beta, p, q, r, phi, pitch])
+        found = np.array(equations.f(x, u, theta), dtype=float)
+        np.testing.assert_allclose(found[3:8], [*rate[3:6], *rate[6:8]], rtol=1e-9, atol=1e-12)
+        step = 1e-6
+        after = velocity + step * rate[:3]
+        V2 = np.linalg.norm(after)
+        np.testing.assert_allclose(
+            found[:3],
+            [(V2 - V) / step, (np.arctan2(after[2], after[0]) - alpha) / step, (np.arcsin(after[1] / V2) - beta) / step],
+            rtol=1e-4, atol=1e-5,
+        )  # fmt: skip
+        outputs = dict(zip(OUTPUTS, np.array(equations.g(x, u, theta), dtype=float), strict=True))
+        assert outputs["p_radps"] == pytest.approx(p + 0.01)
+
+
+def test_air_that_turns_with_the_aircraft_damps_nothing_and_fades():
+    equations = OpenEquations(TERMS, (), OUTPUTS, MASS)
+    theta = np.array(list(TABLE_2_6.values()))
+    u = np.array([0, 0, 0, 20.0, 0, 0, 0, 0, 0, 1.2, *np.zeros(6)])
+    still = equations.start([22.0, 0.02, 0, 0.3, 0, 0, 0, 0.02])
+    turning = still.copy()
+    turning[8] = 0.3
+    damped, carried = (np.array(equations.f(x, u, theta), dtype=float) for x in (still, turning))
+    assert abs(carried[3]) < 0.1 * abs(damped[3])
+    assert carried[8] == pytest.approx(-0.3 * 22.0 * np.pi / (4 * 3.66))
+
+
+def test_many_parameter_sets_run_side_by_side():
+    equations = OpenEquations(TERMS, (), OUTPUTS, MASS)
+    theta = np.tile(np.array(list(TABLE_2_6.values()))[:, None], (1, 3)) * np.array([1.0, 1.1, 0.9])
+    x = np.tile(np.array([22.0, 0.02, 0.01, 0.1, 0.1, 0.1, 0.1, 0.02, 0, 0, 0, 22.0, 0])[:, None], (1, 3))
+    u = np.tile(np.array([1, 1, 1, 20.0, 0, 0, 0, 0, 0, 1.2, *np.zeros(6)])[:, None], (1, 3))
+    together = np.array(equations.f(x, u, theta))
+    for lane in range(3):
+        np.testing.assert_allclose(together[:, lane], equations.f(x[:, lane], u[:, lane], theta[:, lane]))
+
+
+def test_names_of_terms():
+    assert split_name("aero/CX_alpha2") == ("CX", "alpha2")
+    assert split_name("Cm_0") == ("Cm", "0")
+    assert split_name("aero/Cm_p2") is None
+    assert split_name("fcs/throw-deg") is None
+    with pytest.raises(ValueError, match="Cm_p2"):
+        OpenEquations(("aero/Cm_p2",), (), OUTPUTS, MASS)
+
+
+def record(**columns):
+    time = np.arange(0.0, 60.0, 0.02)
+    base = {"time_s": time, "elevator_deg": np.zeros(time.size), "q_radps": np.zeros(time.size)}
+    return FlightRecord({**base, **columns}, Metadata(native_hz={"q_radps": 10.0}))
+
+
+def test_segments_are_manoeuvres_else_excitation_else_everything():
+    time = np.arange(0.0, 60.0, 0.02)
+    labels = np.where((time >= 10) & (time < 15), "doublet", "").astype(object)
+    pieces, how = cut(record(manoeuvre=labels), ("q_radps",))
+    assert [(p.label, round(p.start_s, 2), round(p.end_s, 2)) for p in pieces] == [("doublet", 10.0, 14.98)]
+    assert "labelled" in how
+    moved = np.where((time >= 20) & (time < 21), 5.0, 0.0)
+    pieces, how = cut(record(elevator_deg=moved), ("q_radps",))
+    assert len(pieces) == 1
+    assert pieces[0].start_s == pytest.approx(19.0, abs=0.05)
+    assert pieces[0].end_s == pytest.approx(24.0, abs=0.05)
+    pieces, how = cut(record(), ("q_radps",), max_s=20.0)
+    assert [p.rows.stop - p.rows.start for p in pieces] == [1000, 1000, 1000]
+    gap = np.zeros(time.size)
+    gap[1500] = np.nan
+    pieces, _ = cut(record(q_radps=gap), ("q_radps",), max_s=100.0)
+    assert [p.rows for p in pieces] == [slice(0, 1500), slice(1501, 3000)]
+
+
+def test_a_slow_channel_counts_once_for_every_time_it_was_logged():
+    values = as_logged(record(), "q_radps", slice(3, 103))
+    assert np.isfinite(values).sum() == 20
+    assert np.isfinite(as_logged(record(), "elevator_deg", slice(0, 100))).all()

@@ -1,0 +1,196 @@
+"""Residual coefficients of flights whose truth is known, with a model of three lines; noise by closed form; rates of variation."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from sysid.aerodynamics.coefficients import MassProperties
+from sysid.aerodynamics.residuals import Cutoffs, Prediction, ResidualPiece, Residuals, residual_coefficients, steady_airspeed
+from sysid.aerodynamics.segmentation import Piece, cut
+from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.model_form.fit import Design, fit_bounds
+from sysid.model_form.noise_floor import NOISY, noise_floor
+from sysid.model_form.variation import STEP_S, variation
+from sysid.record import FlightRecord
+from tests.helpers.flown import fly
+from tests.helpers.sixdof import Airframe, coefficients, thrust
+
+AIRFRAME = Airframe()
+NEEDED = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
+KINDS = (("pitch-3211", 21.0), ("roll-yaw", 21.0))
+
+
+def inertia(a: Airframe) -> np.ndarray:
+    return np.array([[a.Ixx, 0.0, -a.Ixz], [0.0, a.Iyy, 0.0], [-a.Ixz, 0.0, a.Izz]])
+
+
+def model_of(airframe: Airframe, increment: dict[str, float] | None = None):
+    """The model of `sixdof`, less ``increment`` in each coefficient: its residual is the increment."""
+
+    def predict(record: FlightRecord, piece: Piece) -> Prediction:
+        rows = piece.rows
+        get = {c: record[c][rows] for c in record.columns if c not in ("manoeuvre",)}
+        V, rho = get["V_mps"], get["rho_kgpm3"]
+        half = 0.5 / V
+        u = np.column_stack([get[f"{s}_pos_deg"] for s in ("elevator", "aileron", "rudder")])
+        hats = (
+            get["p_radps"] * airframe.b * half,
+            get["q_radps"] * airframe.c * half,
+            get["r_radps"] * airframe.b * half,
+        )
+        at = zip(get["alpha_rad"], get["beta_rad"], *hats, u, strict=True)
+        said = np.array([coefficients(airframe.coefficients, *values) for values in at])
+        for name, value in (increment or {}).items():
+            said[:, COEFFICIENTS.index(name)] -= value
+        # Thrust by the command: in these manoeuvres the throttle, which lags, does not move.
+        T = np.array([thrust(t, v, d) for t, v, d in zip(get["throttle_pct"], V, rho, strict=True)])
+        force = np.column_stack([T, 0 * T, 0 * T])
+        mass = MassProperties(airframe.m, inertia(airframe), airframe.S, airframe.b, airframe.c)
+        return Prediction(said, force, np.zeros((len(V), 3)), 0.5 * rho * V**2, mass, {"elevator_pos_deg": u[:, 0]})
+
+    return predict
+
+
+@pytest.fixture(scope="module")
+def still() -> FlightRecord:
+    return fly(KINDS, seed=None)
+
+
+def pieces_of(record: FlightRecord) -> list[Piece]:
+    return cut(record, NEEDED)[0]
+
+
+def test_a_model_that_is_the_truth_leaves_nothing(still):
+    found = residual_coefficients(still, pieces_of(still), model_of(AIRFRAME))
+    sizes = np.sqrt(np.mean(found.delta**2, axis=0))
+    # The filter's own error across the sharp edges of servo moves; sensors' noise is a hundred times larger.
+    assert np.all(sizes < [5e-5, 1e-5, 2e-4, 5e-5, 3e-4, 3e-5])
+    assert found.labels == ("pitch-3211", "roll-yaw")
+
+
+@pytest.mark.parametrize("name", COEFFICIENTS)
+def test_what_the_model_lacks_is_the_residual_with_its_sign(still, name):
+    found = residual_coefficients(still, pieces_of(still), model_of(AIRFRAME, {name: 0.01}))
+    k = COEFFICIENTS.index(name)
+    assert np.mean(found.delta[:, k]) == pytest.approx(0.01, abs=3e-4)
+    others = np.delete(np.abs(np.mean(found.delta, axis=0)), k)
+    assert np.all(others < 3e-4)
+
+
+def test_the_accelerometers_place_is_allowed_for(still):
+    arm = np.array([0.4, -0.2, 0.1])
+    rates = np.column_stack([still[f"{a}_radps"] for a in "pqr"])
+    dots = np.gradient(rates, still.dt_s, axis=0)
+    felt = np.cross(dots, arm) + np.cross(rates, np.cross(rates, arm))
+    away = still.with_columns({f"a{a}_mps2": still[f"a{a}_mps2"] + felt[:, k] for k, a in enumerate("xyz")})
+    pieces = pieces_of(still)
+    here = residual_coefficients(still, pieces, model_of(AIRFRAME)).delta
+    there = residual_coefficients(away, pieces, model_of(AIRFRAME), arm).delta
+    ignored = residual_coefficients(away, pieces, model_of(AIRFRAME)).delta
+    size = np.sqrt(np.mean((there - here) ** 2, axis=0))
+    wrong = np.sqrt(np.mean((ignored - here) ** 2, axis=0))
+    assert np.all(size[:3] < 0.2 * wrong[:3])
+
+
+def test_gaps_are_never_bridged(still):
+    alpha = np.array(still["alpha_rad"])
+    alpha[200:230] = np.nan
+    airspeed = np.array(still["V_mps"])
+    airspeed[700:720] = np.nan
+    broken = still.with_columns({"alpha_rad": alpha, "V_mps": airspeed})
+    found = residual_coefficients(broken, pieces_of(broken), model_of(AIRFRAME))
+    assert np.isfinite(found.delta).all()
+    times = np.concatenate([p.time_s for p in found.pieces])
+    for gap in (still["time_s"][200:230], still["time_s"][700:720]):
+        assert not np.any((times > gap[0] - 2 * still.dt_s) & (times < gap[-1] + 2 * still.dt_s))
+    assert len(found.pieces) == 4
+
+
+def test_the_airspeeds_low_pass_stops_at_gaps_and_keeps_slow_motion(still):
+    time = still["time_s"]
+    slow = 20.0 + np.sin(2 * np.pi * 0.1 * time)
+    broken = slow.copy()
+    broken[300:400] = np.nan
+    broken[400:] += 30.0
+    found = steady_airspeed(still.with_columns({"V_mps": broken}), 2.0)["V_mps"]
+    assert np.isnan(found[300:400]).all()
+    assert np.max(np.abs(found[10:290] - slow[10:290])) < 0.005
+    assert np.max(np.abs(found[400:410] - broken[400:410])) < 0.05
+    assert steady_airspeed(still, float("inf")) is still
+
+
+def test_pieces_shorter_than_the_filter_are_refused(still):
+    with pytest.raises(ValueError, match="raise the cut-off"):
+        residual_coefficients(still, [Piece("x", slice(0, 20), 0.0, 0.4)], model_of(AIRFRAME), cutoffs=Cutoffs(0.2))
+
+
+def test_noise_is_what_the_filters_weights_make_of_it():
+    """A flight at rest in the air, a model without coefficients: variances by the smoother's weights .1 .25 .3 .25 .1, by hand."""
+    n, V, rho = 3000, 20.0, 1.225
+    columns = {c: np.full(n, V if c == "V_mps" else 0.0) for c in NOISY} | {"time_s": 0.02 * np.arange(n)}
+    record = FlightRecord(columns)
+    a = dataclasses.replace(AIRFRAME, Ixz=0.0)
+    mass = MassProperties(a.m, inertia(a), a.S, a.b, a.c)
+
+    def predict(record: FlightRecord, piece: Piece) -> Prediction:
+        qbar = 0.5 * rho * record["V_mps"][piece.rows] ** 2
+        zero = np.zeros((len(qbar), 3))
+        return Prediction(np.zeros((len(qbar), 6)), zero, zero, qbar, mass, {})
+
+    noise = {"ay_mps2": 0.16, "p_radps": 0.0035}
+    found = noise_floor(record, [Piece("x", slice(0, n), 0.0, 0.02 * n)], predict, noise, (0, 0, 0), Cutoffs(), repeats=4)
+    pressure = 0.5 * rho * V**2 * a.S
+    side = a.m * 0.16 * np.sqrt(0.3**2 + 2 * 0.25**2 + 2 * 0.1**2) / pressure
+    roll = a.Ixx * 0.0035 * np.sqrt(2 * (1 + 4)) / (10 * 0.02) / (pressure * a.b)
+    assert found[1] == pytest.approx(side, rel=0.04)
+    assert found[3] == pytest.approx(roll, rel=0.04)
+    assert np.all(found[[0, 2]] == 0.0)
+
+
+def wandering(rate_hz: float, seconds: float = 200.0, f: float = 0.2) -> tuple[Residuals, float]:
+    """A residual A sin(2 pi f t) beside a state that tells nothing of it, and the rms of its slope."""
+    time = np.arange(0.0, seconds, 1.0 / rate_hz)
+    y = 0.01 * np.sin(2 * np.pi * f * time)
+    rng = np.random.default_rng(0)
+    states = {"V_mps": 20.0 + rng.standard_normal(len(time))}
+    piece = ResidualPiece("x", time, np.column_stack([y] * 6), states)
+    return Residuals((piece,), 1.0 / rate_hz, Cutoffs()), 0.01 * 2 * np.pi * f / np.sqrt(2)
+
+
+@pytest.mark.parametrize("rate_hz", [25.0, 50.0, 100.0])
+def test_the_rate_of_variation_does_not_depend_on_the_recorders_rate(rate_hz):
+    residuals, slope = wandering(rate_hz)
+    bounds = fit_bounds(residuals, {"CZ": Design(("V_mps",), ((0,),))})["CZ"].bounds
+    low, high = bounds.bounds(residuals.states)
+    found = variation(residuals, "CZ", bounds, cutoff_hz=2.0)
+    expected = slope * STEP_S / (high - low)[0]
+    assert found.sigma == pytest.approx(expected, rel=0.03)
+    assert found.rate == pytest.approx(expected / np.sqrt(0.02), rel=0.03)
+    # A smooth signal is no random walk: over a tenfold step the rate comes out about root ten times as large.
+    assert found.lagged[0.1] / found.lagged[0.02] == pytest.approx(np.sqrt(5.0), rel=0.03)
+
+
+def test_a_true_random_walks_rate_is_the_same_over_any_step_above_the_filters():
+    rng = np.random.default_rng(2)
+    time = 0.02 * np.arange(60_000)
+    level = np.cumsum(0.012 * np.sqrt(0.02) * rng.standard_normal(len(time)))
+    y = 0.02 * (level - level.mean())
+    states = {"V_mps": 20.0 + rng.standard_normal(len(time))}
+    residuals = Residuals((ResidualPiece("x", time, np.column_stack([y] * 6), states),), 0.02, Cutoffs())
+    bounds = fit_bounds(residuals, {"CZ": Design(("V_mps",), ((0,),))})["CZ"].bounds
+    low, high = bounds.bounds(residuals.states)
+    found = variation(residuals, "CZ", bounds, cutoff_hz=10.0)
+    width = (high - low)[0] / 0.02
+    assert found.lagged[1.0] * width == pytest.approx(0.012, rel=0.1)
+    assert found.lagged[0.5] / found.lagged[2.0] == pytest.approx(1.0, abs=0.15)
+
+
+def test_too_short_for_the_low_pass_is_no_rate_and_not_zero():
+    residuals, _ = wandering(50.0, seconds=2.0)
+    bounds = fit_bounds(residuals, {"CZ": Design(("V_mps",), ((0,),))})["CZ"].bounds
+    found = variation(residuals, "CZ", bounds, cutoff_hz=0.1)
+    assert np.isnan(found.rate)
+    assert len(found.increments) == 0

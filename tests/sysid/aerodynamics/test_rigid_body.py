@@ -1,0 +1,195 @@
+"""The linear system along a flight against the equations written in the open, and what gusts do in it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sysid.aerodynamics.coefficients import MassProperties
+from sysid.aerodynamics.equations import OpenEquations
+from sysid.aerodynamics.gust_states import GustStates
+from sysid.aerodynamics.rigid_body import AIR, NX, Reference, Steps, linearise, rates, whole_states
+from sysid.effects.turbulence import Gusts, gust_intensity, process_of
+
+MASS = MassProperties(mass=21.0, inertia=np.array([[11.1, 0.0, -0.5], [0.0, 7.7, 0.0], [-0.5, 0.0, 18.4]]), S=1.38, b=3.66, c=0.38)
+TERMS = (
+    "CX_0",
+    "CZ_0",
+    "CZ_alpha",
+    "CY_beta",
+    "Cl_beta",
+    "Cl_p",
+    "Cl_r",
+    "Cm_alpha",
+    "Cm_q",
+    "Cn_beta",
+    "Cn_p",
+    "Cn_r",
+)
+VALUES = np.array([-0.03, -0.4, -5.0, -0.6, -0.05, -0.5, 0.1, -0.8, -12.0, 0.07, -0.04, -0.12])
+INPUTS = np.array([*np.zeros(9), 1.2, *np.zeros(6)])
+DT = 0.02
+
+
+def flight(n: int) -> np.ndarray:
+    """(n, 8) a banked, rolling, turning path."""
+    t = DT * np.arange(n)
+    columns = [21.0 + 0.5 * t, 0.05 + 0.02 * np.sin(t), 0.03 * np.cos(2.0 * t), 0.4 * np.cos(1.5 * t), 0.1 + 0.05 * t,
+               0.25 + 0.1 * np.sin(t), 0.5 + 0.3 * np.sin(1.5 * t), 0.1 * np.ones(n)]  # fmt: skip
+    return np.column_stack(columns)
+
+
+def loads(x: np.ndarray, equations: OpenEquations) -> np.ndarray:
+    """(6,) force and moment at (8,) states in still air."""
+    C = np.array(equations._coefficients(*x[:6], INPUTS, VALUES), dtype=float)
+    qS = 0.5 * INPUTS[9] * x[0] ** 2 * MASS.S
+    return qS * np.array([1.0, 1.0, 1.0, MASS.b, MASS.c, MASS.b]) * C
+
+
+def reference(x: np.ndarray, equations: OpenEquations) -> Reference:
+    force = np.array([loads(row, equations) for row in x])
+    slopes = np.empty((len(x), 6, 6))
+    for k in range(len(AIR)):
+        step = 1e-5 * (np.arange(8) == k)
+        slopes[:, :, k] = [(loads(r + step, equations) - loads(r - step, equations)) / 2e-5 for r in x]
+    qbar = 0.5 * INPUTS[9] * x[:, 0] ** 2
+    return Reference(DT, x, force[:, :3], force[:, 3:], slopes, qbar, np.zeros(3), False)
+
+
+@pytest.mark.parametrize(("rotating", "turning"), [(True, True), (True, False), (False, False)])
+def test_the_system_is_that_of_the_open_equations(rotating, turning, monkeypatch):
+    equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
+    gusts = GustStates(MASS.b, rotating=rotating, turning_with=turning)
+    monkeypatch.setattr(OpenEquations, "gusts", gusts)
+    x = flight(4)
+    found = linearise(reference(x, equations), MASS, gusts=gusts)
+    wide = whole_states(x, gusts)
+    middle = 0.5 * (wide[1] + wide[2])
+
+    def f(state: np.ndarray) -> np.ndarray:
+        return np.array(equations.f(state, INPUTS, VALUES), dtype=float)
+
+    A = np.column_stack([(f(middle + h) - f(middle - h)) / 2e-6 for h in 1e-6 * np.eye(NX)])
+    expected = np.eye(NX) + A * DT + A @ A * DT**2 / 2.0 + A @ A @ A * DT**3 / 6.0
+    np.testing.assert_allclose(found.phi[1], expected, atol=2e-4)
+    assert np.abs(found.phi[1][:, 8:] - np.eye(NX)[:, 8:]).max() > 0.01
+    state = wide[1]
+    for _ in range(4):
+        k1 = f(state)
+        k2 = f(state + DT / 8.0 * k1)
+        k3 = f(state + DT / 8.0 * k2)
+        state = state + DT / 24.0 * (k1 + 2.0 * k2 + 2.0 * k3 + f(state + DT / 4.0 * k3))
+    np.testing.assert_allclose(wide[2] + found.defect[1], state, atol=1e-4)
+    assert np.abs(found.defect[1]).max() > 0.01
+
+
+@pytest.mark.parametrize("turning", [True, False])
+def test_rates_of_change_are_those_of_the_open_equations(turning, monkeypatch):
+    """At states away from the reference, air that moves and rotates."""
+    equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
+    gusts = GustStates(MASS.b, turning_with=turning)
+    monkeypatch.setattr(OpenEquations, "gusts", gusts)
+    x = flight(4)
+    away = np.array([0.3, 0.004, -0.003, 0.02, -0.01, 0.01, 0.02, 0.01, 0.05, 0.01, -0.01, 1.5, 0.04])
+    state = whole_states(x, gusts) + away
+    found = rates(reference(x, equations), MASS, state, gusts=gusts)
+    expected = np.array([equations.f(row, INPUTS, VALUES) for row in state], dtype=float)
+    # Forces are linear about the reference: what is left is of second order.
+    np.testing.assert_allclose(found, expected, atol=0.02)
+    still = rates(reference(x, equations), MASS, state, gusts=GustStates(MASS.b, turning_with=False))
+    assert (np.abs(found - still)[:, :3].max() > 1e-3) == turning
+    at = whole_states(x, gusts)
+    exact = np.array([equations.f(row, INPUTS, VALUES) for row in at], dtype=float)
+    np.testing.assert_allclose(rates(reference(x, equations), MASS, at, gusts=gusts), exact, atol=1e-9)
+
+
+def test_still_air_stays_still_wherever_the_flight_begins():
+    equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
+    x = flight(80)
+    state = whole_states(x[:1], GustStates(MASS.b))[0]
+    for k in range(len(x)):
+        x[k] = state[:8]
+        for _ in range(10):
+            half = state + DT / 20.0 * np.array(equations.f(state, INPUTS, VALUES), dtype=float)
+            state = state + DT / 10.0 * np.array(equations.f(half, INPUTS, VALUES), dtype=float)
+    plain = linearise(reference(x, equations), MASS)
+    gusty = linearise(reference(x, equations), MASS, gusts=GustStates(MASS.b))
+    assert plain.start is not None
+    assert gusty.start is not None
+    small, large = plain.start, gusty.start
+    for k in range(len(x) - 1):
+        small, large = plain.phi[k] @ small, gusty.phi[k] @ large
+    scale = np.abs(small).max(axis=1, keepdims=True)
+    np.testing.assert_allclose(large[:8] / scale, small / scale, atol=5e-3)
+    wrong = np.eye(NX, 8)
+    for k in range(len(x) - 1):
+        wrong = gusty.phi[k] @ wrong
+    assert np.abs(wrong[:8] - small).max() > 10.0 * np.abs(large[:8] - small).max()
+
+
+NOISE = np.array([0.3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 0.05, 0.05, 0.05])
+INTENSITIES = np.array([0.2, 1e-3, 1e-3, 0.04, 1e-4])
+Made = dict[GustStates, list[Steps]]
+
+
+def drawn(truth: GustStates, values: np.ndarray, moment: float = 0.0) -> tuple[Made, list[np.ndarray]]:
+    """Four flights drawn from the linear system itself, by what gusts may do; moment: a wave in Cl of that size besides."""
+    rng = np.random.default_rng(4)
+    equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
+    n, ref = 150, []
+    for k in range(4):
+        x = flight(n + 20 * k)[20 * k :]
+        x[:, 5] += 0.35
+        ref.append(reference(x, equations))
+    made = {
+        s: [linearise(r, MASS, gusts=s) for r in ref]
+        for s in (GustStates(MASS.b, rotating=a, turning_with=b) for a in (True, False) for b in (True, False))
+    }
+    data = []
+    for steps in made[truth]:
+        Q, begin = process_of(values, 22.0, truth)
+        d = np.sqrt(np.diagonal(begin)) * rng.standard_normal(NX)
+        z = np.empty((n, len(NOISE)))
+        wave = moment * np.sin(9.0 * DT * np.arange(n) + rng.uniform(0.0, 6.0))
+        for k in range(n):
+            u = wave[k] * np.eye(6)[3]
+            z[k] = steps.y_ref[k] + steps.H[k] @ d + steps.D[k] @ u + NOISE * rng.standard_normal(len(NOISE))
+            if k < n - 1:
+                d = steps.phi[k] @ (d + np.sqrt(0.5 * DT * np.diagonal(Q)) * rng.standard_normal(NX)) + steps.defect[k]
+                d = d + np.sqrt(0.5 * DT * np.diagonal(Q)) * rng.standard_normal(NX)
+                d = d + steps.g0[k] @ u + steps.g1[k] @ (wave[k + 1] * np.eye(6)[3])
+        data.append(z)
+    return made, data
+
+
+def found_in(made: Made, data: list[np.ndarray], near: Gusts | None = None) -> Gusts:
+    return gust_intensity(
+        lambda some, s: [made[s][k] for k in some], data, range(len(NOISE)), NOISE, [22.0] * 4, ["a"] * 2 + ["b"] * 2,
+        GustStates(MASS.b), near,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("rotating", "turning"), [(True, True), (True, False), (False, False)])
+def test_intensities_and_what_gusts_do_are_found(rotating, turning):
+    """Intensities within a factor, the air's ways by likelihood."""
+    made, data = drawn(GustStates(MASS.b, rotating=rotating, turning_with=turning), INTENSITIES)
+    found = found_in(made, data)
+    assert (found.states.rotating, found.states.turning_with) == (rotating, turning)
+    np.testing.assert_allclose(np.log(found.values[:4] / INTENSITIES[:4]), 0.0, atol=np.log(1.7))
+    assert set(found.own) == {"a", "b"}
+    assert found.gain > 1000.0
+    assert found.air
+    again = found_in(made, data, found)
+    np.testing.assert_allclose(np.log(again.values[:4] / found.values[:4]), 0.0, atol=np.log(1.4))
+    assert again.moving == found.moving
+
+
+def test_a_moment_that_comes_and_goes_is_no_air():
+    """Nearly still air and a wave in Cl: the filter has it rotate, and nothing moves. A hundredth of light air is air."""
+    still = 1e-6 * INTENSITIES
+    wave = found_in(*drawn(GustStates(MASS.b), still, 0.003))
+    assert wave.gain > 100.0
+    assert not wave.air
+    faint = found_in(*drawn(GustStates(MASS.b), 0.01 * INTENSITIES))
+    assert faint.gain > 100.0
+    assert faint.air

@@ -1,0 +1,234 @@
+"""Whitened innovations against the dense Gaussian likelihood of the same linear system; the scores built on them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sysid.aerodynamics.rigid_body import NX, OUTPUTS, Steps
+from sysid.effects import prediction
+from sysid.effects.prediction import Columns, Process, White, _lawful, _root, whiten
+from sysid.effects.score import corrected, gather, scores
+from sysid.effects.selection import select, threshold
+from sysid.effects.turbulence import noise_factors
+
+M = len(OUTPUTS)
+
+
+def system(n: int, seed: int) -> Steps:
+    """A stable random system of the right shapes, the first eight states seen."""
+    rng = np.random.default_rng(seed)
+    phi = np.repeat((0.9 * np.eye(NX) + 0.03 * rng.standard_normal((NX, NX)))[None], n - 1, axis=0)
+    g0, g1 = (0.1 * rng.standard_normal((n - 1, NX, 6)) for _ in range(2))
+    H = np.repeat(rng.standard_normal((M, NX))[None], n, axis=0)
+    D = np.repeat(0.2 * rng.standard_normal((M, 6))[None], n, axis=0)
+    defect = 0.05 * rng.standard_normal((n - 1, NX))
+    start = np.vstack([np.eye(8), rng.standard_normal((NX - 8, 8))])
+    return Steps(0.02, phi, g0, g1, defect, H, D, rng.standard_normal((n, M)), start)
+
+
+def dense(steps: Steps, noise: np.ndarray, Q: np.ndarray, P0: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mean (n m,), covariance and the response to the start state (n m, 8), written out in full."""
+    n = len(steps.y_ref)
+    phi, eye = steps.phi, np.eye(NX)
+    added = []
+    for k in range(n - 1):
+        away = phi[k] - eye
+        half = eye + 0.5 * away - 0.125 * away @ away
+        added.append(steps.dt_s / 6.0 * (Q + 4.0 * half @ Q @ half.T + phi[k] @ Q @ phi[k].T))
+    mean, cov = [np.zeros(NX)], [[P0]]
+    start = [eye[:, :8] if steps.start is None else steps.start]
+    for k in range(n - 1):
+        mean.append(phi[k] @ mean[-1] + steps.defect[k])
+        start.append(phi[k] @ start[-1])
+        row = [phi[k] @ c for c in cov[k]]
+        cov.append([*row, phi[k] @ cov[k][k] @ phi[k].T + added[k]])
+    full = np.zeros((n * NX, n * NX))
+    for i in range(n):
+        for j in range(i + 1):
+            full[i * NX : (i + 1) * NX, j * NX : (j + 1) * NX] = cov[i][j]
+            full[j * NX : (j + 1) * NX, i * NX : (i + 1) * NX] = cov[i][j].T
+    H = np.zeros((n * M, n * NX))
+    for k in range(n):
+        H[k * M : (k + 1) * M, k * NX : (k + 1) * NX] = steps.H[k]
+    y = np.concatenate([steps.y_ref[k] + steps.H[k] @ mean[k] for k in range(n)])
+    X = np.vstack([steps.H[k] @ start[k] for k in range(n)])
+    return y, H @ full @ H.T + np.kron(np.eye(n), np.diag(noise**2)), X
+
+
+@pytest.mark.parametrize("gusty", [False, True])
+def test_the_filter_is_the_dense_likelihood(gusty):
+    n = 7
+    steps, rng = system(n, 1), np.random.default_rng(2)
+    noise = 0.2 + rng.random(M)
+    Q = P0 = np.zeros((NX, NX))
+    if gusty:
+        root = rng.standard_normal((NX, 3))
+        Q = root @ root.T
+        P0 = np.diag(np.where(np.arange(NX) < 8, 0.0, 1.0 + rng.random(NX)))
+    z = rng.standard_normal((n, M))
+    z[3, 4] = np.nan
+    u = rng.standard_normal((n, 6))
+    process = Process(Q[None], P0[None]) if gusty else None
+    (white,) = whiten([steps], [z], [Columns(("c",), {"c": (-1, u)}, {})], range(M), noise, process)
+    y, V, X = dense(steps, noise, Q, P0)
+    seen = np.isfinite(z).ravel()
+    e = (z.ravel() - y)[seen]
+    V, X = V[np.ix_(seen, seen)], X[seen]
+    inverse = np.linalg.inv(V)
+    P = inverse - inverse @ X @ np.linalg.solve(X.T @ inverse @ X, X.T @ inverse)  # the start state estimated
+    forced = [np.zeros(NX)]
+    for k in range(n - 1):
+        forced.append(steps.phi[k] @ forced[-1] + steps.g0[k] @ u[k] + steps.g1[k] @ u[k + 1])
+    s = np.concatenate([steps.H[k] @ forced[k] + steps.D[k] @ u[k] for k in range(n)])[seen]
+    assert np.sum(white.residual**2) == pytest.approx(e @ P @ e, rel=1e-6)
+    assert 2.0 * white.logdet == pytest.approx(np.linalg.slogdet(V)[1], rel=1e-9)
+    column = white.columns[:, :, 0].astype(float).ravel()
+    assert column @ white.residual.ravel() == pytest.approx(s @ P @ e, rel=1e-4)
+    assert column @ column == pytest.approx(s @ P @ s, rel=1e-4)
+
+
+def flights(effect: dict[str, float], seed: int, segments: int = 9, n: int = 60):
+    """Evidence of white flights with the columns a, b (parameters), c1..c6 (candidates), c6 being c1 again under another name."""
+    rng = np.random.default_rng(seed)
+    names = ("a", "b", "c1", "c2", "c3", "c4", "c5", "c6")
+    parts, noise = [], np.full(M, 0.5)
+    for k in range(segments):
+        steps = system(n, 10 + k)
+        inputs = {name: (j % 6, rng.standard_normal(n)) for j, name in enumerate(names)}
+        inputs["c6"] = inputs["c1"]
+        state, z = np.zeros(NX), np.empty((n, M))
+        u = np.zeros((n, 6))
+        for name, value in {"a": 0.3, **effect}.items():
+            u[:, inputs[name][0]] += value * inputs[name][1]
+        for i in range(n):
+            z[i] = steps.y_ref[i] + steps.H[i] @ state + steps.D[i] @ u[i] + noise * rng.standard_normal(M)
+            if i < n - 1:
+                state = steps.phi[i] @ state + steps.defect[i] + steps.g0[i] @ u[i] + steps.g1[i] @ u[i + 1]
+        parts.append(whiten([steps], [z], [Columns(names, inputs, {})], range(M), noise)[0])
+    return gather(parts, names, ["f"] * segments, {})
+
+
+CONFIRMING = np.arange(9) % 3 == 1
+ODDS = dict.fromkeys(("c1", "c2", "c3", "c4", "c5"), 0.0)
+
+
+def test_the_hidden_effect_is_chosen_and_estimated():
+    evidence = flights({"c3": 0.2}, 3)
+    (choice,) = select(evidence, ["a", "b"], ODDS, CONFIRMING).chosen
+    assert choice.key == "c3"
+    assert abs(choice.value - 0.2) < 3.0 * choice.std
+    assert choice.confirmed_gain > 0.0
+
+
+def test_two_hidden_effects_are_both_chosen():
+    evidence = flights({"c3": 0.2, "c5": -0.15}, 4)
+    assert {c.key for c in select(evidence, ["a", "b"], ODDS, CONFIRMING).chosen} == {"c3", "c5"}
+
+
+def test_without_an_effect_nothing_is_chosen():
+    chosen = [bool(select(flights({}, seed), ["a", "b"], ODDS, CONFIRMING).chosen) for seed in range(20, 32)]
+    assert sum(chosen) <= 1
+
+
+def test_one_and_the_same_cause_stands_as_inseparable():
+    evidence = flights({"c1": 0.2}, 5)
+    (choice,) = select(evidence, ["a", "b"], {**ODDS, "c6": 0.5}, CONFIRMING).chosen
+    assert choice.key == "c1"
+    assert (choice.alternatives[0].key, choice.alternatives[0].separable) == ("c6", False)
+
+
+def test_a_candidate_that_the_parameters_hold_already_has_no_score():
+    evidence = flights({}, 6)
+    assert np.isnan(scores(evidence, ["a", "b", "c1"], ["c6"]).t[0])
+
+
+def test_scores_of_nothing_are_standard_normal():
+    t = np.concatenate([scores(flights({}, seed, 4, 40), ["a", "b"], list(ODDS)).t for seed in range(40, 60)])
+    assert abs(t.mean()) < 0.3
+    assert 0.8 < t.std() < 1.2
+    evidence = flights({}, 41)
+    _, std, white = corrected(evidence, ["a", "b"], "c2")
+    assert std == pytest.approx(white, rel=0.1)
+
+
+def test_the_limit_grows_with_the_number_of_candidates():
+    assert threshold(1, 0.01) == pytest.approx(2.5758, abs=1e-3)
+    assert threshold(300, 0.01) > 4.0
+
+
+def test_an_effect_taken_out_is_found_again():
+    evidence = flights({"c3": 0.2}, 3)
+    away = evidence.taken_out({"c3": -0.2})
+    assert abs(scores(away, ["a", "b"], ["c3"]).t[0]) < 4.0
+    again = away.taken_out({"c3": 0.2})
+    assert scores(again, ["a", "b"], ["c3"]).t[0] == pytest.approx(scores(evidence, ["a", "b"], ["c3"]).t[0], rel=1e-6)
+
+
+def test_a_step_leaves_what_is_held_where_it_is():
+    evidence = flights({"c3": 0.2}, 3)
+    whole, length = evidence.step()
+    held, shorter = evidence.step(["c3"])
+    at = evidence.index(["c3"])[0]
+    assert abs(whole[at]) > 0.1
+    assert held[at] == 0.0
+    np.testing.assert_allclose(held, evidence.fitted(evidence.index([n for n in evidence.names if n != "c3"])))
+    assert 0.0 < shorter < length
+
+
+def test_noise_that_is_half_of_what_is_stated_is_found_in_gusts():
+    """The filter's own covariance is the truth: outputs drawn from a system with process noise, rates half as noisy as taken."""
+    rng = np.random.default_rng(8)
+    Q = np.diag(np.where(np.arange(NX) < 8, 0.5, 0.0))
+    stated, kinds = np.full(M, 0.5), ["wind"] * 5 + ["rate"] * 3 + ["force"] * 3
+    true = stated * np.where(np.array(kinds) == "rate", 0.5, 1.0)
+    steps, data = [system(120, 30 + k) for k in range(6)], []
+    for s in steps:
+        state, z = np.zeros(NX), np.empty((120, M))
+        for i in range(120):
+            z[i] = s.y_ref[i] + s.H[i] @ state + true * rng.standard_normal(M)
+            if i < 119:
+                shaken = np.sqrt(s.dt_s * np.diagonal(Q)) * rng.standard_normal(NX)
+                state = s.phi[i] @ (state + shaken) + s.defect[i]
+        data.append(z)
+    found = noise_factors(steps, data, range(M), stated, Process(*(np.repeat(q[None], 6, axis=0) for q in (Q, 0.0 * Q))), kinds)
+    assert found[5] == pytest.approx(0.5, rel=0.25)
+    assert found[[0, 8]] == pytest.approx([1.0, 1.0], abs=0.2)
+
+
+def test_a_variance_below_zero_becomes_none_and_the_rest_stays():
+    good = np.array([[4e6, 1e2], [1e2, 9e-2]])
+    axes = np.linalg.qr(np.random.default_rng(1).standard_normal((2, 2)))[0]
+    sunk = axes @ np.diag([1.0, -0.2]) @ axes.T
+    found = _lawful(np.stack([good, sunk]))
+    np.testing.assert_allclose(found[0], good, rtol=1e-9)
+    assert np.linalg.eigvalsh(found[1]).min() > -1e-12
+    assert np.linalg.eigvalsh(found[1]).max() > 0.5
+
+
+def test_both_forms_of_the_update_are_one_filter(monkeypatch):
+    rng = np.random.default_rng(12)
+    steps = [system(80, 40)]
+    Q = np.diag(np.where(np.arange(NX) < 8, 0.5, 0.0))[None]
+    data = [steps[0].y_ref + 0.5 * rng.standard_normal((80, M))]
+    columns = [Columns(("c",), {"c": (3, rng.standard_normal(80))}, {})]
+
+    def found() -> White:
+        return whiten(steps, data, columns, range(M), np.full(M, 0.5), Process(Q, 0.0 * Q))[0]
+
+    plain = found()
+    monkeypatch.setattr(prediction, "VIOLENT", 0.0)
+    other = found()
+    assert not np.array_equal(plain.residual, other.residual)
+    np.testing.assert_allclose(other.residual, plain.residual, atol=1e-8)
+    np.testing.assert_allclose(other.columns, plain.columns, atol=1e-4)
+    assert other.logdet == pytest.approx(plain.logdet, rel=1e-10)
+
+
+def test_covariances_that_rounding_has_spoilt_still_have_a_root():
+    good = np.array([[4.0, 1.0], [1.0, 9.0]])
+    spoilt = np.array([[1.0, 1.0 + 1e-9], [1.0 + 1e-9, 1.0]])
+    low = _root(np.stack([good, spoilt]), np.full((2, 2), 0.5))
+    np.testing.assert_allclose(low @ low.transpose(0, 2, 1), np.stack([good, spoilt]), atol=1e-8)
+    sunk = _root(np.array([[[-1.0, 0.0], [0.0, 1.0]]]), np.full((1, 2), 0.5))
+    assert np.isfinite(sunk).all()

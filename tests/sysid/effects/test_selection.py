@@ -1,0 +1,191 @@
+"""The rule that chooses effects: the largest t by chance, causes that physics makes alike, noise other than taken."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sysid.effects.prediction import White
+from sysid.effects.score import Evidence, gather, scores
+from sysid.effects.selection import chance_limit, select, threshold
+
+SEGMENTS, N, M = 6, 40, 3
+CONFIRMING = np.arange(SEGMENTS) % 3 == 1
+
+
+def evidence(columns: dict[str, np.ndarray], residual: np.ndarray) -> Evidence:
+    """columns: name -> (S, n, m); residual (S, n, m) in units of the noise."""
+    names = tuple(columns)
+    white = [
+        White(
+            residual[s], np.stack([columns[c][s] for c in names], axis=2).astype(np.float32), 0.0,
+            np.zeros((8, 1 + len(names))), np.ones((N, M), dtype=bool), np.ones(M), np.zeros((N, 11)),
+        )
+        for s in range(SEGMENTS)
+    ]  # fmt: skip
+    return gather(white, names, ["one"] * SEGMENTS, {})
+
+
+def drawn(rng: np.random.Generator) -> np.ndarray:
+    return rng.standard_normal((SEGMENTS, N, M))
+
+
+def test_the_limit_is_sidaks_for_candidates_that_have_nothing_in_common():
+    rng = np.random.default_rng(1)
+    found = evidence({f"c{k}": drawn(rng) for k in range(30)}, drawn(rng))
+    limit = chance_limit(found, [], [f"c{k}" for k in range(30)], 0.05)
+    assert limit == pytest.approx(threshold(30, 0.05), abs=0.06)
+
+
+def test_the_limit_of_one_candidate_by_thirty_names_is_that_of_one():
+    rng = np.random.default_rng(1)
+    own, free = drawn(rng), drawn(rng)
+    found = evidence({"free": free, **{f"c{k}": (1.0 + k) * own + k * free for k in range(30)}}, drawn(rng))
+    limit = chance_limit(found, ["free"], [f"c{k}" for k in range(30)], 0.05)
+    assert limit == pytest.approx(1.96, abs=0.05)
+    assert threshold(30, 0.05) > 3.0
+
+
+def test_nothing_is_chosen_from_noise_more_often_than_the_limit_allows():
+    rng = np.random.default_rng(2)
+    shared = drawn(rng)
+    columns = {"free": drawn(rng), **{f"c{k}": drawn(rng) + shared for k in range(20)}}
+    candidates = {f"c{k}": 0.0 for k in range(20)}
+    limit = chance_limit(evidence(columns, shared), ["free"], list(candidates), 0.05)
+    largest = [float(np.abs(scores(evidence(columns, drawn(rng)), ["free"], list(candidates)).t).max()) for _ in range(300)]
+    assert 0.02 < np.mean(np.array(largest) > limit) < 0.085
+
+
+@pytest.fixture
+def alike():
+    """What is there: ``square``; ``inertia`` is the same but for a share in ``companion``."""
+    rng = np.random.default_rng(3)
+    square, companion = drawn(rng), drawn(rng)
+    columns = {"square": square, "inertia": square - 0.6 * companion, "companion": companion, "other": drawn(rng)}
+    return evidence(columns, 1.0 * square + drawn(rng))
+
+
+TWINS = {("square", "inertia"): ("companion",), ("inertia", "square"): ("companion",)}
+
+
+def alternatives(found, twins) -> dict[str, bool]:
+    chosen = select(found, [], dict.fromkeys(found.names, 0.0), CONFIRMING, twins=twins).chosen
+    assert [c.key for c in chosen] == ["square"]
+    return {a.key: a.separable for a in chosen[0].alternatives}
+
+
+def test_twins_stand_together_though_a_companion_tells_them_apart(alike):
+    assert alternatives(alike, TWINS)["inertia"] is False
+
+
+def test_without_a_tie_the_companion_tells_them_apart(alike):
+    assert alternatives(alike, None).get("inertia", True) is True
+
+
+def test_a_twin_turns_what_stands_in_roll_into_yaw():
+    """A second effect in Cl stands; the twin holds the same in Cn, which no parameter has."""
+    rng = np.random.default_rng(9)
+    square, companion, roll, yaw = drawn(rng), drawn(rng), drawn(rng), drawn(rng)
+    columns = {
+        "square": square, "inertia": square - 0.6 * companion + 1.5 * yaw, "companion": companion, "effect/Cl/de": roll,
+        "effect/Cn/de": yaw,
+    }  # fmt: skip
+    found = evidence(columns, 1.0 * square + 2.0 * roll + drawn(rng))
+    chosen = select(found, [], dict.fromkeys(columns, 0.0), CONFIRMING, twins=TWINS).chosen
+    assert {c.key for c in chosen} == {"square", "effect/Cl/de"}
+    (choice,) = (c for c in chosen if c.key == "square")
+    assert {a.key: a.separable for a in choice.alternatives}["inertia"] is False
+
+
+def test_twins_that_differ_in_more_than_their_companion_are_told_apart():
+    rng = np.random.default_rng(4)
+    square, companion, own = drawn(rng), drawn(rng), drawn(rng)
+    columns = {"square": square, "inertia": square - 0.6 * companion + 0.7 * own, "companion": companion}
+    found = evidence(columns, 1.0 * square + drawn(rng))
+    assert alternatives(found, TWINS)["inertia"] is True
+
+
+@pytest.mark.parametrize("there", ["square", "modulus"])
+def test_a_twin_is_told_before_a_third_form_of_the_same(there):
+    """``modulus`` and ``fourth`` resemble ``square`` more than ``inertia`` does, whose companion is a parameter of no other."""
+    rng = np.random.default_rng(6)
+    square, companion = drawn(rng), drawn(rng)
+    columns = {
+        "square": square, "modulus": square + 0.1 * drawn(rng), "fourth": square + 0.1 * drawn(rng),
+        "inertia": square - 0.3 * companion, "companion": companion,
+    }  # fmt: skip
+    found = evidence(columns, 0.2 * square + 0.8 * (columns[there] - square) + drawn(rng))
+    open_ = {k: 0.0 for k in columns if k != "companion"}
+    (choice,) = select(found, [], open_, CONFIRMING, twins=TWINS).chosen
+    assert choice.key == there
+    alike_ = [a.key for a in choice.alternatives if not a.separable]
+    assert len(alike_) == 2
+    assert {"square", "inertia"} <= {choice.key, *alike_}
+    (plain,) = select(found, [], open_, CONFIRMING).chosen
+    assert "inertia" not in [a.key for a in plain.alternatives]
+
+
+def test_what_all_candidates_see_a_little_is_none_of_them():
+    rng = np.random.default_rng(5)
+    misfit = drawn(rng)
+    columns = {f"c{k}": drawn(rng) + rng.uniform(-0.6, 0.6) * misfit for k in range(60)}
+    candidates = dict.fromkeys(columns, 0.0)
+    found = evidence(columns, 0.3 * misfit + drawn(rng))
+    nobody = np.zeros(SEGMENTS, dtype=bool)
+    plain = select(found, [], candidates, nobody, most=1)
+    careful = select(found, [], candidates, nobody, most=1, empirical=True)
+    assert plain.chosen
+    assert not careful.chosen
+    assert careful.refused is not None
+    assert "spread" in careful.refused.why
+    there = evidence(columns, 0.3 * misfit + drawn(rng) + 1.0 * columns["c7"])
+    assert [c.key for c in select(there, [], candidates, nobody, most=1, empirical=True).chosen] == ["c7"]
+
+
+def test_an_effect_is_found_beside_a_stronger_one_that_its_flights_contradict():
+    """``torn`` has the opposite sign in the confirming part: it is refused, and what is steady enters all the same."""
+    rng = np.random.default_rng(6)
+    torn, steady = drawn(rng), drawn(rng)
+    sign = np.where(CONFIRMING, -1.0, 1.0)[:, None, None]
+    found = evidence({"torn": torn, "steady": steady, "other": drawn(rng)}, sign * torn + 0.4 * steady + drawn(rng))
+    selection = select(found, [], dict.fromkeys(found.names, 0.0), CONFIRMING)
+    assert [c.key for c in selection.chosen] == ["steady"]
+    assert selection.refused is not None
+    assert selection.refused.key == "torn"
+    assert selection.refused.strong
+
+
+@pytest.mark.parametrize(("t", "entering"), [(9.0, True), (5.0, False)])
+def test_far_above_chance_it_is_enough_that_the_parts_do_not_contradict_each_other(t, entering):
+    """The confirming part knows a tenth of it, and what it knows is by chance half a standard error the other way."""
+    rng = np.random.default_rng(11)
+    column = drawn(rng) * np.where(CONFIRMING, 0.2, 1.0)[:, None, None]
+    noise = drawn(rng)
+    for part, off in ((CONFIRMING, -0.5), (~CONFIRMING, 0.0)):
+        x, own = column[part], noise[part]
+        size = np.sum(x**2)
+        own -= x * np.sum(x * own) / size  # no noise along the column but what is wanted
+        noise[part] = own + x * (off / np.sqrt(size) - (t / np.sqrt(np.sum(column**2)) if off else 0.0))
+    found = evidence({"there": column, "other": drawn(rng)}, t / np.sqrt(np.sum(column**2)) * column + noise)
+    selection = select(found, [], dict.fromkeys(found.names, 0.0), CONFIRMING, limit=4.0)
+    assert bool(selection.chosen) == entering
+    if not entering:
+        assert selection.refused is not None
+        assert selection.refused.unconfirmed
+
+
+def test_what_a_strong_effect_may_leave_behind_is_no_effect():
+    """The truth is the strong candidate's form but for a little; what differs looks like the weak one."""
+    rng = np.random.default_rng(8)
+    strong, weak, own = drawn(rng), drawn(rng), drawn(rng)
+    columns = {"strong": strong, "weak": weak, "own": own}
+    odds = dict.fromkeys(columns, 0.0)
+    trace = 5.5 / np.sqrt(np.sum(weak**2))
+    left = evidence(columns, 3.0 * strong + trace * weak + drawn(rng))
+    assert [c.key for c in select(left, [], odds, CONFIRMING).chosen] == ["strong"]
+    alone = evidence(columns, trace * weak + drawn(rng))
+    assert [c.key for c in select(alone, [], odds, CONFIRMING).chosen] == ["weak"]
+    begun = select(left, [], odds, CONFIRMING, chosen=["strong", "weak"])
+    assert [c.key for c in begun.chosen] == ["strong"]
+    both = evidence(columns, 3.0 * strong + 2.0 * trace * weak + drawn(rng))
+    assert {c.key for c in select(both, [], odds, CONFIRMING).chosen} == {"strong", "weak"}

@@ -1,0 +1,363 @@
+"""Foreign formats are read in a child with limits: bombs and damage end in a sentence, and what is sound comes back as it was."""
+
+from __future__ import annotations
+
+import os
+import signal
+import struct
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from sysid.errors import LogError
+from sysid.foreign import limited
+from sysid.foreign.data_file import load
+from sysid.foreign.limits import LIMITS, Limit
+from sysid.foreign.raw import RawLog
+from sysid.logs.importers import tables, tlog, ulog
+from sysid.logs.load import import_log
+from sysid.logs.signal_map import shipped_map
+from sysid.record import FlightRecord
+from tests.helpers.log_writers import write_text_log, write_tlog, write_ulog
+from tests.helpers.places import ROOT
+
+has_address_limit = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="no limit of address space here")
+
+
+def _message(kind: bytes, body: bytes) -> bytes:
+    return struct.pack("<HB", len(body), kind[0]) + body
+
+
+def _slow_ulog(path: Path) -> Path:
+    """Formats that hold one another, each many times: 30 KB that keep pyulog for minutes."""
+    nested = b"".join(
+        _message(b"F", f"f{i}:f{i + 1}[200] a;f{i + 1}[200] b;".encode()) for i in range(6)
+    ) + _message(b"F", b"f6:float z;")  # fmt: skip
+    top = _message(b"F", b"sensor_combined:uint64_t timestamp;f0 q;")
+    data = _message(b"A", b"\0\0\0sensor_combined") + _message(b"D", bytes(602)) * 50
+    path.write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + _message(b"B", bytes(40)) + nested + top + data)
+    return path
+
+
+@pytest.fixture
+def short_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(LIMITS, "ulog", Limit(1.0, 1e6, 400_000_000, 8.0))
+
+
+def _same(a: RawLog, b: RawLog) -> None:
+    assert list(a.messages) == list(b.messages)
+    for key, table in a.messages.items():
+        np.testing.assert_array_equal(table.time_s, b.messages[key].time_s)
+        assert list(table.fields) == list(b.messages[key].fields)
+        for name, values in table.fields.items():
+            assert values.dtype == b.messages[key].fields[name].dtype
+            np.testing.assert_array_equal(values, b.messages[key].fields[name])
+    rest = [(r.dialect, dict(r.counts), dict(r.parameters), r.texts, r.vehicle, dict(r.facts), r.findings) for r in (a, b)]
+    assert rest[0] == rest[1]
+
+
+def test_what_comes_through_the_child_is_what_the_reader_gives(tmp_path: Path, flown: FlightRecord) -> None:
+    write_tlog(tmp_path / "a.tlog", flown)
+    wanted = shipped_map("tlog").wanted()
+    _same(limited.read_raw(tmp_path / "a.tlog", "tlog", wanted), tlog.read(tmp_path / "a.tlog", wanted))
+    time_us = flown["time_s"] * 1e6
+    write_ulog(tmp_path / "a.ulg", {"airspeed": (time_us, {"true_airspeed_m_s": flown["V_mps"]})})
+    _same(limited.read_raw(tmp_path / "a.ulg", "ulog", None), ulog.read(tmp_path / "a.ulg", None))
+    flown.write(tmp_path / "a.parquet")
+    _same(limited.read_raw(tmp_path / "a.parquet", "parquet", None), tables.read_parquet(tmp_path / "a.parquet"))
+
+
+def test_one_child_serves_several_files_and_a_refusal_does_not_end_it(tmp_path: Path, flown: FlightRecord) -> None:
+    flown.write(tmp_path / "a.csv")
+    (tmp_path / "bad.csv").write_text("time_s,q_radps\n0,1\n1,what\n")
+    FlightRecord.read(tmp_path / "a.csv")
+    child = limited._children[os.getpid()]
+    with pytest.raises(LogError, match="holds 'what', which is not a number"):
+        FlightRecord.read(tmp_path / "bad.csv")
+    FlightRecord.read(tmp_path / "a.csv")
+    assert limited._children[os.getpid()] is child
+    child.process.kill()
+    child.process.wait()
+    assert len(FlightRecord.read(tmp_path / "a.csv")) == len(flown)
+
+
+def test_a_relative_name_means_the_present_folder_and_stands_in_the_error(
+    tmp_path: Path, flown: FlightRecord, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flown.write(tmp_path / "a.csv")
+    FlightRecord.read(tmp_path / "a.csv")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "b.csv").write_text("time_s,unheard_of\n0,1\n")
+    assert len(FlightRecord.read(Path("a.csv"))) == len(flown)
+    with pytest.raises(LogError, match=r"^b\.csv: unknown column 'unheard_of'"):
+        FlightRecord.read(Path("b.csv"))
+
+
+@pytest.mark.usefixtures("short_time")
+def test_a_log_that_would_take_minutes_is_refused_in_time_and_the_next_is_read(tmp_path: Path) -> None:
+    begun = time.monotonic()
+    with pytest.raises(LogError, match=r"longer than the 1 s that a file of .* may take"):
+        import_log(_slow_ulog(tmp_path / "slow.ulg"))
+    assert time.monotonic() - begun < 60.0
+    time_us = np.arange(100) * 1e4
+    write_ulog(tmp_path / "a.ulg", {"airspeed": (time_us, {"true_airspeed_m_s": np.full(100, 20.0)})})
+    assert len(import_log(tmp_path / "a.ulg")) == 100
+
+
+@has_address_limit
+def test_a_log_that_would_fill_the_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(LIMITS, "ulog", Limit(5.0, 1e6, 60_000_000, 8.0))
+    fields = b"".join(b"float[60000] a%d;" % i for i in range(1500))
+    body = [_message(b"B", bytes(40)), _message(b"F", b"airspeed:" + fields + b"uint64_t timestamp;")]
+    body += [_message(b"A", b"\0\0\0airspeed"), _message(b"D", bytes(60002)) * 20]
+    (tmp_path / "big.ulg").write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + b"".join(body))
+    # Where the system takes long over each request for memory that it refuses, the time limit comes first.
+    with pytest.raises(LogError, match=r"(of memory|longer than the \d+ s) that a file of .* may take"):
+        import_log(tmp_path / "big.ulg")
+
+
+@has_address_limit
+def test_packed_texts_that_would_fill_the_memory_are_refused(tmp_path: Path) -> None:
+    texts = ["x" * 8_000_000 + str(i) for i in range(40)]
+    table = pa.table({"time_s": np.arange(40.0), "manoeuvre": texts})
+    with pq.ParquetWriter(tmp_path / "a.parquet", table.schema, compression="zstd", use_dictionary=False) as writer:
+        for _ in range(8):
+            writer.write_table(table)
+    assert (tmp_path / "a.parquet").stat().st_size < 2_000_000
+    with pytest.raises(LogError, match="of memory that a file of"):
+        FlightRecord.read(tmp_path / "a.parquet")
+
+
+def test_rows_are_counted_before_memory_is_asked_for(tmp_path: Path) -> None:
+    rows = 20_000_000
+    zeros = pa.table({"time_s": np.zeros(rows), "q_radps": np.zeros(rows)})
+    with pq.ParquetWriter(tmp_path / "a.parquet", zeros.schema, compression="zstd") as writer:
+        for _ in range(5):
+            writer.write_table(zeros)
+    with pytest.raises(LogError, match=r"100000000 rows of 2 columns would take 1\.6 GB of memory"):
+        FlightRecord.read(tmp_path / "a.parquet")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("time_s,q_radps," + ",".join(f"c{i}" for i in range(6000)) + "\n0,1\n", "has 6002 columns; at most 5000"),
+        ("time_s,q_radps\n" + ",".join(["1"] * 9000) + "\n", "has 9000 columns; at most 5000"),
+        ("time_s,q_radps\n" + "1" * 1_500_000, "line 2: has more than 1 MB"),
+        ("time_s," + ",".join(f"c{i}" for i in range(4000)) + "\n" + "1\n" * 100_000, "4001 columns would take 3.2 GB"),
+        ('# flight_record {"a":' + "[" * 3000 + "]" * 3000 + "}\ntime_s,q_radps\n0,1\n1,1\n", "metadata is damaged"),
+        ('# flight_record {"grid_hz":' + "1" * 5000 + "}\ntime_s,q_radps\n0,1\n1,1\n", "metadata is damaged"),
+        ('# flight_record {"grid_hz":1' + "0" * 400 + "}\ntime_s,q_radps\n0,1\n1,1\n", "metadata is damaged"),
+        ('# flight_record {"native_hz":[1]}\ntime_s,q_radps\n0,1\n1,1\n', "metadata is damaged"),
+        ('time_s,q_radps\n0,1\n"1,2\n', "not a readable flight record"),
+    ],
+)  # fmt: skip
+def test_tables_that_are_made_to_harm_are_refused(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(LogError, match=said):
+        import_log(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize(
+    ("column", "said"),
+    [
+        (pa.array([[1.0, 2.0]] * 50), "holds list<"),
+        (pa.array([{"a": 1.0}] * 50), "holds struct<"),
+        (pa.array([b"\xff\xfe"] * 50), "not a readable Parquet file"),
+        (pa.Array.from_buffers(pa.string(), 50, pa.array([b"\xff\xfe"] * 50).buffers()), "not a readable Parquet file"),
+    ],
+)
+@pytest.mark.parametrize("mapped", [True, False])
+def test_columns_of_lists_structs_and_bytes_are_refused(tmp_path: Path, column: pa.Array, said: str, mapped: bool) -> None:
+    name = "odd" if mapped else "q_radps"
+    pq.write_table(pa.table({"time_s": np.arange(50) * 0.02, name: column}), tmp_path / "a.parquet")
+    (tmp_path / "map.toml").write_text('[signals.q_radps]\nmessage = "csv"\nfield = "odd"\n')
+    with pytest.raises(LogError, match=said):
+        import_log(tmp_path / "a.parquet", tmp_path / "map.toml" if mapped else None)
+
+
+def test_columns_that_a_map_does_not_name_are_not_read(tmp_path: Path) -> None:
+    table = pa.table({"time_s": np.arange(50) * 0.02, "q": np.ones(50), "other": pa.array([[b"\xff"]] * 50)})
+    pq.write_table(table, tmp_path / "a.parquet")
+    (tmp_path / "map.toml").write_text('[signals.q_radps]\nmessage = "csv"\nfield = "q"\n')
+    assert len(import_log(tmp_path / "a.parquet", tmp_path / "map.toml")) == 50
+
+
+def test_numbers_written_as_packed_texts_are_read(tmp_path: Path) -> None:
+    values = [f"{k % 7}.5" if k else None for k in range(50)]
+    pq.write_table(pa.table({"time_s": np.arange(50) * 0.02, "q_radps": values}), tmp_path / "a.parquet")
+    read = FlightRecord.read(tmp_path / "a.parquet")["q_radps"]
+    assert np.isnan(read[0])
+    np.testing.assert_array_equal(read[1:], [k % 7 + 0.5 for k in range(1, 50)])
+
+
+def test_an_encrypted_parquet_file_is_named_as_such(tmp_path: Path) -> None:
+    (tmp_path / "a.parquet").write_bytes(b"PARE" + bytes(100) + b"PARE")
+    with pytest.raises(LogError, match="encrypted Parquet"):
+        import_log(tmp_path / "a.parquet")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in the file system here")
+def test_a_pipe_a_folder_and_a_device_are_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path, kind in ((tmp_path / "pipe", "a pipe"), (Path("/dev/zero"), "a device"), (tmp_path, "a folder")):
+        with pytest.raises(LogError, match=f"is {kind}"):
+            import_log(path)
+        with pytest.raises(LogError, match=f"is {kind}"):
+            FlightRecord.read(path)
+    write_text_log(tmp_path / "a.log", _little())
+    for name in ("map_path", "card_path"):
+        with pytest.raises(LogError, match="is a pipe"):
+            import_log(tmp_path / "a.log", **{name: tmp_path / "pipe"})
+
+
+def _little() -> FlightRecord:
+    names = ("V_mps", "phi_rad", "theta_rad", "psi_rad", "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2",
+             "elevator_deg", "aileron_deg", "rudder_deg", "throttle_pct")  # fmt: skip
+    return FlightRecord({"time_s": np.arange(100) * 0.02, **{n: np.full(100, 1.0) for n in names}})
+
+
+@pytest.mark.parametrize("odd", ["nan", "inf", "-inf", "0.5", "1e400"])
+def test_an_odd_instance_in_a_text_log_is_a_damaged_line(tmp_path: Path, odd: str) -> None:
+    lines = ["FMT, 130, 20, IMU, QBfff, TimeUS,I,GyrX,GyrY,GyrZ"]
+    lines += [f"IMU, {20000 * k}, {odd if k == 7 else 0}, 0.1, 0.2, 0.3" for k in range(50)]
+    (tmp_path / "a.log").write_text("\n".join(lines))
+    record = import_log(tmp_path / "a.log")
+    (found,) = [f for f in record.metadata.findings if f.code == "damaged-lines"]
+    assert found.numbers == {"lines": 1.0, "first_line": 9.0}
+
+
+def test_more_instances_than_sensors_are_no_instances(tmp_path: Path) -> None:
+    lines = ["FMT, 130, 20, IMU, QIfff, TimeUS,I,GyrX,GyrY,GyrZ"]
+    lines += [f"IMU, {20000 * k}, {k}, 0.1, 0.2, 0.3" for k in range(2000)]
+    (tmp_path / "a.log").write_text("\n".join(lines))
+    assert len(import_log(tmp_path / "a.log")) == 2000
+
+
+def test_a_text_log_of_nothing_but_formats_is_refused(tmp_path: Path) -> None:
+    lines = [f"FMT, 130, 20, N{k}, QBf, TimeUS,I,X" for k in range(20_000)]
+    (tmp_path / "a.log").write_text("\n".join(lines))
+    with pytest.raises(LogError, match="no DataFlash record"):
+        import_log(tmp_path / "a.log")
+
+
+def test_a_binary_logs_type_with_two_names_keeps_both(tmp_path: Path) -> None:
+    def fmt(name: bytes, characters: bytes, columns: bytes) -> bytes:
+        return b"\xa3\x95\x80" + bytes([200, 19]) + name.ljust(4, b"\0") + characters.ljust(16, b"\0") + columns.ljust(64, b"\0")
+
+    def row(k: int, value: float) -> bytes:
+        return b"\xa3\x95\xc8" + struct.pack("<Qff", 20000 * k, value, value)
+
+    data = fmt(b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns") + fmt(b"IMU", b"Qff", b"TimeUS,GyrX,GyrY")
+    data += b"".join(row(k, 0.1) for k in range(50)) + fmt(b"ATT", b"Qff", b"TimeUS,Roll,Pitch")
+    data += b"".join(row(k, 5.0) for k in range(50))
+    (tmp_path / "a.bin").write_bytes(data)
+    record = import_log(tmp_path / "a.bin")
+    assert record["p_radps"][0] == pytest.approx(0.1)
+    assert record["phi_rad"][0] == pytest.approx(np.radians(5.0))
+
+
+@pytest.mark.parametrize("absurd", [1e300, 2.0**63, 1e10])
+def test_absurd_times_ask_for_no_memory(tmp_path: Path, absurd: float) -> None:
+    lines = ["FMT, 130, 20, IMU, Qfff, TimeUS,GyrX,GyrY,GyrZ"]
+    # Ten stamps a microsecond apart, an hour less a second, ten more, and so on.
+    times = [3.599e9 * block + k for block in range(40) for k in range(10)] + [absurd]
+    lines += [f"IMU, {t:.0f}, 0.1, 0.2, 0.3" for t in times]
+    (tmp_path / "a.log").write_text("\n".join(lines))
+    with pytest.raises(LogError, match=r"would be more than .* rows"):
+        import_log(tmp_path / "a.log")
+
+
+def test_a_servo_pattern_is_a_name_and_no_format(tmp_path: Path) -> None:
+    write_text_log(tmp_path / "a.log", _little())
+    for pattern in ("{n}{n:>999999999}", "{n}{n.__class__}"):
+        (tmp_path / "map.toml").write_text(f'[servos]\nmessage = "RCOU"\nfield = "{pattern}"\n')
+        assert len(import_log(tmp_path / "a.log", tmp_path / "map.toml")) == 100
+
+
+def test_no_python_file_of_the_working_folder_runs_in_the_child(tmp_path: Path, flown: FlightRecord) -> None:
+    flown.write(tmp_path / "a.csv")
+    for name in ("json", "queue", "numpy", "pandas", "signal", "sysid", "sitecustomize"):
+        (tmp_path / f"{name}.py").write_text(f"open('ran-{name}', 'w')\n")
+    code = f"import sys; sys.path.append({str(ROOT)!r})\nfrom pathlib import Path\nfrom sysid.record import FlightRecord\n"
+    code += "print(len(FlightRecord.read(Path('a.csv'))))"
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True,
+        env={k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONSAFEPATH")},
+    )  # fmt: skip
+    assert done.stdout.strip() == str(len(flown))
+    assert not list(tmp_path.glob("ran-*"))
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
+def test_the_child_ends_with_a_killed_parent_even_in_the_middle_of_a_file(tmp_path: Path) -> None:
+    slow = _slow_ulog(tmp_path / "slow.ulg")
+    code = (
+        f"import sys; sys.path.insert(0, {str(ROOT)!r})\nfrom pathlib import Path\nfrom sysid.logs.importers import limited\n"
+        "import threading\n"
+        f"threading.Thread(target=limited.read_raw, args=(Path({str(slow)!r}), 'ulog', None), daemon=True).start()\n"
+        "import os, time\n"
+        "while os.getpid() not in limited._children: time.sleep(0.01)\n"
+        "time.sleep(2.0)\nprint(limited._children[os.getpid()].process.pid, flush=True)\ntime.sleep(600)\n"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
+    assert Path(f"/proc/{child}").exists()
+    parent.send_signal(signal.SIGKILL)
+    parent.wait()
+    parent.stdout.close()
+    deadline = time.monotonic() + 30.0
+    while Path(f"/proc/{child}").exists() and "Z" not in Path(f"/proc/{child}/stat").read_text().split()[2]:
+        assert time.monotonic() < deadline, "the reader outlives its parent"
+        time.sleep(0.05)
+
+
+def test_two_threads_wait_for_each_other(tmp_path: Path, flown: FlightRecord) -> None:
+    flown.write(tmp_path / "a.csv")
+    lengths: list[int] = []
+    threads = [threading.Thread(target=lambda: lengths.append(len(FlightRecord.read(tmp_path / "a.csv")))) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert lengths == [len(flown)] * 4
+
+
+def test_progress_comes_through(tmp_path: Path, flown: FlightRecord) -> None:
+    write_tlog(tmp_path / "one.tlog", flown, every=1)
+    (tmp_path / "a.tlog").write_bytes((tmp_path / "one.tlog").read_bytes() * 20)
+    shares: list[float] = []
+    limited.read_raw(tmp_path / "a.tlog", "tlog", shipped_map("tlog").wanted(), shares.append)
+    assert shares
+    assert all(0.0 <= share <= 1.0 for share in shares)
+
+
+def test_a_reader_that_fails_in_an_unknown_way_keeps_its_traceback(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("time_s,q_radps\n0,1\n1,2\n")
+    with pytest.raises(RuntimeError, match="Traceback"):
+        limited._ask(tmp_path / "a.csv", "csv", {"wanted": 5})
+
+
+def test_a_chunk_that_is_no_data_ends_the_child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.csv").write_text("time_s,q_radps\n0,1\n1,2\n")
+    monkeypatch.setattr(limited, "load", lambda content: load(b"no data"))
+    with pytest.raises(LogError, match="ended without an answer"):
+        FlightRecord.read(tmp_path / "a.csv")
+    assert os.getpid() not in limited._children
+
+
+def test_big_logs_are_given_time_and_memory() -> None:
+    """Genuine logs of 500 MB: at the slowest rate measured for each reader there is more than twice the time it takes."""
+    measured_bytes_per_s = {"ulog": 10e6, "tlog": 2.3e6, "csv": 20e6, "parquet": 20e6}
+    for name, rate in measured_bytes_per_s.items():
+        size = 500_000_000
+        assert LIMITS[name].seconds(size) > 2.0 * size / rate
+        assert LIMITS[name].bytes(size) > 3 * size

@@ -1,0 +1,305 @@
+"""Intervals against statsmodels and against known truth; the file; the hull."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import statsmodels.api as sm
+
+from sysid.aerodynamics.polynomial import full_polynomial, parse_term, regressors, term_name
+from sysid.aerodynamics.residuals import Cutoffs, ResidualPiece, Residuals, together
+from sysid.errors import LogError
+from sysid.estimation.autocorrelation import integral_time
+from sysid.model_form.coverage import coverage, leave_one_out, share_error
+from sysid.model_form.fit import Design, FitOptions, default_designs, fit_bounds, with_walk_rates
+from sysid.model_form.model_form import AircraftReference, Filtering, FlightUsed, ModelForm, read_model_form
+
+STATES = ("V_mps", "alpha_rad", "q_radps", "theta_rad")
+MEAN, SPREAD = np.array([21.0, 0.03, 0.0, 0.06]), np.array([1.5, 0.02, 0.15, 0.08])
+
+
+def truth(x: np.ndarray) -> np.ndarray:
+    """A residual that is a second-order polynomial of the states."""
+    z = (x - MEAN) / SPREAD
+    return 0.002 + 0.003 * z[:, 1] - 0.001 * z[:, 2] + 0.0008 * z[:, 1] ** 2 + 0.0005 * z[:, 0] * z[:, 3]
+
+
+def made_up(seed: int, n: int = 400, pieces: int = 4, noise: float = 0.004, memory: float = 0.0) -> Residuals:
+    """CX, CZ, Cm residuals `truth` plus Gaussian noise (first-order memory a sample); the states wander as in flight."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for number in range(pieces):
+        time = 0.02 * np.arange(n)
+        waves = [np.sin(2 * np.pi * f * time + 6.3 * rng.random()) for f in rng.uniform(0.1, 0.8, 4)]
+        x = MEAN + SPREAD * (np.column_stack(waves) + 0.5 * rng.standard_normal(4) + 0.2 * rng.standard_normal((n, 4)))
+        white = rng.standard_normal((n, 6))
+        e = np.empty((n, 6))
+        e[0] = white[0]
+        for k in range(1, n):
+            e[k] = memory * e[k - 1] + np.sqrt(1 - memory**2) * white[k]
+        delta = noise * e + truth(x)[:, None]
+        out.append(ResidualPiece(f"m{number}", time, delta, dict(zip(STATES, x.T, strict=True))))
+    return Residuals(tuple(out), 0.02, Cutoffs())
+
+
+def form_of(
+    residuals: Residuals, options: FitOptions | None = None, coefficients: tuple[str, ...] = ("CX", "CZ", "Cm")
+) -> ModelForm:
+    designs = {c: default_designs()[c] for c in coefficients}
+    fitted = fit_bounds(residuals, designs, options)
+    return ModelForm(
+        AircraftReference("x", "00"), (FlightUsed("f", "11", 32.0, 1600, ("alpha_rad",)),), Filtering(6.0, 2.0, 0.5, 50.0),
+        (options or FitOptions()).confidence, "grow", with_walk_rates(fitted, dict.fromkeys(designs, 0.012)),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("confidence", [0.68, 0.95, 0.99])
+def test_published_intervals_are_those_of_statsmodels(confidence):
+    """Statsmodels on raw states (its own matrix, its own quantile) agrees with ours on normalised ones."""
+    residuals = made_up(1)
+    bounds = fit_bounds(residuals, {"CX": Design(STATES)}, FitOptions(confidence, samples="all"))["CX"].bounds
+    x = np.column_stack([residuals.states[s] for s in STATES])
+    terms = full_polynomial(4)
+    fit = sm.OLS(np.concatenate(residuals.columns("CX")), regressors(x - MEAN, terms)).fit()
+    new = MEAN + SPREAD * np.random.default_rng(5).uniform(-4, 4, (50, 4))
+    theirs = fit.get_prediction(regressors(new - MEAN, terms)).conf_int(obs=True, alpha=1 - confidence)
+    ours = np.column_stack(bounds.interval(dict(zip(STATES, new.T, strict=True))))
+    width = theirs[:, 1] - theirs[:, 0]
+    assert np.max(np.abs(ours - theirs) / width[:, None]) < 1e-8
+    assert bounds.dof == 1600 - 15
+    # The comparison can say no: a confidence one percent off is seen.
+    other = np.column_stack(bounds.interval(dict(zip(STATES, new.T, strict=True)), confidence - 0.01))
+    assert np.max(np.abs(other - theirs) / width[:, None]) > 1e-3
+
+
+def test_the_bounds_enclose_zero_and_the_interval_within_them():
+    form = form_of(made_up(2, noise=0.0005))
+    states = dict(zip(STATES, (MEAN + SPREAD * np.random.default_rng(0).uniform(-3, 3, (200, 4))).T, strict=True))
+    b = form.coefficients["CX"]
+    low, high = b.interval(states)
+    lower, upper = b.bounds(states)
+    assert np.all(lower <= 0.0)
+    assert np.all(upper >= 0.0)
+    assert (low > 0.0).any()
+    assert (high < 0.0).any()
+    assert np.array_equal(lower, np.where(low < 0.0, low, 0.0))
+    assert np.array_equal(upper, np.where(high > 0.0, high, 0.0))
+
+
+def test_coverage_of_white_residuals_is_nominal_over_many_seeds():
+    shares = {0.95: [], 0.68: []}
+    for seed in range(25):
+        # Noise well above the truth: at 68 % the sign clip would otherwise widen the bounds, and rightly cover more.
+        made, new = made_up(seed, noise=0.012), made_up(1000 + seed, noise=0.012)
+        found = coverage(form_of(made, coefficients=("CX",)), new)["CX"]
+        for level, values in shares.items():
+            values.append(found.share[level])
+        assert found.mean_width == pytest.approx(2 * 1.96 * 0.012, rel=0.05)
+    assert np.mean(shares[0.95]) == pytest.approx(0.95, abs=0.01)
+    assert np.mean(shares[0.68]) == pytest.approx(0.68, abs=0.015)
+
+
+def test_autocorrelation_breaks_the_published_interval_and_effective_samples_mend_it():
+    """At 20 samples' memory over 32 s the fit follows the noise: counted one by one the samples promise too much."""
+    published, ours, effective = [], [], []
+    for seed in range(25):
+        made, new = made_up(seed, memory=0.9), made_up(1000 + seed, memory=0.9)
+        published.append(coverage(form_of(made, FitOptions(samples="all"), ("CX",)), new)["CX"].share[0.95])
+        form = form_of(made, coefficients=("CX",))
+        ours.append(coverage(form, new)["CX"].share[0.95])
+        effective.append(form.coefficients["CX"].n_effective)
+    assert np.mean(published) < 0.925
+    assert np.mean(ours) == pytest.approx(0.95, abs=0.02), (np.mean(published), np.mean(ours))
+    assert np.mean(effective) == pytest.approx(1600 * (1 - 0.9) / (1 + 0.9), rel=0.4)
+
+
+def test_integral_time_of_a_first_order_process_is_known():
+    rng = np.random.default_rng(3)
+    e = rng.standard_normal(40_000)
+    series = e.copy()
+    for k in range(1, len(series)):
+        series[k] = 0.8 * series[k - 1] + e[k]
+    assert integral_time([series]) == pytest.approx(9.0, rel=0.1)  # (1 + 0.8)/(1 - 0.8)
+    assert integral_time([e]) == pytest.approx(1.0, abs=0.1)
+    assert integral_time([np.zeros(50)]) == 1.0
+
+
+def test_the_error_of_a_share_counts_runs():
+    rng = np.random.default_rng(1)
+    single = (rng.random(4000) < 0.9).astype(float)
+    runs = np.repeat(single[:400], 10)
+    assert share_error([single]) == pytest.approx(np.sqrt(0.09 / 4000), rel=0.15)
+    assert share_error([runs]) > 2.5 * share_error([single])
+
+
+def test_coefficients_of_the_same_states_share_one_matrix():
+    form = form_of(made_up(4))
+    a, b = form.coefficients["CX"], form.coefficients["Cm"]
+    assert np.array_equal(a.XtX_inv, b.XtX_inv)
+    assert np.array_equal(a.centre, b.centre)
+    assert a.leverage_factor != b.leverage_factor
+
+
+def test_the_file_keeps_every_bit(tmp_path):
+    form = form_of(made_up(5))
+    form = dataclasses.replace(
+        form,
+        outside="clamp",
+        filtering=Filtering(6.0, float("inf"), 0.5, 50.0),
+        coefficients={**form.coefficients, "CX": dataclasses.replace(form.coefficients["CX"], walk_rate=float("nan"))},
+    )
+    path = tmp_path / "model-form.json"
+    form.write(path)
+    again = read_model_form(path)
+    assert again.to_json() == form.to_json()
+    assert again.flights == form.flights
+    assert np.isnan(again.coefficients["CX"].walk_rate)
+    assert again.filtering.airspeed_cutoff_hz == float("inf")
+    states = dict(zip(STATES, (MEAN + 3 * SPREAD)[:, None], strict=True))
+    for c, (low, high) in form.bounds(states).items():
+        assert np.array_equal([low, high], again.bounds(states)[c])
+    assert "NaN" not in path.read_text()
+    assert "Infinity" not in path.read_text()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda d: d.pop("format"), "is no model form"),
+        (lambda d: d["coefficients"]["CX"].pop("s2"), "lacks the key 's2'"),
+        (lambda d: d["coefficients"]["CX"]["beta_hat"].pop(), "beta_hat must be 15 finite numbers"),
+        (lambda d: d["coefficients"]["CX"]["terms"].__setitem__(1, "V_kt"), "'V_kt' is not among the states"),
+        (lambda d: d["coefficients"]["CX"].update(states=["V_mps", "alpha_rad", "q_radps", "speed"]), "states holds"),
+        (lambda d: d["coefficients"].update(CL=d["coefficients"].pop("CX")), "'CL' is no coefficient"),
+        (lambda d: d.update(outside="shrink"), "allowed are grow and clamp"),
+        (lambda d: d["coefficients"]["CX"].update(s2=-1.0), "must not be negative"),
+        (lambda d: d["coefficients"].clear(), "holds no coefficient"),
+    ],
+)
+def test_a_damaged_file_is_refused_in_words(tmp_path, change, said):
+    document = json.loads(form_of(made_up(6)).to_json())
+    change(document)
+    path = tmp_path / "form.json"
+    path.write_text(json.dumps(document))
+    with pytest.raises(LogError) as refused:
+        read_model_form(path)
+    assert said in str(refused.value)
+    assert "form.json" in str(refused.value)
+
+
+def test_no_file_and_no_json_are_refused(tmp_path):
+    path = tmp_path / "form.json"
+    with pytest.raises(LogError, match="cannot be read"):
+        read_model_form(path)
+    path.write_text("{")
+    with pytest.raises(LogError, match="line 1"):
+        read_model_form(path)
+
+
+def test_clamped_bounds_stand_still_outside_the_box_and_grown_ones_grow():
+    grow = form_of(made_up(7))
+    clamp = dataclasses.replace(grow, outside="clamp")
+    far = {s: np.array([m, m + 8 * d, m + 16 * d]) for s, m, d in zip(STATES, MEAN, SPREAD, strict=True)}
+    width = {o.outside: np.subtract(*o.bounds(far)["CX"][::-1]) for o in (grow, clamp)}
+    assert width["clamp"][1] == width["clamp"][2]
+    assert width["grow"][2] > 2 * width["grow"][1] > 4 * width["grow"][0]
+    assert list(clamp.extrapolated(far)) == list(grow.extrapolated(far)) == [False, True, True]
+
+
+def test_the_data_lie_inside_their_hull_and_the_empty_corner_of_the_box_outside():
+    residuals = made_up(8)
+    form = form_of(residuals)
+    assert not form.extrapolated(residuals.states).any()
+    hull = form.coefficients["CX"].hull
+    corner = {s: np.array([v]) for s, v in zip(STATES, hull.high, strict=True)}
+    assert form.extrapolated(corner).all()
+    assert form.coefficients["CX"].distance(corner)[0] > 0.0
+    one = {s: np.array([m]) for s, m in zip(STATES, hull.middle[:, 1], strict=True)}
+    beyond = {**one, "V_mps": hull.high[:1] + 0.5 * (hull.high[:1] - hull.low[:1])}
+    assert form.coefficients["CX"].distance(beyond)[0] >= 0.5
+
+
+def test_a_state_that_stood_still_is_left_out_and_said():
+    residuals = made_up(9)
+    still = [dataclasses.replace(p, states={**p.states, "theta_rad": np.full(len(p), 0.06)}) for p in residuals.pieces]
+    fitted = fit_bounds(Residuals(tuple(still), 0.02, Cutoffs()), {"CX": Design(STATES)})["CX"]
+    assert len(fitted.bounds.terms) == 10
+    assert not any(t[3] for t in fitted.bounds.terms)
+    assert "theta_rad hardly varied" in fitted.notes[0]
+    elsewhere = {s: np.array([m]) for s, m in zip(STATES, MEAN, strict=True)} | {"theta_rad": np.array([0.3])}
+    assert fitted.bounds.distance(elsewhere)[0] > 0.0
+    assert np.array_equal(fitted.bounds.bounds(elsewhere), fitted.bounds.bounds({**elsewhere, "theta_rad": np.array([0.06])}))
+    quite = {s: np.full_like(v, 0.1) for s, v in still[0].states.items()}
+    none = Residuals((dataclasses.replace(still[0], states=quite),), 0.02, Cutoffs())
+    assert fit_bounds(none, {"CX": Design(STATES)})["CX"].bounds.terms == ((0, 0, 0, 0),)
+
+
+def test_collinear_states_leave_terms_out_and_the_bounds_finite():
+    residuals = made_up(10)
+    tied = [dataclasses.replace(p, states={**p.states, "theta_rad": 0.5 * p.states["alpha_rad"]}) for p in residuals.pieces]
+    fitted = fit_bounds(Residuals(tuple(tied), 0.02, Cutoffs()), {"CX": Design(STATES)})["CX"]
+    assert len(fitted.bounds.terms) == 10
+    assert "theta_rad" in fitted.notes[0]
+    assert np.isfinite(fitted.bounds.XtX_inv).all()
+
+
+def test_a_short_flight_lowers_the_order_and_too_short_a_one_is_refused():
+    short = fit_bounds(made_up(11, n=60, pieces=1, memory=0.7), {"CX": Design(STATES)})["CX"]
+    assert len(short.bounds.terms) < 15
+    assert any("too short a flight for order 2" in note for note in short.notes)
+    with pytest.raises(ValueError, match="fly longer or choose fewer terms"):
+        fit_bounds(made_up(11, n=20, pieces=1), {"CX": Design(STATES, full_polynomial(4))})
+
+
+def test_stepwise_keeps_the_true_terms():
+    fitted = fit_bounds(made_up(12, noise=0.001), {"CX": Design(STATES)}, FitOptions(select="stepwise"))["CX"]
+    names = {term_name(t, STATES) for t in fitted.bounds.terms}
+    assert {"1", "alpha_rad", "q_radps", "alpha_rad^2", "V_mps*theta_rad"} <= names
+    assert len(names) <= 8
+    assert "stepwise choice" in fitted.notes[0]
+
+
+def test_a_manoeuvre_of_its_own_kind_is_found_by_leaving_it_out():
+    """One manoeuvre carries an offset that no state explains: inside the others' bounds it is rare."""
+    residuals = made_up(13)
+    odd = dataclasses.replace(residuals.pieces[2], delta=residuals.pieces[2].delta + 0.02)
+    changed = Residuals((*residuals.pieces[:2], odd, residuals.pieces[3]), 0.02, Cutoffs())
+    found = leave_one_out(changed, {"CX": Design(STATES)}, FitOptions())
+    assert found["m2"]["CX"] < 0.2
+    assert found["m0"]["CX"] > 0.9
+    assert leave_one_out(residuals.only(["m0"]), {"CX": Design(STATES)}, FitOptions()) == {}
+
+
+def test_pieces_of_one_name_are_left_out_by_stretch():
+    residuals = made_up(13, n=150, pieces=24)
+    same = tuple(dataclasses.replace(p, label="excited", time_s=p.time_s + 10.0 * k) for k, p in enumerate(residuals.pieces))
+    found = leave_one_out(Residuals(same, 0.02, Cutoffs()), {"CX": Design(STATES)}, FitOptions())
+    assert len(found) == 10
+    assert "excited, 0 to 23 s" in found
+    assert np.mean([row["CX"] for row in found.values()]) == pytest.approx(0.95, abs=0.02)
+
+
+def test_terms_by_name():
+    terms = full_polynomial(4)
+    assert len(terms) == 15
+    assert [parse_term(term_name(t, STATES), STATES) for t in terms] == list(terms)
+    assert parse_term("alpha_rad*alpha_rad", STATES) == parse_term("alpha_rad^2", STATES)
+    for bad in ("beta_rad", "alpha_rad^9", "alpha_rad**2", "alpha_rad^0", ""):
+        with pytest.raises(ValueError, match="term"):
+            parse_term(bad, STATES)
+
+
+def test_flights_of_other_filters_are_not_mixed():
+    with pytest.raises(ValueError, match="different cut-offs"):
+        together([made_up(1), dataclasses.replace(made_up(2), cutoffs=Cutoffs(3.0))])
+    with pytest.raises(ValueError, match="no beta_rad"):
+        fit_bounds(made_up(1))
+
+
+def test_forms_write_to_their_own_folder_only(tmp_path: Path):
+    form_of(made_up(14)).write(tmp_path / "a.json")
+    assert [p.name for p in tmp_path.iterdir()] == ["a.json"]

@@ -1,0 +1,123 @@
+"""Seeds and cases: identity, order, common random numbers. Golden values guard old campaigns against new code."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.helpers.campaign_fakes import CAMPAIGN, campaign_file
+from uqharness.campaign.cases import Mission, build_cases, epistemic_samples, uq_properties
+from uqharness.campaign.spec.campaign import read_campaign
+from uqharness.flight.seeds import flight_seed, walk_stream
+from uqharness.flight.spec import COEFFICIENTS
+
+MISSION = Mission(Path("plane"), "a" * 64, Path("loiter.xml"), "b" * 64)
+GOLDEN_TURBULENCE = [98091368, 21354800, 1119640398]
+GOLDEN_NOISE = [790604505, 1417974109, 472059078]
+GOLDEN_WALK = [3525987992, 873814931]
+GOLDEN_IDS = ("4c4000eebc386034", "b099e9f67b944cd8")
+
+
+@pytest.fixture
+def spec(tmp_path):
+    return read_campaign(campaign_file(tmp_path))
+
+
+def test_golden_seeds():
+    assert [flight_seed(7, index, "turbulence") for index in range(3)] == GOLDEN_TURBULENCE
+    assert [flight_seed(7, index, "noise") for index in range(3)] == GOLDEN_NOISE
+    walk = walk_stream(7, "010101", "Cm").generate_state(2)
+    assert walk.tolist() == GOLDEN_WALK
+
+
+def test_seeds_are_in_the_range_of_the_generator_and_distinct():
+    seeds = [flight_seed(0, index, kind) for index in range(2000) for kind in ("turbulence", "noise")]
+    assert min(seeds) >= 1
+    assert max(seeds) <= 2**31 - 2
+    assert len(set(seeds)) == len(seeds)
+    assert flight_seed(0, 0, "noise") != flight_seed(1, 0, "noise")
+    with pytest.raises(ValueError, match="turbulence or noise"):
+        flight_seed(0, 0, "walk")
+
+
+def test_walks_depend_on_sample_and_coefficient():
+    states = {
+        tuple(walk_stream(1, name, coefficient).generate_state(4).tolist()) for name in ("w0", "w1") for coefficient in COEFFICIENTS
+    }
+    assert len(states) == 12
+    assert np.array_equal(walk_stream(1, "w0", "CX").generate_state(4), walk_stream(1, "w0", "CX").generate_state(4))
+
+
+def test_golden_case_ids(spec):
+    cases = build_cases(spec, MISSION)
+    assert len(cases) == 3 * 64
+    assert (cases[0].case_id, cases[-1].case_id) == GOLDEN_IDS
+    assert len({case.case_id for case in cases}) == len(cases)
+
+
+def test_corners_and_their_order(spec):
+    samples = epistemic_samples(spec)
+    assert [sample.epistemic_id for sample in samples] == ["".join(bits) for bits in itertools.product("01", repeat=6)]
+    assert dict(samples[1].levels) == {**dict.fromkeys(COEFFICIENTS, 0.0), "Cn": 1.0}
+    properties = uq_properties(spec, samples[1])
+    assert properties["uq/active"] == 1.0
+    assert (properties["uq/CZ/lower"], properties["uq/CZ/upper"]) == (-0.05, 0.05)
+    assert properties["uq/Cn/level"] == 1.0
+
+
+def test_certain_coefficients_have_no_delta(tmp_path):
+    text = CAMPAIGN.partition("bounds =")[0] + 'coefficients = ["Cm", "CX"]\n'
+    spec = read_campaign(campaign_file(tmp_path, text))
+    samples = epistemic_samples(spec)
+    assert [sample.epistemic_id for sample in samples] == ["0---0-", "0---1-", "1---0-", "1---1-"]
+    properties = uq_properties(spec, samples[0])
+    # The aircraft's own bounds may follow the state, so a certain coefficient is switched off and no bound is touched.
+    assert {name: value for name, value in properties.items() if name.endswith("/active")} == {
+        "uq/active": 1.0, "uq/CY/active": 0.0, "uq/CZ/active": 0.0, "uq/Cl/active": 0.0, "uq/Cn/active": 0.0,
+    }  # fmt: skip
+    assert not [name for name in properties if name.endswith(("/lower", "/upper"))]
+    given = 'coefficients = ["Cm", "CX"]\nbounds = { CX = 0.008, Cm = 0.012 }\n'
+    constant = read_campaign(campaign_file(tmp_path, CAMPAIGN.partition("bounds =")[0] + given))
+    properties = uq_properties(constant, epistemic_samples(constant)[0])
+    assert (properties["uq/CY/lower"], properties["uq/CY/upper"]) == (0.0, 0.0)
+
+
+def test_levels_are_a_full_grid_and_none_touches_nothing(tmp_path):
+    head = CAMPAIGN.partition("[epistemic]")[0]
+    levels = '[epistemic]\nmethod = "levels"\ncoefficients = ["CX", "CZ"]\nlevels = [0, 0.25, 1]\n'
+    samples = epistemic_samples(read_campaign(campaign_file(tmp_path, head + levels)))
+    assert len(samples) == 9
+    assert samples[1].epistemic_id == "0/-/0.25/-/-/-"
+    spec = read_campaign(campaign_file(tmp_path, head + '[epistemic]\nmethod = "none"\n'))
+    (nominal,) = epistemic_samples(spec)
+    assert uq_properties(spec, nominal) == {}
+
+
+def test_random_numbers_are_common_to_corners_and_conditions(tmp_path):
+    text = CAMPAIGN.replace("wind_mps = 3", "wind_mps = [0, 3]").replace('"moderate"', '["light", "severe"]')
+    cases = build_cases(read_campaign(campaign_file(tmp_path, text)), MISSION)
+    assert len(cases) == 3 * 2 * 2 * 64
+    seeds = {(case.aleatory_id, case.flight.seed_turbulence, case.flight.seed_noise) for case in cases}
+    assert len(seeds) == 3
+    # Stopped anywhere, corners have flown equally often to within one.
+    first = [case.epistemic_id for case in cases[:300]]
+    counts = [first.count(name) for name in set(first)]
+    assert max(counts) - min(counts) <= 1
+
+
+def test_the_id_follows_everything_that_defines_a_flight(spec):
+    base = build_cases(spec, MISSION)[0].case_id
+    for change in ({"aircraft_hash": "c" * 64}, {"script_hash": "c" * 64}):
+        assert build_cases(spec, dataclasses.replace(MISSION, **change))[0].case_id != base
+    for change in ({"duration_s": 151.0}, {"wind_mps": (4.0,)}, {"turbulence_source": "spec"}, {"sensor_noise": False}):
+        other = dataclasses.replace(spec, aleatory=spec.aleatory.model_copy(update=change))
+        assert build_cases(other, MISSION)[0].case_id != base, change
+    # Where files lie, and how many flights follow, do not define a flight.
+    moved = dataclasses.replace(MISSION, aircraft=Path("elsewhere/plane"), script=Path("elsewhere/loiter.xml"))
+    assert build_cases(spec, moved)[0].case_id == base
+    more = dataclasses.replace(spec, aleatory=spec.aleatory.model_copy(update={"flights": 9}))
+    assert build_cases(more, MISSION)[0].case_id == base

@@ -1,0 +1,127 @@
+"""What a campaign is said to cost before it starts, and the question that a long one asks."""
+
+from __future__ import annotations
+
+import json
+import tracemalloc
+from pathlib import Path
+
+import pytest
+
+from tests.helpers import campaign_fakes as fakes
+from tests.uqharness.campaign.test_rounds import TOML as DECIDE
+from uqharness.campaign import cost
+from uqharness.campaign.cases import build_cases
+from uqharness.campaign.folder.store import JOURNAL
+from uqharness.campaign.run import find_mission
+from uqharness.campaign.spec.campaign import read_campaign
+from uqharness.campaign.spec.samples import epistemic_samples
+from uqharness.cli.main import main
+from uqharness.flight.spec import FlightSpec
+
+MEAN = '\n[aleatory.variables."inertia/mass-slugs"]\ndistribution = "normal"\nmean = [1.4, 1.5]\nstd = 0.02\n'
+CORNERS = 'method = "corners"'
+
+
+LEVELS = 'method = "levels"\nlevels = [0, 0.5, 1]'
+
+
+@pytest.mark.parametrize("method", [CORNERS, LEVELS, 'method = "lhs"\nsamples = 7', 'method = "white"\nsamples = 3', "none"])
+@pytest.mark.parametrize("mean", ["", MEAN])
+def test_flights_are_counted_as_they_are_built(tmp_path, method, mean):
+    text = fakes.CAMPAIGN.replace("wind_mps = 3", "wind_mps = [1, 3]")
+    bare = text.partition("[epistemic]")[0] + '[epistemic]\nmethod = "none"\n'
+    text = bare if method == "none" else text.replace(CORNERS, method)
+    spec = read_campaign(fakes.campaign_file(tmp_path, text + mean))
+    mission = find_mission(spec)
+    size = cost.size_of(spec)
+    assert size.epistemic == len(epistemic_samples(spec))
+    assert size.flights == len(build_cases(spec, mission))
+    assert size.hours == pytest.approx(size.flights * 210.0 / 3600.0)
+    assert cost.size_of(spec, 5).flights == -(-size.flights // 5)
+    flight = cost.one_case(spec, mission).flight
+    assert (flight.aircraft, flight.duration_s, flight.turbulence) == (mission.aircraft, 150.0, "moderate")
+
+
+def test_a_campaign_that_may_end_sooner_says_at_most(tmp_path):
+    spec = read_campaign(fakes.campaign_file(tmp_path, DECIDE))
+    words = cost.Cost(cost.size_of(spec), 0, None, 1).words
+    assert words.startswith("at most 320 flights (4 epistemic samples, 2 conditions, 40 each)")
+
+
+def test_time_is_that_of_what_is_missing():
+    size = cost.Size(10, 1, 64, 640, 3600.0, False)
+    found = cost.Cost(size, 40, cost.Pace(1.0, 0.001), 2)
+    assert (found.missing, found.seconds, found.is_long) == (600, pytest.approx(600 * 4.6 / 2), False)
+    assert "40 flights done before; about 23 min on 2 processes of this machine" in found.words
+    assert cost.Cost(size, 0, cost.Pace(600.0, 0.0), 2).is_long
+    assert cost.Cost(size, 0, None, 2).seconds is None
+    assert "about" not in cost.Cost(size, 0, None, 2).words
+
+
+def test_pace_separates_what_a_flight_takes_from_what_a_second_takes(monkeypatch):
+    monkeypatch.setattr(cost, "_timed", lambda flown, flight: 0.1 + 0.001 * flight.duration_s if flown(flight) else None)
+    brief, whole = (FlightSpec(Path("plane"), Path("loiter.xml"), duration_s=seconds) for seconds in (5.0, 600.0))
+    pace = cost.measured_pace(lambda flight: True, brief, whole)
+    assert pace == cost.Pace(pytest.approx(0.1), pytest.approx(0.001))
+    assert cost.measured_pace(lambda flight: False, brief, whole) is None
+    assert cost.measured_pace(lambda flight: flight.duration_s < 60.0, brief, whole) is None
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(0.2, "1 s"), (90, "1.5 min"), (3600 * 30, "30 h"), (86400 * 3, "3 days"), (4e9, "127 years")],
+)
+def test_times_in_words(seconds, words):
+    assert cost.time_in_words(seconds) == words
+
+
+def test_a_campaign_of_years_is_refused_at_once_in_little_memory(tmp_path, capsys):
+    path = fakes.campaign_file(tmp_path, fakes.CAMPAIGN.replace("flights = 3", "flights = 1000000"))
+    tracemalloc.start()
+    code = main(["campaign", "run", str(path), "--out", str(tmp_path / "out")])
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    said = capsys.readouterr()
+    assert (code, said.out) == (2, "")
+    assert "64000000 flights (64 epistemic samples, 1 condition, 1000000 each), 3733333 flight h" in said.err
+    assert "128 GB of disk" in said.err
+    assert "give --yes to fly it all the same, or --hours H" in said.err
+    assert most < 200e6
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_slow_model_is_refused_after_its_check_flight_and_yes_flies_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("uqharness.flight.fly.fly", fakes.steady)
+    monkeypatch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: cost.Pace(3600.0, 0.0))
+    command = ["campaign", "run", str(fakes.campaign_file(tmp_path)), "--out", str(tmp_path / "out"), "--serial"]
+    assert main(command) == 2
+    assert "about 8 days on 1 process of this machine" in capsys.readouterr().err
+    with_flights = (tmp_path / "out" / JOURNAL).stat().st_size
+    assert main([*command, "--yes", "--json"]) == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)["cases"] == 192
+    assert "192 flights (64 epistemic samples" in said.err
+    assert (tmp_path / "out" / JOURNAL).stat().st_size > with_flights
+    other = ["--out", str(tmp_path / "hours"), "--serial", "--hours", "0.05"]
+    assert main([*command[:3], *other]) == 0
+
+
+def test_check_flies_nothing_that_counts(tmp_path, capsys):
+    text = fakes.CAMPAIGN.replace('"plane"', '"espaaro"').replace('"loiter.xml"', '"scripts/loiter.xml"')
+    text = text.replace("150", "3600")
+    path = fakes.campaign_file(tmp_path, text)
+    before = sorted(tmp_path.rglob("*"))
+    assert main(["campaign", "check", str(path), "--json", "--workers", "2"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["flights"], found["epistemic_samples"], found["conditions"], found["more_than_a_day"]) == (
+        192,
+        64,
+        1,
+        False,
+    )
+    assert 0.1 < found["expected_s"] < 3600.0
+    assert sorted(tmp_path.rglob("*")) == before
+    assert main(["campaign", "check", str(path), "--hours", "1000000"]) == 0
+    assert "wants --yes or --hours" in capsys.readouterr().out
+    assert main(["campaign", "check", str(path), "--workers", "0"]) == 2

@@ -1,0 +1,375 @@
+"""Epistemic samples that are drawn, and the files they come from: model form, fit, uncertain means."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from sysid.model_form.model_form import AircraftReference, read_model_form
+from tests.helpers import campaign_fakes as fakes
+from tests.helpers.campaign_fakes import CAMPAIGN, campaign_file
+from tests.helpers.model_forms import PUBLISHED, made_up_form
+from uqharness.campaign.aircraft import bounds_notes
+from uqharness.campaign.cases import Mission, build_cases
+from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.folder.case_table import CASES
+from uqharness.campaign.run import run_campaign
+from uqharness.campaign.spec.campaign import read_campaign
+from uqharness.campaign.spec.samples import epistemic_samples
+from uqharness.cli.main import main
+from uqharness.errors import BadInputError
+from uqharness.flight.fly import record_mission
+from uqharness.flight.seeds import walk_stream
+from uqharness.flight.spec import COEFFICIENTS, FlightResult, LevelDriver
+from uqharness.parquet_files import read_table
+from uqharness.plugin.model_form_xml import model_form_xml
+from uqharness.simulator.aircraft import PROJECT_ROOT, content_hash, find_aircraft
+from uqharness.simulator.mission import StagedMission
+from uqharness.simulator.signals import Source
+
+HEAD = CAMPAIGN.partition("[epistemic]")[0]
+BOUNDS = "bounds = { CX = 0.008, CY = 0.010, CZ = 0.05, Cl = 0.0015, Cm = 0.012, Cn = 0.0015 }\n"
+FIT = {
+    "parameters": {
+        "aero/Cm_q": {"value": -13.8, "std": 0.6, "status": "identified"},
+        "aero/Cm_alpha": {"value": -0.487, "std": 0.02, "status": "identified"},
+        "aero/CZ_q": {"value": 0.0, "std": None, "status": "not-identified"},
+    },
+    "names": ["aero/Cm_q", "aero/Cm_alpha"],
+    "cov": [[0.36, 0.0084], [0.0084, 0.0004]],  # correlation 0.7
+}
+
+
+def model_form(path, rates=(0.02, 0.012, float("nan")), names=("CX", "CZ", "Cm"), **changes):
+    """A model form with bounds of CX, CZ and Cm."""
+    form = made_up_form({name: PUBLISHED[name] for name in names})
+    bounds = {
+        name: dataclasses.replace(item, walk_rate=rate)
+        for (name, item), rate in zip(form.coefficients.items(), rates, strict=False)
+    }
+    dataclasses.replace(form, coefficients=bounds, **changes).write(path)
+
+
+def campaign(tmp_path, epistemic, head=HEAD):
+    return read_campaign(campaign_file(tmp_path, head + "[epistemic]\n" + epistemic))
+
+
+def write(path, document):
+    path.write_text(json.dumps(document))
+
+
+def mission(tmp_path):
+    return Mission(tmp_path / "plane", "a" * 64, tmp_path / "loiter.xml", "b" * 64)
+
+
+def test_a_latin_hypercube_fills_every_cell_of_every_dimension(tmp_path):
+    samples = epistemic_samples(campaign(tmp_path, f'method = "lhs"\nsamples = 200\n{BOUNDS}'))
+    assert [samples[0].epistemic_id, samples[-1].epistemic_id] == ["lhs-000000", "lhs-000199"]
+    points = np.array([[sample.levels[name] for name in COEFFICIENTS] for sample in samples])
+    for column in points.T:
+        assert sorted(np.floor(200 * column)) == list(range(200))
+    assert np.abs(np.corrcoef(points.T) - np.eye(6)).max() < 4.5 / np.sqrt(200)
+    # A dimension is a stream of its own: fewer coefficients move none of the others' levels.
+    fewer = 'method = "lhs"\nsamples = 200\ncoefficients = ["Cm"]\nbounds = { Cm = 0.012 }\n'
+    assert [item.levels["Cm"] for item in epistemic_samples(campaign(tmp_path, fewer))] == list(points[:, 4])
+
+
+def test_walks_are_numbered_drivers_in_their_own_streams(tmp_path):
+    text = f'method = "walk"\nsamples = 3\nwalk_rate_per_sqrt_s = 0.012\n{BOUNDS}'
+    samples = epistemic_samples(campaign(tmp_path, text))
+    assert samples[2].driver == LevelDriver("walk", 7, "walk-000002", COEFFICIENTS, (0.012,) * 6)
+    assert not samples[2].levels
+    assert walk_stream(7, "walk-000002", "CX").generate_state(1) != walk_stream(7, "walk-000001", "CX").generate_state(1)
+    cases = build_cases(campaign(tmp_path, text), mission(tmp_path))
+    # One walk over all flights, and the air common to all walks.
+    assert {case.flight.levels for case in cases if case.epistemic_id == "walk-000001"} == {samples[1].driver}
+    assert len({case.case_id for case in cases}) == 9
+    assert len({case.seed for case in cases}) == 3
+    more = epistemic_samples(campaign(tmp_path, text.replace("samples = 3", "samples = 5")))
+    assert more[:3] == samples
+    faster = build_cases(campaign(tmp_path, text.replace("0.012\nb", "0.02\nb")), mission(tmp_path))
+    assert {case.case_id for case in faster}.isdisjoint(case.case_id for case in cases)
+
+
+def test_white_needs_no_rate(tmp_path):
+    (sample,) = epistemic_samples(campaign(tmp_path, f'method = "white"\nsamples = 1\n{BOUNDS}'))
+    assert sample.driver == LevelDriver("white", 7, "white-000000", COEFFICIENTS)
+
+
+def test_rates_and_coefficients_come_from_the_model_form(tmp_path):
+    model_form(tmp_path / "model-form.json")
+    text = 'method = "walk"\nsamples = 2\nbounds = "model-form.json"\ncoefficients = ["CZ", "CX"]\n'
+    sample = epistemic_samples(campaign(tmp_path, text))[0]
+    assert (sample.driver.coefficients, sample.driver.rates_per_sqrt_s) == (("CX", "CZ"), (0.02, 0.012))
+    corners = epistemic_samples(campaign(tmp_path, 'method = "corners"\nbounds = "model-form.json"\n'))
+    assert [item.epistemic_id for item in corners][:2] == ["0-0-0-", "0-0-1-"]
+    given = text.replace("samples", "walk_rate_per_sqrt_s = { CX = 0.5 }\nsamples")
+    assert epistemic_samples(campaign(tmp_path, given))[0].driver.rates_per_sqrt_s == (0.5, 0.012)
+    with pytest.raises(BadInputError, match="no walk_rate for Cm"):
+        campaign(tmp_path, 'method = "walk"\nsamples = 2\nbounds = "model-form.json"\n')
+    with pytest.raises(BadInputError, match="has no bounds for Cn"):
+        campaign(tmp_path, 'method = "corners"\nbounds = "model-form.json"\ncoefficients = ["CX", "Cn"]\n')
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "named as bounds and not there"),
+        ("{", "model-form.json.*uqharness bounds AIRCRAFT"),
+        ('{"coefficients": {"CL": {}}}', "model-form.json.*uqharness bounds AIRCRAFT"),
+    ],
+)
+def test_a_bad_model_form_is_refused(tmp_path, content, message):
+    if content is not None:
+        (tmp_path / "model-form.json").write_text(content)
+    with pytest.raises(BadInputError, match=message):
+        campaign(tmp_path, 'method = "corners"\nbounds = "model-form.json"\n')
+    with pytest.raises(BadInputError, match=r"campaign.toml:\d+: \[epistemic\] bounds: must be numbers"):
+        campaign(tmp_path, 'method = "corners"\nbounds = "wide"\n')
+
+
+PARAMETERS = '[epistemic.parameters]\nfit = "fit.json"\n'
+
+
+def test_parameters_are_drawn_from_the_covariance(tmp_path):
+    write(tmp_path / "fit.json", FIT)
+    samples = epistemic_samples(campaign(tmp_path, f'method = "none"\nsamples = 4000\n{PARAMETERS}'))
+    assert samples[3].epistemic_id == "nominal+p000003"
+    drawn = np.array([[sample.parameters[name] for name in FIT["names"]] for sample in samples])
+    for column, name in enumerate(FIT["names"]):
+        known = FIT["parameters"][name]
+        assert stats.kstest(drawn[:, column], "norm", args=(known["value"], known["std"])).pvalue > 1e-3
+        assert stats.kstest(drawn[:, column], "norm", args=(known["value"], 1.1 * known["std"])).pvalue < 1e-3
+    assert np.corrcoef(drawn.T)[0, 1] == pytest.approx(0.7, abs=4 * (1 - 0.49) / np.sqrt(4000))
+    fewer = epistemic_samples(campaign(tmp_path, f'method = "none"\nsamples = 5\n{PARAMETERS}'))
+    assert [item.parameters for item in fewer] == [item.parameters for item in samples[:5]]
+
+
+def test_a_box_is_filled_to_its_edges_and_no_further(tmp_path):
+    write(tmp_path / "fit.json", FIT)
+    box = PARAMETERS + 'distribution = "box"\nconfidence = 0.9\nparameters = ["aero/Cm_alpha"]\n'
+    samples = epistemic_samples(campaign(tmp_path, f'method = "none"\nsamples = 1000\n{box}'))
+    drawn = np.array([sample.parameters["aero/Cm_alpha"] for sample in samples])
+    reach = stats.norm.ppf(0.95) * 0.02
+    assert np.abs(drawn + 0.487).max() <= reach
+    assert np.abs(drawn + 0.487).max() > 0.998 * reach
+    assert stats.kstest(drawn, "uniform", args=(-0.487 - reach, 2 * reach)).pvalue > 1e-3
+
+
+def test_parameters_multiply_corners_and_join_walks(tmp_path):
+    write(tmp_path / "fit.json", FIT)
+    corners = campaign(tmp_path, f'method = "corners"\nsamples = 3\n{BOUNDS}{PARAMETERS}')
+    samples = epistemic_samples(corners)
+    assert len(samples) == 64 * 3
+    assert [item.epistemic_id for item in samples[:4]] == [
+        "000000+p000000", "000000+p000001", "000000+p000002", "000001+p000000",
+    ]  # fmt: skip
+    assert samples[0].parameters == samples[3].parameters != samples[1].parameters
+    case = build_cases(corners, mission(tmp_path))[0]
+    assert case.flight.properties["aero/Cm_q"] == samples[0].parameters["aero/Cm_q"]
+    assert case.inputs["parameter_aero/Cm_q"] == samples[0].parameters["aero/Cm_q"]
+    walks = epistemic_samples(
+        campaign(tmp_path, f'method = "walk"\nwalk_rate_per_sqrt_s = 0.01\nsamples = 3\n{BOUNDS}{PARAMETERS}')
+    )
+    assert len({item.parameters["aero/Cm_q"] for item in walks}) == len(walks) == 3
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"names": []}, "nothing was identified"),
+        ({"cov": [[1.0]]}, "2 x 2"),
+        ({"cov": [[1.0, 2.0], [2.0, 1.0]]}, "not positive definite"),
+        ({"cov": [[1.0, 0.1], [0.2, 1.0]]}, "not symmetric"),
+        ({"cov": [[1.0, None], [0.2, 1.0]]}, "finite"),
+        ({"names": ["aero/Cm_q", "aero/none"]}, "not a fit"),
+    ],
+)
+def test_a_bad_fit_is_refused(tmp_path, change, message):
+    write(tmp_path / "fit.json", FIT | change)
+    with pytest.raises(BadInputError, match=message):
+        campaign(tmp_path, f'method = "none"\nsamples = 2\n{PARAMETERS}')
+
+
+def test_unknown_parameters_and_a_confidence_without_a_box_are_refused(tmp_path):
+    write(tmp_path / "fit.json", FIT)
+    with pytest.raises(BadInputError, match="aero/CZ_q is not among the identified"):
+        campaign(tmp_path, f'method = "none"\nsamples = 2\n{PARAMETERS}parameters = ["aero/CZ_q"]\n')
+    with pytest.raises(BadInputError, match=r'\[epistemic.parameters\].*confidence belongs to distribution = "box"'):
+        campaign(tmp_path, f'method = "none"\nsamples = 2\n{PARAMETERS}confidence = 0.9\n')
+
+
+def variables(mean):
+    return HEAD + f'[aleatory.variables."load/kg"]\ndistribution = "normal"\nmean = {mean}\nstd = 0.5\n'
+
+
+def test_a_variable_is_drawn_per_flight_and_common_to_corners(tmp_path):
+    cases = build_cases(campaign(tmp_path, f'method = "corners"\n{BOUNDS}', variables("20")), mission(tmp_path))
+    drawn = {case.aleatory_id: case.flight.properties["load/kg"] for case in cases}
+    assert len(set(drawn.values())) == 3
+    assert all(case.flight.properties["load/kg"] == drawn[case.aleatory_id] for case in cases)
+    assert cases[0].inputs == {"variable_load/kg": drawn[0]}
+    many = campaign(tmp_path, 'method = "none"\n', variables("20").replace("flights = 3", "flights = 3000"))
+    values = [case.flight.properties["load/kg"] for case in build_cases(many, mission(tmp_path))]
+    assert stats.kstest(values, "norm", args=(20.0, 0.5)).pvalue > 1e-3
+    # A variable's stream bears its name: another variable beside it moves nothing.
+    other = variables("20") + '[aleatory.variables."a/b"]\ndistribution = "uniform"\nlow = 0\nhigh = 1\n'
+    again = build_cases(campaign(tmp_path, f'method = "corners"\n{BOUNDS}', other), mission(tmp_path))
+    assert all(case.flight.properties["load/kg"] == drawn[case.aleatory_id] for case in again)
+
+
+def test_an_unknown_mean_is_an_epistemic_input_with_corners(tmp_path):
+    spec = campaign(tmp_path, f'method = "corners"\n{BOUNDS}', variables("[19, 22]"))
+    cases = build_cases(spec, mission(tmp_path))
+    assert len(cases) == 3 * 128
+    low, high = cases[0], cases[1]
+    assert (low.epistemic_id, high.epistemic_id) == ("000000+0", "000000+1")
+    assert high.flight.properties["load/kg"] - low.flight.properties["load/kg"] == pytest.approx(3.0)
+    assert (low.inputs["level_load/kg"], high.inputs["level_load/kg"]) == (0.0, 1.0)
+    nominal = build_cases(campaign(tmp_path, 'method = "none"\n', variables("[19, 22]")), mission(tmp_path))
+    assert [case.epistemic_id for case in nominal[:2]] == ["nominal+0", "nominal+1"]
+    lhs = epistemic_samples(campaign(tmp_path, f'method = "lhs"\nsamples = 8\n{BOUNDS}', variables("[19, 22]")))
+    assert sorted(np.floor([8 * item.means["load/kg"] for item in lhs])) == list(range(8))
+
+
+def heavy(spec):
+    """Errors that follow the load, and CX a little."""
+    draw = np.random.default_rng([spec.seed_turbulence])
+    size = spec.properties["load/kg"] + 0.1 * spec.properties["uq/CX/level"]
+    metrics = {name: size * float(draw.gamma(40.0)) for name in fakes.ERROR_METRICS}
+    metrics |= dict.fromkeys([*fakes.EXCURSIONS, "loss_of_control"], 0.0)
+    return FlightResult("ok", "", spec.burn_in_s + spec.duration_s, metrics, {}, {})
+
+
+def test_an_unknown_mean_takes_its_place_among_the_sensitivities(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)
+    head = variables("[19, 22]").replace("std = 0.5", "std = 0.01").replace("flights = 3", "flights = 20")
+    epistemic = 'method = "corners"\ncoefficients = ["CX"]\nbounds = { CX = 0.008 }\n'
+    spec = campaign(tmp_path, epistemic, head)
+    run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=heavy, mission=mission(tmp_path))
+    assert main(["sensitivity", str(tmp_path / "out"), "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)["sensitivity"].values()
+    indices = found["altitude_median_m"]["indices"]
+    assert set(indices) == {"CX", "load/kg"}
+    # The error is proportional to load + 0.1 level, and the load's mean moves by 3: shares of the p-box's width 3/3.1 and 0.1/3.1.
+    assert indices["load/kg"]["value"] == pytest.approx([3.0 / 3.1] * 2)
+    assert indices["CX"]["value"] == pytest.approx([0.1 / 3.1] * 2)
+
+
+def test_one_property_cannot_be_random_and_unknown_at_once(tmp_path):
+    write(tmp_path / "fit.json", FIT)
+    head = variables("20").replace("load/kg", "aero/Cm_q")
+    with pytest.raises(BadInputError, match="either random from flight to flight or unknown"):
+        build_cases(campaign(tmp_path, f'method = "none"\nsamples = 2\n{PARAMETERS}', head), mission(tmp_path))
+
+
+def test_what_was_drawn_stands_in_the_table_and_moves_with_no_worker(tmp_path):
+    spec = campaign(tmp_path, f'method = "corners"\n{BOUNDS}', variables("[19, 22]"))
+    run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady, mission=mission(tmp_path))
+    frame = read_table(tmp_path / "out" / CASES).to_pandas()
+    assert list(frame.columns[-2:]) == ["level_load/kg", "variable_load/kg"]
+    step = frame[frame["level_load/kg"] == 1]["variable_load/kg"].to_numpy() - 3.0
+    assert step == pytest.approx(frame[frame["level_load/kg"] == 0]["variable_load/kg"].to_numpy())
+    walk = campaign(tmp_path, f'method = "walk"\nsamples = 2\nwalk_rate_per_sqrt_s = 0.01\n{BOUNDS}')
+    run_campaign(walk, tmp_path / "walk", executor=SerialExecutor(), fly=fakes.steady, mission=mission(tmp_path))
+    frame = read_table(tmp_path / "walk" / CASES).to_pandas()
+    # A level that moves is no number of a flight.
+    assert frame["level_CX"].isna().all()
+    assert set(frame["epistemic_id"]) == {"walk-000000", "walk-000001"}
+
+
+@pytest.fixture
+def bounded(tmp_path):
+    """A campaign of the E-SPAARO with state-dependent bounds from a file."""
+    shutil.copytree(PROJECT_ROOT / "aircraft" / "espaaro", tmp_path / "plane")
+    shutil.copy(PROJECT_ROOT / "scripts" / "trim.xml", tmp_path / "loiter.xml")
+    model_form(tmp_path / "model-form.json")
+    epistemic = '[epistemic]\nmethod = "corners"\nbounds = "model-form.json"\ncoefficients = ["CX"]\n'
+    head = HEAD.replace("150", "2").replace("60", "0").replace("flights = 3", "flights = 1")
+    (tmp_path / "campaign.toml").write_text(head.replace('"moderate"', '"light"') + epistemic)
+    return read_campaign(tmp_path / "campaign.toml")
+
+
+def test_bounds_of_other_files_are_noted(tmp_path, bounded):
+    (note,) = bounds_notes(bounded)
+    assert "made for aircraft 'espaaro' as it was then" in note
+    for name, told in (("glider", 1), ("espaaro", 1), ("espaaro", 0)):
+        digest = content_hash(find_aircraft(tmp_path / "plane")) if not told else "0" * 64
+        model_form(tmp_path / "model-form.json", aircraft=AircraftReference(name, digest))
+        notes = bounds_notes(read_campaign(tmp_path / "campaign.toml"))
+        assert len(notes) == told
+        assert all("made for aircraft 'glider', not 'espaaro'" in n for n in notes if name == "glider")
+    assert bounds_notes(campaign(tmp_path, 'method = "corners"\n' + BOUNDS)) == []
+
+
+def test_the_bounds_of_a_file_fly_in_a_copy_of_the_aircraft(tmp_path, bounded, monkeypatch):
+    from uqharness.flight.fly import fly
+
+    # A process of its own could not import the function below.
+    monkeypatch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)
+    out, executor, flown = tmp_path / "out", SerialExecutor(), []
+
+    def spy(spec):
+        flown.append(spec)
+        return fly(spec)
+
+    run_campaign(bounded, out, executor=executor, fly=spy)
+    copy = out / "aircraft" / "plane"
+    assert {spec.aircraft for spec in flown} == {copy}
+    written = (copy / "Systems" / "model-form.xml").read_bytes()
+    assert written == model_form_xml(read_model_form(tmp_path / "model-form.json"), find_aircraft(tmp_path / "plane"))
+    frame = read_table(out / CASES).to_pandas().set_index("epistemic_id")
+    assert list(frame.index) == ["0-----", "1-----"]
+    assert frame["extrapolated_share"].between(0.0, 1.0).all()
+    # The bounds act, CX alone moves, and the source was not touched.
+    signals = {f"{name}_delta": Source(f"uq/{name}/delta") for name in COEFFICIENTS}
+    with StagedMission(find_aircraft(copy), tmp_path / "loiter.xml") as mission:
+        deltas = [record_mission(mission, spec, signals).signals for spec in flown]
+    assert deltas[0]["CX_delta"][1:].max() < 0.0 < deltas[1]["CX_delta"][1:].min()
+    assert all(not np.any(deltas[1][f"{name}_delta"]) for name in COEFFICIENTS[1:])
+    source = PROJECT_ROOT / "aircraft" / "espaaro" / "Systems" / "model-form.xml"
+    assert (tmp_path / "plane" / "Systems" / "model-form.xml").read_bytes() == source.read_bytes()
+    # The same command finds everything done; half a copy is mended; a changed model form is another campaign.
+    (copy / "Systems" / "model-form.xml").unlink()
+    assert run_campaign(bounded, out, executor=executor, fly=spy).done_before == 2
+    assert (copy / "Systems" / "model-form.xml").read_bytes() == written
+    model_form(tmp_path / "model-form.json", confidence=0.68)
+    with pytest.raises(BadInputError, match="content of the file named as bounds"):
+        run_campaign(read_campaign(tmp_path / "campaign.toml"), out, executor=executor, fly=spy)
+
+
+def test_a_plugin_without_switches_has_its_certain_bounds_set_to_zero(tmp_path):
+    folder = tmp_path / "aircraft" / "espaaro"
+    shutil.copytree(PROJECT_ROOT / "aircraft" / "espaaro", folder)
+    system = folder / "Systems" / "model-form.xml"
+    text = re.sub(r"<property[^>]*>uq/C\w/active</property>", "", system.read_text())
+    assert "uq/active" in text
+    system.write_text(text)
+    spec = campaign(tmp_path, 'method = "corners"\ncoefficients = ["CX"]\n', HEAD.replace('"plane"', f'"{folder}"'))
+    flight = build_cases(spec, mission(tmp_path))[1].flight
+    brief = dataclasses.replace(
+        flight,
+        aircraft=folder,
+        script=PROJECT_ROOT / "scripts" / "trim.xml",
+        duration_s=1.0,
+        burn_in_s=0.0,
+        turbulence="none",
+    )
+    signals = {f"{name}_delta": Source(f"uq/{name}/delta") for name in COEFFICIENTS}
+    with StagedMission(find_aircraft(folder), PROJECT_ROOT / "scripts" / "trim.xml") as flown:
+        found = record_mission(flown, brief, signals).signals
+    assert found["CX_delta"] == pytest.approx(0.008)
+    assert all(not found[f"{name}_delta"].any() for name in COEFFICIENTS[1:])
+
+
+def test_bounds_need_the_plugin(tmp_path, bounded):
+    xml = tmp_path / "plane" / "espaaro.xml"
+    xml.write_text(xml.read_text().replace('<system file="model-form"/>', ""))
+    with pytest.raises(BadInputError, match=r'no <system file="model-form"/>.*uqharness instrument'):
+        run_campaign(bounded, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady)

@@ -1,0 +1,216 @@
+"""A campaign that stops where it is answered: same bytes however it is run, killed or resumed; what it leaves behind."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import pandas as pd
+import pytest
+
+from tests.helpers import campaign_fakes as fakes
+from tests.helpers.page_checks import problems
+from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor
+from uqharness.campaign.folder.case_table import CASES
+from uqharness.campaign.folder.manifest import read_manifest
+from uqharness.campaign.folder.shards import Shard
+from uqharness.campaign.run import run_campaign
+from uqharness.campaign.spec.campaign import read_campaign
+from uqharness.cli.main import main
+from uqharness.errors import BadInputError
+from uqharness.parquet_files import read_table
+from uqharness.report.write import write_report
+
+TABLES = (CASES, "pbox.parquet", "excursions.csv", "decisions.csv", "statements.csv")
+TOML = """
+[campaign]
+aircraft = "plane"
+mission = "loiter.xml"
+seed = 7
+
+[aleatory]
+flights = 40
+duration_s = 3600
+wind_mps = [3, 7]
+turbulence = "severe"
+
+[epistemic]
+method = "corners"
+coefficients = ["CX", "CY"]
+bounds = { CX = 0.008, CY = 0.010 }
+
+[metrics]
+acceptable_per_h = 1
+dispersion = 2
+
+[stop]
+rule = "decide"
+look_every = 4
+"""
+
+
+@pytest.fixture(autouse=True)
+def _no_check_flight(monkeypatch):
+    monkeypatch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)
+
+
+def spec(tmp_path, text=TOML):
+    return read_campaign(fakes.campaign_file(tmp_path, text))
+
+
+def run(tmp_path, out, executor=None, text=TOML, fly=fakes.by_corner, **keys):
+    return run_campaign(spec(tmp_path, text), tmp_path / out, executor=executor or SerialExecutor(), fly=fly, **keys)
+
+
+def tables(folder):
+    return {name: (folder / name).read_bytes() for name in TABLES}
+
+
+def rows(folder, name):
+    with (folder / name).open(newline="") as handle:
+        return list(csv.DictReader(handle))
+
+
+def test_each_cell_gets_its_answer_and_no_flight_more_than_it_needs(tmp_path):
+    summary = run(tmp_path, "out")
+    decided = rows(tmp_path / "out", "decisions.csv")
+    cells = {row["condition"]: row for row in decided if row["epistemic_id"] == "all"}
+    assert cells["3 m/s severe"]["answer"] == "yes"
+    assert cells["7 m/s severe"]["answer"] == "no"
+    assert int(cells["7 m/s severe"]["flights"]) == 4 * 4
+    assert 0 < summary.cases < 320 / 2
+    frame = read_table(tmp_path / "out" / CASES).to_pandas()
+    assert len(frame) == summary.cases == read_manifest(tmp_path / "out")["cases"]
+    # Common random numbers: every corner flew the same air, from the first flight on, without gaps.
+    for (_, name), group in frame.groupby(["wind_mps", "epistemic_id"]):
+        assert group["aleatory_id"].tolist() == list(range(len(group))), name
+        assert len(group) % 4 == 0
+    signed = {(row["condition"], row["radius_m"], row["distance"]): row for row in rows(tmp_path / "out", "statements.csv")}
+    calm = signed["3 m/s severe", "15", "horizontal"]
+    assert (calm["answer"], calm["best_per_h"], calm["worst_lower_per_h"]) == ("yes", "0", "0")
+    rough = signed["7 m/s severe", "15", "horizontal"]
+    assert rough["answer"] == "no"
+    assert float(rough["worst_lower_per_h"]) < 4.0 < float(rough["worst_upper_per_h"])
+    assert rough["worst"] == "11----"
+
+
+@pytest.mark.parametrize("answer_for", ["cell", "corner"])
+def test_workers_and_interruptions_move_no_byte(tmp_path, answer_for):
+    text = TOML + f'answer_for = "{answer_for}"\n'
+    run(tmp_path, "whole", text=text)
+    reference = tables(tmp_path / "whole")
+    run(tmp_path, "two", ProcessExecutor(2, "fork"), text=text)
+    assert tables(tmp_path / "two") == reference
+
+    def interrupt(at):
+        def check(progress):
+            if progress.done >= at:
+                raise KeyboardInterrupt
+
+        return check
+
+    class InPieces(SerialExecutor):
+        """Hands on every few flights, so that a run can be stopped in the middle of a round."""
+
+        def run(self, fly, flights):
+            batch = []
+            for item in flights:
+                batch += [outcome for part in super().run(fly, [item]) for outcome in part]
+                if len(batch) == 7:
+                    yield batch
+                    batch = []
+            yield batch
+
+    for at in (5, 20, 36):
+        with pytest.raises(KeyboardInterrupt):
+            run(tmp_path, "killed", InPieces(), text=text, on_progress=interrupt(at))
+    run(tmp_path, "killed", InPieces(), text=text)
+    assert tables(tmp_path / "killed") == reference
+    again = run(tmp_path, "killed", text=text, fly=fakes.aborts_always)
+    assert (again.done_before, again.progress.flown_s) == (again.cases, 0.0)
+    assert tables(tmp_path / "killed") == reference
+    corners = [row for row in rows(tmp_path / "whole", "decisions.csv") if row["condition"] == "7 m/s severe"]
+    own = {row["epistemic_id"]: row["answer"] for row in corners}
+    assert own["11----"] == ("no" if answer_for == "corner" else "open")
+    assert own["all"] == "no"
+
+
+def test_status_while_it_flies_and_after(tmp_path, capsys):
+    def stop(progress):
+        if progress.done >= 32:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, "out", on_progress=stop)
+    # The serial executor hands on what it has at the end of a round: one has been decided by.
+    assert main(["campaign", "status", str(tmp_path / "out"), "--json"]) == 1
+    run(tmp_path, "out")
+    capsys.readouterr()
+    assert main(["campaign", "status", str(tmp_path / "out"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [(item["condition"], item["answer"]) for item in found["answers"]] == [
+        ("3 m/s severe", "yes"), ("7 m/s severe", "no"),
+    ]  # fmt: skip
+    assert main(["campaign", "status", str(tmp_path / "out")]) == 0
+    assert "at most 1 excursions per hour beyond 15 m? 1 yes, 1 no" in capsys.readouterr().out
+
+
+def test_the_report_says_what_can_be_signed(tmp_path):
+    run(tmp_path, "out")
+    report = write_report(tmp_path / "out")
+    assert problems(report.path.read_text(encoding="utf-8")) == []
+    assert any("At most 1 per hour at every corner? No." in line for line in report.verdict)
+    page = report.path.read_text()
+    assert "What can be signed" in page
+    assert "variance of the excursions per flight of 2 times their mean" in page
+
+
+def test_the_band_pays_for_having_looked(tmp_path):
+    """Same flights, decided or planned: the band of a campaign that could have stopped anywhere is wider."""
+    run(tmp_path, "out")
+    flown = read_table(tmp_path / "out" / "pbox.parquet").to_pandas()
+    planned = TOML.partition("[stop]")[0].replace("flights = 40", "flights = 4").replace("[3, 7]", "7")
+    run(tmp_path, "planned", text=planned)
+    fixed = read_table(tmp_path / "planned" / "pbox.parquet").to_pandas()
+    same = flown[flown["condition"] == "7 m/s severe"].reset_index(drop=True)
+    pd.testing.assert_series_equal(same["lower"], fixed["lower"])
+    assert (same["band_lower"] <= fixed["band_lower"]).all()
+    assert same["band_lower"].sum() < fixed["band_lower"].sum()
+
+
+def test_what_cannot_be_decided_is_refused(tmp_path):
+    with pytest.raises(BadInputError, match="looks at all corners together"):
+        run(tmp_path, "shard", shard=Shard(1, 2))
+
+    with pytest.raises(BadInputError, match="has no excursions_15m"):
+        run(tmp_path, "unscored", fly=fakes.undefined_excursions)
+
+
+def test_failed_flights_keep_a_cell_from_yes(tmp_path):
+    text = TOML.replace("flights = 40", "flights = 8").replace("[3, 7]", "3")
+    run(tmp_path, "out", text=text, fly=fakes.diverges)
+    (cell,) = [row for row in rows(tmp_path / "out", "decisions.csv") if row["epistemic_id"] == "all"]
+    assert (cell["answer"], cell["reason"]) == ("open", "all flights flown")
+    (signed,) = [
+        row for row in rows(tmp_path / "out", "statements.csv") if row["radius_m"] == "15" and row["distance"] == "horizontal"
+    ]
+    assert (signed["answer"], signed["failed"]) == ("open", "32")
+
+
+def test_a_campaign_of_fixed_hours_answers_too(tmp_path):
+    """With the number of flights chosen beforehand; a quarter of the hours leaves both cells open."""
+    planned = TOML.partition("[stop]")[0]
+    stop = '[stop]\nrule = "hours"\nhours = {}\n'
+    for hours, calm, rough in ((8, "yes", "no"), (2, "open", "open")):
+        out = f"out-{hours}"
+        run(tmp_path, out, text=planned.replace("flights = 40\n", "") + stop.format(hours))
+        answers = {row["condition"]: row for row in rows(tmp_path / out, "statements.csv")
+                   if row["radius_m"] == "15" and row["distance"] == "horizontal"}  # fmt: skip
+        assert answers["3 m/s severe"]["answer"] == calm
+        assert answers["7 m/s severe"]["answer"] == rough
+        assert float(answers["3 m/s severe"]["hours"]) == 4 * hours
+        assert float(answers["3 m/s severe"]["extrapolated_share"]) == 0.0
+        assert not (tmp_path / out / "decisions.csv").exists()
+        for row in rows(tmp_path / out, "excursions.csv"):
+            assert float(row["flights_lower_per_h"]) <= float(row["rate_per_h"]) <= float(row["flights_upper_per_h"])
+            assert float(row["flights_upper_per_h"]) >= float(row["limit_upper_per_h"]) or int(row["excursions"]) > 0

@@ -1,0 +1,262 @@
+"""A campaign as a whole: same bytes however it is run, killed or resumed; refusals; failures counted."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import pytest
+
+from tests.helpers import campaign_fakes as fakes
+from tests.helpers.places import ROOT
+from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor
+from uqharness.campaign.folder.case_table import CASES, ERROR_METRICS, excursion_columns
+from uqharness.campaign.folder.manifest import read_manifest
+from uqharness.campaign.folder.store import Store, run_lock
+from uqharness.campaign.run import Progress, find_mission, run_campaign
+from uqharness.errors import BadInputError
+from uqharness.parquet_files import read_table
+
+TABLES = (CASES, "pbox.parquet", "excursions.csv")
+
+pytestmark = pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+
+
+@pytest.fixture(autouse=True)
+def _validate_quickly(monkeypatch):
+    """The check flight in a forked process: what it checks is the same, and it starts in a hundredth of the time."""
+    import uqharness.campaign.run as campaign
+
+    def forked(workers, **settings):
+        return ProcessExecutor(workers, "fork", **settings)
+
+    monkeypatch.setattr(campaign, "ProcessExecutor", forked)
+
+
+def tables(folder):
+    return {name: (folder / name).read_bytes() for name in TABLES}
+
+
+def run(tmp_path, out, executor=None, fly=fakes.steady, flights=2, **keys):
+    spec = fakes.small_spec(tmp_path, flights)
+    return run_campaign(spec, tmp_path / out, executor=executor or SerialExecutor(), fly=fly, **keys)
+
+
+def test_the_table_has_one_row_per_flight_and_the_agreed_columns(tmp_path):
+    summary = run(tmp_path, "out")
+    assert (summary.cases, summary.failed, summary.statuses) == (128, 0, {"ok": 128})
+    table = read_table(tmp_path / "out" / CASES)
+    assert table.num_rows == 128
+    levels = [f"level_{name}" for name in ("CX", "CY", "CZ", "Cl", "Cm", "Cn")]
+    assert table.column_names == [
+        "case_id", "epistemic_id", *levels, "aleatory_id", "wind_mps", "turbulence", "seed", "duration_s", "status", "reason",
+        "cross_track_median_m", "cross_track_mean_m", "cross_track_max_m",
+        "altitude_median_m", "altitude_mean_m", "altitude_max_m", "speed_median_mps", "speed_mean_mps", "speed_max_mps",
+        "cross_track_median_m_measured", "cross_track_mean_m_measured", "cross_track_max_m_measured",
+        "altitude_median_m_measured", "altitude_mean_m_measured", "altitude_max_m_measured",
+        "speed_median_mps_measured", "speed_mean_mps_measured", "speed_max_mps_measured",
+        "excursions_15m", "excursions_25m", "excursions_15m_3d", "excursions_25m_3d", "loss_of_control", "extrapolated_share",
+    ]  # fmt: skip
+    assert set(ERROR_METRICS) | set(excursion_columns((15.0, 25.0))) <= set(table.column_names)
+    assert table["duration_s"].to_pylist() == [150.0] * 128
+    assert read_manifest(tmp_path / "out")["state"] == "complete"
+
+
+def test_workers_order_and_start_method_move_no_byte(tmp_path):
+    run(tmp_path, "serial", fly=fakes.hazardous_but_alive)
+    reference = tables(tmp_path / "serial")
+    for name, executor in {
+        "fork1": ProcessExecutor(1, "fork"),
+        "fork3": ProcessExecutor(3, "fork"),
+        "spawn2": ProcessExecutor(2, "spawn"),
+        "forkserver2": ProcessExecutor(2, "forkserver"),
+        "reversed": ReversedExecutor(),
+    }.items():
+        run(tmp_path, name, executor, fakes.hazardous_but_alive)
+        assert tables(tmp_path / name) == reference, name
+    other = fakes.small_spec(tmp_path, 2)
+    other = replace(other, campaign=other.campaign.model_copy(update={"seed": 8}))
+    run_campaign(other, tmp_path / "seed", executor=SerialExecutor(), fly=fakes.steady)
+    assert tables(tmp_path / "seed") != reference
+
+
+class ReversedExecutor(SerialExecutor):
+    def run(self, fly, flights):
+        yield from super().run(fly, reversed(list(flights)))
+
+
+def test_failures_are_rows_with_reasons(tmp_path):
+    summary = run(tmp_path, "out", ProcessExecutor(2, "fork"), fakes.hazardous)
+    frame = read_table(tmp_path / "out" / CASES).to_pandas()
+    assert len(frame) == 128
+    assert summary.failed == (frame["status"] != "ok").sum() > 0
+    assert {"SIGABRT", "SIGSEGV", "exit code 3", "RuntimeError"} <= {
+        word for word in ("SIGABRT", "SIGSEGV", "exit code 3", "RuntimeError") if frame["reason"].str.contains(word).any()
+    }
+    diverged = frame[frame["status"] == "diverged"].iloc[0]
+    assert diverged["duration_s"] == 30.0
+    assert diverged["excursions_15m"] == 2
+    assert diverged["cross_track_median_m"] != diverged["cross_track_median_m"]
+    # Once recorded, a failure is done: the same command flies nothing more and changes nothing.
+    before = tables(tmp_path / "out")
+    again = run(tmp_path, "out", fly=fakes.aborts_always)
+    assert (again.done_before, again.progress.flown_s) == (128, 0.0)
+    assert tables(tmp_path / "out") == before
+
+
+def test_an_undefined_metric_has_its_reason(tmp_path):
+    run(tmp_path, "out", fly=fakes.undefined_speed)
+    frame = read_table(tmp_path / "out" / CASES).to_pandas()
+    assert frame["speed_median_mps"].isna().all()
+    assert set(frame["reason"]) == {"speed_median_mps: no speed was commanded"}
+    metrics = set(read_table(tmp_path / "out" / "pbox.parquet").to_pandas()["metric"])
+    assert "speed_median_mps" not in metrics
+    assert "speed_mean_mps" in metrics
+
+
+def test_an_interrupted_run_keeps_what_was_finished_and_resumes(tmp_path):
+    seen: list[Progress] = []
+
+    def stop_after_some(progress):
+        seen.append(progress)
+        if progress.done >= 20:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, "out", ProcessExecutor(2, "fork"), fakes.slow, on_progress=stop_after_some)
+    assert read_manifest(tmp_path / "out")["state"] == "interrupted"
+    with Store(tmp_path / "out", read_only=True) as store:
+        kept = len(store.finished())
+    assert kept == seen[-1].done >= 20
+    assert not (tmp_path / "out" / CASES).exists()
+    summary = run(tmp_path, "out", ProcessExecutor(1, "fork"))
+    assert summary.done_before == kept
+    run(tmp_path, "undisturbed")
+    assert tables(tmp_path / "out") == tables(tmp_path / "undisturbed")
+
+
+def test_kill_9_at_random_moments_and_resume_gives_the_same_bytes(tmp_path):
+    fakes.campaign_file(tmp_path)
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "tests.helpers.campaign_fakes", str(tmp_path), str(out), "3", "slow", "2", "fork"]
+    chance = random.Random(20161201)
+    kept = [0]
+    for _ in range(5):
+        process = subprocess.Popen(command, cwd=ROOT, start_new_session=True)
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline and rows(out) <= kept[-1] and process.poll() is None:
+            time.sleep(0.02)
+        time.sleep(chance.uniform(0.0, 0.3))
+        process.kill()
+        process.wait()
+        wait_for_the_end_of(process.pid)
+        kept.append(rows(out))
+    assert kept == sorted(kept)
+    assert 0 < kept[1] < kept[-1] < 192, kept
+    summary = run(tmp_path, "out", ProcessExecutor(2, "fork"), flights=3)
+    assert summary.done_before == kept[-1]
+    run(tmp_path, "undisturbed", flights=3)
+    assert tables(out) == tables(tmp_path / "undisturbed")
+
+
+def rows(out):
+    if not (out / "journal.sqlite").exists():
+        return 0
+    with Store(out, read_only=True) as store:
+        return len(store.finished())
+
+
+def wait_for_the_end_of(session):
+    """Workers end by themselves once their parent is gone."""
+    deadline = time.monotonic() + 20
+    while time.monotonic() < deadline:
+        try:
+            os.killpg(session, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.05)
+    os.killpg(session, signal.SIGKILL)
+    pytest.fail("workers outlived their parent")
+
+
+def test_a_second_run_in_the_same_folder_is_refused(tmp_path):
+    (tmp_path / "out").mkdir()
+    with run_lock(tmp_path / "out"), pytest.raises(BadInputError, match="another run is using this folder"):
+        run(tmp_path, "out")
+
+
+def test_changed_files_are_refused_by_name(tmp_path):
+    run(tmp_path, "out")
+    (tmp_path / "plane" / "plane.xml").write_text("<fdm_config><!-- heavier --></fdm_config>")
+    spec = replace(fakes.small_spec(tmp_path, 2))
+    (tmp_path / "plane" / "plane.xml").write_text("<fdm_config><!-- heavier --></fdm_config>")
+    with pytest.raises(BadInputError, match="content of the aircraft"):
+        run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady)
+    (tmp_path / "plane" / "plane.xml").write_text("<fdm_config/>")
+    (tmp_path / "loiter.xml").write_text("<runscript> </runscript>")
+    with pytest.raises(BadInputError, match="content of the script"):
+        run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady)
+    with pytest.raises(BadInputError, match=r"\[aleatory\] flights was 2, is 5"):
+        run(tmp_path, "out", flights=5)
+
+
+def test_an_edit_during_the_run_spoils_the_folder(tmp_path):
+    def edit(progress):
+        (tmp_path / "loiter.xml").write_text("<runscript> </runscript>")
+
+    with pytest.raises(BadInputError, match="edited while this campaign flew"):
+        run(tmp_path, "out", on_progress=edit)
+    assert not (tmp_path / "out" / CASES).exists()
+    # campaign_file restores the script; the flights of the other one are still in the folder.
+    with pytest.raises(BadInputError, match="remove the folder"):
+        run(tmp_path, "out")
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "thesis.tex").write_text("mine")
+    with pytest.raises(BadInputError, match="not empty and not a campaign folder"):
+        run(tmp_path, "out")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BadInputError, match="cannot be made"):
+        run(tmp_path, "file/out")
+
+
+def test_a_model_that_ends_the_interpreter_is_an_error_before_any_case(tmp_path):
+    with pytest.raises(BadInputError, match=r"check flight before the campaign failed.*SIGABRT"):
+        run(tmp_path, "out", ProcessExecutor(2, "fork"), fakes.aborts_always)
+    with pytest.raises(BadInputError, match="'uq/active' does not exist"):
+        run(tmp_path, "out2", ProcessExecutor(2, "fork"), fakes.refuses)
+    # Nothing was recorded, so that the mended model flies.
+    with Store(tmp_path / "out", read_only=True) as store:
+        assert store.finished() == set()
+
+
+def test_progress_counts_only_what_is_on_the_disk(tmp_path):
+    seen = []
+
+    def check(progress):
+        with Store(tmp_path / "out", read_only=True) as store:
+            seen.append((progress.done, len(store.finished())))
+
+    run(tmp_path, "out", ProcessExecutor(2, "fork"), fakes.slow, on_progress=check)
+    assert seen
+    assert all(done == stored for done, stored in seen)
+
+
+def test_progress_figures():
+    progress = Progress(cases=100, done=60, done_before=50, failed=1, flown_s=7200.0, elapsed_s=10.0, workers=2)
+    assert progress.eta_s == pytest.approx(40.0)
+    assert progress.hours_per_core_hour == pytest.approx(360.0)
+    assert replace(progress, done=50).eta_s is None
+
+
+def test_the_mission_is_found_beside_the_campaign(tmp_path):
+    mission = find_mission(fakes.small_spec(tmp_path))
+    assert mission.aircraft == tmp_path / "plane"
+    assert mission.script == tmp_path / "loiter.xml"

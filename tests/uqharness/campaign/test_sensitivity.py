@@ -1,0 +1,256 @@
+"""Sensitivity from the flights of a corner campaign: known shares, common random numbers, failures, refusals."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+
+import numpy as np
+import pytest
+
+from tests.helpers import campaign_fakes as fakes
+from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.folder.manifest import read_manifest, write_manifest
+from uqharness.campaign.run import run_campaign
+from uqharness.campaign.sensitivity import analyse_campaign, read_corner_campaign, read_interior_campaign
+from uqharness.campaign.spec.campaign import read_campaign
+from uqharness.cli import sensitivity as sensitivity_command
+from uqharness.errors import BadInputError
+from uqharness.flight.spec import FlightResult
+from uqharness.sensitivity import Index, MethodResult, PairRange
+from uqharness.sensitivity.words import rank
+
+SLOPES = {"CX": 4.0, "CY": 2.0, "CZ": 1.0, "Cl": 0.5, "Cm": 0.25, "Cn": 0.0}
+SHARES = {name: slope / 7.75 for name, slope in SLOPES.items()}
+FLIGHTS = 12
+
+
+def known_effects(spec):
+    """Cross track: additive. Altitude: CX matters at high CY only. Speed: every corner the same. Chance is the air's alone."""
+    level = {name: spec.properties[f"uq/{name}/level"] for name in SLOPES}
+    draw = np.random.default_rng(spec.seed_turbulence)
+    chance = float(draw.gamma(4.0))
+    metrics = dict.fromkeys(fakes.ERROR_METRICS, 1.0) | dict.fromkeys(fakes.EXCURSIONS, 0.0)
+    metrics["cross_track_median_m"] = 5.0 + sum(SLOPES[name] * level[name] for name in SLOPES) + chance
+    metrics["altitude_median_m"] = 2.0 + 3.0 * level["CX"] * level["CY"] + level["CZ"] + chance
+    metrics["speed_median_mps"] = chance
+    metrics |= {"loss_of_control": 0.0, "extrapolated_share": 0.0}
+    return FlightResult("ok", "", spec.burn_in_s + spec.duration_s, metrics, {}, {})
+
+
+def bump(spec):
+    """Largest in the middle of CX."""
+    return with_bump(spec, 8.0)
+
+
+def steeper(spec):
+    return with_bump(spec, 12.0)
+
+
+def with_bump(spec, size):
+    result = known_effects(spec)
+    level = spec.properties["uq/CX/level"]
+    result.metrics["cross_track_median_m"] += size * level * (1.0 - level)
+    return result
+
+
+def one_fails(spec):
+    """One corner crashes in one air."""
+    result = known_effects(spec)
+    corner = all(spec.properties[f"uq/{name}/level"] == 1.0 for name in SLOPES)
+    if corner and spec.seed_turbulence % 5 == 0:
+        return FlightResult("crashed", "reached the ground at 90 s", 90.0, {}, {}, {})
+    return result
+
+
+def fly(folder, function, name="out", text=fakes.CAMPAIGN, flights=FLIGHTS):
+    spec = read_campaign(fakes.campaign_file(folder, text.replace("flights = 3", f"flights = {flights}")))
+    with pytest.MonkeyPatch.context() as patch:
+        # The check flight in a process of its own is tested elsewhere and costs seconds.
+        patch.setattr("uqharness.campaign.run.validate_model", lambda *_: None)
+        run_campaign(spec, folder / name, executor=SerialExecutor(), fly=function)
+    return folder / name
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    return fly(tmp_path_factory.mktemp("campaign"), known_effects)
+
+
+def found_in(folder, metric, **options):
+    (only,) = analyse_campaign(read_corner_campaign(folder), metrics=(metric,), **options)
+    return only
+
+
+def test_additive_shares_are_exact_and_the_order_certain(flown):
+    found = found_in(flown, "cross_track_median_m")
+    for name, share in SHARES.items():
+        index = found.result.indices[name]
+        assert (index.minimum.value, index.maximum.value) == pytest.approx((share, share))
+        assert index.minimum.low - 1e-9 <= share <= index.maximum.high + 1e-9
+    assert found.ranking.first == "CX"
+    assert found.ranking.certain
+    # Known at a bound, the envelope loses just that share: 7.75 m wide, 52 %.
+    assert "The p-box is 7.75 m wide; with CX known to lie at one of its bounds it would shrink by 52 %" in found.words
+    assert "Certain:" in found.words
+
+
+def test_an_interaction_makes_a_range_and_the_order_uncertain(flown):
+    found = found_in(flown, "altitude_median_m")
+    for name in ("CX", "CY"):
+        index = found.result.indices[name]
+        assert (index.minimum.value, index.maximum.value) == pytest.approx((0.0, 0.75))
+    assert found.result.indices["CZ"].maximum.value == pytest.approx(0.25)
+    assert not found.ranking.certain
+    assert {"CZ", "CY" if found.ranking.first == "CX" else "CX"} <= set(found.ranking.by_ranges)
+    assert "Not certain: at some values of the other coefficients" in found.words
+
+
+def test_a_metric_that_no_corner_moves_is_undefined_with_a_reason(flown):
+    found = found_in(flown, "speed_median_mps")
+    assert all(math.isnan(index.maximum.value) and index.reason for index in found.result.indices.values())
+    assert found.ranking.first == ""
+    assert "no width" in found.words
+
+
+def test_interior_levels_check_the_corners(tmp_path):
+    corners = fly(tmp_path, bump, flights=8)
+    middle_text = fakes.CAMPAIGN.replace('method = "corners"', 'method = "levels"\nlevels = [0.5]')
+    middle = fly(tmp_path, bump, "middle", middle_text, 8)
+    flown = read_corner_campaign(corners)
+    (found,) = analyse_campaign(flown, read_interior_campaign(middle, flown), ("cross_track_median_m",))
+    # All levels in the middle: 3.875 + 2 of the corners' 0..7.75; the bump does not lead outside.
+    assert found.result.holds is True
+    text = middle_text.replace("[0.5]", "[0.5, 1.0]")
+    mixed = fly(tmp_path, bump, "mixed", text, 8)
+    (found,) = analyse_campaign(flown, read_interior_campaign(mixed, flown), ("cross_track_median_m",))
+    # CX in the middle, all others up: 3.75 + 2 + 2 = the corners' 7.75 at most.
+    assert found.result.details["interior_outside"] == pytest.approx(0.0, abs=1e-9)
+    steep = fly(tmp_path, steeper, "steep", text, 8)
+    (found,) = analyse_campaign(flown, read_interior_campaign(steep, flown), ("cross_track_median_m",))
+    assert found.result.details["interior_outside"] == pytest.approx(1.0 / 7.75)
+    assert found.result.holds is False
+    assert "too small" in found.result.statement
+    other_seed = fly(tmp_path, bump, "seed", middle_text.replace("seed = 7", "seed = 8"), 8)
+    with pytest.raises(BadInputError, match=r"does not belong to .*: seed differ"):
+        read_interior_campaign(other_seed, flown)
+    with pytest.raises(BadInputError, match="not a campaign of levels"):
+        read_interior_campaign(corners, flown)
+
+
+def test_failed_flights_leave_their_air_out_everywhere_and_end_certainty(tmp_path):
+    folder = fly(tmp_path, one_fails, flights=30)
+    lost = sum(row["status"] != "ok" for row in read_corner_campaign(folder).frame[["status"]].to_dict(orient="records"))
+    assert 0 < lost <= 3 * 10
+    found = found_in(folder, "cross_track_median_m")
+    if lost <= 3:
+        assert found.left_out == lost
+        assert found.flights == 30 - lost
+        assert found.result.indices["CX"].maximum.value == pytest.approx(SHARES["CX"])
+        assert "left out, because a flight of theirs failed" in found.words
+    else:
+        assert "gave no finite value" in found.words
+    assert not found.ranking.certain
+
+
+def test_only_some_coefficients_may_be_uncertain(tmp_path):
+    text = fakes.CAMPAIGN.replace(
+        "bounds = { CX = 0.008, CY = 0.010, CZ = 0.05, Cl = 0.0015, Cm = 0.012, Cn = 0.0015 }",
+        'coefficients = ["CX", "Cm"]\nbounds = { CX = 0.008, Cm = 0.012 }',
+    )
+
+    def two(spec):
+        result = fakes.steady(spec)
+        result.metrics["cross_track_median_m"] = (
+            3.0 * spec.properties["uq/CX/level"] + spec.properties["uq/Cm/level"] + 1e-3 * (spec.seed_turbulence % 100)
+        )
+        return result
+
+    found = found_in(fly(tmp_path, two, text=text), "cross_track_median_m")
+    assert {name: index.maximum.value for name, index in found.result.indices.items()} == pytest.approx({"CX": 0.75, "Cm": 0.25})
+
+
+def test_one_flight_per_corner_has_shares_but_no_certainty(tmp_path):
+    found = found_in(fly(tmp_path, known_effects, flights=1), "cross_track_median_m")
+    assert found.result.indices["CX"].maximum.value == pytest.approx(SHARES["CX"])
+    assert math.isnan(found.result.indices["CX"].maximum.high)
+    assert "no interval from 1 aleatory draws" in found.result.statement
+    assert not found.ranking.certain
+
+
+def test_campaigns_that_are_no_corners_or_not_complete_are_refused(tmp_path, flown):
+    with pytest.raises(BadInputError, match="not a campaign folder"):
+        read_corner_campaign(tmp_path)
+    none = fly(tmp_path, fakes.steady, "none", fakes.CAMPAIGN.split("[epistemic]")[0] + '[epistemic]\nmethod = "none"\n')
+    with pytest.raises(BadInputError, match=r'not a corner campaign \(method = "none"\)'):
+        read_corner_campaign(none)
+    middle_text = fakes.CAMPAIGN.replace('method = "corners"', 'method = "levels"\nlevels = [0.5]')
+    with pytest.raises(BadInputError, match=r"levels \[0.5\]"):
+        read_corner_campaign(fly(tmp_path, fakes.steady, "middle", middle_text))
+    manifest = read_manifest(none)
+    write_manifest(none, manifest | {"state": "interrupted", "command": "uqharness campaign run x"})
+    with pytest.raises(BadInputError, match="not complete; finish it first with: uqharness campaign run x"):
+        read_corner_campaign(none)
+    write_manifest(none, manifest | {"cases": 5})
+    with pytest.raises(BadInputError, match="the manifest speaks of 5"):
+        read_corner_campaign(none)
+    with pytest.raises(BadInputError, match="metric cross_tracks: not in"):
+        found_in(flown, "cross_tracks")
+
+
+def call(*words):
+    parser = argparse.ArgumentParser(prog="uqharness")
+    sensitivity_command.register(parser.add_subparsers(dest="command", required=True))
+    args = parser.parse_args(["sensitivity", *map(str, words)])
+    return args.handler(args)
+
+
+def test_the_command_writes_table_figure_and_words_the_same_each_time(flown, capsys):
+    assert call(flown) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    assert "cross_track_median_m: reduce CX first." in captured.out
+    figure = flown / "figures" / "sensitivity-3mps-moderate.svg"
+    first = (flown / "sensitivity.csv").read_bytes(), figure.read_bytes()
+    assert call(flown, "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert ((flown / "sensitivity.csv").read_bytes(), figure.read_bytes()) == first
+    assert found["figures"] == [str(figure)]
+    cell = found["sensitivity"]["3 m/s moderate"]["cross_track_median_m"]
+    assert cell["first"] == "CX"
+    assert cell["certain"] is True
+    assert cell["indices"]["CX"]["value"] == pytest.approx([SHARES["CX"]] * 2)
+    assert found["sensitivity"]["3 m/s moderate"]["speed_median_mps"]["indices"]["CX"]["value"] == [None, None]
+    with (flown / "sensitivity.csv").open() as handle:
+        rows = list(csv.DictReader(handle))
+    by_key = {(row["metric"], row["coefficient"]): row for row in rows}
+    assert float(by_key["cross_track_median_m", "CY"]["share_max"]) == pytest.approx(SHARES["CY"], rel=1e-5)
+    undefined = by_key["speed_median_mps", "CX"]
+    assert undefined["share_min"] == ""
+    assert "no width" in undefined["reason"]
+    assert b"median cross-track error" in first[1]
+    assert b"median speed error" not in first[1]
+
+
+def test_nothing_to_compare_exits_with_one(tmp_path, capsys):
+    folder = fly(tmp_path, fakes.trivial, flights=8)
+    assert call(folder) == 1
+    assert "no width" in capsys.readouterr().out
+
+
+def test_ranking_needs_a_lead_to_be_certain():
+    def share(low, high):
+        return PairRange(Index(low, math.nan, math.nan), Index(high, math.nan, math.nan))
+
+    def ranked(lead, lost=0):
+        indices = {"a": share(0.5, 0.6), "b": share(0.2, 0.3)}
+        return rank(MethodResult("proposed", 8, indices, True, "", {"lead": np.array([[0.0, lead], [-0.4, 0.0]])}), lost)
+
+    assert ranked(0.05).certain
+    assert not ranked(0.05, lost=1).certain
+    assert ranked(-0.05).by_sampling == ("b",)
+    assert ranked(math.nan).by_sampling == ("b",)
+    assert not ranked(math.nan).certain
+    assert ranked(-0.05).by_ranges == ()

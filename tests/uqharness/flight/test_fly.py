@@ -1,0 +1,331 @@
+"""Flights: determinism, conditions, scores, failures that are counted and inputs that are refused."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from uqharness.cli.main import main
+from uqharness.errors import BadInputError
+from uqharness.flight.dryden import dryden_gusts
+from uqharness.flight.fly import fly, record_mission
+from uqharness.flight.loiter_metrics import absolute_statistics, count_excursions, lost_control
+from uqharness.flight.spec import COEFFICIENTS, FlightSpec
+from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
+from uqharness.simulator.mission import StagedMission, find_script
+from uqharness.simulator.signals import FT, STANDARD, Source
+
+SPEC = FlightSpec(
+    Path("espaaro"), Path("loiter"), duration_s=20.0, burn_in_s=5.0, wind_mps=3.0, turbulence="moderate",
+    sensor_noise=True, seed_turbulence=5, seed_noise=6,
+)  # fmt: skip
+RECORD = {
+    "time_s", "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "psi_rad", "p_radps", "q_radps", "r_radps",
+    "ax_mps2", "ay_mps2", "az_mps2", "h_m", "elevator_deg", "aileron_deg", "rudder_deg", "throttle_pct",
+}  # fmt: skip
+
+
+def command(out: Path, *extra: str) -> list[str]:
+    base = [
+        "fly",
+        "espaaro",
+        "--duration-s",
+        "15",
+        "--wind-mps",
+        "3",
+        "--turbulence",
+        "severe",
+        "--noise",
+        "--seed",
+        "7",
+    ]
+    return [*base, *extra, "--out", str(out)]
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+@pytest.mark.parametrize("source", ["jsbsim", "spec"])
+def test_the_same_seed_gives_the_same_bytes_in_a_fresh_process(tmp_path, ending, source):
+    here, there, other = (tmp_path / f"{name}.{ending}" for name in ("here", "there", "other"))
+    assert main(command(here, "--turbulence-source", source)) == 0
+    subprocess.run(
+        [sys.executable, "-m", "uqharness.cli.main", *command(there, "--turbulence-source", source)],
+        check=True,
+        cwd=PROJECT_ROOT,
+    )
+    assert main([*command(other, "--turbulence-source", source), "--seed", "8"]) == 0
+    assert here.read_bytes() == there.read_bytes()
+    assert here.read_bytes() != other.read_bytes()
+
+
+def test_seed_zero_is_a_seed_of_its_own(tmp_path):
+    paths = [tmp_path / f"{seed}.csv" for seed in (0, 1)]
+    for seed, path in enumerate(paths):
+        assert main([*command(path), "--seed", str(seed)]) == 0
+    assert paths[0].read_bytes() != paths[1].read_bytes()
+
+
+def test_record_is_a_flight_record(tmp_path):
+    out = tmp_path / "flight.csv"
+    assert (
+        main(
+            [
+                "fly",
+                "espaaro",
+                "--script",
+                "doublet-elevator",
+                "--duration-s",
+                "5",
+                "--rate-hz",
+                "100",
+                "--out",
+                str(out),
+            ]
+        )
+        == 0
+    )
+    record = pd.read_csv(out)
+    assert set(record.columns) >= RECORD
+    assert record["time_s"].diff().dropna().to_numpy() == pytest.approx(0.01)
+    assert record["h_m"][0] == 0.0
+    # Steady before the doublet: one g, straight ahead, and rotation only after the command.
+    calm = record[record["time_s"] < 0.5]
+    assert calm["az_mps2"].to_numpy() == pytest.approx(-9.8, abs=0.05)
+    assert np.hypot(record["ve_mps"], record["vn_mps"]).iloc[0] == pytest.approx(record["V_mps"].iloc[0], abs=0.05)
+    moved = record["elevator_deg"].diff().abs() > 0.1
+    first = int(np.argmax(moved.to_numpy()))
+    assert record["elevator_pos_deg"].diff().abs().iloc[: first - 1].max() < 1e-6
+
+
+def test_specific_force_follows_the_rates_of_change(tmp_path):
+    # Independent of JSBSim's own accelerometer: d(velocity)/dt + rates x velocity - gravity, by central differences.
+    out = tmp_path / "flight.csv"
+    arguments = [
+        "fly",
+        "espaaro",
+        "--script",
+        "doublet-elevator",
+        "--duration-s",
+        "8",
+        "--rate-hz",
+        "100",
+        "--out",
+        str(out),
+    ]
+    assert main(arguments) == 0
+    r = pd.read_csv(out)
+    u = r.V_mps * np.cos(r.alpha_rad) * np.cos(r.beta_rad)
+    w = r.V_mps * np.sin(r.alpha_rad) * np.cos(r.beta_rad)
+    v = r.V_mps * np.sin(r.beta_rad)
+    az = np.gradient(w, 0.01) + r.p_radps * v - r.q_radps * u - 9.806 * np.cos(r.theta_rad) * np.cos(r.phi_rad)
+    ax = np.gradient(u, 0.01) + r.q_radps * w - r.r_radps * v + 9.806 * np.sin(r.theta_rad)
+    inner = slice(20, -20)
+    assert np.std(az[inner] - r.az_mps2[inner]) < 0.05 * np.std(r.az_mps2[inner])
+    assert np.std(ax[inner] - r.ax_mps2[inner]) < 0.05 * np.std(r.ax_mps2[inner])
+    assert np.corrcoef(az[inner], -r.az_mps2[inner])[0, 1] < 0
+
+
+def test_wind_blows_from_where_it_is_said(tmp_path):
+    for direction, (north, east) in {0: (-1, 0), 90: (0, -1), 180: (1, 0), 270: (0, 1)}.items():
+        out = tmp_path / f"{direction}.csv"
+        arguments = ["fly", "espaaro", "--script", "trim", "--duration-s", "3", "--wind-mps", "5"]
+        assert main([*arguments, "--wind-from-deg", str(direction), "--out", str(out)]) == 0
+        record = pd.read_csv(out)
+        # The airspeed stays what the script asks for; the ground sees the wind on top of 22.2 m/s north.
+        assert record["V_mps"].to_numpy() == pytest.approx(22.2, abs=0.15)
+        assert record["vn_mps"].iloc[-1] == pytest.approx(22.2 + 5 * north, abs=0.3)
+        assert record["ve_mps"].iloc[-1] == pytest.approx(5 * east, abs=0.3)
+
+
+def test_scores_follow_the_recorded_signals():
+    result = fly(SPEC)
+    assert result.status == "ok"
+    assert result.signals["cross_track"].size == 200
+    for key, unit in (("cross_track", "m"), ("altitude", "m"), ("speed", "mps")):
+        magnitude = np.abs(result.signals[key])
+        assert result.metrics[f"{key}_median_{unit}"] == np.median(magnitude)
+        assert result.metrics[f"{key}_max_{unit}"] == magnitude.max()
+        # The noise-laden score is another number, and a worse one on average.
+        assert result.metrics[f"{key}_mean_{unit}_measured"] != result.metrics[f"{key}_mean_{unit}"]
+    assert result.metrics["excursions_15m"] == 0.0
+
+
+def test_levels_change_the_flight_and_seeds_are_common():
+    base = {"uq/active": 1.0} | {f"uq/{name}/level": 0.5 for name in COEFFICIENTS}
+    middle = fly(replace(SPEC, properties=base))
+    high = fly(replace(SPEC, properties=base | {"uq/CX/level": 1.0}))
+    nominal = fly(SPEC)
+    # Symmetric stand-in bounds: the middle is the nominal model.
+    assert middle.metrics["altitude_median_m"] == nominal.metrics["altitude_median_m"]
+    assert high.metrics["altitude_median_m"] != nominal.metrics["altitude_median_m"]
+
+
+def test_a_flight_into_the_ground_is_a_result():
+    result = fly(replace(SPEC, properties={"ap/altitude-cmd-m": -200.0}, duration_s=120.0))
+    assert result.status == "crashed"
+    assert "hit the ground" in result.reason
+    assert result.metrics["loss_of_control"] == 1.0
+    assert math.isnan(result.metrics["altitude_median_m"])
+    assert "ground" in result.undefined["altitude_median_m"]
+
+
+def test_a_flight_to_nan_is_a_result():
+    result = fly(replace(SPEC, properties={"aero/Cm_alpha": 40.0, "aero/Cm_q": 500.0}))
+    assert result.status in {"diverged", "crashed"}
+    assert result.metrics["loss_of_control"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"aircraft": Path("nosuch")}, "not found"),
+        ({"script": Path("nosuch")}, "not found"),
+        ({"properties": {"aero/Cm_Q": 1.0}}, "did you mean"),
+        ({"turbulence": "heavy"}, "allowed are"),
+        ({"turbulence_source": "karman"}, "allowed are"),
+        ({"seed_noise": -1}, "integer from 0"),
+        ({"record_rate_hz": 33.0}, "record rate"),
+    ],
+)
+def test_what_cannot_start_is_refused(change, message):
+    with pytest.raises(BadInputError, match=message):
+        fly(replace(SPEC, **change))
+
+
+@pytest.mark.parametrize(
+    "extra",
+    [
+        ["--set", "aero/Cm_q"], ["--set", "aero/Cm_q=abc"], ["--set", "nosuch/thing=1"], ["--duration-s", "-1"],
+        ["--rate-hz", "7"], ["--seed", "-2"], ["--wind-mps", "-3"], ["--script", "nosuch"],
+    ],
+)  # fmt: skip
+def test_bad_arguments_are_one_line(tmp_path, capsys, extra):
+    assert main(command(tmp_path / "x.csv", *extra)) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("uqharness: error: ")
+    assert error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("aero/CX=1", "the model computes it"),
+        ("velocities/p-rad_sec=1", "the model computes it"),
+        ("air/wind-mps=5", "--wind-mps"),
+        ("air/turbulence-w20-kt=45", "--turbulence"),
+        ("simulation/dt=0.02", "card"),
+    ],
+)
+def test_a_setting_that_would_move_nothing_is_refused(tmp_path, capsys, setting, message):
+    assert main(command(tmp_path / "x.csv", "--set", setting)) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_script_made_for_another_aircraft_is_refused_in_words(tmp_path, capsys):
+    assert main(["fly", "c172x", "--out", str(tmp_path / "x.csv")]) == 2
+    assert "initial conditions 'cruise'" in capsys.readouterr().err
+
+
+def test_out_must_be_writable_and_known(tmp_path, capsys):
+    assert main(command(tmp_path / "x.xls")) == 2
+    (tmp_path / "file").write_text("")
+    assert main(command(tmp_path / "file" / "x.csv")) == 2
+    assert "is no folder" in capsys.readouterr().err
+
+
+def test_summary_is_json(tmp_path, capsys):
+    assert main(command(tmp_path / "x.csv", "--json")) == 0
+    assert json.loads(capsys.readouterr().out)["status"] == "ok"
+
+
+def test_an_event_that_would_override_the_host_is_refused(tmp_path):
+    script = tmp_path / "mission.xml"
+    text = (PROJECT_ROOT / "scripts" / "loiter.xml").read_text()
+    script.write_text(text.replace("</event>", '<set name="air/wind-mps" value="9"/></event>'))
+    with pytest.raises(BadInputError, match=r"mission\.xml:\d+: an event sets air/wind-mps"):
+        fly(replace(SPEC, script=script))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "not well-formed"),
+        ("<fdm_config/>", "begins with <runscript>"),
+        ("<runscript><use aircraft='espaaro' initialize='cruise'/></runscript>", "needs <use"),
+        (
+            "<runscript><use aircraft='a' initialize='cruise'/><run end='soon' dt='0.01'/></runscript>",
+            "positive number",
+        ),
+        (
+            "<runscript><use aircraft='a' initialize='nowhere'/><run end='5' dt='0.01'/></runscript>",
+            "could not load|refused",
+        ),
+    ],
+)
+def test_a_bad_script_is_refused(tmp_path, text, message):
+    script = tmp_path / "bad.xml"
+    script.write_text(text)
+    with pytest.raises(BadInputError, match=message):
+        fly(replace(SPEC, script=script))
+
+
+def test_an_aircraft_without_air_meets_wind_and_gusts_through_jsbsim(tmp_path):
+    folder = tmp_path / "aircraft" / "espaaro"
+    shutil.copytree(PROJECT_ROOT / "aircraft" / "espaaro", folder)
+    (folder / "Systems" / "air.xml").write_text(
+        '<system name="air">' + "".join(f'<property value="0">air/{axis}-gust-rad_sec</property>' for axis in "pqr") + "</system>"
+    )
+    with pytest.raises(BadInputError, match='turbulence_source = "spec"'):
+        fly(replace(SPEC, aircraft=folder, script=Path("trim"), turbulence_source="jsbsim"))
+    signals = {name: STANDARD[name] for name in ("V_mps", "vn_mps", "ve_mps", "alpha_rad", "psi_rad")}
+    signals |= {axis: Source(f"atmosphere/total-wind-{axis}-fps", FT) for axis in ("north", "east", "down")}
+    calm = replace(SPEC, aircraft=folder, duration_s=3.0, burn_in_s=0.0, turbulence="none", wind_from_deg=240.0)
+    with StagedMission(find_aircraft(folder), find_script("trim")) as mission:
+        steady = record_mission(mission, calm, signals).signals
+        gusty = record_mission(mission, replace(calm, turbulence="severe"), signals).signals
+    # 3 m/s from 240 deg blow towards 60 deg; airspeed stays what the script asks for, the ground sees the wind on top.
+    assert steady["north"][1:] == pytest.approx(1.5)
+    assert steady["east"][1:] == pytest.approx(3.0 * math.sqrt(0.75))
+    assert steady["V_mps"][1:] == pytest.approx(22.2, abs=0.15)
+    assert steady["ve_mps"] == pytest.approx(3.0 * math.sqrt(0.75), abs=0.1)
+    # The gusts in the heading axes of the frame before are those of the spec model, sample by sample.
+    gusts = dryden_gusts(300, 0.01, V_mps=22.2, h_m=100.0, W20_kt=45.0, b_m=3.66, seed=SPEC.seed_turbulence)
+    rows = np.arange(1, 31) * 10 - 1
+    north, east = gusty["north"][1:] - 1.5, gusty["east"][1:] - 3.0 * math.sqrt(0.75)
+    psi = gusty["psi_rad"][1:]
+    assert north * np.cos(psi) + east * np.sin(psi) == pytest.approx(gusts.u_mps[rows], abs=0.1)
+    assert east * np.cos(psi) - north * np.sin(psi) == pytest.approx(gusts.v_mps[rows], abs=0.1)
+    assert gusty["down"][1:] == pytest.approx(gusts.w_mps[rows], abs=0.1)
+    assert np.std(gusty["alpha_rad"]) > 5.0 * np.std(steady["alpha_rad"])
+
+
+def test_excursions_by_hand():
+    track = np.array([0.0, 16, 14, 16, 12.9, 15.1, -15.1, 0, -20, 0])
+    # Beyond 15, back to 14 (not re-armed), beyond again (same), 12.9 re-arms, 15.1 counts, -15.1 is the same one, -20 counts.
+    assert count_excursions(track, 15.0, 2.0) == 3
+    assert count_excursions(track, 15.0, 0.5) == 4
+    assert count_excursions(np.full(5, 30.0), 15.0, 2.0) == 1
+    assert count_excursions(np.zeros(5), 15.0, 2.0) == 0
+    assert count_excursions(np.full(5, 14.0), 15.0, 2.0) == 0
+    with pytest.raises(ValueError, match="rearm_m"):
+        count_excursions(track, 15.0, 15.0)
+
+
+def test_statistics_and_loss_of_control_by_hand():
+    assert absolute_statistics(np.array([-3.0, 1.0, 2.0])) == (2.0, 2.0, 3.0)
+    assert all(math.isnan(value) for value in absolute_statistics(np.zeros(0)))
+    still = np.zeros(3)
+    assert not lost_control(still, still, still)
+    assert lost_control(np.array([0, 1.41, 0]), still, still)
+    assert lost_control(still, np.array([0, -0.45, 0]), still)
+    assert lost_control(still, still, np.array([0, 61.0, 0]))
+    assert lost_control(still, np.array([0, np.nan, 0]), still)

@@ -1,0 +1,128 @@
+"""Loop margins measured by injection, against loops whose margins are known in closed form."""
+
+from __future__ import annotations
+
+import cmath
+import math
+
+import numpy as np
+import pytest
+
+from uqharness.flight.margins import Loop, Margins, choose_lines, margins_of, measure_loop, multisine
+
+DT = 0.01
+POLE, GAIN, DELAY = 0.98, 0.02, 3  # y[k+1] = POLE y[k] + GAIN u[k], controller output DELAY steps old
+
+LOOP = Loop("toy", "inject", "output", "applied", rms=1.0, lowest_radps=0.5, highest_radps=250.0, period_s=40.0)
+
+
+class ToyLoop:
+    """First-order plant under u = -k y with a delay, stepped as JSBSim is; L(z) = k GAIN z^-DELAY / (z - POLE)."""
+
+    def __init__(self, controller_gain: float, offset: float = 0.3) -> None:
+        self.values = {"simulation/dt": DT, "inject": 0.0, "output": 0.0, "applied": 0.0, "ap/engaged": 0.0}
+        self.k, self.offset = controller_gain, offset
+        self.plant, self.history = 0.0, [0.0] * DELAY
+
+    def __getitem__(self, name: str) -> float:
+        return self.values[name]
+
+    def __setitem__(self, name: str, value: float) -> None:
+        self.values[name] = value
+
+    def run_ic(self) -> bool:
+        return True
+
+    def run(self) -> bool:
+        self.history.append(-self.k * (self.plant - self.offset))
+        self.values["output"] = self.history.pop(0)
+        self.values["applied"] = self.values["output"] + self.values["inject"]
+        self.plant = POLE * self.plant + GAIN * self.values["applied"]
+        return True
+
+
+def exact_loop(w: float, k: float) -> complex:
+    z = cmath.exp(1j * w * DT)
+    return k * GAIN * z**-DELAY / (z - POLE)
+
+
+def root_of(function, low: float, high: float) -> float:
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if (function(middle) > 0) == (function(low) > 0) else (low, middle)
+    return low
+
+
+def exact_margins(k: float) -> tuple[float, float, float]:
+    """Gain margin in dB, phase margin in degrees and delay margin in seconds, by bisection of the formula."""
+    crossover = root_of(lambda w: abs(exact_loop(w, k)) - 1, 0.01, 300.0)
+    lag = cmath.phase(exact_loop(crossover, k)) + math.pi
+    phase_crossing = root_of(lambda w: (exact_loop(w, k) * cmath.exp(0.5j * math.pi)).real, 5.0, 100.0)
+    return -20 * math.log10(abs(exact_loop(phase_crossing, k))), math.degrees(lag), lag / crossover
+
+
+@pytest.fixture(scope="module")
+def measured():
+    return measure_loop(lambda: ToyLoop(8.0), LOOP, condition={}, settle_s=5.0)
+
+
+def test_frequency_response_is_the_formula(measured):
+    exact = np.array([exact_loop(w, 8.0) for w in measured.frequency_radps])
+    assert np.abs(measured.response / exact - 1).max() < 1e-6
+    assert measured.reliable.all()
+
+
+def test_margins_are_the_formula(measured):
+    gain, phase, delay = exact_margins(8.0)
+    got = measured.margins
+    assert got.gain_up_dB == pytest.approx(gain, abs=0.1)
+    assert got.phase_deg == pytest.approx(phase, abs=0.5)
+    assert got.delay_s == pytest.approx(delay, rel=0.02)
+    assert got.gain_down_dB == math.inf
+
+
+def test_gain_margin_is_where_the_loop_itself_goes_unstable(measured):
+    """No formula: the toy flown with the gain just below and just above the measured margin."""
+    factor = 10 ** (measured.margins.gain_up_dB / 20)
+
+    def late_over_early(k: float) -> float:
+        toy = ToyLoop(k)
+        y = []
+        for _ in range(4000):
+            toy.run()
+            y.append(toy["output"])
+        return np.ptp(y[-500:]) / np.ptp(y[200:700])
+
+    assert late_over_early(8.0 * factor * 0.97) < 0.5
+    assert late_over_early(8.0 * factor * 1.03) > 2.0
+
+
+def test_conditionally_stable_loop_has_a_margin_downwards():
+    """L = k (s + 1)^2 / s^3 with k = 20: Routh asks 2 k^2 > k, so the gain may fall by a factor 40 and rise at will."""
+    w = np.geomspace(0.05, 300.0, 400)
+    s = 1j * w
+    got = margins_of(w, 20 * (s + 1) ** 2 / s**3)
+    assert got.gain_down_dB == pytest.approx(20 * math.log10(40), abs=0.05)
+    assert got.gain_up_dB == math.inf
+    assert 0 < got.phase_deg < 90
+
+
+def test_no_crossover_means_no_phase_limit():
+    w = np.geomspace(0.1, 10.0, 50)
+    got = margins_of(w, 0.2 / (1 + 1j * w))
+    infinite = math.inf
+    assert got == Margins(infinite, infinite, infinite, infinite, got.modulus, (), ())
+
+
+def test_multisine_has_its_rms_only_at_its_lines_and_a_low_peak():
+    lines = choose_lines(0.5, 60.0, 40.0)
+    signal = multisine(lines, 4000, 2.0)
+    assert np.sqrt(np.mean(signal**2)) == pytest.approx(2.0, rel=1e-9)
+    assert np.abs(signal).max() < 2.0 * 4.0
+    spectrum = np.abs(np.fft.rfft(signal))
+    assert np.delete(spectrum, lines).max() < 1e-8 * spectrum.max()
+
+
+def test_an_odd_number_of_periods_is_refused():
+    with pytest.raises(ValueError, match="even"):
+        measure_loop(lambda: ToyLoop(8.0), LOOP, condition={}, periods=3)

@@ -1,0 +1,95 @@
+"""`fly --out x.bin` and back: what the importer reads is what was flown, and others can read the file too."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from sysid.logs.load import import_log
+from uqharness.cli.main import main
+from uqharness.errors import BadInputError
+from uqharness.flight.record_writer import write_record
+from uqharness.simulator import manoeuvre_script
+from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
+from uqharness.simulator.mission import find_script, read_script
+
+CONDITIONS = ["--script", "flight-ident", "--duration-s", "14", "--noise", "--turbulence", "light", "--seed", "5"]
+# What a column may lose: whole servo microseconds (0.05 deg, 0.1 %), 32-bit floats, positions of 1e-7 degrees, GPS's centimetres.
+EXACT = {
+    "V_mps": 1e-4, "alpha_rad": 1e-6, "beta_rad": 1e-6, "phi_rad": 1e-6, "theta_rad": 1e-6, "psi_rad": 1e-5,
+    "p_radps": 1e-6, "q_radps": 1e-6, "r_radps": 1e-6, "ax_mps2": 1e-5, "ay_mps2": 1e-5, "az_mps2": 1e-5, "h_m": 1e-4,
+    "elevator_deg": 0.026, "aileron_deg": 0.026, "rudder_deg": 0.026, "throttle_pct": 0.051, "rho_kgpm3": 1e-5,
+    "north_m": 0.02, "east_m": 0.02,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("flown")
+    for suffix in ("parquet", "bin"):
+        assert main(["fly", "synthetic_stall", *CONDITIONS, "--out", str(folder / f"a.{suffix}")]) == 0
+    return folder
+
+
+def test_round_trip(flown):
+    expected = pd.read_parquet(flown / "a.parquet")
+    record = import_log(flown / "a.bin", card_path=find_aircraft("synthetic_stall").folder)
+    assert len(record) == len(expected)
+    np.testing.assert_allclose(record["time_s"], expected["time_s"], atol=1e-6)
+    for name, tolerance in EXACT.items():
+        difference = record[name] - expected[name].to_numpy()
+        if name == "psi_rad":  # north is 0 and 2 pi
+            difference = np.angle(np.exp(1j * difference))
+        assert np.abs(difference).max() <= tolerance, name
+    assert list(record["manoeuvre"]) == list(expected["manoeuvre"])
+    assert record.metadata.estimates == ()  # alpha and beta were measured
+    assert not [f for f in record.metadata.findings if f.severity == "error"]
+
+
+def test_manoeuvres_are_named_after_their_events(flown):
+    labels = pd.read_parquet(flown / "a.parquet")["manoeuvre"]
+    assert set(labels) == {"", "pitch doublet, 22 m/s"}
+    script = read_script(find_script("flight-ident"))
+    assert len(script.manoeuvres) == 9
+    assert script.manoeuvres[1] == "pitch doublet, 22 m/s"
+
+
+def test_pymavlink_reads_it(flown):
+    from pymavlink import DFReader
+
+    log = DFReader.DFReader_binary(str(flown / "a.bin"))
+    try:
+        kinds = {message.get_type() for message in iter(log.recv_msg, None)}
+    finally:
+        if hasattr(log, "filehandle"):
+            log.data_map.close()
+            log.filehandle.close()
+    assert {"IMU", "ATT", "RCOU", "ARSP", "GPS", "VANE", "PARM", "MSG"} <= kinds
+
+
+def test_what_dataflash_cannot_hold_is_said(tmp_path, capsys):
+    assert main(["fly", "espaaro", "--script", "trim", "--duration-s", "1", "--out", str(tmp_path / "b.bin")]) == 0
+    assert "no message for" in capsys.readouterr().out
+
+
+def test_surfaces_without_servo_tables_are_refused(tmp_path):
+    table = pd.DataFrame({"time_s": [0.0, 0.02], "elevator_deg": [0.0, 1.0]})
+    with pytest.raises(BadInputError, match="card"):
+        write_record(table, tmp_path / "c.bin")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("plan", manoeuvre_script.PLANS, ids=lambda plan: plan.name)
+def test_scripts_are_as_the_plans_say(plan):
+    assert (PROJECT_ROOT / "scripts" / f"{plan.name}.xml").read_text(encoding="utf-8") == manoeuvre_script.script(plan)
+
+
+def test_a_manoeuvre_number_that_is_none_is_refused(tmp_path):
+    text = manoeuvre_script.script(manoeuvre_script.PLANS[0]).replace(
+        'name="flight/manoeuvre" value="2"', 'name="flight/manoeuvre" value="x"'
+    )
+    path = tmp_path / "bad.xml"
+    path.write_text(text)
+    with pytest.raises(BadInputError, match="flight/manoeuvre is set to 'x'"):
+        read_script(path)

@@ -1,0 +1,222 @@
+"""identify: known truth recovered from flights JSBSim did not make; the round trip log - identify - XML - re-flown flight."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+
+from tests.helpers.flown import fly
+from tests.helpers.page_checks import problems
+from tests.helpers.sixdof import TABLE_2_6
+from uqharness.cli.main import main
+from uqharness.plugin.estimates import Estimate, with_value
+from uqharness.simulator import engine
+from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft, open_aircraft
+
+KINDS = (
+    ("pitch-3211", 20.0), ("roll-yaw", 20.0), ("pitch-doublet", 24.0), ("yaw-roll", 24.0), ("throttle", 22.0), ("roll-yaw", 23.0),
+)  # fmt: skip
+LONGITUDINAL = ["CZ_0", "CZ_alpha", "CZ_de", "Cm_0", "Cm_alpha", "Cm_q", "Cm_de"]
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("flights")
+    for name, kinds, seed in (
+        ("train", KINDS, 11),
+        ("test", (("pitch-doublet", 21.0), ("yaw-roll", 22.0), ("pitch-3211", 23.0)), 12),
+        ("pitch", (("pitch-3211", 20.0), ("pitch-doublet", 24.0)), 13),
+    ):
+        fly(kinds, seed=seed, seconds=6.5).write(folder / f"{name}.parquet")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def identified(flights, tmp_path_factory):
+    out = tmp_path_factory.mktemp("identified") / "out"
+    arguments = [
+        "identify",
+        "espaaro",
+        "--flight",
+        str(flights / "train.parquet"),
+        "--start",
+        "initial",
+        "--out",
+        str(out),
+    ]
+    assert main([*arguments, "--workers", "1", "--no-figures"]) == 0
+    return out, json.loads((out / "fit.json").read_text())
+
+
+def test_truth_lies_within_the_stated_errors(identified):
+    _, fit = identified
+    assert fit["converged"]
+    assert fit["method"] == "output error"
+    misses = np.array([(p["value"] - TABLE_2_6[n[5:]]) / p["std"] for n, p in fit["parameters"].items()])
+    assert len(misses) == 27
+    assert 0.5 < np.sqrt(np.mean(misses**2)) < 1.5
+    assert np.abs(misses).max() < 4.0
+
+
+def test_fit_json_keeps_its_contract(identified):
+    _, fit = identified
+    assert {"parameters", "names", "cov", "warnings", "fit"} <= set(fit)
+    assert [len(sha256) for sha256 in fit["flights_sha256"]] == [64]
+    for name, p in fit["parameters"].items():
+        assert name.startswith("aero/")
+        assert {"value", "std", "std_crb", "status", "reason"} <= set(p)
+        assert p["status"] in ("identified", "not-identified")
+    assert fit["names"] == [n for n, p in fit["parameters"].items() if p["status"] == "identified"]
+    cov = np.array(fit["cov"])
+    assert cov.shape == (len(fit["names"]),) * 2
+    np.testing.assert_allclose(np.sqrt(np.diag(cov)), [fit["parameters"][n]["std"] for n in fit["names"]])
+    assert all({"rms", "noise"} <= set(row) for row in fit["fit"].values())
+    assert all(0.9 < row["rms"] / row["noise"] < 1.1 for row in fit["fit"].values())
+
+
+def test_the_aircraft_with_the_estimates_differs_in_numbers_and_our_remarks_alone(identified):
+    out, fit = identified
+    for path in sorted((PROJECT_ROOT / "aircraft/espaaro").rglob("*")):
+        if not path.is_file():
+            continue
+        copy = out / "aircraft" / path.relative_to(PROJECT_ROOT / "aircraft/espaaro")
+        if path.name != "espaaro.xml":
+            assert copy.read_bytes() == path.read_bytes()
+            continue
+        before, after = path.read_text().splitlines(), copy.read_text().splitlines()
+        assert len(before) == len(after)
+        changed = [(a, b) for a, b in zip(before, after, strict=True) if a != b]
+        assert len(changed) == 27
+        for a, b in changed:
+            bare = re.sub(r"  <!-- identified [^>]*-->$", "", b)
+            assert re.sub(r'value="[^"]*"', "", bare) == re.sub(r'value="[^"]*"', "", a).rstrip()
+            assert "+/-" in b
+            assert "train.parquet" in b
+    fdm = open_aircraft(find_aircraft(out / "aircraft"))
+    for name, p in fit["parameters"].items():
+        assert fdm[name] == pytest.approx(p["value"], rel=1e-6)
+
+
+def test_the_round_trip_closes_on_a_flight_not_used(identified, flights, tmp_path, capsys):
+    out, _ = identified
+    code = main(["compare", str(out / "aircraft"), "--flight", str(flights / "test.parquet"), "--out", str(tmp_path / "gap"),
+                 "--workers", "1", "--no-figures"])  # fmt: skip
+    assert code == 0
+    assert "reaches the noise floor" in capsys.readouterr().out
+    document = json.loads((tmp_path / "gap" / "compare.json").read_text())
+    assert document["reached_noise_floor"] is True
+    assert max(c["ratio"] for c in document["channels"].values() if c["judged"]) < 1.1
+
+
+def test_a_model_without_pitch_damping_does_not_reach_the_floor_and_the_report_says_so(flights, tmp_path, capsys):
+    folder = tmp_path / "aircraft" / "espaaro"
+    shutil.copytree(PROJECT_ROOT / "aircraft/espaaro", folder)
+    xml = folder / "espaaro.xml"
+    xml.write_text(xml.read_text().replace('<property value="-13.8">aero/Cm_q', '<property value="0">aero/Cm_q'))
+    asked = ",".join(n for n in LONGITUDINAL if n != "Cm_q")
+    main(["identify", str(folder), "--flight", str(flights / "pitch.parquet"), "--params", asked, "--out", str(tmp_path / "id"),
+          "--workers", "1", "--no-figures", "--method", "output-error"])  # fmt: skip
+    fit = json.loads((tmp_path / "id" / "fit.json").read_text())
+    assert any("coloured residuals" in w and "model's form" in w for w in fit["warnings"])
+    capsys.readouterr()
+    code = main(["compare", str(tmp_path / "id" / "aircraft"), "--flight", str(flights / "test.parquet"),
+                 "--out", str(tmp_path / "gap"), "--workers", "1", "--no-figures"])  # fmt: skip
+    assert code == 1
+    said = capsys.readouterr().out
+    assert "does not reach the noise floor" in said
+    assert "q_radps" in said.splitlines()[-2]
+
+
+def test_what_a_flight_does_not_tell_is_said_and_left_alone(flights, tmp_path):
+    asked = "aero/Cm_q,Cm_alpha,aero/Cn_0,aero/Cn_da"
+    code = main(["identify", "espaaro", "--flight", str(flights / "pitch.parquet"), "--params", asked,
+                 "--out", str(tmp_path / "id"), "--workers", "1", "--no-figures"])  # fmt: skip
+    assert code == 0
+    fit = json.loads((tmp_path / "id" / "fit.json").read_text())
+    lost = fit["parameters"]["aero/Cn_da"]
+    assert lost["status"] == "not-identified"
+    assert lost["reason"]
+    assert lost["std"] is None
+    assert lost["value"] == -7e-6
+    assert fit["parameters"]["aero/Cm_q"]["status"] == "identified"
+    assert "aero/Cn_da" not in fit["names"]
+    assert any("aero/Cn_da" in w for w in fit["warnings"])
+    assert '<property value="-0.000007">aero/Cn_da</property>' in (tmp_path / "id/aircraft/espaaro.xml").read_text()
+
+
+def test_figures_and_tables_are_there(flights, tmp_path):
+    out = tmp_path / "id"
+    assert main(["identify", "espaaro", "--flight", str(flights / "pitch.parquet"), "--params", "Cm_q", "--out", str(out),
+                 "--workers", "2"]) == 0  # fmt: skip
+    assert sorted(p.name for p in (out / "figures").iterdir()) == [
+        "pitch-00-pitch-3211.svg",
+        "pitch-01-pitch-doublet.svg",
+    ]
+    assert (out / "figures" / "pitch-00-pitch-3211.svg").read_text().startswith("<?xml")
+    assert (out / "parameters.csv").read_text().splitlines()[0] == "parameter,initial,estimate,std,crb,status,reason"
+    assert "| aero/Cm_q |" in (out / "report.md").read_text()
+    assert problems((out / "report.html").read_text(encoding="utf-8")) == []
+    # Again over the same folder: replaced, and an earlier remark does not pile up.
+    assert main(["identify", str(out / "aircraft"), "--flight", str(flights / "pitch.parquet"), "--params", "Cm_q", "--out",
+                 str(tmp_path / "second"), "--workers", "1", "--no-figures"]) == 0  # fmt: skip
+    text = (tmp_path / "second/aircraft/espaaro.xml").read_text()
+    assert text.count("<!-- identified") == 1
+
+
+def test_bad_input_is_one_line_and_exit_code_2(flights, tmp_path, capsys):
+    train = str(flights / "train.parquet")
+    (tmp_path / "empty.csv").write_text("")
+    (tmp_path / "text.csv").write_text("hello\nworld\n")
+    whole = fly((("pitch-doublet", 22.0),), seconds=3.0)
+    type(whole)({k: v for k, v in whole.columns.items() if not k.startswith(("aileron", "rudder"))}).write(tmp_path / "bare.csv")
+    from dataclasses import replace
+
+    foreign = whole.with_columns({}, replace(whole.metadata, aircraft="c172"))
+    foreign.write(tmp_path / "foreign.parquet")
+    for arguments, words in (
+        (["espaaro", "--flight", str(tmp_path / "none.bin")], "none.bin"),
+        (["espaaro", "--flight", str(tmp_path / "empty.csv")], "empty.csv"),
+        (["espaaro", "--flight", str(tmp_path / "text.csv")], "text.csv"),
+        (["espaaro", "--flight", str(tmp_path / "bare.csv")], "no aileron_deg, rudder_deg"),
+        (["espaaro", "--flight", str(tmp_path / "foreign.parquet")], "c172"),
+        (["nowhere", "--flight", train], "nowhere"),
+        (["espaaro", "--flight", train, "--params", "aero/Cm_qq"], "did you mean aero/Cm_q"),
+        (["espaaro", "--flight", train, "--params", "Cm_q,aero/Cm_q"], "twice"),
+        (["espaaro", "--flight", train, "--params", ","], "--params is empty"),
+        (["espaaro", "--flight", train, "--biases", "x"], "unknown channel x"),
+        (["espaaro", "--flight", train, "--workers", "0"], "at least 1"),
+    ):
+        assert main(["identify", *arguments, "--out", str(tmp_path / "out")]) == 2, arguments
+        error = capsys.readouterr().err
+        assert error.startswith("uqharness: error: ")
+        assert error.count("\n") == 1
+        assert words in error
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "file").write_text("")
+    for out in ("file", "file/b"):
+        for command in ("identify", "compare", "bounds"):
+            assert main([command, "espaaro", "--flight", train, "--out", str(tmp_path / out)]) == 2
+            assert "is no folder" in capsys.readouterr().err
+
+
+def test_a_value_is_edited_in_place_and_nowhere_else():
+    text = (
+        "<!-- <property value=\"1\">a/b</property> -->\n  <property  value = '2' >a/b</property>\t<!-- old -->"
+        '\r\n<property value="3">a/bc</property>'
+    )
+    done = with_value(text, "a/b", Estimate(-0.5, "x -- y"))
+    assert done == (
+        "<!-- <property value=\"1\">a/b</property> -->\n  <property  value = '-0.5' >a/b</property>\t<!-- old -->"
+        '  <!-- identified x - - y -->\r\n<property value="3">a/bc</property>'
+    )
+    assert with_value(done, "a/b", Estimate(7, "z")).count("identified") == 1
+    assert with_value(text, "b/c", Estimate(1, "")) is None
+
+
+def test_jsbsim_reads_a_missing_property_as_such():
+    fdm = open_aircraft(find_aircraft("espaaro"))
+    assert engine.undefined_properties(fdm) == []

@@ -1,0 +1,406 @@
+"""The command next-flight: from a corner campaign and bounds to test points that fly, and what their data do to the bounds."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from sysid.aerodynamics.residuals import Cutoffs
+from sysid.model_form.model_form import read_model_form
+from tests.helpers import campaign_fakes as fakes
+from tests.helpers.jsbsim_schema import schema_errors
+from uqharness.campaign.cases import build_cases
+from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.run import run_campaign
+from uqharness.campaign.sensitivity_winner import find_winner
+from uqharness.campaign.spec.campaign import read_campaign
+from uqharness.cli.main import main
+from uqharness.errors import BadInputError
+from uqharness.flight.spec import FlightResult
+from uqharness.next_flight.mission_states import open_campaign, some_cases
+from uqharness.next_flight.points import Condition, Steps, TestPoint, library
+from uqharness.next_flight.script import AUTOPILOT, RECOVERY_S, schedule
+from uqharness.next_flight.trials import TestFlight, fly_points, try_points, unit_times
+from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
+from uqharness.simulator.mission import find_script
+
+CAMPAIGN = """
+[campaign]
+aircraft = "espaaro"
+mission = "loiter"
+seed = 7
+
+[aleatory]
+flights = 2
+duration_s = 40
+burn_in_s = 40
+wind_mps = 3
+turbulence = "light"
+
+[epistemic]
+method = "corners"
+bounds = { CX = 0.008, CY = 0.010, CZ = 0.05, Cl = 0.0015, Cm = 0.012, Cn = 0.0015 }
+"""
+SLOPES = {"CX": 1.0, "CY": 4.0, "CZ": 0.5, "Cl": 0.25, "Cm": 0.1, "Cn": 0.05}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def fewer_points():
+    """A library of a third of the points: these tests are about what is done with them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("uqharness.next_flight.points.AMPLITUDES", (0.2,))
+        yield
+
+
+def known_effects(spec):
+    """Cross track: CY above all. Altitude: CX alone."""
+    level = {name: spec.properties.get(f"uq/{name}/level", 0.0) for name in SLOPES}
+    metrics = dict.fromkeys(fakes.ERROR_METRICS, 1.0) | dict.fromkeys(fakes.EXCURSIONS, 0.0)
+    metrics["cross_track_median_m"] = 5.0 + sum(SLOPES[n] * level[n] for n in SLOPES) + spec.seed_turbulence % 7
+    metrics["altitude_median_m"] = 1.0 + 2.0 * level["CX"]
+    metrics |= {"loss_of_control": 0.0, "extrapolated_share": 0.0}
+    return FlightResult("ok", "", spec.burn_in_s + spec.duration_s, metrics, {}, {})
+
+
+def flown_campaign(folder: Path, text: str) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "campaign.toml"
+    path.write_text(text)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("uqharness.campaign.run.validate_model", lambda *_: None)
+        run_campaign(read_campaign(path), folder / "out", executor=SerialExecutor(), fly=known_effects)
+    return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory) -> Path:
+    return flown_campaign(tmp_path_factory.mktemp("campaign"), CAMPAIGN)
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory) -> Path:
+    """The first flight of the reference truth: two manoeuvres only, so that much is left to learn."""
+    path = tmp_path_factory.mktemp("first") / "first.parquet"
+    arguments = [
+        "fly",
+        "espaaro_truth",
+        "--script",
+        "flight-bounds",
+        "--duration-s",
+        "24",
+        "--noise",
+        "--turbulence",
+        "light",
+    ]
+    assert main([*arguments, "--seed", "5", "--out", str(path)]) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def bounds(first, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("bounds") / "bounds"
+    arguments = ["bounds", "espaaro", "--flight", str(first), "--out", str(out), "--no-checks", "--no-figures"]
+    assert main(arguments) == 0
+    return out / "model-form.json"
+
+
+@pytest.fixture(scope="module")
+def planned(campaign, bounds, tmp_path_factory) -> tuple[int, Path]:
+    """Exit code and folder of a plan of a minute and a half at one speed."""
+    out = tmp_path_factory.mktemp("next") / "next"
+    arguments = [
+        "next-flight",
+        str(campaign),
+        "--bounds",
+        str(bounds),
+        "--minutes",
+        "1.5",
+        "--speeds",
+        "22",
+        "--cases",
+        "2",
+    ]
+    return main([*arguments, "--turbulence", "light", "--out", str(out)]), out
+
+
+def test_the_winner_and_its_prospects_are_told(planned):
+    code, out = planned
+    document = json.loads((out / "next-flight.json").read_text())
+    assert document["format"] == "next-flight 1"
+    assert (document["coefficient"], document["metric"]) == ("CY", "cross_track_median_m")
+    assert document["share"] == pytest.approx([4.0 / 5.9, 4.0 / 5.9], abs=0.01)
+    row = document["prospects"]["CY"]
+    assert row["width_after"] < row["width"]
+    assert 0.0 < row["narrowing"] <= row["narrowing_at_most"] + 1e-3
+    assert row["parameter_narrowing"] > max(0.5, row["parameter_narrowing_same_manoeuvres"])
+    assert code == (0 if row["narrowing"] >= 0.05 else 1)
+    assert document["verdict"] == ("fly" if code == 0 else "no")
+    assert set(document["where"]) == {"V_mps", "beta_rad", "p_radps", "r_radps"}
+    # The loiter turns at some 0.16 rad/s, which two manoeuvres from straight flight never did.
+    r = document["where"]["r_radps"]
+    assert r["mission"][1] > 0.1 > r["data"][2]
+    assert document["flight_s"] <= 90.0
+    assert any("constant" in w for w in document["warnings"])
+    assert (out / "figures" / "next-flight.svg").stat().st_size > 10_000
+    report = (out / "report.md").read_text()
+    assert document["points"][0]["name"] in report
+
+
+def test_the_script_flies_and_the_redone_bounds_are_as_predicted(planned, campaign, first, bounds, tmp_path, capsys):
+    """One seed scatters; the mean over seeds is the study's (campaigns/next-flight)."""
+    _, out = planned
+    record = tmp_path / "new.parquet"
+    arguments = ["fly", "espaaro_truth", "--script", str(out / "next-flight.xml"), "--noise", "--turbulence", "light"]
+    assert main([*arguments, "--seed", "77", "--out", str(record)]) == 0
+    document = json.loads((out / "next-flight.json").read_text())
+    labels = [n for n in pd.read_parquet(record)["manoeuvre"].unique() if n]
+    assert set(labels) == {p["name"] for p in document["points"]}
+    both = tmp_path / "both"
+    arguments = [
+        "bounds",
+        "espaaro",
+        "--flight",
+        str(first),
+        str(record),
+        "--out",
+        str(both),
+        "--no-checks",
+        "--no-figures",
+    ]
+    assert main(arguments) == 0
+    capsys.readouterr()
+    arguments = ["next-flight", str(campaign), "--bounds", str(bounds), "--cases", "2", "--out", str(out), "--json"]
+    main([*arguments, "--redone", str(both / "model-form.json")])
+    achieved = json.loads(capsys.readouterr().out)["achieved"]
+    for c in ("CY", "Cn"):
+        assert achieved[c]["parameter_narrowing"] == pytest.approx(document["prospects"][c]["parameter_narrowing"], rel=0.2)
+        assert achieved[c]["predicted_parameter"] == document["prospects"][c]["parameter_narrowing"]
+
+
+def test_what_scatters_is_asked_of_the_flights_behind(campaign, tmp_path, capsys):
+    """In still air the reference truth's Cl_de is most of what scatters in Cl; polynomials of V, beta, p and r lack it."""
+    flight, made = tmp_path / "calm.parquet", tmp_path / "bounds"
+    assert main(["fly", "espaaro_truth", "--script", "flight-bounds", "--noise", "--seed", "3", "--out", str(flight)]) == 0
+    assert main(["bounds", "espaaro", "--flight", str(flight), "--out", str(made), "--no-checks", "--no-figures"]) == 0
+    capsys.readouterr()
+    arguments = [
+        "next-flight",
+        str(campaign),
+        "--bounds",
+        str(made / "model-form.json"),
+        "--coefficient",
+        "Cl",
+        "--cases",
+        "2",
+    ]
+    arguments += ["--speeds", "22", "--minutes", "1", "--no-figures", "--json", "--flight", str(flight)]
+    main([*arguments, "--out", str(tmp_path / "next")])
+    document = json.loads(capsys.readouterr().out)
+    assert document["missing"][0]["term"] == "elevator_pos_deg"
+    assert document["missing"][0]["share"] > 0.5
+    assert document["scatter"]["bounds"] > 1.3 * document["scatter"]["simulated"]
+    assert any("elevator_pos_deg" in w and "lack" in w for w in document["words"])
+
+
+def test_the_script_keeps_the_missions_lines_and_none_of_its_air(planned):
+    _, out = planned
+    text = (out / "next-flight.xml").read_text()
+    assert '<property value="120">ap/loiter-center-east-m</property>      <!-- m; the flight begins on the circle' in text
+    assert '<property value="0">air/wind-mps</property>' in text
+    assert '<property value="0">air/turbulence-w20-kt</property>' in text
+    # What stands above the root of loiter.xml tells of another flight.
+    assert "takes about a minute to settle" not in text
+    assert schema_errors(out / "next-flight.xml") == []
+
+
+def test_the_table_holds_every_step(planned):
+    _, out = planned
+    document = json.loads((out / "next-flight.json").read_text())
+    with (out / "test-points.csv").open() as handle:
+        rows = list(csv.DictReader(handle))
+    steps = [(p["number"], s["control"], s["size"]) for p in document["points"] for s in p["steps"]]
+    assert [(int(r["number"]), r["control"], float(r["size"])) for r in rows if r["control"]] == steps
+    assert {int(r["number"]) for r in rows} == {p["number"] for p in document["points"]}
+    limits = find_aircraft("espaaro").card.inputs
+    assert all(limits[c].limits[0] < size < limits[c].limits[1] for _, c, size in steps)
+
+
+def test_bounds_that_more_data_cannot_narrow_are_an_answer(campaign, bounds, tmp_path, capsys):
+    """The same bounds as if from a hundred times the data: what is left is scatter."""
+    document = json.loads(bounds.read_text())
+    for row in document["coefficients"].values():
+        row["XtX_inv"] = (np.array(row["XtX_inv"]) / 3000.0).tolist()
+        row["n"], row["n_effective"] = 3000 * row["n"], 3000.0 * row["n_effective"]
+        row["dof"] = row["n_effective"] - len(row["terms"])
+    many = tmp_path / "many.json"
+    many.write_text(json.dumps(document))
+    arguments = [
+        "next-flight",
+        str(campaign),
+        "--bounds",
+        str(many),
+        "--minutes",
+        "1",
+        "--speeds",
+        "22",
+        "--cases",
+        "2",
+    ]
+    assert main([*arguments, "--out", str(tmp_path / "next"), "--no-figures"]) == 1
+    said = capsys.readouterr().out
+    assert "More data cannot narrow this interval" in said
+    assert not (tmp_path / "next" / "figures").exists()
+
+
+@pytest.fixture(scope="module")
+def held() -> TestFlight:
+    return TestFlight(find_aircraft("espaaro"), find_script("loiter"), True, 4.0, noise=False)
+
+
+def test_points_are_flown_as_they_are_written(held, tmp_path):
+    """Speed and bank at the start, the steps in the commands, and a safety pilot where a point goes wrong."""
+    points = [
+        TestPoint("dive", (Steps("elevator", 15.0, 1.5, ((1, 1.0),)),), Condition(22.0), 6.0),
+        TestPoint("doublet", (Steps("elevator", 2.0, 0.5),), Condition(22.0)),
+        TestPoint("left turn", (Steps("aileron", 3.0, 0.5), Steps("rudder", -2.0, 0.4, start_s=0.3)), Condition(24.0, -20.0)),
+    ]
+    path = tmp_path / "flight.parquet"
+    ok, _, _ = fly_points(held, points, 1, path)
+    assert ok
+    frame = pd.read_parquet(path)
+    timed, end_s = schedule(points, held.begin_s)
+    assert frame["time_s"].iloc[-1] == pytest.approx(end_s, abs=0.05)
+    parts = {p.kind: frame[frame["manoeuvre"] == p.name] for p in points}
+    assert parts["doublet"]["time_s"].iloc[0] == pytest.approx(timed[1].start_s, abs=0.03)
+    assert len(parts["doublet"]) == pytest.approx(50 * points[1].seconds, abs=2)
+    # Taken over before its end: 30 deg nose down is enough.
+    assert len(parts["dive"]) < 0.4 * 50 * points[0].seconds
+    assert np.degrees(parts["dive"]["theta_rad"].min()) == pytest.approx(-30.0, abs=1.5)
+    assert frame["h_m"].min() > -60.0
+    turn = parts["left turn"].iloc[0]
+    assert turn["V_mps"] == pytest.approx(24.0, abs=0.6)
+    assert np.degrees(turn["phi_rad"]) == pytest.approx(-20.0, abs=3.0)
+    for name, column, steps in (
+        ("doublet", "elevator_deg", {2.0, -2.0, 0.0}),
+        ("left turn", "aileron_deg", {3.0, -3.0, 0.0}),
+    ):
+        command = parts[name][column].to_numpy()
+        assert {round(float(v), 4) for v in command - command[0]} == steps
+
+
+def test_a_point_that_leaves_what_may_be_flown_is_refused_and_the_rest_are_tried(held):
+    wild = TestPoint("wild", (Steps("aileron", 24.0, 1.5),), Condition(22.0))
+    calm = TestPoint("calm", (Steps("aileron", 3.0, 0.5),), Condition(22.0))
+    trials, refused = try_points(held, [wild, calm], {"phi_rad": (-0.9, 0.9)}, Cutoffs(), 1)
+    assert [t.point.kind for t in trials] == ["calm"]
+    assert trials[0].states["p_radps"].max() > 0.1
+    assert len(trials[0].states["p_radps"]) == len(trials[0].delta)
+    (bad,) = refused
+    assert bad.point.kind == "wild"
+    assert "phi_rad reaches" in bad.reason
+
+
+def test_an_aircraft_without_the_autopilot_gets_steps_on_top_of_its_mission(tmp_path):
+    """JSBSim's own c172x holds height and heading; a step of its elevator command is added to what its pilot commands."""
+    flight = TestFlight(find_aircraft("c172x"), PROJECT_ROOT / "campaigns" / "c172" / "hold.xml", False, 10.0, noise=False)
+    point = TestPoint("elevator", (Steps("elevator", 0.1, 0.5),), Condition())
+    path = tmp_path / "c172.parquet"
+    ok, _, reason = fly_points(flight, [point], 1, path)
+    assert ok, reason
+    frame = pd.read_parquet(path)
+    inside = frame[frame["manoeuvre"] == "elevator, as the mission flies"]
+    assert inside["time_s"].iloc[0] == pytest.approx(10.0, abs=0.03)
+    assert inside["q_radps"].max() - inside["q_radps"].min() > 0.02
+    text = path.with_suffix(".xml").read_text()
+    assert not any(name in text for name in AUTOPILOT)
+
+
+def test_the_library_follows_the_cards_stops_and_the_models_modes():
+    aircraft = find_aircraft("espaaro")
+    times = unit_times(aircraft, 22.2, 100.0)
+    # Short period 7.9 rad/s, dutch roll 2.9 rad/s: 2.33 over either, to one figure.
+    assert times["elevator"] == pytest.approx(0.3)
+    assert times["rudder"] == pytest.approx(0.8)
+    points = library(aircraft, [Condition(20.0), Condition(24.0, 25.0)], times)
+    assert len(points) == len({p.name for p in points})
+    sizes = {s.size for p in points for s in p.steps if s.control == "rudder" and "rudder doublet" in p.kind}
+    assert sizes == {5.0, -5.0}
+    assert all(p.seconds > 4.0 for p in points)
+    assert RECOVERY_S > 5.0
+
+
+def test_the_cases_flown_are_spread_over_corners_and_air(campaign):
+    opened = open_campaign(campaign)
+    some = some_cases(opened.cases, 6)
+    assert len({c.case_id for c in some}) == 6
+    assert len({c.aleatory_id for c in some}) == 2
+    assert all(len({c.levels[name] for c in some}) == 2 for name in ("CX", "CY", "Cn"))
+    assert len(some_cases(opened.cases[:3], 6)) <= 3
+    assert len(build_cases(opened.spec, opened.mission)) == len(opened.cases) + opened.failed
+
+
+def test_another_metric_has_another_winner(campaign):
+    assert find_winner(campaign, "altitude_median_m").coefficient == "CX"
+    assert find_winner(campaign, coefficient="Cm").coefficient == "Cm"
+    with pytest.raises(BadInputError, match="no sensitivity of speed_median_mps"):
+        find_winner(campaign, "speed_median_mps")
+
+
+def refused(capsys, *arguments: str) -> str:
+    assert main(["next-flight", *arguments]) == 2
+    return capsys.readouterr().err
+
+
+def test_what_cannot_be_answered_is_refused_with_what_to_do(campaign, bounds, tmp_path, capsys):
+    out = ["--out", str(tmp_path / "next")]
+    good = [str(campaign), "--bounds", str(bounds), *out]
+    assert "constant bounds of CY" in refused(capsys, str(campaign), *out)
+    assert "not a campaign folder" in refused(capsys, str(tmp_path), *out)
+    assert "--metric nonsense" in refused(capsys, *good, "--metric", "nonsense")
+    assert "--minutes 0" in refused(capsys, *good, "--minutes", "0")
+    assert "--speeds fast" in refused(capsys, *good, "--speeds", "fast")
+    assert "is no model form" in refused(capsys, str(campaign), "--bounds", str(campaign / "manifest.json"), *out)
+    assert "no test point fits" in refused(capsys, *good, "--minutes", "0.1", "--speeds", "22", "--cases", "1")
+    form = json.loads(bounds.read_text())
+    other = tmp_path / "other.json"
+    other.write_text(json.dumps({**form, "aircraft": {**form["aircraft"], "name": "glider"}}))
+    assert "belong to aircraft 'glider'" in refused(capsys, str(campaign), "--bounds", str(other), *out)
+    row = form["coefficients"]["CY"]
+    row |= {"terms": ["1"], "beta_hat": [0.0], "XtX_inv": [[1.0 / row["n"]]]}
+    other.write_text(json.dumps(form))
+    said = refused(capsys, str(campaign), "--bounds", str(other), *out)
+    assert "the bounds of CY are constant" in said
+    assert "--order 2" in said
+    del form["coefficients"]["CY"]
+    other.write_text(json.dumps(form))
+    assert "has no bounds for CY" in refused(capsys, str(campaign), "--bounds", str(other), *out)
+    assert not (tmp_path / "next").exists()
+
+
+def test_a_campaign_without_corners_is_refused(tmp_path, bounds, capsys):
+    text = CAMPAIGN.replace('method = "corners"', 'method = "levels"\nlevels = [0.5]')
+    folder = flown_campaign(tmp_path / "middle", text)
+    assert "not a corner campaign" in refused(capsys, str(folder), "--bounds", str(bounds), "--out", str(tmp_path / "n"))
+
+
+def test_the_campaigns_own_form_is_taken_where_it_flew_one(tmp_path, bounds, capsys):
+    """Told what the same bounds have brought: nothing."""
+    (tmp_path / "c").mkdir()
+    shutil.copy(bounds, tmp_path / "c" / "model-form.json")
+    i = CAMPAIGN.index("bounds = {")
+    folder = flown_campaign(tmp_path / "c", CAMPAIGN[:i] + 'bounds = "model-form.json"\n')
+    arguments = ["next-flight", str(folder), "--redone", str(bounds), "--cases", "1", "--out", str(tmp_path / "next")]
+    assert main([*arguments, "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert set(found["achieved"]) == set(read_model_form(bounds).coefficients)
+    assert found["achieved"]["CY"]["narrowing"] == 0.0
+    assert found["achieved"]["CY"]["predicted"] is None
+    assert not (tmp_path / "next").exists()
+    assert main(arguments) == 1
+    assert "narrowing" in capsys.readouterr().out

@@ -1,0 +1,181 @@
+"""Bounds computed inside JSBSim against sysid's numpy, and the small print of the system around them."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import qmc
+
+from sysid.aerodynamics.polynomial import regressors
+from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.model_form.model_form import ModelForm
+from tests.helpers.jsbsim_schema import schema_errors
+from tests.helpers.model_forms import LATERAL, LONGITUDINAL, PUBLISHED, made_up_form
+from uqharness.errors import BadInputError
+from uqharness.plugin.model_form_xml import constant_xml, model_form_xml, quadratic_form, write_model_form_xml
+from uqharness.simulator import engine
+from uqharness.simulator.aircraft import PROJECT_ROOT, Aircraft, find_aircraft, open_aircraft
+from uqharness.xml.expressions import horner
+
+WIDE = {
+    "V_mps": (12.0, 35.0), "alpha_rad": (-0.25, 0.25), "beta_rad": (-0.3, 0.3), "phi_rad": (-1.0, 1.0),
+    "theta_rad": (-0.6, 0.6), "p_radps": (-3.0, 3.0), "q_radps": (-1.5, 1.5), "r_radps": (-1.5, 1.5),
+}  # fmt: skip
+
+
+@pytest.fixture
+def aircraft(tmp_path) -> Aircraft:
+    folder = tmp_path / "aircraft" / "espaaro"
+    shutil.copytree(PROJECT_ROOT / "aircraft" / "espaaro", folder)
+    return find_aircraft(folder)
+
+
+def system_of(aircraft: Aircraft) -> Path:
+    return aircraft.folder / "Systems" / "model-form.xml"
+
+
+def states_forced_upon(aircraft: Aircraft, count: int, fresh: bool):
+    """Bounds and extrapolation flag of the XML over a Latin hypercube of states, and those states as the record names them."""
+    fdm = open_aircraft(aircraft)
+    lows, highs = zip(*WIDE.values(), (-15.0, 15.0), (20.0, 100.0), strict=True)
+    points = qmc.scale(qmc.LatinHypercube(len(lows), rng=np.random.default_rng(4)).random(count), lows, highs)
+    bounds, flags, seen = [], [], []
+    for row in points:
+        # The system runs before the actuators and sees them a frame old; only in a fresh instance do they stand still.
+        fdm = open_aircraft(aircraft) if fresh else fdm
+        speed, alpha, beta, phi, theta, p, q, r, elevator, throttle = row
+        body = speed / 0.3048 * np.array([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
+        fdm["ic/h-sl-ft"], fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = 1000.0, phi, theta, 0.3
+        for name, value in zip(("u-fps", "v-fps", "w-fps", "p-rad_sec", "q-rad_sec", "r-rad_sec"), [*body, p, q, r], strict=True):
+            fdm[f"ic/{name}"] = value
+        fdm["fcs/elevator-cmd-deg"], fdm["fcs/throttle-cmd-pct"] = elevator, throttle
+        engine.run_ic(fdm)
+        bounds.append([[fdm[f"uq/{c}/lower"], fdm[f"uq/{c}/upper"]] for c in COEFFICIENTS])
+        flags.append(fdm["uq/extrapolated"])
+        seen.append([*row[:8], fdm["fcs/elevator-pos-deg"], fdm["fcs/throttle-pos-pct"]])
+    names = [*WIDE, "elevator_pos_deg", "throttle_pct"]
+    return np.array(bounds), np.array(flags), dict(zip(names, np.array(seen).T, strict=True))
+
+
+def compare(form: ModelForm, aircraft: Aircraft, count: int, fresh: bool = False):
+    write_model_form_xml(form, aircraft, system_of(aircraft))
+    bounds, flags, states = states_forced_upon(aircraft, count, fresh)
+    expected = form.bounds(states)
+    for k, name in enumerate(COEFFICIENTS):
+        lower, upper = expected.get(name, (np.zeros(count), np.zeros(count)))
+        assert bounds[:, k, 0] == pytest.approx(lower, rel=1e-9, abs=1e-12)
+        assert bounds[:, k, 1] == pytest.approx(upper, rel=1e-9, abs=1e-12)
+    assert np.array_equal(flags, form.extrapolated(states).astype(float))
+    return bounds, flags
+
+
+@pytest.mark.parametrize("outside", ["grow", "clamp"])
+def test_bounds_equal_numpys_well_outside_the_data_clip_included(aircraft, outside):
+    # Wide data, so that the hypercube meets both sides of the hull.
+    form = made_up_form(outside=outside)
+    wide = {c: replace(b, scale=3 * b.scale, hull=replace(b.hull, low=b.centre - 12 * b.scale, high=b.centre + 12 * b.scale,
+            leverage=0.3)) for c, b in form.coefficients.items()}  # fmt: skip
+    form = replace(form, coefficients=wide)
+    bounds, flags = compare(form, aircraft, 250)
+    assert 0.05 < flags.mean() < 0.95
+    clipped = bounds == 0.0
+    assert 0.01 < clipped.mean() < 0.5
+    assert system_of(aircraft).read_text().count('name="uq/leverage/') == 2
+
+
+def test_states_terms_and_coefficients_are_free(aircraft):
+    states = {
+        "CX": ("alpha_rad",),
+        "CZ": (*LONGITUDINAL, "elevator_pos_deg"),
+        "Cm": ("q_radps", "p_radps", "throttle_pct"),
+        "Cl": LATERAL,
+    }
+    form = made_up_form(states, orders={"CX": 4, "Cl": 1})
+    bounds, flags = compare(form, aircraft, 60, fresh=True)
+    assert not bounds[:, COEFFICIENTS.index("CY")].any()
+    assert flags.any()
+
+
+def test_the_comparison_sees_a_wrong_digit(aircraft):
+    form = made_up_form()
+    write_model_form_xml(form, aircraft, system_of(aircraft))
+    worse = form.coefficients["Cn"]
+    changed = replace(form, coefficients={**form.coefficients, "Cn": replace(worse, s2=worse.s2 * (1 + 1e-6))})
+    text = model_form_xml(changed, aircraft)
+    bounds, _, states = states_forced_upon(aircraft, 20, False)
+    upper = changed.bounds(states)["Cn"][1]
+    assert text != system_of(aircraft).read_bytes()
+    assert bounds[:, 5, 1] != pytest.approx(upper, rel=1e-9, abs=1e-12)
+
+
+def test_a_delta_follows_its_level_in_every_frame_and_can_be_taken_out(aircraft):
+    write_model_form_xml(made_up_form(size=0.002), aircraft, system_of(aircraft))
+    fdm = open_aircraft(aircraft)
+    fdm["ic/h-sl-ft"], fdm["ic/u-fps"] = 1000.0, 72.0
+    engine.run_ic(fdm)
+    assert [fdm[f"uq/{c}/delta"] for c in COEFFICIENTS] == [0.0] * 6
+    fdm["uq/active"], fdm["uq/CZ/active"] = 1.0, 0.0
+    held = []
+    for level in (0.0, 0.3, 1.0, 0.8):
+        for c in COEFFICIENTS:
+            fdm[f"uq/{c}/level"] = level
+        fdm.run()
+        for c in COEFFICIENTS:
+            lower, upper = fdm[f"uq/{c}/lower"], fdm[f"uq/{c}/upper"]
+            expected = 0.0 if c == "CZ" else lower + level * (upper - lower)
+            assert fdm[f"uq/{c}/delta"] == pytest.approx(expected, rel=1e-12)
+            assert upper > lower
+        held.append(fdm["uq/CX/upper"])
+    # 50 Hz bounds in a 100 Hz flight: computed in every second frame, held in between.
+    assert held[1] != held[0]
+    assert held[2] == held[1]
+    assert held[3] != held[2]
+
+
+@pytest.mark.parametrize(
+    ("dt_s", "rate_hz", "every"), [(0.01, 50, 2), (1 / 120, 50, 2), (0.02, 50, 1), (0.05, 50, 1), (0.005, 10, 20)]
+)
+def test_bounds_run_at_least_at_their_rate(aircraft, dt_s, rate_hz, every):
+    card = aircraft.card.model_copy(update={"aircraft": aircraft.card.aircraft.model_copy(update={"dt_s": dt_s})})
+    text = model_form_xml(made_up_form(), replace(aircraft, card=card), rate_hz).decode()
+    assert f'<channel name="Bounds" execrate="{every}">' in text
+
+
+def test_the_same_form_gives_the_same_bytes_and_the_xml_fits_the_schema(aircraft, tmp_path):
+    first = write_model_form_xml(made_up_form(), aircraft, tmp_path / "a.xml")
+    assert write_model_form_xml(made_up_form(), aircraft, tmp_path / "b.xml") == first == (tmp_path / "a.xml").read_bytes()
+    assert model_form_xml(made_up_form(seed=2), aircraft) != first
+    assert schema_errors(tmp_path / "a.xml") == []
+
+
+def test_a_control_that_the_card_does_not_know_is_refused():
+    stock = find_aircraft("c172x")
+    with pytest.raises(BadInputError, match=r"elevator_pos_deg.*inputs\.elevator.*unit \"norm\""):
+        model_form_xml(made_up_form({"Cm": ("alpha_rad", "elevator_pos_deg")}), stock)
+    assert model_form_xml(made_up_form(PUBLISHED), stock)
+
+
+def test_constant_bounds_have_to_enclose_the_model():
+    text = constant_xml({"CX": (-0.01, 0.02)}, "made up").decode()
+    assert '<property value="-0.01">uq/CX/lower</property>' in text
+    assert '<property value="0.0">uq/Cn/upper</property>' in text
+    with pytest.raises(BadInputError, match=r"bounds of Cm: lower must be <= 0"):
+        constant_xml({"Cm": (0.001, 0.02)}, "made up")
+
+
+def test_horners_form_is_the_quadratic_form():
+    bounds = made_up_form().coefficients["CZ"]
+    polynomial = quadratic_form(bounds)
+    assert len(polynomial) == 70
+    z = np.random.default_rng(3).standard_normal((5, 4))
+    row = regressors(z, bounds.terms)
+    direct = np.einsum("ni,ij,nj->n", row, bounds.XtX_inv, row)
+    summed = sum(c * np.prod(z ** np.array(powers), axis=1) for powers, c in polynomial.items())
+    assert summed == pytest.approx(direct, rel=1e-12)
+    text = horner(polynomial, ["a", "b", "c", "d"]).line()
+    # One multiplication by a state per monomial but the constant.
+    assert text.count("<property>") == 69

@@ -1,0 +1,288 @@
+"""What refine shows of a refinement: effects that the test flights speak against are withdrawn one by one; intervals and a
+mission's p-box before and after; words that agree with the verdict."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.helpers.flown import fly
+from tests.helpers.sixdof import Airframe
+from tests.uqharness.refinement.test_refine import TEST, TRAIN, document, with_p2
+from uqharness.cli.main import main
+from uqharness.errors import BadInputError
+from uqharness.refinement import judge as refine_judge
+from uqharness.refinement.run import Refinement, Request, _put, refine
+from uqharness.refinement.showing.intervals import FlightSet, IntervalJob, fit_intervals, intervals_document
+from uqharness.refinement.showing.mission import MissionPBox, Model, campaign_for, fly_missions
+from uqharness.refinement.showing.words import left_over, nowhere
+from uqharness.replay.flights import read_flights
+from uqharness.report.refinement import write_report
+from uqharness.simulator.aircraft import find_aircraft
+from uqharness.statistics.pbox import Sample
+
+CX_BETA2 = -1.5
+MORE = (*TRAIN, ("yaw-roll", 21.5), ("yaw-roll", 19.0), ("roll-yaw", 20.5))
+CAMPAIGN = """
+[campaign]
+aircraft = "espaaro"
+mission = "loiter"
+seed = 3
+[aleatory]
+flights = 2
+duration_s = 6
+burn_in_s = 2
+turbulence = "light"
+[epistemic]
+method = "corners"
+coefficients = ["CX", "Cl"]
+"""
+
+
+def with_two(airframe: Airframe, x, u):
+    """An axial force from sideslip squared besides the pitching moment from roll rate squared."""
+    out = with_p2(airframe, x, u)
+    V = float(np.linalg.norm(x[:3]))
+    qS = 0.5 * 1.225 * (1.0 - 2.25577e-5 * -x[11]) ** 4.25588 * V**2 * airframe.S
+    out[0] += qS * CX_BETA2 * np.arcsin(x[1] / V) ** 2 / airframe.m
+    return out
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("campaign") / "campaign.toml"
+    path.write_text(CAMPAIGN, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def judged_flights(tmp_path_factory) -> tuple[Path, Refinement]:
+    """Two effects in the train flights, of which the test flight has the first alone."""
+    folder = tmp_path_factory.mktemp("contradicted")
+    fly(MORE, seed=11, seconds=6.0, rhs=with_two).write(folder / "train.parquet")
+    fly(TEST, seed=12, seconds=6.0, rhs=with_p2).write(folder / "test.parquet")
+    out = folder / "out"
+    out.mkdir()
+    request = Request(find_aircraft("espaaro"), (folder / "train.parquet",), (folder / "test.parquet",), out, workers=1, pbox=False)
+    done = refine(request)
+    write_report(done, out)
+    return out, done
+
+
+@pytest.fixture(scope="module")
+def contradicted(judged_flights) -> Path:
+    return judged_flights[0]
+
+
+def names(rows) -> list[tuple[str, str]]:
+    return [(e["coefficient"], e["term"]) for e in rows]
+
+
+def test_what_the_test_flights_speak_against_is_withdrawn_alone(contradicted):
+    found = document(contradicted)
+    assert set(names(found["chosen"])) == {("Cm", "p_hat^2"), ("CX", "beta^2")}
+    assert names(found["effects"]) == [("Cm", "p_hat^2")]
+    assert names(found["withdrawn"]) == [("CX", "beta^2")]
+    assert found["effects"][0]["test"]["gap"] == "shrank"
+    assert found["withdrawn"][0]["test"]["gap"] == "grew"
+    assert found["effects"][0]["value"] == pytest.approx(3.0, abs=0.5)
+
+
+def test_the_aircraft_carries_what_stands(contradicted):
+    found = document(contradicted)
+    xml = (contradicted / found["model"]).read_text(encoding="utf-8")
+    assert "aero/Cm_p2" in xml
+    assert "aero/CX_beta2" not in xml
+    assert [s["property"] for s in found["switch"]] == ["aero/Cm_p2"]
+    page = (contradicted / "report.html").read_text(encoding="utf-8")
+    assert "Withdrawn:" in page
+    gap = found["gap"]["test"]["channels"]["q_radps"]
+    assert gap["rms_after"] < 0.8 * gap["rms_before"]
+
+
+def test_choice_is_that_of_the_train_flights(contradicted):
+    """What was chosen carries nothing of the test flights; each effect's own number stands there as chosen."""
+    for e in document(contradicted)["chosen"]:
+        assert "test" not in e
+        assert abs(e["evidence"]["t"]) > 4.0
+
+
+def test_leaving_nothing_out_is_what_was_chosen(judged_flights):
+    """The linear estimate beside which one is left out is the choice itself; leaving all out is the model without effects."""
+    chosen = judged_flights[1].chosen
+    evidence = refine_judge.evidence_of(chosen, None)
+    same = refine_judge.left_out(chosen, evidence, [])
+    for one, other in zip(chosen.selection.chosen, same.selection.chosen, strict=True):
+        assert (one.key, one.value, one.std) == (other.key, pytest.approx(other.value), pytest.approx(other.std))
+    for name, (value, std) in chosen.parameters.items():
+        assert abs(same.parameters[name][0] - value) < 0.1 * std
+    none = refine_judge.left_out(chosen, evidence, [c.key for c in chosen.selection.chosen])
+    assert {n: v for n, (v, _) in none.parameters.items()} == {n: chosen.plain[n] for n in chosen.names}
+
+
+def test_without_an_effect_before_is_after(tmp_path, campaign, capsys):
+    """Nothing is missing: one model, so intervals and p-box are the same before and after, number for number."""
+    fly(TRAIN[:2], seed=3, seconds=6.0).write(tmp_path / "train.parquet")
+    fly(TEST, seed=4, seconds=6.0).write(tmp_path / "test.parquet")
+    # What an earlier refinement, with an effect, left there.
+    for stale in (
+        "before/aircraft/espaaro/espaaro.xml",
+        "pbox/after/manifest.json",
+        "intervals/after.json",
+        "figures/history.svg",
+    ):
+        (tmp_path / "out" / stale).parent.mkdir(parents=True)
+        (tmp_path / "out" / stale).touch()
+    code = main([
+        "refine", "espaaro", "--train", str(tmp_path / "train.parquet"), "--test", str(tmp_path / "test.parquet"),
+        "--out", str(tmp_path / "out"), "--workers", "1", "--no-figures", "--campaign", str(campaign),
+    ])  # fmt: skip
+    found = document(tmp_path / "out")
+    assert (code, found["effects"], found["withdrawn"], found["chosen"]) == (0, [], [], [])
+    left = {p.relative_to(tmp_path / "out").as_posix() for p in (tmp_path / "out").rglob("*") if p.is_file()}
+    assert not [name for name in left if "after" in name or name.startswith("before/") or "history" in name]
+    gap = found["gap"]["test"]
+    assert gap["intervals"]["reason"] is None
+    for row in gap["intervals"]["coefficients"].values():
+        assert row["width_before"] == row["width_after"] > 0.0
+        assert row["coverage_before"] == row["coverage_after"] > 0.5
+    pbox = gap["pbox"]
+    assert pbox["reason"] is None
+    assert (pbox["corners"], pbox["before"]["flights"], pbox["before"]["failed"]) == (4, 8, 0)
+    assert pbox["before"] == pbox["after"]
+    assert {"cross_track_median_m", "altitude_median_m"} <= {r["metric"] for r in pbox["metrics"]}
+    for row in pbox["metrics"]:
+        assert row["width_before"] == row["width_after"] >= 0.0
+        assert all(q["before"] == q["after"] for q in row["quantiles"].values())
+    assert "p-box: none" not in capsys.readouterr().out
+
+
+def test_a_mission_is_flown_by_aircraft_that_have_one(tmp_path, campaign):
+    assert campaign_for(find_aircraft("espaaro"), None)["campaign"]["mission"].endswith("loiter.xml")
+    with pytest.raises(BadInputError, match=r"no loiter of its own.*--campaign"):
+        campaign_for(find_aircraft("c172x"), None)
+    given = campaign_for(find_aircraft("c172x"), campaign)
+    assert Path(given["campaign"]["mission"]).is_file()
+    nothing = tmp_path / "none.toml"
+    nothing.write_text(CAMPAIGN.replace('"corners"', '"none"').replace('coefficients = ["CX", "Cl"]', ""), encoding="utf-8")
+    with pytest.raises(BadInputError, match="flies no intervals"):
+        campaign_for(find_aircraft("espaaro"), nothing)
+
+
+def test_intervals_shrink_where_the_effect_was_and_still_cover(contradicted):
+    intervals = document(contradicted)["gap"]["test"]["intervals"]
+    cm, cy = intervals["coefficients"]["Cm"], intervals["coefficients"]["CY"]
+    assert cm["width_after"] < 0.9 * cm["width_before"]
+    assert cm["coverage_after"] > 0.8
+    assert cy["width_after"] == pytest.approx(cy["width_before"], rel=0.1)
+    assert json.loads((contradicted / "intervals" / "after.json").read_text())["format"] == "model-form 1"
+    assert document(contradicted)["gap"]["test"]["pbox"] == {"reason": "left out (--no-pbox)", "metrics": []}
+
+
+def test_intervals_that_cannot_be_told_have_a_reason(tmp_path):
+    """Without sideslip there is no residual coefficient: NaN, the reason, and no error."""
+    record = fly(TEST, seed=4, seconds=6.0)
+    record.write(tmp_path / "whole.parquet")
+    type(record)({c: record[c] for c in record.columns if c != "beta_rad"}, record.metadata).write(tmp_path / "part.parquet")
+    aircraft = find_aircraft("espaaro")
+    sets = []
+    for name in ("whole", "part"):
+        flights, measured = read_flights([tmp_path / f"{name}.parquet"], aircraft)
+        sets.append(FlightSet(tuple(flights), tuple(measured), (name,)))
+    found = fit_intervals(IntervalJob(aircraft, sets[1], sets[0], False))
+    assert found.form is None
+    assert "beta_rad" in str(found.reason)
+    told = intervals_document(found, found)
+    assert np.isnan([v for row in told["coefficients"].values() for v in row.values()]).all()
+    assert told["reason"] == found.reason
+
+
+def test_pbox_numbers_in_closed_form():
+    """Two corners, one of them 1 to 4 and the other 3 to 6: envelopes two apart, area 2, medians [2, 4]."""
+    low, high = (Sample(str(k), np.arange(first, first + 4.0)) for k, first in enumerate((1.0, 3.0)))
+    box = MissionPBox("cross_track_median_m", "calm", (low, high), (low,))
+    assert box.width(box.before) == pytest.approx(2.0)
+    assert box.width(box.after) == 0.0
+    assert box.quantile(box.before, 0.5) == [2.0, 4.0]
+    assert box.quantile(box.after, 0.5) == [2.0, 2.0]
+    failed = replace(low, values=low.values[:3], unknown=1)
+    assert np.isnan(box.quantile((failed,), 0.95)[1])
+
+
+def test_a_mission_goes_on_and_another_model_flies_anew(tmp_path, campaign):
+    told: list[str] = []
+    form = tmp_path / "intervals" / "before.json"
+    form.parent.mkdir()
+    aircraft = find_aircraft("espaaro")
+    flights, measured = read_flights([write(tmp_path, 5)], aircraft)
+    given = FlightSet(tuple(flights), tuple(measured), ("x",))
+    made = fit_intervals(IntervalJob(aircraft, given, given, False)).form
+    assert made is not None
+    form.write_text(made.to_json(), encoding="utf-8")
+
+    def flown(which):
+        result = fly_missions({"before": Model(which, form)}, campaign, tmp_path, 1, told.append)
+        assert result.document["reason"] is None
+        return result.document
+
+    first = flown(aircraft)
+    assert told
+    told.clear()
+    assert (flown(aircraft), told) == (first, [])
+    form.write_text(replace(made, confidence=0.9).to_json(), encoding="utf-8")
+    flown(aircraft)
+    assert told
+
+
+def write(folder: Path, seed: int) -> Path:
+    path = folder / f"flight{seed}.parquet"
+    fly(TRAIN[:2], seed=seed, seconds=6.0).write(path)
+    return path
+
+
+def test_words_agree_with_the_verdict():
+    """Where no region stands out, an effect far above chance is not called noise."""
+    remaining = {"unexplained": False, "where": [], "channels_above_noise": {}, "coloured_channels": []}
+    nothing = {"effects": [], "withdrawn": [], "remaining": remaining}
+    assert nowhere(nothing) == "nowhere beyond what noise allows"
+    assert left_over(remaining) == []
+    for one in (
+        nothing | {"effects": [{"evidence": {"t": -64.2}}]},
+        nothing | {"remaining": remaining | {"unexplained": True, "where": [{"t": 64.2, "words": "x"}]}},
+    ):
+        assert "|t| up to 64" in nowhere(one)
+    unexplained = remaining | {"unexplained": True, "channels_above_noise": {"q_radps": 2.0}}
+    assert "see what is left" in nowhere(nothing | {"remaining": unexplained})
+    assert left_over(unexplained) == ["above their noise: q_radps (2.00 times)"]
+
+
+def test_a_campaign_that_is_none_ends_before_a_flight_is_read(tmp_path, campaign, capsys):
+    bad = tmp_path / "bad.toml"
+    bad.write_text(CAMPAIGN.replace("flights = 2", "flights = 0"), encoding="utf-8")
+    flight, other = write(tmp_path, 6), write(tmp_path, 7)
+    arguments = ["refine", "espaaro", "--train", str(flight), "--test", str(other), "--out", str(tmp_path / "out")]
+    assert main([*arguments, "--campaign", str(bad)]) == 2
+    assert "flights" in capsys.readouterr().err
+    assert main([*arguments, "--campaign", str(campaign), "--no-pbox"]) == 2
+    assert "--no-pbox" in capsys.readouterr().err
+
+
+def test_engines_beside_the_aircraft_go_with_it(tmp_path):
+    """An aircraft whose engines lie beside it finds them beside its refined copy as well."""
+    made = shutil.copytree(find_aircraft("espaaro").folder, tmp_path / "own" / "aircraft" / "espaaro")
+    (tmp_path / "own" / "engine").mkdir()
+    for name in ("own", "unused"):
+        (tmp_path / "own" / "engine" / f"{name}.xml").write_text("<propeller/>", encoding="utf-8")
+    xml = made / "espaaro.xml"
+    used = '<propulsion><engine file="own"/></propulsion></fdm_config>'
+    xml.write_text(xml.read_text(encoding="utf-8").replace("</fdm_config>", used), encoding="utf-8")
+    given = find_aircraft(made)
+    put = _put(given, given, tmp_path / "out")
+    assert put.folder == tmp_path / "out" / "aircraft" / "espaaro"
+    assert put.engine_path == tmp_path / "out" / "engine"
+    assert [path.name for path in put.engine_path.iterdir()] == ["own.xml"]

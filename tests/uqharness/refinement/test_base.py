@@ -1,0 +1,45 @@
+"""What a log's estimator computed is as uncertain as the model leaves it; what a sensor measured is as its card says."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from uqharness.refinement.base import noise_left
+from uqharness.refinement.setup import estimated_channels, setup_in_gusts
+
+OUTPUTS = ("alpha_rad", "p_radps")
+
+
+def setup_of(measured=(), estimates=(), noise=(0.002, 0.004)):
+    record = SimpleNamespace(metadata=SimpleNamespace(estimates=estimates))
+    other = SimpleNamespace(metadata=SimpleNamespace(estimates=()))
+    flights = [SimpleNamespace(record=other), SimpleNamespace(record=record)]
+    return SimpleNamespace(outputs=OUTPUTS, measured=measured, flights=flights, noise=np.array(noise))
+
+
+def test_channels_that_an_estimator_computed_are_known():
+    assert estimated_channels(setup_of(estimates=("alpha_rad", "h_m"))) == ("alpha_rad",)
+    assert estimated_channels(setup_of()) == ()
+
+
+def test_noise_of_a_computed_channel_is_what_the_model_leaves_of_it():
+    rng = np.random.default_rng(0)
+    residual = np.column_stack([0.01 * np.sin(0.05 * np.arange(4000)), 0.02 * rng.standard_normal(4000)])
+    residual[::3, 0] = np.nan
+    setup = setup_of([residual[:1000], residual[1000:]])
+    flown = SimpleNamespace(outputs=[np.zeros((1000, 2)), np.zeros((3000, 2))])
+    noise = noise_left(setup, flown, ["alpha_rad"])
+    assert noise[0] == pytest.approx(0.01 / np.sqrt(2.0), rel=0.02)
+    assert noise[1] == 0.004
+    # A channel that shows less than its own noise keeps that.
+    still = setup_of([0.01 * residual])
+    assert noise_left(still, SimpleNamespace(outputs=[np.zeros((4000, 2))]), ["alpha_rad"])[0] == 0.002
+
+
+def test_in_gusts_the_card_speaks_of_sensors_alone(monkeypatch):
+    monkeypatch.setattr("uqharness.refinement.setup.replace", lambda setup, noise: noise)
+    card = SimpleNamespace(sensors=SimpleNamespace(noise_std={"alpha_rad": 0.0017, "p_radps": 0.0035}))
+    aircraft = SimpleNamespace(card=card)
+    assert setup_in_gusts(aircraft, setup_of(estimates=("alpha_rad",))).tolist() == [0.002, 0.0035]
+    assert setup_in_gusts(aircraft, setup_of()).tolist() == [0.0017, 0.0035]

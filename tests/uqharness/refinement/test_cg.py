@@ -1,0 +1,75 @@
+"""A centre of gravity further forward: the moments are about another point, and the accelerometers stay where they were."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sysid.effects.subsystem_effects import subsystem_effects
+from sysid.parallel import ALONE
+from tests.helpers.flown import fly
+from uqharness.refinement.candidates import effect_columns
+from uqharness.refinement.fit import Flown, Point, Setup, positions, probes
+from uqharness.refinement.fit import fly as replayed
+from uqharness.refinement.setup import Bench, make_setup, with_sensors_of
+from uqharness.refinement.writing.effects import Written, write_effects
+from uqharness.replay.flights import read_flights
+from uqharness.simulator.aircraft import Aircraft, find_aircraft, open_aircraft
+
+FORWARD_M = 0.06
+ACCELERATIONS = ("ax_mps2", "ay_mps2", "az_mps2")
+
+
+@pytest.fixture(scope="module")
+def aircraft() -> Aircraft:
+    return find_aircraft("espaaro")
+
+
+@pytest.fixture(scope="module")
+def setup(aircraft: Aircraft, tmp_path_factory: pytest.TempPathFactory) -> Setup:
+    path = tmp_path_factory.mktemp("cg") / "flight.parquet"
+    fly((("pitch-3211", 22.0), ("roll-yaw", 22.0)), seed=1, seconds=6.0).write(path)
+    flights, measured = read_flights([path], aircraft, None, None)
+    return make_setup(aircraft, flights, measured)
+
+
+@pytest.fixture(scope="module")
+def moved(aircraft: Aircraft, tmp_path_factory: pytest.TempPathFactory) -> Aircraft:
+    effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
+    out = tmp_path_factory.mktemp("moved") / "espaaro"
+    write_effects(aircraft, [Written(effect, FORWARD_M, "a remark", {})], {}, out)
+    return find_aircraft(out)
+
+
+def along(aircraft: Aircraft, setup: Setup, values: dict[str, float]) -> tuple[Flown, list[np.ndarray]]:
+    """Replays, and the columns of a centre of gravity further forward along them."""
+    effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
+    with Bench(aircraft, (), ()) as bench:
+        point = Point(values, dict.fromkeys(setup.nuisance, 0.0), tuple(s.start for s in setup.segments))
+        flown = replayed(bench.model, setup, point, ALONE)
+        found = probes(bench.straight, setup, flown, positions(bench.model, setup, ALONE), (), ALONE)
+        return flown, [c.outputs[effect.key] for c in effect_columns(setup, found, flown, [effect])]
+
+
+def about_another_point(aircraft: Aircraft) -> dict[str, float]:
+    """Coefficients that have the moments of CZ and CY about a point ``FORWARD_M`` behind in Cm and Cn: M += Z x, N -= Y x."""
+    fdm, reference = open_aircraft(aircraft), aircraft.card.reference
+    values = {n: float(fdm[n]) for n in aircraft.card.parameters}
+    for term in ("0", "alpha", "q", "de"):
+        values[f"aero/Cm_{term}"] += FORWARD_M / reference.c_m * float(fdm[f"aero/CZ_{term}"])
+    for term in ("0", "beta", "p", "r", "dr"):
+        values[f"aero/Cn_{term}"] -= FORWARD_M / reference.b_m * float(fdm[f"aero/CY_{term}"])
+    return values
+
+
+def test_it_flies_as_with_the_moments_of_the_forces_and_is_felt_as_its_column_says(aircraft, moved, setup):
+    plain, columns = along(aircraft, setup, about_another_point(aircraft))
+    forward, _ = along(moved, with_sensors_of(setup, moved), {})
+    felt = [setup.outputs.index(c) for c in ACCELERATIONS]
+    rest = [k for k in range(len(setup.outputs)) if k not in felt]
+    for before, after, column in zip(plain.outputs, forward.outputs, columns, strict=True):
+        change = after - before
+        assert np.abs(change[:, rest]).max() < 1e-9
+        left = change[:, felt] - FORWARD_M * column[:, felt]
+        assert np.sqrt(np.mean(left**2)) < 0.02 * np.sqrt(np.mean(change[:, felt] ** 2))
+        assert np.abs(change[:, felt]).max() > 0.02

@@ -1,0 +1,256 @@
+"""Refinement in turbulence: sensors in step with each other, regressors that inertia and air ask for, which rival flies best."""
+
+from __future__ import annotations
+
+import contextlib
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from sysid.aerodynamics.coefficients import MassProperties
+from sysid.aerodynamics.rigid_body import NX, STATES, Reference
+from sysid.effects.prediction import Process
+from sysid.effects.selection import Choice
+from sysid.effects.subsystem_effects import subsystem_effects
+from sysid.effects.turbulence import noise_factors
+from uqharness.refinement import gusts as refine_gusts
+from uqharness.refinement import rounds as refine_rounds
+from uqharness.refinement.candidates import effect_columns
+from uqharness.refinement.fit import Point, steps_of
+from uqharness.refinement.gusts import in_step, moved, rows_late
+from uqharness.refinement.reference import Predicted, Probe
+from uqharness.refinement.sensed import as_sensed
+from uqharness.refinement.showing import show as refine_show
+
+OUTPUTS = ("V_mps", "alpha_rad", "ax_mps2")
+N, DT = 40, 0.02
+MASS = MassProperties(21.0, np.array([[11.1, 0.0, -0.5], [0.0, 7.7, 0.0], [-0.5, 0.0, 18.4]]), 1.38, 0.38, 3.66)
+
+
+def point(**sensed: float) -> Point:
+    return Point({}, {}, (), {f"effect/sensor.{k.replace('__', '/')}": v for k, v in sensed.items()})
+
+
+def setup_of(measured: np.ndarray) -> SimpleNamespace:
+    segment = SimpleNamespace(flight="one", dt_s=DT)
+    return SimpleNamespace(outputs=OUTPUTS, measured=(measured,), segments=(segment,), which=[0, 1, 8], servos={}, limits={})
+
+
+@pytest.mark.parametrize("rows", [0, 3, -2, 50, -50])
+def test_rows_are_moved_whole_and_leave_nothing_behind(rows):
+    values = np.arange(10.0)
+    found = moved(values, rows)
+    known = np.isfinite(found)
+    assert known.sum() == max(0, 10 - abs(rows))
+    np.testing.assert_array_equal(found[known], (np.arange(10.0) - rows)[known])
+
+
+def test_a_late_sensor_is_compared_with_what_it_was_to_measure():
+    """A vane 95 ms late: four whole rows in the record, the rest along the curve."""
+    t = DT * np.arange(N)
+    truth = np.column_stack([20.0 + t, np.sin(6.0 * t), np.cos(t)])
+    record = truth.copy()
+    record[:, 1] = np.sin(6.0 * (t - 0.095))
+    setup, there = setup_of(record), point(alpha_rad__delay=0.095)
+    (segment,) = setup.segments
+    late = rows_late(setup, segment, there)
+    assert late == {"V_mps": 0, "alpha_rad": 5, "ax_mps2": 0}
+    (z,) = in_step(setup, there)
+    model = as_sensed(truth.copy(), setup, segment, there, late)
+    inside = slice(8, N - 8)
+    np.testing.assert_allclose(z[inside], model[inside], atol=2e-4)
+    np.testing.assert_allclose(model[inside, 1], np.sin(6.0 * (t + 0.005))[inside], atol=2e-4)
+    # As the record has it, the sample is far from the state of its row.
+    assert np.abs(record - model)[inside, 1].max() > 0.3
+    assert np.isnan(z[-5:, 1]).all()
+    np.testing.assert_array_equal(z[:, [0, 2]], record[:, [0, 2]])
+
+
+def probe_of(rng: np.random.Generator, predicted: Predicted | None = None) -> Probe:
+    x = np.column_stack([20.0 + 0.1 * np.arange(N) / N, *(0.1 * rng.standard_normal((7, N)))])
+    loads = rng.standard_normal((N, 6))
+    reference = Reference(DT, x, loads[:, :3], loads[:, 3:], np.zeros((N, 6, 6)), np.full(N, 245.0), np.zeros(3), predicted is None)
+    none = np.zeros((N, 3))
+    return Probe(
+        reference, MASS, rng.standard_normal((N, 6)), none, none, np.zeros((N, 6, 4)), np.zeros((N, 4)), {},
+        np.full(N, np.inf), predicted,
+    )  # fmt: skip
+
+
+def predicted_of(rng: np.random.Generator) -> Predicted:
+    x, rate = rng.standard_normal((2, N, 8))
+    return Predicted(x, rate, rng.standard_normal((N, 2)), rng.standard_normal((N, 3)))
+
+
+def test_inertia_does_not_know_the_airs_rotation():
+    rng = np.random.default_rng(1)
+    there = predicted_of(rng)
+    probe = probe_of(rng, there)
+    (ixz,) = [e for e in subsystem_effects([], [], []) if e.term == "Ixz"]
+    setup, flown = setup_of(np.zeros((N, 3))), SimpleNamespace(outputs=[np.zeros((N, 3))], point=point())
+    (columns,) = effect_columns(setup, [probe], flown, [ixz])  # type: ignore[arg-type]
+    _, found = columns.inputs[ixz.key]
+    (p, q, r), (dp, _, dr) = there.x[:, 3:6].T, there.rate[:, 3:6].T
+    moment = np.column_stack([dr + p * q, r**2 - p**2, dp - q * r])
+    np.testing.assert_allclose(found[:, 3:], moment / (245.0 * MASS.S * np.array([MASS.b, MASS.c, MASS.b])))
+
+
+def test_coefficients_know_the_airs_rotation_and_not_its_acceleration():
+    rng = np.random.default_rng(2)
+    there = predicted_of(rng)
+    variables = probe_of(rng, there).variables()
+    V = there.x[:, 0]
+    np.testing.assert_allclose(variables["p_hat"], there.air_rates[:, 0] * 0.5 * MASS.b / V)
+    np.testing.assert_allclose(variables["alphadot_hat"], there.flow_rate[:, 0] * 0.5 * MASS.c / V)
+    np.testing.assert_allclose(variables["betadot_hat"], there.flow_rate[:, 1] * 0.5 * MASS.b / V)
+
+
+def test_a_delay_takes_the_models_rate_in_gusts_and_the_outputs_own_in_calm_air():
+    rng = np.random.default_rng(3)
+    there, ramp = predicted_of(rng), 3.0 * DT * np.arange(N)
+    probe = probe_of(rng, there)
+    np.testing.assert_array_equal(probe.rate_of("alpha_rad", ramp), there.rate[:, STATES.index("alpha_rad")])
+    np.testing.assert_allclose(probe.rate_of("ax_mps2", ramp)[1:], 3.0)
+    np.testing.assert_allclose(probe_of(rng).rate_of("alpha_rad", ramp), 3.0)
+
+
+def test_what_a_scale_does_is_the_slope_of_what_the_sensor_says():
+    rng = np.random.default_rng(4)
+    truth = rng.standard_normal((N, 3))
+    setup = setup_of(np.zeros((N, 3)))
+    (segment,) = setup.segments
+    (scale,) = [e for e in subsystem_effects([], ["alpha_rad"], []) if (e.subsystem, e.term) == ("sensor.alpha_rad", "scale")]
+
+    def read(size: float) -> np.ndarray:
+        return as_sensed(truth.copy(), setup, segment, point(alpha_rad__scale=size, alpha_rad__bias=0.4))  # type: ignore[arg-type]
+
+    here = point(alpha_rad__scale=0.8, alpha_rad__bias=0.4)
+    flown = SimpleNamespace(outputs=[read(0.8)], point=here)
+    (columns,) = effect_columns(setup, [probe_of(rng)], flown, [scale])  # type: ignore[arg-type]
+    np.testing.assert_allclose(columns.outputs[scale.key], (read(0.8 + 1e-6) - read(0.8 - 1e-6)) / 2e-6, atol=1e-8)
+
+
+def test_a_sensor_that_reads_more_reads_more_of_everything():
+    rng = np.random.default_rng(5)
+    probe, setup = probe_of(rng), setup_of(np.zeros((N, 3)))
+    plain, scaled = (steps_of([probe], [np.zeros((N, 3))], setup, at)[0] for at in (point(), point(alpha_rad__scale=0.8)))  # type: ignore[arg-type]
+    np.testing.assert_allclose(scaled.H[:, 1], 1.8 * plain.H[:, 1])
+    np.testing.assert_array_equal(np.delete(scaled.H, 1, axis=1), np.delete(plain.H, 1, axis=1))
+    np.testing.assert_array_equal(scaled.phi, plain.phi)
+
+
+def test_noise_that_no_filter_can_follow_is_not_the_likeliest(monkeypatch):
+    calls: list[float] = []
+
+    class Likelihood:
+        def __init__(self, steps, measured, which, by):
+            pass
+
+        def costs(self, noise, processes, mend):
+            calls.extend(noise[:, 0])
+            return np.where(noise[:, 0] > 1.0, np.inf, noise[:, 0])
+
+    monkeypatch.setattr("sysid.effects.turbulence.Likelihood", Likelihood)
+    air = Process(np.zeros((1, NX, NX)), np.zeros((1, NX, NX)))
+    found = noise_factors([SimpleNamespace()], [np.zeros((2, 1))], [0], np.ones(1), air, ["wind"])  # type: ignore[list-item]
+    assert max(calls) > 1.0
+    assert found[0] < 1.0
+
+
+def test_effects_that_no_filter_can_follow_leave_what_was_flown_before(monkeypatch, tmp_path):
+    def flown(*_):
+        raise np.linalg.LinAlgError("Matrix is not positive definite")
+
+    monkeypatch.setattr(refine_rounds, "_flown", flown)
+    choice = Choice("effect/Cm/p_hat^2", 1.0, 0.1, 10.0, 100.0, 1.0, 0.0)
+    start = SimpleNamespace(
+        before=SimpleNamespace(flown=SimpleNamespace(point=point(), cost=1.0)), gusts=object(), effects=[], limit=7.0,
+    )  # fmt: skip
+    best, trail = refine_rounds.settle(
+        start,
+        SimpleNamespace(chosen=(choice,)),
+        None,
+        tmp_path,
+        lambda _: None,  # type: ignore[arg-type]
+    )
+    assert best is None
+    assert any("no filter follows" in line for line in trail)
+
+
+def some_air(strength=1.0):
+    return SimpleNamespace(states=None, process=None, values=np.array([strength]))
+
+
+def iterated(monkeypatch, steps, strengths=(1.0,), **asked):
+    """`gust_refit` on steps (delta, length) that are given, whose searches find gusts of given strengths, the last of them again
+    and again: the strengths that the air was sought from, None for from the beginning, and the steps taken."""
+    queue, sought, taken = iter(steps), [], []
+
+    def search(setup, steps, near):
+        sought.append(None if near is None else float(near.values[0]))
+        return some_air(strengths[min(len(sought), len(strengths)) - 1])
+
+    evidence = SimpleNamespace(step=lambda held: (lambda d, length: (np.array([d]), length))(*next(queue)))
+    linear = SimpleNamespace(all=lambda states: [], measured=[])
+    columns = [SimpleNamespace(names=("aero/Cm_q",))]
+    for name, instead in {
+        "predict": lambda *a: (SimpleNamespace(point=None), [None]), "named_terms": lambda *a: ("aero/Cm_q",),
+        "_Linear": lambda *a: linear, "predicted": lambda *a: (a[1], a[2]), "parameter_columns": lambda *a: columns,
+        "whiten": lambda *a: [], "gather": lambda *a: evidence, "replace": lambda x, **_: x,
+        "_intensity": search,
+        "_tuned": lambda setup, steps, gusts: (setup, gusts),
+        "stepped": lambda setup, point, step, limits: taken.append(step["aero/Cm_q"]) or point,
+        "Fit": lambda *a: SimpleNamespace(iterations=a[6]),
+    }.items():  # fmt: skip
+        monkeypatch.setattr(refine_gusts, name, instead)
+    setup = SimpleNamespace(active=(), held=(), late={}, noise=np.ones(1), which=[0], segments=[SimpleNamespace(flight="one")])
+    point = SimpleNamespace(values={})
+    refine_gusts.gust_refit(None, setup, [], [], point, ["aero/Cm_q"], {}, map, **asked)  # type: ignore[arg-type]
+    return sought, taken
+
+
+def test_beside_a_strong_effect_the_air_is_sought_from_the_beginning_and_once_more_from_there(monkeypatch):
+    steps = [(1.0, 9.0), (1.0, 4.0), (1.0, 3.0), (1.0, 0.1)]
+    assert iterated(monkeypatch, steps, near=some_air(), tune=True)[0] == [None, 1.0]
+    assert iterated(monkeypatch, steps, near=some_air(), tune=False)[0] == [1.0]
+    assert iterated(monkeypatch, steps, near=some_air(), known=True)[0] == []
+    assert iterated(monkeypatch, steps)[0][0] is None
+
+
+def test_a_search_that_went_as_far_as_it_could_goes_on(monkeypatch):
+    near = [(1.0, 0.1)] * 9
+    assert iterated(monkeypatch, near, strengths=(6.0, 3.0, 1.0, 1.0), near=some_air(6.0))[0] == [6.0]
+    assert iterated(monkeypatch, near, strengths=(3.0, 1.0, 1.0), near=some_air(6.0))[0] == [6.0, 3.0, 1.0]
+    # Made in haste, because the steps would not become small, it is made once more when they are.
+    hasty = [*[(1.0, 9.0)] * 6, *near]
+    assert iterated(monkeypatch, hasty, near=some_air())[0] == [1.0, 1.0]
+
+
+def test_steps_that_grow_are_shortened_but_not_because_of_other_air(monkeypatch):
+    grown = [(1.0, 20.0), (-1.0, 60.0), (1.0, 70.0), (1.0, 40.0), (1.0, 0.1)]
+    assert iterated(monkeypatch, grown, near=some_air(), known=True)[1] == [1.0, -0.5, 0.25, 0.25]
+    # Found anew in the second iteration, whose step is the first in that air.
+    steps = [(1.0, 4.0), (1.0, 30.0), (1.0, 9.0), (1.0, 0.1), (1.0, 0.1)]
+    assert iterated(monkeypatch, steps, near=some_air(), tune=True)[1] == [1.0] * 4
+
+
+def test_a_step_that_is_no_number_ends_the_fit(monkeypatch):
+    with pytest.raises(np.linalg.LinAlgError, match="no numbers"):
+        iterated(monkeypatch, [(1.0, 9.0), (np.nan, np.nan)], near=some_air(), known=True)
+
+
+def test_the_air_of_flights_that_no_filter_follows_is_that_of_the_others(monkeypatch):
+    def refit(*_, **__):
+        raise np.linalg.LinAlgError("Eigenvalues did not converge")
+
+    for name in ("positions", "middles"):
+        monkeypatch.setattr(refine_show, name, lambda *_: [])
+    monkeypatch.setattr(refine_show, "Bench", lambda *_: contextlib.nullcontext(SimpleNamespace(model=None, straight=None)))
+    monkeypatch.setattr(refine_show, "replace", lambda x, **_: x)
+    monkeypatch.setattr(refine_show, "with_sensors_of", lambda setup, _: setup)
+    monkeypatch.setattr(refine_show, "gust_refit", refit)
+    near, setup = SimpleNamespace(), SimpleNamespace(segments=[])
+    assert refine_show.air_of(None, setup, (), (), map, {}, near) is near  # type: ignore[arg-type]
+    monkeypatch.setattr(refine_show, "gust_refit", lambda *_, **__: SimpleNamespace(gusts="their own"))
+    assert refine_show.air_of(None, setup, (), (), map, {}, near) == "their own"  # type: ignore[arg-type]

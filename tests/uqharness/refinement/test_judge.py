@@ -1,0 +1,147 @@
+"""What test flights say of effects: the change of the likelihood, its standard error, and who is withdrawn first."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from sysid.effects.catalogue import Effect
+from sysid.effects.selection import Choice, Selection
+from uqharness.refinement import judge as refine_judge
+from uqharness.refinement.judge import BEYOND_CHANCE, gap_change
+from uqharness.refinement.refine import Found
+
+
+def shown(white: list[np.ndarray], deviation: float = 1.0) -> SimpleNamespace:
+    """Predictions with the same deviation of every sample."""
+    logdet = tuple(w.size * float(np.log(deviation)) for w in white)
+    cost = float(sum(np.nansum(w**2) for w in white))
+    return SimpleNamespace(white=white, cost=cost, logdet=logdet, surprise=cost + 2.0 * sum(logdet))
+
+
+def change(rng: np.random.Generator, size: float, truth: bool, colour: float = 0.0):
+    """gap_change of an effect of ``size`` standard deviations on one of three channels, in the flights or not."""
+    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
+    without, with_ = [], []
+    for _ in range(4):
+        noise = rng.standard_normal((300, 3))
+        for k in range(1, 300 if colour else 0):
+            noise[k] = colour * noise[k - 1] + np.sqrt(1.0 - colour**2) * noise[k]
+        d = np.zeros((300, 3))
+        d[:, 1] = size * np.sin(np.arange(300) / 20.0)
+        without.append(noise + d if truth else noise)
+        with_.append(noise if truth else noise - d)
+    return gap_change("x", shown(without), shown(with_), setup, shown([rng.standard_normal((300, 3))]))
+
+
+def test_standard_error_of_the_change_is_that_of_the_draws():
+    """White noise has it in closed form: mean sum(d^2), variance 4 sum(d^2); coloured noise is judged by its spread."""
+    rng = np.random.default_rng(0)
+    square = 4.0 * float(np.sum((0.2 * np.sin(np.arange(300) / 20.0)) ** 2))
+    for colour in (0.0, 0.8):
+        found = [change(rng, 0.2, True, colour) for _ in range(200)]
+        spread = np.std([f.change for f in found])
+        assert np.mean([f.change for f in found]) == pytest.approx(square, abs=4.0 * spread / np.sqrt(200.0))
+        assert np.sqrt(np.mean([f.std**2 for f in found])) == pytest.approx(spread, rel=0.3)
+        if not colour:
+            assert spread == pytest.approx(2.0 * np.sqrt(square), rel=0.2)
+
+
+def test_chance_withdraws_seldom_and_a_contradiction_does():
+    rng = np.random.default_rng(1)
+    weak = [change(rng, 0.02, True) for _ in range(300)]
+    assert np.mean([v.says == "grew" for v in weak]) < 0.1
+    assert np.mean([v.says == "cannot tell" for v in weak]) > 0.7
+    # Of an effect that the flights would show at |t| = 2.4, the sign decides: right eight times in nine, either way.
+    for truth, says in ((True, "grew"), (False, "grew")):
+        found = [change(rng, 0.1, truth) for _ in range(300)]
+        assert np.mean([v.expected for v in found]) == pytest.approx(6.0, rel=0.1)
+        assert np.mean([v.says == says for v in found]) == pytest.approx(0.11 if truth else 0.89, abs=0.08)
+    assert all(change(rng, 0.5, True).says == "shrank" for _ in range(20))
+    assert all(change(rng, 0.5, False).says == "grew" for _ in range(20))
+
+
+def test_predictions_of_another_damping_are_judged_by_their_likelihood():
+    """A model that damps too little takes the air's motion for larger, and its squares over that are smaller: no merit of it."""
+    rng = np.random.default_rng(4)
+    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
+    found = []
+    for _ in range(100):
+        left = [rng.standard_normal((300, 3)) for _ in range(4)]
+        wide = shown([e / 1.1 for e in left], 1.1)
+        found.append(gap_change("x", wide, shown(left), setup, shown(left)))
+        assert wide.cost < shown(left).cost
+    # Kullback and Leibler's distance of the two normal distributions, twice, of 3600 samples.
+    expected = 3600.0 * (2.0 * np.log(1.1) + 1.0 / 1.1**2 - 1.0)
+    spread = np.std([v.change for v in found])
+    assert np.mean([v.change for v in found]) == pytest.approx(expected, abs=0.4 * spread)
+    assert 0.9 * spread < np.sqrt(np.mean([v.std**2 for v in found])) < 1.5 * spread
+    assert np.mean([v.says == "shrank" for v in found]) > 0.9
+
+
+def judged(monkeypatch, harm: dict[str, float], together: float = 0.0) -> list[str]:
+    """Effects that stand after `judge`, the order of withdrawal before them; an effect of ``harm`` raises the cost, and so does
+    ``together`` where two or more are in."""
+    rng = np.random.default_rng(5)
+    noise = rng.standard_normal((400, 2))
+    wave = [np.sin(np.arange(400) / (9.0 + k)) for k in range(len(harm) + 1)]
+
+    def flown(model, setup, *_) -> SimpleNamespace:
+        white = noise.copy()
+        for k, (key, size) in enumerate(harm.items()):
+            white[:, 0] += (size if key in model and size > 0.0 else -size if key not in model and size < 0.0 else 0.0) * wave[k]
+        white[:, 1] += (together if len(model) > 1 else 0.0) * wave[-1]
+        return shown([white])
+
+    def without(found, keys):
+        return replace(found, selection=replace(found.selection, chosen=tuple(
+            c for c in found.selection.chosen if c.key not in keys)))  # fmt: skip
+
+    chosen = tuple(Choice(k, 1.0, 0.1, 10.0, 100.0, 1.0, 0.0) for k in harm)
+    effects = {k: Effect("Cm", None, k, k, k) for k in harm}
+    found = Found(None, (), None, None, Selection(chosen), effects, {}, ())  # type: ignore[arg-type]
+    monkeypatch.setattr(refine_judge, "show", flown)
+    monkeypatch.setattr(refine_judge, "evidence_of", lambda *_: None)
+    monkeypatch.setattr(refine_judge, "left_out", lambda found, _, keys: without(found, keys))
+    monkeypatch.setattr(refine_judge, "bare", lambda found: without(found, list(harm)))
+    side = refine_judge.Side(SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)]), (), ())  # type: ignore[arg-type]
+    done = refine_judge.judge(found, lambda f: [c.key for c in f.selection.chosen], side, side, map)  # type: ignore
+    return [*(c.key for c in done.withdrawn), "|", *(c.key for c in done.found.selection.chosen)]
+
+
+def test_the_worst_goes_first_and_what_helps_stays(monkeypatch):
+    assert judged(monkeypatch, {"alpha": -0.6, "alpha^2": 0.4, "alpha^3": 0.8}) == ["alpha^3", "alpha^2", "|", "alpha"]
+    assert judged(monkeypatch, {"alpha": -0.6, "beta": -0.5}) == ["|", "alpha", "beta"]
+
+
+def test_nothing_stands_where_nothing_helps(monkeypatch):
+    assert judged(monkeypatch, {"alpha": 0.6}) == ["alpha", "|"]
+    assert judged(monkeypatch, {"alpha": 0.3, "beta": 0.9}) == ["beta", "alpha", "|"]
+
+
+def test_effects_that_harm_together_alone_do_not_all_stand(monkeypatch):
+    """With three, leaving any one out leaves two, which are in each other's way as much: none goes for itself."""
+    assert judged(monkeypatch, {"alpha": 0.0, "beta": 0.0, "p_hat": 0.0}, 0.8).index("|") == 2
+
+
+def test_what_changes_nothing_is_not_said_to_grow():
+    white = [np.ones((50, 2))] * 4
+    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
+    verdict = gap_change("x", shown(white), shown(white), setup, shown(white))
+    assert (verdict.change, verdict.std, verdict.says) == (0.0, 0.0, "cannot tell")
+    assert BEYOND_CHANCE > 1.0
+
+
+def test_flights_far_from_both_models_judge_neither():
+    """Six times the noise in every sample: the same difference that grew the gap in sound flights tells nothing there."""
+    rng = np.random.default_rng(2)
+    noise, d = rng.standard_normal((400, 2)), np.full((400, 2), 0.8)
+    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)])
+    sound = gap_change("x", shown([noise]), shown([noise + d]), setup, shown([noise]))
+    broken = gap_change("x", shown([noise - 6.0 * d / 0.8]), shown([noise - 7.0 * d / 0.8]), setup, shown([noise]))
+    assert (sound.says, broken.says) == ("grew", "too far")
+    assert broken.far == pytest.approx(6.0, rel=0.1)
+    assert broken.z < -BEYOND_CHANCE

@@ -1,0 +1,156 @@
+"""Stages of a refinement: kept exactly, found again, and harmless whoever wrote them."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sysid.errors import Finding
+from sysid.foreign.data_file import dump
+from tests.helpers.places import ROOT
+from uqharness.refinement.stages import FOLDER, Stages
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    return tmp_path / FOLDER
+
+
+def fail() -> None:
+    raise AssertionError("made again")
+
+
+def found() -> list[Finding]:
+    return [Finding("a", "", "info", "m", {"x": float(np.float64(1) / 3)})]
+
+
+def test_what_was_made_is_found_again_by_the_same_input_alone(folder, caplog):
+    made = Stages(folder, ["input"])("effects", list[Finding], found)
+    assert Stages(folder, ["input"])("effects", list[Finding], fail) == made
+    assert Stages(folder, ["other"])("effects", list[Finding], lambda: [*found(), *found()]) == [*made, *made]
+    assert Stages(None, ())("effects", list[Finding], found) == made
+    assert caplog.messages == []
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (b"", "not a data file"), (pickle.dumps([1]), "not a data file"), (dump(found())[:-1], "damaged"),
+        (dump([1]), "not what is asked for"), (dump({"a": 1}), "not what is asked for"), (None, "is a folder, not a regular file"),
+    ],
+)  # fmt: skip
+def test_what_is_not_the_stage_is_said_and_made_again(folder, caplog, content, why):
+    stages = Stages(folder, ["input"])
+    stages("effects", list[Finding], found)
+    (path,) = folder.iterdir()
+    path.unlink()
+    if content is None:
+        path.mkdir()
+    else:
+        path.write_bytes(content)
+    assert stages("effects", list[Finding], found) == found()
+    assert caplog.messages[0].startswith(f"{path}: ")
+    assert why in caplog.messages[0]
+    assert caplog.messages[0].endswith("; this stage is computed again")
+    if content is not None:
+        assert len(caplog.messages) == 1
+        assert stages("effects", list[Finding], fail) == found()
+
+
+def test_it_is_said_to_a_user_who_asked_for_no_log(folder):
+    folder.mkdir()
+    script = f"""
+from pathlib import Path
+from uqharness.refinement.stages import Stages
+stages = Stages(Path({str(folder)!r}), ["input"])
+(stages.folder / f"effects-{{stages.key}}.data").write_bytes(b"x")
+print(stages("effects", int, lambda: 5))
+"""
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout == "5\n"
+    assert done.stderr.endswith(".data: not a data file of this version of the program; this stage is computed again\n")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no such pipes")
+def test_a_pipe_in_the_place_of_a_stage_holds_nothing_up(folder, caplog):
+    stages = Stages(folder, ["input"])
+    folder.mkdir()
+    os.mkfifo(folder / f"effects-{stages.key}.data")
+    assert stages("effects", list[Finding], found) == found()
+    assert "is a pipe" in caplog.messages[0]
+
+
+class Harm:
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self):
+        return Path.touch, (self.mark,)
+
+
+def test_nothing_in_the_folder_is_run(folder, tmp_path, caplog):
+    """A pickle with a command in it, under the name of today and of yesterday."""
+    mark = tmp_path / "ran"
+    stages = Stages(folder, ["input"])
+    folder.mkdir()
+    for ending in ("data", "pickle"):
+        (folder / f"effects-{stages.key}.{ending}").write_bytes(pickle.dumps(Harm(mark)))
+    assert stages("effects", list[Finding], found) == found()
+    assert not mark.exists()
+    pickle.loads((folder / f"effects-{stages.key}.pickle").read_bytes())
+    assert mark.exists()
+
+
+def test_a_value_that_is_no_data_is_handed_on_and_said(folder, caplog):
+    assert Stages(folder, ["input"])("effects", object, lambda: print) is print
+    assert "cannot hold a builtins.builtin_function_or_method" in caplog.messages[0]
+    assert not folder.exists()
+
+
+def test_forget_removes_its_own_files_alone(folder, tmp_path, caplog):
+    stages = Stages(folder, ["input"])
+    stages("effects", list[Finding], found)
+    outside = tmp_path / "outside"
+    outside.write_text("x")
+    linked = folder / f"named-{stages.key}.data"
+    linked.symlink_to(outside)
+    (folder / "notes.txt").write_text("mine")
+    stages.forget()
+    assert outside.read_text() == "x"
+    assert [path.name for path in folder.iterdir()] == ["notes.txt"]
+    (folder / "notes.txt").unlink()
+    stages("effects", list[Finding], found)
+    stages.forget()
+    assert not folder.exists()
+    stages.forget()
+
+
+def test_a_link_in_the_place_of_the_folder_is_not_followed(folder, tmp_path, caplog):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    stages = Stages(folder, ["input"])
+    kept = elsewhere / f"effects-{stages.key}.data"
+    kept.write_bytes(dump([]))
+    folder.symlink_to(elsewhere)
+    assert stages("effects", list[Finding], found) == found()
+    stages.forget()
+    assert list(elsewhere.iterdir()) == [kept]
+    assert caplog.messages == [f"{folder}: is a link, not a folder of this program; stages are not kept"]
+
+
+def test_a_link_planted_where_the_file_is_being_written_is_not_followed(folder, tmp_path, caplog):
+    victim = tmp_path / "victim"
+    victim.write_text("x")
+    stages = Stages(folder, ["input"])
+    folder.mkdir()
+    for name in (f".effects-{stages.key}.data.part", f"effects-{stages.key}.data"):
+        (folder / name).symlink_to(victim)
+    assert stages("effects", list[Finding], found) == found()
+    assert victim.read_text() == "x"
+    assert stages("effects", list[Finding], fail) == found()

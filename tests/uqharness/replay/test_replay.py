@@ -1,0 +1,241 @@
+"""Replay: JSBSim flown through recorded controls against equations that owe it nothing, and the timing of commands."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sysid.aerodynamics.coefficients import half_width, smooth
+from sysid.estimation.gaps import theil, time_shift, white_noise, worst
+from tests.helpers.flown import NOISE, fly
+from uqharness.errors import BadInputError
+from uqharness.identification.start import demand_of, forced_at
+from uqharness.replay.flights import prepare, read_flight, segments, states
+from uqharness.replay.force import force_states
+from uqharness.replay.model import CONTROLS, ReplayFolder
+from uqharness.replay.replay import CHANNELS, STATES, fly_segment, runs_per_row
+from uqharness.replay.simulation import Replay, counter
+from uqharness.simulator.aircraft import find_aircraft
+
+SURFACES = ("elevator", "aileron", "rudder")
+
+
+@pytest.fixture(scope="module")
+def aircraft():
+    return find_aircraft("espaaro")
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return fly((("pitch-3211", 22.0), ("roll-yaw", 22.0)), seed=None)
+
+
+def exact(segment, record):
+    """The segment from the record's very first state instead of a straight line through 0.4 s."""
+    at = int(np.argmin(np.abs(record["time_s"] - segment.time_s[0])))
+    return replace(segment, start=np.array([record[c][at] for c in STATES]), altitude_m=100.0, h_m=100.0)
+
+
+def misses(aircraft, record, measured, late=0):
+    """Largest rms of replay minus record by channel over the record's segments, in units of Table 2.1's noise."""
+    flight = prepare("f", record, measured)
+    worst_of = dict.fromkeys(CHANNELS, 0.0)
+    with ReplayFolder(aircraft, measured=measured) as model:
+        for segment in segments(flight, measured):
+            segment = exact(segment, record)
+            if late:
+                shifted = np.vstack([segment.controls[:1]] * late + [segment.controls[:-late]])
+                targets = np.vstack([segment.targets[:1]] * late + [segment.targets[:-late]])
+                segment = replace(segment, controls=shifted, targets=targets)
+            flown = fly_segment(model, segment, {})
+            rows = flight.record.between(segment.time_s[0] - 1e-6, segment.time_s[-1] + 1e-6)
+            for k, name in enumerate(CHANNELS):
+                truth = np.unwrap(rows[name]) if name == "psi_rad" else rows[name]
+                gap = np.sqrt(np.mean((flown[:, k] - truth) ** 2)) / NOISE.get(name, 0.01)
+                worst_of[name] = max(worst_of[name], gap)
+    return worst_of
+
+
+def test_a_replay_of_measured_surfaces_is_the_flight_itself(aircraft, clean):
+    gaps = misses(aircraft, clean, SURFACES)
+    assert max(gaps.values()) < 0.15, gaps
+
+
+def test_a_replay_of_commands_goes_through_the_actuators(aircraft, clean):
+    gaps = misses(aircraft, clean, ())
+    # Tustin's rule moves a servo within the run in which its command steps: one sample of a_z in a step sees it early.
+    assert max(v for c, v in gaps.items() if c != "az_mps2") < 0.15, gaps
+    assert gaps["az_mps2"] < 0.6
+
+
+@pytest.mark.parametrize("measured", [SURFACES, ()], ids=["positions", "commands"])
+def test_a_replay_one_step_late_would_be_seen(aircraft, clean, measured):
+    gaps = misses(aircraft, clean, measured, late=1)
+    assert gaps["p_radps"] > 2.5
+    assert gaps["q_radps"] > 2.5
+
+
+def test_the_first_acceleration_has_seen_the_first_command(aircraft, clean):
+    flight = prepare("f", clean, SURFACES)
+    with ReplayFolder(aircraft, measured=SURFACES) as model:
+        segment = exact(segments(flight, SURFACES)[0], clean)
+        moved = segment.controls.copy()
+        moved[0, 0] += 5.0
+        before, after = fly_segment(model, segment, {}), fly_segment(model, replace(segment, controls=moved), {})
+    az, q = CHANNELS.index("az_mps2"), CHANNELS.index("q_radps")
+    assert after[0, az] - before[0, az] == pytest.approx(0.036 * 5.0 * 0.5 * 1.2133 * 22.0**2 * 1.97 / 21.34, rel=0.01)
+    assert after[0, q] == before[0, q]
+    assert abs(after[1, q] - before[1, q]) > 0.01
+
+
+def test_sample_times_are_met_at_any_record_rate(aircraft):
+    for rate in (25.0, 100.0):
+        record = fly((("roll-yaw", 22.0),), seed=None, rate_hz=rate)
+        gaps = misses(aircraft, record, SURFACES)
+        assert max(gaps.values()) < 1.0, (rate, gaps)
+    assert [runs_per_row(dt) for dt in (0.01, 0.02, 0.04, 0.1)] == [2, 2, 4, 10]
+
+
+def test_the_copy_leaves_the_aircraft_as_it_was_and_goes_away(aircraft):
+    from uqharness.simulator.aircraft import content_hash
+
+    before = content_hash(aircraft)
+    with ReplayFolder(aircraft, measured=SURFACES, settings={"aero/Cm_q": -10.0}) as model:
+        text = (model.staging.folder / aircraft.xml.name).read_text()
+        assert 'file="autopilot"' not in text
+        assert text.count("<lag>") == 1  # the motor's, which was not measured
+        assert model.open(0.01)["aero/Cm_q"] == -10.0
+        root = model.staging.root
+    assert not root.exists()
+    assert content_hash(aircraft) == before
+
+
+def test_an_accelerometer_away_from_the_cg_feels_the_rotation(aircraft, clean):
+    flight = prepare("f", clean, SURFACES)
+    arm = (0.3, 0.1, -0.2)
+    with ReplayFolder(aircraft, measured=SURFACES) as model:
+        at_cg, away = segments(flight, SURFACES)[1], segments(flight, SURFACES, arm)[1]
+        gap = fly_segment(model, away, {}) - fly_segment(model, at_cg, {})
+        flown = fly_segment(model, at_cg, {})
+    rates = flown[:, 6:9]
+    slope = np.gradient(rates, 0.02, axis=0)
+    expected = np.cross(slope, arm) + np.cross(rates, np.cross(rates, arm))
+    assert np.abs(gap[:, :9]).max() == 0.0
+    assert np.sqrt(np.mean((gap[:, 9:12] - expected) ** 2)) < 0.05 * np.sqrt(np.mean(expected**2)) + 0.03
+
+
+def test_theta_is_laid_out_by_names_and_what_is_unmoved_is_not_flown_again(aircraft, clean):
+    flight = prepare("f", clean, SURFACES)
+    with ReplayFolder(aircraft, measured=SURFACES) as model:
+        cut = segments(flight, SURFACES)
+        replay = Replay(model, cut, ("aero/Cm_q", "bias/f/q_radps", "start/1/phi_rad"), ("q_radps", "phi_rad"), "test")
+        base = replay(np.array([-13.8, 0.0, 0.0]))
+        flown = counter["rows"]
+        biased = replay(np.array([-13.8, 0.01, 0.0]))
+        assert counter["rows"] == flown
+        moved = replay(np.array([-13.8, 0.0, 0.1]))
+        assert counter["rows"] == flown + len(cut[1].time_s)
+    assert [b.shape for b in base] == [(500, 2), (500, 2)]
+    np.testing.assert_allclose(biased[0][:, 0] - base[0][:, 0], 0.01, atol=1e-12)
+    assert moved[1][0, 1] - base[1][0, 1] == pytest.approx(0.1, abs=1e-9)
+    np.testing.assert_array_equal(moved[0], base[0])
+
+
+def test_forced_states_give_the_flights_coefficients_back(aircraft, clean):
+    flight = prepare("f", clean, SURFACES)
+    with (
+        ReplayFolder(aircraft, measured=SURFACES) as model,
+        ReplayFolder(aircraft, measured=SURFACES, ideal=CONTROLS) as straight,
+    ):
+        for segment, piece in zip(segments(flight, SURFACES), flight.pieces, strict=True):
+            channels = states(flight, piece)
+            forced, found = forced_at(model, straight, segment, channels, {})
+            demand, said = demand_of(channels, forced, segment), smooth(forced.coefficients, 0.02)
+            np.testing.assert_allclose(demand[5:-5, :3], said[5:-5, :3], atol=6e-4)
+            np.testing.assert_allclose(demand[5:-5, 3:], said[5:-5, 3:], atol=1.5e-3)
+            np.testing.assert_allclose(found["de"], segment.controls[:, 0])
+        assert forced.mass.inertia[0, 2] == pytest.approx(-0.25, rel=1e-3)
+        assert forced.mass.mass == pytest.approx(21.34, rel=1e-3)
+        # The same sample asked twice, once after another: no state is remembered.
+        again = force_states(straight, segment, {k: v[[7, 300, 7]] for k, v in channels.items()}, segment.controls[[7, 300, 7]], {})
+        np.testing.assert_allclose(again.coefficients[0], again.coefficients[2], atol=1e-12)
+
+
+def test_a_force_that_goes_with_alphadot_is_the_one_of_the_state_itself(aircraft, clean, tmp_path):
+    """JSBSim's alphadot is the frame before's: forced one after the other, states would have each other's."""
+    folder = tmp_path / "aircraft" / aircraft.name
+    shutil.copytree(aircraft.folder, folder)
+    xml = folder / aircraft.xml.name
+    term = """<function name="aero/force/CZ_ad"><product><property>aero/qbar-psf</property><property>metrics/Sw-sqft</property>
+        <value>0.3</value><property>aero/alphadot-rad_sec</property></product></function>"""
+    text, found = re.subn(r'(<axis name="Z"[^>]*>)', rf"\1{term}", xml.read_text(encoding="utf-8"))
+    assert found == 1
+    xml.write_text(text, encoding="utf-8")
+    flight = prepare("f", clean, SURFACES)
+    rows, said = [7, 300, 7, 120], []
+    for some in (
+        aircraft,
+        replace(find_aircraft(folder), engine_path=aircraft.engine_path, systems_path=aircraft.systems_path),
+    ):
+        with ReplayFolder(some, measured=SURFACES, ideal=CONTROLS) as straight:
+            segment = segments(flight, SURFACES)[0]
+            x = {k: v[rows] for k, v in states(flight, flight.pieces[0]).items()}
+            said.append(force_states(straight, segment, x, segment.controls[rows], {}))
+    plain, with_term = said
+    np.testing.assert_allclose(with_term.coefficients[0], with_term.coefficients[2], atol=1e-7)
+    force = with_term.aero_force + with_term.other_force
+    V, alpha, beta, p, q, r = (x[c] for c in ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps"))
+    u, v, w = V * np.cos(alpha) * np.cos(beta), V * np.sin(beta), V * np.sin(alpha) * np.cos(beta)
+    ud = force[:, 0] / with_term.mass.mass - 9.80665 * np.sin(x["theta_rad"]) + r * v - q * w
+    wd = force[:, 2] / with_term.mass.mass + 9.80665 * np.cos(x["theta_rad"]) * np.cos(x["phi_rad"]) + q * u - p * v
+    alphadot = (u * wd - w * ud) / (u**2 + w**2)
+    assert np.abs(alphadot).max() > 0.02
+    np.testing.assert_allclose(with_term.coefficients[:, 2] - plain.coefficients[:, 2], 0.3 * alphadot, atol=2e-4)
+
+
+def test_the_smoother_is_what_the_differentiator_does_to_a_derivative():
+    t = np.arange(400) * 0.02
+    wave, slope = np.sin(3.0 * t), 3.0 * np.cos(3.0 * t)
+    np.testing.assert_allclose(smooth(wave, 0.02, derivative=1)[5:-5], smooth(slope, 0.02)[5:-5], atol=3e-3)
+    np.testing.assert_allclose(smooth(np.ones(40), 0.02), 1.0)
+    np.testing.assert_allclose(smooth(2.0 * t, 0.02, derivative=1), 2.0)
+    fast = np.sin(2 * np.pi * 6.0 * np.arange(4000) * 0.002)
+    assert half_width(0.002) > 10
+    assert np.std(smooth(fast, 0.002)[100:-100]) / np.std(fast) == pytest.approx(1 / np.sqrt(2), abs=0.03)
+
+
+def test_gap_figures_of_known_series():
+    rng = np.random.default_rng(3)
+    t = np.arange(1000) * 0.02
+    y = np.sin(2.0 * t)
+    z = np.sin(2.0 * (t - 0.05)) + 0.02 * rng.standard_normal(t.size)
+    shift = time_shift([z], [y], 0.02)
+    assert shift.seconds == pytest.approx(0.05, abs=4 * shift.std)
+    assert 1e-4 < shift.std < 2e-3
+    assert white_noise([z]) == pytest.approx(0.02, rel=0.1)
+    # Theil's U of a constant offset is all bias: U = d / (rms z + rms y).
+    found = theil(y + 0.5, y)
+    assert found.u == pytest.approx(0.5 / (np.sqrt(np.mean((y + 0.5) ** 2)) + np.sqrt(np.mean(y**2))))
+    assert (found.bias, found.variance, found.covariance) == pytest.approx((1.0, 0.0, 0.0))
+    gap = np.zeros(1000)
+    gap[[100, 102, 500]] = [3.0, 2.9, -5.0]
+    assert worst(gap, t, 1.0, 2, 0.5) == [(t[500], -5.0), (t[100], 3.0)]
+
+
+def test_records_that_cannot_be_replayed_say_why(aircraft, clean, tmp_path):
+    bare = clean.rows(slice(0, None))
+    columns = {k: v for k, v in bare.columns.items() if k not in ("elevator_deg", "elevator_pos_deg")}
+    with pytest.raises(BadInputError, match=r"no elevator_deg; without the surfaces"):
+        prepare("f", type(clean)(columns), ())
+    with pytest.raises(BadInputError, match="10"):
+        prepare("f", clean.rows(np.arange(len(clean)) % 10 == 0), ())
+    with pytest.raises(BadInputError, match="no stretch of 60 s"):
+        prepare("f", clean, SURFACES, min_s=60.0, max_s=90.0)
+    empty = tmp_path / "empty.csv"
+    empty.write_text("")
+    with pytest.raises(BadInputError, match=r"empty\.csv"):
+        read_flight(empty, aircraft)

@@ -1,0 +1,265 @@
+"""The E-SPAARO's XML: thrust map, command styles, actuators, the delta plugin at the CG, and what a bad model does."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.helpers import sixdof
+from uqharness.errors import BadInputError
+from uqharness.flight.spec import COEFFICIENTS
+from uqharness.simulator import engine
+from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft, open_aircraft, read_card
+from uqharness.simulator.trim import BodyState, force_state
+
+FT, LBF = 0.3048, 4.4482216152605
+FORCES = ("forces/fbx-total-lbs", "forces/fby-total-lbs", "forces/fbz-total-lbs")
+MOMENTS = ("moments/l-total-lbsft", "moments/m-total-lbsft", "moments/n-total-lbsft")
+METRICS = ("aero/qbar-psf", "metrics/Sw-sqft", "metrics/bw-ft", "metrics/cbarw-ft")
+STATE = BodyState(22.0, 1.0, 0.8, 0.2, 0.05, 0.3, 0.4, -0.2, 0.1)
+CONTROLS = {"elevator": 1.5, "aileron": -2.0, "rudder": 3.0, "throttle": 70.0}
+
+
+def outputs(properties=None, names=FORCES + MOMENTS + METRICS):
+    _, out = force_state(find_aircraft("espaaro"), STATE, CONTROLS, 100.0, properties, tuple(names))
+    return out
+
+
+@pytest.mark.parametrize("throttle", [0.0, 13.0, 40.0, 60.2, 85.0, 100.0])
+@pytest.mark.parametrize("V", [15.0, 22.2, 30.0])
+def test_thrust_map(throttle, V):
+    controls = CONTROLS | {"throttle": throttle}
+    state = BodyState(V, 0.0, 0.0, 0.0, 0.0, 0.0)
+    _, out = force_state(
+        find_aircraft("espaaro"),
+        state,
+        controls,
+        0.0,
+        None,
+        ("propulsion/rpm", "propulsion/thrust-N", "atmosphere/rho-slugs_ft3"),
+    )
+    rho = out["atmosphere/rho-slugs_ft3"] * 515.378818
+    assert out["propulsion/rpm"] == pytest.approx(sixdof.rpm(throttle), rel=1e-9)
+    assert out["propulsion/thrust-N"] == pytest.approx(sixdof.thrust(throttle, V, rho), rel=1e-3, abs=1e-3)
+    assert rho == pytest.approx(1.225, rel=1e-4)
+
+
+def test_thrust_check_figure():
+    # 20.05 N at 53.9 % and 20 m/s is printed to four digits; the map itself must hold to 0.1 %.
+    assert sixdof.thrust(53.9, 20.0, 1.225) == pytest.approx(20.02, abs=0.05)
+    assert sixdof.rpm(53.9) == pytest.approx(5145, abs=5)
+
+
+def test_totals_are_the_independent_coefficients():
+    names = [f"aero/{name}" for name in COEFFICIENTS]
+    out = outputs(names=names)
+    V = np.sqrt(22.0**2 + 1.0 + 0.8**2)
+    expected = sixdof.coefficients(
+        sixdof.TABLE_2_6, np.arctan2(0.8, 22.0), np.arcsin(1.0 / V), 0.4 * 3.66 / (2 * V), -0.2 * 0.53 / (2 * V),
+        0.1 * 3.66 / (2 * V), np.array([1.5, -2.0, 3.0]),
+    )  # fmt: skip
+    assert [out[name] for name in names] == pytest.approx(list(expected), rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0, 0.3])
+@pytest.mark.parametrize("index", range(6))
+def test_a_delta_is_its_bound_times_qS_and_lengths_at_the_cg_and_moves_nothing_else(index, level):
+    name = COEFFICIENTS[index]
+    lower, upper = -0.004 - 0.001 * index, 0.007 + 0.001 * index
+    others = {f"uq/{other}/{bound}": 0.0 for other in COEFFICIENTS if other != name for bound in ("lower", "upper")}
+    plain = outputs()
+    moved = outputs({"uq/active": 1.0, f"uq/{name}/lower": lower, f"uq/{name}/upper": upper, f"uq/{name}/level": level, **others})
+    delta = lower + level * (upper - lower)
+    # JSBSim's own feet: its metre has ten digits, and the claim is about the delta, not about the metre.
+    qS = plain["aero/qbar-psf"] * plain["metrics/Sw-sqft"]
+    assert qS == pytest.approx(plain["aero/qbar-psf"] * 1.97 / FT**2, rel=1e-7)
+    b, c = plain["metrics/bw-ft"], plain["metrics/cbarw-ft"]
+    length = (1.0, 1.0, 1.0, b, c, b)[index]
+    for position, key in enumerate(FORCES + MOMENTS):
+        expected = qS * length * delta if position == index else 0.0
+        assert moved[key] - plain[key] == pytest.approx(expected, rel=1e-9, abs=1e-11), key
+
+
+def fly(folder: Path, steps: int, **settings: float):
+    aircraft = find_aircraft(folder)
+    fdm = open_aircraft(aircraft)
+    for name, value in settings.items():
+        engine.set_property(fdm, name.replace("__", "/"), value)
+    fdm["ic/lat-geod-deg"], fdm["ic/h-sl-ft"], fdm["ic/u-fps"] = 45.0, 328.0, 72.8
+    engine.run_ic(fdm)
+    names = (
+        "velocities/u-fps",
+        "velocities/v-fps",
+        "velocities/q-rad_sec",
+        "attitude/phi-rad",
+        "position/h-sl-ft",
+        "aero/Cm",
+        "aero/CZ",
+    )
+    rows = []
+    for k in range(steps):
+        fdm["fcs/elevator-cmd-deg"] = 3.0 * np.sin(0.02 * k)
+        fdm["fcs/aileron-cmd-deg"] = 2.0 * np.cos(0.03 * k)
+        fdm.run()
+        rows.append([fdm[name] for name in names])
+    return np.array(rows)
+
+
+@pytest.fixture
+def copy(tmp_path):
+    """A copy of the aircraft that a test may spoil."""
+    folder = tmp_path / "aircraft" / "espaaro"
+    shutil.copytree(PROJECT_ROOT / "aircraft" / "espaaro", folder)
+    return folder
+
+
+def without_plugin(folder: Path) -> None:
+    xml = folder / "espaaro.xml"
+    text = xml.read_text()
+    text = re.sub(r'\s*<system file="model-form"/>[^\n]*', "", text)
+    text, count = re.subn(r'\s*<function name="uq/(?:force|moment)/.">.*?</function>', "", text, flags=re.S)
+    text, at_cg = re.subn(r'\s*<function name="uq/force/." apply_at_cg="true">.*?</function>', "", text, flags=re.S)
+    assert count + at_cg == 6
+    xml.write_text(text)
+
+
+def test_inactive_plugin_is_bit_identical_to_none(copy):
+    with_plugin = fly(copy, 1000)
+    without_plugin(copy)
+    assert "uq/" not in re.sub(r"<!--.*?-->", "", (copy / "espaaro.xml").read_text(), flags=re.S)
+    assert np.array_equal(with_plugin, fly(copy, 1000))
+    assert not np.array_equal(with_plugin, fly(PROJECT_ROOT / "aircraft" / "espaaro", 1000, uq__active=1.0, uq__CX__level=1.0))
+
+
+@pytest.mark.parametrize("name", ["espaaro", "espaaro_truth", "synthetic_stall"])
+def test_rates_are_made_dimensionless_with_the_airspeed_of_this_frame(name):
+    """A frame late they were 0.25 % off while the speed changed, which an estimator took for damping that goes with alpha."""
+    fdm = open_aircraft(find_aircraft(name))
+    fdm["ic/h-sl-ft"], fdm["ic/vt-fps"], fdm["ic/p-rad_sec"], fdm["ic/q-rad_sec"], fdm["ic/r-rad_sec"] = (
+        900.0,
+        72.0,
+        0.3,
+        0.2,
+        0.1,
+    )
+    engine.run_ic(fdm)
+    fdm.run()
+    for _ in range(5):
+        before = fdm["velocities/vt-fps"]
+        fdm.run()
+        assert abs(fdm["velocities/vt-fps"] / before - 1.0) > 1e-5
+        for axis, length in (("p", "bw"), ("q", "cbarw"), ("r", "bw")):
+            expected = fdm[f"velocities/{axis}-rad_sec"] * fdm[f"metrics/{length}-ft"] / (2.0 * fdm["velocities/vt-fps"])
+            assert fdm[f"aero/{axis}_hat"] == pytest.approx(expected, rel=1e-12)
+
+
+def test_command_styles():
+    def surfaces(**settings: float):
+        fdm = open_aircraft(find_aircraft("espaaro"))
+        for name, value in settings.items():
+            fdm[name.replace("__", "/").replace("_", "-")] = value
+        fdm["ic/u-fps"], fdm["ic/h-sl-ft"] = 72.0, 1000.0
+        engine.run_ic(fdm)
+        return [fdm[f"fcs/{s}-pos-deg"] for s in ("elevator", "aileron", "rudder")] + [fdm["fcs/throttle-pos-pct"]]
+
+    degrees = {
+        "fcs__elevator_cmd_deg": 2.0,
+        "fcs__aileron_cmd_deg": -3.0,
+        "fcs__rudder_cmd_deg": 4.0,
+        "fcs__throttle_cmd_pct": 55.0,
+    }
+    norms = {
+        "fcs__elevator_cmd_norm": 0.5,
+        "fcs__aileron_cmd_norm": -0.25,
+        "fcs__rudder_cmd_norm": 0.1,
+        "fcs__throttle_cmd_norm": 0.4,
+    }
+    assert surfaces(**degrees, **norms) == pytest.approx([2.0, -3.0, 4.0, 55.0])
+    assert surfaces(**degrees, **norms, ap__input_norm=1.0) == pytest.approx([10.0, -5.0, 2.0, 40.0])
+    assert surfaces(fcs__elevator_cmd_deg=40.0, fcs__throttle_cmd_pct=130.0)[::3] == pytest.approx([25.0, 100.0])
+
+
+def test_actuator_lags_and_is_rate_limited():
+    fdm = open_aircraft(find_aircraft("espaaro"))
+    fdm["ic/u-fps"], fdm["ic/h-sl-ft"] = 72.0, 1000.0
+    engine.run_ic(fdm)
+    start = fdm["fcs/elevator-pos-deg"]
+    fdm["fcs/elevator-cmd-deg"] = start + 1.0
+    small = []
+    for _ in range(20):
+        fdm.run()
+        small.append(fdm["fcs/elevator-pos-deg"] - start)
+    # First order at 25 1/s: 63 % after 0.04 s.
+    assert np.interp(1 - np.exp(-1), small, 0.01 * np.arange(1, 21)) == pytest.approx(0.04, abs=0.006)
+    fdm["fcs/elevator-cmd-deg"] = start + 20.0
+    fdm.run()
+    before = fdm["fcs/elevator-pos-deg"]
+    fdm.run()
+    assert fdm["fcs/elevator-pos-deg"] - before <= 240 * 0.01 + 1e-9
+
+
+NESTED = r"<product> <property>aero/CZ_alpha</property>(.*?)</product>"
+BREAKS = {
+    # JSBSim flies on without the term, and says nothing.
+    "unknown-operation-in-a-sum": (
+        NESTED,
+        r"<prodct> <property>aero/CZ_alpha</property>\1</prodct>",
+        r"espaaro\.xml:\d+.*did you mean <product>",
+    ),
+    "no-mass": (r'<emptywt unit="KG">21\.34', '<emptywt unit="KG">0', "mass is 0"),
+    "missing-property": (
+        r"<property>aero/CX_0</property>",
+        "<property>aero/CX_nope</property>",
+        r"aero/CX_nope.*espaaro\.xml:\d+",
+    ),
+    "bad-number": (
+        r'<wingarea unit="M2">1\.97</wingarea>',
+        '<wingarea unit="M2">large</wingarea>',
+        r"espaaro\.xml:\d+",
+    ),
+    "malformed": (r"</aerodynamics>", "</aerodynamic>", r"espaaro"),
+    "unknown-operation": (
+        r"<function name=\"aero/qbar_S\">.*?<product>(.*?)</product>",
+        r'<function name="aero/qbar_S"><prodct>\1</prodct>',
+        "prodct",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", BREAKS)
+def test_a_broken_model_is_one_clear_error(copy, kind):
+    pattern, replacement, message = BREAKS[kind]
+    xml = copy / "espaaro.xml"
+    text, count = re.subn(pattern, replacement, xml.read_text(), count=1, flags=re.S)
+    assert count == 1
+    xml.write_text(text)
+    with pytest.raises(BadInputError, match=message):
+        force_state(find_aircraft(copy), STATE, CONTROLS, 100.0)
+
+
+def test_a_card_with_an_unknown_key_is_refused(copy):
+    card = copy / "airframe.toml"
+    card.write_text(card.read_text().replace("dt_s = 0.01", "dt_s = 0.01\ndt_ms = 10"))
+    with pytest.raises(BadInputError, match=r"aircraft\.dt_ms"):
+        read_card(card)
+    card.write_text("[aircraft\n")
+    with pytest.raises(BadInputError, match="not valid TOML"):
+        read_card(card)
+
+
+def test_misspelt_and_illegal_property_names_are_refused():
+    fdm = open_aircraft(find_aircraft("espaaro"))
+    with pytest.raises(BadInputError, match=r"did you mean aero/Cm_q"):
+        engine.set_property(fdm, "aero/Cmq", -1.0)
+    with pytest.raises(BadInputError, match="not a legal"):
+        engine.set_property(fdm, "aero/Cm_p^2", -1.0)
+
+
+def test_an_aircraft_in_a_folder_of_another_name_flies(tmp_path):
+    folder = tmp_path / "estimates"
+    shutil.copytree(PROJECT_ROOT / "aircraft" / "espaaro", folder)
+    assert np.array_equal(fly(folder, 50), fly(PROJECT_ROOT / "aircraft" / "espaaro", 50))

@@ -1,0 +1,203 @@
+"""Steady flight as a mission of an aircraft that has neither autopilot nor card: it begins in trim, and deviations are scored."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.helpers.page_checks import problems
+from uqharness.campaign.aircraft import make_copy
+from uqharness.campaign.cases import build_cases
+from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.folder.case_table import CASES, UNCOMMANDED_METRICS
+from uqharness.campaign.run import find_mission, run_campaign
+from uqharness.campaign.spec.campaign import read_campaign
+from uqharness.cli.main import main
+from uqharness.errors import BadInputError
+from uqharness.flight.fly import fly
+from uqharness.flight.scoring import Recorded, score_from_start
+from uqharness.flight.spec import FlightResult
+from uqharness.parquet_files import read_table
+from uqharness.report.write import write_report
+
+CAMPAIGN = """
+[campaign]
+aircraft = "c172p"
+mission = "steady"
+seed = 1
+
+[start]
+V_mps = 55
+altitude_m = 200
+heading_deg = 30
+
+[aleatory]
+flights = 2
+duration_s = 4
+burn_in_s = 0
+wind_mps = [0, 4]
+turbulence = "light"
+sensor_noise = false
+
+[epistemic]
+method = "none"
+"""
+
+
+def write(folder, text=CAMPAIGN):
+    path = folder / "campaign.toml"
+    path.write_text(text)
+    return path
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("steady")
+    spec = read_campaign(write(folder))
+    run_campaign(spec, folder / "out", executor=SerialExecutor())
+    return folder, spec
+
+
+def test_a_stock_aircraft_goes_through_a_campaign_to_a_pbox(flown):
+    folder, _ = flown
+    frame = read_table(folder / "out" / CASES).to_pandas()
+    assert (frame["status"] == "ok").all()
+    assert list(frame.columns[-4:]) == list(UNCOMMANDED_METRICS)
+    assert frame[["altitude_max_m", "speed_max_mps", "heading_max_deg"]].gt(0.0).all().all()
+    assert frame["load_factor_max"].between(1.0, 2.0).all()
+    # The path is the straight line it began on.
+    assert frame["cross_track_max_m"].gt(0.01).all()
+    assert (frame["excursions_15m"] == 0).all()
+    metrics = set(read_table(folder / "out" / "pbox.parquet").to_pandas()["metric"])
+    assert {"heading_median_deg", "load_factor_max", "altitude_max_m", "cross_track_max_m"} <= metrics
+    report = write_report(folder / "out")
+    assert problems(report.path.read_text(encoding="utf-8")) == []
+    assert "Nothing was commanded: errors are deviations from the state in which scoring began." in report.verdict
+    assert any("heading" in path.name for path in report.figures)
+
+
+@pytest.mark.parametrize("wind_mps", [0.0, 4.0])
+def test_it_begins_in_trim_and_stays_there_in_still_air(flown, wind_mps):
+    _, spec = flown
+    calm = spec.aleatory.model_copy(update={"turbulence": ("none",), "wind_mps": (wind_mps,), "flights": 1})
+    mission = find_mission(spec, flown[0] / "out")
+    (case,) = build_cases(replace(spec, aleatory=calm), mission)
+    result = fly(replace(case.flight, duration_s=10.0))
+    assert result.metrics["altitude_max_m"] < 0.2
+    assert result.metrics["cross_track_max_m"] < 0.2
+    assert result.metrics["speed_max_mps"] < 0.02
+    assert result.metrics["heading_max_deg"] < 0.05
+    assert result.metrics["load_factor_max"] == pytest.approx(1.0, abs=0.02)
+    assert result.signals["V_mps"][1:] == pytest.approx(55.0, abs=0.05)
+    assert np.rad2deg(result.signals["psi_rad"]) == pytest.approx(30.0, abs=0.05)
+
+
+def test_the_mission_is_two_files_that_fly_without_the_harness(flown, tmp_path, capsys):
+    folder, _ = flown
+    out = folder / "out"
+    command = ["fly", str(out / "aircraft" / "c172p"), "--script", str(out / "steady-mission.xml"), "--duration-s", "5"]
+    assert main([*command, "--out", str(tmp_path / "x.csv"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["status"] == "ok"
+    record = pd.read_csv(tmp_path / "x.csv")
+    assert record["V_mps"].to_numpy() == pytest.approx(55.0, abs=0.1)
+    assert "no airframe.toml" not in (out / "steady-mission.xml").read_text()
+
+
+def test_the_copy_is_made_once_and_mended_when_it_is_broken(flown):
+    folder, spec = flown
+    mission = find_mission(spec, folder / "out")
+    before = (folder / "out" / "steady-mission.xml").stat().st_mtime_ns
+    make_copy(spec, mission, folder / "out")
+    assert (folder / "out" / "steady-mission.xml").stat().st_mtime_ns == before
+    start = folder / "out" / "aircraft" / "c172p" / "steady-start.xml"
+    text = start.read_text()
+    start.write_text(text.replace("30", "31"))
+    make_copy(spec, mission, folder / "out")
+    assert start.read_text() == text
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"steady"', '"scripts/loiter.xml"', "belong together"),
+        ("[start]\nV_mps = 55\naltitude_m = 200\nheading_deg = 30\n", "", "belong together"),
+        ("V_mps = 55", "V_mps = -1", r"campaign.toml:8: \[start\] V_mps.*greater than 0.*received -1"),
+        ("V_mps = 55", "V_kt = 55", r"campaign.toml:8: \[start\] V_kt: unknown key"),
+        ("V_mps = 55", "V_mps = 140", "no steady flight at 140 m/s.*uqharness modes c172p"),
+        ("altitude_m = 200", "altitude_m = 2000", "low-altitude model"),
+        ("sensor_noise = false", "sensor_noise = true", "sensor_noise = false"),
+        ("sensor_noise = false", 'sensor_noise = false\nturbulence_source = "jsbsim"', 'turbulence_source = "spec"'),
+        ('method = "none"', 'method = "corners"', "uq/.*does not exist"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_words(tmp_path, old, new, message):
+    assert CAMPAIGN.count(old) == 1
+    with pytest.raises(BadInputError, match=message):
+        run_campaign(read_campaign(write(tmp_path, CAMPAIGN.replace(old, new))), tmp_path / "out", workers=1)
+
+
+def test_deviations_by_hand():
+    from tests.uqharness.flight.test_fly import SPEC
+
+    names = ["height_m", "V_mps", "psi_rad", "load_factor", "phi_rad", "alpha_rad"]
+    rows = np.array([
+        [100.0, 50.0, 6.2, 1.0, 0.0, 0.0],
+        [103.0, 49.0, 6.3 - 2 * np.pi, 1.5, 0.1, 0.0],
+        [98.0, 52.0, 6.1, 0.7, 0.1, 0.0],
+    ])  # fmt: skip
+    result = score_from_start(SPEC, Recorded(names, rows, "ok", "", 3.0))
+    assert isinstance(result, FlightResult)
+    assert [result.metrics[f"altitude_{kind}_m"] for kind in ("median", "mean", "max")] == [2.0, 5.0 / 3.0, 3.0]
+    assert result.metrics["speed_max_mps"] == 2.0
+    # The heading passes north, which is no jump of 360 deg.
+    assert result.metrics["heading_max_deg"] == pytest.approx(np.rad2deg(0.1))
+    assert result.metrics["load_factor_max"] == 1.5
+    assert result.metrics["loss_of_control"] == 0.0
+    # Nothing says that this flight is to go straight on.
+    assert result.undefined["cross_track"] == "no path is commanded"
+    assert "excursions_15m" not in result.metrics
+    straight = np.column_stack([rows, [0.0, 10.0, 20.0], [0.0, 10.0, 52.0], [5.0, 0.0, 0.0], [5.0, 9.0, 9.0]])
+    onwards = score_from_start(SPEC, Recorded([*names, "north_m", "east_m", "vn_mps", "ve_mps"], straight, "ok", "", 3.0))
+    # Began towards the north-east; 52 m east and 20 m north lies 32/sqrt(2) m to the right of that line.
+    assert onwards.metrics["cross_track_max_m"] == pytest.approx(32.0 / np.sqrt(2.0))
+    assert (onwards.metrics["excursions_15m"], onwards.metrics["excursions_25m"]) == (1.0, 0.0)
+    broken = score_from_start(SPEC, Recorded(names, rows, "crashed", "hit the ground", 3.0))
+    assert np.isnan(broken.metrics["altitude_max_m"])
+    assert broken.undefined["altitude"] == "hit the ground"
+    assert broken.metrics["loss_of_control"] == 1.0
+
+
+def test_the_folder_of_another_start_is_refused(flown):
+    folder, _ = flown
+    faster = read_campaign(write(folder, CAMPAIGN.replace("V_mps = 55", "V_mps = 56")))
+    with pytest.raises(BadInputError, match=r"\[start\] V_mps was 55.0, is 56.0"):
+        run_campaign(faster, folder / "out", executor=SerialExecutor(), fly=fly)
+    assert Path(folder / "out" / CASES).is_file()
+
+
+def test_a_stock_cessna_by_the_documented_commands_alone(tmp_path, capsys):
+    mine = tmp_path / "my-c172"
+    assert main(["instrument", "c172p", "--out", str(mine), "--constant", "CX=0.01,Cm=0.01", "--no-check"]) == 0
+    text = CAMPAIGN.replace('"c172p"', '"my-c172"').replace("flights = 2", "flights = 1")
+    text = text.replace("wind_mps = [0, 4]", "wind_mps = 3").replace(
+        'method = "none"', 'method = "corners"\ncoefficients = ["CX", "Cm"]'
+    )
+    campaign, out = write(tmp_path, text), tmp_path / "out"
+    assert main(["campaign", "run", str(campaign), "--out", str(out), "--serial"]) == 0
+    assert main(["campaign", "report", str(out)]) == 0
+    frame = read_table(out / CASES).to_pandas().set_index("epistemic_id")
+    assert list(frame.index) == ["0---0-", "0---1-", "1---0-", "1---1-"]
+    # More drag (CX low) is slower; a nose-up delta climbs: each corner is another flight, in the same air.
+    assert frame["speed_max_mps"].nunique() == frame["altitude_max_m"].nunique() == 4
+    assert frame["seed"].nunique() == 1
+    pbox = read_table(out / "pbox.parquet").to_pandas()
+    width = pbox[pbox["metric"] == "altitude_max_m"]
+    assert (width["upper"] - width["lower"]).max() == 1.0
+    case = frame["case_id"].iloc[3]
+    assert main(["campaign", "rerun", str(out), "--case", case, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["same_as_stored"] is True

@@ -1,0 +1,221 @@
+"""Trim and eigenvalues against the published check figures and against the independent equations of motion."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+
+from tests.helpers import sixdof
+from uqharness.cli.main import main
+from uqharness.flight.handling import assess
+from uqharness.simulator.aircraft import find_aircraft
+from uqharness.simulator.linear import Mode, linearise, modes
+from uqharness.simulator.trim import SteadyCondition, find_trim, pitch_for_climb
+
+# Independent linearisation about level trim at sea level, g = 9.81 (check figures of the method; angles deg, N, rpm, percent).
+TRIM = {
+    20.0: {"alpha": 1.850, "elevator": -0.380, "thrust": 20.05, "rpm": 5148.0, "throttle": 53.9},
+    22.2: {"alpha": 0.833, "elevator": 0.237, "thrust": 23.13, "rpm": 5644.0, "throttle": 60.2},
+}
+MODES = {
+    20.0: {
+        "short_period": -4.728 + 3.786j,
+        "phugoid": -0.1209 + 0.4261j,
+        "dutch_roll": -0.685 + 2.700j,
+        "roll": -7.94,
+        "spiral": 0.0050,
+    },
+    22.2: {
+        "short_period": -5.240 + 4.196j,
+        "phugoid": -0.1344 + 0.3772j,
+        "dutch_roll": -0.755 + 2.990j,
+        "roll": -8.818,
+        "spiral": -0.0029,
+    },
+}
+
+
+@pytest.fixture(scope="module", params=[20.0, 22.2])
+def trimmed(request):
+    aircraft = find_aircraft("espaaro")
+    trim = find_trim(aircraft, SteadyCondition(request.param))
+    return aircraft, trim
+
+
+def test_trim_figures(trimmed):
+    _, trim = trimmed
+    expected = TRIM[trim.condition.V_mps]
+    assert trim.converged
+    assert math.degrees(trim.alpha_rad) == pytest.approx(expected["alpha"], abs=0.01)
+    assert trim.controls["elevator"] == pytest.approx(expected["elevator"], abs=0.01)
+    assert trim.thrust_N == pytest.approx(expected["thrust"], rel=3e-3)
+    assert trim.controls["throttle"] == pytest.approx(expected["throttle"], rel=3e-3)
+    assert trim.rpm == pytest.approx(expected["rpm"], rel=1e-3)
+    assert np.max(np.abs(trim.residual)) < 1e-8
+
+
+def test_eigenvalues(trimmed):
+    aircraft, trim = trimmed
+    found = {mode.name: complex(mode.real, mode.imag) for mode in modes(linearise(aircraft, trim))}
+    expected = MODES[trim.condition.V_mps]
+    assert found.keys() == expected.keys()
+    for name in ("short_period", "phugoid", "dutch_roll", "roll"):
+        assert abs(found[name] - expected[name]) < 0.01 * abs(expected[name]), name
+    assert abs(found["spiral"] - expected["spiral"]) < 1e-4
+
+
+@pytest.mark.parametrize(("name", "mode"), [("Cn_beta", "dutch_roll"), ("Cm_q", "short_period"), ("Cl_p", "roll")])
+def test_a_coefficient_wrong_by_five_percent_fails_the_figures(name, mode):
+    aircraft = find_aircraft("espaaro")
+    wrong = SteadyCondition(22.2, properties={f"aero/{name}": 1.05 * sixdof.TABLE_2_6[name]})
+    found = {m.name: complex(m.real, m.imag) for m in modes(linearise(aircraft, find_trim(aircraft, wrong)))}
+    expected = MODES[22.2][mode]
+    assert abs(found[mode] - expected) > 0.01 * abs(expected)
+
+
+def eigenvalues(airframe: sixdof.Airframe, V: float):
+    """Eigenvalues of the independent equations about their own level trim."""
+    from scipy.optimize import fsolve
+
+    def state(x):
+        alpha, beta = x[0], x[1]
+        velocity = V * np.array([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
+        theta = pitch_for_climb(alpha, beta, 0.0, 0.0)
+        return np.concatenate([velocity, np.zeros(3), [0.0, theta, 0.0], np.zeros(3)]), x[2:]
+
+    x = fsolve(lambda x: sixdof.derivative(airframe, *state(x))[:6], [0.02, 0.0, 0.0, 0.0, 0.0, 55.0])
+    centre, controls = state(x)
+    jacobian = np.empty((12, 12))
+    for column in range(12):
+        step = np.zeros(12)
+        step[column] = 1e-5
+        jacobian[:, column] = (
+            sixdof.derivative(airframe, centre + step, controls) - sixdof.derivative(airframe, centre - step, controls)
+        ) / 2e-5
+    kept = [0, 1, 2, 3, 4, 5, 6, 7]
+    return np.linalg.eigvals(jacobian[np.ix_(kept, kept)])
+
+
+def test_modes_of_a_changed_model_agree_with_the_independent_equations():
+    rng = np.random.default_rng(3)
+    changed = {key: value * rng.uniform(0.7, 1.3) for key, value in sixdof.TABLE_2_6.items()} | {"CZ_q": -3.0}
+    aircraft = find_aircraft("espaaro")
+    condition = SteadyCondition(21.0, properties={f"aero/{key}": value for key, value in changed.items()})
+    model = linearise(aircraft, find_trim(aircraft, condition))
+    reference = eigenvalues(sixdof.Airframe(coefficients=changed), 21.0)
+    for value in np.linalg.eigvals(model.A):
+        assert np.min(np.abs(reference - value)) < max(2e-3 * abs(value), 2e-4), value
+
+
+@pytest.mark.parametrize(
+    ("bank_deg", "climb_deg", "height", "wind"),
+    [(0, 0, 500.0, (0, 0, 0)), (30, 0, 100.0, (3, -2, 0)), (-45, 2, 100.0, (0, 7, 0)), (0, 5, 1500.0, (-5, 0, 0))],
+)
+def test_trim_for_any_bank_climb_height_and_wind(bank_deg, climb_deg, height, wind):
+    aircraft = find_aircraft("espaaro")
+    condition = SteadyCondition(22.2, height, math.radians(climb_deg), math.radians(bank_deg), 0.7, wind)
+    trim = find_trim(aircraft, condition)
+    assert trim.converged, trim.reason
+    air = np.array(trim.velocity_ned_mps) - np.array(wind)
+    assert np.linalg.norm(air) == pytest.approx(22.2, abs=1e-9)
+    assert math.asin(-air[2] / 22.2) == pytest.approx(condition.climb_rad, abs=1e-6)
+    if bank_deg:
+        # A coordinated level turn: tan(bank) = V turn / g, to the few percent that thrust's lift and pitch take.
+        assert trim.turn_rate_radps == pytest.approx(9.806 * math.tan(condition.bank_rad) / 22.2, rel=0.03)
+
+
+def test_a_trim_that_does_not_exist_is_a_reported_result(capsys):
+    trim = find_trim(find_aircraft("espaaro"), SteadyCondition(60.0))
+    assert not trim.converged
+    assert "throttle" in trim.reason
+    assert main(["modes", "espaaro", "--speed-mps", "60"]) == 1
+    assert "no trim" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("bank_deg", [0, 30, 60, -60, 75])
+def test_the_named_modes_are_the_eigenvalues_each_once(bank_deg):
+    aircraft = find_aircraft("espaaro")
+    model = linearise(aircraft, find_trim(aircraft, SteadyCondition(22.2, bank_rad=math.radians(bank_deg))))
+    named = [value for m in modes(model) for value in ([complex(m.real, m.imag)] + [complex(m.real, -m.imag)] * (m.imag != 0))]
+    assert np.sort_complex(np.array(named)) == pytest.approx(np.sort_complex(np.linalg.eigvals(model.A)), abs=1e-9)
+
+
+def test_a_stock_aircraft_with_piston_engine_and_propeller_trims():
+    aircraft = find_aircraft("c172x")
+    slow, fast = (find_trim(aircraft, SteadyCondition(V, altitude_m=1000.0)) for V in (45.0, 55.0))
+    assert slow.converged, slow.reason
+    assert fast.converged, fast.reason
+    # JSBSim's own full trim holds 55.6 m/s with the throttle at 0.78.
+    assert fast.controls["throttle"] == pytest.approx(0.78, abs=0.02)
+    assert fast.controls["throttle"] > slow.controls["throttle"] + 0.05
+    assert fast.thrust_N > 0.0
+
+
+def test_wind_moves_the_path_and_not_the_trim(capsys):
+    arguments = ["modes", "espaaro", "--speed-mps", "22.2", "--json"]
+    assert main([*arguments, "--wind-mps", "5", "--wind-from-deg", "270"]) == 0
+    windy = json.loads(capsys.readouterr().out)
+    assert main(arguments) == 0
+    calm = json.loads(capsys.readouterr().out)
+    assert windy["modes"] == calm["modes"]
+    assert windy["trim"]["v_east_mps"] - calm["trim"]["v_east_mps"] == pytest.approx(5.0)
+    assert main([*arguments, "--wind-mps", "nan"]) == 2
+
+
+def test_modes_command_json(capsys):
+    assert main(["modes", "espaaro", "--speed-mps", "22.2", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert {"V_mps", "alpha_deg", "elevator_deg", "throttle_pct", "thrust_N", "rpm"} <= answer["trim"].keys()
+    assert [mode["name"] for mode in answer["modes"]] == ["short_period", "phugoid", "dutch_roll", "roll", "spiral"]
+    assert answer["modes"][0].keys() == {"name", "real", "imag", "wn_radps", "zeta"}
+
+
+@pytest.mark.parametrize("speed", ["0", "-3", "nan"])
+def test_modes_command_refuses_a_speed_that_is_none(speed, capsys):
+    assert main(["modes", "espaaro", f"--speed-mps={speed}"]) == 2
+    assert "positive true airspeed" in capsys.readouterr().err
+
+
+def test_unknown_aircraft_is_refused(capsys):
+    assert main(["modes", "espaaaro", "--speed-mps", "22"]) == 2
+    assert "espaaro" in capsys.readouterr().err
+
+
+def test_levels_follow_the_specification():
+    aircraft = find_aircraft("espaaro")
+    model = linearise(aircraft, find_trim(aircraft, SteadyCondition(22.2)))
+    found = modes(model)
+    levels = {(a.mode, a.criterion): a.level for a in assess(model, found)}
+    # Hand-checked against MIL-F-8785C, category B, class I: CAP 4.7 lies between 3.6 and 10, so Level 2.
+    assert levels == {
+        ("short_period", "damping"): 1,
+        ("short_period", "wn^2/(n/alpha)"): 2,
+        ("phugoid", "damping"): 1,
+        ("dutch_roll", "damping"): 1,
+        ("roll", "time constant"): 1,
+        ("spiral", "time to double"): 1,
+    }
+    unstable = [dataclasses.replace(m, real=0.05, zeta=-1.0) if m.name == "spiral" else m for m in found]
+    # Doubles in 13.9 s: Level 1 in category C (12 s), Level 2 in category B (20 s).
+    assert {a.level for a in assess(model, unstable, "C") if a.mode == "spiral"} == {1}
+    assert {a.level for a in assess(model, unstable, "B") if a.mode == "spiral"} == {2}
+    with pytest.raises(ValueError, match="allowed"):
+        assess(model, found, "D")
+
+
+def test_lightly_damped_dutch_roll_loses_levels():
+    aircraft = find_aircraft("espaaro")
+    model = linearise(aircraft, find_trim(aircraft, SteadyCondition(22.2)))
+    found = modes(model)
+
+    def level(zeta: float, wn: float) -> int:
+        changed = [
+            Mode("dutch_roll", -zeta * wn, wn * math.sqrt(1 - zeta**2), wn, zeta) if m.name == "dutch_roll" else m for m in found
+        ]
+        return next(a.level for a in assess(model, changed, "B") if a.mode == "dutch_roll")
+
+    assert [level(0.2, 3.0), level(0.04, 3.0), level(0.01, 3.0), level(-0.01, 3.0)] == [1, 2, 3, 4]

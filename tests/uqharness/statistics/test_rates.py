@@ -1,0 +1,114 @@
+"""Limits of a rate with the flight as the unit: closed forms, then coverage over simulated campaigns of known truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from uqharness.statistics.pbox import poisson_limits
+from uqharness.statistics.rates import bet_logs, log_e_above, log_e_below, lower_limits, observed_dispersion, upper_limits
+
+
+def clustered(generator, mean, dispersion, shape):
+    """Counts of that mean and Var/mean: Poisson, negative binomial, or all-or-nothing clusters of one size."""
+    if dispersion == 1.0:
+        return generator.poisson(mean, shape).astype(float)
+    return generator.negative_binomial(mean / (dispersion - 1.0), 1.0 / dispersion, shape).astype(float)
+
+
+def blocks(generator, mean, size, shape):
+    """Excursions come ``size`` at a time, the hardest case of dispersion ``size``."""
+    return size * generator.poisson(mean / size, shape).astype(float)
+
+
+def test_without_an_excursion_the_upper_limit_is_its_closed_form():
+    """(1 - m (1 - exp(-s kappa))/kappa)^n = error with s large: m = d q/(1 - q), q = 1 - error^(1/n)."""
+    for flights, dispersion in ((500, 1.0), (60, 2.0), (10, 5.0)):
+        q = 1.0 - 0.05 ** (1.0 / flights)
+        (found,) = upper_limits(np.array([flights]), np.zeros(1), np.array([dispersion]), 0.05)
+        assert found == pytest.approx(dispersion * q / (1.0 - q), rel=1e-6)
+    # For independent excursions that is what Poisson's exact limit says, but for what flights of one hour add.
+    assert upper_limits(np.array([500]), np.zeros(1), np.ones(1), 0.05)[0] * 500 == pytest.approx(2.9957, rel=0.005)
+
+
+def test_the_convexity_bound_holds_for_every_distribution_and_is_reached_by_one():
+    """E exp(-s X) <= 1 - mu (1 - exp(-s kappa))/kappa, kappa = E X^2/E X: random distributions, and {0, kappa} with equality."""
+    generator = np.random.default_rng(3)
+    for _ in range(200):
+        values, weights = generator.integers(0, 30, 6).astype(float), generator.dirichlet(np.ones(6))
+        mean, kappa = weights @ values, (weights @ values**2) / (weights @ values)
+        for s in (0.05, 0.5, 3.0):
+            assert weights @ np.exp(-s * values) <= 1.0 + mean * np.expm1(-s * kappa) / kappa + 1e-12
+    assert 0.9 + 0.1 * np.exp(-0.5 * 7) == pytest.approx(1.0 + 0.7 * np.expm1(-0.5 * 7) / 7)
+
+
+def test_evidence_has_a_mean_of_one_at_most_under_its_null():
+    """Simulated at the tested mean; on the right side it grows."""
+    generator = np.random.default_rng(4)
+    counts = clustered(generator, 0.1, 2.0, (20_000, 30))
+    above = np.exp(log_e_above(bet_logs(counts, 0.1).sum(axis=1)))
+    flights = np.full(20_000, 30.0)
+    below = np.exp(log_e_below(flights, counts.sum(axis=1), 0.1, np.full(20_000, 2.0), 2.0))
+    for evidence in (above, below):
+        assert evidence.mean() <= 1.0 + 4.0 * evidence.std() / np.sqrt(evidence.size)
+    assert log_e_below(np.array([60.0]), np.zeros(1), 0.1, np.full(1, 2.0), 2.0)[0] > 2.0
+    assert log_e_above(bet_logs(np.ones((1, 20)), 0.1).sum(axis=1))[0] > 5.0
+
+
+def test_more_dispersion_never_gives_more_evidence():
+    flights, total = np.full(4, 50.0), np.array([0.0, 1.0, 3.0, 8.0])
+    less, more = (log_e_below(flights, total, 0.5, np.full(4, d), 2.0) for d in (2.0, 6.0))
+    assert np.all(more < less)
+    # And what is below the assumed one does not count as knowledge.
+    assert np.array_equal(less, log_e_below(flights, total, 0.5, np.full(4, 1.0), 2.0))
+
+
+@pytest.mark.parametrize(
+    ("mean", "flights", "dispersion"),
+    [(0.1, 60, 1.0), (0.1, 60, 2.0), (0.5, 40, 3.0), (3.0, 20, 5.0)],
+)
+def test_limits_cover_the_truth_also_when_excursions_cluster(mean, flights, dispersion):
+    generator = np.random.default_rng(5)
+    campaigns = 600
+    for draw in (clustered, blocks):
+        counts = draw(generator, mean, dispersion, (campaigns, flights))
+        n, total = np.full(campaigns, float(flights)), counts.sum(axis=1)
+        allowed = np.maximum(observed_dispersion(counts), dispersion)
+        assert np.mean(upper_limits(n, total, allowed, 0.05) >= mean) >= 0.95
+        assert np.mean(upper_limits(n, total, allowed, 0.05, assumed=dispersion) >= mean) >= 0.95
+        assert np.mean(lower_limits(counts, 0.05) <= mean) >= 0.95
+
+
+def test_poisson_limits_do_not_cover_clustered_excursions():
+    """The counter-case, and why the flight is the unit."""
+    generator = np.random.default_rng(6)
+    counts = blocks(generator, 0.5, 5, (600, 40)).sum(axis=1)
+    inside = [low <= 0.5 <= high for low, high in (poisson_limits(int(count), 40.0) for count in counts)]
+    assert np.mean(inside) < 0.8
+    # Nor do limits that allow for less dispersion than there is.
+    few = upper_limits(np.full(600, 10.0), blocks(generator, 0.5, 8, (600, 10)).sum(axis=1), np.ones(600), 0.05)
+    assert np.mean(few >= 0.5) < 0.9
+
+
+def test_the_worst_of_64_is_covered_without_paying_for_64():
+    """Largest of the upper limits at 5 % each: wrong about the true worst rate no more often than that."""
+    generator = np.random.default_rng(7)
+    rates = np.linspace(0.0, 1.0, 64) ** 4
+    campaigns, flights = 120, 30
+    air = generator.gamma(2.0, 0.5, (campaigns, 1, flights))  # the same gusty flights for every corner
+    counts = generator.poisson(rates[:, None] * air).astype(float)
+    upper = upper_limits(np.full((campaigns, 64), 30.0), counts.sum(axis=2), np.full((campaigns, 64), 1.5), 0.05)
+    assert np.mean(upper.max(axis=1) >= 1.0) >= 0.95
+    lower = np.array([lower_limits(campaign, 0.05 / 64).max() for campaign in counts[:60]])
+    assert np.mean(lower <= 1.0) >= 0.95
+
+
+def test_nothing_counted_or_nothing_flown():
+    assert lower_limits(np.zeros((2, 5)), 0.05).tolist() == [0.0, 0.0]
+    assert upper_limits(np.zeros(1), np.zeros(1), np.ones(1), 0.05)[0] == np.inf
+    assert observed_dispersion(np.array([[1.0, np.nan], [0.0, 0.0]])).tolist() == [1.0, 1.0]
+    assert observed_dispersion(np.array([[0.0, 4.0, np.nan]]))[0] == pytest.approx(4.0)
+    # One excursion in very many flights: the start of the search is no limit that anything has shown.
+    lonely = np.zeros((1, 200_000))
+    lonely[0, 0] = 1.0
+    assert 0.0 <= lower_limits(lonely, 0.025)[0] < 0.05 / 200_000

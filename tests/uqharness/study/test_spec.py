@@ -1,0 +1,254 @@
+"""Study files: what is accepted, and that each kind of mistake is named with its line."""
+
+from __future__ import annotations
+
+import tomllib
+
+import pytest
+
+from uqharness.cli.main import build_parser
+from uqharness.errors import BadInputError
+from uqharness.simulator.aircraft import PROJECT_ROOT
+from uqharness.study.spec import read_chain
+from uqharness.study.stages import plan
+from uqharness.toml_text import toml_text
+
+STUDY = """
+[study]
+name = "mine"
+question = "Does it hold?"
+aircraft = "espaaro"
+
+[[fly]]
+name = "one"
+aircraft = "espaaro_truth"
+script = "doublet-elevator"
+seed = 1
+
+[[fly]]
+name = "two"
+aircraft = "espaaro_truth"
+script = "doublet-elevator"
+seed = 2
+
+[[logs]]
+name = "three"
+file = "three.bin"
+
+[identify]
+flights = "one"
+
+[bounds]
+flights = ["two"]
+validate_on = ["three"]
+
+[refine]
+train = ["one"]
+test = ["three"]
+
+[campaign]
+mission = "loiter"
+seed = 7
+
+[aleatory]
+flights = 3
+duration_s = 150
+wind_mps = 3
+turbulence = "moderate"
+
+[epistemic]
+method = "corners"
+"""
+
+
+def read(tmp_path, text):
+    path = tmp_path / "study.toml"
+    path.write_text(text)
+    (tmp_path / "three.bin").write_bytes(b"")
+    return read_chain(path)
+
+
+def refusal(tmp_path, text):
+    with pytest.raises(BadInputError) as caught:
+        plan(read(tmp_path, text), tmp_path / "out")
+    return str(caught.value)
+
+
+def line_of(text, fragment):
+    return max(number for number, line in enumerate(text.splitlines(), 1) if fragment in line)
+
+
+def test_the_stages_of_a_whole_study_in_order(tmp_path):
+    stages = plan(read(tmp_path, STUDY), tmp_path / "out")
+    names = (
+        "fly-one fly-two import-one import-two import-three identify bounds-before validate-before campaign-before "
+        "sensitivity-before refine bounds-after validate-after campaign-after sensitivity-after"
+    )
+    assert [stage.name for stage in stages] == names.split()
+    for stage in stages:
+        assert stage.command.startswith("uqharness ")
+        build_parser().parse_args(stage.argv)  # what would be told to a shell is what the command line takes
+
+
+def test_each_model_flies_with_bounds_of_its_own(tmp_path):
+    stages = {stage.name: stage for stage in plan(read(tmp_path, STUDY), tmp_path / "out")}
+    out = tmp_path / "out"
+    for when, model in (("before", out / "identify" / "aircraft"), ("after", out / "refine" / "aircraft" / "aircraft")):
+        campaign = stages[f"campaign-{when}"]
+        assert campaign.belongs == (out / f"bounds-{when}" / "model-form.json", model)
+        assert stages[f"bounds-{when}"].argv[1] == str(model)
+        path, data = campaign.writes
+        assert path.parent / data["campaign"]["aircraft"] == model
+        assert path.parent / data["epistemic"]["bounds"] == campaign.belongs[0]
+        assert data["aleatory"]["flights"] == 3
+
+
+def test_a_study_of_parts(tmp_path):
+    def stages(text):
+        return [stage.name for stage in plan(read(tmp_path, text), tmp_path / "out")]
+
+    whole = tomllib.loads(STUDY)
+    sections = ("campaign", "aleatory", "epistemic")
+    only = {key: whole[key] for key in ("study", *sections)}
+    assert stages(toml_text(only)) == ["campaign-before", "sensitivity-before"]
+    walks = only | {"epistemic": {"method": "walk", "samples": 3}}
+    assert stages(toml_text(walks)) == ["campaign-before"]
+    compared = STUDY.replace("[bounds]", '[compare]\nflights = ["three"]\n\n[bounds]')
+    assert [n for n in stages(compared) if n.startswith("compare")] == ["compare-three-before", "compare-three-after"]
+
+
+def test_an_aircraft_without_the_plugin_gets_it_first(tmp_path):
+    sections = {"study": {"name": "c", "question": "?", "aircraft": "c172x"}} | {
+        "campaign": {"mission": "steady", "seed": 1},
+        "start": {"V_mps": 55, "altitude_m": 200},
+        "aleatory": {"flights": 1, "duration_s": 10},
+        "epistemic": {"method": "corners", "coefficients": ["CX"], "bounds": {"CX": 0.01}},
+    }
+    stages = plan(read(tmp_path, toml_text(sections)), tmp_path / "out")
+    assert [stage.name for stage in stages] == ["instrument", "campaign-before", "sensitivity-before"]
+    assert stages[1].writes[1]["campaign"]["aircraft"] == "instrument/c172x"
+
+
+def test_options_reach_the_commands(tmp_path):
+    text = (
+        STUDY.replace('aircraft = "espaaro"\n', 'aircraft = "espaaro"\nservos = "ideal"\n', 1)
+        .replace('flights = "one"', 'flights = "one"\nparams = ["aero/Cm_q", "aero/Cm_de"]\nbiases = []')
+        .replace("validate_on", 'roll_terms = true\nchecks = false\nstates = { CX = ["V", "alpha"] }\nvalidate_on')
+        .replace("seed = 2", 'seed = 2\nturbulence = "light"\nnoise = false\nset = { "aero/Cm_q" = -10 }')
+    )
+    stages = {stage.name: stage.command for stage in plan(read(tmp_path, text), tmp_path / "out")}
+    for part in ("--params aero/Cm_q,aero/Cm_de", "--biases none", "--servos ideal"):
+        assert part in stages["identify"]
+    for part in ("--roll-terms", "--no-checks", "--states CX=V,alpha", "--servos ideal"):
+        assert part in stages["bounds-after"]
+    assert "--turbulence light" in stages["fly-two"]
+    assert "--set aero/Cm_q=-10" in stages["fly-two"]
+    assert "--noise" not in stages["fly-two"]
+    assert "--noise" in stages["fly-one"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fragments"),
+    [
+        ('name = "mine"', 'nmae = "mine"', ["[study] nmae: unknown key", "did you mean name?"]),
+        ('name = "mine"', 'name = "my study"', ["[study] name", 'received "my study"']),
+        ('question = "Does it hold?"', "question = 3", ["[study] question", "string", "received 3"]),
+        ('aircraft = "espaaro"\n', 'aircraft = "espaaroo"\n', ["[study] aircraft", "'espaaroo' not found", "espaaro_truth"]),
+        ("[identify]", "[identfy]", ["[identfy]: unknown section", "did you mean identify?"]),
+        ("seed = 2", "sede = 2", ["[[fly]] number 2 sede: unknown key", "did you mean seed?"]),
+        ("seed = 2", 'seed = 2\nturbulence = "heavy"', ["[[fly]] number 2 turbulence", "'light'", 'received "heavy"']),
+        ("seed = 2", "seed = -2", ["[[fly]] number 2 seed", "received -2"]),
+        ("seed = 2", 'script = "x.xml"\nseed = 2', ["not valid TOML"]),
+        ('file = "three.bin"', 'fiel = "three.bin"', ["[[logs]] number 1 fiel: unknown key", "did you mean file?"]),
+        ('file = "three.bin"', 'file = "gone.bin"', ["[[logs]] file", '"gone.bin" is no file beside study.toml']),
+        ('file = "three.bin"', 'file = "three.bin"\nmap = "m.toml"', ["[[logs]] map", '"m.toml" is no file']),
+        ('name = "two"', 'name = "one"', ['[[fly]] name = "one": another flight has this name']),
+        ('flights = "one"', "flights = []", ["[identify] flights"]),
+        ('flights = "one"', 'flights = "four"', ['[identify] flights: no flight is named "four"', "have: one, two, three"]),
+        ('flights = "one"', 'flights = ["one", "one"]', ['[identify] flights: "one" is named twice']),
+        ('flights = "one"', 'flights = "one"\nmethod = "guess"', ["[identify] method", "'auto'", 'received "guess"']),
+        ('validate_on = ["three"]', 'validate_on = ["two"]', ['"two" is also in [bounds] flights']),
+        ('validate_on = ["three"]', 'validate_on = ["one"]', ['"one" is also in [identify] flights']),
+        ('flights = ["two"]', 'flights = ["one"]', ['"one" is also in [identify] flights', "too small for bounds"]),
+        ('test = ["three"]', 'test = ["one"]', ['"one" is also in [refine] train', "must not choose"]),
+        ('test = ["three"]', 'test = ["three"]\neffects = "own.toml"', ["[refine] effects", '"own.toml" is no file']),
+        ("validate_on", "confidence = 95\nvalidate_on", ["[bounds] confidence", "less than 1", "received 95"]),
+        ("validate_on", "order = 7\nvalidate_on", ["[bounds] order", "received 7"]),
+        ("validate_on", 'states = { CW = ["V"] }\nvalidate_on', ["[bounds] states"]),
+        ("validate_on", 'states = { CX = ["speed"] }\nvalidate_on', ["[bounds] states", "unknown state speed", "alpha"]),
+        ("validate_on", 'terms = { CX = ["1", "V^"] }\nvalidate_on', ["[bounds] terms"]),
+        ('flights = "one"', 'flights = "one"\nbiases = ["w"]', ["[identify] biases", "unknown channel w", "alpha"]),
+        ('mission = "loiter"', 'mission = "loyter"', ["[campaign] mission", "'loyter' not found", "loiter"]),
+        ('mission = "loiter"', 'mission = "loiter"\naircraft = "espaaro"', ["[campaign] aircraft", "leave it out"]),
+        ("seed = 7", "sede = 7", ["[campaign] sede: unknown key", "did you mean seed?"]),
+        ("flights = 3", "flights = 0", ["[aleatory] flights", "received 0"]),
+        ('method = "corners"', 'method = "corners"\nbounds = { CX = 1 }', ["[epistemic] bounds", "leave out one"]),
+        ('method = "corners"', 'method = "sobol"', ["[epistemic] method", 'received "sobol"']),
+        ('method = "corners"', 'method = "corners"\n[epistemic.parameters]\nfit = "f"', ["parameters", "flies two"]),
+    ],
+)  # fmt: skip
+def test_mistakes_are_named_with_line_and_remedy(tmp_path, old, new, fragments):
+    assert old in STUDY
+    text = STUDY.replace(old, new, 1)
+    message = refusal(tmp_path, text)
+    for fragment in fragments:
+        assert fragment in message
+    assert "study.toml:" in message
+    if new.count("\n") == 0:
+        assert f"study.toml:{line_of(text, new)}: " in message
+    assert "Traceback" not in message
+
+
+def test_the_line_is_that_of_the_right_table(tmp_path):
+    text = STUDY.replace("seed = 2", 'seed = "two"')
+    line = line_of(text, 'seed = "two"')
+    assert f"study.toml:{line}: [[fly]] number 2 seed" in refusal(tmp_path, text)
+    text = STUDY.replace("[identify]", '[[logs]]\nname = "spare"\nfile = "three.bin"\n\n[identify]')
+    line = line_of(text, 'name = "spare"')
+    assert f'study.toml:{line}: [[logs]] name = "spare": no section uses this flight' in refusal(tmp_path, text)
+
+
+def test_bounds_are_not_made_from_a_flight_that_refinement_trains_on(tmp_path):
+    text = STUDY.replace('train = ["one"]', 'train = ["one", "two"]')
+    message = refusal(tmp_path, text)
+    line = line_of(text, 'flights = ["two"]')
+    assert f'study.toml:{line}: [bounds] flights: "two" is also in [refine] train' in message
+    assert "too small for bounds" in message
+
+
+def test_every_mistake_is_told_at_once(tmp_path):
+    message = refusal(tmp_path, STUDY.replace("seed = 1", "sede = 1").replace("[identify]", "[identfy]"))
+    assert "sede" in message
+    assert "identfy" in message
+
+
+def test_a_file_that_asks_for_nothing_or_is_not_there(tmp_path):
+    nothing = STUDY[: STUDY.index("[[fly]]")]
+    assert "asks for nothing" in refusal(tmp_path, nothing)
+    with pytest.raises(BadInputError, match="cannot be read"):
+        read_chain(tmp_path / "no.toml")
+    headless = STUDY.replace('[campaign]\nmission = "loiter"\nseed = 7\n', "")
+    assert "[campaign]: required and not there" in refusal(tmp_path, headless)
+
+
+def test_the_study_of_the_project_is_read_from_any_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = PROJECT_ROOT / "campaigns" / "chain" / "chain.toml"
+    stages = plan(read_chain(path), tmp_path / "out")
+    assert len(stages) == 16
+    assert str(PROJECT_ROOT / "scripts" / "flight-ident.xml") in stages[0].argv
+
+
+def test_toml_text_is_read_back_as_it_was():
+    data = {
+        "name": 'with "quotes", \\ and \x7f, ä',
+        "number": 1.5e-300,
+        "whole": -3,
+        "yes": True,
+        "list": [1, [2.5, "x"]],
+        "inf": float("inf"),
+        "table": {"a": {"inertia/mass-slugs": {"mean": [1.0, 2.0]}}, "empty": {}},
+    }
+    assert tomllib.loads(toml_text(data)) == data
+    with pytest.raises(TypeError, match="no value"):
+        toml_text({"a": None})

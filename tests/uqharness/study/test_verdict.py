@@ -1,0 +1,225 @@
+"""The sentences of a study: right about campaigns and documents made up so that the answer is known, both ways."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.helpers import campaign_fakes as fakes
+from uqharness.campaign.cases import Mission
+from uqharness.campaign.conditions import Condition
+from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.run import run_campaign
+from uqharness.campaign.spec.campaign import read_campaign
+from uqharness.flight.spec import FlightResult
+from uqharness.statistics.pbox import Sample
+from uqharness.study import performance as chain_performance
+from uqharness.study import verdict as chain_verdict
+
+FOUR_CORNERS = fakes.CAMPAIGN[: fakes.CAMPAIGN.index("bounds")] + (
+    'coefficients = ["CX", "CY"]\nbounds = { CX = 0.008, CY = 0.010 }\n'
+)
+QUIET = {"excursions_15m": 0.0, "excursions_25m": 0.0}
+
+
+def wide(spec):
+    result = fakes.steady(spec)
+    return replace(result, metrics=result.metrics | QUIET)
+
+
+def narrow(spec):
+    """Errors that depend on the corner a tenth as much as those of ``wide``, around the same middle."""
+    result = wide(spec)
+    much = 1.0 + fakes.level_sum(spec) + spec.wind_mps
+    little = 4.0 + 0.1 * (fakes.level_sum(spec) - 3.0) + spec.wind_mps
+    return replace(result, metrics={k: v * little / much if "_median_" in k else v for k, v in result.metrics.items()})
+
+
+def failing(spec):
+    if fakes.level_sum(spec) > 3.5:
+        return FlightResult("diverged", "the state was no longer finite at 61.0 s", 61.0, {}, {}, {})
+    return wide(spec)
+
+
+def often(spec):
+    result = wide(spec)
+    return replace(result, metrics=result.metrics | {"excursions_15m": 9.0, "extrapolated_share": 0.3})
+
+
+def flown(tmp_path, before, after=None, winds="3"):
+    """The two campaigns of a study, flown by made-up flight functions, judged."""
+    text = FOUR_CORNERS.replace("flights = 3", "flights = 8").replace("wind_mps = 3", f"wind_mps = {winds}")
+    for name, fly in (("campaign-before", before), ("campaign-after", after)):
+        if fly is not None:
+            spec = read_campaign(fakes.campaign_file(tmp_path, text))
+            mission = Mission(tmp_path / "plane", "a" * 64, tmp_path / "loiter.xml", "b" * 64)
+            run_campaign(spec, tmp_path / name, executor=SerialExecutor(), fly=fly, mission=mission)
+    return list(chain_performance.performance(tmp_path, after is not None))
+
+
+@pytest.fixture(autouse=True)
+def _no_check_flight(monkeypatch):
+    """Made-up flights need no throw-away process to try the model in."""
+    monkeypatch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)
+
+
+def about(sentences, words):
+    (found,) = [(text, level) for text, level in sentences if words in text]
+    return found
+
+
+def test_a_narrower_p_box_is_called_narrower_and_by_how_much(tmp_path):
+    text, level = about(flown(tmp_path, wide, narrow), "Median cross-track error")
+    assert level == "good"
+    assert "became narrower by " in text
+    assert 60 < float(text.split("narrower by ")[1].split(" %")[0]) < 100
+
+
+def test_the_same_p_box_and_a_wider_one_are_not(tmp_path):
+    text, level = about(flown(tmp_path / "same", wide, wide), "Median cross-track error")
+    assert (level, "did NOT become narrower (" in text) == ("warn", True)
+    text, level = about(flown(tmp_path / "wide", narrow, wide), "Median cross-track error")
+    assert (level, "did NOT become narrower, it is " in text, "% wider" in text) == ("warn", True, True)
+
+
+def test_failed_flights_leave_the_p_box_open(tmp_path):
+    found = flown(tmp_path / "mended", failing, wide)
+    text, level = about(found, "Median cross-track error")
+    assert level == "good"
+    assert "became narrower: before, 8 of 32 flights have no such error, which leaves its sides open; after, none" in text
+    text, level = about(found, "Flights: ")
+    assert level == "warn"
+    assert "32 before (8 failed, control lost in 0), 32 after (0 failed, control lost in 0)" in text
+    for name, before in (("still", failing), ("worse", wide)):
+        text, level = about(flown(tmp_path / name, before, failing), "Median cross-track error")
+        assert (level, "after refinement has no finite width: 8 of 32 flights" in text) == ("warn", True)
+
+
+def test_the_answer_is_that_of_the_last_campaign(tmp_path):
+    text, level = about(flown(tmp_path / "a", wide, often), "beyond 15 m")
+    assert (level, "at every corner? No: " in text, "Before refinement: open" in text) == ("bad", True, True)
+    text, level = about(flown(tmp_path / "b", often), "beyond 15 m")
+    assert (level, "Before refinement" in text) == ("bad", False)
+
+
+def test_time_outside_the_data_is_told_of_bounds_that_have_an_outside(tmp_path):
+    assert not [text for text, _ in flown(tmp_path, often) if "outside the states" in text]
+    rows = pd.DataFrame({"extrapolated_share": [0.2, 0.4]})
+    ((text, level),) = chain_performance._outside(rows, Condition(3.0, "light"))
+    assert (level, text[:4], "extrapolated" in text) == ("warn", "30 %", True)
+    ((text, level),) = chain_performance._outside(rows * 0.0, Condition(3.0, "light"))
+    assert (level, "extrapolated" in text) == ("good", False)
+    assert list(chain_performance._outside(rows * math.nan, Condition(3.0, "light"))) == []
+
+
+def test_several_conditions_are_counted_and_told(tmp_path):
+    found = flown(tmp_path, wide, winds="[1, 6]")
+    text, _ = about(found, "Of 2 conditions")
+    assert "open in 2 (1 m/s moderate, 6 m/s moderate)" in text
+    for wind in (1, 6):
+        assert about(found, f"In {wind} m/s wind and moderate turbulence: at most 0.1 excursions beyond 15 m")[1] == "warn"
+
+
+def test_of_many_conditions_the_hardest_is_told(tmp_path):
+    found = flown(tmp_path, wide, None, winds="[1, 2, 6, 4, 5]")
+    assert "open in 5" in about(found, "Of 5 conditions")[0]
+    assert "6 m/s wind" in about(found, "beyond 15 m per flight hour at every corner? Open")[0]
+
+
+def test_the_widest_part_is_named_from_the_table():
+    common = {"condition": "3 m/s light", "metric": "cross_track_median_m"}
+    rows = (("CX", ".1", ".2"), ("CY", ".4", ".75"), ("Cl", "", ""))
+    table = [common | {"coefficient": c, "share_min": low, "share_max": high} for c, low, high in rows]
+    ((text, _),) = chain_performance._widest(table, Condition(3.0, "light"))
+    assert "the bounds of CY (cross-track error, 40 to 75 % of the width)" in text
+    assert list(chain_performance._widest(table, Condition(3.0, "severe"))) == []
+    assert list(chain_performance._widest([], Condition(3.0, "light"))) == []
+
+
+def test_area_between_two_corners_is_the_distance_of_their_means():
+    """For two samples, one the other moved to the right, the area between their distribution functions is the shift."""
+    x = np.random.default_rng(1).normal(size=50)
+    assert chain_performance.area([Sample("0", x), Sample("1", x + 0.7)]) == pytest.approx(0.7)
+    assert chain_performance.area([Sample("0", x)]) == 0.0
+
+
+EFFECT = {
+    "name": "pitching moment due to roll rate squared", "value": 2.98, "std": 0.03, "unit": "1",
+    "property": "aero/Cm_p2", "withdrawn": False,
+}  # fmt: skip
+
+
+def refinement(verdict="effects-found", effects=(EFFECT,), after=1.0, where=()):
+    channels = {
+        "p_radps": {"rms_before": 4.0, "rms_after": 4.0 * after, "noise_rms": 1.0},
+        "V_mps": {"rms_before": 1.0, "rms_after": 1.0, "noise_rms": 1.0},
+    }
+    return {
+        "verdict": verdict, "effects": list(effects), "remaining": {"where": list(where)},
+        "gap": {"test": {"channels": channels}}, "train": ["a.parquet"], "test": ["c.parquet"],
+    }  # fmt: skip
+
+
+def test_what_refinement_named_and_what_it_did_on_the_test_flight():
+    (named, first), (gap, second) = chain_verdict._refined(refinement(after=0.25))
+    assert named == ("Refinement named, from a: pitching moment due to roll rate squared, 2.98 ± 0.03 (aero/Cm_p2).")
+    assert gap.startswith("On c, which chose nothing, rms over noise went, from before to after: p_radps 4.00 to 1.00")
+    assert (first, second) == ("good", "good")
+    assert "V_mps" not in gap
+
+
+def test_refinement_that_helps_too_little_or_explains_nothing_is_said_to():
+    *_, (_, level) = chain_verdict._refined(refinement(after=0.9))
+    assert level == "warn"
+    (text, level), *_ = chain_verdict._refined(refinement("unexplained", (), where=[{"words": "something in Cl"}]))
+    assert (text, level) == ("Refinement leaves something unexplained: something in Cl.", "bad")
+    (text, level), *_ = chain_verdict._refined(refinement("unexplained", [EFFECT | {"withdrawn": True}]))
+    assert "did not shrink the gap on the test flights and was withdrawn" in text
+    assert level == "bad"
+    (text, level), *_ = chain_verdict._refined(refinement("no-missing-effect", ()))
+    assert (text, level) == ("Refinement found nothing missing from a.", "good")
+
+
+def write_coverage(folder, when, share, width):
+    (folder / f"validate-{when}").mkdir(parents=True)
+    rows = {c: {"0.95": share, "0.68": 0.7, "n_effective": 9.0, "mean_width": width} for c in ("CX", "Cl")}
+    (folder / f"validate-{when}" / "coverage.json").write_text(json.dumps({"coverage": rows}))
+
+
+def test_coverage_and_widths(tmp_path):
+    write_coverage(tmp_path, "before", 0.95, 0.02)
+    write_coverage(tmp_path, "after", 0.80, 0.01)
+    (before, good), (after, bad), (widths, narrower) = chain_verdict._coverage(tmp_path, ("c",), True)
+    assert (good, bad, narrower) == ("good", "bad", "good")
+    assert "they do not hold" in after
+    assert "they do not hold" not in before
+    assert "CX -50 %, Cl -50 %" in widths
+    write_coverage(tmp_path / "x", "before", 0.95, 0.02)
+    write_coverage(tmp_path / "x", "after", 0.95, 0.02)
+    *_, (widths, level) = chain_verdict._coverage(tmp_path / "x", ("c",), True)
+    assert (level, "none is narrower" in widths) == ("warn", True)
+
+
+def test_widths_that_are_not_known_stay_undefined(tmp_path):
+    write_coverage(tmp_path, "before", 0.95, 0.0)
+    write_coverage(tmp_path, "after", 0.95, None)
+    *_, (widths, level) = chain_verdict._coverage(tmp_path, ("c",), True)
+    assert (level, "CX, Cl undefined" in widths, "none is narrower" in widths) == ("warn", True, True)
+
+
+def test_identification_that_did_not_converge_is_bad_news():
+    fit = {
+        "parameters": {"a": {"status": "identified"}, "b": {"status": "not-identified"}}, "flights": ["x.parquet"],
+        "method": "output error", "fit": {"p_radps": {"rms": 2.0, "noise": 1.0}, "V_mps": {"rms": None, "noise": 1.0}},
+    }  # fmt: skip
+    text, level = chain_verdict._identified(fit, 0)
+    assert text == (
+        "1 of 2 parameters were identified from x by output error; the largest residual is 2.00 times the noise (p_radps)."
+    )
+    assert level == "warn"
+    assert chain_verdict._identified(fit, 1)[1] == "bad"

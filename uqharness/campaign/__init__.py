@@ -1,0 +1,1 @@
+"""Monte Carlo campaigns: aleatory inside epistemic, run, resumed, answered."""

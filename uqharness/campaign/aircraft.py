@@ -1,0 +1,121 @@
+"""The aircraft of a campaign where it is not the author's own files: with bounds from a model form, with a trimmed start, or both.
+
+Such an aircraft is a copy in the campaign's folder, so that what was flown stays with what came out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+from uqharness.campaign.cases import Mission
+from uqharness.campaign.inputs import read_bounds
+from uqharness.campaign.spec.campaign import CampaignSpec
+from uqharness.errors import BadInputError
+from uqharness.files import inner_folder
+from uqharness.plugin.model_form_xml import model_form_xml
+from uqharness.scratch import scratch_folder
+from uqharness.simulator import engine
+from uqharness.simulator.aircraft import Aircraft, content_hash, find_aircraft, parse_xml
+from uqharness.simulator.aircraft_files import copy_beside, copy_folder, read_xml
+from uqharness.simulator.steady_start import SCRIPT, write_steady_start
+
+SYSTEM = "model-form"
+_COPIED = "aircraft"
+_UNFINISHED = ".aircraft-"
+
+
+def needs_copy(spec: CampaignSpec) -> bool:
+    """Whether the campaign flies a copy of the aircraft."""
+    return spec.inputs.model_form is not None or spec.start is not None
+
+
+def named_aircraft(spec: CampaignSpec) -> Aircraft:
+    """The aircraft that the campaign names: beside its own file, else as ``uqharness fly`` finds it. Raises BadInputError."""
+    named = spec.path.resolve().parent / spec.campaign.aircraft
+    return find_aircraft(named if named.is_dir() else spec.campaign.aircraft)
+
+
+def bounds_notes(spec: CampaignSpec) -> list[str]:
+    """What to know before flying: bounds that were made for other files than the aircraft's. Raises BadInputError."""
+    if spec.inputs.model_form is None:
+        return []
+    made_for, aircraft = read_bounds(spec.inputs.model_form).aircraft, named_aircraft(spec)
+    if made_for.sha256 == content_hash(aircraft):
+        return []
+    whose = f"'{made_for.name}' as it was then"
+    if made_for.name != aircraft.name:
+        whose = f"'{made_for.name}', not '{aircraft.name}'"
+    meant = "they mean something only if its aerodynamics are the same"
+    path = spec.inputs.model_form
+    return [f"{path}: the bounds were made for aircraft {whose} (SHA-256 {made_for.sha256[:12]}...); {meant}"]
+
+
+def find_copied_mission(spec: CampaignSpec, aircraft: Aircraft, script: Path | None, folder: Path) -> Mission:
+    """The mission that a copy in ``folder`` is going to fly, with the hashes of what it will hold; nothing is left behind.
+
+    ``script`` None: the steady flight of [start]. Raises BadInputError as :func:`make_copy` does.
+    """
+    with scratch_folder("copy") as scratch:
+        made = _copy(spec, aircraft, scratch.path)
+        aircraft_hash = content_hash(find_aircraft(made))
+        script_hash = hashlib.sha256(read_xml(script or scratch.path / SCRIPT)).hexdigest()
+    place = folder.resolve()
+    return Mission(place / _COPIED / made.name, aircraft_hash, (script or place / SCRIPT).resolve(), script_hash, aircraft.folder)
+
+
+def make_copy(spec: CampaignSpec, mission: Mission, folder: Path) -> None:
+    """Make the copy that ``mission`` flies in ``folder``, unless it is there already.
+
+    Raises BadInputError if the aircraft does not carry the plugin, cannot have these bounds, or has no trim.
+    """
+    for left in folder.glob(f"{_UNFINISHED}*"):
+        shutil.rmtree(left, ignore_errors=True)
+    target = mission.aircraft
+    if target.exists() and content_hash(find_aircraft(target)) == mission.aircraft_hash:
+        return
+    with tempfile.TemporaryDirectory(prefix=_UNFINISHED, dir=folder) as name:
+        made = _copy(spec, find_aircraft(mission.source), Path(name))
+        # A folder with flights of another aircraft is refused before; what is left to find here is half a copy.
+        shutil.rmtree(target, ignore_errors=True)
+        for sub in ("engine", "systems", SCRIPT):
+            if (Path(name) / sub).exists():
+                shutil.rmtree(folder / sub, ignore_errors=True)
+                os.replace(Path(name) / sub, folder / sub)
+        os.replace(made, inner_folder(folder, _COPIED) / target.name)
+
+
+def _copy(spec: CampaignSpec, aircraft: Aircraft, root: Path) -> Path:
+    made = root / _COPIED / aircraft.folder.name
+    copy_folder(aircraft.folder, made)
+    copy_beside(aircraft, root, engine.default_root())
+    if spec.inputs.model_form is not None:
+        put_bounds(made, aircraft, spec.inputs.model_form)
+    if spec.start is not None:
+        write_steady_start(find_aircraft(made), spec.start, root / SCRIPT, str(spec.path))
+    return made
+
+
+def put_bounds(made: Path, aircraft: Aircraft, model_form: Path) -> None:
+    """Give the copy ``made`` of an aircraft the bounds of a model-form.json. Raises BadInputError as :func:`make_copy` does."""
+    text = model_form_xml(read_bounds(model_form), aircraft)
+    destination = made / system_file(aircraft).relative_to(aircraft.folder)
+    destination.unlink()
+    destination.write_bytes(text)
+
+
+def system_file(aircraft: Aircraft) -> Path:
+    """The file of the aircraft's model-form system."""
+    for system in parse_xml(aircraft.xml).getroot().iter("system"):
+        named = system.get("file", "").removesuffix(".xml")
+        if named == SYSTEM:
+            for path in (aircraft.folder / "Systems" / f"{SYSTEM}.xml", aircraft.folder / f"{SYSTEM}.xml"):
+                if path.is_file():
+                    return path
+    raise BadInputError(
+        f'{aircraft.xml}: carries no <system file="{SYSTEM}"/>, so no bounds can act on it; '
+        f"add the plugin first: uqharness instrument {aircraft.name} --out DIR"
+    )

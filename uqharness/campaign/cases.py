@@ -1,0 +1,162 @@
+"""Campaign -> cases: every flight of a campaign, in its one order, with its identity.
+
+Order: aleatory sample, then condition, then epistemic sample. A run that is stopped early has therefore flown every
+corner equally often, and its p-boxes mean something.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import itertools
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from uqharness.campaign.spec.campaign import CampaignSpec
+from uqharness.campaign.spec.samples import Epistemic, epistemic_samples
+from uqharness.campaign.spec.variables import VariableSection
+from uqharness.errors import BadInputError
+from uqharness.flight.seeds import flight_seed, numbered_stream
+from uqharness.flight.spec import COEFFICIENTS, FlightSpec
+
+
+@dataclass(frozen=True)
+class Mission:
+    """The files a campaign flies: where they are, and the hash of what is in them (a path is no part of an identity).
+
+    ``source`` is the aircraft that ``aircraft`` is a copy of, where it is one.
+    """
+
+    aircraft: Path
+    aircraft_hash: str
+    script: Path
+    script_hash: str
+    source: Path = Path()
+
+
+@dataclass(frozen=True)
+class Case:
+    """One flight of a campaign. ``seed`` is the turbulence stream's; ``flight`` is all that a worker needs.
+
+    ``levels`` holds the levels that stand still; ``inputs``, by column name, what else was drawn or chosen for it.
+    """
+
+    case_id: str
+    epistemic_id: str
+    levels: Mapping[str, float]
+    aleatory_id: int
+    wind_mps: float
+    turbulence: str
+    seed: int
+    flight: FlightSpec
+    inputs: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+
+def uq_properties(spec: CampaignSpec, sample: Epistemic) -> dict[str, float]:
+    """Properties that put the plugin's deltas at the sample's levels and switch off the coefficients that are certain.
+
+    Bounds given as numbers are written over the aircraft's own, those of a certain coefficient as zero; bounds that the aircraft
+    computes stay, and a certain coefficient is switched off by its uq/<C>/active.
+    """
+    moved = sample.driver.coefficients if sample.driver is not None else tuple(sample.levels)
+    if not moved:
+        return {}
+    properties = {"uq/active": 1.0}
+    bounds = spec.epistemic.bounds
+    for name in COEFFICIENTS:
+        if name in sample.levels:
+            properties[f"uq/{name}/level"] = float(sample.levels[name])
+        if isinstance(bounds, dict):
+            lower, upper = bounds[name] if name in moved else (0.0, 0.0)  # type: ignore[index]
+            properties[f"uq/{name}/lower"], properties[f"uq/{name}/upper"] = lower, upper
+        elif name not in moved:
+            properties[f"uq/{name}/active"] = 0.0
+    return properties
+
+
+def build_cases(spec: CampaignSpec, mission: Mission) -> tuple[Case, ...]:
+    """All cases of the campaign, in case order. Depends on nothing but its arguments."""
+    return tuple(_cases(spec, mission))
+
+
+def _cases(spec: CampaignSpec, mission: Mission) -> Iterator[Case]:
+    air, root_seed = spec.aleatory, spec.campaign.seed
+    samples = [(sample, uq_properties(spec, sample) | dict(sample.parameters)) for sample in epistemic_samples(spec)]
+    _refuse_twice(samples[0][1], air.variables)
+    for aleatory_id in range(air.flights):
+        seed_turbulence = flight_seed(root_seed, aleatory_id, "turbulence")
+        seed_noise = flight_seed(root_seed, aleatory_id, "noise")
+        draws = {name: unit_draw(root_seed, aleatory_id, name, item) for name, item in air.variables.items()}
+        for wind_mps, turbulence in itertools.product(air.wind_mps, air.turbulence):
+            for sample, properties in samples:
+                values = {name: item.value(draws[name], sample.means.get(name, 0.5)) for name, item in air.variables.items()}
+                flight = FlightSpec(
+                    aircraft=mission.aircraft,
+                    script=mission.script,
+                    duration_s=float(air.duration_s),
+                    burn_in_s=float(air.burn_in_s),
+                    wind_mps=float(wind_mps),
+                    wind_from_deg=float(air.wind_from_deg),
+                    turbulence=turbulence,
+                    turbulence_source=air.turbulence_source,
+                    sensor_noise=air.sensor_noise,
+                    seed_turbulence=seed_turbulence,
+                    seed_noise=seed_noise,
+                    properties=properties | values if values else properties,
+                    excursion_radius_m=tuple(map(float, spec.metrics.excursion_radius_m)),
+                    rearm_m=float(spec.metrics.rearm_m),
+                    levels=sample.driver,
+                )
+                yield Case(
+                    case_id=case_id(flight, mission),
+                    epistemic_id=sample.epistemic_id,
+                    levels=sample.levels,
+                    aleatory_id=aleatory_id,
+                    wind_mps=flight.wind_mps,
+                    turbulence=turbulence,
+                    seed=seed_turbulence,
+                    flight=flight,
+                    inputs=_columns(sample, values),
+                )
+
+
+def unit_draw(root_seed: int, aleatory_id: int, name: str, variable: VariableSection) -> float:
+    """A variable's draw in its unit: standard normal, or uniform in -1..1. Depends on (root seed, aleatory id, property) alone."""
+    generator = np.random.Generator(np.random.PCG64(numbered_stream(root_seed, "variable", aleatory_id, name)))
+    return float(generator.standard_normal() if variable.distribution == "normal" else generator.uniform(-1.0, 1.0))
+
+
+def _columns(sample: Epistemic, values: Mapping[str, float]) -> dict[str, float]:
+    columns = {f"level_{name}": level for name, level in sample.means.items()}
+    columns |= {f"parameter_{name}": value for name, value in sample.parameters.items()}
+    return columns | {f"variable_{name}": value for name, value in values.items()}
+
+
+def _refuse_twice(properties: Mapping[str, float], variables: Mapping[str, VariableSection]) -> None:
+    twice = [name for name in variables if name in properties]
+    if twice:
+        raise BadInputError(
+            f'[aleatory.variables."{twice[0]}"]: the property is set by [epistemic] as well; it can be either random from flight '
+            "to flight or unknown, not both: give one of them (an unknown mean is an interval)"
+        )
+
+
+_FIELDS = tuple(field.name for field in dataclasses.fields(FlightSpec) if field.name != "levels")
+
+
+def case_id(flight: FlightSpec, mission: Mission) -> str:
+    """16 hex digits over everything that defines the flight: content of the files, numbers, seeds, properties."""
+    identity = {name: getattr(flight, name) for name in _FIELDS}
+    # A flight whose levels stand still is the flight it was before they could move.
+    identity |= {"levels": dataclasses.asdict(flight.levels)} if flight.levels is not None else {}
+    identity |= {
+        "aircraft": mission.aircraft_hash,
+        "script": mission.script_hash,
+        "properties": dict(flight.properties),
+    }
+    text = json.dumps(identity, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

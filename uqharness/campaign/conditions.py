@@ -1,0 +1,102 @@
+"""From the table of flights to p-boxes and excursion rates by condition. Writes nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from uqharness.campaign.folder.case_table import ERROR_METRICS, UNCOMMANDED_METRICS
+from uqharness.statistics.pbox import ExcursionRate, PBox, Sample, excursion_rate, pbox
+
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One cell of the wind x turbulence grid."""
+
+    wind_mps: float
+    turbulence: str
+
+    @property
+    def label(self) -> str:
+        """The condition as tables name it: ``3 m/s moderate``."""
+        return f"{self.wind_mps:g} m/s {self.turbulence}"
+
+    @property
+    def words(self) -> str:
+        """The condition as a sentence names it."""
+        air = "no" if self.turbulence == "none" else self.turbulence
+        return f"{self.wind_mps:g} m/s wind and {air} turbulence"
+
+
+@dataclass(frozen=True)
+class ExcursionCell:
+    """Rates of all corners in one condition, for one radius and one way of measuring distance."""
+
+    condition: Condition
+    radius_m: float
+    distance: str
+    rates: tuple[ExcursionRate, ...]
+
+
+def conditions(frame: pd.DataFrame) -> list[Condition]:
+    """Conditions of a case table, in its order."""
+    pairs = frame[["wind_mps", "turbulence"]].drop_duplicates()
+    return [Condition(float(wind), str(air)) for wind, air in zip(pairs["wind_mps"], pairs["turbulence"], strict=True)]
+
+
+def in_condition(frame: pd.DataFrame, condition: Condition) -> pd.DataFrame:
+    """The rows of one condition."""
+    return frame[(frame["wind_mps"] == condition.wind_mps) & (frame["turbulence"] == condition.turbulence)]
+
+
+def samples(frame: pd.DataFrame, metric: str) -> list[Sample]:
+    """One sample per epistemic id from the rows of one condition; what is not known of a flight is counted, not dropped."""
+    found = []
+    for name, group in frame.groupby("epistemic_id", sort=False):
+        values = group[metric].to_numpy(dtype=float)
+        known = np.isfinite(values) & (group["status"] == "ok").to_numpy()
+        found.append(Sample(str(name), values[known], int(np.count_nonzero(~known))))
+    return found
+
+
+def pboxes(frame: pd.DataFrame, confidence: float = CONFIDENCE) -> Iterator[tuple[str, Condition, PBox]]:
+    """Every p-box of a case table: metric by metric, condition by condition. A metric that no flight has is left out."""
+    for metric in (*ERROR_METRICS, *(name for name in UNCOMMANDED_METRICS if name in frame)):
+        for condition in conditions(frame):
+            found = samples(in_condition(frame, condition), metric)
+            if any(sample.values.size for sample in found):
+                yield metric, condition, pbox(found, confidence)
+
+
+def excursion_cells(frame: pd.DataFrame, radii_m: Iterable[float]) -> list[ExcursionCell]:
+    """Excursion rates of all corners by condition, distance and radius."""
+    cells = []
+    for condition in conditions(frame):
+        rows = in_condition(frame, condition)
+        groups = [(str(name), group) for name, group in rows.groupby("epistemic_id", sort=False)]
+        for distance, suffix in (("horizontal", ""), ("3d", "_3d")):
+            for radius in radii_m:
+                column = f"excursions_{radius:g}m{suffix}"
+                if _not_measured(rows, column, distance):
+                    continue
+                rates = tuple(_rate(name, group, column, len(groups)) for name, group in groups)
+                cells.append(ExcursionCell(condition, float(radius), distance, rates))
+    return cells
+
+
+def _not_measured(rows: pd.DataFrame, column: str, distance: str) -> bool:
+    """Whether no flight of this aircraft has that count: one that ended well lacks it. Failed flights alone tell nothing."""
+    ended_well = rows[rows["status"] == "ok"]
+    unknown = bool(rows[column].isna().all())
+    return unknown and (distance == "3d" or len(ended_well) > 0)
+
+
+def _rate(name: str, group: pd.DataFrame, column: str, corners: int) -> ExcursionRate:
+    counts = [None if pd.isna(count) else int(count) for count in group[column]]
+    failed = int((group["status"] != "ok").sum())
+    return excursion_rate(name, counts, failed, float(group["duration_s"].sum()) / 3600.0, corners, CONFIDENCE)

@@ -1,0 +1,208 @@
+"""What a campaign is going to cost: flights, flight hours, time on this machine, disk. Nothing here builds its cases."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from uqharness.campaign.cases import Case, Mission, build_cases
+from uqharness.campaign.spec.campaign import CampaignSpec
+from uqharness.campaign.spec.epistemic import SAMPLED
+from uqharness.errors import BadInputError
+from uqharness.flight.spec import FlightSpec
+
+DISK_BYTES_PER_FLIGHT = 2000
+"""Measured: 1400 of the journal (100,000 flights; 1100 of text and digest, the rest room between rows), 500 of the tables."""
+
+DAY_S = 86_400.0
+"""A campaign that takes longer is asked about before it starts."""
+
+FASTEST_HOURS_PER_CORE_HOUR = 10_000.0
+"""Ten times what the E-SPAARO flies at 100 Hz: a campaign too long at this pace is too long, and need not be tried out."""
+
+_CALIBRATION_S = 60.0
+# A model this slow is known well enough from its check flight.
+_SLOW_S = 0.2
+
+
+@dataclass(frozen=True)
+class Size:
+    """Flights of a campaign; ``at_most`` where its rule may end it sooner. ``flight_s`` of each, burn-in included."""
+
+    aleatory: int
+    conditions: int
+    epistemic: int
+    flights: int
+    flight_s: float
+    at_most: bool
+
+    @property
+    def hours(self) -> float:
+        """Flight hours, burn-in included."""
+        return self.flights * self.flight_s / 3600.0
+
+    @property
+    def disk_bytes(self) -> int:
+        """Journal and tables."""
+        return self.flights * DISK_BYTES_PER_FLIGHT
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How fast one process of this machine flies: seconds a flight takes whatever its length, and seconds per flown second."""
+
+    flight_s: float
+    per_second: float
+
+    def seconds(self, flight_s: float) -> float:
+        """Time that a flight of that length takes."""
+        return self.flight_s + self.per_second * flight_s
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Size of a campaign, flights of it that are done already, and the time for the rest; ``pace`` None where it is not known."""
+
+    size: Size
+    done: int
+    pace: Pace | None
+    workers: int
+
+    @property
+    def missing(self) -> int:
+        """Flights still to be flown."""
+        return max(self.size.flights - self.done, 0)
+
+    @property
+    def seconds(self) -> float | None:
+        """Expected time for what is missing; None where the pace is not known."""
+        if self.pace is None:
+            return None
+        return self.missing * self.pace.seconds(self.size.flight_s) / max(self.workers, 1)
+
+    @property
+    def least_seconds(self) -> float:
+        """Time that it takes on the fastest machine there may be."""
+        hours = self.missing * self.size.flight_s / 3600.0
+        return 3600.0 * hours / FASTEST_HOURS_PER_CORE_HOUR / max(self.workers, 1)
+
+    @property
+    def is_long(self) -> bool:
+        """Whether it takes more than a day of this machine."""
+        return max(self.seconds or 0.0, self.least_seconds) > DAY_S
+
+    @property
+    def words(self) -> str:
+        """All of it in one line."""
+        size = self.size
+        most = "at most " if size.at_most else ""
+        text = (
+            f"{most}{size.flights} flights ({_count(size.epistemic, 'epistemic sample')}, {_count(size.conditions, 'condition')}, "
+            f"{size.aleatory} each), {hours_in_words(size.hours)} flight h"
+        )
+        text += f", {self.done} flights done before" if self.done else ""
+        processes = _count(self.workers, "process", "processes")
+        if self.seconds is not None:
+            text += f"; about {time_in_words(self.seconds)} on {processes} of this machine"
+        elif self.is_long:
+            text += f"; at least {time_in_words(self.least_seconds)} on {processes} of this machine"
+        return f"{text}, {disk_in_words(size.disk_bytes)} of disk"
+
+
+def size_of(spec: CampaignSpec, shards: int = 1) -> Size:
+    """Size of a campaign, or of the largest of its ``shards``, by counting alone."""
+    air, samples = spec.aleatory, epistemic_count(spec)
+    conditions = len(air.wind_mps) * len(air.turbulence)
+    flights = -(-air.flights * conditions * samples // shards)
+    flight_s = float(air.duration_s) + float(air.burn_in_s)
+    return Size(air.flights, conditions, samples, flights, flight_s, spec.stop.rule == "decide")
+
+
+def epistemic_count(spec: CampaignSpec) -> int:
+    """Number of epistemic samples without making one."""
+    section = spec.epistemic
+    if section.method in SAMPLED:
+        return int(section.samples or 0)
+    means = sum(item.mean_interval is not None for item in spec.aleatory.variables.values())
+    moved = 0 if section.method == "none" else len(spec.inputs.coefficients)
+    values = len(section.levels) if section.method == "levels" and section.levels else 2
+    return int(values ** (moved + means) * (section.samples if section.parameters is not None and section.samples else 1))
+
+
+def one_case(spec: CampaignSpec, mission: Mission) -> Case:
+    """A flight like those of the campaign, made without making the others."""
+    section = spec.epistemic
+    changes: dict[str, object] = {"samples": 1} if section.samples is not None else {}
+    if section.method in ("corners", "levels"):
+        changes |= {"method": "levels", "levels": (1.0,)}
+    air = spec.aleatory.model_copy(
+        update={"flights": 1, "wind_mps": spec.aleatory.wind_mps[:1], "turbulence": spec.aleatory.turbulence[-1:]}
+    )
+    small = dataclasses.replace(spec, aleatory=air, epistemic=section.model_copy(update=changes))
+    return build_cases(small, mission)[0]
+
+
+def measured_pace(flown: Callable[[FlightSpec], bool], brief: FlightSpec, whole: FlightSpec) -> Pace | None:
+    """The pace from a few flights of a process that has flown ``brief`` before; None where one of them does not end well.
+
+    ``flown`` flies and says whether that went well; ``whole`` is the flight as the campaign has it.
+    """
+    length = min(_CALIBRATION_S, whole.burn_in_s + whole.duration_s)
+    first = _timed(flown, brief)
+    if first is None:
+        return None
+    if first > _SLOW_S or length < 2.0 * brief.duration_s:
+        return Pace(0.0, first / brief.duration_s)
+    second = _timed(flown, dataclasses.replace(brief, duration_s=length))
+    if second is None:
+        return None
+    per_second = max(second - first, 0.0) / (length - brief.duration_s)
+    return Pace(max(first - per_second * brief.duration_s, 0.0), per_second)
+
+
+def _timed(flown: Callable[[FlightSpec], bool], flight: FlightSpec) -> float | None:
+    """The lesser of two times: other work on the machine only ever adds."""
+    least = math.inf
+    for _ in range(2):
+        started = time.monotonic()
+        if not flown(flight):
+            return None
+        least = min(least, time.monotonic() - started)
+    return least
+
+
+def refuse_if_long(cost: Cost, agreed: bool, path: object) -> None:
+    """BadInputError for a campaign of more than a day that was not agreed to."""
+    if cost.is_long and not agreed:
+        raise BadInputError(
+            f"{path}: {cost.words}: that is more than a day of this machine; give --yes to fly it all the same, or --hours H for "
+            "fewer flights per corner and condition"
+        )
+
+
+def _count(number: int, one: str, many: str = "") -> str:
+    return f"{number} {one if number == 1 else many or one + 's'}"
+
+
+def hours_in_words(hours: float) -> str:
+    """Flight hours with three digits, in full from a thousand on."""
+    return f"{hours:.0f}" if hours >= 1000 else f"{hours:.3g}"
+
+
+def time_in_words(seconds: float) -> str:
+    """``40 s``, ``12 min``, ``3.5 h``, ``2.1 days``, ``40 years``."""
+    for unit, length in (("years", 365.25 * DAY_S), ("days", DAY_S), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= (2.0 if unit == "days" else 1.0) * length:
+            return f"{seconds / length:.2g} {unit}" if seconds < 100 * length else f"{seconds / length:.0f} {unit}"
+    return f"{math.ceil(seconds)} s"
+
+
+def disk_in_words(size: float) -> str:
+    """``12 kB``, ``3.4 MB``, ``1.2 GB``, ``2 TB``."""
+    for unit, length in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
+        if size >= length:
+            return f"{size / length:.2g} {unit}" if size < 100 * length else f"{size / length:.0f} {unit}"
+    return f"{math.ceil(size / 1000)} kB"

@@ -1,0 +1,1 @@
+"""How a campaign's flights are spread: processes, Dask."""

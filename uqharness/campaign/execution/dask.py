@@ -1,0 +1,213 @@
+"""Fly cases on a Dask cluster: ``campaign run --dask ADDRESS``. The journal stays with the campaign, on this machine.
+
+Dask is asked for one thing: to bring a case to a worker that is there and its outcome back, again if the worker is lost on the
+way. What a flight may do to its process is dealt with on the worker's side, in dask_task.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import time
+import uuid
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from uqharness.campaign.execution.dask_orders import Order, answer_from, flight_name, order_text
+from uqharness.campaign.execution.dask_task import content_of, fly_order
+from uqharness.campaign.execution.processes import BATCH_S
+from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction
+from uqharness.campaign.folder.manifest import binding_versions
+from uqharness.errors import BadInputError
+from uqharness.flight.spec import FlightSpec
+
+CONNECT_S = 10.0
+# Enough on its way that a worker need not wait for this process between two cases that take milliseconds.
+_ORDERS_PER_THREAD = 8
+_LOOK_S = 2.0
+_LOST_S = 30.0
+# Dask itself brings a case to four workers, one after the other's loss, before it gives up.
+_ROUNDS = 2
+
+
+class DaskExecutor:
+    """Flies on the cluster whose scheduler answers at ``address`` (tcp://host:8786, or the path of a scheduler file).
+
+    Raises BadInputError if dask is not installed or nobody answers. ``workers`` is the number of threads that the cluster has at
+    the time; they may come and go, and a cluster without any is waited for.
+    """
+
+    def __init__(self, address: str, connect_s: float = CONNECT_S) -> None:
+        self.address = address
+        self._client = _connect(address, connect_s)
+        self.workers = 0
+        self._looked = -_LOOK_S
+        self._look()
+
+    def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]:
+        """Outcomes as they come. Raises BadInputError if the scheduler is lost or a worker cannot fly this campaign."""
+        orders = _orders(fly, flights)
+        suspects: deque[Order] = deque()
+        flying: dict[str, tuple[Any, Order]] = {}
+        landed: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        rounds: dict[str, int] = {}
+        prefix = uuid.uuid4().hex
+        number = 0
+        batch: list[CaseOutcome] = []
+        handed_on = time.monotonic()
+        try:
+            while True:
+                self._look()
+                while len(flying) < _ORDERS_PER_THREAD * max(self.workers, 1):
+                    # Dask suspects all that waited on a lost worker. With one suspect on its way at a time, the guilty is alone.
+                    alone = suspects and not any(order.case_id in rounds for _, order in flying.values())
+                    order = suspects.popleft() if alone else next(orders, None)
+                    if order is None:
+                        break
+                    number += 1
+                    future = self._submit(f"{prefix}-{number}", order)
+                    flying[future.key] = (future, order)
+                    future.add_done_callback(landed.put)
+                if not flying:
+                    break
+                for future, answer in self._answers(_drain(landed)):
+                    _, order = flying.pop(future.key)
+                    if answer is not None:
+                        batch.append(answer_from(answer, order.case_id))
+                        continue
+                    rounds[order.case_id] = rounds.get(order.case_id, 0) + 1
+                    if rounds[order.case_id] < _ROUNDS:
+                        suspects.append(order)
+                    else:
+                        batch.append(_given_up(order))
+                if time.monotonic() - handed_on >= BATCH_S:
+                    yield batch
+                    batch, handed_on = [], time.monotonic()
+            yield batch
+        finally:
+            with contextlib.suppress(Exception):
+                self._client.cancel([future for future, _ in flying.values()], force=True)
+
+    def close(self) -> None:
+        """Leave the cluster, which goes on without us."""
+        with contextlib.suppress(Exception):
+            self._client.close(timeout=2.0)
+
+    def __enter__(self) -> DaskExecutor:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _submit(self, key: str, order: Order) -> Any:
+        with self._explained():
+            # Text, since Dask would look into other arguments for work of its own, and its workers run what is no data.
+            return self._client.submit(fly_order, order_text(order), key=key, pure=False)
+
+    def _look(self) -> None:
+        """Count the cluster's threads now and then, and notice that it has gone."""
+        if time.monotonic() - self._looked < _LOOK_S:
+            return
+        with self._explained():
+            deadline = time.monotonic() + _LOST_S
+            while self._client.status != "running":
+                if time.monotonic() > deadline or self._client.status == "closed":
+                    raise self._lost()
+                time.sleep(0.1)
+            self.workers = sum(self._client.nthreads().values())
+        self._looked = time.monotonic()
+
+    def _answers(self, futures: list[Any]) -> Iterator[tuple[Any, Any]]:
+        """Each future with its answer; None where Dask gave the case up because the workers that had it were lost."""
+        from distributed import KilledWorker
+
+        if futures and all(future.status == "finished" for future in futures):
+            # In one go, which a lost worker may spoil: what it had is then asked for singly, and flown again by Dask.
+            results = None
+            with contextlib.suppress(Exception):
+                results = self._client.gather(futures)
+            if results is not None:
+                yield from zip(futures, results, strict=True)
+                return
+        for future in futures:
+            with self._explained():
+                try:
+                    answer = future.result()
+                except KilledWorker:
+                    answer = None
+            yield future, answer
+
+    @contextlib.contextmanager
+    def _explained(self) -> Iterator[None]:
+        from concurrent.futures import CancelledError
+
+        try:
+            yield
+        except BadInputError:
+            raise
+        except (CancelledError, OSError) as error:
+            raise self._lost() from error
+        except Exception as error:
+            raise BadInputError(
+                f"the Dask cluster at {self.address} cannot fly this campaign: {type(error).__name__}: {error}; uqharness and "
+                "what it needs must be installed for every worker, in the versions of this machine"
+            ) from error
+
+    def _lost(self) -> BadInputError:
+        return BadInputError(
+            f"the Dask scheduler at {self.address} was lost; everything counted so far is kept: start it again, then run the same "
+            "command"
+        )
+
+
+def _connect(address: str, connect_s: float) -> Any:
+    try:
+        from distributed import Client
+    except ImportError:
+        raise BadInputError(
+            "--dask needs the packages dask and distributed, which are not installed; install them with: "
+            "pip install 'uqharness[dask]'"
+        ) from None
+
+    class QuietClient(Client):
+        def __del__(self) -> None:
+            # One that never connected cannot say goodbye, and would say so on the terminal, after our own words.
+            with contextlib.suppress(Exception):
+                self.close(timeout=1.0)
+
+    where = {"scheduler_file": address} if Path(address).is_file() else {"address": address}
+    try:
+        return QuietClient(**where, timeout=connect_s, set_as_default=False)
+    except Exception as error:
+        reason = str(error).strip() or type(error).__name__
+        raise BadInputError(
+            f"--dask {address}: no Dask scheduler answers there ({reason}); start one with: dask scheduler, which says its "
+            "address, such as tcp://192.168.0.2:8786"
+        ) from None
+
+
+def _orders(fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[Order]:
+    content: dict[tuple[Path, Path], tuple[str, str]] = {}
+    versions, name = binding_versions(), flight_name(fly)
+    for case_id, flight in flights:
+        aircraft, script = flight.aircraft.resolve(), flight.script.resolve()
+        if (aircraft, script) not in content:
+            content[aircraft, script] = content_of(aircraft, script)
+        there = replace(flight, aircraft=aircraft, script=script)
+        yield Order(case_id, name, there, content[aircraft, script], versions)
+
+
+def _drain(landed: queue.SimpleQueue[Any]) -> list[Any]:
+    found = []
+    with contextlib.suppress(queue.Empty):
+        found.append(landed.get(timeout=BATCH_S))
+        while True:
+            found.append(landed.get_nowait())
+    return found
+
+
+def _given_up(order: Order) -> CaseOutcome:
+    return CaseOutcome(order.case_id, "crashed", "every Dask worker that flew it was lost", 0.0)

@@ -1,0 +1,95 @@
+"""What a Dask worker does for a campaign: flies one case in a process beside it, if it has what the campaign flies.
+
+The case never runs in the Dask worker itself. A flight that ends the interpreter or hangs then costs a child process, is blamed for
+certain and counted with the words of a local run, and Dask sees nothing of it. Children stay for the next case.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+import os
+import socket
+from functools import lru_cache
+from pathlib import Path
+
+from uqharness.campaign.execution.dask_orders import Answer, Order, answer_text, flight_function, order_from
+from uqharness.campaign.execution.processes import ProcessExecutor
+from uqharness.campaign.execution.worker import CaseOutcome
+from uqharness.campaign.folder.manifest import binding_versions
+from uqharness.child_process import CHILD_ENVIRONMENT
+from uqharness.errors import BadInputError
+from uqharness.simulator.aircraft import folder_hash
+
+ABSENT = "not there"
+
+
+def content_of(aircraft: Path, script: Path) -> tuple[str, str]:
+    """Hashes of the aircraft's and the script's content on this machine, ``ABSENT`` where there is none."""
+    return (
+        folder_hash(aircraft) if aircraft.is_dir() else ABSENT,
+        hashlib.sha256(script.read_bytes()).hexdigest() if script.is_file() else ABSENT,
+    )
+
+
+def fly_order(text: str) -> str:
+    """Fly an order and give the answer, both as text; refused where this machine's files or versions are not the campaign's."""
+    try:
+        return answer_text(Answer(_flown(order_from(text))))
+    except BadInputError as error:
+        return answer_text(Answer(None, f"Dask worker on {socket.gethostname()}: {error}"))
+
+
+def _flown(order: Order) -> CaseOutcome:
+    fly = flight_function(order.fly)
+    _refuse_unlike(order.versions, order.content, order.flight.aircraft, order.flight.script)
+    executor = _take(order.fly)
+    try:
+        (outcome,) = [item for batch in executor.run(fly, [(order.case_id, order.flight)]) for item in batch]
+    finally:
+        _idle.append((order.fly, executor))
+    return outcome
+
+
+# One process per thread of this worker; list operations are atomic, so that threads need no lock.
+_idle: list[tuple[str, ProcessExecutor]] = []
+
+
+def _take(fly: str) -> ProcessExecutor:
+    while _idle:
+        try:
+            found, executor = _idle.pop()
+        except IndexError:
+            break
+        if found == fly:
+            return executor
+        executor.close()
+    # Dask's nannies start workers as daemons, which Python forbids children, lest they be orphaned: ours follow their parent.
+    multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
+    # For good: the executors of several threads would otherwise restore it under one another's feet.
+    os.environ.update(CHILD_ENVIRONMENT)
+    # This process has threads, so that a fork of it may hang.
+    return ProcessExecutor(1, "spawn", keep=True)
+
+
+_versions_here = lru_cache(maxsize=1)(binding_versions)
+
+
+def _refuse_unlike(versions: tuple[tuple[str, str], ...], content: tuple[str, str], aircraft: Path, script: Path) -> None:
+    there, here = dict(versions), dict(_versions_here())
+    unlike = [
+        f"{name} {there.get(name, 'unknown')} there, {here.get(name, 'unknown')} here"
+        for name in dict.fromkeys([*there, *here])
+        if there.get(name) != here.get(name)
+    ]
+    found = content_of(aircraft, script)
+    for what, path, wanted, have in zip(("aircraft", "script"), (aircraft, script), content, found, strict=True):
+        if have == ABSENT:
+            unlike.append(f"{what} {path} is not here")
+        elif have != wanted:
+            unlike.append(f"{what} {path} has other content here")
+    if unlike:
+        raise BadInputError(
+            f"{'; '.join(unlike)}. Every machine needs the same versions, and the files "
+            "under the same path: a common disk, or copies"
+        )

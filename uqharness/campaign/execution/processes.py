@@ -1,0 +1,274 @@
+"""Fly cases, in this process or in many, and survive what they do: crash the interpreter, hang, raise, diverge.
+
+Each worker has a pipe of its own and no lock is shared, so that a worker may be killed at any instant (by a signal, by the
+system for want of memory, by its own abort) without harm to another, and the case it was flying is known for certain.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import multiprocessing
+import os
+import signal
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from typing import Any, Protocol
+
+from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction, attempt, work
+from uqharness.child_process import child_settings
+from uqharness.errors import BadInputError
+from uqharness.flight.spec import FlightSpec
+
+BATCH_S = 0.25
+"""Longest time that a finished case waits to be handed on."""
+
+_QUEUED_PER_WORKER = 2
+# A flight that diverges is not flown again: the same spec gives the same bytes. A worker's death may have been another's fault.
+_RETRIES = 1
+# Death by SIGKILL or SIGTERM comes from outside (a scheduler, a user, want of memory) and says less about the case.
+_RETRIES_AFTER_OUTSIDE_KILL = 4
+_OUTSIDE_SIGNALS = (-9, -15)
+_START_FAILURES_ALLOWED = 3
+_START_S = 120.0
+_GOODBYE_S = 2.0
+
+
+class Executor(Protocol):
+    """Flies (case id, flight) pairs; yields outcomes in any order, in batches no older than about BATCH_S, some empty."""
+
+    workers: int
+
+    def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]:
+        """Fly every (case id, flight) and hand on outcomes in batches, in any order, each case exactly once."""
+        ...
+
+
+def usable_cores() -> int:
+    """Cores this process may use, which in a container or under a scheduler are fewer than the machine has."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def default_timeout_s(flight: FlightSpec) -> float:
+    """Seconds after which a flight counts as hung: 60 plus a tenth of the flown time, some 100 times what it should need."""
+    return 60.0 + 0.1 * (flight.duration_s + flight.burn_in_s)
+
+
+class SerialExecutor:
+    """Flies in this very process: for debugging. A case that ends the interpreter ends the campaign (and resumes)."""
+
+    workers = 1
+
+    def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]:
+        """Fly one after another in this process; see :meth:`Executor.run`."""
+        batch: list[CaseOutcome] = []
+        handed_on = time.monotonic()
+        for case_id, flight in flights:
+            batch.append(attempt(fly, case_id, flight))
+            if time.monotonic() - handed_on >= BATCH_S:
+                yield batch
+                batch, handed_on = [], time.monotonic()
+        yield batch
+
+
+@dataclass
+class _Task:
+    case_id: str
+    flight: FlightSpec
+    failures: int = 0
+    outside_kills: int = 0
+
+
+@dataclass
+class _Worker:
+    process: Any
+    pipe: Connection
+    tasks: deque[_Task] = field(default_factory=deque)
+    ready: bool = False
+    head_since: float = 0.0
+
+
+class ProcessExecutor:
+    """Flies in ``workers`` processes; each case has a time limit, and a second chance if its worker dies or hangs.
+
+    ``start_method`` is spawn (default, safe everywhere), forkserver or fork. ``timeout_s`` maps a flight to seconds. With ``keep``
+    the processes stay for the next call of run, which must be with the same flight function.
+    """
+
+    def __init__(
+        self,
+        workers: int,
+        start_method: str = "spawn",
+        timeout_s: Callable[[FlightSpec], float] = default_timeout_s,
+        retries: int = _RETRIES,
+        keep: bool = False,
+    ) -> None:
+        if workers < 1:
+            raise BadInputError(f"workers = {workers}: must be at least 1")
+        if start_method not in multiprocessing.get_all_start_methods():
+            known = ", ".join(multiprocessing.get_all_start_methods())
+            raise BadInputError(f"start method '{start_method}': this system has {known}")
+        self.workers = workers
+        self._context: Any = multiprocessing.get_context(start_method)
+        self._timeout_s = timeout_s
+        self._retries = retries
+        self._start_failures = 0
+        self._keep = keep
+        self._kept: list[_Worker] = []
+
+    def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]:
+        """Fly in worker processes that are replaced when they die or hang; see :meth:`Executor.run`."""
+        source = (_Task(case_id, flight) for case_id, flight in flights)
+        again: deque[_Task] = deque()
+        pool: list[_Worker] = self._kept
+        self._start_failures = 0
+        done = False
+        with child_settings():
+            try:
+                yield from self._loop(fly, source, again, pool)
+                done = True
+            finally:
+                if not (done and self._keep):
+                    _stop(pool)
+
+    def close(self) -> None:
+        """End the processes that were kept."""
+        _stop(self._kept)
+
+    def _loop(
+        self, fly: FlightFunction, source: Iterator[_Task], again: deque[_Task], pool: list[_Worker]
+    ) -> Iterator[list[CaseOutcome]]:
+        batch: list[CaseOutcome] = []
+        handed_on = time.monotonic()
+        while True:
+            self._feed(fly, source, again, pool)
+            busy = [worker for worker in pool if worker.tasks]
+            if not busy:
+                break
+            wait([item for worker in pool for item in (worker.pipe, worker.process.sentinel)], timeout=BATCH_S)
+            for worker in list(pool):
+                alive = worker.process.is_alive()  # asked before reading, so that nothing sent before death is missed
+                batch += self._receive(worker)
+                if not alive:
+                    pool.remove(worker)
+                    batch += self._bury(worker, again)
+                elif worker.tasks:
+                    limit = self._timeout_s(worker.tasks[0].flight) if worker.ready else _START_S
+                    if time.monotonic() - worker.head_since > limit:
+                        pool.remove(worker)
+                        batch += self._give_up(worker, again, limit)
+            if time.monotonic() - handed_on >= BATCH_S:
+                yield batch
+                batch, handed_on = [], time.monotonic()
+        yield batch
+
+    def _feed(self, fly: FlightFunction, source: Iterator[_Task], again: deque[_Task], pool: list[_Worker]) -> None:
+        """Top up every worker, the emptiest first; start a worker only for a case that needs one."""
+        tasks = itertools.chain(_drained(again), source)
+        for depth in range(_QUEUED_PER_WORKER):
+            for slot in range(self.workers):
+                if slot < len(pool) and len(pool[slot].tasks) > depth:
+                    continue
+                task = next(tasks, None)
+                if task is None:
+                    return
+                if slot >= len(pool):
+                    pool.append(self._start(fly))
+                    slot = len(pool) - 1
+                _send(pool[slot], task)
+
+    def _start(self, fly: FlightFunction) -> _Worker:
+        ours, theirs = self._context.Pipe()
+        process = self._context.Process(target=work, args=(theirs, fly), daemon=True)
+        process.start()
+        # Held open here, the other end would hide the worker's death.
+        theirs.close()
+        return _Worker(process, ours)
+
+    def _receive(self, worker: _Worker) -> list[CaseOutcome]:
+        received: list[CaseOutcome] = []
+        with contextlib.suppress(EOFError, OSError):
+            while worker.pipe.poll():
+                message = worker.pipe.recv()
+                worker.head_since = time.monotonic()
+                if message is None:
+                    worker.ready, self._start_failures = True, 0
+                else:
+                    worker.tasks.popleft()
+                    received.append(message)
+        return received
+
+    def _bury(self, worker: _Worker, again: deque[_Task]) -> list[CaseOutcome]:
+        worker.process.join()
+        code = worker.process.exitcode
+        worker.pipe.close()
+        if not worker.ready:
+            self._start_failures += 1
+            if self._start_failures > _START_FAILURES_ALLOWED and code not in _OUTSIDE_SIGNALS:
+                raise BadInputError(f"worker processes end before they start ({_describe(code)}); see their message above")
+            again.extendleft(reversed(worker.tasks))
+            return []
+        outside = code in _OUTSIDE_SIGNALS
+        return self._second_chance(worker, again, outside, "crashed", f"the worker process ended: {_describe(code)}")
+
+    def _give_up(self, worker: _Worker, again: deque[_Task], limit_s: float) -> list[CaseOutcome]:
+        worker.process.kill()
+        worker.process.join()
+        worker.pipe.close()
+        return self._second_chance(worker, again, False, "timeout", f"no result after {limit_s:g} s")
+
+    def _second_chance(self, worker: _Worker, again: deque[_Task], outside: bool, status: str, reason: str) -> list[CaseOutcome]:
+        """The case at the head of the dead worker's queue gets the blame; those behind it were not begun."""
+        if not worker.tasks:
+            return []
+        guilty = worker.tasks.popleft()
+        again.extendleft(reversed(worker.tasks))
+        guilty.failures += not outside
+        guilty.outside_kills += outside
+        if guilty.failures <= self._retries and guilty.outside_kills <= _RETRIES_AFTER_OUTSIDE_KILL:
+            again.appendleft(guilty)
+            return []
+        times = guilty.failures + guilty.outside_kills
+        return [CaseOutcome(guilty.case_id, status, f"{reason} (tried {times} times)", 0.0)]
+
+
+def _drained(queue: deque[_Task]) -> Iterator[_Task]:
+    while queue:
+        yield queue.popleft()
+
+
+def _send(worker: _Worker, task: _Task) -> None:
+    if not worker.tasks:
+        worker.head_since = time.monotonic()
+    worker.tasks.append(task)
+    # A worker that died meanwhile is found, with its queue, by the loop.
+    with contextlib.suppress(OSError):
+        worker.pipe.send((task.case_id, task.flight))
+
+
+def _stop(pool: list[_Worker]) -> None:
+    """End the workers at once. What they were flying has not been counted and will be flown again."""
+    for worker in pool:
+        worker.pipe.close()
+        if worker.tasks or not worker.ready:
+            worker.process.kill()
+    for worker in pool:
+        # An idle worker ends by itself when its pipe closes, and then tidies its temporary files away.
+        worker.process.join(_GOODBYE_S)
+        worker.process.kill()
+        worker.process.join()
+    pool.clear()
+
+
+def _describe(code: int | None) -> str:
+    if code is None or code >= 0:
+        return f"exit code {code}"
+    try:
+        return f"signal {-code} ({signal.Signals(-code).name})"
+    except ValueError:
+        return f"signal {-code}"

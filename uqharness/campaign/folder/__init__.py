@@ -1,0 +1,1 @@
+"""A campaign's folder: journal, manifest, tables, digests; verified, salvaged, merged."""

@@ -1,0 +1,168 @@
+"""Fly one case of a campaign again, with everything recorded and a plot, and say whether it came out as it did then."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from uqharness.campaign.aircraft import make_copy, needs_copy
+from uqharness.campaign.cases import Case, build_cases
+from uqharness.campaign.execution.processes import ProcessExecutor
+from uqharness.campaign.execution.worker import CaseOutcome
+from uqharness.campaign.folder.manifest import describe, read_manifest, refuse_if_different, refuse_without_digests, spec_of
+from uqharness.campaign.folder.store import Store
+from uqharness.campaign.run import find_mission
+from uqharness.errors import BadInputError
+from uqharness.files import inner_folder, write_bytes
+from uqharness.flight.fly import fly, record_mission, staged_mission
+from uqharness.flight.record_writer import write_record
+from uqharness.flight.spec import COEFFICIENTS, FlightResult, FlightSpec
+from uqharness.simulator import signals as properties
+from uqharness.simulator.signals import Source
+
+FOLDER = "rerun"
+RECORD_HZ = 50.0
+
+
+@dataclass(frozen=True)
+class Rerun:
+    """What came of it. ``same``: status and every metric equal the stored ones; None where the case had not been flown yet."""
+
+    case: Case
+    outcome: CaseOutcome
+    same: bool | None
+    differences: tuple[str, ...]
+    folder: Path
+    files: tuple[Path, ...]
+
+
+@dataclass(frozen=True)
+class RecordedFlight:
+    """A flight function for a worker: flies and scores as the campaign does, then once more with all signals to ``path``."""
+
+    path: Path
+
+    def __call__(self, spec: FlightSpec) -> FlightResult:
+        import pandas as pd
+
+        result = fly(spec)
+        mission = staged_mission(spec)
+        table = {name: source for name, source in properties.sources(mission.aircraft).items() if name != "time_s"}
+        optional = {} if mission.aircraft.has_card else {name: table.pop(name) for name in set(table) - set(properties.STANDARD)}
+        optional |= properties.standard_positions() | _more(mission.aircraft.card.metrics)
+        rate_hz = min(RECORD_HZ, 1.0 / mission.aircraft.dt_s)
+        full = record_mission(mission, _at_rate(spec, rate_hz), table, optional, keep_burn_in=True)
+        frame = pd.DataFrame(full.signals)
+        frame["scored"] = frame["time_s"] >= spec.burn_in_s
+        write_record(frame, self.path)
+        return result
+
+
+def rerun_case(folder: Path, case_id: str) -> Rerun:
+    """Fly the case (its id, or the unique beginning of one) in a process of its own, into ``folder``/rerun/<case id>.
+
+    Raises BadInputError for a folder without a campaign, an unknown id, and an aircraft, script or version that is not as it was.
+    """
+    manifest = read_manifest(folder)
+    refuse_without_digests(folder, manifest)
+    spec = spec_of(manifest)
+    mission = find_mission(spec, folder)
+    refuse_if_different(folder, manifest, describe(spec, mission, manifest["cases"], ""))
+    case = _find_case(build_cases(spec, mission), case_id, folder)
+    if needs_copy(spec):
+        make_copy(spec, mission, folder)
+    stored = _stored(folder, case.case_id)
+    target = inner_folder(folder, FOLDER, case.case_id)
+    record = target / "record.parquet"
+    record.unlink(missing_ok=True)
+    # A case that ends the interpreter must end another one than ours.
+    executor = ProcessExecutor(1, timeout_s=lambda flight: 120.0 + 0.5 * (flight.duration_s + flight.burn_in_s), retries=0)
+    (outcome,) = [item for batch in executor.run(RecordedFlight(record), [(case.case_id, case.flight)]) for item in batch]
+    if outcome.bad_input:
+        raise BadInputError(outcome.reason)
+    differences = () if stored is None else tuple(_differences(stored, outcome))
+    same = None if stored is None else not differences
+    files = _write(target, case, outcome, same, differences, record)
+    return Rerun(case, outcome, same, differences, target, files)
+
+
+def _at_rate(spec: FlightSpec, rate_hz: float) -> FlightSpec:
+    from dataclasses import replace
+
+    return replace(spec, record_rate_hz=rate_hz)
+
+
+def _more(metrics: Mapping[str, Any]) -> dict[str, Source]:
+    """What stands beside a flight record: errors as scored, position, levels, bounds and deltas, air."""
+    table = {f"error_{key}": Source(card.true) for key, card in metrics.items()}
+    table |= {f"error_{key}_measured": Source(card.measured) for key, card in metrics.items() if card.measured}
+    table |= {
+        "north_m": Source("nav/north-m"),
+        "east_m": Source("nav/east-m"),
+        "load_factor": Source("accelerations/Nz"),
+    }
+    for name in COEFFICIENTS:
+        for what in ("level", "lower", "upper", "delta"):
+            table[f"{what}_{name}"] = Source(f"uq/{name}/{what}")
+    table["extrapolated"] = Source("uq/extrapolated")
+    return table | {
+        f"wind_{axis}_mps": Source(f"atmosphere/total-wind-{axis}-fps", properties.FT) for axis in ("north", "east", "down")
+    }
+
+
+def _find_case(cases: tuple[Case, ...], case_id: str, folder: Path) -> Case:
+    found = [case for case in cases if case_id and case.case_id.startswith(case_id)]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise BadInputError(f"--case {case_id}: {len(found)} cases of {folder} begin so; give more of the id")
+    raise BadInputError(
+        f"--case {case_id}: {folder} has no such case; ids stand in cases.parquet and, for failed ones, in report.html"
+    )
+
+
+def _stored(folder: Path, case_id: str) -> CaseOutcome | None:
+    with Store(folder, read_only=True) as store:
+        found = store.outcome(case_id)
+        if found is None:
+            # Not flown yet, if all that was flown is there.
+            store.finished()
+        return found
+
+
+def _differences(stored: CaseOutcome, outcome: CaseOutcome) -> list[str]:
+    found = [] if stored.status == outcome.status else [f"status {stored.status} then, {outcome.status} now"]
+    for name in sorted(stored.metrics.keys() | outcome.metrics.keys()):
+        then, now = (item.metrics.get(name, math.nan) for item in (stored, outcome))
+        if then != now and not (math.isnan(then) and math.isnan(now)):
+            found.append(f"{name} {then!r} then, {now!r} now")
+    return found
+
+
+def _write(
+    target: Path, case: Case, outcome: CaseOutcome, same: bool | None, differences: tuple[str, ...], record: Path
+) -> tuple[Path, ...]:
+    document = {
+        "case_id": case.case_id,
+        "epistemic_id": case.epistemic_id,
+        "aleatory_id": case.aleatory_id,
+        "wind_mps": case.wind_mps,
+        "turbulence": case.turbulence,
+        "status": outcome.status,
+        "reason": outcome.reason,
+        "flown_s": outcome.flown_s,
+        "same_as_stored": same,
+        "differences": list(differences),
+        "metrics": {name: value if math.isfinite(value) else None for name, value in sorted(outcome.metrics.items())},
+        "properties": dict(case.flight.properties),
+        "levels": None if case.flight.levels is None else vars(case.flight.levels) | {},
+    }
+    files = [target / "result.json"]
+    write_bytes(files[0], (json.dumps(document, indent=1) + "\n").encode())
+    if record.is_file():
+        files.append(record)
+    return tuple(files)

@@ -1,0 +1,53 @@
+"""The end of a campaign: digests of its journal and tables in the manifest, and whether they still fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from uqharness.campaign.cases import Case
+from uqharness.campaign.folder.digests import DamageError, digest_of
+from uqharness.campaign.folder.files import table_digests
+from uqharness.campaign.folder.manifest import write_manifest
+from uqharness.campaign.folder.manifest_content import COMPLETE
+from uqharness.campaign.folder.store import JOURNAL, Store
+from uqharness.campaign.folder.tables import make_tables, write_tables
+from uqharness.campaign.rounds import Rounds
+from uqharness.campaign.spec.campaign import CampaignSpec
+
+
+def sealed(manifest: Mapping[str, Any], store: Store, tables: Mapping[str, bytes]) -> dict[str, Any]:
+    """The manifest of a campaign that is complete now: with digests of the journal's flights and of the tables."""
+    digests = dict(manifest.get("tables", {})) | {name: digest_of(content) for name, content in tables.items()}
+    return {**manifest, "state": COMPLETE, "tables": digests, "journal": store.summary()}
+
+
+def refuse_if_not_whole(folder: Path, store: Store, manifest: Mapping[str, Any]) -> None:
+    """DamageError where the journal of a complete campaign is not the one that the manifest speaks of."""
+    store.finished()
+    if store.summary() != manifest["journal"]:
+        raise DamageError(folder / JOURNAL, "its flights are not those that the manifest speaks of", folder)
+
+
+def mend_tables(
+    folder: Path, manifest: Mapping[str, Any], spec: CampaignSpec, cases: Sequence[Case], store: Store
+) -> tuple[str, ...]:
+    """Write the tables of a complete campaign again if one is not as it was written; names of those that were not.
+
+    The journal must be whole. A table of another command (sensitivity.csv) is left as it is.
+    """
+    written = manifest.get("tables", {})
+    damaged = {name for name, digest in table_digests(folder, manifest).items() if digest != written[name]}
+    if not damaged:
+        return ()
+    rounds = Rounds(spec, cases, None)
+    for _ in rounds(store):
+        pass
+    tables = make_tables(spec, cases, store.outcomes(), rounds.decisions)
+    if not damaged & set(tables):
+        return ()
+    # Another version of a library may write other bytes of the same content: then all of them belong together.
+    write_tables(folder, tables)
+    write_manifest(folder, sealed(manifest, store, tables))
+    return tuple(name for name in tables if name in damaged)

@@ -1,0 +1,348 @@
+"""A campaign's journal: finished cases, each on the disk before it counts, in one SQLite file with one writer.
+
+SQLite's rollback journal (DELETE, synchronous=EXTRA) is chosen over an append-only text file, because a torn last write,
+a full disk and a power cut are then its tested business, and over its write-ahead log, because that needs shared memory,
+which cluster file systems lack. A killed run leaves a journal that the next opening rolls back: a batch is there whole or
+not at all.
+
+Damage is found, not believed: each row carries a digest of all its columns, a tally in the same transaction the number of rows
+by status and the sum of their digests, and the structure of the file is looked at when it is opened.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+import sqlite3
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sysid.foreign.regular_files import require_regular
+from uqharness.campaign.execution.worker import CaseOutcome
+from uqharness.campaign.folder.digests import DamageError, digest_of_rows, digest_of_text, row_digest, summed
+from uqharness.errors import BadInputError
+from uqharness.file_lock import lock_at_once
+from uqharness.flight.spec import STATUSES
+
+JOURNAL = "journal.sqlite"
+LOCK = "run.lock"
+
+SCHEMA = (
+    """CREATE TABLE outcome (
+    case_id text primary key, status text not null, reason text not null, flown_s real not null,
+    metrics text not null, undefined text not null, digest text not null) without rowid""",
+    "CREATE TABLE tally (statuses text not null, digest_sum text not null, digest text not null)",
+)
+COLUMNS = "case_id, status, reason, flown_s, metrics, undefined, digest"
+# A row of some 1200 bytes has no room on a page of 4096 with others and would take a page more: 4.7 kB a flight instead of 1.4.
+_PAGE_BYTES = 8192
+# Far above any row; a damaged length then asks for no memory.
+LONGEST_BYTES = 16_000_000
+
+# Failures of the machine and not of the file: what was stored is still there.
+_OF_THE_MACHINE = {
+    sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM, sqlite3.SQLITE_CANTOPEN,
+    sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_NOMEM, sqlite3.SQLITE_AUTH,
+}  # fmt: skip
+
+
+class Store:
+    """Outcomes of a campaign's cases.
+
+    Raises BadInputError where the folder cannot be written or read; DamageError, which is one, where the journal is not as it was
+    written.
+    """
+
+    def __init__(self, folder: Path, read_only: bool = False) -> None:
+        self.folder = folder
+        self._path = folder / JOURNAL
+        begun = self._begun()
+        with contextlib.ExitStack() as on_failure, self._explained("open"):
+            self._database = self._connected(read_only, begun)
+            on_failure.callback(self._database.close)
+            self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST_BYTES)
+            if not read_only:
+                self._database.execute(f"pragma page_size = {_PAGE_BYTES}")
+                self._database.execute("pragma synchronous = extra")
+            if self._schema():
+                self._check_structure()
+            elif not read_only:
+                create_tables(self._database)
+            on_failure.pop_all()
+
+    def _begun(self) -> bool:
+        """Whether there is a file that SQLite may have written to. Raises BadInputError for what is no file of its kind."""
+        # Looked at, not opened: closing a second handle would drop the locks that SQLite holds in this process.
+        try:
+            require_regular(self._path)
+        except FileNotFoundError:
+            return False
+        except OSError as error:
+            raise BadInputError(f"{self._path}: cannot be read: {error.strerror or error}") from None
+        return True
+
+    def _connected(self, read_only: bool, begun: bool) -> sqlite3.Connection:
+        if read_only and not begun:
+            return sqlite3.connect(":memory:")
+        if read_only and not os.access(self._path, os.W_OK):
+            return sqlite3.connect(f"{self._path.resolve().as_uri()}?mode=ro", uri=True, timeout=30.0)
+        return sqlite3.connect(self._path, timeout=30.0)
+
+    def _schema(self) -> bool:
+        """Whether the tables are there; False in a file whose making was cut short, in which nothing was counted."""
+        found = [row[0] for row in self._database.execute("select sql from sqlite_master order by name")]
+        if not found:
+            # Tables are made in one transaction: without them there is not one page.
+            if self._database.execute("pragma page_count").fetchone() != (0,):
+                raise self._damage("its tables are gone")
+            return False
+        if found != list(SCHEMA):
+            raise self._damage("its tables are not those that this program makes")
+        return True
+
+    def _check_structure(self) -> None:
+        said = self._database.execute("pragma integrity_check(1)").fetchone()[0]
+        if said != "ok":
+            raise self._damage(" ".join(str(said).split()))
+
+    def add(self, outcomes: Iterable[CaseOutcome]) -> None:
+        """Store a batch; on return it is on the disk. On failure nothing of it is, and the journal is as before."""
+        rows = {item.case_id: row_of(item) for item in outcomes}
+        if rows:
+            with self._explained("write"), self._database:
+                self._database.execute("begin immediate")
+                add_rows(self._database, rows.values(), *self._tally())
+
+    def finished(self) -> set[str]:
+        """Ids of all cases that are done, every row looked at. Raises DamageError."""
+        return {outcome.case_id for outcome in self.outcomes()}
+
+    def statuses(self) -> Counter[str]:
+        """Number of finished cases by status, from the tally: reads none of the rows. Raises DamageError."""
+        with self._explained("read"):
+            return self._tally()[0] if self._schema() else Counter()
+
+    def outcomes(self) -> Iterator[CaseOutcome]:
+        """All outcomes, ordered by case id. Raises DamageError at the row that is damaged, at the end if rows are missing."""
+        with self._explained("read"):
+            if not self._schema():
+                return
+            counted, total = Counter[str](), 0
+            self._database.execute("begin")
+            try:
+                expected = self._tally()
+                for row in self._database.execute(f"select {COLUMNS} from outcome order by case_id"):
+                    yield (outcome := self._outcome(row))
+                    counted[outcome.status] += 1
+                    total += int(row[-1], 16)
+            finally:
+                self._database.rollback()
+            if (counted, summed(f"{total:x}", ())) != expected:
+                raise self._damage(
+                    f"{counted.total()} flights are in it, {expected[0].total()} were stored, or they are not the same"
+                )
+
+    def outcome(self, case_id: str) -> CaseOutcome | None:
+        """Outcome of one case; None if it is not there. Raises DamageError."""
+        with self._explained("read"):
+            if not self._schema():
+                return None
+            row = self._database.execute(f"select {COLUMNS} from outcome where case_id = ?", (case_id,)).fetchone()
+            return None if row is None else self._outcome(row)
+
+    def summary(self) -> dict[str, Any]:
+        """Number of ``rows`` and a ``digest`` over those of all rows in case-id order: what a manifest keeps of a finished journal.
+
+        Takes the rows' digests as they stand: whoever must not trust them goes through ``outcomes`` as well.
+        """
+        with self._explained("read"):
+            digests = [row[0] for row in self._database.execute("select digest from outcome order by case_id")]
+            return {"rows": len(digests), "digest": digest_of_rows(digests)}
+
+    def _tally(self) -> tuple[Counter[str], str]:
+        try:
+            return read_tally(self._database)
+        except ValueError as error:
+            raise self._damage(str(error)) from None
+
+    def _outcome(self, row: Sequence[Any]) -> CaseOutcome:
+        try:
+            return outcome_of(row)
+        except ValueError as error:
+            raise self._damage(str(error)) from None
+
+    def _damage(self, what: str) -> DamageError:
+        return DamageError(self._path, what, self.folder)
+
+    def close(self) -> None:
+        """Close the journal's database."""
+        self._database.close()
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @contextlib.contextmanager
+    def _explained(self, verb: str) -> Iterator[None]:
+        try:
+            yield
+        except sqlite3.Error as error:
+            # Without a code it is Python's own complaint about what it was handed: text that is not UTF-8, say.
+            code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
+            forbidden = code == sqlite3.SQLITE_READONLY and os.access(self._path, os.W_OK)
+            if code not in _OF_THE_MACHINE or (forbidden and os.access(self.folder, os.W_OK)):
+                raise self._damage(" ".join(str(error).split())) from None
+            raise BadInputError(
+                f"{self._path}: cannot {verb}: {error}; everything counted so far is kept: "
+                "free space or mend the folder's permissions, then run the same command again"
+            ) from None
+        except (OverflowError, MemoryError, ValueError) as error:
+            # SQLite's own message may quote a damaged name, which is no text; a digest may be no number.
+            raise self._damage(f"cannot be read ({type(error).__name__})") from None
+
+
+def create_tables(database: sqlite3.Connection) -> None:
+    """Make the tables of an empty journal, all or none. Raises sqlite3.Error."""
+    with database:
+        database.execute("begin immediate")
+        # Another process may have made them since this one looked.
+        if database.execute("select count(*) from sqlite_master").fetchone() == (0,):
+            for statement in SCHEMA:
+                database.execute(statement)
+            database.execute("insert into tally values (?,?,?)", _tally_row(Counter(), summed("0", ())))
+
+
+def add_rows(database: sqlite3.Connection, rows: Iterable[Sequence[Any]], statuses: Counter[str], total: str) -> None:
+    """Write rows within the transaction that is open and bring the tally, which was ``statuses`` and ``total``, up to date."""
+    statuses, added, removed = statuses.copy(), [], []
+    for row in rows:
+        query = "select status, digest from outcome where case_id = ?"
+        for status, digest in database.execute(query, (row[0],)).fetchall():
+            statuses[status] -= 1
+            removed.append(digest)
+        database.execute("insert or replace into outcome values (?,?,?,?,?,?,?)", row)
+        statuses[row[1]] += 1
+        added.append(row[-1])
+    total = summed(total, added, removed)
+    database.execute("update tally set statuses = ?, digest_sum = ?, digest = ?", _tally_row(+statuses, total))
+
+
+def row_of(outcome: CaseOutcome) -> tuple[Any, ...]:
+    """An outcome as the journal's columns, digest last."""
+    # SQLite has no negative zero.
+    columns = (outcome.case_id, outcome.status, outcome.reason, float(outcome.flown_s) + 0.0)
+    columns = (*columns, _plain(outcome.metrics), _plain(outcome.undefined))  # type: ignore[assignment]
+    return (*columns, row_digest(columns))
+
+
+def outcome_of(row: Sequence[Any]) -> CaseOutcome:
+    """The outcome that a row holds. ValueError saying what is wrong where it is not the row that was written."""
+    case_id, status, reason, flown_s, metrics, undefined, digest = row
+    whole = all(isinstance(item, str) for item in (case_id, status, reason, metrics, undefined, digest))
+    if not (whole and isinstance(flown_s, float) and row_digest(row[:-1]) == digest):
+        name = f"flight {case_id}" if isinstance(case_id, str) and case_id.isalnum() else "a flight"
+        raise ValueError(f"the row of {name} does not fit its digest")
+    values, reasons = _mapping(metrics, (int, float)), _mapping(undefined, (str,))
+    if status not in STATUSES or values is None or reasons is None:
+        raise ValueError("a row holds what no flight of this program leaves")
+    return CaseOutcome(case_id, status, reason, flown_s, values, reasons)
+
+
+def read_tally(database: sqlite3.Connection) -> tuple[Counter[str], str]:
+    """Number of rows by status and the sum of their digests. ValueError where they are not what was written."""
+    rows = database.execute("select statuses, digest_sum, digest from tally").fetchall()
+    if len(rows) != 1 or not all(isinstance(item, str) for item in rows[0]) or digest_of_text(rows[0][:2]) != rows[0][2]:
+        raise ValueError("its tally of flights does not fit its digest")
+    statuses = _mapping(rows[0][0], (int,))
+    if statuses is None or not set(statuses) <= set(STATUSES):
+        raise ValueError("its tally counts what is no status of a flight")
+    return Counter(statuses), str(rows[0][1])
+
+
+def _tally_row(statuses: Mapping[str, int], total: str) -> tuple[str, str, str]:
+    text = _plain(statuses)
+    return text, total, digest_of_text([text, total])
+
+
+def _mapping(text: str, kinds: tuple[type, ...]) -> dict[str, Any] | None:
+    """JSON of one level, or None where it is something else."""
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(found, dict) or not all(type(value) in kinds for value in found.values()):
+        return None
+    return found
+
+
+def _plain(mapping: Mapping[str, object]) -> str:
+    return json.dumps(dict(mapping), sort_keys=True)
+
+
+@contextlib.contextmanager
+def run_lock(folder: Path) -> Iterator[None]:
+    """Hold the folder for one run. Raises BadInputError if another process has it.
+
+    The system drops the lock when the process ends, however it ends. A record lock is used because children do not inherit
+    it: a worker that outlives a killed parent for a moment must not keep the folder shut.
+    """
+    path = folder / LOCK
+    key = str(path.resolve())
+    if key in _held:
+        # Not even opened: closing a second handle would drop the lock of the first.
+        raise _in_use(folder, f"process {os.getpid()}, this one")
+    try:
+        handle = path.open("a+", encoding="utf-8")
+    except OSError as error:
+        raise BadInputError(f"{folder}: cannot be written: {error.strerror or error}; choose another --out") from None
+    with handle:
+        # Somebody who only asks whether a run is on holds the lock for an instant, so one refusal is not yet an answer.
+        if not _try_lock(handle.fileno(), attempts=5):
+            handle.seek(0)
+            raise _in_use(folder, handle.read().strip() or "unknown process")
+        _held.add(key)
+        try:
+            handle.seek(0)
+            handle.truncate()
+            handle.write(f"process {os.getpid()} on {socket.gethostname()}\n")
+            handle.flush()
+            yield
+        finally:
+            _held.discard(key)
+
+
+def is_running(folder: Path) -> bool:
+    """Whether a run holds the folder at this moment."""
+    path = folder / LOCK
+    if str(path.resolve()) in _held:
+        return True
+    try:
+        with path.open("r+", encoding="utf-8") as handle:
+            # Closing the handle gives the lock back at once.
+            return not _try_lock(handle.fileno())
+    except OSError:
+        return False
+
+
+def _in_use(folder: Path, holder: str) -> BadInputError:
+    return BadInputError(f"{folder}: another run is using this folder ({holder}); wait for it, stop it, or choose another --out")
+
+
+# A record lock does not exclude its own process: a second run in another thread would pass.
+_held: set[str] = set()
+
+
+def _try_lock(descriptor: int, attempts: int = 1) -> bool:
+    for attempt in range(attempts):
+        if attempt:
+            time.sleep(0.05)
+        if lock_at_once(descriptor):
+            return True
+    return False

@@ -1,0 +1,324 @@
+"""Run a campaign: fly what is missing, keep what is done, write the tables."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from uqharness.campaign.cases import Case, Mission, build_cases
+from uqharness.campaign.cost import Cost, Pace, measured_pace, size_of
+from uqharness.campaign.execution.processes import Executor, ProcessExecutor, usable_cores
+from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction
+from uqharness.campaign.folder.digests import DamageError
+from uqharness.campaign.folder.manifest import (
+    MANIFEST,
+    describe,
+    read_manifest,
+    refuse_if_different,
+    refuse_without_digests,
+    write_manifest,
+)
+from uqharness.campaign.folder.manifest_content import COMPLETE, INTERRUPTED, SPOILT
+from uqharness.campaign.folder.seal import mend_tables, refuse_if_not_whole, sealed
+from uqharness.campaign.folder.shards import SHARDS, Shard
+from uqharness.campaign.folder.store import JOURNAL, Store, run_lock
+from uqharness.campaign.folder.tables import make_tables, write_tables
+from uqharness.campaign.rounds import Rounds
+from uqharness.campaign.spec.campaign import CampaignSpec
+from uqharness.errors import BadInputError
+from uqharness.files import PART
+from uqharness.flight.spec import FlightSpec
+from uqharness.simulator.aircraft_files import read_xml
+
+VALIDATION_S = 5.0
+"""Flight time of the check that the model flies at all, made in a throw-away process before any case."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """State of a run once a batch is durable. ``flown_s`` and ``elapsed_s`` are of this run, ``done`` of the campaign."""
+
+    cases: int
+    done: int
+    done_before: int
+    failed: int
+    flown_s: float
+    elapsed_s: float
+    workers: int
+
+    @property
+    def eta_s(self) -> float | None:
+        """Seconds to go at this run's rate; None before the first case."""
+        new = self.done - self.done_before
+        return None if new == 0 else self.elapsed_s / new * (self.cases - self.done)
+
+    @property
+    def hours_per_core_hour(self) -> float:
+        """Flight hours flown per core hour of this run, burn-in included."""
+        return self.flown_s / (self.elapsed_s * max(self.workers, 1)) if self.elapsed_s > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class CampaignSummary:
+    """Outcome of a run: all cases, how many were done before, and the number by status.
+
+    ``rewritten``: tables of a campaign that was complete already which had been damaged or lost, and are whole again.
+    """
+
+    folder: Path
+    cases: int
+    done_before: int
+    statuses: dict[str, int]
+    progress: Progress
+    rewritten: tuple[str, ...] = ()
+
+    @property
+    def failed(self) -> int:
+        """Number of flights that did not end as ok."""
+        return sum(number for status, number in self.statuses.items() if status != "ok")
+
+
+def find_mission(spec: CampaignSpec, folder: Path = Path()) -> Mission:
+    """Locate and hash what the campaign flies: relative to its own file, else as ``uqharness fly`` finds it.
+
+    Bounds from a model form and a trimmed start fly in a copy of the aircraft within the campaign's ``folder``, not made here.
+    """
+    from uqharness.campaign.aircraft import find_copied_mission, named_aircraft, needs_copy
+    from uqharness.simulator.aircraft import content_hash
+    from uqharness.simulator.mission import find_script
+
+    script_named = spec.path.resolve().parent / spec.campaign.mission
+    aircraft = named_aircraft(spec)
+    script: Path | None = None
+    if spec.start is None:
+        script = (script_named if script_named.is_file() else find_script(spec.campaign.mission)).resolve()
+    if needs_copy(spec):
+        return find_copied_mission(spec, aircraft, script, folder)
+    assert script is not None
+    script_hash = hashlib.sha256(read_xml(script)).hexdigest()
+    return Mission(aircraft.folder, content_hash(aircraft), script, script_hash)
+
+
+def run_campaign(
+    spec: CampaignSpec,
+    out_dir: str | Path,
+    workers: int | None = None,
+    executor: Executor | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+    fly: FlightFunction | None = None,
+    mission: Mission | None = None,
+    command: str = "",
+    shard: Shard | None = None,
+    before_flying: Callable[[Cost], None] = lambda _: None,
+) -> CampaignSummary:
+    """Fly the campaign's missing cases into ``out_dir`` and write its tables; the same call resumes.
+
+    A ``shard`` flies its share into ``out_dir``/shards/i-of-n and writes no tables; merging does. ``before_flying`` is told the
+    cost after the check flight and before the first flight that counts; what it raises ends the run.
+
+    A case counts once it is on the disk. A flight that fails is a counted row with its reason. Raises BadInputError for an
+    unusable model or folder, a folder of another campaign, and a second run in the same folder; KeyboardInterrupt passes, with
+    everything finished so far kept. Raises DamageError, and changes nothing, where the journal is not as it was written.
+    """
+    if fly is None:
+        from uqharness.flight.fly import fly as fly_mission
+
+        fly = fly_mission
+    given = mission is not None
+    folder = _folder(Path(out_dir) if shard is None else Path(out_dir) / SHARDS / shard.folder)
+    mission = mission or find_mission(spec, folder)
+    cases = build_cases(spec, mission)
+    rounds = Rounds(spec, cases, folder)
+    if shard is not None:
+        if rounds.decides:
+            raise BadInputError(
+                f'--shard {shard}: [stop] rule = "decide" looks at all corners together and cannot be flown in shares; leave '
+                'out --shard, or use rule = "hours"'
+            )
+        cases = cases[shard.number - 1 :: shard.count]
+        rounds = Rounds(spec, cases, folder)
+    executor = executor or ProcessExecutor(usable_cores() if workers is None else workers)
+    size, processes = size_of(spec, 1 if shard is None else shard.count), executor.workers
+
+    def told(pace: Pace | None, done: int) -> None:
+        before_flying(Cost(size, done, pace, processes))
+
+    with run_lock(folder):
+        manifest = describe(spec, mission, len(cases), command) | ({} if shard is None else {"shard": str(shard)})
+        old, finished = _earlier(folder, manifest)
+        if not given:
+            from uqharness.campaign.aircraft import make_copy, needs_copy
+
+            if needs_copy(spec):
+                make_copy(spec, mission, folder)
+        if old is not None and old["state"] == COMPLETE:
+            return _look_again(folder, old, spec, cases, shard is None, executor.workers)
+        # Tables that other commands added are of these flights, and stay.
+        manifest |= {"tables": old["tables"]} if old is not None and "tables" in old else {}
+        write_manifest(folder, manifest)
+        with Store(folder) as store:
+            try:
+                summary = _fly_missing(folder, store, finished, rounds, executor, fly, on_progress, told)
+            except BaseException:
+                # On a full disk this fails too, and the first reason is the one to hear.
+                with contextlib.suppress(BadInputError):
+                    write_manifest(folder, manifest | {"state": INTERRUPTED})
+                raise
+            _refuse_if_edited(folder, manifest, mission if given else find_mission(spec, folder))
+            tables = {} if shard is not None else make_tables(spec, cases, store.outcomes(), rounds.decisions)
+            write_tables(folder, tables)
+            write_manifest(folder, sealed(manifest | {"cases": summary.cases}, store, tables))
+    return summary
+
+
+def _earlier(folder: Path, manifest: Mapping[str, Any]) -> tuple[dict[str, Any] | None, set[str]]:
+    """Manifest of the folder if it is complete or holds flights, and the flights that need not be flown.
+
+    Raises BadInputError if they are no part of the campaign, DamageError if they are not as they were written.
+    """
+    if not (folder / MANIFEST).exists():
+        if (folder / JOURNAL).exists():
+            raise DamageError(folder / MANIFEST, "it is gone, and there is a journal", folder)
+        _refuse_foreign(folder)
+        return None, set()
+    old = read_manifest(folder)
+    refuse_without_digests(folder, old)
+    complete = old["state"] == COMPLETE
+    finished = set() if complete else _finished(folder)
+    if not complete and not finished:
+        return None, finished
+    refuse_if_different(folder, old, manifest)
+    if old["state"] == SPOILT:
+        raise _spoilt(folder)
+    if complete and not (folder / JOURNAL).exists():
+        raise DamageError(folder / JOURNAL, "it is gone", folder)
+    return old, finished
+
+
+def _look_again(
+    folder: Path, manifest: dict[str, Any], spec: CampaignSpec, cases: Sequence[Case], with_tables: bool, workers: int
+) -> CampaignSummary:
+    """A campaign that is complete: its journal is held against the manifest, a table that is not as written is written again."""
+    with Store(folder) as store:
+        refuse_if_not_whole(folder, store, manifest)
+        statuses = dict(sorted(store.statuses().items()))
+        rewritten = mend_tables(folder, manifest, spec, cases, store) if with_tables else ()
+    done = sum(statuses.values())
+    progress = Progress(done, done, done, done - statuses.get("ok", 0), 0.0, 0.0, workers)
+    return CampaignSummary(folder, done, done, statuses, progress, rewritten)
+
+
+def validate_model(fly: FlightFunction, case: Case) -> Pace | None:
+    """Fly the first seconds of a case in a process of its own, so that a model that ends the interpreter ends only that.
+
+    The pace at which it flies, None where that could not be measured. Raises BadInputError with the reason when the model cannot
+    be flown.
+    """
+    brief = dataclasses.replace(case.flight, duration_s=min(VALIDATION_S, case.flight.duration_s), burn_in_s=0.0)
+    throwaway = ProcessExecutor(1, timeout_s=lambda flight: 120.0, retries=0, keep=True)
+
+    def flown(flight: FlightSpec) -> bool:
+        batches = throwaway.run(fly, [("validation", flight)])
+        return all(outcome.status == "ok" for batch in batches for outcome in batch)
+
+    with contextlib.closing(throwaway):
+        for batch in throwaway.run(fly, [("validation", brief)]):
+            for outcome in batch:
+                _refuse_if_not_flown(outcome, brief)
+        return measured_pace(flown, brief, case.flight)
+
+
+def _refuse_if_not_flown(outcome: CaseOutcome, brief: FlightSpec) -> None:
+    if outcome.bad_input:
+        raise BadInputError(outcome.reason)
+    # A flight that was flown and went wrong (into the ground, say) is a result, and the campaign's to count.
+    if outcome.status in ("crashed", "timeout") and outcome.flown_s == 0.0:
+        raise BadInputError(
+            f"aircraft {brief.aircraft.name} with {brief.script.name}: the check flight before the campaign failed: "
+            f"{outcome.reason}; try: uqharness fly {brief.aircraft.name} --out check.csv"
+        )
+
+
+def _refuse_if_edited(folder: Path, manifest: dict[str, Any], mission: Mission) -> None:
+    """Flights before and after an edit would stand in one table under one hash."""
+    if (manifest["hashes"]["aircraft"], manifest["hashes"]["script"]) != (mission.aircraft_hash, mission.script_hash):
+        write_manifest(folder, manifest | {"state": SPOILT})
+        raise _spoilt(folder)
+
+
+def _spoilt(folder: Path) -> BadInputError:
+    return BadInputError(
+        f"{folder}: the aircraft or the script was edited while this campaign flew, so its flights are of both versions; "
+        "remove the folder and run again"
+    )
+
+
+def _folder(path: Path) -> Path:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be made: {error.strerror or error}; choose another --out") from None
+    return path
+
+
+def _finished(folder: Path) -> set[str]:
+    """What has been counted there, every row looked at: a campaign refused before its first flight may be mended and run again."""
+    if not (folder / JOURNAL).exists():
+        return set()
+    with Store(folder, read_only=True) as store:
+        return store.finished()
+
+
+def _refuse_foreign(folder: Path) -> None:
+    others = sorted(item.name for item in folder.iterdir() if item.name != "run.lock" and item.suffix != PART)
+    if others:
+        raise BadInputError(f"{folder}: not empty and not a campaign folder (it has {others[0]}); choose another --out")
+
+
+def _fly_missing(
+    folder: Path,
+    store: Store,
+    finished: set[str],
+    rounds: Rounds,
+    executor: Executor,
+    fly: FlightFunction,
+    on_progress: Callable[[Progress], None] | None,
+    before_flying: Callable[[Pace | None, int], None],
+) -> CampaignSummary:
+    statuses: Counter[str] = store.statuses()
+    done_before = statuses.total()
+    flown_s, checked = 0.0, False
+    started = time.monotonic()
+
+    def progress() -> Progress:
+        done = statuses.total()
+        elapsed_s = time.monotonic() - started
+        return Progress(rounds.most, done, done_before, done - statuses["ok"], flown_s, elapsed_s, executor.workers)
+
+    for wanted in rounds(store):
+        missing = [case for case in wanted if case.case_id not in finished]
+        if not missing:
+            continue
+        if not checked:
+            before_flying(validate_model(fly, missing[0]), done_before)
+            checked, started = True, time.monotonic()
+        batches = executor.run(fly, ((case.case_id, case.flight) for case in missing))
+        try:
+            for batch in batches:
+                store.add(batch)
+                statuses.update(outcome.status for outcome in batch)
+                flown_s += sum(outcome.flown_s for outcome in batch)
+                if on_progress is not None:
+                    on_progress(progress())
+        finally:
+            close = getattr(batches, "close", None)
+            if close is not None:
+                close()
+    return CampaignSummary(folder, rounds.most, done_before, dict(sorted(statuses.items())), progress())

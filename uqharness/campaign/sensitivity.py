@@ -1,0 +1,180 @@
+"""From a finished corner campaign to the share each uncertain coefficient has of the p-box: the counterpart of Table 4.7."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from uqharness.campaign.conditions import Condition, conditions, in_condition
+from uqharness.campaign.folder.case_table import CASES, ERROR_METRICS, UNCOMMANDED_METRICS, excursion_columns
+from uqharness.campaign.folder.files import read_cases
+from uqharness.campaign.folder.manifest import read_complete
+from uqharness.errors import BadInputError
+from uqharness.sensitivity import Evaluations, MethodResult, Study
+from uqharness.sensitivity.corner_pairs import corner_pairs
+from uqharness.sensitivity.problem import Array
+from uqharness.sensitivity.problem import corners as box_corners
+from uqharness.sensitivity.words import Ranking, rank, words
+
+MOST_LOST = 0.1
+"""Largest share of aleatory samples that may be left out because a flight of theirs failed in some corner."""
+
+_RANKS_BY = ("levels", "corners")
+
+
+@dataclass(frozen=True)
+class Flown:
+    """Flights of one campaign: its table, its manifest, and the coefficients that are uncertain in it."""
+
+    folder: Path
+    frame: pd.DataFrame
+    manifest: Mapping[str, Any]
+
+    @property
+    def coefficients(self) -> tuple[str, ...]:
+        """Uncertain coefficients, then variables whose mean is uncertain: each has a column of levels."""
+        campaign = self.manifest["campaign"]
+        variables = campaign["aleatory"].get("variables", {})
+        means = [name for name, item in variables.items() if isinstance(item.get("mean"), list)]
+        return (*campaign["epistemic"]["coefficients"], *means)
+
+    @property
+    def levels(self) -> Array:
+        """(flights, d) levels of the uncertain coefficients."""
+        return self.frame[[f"level_{name}" for name in self.coefficients]].to_numpy(dtype=float)
+
+
+@dataclass(frozen=True)
+class MetricSensitivity:
+    """One metric in one condition. ``flights`` per corner were used, ``left_out`` were not because a flight with the same air
+    failed or has no value in some corner."""
+
+    condition: Condition
+    metric: str
+    result: MethodResult
+    flights: int
+    left_out: int
+    ranking: Ranking
+    words: str
+
+
+def read_corner_campaign(folder: Path) -> Flown:
+    """A campaign that flew all corners. Raises BadInputError for one that is not complete or has no corners."""
+    flown = _read(folder)
+    epistemic = flown.manifest["campaign"]["epistemic"]
+    method, levels = epistemic["method"], epistemic.get("levels")
+    if method not in _RANKS_BY or (method == "levels" and not {0.0, 1.0} <= set(levels or ())):
+        found = f'method = "{method}"' + (f" with levels {levels}" if method == "levels" else "")
+        raise BadInputError(
+            f'{folder}: not a corner campaign ({found}); sensitivity compares corners: fly one with method = "corners", '
+            'or "levels" that include 0 and 1'
+        )
+    if "parameters" in epistemic:
+        raise BadInputError(
+            f"{folder}: each of its corners was flown with several draws of [epistemic.parameters], which are no corners; "
+            "fly one without that section"
+        )
+    return flown
+
+
+def read_interior_campaign(folder: Path, corners: Flown) -> Flown:
+    """A campaign of levels between the bounds that meets the same air as ``corners``. Raises BadInputError naming what differs."""
+    flown = _read(folder)
+    if flown.manifest["campaign"]["epistemic"]["method"] != "levels":
+        raise BadInputError(f'{folder}: not a campaign of levels; fly one with method = "levels", levels = [0.5]')
+    mine, theirs = flown.manifest["campaign"], corners.manifest["campaign"]
+    different = [key for key in ("seed",) if mine["campaign"][key] != theirs["campaign"][key]]
+    different += [key for key in theirs["aleatory"] if key != "flights" and mine["aleatory"].get(key) != theirs["aleatory"][key]]
+    different += [key for key in ("coefficients", "bounds") if mine["epistemic"].get(key) != theirs["epistemic"].get(key)]
+    different += [key for key, value in corners.manifest["hashes"].items() if flown.manifest["hashes"].get(key) != value]
+    if mine["aleatory"]["flights"] < theirs["aleatory"]["flights"]:
+        different.append(f"flights ({mine['aleatory']['flights']}, at least {theirs['aleatory']['flights']} are needed)")
+    if different:
+        raise BadInputError(f"{folder}: does not belong to {corners.folder}: {', '.join(different)} differ")
+    return flown
+
+
+def _read(folder: Path) -> Flown:
+    manifest = read_complete(folder)
+    return Flown(folder, read_cases(folder, manifest), manifest)
+
+
+def metrics_of(flown: Flown) -> tuple[str, ...]:
+    """Error statistics and excursion counts that the table has."""
+    radii = flown.manifest["campaign"]["metrics"]["excursion_radius_m"]
+    names = (*ERROR_METRICS, *UNCOMMANDED_METRICS, *excursion_columns(radii))
+    return tuple(name for name in names if name in flown.frame and flown.frame[name].notna().any())
+
+
+def analyse_campaign(
+    flown: Flown,
+    interior: Flown | None = None,
+    metrics: Sequence[str] | None = None,
+    seed: int = 0,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> list[MetricSensitivity]:
+    """Corner pairs for every metric in every condition. Raises BadInputError where the table is not what it should be."""
+    wanted = tuple(metrics) if metrics else metrics_of(flown)
+    cells = [(condition, metric) for condition in conditions(flown.frame) for metric in wanted]
+    found = []
+    for number, (condition, metric) in enumerate(cells, 1):
+        found.append(_analyse(flown, interior, condition, metric, seed))
+        if on_progress is not None:
+            on_progress(number, len(cells))
+    return found
+
+
+def _analyse(flown: Flown, interior: Flown | None, condition: Condition, metric: str, seed: int) -> MetricSensitivity:
+    names = flown.coefficients
+    d = len(names)
+    table = _by_level(flown, condition, metric)
+    ends = box_corners(np.zeros(d), np.ones(d))
+    try:
+        y = np.array([table.pop(tuple(corner)) for corner in ends])
+    except KeyError as missing:
+        raise BadInputError(f"{flown.folder}: the corner {missing} was not flown in {condition.words}") from None
+    inside = np.array(list(table.values())) if table else None
+    if interior is not None:
+        others = _by_level(interior, condition, metric)
+        added = np.array([v[: y.shape[1]] for key, v in others.items() if not set(key) <= {0.0, 1.0}])
+        if added.size:
+            inside = added if inside is None else np.concatenate([inside, added])
+    known = np.all(np.isfinite(y), axis=0)
+    if inside is not None:
+        known &= np.all(np.isfinite(inside), axis=0)
+    lost = int(np.count_nonzero(~known))
+    if lost <= MOST_LOST * known.size:
+        y, inside = y[:, known], None if inside is None else inside[:, known]
+    zero, one = np.zeros(d), np.ones(d)
+    study = Study(names, zero, one, 0.5 * one, 0.01 * one, np.empty((0, d)), True, {})
+    result = corner_pairs(study, Evaluations(corners=y, interior=inside), seed)
+    ranking = rank(result, lost)
+    said = words(result, metric, ranking, lost, known.size)
+    return MetricSensitivity(condition, metric, result, y.shape[1], lost, ranking, said)
+
+
+def _by_level(flown: Flown, condition: Condition, metric: str) -> dict[tuple[float, ...], Array]:
+    """Values (A,) in the order of the aleatory ids, for each combination of levels; NaN where a flight failed."""
+    if metric not in flown.frame:
+        raise BadInputError(f"metric {metric}: not in {flown.folder / CASES}; it has {', '.join(metrics_of(flown))}")
+    rows = in_condition(flown.frame, condition)
+    level_names = [f"level_{name}" for name in flown.coefficients]
+    ids = np.sort(rows["aleatory_id"].unique())
+    found = {}
+    for key, group in rows.groupby(level_names, sort=False):
+        ordered = group.sort_values("aleatory_id")
+        if not np.array_equal(ordered["aleatory_id"].to_numpy(), ids):
+            raise BadInputError(f"{flown.folder}: {condition.words}: not every corner flew the same aleatory samples")
+        ok = (ordered["status"] == "ok").to_numpy()
+        values = np.where(ok, ordered[metric].to_numpy(dtype=float), np.nan)
+        durations = ordered["duration_s"].to_numpy()[ok]
+        if durations.size and np.ptp(durations) > 1e-6:
+            raise BadInputError(f"{flown.folder}: {condition.words}: flights of unequal duration cannot be compared")
+        levels = np.atleast_1d(np.asarray(key, dtype=float))
+        found[tuple(levels.tolist())] = values
+    return found

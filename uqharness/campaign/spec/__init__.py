@@ -1,0 +1,1 @@
+"""campaign.toml: its sections, checked."""

@@ -1,0 +1,171 @@
+"""campaign.toml: what a campaign flies, strictly validated.
+
+Errors name file, line, what was received and what is allowed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
+
+from uqharness.campaign.inputs import CampaignInputs, read_inputs
+from uqharness.campaign.spec.epistemic import MOST_SAMPLES, EpistemicSection
+from uqharness.campaign.spec.names import Turbulence
+from uqharness.campaign.spec.stop import StopSection, planned, settled, without_flights
+from uqharness.campaign.spec.variables import VariableSection
+from uqharness.errors import BadInputError
+from uqharness.flight.spec import DEFAULT_TURBULENCE_SOURCE
+from uqharness.settings import Number, Section, listed
+from uqharness.simulator.start import STEADY, StartSection
+from uqharness.toml import explain, read_toml
+
+
+class CampaignSection(Section):
+    """What flies: an aircraft (name under aircraft/, or folder), a run script, and the root seed of all streams."""
+
+    aircraft: str = Field(min_length=1)
+    mission: str = Field(min_length=1)
+    seed: int = Field(ge=0, lt=2**63)
+
+
+class AleatorySection(Section):
+    """Chance: flights per corner and condition, each ``duration_s`` scored after ``burn_in_s`` that is not."""
+
+    flights: int = Field(ge=1, le=1_000_000)
+    duration_s: Number = Field(gt=0, le=86_400)
+    burn_in_s: Number = Field(default=120.0, ge=0, le=86_400)
+    wind_mps: Annotated[tuple[Annotated[Number, Field(ge=0, le=60)], ...], BeforeValidator(listed)] = (0.0,)
+    wind_from_deg: Number = Field(default=270.0, ge=0, le=360)
+    turbulence: Annotated[tuple[Turbulence, ...], BeforeValidator(listed)] = ("none",)
+    turbulence_source: Literal["jsbsim", "spec"] = DEFAULT_TURBULENCE_SOURCE
+    sensor_noise: bool = True
+    variables: dict[str, VariableSection] = Field(default_factory=dict)
+
+    @field_validator("wind_mps", "turbulence")
+    @classmethod
+    def _distinct(cls, value: tuple[Any, ...]) -> tuple[Any, ...]:
+        if not value or len(set(value)) != len(value):
+            raise ValueError("must name at least one value, and none twice")
+        return value
+
+
+class MetricsSection(Section):
+    """What is counted: excursions beyond each radius [m], re-armed ``rearm_m`` inside it, and how many of them are acceptable.
+
+    ``dispersion`` is the largest ratio of variance to mean of the excursions of a flight that limits allow for (1: independent).
+    """
+
+    excursion_radius_m: Annotated[tuple[Annotated[Number, Field(gt=0)], ...], BeforeValidator(listed)] = (15.0, 25.0)
+    rearm_m: Number = Field(default=2.0, ge=0)
+    acceptable_per_h: Number = Field(default=0.1, gt=0)
+    dispersion: Number = Field(default=2.0, ge=1, le=1000)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> MetricsSection:
+        radii = self.excursion_radius_m
+        if not radii or len(set(radii)) != len(radii):
+            raise ValueError("excursion_radius_m must name at least one radius, and none twice")
+        if self.rearm_m >= min(radii):
+            raise ValueError(f"rearm_m = {self.rearm_m:g} must be less than the smallest radius, {min(radii):g} m")
+        return self
+
+
+class _Document(Section):
+    campaign: CampaignSection
+    aleatory: AleatorySection
+    epistemic: EpistemicSection
+    metrics: MetricsSection = MetricsSection()
+    stop: StopSection = StopSection()
+    start: StartSection | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> _Document:
+        if (self.campaign.mission == STEADY) != (self.start is not None):
+            raise ValueError(
+                f'mission = "{STEADY}" and a section [start] with V_mps and altitude_m belong together: '
+                "a trimmed flight needs both, a run script neither"
+            )
+        return self
+
+
+@dataclass(frozen=True)
+class CampaignSpec:
+    """A validated campaign. ``path`` is the file it came from; ``source`` its text; ``inputs`` what the files it names hold."""
+
+    path: Path
+    source: str
+    campaign: CampaignSection
+    aleatory: AleatorySection
+    epistemic: EpistemicSection
+    metrics: MetricsSection
+    stop: StopSection
+    start: StartSection | None = None
+    inputs: CampaignInputs = field(default_factory=CampaignInputs)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Every setting, defaults included, as plain JSON types: two files that mean the same give the same."""
+        sections = {name: getattr(self, name) for name in _Document.model_fields}
+        found = {
+            name: section.model_dump(mode="json", exclude_none=True) for name, section in sections.items() if section is not None
+        }
+        found["epistemic"]["coefficients"] = list(self.inputs.coefficients)
+        if self.epistemic.method == "walk":
+            found["epistemic"]["walk_rate_per_sqrt_s"] = {name: self.inputs.walk_rates[name] for name in self.inputs.coefficients}
+        return found
+
+    def with_hours(self, hours: float) -> CampaignSpec:
+        """The same campaign with as many flights as give ``hours`` of scored flight per corner and condition."""
+        if not (math.isfinite(hours) and hours > 0):
+            raise BadInputError(f"--hours {hours:g}: must be a number of flight hours greater than 0")
+        if self.stop.rule == "band-width":
+            raise BadInputError(f'--hours {hours:g}: [stop] rule = "band-width" says how much is flown; leave out one of them')
+        flights = math.ceil(hours * 3600.0 / self.aleatory.duration_s - 1e-9)
+        given = self.stop.model_copy(update={"hours": float(hours)}) if self.stop.rule == "hours" else self.stop
+        return dataclasses.replace(self.with_flights(max(1, flights)), stop=given)
+
+    def with_flights(self, flights: int) -> CampaignSpec:
+        """The same campaign with another number of flights per corner and condition."""
+        return dataclasses.replace(self, aleatory=self.aleatory.model_copy(update={"flights": flights}))
+
+    def with_samples(self, samples: int) -> CampaignSpec:
+        """The same campaign with another number of drawn epistemic samples. Raises BadInputError where none are drawn."""
+        if self.epistemic.samples is None:
+            raise BadInputError(
+                f'--samples {samples}: {self.path} draws no epistemic samples (method = "{self.epistemic.method}"), '
+                "so their number cannot be changed"
+            )
+        if not 1 <= samples <= MOST_SAMPLES:
+            raise BadInputError(f"--samples {samples}: must be from 1 to {MOST_SAMPLES}")
+        return planned(dataclasses.replace(self, epistemic=self.epistemic.model_copy(update={"samples": samples})))
+
+
+def read_campaign(path: str | Path) -> CampaignSpec:
+    """Read and validate a campaign file. Raises BadInputError that lists every mistake as ``file:line: ...``."""
+    path = Path(path)
+    data, text = read_toml(path)
+    return campaign_from(data, path, text)
+
+
+def checked_settings(data: dict[str, Any]) -> dict[str, Any]:
+    """Settings of a campaign as a manifest holds them, defaults filled in. Looks at no file; raises pydantic's ValidationError."""
+    document = _Document.model_validate(without_flights(data))
+    return document.model_dump(mode="json", exclude_none=True)
+
+
+def campaign_from(data: dict[str, Any], path: Path, text: str = "") -> CampaignSpec:
+    """Validate the content of a campaign file, as TOML or a manifest holds it. ``path`` is where files it names are looked for."""
+    try:
+        document = _Document.model_validate(without_flights(data))
+    except ValidationError as error:
+        problems = [explain(_Document, text, data, dict(item)) for item in error.errors()]
+        lines = [f"{path}:{line}: {message}" for line, message in sorted(problems)]
+        raise BadInputError(*dict.fromkeys(lines)) from None
+    sections = {name: getattr(document, name) for name in _Document.model_fields}
+    inputs = read_inputs(document.epistemic, path.resolve().parent)
+    spec = CampaignSpec(path, text, **sections, inputs=inputs)
+    return settled(spec, stated="flights" in data["aleatory"])

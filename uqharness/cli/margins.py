@@ -1,0 +1,96 @@
+"""``uqharness margins``: gain, phase and delay margins of the autopilot's loops, measured in flight."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from typing import Any
+
+from uqharness.errors import BadInputError
+from uqharness.flight.margins import CALM_LOITER, CALM_STRAIGHT, LOOPS, LoopMargins, measure_loop
+from uqharness.simulator import engine
+from uqharness.simulator.aircraft import find_aircraft
+from uqharness.simulator.mission import StagedMission, find_script
+
+_EXAMPLE = """example:
+  uqharness margins espaaro
+  uqharness margins espaaro --loop elevator --flight straight --json
+"""
+
+
+def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``margins`` to a parser."""
+    parser = commands.add_parser(
+        "margins",
+        help="gain, phase and delay margins of the autopilot",
+        description="Measure the autopilot's stability margins in flight, loop by loop, by injecting a multisine at each actuator.",
+        epilog=_EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("aircraft", metavar="AIRCRAFT", help="name under aircraft/ or a folder")
+    parser.add_argument("--script", default="loiter", metavar="S", help="run script that engages the autopilot (default loiter)")
+    parser.add_argument("--loop", action="append", choices=tuple(LOOPS), help="only this actuator; repeatable (default all)")
+    parser.add_argument(
+        "--flight", choices=("loiter", "straight"), default="loiter", help="on the circle or straight (default loiter)"
+    )
+    parser.add_argument("--json", action="store_true", help="machine-readable output")
+    parser.set_defaults(handler=_run)
+
+
+def _run(args: argparse.Namespace) -> int:
+    aircraft = find_aircraft(args.aircraft)
+    condition = CALM_LOITER if args.flight == "loiter" else CALM_STRAIGHT
+    names = args.loop or list(LOOPS)
+    with StagedMission(aircraft, find_script(args.script)) as mission:
+
+        def make_fdm() -> Any:
+            fdm = mission.open()
+            needed = [name for loop in LOOPS.values() for name in (loop.inject, loop.output, loop.applied)]
+            engine.require(fdm, [*condition, *needed])
+            return fdm
+
+        try:
+            measured = [measure_loop(make_fdm, LOOPS[name], condition=condition) for name in names]
+        except ValueError as error:
+            raise BadInputError(f"margins of {aircraft.name}: {error}") from None
+    if args.json:
+        print(json.dumps({"flight": args.flight, "loops": {item.loop: _as_json(item) for item in measured}}))
+    else:
+        print(_as_text(aircraft.name, args.flight, measured))
+    return 0
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _as_json(item: LoopMargins) -> dict[str, object]:
+    m = item.margins
+    return {
+        "gain_up_dB": _number(m.gain_up_dB),
+        "gain_down_dB": _number(m.gain_down_dB),
+        "phase_deg": _number(m.phase_deg),
+        "delay_s": _number(m.delay_s),
+        "modulus": m.modulus,
+        "gain_crossovers_radps": list(m.gain_crossovers_radps),
+        "phase_crossovers_radps": list(m.phase_crossovers_radps),
+    }
+
+
+def _as_text(name: str, flight: str, measured: list[LoopMargins]) -> str:
+    def show(value: float, digits: int = 1) -> str:
+        return f"{value:.{digits}f}" if math.isfinite(value) else "none"
+
+    lines = [
+        f"{name}, {flight}, calm air; a loop is opened at its actuator, the others stay closed",
+        f"  {'loop':<10}{'gain up, dB':>12}{'down, dB':>15}{'phase, deg':>12}{'delay, ms':>11}{'|1+L|':>11}   crossover rad/s",
+    ]
+    for item in measured:
+        m = item.margins
+        crossover = ", ".join(f"{w:.2f}" for w in m.gain_crossovers_radps) or "none"
+        lines.append(
+            f"  {item.loop:<10}{show(m.gain_up_dB):>12}{show(m.gain_down_dB):>15}{show(m.phase_deg):>12}"
+            f"{show(1000 * m.delay_s, 0):>11}{m.modulus:>11.2f}   {crossover}"
+        )
+    return "\n".join(lines)

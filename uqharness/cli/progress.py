@@ -1,0 +1,63 @@
+"""A running campaign on a terminal: finished cases, time to go, speed, failures so far. Says nothing in a pipe."""
+
+from __future__ import annotations
+
+import sys
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn
+from rich.progress import Progress as Bar
+
+from sysid.terminal import drawing
+from uqharness.campaign.run import Progress
+
+
+class ProgressView:
+    """Context whose ``update`` is a campaign's ``on_progress``. Draws on standard error, and only on a terminal."""
+
+    def __init__(self, console: Console | None = None) -> None:
+        # The bar moves the cursor itself; what it writes beside it holds no text of anybody's.
+        self._console = console or Console(stderr=True, file=drawing(sys.stderr))
+        self._bar: Bar | None = None
+        self._task: TaskID | None = None
+
+    def __enter__(self) -> ProgressView:
+        if self._console.is_terminal:
+            self._bar = Bar(
+                TextColumn("flights"),
+                BarColumn(bar_width=None),
+                MofNCompleteColumn(),
+                TextColumn("{task.fields[note]}"),
+                console=self._console,
+            )
+            self._bar.start()
+            self._task = self._bar.add_task("flights", total=None, note="checking the model")
+        return self
+
+    def update(self, progress: Progress) -> None:
+        """Show a state; counts only what is on the disk."""
+        if self._bar is not None and self._task is not None:
+            self._bar.update(self._task, total=progress.cases, completed=progress.done, note=describe(progress))
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+
+def describe(progress: Progress) -> str:
+    """What stands beside the bar."""
+    eta = progress.eta_s
+    parts = ["" if eta is None else f"{clock(eta)} to go"]
+    if progress.flown_s > 0:
+        parts.append(f"{progress.hours_per_core_hour:.0f} flight h per core h")
+    parts.append(f"{progress.failed} failed" if progress.failed else "none failed")
+    return ", ".join(part for part in parts if part)
+
+
+def clock(seconds: float) -> str:
+    """``h:mm:ss`` or ``m:ss``."""
+    whole = round(seconds)
+    hours, rest = divmod(whole, 3600)
+    minutes, second = divmod(rest, 60)
+    return f"{hours}:{minutes:02d}:{second:02d}" if hours else f"{minutes}:{second:02d}"

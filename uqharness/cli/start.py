@@ -1,0 +1,120 @@
+"""From the start of the process to the command line: what may happen before the commands are loaded, and how signals end it.
+
+It imports little, so that hardly any time passes in which Ctrl-C or want of memory would be a page of Python's own words.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import errno
+import os
+import signal
+import sys
+import threading
+from collections.abc import Sequence
+from types import FrameType
+
+INTERRUPTED = 130
+TERMINATED = 143
+_LITTLE_BYTES = 4_000_000_000
+"""Address space below which a failure to load is put down to want of it; about a gigabyte is needed."""
+
+
+def run(argv: Sequence[str] | None = None) -> int:
+    """Load the command line and run one command; the process's exit code. Unknown exceptions pass: they are bugs.
+
+    After a signal the process ends here: Python would end it by SIGINT, whatever code it was given, where code that is made at
+    run time, such as a dataclass's, was interrupted once.
+    """
+    ends = _Ends()
+    code = _run(argv, ends)
+    scratch = sys.modules.get("uqharness.scratch")
+    if scratch is not None:
+        scratch.sweep()  # workers that were killed on the way left their folders
+    if ends.received:
+        atexit._run_exitfuncs()
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError, AttributeError):
+                stream.flush()
+        os._exit(TERMINATED if ends.terminated else INTERRUPTED)
+    return code
+
+
+def _run(argv: Sequence[str] | None, ends: _Ends) -> int:
+    limit = None
+    try:
+        limit = _address_limit()
+        if limit is not None:
+            # Every thread of linear algebra takes address space of its own.
+            os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        from sysid.terminal import clean_streams
+
+        clean_streams()
+        from uqharness.cli.main import main as command_line
+    except KeyboardInterrupt:
+        # OpenBLAS interrupts its own process where it gets no thread.
+        return _no_memory(limit) if limit is not None and not ends.terminated else ends.said()
+    except (MemoryError, ImportError, OSError, RuntimeError, SystemError) as error:
+        if ends.received:
+            return ends.said()  # some modules turn an interruption while they load into an error of their own
+        if limit is not None or isinstance(error, MemoryError) or getattr(error, "errno", 0) == errno.ENOMEM:
+            return _no_memory(limit)
+        raise
+    try:
+        return command_line(argv)
+    except KeyboardInterrupt:  # while an error was being told
+        return ends.said()
+    except ImportError:
+        if limit is None:
+            raise
+        return _no_memory(limit)
+
+
+class _Ends:
+    """Which signals asked this process to end. SIGTERM does it as Ctrl-C does, so that workers end and files are left whole."""
+
+    def __init__(self) -> None:
+        self.received = self.terminated = False
+        self._process = os.getpid()
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                # A process that was told to ignore a signal (nohup, a shell's background job) goes on ignoring it.
+                if signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL):
+                    signal.signal(number, self._end)
+
+    def _end(self, number: int, frame: FrameType | None) -> None:
+        if os.getpid() != self._process:
+            # A forked child ends as it would have without this.
+            signal.signal(number, signal.SIG_DFL)
+            os.kill(os.getpid(), number)
+            return
+        self.received = True
+        self.terminated |= number == signal.SIGTERM
+        raise KeyboardInterrupt
+
+    def said(self) -> int:
+        """Say how the process was ended; its exit code."""
+        _say("terminated" if self.terminated else "interrupted")
+        return TERMINATED if self.terminated else INTERRUPTED
+
+
+def _address_limit() -> int | None:
+    """Bytes of address space that this process may take, if they are few (``ulimit -v``)."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    soft, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return soft if soft != resource.RLIM_INFINITY and soft < _LITTLE_BYTES else None
+
+
+def _no_memory(limit: int | None) -> int:
+    allowed = "" if limit is None else f": {limit / 1e6:.0f} MB of address space are allowed (ulimit -v), about 1000 MB are needed"
+    _say(f"error: not enough memory to start{allowed}")
+    return 2
+
+
+def _say(text: str) -> None:
+    with contextlib.suppress(OSError, ValueError, AttributeError, MemoryError):
+        print(f"uqharness: {text}", file=sys.stderr)

@@ -1,0 +1,1 @@
+"""One flight: its specification, steps, levels, turbulence, scores and record."""

@@ -1,0 +1,256 @@
+"""Fly one mission: conditions and seeds in, recorded signals and scores out. The campaign's hot loop is here."""
+
+from __future__ import annotations
+
+import atexit
+import math
+from array import array
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness.errors import BadInputError
+from uqharness.flight.scoring import Recorded, commanded_signals, from_start_signals, score_commanded, score_from_start
+from uqharness.flight.spec import TURBULENCE_W20_KT, FlightResult, FlightSpec
+from uqharness.flight.stepping import first_levels, has_air, stepper
+from uqharness.simulator import engine
+from uqharness.simulator.aircraft import find_aircraft, find_folder, folder_fingerprint
+from uqharness.simulator.mass_change import CHANGEABLE
+from uqharness.simulator.mission import StagedMission, find_script, refuse_conflicts
+from uqharness.simulator.signals import FT, Source
+from uqharness.simulator.start import MARK
+
+Array = NDArray[np.float64]
+
+_CONDITION_PROPERTIES = (
+    "air/wind-mps",
+    "air/wind-from-deg",
+    "air/turbulence-w20-kt",
+    "air/turbulence-source",
+    "sensor/noise",
+    "simulation/randomseed",
+    "atmosphere/randomseed",
+)
+_RESERVED = {
+    "air/wind-mps": "give the wind as a condition (--wind-mps, wind_mps)",
+    "air/wind-from-deg": "give the wind as a condition (--wind-from-deg, wind_from_deg)",
+    "air/turbulence-w20-kt": "give the turbulence as a condition (--turbulence, turbulence)",
+    "air/turbulence-source": "give it as a condition (--turbulence-source, turbulence_source)",
+    "sensor/noise": "give it as a condition (--noise, sensor_noise)",
+    "simulation/randomseed": "give a seed (--seed, seed)",
+    "atmosphere/randomseed": "give a seed (--seed, seed)",
+    "simulation/dt": "the step belongs to the aircraft's card ([aircraft] dt_s)",
+}
+# JSBSim's generator maps seed 0 onto seed 1 and takes 31 bits.
+_MAX_SEED = 2**31 - 2
+
+
+def fly(spec: FlightSpec) -> FlightResult:
+    """Fly one mission and score it.
+
+    A flight that goes wrong (not finite, into the ground, an exception in flight) is a FlightResult with its status and reason.
+    Raises BadInputError for what cannot start: unknown aircraft, script or property, impossible values.
+    """
+    mission = staged_mission(spec)
+    steady = MARK in mission.script.run_properties
+    from_start = steady or not mission.aircraft.card.metrics
+    signals = from_start_signals(steady) if from_start else commanded_signals(mission.aircraft)
+    signals |= {"phi_rad": Source("attitude/phi-rad"), "alpha_rad": Source("aero/alpha-rad")}
+    recorded = record_mission(mission, spec, signals, optional={"extrapolated": Source("uq/extrapolated")})
+    return score_from_start(spec, recorded) if from_start else score_commanded(spec, recorded)
+
+
+def staged_mission(spec: FlightSpec) -> StagedMission:
+    """The mission of a flight, staged once for as long as aircraft and script stay what they are. Raises BadInputError."""
+    return _staged(str(spec.aircraft), str(spec.script), _fingerprint(spec))
+
+
+def _fingerprint(spec: FlightSpec) -> str:
+    # A worker that lives for days must notice that somebody edited the aircraft: the staged copy is keyed by what it was made from.
+    script = find_script(spec.script)
+    return f"{folder_fingerprint(find_folder(spec.aircraft))}-{script.stat().st_mtime_ns}"
+
+
+@lru_cache(maxsize=8)
+def _staged(aircraft: str, script: str, fingerprint: str) -> StagedMission:
+    mission = StagedMission(find_aircraft(aircraft), find_script(script))
+    atexit.register(mission.close)
+    return mission
+
+
+def record_mission(
+    mission: StagedMission,
+    spec: FlightSpec,
+    signals: Mapping[str, Source],
+    optional: Mapping[str, Source] | None = None,
+    keep_burn_in: bool = False,
+) -> Recorded:
+    """Fly ``spec`` and record ``signals`` (and those of ``optional`` that exist) at ``spec.record_rate_hz``.
+
+    Rows are taken after a step, so the accelerations of a row have seen the command of that row. Raises BadInputError.
+    """
+    changed = {name: value for name, value in spec.properties.items() if name in CHANGEABLE}
+    fdm = mission.open(changed=changed)
+    dt_s = fdm.get_delta_t()
+    stride = _stride(spec, dt_s)
+    set_conditions(fdm, mission, spec)
+    for name, value in first_levels(spec, dt_s).items():
+        engine.set_property(fdm, name, value)
+    engine.run_ic(fdm)
+    _require_kept(fdm, as_model_has(fdm, spec.properties))
+    set_wind_without_air(fdm, spec)
+    if MARK in mission.script.run_properties and fdm.get_propulsion().get_num_engines():
+        engine.settle_engines(fdm)
+    present = {name: source for name, source in (optional or {}).items() if _exists(fdm, source)}
+    table = {"time_s": Source("simulation/sim-time-sec"), **signals, **present}
+    getters = _getters(fdm, table)
+    burn = 0 if keep_burn_in else math.ceil(round(spec.burn_in_s / (dt_s * stride), 9))
+    total_s = spec.duration_s + (spec.burn_in_s if keep_burn_in else 0.0)
+    wanted = math.ceil(round(total_s / (dt_s * stride), 9))
+    advance = stepper(fdm, spec, dt_s, (burn + wanted) * stride)
+    read = array("d")
+    height = engine.handle(fdm, "position/h-agl-ft").get_double_value
+    speed = engine.handle(fdm, "velocities/vt-fps").get_double_value
+    status, reason = "ok", ""
+    if burn == 0:
+        read.extend([get() for get in getters])
+    try:
+        for block in range(burn + wanted):
+            advance(stride)
+            if not math.isfinite(speed() + height()):
+                status, reason = "diverged", f"the state was no longer finite at {_clock(fdm)}"
+                break
+            if height() <= 0.0:
+                status, reason = "crashed", f"hit the ground at {_clock(fdm)}"
+                break
+            if block >= burn:
+                read.extend([get() for get in getters])
+    except engine.RuntimeFailure as error:
+        status, reason = "crashed", engine.explain(fdm, error)
+    rows = _signals(np.frombuffer(read).reshape(-1, len(getters)), table)
+    return Recorded(list(table), rows, status, reason, float(fdm.get_sim_time()))
+
+
+def _clock(fdm: Any) -> str:
+    return f"{fdm.get_sim_time():.1f} s"
+
+
+def _stride(spec: FlightSpec, dt_s: float) -> int:
+    stride = round(1.0 / (spec.record_rate_hz * dt_s))
+    if stride < 1 or abs(stride * spec.record_rate_hz * dt_s - 1.0) > 1e-6:
+        raise BadInputError(
+            f"record rate {spec.record_rate_hz:g} Hz: with a step of {dt_s:g} s, "
+            f"{1 / dt_s:g} Hz divided by a whole number is possible"
+        )
+    return stride
+
+
+def _exists(fdm: Any, source: Source) -> bool:
+    manager = fdm.get_property_manager()
+    return bool(manager.hasNode(source.property) and (source.over is None or manager.hasNode(source.over)))
+
+
+def _getters(fdm: Any, table: Mapping[str, Source]) -> list[Callable[[], float]]:
+    """Of each source's property, then of each divisor's."""
+    names = [s.property for s in table.values()] + [s.over for s in table.values() if s.over is not None]
+    engine.require(fdm, names)
+    return [engine.handle(fdm, name).get_double_value for name in names]
+
+
+def _signals(read: Array, table: Mapping[str, Source]) -> Array:
+    """Signals (n, len(table)) from what the getters gave (n, len(getters)); NaN or infinite where a divisor is zero."""
+    rows = np.empty((len(read), len(table)))
+    divisor = len(table)
+    for column, source in enumerate(table.values()):
+        rows[:, column] = read[:, column] * source.factor
+        if source.over is not None:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                rows[:, column] /= read[:, divisor]
+            divisor += 1
+    return rows
+
+
+def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
+    """Set seeds, wind, turbulence, noise and properties of ``spec`` on a mission just opened. Raises BadInputError."""
+    if spec.turbulence not in TURBULENCE_W20_KT:
+        raise BadInputError(f"turbulence '{spec.turbulence}': allowed are {', '.join(TURBULENCE_W20_KT)}")
+    if spec.turbulence_source not in ("jsbsim", "spec"):
+        raise BadInputError(f"turbulence source '{spec.turbulence_source}': allowed are jsbsim, spec")
+    for name in ("seed_turbulence", "seed_noise"):
+        if not 0 <= getattr(spec, name) <= _MAX_SEED:
+            raise BadInputError(f"{name} = {getattr(spec, name)}: an integer from 0 to {_MAX_SEED} is needed")
+    for name in spec.properties:
+        if name in _RESERVED:
+            raise BadInputError(f"property {name} is not for setting by name: {_RESERVED[name]}")
+    refuse_conflicts(mission.script, [*_CONDITION_PROPERTIES, *spec.properties])
+    with_air = has_air(fdm)
+    if not with_air and spec.turbulence != "none" and spec.turbulence_source == "jsbsim":
+        raise BadInputError(
+            f"aircraft '{mission.aircraft.name}' has no air system (property air/wind-north-fps), and JSBSim's own turbulence by "
+            'itself is wrong in a wind and above sea level (docs/jsbsim-traps.md): use turbulence_source = "spec" '
+            '(--turbulence-source spec), or add <system file="air"/> to its XML'
+        )
+    fdm["simulation/randomseed"] = spec.seed_noise
+    fdm["atmosphere/randomseed"] = spec.seed_turbulence
+    if with_air:
+        fdm["air/wind-mps"] = spec.wind_mps
+        fdm["air/wind-from-deg"] = spec.wind_from_deg
+        fdm["air/turbulence-w20-kt"] = TURBULENCE_W20_KT[spec.turbulence]
+        fdm["air/turbulence-source"] = 0.0 if spec.turbulence_source == "jsbsim" else 1.0
+    if fdm.get_property_manager().hasNode("sensor/V-mps"):
+        fdm["sensor/noise"] = float(spec.sensor_noise)
+    elif spec.sensor_noise:
+        raise BadInputError(
+            f"aircraft '{mission.aircraft.name}' has no sensors system (property sensor/V-mps): fly it with sensor_noise = false "
+            "(without --noise)"
+        )
+    for name, value in as_model_has(fdm, spec.properties).items():
+        if name not in CHANGEABLE:
+            engine.set_property(fdm, name, value)
+    # The script's start is an airspeed; over the ground the aircraft moves with the wind as well.
+    toward = math.radians(spec.wind_from_deg + 180.0)
+    if spec.wind_mps:
+        north, east = fdm["ic/vn-fps"], fdm["ic/ve-fps"]
+        fdm["ic/vn-fps"] = north + spec.wind_mps * math.cos(toward) / FT
+        fdm["ic/ve-fps"] = east + spec.wind_mps * math.sin(toward) / FT
+        if not with_air:
+            # Set after the velocity over the ground, which it then leaves alone; JSBSim's direction is where the wind blows to.
+            fdm["ic/vw-dir-deg"] = math.degrees(toward)
+            fdm["ic/vw-mag-fps"] = spec.wind_mps / FT
+
+
+def as_model_has(fdm: Any, properties: Mapping[str, float]) -> dict[str, float]:
+    """``properties`` with bounds of zero in place of a switch uq/<C>/active 0 that the aircraft's plugin does not have."""
+    exists = fdm.get_property_manager().hasNode
+    found: dict[str, float] = {}
+    for name, value in properties.items():
+        plugin, _, what = name.rpartition("/")
+        if what == "active" and plugin.startswith("uq/") and value == 0.0 and not exists(name):
+            found |= {f"{plugin}/lower": 0.0, f"{plugin}/upper": 0.0}
+        else:
+            found[name] = value
+    return found
+
+
+def set_wind_without_air(fdm: Any, spec: FlightSpec) -> None:
+    """Blow the steady wind through JSBSim's own properties where no air system does; initialising would have undone it."""
+    if has_air(fdm):
+        return
+    toward = math.radians(spec.wind_from_deg + 180.0)
+    fdm["atmosphere/wind-north-fps"] = spec.wind_mps * math.cos(toward) / FT
+    fdm["atmosphere/wind-east-fps"] = spec.wind_mps * math.sin(toward) / FT
+    fdm["atmosphere/wind-down-fps"] = 0.0
+
+
+def _require_kept(fdm: Any, properties: Mapping[str, float]) -> None:
+    """BadInputError for a setting that initialising has overwritten: it would move nothing, in silence."""
+    for name, value in properties.items():
+        kept = fdm[name]
+        if name not in CHANGEABLE and not name.startswith("ic/") and abs(kept - value) > 1e-9 * max(abs(value), 1.0):
+            raise BadInputError(
+                f"property {name} was set to {value:g} and stands at {kept:g} after initialising: the model computes it, "
+                "so it cannot be set"
+            )

@@ -1,0 +1,142 @@
+"""Flying-quality levels of MIL-F-8785C for the modes of a linear model.
+
+The numbers are the specification's tables; levels are 1, 2, 3, or 4 for worse than Level 3. They were written for piloted aircraft:
+for a small unmanned one they are a yardstick, not a requirement.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from uqharness.simulator.linear import LinearModel, Mode
+
+CATEGORIES = ("A", "B", "C")
+CLASSES = ("I", "II-L", "II-C", "III", "IV")
+
+# 3.2.2.1.2, Table IV: short-period damping, (Level 1 low, high), (Level 2 low, high), Level 3 low.
+_SHORT_PERIOD_DAMPING = {
+    "A": ((0.35, 1.30), (0.25, 2.00), 0.15),
+    "B": ((0.30, 2.00), (0.20, 2.00), 0.15),
+    "C": ((0.35, 1.30), (0.25, 2.00), 0.15),
+}
+# 3.2.2.1.1, Figs 1-3: wn^2/(n/alpha) in g rad^-1 s^-2 for Levels 1 and 2; the lower Level 2 bound is Level 3's too.
+_CAP = {"A": ((0.28, 3.6), (0.16, 10.0)), "B": ((0.085, 3.6), (0.038, 10.0)), "C": ((0.16, 3.6), (0.096, 10.0))}
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """One requirement met or not: the criterion, its value and unit, the level reached (1..4), the paragraph."""
+
+    mode: str
+    criterion: str
+    value: float
+    unit: str
+    level: int
+    paragraph: str
+
+
+def assess(model: LinearModel, found: Sequence[Mode], category: str = "B", aircraft_class: str = "I") -> list[Assessment]:
+    """Levels of every mode that has a requirement. ValueError for an unknown category or class."""
+    if category not in CATEGORIES or aircraft_class not in CLASSES:
+        raise ValueError(
+            f"category {category!r}, class {aircraft_class!r}: allowed are {', '.join(CATEGORIES)} and {', '.join(CLASSES)}"
+        )
+    by_name: dict[str, list[Mode]] = {}
+    for mode in found:
+        by_name.setdefault(mode.name, []).append(mode)
+    return [
+        *_short_period(by_name["short_period"], model, category),
+        *_phugoid(by_name["phugoid"]),
+        *_dutch_roll(by_name["dutch_roll"], category, aircraft_class),
+        *_roll(by_name["roll"], category, aircraft_class),
+        *_spiral(by_name["spiral"], category),
+    ]
+
+
+def load_factor_per_alpha(model: LinearModel) -> float:
+    """n/alpha [g/rad] = -Z_w V / g, from the linear model's Z_w."""
+    return -float(model.A[2, 2]) * model.trim.condition.V_mps / 9.80665
+
+
+def _short_period(pair: list[Mode], model: LinearModel, category: str) -> list[Assessment]:
+    if len(pair) == 1:
+        zeta, wn = pair[0].zeta, pair[0].wn_radps
+    else:
+        product = pair[0].real * pair[1].real
+        if product <= 0:
+            return [Assessment("short_period", "damping", float("nan"), "1", 4, "3.2.2.1.2")]
+        wn = math.sqrt(product)
+        zeta = -(pair[0].real + pair[1].real) / (2 * wn)
+    first, second, third = _SHORT_PERIOD_DAMPING[category]
+    damping = 1 if _within(zeta, first) else 2 if _within(zeta, second) else 3 if zeta >= third else 4
+    cap = wn**2 / load_factor_per_alpha(model)
+    one, two = _CAP[category]
+    control = 1 if _within(cap, one) else 2 if _within(cap, two) else 3 if cap >= two[0] else 4
+    return [
+        Assessment("short_period", "damping", zeta, "1", damping, "3.2.2.1.2"),
+        Assessment("short_period", "wn^2/(n/alpha)", cap, "1/(g s^2)", control, "3.2.2.1.1"),
+    ]
+
+
+def _phugoid(pair: list[Mode]) -> list[Assessment]:
+    # 3.2.1.2: Level 1 zeta >= 0.04, Level 2 zeta >= 0, Level 3 time to double >= 55 s.
+    slowest = max(pair, key=lambda mode: mode.real)
+    zeta = slowest.zeta if slowest.imag else (1.0 if slowest.real < 0 else -1.0)
+    if zeta >= 0.04:
+        level = 1
+    elif zeta >= 0.0:
+        level = 2
+    else:
+        level = 3 if math.log(2.0) / slowest.real >= 55.0 else 4
+    return [Assessment("phugoid", "damping", zeta, "1", level, "3.2.1.2")]
+
+
+def _dutch_roll(pair: list[Mode], category: str, aircraft_class: str) -> list[Assessment]:
+    if len(pair) == 2:
+        level = 1 if max(mode.real for mode in pair) < 0 else 4
+        return [Assessment("dutch_roll", "damping", 1.0 if level == 1 else float("nan"), "1", level, "3.3.1.1")]
+    mode = pair[0]
+    light = aircraft_class in ("I", "IV")
+    # 3.3.1.1, Table VI: least zeta, zeta wn [rad/s], wn [rad/s] at Level 1.
+    if category == "A":
+        one = (0.19, 0.35, 1.0 if light else 0.4)
+    elif category == "B":
+        one = (0.08, 0.15, 0.4)
+    else:
+        one = (0.08, 0.15, 1.0) if light or aircraft_class == "II-C" else (0.08, 0.10, 0.4)
+    limits = (one, (0.02, 0.05, 0.4), (0.0, -math.inf, 0.4))
+    level = 4
+    for index, (zeta, product, wn) in enumerate(limits, start=1):
+        if mode.zeta >= zeta and -mode.real >= product and mode.wn_radps >= wn:
+            level = index
+            break
+    return [Assessment("dutch_roll", "damping", mode.zeta, "1", level, "3.3.1.1")]
+
+
+def _roll(found: list[Mode], category: str, aircraft_class: str) -> list[Assessment]:
+    # 3.3.1.2, Table VII: longest roll time constant [s]; Level 3 is 10 s throughout.
+    quick = aircraft_class in ("I", "IV") or (category == "C" and aircraft_class == "II-C")
+    one, two = (1.0, 1.4) if quick and category != "B" else (1.4, 3.0)
+    real = found[0].real
+    if real >= 0 or found[0].imag:
+        return [Assessment("roll", "time constant", float("nan"), "s", 4, "3.3.1.2")]
+    constant = -1.0 / real
+    level = 1 if constant <= one else 2 if constant <= two else 3 if constant <= 10.0 else 4
+    return [Assessment("roll", "time constant", constant, "s", level, "3.3.1.2")]
+
+
+def _spiral(found: list[Mode], category: str) -> list[Assessment]:
+    # 3.3.1.3, Table VIII: least time to double amplitude [s].
+    one = 20.0 if category == "B" else 12.0
+    real = found[0].real
+    if real <= 0:
+        return [Assessment("spiral", "time to double", math.inf, "s", 1, "3.3.1.3")]
+    double = math.log(2.0) / real
+    level = 1 if double >= one else 2 if double >= 8.0 else 3 if double >= 4.0 else 4
+    return [Assessment("spiral", "time to double", double, "s", level, "3.3.1.3")]
+
+
+def _within(value: float, limits: tuple[float, float]) -> bool:
+    return limits[0] <= value <= limits[1]

@@ -1,0 +1,88 @@
+"""Levels that move in flight: f redrawn each step (white), or a Gaussian random walk between reflecting ends.
+
+Hale (2016), section 3.7: a delta coefficient is lower + f (upper - lower) with f in 0..1. A walk's rate is given in 1/sqrt(s), so
+that the variance gathered per second is the same at any step. Streams belong to the epistemic sample and the coefficient, not to
+the flight: one walk is one epistemic sample, the same in all its flights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness.flight.seeds import walk_stream
+from uqharness.flight.spec import COEFFICIENTS, LevelDriver
+
+Array = NDArray[np.float64]
+
+BLOCK_STEPS = 8192
+"""Steps drawn at once. The values do not depend on it; memory does."""
+
+
+def level_blocks(driver: LevelDriver, steps: int, dt_s: float, block_steps: int = BLOCK_STEPS) -> Iterator[Array]:
+    """Levels of ``steps`` steps as arrays (<= block_steps, 6), columns in the order of COEFFICIENTS.
+
+    A coefficient that the driver does not move stays at 0.5. The same driver gives the same levels, whatever the block. ValueError
+    for a kind that is not white or walk, a step that is not positive, or a rate below 0.
+    """
+    if not dt_s > 0.0:
+        raise ValueError(f"dt_s = {dt_s}: a step must be positive")
+    columns = [_column(driver, name, dt_s) for name in COEFFICIENTS]
+    for first in range(0, steps, block_steps):
+        size = min(block_steps, steps - first)
+        yield np.column_stack([column.take(size) for column in columns])
+
+
+def reflect(position: Array) -> Array:
+    """Fold a free path into 0..1: mirrors at every whole number. A Gaussian walk folded so is a walk with reflecting ends."""
+    # To the bit what np.mod(position, 2.0) gives, in a third of its time.
+    folded = position - 2.0 * np.floor(0.5 * position)
+    return np.minimum(folded, 2.0 - folded)
+
+
+class _Constant:
+    def take(self, size: int) -> Array:
+        return np.full(size, 0.5)
+
+
+class _White:
+    def __init__(self, generator: np.random.Generator) -> None:
+        self._generator = generator
+
+    def take(self, size: int) -> Array:
+        return self._generator.random(size)
+
+
+class _Walk:
+    """f(0) is uniform: at the rates that flights show, a walk needs most of an hour to forget where it began."""
+
+    def __init__(self, generator: np.random.Generator, rate_per_sqrt_s: float, dt_s: float) -> None:
+        if not rate_per_sqrt_s >= 0.0:
+            raise ValueError(f"walk rate {rate_per_sqrt_s}: 0 or more per square root of a second")
+        self._generator = generator
+        # Eq 3.38 with the rates where the print has periods: sigma_sim = sigma_rec sqrt(rate_rec/rate_sim) = rate sqrt(dt)
+        self._sigma = rate_per_sqrt_s * float(np.sqrt(dt_s))
+        self._next = float(generator.random())
+
+    def take(self, size: int) -> Array:
+        path = np.empty(size + 1)
+        path[0] = self._next
+        path[1:] = self._sigma * self._generator.standard_normal(size)
+        # Summed one after the other from the carried position: a block's end is no place where rounding differs.
+        np.cumsum(path, out=path)
+        self._next = float(path[-1])
+        return reflect(path[:-1])
+
+
+def _column(driver: LevelDriver, coefficient: str, dt_s: float) -> _Constant | _White | _Walk:
+    if coefficient not in driver.coefficients:
+        return _Constant()
+    generator = np.random.Generator(np.random.PCG64(walk_stream(driver.root_seed, driver.epistemic_id, coefficient)))
+    if driver.kind == "white":
+        return _White(generator)
+    if driver.kind == "walk":
+        rate = driver.rates_per_sqrt_s[driver.coefficients.index(coefficient)]
+        return _Walk(generator, rate, dt_s)
+    raise ValueError(f"level driver '{driver.kind}': white or walk")

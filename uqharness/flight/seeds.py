@@ -1,0 +1,49 @@
+"""Random streams of a campaign, each named by what it is for and never by who draws it.
+
+Turbulence and sensor noise depend on (root seed, aleatory id, kind): every corner and every condition meets the same
+air, so differences between them are theirs and not chance's. Walks depend on (root seed, epistemic id, coefficient): one
+walk is one epistemic sample, the same in all its flights. Random variables of a flight, such as its mass, depend on (root seed,
+aleatory id, property), draws of parameters on (root seed, number).
+"""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+
+from uqharness.flight.spec import COEFFICIENTS
+
+KINDS = {"turbulence": 1, "noise": 2, "walk": 3, "levels": 4, "parameters": 5, "variable": 6}
+"""Stream kinds and their numbers; a number once given is never reused, or old campaigns could not be repeated."""
+
+_LARGEST = 2**31 - 2
+
+
+def flight_seed(root_seed: int, aleatory_id: int, kind: str) -> int:
+    """Seed in 1..2^31-2 for JSBSim's generator (31 bits, where 0 and 1 would be the same stream)."""
+    if kind not in ("turbulence", "noise"):
+        raise ValueError(f"kind '{kind}': must be turbulence or noise")
+    sequence = np.random.SeedSequence(entropy=root_seed, spawn_key=(KINDS[kind], aleatory_id))
+    return int(sequence.generate_state(1, np.uint64)[0] % _LARGEST) + 1
+
+
+def walk_stream(root_seed: int, epistemic_id: str, coefficient: str) -> np.random.SeedSequence:
+    """Seed sequence of one coefficient's walk in one epistemic sample."""
+    key = (KINDS["walk"], *_words(epistemic_id), COEFFICIENTS.index(coefficient))
+    return np.random.SeedSequence(entropy=root_seed, spawn_key=key)
+
+
+def named_stream(root_seed: int, kind: str, name: str) -> np.random.SeedSequence:
+    """Seed sequence of what bears a name: one dimension of a Latin hypercube, one variable."""
+    return np.random.SeedSequence(entropy=root_seed, spawn_key=(KINDS[kind], *_words(name)))
+
+
+def numbered_stream(root_seed: int, kind: str, number: int, name: str = "") -> np.random.SeedSequence:
+    """Seed sequence of the n-th draw (of what bears that name): the first n draws are the same however many follow."""
+    return np.random.SeedSequence(entropy=root_seed, spawn_key=(KINDS[kind], *(_words(name) if name else ()), number))
+
+
+def _words(name: str) -> tuple[int, int]:
+    number = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big")
+    return number >> 32, number & 0xFFFFFFFF

@@ -1,0 +1,172 @@
+"""The step loop of a flight: JSBSim's run() with what the host feeds in before each step. Throughput is decided here."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import chain, islice, repeat
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness.flight.levels import BLOCK_STEPS, level_blocks
+from uqharness.flight.spec import COEFFICIENTS, TURBULENCE_W20_KT, FlightSpec
+from uqharness.simulator import engine
+from uqharness.simulator.signals import FT
+
+Array = NDArray[np.float64]
+
+Rows = Iterator[tuple[float, ...]]
+
+_GUSTS = tuple(f"air/host/{name}" for name in ("u-mps", "v-mps", "w-mps", "p-rad_sec", "q-rad_sec", "r-rad_sec"))
+# All six at once: a coefficient that does not move gets a level nobody reads, which is cheaper than asking.
+_LEVELS = tuple(f"uq/{name}/level" for name in COEFFICIENTS)
+
+
+def stepper(fdm: Any, spec: FlightSpec, dt_s: float, steps: int) -> Callable[[int], None]:
+    """A function that runs n steps, at most ``steps`` in all, feeding gusts and levels before each. Call it after initialising."""
+    run = fdm.run
+    gusty = spec.turbulence != "none" and spec.turbulence_source == "spec"
+    levels = level_blocks(spec.levels, steps, dt_s) if spec.levels is not None else None
+    if gusty and not has_air(fdm):
+        gusts = _rows(_gust_blocks(fdm, spec, dt_s, steps))
+        return _with_turned_gusts(fdm, gusts, None if levels is None else _rows(levels))
+    if gusty and levels is not None:
+        return _with_gusts_and_levels(fdm, _rows(_gust_blocks(fdm, spec, dt_s, steps), levels))
+    if gusty:
+        return _with_six(fdm, _rows(_gust_blocks(fdm, spec, dt_s, steps)), _GUSTS)
+    if levels is not None:
+        return _with_six(fdm, _rows(levels), _LEVELS)
+
+    def plain(count: int) -> None:
+        for _ in repeat(None, count):
+            run()
+
+    return plain
+
+
+def first_levels(spec: FlightSpec, dt_s: float) -> dict[str, float]:
+    """Levels of the first step as properties: what initialising has to see."""
+    if spec.levels is None:
+        return {}
+    row = next(level_blocks(spec.levels, 1, dt_s))[0]
+    return {
+        f"uq/{name}/level": float(value) for name, value in zip(COEFFICIENTS, row, strict=True) if name in spec.levels.coefficients
+    }
+
+
+def _rows(*series: Iterable[Array]) -> Rows:
+    """Rows as tuples of Python floats, a block at a time: a whole hour would fill the memory. Several series stand side by side."""
+    return chain.from_iterable(
+        # array's iterator makes a float as it is asked for one: a third of the time of a list that holds them all.
+        zip(*(array("d", column.tobytes()) for block in blocks for column in block.T), strict=True)
+        for blocks in zip(*series, strict=True)
+    )
+
+
+def _setters(fdm: Any, names: Iterable[str]) -> list[Callable[[float], None]]:
+    return [engine.handle(fdm, name).set_double_value for name in names]
+
+
+# The loops below are written out: in a step of ten microseconds every call between them would show.
+def _with_six(fdm: Any, rows: Rows, names: Sequence[str]) -> Callable[[int], None]:
+    run = fdm.run
+    set_1, set_2, set_3, set_4, set_5, set_6 = _setters(fdm, names)
+
+    def fed(count: int) -> None:
+        for one, two, three, four, five, six in islice(rows, count):
+            set_1(one)
+            set_2(two)
+            set_3(three)
+            set_4(four)
+            set_5(five)
+            set_6(six)
+            run()
+
+    return fed
+
+
+def _with_gusts_and_levels(fdm: Any, rows: Rows) -> Callable[[int], None]:
+    run = fdm.run
+    set_u, set_v, set_w, set_p, set_q, set_r = _setters(fdm, _GUSTS)
+    set_1, set_2, set_3, set_4, set_5, set_6 = _setters(fdm, _LEVELS)
+
+    def fed(count: int) -> None:
+        for u, v, w, p, q, r, one, two, three, four, five, six in islice(rows, count):
+            set_u(u)
+            set_v(v)
+            set_w(w)
+            set_p(p)
+            set_q(q)
+            set_r(r)
+            set_1(one)
+            set_2(two)
+            set_3(three)
+            set_4(four)
+            set_5(five)
+            set_6(six)
+            run()
+
+    return fed
+
+
+def _with_turned_gusts(fdm: Any, gusts: Rows, levels: Rows | None) -> Callable[[int], None]:
+    """Gust velocities through JSBSim's own properties, heading axes turned to north and east by the heading of the frame before.
+
+    JSBSim keeps the gusts' rotation to itself, so the aircraft meets u, v and w alone.
+    """
+    run = fdm.run
+    heading = engine.handle(fdm, "attitude/psi-rad").get_double_value
+    set_north, set_east, set_down = _setters(fdm, [f"atmosphere/gust-{axis}-fps" for axis in ("north", "east", "down")])
+    level_setters = _setters(fdm, _LEVELS) if levels is not None else []
+    level_rows = repeat(()) if levels is None else levels
+    cos, sin, per_ft = math.cos, math.sin, 1.0 / FT
+
+    def fed(count: int) -> None:
+        for (u, v, w, _, _, _), row in islice(zip(gusts, level_rows, strict=False), count):
+            psi = heading()
+            c, s = cos(psi) * per_ft, sin(psi) * per_ft
+            set_north(u * c - v * s)
+            set_east(u * s + v * c)
+            set_down(w * per_ft)
+            for set_level, level in zip(level_setters, row, strict=True):
+                set_level(level)
+            run()
+
+    return fed
+
+
+def _gust_blocks(fdm: Any, spec: FlightSpec, dt_s: float, steps: int) -> Iterator[Array]:
+    # Imported here: scipy.signal takes a second to load, and calm flights do without.
+    from uqharness.flight.dryden import gust_blocks
+
+    blocks = gust_blocks(
+        steps,
+        dt_s,
+        V_mps=max(_airspeed_mps(fdm, spec), 1.0),
+        h_m=max(float(fdm["position/h-agl-ft"]) * FT, 3.048),
+        W20_kt=TURBULENCE_W20_KT[spec.turbulence],
+        b_m=float(fdm["metrics/bw-ft"]) * FT,
+        seed=spec.seed_turbulence,
+        block=BLOCK_STEPS,
+    )
+    return (
+        np.column_stack([gusts.u_mps, gusts.v_mps, gusts.w_mps, gusts.p_radps, gusts.q_radps, gusts.r_radps]) for gusts in blocks
+    )
+
+
+def has_air(fdm: Any) -> bool:
+    """Whether the aircraft carries the air system; asked by what it publishes, for a script makes any property that it sets."""
+    return bool(fdm.get_property_manager().hasNode("air/wind-north-fps"))
+
+
+def _airspeed_mps(fdm: Any, spec: FlightSpec) -> float:
+    if has_air(fdm):
+        return float(fdm["velocities/vt-fps"]) * FT
+    # The wind has only just been set and JSBSim has not met it yet.
+    toward = math.radians(spec.wind_from_deg + 180.0)
+    north = float(fdm["velocities/v-north-fps"]) * FT - spec.wind_mps * math.cos(toward)
+    east = float(fdm["velocities/v-east-fps"]) * FT - spec.wind_mps * math.sin(toward)
+    return math.hypot(north, east, float(fdm["velocities/v-down-fps"]) * FT)

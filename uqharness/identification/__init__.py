@@ -1,0 +1,1 @@
+"""Identification on JSBSim replays: parameters, comparison with flights, intervals and their validation."""

@@ -1,0 +1,288 @@
+"""A flight beside the model: replay by segment, gap per channel, coefficient and manoeuvre, and what the gap looks like.
+
+The aerodynamics stay as they are. Start states of the segments and constant sensor biases are estimated, because a replay from a
+start wrong by the sensors' noise misses the flight whatever the model.
+"""
+
+from __future__ import annotations
+
+import math
+import uuid
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.aerodynamics.coefficients import smooth
+from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.estimation.gaps import NOISE_FLOOR, Shift, Theil, channel_noise, rms, theil, time_shift, worst
+from sysid.estimation.output_error import output_error
+from uqharness.errors import BadInputError
+from uqharness.identification.identify import BIASES, OUTPUTS
+from uqharness.identification.start import demand_of, forced_at
+from uqharness.replay.flights import Flight, measured_outputs, segments, states
+from uqharness.replay.layout import delayed, late_limit_s, nuisance_layout
+from uqharness.replay.model import CONTROLS, ReplayFolder, ReplayModel
+from uqharness.replay.pool import replay_pool
+from uqharness.replay.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF, Segment
+from uqharness.replay.simulation import Replay
+from uqharness.simulator.aircraft import Aircraft
+
+Array = NDArray[np.float64]
+LIMIT = NOISE_FLOOR
+"""The noise floor is reached when no judged channel's rms is above this many times its noise."""
+_WORST = 20
+
+
+@dataclass(frozen=True)
+class ChannelGap:
+    """One channel over all segments: rms of measured minus model, noise, delay of the measured channel, Theil's coefficient.
+
+    rms is what is left after the delay that was allowed for (``allowed_s``, 0 where none was estimated); shift is on top of it.
+
+    ``judged`` channels decide the verdict; height and heading do not (integrals of the others, with drifting sensors).
+    """
+
+    rms: float
+    noise: float
+    judged: bool
+    allowed_s: float
+    shift: Shift
+    theil: Theil
+
+    @property
+    def ratio(self) -> float:
+        """Rms of measured minus model over the channel's noise; 1 is the noise floor."""
+        return self.rms / self.noise
+
+
+@dataclass(frozen=True)
+class CoefficientGap:
+    """One coefficient: rms of demanded minus model, rms that sensor noise alone would give, mean difference."""
+
+    rms: float
+    noise: float
+    mean: float
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One of the worst moments: where, how large, in units of noise."""
+
+    time_s: float
+    channel: str
+    manoeuvre: str
+    gap: float
+    noises: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All gaps of one flight.
+
+    manoeuvres  label -> channel -> rms over noise        demanded, predicted  coefficients (n, 6), one array a segment
+    controls_late_s  how late the controls act, estimated; late_limit_s  what a record allows, infinite for a log, whose
+    channels are stamped when they are written
+    """
+
+    aircraft: str
+    flight: str
+    channels: Mapping[str, ChannelGap]
+    coefficients: Mapping[str, CoefficientGap]
+    manoeuvres: Mapping[str, Mapping[str, float]]
+    manoeuvre_coefficients: Mapping[str, Mapping[str, float]]
+    moments: tuple[Moment, ...]
+    segments: tuple[Segment, ...]
+    outputs: tuple[str, ...]
+    measured: list[Array]
+    modelled: list[Array]
+    demanded: list[Array]
+    predicted: list[Array]
+    nuisance: Mapping[str, float]
+    notes: tuple[str, ...]
+    controls_late_s: float = 0.0
+    late_limit_s: float = math.inf
+
+    @property
+    def aligned(self) -> bool:
+        """The record's commands act when it says they do. A row of difference would otherwise pass for a lag in every servo."""
+        return abs(self.controls_late_s) <= self.late_limit_s
+
+    @property
+    def reached(self) -> bool:
+        """Every judged channel's rms is within LIMIT times its noise, and the controls are where the record puts them."""
+        return self.aligned and all(gap.ratio <= LIMIT for gap in self.channels.values() if gap.judged)
+
+    @property
+    def above(self) -> tuple[str, ...]:
+        """Judged channels above the limit, the worst first."""
+        found = [(g.ratio, c) for c, g in self.channels.items() if g.judged and not g.ratio <= LIMIT]
+        return tuple(c for _, c in sorted(found, reverse=True))
+
+
+def compare(
+    aircraft: Aircraft, flight: Flight, measured: Sequence[str], *, biases: Sequence[str] = BIASES,
+    delays: Sequence[str] | None = None, ideal_servos: bool = False, workers: int | None = None,
+) -> Comparison:  # fmt: skip
+    """Replay a flight and measure the gap. Raises BadInputError when the model cannot fly any segment."""
+    arm = aircraft.accelerometer_m
+    cut = segments(flight, measured, arm)
+    present = tuple(c for c in CHANNELS if c in flight.record and np.isfinite(flight.record[c]).any())
+    judged = tuple(c for c in OUTPUTS if c in present)
+    data = measured_outputs(flight, present)
+    noise = channel_noise(data, present, aircraft.card.sensors.noise_std)
+    ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
+    with ReplayFolder(aircraft, measured=measured, ideal=ideal) as model:
+        with replay_pool(workers) as spread:
+            wanted = [b for b in biases if b in judged]
+            late = delayed([flight], judged, delays)
+            theta, layout_names, kept, notes = _starts(model, cut, judged, data, present, wanted, late, spread)
+        replay = Replay(model, cut, layout_names, present, uuid.uuid4().hex)
+        modelled = replay(theta)
+        with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
+            demand, said, floor = _coefficients(model, straight, flight, cut, noise)
+    data = [d for d, ok in zip(data, kept, strict=True) if ok]
+    modelled = [y for y, ok in zip(modelled, kept, strict=True) if ok]
+    cut = [s for s, ok in zip(cut, kept, strict=True) if ok]
+    demand = [d for d, ok in zip(demand, kept, strict=True) if ok]
+    said = [d for d, ok in zip(said, kept, strict=True) if ok]
+    gaps = [z - y for z, y in zip(data, modelled, strict=True)]
+    estimates = [c for c in judged if c in flight.record.metadata.estimates]
+    if estimates:
+        # A vane's noise says nothing of an angle that a filter computed from other sensors.
+        notes = [*notes, f"estimates of the log, listed and not judged: {', '.join(estimates)}"]
+        judged = tuple(c for c in judged if c not in estimates)
+    missing = [c for c in OUTPUTS if c not in present]
+    if missing:
+        notes = [*notes, f"not in the record and not compared: {', '.join(missing)}"]
+    return Comparison(
+        aircraft=aircraft.name, flight=flight.name,
+        channels={
+            c: _channel(k, c, data, modelled, gaps, cut, noise, c in judged, _allowed(layout_names, theta, c))
+            for k, c in enumerate(present)
+        },
+        coefficients={c: _coefficient(k, demand, said, floor) for k, c in enumerate(COEFFICIENTS)},
+        manoeuvres=_by_manoeuvre(cut, gaps, present, noise),
+        manoeuvre_coefficients=_by_manoeuvre(
+            cut, [d - s for d, s in zip(demand, said, strict=True)], COEFFICIENTS, dict(zip(COEFFICIENTS, floor, strict=True))
+        ),
+        moments=_moments(cut, gaps, judged, present, noise), segments=tuple(cut), outputs=present, measured=data,
+        modelled=modelled, demanded=demand, predicted=said, nuisance=dict(zip(layout_names, theta.tolist(), strict=True)),
+        notes=(*flight.notes, *notes),
+        controls_late_s=float(sum(v for n, v in zip(layout_names, theta, strict=True) if n.endswith(f"/{CONTROL_DELAY}"))),
+        late_limit_s=late_limit_s(flight, cut[0].dt_s),
+    )  # fmt: skip
+
+
+def _starts(
+    model: ReplayModel, cut: list[Segment], judged: Sequence[str], data: list[Array], present: Sequence[str],
+    biases: Sequence[str], late: Mapping[str, Sequence[str]], spread: Any,
+) -> tuple[Array, tuple[str, ...], list[bool], list[str]]:  # fmt: skip
+    """Start states and biases (and their names) that bring the replay nearest; which segments the model can fly; notes."""
+    columns = [list(present).index(c) for c in judged]
+    layout = nuisance_layout((), (), cut, biases, judged, late)
+    token = uuid.uuid4().hex
+    plain = Replay(model, cut, (), judged, token)
+    kept = [bool(np.isfinite(y).all()) for y in plain(np.zeros(0))]
+    if not any(kept):
+        raise BadInputError(
+            "the model leaves the flight in every segment (its state is no longer finite); check its XML and the controls' signs"
+        )
+    notes = [
+        f"{s.label} at {s.time_s[0]:.1f} s was left out: the model's state is no longer finite there"
+        for s, ok in zip(cut, kept, strict=True)
+        if not ok
+    ]
+    flown = [s for s, ok in zip(cut, kept, strict=True) if ok]
+    wanted = [z[:, columns] for z, ok in zip(data, kept, strict=True) if ok]
+    inner = nuisance_layout((), (), flown, biases, judged, late)
+    replay = Replay(model, flown, inner.names, judged, uuid.uuid4().hex)
+    fit = output_error(
+        replay, np.zeros(len(inner.names)), wanted, names=inner.names, bounds=inner.bounds, tolerance=0.05, max_iterations=15,
+        differences="secant", map=None if spread is map else spread,
+    )  # fmt: skip
+    if not fit.converged:
+        notes.append("start states and biases did not settle: the gaps may be too large")
+    # Numbers of the segments flown back to numbers of all segments.
+    number = [i for i, ok in enumerate(kept) if ok]
+    theta = np.zeros(len(layout.names))
+    for name, value in zip(inner.names, fit.theta, strict=True):
+        if name.startswith("start/"):
+            _, k, state = name.split("/")
+            name = f"start/{number[int(k)]}/{state}"
+        theta[layout.names.index(name)] = value
+    return theta, layout.names, kept, notes
+
+
+def _coefficients(
+    model: ReplayModel, straight: ReplayModel, flight: Flight, cut: Sequence[Segment], noise: Mapping[str, float]
+) -> tuple[list[Array], list[Array], Array]:
+    """Demanded and predicted coefficients (n, 6) by segment, and the rms (6,) that the sensors' noise alone gives.
+
+    The latter by experiment: noise is added once more, to what the flight demanded and to the states the model was asked at.
+    """
+    rng = np.random.default_rng(1)
+    demand, said, change = [], [], []
+    for segment, piece in zip(cut, flight.pieces, strict=True):
+        channels = states(flight, piece)
+        noisy = {
+            c: v + (noise[c] * rng.standard_normal(len(v)) if np.isfinite(noise.get(c, np.nan)) else 0.0)
+            for c, v in channels.items()
+        }
+        found = []
+        for given in (channels, noisy):
+            forced, _ = forced_at(model, straight, segment, given, {})
+            found.append((demand_of(given, forced, segment), smooth(forced.coefficients, segment.dt_s)))
+        demand.append(found[0][0])
+        said.append(found[0][1])
+        change.append((found[1][0] - found[1][1]) - (found[0][0] - found[0][1]))
+    return demand, said, np.sqrt(np.mean(np.concatenate(change) ** 2, axis=0))
+
+
+def _allowed(names: Sequence[str], theta: Array, channel: str) -> float:
+    """How late, s, the channel was let come after the commands: the controls' delay and its own sensor's."""
+    ends = (f"/{CONTROL_DELAY}", f"/{SENSOR_OF.get(channel, channel)}")
+    return float(sum(v for n, v in zip(names, theta, strict=True) if n.startswith("delay/") and n.endswith(ends)))
+
+
+def _channel(
+    k: int, name: str, data: list[Array], modelled: list[Array], gaps: list[Array], cut: list[Segment],
+    noise: Mapping[str, float], judged: bool, allowed_s: float,
+) -> ChannelGap:  # fmt: skip
+    z, y = [d[:, k] for d in data], [m[:, k] for m in modelled]
+    return ChannelGap(
+        rms(np.concatenate([g[:, k] for g in gaps])), noise[name], judged, allowed_s,
+        time_shift(z, y, cut[0].dt_s), theil(np.concatenate(z), np.concatenate(y)),
+    )  # fmt: skip
+
+
+def _coefficient(k: int, demand: list[Array], said: list[Array], floor: Array) -> CoefficientGap:
+    gap = np.concatenate([d[:, k] - s[:, k] for d, s in zip(demand, said, strict=True)])
+    return CoefficientGap(rms(gap), float(floor[k]), float(np.nanmean(gap)))
+
+
+def _by_manoeuvre(
+    cut: Sequence[Segment], gaps: Sequence[Array], names: Sequence[str], noise: Mapping[str, float]
+) -> dict[str, dict[str, float]]:
+    out = {}
+    for label in dict.fromkeys(s.label for s in cut):
+        together = np.concatenate([g for s, g in zip(cut, gaps, strict=True) if s.label == label])
+        out[label] = {c: rms(together[:, k]) / noise[c] for k, c in enumerate(names)}
+    return out
+
+
+def _moments(
+    cut: Sequence[Segment],
+    gaps: Sequence[Array],
+    judged: Sequence[str],
+    present: Sequence[str],
+    noise: Mapping[str, float],
+) -> tuple[Moment, ...]:
+    found = []
+    for segment, gap in zip(cut, gaps, strict=True):
+        for channel in judged:
+            for at, size in worst(gap[:, list(present).index(channel)], segment.time_s, noise[channel], 3, 1.0):
+                found.append(Moment(at, channel, segment.label, size, abs(size) / noise[channel]))
+    return tuple(sorted(found, key=lambda m: -m.noises)[:_WORST])

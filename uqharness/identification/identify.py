@@ -1,0 +1,300 @@
+"""Identification of a JSBSim aircraft's parameters from flights: equation error to come near, output error by replay to settle.
+
+Output error takes a replay of every segment for its simulation; start states of the segments and sensor biases are estimated
+beside the parameters. Where the residuals show process noise (turbulence), filter error on the same model's open equations takes
+over, and the result says so.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+import uuid
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.estimation.gaps import NOISE_FLOOR, channel_noise, process_noise_shown, rms
+from sysid.estimation.output_error import output_error
+from sysid.estimation.result import OutputErrorFit
+from uqharness.errors import BadInputError
+from uqharness.identification.start import demand_of, equation_error_start, forced_at
+from uqharness.parallel import process_count
+from uqharness.replay.flights import Flight, measured_outputs, segments
+from uqharness.replay.layout import Layout, delayed, misplaced, nuisance_layout
+from uqharness.replay.model import CONTROLS, ReplayFolder, ReplayModel
+from uqharness.replay.pool import replay_pool
+from uqharness.replay.replay import CHANNELS, STATES, Segment
+from uqharness.replay.simulation import Replay, counter
+from uqharness.replay.speed import Speed, bare_rate
+from uqharness.simulator.aircraft import Aircraft
+
+Array = NDArray[np.float64]
+OUTPUTS = (
+    "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps",
+    "ax_mps2", "ay_mps2", "az_mps2",
+)  # fmt: skip
+"""Channels that output error compares. Height and heading follow from the others and drift in real sensors."""
+BIASES = ("p_radps", "q_radps", "r_radps")
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What was estimated, how, and how well it fits.
+
+    names, initial, theta, std, std_crb, status, reason  over the parameters asked for (JSBSim properties)
+    cov (k, k)        of the identified ones, in the order of ``identified``
+    nuisance          biases and start states: name -> (value, std)
+    outputs, measured, modelled  channels and their [(n, m)] arrays, one a segment; modelled includes biases
+    residual          measured minus model of the method used (innovations for filter error), one a segment
+    method            "output error" | "filter error"; simulations: replays of all segments, seconds: wall time they took
+    """
+
+    aircraft: str
+    names: tuple[str, ...]
+    initial: Array
+    theta: Array
+    std: Array
+    std_crb: Array
+    status: Mapping[str, str]
+    reason: Mapping[str, str]
+    cov: Array
+    nuisance: Mapping[str, tuple[float, float]]
+    outputs: tuple[str, ...]
+    segments: tuple[Segment, ...]
+    measured: list[Array]
+    modelled: list[Array]
+    residual: list[Array]
+    whiteness: Array
+    noise: Mapping[str, float]
+    method: str
+    converged: bool
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    simulations: int
+    seconds: float
+    speed: Speed | None = None
+
+    @property
+    def identified(self) -> tuple[str, ...]:
+        """Names of the parameters that the data determined."""
+        return tuple(n for n in self.names if self.status[n] == "identified")
+
+
+def identify(
+    aircraft: Aircraft,
+    flights: Sequence[Flight],
+    measured: Sequence[str],
+    parameters: Sequence[str] | None = None,
+    *,
+    start: str = "current",
+    biases: Sequence[str] = BIASES,
+    delays: Sequence[str] | None = None,
+    ideal_servos: bool = False,
+    method: str = "auto",
+    workers: int | None = None,
+) -> Identification:
+    """Estimate JSBSim properties from flights.
+
+    measured    surfaces whose columns are positions (`read_flights` says which)
+    parameters  properties; default: the card's [parameters]
+    start       "initial": the card's first guesses; "current": the values in the XML
+    biases      channels with a constant sensor bias, one a flight
+    delays      channels whose delay after the commands is estimated, one a flight; None: all, of flights that come from a log
+    ideal_servos  surfaces and throttle follow their commands at once, whatever actuators the XML has
+    method      "auto" | "output-error" | "filter-error"
+    Raises BadInputError for unknown parameters and for a model that cannot fly the segments.
+    """
+    names = _parameter_names(aircraft, parameters)
+    ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
+    with ReplayFolder(aircraft, measured=measured, ideal=ideal) as model:
+        arm = aircraft.accelerometer_m
+        cut = [s for f in flights for s in segments(f, measured, arm)]
+        initial = _initial(aircraft, model, names, start)
+        limits = _limits(aircraft, names, initial)
+        begun = time.perf_counter()
+        with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
+            near, notes = equation_error_start(model, straight, flights, cut, names, initial, limits)
+        outputs = tuple(c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights))
+        data = [block for f in flights for block in measured_outputs(f, outputs)]
+        noise = channel_noise(data, outputs, aircraft.card.sensors.noise_std)
+        bare, flown, started = bare_rate(model, cut[0]), counter["rows"], time.perf_counter()
+        with replay_pool(workers) as spread:
+            fit, layout, replay = _output_error(
+                model,
+                cut,
+                names,
+                near,
+                initial,
+                limits,
+                outputs,
+                data,
+                [b for b in biases if b in outputs],
+                delayed(flights, outputs, delays),
+                spread,
+            )
+        taken = time.perf_counter() - started
+        seconds = time.perf_counter() - begun
+        flown_s = (counter["rows"] - flown) * cut[0].dt_s
+        speed = Speed(fit.n_simulations / taken, flown_s / taken, process_count(workers), bare)
+        found = _assemble(aircraft, names, initial, fit, layout, replay, cut, outputs, data, noise, notes, seconds, speed)
+        found = replace(found, warnings=(*misplaced(flights, cut, found.nuisance), *found.warnings))
+        if method == "output-error" or (method == "auto" and not process_noise_shown(*_sensed(found))):
+            return found
+        from uqharness.identification.turbulence import filter_route
+
+        with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
+            return filter_route(found, model, straight, flights, limits, biases)
+
+
+def _sensed(found: Identification) -> tuple[list[Array], list[Array], Array]:
+    """Residual, motion and noise of the channels that sensors measure directly.
+
+    An estimator's attitude or wind angles have coloured errors of their own, which say nothing of the air.
+    """
+    columns = [k for k, c in enumerate(found.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")]
+    return (
+        [r[:, columns] for r in found.residual],
+        [y[:, columns] for y in found.modelled],
+        np.array([found.noise[found.outputs[k]] for k in columns]),
+    )
+
+
+def _parameter_names(aircraft: Aircraft, asked: Sequence[str] | None) -> tuple[str, ...]:
+    known = list(aircraft.card.parameters)
+    if asked is None:
+        if not known:
+            raise BadInputError(
+                f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters]; name some with --params aero/Cm_q,..."
+            )
+        return tuple(known)
+    names = tuple(n if "/" in n else f"aero/{n}" for n in asked)
+    if len(set(names)) < len(names):
+        raise BadInputError(f"--params names {max(names, key=names.count)} twice")
+    return names
+
+
+def _initial(aircraft: Aircraft, model: ReplayModel, names: Sequence[str], start: str) -> Array:
+    from uqharness.simulator import engine
+
+    fdm = model.open(aircraft.dt_s)
+    engine.require(fdm, names)
+    current = np.array([fdm[name] for name in names])
+    if start == "current":
+        return current
+    card = aircraft.card.parameters
+    guesses = [card[n].initial if n in card else None for n in names]
+    return np.array([c if g is None else g for g, c in zip(guesses, current, strict=True)])
+
+
+def _limits(aircraft: Aircraft, names: Sequence[str], initial: Array) -> list[tuple[float, float]]:
+    out = []
+    for name, value in zip(names, initial, strict=True):
+        card = aircraft.card.parameters.get(name)
+        low, high = card.bounds if card is not None and card.bounds is not None else (-np.inf, np.inf)
+        if not low <= value <= high:
+            raise BadInputError(f"{name}: its start {value:g} lies outside the card's bounds [{low:g}, {high:g}]")
+        out.append((float(low), float(high)))
+    return out
+
+
+def _output_error(
+    model: ReplayModel, cut: Sequence[Segment], names: Sequence[str], near: Array, initial: Array,
+    limits: Sequence[tuple[float, float]], outputs: tuple[str, ...], data: list[Array], biases: Sequence[str],
+    late: Mapping[str, Sequence[str]], spread: Any,
+) -> tuple[OutputErrorFit, Layout, Replay]:  # fmt: skip
+    layout = nuisance_layout(names, limits, cut, biases, outputs, late)
+    replay = Replay(model, cut, layout.names, outputs, uuid.uuid4().hex)
+    theta0 = np.zeros(len(layout.names))
+    theta0[: len(names)] = near
+    pool = None if spread is map else spread
+
+    def fit_from(theta: Array, free: list[str]) -> OutputErrorFit:
+        return output_error(
+            replay,
+            theta,
+            data,
+            names=layout.names,
+            bounds=layout.bounds,
+            free=free,
+            map=pool,
+            tolerance=0.05,
+            max_iterations=40,
+            differences="secant",
+        )
+
+    free = list(layout.names)
+    try:
+        fit = fit_from(theta0, free)
+    except ValueError as error:
+        if "fails at theta0" not in str(error):
+            raise BadInputError(str(error)) from None
+        theta0[: len(names)] = initial
+        try:
+            fit = fit_from(theta0, free)
+        except ValueError as again:
+            raise BadInputError(f"the model cannot fly these segments: {again}; give other start values (--start)") from None
+    lost = [n for n in names if fit.status[n] == "not-identified"]
+    if lost:
+        # What the data do not determine goes back to where it was, so that the rest is estimated beside values that will be flown.
+        theta = fit.theta.copy()
+        for n in lost:
+            theta[layout.names.index(n)] = initial[list(names).index(n)]
+        again_fit = fit_from(theta, [n for n in free if n not in lost])
+        status = {**again_fit.status, **dict.fromkeys(lost, "not-identified")}
+        reason = {**again_fit.reason, **{n: fit.reason[n] for n in lost}}
+        kept = [w for w in fit.warnings if any(w.startswith(f"{n} not identified") for n in lost)]
+        fit = replace(
+            again_fit, status=status, reason=reason, warnings=kept + again_fit.warnings,
+            n_simulations=fit.n_simulations + again_fit.n_simulations,
+        )  # fmt: skip
+    return fit, layout, replay
+
+
+def _left_over(residual: Sequence[Array], outputs: Sequence[str], noise: Mapping[str, float]) -> list[str]:
+    """A sentence when a channel is left further off than its noise explains although nothing looks coloured."""
+    whole = np.concatenate(residual)
+    ratio = {c: rms(whole[:, k]) / noise[c] for k, c in enumerate(outputs) if noise[c] > 0.0}
+    above = {c: r for c, r in ratio.items() if r > NOISE_FLOOR}
+    if not above:
+        return []
+    return [
+        "residuals above the noise: " + ", ".join(f"{c} {r:.2f} times" for c, r in above.items()) + "; something acted that the "
+        "replay does not have (commands between rows while an autopilot flew, gusts, a missing term), and estimates may be off by "
+        "more than std: label the manoeuvres, record surface positions or log faster"
+    ]
+
+
+def _assemble(
+    aircraft: Aircraft, names: tuple[str, ...], initial: Array, fit: OutputErrorFit, layout: Layout, replay: Replay,
+    cut: Sequence[Segment], outputs: tuple[str, ...], data: list[Array], noise: Mapping[str, float], notes: Sequence[str],
+    seconds: float, speed: Speed,
+) -> Identification:  # fmt: skip
+    k = len(names)
+    identified = [i for i in range(k) if fit.status[names[i]] == "identified"]
+    hidden = {n: (float(fit.theta[i]), float(fit.std[i])) for i, n in enumerate(layout.names) if i >= k}
+    # A start state that two channels cannot tell apart is nobody's concern; a parameter is.
+    warnings = [
+        re.sub(r"\boutput (\d+)", lambda found: outputs[int(found[1])], w)
+        for w in fit.warnings if not w.startswith(("start/", "bias/", "delay/"))
+    ]  # fmt: skip
+    assert isinstance(fit.residual, list)
+    if not any(w.startswith("coloured") for w in warnings):
+        warnings += _left_over(fit.residual, outputs, noise)
+    return Identification(
+        aircraft=aircraft.name, names=names, initial=initial, theta=fit.theta[:k], std=fit.std[:k], std_crb=fit.std_crb[:k],
+        status={n: fit.status[n] for n in names}, reason={n: fit.reason[n] for n in names},
+        cov=fit.cov[np.ix_(identified, identified)], nuisance=hidden, outputs=outputs, segments=tuple(cut), measured=data,
+        modelled=replay(fit.theta), residual=fit.residual, whiteness=fit.whiteness, noise=noise, method="output error",
+        converged=fit.converged, warnings=tuple(warnings), notes=tuple(notes), simulations=fit.n_simulations, seconds=seconds,
+        speed=speed,
+    )  # fmt: skip
+
+
+__all__ = [
+    "BIASES", "CHANNELS", "OUTPUTS", "STATES", "Identification", "delayed", "demand_of", "forced_at", "identify",
+    "nuisance_layout", "replay_pool",
+]  # fmt: skip

@@ -1,0 +1,247 @@
+"""Model-form bounds of a JSBSim aircraft: flights in, a ModelForm and all that is needed to judge it out. Writes nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.aerodynamics.residuals import Cutoffs, Residuals, together
+from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.estimation.gaps import channel_noise
+from sysid.foreign.parsed_text import parse_json
+from sysid.foreign.regular_files import read_regular
+from sysid.model_form.coverage import leave_one_out, told_apart
+from sysid.model_form.fit import Design, FitOptions, FittedBounds, default_designs, fit_bounds, with_walk_rates
+from sysid.model_form.model_form import AircraftReference, CoefficientBounds, Filtering, FlightUsed, ModelForm, Outside
+from sysid.model_form.noise_floor import NOISY, noise_floor
+from sysid.model_form.variation import WALK_CUTOFF_HZ, Variation, variation
+from uqharness.errors import BadInputError
+from uqharness.replay.flights import Flight, measured_outputs
+from uqharness.replay.residuals import ReplayPair, flight_residuals, prediction_of
+from uqharness.simulator.aircraft import Aircraft, content_hash
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BoundsOptions:
+    """How bounds are made. outside: what the intervals do beyond the data; checks: noise floor, leave-one-out, other cut-offs."""
+
+    designs: Mapping[str, Design] = field(default_factory=default_designs)
+    fit: FitOptions = field(default_factory=FitOptions)
+    cutoffs: Cutoffs = field(default_factory=Cutoffs)
+    walk_cutoff_hz: float = WALK_CUTOFF_HZ
+    outside: Outside = "grow"
+    ideal_servos: bool = False
+    checks: bool = True
+
+
+@dataclass(frozen=True)
+class CutoffRow:
+    """One other filter: its cut-offs, and per coefficient the mean width and the share inside when manoeuvres are left out."""
+
+    cutoffs: Cutoffs
+    width: Mapping[str, float]
+    left_out: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class MadeBounds:
+    """A model form with its evidence.
+
+    widths       coefficient -> mean width of the bounds over the data         noise  -> standard deviation that sensor noise forces
+    baseline     the default states' bounds where other states were asked for, for comparison
+    left_out     manoeuvre -> coefficient -> share inside the bounds of the others        cutoffs  other filters
+    """
+
+    form: ModelForm
+    residuals: Residuals
+    fitted: Mapping[str, FittedBounds]
+    baseline: Mapping[str, CoefficientBounds]
+    variations: Mapping[str, Variation]
+    widths: Mapping[str, float]
+    noise: Mapping[str, float]
+    left_out: Mapping[str, Mapping[str, float]]
+    cutoffs: tuple[CutoffRow, ...]
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def make_bounds(
+    aircraft: Aircraft,
+    flights: Sequence[Flight],
+    measured: Sequence[str],
+    hashes: Sequence[str],
+    options: BoundsOptions,
+    say: Callable[[str], object] = lambda stage: None,
+) -> MadeBounds:
+    """Fit the intervals. hashes: SHA-256 of each flight's file; ``say`` is told each stage.
+
+    Raises BadInputError when the flights are too short for any fit.
+    """
+    arm = aircraft.accelerometer_m
+    flights = [f.with_commands_as_felt() for f in flights] if options.ideal_servos else flights
+    with prediction_of(aircraft, measured, options.ideal_servos) as pair:
+        say("residual coefficients")
+        parts = [flight_residuals(pair, f, arm, options.cutoffs) for f in flights]
+        residuals = together(parts)
+        fitted = _fit(residuals, options.designs, options.fit)
+        noise, table = {}, []
+        if options.checks:
+            say("noise floor")
+            noise = _noise(pair, flights, aircraft, arm, options.cutoffs)
+            say("other filters")
+            table = [_other(pair, flights, arm, c, options) for c in _other_cutoffs(options.cutoffs)]
+    walks = {c: variation(residuals, c, f.bounds, options.walk_cutoff_hz, options.outside) for c, f in fitted.items()}
+    form = ModelForm(
+        aircraft=AircraftReference(aircraft.name, content_hash(aircraft)),
+        flights=tuple(_used(f, r, h) for f, r, h in zip(flights, parts, hashes, strict=True)),
+        filtering=Filtering(options.cutoffs.all_hz, options.cutoffs.airspeed_hz, options.walk_cutoff_hz, 1.0 / residuals.dt_s),
+        confidence=options.fit.confidence,
+        outside=options.outside,
+        coefficients=with_walk_rates(fitted, {c: w.rate for c, w in walks.items()}),
+    )
+    say("leaving manoeuvres out")
+    left_out = leave_one_out(residuals, options.designs, options.fit, options.outside) if options.checks else {}
+    return MadeBounds(
+        form=form, residuals=residuals, fitted=fitted, baseline=_baseline(residuals, options), variations=walks,
+        widths=mean_widths(form, residuals), noise=noise, left_out=left_out, cutoffs=tuple(table),
+        notes=(*(n for f in flights for n in f.notes), *(n for f in fitted.values() for n in f.notes)),
+        warnings=tuple(_warnings(aircraft, flights, hashes, form, walks, options.cutoffs)),
+    )  # fmt: skip
+
+
+def _fit(residuals: Residuals, designs: Mapping[str, Design], options: FitOptions) -> dict[str, FittedBounds]:
+    try:
+        return fit_bounds(residuals, designs, options)
+    except ValueError as error:
+        raise BadInputError(str(error)) from None
+
+
+def _baseline(residuals: Residuals, options: BoundsOptions) -> dict[str, CoefficientBounds]:
+    """Default bounds of the coefficients whose states or terms were chosen by the user (Fig 2.10's blue lines)."""
+    usual = default_designs()
+    changed = {c: usual[c] for c, d in options.designs.items() if d != usual[c]}
+    try:
+        return {c: f.bounds for c, f in fit_bounds(residuals, changed, options.fit).items()} if changed else {}
+    except ValueError:
+        return {}
+
+
+def mean_widths(form: ModelForm, residuals: Residuals) -> dict[str, float]:
+    """Mean width of the bounds over a flight's own states."""
+    return {c: float(np.mean(high - low)) for c, (low, high) in form.bounds(residuals.states).items()}
+
+
+def noise_of(flight: Flight, aircraft: Aircraft) -> dict[str, float]:
+    """Noise of each channel: the card's figure, else what the samples show (to which gusts on the airspeed would add)."""
+    stated = aircraft.card.sensors.noise_std
+    rest = [c for c in NOISY if c in flight.record and c not in stated]
+    return {**stated, **channel_noise(measured_outputs(flight, rest), rest, {})}
+
+
+def _noise(
+    pair: ReplayPair, flights: Sequence[Flight], aircraft: Aircraft, arm: Sequence[float], cutoffs: Cutoffs
+) -> dict[str, float]:
+    squares = [
+        noise_floor(f.record, f.pieces, pair.of(f, remember=False), noise_of(f, aircraft), arm, cutoffs) ** 2 for f in flights
+    ]
+    seconds = [sum(p.end_s - p.start_s for p in f.pieces) for f in flights]
+    return dict(zip(COEFFICIENTS, np.sqrt(np.average(squares, axis=0, weights=seconds)).tolist(), strict=True))
+
+
+def _other_cutoffs(used: Cutoffs) -> list[Cutoffs]:
+    """Half and twice the filter, and the airspeed at half, twice and without its low-pass."""
+    return [
+        Cutoffs(0.5 * used.all_hz, used.airspeed_hz),
+        Cutoffs(2.0 * used.all_hz, used.airspeed_hz),
+        *([Cutoffs(used.all_hz, 0.5 * used.airspeed_hz)] if np.isfinite(used.airspeed_hz) else []),
+        Cutoffs(used.all_hz, float("inf")),
+    ]
+
+
+def _other(
+    pair: ReplayPair, flights: Sequence[Flight], arm: Sequence[float], cutoffs: Cutoffs, options: BoundsOptions
+) -> CutoffRow:
+    nan = dict.fromkeys(options.designs, float("nan"))
+    try:
+        residuals = together([flight_residuals(pair, f, arm, cutoffs) for f in flights])
+        fitted = fit_bounds(residuals, options.designs, options.fit)
+    except (ValueError, BadInputError):
+        return CutoffRow(cutoffs, nan, nan)
+    width = {c: float(np.mean(np.subtract(*f.bounds.bounds(residuals.states)[::-1]))) for c, f in fitted.items()}
+    return CutoffRow(cutoffs, width, mean_left_out(residuals, leave_one_out(residuals, options.designs, options.fit)))
+
+
+def mean_left_out(residuals: Residuals, left_out: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    """Share inside when manoeuvres are left out, over all samples; NaN without a second manoeuvre."""
+    if not left_out:
+        return dict.fromkeys(COEFFICIENTS, float("nan"))
+    named = told_apart(residuals)
+    n = {label: sum(named.only([label]).lengths) for label in left_out}
+    names = next(iter(left_out.values()))
+    return {c: float(np.average([left_out[m][c] for m in left_out], weights=[n[m] for m in left_out])) for c in names}
+
+
+def _used(flight: Flight, residuals: Residuals, sha256: str) -> FlightUsed:
+    seconds = sum(p.time_s[-1] - p.time_s[0] for p in residuals.pieces)
+    estimates = tuple(c for c in flight.record.metadata.estimates if c in NOISY)
+    return FlightUsed(flight.name, sha256, round(float(seconds), 6), sum(residuals.lengths), estimates)
+
+
+def _warnings(
+    aircraft: Aircraft, flights: Sequence[Flight], hashes: Sequence[str], form: ModelForm, walks: Mapping[str, Variation],
+    cutoffs: Cutoffs,
+) -> list[str]:  # fmt: skip
+    out = [*flight_warnings(flights, form, cutoffs), *_identified_from(aircraft, flights, hashes)]
+    short = [c for c, w in walks.items() if not np.isfinite(w.rate)]
+    if short:
+        out.append(f"no piece is long enough for a rate of variation of {', '.join(short)} at {form.filtering.walk_cutoff_hz:g} Hz")
+    return out
+
+
+def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs) -> list[str]:
+    """What weakens these flights' residuals: estimated angles, channels slower than the filter, other rates than the form's."""
+    out = []
+    for flight in flights:
+        record = flight.record
+        estimated = [c for c in record.metadata.estimates if c in NOISY]
+        if estimated:
+            out.append(
+                f"{flight.name}: {', '.join(estimated)} come from an estimator, not a sensor: its errors are in the intervals"
+            )
+        slow = [c for c, hz in record.metadata.native_hz.items() if c in NOISY and hz < 2.5 * cutoffs.all_hz and c != "V_mps"]
+        if slow:
+            out.append(
+                f"{flight.name}: {', '.join(slow)} were logged too slowly for a filter at {cutoffs.all_hz:g} Hz; lower --cutoff-hz"
+            )
+        rate = 1.0 / record.dt_s
+        if abs(rate / form.filtering.rate_hz - 1.0) > 0.1:
+            out.append(
+                f"{flight.name}: {rate:.0f} samples a second, the form's first flight had {form.filtering.rate_hz:.0f}: the same "
+                "cut-off passes another share of the noise"
+            )
+    return out
+
+
+def _identified_from(aircraft: Aircraft, flights: Sequence[Flight], hashes: Sequence[str]) -> list[str]:
+    """Flights that the aircraft's parameters were estimated from, by the fit.json beside an identified aircraft."""
+    path = aircraft.folder.parent / "fit.json"
+    try:
+        document = parse_json(read_regular(path))
+        known, names = document.get("flights_sha256", []), document.get("flights", [])
+        known, names = ([text for text in row if isinstance(text, str)] for row in (known, names))
+    except (OSError, ValueError, AttributeError, TypeError):
+        return []
+    out = []
+    for flight, sha256 in zip(flights, hashes, strict=True):
+        if sha256 in known or (not known and any(Path(n).stem == flight.name for n in names)):
+            out.append(
+                f"{flight.name}: {path} says that the model was identified from this flight; its residuals are too small for "
+                "bounds. Use another flight"
+            )
+    return out

@@ -1,0 +1,295 @@
+"""From a campaign's sensitivity to the next test flight: which coefficient, where in its states, and what to fly.
+
+Pure but for the flights that it simulates: writes nothing outside a temporary folder.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.aerodynamics.residuals import Cutoffs, Residuals
+from sysid.effects.flight_choice import Offer, choose
+from sysid.model_form.fit import FitOptions, fit_bounds
+from sysid.model_form.model_form import CoefficientBounds, ModelForm
+from sysid.model_form.worth import after, information, parameter_variance, weighted_quartiles
+from uqharness.errors import BadInputError
+from uqharness.next_flight.mission_states import Occupancy
+from uqharness.next_flight.points import QUIET_S, REST_S, Condition, TestPoint, library
+from uqharness.next_flight.prospects import Prospect, designs_of, prospects
+from uqharness.next_flight.script import MOST_BANK_RAD, RECOVERY_S, TRANSITION_S, schedule
+from uqharness.next_flight.trials import (
+    WIDER,
+    Refused,
+    TestFlight,
+    Trial,
+    fly_points,
+    residuals_of,
+    sorted_points,
+    try_points,
+    unit_times,
+)
+from uqharness.scratch import scratch_folder
+from uqharness.simulator.aircraft import Aircraft
+
+Array = NDArray[np.float64]
+WORTH = 0.05
+"""Share by which a flight must narrow the interval where the mission flies to be worth flying for it."""
+SENSORS = 1.3
+"""Up to this ratio of the scatter's standard deviation to that of the model's own simulated flight it is noise and air."""
+_TURN_RAD = math.radians(8.0)
+_TRIES = 8
+
+
+@dataclass(frozen=True)
+class Options:
+    """minutes: the flight's length at most; speeds_mps: of the points (default: the mission's); seed of the simulations."""
+
+    minutes: float = 5.0
+    speeds_mps: tuple[float, ...] = ()
+    seed: int = 1
+
+
+@dataclass(frozen=True)
+class Where:
+    """Quartiles (3,) of one state: in the data behind the bounds, where the mission flies, and of its uncertainty there, which is
+    occupancy times prediction variance."""
+
+    state: str
+    data: Array
+    mission: Array
+    variance: Array
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A test point of the flight. gain: share of the mean width that it took when it was chosen, given those before it."""
+
+    point: TestPoint
+    start_s: float
+    end_s: float
+    gain: float
+
+
+@dataclass(frozen=True)
+class NextFlight:
+    """What to fly for ``coefficient``, and what that will bring.
+
+    scatter, simulated_scatter  s of the bounds, and of the same fit to the flight as the model alone, with its sensors, flies it
+    extrapolated  share of the mission outside the data          states  of the planned flight, name -> (n,), filtered
+    end_s         length of the flight                            refused  points that the model did not bear
+    bounds_then   the coefficient's interval with the flight's data, but for beta
+    """
+
+    coefficient: str
+    prospects: Mapping[str, Prospect]
+    where: tuple[Where, ...]
+    extrapolated: float
+    plan: tuple[Planned, ...]
+    end_s: float
+    scatter: float
+    simulated_scatter: float
+    refused: tuple[Refused, ...]
+    tried: int
+    states: Mapping[str, Array]
+    bounds_then: CoefficientBounds
+
+    @property
+    def prospect(self) -> Prospect:
+        """What the flight promises for the chosen coefficient."""
+        return self.prospects[self.coefficient]
+
+    @property
+    def worth_flying(self) -> bool:
+        """Whether its interval narrows enough for a flight."""
+        return self.prospect.narrowing >= WORTH
+
+    @property
+    def form_is_short(self) -> bool:
+        """Whether the scatter is more than sensors and air explain, so that a term is missing (or the air was rougher)."""
+        return self.scatter > SENSORS * self.simulated_scatter
+
+
+def check_form(form: ModelForm, aircraft: Aircraft, coefficient: str, where: str) -> None:
+    """Refuse bounds that cannot be narrowed by flying. Raises BadInputError saying what to do."""
+    if form.aircraft.name != aircraft.name:
+        raise BadInputError(
+            f"{where}: the bounds belong to aircraft '{form.aircraft.name}', the campaign flew '{aircraft.name}'; give the bounds "
+            "of the aircraft that flew (uqharness bounds)"
+        )
+    if coefficient not in form.coefficients:
+        raise BadInputError(
+            f"{where}: has no bounds for {coefficient}; it has {', '.join(form.coefficients)}. Make them with uqharness bounds"
+        )
+    bounds = form.coefficients[coefficient]
+    if all(not any(term) for term in bounds.terms):
+        raise BadInputError(
+            f"{where}: the bounds of {coefficient} are constant: they depend on no flight state, so there is no place in which "
+            "data would narrow them more than elsewhere. Make bounds of order 1 or 2 from a flight that moves "
+            f"{', '.join(bounds.states)} (uqharness bounds --order 2), then ask again"
+        )
+
+
+def allowed_states(form: ModelForm, mission: Occupancy) -> dict[str, tuple[float, float]]:
+    """What test points may reach: the range of data and mission together, half as wide again on either side, and 60 deg of bank."""
+    out: dict[str, tuple[float, float]] = {}
+    for bounds in form.coefficients.values():
+        for k, state in enumerate(bounds.states):
+            if state.startswith(("V_", "alpha", "beta")) and state in mission.states:
+                values = mission.states[state]
+                low, high = min(bounds.hull.low[k], values.min()), max(bounds.hull.high[k], values.max())
+                out[state] = float(low - WIDER * (high - low)), float(high + WIDER * (high - low))
+    most = MOST_BANK_RAD
+    if "phi_rad" in mission.states:
+        most = max(most, float(np.abs(mission.states["phi_rad"]).max()))
+    return {**out, "phi_rad": (-most, most)}
+
+
+def conditions_of(mission: Occupancy, flight: TestFlight, speeds_mps: Sequence[float]) -> list[Condition]:
+    """Speeds at which the mission flies (quantiles 5, 50, 95 %), straight and in its turns; without an autopilot as it flies."""
+    if not flight.has_autopilot:
+        return [Condition()]
+    speeds = sorted(speeds_mps) or [float(f"{v:.3g}") for v in np.quantile(mission.states["V_mps"], [0.05, 0.5, 0.95])]
+    phi = mission.states.get("phi_rad", np.zeros(1))
+    banks = [0.0]
+    for side in (phi[phi > _TURN_RAD], phi[phi < -_TURN_RAD]):
+        if len(side) > 0.1 * len(phi):
+            banks.append(float(round(math.degrees(float(np.median(side))))))
+    return [Condition(v, b) for v in dict.fromkeys(speeds) for b in banks]
+
+
+def plan_flight(
+    form: ModelForm, coefficient: str, mission: Occupancy, flight: TestFlight, options: Options,
+    say: Callable[[str], object] = lambda stage: None,
+) -> NextFlight:  # fmt: skip
+    """Choose test points, simulate their flight, predict what it brings.
+
+    Raises BadInputError where nothing can be flown or no point tells anything.
+    """
+    cutoffs = Cutoffs(form.filtering.cutoff_hz, form.filtering.airspeed_cutoff_hz)
+    _check_minutes(flight, options)
+    say("trying test points")
+    trials, refused = try_library(form, mission, flight, options, cutoffs)
+    say("choosing")
+    return plan_from(form, coefficient, mission, flight, options, trials, refused, say)
+
+
+def _check_minutes(flight: TestFlight, options: Options) -> None:
+    """Refuse, before anything is flown, a flight too short for the shortest of any test points."""
+    least = QUIET_S + REST_S + RECOVERY_S + _before(flight)
+    if 60.0 * options.minutes < least:
+        raise BadInputError(
+            f"--minutes {options.minutes:g}: no test point fits; the shortest takes {least / 60.0:.2g} minutes with what comes "
+            "before it"
+        )
+
+
+def _before(flight: TestFlight) -> float:
+    return flight.begin_s + (TRANSITION_S if flight.has_autopilot else 0.0)
+
+
+def try_library(
+    form: ModelForm, mission: Occupancy, flight: TestFlight, options: Options, cutoffs: Cutoffs
+) -> tuple[list[Trial], list[Refused]]:
+    """Every test point of the library, flown by the model. Raises BadInputError if it bears none."""
+    conditions = conditions_of(mission, flight, options.speeds_mps)
+    speed = float(np.median(mission.states["V_mps"]))
+    points = library(flight.aircraft, conditions, unit_times(flight.aircraft, speed, 100.0))
+    trials, refused = try_points(flight, points, allowed_states(form, mission), cutoffs, options.seed)
+    if not trials:
+        first = refused[0]
+        raise BadInputError(
+            f"of {len(points)} test points '{flight.aircraft.name}' bears none; the first, {first.point.name}: {first.reason}. "
+            "Give other --speeds, or bounds from a flight that moves more"
+        )
+    return trials, refused
+
+
+def plan_from(
+    form: ModelForm, coefficient: str, mission: Occupancy, flight: TestFlight, options: Options,
+    trials: Sequence[Trial], refused: Sequence[Refused], say: Callable[[str], object] = lambda stage: None,
+) -> NextFlight:  # fmt: skip
+    """The same from points that have been tried already."""
+    bounds = form.coefficients[coefficient]
+    states = mission.of(bounds.states)
+    weight = form.filtering.rate_hz / flight.rate_hz
+    offers = [Offer(t.point.condition.text, t.point.seconds + RECOVERY_S, information(bounds, t.states, weight)) for t in trials]
+    transition = TRANSITION_S if flight.has_autopilot else 0.0
+    chosen = choose(bounds, offers, states, 60.0 * options.minutes - flight.begin_s, transition, form.outside)
+    if not chosen:
+        raise BadInputError(
+            f"--minutes {options.minutes:g}: no test point fits or narrows anything; the shortest takes "
+            f"{(min(o.seconds for o in offers) + _before(flight)) / 60.0:.2g} minutes with what comes before it"
+        )
+    gains: dict[int, float] = {}
+    before = _mean_half_width(form, coefficient, states)
+    for order, item in enumerate(chosen):
+        gains[order] = (before - item.half_width) / before
+        before = item.half_width
+    picked = [(trials[c.index].point, gains[k]) for k, c in enumerate(chosen)]
+    conditions = [p.condition for p in sorted_points([p for p, _ in picked])]
+    picked.sort(key=lambda item: conditions.index(item[0].condition))
+    say("simulating the flight")
+    flown, kept, lost = _simulate(flight, picked, options.seed + 1000, form)
+    timed, end_s = schedule([p for p, _ in kept], flight.begin_s)
+    plan = tuple(Planned(t.point, t.start_s, t.end_s, g) for t, (_, g) in zip(timed, kept, strict=True))
+    say("predicting")
+    return NextFlight(
+        coefficient=coefficient, prospects=prospects(form, mission, flown, weight, trials),
+        where=_where(form, coefficient, mission),
+        extrapolated=float(np.mean(form.extrapolated(mission.of(form.states)))), plan=plan, end_s=end_s,
+        scatter=math.sqrt(bounds.s2), simulated_scatter=_scatter(flown, form, coefficient), refused=(*refused, *lost),
+        tried=len(trials) + len(refused), states=flown.states,
+        bounds_then=after(bounds, [information(bounds, flown.states, weight)]),
+    )  # fmt: skip
+
+
+def _mean_half_width(form: ModelForm, coefficient: str, states: Mapping[str, Array]) -> float:
+    bounds = form.coefficients[coefficient]
+    variance = bounds.s2 + parameter_variance(bounds, states, form.outside)
+    return float(bounds.t * np.mean(np.sqrt(variance)))
+
+
+def _where(form: ModelForm, coefficient: str, mission: Occupancy) -> tuple[Where, ...]:
+    bounds = form.coefficients[coefficient]
+    states = mission.of(bounds.states)
+    variance = parameter_variance(bounds, states, form.outside)
+    even = np.ones(len(variance))
+    return tuple(
+        Where(s, bounds.hull.middle[k], weighted_quartiles(states[s], even), weighted_quartiles(states[s], variance))
+        for k, s in enumerate(bounds.states)
+    )
+
+
+def _simulate(
+    flight: TestFlight, picked: Sequence[tuple[TestPoint, float]], seed: int, form: ModelForm
+) -> tuple[Residuals, list[tuple[TestPoint, float]], list[Refused]]:
+    """The whole flight by the model; a point at which it ends is taken out. Raises BadInputError if it never ends well."""
+    cutoffs = Cutoffs(form.filtering.cutoff_hz, form.filtering.airspeed_cutoff_hz)
+    left, lost = list(picked), list[Refused]()
+    with scratch_folder() as scratch:
+        for attempt in range(_TRIES):
+            path = scratch.path / f"next-flight-{attempt}.parquet"
+            ok, flown_s, reason = fly_points(flight, [p for p, _ in left], seed, path)
+            if ok:
+                return residuals_of(flight.aircraft, [path], cutoffs)[0], left, lost
+            timed, _ = schedule([p for p, _ in left], flight.begin_s)
+            bad = next((k for k, t in enumerate(timed) if t.end_s + RECOVERY_S > flown_s), len(left) - 1)
+            lost.append(Refused(left[bad][0], f"the flight ends: {reason}"))
+            left = [item for item in left if item[0] != left[bad][0]]
+            if not left:
+                break
+    raise BadInputError(f"the flight of the chosen test points does not end well: {lost[-1].reason}")
+
+
+def _scatter(flown: Residuals, form: ModelForm, coefficient: str) -> float:
+    """s of the form's terms fitted to a flight; NaN where that flight is too short for them."""
+    try:
+        fitted = fit_bounds(flown, {coefficient: designs_of(form)[coefficient]}, FitOptions())
+    except ValueError:
+        return math.nan
+    return math.sqrt(fitted[coefficient].bounds.s2)

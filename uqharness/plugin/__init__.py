@@ -1,0 +1,1 @@
+"""The JSBSim system of uncertainty intervals: written, put into any aircraft, checked."""

@@ -1,0 +1,139 @@
+"""airframe.toml for an aircraft that came without one: what JSBSim and a short flight of the aircraft could tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from uqharness.plugin.scale_functions import Scaled
+from uqharness.simulator.aircraft_facts import AircraftFacts
+
+DT_S = 0.01
+ERRORS_SYSTEM = "path-errors"
+_POSITIVE = {
+    "elevator": ("nose down", "nose up"),
+    "aileron": ("right wing down", "left wing down"),
+    "rudder": ("nose left", "nose right"),
+    "throttle": ("more thrust", "less thrust"),
+}
+
+
+def card_text(name: str, xml: str, facts: AircraftFacts, scaled: Sequence[Scaled], errors: bool) -> str:
+    """The card's TOML. ``errors``: the system path-errors goes with it, and missions are scored by its properties."""
+    lines = [
+        f"# What XML cannot say of {name}. Written by `uqharness instrument` from short flights of the aircraft: read it before",
+        "# trusting it. A throw is degrees of surface per unit of the normalised command, mean of both ends, with + as a flight",
+        "# record counts (nose down, right wing down, nose left).",
+        "",
+        "[aircraft]",
+        f'name = "{name}"',
+        f'xml = "{xml}"',
+        f"dt_s = {DT_S}",
+        "",
+        "[reference]                                   # the XML's metrics",
+        f"S_m2 = {facts.S_m2!r}",
+        f"b_m = {facts.b_m!r}",
+        f"c_m = {facts.c_m!r}",
+    ]
+    for control, found in facts.controls.items():
+        idle = "" if found.sense else f"{' ' * (45 - len(control) - 9)}# moves nothing in this aircraft"
+        lines += ["", f"[inputs.{control}]{idle}", f'property = "fcs/{control}-cmd-norm"', 'unit = "norm"']
+        lines += [
+            f'positive = "{_POSITIVE[control][found.sense < 0]}"',
+            f"limits = {[0, 1] if control == 'throttle' else [-1, 1]}",
+        ]
+        if not found.sense and control != "throttle":
+            lines.append("throw_deg = 1.0")
+        elif found.throw_deg is not None:
+            lines.append(f"throw_deg = {found.sense * found.throw_deg:.6g}")
+        if found.position is not None:
+            lines.append(f'position = "{found.position}"')
+    if errors:
+        lines += [
+            "",
+            f"[metrics]                                     # from the line the flight began on: Systems/{ERRORS_SYSTEM}.xml",
+            'cross_track = { true = "nav/cross-track-m" }',
+            'altitude = { true = "nav/altitude-error-m" }',
+            'speed = { true = "nav/speed-error-mps" }',
+            'distance_3d = { true = "nav/distance-3d-m" }',
+        ]
+    if scaled:
+        lines += [
+            "",
+            "# Factors on the aircraft's own functions. The biases (uq/bias/...) of one axis act alike, so none is a default.",
+            "[parameters]",
+        ]
+        lines += [
+            f'"{row.scale}" = {{ initial = 1.0, bounds = [-1, 4], unit = "1", source = "factor on {row.function}" }}'
+            for row in scaled
+        ]
+    return "\n".join(lines) + "\n"
+
+
+IDLE_SYSTEM = "idle-throttle"
+IDLE_XML = b"""<?xml version="1.0" encoding="UTF-8"?>
+<!-- JSBSim makes this property for aircraft with engines alone; hosts set it and records have a column for it. -->
+<system name="idle-throttle">
+  <property value="0">fcs/throttle-cmd-norm</property>
+</system>
+"""
+
+ERRORS_XML = b"""<?xml version="1.0" encoding="UTF-8"?>
+<!--
+  How far the flight is from the steady straight one it began as: for scoring a mission of an aircraft that has no navigation.
+  Read ten times a second at a step of 0.01 s; nothing in the aircraft reads it.
+
+    nav/cross-track-m      m    distance from the line of the initial velocity over the ground, + to the right of it
+    nav/altitude-error-m   m    height above the initial one
+    nav/speed-error-mps    m/s  true airspeed less the initial one
+    nav/distance-3d-m      m    distance from the line, height included
+-->
+<system name="path-errors">
+  <channel name="Errors" execrate="10">
+    <fcs_function name="nav/cross-track-m">
+      <function>
+        <quotient>
+          <product>
+            <value>0.3048</value>
+            <difference>
+              <product> <property>position/from-start-neu-e-ft</property> <property>ic/vn-fps</property> </product>
+              <product> <property>position/from-start-neu-n-ft</property> <property>ic/ve-fps</property> </product>
+            </difference>
+          </product>
+          <sqrt>
+            <sum>
+              <product> <property>ic/vn-fps</property> <property>ic/vn-fps</property> </product>
+              <product> <property>ic/ve-fps</property> <property>ic/ve-fps</property> </product>
+            </sum>
+          </sqrt>
+        </quotient>
+      </function>
+    </fcs_function>
+    <fcs_function name="nav/altitude-error-m">
+      <function>
+        <product>
+          <value>0.3048</value>
+          <difference> <property>position/h-sl-ft</property> <property>ic/h-sl-ft</property> </difference>
+        </product>
+      </function>
+    </fcs_function>
+    <fcs_function name="nav/speed-error-mps">
+      <function>
+        <product>
+          <value>0.3048</value>
+          <difference> <property>velocities/vt-fps</property> <property>ic/vt-fps</property> </difference>
+        </product>
+      </function>
+    </fcs_function>
+    <fcs_function name="nav/distance-3d-m">
+      <function>
+        <sqrt>
+          <sum>
+            <product> <property>nav/cross-track-m</property> <property>nav/cross-track-m</property> </product>
+            <product> <property>nav/altitude-error-m</property> <property>nav/altitude-error-m</property> </product>
+          </sum>
+        </sqrt>
+      </function>
+    </fcs_function>
+  </channel>
+</system>
+"""

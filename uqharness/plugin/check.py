@@ -1,0 +1,202 @@
+"""Does the plugin do what it says, and nothing else? An instrumented aircraft flown beside the untouched one.
+
+Both fly the same ten seconds from a start in the middle of the envelope, engines running and controls moving, and every property
+that the untouched aircraft has is compared. Then one coefficient at a time is switched on for a single frame, in which the state is
+still that of the idle flight: body force and moment have to change by q S dC, q S b dC, q S c dC about the centre of gravity.
+
+An aircraft from anywhere may end its interpreter, so `check_in_child` is the way in.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.aerodynamics.terms import COEFFICIENTS
+from uqharness.errors import BadInputError
+from uqharness.simulator import engine
+from uqharness.simulator.aircraft import Aircraft, find_aircraft
+from uqharness.simulator.mid_envelope import _open, open_mid_envelope
+from uqharness.simulator.preflight import child_environment
+
+DELTA = 0.02
+DURATION_S = 10.0
+SAMPLE_EVERY = 20
+SWITCHED_AFTER = 60
+"""Frames flown idle before a coefficient is switched on for one."""
+
+_MAY_CHANGE = re.compile(
+    r"uq/|forces/(fb[xyz]-(aero|total)-lbs|f[ws][xyz]-aero-lbs|lod-norm|hold-down|load-factor)|"
+    r"moments/([lmn]-(aero|total)-lbsft|(roll|pitch|yaw)-(stab|wind)-aero-lbsft)|accelerations/"
+)
+_UNINITIALISED = re.compile(r"gear/unit(\[\d+\])?/side_friction_coeff|propulsion/engine(\[\d+\])?/engtemp-c")
+"""JSBSim 1.3.3 begins with what was in the memory: FGLGear::FCoeff until the wheel touches ground, FGTurboProp::Eng_Temperature."""
+_AIR_OWNS = re.compile(r"atmosphere/(turb-type|severity|windspeed_at_20ft.*|psiw-rad|wind-mag-fps)")
+_FORCES = tuple(f"forces/fb{axis}-{kind}-lbs" for kind in ("aero", "total") for axis in "xyz")
+_MOMENTS = tuple(f"moments/{axis}-{kind}-lbsft" for kind in ("aero", "total") for axis in "lmn")
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """status: works, wrong (the plugin does not keep its word), fails (untouched: does not load or fly).
+
+    properties  how many were compared; ``unsteady`` those that differ between two flights of the untouched aircraft, left out
+    worst       largest relative error of a force or moment increment
+    """
+
+    status: str
+    reason: str = ""
+    properties: int = 0
+    unsteady: int = 0
+    worst: float = math.nan
+    dt_s: float = math.nan
+
+
+def check(untouched: Aircraft, instrumented: Aircraft, duration_s: float = DURATION_S) -> Verdict:
+    """Fly both. BadInputError from the untouched aircraft is a verdict; from the instrumented one, too (wrong).
+
+    An aircraft that was given the air system on the way may differ in that system's own settings of the atmosphere.
+    """
+    steps = max(SWITCHED_AFTER + 1, round(duration_s / untouched.dt_s))
+    try:
+        names, first = _fly(untouched, steps, None)
+        again = _fly(untouched, steps, names)[1]
+    except (BadInputError, engine.RuntimeFailure) as error:
+        return Verdict("fails", " ".join(str(error).split()))
+    height, speed = (names.index(n) for n in ("position/h-sl-ft", "velocities/vt-fps"))
+    if not np.isfinite(first[:, [height, speed]]).all():
+        return Verdict("fails", "the state does not stay finite")
+    if first[:, height].min() <= 0.0:
+        return Verdict("fails", f"reaches the ground after {SAMPLE_EVERY * untouched.dt_s * first[:, height].argmin():.1f} s")
+    steady = np.all((first == again) | (np.isnan(first) & np.isnan(again)), axis=0)
+    if _has_air(instrumented) and not _has_air(untouched):
+        steady &= np.array([not _AIR_OWNS.fullmatch(name) for name in names])
+    compared = [name for name, good in zip(names, steady, strict=True) if good]
+    same: dict[str, Any] = {"properties": len(compared), "unsteady": len(names) - len(compared), "dt_s": untouched.dt_s}
+    try:
+        idle = _fly(instrumented, steps, compared)[1]
+        flown = first[:, steady]
+        differs = ~np.all((idle == flown) | (np.isnan(idle) & np.isnan(flown)), axis=0)
+        if differs.any():
+            changed = [name for name, bad in zip(compared, differs, strict=True) if bad]
+            return Verdict("wrong", f"with uq/active 0 {len(changed)} properties differ: {', '.join(changed[:5])}", **same)
+        return _switched(instrumented, compared, same)
+    except (BadInputError, engine.RuntimeFailure) as error:
+        return Verdict("wrong", " ".join(str(error).split()), **same)
+
+
+def _switched(aircraft: Aircraft, names: Sequence[str], same: Mapping[str, Any]) -> Verdict:
+    """Each coefficient on its own, on for one frame."""
+    wanted = [*names, *(n for n in (*_FORCES, *_MOMENTS) if n not in names)]
+    idle = _frame(aircraft, wanted, None)[0]
+    at = {name: k for k, name in enumerate(wanted)}
+    worst = 0.0
+    for index, name in enumerate(COEFFICIENTS):
+        moved, delta, scales = _frame(aircraft, wanted, name)
+        if not delta:
+            return Verdict("wrong", f"uq/{name}/delta stays 0 with uq/active and uq/{name}/active 1", **same)
+        expected = np.zeros(6)
+        expected[index] = delta * scales[index]
+        for kind in (0, 1):
+            keys = (*_FORCES[3 * kind : 3 * kind + 3], *_MOMENTS[3 * kind : 3 * kind + 3])
+            before, after = (np.array([row[at[key]] for key in keys]) for row in (idle, moved))
+            error = np.abs(after - before - expected).max()
+            worst = max(worst, float(error / abs(expected[index])))
+            # The last digits of two large sums may exceed the share allowed of a small difference.
+            digits = 8.0 * np.finfo(float).eps * np.abs(before).max()
+            if not error <= max(1e-9 * abs(expected[index]), digits):
+                return Verdict(
+                    "wrong",
+                    f"{name}: the increment is off by {error:.2g} of {expected[index]:.3g}",
+                    worst=worst,
+                    **same,
+                )
+        changed = moved != idle
+        changed &= ~(np.isnan(moved) & np.isnan(idle))
+        others = [n for n, bad in zip(wanted, changed, strict=True) if bad and not _MAY_CHANGE.match(n)]
+        if others:
+            return Verdict("wrong", f"{name} changes {', '.join(others[:5])} in its first frame", worst=worst, **same)
+    return Verdict("works", worst=worst, **same)
+
+
+def _frame(aircraft: Aircraft, names: Sequence[str], coefficient: str | None) -> tuple[NDArray[np.float64], float, list[float]]:
+    """Properties of the frame after SWITCHED_AFTER idle ones, with one coefficient on; its delta, and force or moment per unit."""
+    fdm, step = open_mid_envelope(aircraft)
+    for k in range(SWITCHED_AFTER):
+        step(k)
+    if coefficient is not None:
+        for name in COEFFICIENTS:
+            engine.set_property(fdm, f"uq/{name}/active", float(name == coefficient))
+        engine.set_property(fdm, f"uq/{coefficient}/level", 1.0)
+        if not fdm[f"uq/{coefficient}/upper"]:
+            engine.set_property(fdm, f"uq/{coefficient}/upper", DELTA)
+        engine.set_property(fdm, "uq/active", 1.0)
+    step(SWITCHED_AFTER)
+    row = np.array([_get(fdm, name) for name in names])
+    reference = aircraft.card.reference
+    S = reference.S_m2 / 0.3048**2 if reference.S_m2 else fdm["metrics/Sw-sqft"]
+    b = reference.b_m / 0.3048 if reference.b_m else fdm["metrics/bw-ft"]
+    c = reference.c_m / 0.3048 if reference.c_m else fdm["metrics/cbarw-ft"]
+    pressure = fdm["aero/qbar-psf"] * S
+    delta = fdm[f"uq/{coefficient}/delta"] if coefficient is not None else 0.0
+    return row, delta, [pressure, pressure, pressure, pressure * b, pressure * c, pressure * b]
+
+
+def _fly(aircraft: Aircraft, steps: int, names: Sequence[str] | None) -> tuple[list[str], NDArray[np.float64]]:
+    """Rows of properties (all that the aircraft has, or ``names``) every SAMPLE_EVERY frames."""
+    fdm, step = open_mid_envelope(aircraft)
+    wanted = list(names) if names is not None else _readable(fdm)
+    rows = []
+    for k in range(steps):
+        step(k)
+        if k % SAMPLE_EVERY == 0 or k == steps - 1:
+            rows.append([_get(fdm, name) for name in wanted])
+    return wanted, np.array(rows)
+
+
+def _has_air(aircraft: Aircraft) -> bool:
+    return bool(_open(aircraft, None).get_property_manager().hasNode("air/wind-mps"))
+
+
+def _readable(fdm: Any) -> list[str]:
+    manager = fdm.get_property_manager()
+    names = dict.fromkeys(engine.catalog(fdm))
+    return [name for name in names if manager.hasNode(name) and not _UNINITIALISED.fullmatch(name)]
+
+
+def _get(fdm: Any, name: str) -> float:
+    return float(fdm.get_property_value(name))
+
+
+def check_in_child(untouched: Path, instrumented: Path, duration_s: float = DURATION_S, timeout_s: float = 300.0) -> Verdict:
+    """The same in a process of its own; its death is a verdict: fails if the untouched aircraft dies alone as well, else wrong."""
+    command = [sys.executable, "-m", "uqharness.plugin.check", str(untouched), str(instrumented), repr(duration_s)]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, env=child_environment(), check=False)
+    except subprocess.TimeoutExpired:
+        return Verdict("fails", f"no answer within {timeout_s:g} s")
+    lines = [line for line in done.stdout.splitlines() if line.startswith('{"status"')]
+    if lines:
+        return Verdict(**json.loads(lines[-1]))
+    words = " ".join(done.stderr.split())[-200:]
+    return Verdict("fails", f"the process ended with {done.returncode}: {words or 'no message'}")
+
+
+def _main(untouched: str, instrumented: str, duration_s: str) -> int:
+    verdict = check(find_aircraft(untouched), find_aircraft(instrumented), float(duration_s))
+    print(json.dumps(asdict(verdict)), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(_main(*sys.argv[1:4]))

@@ -1,0 +1,297 @@
+"""Add the model-form plugin to any JSBSim aircraft: a copy of its folder with delta coefficients, bounds, and a record for undo.
+
+The aerodynamics gain six functions, the aircraft's XML a line per system; ``Systems/model-form.xml`` holds bounds and levels. An
+aircraft that carries the plugin already (E-SPAARO, or an earlier copy) gets new bounds and nothing else.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.model_form.model_form import ModelForm
+from uqharness.errors import BadInputError
+from uqharness.plugin.card import ERRORS_SYSTEM, ERRORS_XML, IDLE_SYSTEM, IDLE_XML, card_text
+from uqharness.plugin.model_form_xml import constant_xml, model_form_xml
+from uqharness.plugin.record import Change, changed
+from uqharness.plugin.scale_functions import SYSTEM_NAME, Scaled, add_scales, coefficient_properties, scale_system
+from uqharness.simulator.aircraft import PROJECT_ROOT, Aircraft, Card, content_hash
+from uqharness.simulator.aircraft_facts import AircraftFacts
+from uqharness.xml.aerodynamics import AeroSection, read_reference, read_section, require_reference
+from uqharness.xml.document import Document, Insertion, attribute, read_document
+from uqharness.xml.summands import Reference, SectionEdit, add_deltas, add_system, axis_name
+
+SYSTEM = "model-form"
+AIR_SYSTEM = "air"
+AIR_FILE = PROJECT_ROOT / "aircraft" / "espaaro" / "Systems" / "air.xml"
+_FT = 0.3048
+_SAME = 1e-6  # a card's rounded figures mean the XML's metrics
+_OWN = re.compile(r"uq/[\w./\-]+")
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Where bounds come from: a model form, or constant (lower, upper) per coefficient; neither: all zero, to be written later."""
+
+    form: ModelForm | None = None
+    constant: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Files to write (relative name to content), what the record has to keep, and what to tell the reader.
+
+    had_plugin  the aircraft's aerodynamics read uq/<C>/delta already
+    """
+
+    section: AeroSection
+    files: Mapping[str, bytes]
+    changes: Mapping[str, Change]
+    scaled: tuple[Scaled, ...]
+    had_plugin: bool
+    notes: tuple[str, ...]
+    rows: tuple[tuple[str, str, str], ...]
+
+
+def plan(aircraft: Aircraft, bounds: Bounds, facts: AircraftFacts | None = None, air: bool = False) -> Plan:
+    """What instrumenting the aircraft's folder would write. Nothing is touched.
+
+    ``facts`` of an aircraft without a card: it is given one, and the errors that a mission is scored by. ``air``: it is given this
+    project's wind and turbulence as well (Systems/air.xml), unless it has them.
+
+    Raises BadInputError with file and line for what cannot be done: mixed axes, no reference, names that are taken, bounds on a
+    control that the card does not give.
+    """
+    section = read_section(aircraft.folder, aircraft.xml.name)
+    _refuse_outside(section)
+    reference = _reference(aircraft, section)
+    if None in (reference.S_sqft, reference.b_ft, reference.c_ft):
+        require_reference(section)
+    notes = _notes(section)
+    had = _has_plugin(section)
+    edit = SectionEdit(section)
+    scaled: list[Scaled] = []
+    files: dict[str, bytes] = {}
+    if had:
+        system = _plugin_system(aircraft, section)
+    else:
+        _refuse_taken(aircraft)
+        system = _system_file(aircraft, SYSTEM)
+        known = coefficient_properties([read_document(path) for path in sorted(aircraft.folder.rglob("*.xml"))])
+        if known:
+            notes.append(f"{len(known)} coefficient properties ({known[0]}, ...): no scales and biases are needed")
+        else:
+            edit, scaled = add_scales(edit, reference)
+            if scaled:
+                files[_system_file(aircraft, SYSTEM_NAME)] = scale_system(scaled)
+        edit = add_deltas(edit, {c: [f"uq/{c}/delta"] for c in COEFFICIENTS}, "uq", reference)
+        edit = add_system(edit, SYSTEM)
+        if scaled:
+            edit = add_system(edit, SYSTEM_NAME)
+    if air and not _declared_anywhere(aircraft, "air/"):
+        files[_system_file(aircraft, AIR_SYSTEM)] = AIR_FILE.read_bytes()
+        edit = add_system(edit, AIR_SYSTEM)
+    card = None
+    if facts is not None and not aircraft.has_card:
+        errors = not _declared_anywhere(aircraft, "nav/")
+        if errors:
+            files[_system_file(aircraft, ERRORS_SYSTEM)] = ERRORS_XML
+            edit = add_system(edit, ERRORS_SYSTEM)
+        if not facts.engines and not _declared_anywhere(aircraft, "fcs/throttle-cmd-norm"):
+            files[_system_file(aircraft, IDLE_SYSTEM)] = IDLE_XML
+            edit = add_system(edit, IDLE_SYSTEM)
+        files["airframe.toml"] = card_text(aircraft.name, aircraft.xml.name, facts, scaled, errors).encode("utf-8")
+    elif scaled and aircraft.has_card:
+        card = _with_parameters(aircraft.folder / "airframe.toml", scaled, notes)
+    files[system] = bounds_xml(aircraft, bounds)
+    if bounds.form is not None and bounds.form.aircraft.sha256 != content_hash(aircraft):
+        notes.append(
+            f"the bounds were made for aircraft {bounds.form.aircraft.name} with other files (SHA-256 "
+            f"{bounds.form.aircraft.sha256[:12]}...); they mean something only if its aerodynamics are the same"
+        )
+    changes = {name: changed(_content(aircraft.folder / name), content) for name, content in files.items()}
+    for document in section.documents:
+        if mine := edit.made_in(document):
+            name = document.path.relative_to(aircraft.folder).as_posix()
+            files[name] = edit.files()[document.path]
+            changes[name] = changed(document.raw, files[name], mine)
+    if card is not None:
+        raw = (aircraft.folder / "airframe.toml").read_bytes()
+        files["airframe.toml"] = raw + card.text
+        changes["airframe.toml"] = changed(raw, raw + card.text, [card])
+    return Plan(section, files, changes, tuple(scaled), had, tuple(notes), _rows(section, had))
+
+
+def bounds_xml(aircraft: Aircraft, bounds: Bounds) -> bytes:
+    """model-form.xml for these bounds. Raises BadInputError."""
+    if bounds.form is not None:
+        return model_form_xml(bounds.form, aircraft)
+    remark = (
+        "Constant bounds, given by hand." if bounds.constant else "No bounds yet: all are zero. Write some, or instrument again."
+    )
+    return constant_xml(bounds.constant, remark)
+
+
+def _reference(aircraft: Aircraft, section: AeroSection) -> Reference:
+    """What the coefficients are multiplied by: JSBSim's metrics, but the card's numbers where it has others."""
+    card = aircraft.card.reference
+    wanted = (card.S_m2 and card.S_m2 / _FT**2, card.b_m and card.b_m / _FT, card.c_m and card.c_m / _FT)
+    written = read_reference(section)
+    return Reference(*(None if w is None or abs(w - x) <= _SAME * w else w for w, x in zip(wanted, written, strict=True)))
+
+
+def metrics_of(aircraft: Aircraft) -> tuple[float, float, float]:
+    """S [m2], b and c [m] as the XML has them. Raises BadInputError."""
+    S, b, c = read_reference(read_section(aircraft.folder, aircraft.xml.name))
+    return S * _FT**2, b * _FT, c * _FT
+
+
+def _has_plugin(section: AeroSection) -> bool:
+    """Whether the aerodynamics add all six deltas already; BadInputError if they add some."""
+    found: dict[str, str] = {}
+    for document in section.documents:
+        for node in document.root.walk():
+            if node.tag in ("property", "p") and (match := re.fullmatch(r"uq/(C\w)/delta", node.text.strip())):
+                found.setdefault(match.group(1), document.where(node))
+    if not found:
+        return False
+    missing = [c for c in COEFFICIENTS if c not in found]
+    if missing:
+        name, where = next(iter(found.items()))
+        raise BadInputError(
+            f"{where}: the aerodynamics read uq/{name}/delta but not uq/{missing[0]}/delta; complete the plugin or take it out"
+        )
+    return True
+
+
+def _refuse_taken(aircraft: Aircraft) -> None:
+    """BadInputError with file and line if the aircraft uses names of the plugin for something of its own."""
+    for path in sorted(aircraft.folder.rglob("*.xml")):
+        document = read_document(path)
+        for node in document.root.walk():
+            for text in (node.text.strip(), *(value.strip() for value in node.attributes.values())):
+                if _OWN.fullmatch(text):
+                    raise BadInputError(
+                        f"{document.where(node)}: '{text}' is a name of the plugin, which this aircraft does not carry; rename it, "
+                        "or undo what was left of an earlier instrumentation"
+                    )
+
+
+def _refuse_outside(section: AeroSection) -> None:
+    """BadInputError for file="../..." anywhere in the aircraft's XML: a copied folder would not find it."""
+    for node in section.main.root.walk():
+        name = attribute(node, "file")
+        if name and ".." in Path(name).parts:
+            raise BadInputError(
+                f'{section.main.where(node)}: <{node.tag} file="{name}"> lies outside the aircraft\'s folder, and a copy elsewhere '
+                "would not find it; move the file into the folder"
+            )
+
+
+def _notes(section: AeroSection) -> list[str]:
+    notes = [
+        f'{axis.document.where(axis.node)}: JSBSim ignores this <axis name="{axis.name}">, because a later one replaces it'
+        for axis in section.overridden
+    ]
+    induced = any("aero/cl-squared" in node.text for document in section.documents for node in document.root.walk())
+    if induced:
+        notes.append(
+            "the drag follows aero/cl-squared: a delta in lift moves it from the next frame on, as more lift of any origin does"
+        )
+    return notes
+
+
+def _plugin_system(aircraft: Aircraft, section: AeroSection) -> str:
+    """Name, within the folder, of the system file that declares uq/active."""
+    for node in section.main.root.all("system"):
+        name = attribute(node, "file")
+        if not name:
+            if _declares(section.main, "uq/active"):
+                raise BadInputError(
+                    f"{section.main.where(node)}: the plugin's system stands in the aircraft's own XML; move it to a file, "
+                    f'<system file="{SYSTEM}"/>, so that bounds can replace it'
+                )
+            continue
+        for path in _candidates(aircraft, name):
+            if path.is_file() and _declares(read_document(path), "uq/active"):
+                inside = path.is_relative_to(aircraft.folder)
+                return path.relative_to(aircraft.folder).as_posix() if inside else _system_file(aircraft, name)
+    raise BadInputError(
+        f"{section.main.where(section.main.root)}: the aerodynamics read uq/CX/delta, but no <system> declares uq/active; add "
+        f'<system file="{SYSTEM}"/>'
+    )
+
+
+def _declares(document: Document, name: str) -> bool:
+    return any(node.tag == "property" and "value" in node.attributes and node.text.strip() == name for node in document.root.walk())
+
+
+def _candidates(aircraft: Aircraft, name: str) -> list[Path]:
+    """Where JSBSim looks for a system, in its order (FGFCS::FindFullPathName)."""
+    file = name if name.endswith(".xml") else f"{name}.xml"
+    return [
+        aircraft.folder / file,
+        *(aircraft.folder / sub / file for sub in ("Systems", "systems")),
+        aircraft.systems_path / file,
+    ]
+
+
+def _system_file(aircraft: Aircraft, name: str) -> str:
+    """Where a new system goes; BadInputError if the aircraft has another of that name."""
+    for path in _candidates(aircraft, name)[:3]:
+        if path.is_file() and not _declares(read_document(path), "uq/active"):
+            raise BadInputError(f"{path}:1: the aircraft has a system of this name; rename it, because the plugin brings its own")
+    return f"Systems/{name}.xml"
+
+
+def _declared_anywhere(aircraft: Aircraft, prefix: str) -> bool:
+    """Whether any XML of the folder names a property that begins so."""
+    for path in sorted(aircraft.folder.rglob("*.xml")):
+        for node in read_document(path).root.walk():
+            if any(text.strip().startswith(prefix) for text in (node.text, *node.attributes.values())):
+                return True
+    return False
+
+
+def _with_parameters(card: Path, scaled: list[Scaled], notes: list[str]) -> Insertion | None:
+    """The scales as [parameters] at the end of a card that there is already; a note where that would spoil it."""
+    raw = card.read_bytes()
+    newline = b"\r\n" if raw.count(b"\r\n") * 2 > raw.count(b"\n") else b"\n"
+    lines = [b""]
+    for row in scaled:
+        lines += [f'[parameters."{row.scale}"]'.encode(), b"initial = 1.0", b"bounds = [-1, 4]", b'unit = "1"']
+        lines.append(f'source = "factor on {row.function}"'.encode())
+    text = newline.join([*lines, b""])
+    text = text if raw.endswith(b"\n") or not raw else newline + text
+    try:
+        Card.model_validate(tomllib.loads((raw + text).decode("utf-8")))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, ValidationError):
+        notes.append(f"{card}: the scales could not be added to [parameters]; name them by hand or with --params")
+        return None
+    return Insertion(len(raw), text)
+
+
+def _content(path: Path) -> bytes | None:
+    return path.read_bytes() if path.is_file() else None
+
+
+def _rows(section: AeroSection, had: bool) -> tuple[tuple[str, str, str], ...]:
+    """(coefficient, axis it goes into, file:line) for the table."""
+    if had:
+        return tuple((c, "already there", "") for c in COEFFICIENTS)
+    spread = {"wind": "DRAG, SIDE, LIFT", "stability": "X, Z (stability)"}.get(section.force)
+    out = []
+    for slot, c in enumerate(COEFFICIENTS):
+        own = section.axes.get(slot)
+        name = axis_name(section, slot)
+        turned = (spread is not None and (slot != 1 or section.force == "wind")) if slot < 3 else section.moment != "body"
+        target = name if not turned else spread if slot < 3 and spread else f"ROLL, PITCH, YAW ({section.moment})"
+        where = own.document.where(own.node) if own else f"{section.document.where(section.node)} (axis made)"
+        out.append((c, target, where))
+    return tuple(out)

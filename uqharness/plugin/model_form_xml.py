@@ -1,0 +1,302 @@
+"""model-form.xml: the JSBSim <system> that computes the bounds of a ModelForm from the present flight state and applies deltas.
+
+The XML is the one source of truth in flight: it needs JSBSim alone. Its arithmetic is that of sysid.model_form.model_form
+(eqs 2.17, 2.18),
+with the quadratic form x'(X'X)^-1 x written out as a polynomial of the normalised states in Horner's form, one for all coefficients
+that were regressed on the same states.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.model_form.model_form import CoefficientBounds, ModelForm
+from uqharness.errors import BadInputError
+from uqharness.files import write_bytes
+from uqharness.simulator.aircraft import Aircraft
+from uqharness.simulator.signals import position_factor
+from uqharness.xml.document import in_comment
+from uqharness.xml.expressions import Expression, Powers, call, horner, prop, value
+
+RATE_HZ = 50.0
+"""Bounds are computed at least this often; levels and deltas in every frame."""
+
+_ROUNDING = 1e-9  # as in sysid.model_form.model_form: a state on the hull's edge lies inside
+_FLIGHT_STATES = {
+    "V_mps": ("velocities/vt-fps", 0.3048),
+    "alpha_rad": ("aero/alpha-rad", 1.0),
+    "beta_rad": ("aero/beta-rad", 1.0),
+    "phi_rad": ("attitude/phi-rad", 1.0),
+    "theta_rad": ("attitude/theta-rad", 1.0),
+    "p_radps": ("velocities/p-rad_sec", 1.0),
+    "q_radps": ("velocities/q-rad_sec", 1.0),
+    "r_radps": ("velocities/r-rad_sec", 1.0),
+}
+_TO_DEGREES = {"deg": 1.0, "rad": 57.29577951308232}
+_TO_PERCENT = {"pct": 1.0, "norm": 100.0}
+
+
+@dataclass(frozen=True)
+class _Normalised:
+    """z = (x - centre)/scale of one state, and the box of the data in z."""
+
+    state: str
+    centre: float
+    scale: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Coefficients that share one quadratic form; ``names`` of the properties that hold their normalised states."""
+
+    coefficients: tuple[str, ...]
+    bounds: CoefficientBounds
+    names: tuple[str, ...]
+
+    @property
+    def leverage(self) -> str:
+        return f"uq/leverage/{'-'.join(self.coefficients)}"
+
+
+def write_model_form_xml(form: ModelForm, aircraft: Aircraft, path: Path, rate_hz: float = RATE_HZ) -> bytes:
+    """Write model-form.xml, whole or not at all; the bytes written. The same form and aircraft give the same bytes."""
+    content = model_form_xml(form, aircraft, rate_hz)
+    write_bytes(path, content)
+    return content
+
+
+def model_form_xml(form: ModelForm, aircraft: Aircraft, rate_hz: float = RATE_HZ) -> bytes:
+    """The system's XML. The step is the card's dt_s; ``execrate`` is the largest whole number of frames that keeps ``rate_hz``.
+
+    Raises BadInputError if the bounds depend on a control that the aircraft's card does not give in degrees or percent.
+    """
+    every = max(1, math.floor(1.0 / (rate_hz * aircraft.dt_s) + 1e-9))
+    clamped = form.outside == "clamp"
+    states: dict[_Normalised, str] = {}
+    groups = _groups(form, states)
+    body = [*_declarations(form)]
+    body += [f'<channel name="Bounds" execrate="{every}">']
+    for state, name in states.items():
+        body += _indent(_component(f"{name}-free" if clamped else name, _normalise(state, aircraft)))
+        if clamped:
+            body += _indent(_held(name, state))
+    for group in groups:
+        body += _indent(_component(group.leverage, horner(quadratic_form(group.bounds), group.names)))
+    body += _indent(_component("uq/extrapolated", _outside(states, groups, clamped)))
+    for name, bounds in form.coefficients.items():
+        group = next(group for group in groups if name in group.coefficients)
+        body += _indent(_coefficient(name, bounds, group))
+    body += ["</channel>", *_deltas()]
+    return _document(_remarks(form, aircraft, every), body)
+
+
+def constant_xml(bounds: Mapping[str, tuple[float, float]], remark: str) -> bytes:
+    """The system with constant bounds, lower <= 0 <= upper; a coefficient left out has none.
+
+    ``remark`` says where they come from. Raises BadInputError for bounds that do not enclose 0.
+    """
+    lines = [
+        '<property value="0">uq/active</property>',
+        '<property value="0">uq/extrapolated</property>  <!-- constant bounds: there is no outside -->',
+    ]
+    for name in COEFFICIENTS:
+        lower, upper = bounds.get(name, (0.0, 0.0))
+        if not lower <= 0.0 <= upper:
+            raise BadInputError(f"bounds of {name}: lower must be <= 0 and upper >= 0; received {lower:g}, {upper:g}")
+        lines += [
+            f'<property value="{lower!r}">uq/{name}/lower</property>',
+            f'<property value="{upper!r}">uq/{name}/upper</property>',
+            *_level(name),
+        ]
+    return _document(remark.splitlines(), [*lines, *_deltas()])
+
+
+def quadratic_form(bounds: CoefficientBounds) -> dict[Powers, float]:
+    """x' (X'X)^-1 x as a polynomial: powers of the normalised states to coefficient."""
+    out: dict[Powers, list[float]] = {}
+    for i, a in enumerate(bounds.terms):
+        for j, b in enumerate(bounds.terms):
+            out.setdefault(tuple(m + n for m, n in zip(a, b, strict=True)), []).append(float(bounds.XtX_inv[i, j]))
+    return {powers: math.fsum(parts) for powers, parts in out.items()}
+
+
+def _groups(form: ModelForm, states: dict[_Normalised, str]) -> list[_Group]:
+    """Coefficients by equal quadratic form, in order; ``states`` gains the normalised states they need, each once."""
+    shared: dict[tuple[object, ...], list[str]] = {}
+    for name, bounds in form.coefficients.items():
+        arrays = (bounds.centre, bounds.scale, bounds.XtX_inv, bounds.hull.low, bounds.hull.high)
+        key = (bounds.states, bounds.terms, bounds.hull.leverage, *(array.tobytes() for array in arrays))
+        shared.setdefault(key, []).append(name)
+    groups = []
+    for members in shared.values():
+        bounds = form.coefficients[members[0]]
+        names = []
+        for k, state in enumerate(bounds.states):
+            hull = bounds.hull
+            low, high = float(hull.low[k]), float(hull.high[k])
+            z = _Normalised(state, float(bounds.centre[k]), float(bounds.scale[k]), low, high)
+            if z not in states:
+                same = sum(other.state == state for other in states)
+                states[z] = f"uq/z/{state}" + (f"-{same + 1}" if same else "")
+            names.append(states[z])
+        groups.append(_Group(tuple(members), bounds, tuple(names)))
+    return groups
+
+
+def _normalise(state: _Normalised, aircraft: Aircraft) -> Expression:
+    name, factor = state_source(state.state, aircraft)
+    scaled = call("product", prop(name), value(factor / state.scale))
+    return call("difference", scaled, value(state.centre / state.scale))
+
+
+def state_source(state: str, aircraft: Aircraft) -> tuple[str, float]:
+    """JSBSim property of a state and its factor to the record's unit. Raises BadInputError for a control the card does not give."""
+    if state in _FLIGHT_STATES:
+        return _FLIGHT_STATES[state]
+    control = state.split("_")[0]
+    card = aircraft.card.inputs.get(control)
+    if card is not None and control == "throttle" and card.unit in _TO_PERCENT:
+        return card.position or card.selected or card.property, _TO_PERCENT[card.unit]
+    if card is not None and control != "throttle":
+        if card.position is not None:
+            return card.position, position_factor(card)
+        if card.unit in _TO_DEGREES or card.throw_deg is not None:
+            throw = card.throw_deg if card.unit == "norm" and card.throw_deg is not None else 1.0
+            return card.selected or card.property, _TO_DEGREES.get(card.unit, throw)
+    known = "is not there" if card is None else f'has unit "{card.unit}" and no position or throw_deg'
+    raise BadInputError(
+        f"the bounds depend on {state}, but [inputs.{control}] of aircraft {aircraft.name} {known}; say in airframe.toml how to "
+        "read it, or make the bounds from other states"
+    )
+
+
+def _edges(state: _Normalised) -> tuple[float, float]:
+    """The data's box in z."""
+    return (state.low - state.centre) / state.scale, (state.high - state.centre) / state.scale
+
+
+def _held(name: str, state: _Normalised) -> list[str]:
+    low, high = _edges(state)
+    return [
+        f'<pure_gain name="{name}">',
+        f"  <input>{name}-free</input>",
+        "  <gain>1</gain>",
+        f"  <clipto> <min>{low!r}</min> <max>{high!r}</max> </clipto>",
+        "</pure_gain>",
+    ]
+
+
+def _outside(states: Mapping[_Normalised, str], groups: list[_Group], clamped: bool) -> Expression:
+    """1 if a state lies outside its box, or a leverage above the data's largest.
+
+    The leverage of held states serves as well: it differs from the free one only where the box says 1 already.
+    """
+    conditions = []
+    for state, name in states.items():
+        low, high = _edges(state)
+        slack = _ROUNDING * (high - low if high > low else 1.0 / state.scale)
+        z = prop(f"{name}-free" if clamped else name)
+        conditions.append(
+            call("gt", call("abs", call("difference", z, value(0.5 * (low + high)))), value(0.5 * (high - low) + slack))
+        )
+    for group in groups:
+        limit = group.bounds.hull.leverage * (1.0 + _ROUNDING) ** 2
+        conditions.append(call("gt", prop(group.leverage), value(limit)))
+    return call("or", *conditions)
+
+
+def _coefficient(name: str, bounds: CoefficientBounds, group: _Group) -> list[str]:
+    """y, half width, lower and upper of one coefficient."""
+    beta = dict(zip(bounds.terms, (float(b) for b in bounds.beta_hat), strict=True))
+    # t sqrt(s2 (1 + f h)) with t and s2 brought inside the root (2.18).
+    constant = bounds.t**2 * bounds.s2
+    root = call("sum", value(constant), call("product", value(constant * bounds.leverage_factor), prop(group.leverage)))
+    y, half = f"uq/{name}/centre", f"uq/{name}/half-width"
+    return [
+        *_component(y, horner(beta, group.names)),  # (2.17)
+        *_component(half, call("sqrt", root)),
+        *_component(f"uq/{name}/lower", call("min", call("difference", prop(y), prop(half)), value(0.0))),
+        *_component(f"uq/{name}/upper", call("max", call("sum", prop(y), prop(half)), value(0.0))),
+    ]
+
+
+def _declarations(form: ModelForm) -> list[str]:
+    lines = ['<property value="0">uq/active</property>']
+    for name in COEFFICIENTS:
+        if name not in form.coefficients:
+            lines += [f'<property value="0">uq/{name}/lower</property>  <!-- no bounds were made for {name} -->']
+            lines += [f'<property value="0">uq/{name}/upper</property>']
+        lines += _level(name)
+    return lines
+
+
+def _level(name: str) -> list[str]:
+    return [f'<property value="0.5">uq/{name}/level</property>', f'<property value="1">uq/{name}/active</property>']
+
+
+def _deltas() -> list[str]:
+    lines = ['<channel name="Deltas">']
+    for name in COEFFICIENTS:
+        lower, upper = prop(f"uq/{name}/lower"), prop(f"uq/{name}/upper")
+        inside = call("sum", lower, call("product", prop(f"uq/{name}/level"), call("difference", upper, lower)))
+        lines += _indent(_component(f"uq/{name}/delta", call("product", prop("uq/active"), prop(f"uq/{name}/active"), inside)))
+    return [*lines, "</channel>"]
+
+
+def _component(name: str, expression: Expression) -> list[str]:
+    return [
+        f'<fcs_function name="{name}">',
+        "  <function>",
+        *(f"    {line}" for line in expression.lines()),
+        "  </function>",
+        "</fcs_function>",
+    ]
+
+
+def _indent(lines: list[str]) -> list[str]:
+    return [f"  {line}" for line in lines]
+
+
+_GENERAL = """Model-form uncertainty: delta coefficients in body axes, between bounds.
+
+  uq/active             0: nominal, bit-identical to the aircraft without this system;   1: deltas applied
+  uq/<C>/lower, upper   bounds at the present flight state, lower <= 0 <= upper; <C> is CX CY CZ Cl Cm Cn
+  uq/<C>/level          0..1, driven by the host or a script
+  uq/<C>/active         1; 0 takes this coefficient out, whatever its bounds
+  uq/<C>/delta          uq/active uq/<C>/active (lower + level (upper - lower)), what the aerodynamics add
+  uq/extrapolated       1 while the state lies outside the data the bounds came from
+"""
+
+
+def _remarks(form: ModelForm, aircraft: Aircraft, every: int) -> list[str]:
+    flights = ", ".join(f"{f.name} ({f.seconds:.0f} s)" for f in form.flights) or "none named"
+    growth = "grow with the polynomial (published form)" if form.outside == "grow" else "stay as at the edge"
+    rate = 1.0 / (every * aircraft.dt_s)
+    return [
+        f"{form.confidence:.0%} intervals of aircraft {form.aircraft.name} (SHA-256 {form.aircraft.sha256[:16]}...),",
+        f"from flights: {flights}.",
+        "Bounds are centre -/+ half-width, clipped at 0 so that the model itself always lies inside;",
+        "  centre = polynomial of z,   half-width = t sqrt(s2 (1 + f leverage)),   z = (state - centre)/scale, uq/z/...",
+        f"Outside the data's box they {growth}.",
+        f"Bounds every {every} frame(s), {rate:.4g} Hz at a step of {aircraft.dt_s:g} s; deltas every frame.",
+    ]
+
+
+def _document(remarks: list[str], body: list[str]) -> bytes:
+    comment = [*_GENERAL.splitlines(), "", *remarks]
+    text = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        "<!--",
+        *(f"  {in_comment(line)}".rstrip() for line in comment),
+        "-->",
+        '<system name="model-form">',
+        *(f"  {line}" for line in body),
+        "</system>",
+    ]
+    return ("\n".join(text) + "\n").encode("utf-8")

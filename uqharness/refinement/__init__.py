@@ -1,0 +1,1 @@
+"""Refinement: where model and flights disagree, which effect is missing, and the better model."""

@@ -1,0 +1,67 @@
+"""Effects too weak to be named beside something that nothing explains.
+
+What is unexplained goes with many candidates a little, so that limits for chance no longer hold: an effect is then named where it
+is strong, or nearly as strong as the strongest. Train flights alone decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from sysid.effects.selection import Choice
+from sysid.estimation.gaps import NOISE_FLOOR
+from sysid.parallel import Processes
+from uqharness.refinement.fit import Setup
+from uqharness.refinement.judge import Side, evidence_of, left_out, sensed_by
+from uqharness.refinement.refine import Found
+from uqharness.refinement.showing.show import Shown, show, whiteness
+from uqharness.simulator.aircraft import Aircraft
+
+COLOURED_P = 1e-7
+OF_STRONGEST = 0.5
+"""Share of the strongest effect's |t| that another must have."""
+ENOUGH = 20.0
+"""|t| that is enough beside any."""
+BY_ITSELF = 1.5
+"""Share of the |t| asked of an effect that the strongest must have itself."""
+
+
+@dataclass(frozen=True)
+class Left:
+    """What flights leave: channel -> rms over noise where that is above NOISE_FLOOR; channels whose residual is not white."""
+
+    above: dict[str, float]
+    coloured: tuple[str, ...]
+
+    def __bool__(self) -> bool:
+        return bool(self.above) or bool(self.coloured)
+
+
+def left_in(setup: Setup, shown: Shown, gusty: bool) -> Left:
+    """What a model leaves of flights, beyond noise."""
+    ratios = {c: shown.channel_rms(k) / float(shown.noise[k]) for k, c in enumerate(setup.outputs)}
+    # A gust spectrum is a model: the colour of one-step predictions says nothing of the aircraft.
+    p = {} if gusty else whiteness(setup, shown.residual)
+    return Left({c: r for c, r in ratios.items() if r > NOISE_FLOOR}, tuple(sorted(c for c, v in p.items() if v < COLOURED_P)))
+
+
+def too_weak(chosen: Sequence[Choice], limit: float) -> tuple[Choice, ...]:
+    """Those that would not be named beside something unexplained; limit: |t| asked of any."""
+    strongest = max((abs(c.t) for c in chosen), default=0.0)
+    asked = max(min(OF_STRONGEST * strongest, ENOUGH), BY_ITSELF * limit)
+    return tuple(c for c in chosen if not abs(c.t) >= asked)
+
+
+def named_beside(found: Found, train: Side, write: Callable[[Found], Aircraft], map_: Processes) -> Found:
+    """The same, everything estimated again without what is too weak, if the model with all of it leaves the train flights
+    unexplained."""
+    weak = too_weak(found.selection.chosen, found.limit)
+    if not weak:
+        return found
+    shown = show(write(found), train.setup, train.measured, train.ideal, map_, sensed_by(found), train.air)
+    if not left_in(train.setup, shown, found.gusty):
+        return found
+    rest = left_out(found, evidence_of(found, train.air), [c.key for c in weak])
+    lines = [f"too weak beside what is unexplained: - {c.key} t {c.t:.1f}" for c in weak]
+    return replace(rest, unnamed=weak, trail=(*found.trail, *lines))

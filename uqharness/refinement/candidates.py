@@ -1,0 +1,193 @@
+"""What each candidate effect would do along the flights: extra coefficients, surfaces that stand elsewhere, channels that
+read otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.effects.catalogue import Effect
+from sysid.effects.prediction import Columns
+from uqharness.refinement.reference import Probe
+from uqharness.replay.model import CONTROLS
+from uqharness.replay.replay import SENSOR_OF, Segment, runs_per_row
+from uqharness.simulator.actuators import Actuator
+
+if TYPE_CHECKING:
+    from uqharness.refinement.fit import Flown, Point, Setup
+
+Array = NDArray[np.float64]
+STALL = {"a1_per_deg": 0.5, "alpha1_deg": 11.0, "alpha2_deg": -20.0}
+GROUND_SPANS = 3.0
+"""Height in spans above which nothing is asked of the ground: less than half a per cent of its share is left there."""
+LEAST_INFLOW = 1e-9
+"""Change of CX by inflow from which thrust depends on airspeed at all."""
+_DEADBAND_DEG = 0.5
+_LAG_S = 0.002
+
+
+def effect_columns(setup: Setup, probes: Sequence[Probe], flown: Flown, effects: Sequence[Effect]) -> list[Columns]:
+    """Columns of the candidates by their keys, one set a segment; a candidate that does nothing there has none."""
+    names = tuple(e.key for e in effects)
+    out = []
+    for segment, p, y in zip(setup.segments, probes, flown.outputs, strict=True):
+        found = p.variables()
+        inputs: dict[str, tuple[int, Array]] = {}
+        outputs: dict[str, Array] = {}
+        for e in effects:
+            if e.coefficient is not None:
+                term = e.parsed
+                assert term is not None
+                inputs[e.key] = (COEFFICIENTS.index(e.coefficient), term.values(found))
+                continue
+            block, channel = _subsystem(e, setup, segment, p, y, found, flown.point)
+            if block is not None:
+                inputs[e.key] = (-1, block)
+            if channel is not None:
+                outputs[e.key] = channel
+        out.append(Columns(names, inputs, outputs))
+    return out
+
+
+def sensor_gain(channel: str, point: Point) -> float:
+    """By what a sensor multiplies its channel at a point."""
+    return 1.0 + point.sensed.get(f"effect/sensor.{channel}/scale", 0.0)
+
+
+def sensor_offset(channel: str, segment: Segment, point: Point) -> float:
+    """What a sensor adds to its channel at a point, in the channel's unit."""
+    own = point.nuisance.get(f"bias/{segment.flight}/{channel}", 0.0)
+    return own + point.sensed.get(f"effect/sensor.{channel}/bias", 0.0)
+
+
+def _subsystem(
+    e: Effect, setup: Setup, segment: Segment, p: Probe, y: Array, found: Mapping[str, Array], point: Point
+) -> tuple[Array | None, Array | None]:
+    """(n, 6) extra coefficients and (n, m) extra outputs per unit of a subsystem's effect; None for none."""
+    part, _, what = (e.subsystem or "").partition(".")
+    n, h = len(y), segment.dt_s
+    scale = p.reference.qbar[:, None] * p.mass.S * np.array([1.0, 1.0, 1.0, p.mass.b, p.mass.c, p.mass.b])
+    C = np.zeros((n, 6))
+    if part == "stall":
+        lag = p.flow_rate[:, 0] * p.mass.c / p.x[:, 0] if e.term == "dynamic" else 0.0
+        # Flown, it is the number written that counts: the model's own slope has the stall in it.
+        slope = setup.slopes.get("CZ_alpha", p.reference.slopes[:, 2, 1] / scale[:, 2])
+        C[:, 2] = slope * found["alpha"] * (_attached(np.degrees(found["alpha"] - lag)) - 1.0)
+        return C, None
+    if part == "ground":
+        h_over_b = found["h_over_b"]
+        C[:, 2] = np.where(h_over_b < GROUND_SPANS, p.coefficients[:, 2] * np.exp(-2.0 * h_over_b), 0.0)
+        return C, None
+    if part == "propulsion":
+        thrust = np.hstack([p.other_force, p.other_moment]) / scale
+        if e.term == "thrust_scale":
+            return thrust, None
+        if e.term == "airspeed":
+            return thrust * (found["V_rel"] - 1.0)[:, None], None
+        if e.term == "inflow":
+            if p.by_inflow is None or not np.any(np.abs(p.by_inflow) > LEAST_INFLOW):
+                return None, None
+            C[:, 0] = p.by_inflow
+            return C, None
+        if e.term == "torque":
+            C[:, 3] = found["CT"]
+        elif e.term == "p_factor":
+            C[:, 5], C[:, 4] = -found["CT"] * found["alpha"], -found["CT"] * found["beta"]
+        else:
+            for k, u in ((0, "de"), (2, "dr")):
+                if setup.slopes:
+                    C += _written(setup.slopes, u) * p.controls[:, [k]] * found["CT"][:, None]
+                    continue
+                own = p.by_control[:, :, k] * p.controls[:, [k]] * found["CT"][:, None]
+                C += own
+        return C, None
+    if part == "mass":
+        # Inertia knows nothing of the air: rates and their changes are the body's own.
+        rates, dot = p.body[:, 3:6], p.rate[:, 3:6]
+        if e.term == "cg_x":
+            C[:, 4], C[:, 5] = p.coefficients[:, 2] / p.mass.c, -p.coefficients[:, 1] / p.mass.b
+            # The accelerometers stay behind: w' x r + w x (w x r).
+            behind = np.array([-1.0, 0.0, 0.0])
+            felt = np.cross(dot, behind) + np.cross(rates, np.cross(rates, behind))
+            out = np.zeros_like(y)
+            for name, value in zip(("ax_mps2", "ay_mps2", "az_mps2"), felt.T, strict=True):
+                if name in setup.outputs:
+                    out[:, setup.outputs.index(name)] = value
+            return C, out
+        (pr, q, r), (pd, _, rd) = rates.T, dot.T
+        # I w' + w x I w = M with I_xz raised by one: the moment that this takes, as if it were lost.
+        C[:, 3:] = np.column_stack([rd + pr * q, r * r - pr * pr, pd - q * r]) / scale[:, 3:]
+        return C, None
+    if part == "actuator":
+        k = CONTROLS.index(what)
+        servo = setup.servos.get(what)
+        if servo is not None and e.term == "lag" and what in setup.lagging:
+            # The slope where it flies: a slow servo made slower by a little does less than a fast one.
+            servo = replace(servo, lag=servo.lag_with(setup.lagging[what]))
+        moved = servo_change(e.term, servo, segment.controls[:, k], p.controls[:, k], h, setup.limits.get(what))
+        if not np.any(moved):
+            return None, None
+        return p.by_control[:, :, k] * moved[:, None], None
+    if part == "sensor":
+        out = np.zeros_like(y)
+        for k, c in enumerate(setup.outputs):
+            if e.term == "delay" and what in (c, SENSOR_OF.get(c)):
+                out[:, k] = -p.rate_of(c, y[:, k])
+            elif e.term != "delay" and c == what:
+                out[:, k] = (y[:, k] - sensor_offset(c, segment, point)) / sensor_gain(c, point) if e.term == "scale" else 1.0
+        return None, out
+    if part == "record":
+        rate = np.gradient(p.controls, h, axis=0)
+        return -np.einsum("ncj,nj->nc", p.by_control, rate), None
+    raise ValueError(f"no model of effect {e.key}")
+
+
+def _written(slopes: Mapping[str, float], control: str) -> Array:
+    """(6,) change of CX..Cn by a degree of a tail surface as the slipstream over it is written."""
+    of = {"de": ("CZ", "Cm"), "dr": ("CY", "Cl", "Cn")}[control]
+    return np.array([slopes.get(f"{c}_{control}", 0.0) if c in of else 0.0 for c in COEFFICIENTS])
+
+
+def _attached(alpha_deg: Array) -> Array:
+    """Lift factor [(1 + sqrt X)/2]^2 of section 2's separation point X."""
+    a1, up, down = STALL["a1_per_deg"], STALL["alpha1_deg"], STALL["alpha2_deg"]
+    X = 0.25 * (1.0 - np.tanh(a1 * (alpha_deg - up))) * (1.0 - np.tanh(a1 * (down - alpha_deg)))
+    return np.asarray((0.5 * (1.0 + np.sqrt(X))) ** 2)
+
+
+def servo_change(
+    kind: str, servo: Actuator | None, command: Array, u: Array, h: float, limits: tuple[float, float] | None = None
+) -> Array:
+    """(n,) how far the surface stands from where it was taken to be, per unit of the effect.
+
+    Lag [s] and inverse of the rate limit [s/deg] count from the servo's own, the dead zone [deg] from none. command, u: asked for
+    and standing, at rows h [s] apart. limits: rate limits [deg/s] whose difference is taken; without them the servo's own and
+    one that is felt.
+    """
+    if kind == "deadband":
+        # Within half the width around zero the surface stays; beyond, it is short by half of it.
+        return np.asarray(-0.5 * np.clip(u / (0.5 * _DEADBAND_DEG), -1.0, 1.0))
+    if servo is None:
+        return np.zeros_like(u)
+    step = h / runs_per_row(h)
+    if kind == "rate_limit" and limits is not None:
+        one, other = (replace(servo, rate=r).follow(command, h, step) for r in limits)
+        return (other - one) / (1.0 / limits[1] - 1.0 / limits[0])
+    before = servo.follow(command, h, step)
+    if kind == "lag":
+        return (replace(servo, lag=servo.lag_with(_LAG_S)).follow(command, h, step) - before) / _LAG_S
+    # The change that a limit a quarter below the fastest motion seen makes, per s/deg by which its inverse is above
+    # that of the limit the servo has.
+    fastest = float(np.abs(np.diff(before)).max()) / h
+    if not fastest > 1.0:
+        return np.zeros_like(u)
+    limit = 0.75 * fastest
+    slower_by = 1.0 / limit - 1.0 / servo.rate
+    if not slower_by > 0.0:
+        return np.zeros_like(u)
+    return (replace(servo, rate=limit).follow(command, h, step) - before) / slower_by

@@ -1,0 +1,323 @@
+"""Re-identification for the refinement: Gauss-Newton on JSBSim replays with sensitivities of the linearised flight.
+
+A few replays and one look at the forces instead of a replay for every parameter and start state. Estimates are as
+consistent as output
+error's own: at the answer the residuals are orthogonal to sensitivities that do not depend on them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.aerodynamics.gust_states import GustStates
+from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
+from sysid.aerodynamics.rigid_body import STATES as X_STATES
+from sysid.aerodynamics.rigid_body import MassProperties, Reference, Steps, linearise
+from sysid.effects.catalogue import Effect
+from sysid.effects.prediction import Columns, White, whiten
+from sysid.effects.score import Evidence, gather
+from sysid.parallel import ALONE, Processes
+from uqharness.refinement.candidates import effect_columns, sensor_gain
+from uqharness.refinement.reference import Probe, ProbeJob, named_terms, probe, term_column
+from uqharness.refinement.sensed import as_sensed, late_rate, sensor_late_s
+from uqharness.refinement.writing.effects import in_dynamics
+from uqharness.replay.flights import Flight, states
+from uqharness.replay.force import surface_positions
+from uqharness.replay.model import CONTROLS, ReplayModel
+from uqharness.replay.replay import CHANNELS, SENSOR_OF, STATES, Segment, at_rows, fly_segment
+from uqharness.simulator.actuators import Actuator
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Everything about the flights that does not change with the model's numbers.
+
+    measured [(n, m)] outputs as logged; noise (m,); late: flight -> sensors whose delay is estimated; biased: channels;
+    active: effects that the model being flown has, or that its sensors have; carriers: key -> property of those that have one;
+    servos: actuators of the surfaces whose commands alone were recorded; limits: surface -> rate limits [deg/s] from and to which
+    a slower servo's effect is read; lagging: surface -> time constant [s] beyond its servo's own with which it flies;
+    slopes: numbers that the active effects are written with (`refine_slopes.control_slopes`), none where none is
+    """
+
+    flights: tuple[Flight, ...]
+    segments: tuple[Segment, ...]
+    channels: tuple[Mapping[str, Array], ...]
+    outputs: tuple[str, ...]
+    measured: tuple[Array, ...]
+    noise: Array
+    biased: tuple[str, ...]
+    late: Mapping[str, Sequence[str]]
+    active: tuple[Effect, ...] = ()
+    carriers: Mapping[str, str] = field(default_factory=dict)
+    servos: Mapping[str, Actuator] = field(default_factory=dict)
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    lagging: Mapping[str, float] = field(default_factory=dict)
+    slopes: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def which(self) -> list[int]:
+        """Columns of the replay's outputs that are compared."""
+        return [STEP_OUTPUTS.index(c) for c in self.outputs]
+
+    @property
+    def held(self) -> list[str]:
+        """Keys of active effects that JSBSim reads once (mass, servos): no step moves them."""
+        return [e.key for e in self.active if e.key not in self.carriers and in_dynamics(e)]
+
+    @property
+    def nuisance(self) -> tuple[str, ...]:
+        """Names of gyro biases and delays, estimated beside parameters and effects."""
+        names = [f"bias/{f.name}/{c}" for f in self.flights for c in self.biased]
+        return (*names, *(f"delay/{f}/{s}" for f, sensors in self.late.items() for s in sensors))
+
+
+@dataclass(frozen=True)
+class Point:
+    """Values of properties and nuisance by name; start (9,) of every segment; sensed: values of the sensors' effects by key."""
+
+    values: Mapping[str, float]
+    nuisance: Mapping[str, float]
+    starts: tuple[Array, ...]
+    sensed: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Flown:
+    """Replays at a point: outputs [(n, m)] with biases and delays, reference states [(n, 8)], cost: sum of squares over noise."""
+
+    point: Point
+    outputs: list[Array]
+    x: list[Array]
+    height: list[Array]
+    cost: float
+
+
+def _fly(job: tuple[ReplayModel, Segment, Mapping[str, float], Array, bool]) -> Array:
+    model, segment, properties, start, between = job
+    return fly_segment(model, segment, properties, start, between=between)
+
+
+def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flown:
+    """Replay every segment at a point; cost inf where a flight leaves the finite."""
+    late = [any(sensor_late_s(c, s, point) for c in setup.outputs) for s in setup.segments]
+    jobs = [
+        (model, s, dict(point.values), start, between) for s, start, between in zip(setup.segments, point.starts, late, strict=True)
+    ]
+    every = list(map_(_fly, jobs))
+    raw = [at_rows(r, len(s.time_s)) for r, s in zip(every, setup.segments, strict=True)]
+    columns = [CHANNELS.index(c) for c in setup.outputs]
+    outputs, cost = [], 0.0
+    for segment, flown, fine, z in zip(setup.segments, raw, every, setup.measured, strict=True):
+        y = as_sensed(flown[:, columns].copy(), setup, segment, point, between=fine[:, columns])
+        outputs.append(y)
+        e = np.where(np.isfinite(z), (z - y) / setup.noise, 0.0)
+        cost += float(np.sum(e**2)) if np.isfinite(e).all() else math.inf
+    x = [r[:, [CHANNELS.index(c) for c in X_STATES]] for r in raw]
+    return Flown(point, outputs, x, [r[:, CHANNELS.index("h_m")] for r in raw], cost)
+
+
+def best_flown(model: ReplayModel, setup: Setup, points: Sequence[Point], map_: Processes) -> Flown:
+    """The replay of least cost."""
+    return min((fly(model, setup, p, map_) for p in points), key=lambda f: f.cost)
+
+
+def positions(model: ReplayModel, setup: Setup, map_: Processes) -> list[Array]:
+    """(n, c) where the controls stood in every segment."""
+    return list(map_(_positions, [(model, s) for s in setup.segments]))
+
+
+def _positions(job: tuple[ReplayModel, Segment]) -> Array:
+    return surface_positions(job[0], job[1], CONTROLS)
+
+
+def probes(
+    straight: ReplayModel, setup: Setup, flown: Flown, controls: Sequence[Array], differ: Sequence[str], map_: Processes,
+    consistent: bool = True,
+) -> list[Probe]:  # fmt: skip
+    """Forces, slopes and so on along the flights flown."""
+    jobs = [
+        ProbeJob(straight, s, x, u, dict(flown.point.values), tuple(differ), consistent, h)
+        for s, x, u, h in zip(setup.segments, flown.x, controls, flown.height, strict=True)
+    ]
+    return list(map_(probe, jobs))
+
+
+def _linearised(job: tuple[Reference, MassProperties, GustStates | None]) -> Steps:
+    reference, mass, gusts = job
+    return linearise(reference, mass, gusts=gusts)
+
+
+def steps_of(
+    found: Sequence[Probe], outputs: Sequence[Array], setup: Setup, point: Point, gusts: GustStates | None = None,
+    by: Processes = ALONE,
+) -> list[Steps]:  # fmt: skip
+    """Linear systems along the flights, outputs as the sensors scale them; where the reference is a replay, its outputs are the
+    replay's own."""
+    gain = np.ones(len(STEP_OUTPUTS))
+    gain[setup.which] = [sensor_gain(c, point) for c in setup.outputs]
+    out = []
+    made = by(_linearised, [(p.reference, p.mass, gusts) for p in found])
+    for p, y, steps in zip(found, outputs, made, strict=True):
+        steps = replace(steps, H=steps.H * gain[:, None], D=steps.D * gain[:, None])
+        if p.reference.consistent:
+            full = steps.y_ref.copy()
+            full[:, setup.which] = y
+            steps = replace(steps, y_ref=full)
+        out.append(steps)
+    return out
+
+
+def parameter_columns(
+    setup: Setup, found: Sequence[Probe], flown: Flown, names: Sequence[str], analytic: Sequence[str]
+) -> list[Columns]:
+    """Columns of the properties and active effects ``names`` (effects by key) and of the nuisance, one set a segment."""
+    every = (*names, *setup.nuisance)
+    out = []
+    own = {e.key for e in setup.active}
+    effects = effect_columns(setup, found, flown, setup.active)
+    for segment, p, y, active in zip(setup.segments, found, flown.outputs, effects, strict=True):
+        variables = p.variables()
+        inputs: dict[str, tuple[int, Array]] = {n: v for n, v in active.inputs.items() if n in names}
+        for name in names:
+            if name not in own:
+                inputs[name] = term_column(name, variables) if name in analytic else (-1, p.by_property[name])
+        outputs: dict[str, Array] = {n: v for n, v in active.outputs.items() if n in names}
+        for name in setup.nuisance:
+            kind, flight, what = name.split("/")
+            if flight != segment.flight:
+                continue
+            block = np.zeros_like(y)
+            for k, c in enumerate(setup.outputs):
+                if kind == "bias" and c == what:
+                    block[:, k] = 1.0
+                elif kind == "delay" and SENSOR_OF.get(c, c) == what:
+                    block[:, k] = -late_rate(p, c, y[:, k], sensor_late_s(c, segment, flown.point))
+            outputs[name] = block
+        out.append(Columns(every, inputs, outputs))
+    return out
+
+
+def merged(first: Sequence[Columns], second: Sequence[Columns]) -> list[Columns]:
+    """Two sets of columns side by side."""
+    return [
+        Columns((*a.names, *b.names), {**a.inputs, **b.inputs}, {**a.outputs, **b.outputs})
+        for a, b in zip(first, second, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A converged re-identification: the flights flown, probes, linear systems, columns of the parameters and their evidence."""
+
+    flown: Flown
+    probes: list[Probe]
+    steps: list[Steps]
+    columns: list[Columns]
+    evidence: Evidence
+    analytic: tuple[str, ...]
+    iterations: int
+    converged: bool
+
+
+PRIOR = {"bias": 0.1, "delay": 0.1}
+
+
+def refit(
+    model: ReplayModel, straight: ReplayModel, setup: Setup, controls: Sequence[Array], start: Point, names: Sequence[str],
+    limits: Mapping[str, tuple[float, float]], map_: Processes, *, max_iterations: int = 12, tolerance: float = 0.05,
+    enough: Callable[[Flown, Flown], bool] | None = None,
+) -> Fit:  # fmt: skip
+    """Output error from ``start`` over the properties ``names``, biases, delays and start states.
+
+    enough(before, after): whether to leave it at an iteration.
+    """
+    flown = fly(model, setup, start, map_)
+    analytic: tuple[str, ...] | None = None
+    keys = {e.key for e in setup.active}
+    converged = False
+    length = math.inf
+    iteration = 0
+    while iteration < max_iterations:
+        iteration += 1
+        own = [n for n in names if n not in keys]
+        differ: Sequence[str] = () if analytic is None else [n for n in own if n not in analytic]
+        found = probes(straight, setup, flown, controls, differ, map_)
+        if analytic is None:
+            analytic = tuple(named_terms(straight, setup.segments[0], found[0], own, flown.point.values))
+            if len(analytic) < len(own):
+                found = probes(straight, setup, flown, controls, [n for n in own if n not in analytic], map_)
+        steps = steps_of(found, flown.outputs, setup, flown.point, by=map_)
+        columns = parameter_columns(setup, found, flown, names, analytic)
+        white = whiten(steps, setup.measured, columns, setup.which, setup.noise)
+        evidence = gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)
+        delta, length = evidence.step(setup.held)
+        if length < tolerance:
+            converged = True
+            break
+        moved = _moved(setup, flown.point, columns[0].names, delta, white, limits, 1.0)
+        trial = fly(model, setup, moved, map_)
+        share = 1.0
+        while not trial.cost < flown.cost and share > 0.02:
+            share *= 0.35
+            trial = fly(model, setup, _moved(setup, flown.point, columns[0].names, delta, white, limits, share), map_)
+        if not trial.cost < flown.cost:
+            converged = length < 1.0
+            break
+        settled = flown.cost - trial.cost < 0.02 and share == 1.0
+        last, flown = flown, trial
+        if settled:
+            converged = True
+            break
+        if enough is not None and enough(last, flown):
+            break
+    assert analytic is not None
+    return Fit(flown, found, steps, columns, evidence, analytic, iteration, converged)
+
+
+def _moved(
+    setup: Setup, point: Point, names: Sequence[str], delta: Array, white: Sequence[White],
+    limits: Mapping[str, tuple[float, float]], share: float,
+) -> Point:  # fmt: skip
+    step = dict(zip(names, (share * delta).tolist(), strict=True))
+    starts = moved_starts(point.starts, white, delta, share)
+    return replace(stepped(setup, point, step, limits), starts=starts)
+
+
+def moved_starts(starts: Sequence[Array], white: Sequence[White], delta: Array, share: float = 1.0) -> tuple[Array, ...]:
+    """Start states moved to where they fit best beside a change (K,) of the columns, or a share of the way."""
+    order = [STATES.index(s) for s in X_STATES]
+    moved = [start.copy() for start in starts]
+    for start, w in zip(moved, white, strict=True):
+        start[order] += share * (w.start[:, 0] + w.start[:, 1:] @ delta)
+    return tuple(moved)
+
+
+def stepped(setup: Setup, point: Point, step: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> Point:
+    """Properties, active effects and nuisance moved by a step; properties stay within their limits."""
+    values = dict(point.values)
+    for name in values:
+        if name in step:
+            low, high = limits.get(name, (-math.inf, math.inf))
+            values[name] = float(np.clip(values[name] + step[name], low, high))
+    sensed = dict(point.sensed)
+    for e in setup.active:
+        if e.key not in step:
+            continue
+        if e.key in setup.carriers:
+            values[setup.carriers[e.key]] += step[e.key]
+        elif not in_dynamics(e):
+            sensed[e.key] = sensed.get(e.key, 0.0) + step[e.key]
+    nuisance = {n: point.nuisance.get(n, 0.0) + step[n] for n in setup.nuisance}
+    return replace(point, values=values, nuisance=nuisance, sensed=sensed)
+
+
+def states_of(flights: Sequence[Flight]) -> tuple[Mapping[str, Array], ...]:
+    """Measured channels of every piece, gaps filled."""
+    return tuple(states(f, p) for f in flights for p in f.pieces)

@@ -1,0 +1,307 @@
+"""Re-identification in turbulence: the model's forces along the measured flight, one-step predictions by a filter that
+allows for gusts.
+
+The flight cannot be replayed, for the gusts are not known; but forces and their slopes at the measured states can be
+asked of JSBSim, and
+what the aircraft did from one sample to the next can be predicted from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.aerodynamics.coefficients import smooth
+from sysid.aerodynamics.gust_states import GustStates
+from sysid.aerodynamics.rigid_body import AIR, Steps, rates, whole_states
+from sysid.aerodynamics.rigid_body import STATES as X_STATES
+from sysid.effects.prediction import Columns, White, minus_twice_log, whiten
+from sysid.effects.score import Evidence, gather
+from sysid.effects.turbulence import Gusts, gust_intensity, noise_factors
+from sysid.parallel import Processes
+from uqharness.refinement.candidates import sensor_gain, sensor_offset
+from uqharness.refinement.fit import PRIOR, Fit, Flown, Point, Setup, parameter_columns, probes, stepped, steps_of
+from uqharness.refinement.reference import Predicted, Probe, along, named_terms
+from uqharness.refinement.sensed import as_sensed, moved_later, sensor_late_s
+from uqharness.replay.force import surface_positions
+from uqharness.replay.model import CONTROLS, ReplayModel
+from uqharness.replay.replay import Segment, by_run
+
+Array = NDArray[np.float64]
+_KINDS = {c: kind for kind, members in {"attitude": ("phi", "theta", "psi"), "rate": ("p", "q", "r"), "force": ("ax", "ay", "az"),
+          "wind": ("alpha", "beta")}.items() for c in members}  # fmt: skip
+"""Channels of one kind of sensor, by what stands before their unit."""
+_SMOOTH_HZ = {"V_mps": 2.0}
+NOISE_FAR = 1.2
+"""Factor on a sensor's stated noise beyond which what was found beside the stated one is found again."""
+
+SETTLED, SEARCH_BY = 5.0, 5
+"""Length of a step, in standard errors, below which the gusts are searched anew; the iteration that does so in any case."""
+MOVED = 0.2
+"""Logarithm of a gust's strength by which a search must have moved it to be worth another."""
+LEAST_SHARE = 0.125
+"""Least share of a step that is taken where steps grow."""
+TOLERANCE = 0.2
+"""Length of a step, in standard errors, that ends the iteration."""
+
+
+@dataclass(frozen=True)
+class GustFit:
+    """A fit with the gusts it was made with, and the filtered segments of its own columns."""
+
+    fit: Fit
+    gusts: Gusts
+    white: list[White]
+    setup: Setup
+
+    @property
+    def surprise(self) -> float:
+        """Minus twice the log likelihood of the flights."""
+        return minus_twice_log(self.white)
+
+
+def measured_flight(setup: Setup, point: Point) -> Flown:
+    """The flight as measured, smoothed, what the sensors make of it taken out, in the place of a replay."""
+    x = []
+    for segment, channels in zip(setup.segments, setup.channels, strict=True):
+        columns = []
+        for name in X_STATES:
+            value = np.array(channels[name], dtype=float)
+            value = (value - sensor_offset(name, segment, point)) / sensor_gain(name, point)
+            value = smooth(value, segment.dt_s, _SMOOTH_HZ.get(name, 6.0))
+            late = sensor_late_s(name, segment, point)
+            columns.append(moved_later(value, -late / segment.dt_s) if late else value)
+        x.append(np.column_stack(columns))
+    height = [np.array(c["h_m"], dtype=float) for c in setup.channels]
+    return Flown(point, [np.zeros((len(s.time_s), len(setup.outputs))) for s in setup.segments], x, height, float("nan"))
+
+
+def rows_late(setup: Setup, segment: Segment, point: Point) -> dict[str, int]:
+    """Whole rows by which the channels' sensors are late at a point."""
+    return {c: round(sensor_late_s(c, segment, point) / segment.dt_s) for c in setup.outputs}
+
+
+def in_step(setup: Setup, point: Point) -> list[Array]:
+    """[(n, m)] what was measured, each channel moved by the rows its sensor is late: a sample speaks of the state it was taken of.
+
+    A filter that has the late sample beside the others of its row takes gusts that it has not seen yet for noise.
+    """
+    out = []
+    for segment, z in zip(setup.segments, setup.measured, strict=True):
+        rows = rows_late(setup, segment, point)
+        out.append(np.column_stack([moved(z[:, k], -rows[c]) for k, c in enumerate(setup.outputs)]))
+    return out
+
+
+def moved(values: Array, rows: int) -> Array:
+    """(n,) values whole rows later, or for negative rows earlier; NaN where there are none."""
+    out = np.full(len(values), np.nan)
+    rows = max(-len(values), min(len(values), rows))
+    out[max(rows, 0) : len(values) + min(rows, 0)] = values[max(-rows, 0) : len(values) - max(rows, 0)]
+    return out
+
+
+def middles(model: ReplayModel, setup: Setup, map_: Processes) -> list[Array]:
+    """[(n - 1, c)] how far the controls stand from the mean of a step's ends at its middle: a servo's path is no straight line."""
+    return list(map_(_middles, [(model, s) for s in setup.segments]))
+
+
+def _middles(job: tuple[ReplayModel, Segment]) -> Array:
+    model, segment = job
+    held = np.array([c not in model.measured for c in model.controls])
+    ends = surface_positions(model, segment, CONTROLS)
+    middle = np.where(held, ends[:-1], by_run(segment, 2, [not h for h in held], [False] * len(held))[1::2])
+    if held.any():
+        # The same flight with rows half as far apart; a command is held over both halves.
+        fine = np.repeat(segment.controls, 2, axis=0)[:-1]
+        time_s = np.linspace(segment.time_s[0], segment.time_s[-1], len(fine))
+        targets = None if segment.targets is None else np.repeat(segment.targets, 2, axis=0)[:-1]
+        half = surface_positions(model, replace(segment, time_s=time_s, controls=fine, targets=targets), CONTROLS)
+        middle[:, held] = half[1::2][:, held]
+    return np.asarray(middle - 0.5 * (ends[:-1] + ends[1:]))
+
+
+def predict(
+    straight: ReplayModel, setup: Setup, point: Point, controls: Sequence[Array], bends: Sequence[Array], differ: Sequence[str],
+    map_: Processes,
+) -> tuple[Flown, list[Probe]]:  # fmt: skip
+    """The measured flight and the model's forces along it."""
+    flown = measured_flight(setup, point)
+    found = [
+        along(p, bend=_bend(p, b))
+        for p, b in zip(probes(straight, setup, flown, controls, differ, map_, consistent=False), bends, strict=True)
+    ]
+    return flown, found
+
+
+def _bend(p: Probe, away: Array) -> Array:
+    """(n - 1, 6) force and moment that the surfaces' paths add in the middle of a step."""
+    scale = p.reference.qbar[:, None] * p.mass.S * np.array([1.0, 1.0, 1.0, p.mass.b, p.mass.c, p.mass.b])
+    middle = 0.5 * (p.by_control[:-1] + p.by_control[1:]) * (0.5 * (scale[:-1] + scale[1:]))[:, :, None]
+    return np.asarray(np.einsum("nij,nj->ni", middle, away))
+
+
+def gust_refit(
+    straight: ReplayModel, setup: Setup, controls: Sequence[Array], bends: Sequence[Array], start: Point, names: Sequence[str],
+    limits: Mapping[str, tuple[float, float]], map_: Processes, near: Gusts | None = None, iterations: int = 10, tune: bool = False,
+    known: bool = False,
+) -> GustFit:  # fmt: skip
+    """Parameters, biases and the gusts, searched from ``near``, or ``known`` to be those.
+
+    tune: the sensors' noise as well (not of an autopilot's log, whose attitudes are filtered); the fit's setup has it.
+    """
+    point, analytic, gusts = start, None, near
+    length, share = float("inf"), 1.0
+    searched, again = False, False
+    keys = {e.key for e in setup.active}
+    own = [n for n in names if n not in keys]
+    for number in range(1, iterations + 1):
+        differ: list[str] = [] if analytic is None else [n for n in own if n not in analytic]
+        flown, found = predict(straight, setup, point, controls, bends, differ, map_)
+        if analytic is None:
+            analytic = tuple(named_terms(straight, setup.segments[0], found[0], own, point.values))
+            if len(analytic) < len(own):
+                flown, found = predict(straight, setup, point, controls, bends, [n for n in own if n not in analytic], map_)
+        steps = _Linear(setup, flown, found, map_)
+        # Where the flight is far from what the parameters say, what they will explain would be taken for gusts.
+        settled = length < SETTLED or (number == min(SEARCH_BY, iterations) and not searched)
+        if not known and (number <= 2 if near is None else settled and (again or not searched)):
+            # What is strong and was unknown passed for gusts of another kind, from which no short search leads back.
+            anew, last_air = tune and not searched, gusts
+            gusts = _intensity(setup, steps, None if anew else gusts)
+            if (anew or (tune and again)) and not setup.late:
+                setup, gusts = _tuned(setup, steps, gusts)
+            # Far from where the parameters want the flight, what they will explain is in the gusts; and a search goes only so far.
+            again = near is not None and (anew or not length < SETTLED or _other_air(last_air, gusts))
+            searched, length = True, float("inf")
+        assert gusts is not None
+        linearised = steps.all(gusts.states)
+        flown, found = predicted(setup, flown, found, linearised, steps.measured, gusts)
+        columns = parameter_columns(setup, found, flown, names, analytic)
+        white = whiten(linearised, steps.measured, columns, setup.which, setup.noise, gusts.process)
+        evidence = gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)
+        last = length
+        delta, length = evidence.step(setup.held)
+        # A force that goes with alphadot changes the acceleration that it goes with: columns know half of it, and steps overshoot.
+        share = max(0.5 * share, LEAST_SHARE) if length > last else share
+        if not np.isfinite(delta).all():
+            raise np.linalg.LinAlgError("predictions with this model are no numbers")
+        if (length < TOLERANCE and (known or (searched and not again))) or number == iterations:
+            break
+        step = dict(zip(columns[0].names, (share * delta).tolist(), strict=True))
+        point = stepped(setup, point, step, limits)
+    assert gusts is not None
+    assert analytic is not None
+    cost = float(sum(np.sum(w.residual**2) for w in white))
+    fit = Fit(replace(flown, cost=cost), found, linearised, columns, evidence, analytic, number, length < 0.5)
+    return GustFit(fit, gusts, white, setup)
+
+
+def _other_air(one: Gusts | None, two: Gusts) -> bool:
+    """Whether a search has led to noticeably other gusts."""
+    if one is None or one.states != two.states:
+        return True
+    return bool(np.abs(np.log(two.values / one.values)).max() > MOVED)
+
+
+def unfiltered(
+    straight: ReplayModel, setup: Setup, controls: Sequence[Array], bends: Sequence[Array], point: Point, map_: Processes,
+    gusts: Gusts,
+) -> tuple[Flown, list[Array]]:  # fmt: skip
+    """The measured flight, and by how much, in units of the noise, the outputs of the model there are not what was measured."""
+    flown, found = predict(straight, setup, point, controls, bends, (), map_)
+    steps = _Linear(setup, flown, found, map_)
+    both = zip(steps.measured, steps.all(gusts.states), strict=True)
+    return flown, [(z - s.y_ref[:, setup.which]) / setup.noise for z, s in both]
+
+
+class _Linear:
+    """Linear systems of the segments by what gusts do in them, each made once; measured: `in_step`, which they speak of."""
+
+    def __init__(self, setup: Setup, flown: Flown, found: Sequence[Probe], by: Processes) -> None:
+        self.setup, self.flown, self.found, self.by = setup, flown, found, by
+        self.measured = in_step(setup, flown.point)
+        self.made: dict[tuple[int, GustStates], Steps] = {}
+
+    def __call__(self, some: Sequence[int], states: GustStates) -> list[Steps]:
+        missing = [k for k in some if (k, states) not in self.made]
+        found, outputs = [self.found[k] for k in missing], [self.flown.outputs[k] for k in missing]
+        point = self.flown.point
+        for k, s in zip(missing, steps_of(found, outputs, self.setup, point, states, self.by), strict=True):
+            which, y, segment = self.setup.which, s.y_ref.copy(), self.setup.segments[k]
+            # Outputs are those at the reference, biases added.
+            y[:, which] = as_sensed(y[:, which], self.setup, segment, point, rows_late(self.setup, segment, point))
+            self.made[k, states] = replace(s, y_ref=y)
+        return [self.made[k, states] for k in some]
+
+    def all(self, states: GustStates) -> list[Steps]:
+        return self(range(len(self.found)), states)
+
+
+def _tuned(setup: Setup, steps: _Linear, gusts: Gusts) -> tuple[Setup, Gusts]:
+    """With the sensors' noise that the flights want, and the gusts beside it."""
+    factors = _noise_factors(setup, steps, gusts)
+    setup = replace(setup, noise=factors * setup.noise)
+    if bool(np.any((factors < 1.0 / NOISE_FAR) | (factors > NOISE_FAR))):
+        # Beside sensors taken for half as noisy as they are, noise passed for gusts of 35 times their strength that do not turn:
+        # from there no search leads back.
+        gusts = _intensity(setup, steps, None)
+        setup = replace(setup, noise=_noise_factors(setup, steps, gusts) * setup.noise)
+    return setup, _intensity(setup, steps, gusts)
+
+
+def _noise_factors(setup: Setup, steps: _Linear, gusts: Gusts) -> Array:
+    kinds = [_KINDS.get(c.split("_")[0], c) for c in setup.outputs]
+    return noise_factors(steps.all(gusts.states), steps.measured, setup.which, setup.noise, gusts.process, kinds, steps.by)
+
+
+def _intensity(setup: Setup, steps: _Linear, near: Gusts | None) -> Gusts:
+    speeds = [float(x[:, 0].mean()) for x in steps.flown.x]
+    of = [s.flight for s in setup.segments]
+    states = GustStates(steps.found[0].mass.b)
+    return gust_intensity(steps, steps.measured, setup.which, setup.noise, speeds, of, states, near, steps.by)
+
+
+def predicted(
+    setup: Setup, flown: Flown, found: Sequence[Probe], steps: Sequence[Steps], measured: Sequence[Array], gusts: Gusts
+) -> tuple[Flown, list[Probe]]:
+    """Probes whose terms are evaluated at states predicted from the past, and the outputs predicted there.
+
+    At the measured states a term would know of the gust that it is to predict: Cl_p came out at three quarters.
+    """
+    nothing = [Columns((), {}, {})] * len(steps)
+    paths = [w.path for w in whiten(steps, measured, nothing, setup.which, setup.noise, gusts.process)]
+    out, outputs = [], []
+    for p, s, d in zip(found, steps, paths, strict=True):
+        x = whole_states(p.reference.x, gusts.states) + d
+        air = x[:, 3:6] - np.column_stack(gusts.states.rotation(x.T))
+        whole = rates(p.reference, p.mass, x, gusts=gusts.states)
+        flow = rates(p.reference, p.mass, x, gusts=replace(gusts.states, turning_with=False))
+        coefficients = p.coefficients + _changed(p, np.column_stack([x[:, :3], air]) - p.reference.x[:, : len(AIR)])
+        out.append(replace(p, coefficients=coefficients, predicted=Predicted(x[:, :8], whole[:, :8], flow[:, 1:3], air)))
+        outputs.append(s.y_ref[:, setup.which] + np.einsum("nij,nj->ni", s.H[:, setup.which], d))
+    return replace(flown, outputs=outputs), out
+
+
+def _changed(p: Probe, moved: Array) -> Array:
+    """(n, 6) change of CX..Cn where the air is met otherwise than at the reference, by AIR (n, 6)."""
+    scale = p.reference.qbar[:, None] * p.mass.S
+    scale = scale * np.array([1.0, 1.0, 1.0, p.mass.b, p.mass.c, p.mass.b])
+    faster = moved[:, :1] / p.reference.x[:, :1]
+    change = np.einsum("nij,nj->ni", p.reference.slopes, moved) / scale - 2.0 * faster * p.coefficients
+    if p.by_inflow is not None:
+        change[:, 0] -= p.by_inflow * faster[:, 0]
+    return change
+
+
+def gust_evidence(setup: Setup, fitted: GustFit, extra: Sequence[Columns]) -> Evidence:
+    """Evidence of a fit's own columns beside others."""
+    from uqharness.refinement.fit import merged
+
+    columns = merged(fitted.fit.columns, extra)
+    measured = in_step(setup, fitted.fit.flown.point)
+    white = whiten(fitted.fit.steps, measured, columns, setup.which, setup.noise, fitted.gusts.process)
+    return gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)

@@ -1,0 +1,195 @@
+"""What test flights say of the effects that train flights chose: each effect without which the gap is no larger is withdrawn.
+
+Nothing is chosen here. An effect stands or falls alone: the others and the parameters are estimated again without it, on the
+train flights, and the test flights are flown both ways.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sysid.effects.score import Evidence, corrected
+from sysid.effects.selection import Choice
+from sysid.effects.turbulence import Gusts
+from sysid.parallel import Processes
+from uqharness.refinement.candidates import effect_columns
+from uqharness.refinement.fit import Setup
+from uqharness.refinement.gusts import GustFit, gust_evidence
+from uqharness.refinement.refine import Found, in_one_step, with_resolution
+from uqharness.refinement.rounds import candidate_evidence
+from uqharness.refinement.showing.show import Shown, show
+from uqharness.refinement.writing.effects import in_dynamics
+from uqharness.simulator.aircraft import Aircraft
+
+Write = Callable[[Found], Aircraft]
+BLOCK_S = 2.0
+"""Residuals this far apart count as independent."""
+BEYOND_CHANCE = 1.645
+"""Standard errors beyond which a change of the gap is not chance's: noise alone does that once in twenty times."""
+SHOWN = 0.75
+"""Standard errors by which an effect, were it there, would change a test flight that is asked for more than chance's answer."""
+FAR = 5.0
+"""Test flights that lie this many times as far from either model as the train flights do are not of the same aircraft or not
+sound; a difference between the models is lost in what is wrong with them."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Of one effect on the test flights: by how much minus twice the log likelihood is larger without it, and the standard error
+    of that. expected: by how much it would be, were the effect there as it is written; far: rms of the better
+    model's residuals over noise, over that of the train flights."""
+
+    key: str
+    change: float
+    std: float
+    far: float = 1.0
+    expected: float = 0.0
+
+    @property
+    def z(self) -> float:
+        """Change of the log likelihood over its standard deviation; 0 where there is none."""
+        return self.change / self.std if self.std > 0.0 else 0.0
+
+    @property
+    def says(self) -> str:
+        """shrank, grew, cannot tell (a change that chance gives as well), or too far (flights that judge neither model)."""
+        if self.far > FAR:
+            return "too far"
+        # An effect that is there raises the change by what one that is not lowers it by: between the two, zero is half-way.
+        against = self.change < 0.0 and self.expected > SHOWN * self.std
+        return "shrank" if self.z > BEYOND_CHANCE else "grew" if against or self.z < -BEYOND_CHANCE else "cannot tell"
+
+
+@dataclass(frozen=True)
+class Side:
+    """Train or test flights: setup, surfaces with measured positions, controls passed straight through, the air or None."""
+
+    setup: Setup
+    measured: tuple[str, ...]
+    ideal: tuple[str, ...]
+    air: Gusts | None = None
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What stands, estimated without what was withdrawn; the gap on both sides before and after.
+
+    verdicts   of every effect by key: of those that stand, beside the others that stand; of a withdrawn one, as it was withdrawn
+    """
+
+    found: Found
+    withdrawn: tuple[Choice, ...]
+    verdicts: dict[str, Verdict]
+    train: tuple[Setup, Shown, Shown]
+    test: tuple[Setup, Shown, Shown]
+
+
+def judge(found: Found, write: Write, train: Side, test: Side, map_: Processes) -> Judged:
+    """Fly both sides before and after; withdraw effects one by one, the one that harms most first."""
+
+    def flown(model: Found, side: Side) -> Shown:
+        return show(write(model), side.setup, side.measured, side.ideal, map_, sensed_by(model), side.air)
+
+    pair = flown(bare(found), train)
+    fitted = flown(found, train) if found.selection.chosen else pair
+    before = flown(bare(found), test)
+    standing, after = found, flown(found, test) if found.selection.chosen else before
+    evidence: Evidence | None = None
+    verdicts: dict[str, Verdict] = {}
+    gone: list[Choice] = []
+    while standing.selection.chosen:
+        without: dict[str, tuple[Found, Shown]] = {}
+        for c in standing.selection.chosen:
+            if len(standing.selection.chosen) == 1:
+                without[c.key] = bare(standing), before
+                continue
+            evidence = evidence_of(found, train.air) if evidence is None else evidence
+            less = left_out(found, evidence, [*(g.key for g in gone), c.key])
+            without[c.key] = less, flown(less, test)
+        now = {k: gap_change(k, shown, after, test.setup, fitted) for k, (_, shown) in without.items()}
+        verdicts |= now
+        worst = min(now.values(), key=lambda v: v.z)
+        if worst.says != "grew" and len(now) > 1:
+            # Two effects may undo each other: then neither alone is in the way.
+            together = gap_change(worst.key, before, after, test.setup, fitted)
+            worst = together if together.says == "grew" else worst
+            verdicts[worst.key] = worst
+        if worst.says != "grew":
+            break
+        gone.append(next(c for c in found.selection.chosen if c.key == worst.key))
+        standing, after = without[worst.key]
+    settled = fitted if not gone else flown(standing, train) if standing.selection.chosen else pair
+    return Judged(standing, tuple(gone), verdicts, (train.setup, pair, settled), (test.setup, before, after))
+
+
+def sensed_by(found: Found) -> dict[str, float]:
+    """Values of the chosen effects that are the sensors', by key."""
+    return {c.key: c.value for c in found.selection.chosen if not in_dynamics(found.effects[c.key])}
+
+
+def bare(found: Found) -> Found:
+    """The same without effects, its parameters as they were re-identified without any."""
+    parameters = {n: (found.plain[n], found.parameters[n][1]) for n in found.names}
+    return replace(found, parameters=parameters, selection=replace(found.selection, chosen=()))
+
+
+def gap_change(key: str, without: Shown, with_: Shown, setup: Setup, fitted: Shown) -> Verdict:
+    """The rise of minus twice the log likelihood when an effect is left out.
+
+    With a and b the whitened residuals without and with it and d = a - b, the rise is sum(a^2 - b^2) = sum(d^2) + 2 sum(b d): what
+    noise makes of it is 2 sum(e d), e being noise, for which the residuals of the better model stand. Its variance is that of
+    sums over blocks, so that residuals may be coloured within them. Predictions with another damping have another variance, too:
+    what it changes the squares by, in d, the rise of the logarithms takes back. fitted: the model with its effects on the train
+    flights.
+    """
+    better = with_ if with_.surprise <= without.surprise else without
+    change, variance, expected = 0.0, 0.0, 0.0
+    wider = 2.0 * (np.array(without.logdet) - np.array(with_.logdet))
+    rows = zip(without.white, with_.white, better.white, wider, setup.segments, strict=True)
+    for a, b, e, logarithms, segment in rows:
+        change += float(np.nansum(a**2 - b**2)) + logarithms
+        expected += float(np.nansum((a - b) ** 2))
+        terms = np.nansum(2.0 * e * (a - b), axis=1) + logarithms / len(a)
+        starts = np.arange(0, len(terms), max(1, round(BLOCK_S / segment.dt_s)))
+        variance += float(np.sum(np.add.reduceat(terms, starts) ** 2))
+    far = _mean_square(better) ** 0.5 / _mean_square(fitted) ** 0.5
+    return Verdict(key, change, float(np.sqrt(variance)), far, expected)
+
+
+def _mean_square(shown: Shown) -> float:
+    """Of the residuals over noise."""
+    return shown.cost / sum(int(np.isfinite(w).sum()) for w in shown.white)
+
+
+def evidence_of(found: Found, air: Gusts | None) -> Evidence:
+    """Evidence of the train flights as it is with no effect in the model: columns of parameters, nuisance and chosen effects."""
+    flown = {e.key for e in found.setup.active}
+    rest = [found.effects[c.key] for c in found.selection.chosen if c.key not in flown]
+    if found.gusty:
+        assert air is not None
+        fit = GustFit(found.after, air, [], found.setup)
+        columns = effect_columns(found.setup, found.after.probes, found.after.flown, rest)
+        evidence = gust_evidence(found.setup, fit, columns)
+    else:
+        evidence = candidate_evidence(found.setup, found.after, rest)
+    return evidence.taken_out(found.flown) if found.flown else evidence
+
+
+def left_out(found: Found, evidence: Evidence, keys: Sequence[str]) -> Found:
+    """Everything estimated again on the train flights without the effects ``keys``; bare where none is left."""
+    kept = [c for c in found.selection.chosen if c.key not in keys]
+    if not kept:
+        return bare(found)
+    effects = {e.key for e in found.setup.active} | {c.key for c in found.selection.chosen}
+    free = [n for n in evidence.names if n not in effects]
+    some = [*free, *(c.key for c in kept)]
+    chosen = []
+    for c in kept:
+        value, std, _ = corrected(evidence, [f for f in some if f != c.key], c.key)
+        chosen.append(replace(c, value=value, std=std, t=value / std))
+    selection = with_resolution(replace(found.selection, chosen=tuple(chosen)), found.effects, found.setup.segments[0].dt_s)
+    parameters = in_one_step(evidence, found.names, found.after, selection)
+    return replace(found, parameters=parameters, selection=selection)

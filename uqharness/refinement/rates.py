@@ -1,0 +1,110 @@
+"""At which rate limit a servo's slowness shows: nothing happens down to the fastest motion asked of it, then more and more.
+
+One slope for all of that is right nowhere: a limit a little below the fastest motion would be estimated above it, where it does
+nothing. So some limits are tried, each against the servo's own, for the one of which the flights want just what it does; its
+column stands for the effect. Once an effect is flown, its column is the slope at the limit that flies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.effects.catalogue import Effect
+from sysid.effects.prediction import Columns
+from sysid.effects.score import Evidence, scores
+from uqharness.refinement.candidates import servo_change
+from uqharness.refinement.fit import Setup
+from uqharness.refinement.reference import Probe
+from uqharness.replay.model import CONTROLS
+from uqharness.replay.replay import runs_per_row
+from uqharness.simulator.actuators import Actuator
+
+Array = NDArray[np.float64]
+SHARES = (0.98, 0.95, 0.9, 0.85, 0.75, 0.6, 0.45, 0.3)
+"""Limits tried, of the fastest motion."""
+NEAR = 0.97
+
+
+def limits_tried(
+    setup: Setup, probes: Sequence[Probe], free: Sequence[str], evidence_of: Callable[[list[Columns]], Evidence]
+) -> Setup:
+    """The setup with the rate limits at which the flights say most of each servo. evidence_of: evidence with columns besides."""
+    tried = {surface: _below(_fastest(setup, surface, servo), servo.rate) for surface, servo in setup.servos.items()}
+    if not any(tried.values()):
+        return setup
+    columns = []
+    for segment, p in zip(setup.segments, probes, strict=True):
+        inputs = {}
+        for surface, asked in tried.items():
+            k, servo = CONTROLS.index(surface), setup.servos[surface]
+            for limit in asked:
+                moved = servo_change(
+                    "rate_limit", servo, segment.controls[:, k], p.controls[:, k], segment.dt_s, (servo.rate, limit)
+                )
+                inputs[_key(surface, limit)] = (-1, p.by_control[:, :, k] * moved[:, None])
+        columns.append(Columns(tuple(inputs), inputs, {}))
+    evidence = evidence_of(columns)
+    limits = {}
+    for surface, asked in tried.items():
+        if not asked:
+            continue
+        servo = setup.servos[surface]
+        found = scores(evidence, free, [_key(surface, limit) for limit in asked])
+        speeds = np.array(asked)
+        best = just_so(speeds, found.estimate / (1.0 / speeds - 1.0 / servo.rate), found.t)
+        if best is not None:
+            limits[surface] = (servo.rate, best)
+    return replace(setup, limits=limits)
+
+
+def _below(fastest: float, own: float) -> list[float]:
+    """Limits to try [deg/s], falling: below the fastest motion and the servo's own."""
+    return [limit for share in SHARES if 1.0 < (limit := share * fastest) < own]
+
+
+def _key(surface: str, limit: float) -> str:
+    return f"{surface}@{limit:g}"
+
+
+def just_so(limit: Array, wanted: Array, t: Array) -> float | None:
+    """The limit [deg/s] of which the flights want once what it does, wanted (n,) times at falling limits (n,).
+
+    Else the one of which they say most; None where all speaks against a slower servo.
+    """
+    fine = np.isfinite(wanted) & (wanted > 0.0)
+    if not fine.any():
+        return None
+    limit, share, t = limit[fine], np.log(wanted[fine]), t[fine]
+    for k in range(len(limit) - 1):
+        if share[k] >= 0.0 > share[k + 1]:
+            return float(limit[k] + (limit[k + 1] - limit[k]) * share[k] / (share[k] - share[k + 1]))
+    return float(limit[int(np.argmax(t))])
+
+
+def _fastest(setup: Setup, surface: str, servo: Actuator) -> float:
+    """Fastest motion of a surface [deg/s], from row to row."""
+    k = CONTROLS.index(surface)
+    found = [
+        np.abs(np.diff(servo.follow(s.controls[:, k], s.dt_s, s.dt_s / runs_per_row(s.dt_s)))).max(initial=0.0) / s.dt_s
+        for s in setup.segments
+    ]
+    return float(max(found, default=0.0))
+
+
+def slower_servos(chosen: Sequence[Effect], value: Mapping[str, float], term: str = "rate_limit") -> dict[str, float]:
+    """surface -> value of the rate limits [s/deg], or lags [s], among some effects."""
+    return {
+        (e.subsystem or "").partition(".")[2]: value[e.key]
+        for e in chosen
+        if e.term == term and (e.subsystem or "").startswith("actuator.")
+    }
+
+
+def around(servo: Actuator, value: float) -> tuple[float, float]:
+    """Limits [deg/s] between which the slope at an effect's value is taken."""
+    limit = servo.slowed_to(value)
+    return limit, NEAR * limit

@@ -1,0 +1,308 @@
+"""Refinement: find where a model and flights disagree, name the missing effect, put it into the model, and show on other
+flights what it did.
+
+Train flights choose; test flights only show. A choice is made on the train flights' linearised likelihood
+(sysid.effects.selection), the
+chosen effects are then written into a copy of the aircraft, flown and estimated with everything else, and the choice is made again
+around that flight until it stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.effects.catalogue import TWINS, Effect
+from sysid.effects.score import Evidence, corrected, scores
+from sysid.effects.selection import STRONG, Choice, Refusal, Selection, chance_limit, select, threshold
+from sysid.effects.turbulence import Gusts
+from sysid.parallel import Processes
+from uqharness.errors import BadInputError
+from uqharness.plugin.estimates import Estimate
+from uqharness.refinement.base import Base, base_fit_and_noise, undetermined
+from uqharness.refinement.begin import OVERWHELMING, WEAK_IN_GUSTS, strong_first
+from uqharness.refinement.candidates import effect_columns
+from uqharness.refinement.fit import Fit, Setup, positions
+from uqharness.refinement.gusts import GustFit, gust_evidence, gust_refit, middles
+from uqharness.refinement.rates import limits_tried
+from uqharness.refinement.rivals import like_turning_air
+from uqharness.refinement.rounds import LEAST_LATE_ROWS, Start, candidate_evidence, column_evidence, eligible, resolved, settle
+from uqharness.refinement.setup import (
+    Bench,
+    candidates_for,
+    confirming_segments,
+    file_hash,
+    make_setup,
+    refuse_shared,
+    setup_in_gusts,
+    turbulent,
+)
+from uqharness.refinement.stages import Stages
+from uqharness.refinement.timing import CONTROLS_LATE, MOST_CORRECTIONS, controls_late, later, words
+from uqharness.refinement.writing.slopes import control_slopes, of_lift_slope
+from uqharness.simulator.aircraft import Aircraft
+
+GUST_LIMIT = 7.0
+"""|t| asked of an effect in turbulence, where the air's spectrum is a model, too."""
+GUST_ODDS = 30.0
+"""Odds against what a gust model that is a little off would look like."""
+RESOLVED_ROWS = 0.03
+"""Standard error, in rows, of a time told by replay."""
+NO_AIR = (
+    "the residuals of replays looked like turbulence, but of air that rotates and does not move: something in the aircraft "
+    "comes and goes, and the flights were judged by replays"
+)
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the train flights say: fits without and with the effects, the choice, everything estimated.
+
+    before, after   fits of the model without and with the effects; after is before where there are none
+    parameters      property -> (value, standard error corrected for colour); plain: property -> value without the effects
+    scoreboard      the candidates that explain most of what the parameters leave, each alone: (name, t); limit: |t| asked
+    gusts           the air, where it was turbulent and the flights were judged by one-step predictions
+    late_s          by how much all controls were moved later than recorded before the choice was made
+    slopes          numbers that effects of stall and propulsion are written with
+    flown           key -> value that an effect has in ``after``
+    unnamed         effects that were chosen and are too weak to be named beside something unexplained
+    """
+
+    setup: Setup
+    names: tuple[str, ...]
+    before: Fit
+    after: Fit
+    selection: Selection
+    effects: Mapping[str, Effect]
+    parameters: Mapping[str, tuple[float, float]]
+    notes: tuple[str, ...]
+    plain: Mapping[str, float] = field(default_factory=dict)
+    gusts: Gusts | None = None
+    scoreboard: tuple[tuple[str, float], ...] = ()
+    limit: float = float("nan")
+    late_s: float = 0.0
+    trail: tuple[str, ...] = field(default=())
+    slopes: Mapping[str, float] = field(default_factory=dict)
+    flown: Mapping[str, float] = field(default_factory=dict)
+    unnamed: tuple[Choice, ...] = ()
+
+    @property
+    def gusty(self) -> bool:
+        """Whether one-step predictions judged."""
+        return self.gusts is not None
+
+
+def find_effects(
+    aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], extra: Sequence[Effect], work: Path,
+    map_: Processes, say: Say = lambda _: None, stages: Stages | None = None, put_right: tuple[float, ...] = (),
+    lone: bool = True,
+) -> Found:  # fmt: skip
+    """Choose and estimate the missing effects on the train flights. ``work``: folder for staged copies of the aircraft;
+    put_right: by how much the setup's controls have been moved later already, step by step; lone: as `candidates_for` has it."""
+    names = tuple(aircraft.card.parameters)
+    if not names:
+        raise BadInputError(
+            f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters], so nothing says what may be re-identified first"
+        )
+    confirming = confirming_segments(setup)
+    limits = {n: (c.bounds if c.bounds is not None else (-np.inf, np.inf)) for n, c in aircraft.card.parameters.items()}
+    with Bench(aircraft, measured, ideal) as bench:
+        say("re-identifying the parameters")
+        keep = stages or Stages(None, ())
+        asked = names
+        stage = f"parameters{len(put_right) or ''}"
+        given = setup
+        before, names, notes, noise = keep(stage, Base, lambda: base_fit_and_noise(aircraft, bench, given, asked, limits, map_))
+        setup = replace(setup, noise=noise)
+        effects = candidates_for(setup, names, extra, lone)
+        by_key = {e.key: e for e in effects}
+        if turbulent(setup, before.flown):
+            say(f"the air was turbulent: predicting one sample ahead, scoring {len(effects)} candidate effects")
+            gusty, at = setup_in_gusts(aircraft, setup), before.flown.point
+            controls, bends = positions(bench.model, gusty, map_), middles(bench.model, gusty, map_)
+            air = keep(
+                f"air{len(put_right) or ''}",
+                GustFit,
+                lambda: gust_refit(bench.straight, gusty, controls, bends, at, names, limits, map_, tune=True),
+            )
+            if air.gusts.air:
+                return _in_gusts(bench, air, names, limits, effects, confirming, notes, work, map_, say)
+            notes = [*notes, NO_AIR]
+        say(f"scoring {len(effects)} candidate effects")
+        setup = limits_tried(setup, before.probes, before.columns[0].names, lambda extra: column_evidence(setup, before, extra))
+        timed = () if setup.late else (CONTROLS_LATE,)
+        evidence = candidate_evidence(setup, before, [*effects, *timed])
+        odds = eligible(effects, setup, before, evidence)
+        dt = setup.segments[0].dt_s
+        late = (
+            controls_late(evidence, before.columns[0].names, odds, confirming, threshold(len(odds) + 1), LEAST_LATE_ROWS * dt, dt)
+            if timed and len(put_right) < MOST_CORRECTIONS
+            else None
+        )
+    if late is not None:
+        say(f"all controls act {1e3 * late[0]:.1f} ms after their rows; putting the records right")
+        right = make_setup(aircraft, later(setup.flights, late[0]), measured, ideal)
+        found = find_effects(aircraft, right, measured, ideal, extra, work, map_, say, stages, (*put_right, late[0]), lone)
+        if not put_right:
+            found = replace(found, notes=(words(found.late_s, late[1], dt), *found.notes))
+        return found
+    board = score_table(evidence, before.columns[0].names, odds, by_key)
+    limit = chance_limit(evidence, before.columns[0].names, list(odds))
+    free = before.columns[0].names
+    first = select(evidence, free, odds, confirming, limit=limit, twins=TWINS, empirical=bool(setup.late))
+    first = strong_first(first, evidence, free, odds, confirming, TWINS)
+    start = Start(aircraft, setup, before, names, effects, limits, confirming, limit, tuple(measured), tuple(ideal), map_)
+    best, trail = settle(start, first, evidence, work, say)
+    trail = [*(f"round 1: {line}" for line in first.trail), *trail]
+    if best is None:
+        none = Selection((), _not_borne_out(first, limit) or first.refused, first.trail)
+        parameters = _parameters(evidence, names, before, none)
+        plain = {n: before.flown.point.values[n] for n in names}
+        return Found(
+            setup, names, before, before, none, by_key, parameters, tuple(notes), plain, None, board, limit,
+            sum(put_right), tuple(trail),
+        )  # fmt: skip
+    selection = with_resolution(resolved(start, best), by_key, setup.segments[0].dt_s)
+    # A number that JSBSim reads once stands within its error of the one flown, and what goes with it moves by that, too.
+    parameters = (in_one_step if best.held else _parameters)(best.evidence, names, best.fit, selection)
+    selection, slopes = of_lift_slope(selection, before, best.fit)
+    return Found(
+        best.setup, names, before, best.fit, selection, by_key, parameters,
+        tuple(notes), {n: before.flown.point.values[n] for n in names}, None, board, limit, sum(put_right),
+        tuple(trail), slopes, best.about.flown,
+    )  # fmt: skip
+
+
+def _not_borne_out(first: Selection, limit: float) -> Refusal | None:
+    """The strongest effect chosen on the linearised flight that the simulation did not bear out."""
+    if not first.chosen:
+        return None
+    c = first.chosen[0]
+    return Refusal(c.key, c.t, c.gain, "flown in the simulation it does not lower the error by as much", abs(c.t) > limit + STRONG)
+
+
+def with_resolution(selection: Selection, effects: Mapping[str, Effect], dt_s: float) -> Selection:
+    """Standard errors of times with what a replay resolves added: a servo's lag by Tustin's rule at 10 ms is off by a
+    part of a ms."""
+
+    def widened(c: Choice) -> Choice:
+        if effects[c.key].unit != "s":
+            return c
+        std = float(np.hypot(c.std, RESOLVED_ROWS * dt_s))
+        return replace(c, std=std, t=c.value / std)
+
+    return replace(selection, chosen=tuple(widened(c) for c in selection.chosen))
+
+
+def gust_like(effect: Effect) -> bool:
+    """Whether a gust model that is a little off looks like this effect: rates of the wind angles, sensors of the wind."""
+    return like_turning_air(effect) or (effect.subsystem or "").startswith(("sensor.", "actuator.", "mass"))
+
+
+def _in_gusts(
+    bench: Bench, found: GustFit, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]],
+    effects: Sequence[Effect], confirming: NDArray[np.bool_], notes: Sequence[str], work: Path, map_: Processes, say: Say,
+) -> Found:  # fmt: skip
+    """The same choice made on one-step predictions; found: the fit without effects."""
+    free = found.fit.columns[0].names
+    setup = limits_tried(found.setup, found.fit.probes, free, lambda extra: gust_evidence(found.setup, found, extra))
+    evidence = gust_evidence(setup, found, effect_columns(setup, found.fit.probes, found.fit.flown, effects))
+    handicap = {e.key: GUST_ODDS for e in effects if gust_like(e)}
+    odds = {k: o + handicap.get(k, 0.0) for k, o in eligible(effects, setup, found.fit, evidence).items()}
+    limit = max(threshold(len(odds)), GUST_LIMIT)
+    first = select(evidence, free, odds, confirming, limit=limit, twins=TWINS, empirical=True)
+    first = strong_first(first, evidence, free, odds, confirming, TWINS, WEAK_IN_GUSTS)
+    start = Start(
+        bench.aircraft, setup, found.fit, names, effects, limits, confirming, limit, bench.measured, bench.ideal, map_,
+        found.gusts, handicap,
+    )  # fmt: skip
+    best, trail = settle(start, first, evidence, work, say)
+    trail = [*(f"round 1: {line}" for line in first.trail), *trail]
+    air = found.gusts if best is None or best.gusts is None else best.gusts
+    note = (
+        "the residuals of replays showed turbulence: effects and parameters were judged by "
+        "predictions one sample ahead, with process "
+        f"noise estimated ({air.gain:.0f} more in twice the log likelihood than calm air; {air.words})"
+    )
+    by_key = {e.key: e for e in effects}
+    # Gusts estimated beside it may explain what stood a little above the limit; not what was overwhelming.
+    lost = _not_borne_out(first, OVERWHELMING - STRONG)
+    refused = lost if lost is not None and lost.strong else first.refused
+    after, selection, last = found.fit, replace(first, chosen=(), refused=refused), evidence
+    if best is not None:
+        after, last = best.fit, best.evidence
+        selection = with_resolution(resolved(start, best), by_key, setup.segments[0].dt_s)
+    parameters = in_one_step(last, names, after, selection)
+    selection, slopes = of_lift_slope(selection, found.fit, after)
+    return Found(
+        setup if best is None else best.setup, names, found.fit, after, selection, by_key,
+        parameters, (*notes, note), _moved_alone(evidence, names, found.fit),
+        air,
+        score_table(evidence, free, odds, by_key), limit,
+        trail=tuple(f"one-step predictions: {line}" for line in trail), slopes=slopes,
+        flown={} if best is None else best.about.flown,
+    )  # fmt: skip
+
+
+def _moved_alone(evidence: Evidence, names: Sequence[str], fit: Fit) -> dict[str, float]:
+    """Values of the parameters without any effect, the last step taken."""
+    free = fit.columns[0].names
+    delta = dict(zip(evidence.names, evidence.fitted(evidence.index(free)), strict=True))
+    return {n: float(fit.flown.point.values[n] + delta[n]) for n in names}
+
+
+def in_one_step(evidence: Evidence, names: Sequence[str], fit: Fit, selection: Selection) -> dict[str, tuple[float, float]]:
+    """(value, corrected standard error) of the parameters beside the effects, the last step taken."""
+    free = [*(n for n in fit.columns[0].names if not n.startswith("effect/")), *(c.key for c in selection.chosen)]
+    delta = dict(zip(evidence.names, evidence.fitted(evidence.index(free)), strict=True))
+    return {n: (float(fit.flown.point.values[n] + delta[n]), corrected(evidence, [f for f in free if f != n], n)[1]) for n in names}
+
+
+def score_table(
+    evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], effects: Mapping[str, Effect]
+) -> tuple[tuple[str, float], ...]:
+    """The twelve candidates with the largest gain, alone beside the parameters: (name, t)."""
+    found = scores(evidence, free, list(odds))
+    order = np.argsort(-np.nan_to_num(found.gain, nan=-1.0))[:12]
+    return tuple((_short(effects[found.names[i]]), float(found.t[i])) for i in order)
+
+
+def _short(e: Effect) -> str:
+    return f"{e.coefficient or e.subsystem} {e.term}"
+
+
+def _parameters(evidence: Evidence, names: Sequence[str], fit: Fit, selection: Selection) -> dict[str, tuple[float, float]]:
+    free = [*[n for n in fit.columns[0].names if not n.startswith("effect/")], *[c.key for c in selection.chosen]]
+    out = {}
+    for n in names:
+        _, std, _ = corrected(evidence, [f for f in free if f != n], n)
+        out[n] = (float(fit.flown.point.values[n]), std)
+    return out
+
+
+def remark(choice: Choice, effect: Effect, flights: Sequence[str], command: str) -> str:
+    """What stands beside the number in the XML."""
+    low, high = choice.value - 1.96 * choice.std, choice.value + 1.96 * choice.std
+    return (
+        f"{effect.name}: {choice.value:.5g} +/- {choice.std:.2g}, 95 % [{low:.5g}, {high:.5g}]; "
+        f"from {', '.join(flights)}; {command}"
+    )
+
+
+def estimates_of(found: Found, flights: Sequence[str], initial: Mapping[str, float]) -> dict[str, Estimate]:
+    """New numbers of the re-identified parameters with their remarks."""
+    out = {}
+    for n, (value, std) in found.parameters.items():
+        out[n] = Estimate(value, f"{value:.5g} +/- {std:.2g}, was {initial.get(n, float('nan')):.5g}; refine; {', '.join(flights)}")
+    return out
+
+
+__all__ = [
+    "Bench", "Found", "Selection", "control_slopes", "estimates_of", "file_hash", "find_effects", "make_setup", "refuse_shared",
+    "remark", "setup_in_gusts", "threshold", "undetermined",
+]  # fmt: skip

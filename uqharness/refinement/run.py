@@ -1,0 +1,282 @@
+"""A whole refinement: flights in, refinement.json and a better aircraft out. Train flights choose, test flights show."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from sysid.effects.catalogue import Effect
+from sysid.parallel import Processes
+from uqharness import __version__
+from uqharness.campaign.folder.manifest import MANIFEST
+from uqharness.files import inner_folder
+from uqharness.refinement.beside import named_beside
+from uqharness.refinement.fit import Setup, positions
+from uqharness.refinement.judge import Judged, Side, bare, judge, sensed_by
+from uqharness.refinement.lone import believed
+from uqharness.refinement.refine import (
+    Bench,
+    Found,
+    control_slopes,
+    estimates_of,
+    file_hash,
+    find_effects,
+    make_setup,
+    refuse_shared,
+    remark,
+    setup_in_gusts,
+)
+from uqharness.refinement.setup import estimated_channels
+from uqharness.refinement.showing.document import document_of
+from uqharness.refinement.showing.intervals import FOLDER as INTERVALS
+from uqharness.refinement.showing.intervals import (
+    FlightSet,
+    IntervalJob,
+    Intervals,
+    before_and_after,
+    intervals_document,
+    write_forms,
+)
+from uqharness.refinement.showing.mission import FOLDER as PBOX
+from uqharness.refinement.showing.mission import MissionResult, Model, campaign_for, fly_missions, no_pbox
+from uqharness.refinement.showing.show import air_of, write_bytes_tree
+from uqharness.refinement.stages import FOLDER, Stages
+from uqharness.refinement.timing import later
+from uqharness.refinement.writing.effects import Written, write_effects
+from uqharness.replay.flights import Flight, read_flights, renamed
+from uqharness.replay.model import CONTROLS
+from uqharness.scratch import scratch_folder
+from uqharness.shared_jobs import worker_map
+from uqharness.simulator import engine
+from uqharness.simulator.aircraft import Aircraft, content_hash, find_aircraft, open_aircraft
+from uqharness.simulator.aircraft_files import copy_beside
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the command was asked. pbox: whether a mission is flown before and after; campaign: which one."""
+
+    aircraft: Aircraft
+    train: tuple[Path, ...]
+    test: tuple[Path, ...]
+    out: Path
+    extra: tuple[Effect, ...] = ()
+    manoeuvres: Path | None = None
+    map_path: Path | None = None
+    ideal_servos: bool = False
+    workers: int | None = None
+    command: tuple[str, ...] = ()
+    pbox: bool = True
+    campaign: Path | None = None
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """The document, and what figures are drawn from. train, test: setup and model before and after."""
+
+    document: dict[str, Any]
+    chosen: Found
+    judged: Judged
+    intervals: tuple[Intervals, Intervals]
+    mission: MissionResult
+    aircraft: Aircraft
+    given: Aircraft
+
+
+@dataclass(frozen=True)
+class _Flights:
+    """One side's flights as read, and what is known of their controls."""
+
+    flights: list[Flight]
+    measured: tuple[str, ...]
+    ideal: tuple[str, ...]
+    hashes: tuple[str, ...]
+
+    def setup(self, aircraft: Aircraft) -> Setup:
+        return make_setup(aircraft, self.flights, self.measured, self.ideal)
+
+    def later(self, seconds: float) -> _Flights:
+        """Controls moved later than recorded."""
+        return replace(self, flights=later(self.flights, seconds)) if seconds else self
+
+    def set(self) -> FlightSet:
+        return FlightSet(tuple(self.flights), self.measured, self.hashes)
+
+
+def refine(request: Request, say: Say = lambda _: None) -> Refinement:
+    """Find, name, add and show. Raises BadInputError."""
+    begun = time.perf_counter()
+    aircraft = request.aircraft
+    refuse_shared(request.train, request.test)
+    if request.campaign is not None:
+        campaign_for(aircraft, request.campaign)
+    say("reading the flights")
+    train, test = _read(request, request.train), _read(request, request.test)
+    names = renamed([f.name for f in test.flights])
+    test = replace(test, flights=[replace(f, name=n) for f, n in zip(test.flights, names, strict=True)])
+    with worker_map(request.workers) as map_, scratch_folder() as scratch:
+        work = scratch.path
+        identity = _identity(request)
+        stages = Stages(request.out / FOLDER, identity)
+        setup = train.setup(aircraft)
+        chosen = stages(
+            "effects",
+            Found,
+            lambda: believed(
+                lambda lone: find_effects(
+                    aircraft,
+                    setup,
+                    train.measured,
+                    train.ideal,
+                    request.extra,
+                    work / f"lone-{lone}",
+                    map_,
+                    say,
+                    stages,
+                    lone=lone,
+                )
+            ),
+        )
+        train, test = train.later(chosen.late_s), test.later(chosen.late_s)
+        chosen = stages("named", Found, lambda: _named(request, chosen, train, work, map_))
+        say("flying the test flights with both models")
+        shown = Stages(request.out / FOLDER, [*identity, *test.hashes])
+        judged = shown("judged", Judged, lambda: _judged(request, chosen, train, test, work, map_))
+        say("writing the aircraft")
+        target = _put(_write(request, judged.found, work / "refined"), aircraft, request.out)
+        models = {"before": target}
+        if judged.found.selection.chosen:
+            models = {
+                "before": _put(_write(request, bare(chosen), work / "plain"), aircraft, request.out / "before"),
+                "after": target,
+            }
+        else:
+            _remove_stale(request.out, aircraft)
+        say("intervals of both models")
+        jobs = [IntervalJob(m, train.set(), test.set(), request.ideal_servos) for m in models.values()]
+        intervals = shown("intervals", tuple[Intervals, Intervals], lambda: before_and_after(jobs, map_))
+        controls = _controls(models["before"], train, aircraft, map_)
+    forms = write_forms(dict(zip(models, intervals, strict=False)), request.out)
+    mission = _mission(request, models, forms, say)
+    document = _document(request, document_of(chosen, judged, aircraft, controls), intervals, mission)
+    stages.forget()
+    document["seconds"] = round(time.perf_counter() - begun, 1)
+    return Refinement(document, chosen, judged, intervals, mission, target, aircraft)
+
+
+def _read(request: Request, paths: Sequence[Path]) -> _Flights:
+    flights, measured = read_flights(paths, request.aircraft, request.manoeuvres, request.map_path)
+    ideal = tuple(c for c in CONTROLS if c not in measured) if request.ideal_servos else ()
+    return _Flights(list(flights), tuple(measured), ideal, tuple(file_hash(p) for p in paths))
+
+
+def _identity(request: Request) -> list[str]:
+    """Everything that the choice depends on: aircraft, train flights, own effects, options, version. The test flights are
+    not in it."""
+    tables = [p for p in (request.manoeuvres, request.map_path) if p is not None]
+    return [
+        __version__, content_hash(request.aircraft), *(file_hash(p) for p in (*request.train, *tables)),
+        *(p.name for p in request.train), repr(request.extra), str(request.ideal_servos),
+    ]  # fmt: skip
+
+
+def _side(request: Request, chosen: Found, flights: _Flights) -> Side:
+    """Flights as the chosen effects were judged on; the air is that of the train flights."""
+    setup = flights.setup(request.aircraft)
+    if chosen.gusts is not None:
+        setup = setup_in_gusts(request.aircraft, setup)
+    if setup.outputs == chosen.setup.outputs and (chosen.gusts is not None or estimated_channels(setup)):
+        setup = replace(setup, noise=chosen.setup.noise)
+    return Side(setup, flights.measured, flights.ideal, chosen.gusts)
+
+
+def _named(request: Request, chosen: Found, train: _Flights, work: Path, map_: Processes) -> Found:
+    side = _side(request, chosen, train)
+    return named_beside(chosen, side, lambda found: _write(request, found, work / "all"), map_)
+
+
+def _judged(request: Request, chosen: Found, train: _Flights, test: _Flights, work: Path, map_: Processes) -> Judged:
+    other = _side(request, chosen, test)
+    if chosen.gusts is not None:
+        model = _write(request, chosen, work / "air")
+        air = air_of(model, other.setup, other.measured, other.ideal, map_, sensed_by(chosen), chosen.gusts)
+        other = replace(other, air=air)
+    number = iter(range(1000))
+
+    def write(found: Found) -> Aircraft:
+        return _write(request, found, work / f"model{next(number)}")
+
+    return judge(chosen, write, _side(request, chosen, train), other, map_)
+
+
+def _write(request: Request, found: Found, folder: Path) -> Aircraft:
+    """The aircraft as given with the effects and parameters of ``found``, in ``folder``."""
+    aircraft, names = request.aircraft, [p.name for p in request.train]
+    fdm = open_aircraft(aircraft)
+    estimates = estimates_of(found, names, {n: float(fdm[n]) for n in found.names})
+    slopes, command = found.slopes or control_slopes(found.before), shlex.join(request.command)
+    effects = [
+        Written(found.effects[c.key], c.value, remark(c, found.effects[c.key], names, command), slopes)
+        for c in found.selection.chosen
+    ]
+    target = folder / "aircraft" / aircraft.folder.name
+    target.parent.mkdir(parents=True)
+    write_effects(aircraft, effects, estimates, target)
+    return replace(find_aircraft(target), engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
+
+
+def _put(made: Aircraft, given: Aircraft, root: Path) -> Aircraft:
+    """The aircraft in its place under ``root``, with the engines and systems that lie beside the one given."""
+    target = inner_folder(root, "aircraft") / made.folder.name
+    write_bytes_tree(made.folder, target)
+    copy_beside(given, root, engine.default_root())
+    return find_aircraft(target)
+
+
+def _remove_stale(out: Path, aircraft: Aircraft) -> None:
+    """What an earlier refinement with an effect left in the folder, and one without does not write over."""
+    before = out / "before" / "aircraft" / aircraft.folder.name
+    mission = out / PBOX / "after"
+    for folder, mark in ((before, aircraft.xml.name), (mission, MANIFEST)):
+        if (folder / mark).is_file():
+            shutil.rmtree(folder)
+    (out / INTERVALS / "after.json").unlink(missing_ok=True)
+
+
+def _controls(aircraft: Aircraft, train: _Flights, given: Aircraft, map_: Processes) -> list[Any]:
+    with Bench(aircraft, train.measured, train.ideal) as bench:
+        return positions(bench.model, train.setup(given), map_)
+
+
+def _mission(
+    request: Request, models: Mapping[str, Aircraft], forms: Mapping[str, Path], say: Say
+) -> MissionResult:  # fmt: skip
+    if not request.pbox:
+        return no_pbox("left out (--no-pbox)")
+    lacking = [name for name in models if name not in forms]
+    if lacking:
+        return no_pbox(f"no intervals {' and '.join(lacking)} to fly within: see gap.test.intervals")
+    say("flying the mission with both models")
+    both = {name: Model(aircraft, forms[name]) for name, aircraft in models.items()}
+    return fly_missions(both, request.campaign, request.out, request.workers, say)
+
+
+def _document(
+    request: Request, document: dict[str, Any], intervals: tuple[Intervals, Intervals], mission: MissionResult
+) -> dict[str, Any]:
+    gap = document["gap"]
+    gap["test"] |= {"intervals": intervals_document(*intervals), "pbox": mission.document}
+    gap["train"] |= {"pbox": no_pbox("a mission belongs to no flight: see gap.test").document}
+    return document | {
+        "model": f"aircraft/{request.aircraft.folder.name}/{request.aircraft.xml.name}",
+        "train": [p.name for p in request.train],
+        "test": [p.name for p in request.test],
+        "command": shlex.join(request.command),
+    }

@@ -1,0 +1,62 @@
+"""Outputs as the sensors give them: late, scaled, off by a constant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from uqharness.refinement.candidates import sensor_gain, sensor_offset
+from uqharness.refinement.reference import Probe
+from uqharness.replay.replay import SENSOR_OF, Segment, late_rows
+
+if TYPE_CHECKING:
+    from uqharness.refinement.fit import Point, Setup
+
+Array = NDArray[np.float64]
+
+
+def as_sensed(
+    y: Array, setup: Setup, segment: Segment, point: Point, earlier: Mapping[str, int] | None = None,
+    between: Array | None = None,
+) -> Array:  # fmt: skip
+    """(n, m) outputs as the sensors give them: late, scaled, off by a constant. Changes ``y`` in place.
+
+    earlier: channel -> rows by which it is compared with what was measured that much later.
+    between: the same outputs between the rows of a replay as well, for those that are late; without them along a cubic.
+    """
+    for k, c in enumerate(setup.outputs):
+        late = sensor_late_s(c, segment, point) - (earlier or {}).get(c, 0) * segment.dt_s
+        if late and np.isfinite(y[:, k]).all():
+            rows = late / segment.dt_s
+            y[:, k] = moved_later(y[:, k], rows) if between is None else late_rows(between[:, k], len(y), rows)
+        y[:, k] *= sensor_gain(c, point)
+        y[:, k] += sensor_offset(c, segment, point)
+    return y
+
+
+def sensor_late_s(channel: str, segment: Segment, point: Point) -> float:
+    """By how much a channel is late at a point [s]."""
+    sensor = SENSOR_OF.get(channel, channel)
+    own = {sensor, channel}
+    return point.nuisance.get(f"delay/{segment.flight}/{sensor}", 0.0) + sum(
+        point.sensed.get(f"effect/sensor.{s}/delay", 0.0) for s in own
+    )
+
+
+def moved_later(values: Array, rows: float) -> Array:
+    """(n,) values as they come ``rows`` later, along a cubic; the first, or for negative rows the last, held beyond the ends."""
+    at = np.arange(len(values), dtype=float)
+    return np.asarray(CubicSpline(at, values)(np.clip(at - rows, 0.0, at[-1])))
+
+
+def late_rate(p: Probe, channel: str, values: Array, late_s: float) -> Array:
+    """(n,) rate of change of an output that is late: in a replay that of the time before each row (after it, if early), since a
+    step of a control makes a kink at a row."""
+    if p.predicted is not None or late_s == 0.0:
+        return p.rate_of(channel, values)
+    step = np.diff(values) / p.reference.dt_s
+    return np.concatenate([[0.0], step] if late_s > 0.0 else [step, [0.0]])

@@ -1,0 +1,147 @@
+"""What a refinement is made of before anything is chosen: flights cut and judged, aircraft staged, candidates listed."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.effects.catalogue import Effect, catalogue
+from sysid.effects.subsystem_effects import subsystem_effects
+from sysid.estimation.gaps import channel_noise, process_noise_shown
+from uqharness.errors import BadInputError
+from uqharness.identification.identify import BIASES, OUTPUTS
+from uqharness.refinement.fit import Flown, Setup, states_of
+from uqharness.replay.flights import Flight, measured_outputs, segments
+from uqharness.replay.model import CONTROLS, ReplayFolder, ReplayModel
+from uqharness.replay.replay import SENSOR_OF
+from uqharness.simulator.actuators import Actuator, actuators
+from uqharness.simulator.aircraft import Aircraft
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file's content. Raises BadInputError."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def refuse_shared(train: Sequence[Path], test: Sequence[Path]) -> None:
+    """BadInputError when a test file has the content of a train file: a flight that chose cannot prove."""
+    seen = {file_hash(path): path for path in train}
+    for path in test:
+        other = seen.get(file_hash(path))
+        if other is not None:
+            raise BadInputError(
+                f"--test {path}: the same flight as --train {other}; a flight that helped to choose proves "
+                f"nothing: give another one"
+            )
+
+
+def make_setup(aircraft: Aircraft, flights: Sequence[Flight], measured: Sequence[str], ideal: Sequence[str] = ()) -> Setup:
+    """Segments, measured outputs and noise of some flights."""
+    arm = aircraft.accelerometer_m
+    cut = [s for f in flights for s in segments(f, measured, arm)]
+    outputs = tuple(c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights))
+    data = [b for f in flights for b in measured_outputs(f, outputs)]
+    known = channel_noise(data, outputs, aircraft.card.sensors.noise_std)
+    late = {f.name: list(dict.fromkeys(SENSOR_OF.get(c, c) for c in outputs)) for f in flights if f.record.metadata.native_hz}
+    return Setup(
+        tuple(flights), tuple(cut), states_of(flights), outputs, tuple(data), np.array([known[c] for c in outputs]),
+        tuple(b for b in BIASES if b in outputs), late, servos=servos_of(aircraft, measured, ideal),
+    )  # fmt: skip
+
+
+def with_sensors_of(setup: Setup, aircraft: Aircraft) -> Setup:
+    """The same flights with the accelerometers where this aircraft has them: a centre of gravity that moves leaves them behind."""
+    arm = aircraft.accelerometer_m
+    return replace(setup, segments=tuple(replace(s, arm_m=arm) for s in setup.segments))
+
+
+def servos_of(aircraft: Aircraft, measured: Sequence[str], ideal: Sequence[str]) -> dict[str, Actuator]:
+    """Actuators of the surfaces that the flights know by their commands alone; none where the XML has none by that name."""
+    out: dict[str, Actuator] = {}
+    for surface in ("elevator", "aileron", "rudder"):
+        if surface in measured or surface in ideal or surface not in aircraft.card.inputs:
+            continue
+        with contextlib.suppress(BadInputError):
+            out |= actuators(aircraft, [surface])
+    return out
+
+
+class Bench:
+    """An aircraft staged for replay, as it flies and with every control straight through. A context."""
+
+    def __init__(self, aircraft: Aircraft, measured: Sequence[str], ideal: Sequence[str]) -> None:
+        self.aircraft, self.measured, self.ideal = aircraft, tuple(measured), tuple(ideal)
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Bench:
+        self.model: ReplayModel = self._stack.enter_context(ReplayFolder(self.aircraft, measured=self.measured, ideal=self.ideal))
+        self.straight: ReplayModel = self._stack.enter_context(ReplayFolder(self.aircraft, measured=self.measured, ideal=CONTROLS))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+
+def candidates_for(setup: Setup, names: Sequence[str], extra: Sequence[Effect], lone: bool = True) -> list[Effect]:
+    """The catalogue less what the model estimates already, and the user's own effects.
+
+    lone: with delays of one channel of a sensor that has several.
+    """
+    surfaces = list(setup.servos)
+    timed = setup.outputs if not setup.late else ()
+    sensors, parts = (
+        list(dict.fromkeys(SENSOR_OF.get(c, c) for c in timed)),
+        [c for c in timed if lone and c in SENSOR_OF],
+    )
+    every = [*extra, *catalogue(), *subsystem_effects(surfaces, setup.outputs, sensors, parts)]
+    out: dict[str, Effect] = {}
+    for e in every:
+        if e.coefficient is not None and e.property_name in names:
+            continue
+        out.setdefault(e.key, e)
+    return list(out.values())
+
+
+def confirming_segments(setup: Setup) -> NDArray[np.bool_]:
+    """(S,) every third manoeuvre of each kind confirms what the others found; the kind is its label without speeds and numbers."""
+    count: dict[str, int] = {}
+    out = []
+    for s in setup.segments:
+        kind = s.label.split(",")[0]
+        count[kind] = count.get(kind, -1) + 1
+        out.append(count[kind] % 3 == 1)
+    found = np.array(out)
+    if not found.any() and len(found) > 2:
+        found[1::3] = True
+    return found
+
+
+def turbulent(setup: Setup, flown: Flown) -> bool:
+    """Whether what the replay leaves is coloured, no function of the motion, and there in quiet flight as well."""
+    columns = [k for k, c in enumerate(setup.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")]
+    residual = [(z - y)[:, columns] for z, y in zip(setup.measured, flown.outputs, strict=True)]
+    return process_noise_shown(residual, [y[:, columns] for y in flown.outputs], setup.noise[columns])
+
+
+def estimated_channels(setup: Setup) -> tuple[str, ...]:
+    """Outputs that no sensor measured in some flight, the autopilot's estimator computed them."""
+    told = {c for flight in setup.flights for c in flight.record.metadata.estimates}
+    return tuple(c for c in setup.outputs if c in told)
+
+
+def setup_in_gusts(aircraft: Aircraft, setup: Setup) -> Setup:
+    """The same with the card's sensor noise where it says one: third differences of an accelerometer see gusts as noise. The card
+    says nothing of what an estimator computed."""
+    stated, guessed = aircraft.card.sensors.noise_std, estimated_channels(setup)
+    given = zip(setup.outputs, setup.noise.tolist(), strict=True)
+    return replace(setup, noise=np.array([n if c in guessed else stated.get(c, n) for c, n in given]))

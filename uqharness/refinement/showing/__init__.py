@@ -1,0 +1,1 @@
+"""What a refinement did, on flights that it did not use."""

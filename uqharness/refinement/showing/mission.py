@@ -1,0 +1,237 @@
+"""The p-box of a mission before and after a refinement: a small campaign with each model inside its own intervals, the same air
+for both."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from uqharness.campaign.conditions import conditions, in_condition, samples
+from uqharness.campaign.execution.processes import ProcessExecutor, usable_cores
+from uqharness.campaign.folder.case_table import ERROR_METRICS, UNCOMMANDED_METRICS
+from uqharness.campaign.folder.files import read_cases
+from uqharness.campaign.folder.manifest import MANIFEST, describe, has_digests, read_complete, read_manifest, refuse_if_different
+from uqharness.campaign.run import Progress, find_mission, run_campaign
+from uqharness.campaign.spec.campaign import CampaignSpec, campaign_from, read_campaign
+from uqharness.errors import BadInputError
+from uqharness.files import inner_folder
+from uqharness.simulator import engine
+from uqharness.simulator.aircraft import Aircraft, open_aircraft
+from uqharness.simulator.mission import find_script, read_script
+from uqharness.simulator.start import STEADY
+from uqharness.statistics.pbox import Sample, envelope
+
+FOLDER = "pbox"
+DRAWN = ("cross_track_median_m", "cross_track_max_m", "altitude_median_m")
+"""Metrics that a figure shows, where the mission has them."""
+LOITER = "scripts/loiter.xml"
+PROBABILITIES = (0.05, 0.5, 0.95)
+_DEFAULT: dict[str, Any] = {
+    "campaign": {"aircraft": "", "mission": LOITER, "seed": 20161201},
+    "aleatory": {
+        "flights": 3, "duration_s": 30.0, "burn_in_s": 30.0, "wind_mps": 3.0, "wind_from_deg": 270.0,
+        "turbulence": "light", "sensor_noise": True,
+    },
+    "epistemic": {"method": "corners"},
+    "metrics": {"excursion_radius_m": [15.0, 25.0], "rearm_m": 2.0},
+}  # fmt: skip
+"""A lap of the loiter to settle and one that is scored, three times at each of the 64 corners: half a minute of one core."""
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Model:
+    """An aircraft to fly, and the file of its intervals, beside which relative names in a campaign are looked for."""
+
+    aircraft: Aircraft
+    form: Path
+
+
+@dataclass(frozen=True)
+class MissionPBox:
+    """One metric in one condition: samples of every corner before and after; ``value`` (n,) with both envelopes."""
+
+    metric: str
+    condition: str
+    before: tuple[Sample, ...]
+    after: tuple[Sample, ...]
+
+    @property
+    def values(self) -> np.ndarray[Any, np.dtype[np.float64]]:
+        """Every value at which a distribution function steps, before or after, in order."""
+        return np.unique(np.concatenate([s.values for s in (*self.before, *self.after)]))
+
+    def width(self, which: Sequence[Sample]) -> float:
+        """Area between the envelopes over the range that both models reach, in the metric's unit; NaN without a known value."""
+        value = self.values
+        if value.size == 0:
+            return float("nan")
+        lower, upper = envelope(which, value)
+        return float(np.sum((upper - lower)[:-1] * np.diff(value)))
+
+    def quantile(self, which: Sequence[Sample], probability: float) -> list[float]:
+        """Interval of a quantile; NaN where failed flights leave an end open."""
+        value = self.values
+        if value.size == 0:
+            return [float("nan"), float("nan")]
+        lower, upper = envelope(which, value)
+        ends = []
+        for side in (upper, lower):
+            reached = np.flatnonzero(side >= probability - 1e-12)
+            ends.append(float(value[reached[0]]) if reached.size else float("nan"))
+        return ends
+
+
+@dataclass(frozen=True)
+class MissionResult:
+    """gap.test.pbox of refinement.json, and the p-boxes to draw."""
+
+    document: dict[str, Any]
+    boxes: tuple[MissionPBox, ...] = ()
+
+
+def no_pbox(reason: str) -> MissionResult:
+    """The document where nothing was flown."""
+    return MissionResult({"reason": reason, "metrics": []})
+
+
+def campaign_for(aircraft: Aircraft, given: Path | None) -> dict[str, Any]:
+    """What is flown, as a campaign file holds it. Raises BadInputError where the aircraft has no mission of its own."""
+    if given is not None:
+        read_campaign(given)
+        data = tomllib.loads(given.read_text(encoding="utf-8"))
+        beside = given.resolve().parent / data["campaign"]["mission"]
+        if data["campaign"]["mission"] != STEADY:
+            found = beside if beside.is_file() else find_script(data["campaign"]["mission"])
+            data["campaign"]["mission"] = str(found.resolve())
+        if data["epistemic"]["method"] == "none":
+            raise BadInputError(
+                f'{given}: [epistemic] method = "none" flies no intervals; "corners" flies every combination of their ends'
+            )
+        if isinstance(fit := data["epistemic"].get("parameters", {}).get("fit"), str):
+            data["epistemic"]["parameters"]["fit"] = str((given.resolve().parent / fit).resolve())
+        return data
+    script = read_script(find_script(LOITER))
+    start = aircraft.folder / f"{script.initialize}.xml"
+    if "cross_track" not in aircraft.card.metrics or not start.is_file():
+        raise BadInputError(
+            f"aircraft '{aircraft.name}' has no loiter of its own: {LOITER} needs the initial conditions "
+            f"{script.initialize}.xml, an autopilot and a card whose [metrics] name cross_track; give a mission by --campaign"
+        )
+    fdm = open_aircraft(aircraft)
+    engine.require(fdm, [n for n in script.run_properties if n.startswith("ap/")])
+    return {**_DEFAULT, "campaign": _DEFAULT["campaign"] | {"mission": str(find_script(LOITER))}}
+
+
+def specification(data: Mapping[str, Any], model: Model) -> CampaignSpec:
+    """The campaign with a model and its intervals in it. Raises BadInputError."""
+    campaign = {**data["campaign"], "aircraft": str(model.aircraft.folder)}
+    epistemic = {**data["epistemic"], "bounds": model.form.name}
+    whole = {**data, "campaign": campaign, "epistemic": epistemic}
+    return campaign_from(whole, model.form.with_suffix(".toml"))
+
+
+def fly_missions(
+    models: Mapping[str, Model], campaign: Path | None, out: Path, workers: int | None, say: Say = lambda _: None
+) -> MissionResult:
+    """Fly the campaign with each of ``models`` (before, after; a single one is both) in ``out``/pbox/<name>.
+
+    A run that was killed goes on; a folder with another campaign in it is made anew. What stands in the way of a mission is
+    the result's reason.
+    """
+    executor = ProcessExecutor(workers or usable_cores(), keep=True)
+    frames: dict[str, pd.DataFrame] = {}
+    with contextlib.closing(executor):
+        try:
+            data = campaign_for(next(iter(models.values())).aircraft, campaign)
+            for name, model in models.items():
+                spec = specification(data, model)
+                folder = inner_folder(out, FOLDER, name)
+                _clear_if_other(folder, spec)
+                run_campaign(spec, folder, executor=executor, on_progress=_told(say, name), command="uqharness refine")
+                frames[name] = read_cases(folder, read_complete(folder))
+        except BadInputError as error:
+            return no_pbox(str(error))
+    every = list(frames.values())
+    before, after = every[0], every[-1]
+    boxes = tuple(_boxes(before, after))
+    return MissionResult(_document(spec, models, before, after, boxes), boxes)
+
+
+def _clear_if_other(folder: Path, spec: CampaignSpec) -> None:
+    """Remove an earlier refinement's campaign, whose model or intervals were others. Raises BadInputError for a damaged one."""
+    if not (folder / MANIFEST).is_file():
+        return
+    manifest = read_manifest(folder)
+    try:
+        refuse_if_different(folder, manifest, describe(spec, find_mission(spec, folder), 0, ""))
+        other = not has_digests(manifest)
+    except BadInputError:
+        other = True
+    if other:
+        shutil.rmtree(folder)
+
+
+def _told(say: Say, name: str) -> Callable[[Progress], None]:
+    quarters = set[int]()
+
+    def tell(progress: Progress) -> None:
+        quarter = 4 * progress.done // max(progress.cases, 1)
+        if quarter and quarter not in quarters:
+            quarters.add(quarter)
+            say(f"mission {name}: {progress.done} of {progress.cases} flights")
+
+    return tell
+
+
+def _boxes(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[MissionPBox]:
+    for metric in (*ERROR_METRICS, *UNCOMMANDED_METRICS):
+        if metric.endswith("_measured") or metric not in before or metric not in after:
+            continue
+        for condition in conditions(before):
+            pair = [tuple(samples(in_condition(frame, condition), metric)) for frame in (before, after)]
+            if all(any(s.values.size for s in found) for found in pair):
+                yield MissionPBox(metric, condition.label, *pair)
+
+
+def _document(
+    spec: CampaignSpec, models: Mapping[str, Model], before: pd.DataFrame, after: pd.DataFrame, boxes: Sequence[MissionPBox]
+) -> dict[str, Any]:  # fmt: skip
+    rows = [
+        {
+            "metric": b.metric, "condition": b.condition,
+            "quantiles": {
+                f"{p:g}": {"before": b.quantile(b.before, p), "after": b.quantile(b.after, p)} for p in PROBABILITIES
+            },
+            "width_before": b.width(b.before), "width_after": b.width(b.after),
+        }
+        for b in boxes
+    ]  # fmt: skip
+
+    def count(frame: pd.DataFrame) -> dict[str, float]:
+        return {
+            "flights": len(frame), "failed": int((frame["status"] != "ok").sum()),
+            "loss_of_control": int(frame["loss_of_control"].fillna(0).sum()),
+            "extrapolated_share": float(frame["extrapolated_share"].mean()),
+        }  # fmt: skip
+
+    air = spec.aleatory
+    return {
+        "reason": None,
+        "mission": Path(spec.campaign.mission).name,
+        "corners": int(before["epistemic_id"].nunique()),
+        "flights_per_corner": air.flights,
+        "duration_s": air.duration_s,
+        "before": count(before),
+        "after": count(after),
+        "folders": [f"{FOLDER}/{name}" for name in models],
+        "metrics": rows,
+    }

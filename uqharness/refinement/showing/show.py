@@ -1,0 +1,258 @@
+"""What a refinement did to the gap: channels and coefficients of given flights under two models, start states and biases
+their own."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.aerodynamics.coefficients import smooth
+from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.effects.turbulence import Gusts
+from sysid.estimation.diagnostics import ljung_box
+from sysid.estimation.gaps import rms, theil
+from sysid.parallel import Processes
+from uqharness.identification.start import demand_of, forced_at
+from uqharness.refinement.fit import Flown, Point, Setup, positions, refit
+from uqharness.refinement.gusts import gust_refit, middles, moved, rows_late, unfiltered
+from uqharness.refinement.setup import Bench, with_sensors_of
+from uqharness.replay.flights import Flight, states
+from uqharness.replay.logged_commands import command_later
+from uqharness.replay.model import CONTROLS, ReplayModel
+from uqharness.replay.replay import Segment
+from uqharness.simulator.aircraft import Aircraft
+from uqharness.simulator.aircraft_files import copy_folder
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One model over some flights: replay or one-step predictions, residuals [(n, m)] and their noise (m,), coefficient residuals
+    [(n, 6)] and their noise (6,), white [(n, m)] residuals over their noise, cost: sum of their squares; logdet (S,): of each
+    segment, the logarithms of that noise, summed, where the model has a say in it (predictions; 0 for replays)."""
+
+    flown: Flown
+    residual: list[Array]
+    noise: Array
+    coefficients: list[Array]
+    floor: Array
+    white: list[Array]
+    cost: float
+    logdet: tuple[float, ...]
+
+    @property
+    def surprise(self) -> float:
+        """Minus twice the log likelihood, less a constant."""
+        return self.cost + 2.0 * sum(self.logdet)
+
+    def channel_rms(self, k: int) -> float:
+        """Rms of channel ``k``'s residual over all flights."""
+        return rms(np.concatenate([r[:, k] for r in self.residual]))
+
+    def coefficient_rms(self, k: int) -> float:
+        """Rms of coefficient ``k``'s gap over all flights."""
+        return rms(np.concatenate([g[:, k] for g in self.coefficients]))
+
+
+@dataclass(frozen=True)
+class History:
+    """One manoeuvre: time_s (n,); measured, before and after (n, k) of the channels ``names``; noise (k,)."""
+
+    time_s: Array
+    measured: Array
+    before: Array
+    after: Array
+    names: tuple[str, ...]
+    noise: Array
+
+
+def show(
+    aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Processes, sensed: Mapping[str, float],
+    gusts: Gusts | None = None,
+) -> Shown:  # fmt: skip
+    """Flights by an aircraft as its XML has it; only start states, biases and (of logs) delays are estimated.
+
+    gusts: the air of the flights, with which one-step predictions take the place of replays.
+    """
+    with Bench(aircraft, measured, ideal) as bench:
+        setup = with_sensors_of(setup, aircraft)
+        plain = replace(setup, active=(), carriers={})
+        start = Point({}, {}, tuple(s.start for s in setup.segments), dict(sensed))
+        controls = positions(bench.model, plain, map_)
+        jobs = [
+            (
+                bench.model,
+                bench.straight,
+                _as_felt(s, f, ideal),
+                states(f, p),
+                dict(zip(setup.outputs, setup.noise.tolist(), strict=True)),
+            )
+            for s, (f, p) in zip(setup.segments, [(f, p) for f in setup.flights for p in f.pieces], strict=True)
+        ]
+        found = list(map_(_coefficient_gap, jobs))
+        if gusts is None:
+            fit = refit(bench.model, bench.straight, plain, controls, start, (), {}, map_, max_iterations=6)
+            residual = [z - y for z, y in zip(setup.measured, fit.flown.outputs, strict=True)]
+            white = [r / setup.noise for r in residual]
+            flown, noise, cost = fit.flown, setup.noise, fit.flown.cost
+            logdet = [0.0] * len(white)
+        else:
+            bends = middles(bench.model, plain, map_)
+            try:
+                gust = gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, gusts, known=True)
+                delta, _ = gust.fit.evidence.step()
+                at, rows = gust.fit.flown, gust.fit.evidence.residual(delta)
+                deviations, logdet = [w.deviation for w in gust.white], [w.logdet for w in gust.white]
+            except np.linalg.LinAlgError:
+                # A model so far outside what it was made for that no filter follows it: what it says at the measured states.
+                at, rows = unfiltered(bench.straight, plain, controls, bends, start, map_, gusts)
+                deviations = [setup.noise] * len(rows)
+                logdet = [float((np.isfinite(r) * np.log(setup.noise)).sum()) for r in rows]
+            white = _as_recorded(plain, at.point, rows)
+            residual = [r * deviation for r, deviation in zip(white, deviations, strict=True)]
+            noise = np.sqrt(np.mean([deviation**2 for deviation in deviations], axis=0))
+            cost = float(sum(np.nansum(r**2) for r in white))
+            outputs = [z - r for z, r in zip(setup.measured, residual, strict=True)]
+            flown = replace(at, outputs=outputs, cost=cost)
+    floor = np.sqrt(np.mean(np.concatenate([f[1] for f in found]) ** 2, axis=0))
+    return Shown(flown, residual, noise, [f[0] for f in found], floor, white, cost, tuple(logdet))
+
+
+def _as_recorded(setup: Setup, point: Point, rows: Sequence[Array]) -> list[Array]:
+    """[(n, m)] residuals of predictions at the rows where the samples stand in the record; 0 where none was judged."""
+    out = []
+    for segment, r in zip(setup.segments, rows, strict=True):
+        late = rows_late(setup, segment, point)
+        columns = [np.nan_to_num(moved(r[:, k], late[c])) for k, c in enumerate(setup.outputs)]
+        out.append(np.column_stack(columns))
+    return out
+
+
+def air_of(
+    aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Processes, sensed: Mapping[str, float],
+    near: Gusts,
+) -> Gusts:  # fmt: skip
+    """The air of some flights, estimated with a model and sensors as they are; near: that of others, which stays where no filter
+    follows the flights with such a model."""
+    with Bench(aircraft, measured, ideal) as bench:
+        setup = with_sensors_of(setup, aircraft)
+        plain = replace(setup, active=(), carriers={})
+        start = Point({}, {}, tuple(s.start for s in setup.segments), dict(sensed))
+        controls, bends = positions(bench.model, plain, map_), middles(bench.model, plain, map_)
+        try:
+            return gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, near, iterations=2).gusts
+        except np.linalg.LinAlgError:
+            return near
+
+
+def _as_felt(segment: Segment, flight: Flight, ideal: Sequence[str]) -> Segment:
+    """The segment with commands of ideal servos as the smoothed rates felt them."""
+    controls = segment.controls.copy()
+    for k in (k for k, c in enumerate(CONTROLS) if c in ideal):
+        controls[:, k] = command_later(controls[:, k], segment.time_s, flight.felt_late_s())
+    return replace(segment, controls=controls)
+
+
+def _coefficient_gap(
+    job: tuple[ReplayModel, ReplayModel, Segment, Mapping[str, Array], Mapping[str, float]],
+) -> tuple[Array, Array]:
+    """(n, 6) demanded minus predicted at the measured states, and how noise added once more changes it."""
+    model, straight, segment, channels, noise = job
+    rng = np.random.default_rng(1)
+    noisy = {
+        c: v + (noise[c] * rng.standard_normal(len(v)) if np.isfinite(noise.get(c, np.nan)) else 0.0) for c, v in channels.items()
+    }
+    gaps = []
+    for given in (channels, noisy):
+        forced, _ = forced_at(model, straight, segment, given, {})
+        gaps.append(demand_of(given, forced, segment) - smooth(forced.coefficients, segment.dt_s))
+    return gaps[0], gaps[1] - gaps[0]
+
+
+def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]:
+    """G of refinement.json."""
+
+    def row(b: float, a: float, n: float) -> dict[str, float]:
+        return {"rms_before": b, "rms_after": a, "noise_rms": n}
+
+    def coefficient(shown: Shown) -> float:
+        found = [
+            theil(
+                np.concatenate([z[:, k] for z in setup.measured]),
+                np.concatenate([y[:, k] for y in shown.flown.outputs]),
+            ).u
+            for k in range(len(setup.outputs))
+        ]
+        return float(np.nanmean(found))
+
+    return {
+        "channels": {
+            c: row(before.channel_rms(k), after.channel_rms(k), float(after.noise[k])) for k, c in enumerate(setup.outputs)
+        },
+        "coefficients": {
+            c: row(before.coefficient_rms(k), after.coefficient_rms(k), float(after.floor[k])) for k, c in enumerate(COEFFICIENTS)
+        },
+        "theil": {"before": coefficient(before), "after": coefficient(after)},
+        "cost": {
+            "before": before.cost,
+            "after": after.cost,
+            "samples": int(sum(np.isfinite(z).sum() for z in setup.measured)),
+        },
+    }
+
+
+def most_improved(setup: Setup, before: Shown, after: Shown) -> tuple[str, History]:
+    """The segment whose squared residuals over noise fell most, with its (at most three) channels that fell most."""
+    fell = [np.nansum(b**2, axis=0) - np.nansum(a**2, axis=0) for b, a in zip(before.white, after.white, strict=True)]
+    s = int(np.argmax([f.sum() for f in fell]))
+    order = np.argsort(-fell[s])[:3]
+    some = np.sort(order[fell[s][order] > 0.1 * fell[s][order[0]]]) if fell[s][order[0]] > 0.0 else order[:1]
+    segment, measured = setup.segments[s], setup.measured[s]
+    residuals = [shown.residual[s][:, some] for shown in (before, after)]
+    history = History(
+        segment.time_s, measured[:, some], measured[:, some] - residuals[0], measured[:, some] - residuals[1],
+        tuple(setup.outputs[k] for k in some), after.noise[some],
+    )  # fmt: skip
+    return f"{segment.flight}, {segment.label}", history
+
+
+def whiteness(setup: Setup, residual: Sequence[Array]) -> dict[str, float]:
+    """Ljung-Box p-value of every channel's residual."""
+    return {c: ljung_box([r[:, k] for r in residual], 20) for k, c in enumerate(setup.outputs)}
+
+
+def state_ranges(setup: Setup, flown: Flown, controls: Sequence[Array]) -> list[dict[str, Array]]:
+    """States in which regions are looked for, one mapping a segment."""
+    out = []
+    for x, u in zip(flown.x, controls, strict=True):
+        out.append(
+            {
+                "V_mps": x[:, 0],
+                "alpha_rad": x[:, 1],
+                "beta_rad": x[:, 2],
+                "abs_p_radps": np.abs(x[:, 3]),
+                "abs_q_radps": np.abs(x[:, 4]),
+                "abs_r_radps": np.abs(x[:, 5]),
+                "elevator_deg": u[:, 0],
+                "aileron_deg": u[:, 1],
+                "rudder_deg": u[:, 2],
+                "throttle_pct": u[:, 3],
+            }
+        )
+    return out
+
+
+def write_bytes_tree(source: Path, target: Path) -> None:
+    """Copy a folder beside its place and put it there at once; an earlier one is replaced."""
+    beside = target.with_name(f".{target.name}.part")
+    shutil.rmtree(beside, ignore_errors=True)
+    copy_folder(source, beside)
+    if target.exists():
+        shutil.rmtree(target)
+    beside.rename(target)

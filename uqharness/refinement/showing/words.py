@@ -1,0 +1,163 @@
+"""Sentences about effects: why one was named, and which manoeuvre would tell two of them apart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from sysid.effects.catalogue import Effect
+from sysid.effects.selection import Choice
+
+_EXCITES = {
+    "alpha": "slow changes of angle of attack by speed (level flight from the slowest to the fastest)",
+    "beta": "steady sideslips at several angles",
+    "p_hat": "aileron doublets of two sizes and lengths",
+    "q_hat": "elevator doublets of two lengths",
+    "r_hat": "rudder doublets of two lengths",
+    "alphadot_hat": "elevator doublets beside turns at constant angle of attack: alphadot without q and q without alphadot",
+    "betadot_hat": "flat turns beside rudder doublets: r without betadot",
+    "de": "elevator steps at constant speed, by throttle",
+    "da": "short aileron pulses: deflection before there is a roll rate",
+    "dr": "short rudder pulses: deflection before there is a yaw rate",
+    "dt": "throttle steps",
+    "CT": "throttle doublets at constant speed and angle of attack",
+    "V_rel": "the same manoeuvres at widely different speeds, thrust held",
+    "h_over_b": "the same manoeuvres high and low",
+}
+_SUBSYSTEM = {
+    "stall": "a slow approach to the stall, and a fast one",
+    "propulsion": "throttle doublets at two speeds; a static thrust measurement",
+    "mass": "none in the air: a swing test on the ground measures Ixz, weighing the centre of gravity",
+    "actuator": "the surface moved on the ground with its position logged",
+    "sensor": "calibration of the sensor on the ground",
+    "ground": "the same manoeuvre low and high",
+    "record": "a tap on the aircraft logged by all sensors",
+}
+
+
+def why(effect: Effect, choice: Choice) -> str:
+    """One sentence: physics, where it shows, how strongly the flights say so."""
+    sign = "positive" if choice.value > 0 else "negative"
+    where = f"; it shows in {effect.regime}" if effect.regime else ""
+    source = f" ({effect.reference})" if effect.reference else ""
+    return (
+        f"{effect.physics}{where}{source}. "
+        f"The flights want {choice.value:.4g} +/- {choice.std:.2g} ({sign}), |t| {abs(choice.t):.1f} with "
+        "standard errors corrected for coloured residuals"
+    )
+
+
+def separating_manoeuvre(one: Effect, other: Effect) -> str:
+    """What would tell two effects apart that these flights do not."""
+    for effect in (one, other):
+        part = (effect.subsystem or "").partition(".")[0]
+        if part == "mass" and effect.term == "Ixz":
+            return (
+                "measure Ixz on the ground (swing test); in the air a wrong Ixz is pitching moment from roll rate squared "
+                "and, with the other sign, from yaw rate squared: rudder doublets tell them apart only as long as the "
+                "aircraft has no moment from yaw rate squared of its own"
+            )
+        if part in _SUBSYSTEM:
+            return _SUBSYSTEM[part]
+    a, b = one.parsed, other.parsed
+    assert a is not None
+    assert b is not None
+    apart = [v for v in (*a.variables, *b.variables) if (v in a.variables) != (v in b.variables)]
+    if not apart:
+        return f"the same manoeuvres at several amplitudes: {a.text} and {b.text} differ in how they grow"
+    return "; ".join(dict.fromkeys(_EXCITES[v] for v in apart[:2]))
+
+
+def contradicted(effect: Effect, choice: Choice) -> str:
+    """What is said of an effect that the train flights ask for and the test flights speak against."""
+    return (
+        f"the train flights ask for {effect.name} (|t| {abs(choice.t):.1f}), and with it the gap on the test flights grew: it is "
+        "withdrawn; something differs between the flights that has no name here"
+    )
+
+
+def unnamed(effect: Effect, choice: Choice) -> str:
+    """What is said of an effect that would have been named, were nothing unexplained beside it."""
+    return (
+        f"{effect.name} would explain a part of it (|t| {abs(choice.t):.1f}), too little to be named beside something that nothing "
+        "explains"
+    )
+
+
+def nowhere(document: Mapping[str, Any]) -> str:
+    """What is said where no region stands out: nothing at all is missing, or what is missing shows over whole flights alone."""
+    named = [abs(e["evidence"]["t"]) for e in (*document["effects"], *document["withdrawn"])]
+    named += [abs(w["t"]) for w in document["remaining"]["where"] if "t" in w]
+    if named:
+        return (
+            "in no single region beyond what noise allows a sample; over all samples together the flights disagree with the "
+            f"model all the same (|t| up to {max(named):.0f})"
+        )
+    if document["remaining"]["unexplained"]:
+        return "in no single region beyond what noise allows a sample, but the flights as a whole: see what is left"
+    return "nowhere beyond what noise allows"
+
+
+def left_over(remaining: Mapping[str, Any]) -> list[str]:
+    """What is left, in sentences; none where nothing is."""
+    if not remaining["unexplained"]:
+        return [w["words"] for w in remaining["where"] if "words" in w]
+    out = []
+    above = remaining["channels_above_noise"]
+    if above:
+        out.append("above their noise: " + ", ".join(f"{c} ({r:.2f} times)" for c, r in above.items()))
+    if remaining["coloured_channels"]:
+        out.append(f"residuals not white: {', '.join(remaining['coloured_channels'])}")
+    for w in remaining["where"]:
+        if "words" in w:
+            out.append(w["words"])
+        else:
+            depends = w["depends_on"][0]["state"] if w["depends_on"] else "none of the states looked at"
+            out.append(f"{w['coefficient']}: {w['rms_over_noise']:.2f} times noise, depends on {depends}")
+    return out
+
+
+def test_says(effect: Mapping[str, Any]) -> str:
+    """What the test flights say of one effect."""
+    test = effect["test"]
+    change, std = test["change_of_twice_log_likelihood"], test["std"]
+    number = f"twice the log likelihood {change:+.1f} +/- {std:.1f} with it"
+    if test["gap"] == "shrank":
+        return f"on the test flights the gap shrank: {number}"
+    if test["gap"] == "grew":
+        return f"on the test flights the gap grew: {number}; withdrawn"
+    if test["gap"] == "too far":
+        far = f"{test['rms_over_that_of_train']:.0f} times as far from either model as the train flights"
+        return f"the test flights do not tell: they lie {far}; look for what is wrong with them"
+    return f"the test flights do not tell whether the gap shrank: {number}"
+
+
+def interval_lines(intervals: Mapping[str, Any]) -> list[str]:
+    """Coverage and width of the model-form intervals, a line a coefficient."""
+    if intervals["reason"] is not None:
+        return [f"intervals on the test flights: none: {intervals['reason']}"]
+    out = [f"{'intervals':<14}{'width':>10}{'after':>10}{'inside':>10}{'after':>10}"]
+    for name, row in intervals["coefficients"].items():
+        widths = f"{row['width_before']:>10.4g}{row['width_after']:>10.4g}"
+        out.append(f"{name:<14}{widths}{row['coverage_before']:>10.1%}{row['coverage_after']:>10.1%}")
+    return out
+
+
+def pbox_lines(pbox: Mapping[str, Any]) -> list[str]:
+    """Median of each median error over the mission, as the p-box bounds it."""
+    if pbox["reason"] is not None:
+        return [f"p-box: none: {pbox['reason']}"]
+    failed = f"failed {pbox['before']['failed']} before, {pbox['after']['failed']} after"
+    out = [f"{pbox['mission']}: {pbox['corners']} corners, {pbox['flights_per_corner']} flights each; {failed}"]
+    for row in pbox["metrics"]:
+        if "_median_" in row["metric"]:
+            ends = [row["quantiles"]["0.5"][when] for when in ("before", "after")]
+            words = " -> ".join("[" + ", ".join("open" if e is None else f"{e:.3g}" for e in pair) + "]" for pair in ends)
+            out.append(f"  {row['metric']}, {row['condition']}: median {words}")
+    return out
+
+
+def carried_by(effect: Mapping[str, Any]) -> str:
+    """Where an effect of refinement.json stands: its property, a number of the XML, or a sensor."""
+    sensor = str(effect.get("subsystem", "")).startswith("sensor.")
+    return str(effect.get("property") or ("a sensor's" if sensor else "a number in the XML"))

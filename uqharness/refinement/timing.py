@@ -1,0 +1,84 @@
+"""Controls recorded late or early: one time for all of them looks like a lag in every servo, and is no effect of the aircraft.
+
+The time competes with the candidates as one column (sysid.effects.score) before any effect is chosen. Where it explains as
+much as the best of them, and as all servos' lags together, the records are put right, and the choice is made on those.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.effects.catalogue import Effect
+from sysid.effects.score import Evidence, agreement, corrected, scores, solve
+from sysid.effects.selection import EXCHANGE
+from uqharness.replay.flights import Flight, control_columns
+from uqharness.replay.logged_commands import command_later
+from uqharness.replay.model import CONTROLS
+
+CONTROLS_LATE = Effect(
+    None, "record", "delay", "controls recorded early or late", "all commands act one time later than the record says", unit="s"
+)  # fmt: skip
+LEAST_EARLY_ROWS = 0.5
+"""A flight of a simulator acts up to half a step before its row; what is earlier than this is a slip of the record."""
+MOST_CORRECTIONS = 4
+
+
+def controls_late(
+    evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], confirming: NDArray[np.bool_], limit: float,
+    least_s: float, dt_s: float,
+) -> tuple[float, float] | None:  # fmt: skip
+    """(seconds, standard error) by which all controls act after their rows, None where the flights do not say so.
+
+    evidence    with the column of CONTROLS_LATE; odds: candidate -> odds of the effects that compete with it
+    limit       |t| asked; least_s: what a replay resolves
+    """
+    key = CONTROLS_LATE.key
+    value, std, _ = corrected(evidence, free, key)
+    if not abs(value / std) > limit or not (value > least_s or value < -LEAST_EARLY_ROWS * dt_s):
+        return None
+    own = float(scores(evidence, free, [key]).gain[0])
+    rivals = list(odds)
+    merit = scores(evidence, free, rivals).gain - np.array([odds[k] for k in rivals]) if rivals else np.zeros(0)
+    if np.nanmax(merit, initial=0.0) > own:
+        return None
+    lags = [k for k in rivals if k.startswith("effect/actuator.") and k.endswith("/lag")]
+    if lags and joint_gain(evidence, free, lags) > own + EXCHANGE:
+        return None
+    if confirming.any() and not confirming.all() and not agreement(evidence, free, key, ~confirming)[0] > 0.0:
+        return None
+    return value, std
+
+
+def joint_gain(evidence: Evidence, free: Sequence[str], keys: Sequence[str]) -> float:
+    """Rise of twice the log likelihood by several candidates at once, u' g^-1 u with the free columns taken out."""
+    G, u = evidence.everything
+    b, c = evidence.index(free), evidence.index(keys)
+    x = solve(G[np.ix_(b, b)], np.column_stack([G[np.ix_(b, c)], u[b]]))
+    g = G[np.ix_(c, c)] - G[np.ix_(c, b)] @ x[:, :-1]
+    left = u[c] - G[np.ix_(c, b)] @ x[:, -1]
+    return float(left @ solve(g, left[:, None])[:, 0])
+
+
+def later(flights: Sequence[Flight], late_s: float) -> list[Flight]:
+    """The flights with every command and position ``late_s`` seconds later; before the first row its value is held."""
+    return [replace(f, record=f.record.with_columns(_moved(f, late_s))) for f in flights] if late_s else list(flights)
+
+
+def _moved(flight: Flight, late_s: float) -> dict[str, NDArray[np.float64]]:
+    time = flight.record["time_s"]
+    names = [c for c in dict.fromkeys((*control_columns(()), *control_columns(CONTROLS[:3]))) if c in flight.record]
+    return {c: command_later(flight.record[c], time, late_s) for c in names}
+
+
+def words(late_s: float, std_s: float, dt_s: float) -> str:
+    """The finding as an engineer reads it."""
+    way = "after" if late_s > 0 else "before"
+    return (
+        f"the controls act {1e3 * abs(late_s):.1f} +/- {1e3 * std_s:.1f} ms ({abs(late_s) / dt_s:.2f} rows) {way} the time the "
+        "records give them, all by the same: a matter of the record's clock, not of a servo; put right in every flight here "
+        "before effects were looked for. Find out which clock stamps the commands"
+    )

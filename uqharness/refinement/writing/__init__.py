@@ -1,0 +1,1 @@
+"""Effects written into an aircraft's XML."""

@@ -1,0 +1,1 @@
+"""Recorded flights flown again by JSBSim: through their controls, beside their motion."""

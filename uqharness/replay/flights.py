@@ -1,0 +1,288 @@
+"""Flights for replay: a log or record read, thinned, aligned in time and cut into segments with start states."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.aerodynamics.segmentation import MAX_S, MIN_S, Piece, as_logged, cut
+from sysid.errors import LogError
+from sysid.foreign.regular_files import open_regular
+from sysid.logs.checks import in_degrees
+from sysid.logs.dropouts import bridge
+from sysid.logs.load import default_cache, import_log
+from sysid.logs.manoeuvres import label_manoeuvres
+from sysid.record import FlightRecord
+from uqharness.errors import BadInputError
+from uqharness.replay.ground import height_known
+from uqharness.replay.logged_commands import command_later, mean_ahead, with_steps_placed
+from uqharness.replay.model import CONTROLS
+from uqharness.replay.replay import CHANNELS, STATES, Segment
+from uqharness.simulator.aircraft import Aircraft
+from uqharness.simulator.altitude import with_start_altitude
+
+Array = NDArray[np.float64]
+MAX_RATE_HZ = 60.0
+_NEEDED = ("V_mps", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
+_COLUMN = {"elevator": "elevator_deg", "aileron": "aileron_deg", "rudder": "rudder_deg", "throttle": "throttle_pct"}
+_POSITION = {name: f"{name}_pos_deg" for name in ("elevator", "aileron", "rudder")}
+_JUMPING = ("ax_mps2", "ay_mps2", "az_mps2")  # with a step of a control
+LATE_S = 0.03
+"""By how much a log's accelerometers may be late."""
+_START_S = 0.4
+MAX_GAP_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A record ready for replay: at most 60 Hz, channels moved to the time at which they were true. ``notes`` say what was done.
+
+    gyro_late_s: by how much the rates turn after slowly logged commands stepped.
+    """
+
+    name: str
+    record: FlightRecord
+    pieces: tuple[Piece, ...]
+    notes: tuple[str, ...]
+    gyro_late_s: float = 0.0
+
+    def felt_late_s(self) -> float:
+        """By how much a jumping surface's command comes late for what compares it with smoothed rates row by row: as late as the
+        gyro, and half a row, since at the row of its jump it stands half-way."""
+        return self.gyro_late_s + 0.5 * self.record.dt_s
+
+    def with_commands_as_felt(self) -> Flight:
+        """The flight with its commands `felt_late_s` later."""
+        record, late_s = self.record, self.felt_late_s()
+        moved = {c: command_later(record[c], record["time_s"], late_s) for c in _COLUMN.values() if c in record}
+        return replace(self, record=record.with_columns(moved))
+
+
+def read_flight(path: Path, aircraft: Aircraft, manoeuvres: Path | None = None, map_path: Path | None = None) -> FlightRecord:
+    """The record of a log or record file, free flight alone, manoeuvres labelled if a table is given. Raises BadInputError."""
+    try:
+        card = aircraft.folder if (aircraft.folder / "airframe.toml").is_file() else None
+        record = import_log(path, map_path, card, cache=default_cache())
+        if manoeuvres is not None:
+            record = label_manoeuvres(record, manoeuvres, path.stem)
+        if record.metadata.dialect != "record" and record.metadata.free_flight_s:
+            record = record.between(*record.metadata.free_flight_s[0])
+    except LogError as error:
+        raise BadInputError(str(error)) from None
+    wrong = next((f for f in record.metadata.findings if in_degrees(f)), None)
+    if wrong is not None and record.metadata.dialect == "record":
+        raise BadInputError(f"{path}: {wrong.message}; angles and rates of a flight record are in rad and rad/s")
+    named = record.metadata.aircraft
+    if named and named not in (aircraft.card.aircraft.name, aircraft.name):
+        raise BadInputError(
+            f"{path}: this record was made with the card of aircraft '{named}', not of '{aircraft.card.aircraft.name}'; "
+            "its surface angles follow that card: import the log again with --aircraft, or name that aircraft"
+        )
+    return record
+
+
+def measured_surfaces(records: Sequence[FlightRecord]) -> tuple[str, ...]:
+    """Surfaces whose position every record carries."""
+    return tuple(
+        name for name, column in _POSITION.items()
+        if all(column in r and np.isfinite(r[column]).mean() > MAX_GAP_SHARE for r in records)
+    )  # fmt: skip
+
+
+def control_columns(measured: Sequence[str]) -> tuple[str, ...]:
+    """The record's column of each of CONTROLS."""
+    return tuple(_POSITION[name] if name in measured else _COLUMN[name] for name in CONTROLS)
+
+
+def prepare(name: str, record: FlightRecord, measured: Sequence[str], min_s: float = MIN_S, max_s: float = MAX_S) -> Flight:
+    """Check, thin, align and cut a record. Raises BadInputError naming the channel that is missing and what needs it."""
+    columns = control_columns(measured)
+    missing = [c for c in (*_NEEDED, *columns) if c not in record or not np.isfinite(record[c]).any()]
+    if missing:
+        why = (
+            "without the surfaces' commands or positions nothing can be replayed (import the log with --aircraft, whose card "
+            "turns servo outputs into angles)"
+            if set(missing) & set(columns)
+            else "a replay starts from them and is compared with them"
+        )
+        raise BadInputError(f"{name}: the record has no {', '.join(missing)}; {why}")
+    if len(record) < 2:
+        raise BadInputError(f"{name}: the record has {len(record)} row(s)")
+    commands = [c for c in columns if c not in _POSITION.values()]
+    record, bridged = bridge(record, (*_NEEDED, "alpha_rad", "beta_rad", *columns), commands)
+    record, placed, gyro_late_s = with_steps_placed(record, columns)
+    notes = [f"{name}: {text}" for text in (*bridged, *placed)]
+    step = max(1, int(np.ceil(1.0 / (record.dt_s * MAX_RATE_HZ) - 1e-6)))
+    if step > 1:
+        notes.append(f"{name}: {1 / record.dt_s:.0f} Hz, of which every {step}. row was used")
+        mask = np.zeros(len(record), dtype=bool)
+        mask[::step] = True
+        held = {c: mean_ahead(record[c], step) for c in _COLUMN.values() if c in record}
+        record = record.with_columns(held).rows(mask)
+    if 1.0 / record.dt_s < 9.5:
+        raise BadInputError(
+            f"{name}: {1 / record.dt_s:.1f} rows a second; a replay needs at least 10, or it sees neither short period nor roll"
+        )
+    record, moved = _aligned(record)
+    notes += [f"{name}: {text}" for text in moved]
+    pieces, how = cut(record, (*_NEEDED, *columns), min_s, max_s)
+    if not pieces:
+        raise BadInputError(
+            f"{name}: no stretch of {min_s:g} s has all of {', '.join((*_NEEDED, *columns))} without a gap"
+            f"{_lost(record, columns)}; nothing can be replayed"
+        )
+    notes.append(f"{name}: {len(pieces)} segments, {sum(p.end_s - p.start_s for p in pieces):.0f} s; {how}")
+    return Flight(name, record, tuple(pieces), tuple(notes), gyro_late_s)
+
+
+def _lost(record: FlightRecord, columns: Sequence[str]) -> str:
+    """What breaks a record up, in words: the channel that lacks most samples, and how many rows come late."""
+    share = {c: float(np.mean(~np.isfinite(record[c]))) for c in (*_NEEDED, *columns)}
+    worst = max(share, key=lambda c: share[c])
+    late = float(np.mean(np.diff(record["time_s"]) > 1.5 * record.dt_s))
+    texts = [f"{share[worst]:.0%} of {worst} is missing"] if share[worst] > 0.0 else []
+    texts += [f"{late:.0%} of the rows come later than the usual {record.dt_s:g} s"] if late > 0.0 else []
+    return f" ({', '.join(texts)})" if texts else ""
+
+
+def _aligned(record: FlightRecord) -> tuple[FlightRecord, list[str]]:
+    """Channels that the record's own findings call late, moved to when they were true."""
+    columns: dict[str, Array] = {}
+    notes = []
+    for finding in record.metadata.findings:
+        late = finding.numbers.get("delay_s", 0.0)
+        if finding.code != "delay" or finding.channel not in CHANNELS or finding.channel not in record or late == 0.0:
+            continue
+        time = record["time_s"]
+        columns[finding.channel] = np.interp(time + late, time, record[finding.channel], right=np.nan)
+        notes.append(f"{finding.channel} was moved {1e3 * late:.0f} ms earlier, as the log's findings say")
+    return record.with_columns(columns), notes
+
+
+def segments(flight: Flight, measured: Sequence[str], arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> list[Segment]:
+    """Replay segments of a flight's pieces, each from the state measured at its start (straight lines through 0.4 s)."""
+    record = flight.record
+    out = []
+    for piece in flight.pieces:
+        rows = piece.rows
+        time = record["time_s"][rows]
+        grid = time[0] + (time[-1] - time[0]) / (len(time) - 1) * np.arange(len(time))
+        start = np.array([_start(record, name, rows) for name in STATES])
+        height = record["h_m"][rows] if "h_m" in record else np.zeros(len(time))
+        h = float(np.nanmedian(height[: max(1, round(2.0 / record.dt_s))])) if np.isfinite(height).any() else 0.0
+        out.append(
+            Segment(
+                piece.label, flight.name, grid, np.column_stack([record[c][rows] for c in control_columns(measured)]),
+                start, _altitude(record, rows, h), h, arm_m, np.column_stack([_command(record, c, rows) for c in CONTROLS]),
+                height_known(record),
+            )
+        )  # fmt: skip
+    return out
+
+
+def _command(record: FlightRecord, control: str, rows: slice) -> Array:
+    column = _COLUMN[control]
+    known = record[column][rows] if column in record else np.full(rows.stop - rows.start, np.nan)
+    return np.asarray(known, dtype=np.float64)
+
+
+def _start(record: FlightRecord, name: str, rows: slice) -> float:
+    if name not in record:
+        return 0.0
+    n = max(3, round(_START_S / record.dt_s))
+    values = np.array(record[name][rows][:n], dtype=np.float64)
+    good = np.isfinite(values)
+    if name == "psi_rad":
+        values[good] = np.unwrap(values[good])
+    if good.sum() < 3:
+        return float(np.nanmean(values)) if good.any() else 0.0
+    at = np.arange(len(values))[good]
+    return float(np.polynomial.Polynomial.fit(at, values[good], 1)(0.0))
+
+
+def _altitude(record: FlightRecord, rows: slice, h: float) -> float:
+    """Altitude above sea level at which the standard atmosphere has the record's density; else start's altitude plus height."""
+    if "rho_kgpm3" in record and np.isfinite(record["rho_kgpm3"][rows]).any():
+        rho = float(np.nanmedian(record["rho_kgpm3"][rows]))
+        return float((1.0 - (rho / 1.225) ** (1.0 / 4.25588)) / 2.25577e-5)
+    return float(record.metadata.start.get("alt_m", 0.0)) + h
+
+
+def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[Array]:
+    """[(n, m)] the record's channels as logged (NaN between logged values), one array a piece; headings unwrapped.
+
+    A log's accelerometers are late, and a piece may begin with a step: what they show of the time before it is NaN, too.
+    """
+    out = []
+    before = math.ceil(LATE_S / flight.record.dt_s) if flight.record.metadata.native_hz else 0
+    for piece in flight.pieces:
+        block = np.full((piece.rows.stop - piece.rows.start, len(channels)), np.nan)
+        for k, name in enumerate(channels):
+            if name not in flight.record:
+                continue
+            values = as_logged(flight.record, name, piece.rows)
+            if name == "psi_rad":
+                good = np.isfinite(values)
+                values[good] = np.unwrap(values[good])
+            block[:, k] = values
+            if name in _JUMPING:
+                block[:before, k] = np.nan
+        out.append(block)
+    return out
+
+
+def states(flight: Flight, piece: Piece) -> Mapping[str, Array]:
+    """Channels of a piece with every gap in alpha and beta filled by straight lines (0 where never measured)."""
+    out = {}
+    for name in CHANNELS:
+        values = np.array(flight.record[name][piece.rows], dtype=float) if name in flight.record else np.zeros(0)
+        good = np.isfinite(values)
+        if not good.any():
+            values = np.zeros(piece.rows.stop - piece.rows.start)
+        elif not good.all():
+            at = np.arange(len(values))
+            values = np.interp(at, at[good], values[good])
+        out[name] = values
+    return out
+
+
+def renamed(names: Sequence[str]) -> list[str]:
+    """File stems made unique, so that every flight can be told apart in reports."""
+    out: list[str] = []
+    for name in names:
+        stem, number = name, 2
+        while stem in out:
+            stem, number = f"{name}-{number}", number + 1
+        out.append(stem)
+    return out
+
+
+def read_flights(
+    paths: Sequence[Path], aircraft: Aircraft, manoeuvres: Path | None = None, map_path: Path | None = None,
+    min_s: float = MIN_S, max_s: float = MAX_S,
+) -> tuple[list[Flight], tuple[str, ...]]:  # fmt: skip
+    """Flights ready for replay, and the surfaces whose measured positions are used. Raises BadInputError."""
+    hashes = [file_hash(path) if path.is_file() else str(path) for path in paths]
+    twice = next((path for path, digest in zip(paths, hashes, strict=True) if hashes.count(digest) > 1), None)
+    if twice is not None:
+        raise BadInputError(f"--flight {twice} is given more than once: its noise would count as if it were measured anew")
+    records = [read_flight(path, aircraft, manoeuvres, map_path) for path in paths]
+    measured = tuple(n for n in measured_surfaces(records) if n in aircraft.card.inputs)
+    names = renamed([path.stem for path in paths])
+    placed = [with_start_altitude(record, aircraft.folder) for record in records]
+    flights = [prepare(n, r, measured, min_s, max_s) for n, (r, _) in zip(names, placed, strict=True)]
+    return [
+        replace(f, notes=(f"{f.name}: {said}", *f.notes)) if said else f for f, (_, said) in zip(flights, placed, strict=True)
+    ], measured
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file's bytes."""
+    with open_regular(path) as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()

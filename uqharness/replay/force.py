@@ -1,0 +1,158 @@
+"""The model's own forces and moments at measured states: each state forced upon it, each answer read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.aerodynamics.coefficients import MassProperties
+from uqharness.replay.ground import terrain_m
+from uqharness.replay.model import ReplayModel, control_setters
+from uqharness.replay.replay import Segment
+from uqharness.simulator import engine
+from uqharness.simulator.signals import position_factor
+from uqharness.simulator.trim import FT, TRIM_LATITUDE_DEG, body_velocity
+
+Array = NDArray[np.float64]
+LBF_N = 4.4482216152605
+LBFT_NM = 1.3558179483314
+PSF_PA = 47.880258980336
+SLUG_KG = 14.593902937206
+_FORCES = tuple(f"forces/fb{a}-{kind}-lbs" for kind in ("total", "aero") for a in "xyz")
+_MOMENTS = tuple(f"moments/{a}-{kind}-lbsft" for kind in ("total", "aero") for a in "lmn")
+
+
+SETTLED_RADPS, MOST_FRAMES = 1e-6, 25
+"""Change of alphadot and betadot from frame to frame at which a forced state has settled, and the frames that it may take."""
+
+
+@dataclass(frozen=True)
+class ForcedModel:
+    """What the model says at n states: aerodynamic and other forces [N], moments about the CG [N m], (n, 3) each; qbar (n,) [Pa].
+
+    ``other`` is everything but aerodynamics and gravity, thrust above all. ``coefficients`` (n, 6) CX CY CZ Cl Cm Cn.
+    """
+
+    aero_force: Array
+    other_force: Array
+    aero_moment: Array
+    other_moment: Array
+    qbar: Array
+    mass: MassProperties
+
+    @property
+    def coefficients(self) -> Array:
+        """CX CY CZ Cl Cm Cn of the model at each sample, (n, 6), body axes at the centre of gravity."""
+        pressure = self.qbar[:, None] * self.mass.S
+        return np.hstack([self.aero_force / pressure, self.aero_moment / (pressure * self.mass.lengths)])
+
+
+def force_states(
+    model: ReplayModel, segment: Segment, states: Mapping[str, Array], controls: Array, properties: Mapping[str, float],
+    altitude_m: Array | None = None,
+) -> ForcedModel:  # fmt: skip
+    """Force V, alpha, beta, phi, theta, p, q, r (each (n,)) and controls (n, c) [record units] one after the other.
+
+    ``model`` must pass its controls straight through (`ReplayFolder` with every control ideal): a lag would remember the state
+    before. altitude_m (n,) above sea level, default the segment's throughout. Raises BadInputError.
+    """
+    fdm = model.open(segment.dt_s)
+    for name, value in properties.items():
+        engine.set_property(fdm, name, value)
+    engines = fdm.get_propulsion().get_num_engines()
+    if engines:
+        engine.start_engines(fdm)
+    setters = control_setters(fdm, model)
+    height = np.full(len(controls), segment.altitude_m) if altitude_m is None else altitude_m
+    fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
+    fdm["ic/terrain-elevation-ft"] = min(terrain_m(model, segment), float(height.min())) / FT
+    names = (
+        "h-sl-ft",
+        "phi-rad",
+        "theta-rad",
+        "psi-true-rad",
+        "u-fps",
+        "v-fps",
+        "w-fps",
+        "p-rad_sec",
+        "q-rad_sec",
+        "r-rad_sec",
+    )
+    put = [engine.handle(fdm, f"ic/{name}").set_double_value for name in names]
+    get = [engine.handle(fdm, name).get_double_value for name in (*_FORCES, *_MOMENTS, "aero/qbar-psf")]
+    rates = [engine.handle(fdm, f"aero/{name}dot-rad_sec").get_double_value for name in ("alpha", "beta")]
+    raw = np.empty((len(controls), len(get)))
+    scaled = model.to_property(controls)
+    for k in range(len(controls)):
+        for handles, value in zip(setters, scaled[k], strict=True):
+            for setter in handles:
+                setter(float(value))
+        u, v, w = body_velocity(float(states["V_mps"][k]), float(states["alpha_rad"][k]), float(states["beta_rad"][k]))
+        state = (
+            height[k] / FT, states["phi_rad"][k], states["theta_rad"][k], 0.0, u / FT, v / FT, w / FT,
+            states["p_radps"][k], states["q_radps"][k], states["r_radps"][k],
+        )  # fmt: skip
+        for setter, value in zip(put, state, strict=True):
+            setter(float(value))
+        if not fdm.run_ic():
+            raise engine.RuntimeFailure(f"JSBSim could not take the state of sample {k}")
+        if engines:
+            engine.settle_engines(fdm)
+        if model.by_rates:
+            _settle_rates(fdm, *rates)
+        raw[k] = [g() for g in get]
+    total, aero = raw[:, 0:3] * LBF_N, raw[:, 3:6] * LBF_N
+    total_moment, aero_moment = raw[:, 6:9] * LBFT_NM, raw[:, 9:12] * LBFT_NM
+    return ForcedModel(
+        aero, total - aero, aero_moment, total_moment - aero_moment, raw[:, 12] * PSF_PA, mass_properties(fdm, model)
+    )
+
+
+def _settle_rates(fdm: Any, alphadot: Callable[[], float], betadot: Callable[[], float]) -> None:
+    # JSBSim takes alphadot and betadot from the accelerations of the frame before: of another state, when states are forced.
+    before, moved = (alphadot(), betadot()), float("inf")
+    for _ in range(MOST_FRAMES):
+        engine.renew_forces(fdm)
+        now, last = (alphadot(), betadot()), moved
+        moved = abs(now[0] - before[0]) + abs(now[1] - before[1])
+        # A force that outgrows the acceleration that it is a part of settles nowhere, and no frame of it is better than another.
+        if moved < SETTLED_RADPS or not moved < last:
+            return
+        before = now
+
+
+def mass_properties(fdm: Any, model: ReplayModel) -> MassProperties:
+    """Mass, inertia and reference lengths of an initialised instance; the card's lengths win."""
+    get = fdm.__getitem__
+    unit = SLUG_KG * FT**2
+    # JSBSim publishes the elements of its inertia matrix: inertia/ixz is minus the product of inertia Ixz.
+    names = [["ixx", "ixy", "ixz"], ["ixy", "iyy", "iyz"], ["ixz", "iyz", "izz"]]
+    inertia = unit * np.array([[get(f"inertia/{n}-slugs_ft2") for n in row] for row in names])
+    reference = model.card.reference
+    return MassProperties(
+        float(get("inertia/mass-slugs")) * SLUG_KG, inertia,
+        reference.S_m2 or get("metrics/Sw-sqft") * FT**2,
+        reference.b_m or get("metrics/bw-ft") * FT,
+        reference.c_m or get("metrics/cbarw-ft") * FT,
+    )  # fmt: skip
+
+
+def surface_positions(model: ReplayModel, segment: Segment, names: Sequence[str]) -> Array:
+    """(n, c) where the controls stood: the record's own values where measured, else what the model's actuators make of them."""
+    from uqharness.replay.replay import CHANNELS, fly_segment
+
+    out = segment.controls.copy()
+    known = {c: p for c, p in model.positions().items() if c in names and c not in model.measured}
+    if known:
+        flown = fly_segment(model, segment, {}, extra=tuple(known.values()))[:, len(CHANNELS) :]
+        for k, control in enumerate(known):
+            column = model.controls.index(control)
+            good = np.isfinite(flown[:, k])
+            # A surface's position may be in another unit than its command; a throttle's is in the command's.
+            unit = 1.0 / model.factor[column] if control == "throttle" else position_factor(model.card.inputs[control])
+            out[good, column] = flown[good, k] * unit
+    return out

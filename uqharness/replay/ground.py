@@ -1,0 +1,46 @@
+"""How far the ground is in a replay: as recorded where the aircraft's aerodynamics ask for it, out of reach elsewhere.
+
+A record's height counts from where it was started. One that starts in the air at its own zero does not say how high
+that was, and neither does one without a height.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.record import FlightRecord
+
+if TYPE_CHECKING:
+    from uqharness.replay.model import ReplayModel
+    from uqharness.replay.replay import Segment
+
+Array = NDArray[np.float64]
+OUT_OF_REACH_M = 2000.0
+_BEGINNING_S, _ZERO_M, _AT_REST_MPS = 0.5, 0.5, 5.0
+
+
+def height_known(record: FlightRecord) -> bool:
+    """Whether a record's heights are above the ground: it starts elsewhere than at its zero, or at rest."""
+    if "h_m" not in record or not np.isfinite(record["h_m"]).any() or not np.nanmedian(record["h_m"]) > 0.0:
+        return False
+    begun = slice(0, max(1, round(_BEGINNING_S / record.dt_s)))
+    first = {c: np.array(record[c][begun]) for c in ("h_m", "V_mps") if c in record}
+    low = {c: float(np.median(v[np.isfinite(v)])) for c, v in first.items() if np.isfinite(v).any()}
+    return abs(low.get("h_m", 0.0)) > _ZERO_M or low.get("V_mps", np.inf) < _AT_REST_MPS
+
+
+def terrain_m(model: ReplayModel, segment: Segment) -> float:
+    """Elevation [m] of the ground under a replay, above sea level."""
+    return segment.altitude_m - (segment.h_m if _counts(model, segment) else OUT_OF_REACH_M)
+
+
+def altitudes(model: ReplayModel, segment: Segment, h_m: Array) -> Array:
+    """Altitude [m] above sea level at recorded heights: the segment's throughout where the ground does not count."""
+    return segment.altitude_m + (h_m - segment.h_m if _counts(model, segment) else np.zeros(len(h_m)))
+
+
+def _counts(model: ReplayModel, segment: Segment) -> bool:
+    return model.near_ground and segment.above_ground

@@ -1,0 +1,99 @@
+"""histories.parquet: what was measured and what a model made of it, sample by sample, for the figures of a report.
+
+One row a sample, segment after segment: ``segment`` (number), ``flight``, ``manoeuvre``, ``time_s`` of the log, then columns of the
+writer's choosing: a channel by its name as measured, ``<channel>_model`` beside it, controls, coefficients. NaN is not known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from uqharness.errors import BadInputError
+from uqharness.parquet_files import read_table, write_table
+from uqharness.replay.replay import Segment
+
+Array = NDArray[np.float64]
+HISTORIES = "histories.parquet"
+
+
+@dataclass(frozen=True)
+class History:
+    """One segment: time_s (n,) and columns (n,) by name."""
+
+    number: int
+    flight: str
+    manoeuvre: str
+    time_s: Array
+    columns: Mapping[str, Array]
+
+    @property
+    def title(self) -> str:
+        """Flight, manoeuvre and where it begins."""
+        return f"{self.flight}, {self.manoeuvre}, from {self.time_s[0]:.1f} s"
+
+
+def columns_of(names: Sequence[str], blocks: Sequence[Array], suffix: str = "") -> dict[str, list[Array]]:
+    """Columns by name, one array a segment, from blocks (n, m) whose columns have ``names``."""
+    return {f"{name}{suffix}": [block[:, k] for block in blocks] for k, name in enumerate(names)}
+
+
+def write_histories(folder: Path, segments: Sequence[Segment], columns: Mapping[str, Sequence[Array]]) -> None:
+    """Write histories.parquet into ``folder``; ``columns`` as :func:`columns_of` gives them. Same input, same bytes."""
+    write_pieces(folder / HISTORIES, [(s.flight, s.label, s.time_s) for s in segments], columns)
+
+
+def write_pieces(path: Path, pieces: Sequence[tuple[str, str, Array]], columns: Mapping[str, Sequence[Array]]) -> None:
+    """The same for pieces (flight, manoeuvre, time_s) of any kind. Raises BadInputError."""
+    counts = [len(time_s) for _, _, time_s in pieces]
+    table: dict[str, pa.Array] = {
+        "segment": pa.array(np.repeat(np.arange(len(pieces)), counts), pa.int64()),
+        "flight": pa.array([f for (f, _, _), n in zip(pieces, counts, strict=True) for _ in range(n)], pa.string()),
+        "manoeuvre": pa.array([m for (_, m, _), n in zip(pieces, counts, strict=True) for _ in range(n)], pa.string()),
+        "time_s": pa.array(np.concatenate([t for _, _, t in pieces]), pa.float64()),
+    }
+    for name, parts in columns.items():
+        table[name] = pa.array(np.concatenate([np.asarray(p, dtype=float) for p in parts]), pa.float64())
+    write_table(pa.table(table), path)
+
+
+def read_histories(path: Path) -> list[History]:
+    """Segments of a file, none where there is no file. Raises BadInputError for one that `write_pieces` cannot have written."""
+    if not path.is_file():
+        return []
+    table = _checked(read_table(path), path)
+    frame = table.to_pandas()
+    names = [name for name in frame if name not in _KEYS]
+    return [
+        History(
+            int(str(number)), str(rows["flight"].iloc[0]), str(rows["manoeuvre"].iloc[0]), rows["time_s"].to_numpy(dtype=float),
+            {str(name): rows[name].to_numpy(dtype=float) for name in names},
+        )
+        for number, rows in frame.groupby("segment", sort=True)
+    ]  # fmt: skip
+
+
+def have(pieces: Sequence[History], names: Iterable[str]) -> bool:
+    """Whether there are pieces and all have these columns."""
+    return bool(pieces) and set(names) <= set(pieces[0].columns)
+
+
+_KEYS = {"segment": pa.int64(), "flight": pa.string(), "manoeuvre": pa.string(), "time_s": pa.float64()}
+
+
+def _checked(table: pa.Table, path: Path) -> pa.Table:
+    """The table, if its columns are of the kinds that are written. Raises BadInputError naming the first that is not."""
+    names = table.column_names
+    for name in (*_KEYS, *names):
+        wanted = _KEYS.get(name, pa.float64())
+        if names.count(name) != 1 or table.column(name).type != wanted:
+            found = f"{table.column(name).type}" if names.count(name) == 1 else f"there {names.count(name)} times"
+            raise BadInputError(f"{path}: column {name} is {found}, it must be there once, of type {wanted}; run its command again")
+        if name in _KEYS and table.column(name).null_count:
+            raise BadInputError(f"{path}: column {name} has gaps; run its command again")
+    return table

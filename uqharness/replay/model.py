@@ -1,0 +1,246 @@
+"""The aircraft made ready for replay: a copy without idle systems and, where surfaces are given, without actuators.
+
+A copy, because JSBSim offers no property that takes a servo's lag away: a measured surface position must not go through the lag
+a second time. Only the copy differs; every number of the aerodynamics is the original's.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from lxml import etree
+from numpy.typing import NDArray
+
+from uqharness.errors import BadInputError
+from uqharness.scratch import scratch_folder
+from uqharness.simulator import engine
+from uqharness.simulator.aircraft import Aircraft, Card, check_loadable, parse_xml
+from uqharness.simulator.signals import SECOND_ORDER, position_factor
+from uqharness.simulator.staging import Staging, stage
+
+CONTROLS = ("elevator", "aileron", "rudder", "throttle")
+Array = NDArray[np.float64]
+_HEIGHT = re.compile(r"h-agl-(?:ft|km)|h_b-(?:mac|cg)-ft")
+_RATES = re.compile(r"(?:alpha|beta)dot-(?:rad|deg)_sec")
+_ACTUATOR_DYNAMICS = ("lag", "rate_limit", "hysteresis_width", "deadband_width", "bias")
+
+
+@dataclass(frozen=True)
+class ReplayModel:
+    """What a process needs to open the copy; picklable, valid while its `ReplayFolder` is open.
+
+    ``measured`` controls whose values are positions, continuous between samples; the others are commands, held.
+    ``lagging`` controls whose commands go through an actuator with a lag.
+    ``factor`` record unit -> property unit of each control, in the order of ``controls``.
+    ``throws`` positions and the commands at which the aircraft's own linkage puts them, of normalised controls whose values are
+    positions: both ends of a travel seldom have one factor.
+    ``near_ground`` whether its XML reads the height above the ground, ``by_rates`` whether it reads the rates of alpha or beta.
+    """
+
+    staging: Staging
+    card: Card
+    controls: tuple[str, ...]
+    measured: tuple[str, ...]
+    factor: tuple[float, ...]
+    lagging: tuple[str, ...] = ()
+    settings: Mapping[str, float] = field(default_factory=dict)
+    throws: tuple[tuple[tuple[float, ...], tuple[float, ...]] | None, ...] = ()
+    near_ground: bool = False
+    by_rates: bool = False
+
+    def to_property(self, controls: Array) -> Array:
+        """(..., c) values of the controls in the record's units, in those of their properties."""
+        out = controls * np.array(self.factor)
+        for column, throw in enumerate(self.throws):
+            if throw is not None:
+                out[..., column] = np.interp(controls[..., column], *throw)
+        return out
+
+    def open(self, dt_s: float) -> Any:
+        """A fresh ``FGFDMExec`` in the card's open-loop mode with the replay's integrators, nothing run. Raises BadInputError."""
+        fdm = engine.open_fdm(self.staging, dt_s)
+        for name, value in {**self.card.modes.get("open_loop", {}), **self.settings}.items():
+            engine.set_property(fdm, name, value)
+        for name, value in SECOND_ORDER.items():
+            fdm[name] = value
+        return fdm
+
+    def positions(self) -> dict[str, str]:
+        """Control -> property of its position, of those controls whose card names one."""
+        return {c: p for c in self.controls if (p := self.card.inputs[c].position) is not None}
+
+
+class ReplayFolder:
+    """Context that holds the copy of an aircraft for replay.
+
+    measured  controls whose record columns are surface positions: their actuators pass everything through (stops remain)
+    ideal     further controls whose actuators pass everything through, though their columns are commands
+    settings  properties set on every instance
+    Raises BadInputError when the card lacks a control asked for.
+    """
+
+    def __init__(
+        self,
+        aircraft: Aircraft,
+        controls: Sequence[str] = CONTROLS,
+        measured: Sequence[str] = (),
+        ideal: Sequence[str] = (),
+        settings: Mapping[str, float] | None = None,
+    ) -> None:
+        check_loadable(aircraft)
+        missing = [name for name in controls if name not in aircraft.card.inputs]
+        if missing:
+            raise BadInputError(
+                f"aircraft '{aircraft.name}': its airframe.toml has no [inputs.{missing[0]}]; a replay needs to know which "
+                "property that control is"
+            )
+        self._scratch = scratch_folder("replay")
+        staging = stage(aircraft, self._scratch.path)
+        copy, card = staging.folder, aircraft.card
+        lagging = _edit(copy, aircraft.xml.name, card, (*measured, *ideal))
+        self.model = ReplayModel(
+            staging, card, tuple(controls), tuple(measured),
+            tuple(_factor(card, name) for name in controls), tuple(c for c in controls if card.inputs[c].position in lagging),
+            dict(settings or {}), near_ground=_asks_for(_HEIGHT, copy), by_rates=_asks_for(_RATES, copy),
+        )  # fmt: skip
+        _declare_orphans(self.model, staging.xml, aircraft.dt_s)
+        self.model = replace(self.model, throws=_throws(self.model, (*measured, *ideal), aircraft.dt_s))
+
+    def __enter__(self) -> ReplayModel:
+        return self.model
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
+        self._scratch.close()
+
+
+def _asks_for(names: re.Pattern[str], folder: Path) -> bool:
+    """Whether any XML of an aircraft's folder has one of such property names."""
+    texts = (p.read_bytes().decode("utf-8", errors="replace") for p in sorted(folder.rglob("*.xml")))
+    return any(names.search(text) is not None for text in texts)
+
+
+def _factor(card: Card, control: str) -> float:
+    """Record unit (deg, percent) to the property's unit."""
+    unit, limits = card.inputs[control].unit, card.inputs[control].limits
+    if unit == "rad":
+        return 0.017453292519943295
+    if unit != "norm":
+        return 1.0
+    if control == "throttle":
+        return 0.01
+    if (throw := card.inputs[control].throw_deg) is not None:
+        return 1.0 / throw
+    raise BadInputError(
+        f"[inputs.{control}] is normalised (limits {limits}) and a record is in degrees: nothing says what throw 1 means; "
+        "give the card a property in deg or rad, or throw_deg"
+    )
+
+
+def _throws(
+    model: ReplayModel, direct: Sequence[str], dt_s: float
+) -> tuple[tuple[tuple[float, ...], tuple[float, ...]] | None, ...]:
+    """For every control its positions [deg] and commands over the travel, None where a factor serves."""
+    found: list[tuple[tuple[float, ...], tuple[float, ...]] | None] = []
+    for control in model.controls:
+        card = model.card.inputs[control]
+        if control not in direct or control == "throttle" or card.unit != "norm" or card.position is None:
+            found.append(None)
+            continue
+        commands = np.linspace(*card.limits, 41)
+        fdm = model.open(dt_s)
+        (put,) = control_setters(fdm, replace(model, controls=(control,)))[0]
+        read = engine.handle(fdm, card.position).get_double_value
+        positions = np.empty(len(commands))
+        for k, command in enumerate(commands):
+            put(float(command))
+            # Twice: a property in degrees may be made of the radians of the frame before.
+            engine.run_ic(fdm)
+            engine.run_ic(fdm)
+            positions[k] = read() * position_factor(card)
+        step = np.diff(positions)
+        rising = bool((step >= 0.0).all()) and positions[-1] > positions[0]
+        if rising or ((step <= 0.0).all() and positions[-1] < positions[0]):
+            order = np.argsort(positions, kind="stable")
+            kept = order[np.append(True, np.diff(positions[order]) > 0.0)]
+            found.append((tuple(positions[kept].tolist()), tuple(commands[kept].tolist())))
+        else:
+            found.append(None)
+    return tuple(found)
+
+
+def _edit(folder: Path, main: str, card: Card, direct: Sequence[str]) -> set[str]:
+    """Take idle systems out of the main file, dynamics out of the actuators of ``direct`` in every file.
+
+    An actuator moves a control if its name or an output is the card's position, be it in another unit. Returns the positions whose
+    actuators keep a lag.
+    """
+    lagging: set[str] = set()
+    surfaces = {_surface(position): position for entry in card.inputs.values() if (position := entry.position) is not None}
+    positions = {card.inputs[name].position for name in direct} - {None}
+    for path in sorted(folder.rglob("*.xml")):
+        tree = parse_xml(path)
+        root = tree.getroot()
+        changed = False
+        if path.name == main and path.parent == folder:
+            for system in root.findall("system"):
+                if system.get("file") in card.replay.without_systems:
+                    root.remove(system)
+                    changed = True
+        for actuator in root.iter("actuator"):
+            moved = [str(actuator.get("name")), *((o.text or "").strip() for o in actuator.findall("output"))]
+            known = {surfaces[_surface(name)] for name in moved if _surface(name) in surfaces}
+            if known & positions:
+                for kind in _ACTUATOR_DYNAMICS:
+                    for element in actuator.findall(kind):
+                        actuator.remove(element)
+                        changed = True
+            if actuator.find("lag") is not None:
+                lagging |= known
+        if changed:
+            tree.write(str(path), encoding="UTF-8", xml_declaration=True)
+    return lagging
+
+
+def _surface(name: str) -> str:
+    """A position property without its unit: one surface has several."""
+    return re.sub(r"-(deg|rad|norm)$", "", name if "/" in name else f"fcs/{name}")
+
+
+def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> None:
+    """Declare, at zero, the properties that only the systems left out used to make."""
+    fdm = engine.open_fdm(model.staging, dt_s)
+    manager = fdm.get_property_manager()
+    names = [n for n in model.card.modes.get("open_loop", {}) if not manager.hasNode(n)]
+    names += engine.undefined_properties(fdm)
+    if not names:
+        return
+    tree = parse_xml(xml)
+    root = tree.getroot()
+    system = etree.Element("system", name="left out of the replay")
+    for name in names:
+        etree.SubElement(system, "property", value="0").text = name
+    first = next((e for e in root if e.tag in ("system", "autopilot", "flight_control", "aerodynamics")), None)
+    if first is None:
+        root.append(system)
+    else:
+        first.addprevious(system)
+    tree.write(str(xml), encoding="UTF-8", xml_declaration=True)
+
+
+def control_setters(fdm: Any, model: ReplayModel) -> list[list[Any]]:
+    """For every control of the model the setters of its properties: one, or JSBSim's throttle of every engine."""
+    found = []
+    for name in model.controls:
+        prop = model.card.inputs[name].property
+        handles = [engine.handle(fdm, prop).set_double_value]
+        if prop == "fcs/throttle-cmd-norm":
+            engines = fdm.get_propulsion().get_num_engines()
+            handles += [engine.handle(fdm, f"{prop}[{i}]").set_double_value for i in range(1, engines)]
+        found.append(handles)
+    return found

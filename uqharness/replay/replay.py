@@ -1,0 +1,252 @@
+"""Replay of recorded flight by JSBSim: the record's controls in, the model's channels at the record's sample times out.
+
+Timing. A record's command k acts from sample k on: the acceleration of sample k has seen it, the rates only later. So the command
+is set before the run that arrives at sample k, and never earlier: one run too early or late is a lag in every servo.
+JSBSim's actuators (Tustin) and the second-order integrators take a step for a ramp that began one run before, half a run early in
+the mean; commands therefore come half a run later. A flight that JSBSim itself flew has acted that half run early, and any
+other has its own way between two samples: how late the controls act is for the estimator to find (CONTROL_DELAY).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness.replay.ground import terrain_m
+from uqharness.replay.model import ReplayModel, control_setters
+from uqharness.simulator import engine
+from uqharness.simulator.signals import STANDARD
+from uqharness.simulator.trim import FT, TRIM_LATITUDE_DEG, body_velocity
+
+Array = NDArray[np.float64]
+CHANNELS = (
+    "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "psi_rad",
+    "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2", "h_m",
+)  # fmt: skip
+"""Columns of a replay, in this order."""
+STATES = ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "psi_rad", "p_radps", "q_radps", "r_radps")
+"""Start state, in this order; the altitude comes besides."""
+SENSOR_OF = {
+    "phi_rad": "attitude", "theta_rad": "attitude", "psi_rad": "attitude",
+    "p_radps": "rates", "q_radps": "rates", "r_radps": "rates",
+    "ax_mps2": "accelerations", "ay_mps2": "accelerations", "az_mps2": "accelerations",
+}  # fmt: skip
+"""Channels that come from one sensor and share its delay; the others stand for themselves."""
+CONTROL_DELAY = "controls"
+"""What a delay is called by which the controls act late, all of them."""
+MAX_STEP_S = 0.01
+MAX_STEP_JUMPING_S = 0.005
+"""Longest run where a surface jumps with its command: the integrators' rates are half a run ahead then, and right after three."""
+MAX_STEP_FINE_S = 0.0025
+"""Longest run where forces go with the rates of alpha and beta, which JSBSim takes from the run before, and where outputs are
+wanted between rows."""
+BETWEEN_S = 0.005
+"""Longest time between outputs that are wanted between rows."""
+MIN_RUNS = 2
+_ANGULAR = ("accelerations/pdot-rad_sec2", "accelerations/qdot-rad_sec2", "accelerations/rdot-rad_sec2")
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One piece to fly through.
+
+    time_s (n,) equidistant; controls (n, c) in the record's units, in the model's order of controls; start (9,) as STATES;
+    altitude_m above sea level at the start; h_m what the record calls its height there; arm_m place of the accelerometers
+    from the CG; targets (n, c) the commands behind measured positions, NaN where there are none. above_ground: whether h_m is that.
+    """
+
+    label: str
+    flight: str
+    time_s: Array
+    controls: Array
+    start: Array
+    altitude_m: float
+    h_m: float
+    arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    targets: Array | None = None
+    above_ground: bool = False
+
+    @property
+    def dt_s(self) -> float:
+        """Mean time between rows [s]."""
+        return float(self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1)
+
+
+def longest_run_s(model: ReplayModel, between: bool = False) -> float:
+    """Longest JSBSim run that a replay of the model may take [s]; between: where outputs between rows are wanted."""
+    if model.by_rates or between:
+        return MAX_STEP_FINE_S
+    jumping = set(model.controls) - {"throttle", *model.measured, *model.lagging}
+    return MAX_STEP_JUMPING_S if jumping else MAX_STEP_S
+
+
+def runs_per_row(dt_s: float, longest_s: float = MAX_STEP_S) -> int:
+    """JSBSim runs from one row to the next: at least two, none longer than ``longest_s``."""
+    return max(MIN_RUNS, math.ceil(dt_s / longest_s - 1e-6))
+
+
+def fly_segment(
+    model: ReplayModel,
+    segment: Segment,
+    properties: Mapping[str, float],
+    start: Array | None = None,
+    extra: Sequence[str] = (),
+    late_s: float = 0.0,
+    between: bool = False,
+) -> Array:
+    """(n, 13 + len(extra)) outputs: CHANNELS, then the properties ``extra`` in their own units.
+
+    properties are set before initialising; start (9,) replaces the segment's own; controls act ``late_s`` after their time.
+    between: ((n - 1) k + 1, ...) outputs at the rows and at k - 1 equal steps between two of them, BETWEEN_S or less.
+    Rows after a failure in flight are NaN.
+    Raises BadInputError for a property that the model has not.
+    """
+    outputs = math.ceil(segment.dt_s / BETWEEN_S - 1e-6) if between else 1
+    runs = outputs * math.ceil(runs_per_row(segment.dt_s, longest_run_s(model, between)) / outputs)
+    fdm = model.open(segment.dt_s / runs)
+    for name, value in properties.items():
+        engine.set_property(fdm, name, value)
+    setters = control_setters(fdm, model)
+    _initialise(fdm, segment, segment.start if start is None else start, setters, model)
+    read = _reader(fdm, [*extra], any(segment.arm_m))
+    measured, lagging = ([name in kind for name in model.controls] for kind in (model.measured, model.lagging))
+    controls = model.to_property(by_run(segment, runs, measured, lagging, late_s / segment.dt_s * runs))
+    rows = _advance(fdm, controls, setters, read, runs // outputs)
+    return _outputs(rows, segment, len(extra), (len(segment.time_s) - 1) * outputs + 1)
+
+
+def at_rows(between: Array, n: int) -> Array:
+    """(n, ...) the rows of outputs that stand between them as well."""
+    return between[:: (len(between) - 1) // (n - 1)]
+
+
+def late_rows(between: Array, n: int, late: float) -> Array:
+    """(n,) values at the rows, ``late`` rows late (early if negative), of outputs between them; the ends are held.
+
+    Straight from one to the next: a step of a control makes a kink or a jump, across which a smoother curve would ring.
+    """
+    at = np.arange(len(between), dtype=float)
+    return np.asarray(np.interp(at_rows(at, n) - late * ((len(between) - 1) // (n - 1)), at, between))
+
+
+def _initialise(fdm: Any, segment: Segment, start: Array, setters: list[list[Any]], model: ReplayModel) -> None:
+    first = model.to_property(segment.controls[0]).tolist()
+    _put(setters, first)
+    V, alpha, beta, phi, theta, psi, p, q, r = (float(x) for x in start)
+    u, v, w = body_velocity(V, alpha, beta)
+    fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
+    fdm["ic/terrain-elevation-ft"] = terrain_m(model, segment) / FT
+    fdm["ic/h-sl-ft"] = segment.altitude_m / FT
+    fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = phi, theta, psi % (2.0 * math.pi)
+    fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"] = u / FT, v / FT, w / FT
+    fdm["ic/p-rad_sec"], fdm["ic/q-rad_sec"], fdm["ic/r-rad_sec"] = p, q, r
+    engines = fdm.get_propulsion().get_num_engines()
+    if engines:
+        engine.start_engines(fdm)
+        _put(setters, first)
+    engine.run_ic(fdm)
+    if engines:
+        engine.settle_engines(fdm)
+
+
+def _put(setters: list[list[Any]], values: list[float]) -> None:
+    for handles, value in zip(setters, values, strict=True):
+        for put in handles:
+            put(value)
+
+
+def _reader(fdm: Any, extra: Sequence[str], angular: bool) -> Any:
+    names = [STANDARD[c].property for c in CHANNELS]
+    names += ["inertia/mass-slugs", *(_ANGULAR if angular else ()), *extra]
+    handles = [engine.handle(fdm, name).get_double_value for name in names]
+    return lambda: [get() for get in handles]
+
+
+def by_run(segment: Segment, runs: int, measured: Sequence[bool], lagging: Sequence[bool], late: float = 0.0) -> Array:
+    """((n - 1) runs + 1, c) control values of every run, the first at the first row; all of them ``late`` runs late.
+
+    A command is held. Before an actuator with a lag all of it comes half a run later (see the module's text); a surface that jumps
+    with its command has half of a new step taken back for one run instead, so that the row's acceleration sees all of it.
+    A measured position goes to the next one as a servo does: exponentially towards its command where that is known and explains
+    the two, else in a straight line.
+    """
+    now, then = segment.controls[:-1], segment.controls[1:]
+    before = np.vstack([now[:1], now[:-1]])
+    jumps = ~(np.asarray(measured) | np.asarray(lagging))
+    values = np.repeat(now[:, None, :], runs, axis=1)
+    values[:, 1, jumps] = 0.5 * (now + before)[:, jumps]
+    share = (np.arange(runs) / runs)[None, :, None]
+    straight = now[:, None, :] + share * (then - now)[:, None, :]
+    if segment.targets is not None:
+        away, later = now - segment.targets[:-1], then - segment.targets[:-1]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            decay = later / away
+            lag = (decay > 1e-3) & (decay < 1.0) & (np.abs(away) > 1e-6)
+            bent = segment.targets[:-1, None, :] + away[:, None, :] * np.where(lag, decay, 1.0)[:, None, :] ** share
+        straight = np.where(lag[:, None, :], bent, straight)
+    values = np.where(np.asarray(measured)[None, None, :], straight, values)
+    out = np.vstack([values.reshape(-1, now.shape[1]), segment.controls[-1:]])
+    for column, wait in enumerate(late + 0.5 * np.asarray(lagging)):
+        if wait != 0.0:
+            # In proportion between two runs: the step's mean time is right.
+            at = np.arange(len(out))
+            out[:, column] = np.interp(at - wait, at, out[:, column])
+    return out
+
+
+def _advance(fdm: Any, controls: Array, setters: list[list[Any]], read: Any, runs: int) -> list[list[float]]:
+    """Raw rows; ends early when JSBSim throws or the speed is no longer finite."""
+    values = controls.tolist()
+    run = fdm.run
+    out = [read()]
+    plan = [(handles[0], handles[1:]) for handles in setters]
+    last = values[0]
+
+    def put(numbers: list[float]) -> None:
+        for (first, others), value in zip(plan, numbers, strict=True):
+            first(value)
+            for other in others:
+                other(value)
+
+    try:
+        for row in range(1, len(values), runs):
+            for numbers in values[row : row + runs]:
+                if numbers != last:
+                    put(numbers)
+                    last = numbers
+                run()
+            sample = read()
+            if not -1e5 < sample[0] < 1e5:
+                break
+            out.append(sample)
+    except engine.RuntimeFailure as error:
+        engine.explain(fdm, error)
+    return out
+
+
+def _outputs(rows: list[list[float]], segment: Segment, extra: int, n: int) -> Array:
+    raw = np.array(rows)
+    c = len(CHANNELS)
+    out = np.full((n, c + extra), np.nan)
+    done = len(raw)
+    mass = raw[:, c]
+    for k, name in enumerate(CHANNELS):
+        source = STANDARD[name]
+        out[:done, k] = raw[:, k] * source.factor / (mass if source.over else 1.0)
+    psi = CHANNELS.index("psi_rad")
+    turned = np.unwrap(out[:done, psi])
+    # As near the start's heading as possible: measured headings are unwrapped from there.
+    out[:done, psi] = turned + 2.0 * np.pi * round((segment.start[5] - turned[0]) / (2.0 * np.pi))
+    out[:done, -1 - extra] += segment.h_m - out[0, -1 - extra]
+    if any(segment.arm_m):
+        rates, rates_dot = out[:done, 6:9], raw[:, c + 1 : c + 4]
+        arm = np.array(segment.arm_m)
+        out[:done, 9:12] += np.cross(rates_dot, arm) + np.cross(rates, np.cross(rates, arm))
+    if extra:
+        out[:done, c:] = raw[:, -extra:]
+    return out

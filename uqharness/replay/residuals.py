@@ -1,0 +1,134 @@
+"""JSBSim's side of the residual coefficients: the aircraft's own prediction at a flight's measured states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.aerodynamics.residuals import Cutoffs, Model, Prediction, Residuals, residual_coefficients
+from sysid.aerodynamics.segmentation import Piece, cut
+from sysid.record import FlightRecord
+from uqharness.errors import BadInputError
+from uqharness.replay.flights import Flight, control_columns, read_flights, segments
+from uqharness.replay.force import force_states, surface_positions
+from uqharness.replay.model import CONTROLS, ReplayFolder, ReplayModel
+from uqharness.simulator.aircraft import Aircraft
+
+Array = NDArray[np.float64]
+NEEDED = (
+    "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps",
+    "ax_mps2", "ay_mps2", "az_mps2",
+)  # fmt: skip
+"""Channels without which there is no residual; none of them is bridged across a gap."""
+_PRE_ROLL_S = 2.0
+
+
+@dataclass(frozen=True)
+class JsbsimPrediction:
+    """coefficients(record, piece) of a flight's model. ``straight`` passes its controls through, ``model`` has its actuators."""
+
+    model: ReplayModel
+    straight: ReplayModel
+    flight: Flight
+    measured: tuple[str, ...]
+
+    def __call__(self, record: FlightRecord, piece: Piece) -> Prediction:
+        """Force each row's state upon JSBSim and read what it says. Raises BadInputError."""
+        controls = self._controls(record, piece)
+        segment = segments(replace(self.flight, pieces=(piece,)), self.measured)[0]
+        rows = piece.rows
+        altitude = np.full(rows.stop - rows.start, segment.altitude_m)
+        if "h_m" in record and np.isfinite(record["h_m"][rows]).all():
+            # Below the ground's reach its height must be what the terrain was laid for.
+            above = segment.h_m if self.model.near_ground else np.median(record["h_m"][rows])
+            altitude += record["h_m"][rows] - above
+        channels = {c: np.asarray(record[c][rows], dtype=float) for c in NEEDED}
+        said = force_states(self.straight, segment, channels, controls, {}, altitude)
+        names = [f"{c}_pos_deg" if c != "throttle" else "throttle_pct" for c in CONTROLS]
+        positions = {n: controls[:, self.model.controls.index(c)] for n, c in zip(names, CONTROLS, strict=True)}
+        return Prediction(said.coefficients, said.other_force, said.other_moment, said.qbar, said.mass, positions)
+
+    def _controls(self, record: FlightRecord, piece: Piece) -> Array:
+        """(n, c) where the controls stood. Actuators run up before the piece: where one stands at its start follows from before."""
+        run_up = round(_PRE_ROLL_S / record.dt_s)
+        needed = (*NEEDED, *control_columns(self.measured))
+        whole = next(s for s in record.segments(needed) if s.start <= piece.rows.start < s.stop)
+        first = max(whole.start, piece.rows.start - run_up)
+        longer = replace(piece, rows=slice(first, piece.rows.stop), start_s=float(record["time_s"][first]))
+        segment = segments(replace(self.flight, pieces=(longer,)), self.measured)[0]
+        return surface_positions(self.model, segment, CONTROLS)[piece.rows.start - first :]
+
+
+@contextmanager
+def prediction_of(aircraft: Aircraft, measured: Sequence[str], ideal_servos: bool = False) -> Iterator[ReplayPair]:
+    """The aircraft opened twice: with its actuators, and with controls passed straight through."""
+    ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
+    with (
+        ReplayFolder(aircraft, measured=measured, ideal=ideal) as model,
+        ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight,
+    ):
+        yield ReplayPair(model, straight, tuple(measured))
+
+
+@dataclass(frozen=True)
+class ReplayPair:
+    """The aircraft, and what it has said already: another filter asks for the same states again."""
+
+    model: ReplayModel
+    straight: ReplayModel
+    measured: tuple[str, ...]
+    said: dict[tuple[object, ...], Prediction] = field(default_factory=dict)
+
+    def of(self, flight: Flight, remember: bool = True) -> Model:
+        """The callable that `residual_coefficients` takes; without ``remember`` its answers are not kept (states asked once)."""
+        model = JsbsimPrediction(self.model, self.straight, flight, self.measured)
+        if not remember:
+            return model
+
+        def ask(record: FlightRecord, piece: Piece) -> Prediction:
+            states = hash(tuple(record[c][piece.rows].tobytes() for c in NEEDED))
+            key = (flight.name, piece.rows.start, piece.rows.stop, states)
+            if key not in self.said:
+                self.said[key] = model(record, piece)
+            return self.said[key]
+
+        return ask
+
+
+def read_bounds_flights(
+    paths: Sequence[Path], aircraft: Aircraft, manoeuvres: Path | None = None, map_path: Path | None = None
+) -> tuple[list[Flight], tuple[str, ...]]:
+    """Flights cut where every channel of NEEDED is there, and the surfaces with measured positions. Raises BadInputError."""
+    flights, measured = read_flights(paths, aircraft, manoeuvres, map_path)
+    return [recut(f, measured) for f in flights], measured
+
+
+def recut(flight: Flight, measured: Sequence[str]) -> Flight:
+    """The flight cut where every channel of NEEDED is there. Raises BadInputError."""
+    missing = [c for c in NEEDED if c not in flight.record or not np.isfinite(flight.record[c]).any()]
+    if missing:
+        raise BadInputError(
+            f"{flight.name}: the record has no {', '.join(missing)}; residual coefficients need {', '.join(NEEDED)}. "
+            "Without vanes an autopilot's estimate will do (uqharness log import makes alpha and beta from EKF and wind)"
+        )
+    pieces, how = cut(flight.record, (*NEEDED, *control_columns(measured)))
+    if not pieces:
+        raise BadInputError(f"{flight.name}: no stretch of two seconds has all of {', '.join(NEEDED)} without a gap")
+    seconds = sum(p.end_s - p.start_s for p in pieces)
+    return replace(
+        flight, pieces=tuple(pieces),
+        notes=(*flight.notes[:-1], f"{flight.name}: {len(pieces)} pieces, {seconds:.0f} s; {how}"),
+    )  # fmt: skip
+
+
+def flight_residuals(pair: ReplayPair, flight: Flight, arm_m: Sequence[float], cutoffs: Cutoffs) -> Residuals:
+    """A flight's residual coefficients. Raises BadInputError."""
+    try:
+        return residual_coefficients(flight.record, flight.pieces, pair.of(flight), arm_m, cutoffs)
+    except ValueError as error:
+        raise BadInputError(f"{flight.name}: {error}") from None

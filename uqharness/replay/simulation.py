@@ -1,0 +1,156 @@
+"""Replays as the estimators want them: outputs as a function of one vector, with a memory, so that little is flown twice."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness.replay.model import ReplayModel
+from uqharness.replay.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF, STATES, Segment, at_rows, fly_segment, late_rows
+
+Array = NDArray[np.float64]
+_CACHE_BYTES = 800_000_000
+
+
+class Replay:
+    """simulate(theta) of a set of segments, for the estimators: picklable, with the runs of late memory kept.
+
+    theta is laid out by ``names``: JSBSim properties; ``bias/<flight>/<channel>`` added to an output;
+    ``delay/<flight>/<sensor>`` by which a sensor's outputs come late, s (SENSOR_OF), or, for CONTROL_DELAY, by which the controls
+    act late; and ``start/<segment number>/<state>`` added to a segment's start state. What a perturbed value does not touch is
+    not flown again.
+    channels: which of CHANNELS are returned.
+    """
+
+    def __init__(
+        self, model: ReplayModel, segments: Sequence[Segment], names: Sequence[str], channels: Sequence[str],
+        token: str, base: Mapping[str, float] | None = None,
+    ) -> None:  # fmt: skip
+        self.model, self.segments, self.names = model, tuple(segments), tuple(names)
+        self.channels, self.token = tuple(channels), token
+        self.base = dict(base or {})
+        self._columns = [CHANNELS.index(c) for c in channels]
+        self._properties = [(i, n) for i, n in enumerate(names) if not n.startswith(("bias/", "delay/", "start/"))]
+        self._biases: dict[str, list[tuple[int, int]]] = {}
+        self._delays: dict[str, list[tuple[int, int]]] = {}
+        self._starts: dict[int, list[tuple[int, int]]] = {}
+        self._late: dict[str, int] = {}
+        self._kept: dict[int, tuple[tuple[_Key, bytes], Array]] = {}
+        for i, name in enumerate(names):
+            kind, _, rest = name.partition("/")
+            where, _, what = rest.rpartition("/")
+            if kind == "bias" and what in self.channels:
+                self._biases.setdefault(where, []).append((i, self.channels.index(what)))
+            elif kind == "delay" and what == CONTROL_DELAY:
+                self._late[where] = i
+            elif kind == "delay":
+                late = [k for k, c in enumerate(self.channels) if SENSOR_OF.get(c, c) == what]
+                self._delays.setdefault(where, []).extend((i, k) for k in late)
+            elif kind == "start":
+                self._starts.setdefault(int(where), []).append((i, STATES.index(what)))
+
+    def _conditions(self, theta: Array) -> tuple[dict[str, float], list[tuple[Array, float]]]:
+        """Properties, and every segment's start state and lateness of the controls, at theta."""
+        properties = {**self.base, **{n: float(theta[i]) for i, n in self._properties}}
+        starts = []
+        for number, segment in enumerate(self.segments):
+            start = segment.start.copy()
+            for i, k in self._starts.get(number, ()):
+                start[k] += theta[i]
+            starts.append((start, float(theta[self._late[segment.flight]]) if segment.flight in self._late else 0.0))
+        return properties, starts
+
+    def __call__(self, theta: Array) -> list[Array]:
+        """[(n, m)] outputs, one array a segment."""
+        properties, starts = self._conditions(theta)
+        return [
+            self._sensed(number, segment, theta, self._key(number, properties, *start), (properties, *start))
+            for number, (segment, start) in enumerate(zip(self.segments, starts, strict=True))
+        ]
+
+    def _sensed(
+        self,
+        number: int,
+        segment: Segment,
+        theta: Array,
+        key: _Key,
+        conditions: tuple[Mapping[str, float], Array, float],
+    ) -> Array:
+        """(n, m) outputs of one segment with its flight's delays and biases; the last ones are kept."""
+        late, biased = self._delays.get(segment.flight, []), self._biases.get(segment.flight, [])
+        state = (key, theta[[i for i, _ in (*late, *biased)]].tobytes())
+        kept = self._kept.get(number)
+        if kept is not None and kept[0] == state:
+            return kept[1]
+        between = self._flown(number, segment, *conditions)[:, self._columns]
+        n = len(segment.time_s)
+        flown = at_rows(between, n).copy()
+        for i, k in late:
+            if theta[i] != 0.0:
+                flown[:, k] = late_rows(between[:, k], n, float(theta[i]) / segment.dt_s)
+        for i, k in biased:
+            flown[:, k] += theta[i]
+        flown.setflags(write=False)
+        self._kept[number] = (state, flown)
+        return flown
+
+    def _flown(self, number: int, segment: Segment, properties: Mapping[str, float], start: Array, late_s: float) -> Array:
+        key = self._key(number, properties, start, late_s)
+        found = _flown.get(key)
+        if found is None:
+            found = _fly_job(self._job(segment, properties, start, late_s))
+            _remember(key, found)
+        else:
+            _flown.move_to_end(key)
+        return found
+
+    def _job(self, segment: Segment, properties: Mapping[str, float], start: Array, late_s: float) -> _Job:
+        return self.model, segment, dict(properties), start, late_s, segment.flight in self._delays
+
+    def _key(self, number: int, properties: Mapping[str, float], start: Array, late_s: float) -> _Key:
+        return self.token, number, np.array(list(properties.values())).tobytes(), start.tobytes(), late_s
+
+    def fetch(self, thetas: Sequence[Array], map_: Callable[..., Iterable[Any]]) -> None:
+        """Fly whatever several theta need and nobody remembers, each piece once, by ``map_`` (a process pool's, say).
+
+        Afterwards every ``self(theta)`` only puts together what is remembered: little has to travel between processes.
+        """
+        jobs: dict[_Key, _Job] = {}
+        for theta in thetas:
+            properties, starts = self._conditions(theta)
+            for number, (segment, start) in enumerate(zip(self.segments, starts, strict=True)):
+                key = self._key(number, properties, *start)
+                if key not in _flown:
+                    jobs[key] = self._job(segment, properties, *start)
+                else:
+                    _flown.move_to_end(key)
+        for key, found in zip(jobs, map_(_fly_job, list(jobs.values())), strict=True):
+            _remember(key, found)
+
+
+# Memory of the process, shared by unpickled copies of a replay: perturbing one segment's start leaves the others as they were.
+_Key = tuple[str, int, bytes, bytes, float]
+_flown: OrderedDict[_Key, Array] = OrderedDict()
+counter = {"rows": 0, "bytes": 0, "segments": 0}
+
+
+def _remember(key: _Key, found: Array) -> None:
+    _flown[key] = found
+    counter["rows"] += len(found)
+    counter["segments"] += 1
+    counter["bytes"] += found.nbytes
+    while counter["bytes"] > _CACHE_BYTES:
+        counter["bytes"] -= _flown.popitem(last=False)[1].nbytes
+
+
+_Job = tuple[ReplayModel, Segment, dict[str, float], Array, float, bool]
+
+
+def _fly_job(job: _Job) -> Array:
+    # Nothing that goes wrong in flight may end the pool; rows that were not flown are NaN, which rejects the trial point.
+    model, segment, properties, start, late_s, between = job
+    return fly_segment(model, segment, properties, start, late_s=late_s, between=between)

@@ -1,0 +1,1 @@
+"""Results told: words, tables, pages, charts."""

@@ -1,0 +1,173 @@
+"""What a comparison leaves on disk and on the screen."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from sysid.aerodynamics.terms import COEFFICIENTS
+from uqharness.identification.compare import LIMIT, Comparison
+from uqharness.replay.histories import columns_of, write_histories
+from uqharness.replay.model import CONTROLS
+from uqharness.report.identify import csv_text, markdown_table, write_text
+from uqharness.report.pages.index import write_report
+
+_RULE = f"the noise floor is reached when no judged channel's rms is above {LIMIT} times its noise"
+
+
+def document_of(found: Comparison) -> dict[str, Any]:
+    """compare.json as a dictionary; figures that are not finite are null."""
+    return {
+        "aircraft": found.aircraft,
+        "flight": found.flight,
+        "reached_noise_floor": found.reached,
+        "rule": _RULE,
+        "verdict": verdict(found),
+        "controls_late_s": found.controls_late_s,
+        "aligned": found.aligned,
+        "above": list(found.above),
+        "channels": {
+            c: _clean(
+                {
+                    "rms": g.rms, "noise": g.noise, "ratio": g.ratio, "judged": g.judged, "delay_s": g.allowed_s + g.shift.seconds,
+                    "delay_std_s": g.shift.std, "theil_u": g.theil.u, "theil_bias": g.theil.bias,
+                    "theil_variance": g.theil.variance, "theil_covariance": g.theil.covariance,
+                }
+            )
+            for c, g in found.channels.items()
+        },
+        "coefficients": {
+            c: _clean({"rms": g.rms, "noise": g.noise, "mean": g.mean}) for c, g in found.coefficients.items()
+        },
+        "manoeuvres": {
+            m: {"channels": _clean(row), "coefficients": _clean(found.manoeuvre_coefficients[m])}
+            for m, row in found.manoeuvres.items()
+        },
+        "moments": [_clean(vars(m)) for m in found.moments],
+        "biases": {n: v for n, v in found.nuisance.items() if n.startswith("bias/")},
+        "notes": list(found.notes),
+    }  # fmt: skip
+
+
+def _clean(row: Any) -> dict[str, Any]:
+    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in dict(row).items()}
+
+
+def channel_rows(found: Comparison) -> list[dict[str, str]]:
+    """Table of channels as text."""
+    return [
+        {
+            "channel": c,
+            "rms": f"{g.rms:.4g}",
+            "noise": f"{g.noise:.4g}",
+            "ratio": f"{g.ratio:.2f}",
+            "verdict": ("at the noise" if g.ratio <= LIMIT else "above") if g.judged else "not judged",
+            "delay [ms]": f"{1e3 * (g.allowed_s + g.shift.seconds):.1f} +/- {1e3 * g.shift.std:.1f}",
+            "Theil U": f"{g.theil.u:.3f}",
+            "bias": f"{g.theil.bias:.2f}",
+            "variance": f"{g.theil.variance:.2f}",
+            "covariance": f"{g.theil.covariance:.2f}",
+        }
+        for c, g in found.channels.items()
+    ]
+
+
+def coefficient_rows(found: Comparison) -> list[dict[str, str]]:
+    """Table of coefficients as text."""
+    return [
+        {
+            "coefficient": c,
+            "rms": f"{g.rms:.3g}",
+            "noise": f"{g.noise:.3g}",
+            "ratio": f"{g.rms / g.noise:.2f}",
+            "mean": f"{g.mean:.3g}",
+        }
+        for c, g in found.coefficients.items()
+    ]
+
+
+def manoeuvre_rows(found: Comparison) -> list[dict[str, str]]:
+    """rms over noise, one row a manoeuvre, channels then coefficients."""
+    return [
+        {
+            "manoeuvre": m,
+            **{c: f"{v:.2f}" for c, v in row.items()},
+            **{c: f"{v:.2f}" for c, v in found.manoeuvre_coefficients[m].items()},
+        }
+        for m, row in found.manoeuvres.items()
+    ]
+
+
+def moment_rows(found: Comparison) -> list[dict[str, str]]:
+    """The worst moments, one row each."""
+    return [
+        {
+            "time_s": f"{m.time_s:.2f}",
+            "channel": m.channel,
+            "manoeuvre": m.manoeuvre,
+            "gap": f"{m.gap:.4g}",
+            "in noises": f"{m.noises:.1f}",
+        }
+        for m in found.moments
+    ]
+
+
+def write_tables(found: Comparison, document: dict[str, Any], out: Path) -> None:
+    """compare.json, histories.parquet, the CSV tables, report.md and report.html."""
+    tables = {
+        "channels": channel_rows(found),
+        "coefficients": coefficient_rows(found),
+        "manoeuvres": manoeuvre_rows(found),
+        "moments": moment_rows(found),
+    }
+    for name, rows in tables.items():
+        if rows:
+            write_text(out / f"{name}.csv", csv_text(rows))
+    lines = [f"# {found.flight} beside {found.aircraft}", "", verdict(found), ""]
+    for name, rows in tables.items():
+        if rows:
+            lines += [f"## {name}", "", markdown_table(rows)]
+    lines += [f"- {text}" for text in found.notes]
+    write_text(out / "report.md", "\n".join(lines) + "\n")
+    write_histories(
+        out,
+        found.segments,
+        {
+            **columns_of(found.outputs, found.measured), **columns_of(found.outputs, found.modelled, "_model"),
+            **columns_of(CONTROLS, [s.controls for s in found.segments]),
+            **columns_of(COEFFICIENTS, found.demanded, "_flight"), **columns_of(COEFFICIENTS, found.predicted, "_model"),
+        },
+    )  # fmt: skip
+    write_text(out / "compare.json", json.dumps(document, indent=1) + "\n")
+    write_report(out)
+
+
+def verdict(found: Comparison) -> str:
+    """One sentence: reached or not, by the rule."""
+    if found.reached:
+        return f"The model reaches the noise floor ({_RULE})."
+    if not found.aligned:
+        when = "early" if found.controls_late_s < 0.0 else "late"
+        return (
+            f"The record is not aligned: its controls act {1e3 * abs(found.controls_late_s):.1f} ms {when}, and "
+            f"{1e3 * found.late_limit_s:.1f} ms are allowed. A command belongs to the row whose acceleration has seen it first: "
+            "shift the command columns, or everything that is identified from this flight will have a lag too much."
+        )
+    worst = ", ".join(f"{c} {found.channels[c].ratio:.2f}" for c in found.above)
+    return f"The model does not reach the noise floor: rms over noise is {worst} ({_RULE})."
+
+
+def summary(found: Comparison, out: Path) -> str:
+    """Text for a terminal."""
+    lines = [f"{'channel':<12}{'rms':>10}{'noise':>10}{'ratio':>7}{'delay ms':>16}{'Theil U':>9}"]
+    for row in channel_rows(found):
+        lines.append(
+            f"{row['channel']:<12}{row['rms']:>10}{row['noise']:>10}{row['ratio']:>7}{row['delay [ms]']:>16}{row['Theil U']:>9}"
+            + ("" if row["verdict"] != "not judged" else "  not judged")
+        )
+    lines += [f"{r['coefficient']:<12}{r['rms']:>10}{r['noise']:>10}{r['ratio']:>7}" for r in coefficient_rows(found)]
+    lines += [f"worst: {m.time_s:.2f} s {m.channel} {m.gap:.3g} ({m.noises:.1f} noises), {m.manoeuvre}" for m in found.moments[:5]]
+    lines += [f"note: {n}" for n in found.notes]
+    return "\n".join([*lines, verdict(found), f"results in {out}"])

@@ -1,0 +1,237 @@
+"""A campaign's page: p-boxes, the grid of answers, rates, sensitivity, failures and where all of it came from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import pandas as pd
+
+from uqharness.campaign.conditions import CONFIDENCE, Condition, ExcursionCell, conditions
+from uqharness.campaign.statements import Statement
+from uqharness.report import statements as report_statements
+from uqharness.report.campaign import CampaignFound, Finding, answer_level, hardest_first, span
+from uqharness.report.parts import Block, Bullets, Cell, Facts, Figure, Figures, Level, Page, Section, Table, Words, shown
+from uqharness.report.pbox import DrawnBox, corner_words, pbox_figure
+from uqharness.report.sample_words import called
+from uqharness.report.sensitivity import sensitivity_section
+from uqharness.statistics.pbox import ExcursionRate, best_and_worst, poisson_upper
+
+CONDITIONS_DRAWN = 4
+"""Conditions whose p-boxes are drawn in the page, the hardest; the tables hold all."""
+
+_FAILURES_LISTED = 40
+_SURE = f"{100 * CONFIDENCE:g} %"
+_MARKS = {"yes": "✓", "no": "✕", "open": "?"}
+
+
+def campaign_page(found: CampaignFound, prefix: str = "") -> Page:
+    """The page of one campaign; ``prefix`` keeps its figures' names apart from others' in one page."""
+    method = found.campaign["epistemic"]["method"]
+    sections = [called(part, method) for part in (grid_section(found.signed), pbox_section(found, prefix))]
+    ranges = sensitivity_section(found.folder, found.manifest, prefix)
+    if ranges is not None:
+        sections.append(ranges)
+    sections += [
+        *(called(s, method) for s in rate_sections(found)),
+        failure_section(found.frame),
+        provenance_section(found),
+    ]
+    return Page(f"Campaign of {found.aircraft}", found.asked, found.verdict, tuple(sections))
+
+
+def pbox_section(found: CampaignFound, prefix: str = "") -> Section:
+    """P-boxes of the medians in the first conditions, and the table of their middles in all."""
+    drawn = hardest_first(conditions(found.frame))[:CONDITIONS_DRAWN]
+    words = corner_words(found.frame)
+    figures = tuple(_figure(item, words, prefix) for condition in drawn for item in found.findings if item.condition == condition)
+    intro = (
+        "Each thin curve is one epistemic sample: the share of its flights whose median error is at most the value below. "
+        "The bold pair is their envelope, the p-box; its width is what is not known of the model, its slope is chance. The "
+        "dashed band adds what a finite number of flights leaves open: it holds for all corners and all values together at "
+        f"{_SURE}. At the cursor the figure names the sample behind either side: − for a coefficient at its lower bound, + "
+        "for one at its upper. The published flight was measured by its own sensors, so it is marked only where the curves "
+        "are measured too."
+    )
+    blocks: list[Block] = [Words(intro, note=True), Figures(figures)]
+    undrawn = len(conditions(found.frame)) - len(drawn)
+    if undrawn > 0:
+        text = f"Further conditions, not drawn: {undrawn}; they are in the tables below and in pbox.parquet."
+        blocks.append(Words(text, note=True))
+    published = any(item.published is not None for item in found.findings)
+    head = (
+        "Error",
+        "Condition",
+        "Middle of the p-box",
+        f"With {_SURE} band",
+        *(("Published flight",) if published else ()),
+    )
+    caption = "Where half of the flights stay below: the p-box's middle, and the same with the band."
+    blocks.append(Table(caption, head, tuple(_median_row(item, published) for item in found.findings)))
+    return Section("P-boxes of the median errors", tuple(blocks))
+
+
+def _figure(item: Finding, words: dict[str, str], prefix: str) -> Figure:
+    place = f"{item.condition.wind_mps:g}mps-{item.condition.turbulence}"
+    name = f"{prefix}pbox-{item.metric.replace('_', '-')}-{place}".replace(".", "p")
+    mark = None if item.published is None else (item.published, f"published flight, {item.published:g} {item.unit}")
+    drawn = DrawnBox("", item.box, item.samples, words)
+    return pbox_figure(name, item.axis, item.unit, [drawn], f"{item.title}; {item.condition.words}.", mark)
+
+
+def _median_row(item: Finding, published: bool) -> tuple[str, ...]:
+    band = " to ".join(shown(end) for end in item.box.band_quantile(0.5))
+    row = (f"{item.title} [{item.unit}]", item.condition.label, span(*item.box.quantile(0.5)), band)
+    return (*row, "" if item.published is None else f"{item.published:g}") if published else row
+
+
+def grid_section(signed: Sequence[Statement], title: str = "Where the answer is yes, no or open") -> Section:
+    """One grid a radius: wind across, turbulence down, each cell the answer and the worst corner's rate."""
+    acceptable = f"{signed[0].acceptable_per_h:g}" if signed else ""
+    text = (
+        f"The question of each cell: at most {acceptable} excursions per flight hour at every corner? ✓ yes: every corner lies at "
+        "or below; ✕ no: some corner lies above; ? open: the flights do not settle it. Below the answer stands the rate at the "
+        f"worst corner with its {_SURE} limits, in excursions per flight hour."
+    )
+    if not signed:
+        return Section(title, (Words("This campaign counts no excursions.", note=True),))
+    tables: list[Block] = []
+    for radius in dict.fromkeys(item.cell.radius_m for item in signed):
+        cells = {
+            (item.cell.condition.turbulence, item.cell.condition.wind_mps): item
+            for item in signed
+            if item.cell.radius_m == radius and item.cell.distance == "horizontal"
+        }
+        winds = sorted({wind for _, wind in cells})
+        rows: list[tuple[str | Cell, ...]] = [
+            (air, *(_grid_cell(cells.get((air, wind))) for wind in winds)) for air in dict.fromkeys(air for air, _ in cells)
+        ]
+        head = ("Turbulence", *(f"{wind:g} m/s wind" for wind in winds))
+        if cells:
+            tables.append(Table(f"Excursions beyond {radius:g} m, horizontal distance, per flight hour.", head, tuple(rows)))
+    return Section(title, (Words(text, note=True), *tables))
+
+
+def _grid_cell(item: Statement | None) -> Cell:
+    if item is None:
+        return Cell("not flown")
+    limits = f"{item.worst.lower:.2g} to {shown(item.worst.upper)}"
+    rate = "undefined: no flight was scored" if math.isnan(item.worst.rate) else f"{item.worst.rate:.3g} per h [{limits}]"
+    level: Level = answer_level(item)
+    return Cell(item.answer, level, rate, mark=_MARKS[item.answer])
+
+
+def rate_sections(found: CampaignFound) -> list[Section]:
+    """What can be signed, and the counts behind it."""
+    signed = found.signed
+    acceptable = f"{found.campaign['metrics']['acceptable_per_h']:g}"
+    text = (
+        f"Excursions per flight hour of the best and the worst corner with limits ({_SURE} each) that take the flight as the unit, "
+        'so they hold also where excursions come in clusters, and that hold for having picked the corner. The answer "yes" '
+        f'says that every corner lies at or below {acceptable} per hour, "no" that some corner lies above; each is wrong with '
+        "a probability of at most the error rate of its condition."
+    )
+    head = (
+        "Condition", "Beyond", "Best corner [1/h]", "Worst corner [1/h]", f"At most {acceptable} per hour?", "Flight hours",
+        "Variance over mean", "Time outside the data",
+    )  # fmt: skip
+    words = corner_words(found.frame)
+    rows = tuple(_signed_row(item, words) for item in signed)
+    first = Section(
+        "What can be signed",
+        (
+            Words(text, note=True),
+            Table("Excursions per flight hour that can be signed, by condition and radius.", head, rows),
+            Bullets(tuple(report_statements.assumptions(signed, found.campaign))),
+        ),
+    )
+    text = (
+        f"In brackets: exact Poisson limits ({_SURE}) of that corner alone; after 0 the one-sided limit. The last limits hold for "
+        "all corners at once, so for having picked the best and the worst. Poisson limits take excursions as independent and "
+        "the hours as chosen beforehand; where that is not so, the table above holds. A failed flight counts as one more "
+        "excursion on the upper side."
+    )
+    counted = (
+        "Condition", "Beyond", "Best corner [1/h]", "Worst corner [1/h]", "Limits over all corners [1/h]", "Hours per corner",
+        "Failed flights",
+    )  # fmt: skip
+    rows = tuple(_excursion_row(item.cell, words) for item in signed)
+    second = Section(
+        "Excursions per flight hour",
+        (Words(text, note=True), Table("Excursions counted per flight hour, best and worst corner.", counted, rows)),
+    )
+    return [first, second]
+
+
+def _signed_row(item: Statement, words: dict[str, str]) -> tuple[str | Cell, ...]:
+    row = report_statements.row(item)
+    worst = Cell(row["worst"], small=words.get(row["worst_corner"], row["worst_corner"]))
+    answer = Cell(item.answer, answer_level(item), mark=_MARKS[item.answer])
+    return (
+        row["condition"],
+        row["radius"],
+        row["best"],
+        worst,
+        answer,
+        row["hours"],
+        row["dispersion"],
+        row["outside"],
+    )
+
+
+def _excursion_row(cell: ExcursionCell, words: dict[str, str]) -> tuple[str | Cell, ...]:
+    best, worst = best_and_worst(cell.rates)
+    return (
+        cell.condition.label,
+        f"{cell.radius_m:g} m, {'3-D' if cell.distance == '3d' else 'horizontal'}",
+        Cell(_rate(best, best.rate, best.events), small=words.get(best.epistemic_id, best.epistemic_id)),
+        Cell(_rate(worst, worst.rate_upper, worst.events_upper), small=words.get(worst.epistemic_id, worst.epistemic_id)),
+        f"{best.simultaneous[0]:.2g} to {shown(worst.simultaneous[1])}",
+        f"{worst.hours:.3g}",
+        str(sum(rate.failed for rate in cell.rates)),
+    )
+
+
+def _rate(item: ExcursionRate, rate: float, events: int) -> str:
+    if math.isnan(rate):
+        return "undefined: no hours"
+    if events == 0:
+        return f"0 (< {poisson_upper(0, item.hours, CONFIDENCE):.2g})"
+    return f"{shown(rate)} [{item.limits[0]:.2g}, {shown(item.limits[1])}]"
+
+
+def failure_section(frame: pd.DataFrame) -> Section:
+    """Flights that failed, the first of them by name."""
+    failed = frame[frame["status"] != "ok"]
+    if failed.empty:
+        return Section("Failed flights", (Words("None."),))
+    more = f", the first {_FAILURES_LISTED} are listed; all are in cases.parquet" if len(failed) > _FAILURES_LISTED else ""
+    names = ["case_id", "epistemic_id", "aleatory_id", "wind_mps", "turbulence", "status", "reason"]
+    rows = []
+    for case, corner, flight, wind, air, status, reason in failed[names].head(_FAILURES_LISTED).itertuples(index=False):
+        where = Condition(float(wind), str(air)).label
+        rows.append((Cell(case, code=True), Cell(corner, code=True), str(flight), where, status, reason))
+    head = ("Case", "Corner", "Flight", "Condition", "Status", "Reason")
+    return Section("Failed flights", (Table(f"{len(failed)} failed{more}.", head, tuple(rows)),))
+
+
+def provenance_section(found: CampaignFound) -> Section:
+    """Commands, seed, versions and hashes: what it takes to do it again."""
+    manifest, settings = found.manifest, found.campaign["campaign"]
+    names = {"aircraft": settings["aircraft"], "script": settings["mission"]}
+    hashes = [
+        (f"{role.capitalize()} (SHA-256)", " ".join([digest, str(names.get(role, ""))]).strip())
+        for role, digest in manifest["hashes"].items()
+    ]
+    items = [
+        ("Command", manifest["command"] or "not recorded"),
+        ("One flight again", "uqharness campaign rerun DIR --case CASE"),
+        ("Root seed", str(manifest["seed"])),
+        ("Versions", ", ".join(f"{name} {version}" for name, version in manifest["versions"].items())),
+        *hashes,
+        (
+            "Tables",
+            "cases.parquet (one row per flight), pbox.parquet, excursions.csv, statements.csv, beside this page",
+        ),
+    ]
+    return Section("Where it came from", (Facts(tuple(items)),))

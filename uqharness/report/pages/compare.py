@@ -1,0 +1,167 @@
+"""The page of a comparison of a flight with a model, from compare.json and histories.parquet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sysid.aerodynamics.terms import COEFFICIENTS
+from uqharness.replay.channel_units import shown_channel
+from uqharness.replay.histories import HISTORIES, History, have, read_histories
+from uqharness.report.history import MOST_SEGMENTS, Model, end_to_end, history_section
+from uqharness.report.parts import Bullets, Cell, Facts, Figure, Figures, Level, Page, Say, Section, Table, Words, shown
+from uqharness.report.svg import Chart, Scale
+from uqharness.result_documents import Compare, read_document
+
+COMPARE = "compare.json"
+LIMIT = 1.15
+
+
+def compare_page(folder: Path, prefix: str = "", segments: int = MOST_SEGMENTS) -> Page:
+    """The page of the folder that ``uqharness compare`` wrote. Raises BadInputError."""
+    found = read_document(folder / COMPARE, Compare)
+    histories = read_histories(folder / HISTORIES)
+    # What is not judged (height, heading) may have a noise that says nothing.
+    noise = {c: row["noise"] if row.get("judged", True) else None for c, row in found["channels"].items()}
+    sections = [_channel_section(found["channels"], prefix)]
+    drawn = history_section(histories, noise, [Model("_model", "first", "model")], "Log against model", f"{prefix}gap-", segments)
+    sections += [] if drawn is None else [drawn]
+    sections += [_coefficient_section(found["coefficients"], histories, prefix), _manoeuvre_section(found)]
+    if found.get("notes"):
+        sections.append(Section("Notes", (Bullets(tuple(found["notes"])),)))
+    files = "compare.json, channels.csv, coefficients.csv, manoeuvres.csv, moments.csv, histories.parquet, beside this page"
+    facts = (
+        ("Command", found.get("command") or "not recorded"),
+        ("Rule", found.get("rule", "not recorded")),
+        ("Files", files),
+    )
+    sections.append(Section("Where it came from", (Facts(facts),)))
+    asked = f"Does {found['aircraft']} fly {found['flight']} as it was flown, to within the sensors' noise?"
+    return Page(f"{found['flight']} beside {found['aircraft']}", asked, _verdict(found), tuple(sections))
+
+
+def _verdict(found: Mapping[str, Any]) -> tuple[Say, ...]:
+    reached = bool(found["reached_noise_floor"])
+    channels = found["channels"]
+    if found.get("verdict"):
+        said = [Say(found["verdict"], "good" if reached else "bad")]
+    else:
+        above = ", ".join(f"{c} {channels[c]['ratio']:.2f}" for c in found.get("above", ()))
+        text = "The model reaches the noise floor." if reached else f"The model does not reach the noise floor: {above}."
+        said = [Say(text, "good" if reached else "bad")]
+    known = {c: r["rms"] / r["noise"] for c, r in found["coefficients"].items() if r.get("rms") is not None and r.get("noise")}
+    if known:
+        worst = max(known, key=lambda c: known[c])
+        said.append(Say(f"Of the coefficients {worst} is farthest from the flight: {known[worst]:.2f} times what noise gives."))
+    return tuple(said)
+
+
+def _channel_section(channels: Mapping[str, Mapping[str, Any]], prefix: str) -> Section:
+    rows = []
+    for name, row in channels.items():
+        quantity, unit, factor = shown_channel(name)
+        rms, noise = (None if row[k] is None else factor * row[k] for k in ("rms", "noise"))
+        ratio = row["ratio"]
+        judged = row.get("judged", True)
+        level: Level = "" if not judged or ratio is None else "good" if ratio <= LIMIT else "bad"
+        answer = "not judged" if not judged else "undefined" if ratio is None else "at the noise" if level == "good" else "above"
+        delay = f"{shown(_milli(row.get('delay_s')), '.1f')} ± {shown(_milli(row.get('delay_std_s')), '.1f')}"
+        theil = shown(row.get("theil_u"), ".3f")
+        rows.append((f"{quantity} [{unit}]", shown(rms), shown(noise), shown(ratio, ".2f"), Cell(answer, level), delay, theil))
+    head = ("Channel", "rms of log minus model", "Noise", "Ratio", "Answer", "Delay [ms]", "Theil's U")
+    ratios = {
+        shown_channel(c)[0]: {"model": r["ratio"]}
+        for c, r in channels.items()
+        if r.get("ratio") is not None and r.get("judged", True)
+    }
+    figure = ratio_figure(f"{prefix}gap-ratios", ratios, [("model", "first", "disc")], "judged channels")
+    blocks = (Figures((figure,)),) if figure else ()
+    return Section("Gap by channel", (*blocks, Table("Gap between log and model, by channel.", head, tuple(rows))))
+
+
+def _milli(value: float | None) -> float | None:
+    return None if value is None else 1e3 * value
+
+
+def ratio_figure(
+    name: str, ratios: Mapping[str, Mapping[str, float]], series: Sequence[tuple[str, str, str]], what: str
+) -> Figure | None:
+    """rms over noise by row, one mark a series (key, class, shape); 1 is the noise itself. None without rows."""
+    if not ratios:
+        return None
+    keys = tuple(ratios)
+    largest = max(v for row in ratios.values() for v in row.values())
+    label = "; ".join(f"{row}: {' to '.join(f'{v:.2f}' for v in values.values())}" for row, values in ratios.items())
+    x = Scale("rms of log minus model over noise [1]", 0.0, 1.08 * max(largest, 1.3))
+    names = tuple((float(k), row) for k, row in enumerate(keys))
+    chart = Chart(
+        name,
+        f"Gap over noise [1] of the {what}. {label}.",
+        x,
+        Scale("", len(keys) - 0.5, -0.5, names),
+        66 + 17 * len(keys),
+    )
+    chart.upright(1.0, "zero")
+    chart.upright(LIMIT, "limit", f"limit {LIMIT:g}")
+    for k, row in enumerate(keys):
+        values = [ratios[row][key] for key, _, _ in series if key in ratios[row]]
+        if len(values) > 1:
+            chart.line(np.array([min(values), max(values)]), np.array([float(k)] * 2), "link")
+        for key, kind, shape in series:
+            if key in ratios[row]:
+                chart.marker(ratios[row][key], float(k), kind, shape)
+    shapes = ", ".join(f"{shape}: {key}" for key, _, shape in series)
+    return Figure(name, chart.svg(), f"Gap over noise [1] of the {what}; {shapes}. 1 is what noise alone gives.")
+
+
+def _coefficient_section(rows: Mapping[str, Mapping[str, Any]], histories: Sequence[History], prefix: str) -> Section:
+    cells = []
+    for name, row in rows.items():
+        ratio = row["rms"] / row["noise"] if row.get("rms") is not None and row.get("noise") else None
+        cells.append(
+            (
+                f"{name} [1]",
+                shown(row.get("rms")),
+                shown(row.get("noise")),
+                shown(ratio, ".2f"),
+                shown(row.get("mean"), ".2g"),
+            )
+        )
+    head = ("Coefficient", "rms of flight minus model", "What noise gives", "Ratio", "Mean")
+    table = Table("Gap between demanded and modelled coefficients (dimensionless, body axes).", head, tuple(cells))
+    figures = []
+    series = [("{}_flight", "second thin", "flight"), ("{}_model", "first thin", "model")]
+    for c in COEFFICIENTS:
+        if have(histories, (f"{c}_flight", f"{c}_model")):
+            drawn = [(key.format(c), kind, words) for key, kind, words in series]
+            label = f"{c} [1] that the flight demanded and that the model gives, segments end to end."
+            figures.append(
+                end_to_end(histories, f"{prefix}gap-{c}", drawn, None, label, f"{c} [1]", f"{c} [1], segments end to end")
+            )
+    blocks = (Figures(tuple(figures)),) if figures else ()
+    return Section("Gap by coefficient", (*blocks, table))
+
+
+def _manoeuvre_section(found: Mapping[str, Any]) -> Section:
+    manoeuvres = found.get("manoeuvres", {})
+    blocks: list[Any] = []
+    if manoeuvres:
+        first = next(iter(manoeuvres.values()))
+        names = [*first["channels"], *first["coefficients"]]
+        head = ("Manoeuvre", *(shown_channel(n)[0] for n in names))
+        rows = tuple(
+            (label, *(shown(({**row["channels"], **row["coefficients"]}).get(n), ".2f") for n in names))
+            for label, row in manoeuvres.items()
+        )
+        blocks.append(Table("rms over noise [1] by manoeuvre, channels then coefficients.", head, rows))
+    moments = [
+        (f"{m['time_s']:.2f}", shown_channel(m["channel"])[0], m["manoeuvre"], shown(m["noises"], ".1f"))
+        for m in found.get("moments", ())[:10]
+    ]
+    if moments:
+        head = ("Time [s]", "Channel", "Manoeuvre", "Gap in noises [1]")
+        blocks.append(Table("The worst moments.", head, tuple(moments)))
+    return Section("Where the gap is", tuple(blocks) or (Words("Not recorded."),))

@@ -1,0 +1,71 @@
+"""report.html of any folder of results: what the folder is, is told by its files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from uqharness.errors import BadInputError
+from uqharness.files import write_bytes
+from uqharness.report.parts import Page, render
+
+REPORT = "report.html"
+KINDS = (
+    ("study.json", "study"), ("manifest.json", "campaign run"), ("refinement.json", "refine"), ("fit.json", "identify"),
+    ("model-form.json", "bounds"), ("compare.json", "compare"), ("coverage.json", "validate-bounds"),
+)  # fmt: skip
+"""File that marks a folder, and the command that writes it; the first that is there counts."""
+
+
+def kind_of(folder: Path) -> str:
+    """Command whose results ``folder`` holds. Raises BadInputError for none, with what was looked for."""
+    if not folder.is_dir():
+        raise BadInputError(f"{folder}: is no folder; report takes the --out of another command")
+    for name, kind in KINDS:
+        if (folder / name).is_file():
+            return kind
+    looked = ", ".join(f"{name} ({kind})" for name, kind in KINDS)
+    raise BadInputError(f"{folder}: no results to report on; looked for {looked}")
+
+
+def page_of(folder: Path) -> Page:
+    """The page of a folder of results. Raises BadInputError."""
+    kind = kind_of(folder)
+    # Imported here: a page needs what its folder's kind needs and no more.
+    if kind == "study":
+        from uqharness.report.pages.study import study_page
+
+        return study_page(folder)
+    if kind == "refine":
+        from uqharness.report.pages.refinement import refine_page
+
+        return refine_page(folder)
+    if kind == "identify":
+        from uqharness.report.pages.identify import identify_page
+
+        return identify_page(folder)
+    if kind == "compare":
+        from uqharness.report.pages.compare import compare_page
+
+        return compare_page(folder)
+    if kind == "campaign run":
+        from uqharness.report.campaign import read_found
+        from uqharness.report.pages.campaign import campaign_page
+
+        return campaign_page(read_found(folder))
+    from uqharness.report.pages.model_form import bounds_page, coverage_page
+
+    return bounds_page(folder) if kind == "bounds" else coverage_page(folder)
+
+
+def write_report(folder: Path) -> Path:
+    """Write ``folder``/report.html from the folder's own files and return its path. Same folder, same bytes.
+
+    A campaign's figures are written beside it as files too. Raises BadInputError.
+    """
+    if kind_of(folder) == "campaign run":
+        from uqharness.report.write import write_report as write_campaign_report
+
+        return write_campaign_report(folder).path
+    path = folder / REPORT
+    write_bytes(path, render(page_of(folder)).encode("utf-8", errors="replace"))
+    return path

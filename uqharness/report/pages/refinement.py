@@ -1,0 +1,217 @@
+"""The page of a refinement, from refinement.json, model.diff and histories.parquet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sysid.aerodynamics.terms import COEFFICIENTS
+from uqharness.refinement.showing.content import Refinement
+from uqharness.refinement.showing.words import left_over, nowhere, test_says
+from uqharness.replay.channel_units import shown_channel
+from uqharness.replay.histories import HISTORIES, History, have, read_histories
+from uqharness.report.history import Z95, Model, end_to_end, history_section
+from uqharness.report.pages.compare import ratio_figure
+from uqharness.report.pages.refine_effects import effect_section, headline
+from uqharness.report.pages.refine_shown import interval_section, mission_section
+from uqharness.report.parts import (  # fmt: skip
+    Block,
+    Bullets,
+    Cell,
+    Code,
+    Facts,
+    Figure,
+    Figures,
+    Page,
+    Say,
+    Section,
+    Table,
+    Words,
+    shown,
+)
+from uqharness.result_documents import read_document
+
+REFINEMENT = "refinement.json"
+_DIFF_LINES = 400
+
+
+def refine_page(folder: Path, prefix: str = "") -> Page:
+    """The page of the folder that ``uqharness refine`` wrote. Raises BadInputError."""
+    done = read_document(folder / REFINEMENT, Refinement)
+    histories = read_histories(folder / HISTORIES)
+    gap = done["gap"]["test"]
+    sections = [effect_section(done, prefix), _where_section(done), gap_section(gap, prefix)]
+    touched = list(dict.fromkeys(e["coefficient"] for e in done["effects"] if "coefficient" in e)) or list(COEFFICIENTS)
+    figures = _coefficient_figures(histories, touched, gap, prefix)
+    if figures:
+        text = (
+            "What the test flights demand minus what the model gives, before and after, segments end to end. The band is what "
+            "the sensors' noise alone gives in 95 % of the samples."
+        )
+        legend = (("second thin", "before"), ("first thin", "after"), ("fill1", "95 % band of the noise"))
+        sections.append(Section("Coefficients before and after", (Words(text, note=True), Figures(figures, legend))))
+    noise = {c: row["noise_rms"] for c, row in gap["channels"].items()}
+    models = [Model("_before", "second", "before"), Model("_after", "first", "after")]
+    drawn = history_section(histories, noise, models, "Test flights against both models", f"{prefix}refine-", most=2)
+    sections += [] if drawn is None else [drawn]
+    sections += [interval_section(gap), mission_section(folder, gap, prefix)]
+    sections += [_left_section(done), _parameter_section(done), _model_section(folder, done)]
+    if done.get("notes"):
+        sections.append(Section("Notes", (Bullets(tuple(done["notes"])),)))
+    train, test = (", ".join(done.get(k, ())) or "flights not recorded" for k in ("train", "test"))
+    facts = (
+        ("Command", done.get("command") or "not recorded"), ("Chosen on", train), ("Shown on", test),
+        ("Time", f"{shown(done.get('seconds'), '.0f')} s"),
+        ("Files", "refinement.json, model.diff, histories.parquet, aircraft/ (the refined model), beside this page"),
+    )  # fmt: skip
+    sections.append(Section("Where it came from", (Facts(facts),)))
+    asked = f"What does the model lack? Effects were chosen on {train} and shown on {test}, which chose nothing."
+    return Page("Refinement", asked, _verdict(done), tuple(sections))
+
+
+_VERDICTS = {
+    "effects-found": ("Effects were found, and on flights that chose nothing the gap shrank", "good"),
+    "no-missing-effect": ("Nothing is missing beyond what the sensors' noise hides", "good"),
+    "unexplained": ("Something is missing that no effect of the catalogue explains", "bad"),
+}
+
+
+def _verdict(done: Mapping[str, Any]) -> tuple[Say, ...]:
+    text, level = _VERDICTS.get(done["verdict"], (done["verdict"], "warn"))
+    said = [Say(f"{text} ({done['verdict']}).", level)]
+    for e in done["effects"]:
+        said.append(Say(f"{headline(e)}.", "good"))
+    for e in done.get("withdrawn", ()):
+        said.append(Say(f"Withdrawn: {headline(e)}; {test_says(e)}.", "warn"))
+    unclear = [a["name"] for e in done["effects"] for a in e.get("alternatives", ()) if not a["separable"]]
+    if unclear:
+        said.append(Say(f"The flights do not tell it from: {'; '.join(unclear)}.", "warn"))
+    worst = _largest_fall(done["gap"]["test"])
+    if worst:
+        said.append(Say(worst))
+    return tuple(said)
+
+
+def _largest_fall(gap: Mapping[str, Any]) -> str:
+    rows = {c: r for c, r in gap["channels"].items() if all(r.get(k) for k in ("rms_before", "rms_after", "noise_rms"))}
+    if not rows:
+        return ""
+    name = max(rows, key=lambda c: (rows[c]["rms_before"] - rows[c]["rms_after"]) / rows[c]["noise_rms"])
+    quantity, unit, factor = shown_channel(name)
+    before, after, noise = (factor * rows[name][k] for k in ("rms_before", "rms_after", "noise_rms"))
+    return (
+        f"On the test flights the error of {quantity} goes from {before:.3g} to {after:.3g} {unit} (rms), "
+        f"beside noise of {noise:.3g} {unit}."
+    )
+
+
+def _where_section(done: Mapping[str, Any]) -> Section:
+    rows = []
+    for d in done["disagreement"]:
+        region = "; ".join(_region(s, ends) for s, ends in d.get("region", {}).items())
+        rows.append(
+            (
+                d["coefficient"],
+                d["manoeuvre"],
+                region,
+                shown(_percent(d["share_outside_95"]), ".0f"),
+                shown(d["size"], ".2g"),
+            )
+        )
+    if not rows:
+        text = nowhere(done)
+        return Section("Where model and flights disagreed", (Words(f"{text[:1].upper()}{text[1:]}."),))
+    head = ("Coefficient", "Manoeuvre", "Region", "Outside the 95 % band [%]", "Size [1]")
+    return Section(
+        "Where model and flights disagreed",
+        (Table("Disagreement of the train flights, the largest first.", head, tuple(rows)),),
+    )
+
+
+def _percent(value: float | None) -> float | None:
+    return None if value is None else 100.0 * value
+
+
+def _region(state: str, ends: Sequence[float | None]) -> str:
+    quantity, unit, factor = shown_channel(state)
+    low, high = (None if v is None else factor * v for v in ends)
+    named = f"|{quantity.removeprefix('abs ')}|" if quantity.startswith("abs ") else quantity
+    return f"{named} {shown(low)} to {shown(high)} {unit}".removesuffix(" 1")
+
+
+def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
+    """Gap on the test flights before and after, by channel and coefficient."""
+    figures, rows = [], []
+    for kind in ("channels", "coefficients"):
+        ratios = {}
+        for name, r in gap.get(kind, {}).items():
+            quantity, unit, factor = shown_channel(name)
+            before, after, noise = (None if r.get(k) is None else factor * r[k] for k in ("rms_before", "rms_after", "noise_rms"))
+            if before is not None and after is not None and noise:
+                ratios[quantity] = {"before": before / noise, "after": after / noise}
+                answer = Cell(shown(after), "good" if after <= before else "bad")
+            else:
+                answer = Cell(shown(after))
+            rows.append((f"{quantity} [{unit}]", shown(before), answer, shown(noise)))
+        series = [("before", "second", "ring"), ("after", "first", "disc")]
+        figure = ratio_figure(f"{prefix}shrinkage-{kind}", ratios, series, f"{kind} on the test flights")
+        figures += [figure] if figure else []
+    theil = gap.get("theil", {})
+    if theil:
+        rows.append(("Theil's U, mean [1]", shown(theil.get("before"), ".4f"), Cell(shown(theil.get("after"), ".4f")), ""))
+    text = (
+        "Before: the model with its parameters identified again, without the effects. After: with them. Start states and biases "
+        "are each flight's own. ✓: not larger than before."
+    )
+    table = Table("Gap on the test flights: rms of log minus model.", ("Quantity", "Before", "After", "Noise"), tuple(rows))
+    return Section("Gap on the test flights, before and after", (Words(text, note=True), Figures(tuple(figures)), table))
+
+
+def _coefficient_figures(
+    histories: Sequence[History], names: Sequence[str], gap: Mapping[str, Any], prefix: str
+) -> tuple[Figure, ...]:
+    out = []
+    for c in names:
+        if not have(histories, (f"{c}_gap_before", f"{c}_gap_after")):
+            continue
+        noise = gap["coefficients"].get(c, {}).get("noise_rms")
+        band = None
+        if noise is not None:
+            half = [np.full(len(h.time_s), Z95 * noise) for h in histories]
+            band = ([-h for h in half], half, "")
+        label = f"{c} [1] demanded by the test flights minus the model's, before and after, segments end to end."
+        series = [(f"{c}_gap_before", "second thin", ""), (f"{c}_gap_after", "first thin", "")]
+        out.append(end_to_end(histories, f"{prefix}demand-{c}", series, band, label, f"flight minus model, {c} [1]", f"{c} [1]"))
+    return tuple(out)
+
+
+def _left_section(done: Mapping[str, Any]) -> Section:
+    said = tuple(left_over(done["remaining"]))
+    if said:
+        return Section("What is left", (Bullets(said),))
+    unplaced = done["remaining"].get("unexplained")
+    return Section("What is left", (Words("More than noise, and nothing tells where." if unplaced else "Nothing beyond noise."),))
+
+
+def _parameter_section(done: Mapping[str, Any]) -> Section:
+    rows = tuple(
+        (Cell(n, code=True), shown(r["value"], ".6g"), shown(r["std"], ".2g")) for n, r in done.get("parameters", {}).items()
+    )
+    head = ("Property", "Value", "Standard error")
+    return Section("Parameters, identified with the effects", (Table("Parameters of the refined model.", head, rows),))
+
+
+def _model_section(folder: Path, done: Mapping[str, Any]) -> Section:
+    blocks: list[Block] = [Facts((("Refined model", str(done.get("model", "not recorded"))),))]
+    switch = [f"{s['property']} = {s['off']:g} restores the model without it" for s in done.get("switch", ())]
+    if switch:
+        blocks.append(Bullets(tuple(switch)))
+    diff = folder / "model.diff"
+    if diff.is_file():
+        lines = diff.read_text(encoding="utf-8", errors="replace").splitlines()
+        more = [f"... {len(lines) - _DIFF_LINES} more lines in model.diff"] if len(lines) > _DIFF_LINES else []
+        blocks.append(Code("What changed in the XML", "\n".join([*lines[:_DIFF_LINES], *more])))
+    return Section("What changed in the XML", tuple(blocks))

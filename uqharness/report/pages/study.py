@@ -1,0 +1,144 @@
+"""The page of a whole study: its verdict, its stages, the p-boxes before and after, then what each stage found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+from uqharness.errors import BadInputError
+from uqharness.report.campaign import CampaignFound, read_found
+from uqharness.report.overlay import overlay_section
+from uqharness.report.pages.campaign import campaign_page, grid_section
+from uqharness.report.pages.compare import compare_page
+from uqharness.report.pages.identify import identify_page
+from uqharness.report.pages.model_form import bounds_page, coverage_page
+from uqharness.report.pages.refinement import refine_page
+from uqharness.report.parts import Bullets, Cell, Code, Facts, Level, Page, Say, Section, Table, Told, Words, shown
+from uqharness.result_documents import Study, read_document
+
+STUDY = "study.json"
+_STATES: Mapping[str, Level] = {"done": "good", "running": "warn", "waiting": "", "failed": "bad"}
+_PAGES: Mapping[str, Callable[[Path, str], Page]] = {
+    "identify": partial(identify_page, segments=1), "compare": partial(compare_page, segments=1), "bounds": bounds_page,
+    "validate-bounds": coverage_page, "refine": refine_page,
+}  # fmt: skip
+_KEPT: Mapping[str, tuple[str, ...]] = {
+    "identify": ("Parameters",),
+    "compare": ("Gap by channel", "Log against model"),
+    "bounds": ("How wide the bounds are", "Slices of the bounds"),
+    "validate-bounds": ("Coverage by coefficient",),
+    "campaign": (
+        "Where the answer is yes, no or open", "P-boxes of the median errors",
+        "Which uncertainty makes the width", "Failed flights",
+    ),
+    "refine": (
+        "Effects", "Where model and flights disagreed", "Gap on the test flights, before and after",
+        "Coefficients before and after", "What is left", "What changed in the XML",
+    ),
+}  # fmt: skip
+"""Sections that a study shows of a stage's page; the rest stands in the stage's own."""
+_SHOWN_ABOVE = _KEPT["campaign"][:2]
+
+
+def study_page(folder: Path) -> Page:
+    """The page of the folder that ``uqharness study`` wrote, finished or not. Raises BadInputError."""
+    study = read_document(folder / STUDY, Study)
+    missing: list[str] = []
+    sections: list[Section] = []
+    both = study.get("before_after") or {}
+    # Each campaign is read once, however often it is shown.
+    read = cache(read_found)
+    pair = [_campaign(folder, both.get(side), missing, read) for side in ("before", "after")]
+    if pair[0] is not None and pair[1] is not None:
+        sections += [overlay_section(pair[0], pair[1], both)]
+        sections += [
+            grid_section(side.signed, f"Answers {when}") for side, when in zip(pair, ("before", "after"), strict=True) if side
+        ]
+    for number, stage in enumerate(study["stages"]):
+        section = _stage_page(folder, stage, number, missing, [both.get("before"), both.get("after")], read)
+        sections += [] if section is None else [section]
+    sections.append(_stage_section(study))
+    if missing:
+        sections.append(Section("What could not be read", (Bullets(tuple(dict.fromkeys(missing))),)))
+    sections.append(_provenance(study))
+    asked = study.get("question") or "The study's file asks no question in words."
+    return Page(f"Study: {study['study']}", asked, _verdict(study), tuple(sections))
+
+
+def _verdict(study: Mapping[str, Any]) -> tuple[Say, ...]:
+    said = [Say(item["text"], _level(item.get("level"))) for item in study.get("verdict") or ()]
+    stages = study["stages"]
+    done = sum(stage["state"] == "done" for stage in stages)
+    state = study.get("state", "running")
+    if state == "failed":
+        bad = ", ".join(stage["name"] for stage in stages if stage["state"] == "failed") or "a stage"
+        said.insert(0, Say(f"The study stopped: {bad} failed. The same command goes on once the cause is gone.", "bad"))
+    elif state != "done":
+        said.insert(0, Say(f"The study is not finished: {done} of {len(stages)} stages are done.", "warn"))
+    elif not said:
+        said.append(Say(f"All {len(stages)} stages are done; the study draws no conclusion in words.", "good"))
+    return tuple(said)
+
+
+def _level(value: Any) -> Level:
+    return value if value in ("good", "warn", "bad") else ""
+
+
+def _stage_section(study: Mapping[str, Any]) -> Section:
+    rows = []
+    for stage in study["stages"]:
+        state = Cell(stage["state"], _STATES.get(stage["state"], "warn"), small=stage.get("error") or "")
+        answer = {0: "done", 1: "ran, the answer is no"}.get(stage.get("exit"), "")
+        seconds = "" if stage.get("seconds") is None else shown(stage["seconds"], ".1f")
+        rows.append((stage["name"], stage["kind"], state, answer, seconds))
+    table = Table("Stages in the order in which they run.", ("Stage", "Kind", "State", "Answer", "Time [s]"), tuple(rows))
+    commands = "\n".join(stage["command"] for stage in study["stages"] if stage.get("command"))
+    words = Words("The commands of the stages, each of which repeats its stage from a shell:", note=True)
+    return Section("Stages", (table, *((words, Code("Commands of the stages", commands)) if commands else ())))
+
+
+def _campaign(folder: Path, name: str | None, missing: list[str], read: Callable[[Path], CampaignFound]) -> CampaignFound | None:
+    if not name:
+        return None
+    try:
+        return read(folder / name)
+    except BadInputError as error:
+        missing.append(str(error))
+        return None
+
+
+def _stage_page(
+    folder: Path, stage: Mapping[str, Any], number: int, missing: list[str], overlaid: Sequence[str | None],
+    read: Callable[[Path], CampaignFound],
+) -> Section | None:  # fmt: skip
+    """What a finished stage found, shortened; None for a stage that leaves nothing to show here."""
+    if stage["state"] != "done" or not stage.get("folder"):
+        return None
+    place, prefix = folder / stage["folder"], f"s{number}-"
+    try:
+        if stage["kind"] == "campaign":
+            page = campaign_page(read(place), prefix)
+        elif stage["kind"] in _PAGES:
+            page = _PAGES[stage["kind"]](place, prefix)
+        else:
+            return None
+    except BadInputError as error:
+        missing.append(f"{stage['name']}: {error}")
+        return None
+    skipped = _SHOWN_ABOVE if stage["folder"] in overlaid else ()
+    sections = tuple(s for s in page.sections if s.title in _KEPT[stage["kind"]] and s.title not in skipped)
+    own = Words(f"All of it: {stage['folder']}/report.html, written by uqharness report {stage['folder']}.", note=True)
+    return Section(f"{stage['name']}: {page.title}", (Words(page.asked, note=True), Told(page.verdict), own), sections)
+
+
+def _provenance(study: Mapping[str, Any]) -> Section:
+    items = [
+        ("Command", study.get("command") or "not recorded"),
+        ("Version", f"uqharness {study.get('version', 'not recorded')}"),
+        (f"Study file {study.get('file', '')} (SHA-256)", study.get("hash") or "not recorded"),
+    ]
+    seen = dict.fromkeys(item for stage in study["stages"] for item in (stage.get("inputs") or {}).items())
+    items += [(f"Input {name} (SHA-256)", digest) for name, digest in seen]
+    return Section("Where it came from", (Facts(tuple(items)),))

@@ -1,0 +1,194 @@
+"""What a report page is made of, whatever it reports on: frozen parts that templates/page.html.j2 knows how to show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+from typing import Any, ClassVar, Literal
+
+import jinja2
+from markupsafe import Markup
+
+from sysid.terminal import visible
+
+Level = Literal["good", "warn", "bad", ""]
+SIGNS: Mapping[str, str] = {"good": "✓", "bad": "✕", "warn": "!", "": ""}
+"""What stands beside a colour, for readers without it."""
+
+
+@dataclass(frozen=True)
+class Say:
+    """A sentence of the verdict, and whether it is good news; an empty level is a plain fact."""
+
+    text: str
+    level: Level = ""
+
+    @property
+    def sign(self) -> str:
+        """The mark beside the sentence."""
+        return SIGNS[self.level]
+
+
+@dataclass(frozen=True)
+class Words:
+    """A paragraph; ``note`` in a softer colour."""
+
+    kind: ClassVar[str] = "words"
+    text: str
+    note: bool = False
+
+
+@dataclass(frozen=True)
+class Bullets:
+    """A list of sentences."""
+
+    kind: ClassVar[str] = "bullets"
+    items: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Told:
+    """Sentences with their level, as in the verdict."""
+
+    kind: ClassVar[str] = "told"
+    items: tuple[Say, ...]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A table cell that is more than text: its level colours it, its sign says the same without colour."""
+
+    text: str
+    level: Level = ""
+    small: str = ""
+    code: bool = False
+    mark: str = ""
+
+    @property
+    def sign(self) -> str:
+        """The mark in the cell."""
+        return self.mark or SIGNS[self.level]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text or cells under a caption; the first column heads its row."""
+
+    kind: ClassVar[str] = "table"
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str | Cell, ...], ...]
+
+    @property
+    def cells(self) -> tuple[tuple[Cell, ...], ...]:
+        """Rows of cells, plain texts made into cells."""
+        return tuple(tuple(Cell(c) if isinstance(c, str) else c for c in row) for row in self.rows)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A drawing with its caption. ``cursor`` is what the page's script reads out under the pointer; None for no cursor."""
+
+    name: str
+    svg: Markup
+    caption: str
+    cursor: Mapping[str, Any] | None = None
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Drawings side by side; ``legend`` (class of figure.css, words) holds for all of them."""
+
+    kind: ClassVar[str] = "figures"
+    items: tuple[Figure, ...]
+    legend: tuple[tuple[str, str], ...] = ()
+    narrow: bool = False
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Names and what they are; ``code`` for what is to be read letter by letter."""
+
+    kind: ClassVar[str] = "facts"
+    items: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Code:
+    """Lines as they stand in a file or on a command line."""
+
+    kind: ClassVar[str] = "code"
+    label: str
+    text: str
+
+
+Block = Words | Bullets | Told | Table | Figures | Facts | Code
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading with what stands under it, and the sections within it."""
+
+    title: str
+    blocks: tuple[Block, ...]
+    parts: tuple[Section, ...] = ()
+
+
+@dataclass(frozen=True)
+class Page:
+    """A whole report: the verdict is shown first, then what was asked, then the sections."""
+
+    title: str
+    asked: str
+    verdict: tuple[Say, ...]
+    sections: tuple[Section, ...] = field(default=())
+
+
+def render(page: Page) -> str:
+    """The page as one HTML file that needs no other. Same page, same bytes."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("uqharness.report", "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    cursors = any(figure.cursor for figure in figures_of(page.sections))
+    sheets = [_text(name) for name in ("figure.css", "page.css")]
+    rendered = environment.get_template("page.html.j2").render(
+        page=page, style=Markup("".join(sheets)), script=Markup(_text("page.js")) if cursors else ""
+    )
+    # A control character in a file's or a flight's name has no meaning on a page.
+    return visible(rendered)
+
+
+def figures_of(sections: Iterable[Section]) -> list[Figure]:
+    """All figures of sections, in order."""
+    found: list[Figure] = []
+    for section in sections:
+        for block in section.blocks:
+            if isinstance(block, Figures):
+                found += block.items
+        found += figures_of(section.parts)
+    return found
+
+
+@cache
+def _text(name: str) -> str:
+    return resources.files("uqharness.report").joinpath(f"templates/{name}").read_text(encoding="utf-8")
+
+
+def shown(value: float | None, form: str = ".3g") -> str:
+    """A figure as text. What is undefined says so and is never a 0; what has no end is open."""
+    if value is None or math.isnan(value):
+        return "undefined"
+    return "open" if math.isinf(value) else format(value, form)
+
+
+def table_of(caption: str, rows: Sequence[Mapping[str, str]]) -> Table:
+    """A table of rows with equal keys, which head the columns."""
+    head = tuple(rows[0]) if rows else ()
+    return Table(caption, head, tuple(tuple(row[key] for key in head) for row in rows))

@@ -1,0 +1,278 @@
+"""Small charts as SVG text for report pages: axes, lines, bands, dots. Pure: arrays in, text out, same arrays, same bytes.
+
+Nothing here has a colour of its own: every mark has a class of templates/figure.css, whose variables follow the reader's light
+or dark scheme. Each class has a dash or a shape besides its colour. A chart is drawn 360 units wide, so that its text stays legible
+on a phone; wide screens set several side by side.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+from itertools import pairwise
+
+import numpy as np
+from markupsafe import Markup, escape
+from numpy.typing import NDArray
+
+from sysid.terminal import visible
+
+Array = NDArray[np.float64]
+WIDTH = 360
+_LEFT, _RIGHT, _TOP, _BOTTOM = 34, 12, 24, 38
+_CHARACTER = 6.9
+"""Width to reserve for a character of the 11-unit text, whichever font the reader has."""
+_MOST_POINTS = 400
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Range of an axis, its label with the unit, and its ticks: numbers, or names at given places."""
+
+    label: str
+    low: float
+    high: float
+    names: tuple[tuple[float, str], ...] = ()
+
+    def ticks(self) -> list[tuple[float, str]]:
+        """Values and labels of the axis' ticks."""
+        if self.names:
+            return list(self.names)
+        if not self.high > self.low:
+            return [(self.low, f"{self.low:.4g}")]
+        step = _step((self.high - self.low) / 5.0)
+        first = math.ceil(self.low / step - 1e-9)
+        return [(k * step, _number(k * step, step)) for k in range(first, math.floor(self.high / step + 1e-9) + 1)]
+
+
+def scale(label: str, values: Sequence[Array], margin: float = 0.06, least: float | None = None) -> Scale:
+    """A scale around all finite values, ``least`` its smallest end at most where it is given; 0 to 1 where there is none."""
+    known = np.concatenate([np.ravel(v)[np.isfinite(np.ravel(v))] for v in values]) if values else np.empty(0)
+    if not known.size:
+        return Scale(label, 0.0, 1.0)
+    low, high = float(known.min()), float(known.max())
+    room = margin * (high - low) or 0.1 * abs(high) or 1.0
+    low, high = low - room, high + room
+    return Scale(label, low if least is None else max(least, low), high)
+
+
+def _step(rough: float) -> float:
+    power = 10.0 ** math.floor(math.log10(rough))
+    return next(m * power for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= rough * 0.999999)
+
+
+def _number(value: float, step: float) -> str:
+    if value != 0.0 and (abs(value) >= 1e5 or step < 1e-4):
+        return f"{value:.3g}".replace("-", "−")
+    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+    if abs(step * 10**decimals - round(step * 10**decimals)) > 1e-6:
+        decimals += 1
+    return f"{value:.{decimals}f}".replace("-", "−") if abs(value) > 1e-12 else "0"
+
+
+@dataclass
+class Chart:
+    """A chart that is being drawn. ``name`` is unique in the page; ``label`` says in words what the picture shows."""
+
+    name: str
+    label: str
+    x: Scale
+    y: Scale
+    height: int = 220
+    marks: list[str] = field(default_factory=list)
+    legend: list[tuple[str, str]] = field(default_factory=list)
+
+    @property
+    def left(self) -> int:
+        """Room for the widest tick."""
+        widest = max((len(words) for _, words in self.y.ticks()), default=0)
+        return max(_LEFT, min(190, 9 + math.ceil(_CHARACTER * widest)))
+
+    @property
+    def plot(self) -> tuple[float, float, float, float]:
+        """Left, top, width and height of the area inside the axes."""
+        return self.left, _TOP, WIDTH - self.left - _RIGHT, self.height - _TOP - _BOTTOM
+
+    def at(self, x: Array | float, y: Array | float) -> tuple[Array, Array]:
+        """Places of data in the drawing."""
+        left, top, width, height = self.plot
+        u = left + width * (np.asarray(x, dtype=float) - self.x.low) / ((self.x.high - self.x.low) or 1.0)
+        v = top + height * (self.y.high - np.asarray(y, dtype=float)) / ((self.y.high - self.y.low) or 1.0)
+        # Far beyond the frame a browser's arithmetic fails before the clip does.
+        u, v = (np.where(np.isfinite(w), np.clip(w, -5000.0, 5000.0), np.nan) for w in (u, v))
+        return u, v
+
+    def line(self, x: Array, y: Array, kind: str, words: str = "", steps: bool = False, data: str = "") -> None:
+        """A line through finite points; a gap where one is not. steps: each value holds until the next."""
+        x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+        if not steps:
+            x, y = thinned(x, y)
+        path = _path(*self.at(x, y), steps)
+        if path:
+            self.marks.append(f'<path class="line {kind}"{data} d="{path}"/>')
+            self._entry(kind, words)
+
+    def band(self, x: Array, low: Array, high: Array, kind: str, words: str = "", steps: bool = False) -> None:
+        """The area between two lines, where both are finite."""
+        x, low, high = (np.asarray(v, dtype=float) for v in (x, low, high))
+        for run in _runs(np.isfinite(x) & np.isfinite(low) & np.isfinite(high)):
+            u, v = self.at(x[run], low[run])
+            _, w = self.at(x[run], high[run])
+            if steps:
+                u, v, w = np.repeat(u, 2)[1:], np.repeat(v, 2)[:-1], np.repeat(w, 2)[:-1]
+            elif u.size > _MOST_POINTS:
+                keep = np.unique(np.linspace(0, u.size - 1, _MOST_POINTS).round().astype(int))
+                u, v, w = u[keep], v[keep], w[keep]
+            outline = _path(np.concatenate([u, u[::-1]]), np.concatenate([w, v[::-1]]))
+            self.marks.append(f'<path class="band {kind}" d="{outline}Z"/>')
+            self._entry(kind, words)
+
+    def dots(self, x: Array, y: Array, kind: str, words: str = "", radius: float = 1.3) -> None:
+        """Small discs at finite points, one path for all of them."""
+        u, v = self.at(x, y)
+        known = np.isfinite(u) & np.isfinite(v)
+        if known.any():
+            # A line of no length with round ends is a disc, and the shortest there is to write.
+            path = "".join(f"M{_short(a)} {_short(b)}h0" for a, b in zip(u[known], v[known], strict=True))
+            self.marks.append(f'<path class="dots {kind}" stroke-width="{2 * radius:g}" d="{path}"/>')
+            self._entry(kind, words)
+
+    def marker(self, x: float, y: float, kind: str, shape: str, words: str = "") -> None:
+        """One disc, ring, square or bar."""
+        (u,), (v,) = (np.atleast_1d(w) for w in self.at(x, y))
+        if not (math.isfinite(u) and math.isfinite(v)):
+            return
+        drawn = {
+            "disc": f'<circle class="mark {kind}" cx="{u:.1f}" cy="{v:.1f}" r="4"/>',
+            "ring": f'<circle class="mark hollow {kind}" cx="{u:.1f}" cy="{v:.1f}" r="4"/>',
+            "square": f'<rect class="mark {kind}" x="{u - 3.5:.1f}" y="{v - 3.5:.1f}" width="7" height="7"/>',
+            "bar": f'<path class="line {kind}" d="M{u:.1f} {v - 5:.1f}v10"/>',
+        }
+        self.marks.append(drawn[shape])
+        self._entry(kind, words)
+
+    def upright(self, x: float, kind: str, words: str = "") -> None:
+        """A line from bottom to top at ``x``."""
+        self.line(np.array([x, x]), np.array([self.y.low, self.y.high]), kind, words)
+
+    def level(self, y: float, kind: str, words: str = "") -> None:
+        """A line from left to right at ``y``."""
+        self.line(np.array([self.x.low, self.x.high]), np.array([y, y]), kind, words)
+
+    def _entry(self, kind: str, words: str) -> None:
+        if words and (kind, words) not in self.legend:
+            self.legend.append((kind, words))
+
+    def svg(self) -> Markup:
+        """The drawing, to stand in a page that has templates/figure.css."""
+        left, top, width, height = self.plot
+        entries, rows = _legend(self.legend, WIDTH)
+        total = self.height + (16 * rows + 4 if rows else 0)
+        out = [
+            f'<svg class="chart" role="img" aria-label="{escape(self.label)}" viewBox="0 0 {WIDTH} {total}" ',
+            f'data-plot="{left},{top},{width},{height}" data-x="{self.x.low:.6g},{self.x.high:.6g}">',
+            f'<clipPath id="{self.name}-clip"><rect x="{left}" y="{top}" width="{width}" height="{height}"/></clipPath>',
+            *self._grid(),
+            f'<g clip-path="url(#{self.name}-clip)">{"".join(self.marks)}</g>',
+            f'<path class="axis" d="M{left} {top}v{height}h{width}"/>',
+            f'<text class="label" x="2" y="13">{escape(self.y.label)}</text>',
+        ]
+        middle, low = left + width / 2, self.height - 5
+        out.append(f'<text class="label" text-anchor="middle" x="{middle:g}" y="{low}">{escape(self.x.label)}</text>')
+        for kind, words, x, row in entries:
+            y = self.height + 12 + 16 * row
+            out.append(f'<g class="key">{_swatch(kind, x, y - 4)}<text x="{x + 28}" y="{y}">{escape(words)}</text></g>')
+        return Markup("".join([*out, "</svg>"]))
+
+    def _grid(self) -> list[str]:
+        left, top, width, height = self.plot
+        out = []
+        for value, words in self.x.ticks():
+            u, _ = self.at(value, 0.0)
+            out.append(f'<path class="grid" d="M{u:.1f} {top}v{height}"/>')
+            out.append(f'<text text-anchor="middle" x="{u:.1f}" y="{self.height - _BOTTOM + 14}">{escape(words)}</text>')
+        for value, words in self.y.ticks():
+            _, v = self.at(0.0, value)
+            if not self.y.names:
+                out.append(f'<path class="grid" d="M{left} {v:.1f}h{width}"/>')
+            out.append(f'<text text-anchor="end" x="{left - 5}" y="{v + 3.5:.1f}">{escape(words)}</text>')
+        return out
+
+
+def standalone(svg: Markup) -> str:
+    """The same drawing as a file of its own, its style inside."""
+    inside = f'<svg xmlns="http://www.w3.org/2000/svg" width="{2 * WIDTH}" class="chart"'
+    styled = str(svg).replace('<svg class="chart"', inside, 1)
+    return visible(styled.replace("><clipPath", f"><style>{style()}</style><clipPath", 1)) + "\n"
+
+
+@cache
+def style() -> str:
+    """The style sheet of all charts, which is that of the page too."""
+    return resources.files("uqharness.report").joinpath("templates/figure.css").read_text(encoding="utf-8")
+
+
+def thinned(x: Array, y: Array, most: int = _MOST_POINTS) -> tuple[Array, Array]:
+    """A line of at most about ``most`` points that keeps every bucket's smallest and largest value, so no peak is lost."""
+    if x.size <= most:
+        return x, y
+    edges = np.linspace(0, x.size, most // 2 + 1).astype(int)
+    keep = []
+    for first, last in pairwise(edges.tolist()):
+        part = y[first:last]
+        if np.isnan(part).all():
+            keep.append(first)
+            continue
+        if np.isnan(part).any():
+            keep.append(first + int(np.flatnonzero(np.isnan(part))[0]))
+        keep += [first + int(np.nanargmin(part)), first + int(np.nanargmax(part))]
+    order = np.unique(keep)
+    return x[order], y[order]
+
+
+def _runs(known: NDArray[np.bool_]) -> list[slice]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 1]
+
+
+def _path(u: Array, v: Array, steps: bool = False) -> str:
+    out, pen = [], False
+    for a, b in zip(u.tolist(), v.tolist(), strict=True):
+        if not (math.isfinite(a) and math.isfinite(b)):
+            pen = False
+            continue
+        if not pen:
+            out.append(f"M{_short(a)} {_short(b)}")
+        else:
+            out.append(f"H{_short(a)}V{_short(b)}" if steps else f"L{_short(a)} {_short(b)}")
+        pen = True
+    return "".join(out)
+
+
+def _short(value: float) -> str:
+    text = f"{value:.1f}"
+    return text[:-2] if text.endswith(".0") else text
+
+
+def _legend(items: Sequence[tuple[str, str]], width: float) -> tuple[list[tuple[str, str, float, int]], int]:
+    """Entries with their place, and the number of rows."""
+    out, x, row = [], 8.0, 0
+    for kind, words in items:
+        needed = 28 + _CHARACTER * len(words) + 12
+        if x > 8.0 and x + needed > width:
+            x, row = 8.0, row + 1
+        out.append((kind, words, x, row))
+        x += needed
+    return out, row + 1 if items else 0
+
+
+def _swatch(kind: str, x: float, y: float) -> str:
+    shape = kind.split()[0]
+    if shape.startswith("fill"):
+        return f'<rect class="band {kind}" x="{x:g}" y="{y - 5:g}" width="22" height="10"/>'
+    if shape.startswith("dot"):
+        return f'<path class="dots {kind}" stroke-width="4" d="M{x + 4:g} {y:g}h0m7 0h0m7 0h0"/>'
+    return f'<path class="line {kind}" d="M{x:g} {y:g}h22"/>'

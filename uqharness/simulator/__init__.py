@@ -1,0 +1,1 @@
+"""JSBSim: the engine, what is handed to it, aircraft and scripts, trim and linearisation."""

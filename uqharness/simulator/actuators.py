@@ -1,0 +1,103 @@
+"""Surface positions from logged commands: the aircraft's own actuators, as JSBSim 1.3.3 steps them.
+
+A log has commands, held from one sample to the next, while the aerodynamics see positions. Five milliseconds here are four
+per cent of every moment coefficient, so the actuators are stepped at the aircraft's own step and order: lag by Tustin's
+rule, then the rate limit, then the stops (FGActuator.cpp).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness.errors import BadInputError
+from uqharness.simulator.aircraft import Aircraft, open_aircraft, parse_xml
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """First-order lag [1/s] (None: none), rate limit [unit/s] and stops."""
+
+    lag: float | None
+    rate: float = math.inf
+    low: float = -math.inf
+    high: float = math.inf
+
+    def lag_with(self, more_s: float) -> float:
+        """Lag [1/s] where its time constant is so much longer."""
+        return 1.0 / ((1.0 / self.lag if self.lag else 0.0) + more_s)
+
+    def slowed_to(self, more_s_per_unit: float) -> float:
+        """Rate limit [unit/s] where each unit of travel takes so much longer."""
+        return 1.0 / max(more_s_per_unit + 1.0 / self.rate, 1e-9)
+
+    def follow(self, commands: Array, dt_s: float, step_s: float) -> Array:
+        """(n,) positions at rows ``dt_s`` apart, each having seen its row's command for one step of ``step_s``; starts at rest."""
+        return self.follow_finely(commands, dt_s, step_s)[0]
+
+    def follow_finely(self, commands: Array, dt_s: float, step_s: float) -> tuple[Array, Array]:
+        """(n,) positions at rows as `follow` has them, and (n-1,) half-way between, in straight lines from step to step."""
+        runs = max(1, round(dt_s / step_s))
+        gain, keep = 1.0, 0.0
+        if self.lag is not None:
+            gain, keep = (
+                step_s * self.lag / (2.0 + step_s * self.lag),
+                (2.0 - step_s * self.lag) / (2.0 + step_s * self.lag),
+            )
+        before = held = lagged = position = float(commands[0])
+        reach = self.rate * step_s
+        out = np.empty((len(commands) - 1) * runs + 1)
+        at = 0
+        for row, command in enumerate(commands.tolist()):
+            for run in range(runs if row else 1):
+                now = command if run == runs - 1 or not row else held
+                lagged = now if self.lag is None else gain * (now + before) + keep * lagged
+                before = now
+                position = min(max(lagged, position - reach), position + reach)
+                # The lag remembers its own output, the rate limit what it let through.
+                out[at] = position
+                at += 1
+            held = command
+        np.clip(out, self.low, self.high, out=out)
+        early, late = (
+            runs // 2,
+            -(-runs // 2),
+        )  # the steps on either side of the middle, one and the same if runs is even
+        return out[::runs], 0.5 * (out[early : len(out) - late : runs] + out[late : len(out) - early : runs])
+
+
+def actuators(aircraft: Aircraft, controls: Sequence[str]) -> dict[str, Actuator]:
+    """The actuator behind each control's position, from the XML. Raises BadInputError for a control without one."""
+    wanted = {aircraft.card.inputs[c].position: c for c in controls if c in aircraft.card.inputs}
+    fdm = open_aircraft(aircraft)
+    found: dict[str, Actuator] = {}
+    for path in sorted(aircraft.folder.rglob("*.xml")):
+        for element in parse_xml(path).getroot().iter("actuator"):
+            control = wanted.get(element.get("name"))
+            if control is None:
+                continue
+
+            def number(tag: str, default: float, element=element) -> float:  # type: ignore[no-untyped-def]
+                text = (element.findtext(tag) or "").strip()
+                if not text:
+                    return default
+                try:
+                    return float(text)
+                except ValueError:
+                    return float(fdm[text])
+
+            lag = number("lag", math.nan)
+            found[control] = Actuator(
+                None if math.isnan(lag) else lag, number("rate_limit", math.inf),
+                number("clipto/min", -math.inf), number("clipto/max", math.inf),
+            )  # fmt: skip
+    missing = [c for c in controls if c not in found]
+    if missing:
+        raise BadInputError(f"aircraft '{aircraft.name}': no <actuator> has the name of [inputs.{missing[0]}] position")
+    return found

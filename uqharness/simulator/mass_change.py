@@ -1,0 +1,159 @@
+"""Mass, inertia and reference lengths by the name of the property that JSBSim computes from them.
+
+JSBSim 1.3.3 gives inertia/iyy-slugs_ft2 and its like to read, not to set: they follow from <mass_balance>, point masses and fuel.
+Here they are set all the same: the numbers in a copy of the aircraft's XML are moved until the property stands at what is wanted.
+inertia/ixz-slugs_ft2 is, as JSBSim has it, the entry of the inertia matrix: minus the product of inertia.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lxml import etree
+
+from uqharness.errors import BadInputError
+from uqharness.simulator import engine
+from uqharness.simulator.aircraft import Aircraft, parse_xml
+from uqharness.simulator.staging import Staging, copied
+
+_KG_PER_LB, _KG_M2_PER_SLUG_FT2, _M_PER_FT = 0.45359237, 1.3558179483314004, 0.3048
+_LB_PER_SLUG = 32.174049
+_WEIGHT = {"LBS": 1.0, "KG": _KG_PER_LB}
+_INERTIA = {"SLUG*FT2": 1.0, "KG*M2": _KG_M2_PER_SLUG_FT2}
+_LENGTH_FT = {"FT": 1.0, "M": _M_PER_FT, "IN": 12.0}
+_LENGTH_IN = {"IN": 1.0, "FT": 1.0 / 12.0, "M": 0.0254}
+_TRIES, _TOLERANCE = 12, 1e-9
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where a property's number stands: path below <fdm_config>, units by attribute (one property unit in each), default unit."""
+
+    path: str
+    units: Mapping[str, float]
+    default: str
+    per_property_unit: float = 1.0
+
+
+_PLACES: Mapping[str, _Place] = {
+    "inertia/mass-slugs": _Place("mass_balance/emptywt", _WEIGHT, "LBS", _LB_PER_SLUG),
+    "inertia/weight-lbs": _Place("mass_balance/emptywt", _WEIGHT, "LBS"),
+    "inertia/empty-weight-lbs": _Place("mass_balance/emptywt", _WEIGHT, "LBS"),
+    **{
+        f"inertia/{name}-slugs_ft2": _Place(f"mass_balance/{name}", _INERTIA, "SLUG*FT2")
+        for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    },
+    **{f"inertia/cg-{axis}-in": _Place(f"mass_balance/location[@name='CG']/{axis}", _LENGTH_IN, "IN") for axis in "xyz"},
+    "metrics/bw-ft": _Place("metrics/wingspan", _LENGTH_FT, "FT"),
+    "metrics/cbarw-ft": _Place("metrics/chord", _LENGTH_FT, "FT"),
+}
+
+CHANGEABLE = frozenset(_PLACES)
+"""Properties that a flight may set although JSBSim only computes them."""
+
+
+class MassChange:
+    """Copies of one aircraft with other numbers in its XML, made beside the staged one.
+
+    ``open_copy`` opens a mission with such a copy.
+    """
+
+    def __init__(self, aircraft: Aircraft, staging: Staging, open_copy: Callable[[Staging], Any]) -> None:
+        self._aircraft = aircraft
+        self._staging = staging
+        self._changed: Staging | None = None
+        self._open_copy = open_copy
+        self._nominal: dict[str, float] | None = None
+
+    def realise(self, wanted: Mapping[str, float]) -> Staging:
+        """The staged copy in which every property of ``wanted`` stands at its value.
+
+        Raises BadInputError for a value that cannot be (a mass of 0) and for a number that is not in the aircraft's own XML.
+        """
+        elements, tree = self._elements(wanted)
+        if self._nominal is None:
+            self._nominal = self._measure(tree, CHANGEABLE)
+        for name, value in wanted.items():
+            if not math.isfinite(value) or (value <= 0.0 and not name.startswith(("inertia/cg", "inertia/ix", "inertia/iyz"))):
+                raise BadInputError(f"property {name} = {value:g}: must be a positive number")
+        found = {name: self._nominal[name] for name in wanted}
+        for _ in range(_TRIES):
+            self._move(elements, wanted, found)
+            found = self._measure(tree, wanted)
+            if all(_near(found[name], value, self._nominal[name]) for name, value in wanted.items()):
+                assert self._changed is not None
+                return self._changed
+        left = ", ".join(f"{name} stands at {found[name]:g}, {value:g} was wanted" for name, value in wanted.items())
+        raise BadInputError(
+            f"{self._aircraft.xml}: mass properties cannot be set together as asked: {left}; "
+            "set only independent ones (a mass or a weight, not both)"
+        )
+
+    def _elements(self, wanted: Mapping[str, float]) -> tuple[dict[str, etree._Element], etree._ElementTree]:
+        path = self._aircraft.xml
+        tree = parse_xml(self._staging.xml)
+        root = tree.getroot()
+        found: dict[str, etree._Element] = {}
+        for name in wanted:
+            place = _PLACES[name]
+            element = root.find(place.path)
+            if element is None and place.units is _INERTIA and root.find("mass_balance/emptywt") is not None:
+                mass_balance = root.find("mass_balance")
+                assert mass_balance is not None
+                element = etree.SubElement(mass_balance, place.path.rpartition("/")[2])
+                element.text = "0"
+            if element is None:
+                section, _, leaf = place.path.partition("/")
+                raise BadInputError(
+                    f"{path}:{root.sourceline}: property {name} comes from <{leaf}> in <{section}>, which is not in this file, "
+                    "so it cannot be changed"
+                )
+            if element in found.values():
+                raise BadInputError(f"{path}:{element.sourceline}: two of the properties to set come from the same <{element.tag}>")
+            _unit(path, element, place)
+            found[name] = element
+        return found, tree
+
+    def _move(self, elements: Mapping[str, etree._Element], wanted: Mapping[str, float], found: Mapping[str, float]) -> None:
+        for name, element in elements.items():
+            place = _PLACES[name]
+            change = (wanted[name] - found[name]) * place.per_property_unit * _unit(self._aircraft.xml, element, place)
+            if place.units is _INERTIA and element.tag not in ("ixx", "iyy", "izz"):
+                mass_balance = element.getparent()
+                assert mass_balance is not None
+                # The property is the entry of the inertia matrix, minus the product of inertia; the XML means the one or the other.
+                change *= -1.0 if mass_balance.get("negated_crossproduct_inertia") == "false" else 1.0
+            element.text = repr(float(element.text or 0.0) + change)
+
+    def _measure(self, tree: etree._ElementTree, names: Any) -> dict[str, float]:
+        if self._changed is None:
+            self._changed = copied(self._staging, self._staging.root / "changed")
+        tree.write(str(self._changed.xml), encoding="UTF-8", xml_declaration=True)
+        fdm = self._open_copy(self._changed)
+        engine.run_ic(fdm)
+        return {name: float(fdm[name]) for name in names}
+
+
+def _near(found: float, wanted: float, nominal: float) -> bool:
+    return abs(found - wanted) <= _TOLERANCE * max(abs(wanted), abs(nominal), 1e-3)
+
+
+def _unit(path: Path, element: etree._Element, place: _Place) -> float:
+    """The element's own unit in one unit of the property (before ``per_property_unit``)."""
+    owner = element
+    if place.units is _LENGTH_IN:
+        parent = element.getparent()
+        assert parent is not None
+        owner = parent
+    unit = owner.get("unit", place.default)
+    if unit not in place.units:
+        raise BadInputError(f"{path}:{owner.sourceline}: unit {unit!r} of <{owner.tag}>: known are {', '.join(place.units)}")
+    try:
+        float(element.text or "")
+    except ValueError:
+        raise BadInputError(f"{path}:{element.sourceline}: <{element.tag}> is {element.text!r}, no number") from None
+    return place.units[unit]

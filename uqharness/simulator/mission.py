@@ -1,0 +1,182 @@
+"""Run scripts: find one, check it against what a host wants to vary, and stage a copy for any aircraft folder and duration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from lxml import etree
+
+from uqharness.errors import BadInputError
+from uqharness.scratch import scratch_folder
+from uqharness.simulator import engine
+from uqharness.simulator.aircraft import PROJECT_ROOT, Aircraft, check_loadable, parse_xml
+from uqharness.simulator.aircraft_files import read_xml
+from uqharness.simulator.gate import leads_out, passed
+from uqharness.simulator.mass_change import MassChange
+from uqharness.simulator.staging import Staging, stage
+
+ENDLESS_S = 1e9
+"""End written into a staged script: the host counts steps itself."""
+MANOEUVRE_PROPERTY = "flight/manoeuvre"
+"""Counts a script's manoeuvres while they last; the event that sets it to a number other than 0 bears the manoeuvre's name."""
+
+
+@dataclass(frozen=True)
+class Script:
+    """What a host needs to know of a run script."""
+
+    path: Path
+    aircraft: str
+    initialize: str
+    end_s: float
+    dt_s: float
+    event_properties: tuple[tuple[str, int], ...]
+    run_properties: tuple[str, ...]
+    manoeuvres: Mapping[int, str] = field(default_factory=dict)
+
+
+def find_script(name_or_path: str | Path) -> Path:
+    """The script file of that path, or of that name under ./scripts or the project's scripts/. Raises BadInputError."""
+    given = Path(name_or_path)
+    candidates = [given, given.with_suffix(".xml")]
+    for root in (Path.cwd(), PROJECT_ROOT):
+        candidates += [root / given, root / "scripts" / given, (root / "scripts" / given).with_suffix(".xml")]
+    for path in candidates:
+        if path.is_file():
+            return path.resolve()
+    known = sorted(path.stem for path in (PROJECT_ROOT / "scripts").glob("*.xml"))
+    raise BadInputError(f"script '{name_or_path}' not found: no such file, and scripts/ has {', '.join(known) or 'none'}")
+
+
+def read_script(path: Path) -> Script:
+    """Parse a run script. Raises BadInputError with file and line."""
+    root = parse_xml(path).getroot()
+    if root.tag != "runscript":
+        raise BadInputError(f"{path}:{root.sourceline}: the root element is <{root.tag}>, a run script begins with <runscript>")
+    use, run = root.find("use"), root.find("run")
+    if use is None or run is None:
+        raise BadInputError(
+            f"{path}:{root.sourceline}: a run script needs <use aircraft=... initialize=...> and <run end=... dt=...>"
+        )
+    numbers = {key: _number(path, run, key) for key in ("end", "dt")}
+    return Script(
+        path=path,
+        aircraft=use.get("aircraft", ""),
+        initialize=use.get("initialize", ""),
+        end_s=numbers["end"],
+        dt_s=numbers["dt"],
+        event_properties=tuple((item.get("name", ""), _line(item)) for item in run.iterfind("event/set")),
+        run_properties=tuple((item.text or "").strip() for item in run.iterfind("property")),
+        manoeuvres=_manoeuvres(path, run),
+    )
+
+
+def _manoeuvres(path: Path, run: etree._Element) -> dict[int, str]:
+    named: dict[int, str] = {}
+    for event in run.iterfind("event"):
+        for item in event.iterfind("set"):
+            if item.get("name") != MANOEUVRE_PROPERTY:
+                continue
+            text = item.get("value", "")
+            if not text.isdigit():
+                raise BadInputError(
+                    f"{path}:{item.sourceline}: {MANOEUVRE_PROPERTY} is set to '{text}'; a whole number of at least 0 is needed"
+                )
+            if int(text):
+                named[int(text)] = event.get("name", text)
+    return named
+
+
+def _line(element: etree._Element) -> int:
+    line = element.sourceline
+    return line if isinstance(line, int) else 0
+
+
+def _number(path: Path, element: etree._Element, key: str) -> float:
+    text = element.get(key)
+    try:
+        value = float(text if text is not None else "")
+    except ValueError:
+        raise BadInputError(
+            f"{path}:{element.sourceline}: <run {key}=...> is {text!r}, a positive number of seconds is needed"
+        ) from None
+    if not 0.0 < value < float("inf"):
+        raise BadInputError(f"{path}:{element.sourceline}: <run {key}=...> is {text!r}, a positive number of seconds is needed")
+    return value
+
+
+def refuse_conflicts(script: Script, varied: Iterable[str]) -> None:
+    """BadInputError if an event sets a property that the host varies: the event would silently win."""
+    wanted = set(varied)
+    for name, line in script.event_properties:
+        if name in wanted:
+            raise BadInputError(
+                f"{script.path}:{line}: an event sets {name}, which this run varies; "
+                'set it as <property value="...">' + name + "</property> within <run> instead"
+            )
+
+
+class StagedMission:
+    """A script made ready for an aircraft in any folder; opens fresh instances until closed.
+
+    The copy differs from the script in three ways: it uses this aircraft, it has no end unless
+    ``end_s`` gives one (the host counts), and it neither writes nor listens. Not safe to share between processes; cheap to make.
+    """
+
+    def __init__(self, aircraft: Aircraft, script_path: Path, end_s: float = ENDLESS_S) -> None:
+        check_loadable(aircraft)
+        self.aircraft = aircraft
+        self.script = read_script(script_path)
+        if leads_out(self.script.initialize) or "\\" in self.script.initialize:
+            raise BadInputError(
+                f"{script_path}: starts from '{self.script.initialize}'; initial conditions must lie in the aircraft's folder"
+            )
+        start = aircraft.folder / self.script.initialize
+        if not any(path.is_file() for path in (start, start.with_name(start.name + ".xml"))):
+            raise BadInputError(
+                f"{script_path}: starts from the initial conditions '{self.script.initialize}', which aircraft "
+                f"'{aircraft.name}' does not have ({start}.xml); give a script made for this aircraft"
+            )
+        self._scratch = scratch_folder("mission")
+        self._staging = stage(aircraft, self._scratch.path)
+        script = passed(read_xml(script_path), str(script_path))
+        document = etree.fromstring(script.content, etree.XMLParser(resolve_entities=False))
+        use, run = document.find("use"), document.find("run")
+        assert use is not None
+        assert run is not None
+        use.set("aircraft", aircraft.name)
+        run.set("end", repr(end_s))
+        self._mass: MassChange | None = None
+        self._staged = self._staging.root / "script.xml"
+        document.getroottree().write(str(self._staged), encoding="UTF-8", xml_declaration=True)
+
+    def open(self, dt_s: float | None = None, changed: Mapping[str, float] | None = None) -> Any:
+        """A fresh ``FGFDMExec`` with script, aircraft and initial conditions loaded, nothing run. Raises BadInputError.
+
+        ``changed`` are mass properties (see mass_change) that are to stand at other values than in the aircraft's XML.
+        """
+        if not changed:
+            return self._open(self._staging, dt_s)
+        if self._mass is None:
+            self._mass = MassChange(self.aircraft, self._staging, self._open)
+        return self._open(self._mass.realise(changed), dt_s)
+
+    def _open(self, staging: Staging, dt_s: float | None = None) -> Any:
+        try:
+            return engine.open_script(staging, self._staged, dt_s or self.aircraft.dt_s)
+        except BadInputError as error:
+            # The reader knows their own file, not the copy.
+            raise BadInputError(str(error).replace(str(self._staged), str(self.script.path))) from None
+
+    def close(self) -> None:
+        """Remove the staged copy."""
+        self._scratch.close()
+
+    def __enter__(self) -> StagedMission:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

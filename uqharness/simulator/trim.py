@@ -1,0 +1,281 @@
+"""Steady flight: find attitude, controls and throttle at which nothing accelerates.
+
+JSBSim's own trim needs a <propulsion> engine for its throttle axis and fails on a thrust map in external_reactions. This one asks
+the model for its accelerations at a forced state, on a fresh instance each time (an instance that has run remembers its actuators),
+so it serves any aircraft whose card names the controls.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from uqharness.simulator import engine
+from uqharness.simulator.aircraft import Aircraft, open_aircraft
+
+FT, LBF = 0.3048, 4.4482216152605
+TRIM_LATITUDE_DEG = 45.0
+"""Where trims are made: there JSBSim's effective gravity is 9.806 m/s2."""
+
+_ACCELERATIONS = (
+    "accelerations/udot-ft_sec2",
+    "accelerations/vdot-ft_sec2",
+    "accelerations/wdot-ft_sec2",
+    "accelerations/pdot-rad_sec2",
+    "accelerations/qdot-rad_sec2",
+    "accelerations/rdot-rad_sec2",
+)
+_ENGINE_THRUSTS = ("propulsion/engine/thrust-lbs", *(f"propulsion/engine[{k}]/thrust-lbs" for k in range(1, 8)))
+_PROPELLER_RPM = "propulsion/engine/propeller-rpm"
+_SURFACES = ("elevator", "aileron", "rudder", "throttle")
+
+
+@dataclass(frozen=True)
+class SteadyCondition:
+    """What is asked: true airspeed, altitude above sea level, flight-path angle, bank, heading and a steady wind.
+
+    ``wind_ned_mps`` is the velocity of the air (north, east, down); trim is the same in any steady wind, only the velocity over the
+    ground differs. ``bank_rad`` not 0 asks for a coordinated turn (no side force felt).
+    """
+
+    V_mps: float
+    altitude_m: float = 0.0
+    climb_rad: float = 0.0
+    bank_rad: float = 0.0
+    heading_rad: float = 0.0
+    wind_ned_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    properties: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Trim:
+    """What was found. ``converged`` False is a result too: ``reason`` says which control ran out or what kept accelerating.
+
+    Angles in rad, rates body axes rad/s, ``controls`` in each control's own unit, ``positions_deg`` of the surfaces that tell,
+    ``thrust_N`` and ``rpm`` NaN where the model names none, ``residual`` (6,) accelerations left (m/s2 and rad/s2).
+    """
+
+    condition: SteadyCondition
+    converged: bool
+    reason: str
+    alpha_rad: float
+    beta_rad: float
+    theta_rad: float
+    turn_rate_radps: float
+    p_radps: float
+    q_radps: float
+    r_radps: float
+    controls: Mapping[str, float]
+    positions_deg: Mapping[str, float]
+    thrust_N: float
+    rpm: float
+    residual: NDArray[np.float64]
+    velocity_ned_mps: tuple[float, float, float]
+
+
+def pitch_for_climb(alpha: float, beta: float, phi: float, climb: float) -> float:
+    """Pitch angle [rad] that gives the flight-path angle ``climb`` at bank ``phi`` (Stevens & Lewis, rate-of-climb constraint)."""
+    a = math.cos(alpha) * math.cos(beta)
+    b = math.sin(phi) * math.sin(beta) + math.cos(phi) * math.sin(alpha) * math.cos(beta)
+    s = math.sin(climb)
+    root = a * a - s * s + b * b
+    if root < 0.0:
+        return float("nan")
+    return math.atan2(a * b + s * math.sqrt(root), a * a - s * s)
+
+
+def body_velocity(V: float, alpha: float, beta: float) -> tuple[float, float, float]:
+    """u, v, w [m/s] of airspeed V at alpha, beta."""
+    return V * math.cos(alpha) * math.cos(beta), V * math.sin(beta), V * math.sin(alpha) * math.cos(beta)
+
+
+@dataclass(frozen=True)
+class BodyState:
+    """A state to be forced upon the model: air-relative velocity [m/s], Euler angles [rad], body rates [rad/s]."""
+
+    u: float
+    v: float
+    w: float
+    phi: float
+    theta: float
+    psi: float
+    p: float = 0.0
+    q: float = 0.0
+    r: float = 0.0
+
+
+def force_state(
+    aircraft: Aircraft,
+    state: BodyState,
+    controls: Mapping[str, float],
+    altitude_m: float,
+    properties: Mapping[str, float] | None = None,
+    outputs: tuple[str, ...] = (),
+) -> tuple[NDArray[np.float64], dict[str, float]]:
+    """Accelerations (6,) [m/s2, rad/s2] of the model at a forced state in still air, and the values of those ``outputs`` that
+    the model has.
+
+    Actuators stand at their commands (first frame of a fresh instance); the ground is put 300 m below. Raises BadInputError.
+    """
+    fdm = open_aircraft(aircraft)
+    for name, value in (properties or {}).items():
+        engine.set_property(fdm, name, value)
+    apply_controls(fdm, aircraft, controls)
+    fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
+    fdm["ic/terrain-elevation-ft"] = (altitude_m - 300.0) / FT
+    fdm["ic/h-sl-ft"] = altitude_m / FT
+    fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = state.phi, state.theta, state.psi
+    fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"] = state.u / FT, state.v / FT, state.w / FT
+    fdm["ic/p-rad_sec"], fdm["ic/q-rad_sec"], fdm["ic/r-rad_sec"] = state.p, state.q, state.r
+    engine.run_ic(fdm)
+    if fdm.get_propulsion().get_num_engines():
+        engine.settle_engines(fdm)
+    acceleration = np.array([fdm[name] for name in _ACCELERATIONS])
+    acceleration[:3] *= FT
+    manager = fdm.get_property_manager()
+    return acceleration, {name: fdm[name] for name in outputs if manager.hasNode(name)}
+
+
+def apply_controls(fdm: Any, aircraft: Aircraft, controls: Mapping[str, float]) -> None:
+    """Set the command properties of the card's inputs; every engine runs, and takes JSBSim's throttle where that is the input."""
+    engines = fdm.get_propulsion().get_num_engines()
+    if engines:
+        # First of all: starting the engines opens their throttles.
+        fdm["propulsion/set-running"] = -1
+    for control, value in controls.items():
+        card = aircraft.card.inputs.get(control)
+        if card is None:
+            continue
+        engine.set_property(fdm, card.property, value)
+        if card.property == "fcs/throttle-cmd-norm":
+            for index in range(1, engines):
+                fdm[f"fcs/throttle-cmd-norm[{index}]"] = value
+
+
+def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
+    """Trim by bounded least squares on (alpha, beta, controls[, turn rate]); never raises for a condition that has no trim.
+
+    Unknowns: alpha, beta, elevator, aileron, rudder, throttle, and in a turn its rate; equations: the six accelerations and, in a
+    turn, no lateral specific force. Raises BadInputError for a card without the four controls or a model that does not load.
+    """
+    cards = aircraft.card.inputs
+    exists = open_aircraft(aircraft).get_property_manager().hasNode
+    names = [name for name in _SURFACES if name in cards and (aircraft.has_card or exists(cards[name].property))]
+    turning = condition.bank_rad != 0.0
+    V, phi = condition.V_mps, condition.bank_rad
+    spans = np.array([cards[name].limits[1] - cards[name].limits[0] for name in names])
+    lows = np.array([cards[name].limits[0] for name in names])
+    # Unknowns are scaled to order one: 0.1 rad, a tenth of the control's span, 0.1 rad/s.
+    scale = np.concatenate([[0.1, 0.1], spans / 10.0, [0.1] if turning else []])
+    lower = np.concatenate([[-0.35, -0.35], lows, [-3.0] if turning else []]) / scale
+    upper = np.concatenate([[0.5, 0.35], lows + spans, [3.0] if turning else []]) / scale
+    g = 9.806
+    guess = np.concatenate([[0.03, 0.0], [0.5 * (lo + lo + sp) for lo, sp in zip(lows, spans, strict=True)]])
+    if turning:
+        guess = np.append(guess, g * math.tan(phi) / V)
+    lateral_felt = "accelerations/Ny"
+    outputs = (lateral_felt,)
+
+    def unpack(x: NDArray[np.float64]) -> tuple[BodyState, dict[str, float], float]:
+        value = x * scale
+        alpha, beta = float(value[0]), float(value[1])
+        controls = {name: float(v) for name, v in zip(names, value[2 : 2 + len(names)], strict=True)}
+        rate = float(value[-1]) if turning else 0.0
+        theta = pitch_for_climb(alpha, beta, phi, condition.climb_rad)
+        u, v, w = body_velocity(V, alpha, beta)
+        state = BodyState(
+            u, v, w, phi, theta, condition.heading_rad,
+            p=-rate * math.sin(theta),
+            q=rate * math.cos(theta) * math.sin(phi),
+            r=rate * math.cos(theta) * math.cos(phi),
+        )  # fmt: skip
+        return state, controls, rate
+
+    def residual(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        state, controls, _ = unpack(x)
+        if not math.isfinite(state.theta):
+            return np.full(7 if turning else 6, 1e3)
+        acceleration, out = force_state(aircraft, state, controls, condition.altitude_m, condition.properties, outputs)
+        if turning:
+            acceleration = np.append(acceleration, out[lateral_felt] * g)
+        return np.where(np.isfinite(acceleration), acceleration, 1e3)
+
+    start = np.clip(guess / scale, lower + 1e-9, upper - 1e-9)
+    solution = least_squares(
+        residual,
+        start,
+        bounds=(lower, upper),
+        xtol=1e-14,
+        ftol=1e-14,
+        gtol=1e-14,
+        x_scale=1.0,
+        diff_step=1e-6,
+        max_nfev=25,
+    )
+    return _result(aircraft, condition, solution.x, unpack, residual, names, lower, upper)
+
+
+def _result(
+    aircraft: Aircraft,
+    condition: SteadyCondition,
+    x: NDArray[np.float64],
+    unpack: Any,
+    residual: Any,
+    names: list[str],
+    lower: NDArray[np.float64],
+    upper: NDArray[np.float64],
+) -> Trim:
+    state, controls, rate = unpack(x)
+    left = residual(x)
+    keys = {key: aircraft.card.outputs[key] for key in ("thrust_N", "rpm") if key in aircraft.card.outputs}
+    surfaces = {name: aircraft.card.inputs[name].position or f"fcs/{name}-pos-deg" for name in names if name != "throttle"}
+    wanted = (*keys.values(), *surfaces.values(), *_ENGINE_THRUSTS, _PROPELLER_RPM)
+    _, out = force_state(aircraft, state, controls, condition.altitude_m, condition.properties, wanted)
+    engines_lbf = [out[name] for name in _ENGINE_THRUSTS if name in out]
+    thrust_N = out.get(keys.get("thrust_N", ""), LBF * sum(engines_lbf) if engines_lbf else float("nan"))
+    converged = bool(np.max(np.abs(left)) < 1e-6)
+    at_limit = [
+        name
+        for name, value, lo, hi in zip(["alpha", "beta", *names], x, lower, upper, strict=False)
+        if min(value - lo, hi - value) < 1e-6 * (hi - lo)
+    ]
+    reason = ""
+    if not converged:
+        worst = ("u", "v", "w", "p", "q", "r", "lateral force")[int(np.argmax(np.abs(left)))]
+        limits = f"; at its limit: {', '.join(at_limit)}" if at_limit else ""
+        reason = (
+            f"no steady flight at {condition.V_mps:g} m/s, bank {math.degrees(condition.bank_rad):g} deg, climb "
+            f"{math.degrees(condition.climb_rad):g} deg: {worst} still accelerates by {np.max(np.abs(left)):.3g}{limits}"
+        )
+    return Trim(
+        condition=condition,
+        converged=converged,
+        reason=reason,
+        alpha_rad=math.atan2(state.w, state.u),
+        beta_rad=math.asin(state.v / condition.V_mps),
+        theta_rad=state.theta,
+        turn_rate_radps=rate,
+        p_radps=state.p,
+        q_radps=state.q,
+        r_radps=state.r,
+        controls=controls,
+        positions_deg={name: out[source] for name, source in surfaces.items() if source in out},
+        thrust_N=thrust_N,
+        rpm=out.get(keys.get("rpm", _PROPELLER_RPM), float("nan")),
+        residual=left,
+        velocity_ned_mps=_over_ground(state, condition.wind_ned_mps),
+    )
+
+
+def _over_ground(state: BodyState, wind: tuple[float, float, float]) -> tuple[float, float, float]:
+    from scipy.spatial.transform import Rotation
+
+    body_to_ned = Rotation.from_euler("ZYX", [state.psi, state.theta, state.phi])
+    air = body_to_ned.apply([state.u, state.v, state.w])
+    return float(air[0] + wind[0]), float(air[1] + wind[1]), float(air[2] + wind[2])

@@ -1,0 +1,1 @@
+"""Statistics of campaigns: p-boxes, rates, decisions, area metric, convergence."""

@@ -1,0 +1,1 @@
+"""A study: the whole chain from flights to a verdict about performance."""

@@ -1,0 +1,346 @@
+"""The stages of a study: which commands are run, on what, into which folders, and what has to be the same for one to be skipped."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from uqharness.campaign.aircraft import system_file
+from uqharness.errors import BadInputError
+from uqharness.identification.channels import parse_channels
+from uqharness.identification.designs import parse_designs
+from uqharness.simulator.aircraft import Aircraft, find_aircraft
+from uqharness.simulator.mission import find_script
+from uqharness.study.spec import BoundsSection, ChainSpec, FlySection, IdentifySection, LogSection
+from uqharness.toml import line_of
+
+BEFORE, AFTER = "before", "after"
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One command of a study.
+
+    kind       fly, import, instrument, identify, compare, bounds, validate-bounds, campaign, sensitivity, refine
+    folder     of the results, relative to the study's; ``argv`` are the words after ``uqharness`` that repeat the stage
+    inputs     label -> file, or folder of an aircraft, whose content the result depends on
+    options    the settings it depends on beside them, as plain JSON types
+    outputs    files, or folders of an aircraft, that later stages and the verdict read
+    owns       what is removed before the stage begins anew; ``resumes``: it goes on by itself from what a killed run left
+    workers    whether it takes --workers, on which no result depends
+    writes     content of a file made for the stage beforehand (a campaign's), and its path
+    """
+
+    name: str
+    kind: str
+    folder: str
+    argv: tuple[str, ...]
+    inputs: Mapping[str, Path]
+    outputs: tuple[Path, ...]
+    options: Mapping[str, Any]
+    owns: tuple[Path, ...]
+    resumes: bool = False
+    workers: bool = False
+    writes: tuple[Path, Mapping[str, Any]] | None = None
+    belongs: tuple[Path, Path] | None = field(default=None)
+
+    @property
+    def command(self) -> str:
+        """The stage's command as a shell repeats it."""
+        return shlex.join(("uqharness", *self.argv))
+
+
+@dataclass(frozen=True)
+class _Model:
+    """The aircraft at one point of the study: how a command names it, its folder, and its label among the inputs."""
+
+    word: str
+    folder: Path
+    label: str
+
+
+def plan(spec: ChainSpec, out: Path) -> list[Stage]:
+    """All stages, in the order in which they run. Raises BadInputError for aircraft, scripts and files that are not there."""
+    return list(_Planner(spec, out).stages())
+
+
+class _Planner:
+    def __init__(self, spec: ChainSpec, out: Path) -> None:
+        self.spec, self.out = spec, out
+        self.given = self._aircraft(spec.study.aircraft, "study", "aircraft")
+        self.records = {name: out / "flights" / f"{name}.parquet" for name in spec.flights}
+
+    def stages(self) -> Iterator[Stage]:
+        spec, model = self.spec, self.given
+        if (spec.bounds is not None or spec.campaign is not None) and not _carries_plugin(find_aircraft(model.folder)):
+            stage = self._instrument(model)
+            yield stage
+            model = _Model(str(stage.outputs[0]), stage.outputs[0], self._label(stage.outputs[0]))
+        for number, item in enumerate(spec.fly):
+            yield self._fly(item, number)
+        logs = {item.name: self.out / "flights" / f"{item.name}.bin" for item in spec.fly}
+        for name, log in logs.items():
+            yield self._import(name, log, model, None)
+        for number, own in enumerate(spec.logs):
+            yield self._import(own.name, self._file(own.file, "logs", number, "file"), model, own, number)
+        if spec.identify is not None:
+            stage = self._identify(spec.identify, model)
+            yield stage
+            model = self._model(self.out / "identify" / "aircraft")
+        yield from self._judged(model, BEFORE)
+        if spec.refine is not None:
+            stage = self._refine(model)
+            yield stage
+            yield from self._judged(self._model(stage.outputs[1]), AFTER)
+
+    def _judged(self, model: _Model, when: str) -> Iterator[Stage]:
+        """What is done with a model before refinement and with the refined one, in the same way."""
+        spec = self.spec
+        if spec.compare is not None:
+            for flight in spec.compare.flights:
+                yield self._compare(flight, model, when)
+        form: Path | None = None
+        if spec.bounds is not None:
+            stage = self._bounds(spec.bounds, model, when)
+            form = stage.outputs[0]
+            yield stage
+            if spec.bounds.validate_on:
+                yield self._validate(spec.bounds.validate_on, form, model, when)
+        if spec.campaign is not None:
+            stage = self._campaign(model, form, when)
+            yield stage
+            if spec.campaign.epistemic.method == "corners":
+                yield self._sensitivity(stage)
+
+    # One method a command, each beside what it depends on.
+
+    def _instrument(self, model: _Model) -> Stage:
+        target = self.out / "instrument" / find_aircraft(model.folder).name
+        words = ["instrument", model.word, "--out", str(target), *(["--air"] if self.spec.study.air else [])]
+        return self._stage(
+            "instrument",
+            "instrument",
+            target,
+            words,
+            {model.label: model.folder},
+            [target],
+            {"air": self.spec.study.air},
+        )
+
+    def _fly(self, item: FlySection, number: int) -> Stage:
+        out = self.out / "flights" / f"{item.name}.bin"
+        truth = self._aircraft(item.aircraft, "fly", number, "aircraft")
+        script = self._script(item.script, "fly", number, "script")
+        words = ["fly", truth.word, "--script", _shown(script), "--seed", str(item.seed)]
+        words += ["--turbulence", item.turbulence, "--turbulence-source", item.turbulence_source]
+        words += ["--wind-mps", f"{item.wind_mps!r}", "--wind-from-deg", f"{item.wind_from_deg!r}"]
+        words += [] if item.duration_s is None else ["--duration-s", f"{item.duration_s!r}"]
+        words += ["--rate-hz", f"{item.rate_hz!r}", *(["--noise"] if item.noise else [])]
+        for name, value in item.set.items():
+            words += ["--set", f"{name}={value!r}"]
+        options = item.model_dump(mode="json", exclude={"aircraft", "script"})
+        inputs = {truth.label: truth.folder, f"{item.script} (script)": script}
+        return self._stage(f"fly-{item.name}", "fly", out.parent, [*words, "--out", str(out)], inputs, [out], options, owns=[out])
+
+    def _import(self, name: str, log: Path, model: _Model, own: LogSection | None, number: int = 0) -> Stage:
+        out = self.records[name]
+        words = ["log", "import", _shown(log), "--out", str(out), "--aircraft", model.word, "--no-cache"]
+        inputs = {self._label(log) if own is None else own.file: log, model.label: model.folder}
+        for option in ("map", "manoeuvres"):
+            text = None if own is None else getattr(own, option)
+            if text is not None:
+                path = self._file(text, "logs", number, option)
+                words += [f"--{option}", _shown(path)]
+                inputs[f"{text} ({option})"] = path
+        return self._stage(f"import-{name}", "import", out.parent, words, inputs, [out], {}, owns=[out])
+
+    def _identify(self, section: IdentifySection, model: _Model) -> Stage:
+        out = self.out / "identify"
+        words = ["identify", model.word, *self._flight_words(section.flights), "--out", str(out)]
+        words += ["--start", section.start, "--method", section.method, "--servos", self.spec.study.servos]
+        for option in ("params", "biases", "delays"):
+            value = getattr(section, option)
+            if value is not None and option != "params":
+                self._tried(partial(parse_channels, f"--{option}"), ",".join(value), "identify", option)
+            words += [] if value is None else [f"--{option}", ",".join(value) or "none"]
+        options = section.model_dump(mode="json") | {"servos": self.spec.study.servos}
+        inputs = {model.label: model.folder} | self._flight_inputs(section.flights)
+        return self._stage("identify", "identify", out, words, inputs, [out / "fit.json", out / "aircraft"], options, workers=True)
+
+    def _compare(self, flight: str, model: _Model, when: str) -> Stage:
+        name = f"compare-{flight}-{when}"
+        out = self.out / name
+        words = [
+            "compare",
+            model.word,
+            *self._flight_words([flight]),
+            "--servos",
+            self.spec.study.servos,
+            "--out",
+            str(out),
+        ]
+        inputs = {model.label: model.folder} | self._flight_inputs([flight])
+        options = {"servos": self.spec.study.servos}
+        return self._stage(name, "compare", out, words, inputs, [out / "compare.json"], options, workers=True)
+
+    def _bounds(self, section: BoundsSection, model: _Model, when: str) -> Stage:
+        name = f"bounds-{when}"
+        out = self.out / name
+        texts = {o: [f"{c}={','.join(names)}" for c, names in getattr(section, o).items()] for o in ("states", "terms")}
+        for option, given in texts.items():
+            if given:
+                states, terms = (given, []) if option == "states" else ([], given)
+                self._tried(lambda pair: parse_designs(pair[0], pair[1], 2, False), (states, terms), "bounds", option)
+        words = ["bounds", model.word, *self._flight_words(section.flights), "--out", str(out)]
+        words += ["--confidence", f"{section.confidence!r}", "--order", str(section.order), "--select", section.select]
+        words += ["--samples", section.samples, "--outside", section.outside, "--servos", self.spec.study.servos]
+        for option in ("cutoff_hz", "airspeed_cutoff_hz", "walk_cutoff_hz"):
+            words += [f"--{option.replace('_', '-')}", f"{getattr(section, option)!r}"]
+        words += [word for option, given in texts.items() for text in given for word in (f"--{option}", text)]
+        words += ["--roll-terms"] if section.roll_terms else []
+        words += [] if section.checks else ["--no-checks"]
+        options = section.model_dump(mode="json", exclude={"validate_on"}) | {"servos": self.spec.study.servos}
+        inputs = {model.label: model.folder} | self._flight_inputs(section.flights)
+        outputs = [out / "model-form.json", out / "model-form.xml"]
+        return self._stage(name, "bounds", out, words, inputs, outputs, options)
+
+    def _validate(self, flights: Sequence[str], form: Path, model: _Model, when: str) -> Stage:
+        name = f"validate-{when}"
+        out = self.out / name
+        words = ["validate-bounds", model.word, str(form), *self._flight_words(flights)]
+        words += ["--servos", self.spec.study.servos, "--out", str(out)]
+        inputs = {model.label: model.folder, self._label(form): form} | self._flight_inputs(flights)
+        options = {"servos": self.spec.study.servos, "flights": list(flights)}
+        return self._stage(name, "validate-bounds", out, words, inputs, [out / "coverage.json"], options)
+
+    def _campaign(self, model: _Model, form: Path | None, when: str) -> Stage:
+        spec = self.spec
+        assert spec.campaign is not None
+        name = f"campaign-{when}"
+        out, file = self.out / name, self.out / f"{name}.toml"
+        data = {section: dict(content) for section, content in spec.campaign_data.items()}
+        inside = model.folder.is_relative_to(self.out)
+        data["campaign"] |= {"aircraft": model.folder.relative_to(self.out).as_posix() if inside else str(model.folder)}
+        options = {**data, "campaign": {k: v for k, v in data["campaign"].items() if k != "aircraft"}}
+        inputs = {model.label: model.folder}
+        if spec.campaign.start is None:
+            script = self._script(data["campaign"]["mission"], "campaign", "mission")
+            inputs[f"{data['campaign']['mission']} (script)"] = script
+            data["campaign"]["mission"] = str(script)
+        if form is not None:
+            data["epistemic"]["bounds"] = form.relative_to(self.out).as_posix()
+            inputs[self._label(form)] = form
+        elif isinstance(data["epistemic"].get("bounds"), str):
+            given = self._file(data["epistemic"]["bounds"], "epistemic", "bounds")
+            inputs[f"{data['epistemic']['bounds']} (bounds)"] = given
+            data["epistemic"]["bounds"] = str(given)
+        words = ["campaign", "run", str(file), "--out", str(out)]
+        outputs = [out / n for n in ("cases.parquet", "pbox.parquet", "excursions.csv", "statements.csv")]
+        return self._stage(
+            name, "campaign", out, words, inputs, outputs, options, resumes=True, workers=True, writes=(file, data),
+            belongs=None if form is None else (form, model.folder),
+        )  # fmt: skip
+
+    def _sensitivity(self, campaign: Stage) -> Stage:
+        folder = self.out / campaign.folder
+        cases = campaign.outputs[0]
+        return self._stage(
+            campaign.name.replace("campaign", "sensitivity"), "sensitivity", folder, ["sensitivity", str(folder)],
+            {self._label(cases): cases}, [folder / "sensitivity.csv"], {}, owns=[folder / "sensitivity.csv"],
+        )  # fmt: skip
+
+    def _refine(self, model: _Model) -> Stage:
+        section = self.spec.refine
+        assert section is not None
+        out = self.out / "refine"
+        words = ["refine", model.word]
+        for option, names in (("--train", section.train), ("--test", section.test)):
+            words += [word for name in names for word in (option, str(self.records[name]))]
+        words += ["--servos", self.spec.study.servos, "--out", str(out)]
+        # The study's own campaigns are the p-boxes before and after.
+        words += [] if self.spec.campaign is None else ["--no-pbox"]
+        inputs = {model.label: model.folder} | self._flight_inputs((*section.train, *section.test))
+        if section.effects is not None:
+            path = self._file(section.effects, "refine", "effects")
+            words += ["--effects", _shown(path)]
+            inputs[f"{section.effects} (effects)"] = path
+        options = section.model_dump(mode="json", exclude={"effects"}) | {"servos": self.spec.study.servos}
+        options["pbox"] = self.spec.campaign is None
+        outputs = [out / "refinement.json", out / "aircraft" / model.folder.name]
+        return self._stage("refine", "refine", out, words, inputs, outputs, options, resumes=True, workers=True)
+
+    def _stage(
+        self, name: str, kind: str, folder: Path, words: Sequence[str], inputs: Mapping[str, Path], outputs: Sequence[Path],
+        options: Mapping[str, Any], owns: Sequence[Path] | None = None, **rest: Any,
+    ) -> Stage:  # fmt: skip
+        return Stage(
+            name, kind, folder.relative_to(self.out).as_posix(), tuple(words), dict(inputs), tuple(outputs), dict(options),
+            tuple([folder] if owns is None else owns), **rest,
+        )  # fmt: skip
+
+    def _flight_words(self, names: Sequence[str]) -> list[str]:
+        return [word for name in names for word in ("--flight", str(self.records[name]))]
+
+    def _flight_inputs(self, names: Sequence[str]) -> dict[str, Path]:
+        return {self._label(self.records[name]): self.records[name] for name in names}
+
+    def _label(self, path: Path) -> str:
+        """Name of something that a stage leaves: the same from whichever folder the study is run."""
+        return path.relative_to(self.out).as_posix()
+
+    def _model(self, folder: Path) -> _Model:
+        return _Model(str(folder), folder, self._label(folder))
+
+    def _aircraft(self, name: str, *location: str | int) -> _Model:
+        """A folder relative to the study's file, else as every command finds an aircraft."""
+        beside = self.spec.beside(name)
+        try:
+            if beside.is_dir():
+                return _Model(_shown(beside), find_aircraft(beside).folder, name)
+            return _Model(name, find_aircraft(name).folder, name)
+        except BadInputError as error:
+            raise self._refused(error, *location) from None
+
+    def _script(self, name: str, *location: str | int) -> Path:
+        """A run script relative to the study's file, else as every command finds one."""
+        beside = self.spec.beside(name)
+        try:
+            return beside.resolve() if beside.is_file() else find_script(name)
+        except BadInputError as error:
+            raise self._refused(error, *location) from None
+
+    def _file(self, name: str, *location: str | int) -> Path:
+        path = self.spec.beside(name)
+        if not path.is_file():
+            raise self._refused(f'"{name}" is no file beside {self.spec.path.name}, in {self.spec.folder}', *location)
+        return path
+
+    def _tried(self, read: Callable[[Any], object], value: object, *location: str) -> None:
+        """Let a command's own reader look at an option now, not minutes later. Raises BadInputError."""
+        try:
+            read(value)
+        except BadInputError as error:
+            raise self._refused(error, *location) from None
+
+    def _refused(self, why: object, *location: str | int) -> BadInputError:
+        section = f"[[{location[0]}]]" if isinstance(location[1], int) else f"[{location[0]}]"
+        return BadInputError(f"{self.spec.path}:{line_of(self.spec.source, location)}: {section} {location[-1]}: {why}")
+
+
+def _carries_plugin(aircraft: Aircraft) -> bool:
+    try:
+        system_file(aircraft)
+    except BadInputError:
+        return False
+    return True
+
+
+def _shown(path: Path) -> str:
+    """A path as a shell in this folder would name it, where it lies below; else in full."""
+    here, absolute = Path.cwd(), Path(os.path.abspath(path))
+    return str(absolute.relative_to(here)) if absolute.is_relative_to(here) else str(absolute)

@@ -1,0 +1,162 @@
+"""What is wrong with a TOML file, said of the file: section, key, line, what was received, what is allowed."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from sysid.foreign.parsed_text import ParseError, parse_toml
+from sysid.foreign.regular_files import read_regular_text
+from uqharness.errors import BadInputError
+
+
+def read_toml(path: Path) -> tuple[dict[str, Any], str]:
+    """Content and text of a TOML file. Raises BadInputError with file and line."""
+    try:
+        text = read_regular_text(path)
+    except UnicodeDecodeError:
+        raise BadInputError(f"{path}: not a text file in UTF-8") from None
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    try:
+        return parse_toml(text), text
+    except ParseError as error:
+        raise BadInputError(f"{path}:{error.line or 1}: {error}") from None
+
+
+def explain(document: type[BaseModel], text: str, data: dict[str, Any], error: dict[str, Any]) -> tuple[int, str]:
+    """(line, sentence) of one of pydantic's errors about ``data``, which was read from ``text`` and validated as ``document``."""
+    location = _real_path(data, error["loc"], missing_too=error["type"] == "missing")
+    line = line_of(text, location)
+    name = _name(location)
+    if error["type"] == "extra_forbidden":
+        known = _known_keys(document, location[:-1])
+        near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]}? " if near else ""
+        return line, f"{name}: unknown {'section' if len(location) == 1 else 'key'}; {hint}allowed: {', '.join(known)}"
+    if error["type"] == "missing":
+        return line, f"{name}: required and not there"
+    message = error["msg"].removeprefix("Value error, ").replace("Input should", "must")
+    received = error.get("input")
+    # A whole table echoed back would bury the sentence, which names the part that matters.
+    shown = "" if isinstance(received, dict) else f"; received {as_toml(received)}"
+    return line, f"{name}: {message}{shown}"
+
+
+def _name(location: tuple[Any, ...]) -> str:
+    """``[aleatory] wind_mps`` or ``[epistemic.parameters] fit``; the file itself for no location."""
+    if not location:
+        return "the file"
+    if len(location) >= 2 and isinstance(location[1], int) and (location[0],) in _TABLES:
+        return " ".join([f"[[{location[0]}]] number {location[1] + 1}", dotted(location[2:])]).strip()
+    if len(location) >= 2 and (location[0], location[1]) in _SUBSECTIONS:
+        depth = _SUBSECTIONS[location[0], location[1]]
+        return " ".join([f"[{dotted(location[:depth])}]", dotted(location[depth:])]).strip()
+    return " ".join([f"[{dotted(location[:1])}]", dotted(location[1:])]).strip()
+
+
+def dotted(parts: tuple[Any, ...]) -> str:
+    """Parts of a key as TOML writes them."""
+    plain = re.compile(r"[\w-]+")
+    return ".".join(t if plain.fullmatch(t) else json.dumps(t, ensure_ascii=False) for t in map(str, parts))
+
+
+# Tables that a file writes as sections of their own, and how many parts their headers have.
+_SUBSECTIONS = {("epistemic", "parameters"): 2, ("aleatory", "variables"): 3}
+# Sections that a file repeats: [[fly]].
+_TABLES = {("fly",), ("logs",)}
+
+
+def _known_keys(document: type[BaseModel], section: tuple[Any, ...]) -> list[str]:
+    model: Any = document
+    parts = iter(section)
+    for name in parts:
+        if isinstance(name, int):  # one of the tables of that name
+            continue
+        annotation = model.model_fields[name].annotation
+        model = _model_within(annotation)
+        if getattr(annotation, "__origin__", None) is dict:
+            next(parts, None)  # a name of the user's choice
+    return list(model.model_fields)
+
+
+def _model_within(annotation: Any) -> Any:
+    """The model of an annotation such as ``Model``, ``Model | None`` or ``dict[str, Model]``."""
+    if hasattr(annotation, "model_fields"):
+        return annotation
+    found = [_model_within(part) for part in getattr(annotation, "__args__", ())]
+    return next((part for part in found if hasattr(part, "model_fields")), annotation)
+
+
+def _real_path(data: Any, location: tuple[Any, ...], missing_too: bool) -> tuple[Any, ...]:
+    """``location`` without pydantic's own marks (names of union members): the part that exists in the file."""
+    found: list[Any] = []
+    for position, part in enumerate(location):
+        in_list = isinstance(data, list) and isinstance(part, int) and part < len(data)
+        if in_list or (isinstance(data, dict) and part in data):
+            data = data[part]
+            found.append(part)
+        elif missing_too and position == len(location) - 1:
+            found.append(part)
+    return tuple(found)
+
+
+def line_of(text: str, location: tuple[Any, ...]) -> int:
+    """Line of a key; of its section's header where the key is missing; 1 where that is missing too.
+
+    Reads headers with quoted parts, dotted keys and inline tables that span lines; a string over several lines is not looked into.
+    """
+    wanted = [str(part) for part in location]
+    best_depth, best_line = 0, 1
+    section: list[str] = []
+    tables: dict[str, int] = {}
+    inside: list[str] = []  # the key whose inline table or list may go on over the next lines
+    for number, raw in enumerate(text.splitlines(), start=1):
+        line = raw.strip()
+        header = re.match(r"\[((?:\"[^\"]*\"|'[^']*'|[^\]\"'\[])+)\]\s*(#.*)?$", line)
+        table = re.match(r"\[\[\s*([\w-]+)\s*\]\]\s*(#.*)?$", line)
+        if table:
+            name = table.group(1)
+            tables[name] = tables.get(name, -1) + 1
+            section, inside = [name, str(tables[name])], []
+            depth = _common(section, wanted)
+        elif header:
+            section, inside = _parts(header.group(1)), []
+            depth = _common(section, wanted)
+        else:
+            key = re.match(r"((?:[\w-]+|\"[^\"]*\"|'[^']*')(?:\s*\.\s*(?:[\w-]+|\"[^\"]*\"|'[^']*'))*)\s*=", line)
+            if key:
+                inside = section + _parts(key.group(1))
+            depth = _common(inside, wanted) if key else 0
+            # A key within an inline table that spans lines is nearer the mistake than the table's first line.
+            if _common(inside, wanted) == len(inside) < len(wanted) and inside:
+                mark = rf"(?:^|[{{,\s])[\"']?{re.escape(wanted[len(inside)])}[\"']?\s*="
+                depth = len(inside) + 1 if re.search(mark, line) else depth
+        if depth > best_depth:
+            best_depth, best_line = depth, number
+    return best_line
+
+
+def _parts(name: str) -> list[str]:
+    """Parts of a dotted key or header, quotes taken off."""
+    return ["".join(found) for found in re.findall(r"\"([^\"]*)\"|'([^']*)'|([^.\s\"']+)", name)]
+
+
+def _common(found: list[str], wanted: list[str]) -> int:
+    """Parts that agree, or 0 if ``found`` leads elsewhere."""
+    shorter = min(len(found), len(wanted))
+    return shorter if found[:shorter] == wanted[:shorter] else 0
+
+
+def as_toml(value: Any) -> str:
+    """A value as it would stand in the file."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, (tuple, list)):
+        return "[" + ", ".join(map(as_toml, value)) + "]"
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)

@@ -1,0 +1,1 @@
+"""JSBSim XML: documents edited as a hand would, expressions, the aerodynamics section."""

@@ -1,0 +1,287 @@
+"""XML files edited as text: where each element stands in the bytes, and insertions that leave every other byte alone.
+
+A parsed and re-serialised tree loses the author's quotes, indentation, line ends and encoding. Here expat says at which byte an
+element begins and ends, and an edit is a piece of text put at a byte.
+"""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from xml.parsers import expat
+
+from sysid.foreign.regular_files import read_regular
+from uqharness.errors import BadInputError
+from uqharness.simulator.gate import tag_end
+
+
+@dataclass(eq=False)
+class Node:
+    """An element of the file.
+
+    ``start`` is the byte of its ``<``, ``open_end`` the byte behind its start tag's ``>``, ``close_start`` the byte of ``</``,
+    ``end`` the byte behind it all. For ``<a/>`` the last three are equal. ``text`` is its own character data, children's left out;
+    lines count from 1.
+    """
+
+    tag: str
+    attributes: dict[str, str]
+    line: int
+    start: int
+    parent: Node | None = None
+    open_end: int = -1
+    close_start: int = -1
+    end: int = -1
+    text: str = ""
+    children: list[Node] = field(default_factory=list)
+
+    @property
+    def empty_tag(self) -> bool:
+        """Whether it is written ``<a/>``."""
+        return self.open_end == self.end
+
+    def find(self, tag: str) -> Node | None:
+        """First child of that name."""
+        return next((child for child in self.children if child.tag == tag), None)
+
+    def all(self, tag: str) -> list[Node]:
+        """Children of that name."""
+        return [child for child in self.children if child.tag == tag]
+
+    def walk(self) -> Iterator[Node]:
+        """The element and all below it, in the order of the text."""
+        yield self
+        for child in self.children:
+            yield from child.walk()
+
+
+@dataclass(frozen=True)
+class Document:
+    """A file's bytes and the elements in them."""
+
+    path: Path
+    raw: bytes
+    root: Node
+
+    def where(self, node: Node) -> str:
+        """``file:line`` for an error message."""
+        return f"{self.path}:{node.line}"
+
+    @property
+    def newline(self) -> bytes:
+        """The line end that most lines of the file have."""
+        crlf = self.raw.count(b"\r\n")
+        return b"\r\n" if crlf * 2 > self.raw.count(b"\n") else b"\n"
+
+    @property
+    def encoding(self) -> str:
+        """As the XML declaration has it; UTF-8 without one."""
+        said = re.match(rb"(?:\xef\xbb\xbf)?<\?xml[^>]*?\bencoding\s*=\s*[\"']([^\"']+)[\"']", self.raw)
+        return said.group(1).decode("ascii", errors="replace") if said else "utf-8"
+
+    def encoded(self, text: str) -> bytes:
+        """``text`` as the file would have it; what its encoding does not know becomes a character reference."""
+        return text.encode(self.encoding, errors="xmlcharrefreplace")
+
+    def indent(self, node: Node) -> str:
+        """White space before the element on its line; empty if something else stands there."""
+        # A file may be one line of megabytes: what is looked at is the white space alone.
+        begin = node.start
+        while begin and self.raw[begin - 1] in b" \t":
+            begin -= 1
+        return self.raw[begin : node.start].decode("ascii") if not begin or self.raw[begin - 1] == 0x0A else ""
+
+    def step(self) -> str:
+        """One level of the author's indentation: the shortest a child of the root has, two spaces if none is indented."""
+        steps = [self.indent(child) for child in self.root.children]
+        steps = [s.removeprefix(self.indent(self.root)) for s in steps if s != self.indent(self.root)]
+        return min((s for s in steps if s), key=len, default="  ")
+
+
+def read_document(path: Path) -> Document:
+    """Read and parse; BadInputError with file and line if it is not well formed, or in an encoding that is not edited here."""
+    try:
+        return parse_document(path, read_regular(path))
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def parse_document(path: Path, raw: bytes) -> Document:
+    """The same for bytes at hand; ``path`` is for messages."""
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise BadInputError(f"{path}:1: UTF-16 is not edited here; save the file as UTF-8 or ISO-8859-1")
+    parser = expat.ParserCreate()
+    # Text comes line by line otherwise, and is copied as often.
+    parser.buffer_text, parser.buffer_size = True, 1 << 20
+    stack: list[Node] = []
+    top: list[Node] = []
+
+    def opened(tag: str, attributes: dict[str, str]) -> None:
+        parent = stack[-1] if stack else None
+        node = Node(tag, attributes, parser.CurrentLineNumber, parser.CurrentByteIndex, parent)
+        node.open_end = tag_end(raw, node.start)
+        (parent.children if parent is not None else top).append(node)
+        stack.append(node)
+
+    def closed(_: str) -> None:
+        node = stack.pop()
+        at = parser.CurrentByteIndex
+        if raw[node.open_end - 2 : node.open_end] == b"/>":
+            node.close_start = node.end = node.open_end
+        else:
+            node.close_start, node.end = at, tag_end(raw, at)
+
+    def characters(data: str) -> None:
+        if stack:
+            stack[-1].text += data
+
+    parser.StartElementHandler = opened
+    parser.EndElementHandler = closed
+    parser.CharacterDataHandler = characters
+    try:
+        parser.Parse(raw, True)
+    except expat.ExpatError as error:
+        raise BadInputError(f"{path}:{error.lineno}: not well-formed XML: {expat.ErrorString(error.code)}") from None
+    for node in top[0].walk():
+        # An element that came out of an entity has no place of its own in the bytes.
+        if not re.match(rb"<" + re.escape(node.tag.encode()) + rb"[\s/>]", raw[node.start : node.open_end]):
+            raise BadInputError(f"{path}:{node.line}: <{node.tag}> comes from an entity; such a file is not edited here")
+    return Document(path, raw, top[0])
+
+
+@dataclass(frozen=True)
+class Insertion:
+    """``text`` (final line ends) put before byte ``at`` in place of ``removed`` bytes.
+
+    Where ``<a/>`` is opened for a child, ``opening`` and ``closing`` are the tags' new parts around the text.
+    """
+
+    at: int
+    text: bytes
+    removed: bytes = b""
+    opening: bytes = b""
+    closing: bytes = b""
+
+
+def append_child(document: Document, parent: Node, lines: list[str]) -> Insertion:
+    """``lines`` (indented relative to one another) as the last child of ``parent``, in the author's indentation and line ends."""
+    newline = document.newline.decode()
+    outer = document.indent(parent)
+    inner = document.indent(parent.children[-1]) if parent.children else ""
+    inner = inner or outer + document.step()
+    step = document.step()
+    block = newline.join(_indented(line, inner, step) for line in lines)
+    if parent.empty_tag:
+        slash = document.raw.rindex(b"/", parent.start, parent.open_end)
+        opening, closing = document.encoded(f">{newline}"), document.encoded(f"{outer}</{parent.tag}>")
+        return Insertion(slash, document.encoded(f"{block}{newline}"), document.raw[slash : parent.open_end], opening, closing)
+    begin = document.raw.rfind(b"\n", 0, parent.close_start) + 1
+    if document.raw[begin : parent.close_start].strip(b" \t"):
+        return Insertion(parent.close_start, document.encoded(f"{newline}{block}{newline}{outer}"))
+    return Insertion(begin, document.encoded(f"{block}{newline}"))
+
+
+def before(document: Document, node: Node, lines: list[str]) -> Insertion:
+    """``lines`` as siblings before ``node``, on lines of their own."""
+    newline, indent, step = document.newline.decode(), document.indent(node), document.step()
+    block = newline.join(_indented(line, indent, step) for line in lines)
+    begin = document.raw.rfind(b"\n", 0, node.start) + 1
+    if document.raw[begin : node.start].strip(b" \t"):
+        return Insertion(node.start, document.encoded(f"{newline}{block}{newline}"))
+    return Insertion(begin, document.encoded(f"{block}{newline}"))
+
+
+def after(document: Document, node: Node, lines: list[str]) -> Insertion:
+    """``lines`` as siblings after ``node``, below the line that it ends on (a remark there stays with it)."""
+    newline, indent, step = document.newline.decode(), document.indent(node), document.step()
+    block = newline.join(_indented(line, indent, step) for line in lines)
+    end_of_line = document.raw.find(b"\n", node.end)
+    rest = document.raw[node.end : end_of_line] if end_of_line >= 0 else b""
+    if end_of_line >= 0 and not re.sub(rb"<!--.*?-->", b"", rest).strip():
+        return Insertion(end_of_line + 1, document.encoded(f"{block}{newline}"))
+    return Insertion(node.end, document.encoded(f"{newline}{block}"))
+
+
+def with_text(document: Document, node: Node, text: str) -> Insertion:
+    """The element's own words replaced, white space and comments around them left; an empty element gets them."""
+    old = document.encoded(node.text.strip())
+    at = document.raw.index(old, node.open_end, node.close_start)
+    return Insertion(at, document.encoded(text), old)
+
+
+def with_attribute(document: Document, node: Node, name: str, value: str) -> Insertion:
+    """The value of an attribute that the element has, its quotes left."""
+    tag = document.raw[node.start : node.open_end]
+    found = re.search(rb"\s" + re.escape(name.encode()) + rb"\s*=\s*([\"'])(.*?)\1", tag, re.DOTALL)
+    assert found is not None
+    return Insertion(node.start + found.start(2), document.encoded(value), found.group(2))
+
+
+def remarked(document: Document, node: Node, remark: str) -> Insertion:
+    """A remark behind the element and the remarks that stand behind it on its line."""
+    others = re.compile(rb"(?:[ \t]*<!--(?:(?!-->)[^\n])*-->)*").match(document.raw, node.end)
+    return Insertion(others.end() if others else node.end, document.encoded(f"  {comment(remark)}"))
+
+
+def comment(remark: str) -> str:
+    """``<!-- remark -->``."""
+    return f"<!-- {in_comment(remark)} -->"
+
+
+def in_comment(text: str) -> str:
+    """``text`` without double hyphens, which no XML comment may have."""
+    return re.sub("-(?=-)", "- ", text)
+
+
+def joined(insertions: list[Insertion]) -> list[Insertion]:
+    """In the order of the file, opening and closing made part of the text; children put into the same ``<a/>`` become one."""
+    out: list[Insertion] = []
+    pending: list[Insertion] = []
+    for insertion in [*sorted(insertions, key=lambda item: item.at), None]:
+        if pending and (insertion is None or not insertion.opening or insertion.at != pending[0].at):
+            text = b"".join([pending[0].opening, *(item.text for item in pending), pending[0].closing])
+            out.append(Insertion(pending[0].at, text, pending[0].removed))
+            pending = []
+        if insertion is not None:
+            (pending if insertion.opening else out).append(insertion)
+    return out
+
+
+def apply(document: Document, insertions: list[Insertion]) -> bytes:
+    """The file's bytes with the insertions made; two at the same byte keep their order."""
+    pieces, position = [], 0
+    for insertion in joined(insertions):
+        if insertion.at < position:
+            raise ValueError("insertions overlap")
+        pieces += [document.raw[position : insertion.at], insertion.text]
+        position = insertion.at + len(insertion.removed)
+    return b"".join([*pieces, document.raw[position:]])
+
+
+def _indented(line: str, indent: str, step: str) -> str:
+    """Two leading spaces of ``line`` are one level; they become the author's."""
+    body = line.lstrip(" ")
+    return indent + step * ((len(line) - len(body)) // 2) + body if body else ""
+
+
+def elements(lines: str) -> list[str]:
+    """Lines of a block of text, common indentation and blank lines at its ends removed."""
+    return textwrap.dedent(lines).strip("\n").splitlines()
+
+
+def number(node: Node, what: str, document: Document) -> float:
+    """The element's text as a number; BadInputError with file and line."""
+    try:
+        return float(node.text)
+    except ValueError:
+        raise BadInputError(f"{document.where(node)}: {what} must be a number; received {node.text.strip()!r}") from None
+
+
+def attribute(node: Node, name: str) -> str:
+    """An attribute's value without surrounding white space; empty when it is not there."""
+    value: Any = node.attributes.get(name, "")
+    return str(value).strip()
