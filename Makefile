@@ -2,7 +2,9 @@
 # Needs only Python >= 3.11 and make.
 PYTHON ?= python3
 VENV   := .venv
-PY     := $(VENV)/bin/python
+# Windows keeps a virtual environment's programs elsewhere.
+BIN    := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
+PY     := $(BIN)/python
 STAMP  := $(VENV)/.installed
 
 .PHONY: setup demo test test-slow test-browser fuzz docs lint lock bench clean
@@ -17,11 +19,12 @@ $(STAMP): requirements.lock pyproject.toml
 	@touch $(STAMP)
 
 demo: setup
-	$(VENV)/bin/uqharness study campaigns/chain/chain.toml --out campaigns/chain/results
+	$(BIN)/uqharness study campaigns/chain/chain.toml --out campaigns/chain/results
 
 lint: setup
-	$(VENV)/bin/ruff check .
-	$(VENV)/bin/mypy
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
 
 test: setup lint
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 -m "not slow and not browser"

@@ -27,6 +27,11 @@ def shortened(text: str) -> str:
     return "\n".join(x if len(x) <= MOST_CHARACTERS else f"{x[:head]} [...] {x[-tail:]}" for x in lines)
 
 
+def in_a_line(error: BaseException) -> str:
+    """What went wrong, short and without line ends."""
+    return " ".join(str(error).split())[:200] or type(error).__name__
+
+
 class LogError(ValueError):
     """A log, map or card that cannot be used. Says what was received, what is allowed, what to do next."""
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.errors import Finding, LogError, finding_from_dict
+from sysid.errors import Finding, LogError, finding_from_dict, in_a_line
 from sysid.foreign.limited import read_record
 from sysid.foreign.parsed_text import parse_json
 from sysid.vocabulary import LABELS, SIGNALS
@@ -217,12 +217,8 @@ class FlightRecord:
         try:
             metadata = Metadata.from_json(meta) if meta else Metadata(source=path.name, dialect="record")
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as e:
-            raise LogError(f"its metadata is damaged ({_one_line(e)}); write the record again", path) from None
+            raise LogError(f"its metadata is damaged ({in_a_line(e)}); write the record again", path) from None
         try:
             return cls(columns, metadata)
         except LogError as e:
             raise LogError(str(e), path) from None
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:160]

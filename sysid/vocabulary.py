@@ -1,7 +1,7 @@
 """The one vocabulary: every signal a flight record may hold, its unit, sign and plausible range.
 
-Where a signal comes from in each log dialect stands in `signal_maps/*.toml`; `python -m sysid.logs.vocabulary_table`
-prints both as the table of docs/logs.md.
+Where a signal comes from in each log dialect stands in `signal_maps/*.toml`; `sysid.logs.vocabulary_table`
+makes both the table of docs/logs.md.
 """
 
 from __future__ import annotations

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.helpers.places import TESTS
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
 from uqharness.simulator.staging import staged
@@ -23,3 +26,17 @@ def load_mission() -> Callable[..., Any]:
         return fdm
 
     return load
+
+
+@pytest.fixture(scope="session")
+def card_path() -> Path:
+    return TESTS / "sysid" / "data" / "airframe.toml"
+
+
+@pytest.fixture(scope="session")
+def flight_data() -> Path:
+    """Folder with genuine logs, named by the environment."""
+    folder = os.environ.get("UQ_FLIGHT_DATA")
+    if not folder or not Path(folder).is_dir():
+        pytest.skip("set UQ_FLIGHT_DATA to the folder with espaaro-ardupilot/ and pyulog/ to run on genuine logs")
+    return Path(folder)

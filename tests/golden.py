@@ -26,6 +26,7 @@ ASIDE = frozenset(
     {
         "command",
         "commands",
+        "version",
         "versions",
         "campaign_file",
         "path",
@@ -37,6 +38,8 @@ ASIDE = frozenset(
         "seconds",
     }
     | {"elapsed_s", "time_s", "made_by", "hash", "key", "source", "model"}
+    # An aircraft's identity, whose remarks name the command that wrote it.
+    | {"sha256"}
     | {"simulations_per_s", "flight_s_per_s", "bare_flight_s_per_s"}
 )
 CAMPAIGN = """
@@ -128,7 +131,7 @@ def content(path: Path, root: Path) -> Any:
     if path.suffix == ".json":
         return without(json.loads(text))
     # Remarks in an XML name the command and the flights.
-    return re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL) if path.suffix == ".xml" else text
+    return re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL) if path.suffix in (".xml", ".diff") else text
 
 
 def without(value: Any) -> Any:

@@ -1,3 +1,12 @@
-"""JSBSim side of the chain: aircraft, flights, campaigns, p-boxes and the command line."""
+"""Flight-model uncertainty for JSBSim: identification, bounds of what a model does not know, campaigns, p-boxes, refinement.
 
-__version__ = "0.2.0.dev0"
+    import uqharness as uq
+
+Names are loaded at their first use, so that the import takes some milliseconds and loads no numerical library. They stand in
+__init__.pyi.
+"""
+
+import lazy_loader
+
+__version__ = "0.2.0"
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

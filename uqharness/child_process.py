@@ -1,20 +1,32 @@
-"""What every worker process of this program is started with: one thread for linear algebra, nothing from the working folder."""
+"""Child processes: what every one of this program is started with, a module of this program run in one, and how it ended.
+
+A foreign aircraft may end the interpreter that loads it, or never come back: whatever loads one first runs as ``python -m`` of its
+own, with a time limit, and answers with a line of JSON.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
-from collections.abc import Iterator
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
-# BLAS would start a thread per core in each of many workers, and they would fight. And Python puts the working folder before
-# everything else where code is handed to it on the command line, as multiprocessing does: a `socket.py` there would be imported.
-CHILD_ENVIRONMENT = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "NUMEXPR_NUM_THREADS": "1",
-    "PYTHONSAFEPATH": "1",
-}
+from sysid.foreign.parsed_text import ParseError, parse_json
+from sysid.parallel import ONE_THREAD
+
+# Python puts the working folder before everything else where code is handed to it on the command line, as multiprocessing does: a
+# `socket.py` there would be imported.
+CHILD_ENVIRONMENT = {**ONE_THREAD, "PYTHONSAFEPATH": "1"}
+_ANSWER = "uqharness-answer "
+_LAST_WORDS = 300
+_one_at_a_time = threading.RLock()
 
 
 @contextlib.contextmanager
@@ -30,3 +42,86 @@ def child_settings() -> Iterator[None]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+@contextlib.contextmanager
+def main_not_imported() -> Iterator[None]:
+    """Processes spawned inside do not run the script again that this one was started with, guard or not.
+
+    What they are to do must then come from a module: nothing that the script defines is known to them.
+    """
+    script = vars(sys.modules["__main__"])
+    with _one_at_a_time:
+        before: dict[str, Any] = {name: script[name] for name in ("__file__", "__spec__") if name in script}
+        script.pop("__file__", None)
+        script["__spec__"] = None
+        try:
+            yield
+        finally:
+            script.update(before)
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a child ended.
+
+    code    exit code, minus the number of the signal that ended it; None where it was killed because its time was over
+    answer  what it said by `give_answer`; empty where it did not
+    said    what else it, or a library in it, wrote to standard output, in one line
+    errors  the end of what it wrote to standard error, in one line
+    """
+
+    code: int | None
+    answer: Mapping[str, Any]
+    said: str
+    errors: str
+
+
+def run_module(module: str, *arguments: object, timeout_s: float) -> Ended:
+    """Run ``python -m module arguments`` and wait for its end, for at most ``timeout_s`` seconds."""
+    command = [sys.executable, "-m", module, *map(str, arguments)]
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, errors="replace", timeout=timeout_s, env=child_environment(), check=False
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return Ended(None, {}, "", "")
+    lines = done.stdout.splitlines()
+    answers = [line.removeprefix(_ANSWER) for line in lines if line.startswith(_ANSWER)]
+    said = " ".join(" ".join(line for line in lines if not line.startswith(_ANSWER)).split())
+    # Where Python is started by a script, that tells of a signal by 128 and its number.
+    code = 128 - done.returncode if done.returncode >= 128 else done.returncode
+    return Ended(code, _answer(answers[-1:]), said, " ".join(done.stderr.split())[-_LAST_WORDS:])
+
+
+def give_answer(answer: Mapping[str, Any]) -> None:
+    """In the child: the answer that `run_module` hands to the parent. The last one counts."""
+    # A library may have written half a line.
+    sys.stdout.write(f"\n{_ANSWER}{json.dumps(answer)}\n")
+    sys.stdout.flush()
+
+
+def _answer(lines: list[str]) -> Mapping[str, Any]:
+    try:
+        found = parse_json(lines[0]) if lines else {}
+    except ParseError:
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def ending(code: int | None) -> str:
+    """A process's exit code in words: "exit code 3", "signal 11 (SIGSEGV)"."""
+    if code is None or code >= 0:
+        return f"exit code {code}"
+    try:
+        return f"signal {-code} ({signal.Signals(-code).name})"
+    except ValueError:
+        return f"signal {-code}"
+
+
+def child_environment() -> dict[str, str]:
+    """The environment in which ``python -m`` finds this package, wherever it was imported from, and nothing of its folder."""
+    here = str(Path(__file__).resolve().parents[1])
+    foreign = {"", os.curdir, os.getcwd()}
+    places = [here, *(place for place in sys.path if place not in foreign)]
+    return os.environ | CHILD_ENVIRONMENT | {"PYTHONPATH": os.pathsep.join(places)}

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import json
+import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from uqharness.errors import BadInputError
 
@@ -38,6 +41,27 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
 def write_bytes(path: Path, content: bytes) -> None:
     """The same for content that is at hand."""
     write_whole(path, lambda target: target.write_bytes(content))
+
+
+def write_text(path: Path, text: str) -> None:
+    """The same for a text, as UTF-8."""
+    write_bytes(path, text.encode())
+
+
+def write_json(path: Path, document: Mapping[str, Any]) -> None:
+    """The same for a document as JSON, which is :func:`finite` already."""
+    write_text(path, json.dumps(document, indent=1) + "\n")
+
+
+def finite(value: Any) -> Any:
+    """A document, or a part of it, with null for numbers that are not finite: what JSON can hold."""
+    if isinstance(value, Mapping):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return value
 
 
 def inner_folder(folder: Path, *parts: str) -> Path:
@@ -80,3 +104,26 @@ def check_folder(path: Path) -> None:
     check_out(path)
     if path.exists() and not path.is_dir():
         raise BadInputError(f"--out {path}: exists and is no folder")
+
+
+def lock_at_once(descriptor: int) -> bool:
+    """Take the lock of an open, writable file; False if another process has it. The system drops it when this process ends.
+
+    It is a record lock: children do not inherit it, a second one of the same process succeeds, and closing any handle of that
+    file in this process gives it back.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        import msvcrt
+
+        try:
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+        except OSError:
+            return False
+        return True
+    try:
+        fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True

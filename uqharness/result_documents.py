@@ -65,6 +65,7 @@ class Parameter(Part):
 class FitChannel(Spread):
     """A channel of fit.json."""
 
+    whiteness_p: Number = None
     predictable_share: Number = None
 
 
@@ -157,6 +158,8 @@ class Coverage(Part):
 
     coverage: Annotated[dict[str, Share], Field(min_length=1)]
     errors: dict[str, Numbers] = Field(default_factory=dict)
+    outside_data: Numbers = Field(default_factory=dict)
+    manoeuvres: dict[str, dict[str, Numbers]] = Field(default_factory=dict)
     failed: list[str] = Field(default_factory=list)
     warnings: list[str] = Field(default_factory=list)
     notes: list[str] = Field(default_factory=list)
@@ -178,11 +181,21 @@ class Width(Part):
     left_out_share: Number = None
 
 
+class Filters(Part):
+    """Other low-passes tried on bounds, in bounds.json, and what they gave by coefficient."""
+
+    cutoff_hz: Number
+    airspeed_cutoff_hz: Number = None
+    mean_width: Numbers
+    left_out_share: Numbers = Field(default_factory=dict)
+
+
 class Bounds(Part):
     """bounds.json of `uqharness bounds`: what stands beside the model form."""
 
     coefficients: dict[str, Width] = Field(default_factory=dict)
     left_out: dict[str, Numbers] = Field(default_factory=dict)
+    cutoffs: list[Filters] = Field(default_factory=list)
     warnings: list[str] = Field(default_factory=list)
     notes: list[str] = Field(default_factory=list)
     command: str | None = None

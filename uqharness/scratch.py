@@ -23,7 +23,7 @@ from pathlib import Path
 from types import TracebackType
 
 from uqharness.errors import BadInputError
-from uqharness.file_lock import lock_at_once
+from uqharness.files import lock_at_once
 
 LOCK = "owner.lock"
 _NAME = re.compile(r"uqharness-\d+-[a-z0-9_]{8}")

@@ -1,8 +1,14 @@
-"""Tables as lines of text."""
+"""Tables as lines of text, and rows of a CSV table that this program wrote, read back."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import csv
+import io
+import math
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+
+from uqharness.errors import BadInputError
 
 
 def text_table(rows: Sequence[Mapping[str, str]]) -> list[str]:
@@ -10,3 +16,53 @@ def text_table(rows: Sequence[Mapping[str, str]]) -> list[str]:
     keys = list(rows[0])
     width = {k: max(len(k), *(len(r[k]) for r in rows)) for k in keys}
     return ["  ".join(k.rjust(width[k]) for k in keys), *("  ".join(r[k].rjust(width[k]) for k in keys) for r in rows)]
+
+
+def markdown_table(rows: Sequence[Mapping[str, str]]) -> str:
+    """Rows of equal keys as a markdown table."""
+    keys = list(rows[0])
+    lines = ["| " + " | ".join(keys) + " |", "|" + "---|" * len(keys)]
+    return "\n".join([*lines, *("| " + " | ".join(r[k].replace("|", "/") for k in keys) + " |" for r in rows)]) + "\n"
+
+
+def csv_text(rows: Sequence[Mapping[str, str]]) -> str:
+    """Rows of equal keys as CSV."""
+    buffer = io.StringIO()
+    writer = csv.DictWriter(buffer, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return buffer.getvalue()
+
+
+def csv_rows(
+    content: bytes, path: Path, numbers: Collection[str], texts: Collection[str], maybe: Collection[str] = ()
+) -> list[dict[str, str]]:
+    """Rows of a CSV table as text.
+
+    Raises BadInputError where a column is missing, ``numbers`` are none, or what stands in ``maybe`` is neither empty nor a number.
+    """
+    try:
+        reader = csv.DictReader(io.StringIO(content.decode("utf-8"), newline=""))
+        rows = list(reader)
+    except UnicodeDecodeError:
+        raise BadInputError(f"{path}: not a text file in UTF-8") from None
+    except csv.Error as error:
+        raise BadInputError(f"{path}: not a readable CSV table: {error}") from None
+    missing = [name for name in (*numbers, *maybe, *texts) if name not in (reader.fieldnames or ())]
+    if missing:
+        raise BadInputError(f"{path}: has no column {missing[0]}; make the table again")
+    for line, row in enumerate(rows, start=2):
+        wrong = [name for name in (*numbers, *maybe) if not _is_number(row[name], name in maybe)]
+        if wrong or any(row[name] is None for name in texts):
+            name = wrong[0] if wrong else next(name for name in texts if row[name] is None)
+            raise BadInputError(f"{path}:{line}: {name} is {row[name]!r}, which it cannot be; make the table again")
+    return rows
+
+
+def _is_number(text: str | None, may_be_empty: bool) -> bool:
+    if text == "":
+        return may_be_empty
+    try:
+        return text is not None and not math.isnan(float(text))
+    except ValueError:
+        return False

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import json
 import re
 from pathlib import Path
 from typing import Any
@@ -62,8 +61,10 @@ def _name(location: tuple[Any, ...]) -> str:
 
 def dotted(parts: tuple[Any, ...]) -> str:
     """Parts of a key as TOML writes them."""
-    plain = re.compile(r"[\w-]+")
-    return ".".join(t if plain.fullmatch(t) else json.dumps(t, ensure_ascii=False) for t in map(str, parts))
+    # Imported here and below: every worker of a campaign loads this module, and what it says is said when something is wrong.
+    import tomlkit
+
+    return ".".join(tomlkit.key(str(part)).as_string() for part in parts)
 
 
 # Tables that a file writes as sections of their own, and how many parts their headers have.
@@ -154,9 +155,9 @@ def _common(found: list[str], wanted: list[str]) -> int:
 
 
 def as_toml(value: Any) -> str:
-    """A value as it would stand in the file."""
-    if isinstance(value, bool):
-        return str(value).lower()
+    """A value as it would stand in the file; Python's own text of what is no string, number, boolean or list."""
+    import tomlkit
+
     if isinstance(value, (tuple, list)):
         return "[" + ", ".join(map(as_toml, value)) + "]"
-    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)
+    return tomlkit.item(value).as_string() if isinstance(value, (str, bool, int, float)) else str(value)

@@ -158,7 +158,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         rows, flights = run_all(args.headings_deg, args.hours, args.w20_kt, args.height_m, args.seed)
         args.out.mkdir(parents=True, exist_ok=True)
     except (BadInputError, OSError) as error:
-        print(f"air_check: {error}", file=sys.stderr)
+        print(f"campaigns.air.reproduce: {error}", file=sys.stderr)
         return 2
     correlations: dict[tuple[str, float], tuple[float, float]] = {
         (seen.source, seen.condition.heading_deg): (seen.q_slope_correlation(), seen.r_slope_correlation()) for seen in flights

@@ -22,7 +22,7 @@ def parser() -> argparse.ArgumentParser:
     """The study's command line."""
     out = argparse.ArgumentParser(
         prog="python -m campaigns.estimators.reproduce",
-        description="Coverage of the estimators' 95 %% intervals over simulated flights whose truth is known.",
+        description="Coverage of the estimators' 95 % intervals over simulated flights whose truth is known.",
         epilog="example: python -m campaigns.estimators.reproduce --seeds 100 --only calm --out coverage.csv",
     )
     out.add_argument("--seeds", type=int, default=100, help="flights per case (default 100)")

@@ -24,12 +24,13 @@ from pathlib import Path
 
 from campaigns.identification.flights import fly_flights
 from uqharness.errors import BadInputError
+from uqharness.files import write_text
 from uqharness.identification.compare import LIMIT, Comparison, compare
-from uqharness.identification.identify import Identification, identify
+from uqharness.identification.identify import identify
+from uqharness.identification.result import Identification
 from uqharness.plugin.estimates import Estimate, write_estimates
 from uqharness.replay.flights import read_flights
 from uqharness.report.compare import verdict
-from uqharness.report.identify import write_text
 from uqharness.simulator.aircraft import Aircraft, find_aircraft
 
 FLOWN = "synthetic_stall"

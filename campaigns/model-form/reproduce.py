@@ -30,11 +30,13 @@ from sysid.model_form.model_form import AircraftReference, Filtering, ModelForm
 from sysid.model_form.noise_floor import noise_floor
 from sysid.model_form.variation import WALK_CUTOFF_HZ, variation
 from uqharness.errors import BadInputError
+from uqharness.files import write_text
 from uqharness.identification.model_form import noise_of
 from uqharness.replay.residuals import flight_residuals, prediction_of, read_bounds_flights
-from uqharness.report.identify import markdown_table, write_text
-from uqharness.report.model_form import PUBLISHED, forced_width
+from uqharness.report.model_form import forced_width
+from uqharness.report.pages.model_form import PUBLISHED
 from uqharness.simulator.aircraft import Aircraft, find_aircraft
+from uqharness.text_tables import markdown_table
 
 MODEL = "espaaro"
 _ARM = (0.0, 0.0, 0.0)

@@ -25,13 +25,14 @@ from sysid.model_form.model_form import AircraftReference, Filtering, FlightUsed
 from sysid.model_form.variation import WALK_CUTOFF_HZ
 from sysid.model_form.worth import Width
 from uqharness.errors import BadInputError
+from uqharness.files import write_text
 from uqharness.next_flight.mission_states import Occupancy, recorded_mission
 from uqharness.next_flight.plan import NextFlight, Options, plan_from, try_library
 from uqharness.next_flight.prospects import designs_of, prospects, widths_over
 from uqharness.next_flight.trials import Refused, TestFlight, Trial, fly_points, fly_script, residuals_of
-from uqharness.report.identify import markdown_table, write_text
 from uqharness.simulator.aircraft import content_hash, find_aircraft
 from uqharness.simulator.mission import find_script
+from uqharness.text_tables import markdown_table
 
 MODEL, TRUTH = "espaaro", "espaaro_truth"
 TURBULENCE = "light"

@@ -21,12 +21,14 @@ from typing import Any
 
 import pandas as pd
 
+from uqharness.campaign.columns import ERROR_METRICS, UNCOMMANDED_METRICS
 from uqharness.campaign.conditions import CONFIDENCE, Condition, conditions, in_condition, samples
-from uqharness.campaign.folder.case_table import ERROR_METRICS, UNCOMMANDED_METRICS
 from uqharness.campaign.folder.files import read_cases
 from uqharness.campaign.folder.manifest import read_complete
 from uqharness.errors import BadInputError
-from uqharness.files import write_bytes
+from uqharness.files import write_bytes, write_text
+from uqharness.report.pbox import PROBABILITY, metric_label
+from uqharness.report.svg import Chart, Scale, scale, standalone
 from uqharness.statistics.pbox import Containment, containment
 
 _COLUMNS = (
@@ -107,6 +109,21 @@ def table(compared: Sequence[Compared]) -> bytes:
     return buffer.getvalue().encode()
 
 
+def drawing(item: Compared) -> str:
+    """Both envelopes as an SVG file, dotted where the walks' reaches beyond the corners' most."""
+    found = item.found
+    x, y = scale(metric_label(item.metric), [found.value]), Scale(PROBABILITY, -0.01, 1.01)
+    chart = Chart("containment", f"P-boxes of corners and walks: {found.verdict}.", x, y, 250)
+    for (lower, upper), line, fill, name in ((found.outer, "first", "fill1", "corners"), (found.inner, "second", "fill2", "walks")):
+        chart.band(found.value, lower, upper, fill, steps=True)
+        chart.line(found.value, upper, line, name, steps=True)
+        chart.line(found.value, lower, line, steps=True)
+    for value in (found.at_lower, found.at_upper):
+        if value == value:
+            chart.upright(value, "joint")
+    return standalone([(chart.svg(), "")], f"{item.metric}, {item.condition.words}")
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the study; the process's exit code."""
     parser = argparse.ArgumentParser(
@@ -121,12 +138,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         compared = compare(args.corners, args.walks)
         args.out.mkdir(parents=True, exist_ok=True)
         write_bytes(args.out / "containment.csv", table(compared))
-        from uqharness.report.plots.containment import draw_containment
-
         for item in compared:
             if "_median_" in item.metric:
                 name = f"{item.metric.replace('_', '-')}-{item.condition.label.replace(' m/s ', 'mps-')}.svg"
-                draw_containment(item.found, f"{item.metric}, {item.condition.words}", args.out / name)
+                write_text(args.out / name, drawing(item))
     except BadInputError as error:
         print(f"reproduce: error: {error}", file=sys.stderr)
         return 2

@@ -24,6 +24,7 @@ def stage(folder: Path) -> None:
         ROOT / "README.md",
         ROOT / "CHANGELOG.md",
         ROOT / "SECURITY.md",
+        ROOT / "CONTRIBUTING.md",
         *(ROOT / "docs").glob("*.md"),
         *(ROOT / "campaigns").glob("*/*.md"),
     ]
@@ -65,7 +66,7 @@ def index() -> str:
     text = (HERE / "index.md").read_text(encoding="utf-8")
     placed = set(re.findall(r"^docs/([\w-]+)$", text, re.M))
     more = [f"docs/{path.stem}" for path in sorted((ROOT / "docs").glob("*.md")) if path.stem not in placed]
-    return text.replace("docs/development\n", "\n".join(["docs/development", *more]) + "\n")
+    return text.replace("docs/extend\n", "\n".join(["docs/extend", *more]) + "\n")
 
 
 def build(out: Path) -> int:

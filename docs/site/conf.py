@@ -8,7 +8,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 project = "uqharness"
 author = "The uqharness authors"
 copyright = f"2026, {author}"
-extensions = ["myst_parser", "equations"]
+extensions = ["myst_parser", "equations", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+# Docstrings give types, units and shapes in words.
+autodoc_typehints = "none"
+autodoc_preserve_defaults = True
+autodoc_class_signature = "separated"
+autodoc_default_options = {"exclude-members": "__init__, __new__"}
+napoleon_google_docstring = False
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
 source_suffix = {".md": "markdown"}

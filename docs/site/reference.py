@@ -16,6 +16,7 @@ from pathlib import Path
 
 import reference_words as words
 from lxml import etree
+from reference_python import python
 
 from sysid.logs.vocabulary_table import markdown_table
 from sysid.model_form.model_form import CoefficientBounds, ModelForm
@@ -23,9 +24,10 @@ from uqharness.campaign import rounds as campaign_rounds
 from uqharness.campaign import sensitivity_tables, statements
 from uqharness.campaign.folder import case_table
 from uqharness.campaign.folder import tables as campaign_results
-from uqharness.campaign.spec.campaign import CampaignSpec, _Document
+from uqharness.campaign.spec.campaign import CampaignSpec, Document
 from uqharness.cli import main as cli
-from uqharness.simulator.aircraft import PROJECT_ROOT, Card
+from uqharness.simulator.aircraft import PROJECT_ROOT
+from uqharness.simulator.card import Card
 from uqharness.simulator.signals import STANDARD
 
 NOTE = "<!-- Written by docs/site/reference.py at every build. -->\n\n"
@@ -33,7 +35,8 @@ NOTE = "<!-- Written by docs/site/reference.py at every build. -->\n\n"
 
 def pages() -> dict[str, str]:
     """File name -> Markdown of every page."""
-    return {"commands.md": commands(), "files.md": files(), "properties.md": properties(), "settings.md": settings()}
+    written = {"commands.md": commands(), "files.md": files(), "properties.md": properties(), "settings.md": settings()}
+    return written | {"python.md": python()}
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -240,25 +243,35 @@ def settings() -> str:
         NOTE
         + "# Settings\n\nKeys of the files that you write; meanings: [campaigns](../campaigns.md), [aircraft](../aircraft.md).\n\n"
     )
-    assert set(_Document.model_fields) <= {field.name for field in dataclasses.fields(CampaignSpec)}
-    for title, model in (("campaign.toml", _Document), ("airframe.toml", Card)):
+    assert set(Document.model_fields) <= {field.name for field in dataclasses.fields(CampaignSpec)}
+    for title, model in (("campaign.toml", Document), ("airframe.toml", Card)):
         text += f"## {title}\n\n"
         for name, field in model.model_fields.items():
-            section = next((t for t in (field.annotation, *parts(field.annotation)) if hasattr(t, "model_fields")), None)
+            section = next((t for t in (field.annotation, *parts(field.annotation)) if is_section(t)), None)
             if section is None:
                 text += f"### {title}: [{name}]\n\nProperties or outputs by name.\n\n"
                 continue
             star = f"[{name}.NAME]" if "Mapping" in str(field.annotation) else f"[{name}]"
             text += f"### {title}: {star}\n\n" + " ".join((section.__doc__ or "").split()).replace("``", "`") + "\n\n"
-            rows = [(f"`{key}`", kind(item), default(item)) for key, item in section.model_fields.items()]
-            text += nested(section) + table(["key", "type", "default"], rows)
+            text += nested(section) + table(["key", "type", "default"], section_rows(section))
     return text
+
+
+def is_section(annotation: object) -> bool:
+    return hasattr(annotation, "model_fields") or dataclasses.is_dataclass(annotation)
+
+
+def section_rows(section: typing.Any) -> list[tuple[str, str, str]]:
+    """Key, type and default of a section that a model or a data class stands for."""
+    if dataclasses.is_dataclass(section):
+        return [(f"`{key}`", in_words(hint), "") for key, hint in typing.get_type_hints(section).items()]
+    return [(f"`{key}`", kind(item), default(item)) for key, item in section.model_fields.items()]
 
 
 def nested(section: typing.Any) -> str:
     """Tables of the sections within a section."""
     text = ""
-    for key, field in section.model_fields.items():
+    for key, field in getattr(section, "model_fields", {}).items():
         inner = next((t for t in parts(field.annotation) if hasattr(t, "model_fields")), None)
         if inner is not None:
             told = " ".join((inner.__doc__ or "").split()).replace("``", "`")

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.aerodynamics.gust_states import GustStates, sines
 from sysid.aerodynamics.terms import COEFFICIENTS, regressor, split_name, variables
+from sysid.units import G0_MPS2
 
 FloatArray = NDArray[np.float64]
 STATES = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps", "phi_rad", "theta_rad")
@@ -30,7 +31,6 @@ OUTPUTS = (
     "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps",
     "ax_mps2", "ay_mps2", "az_mps2",
 )  # fmt: skip
-G_MPS2 = 9.80665
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class OpenEquations:
     biases: tuple[str, ...]
     outputs: tuple[str, ...]
     mass: MassProperties
-    gravity: float = G_MPS2
+    gravity: float = G0_MPS2
 
     def __post_init__(self) -> None:
         unknown = [t for t in self.terms if split_name(t) is None]

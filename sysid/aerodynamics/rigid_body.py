@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.aerodynamics.gust_states import GustStates, sines
+from sysid.units import G0_MPS2
 
 FloatArray = NDArray[np.float64]
 STATES = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps", "phi_rad", "theta_rad")
@@ -26,7 +27,6 @@ AIR = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps")
 OUTPUTS = (
     "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2",
 )  # fmt: skip
-G_MPS2 = 9.80665
 NX = 13
 """States in turbulence."""
 
@@ -71,7 +71,7 @@ class Steps:
     start: FloatArray | None = None
 
 
-def linearise(reference: Reference, mass: MassProperties, gravity: float = G_MPS2, gusts: GustStates | None = None) -> Steps:
+def linearise(reference: Reference, mass: MassProperties, gravity: float = G0_MPS2, gusts: GustStates | None = None) -> Steps:
     """The linear system along a reference, outputs OUTPUTS; with gusts 13 states, about air at rest."""
     n, h = len(reference.x), reference.dt_s
     wide = whole_states(reference.x, gusts)
@@ -117,7 +117,7 @@ def whole_states(x: NDArray[Any], gusts: GustStates | None) -> NDArray[Any]:
 
 
 def rates(
-    reference: Reference, mass: MassProperties, x: FloatArray, gravity: float = G_MPS2, gusts: GustStates | None = None
+    reference: Reference, mass: MassProperties, x: FloatArray, gravity: float = G0_MPS2, gusts: GustStates | None = None
 ) -> FloatArray:
     """dx/dt (n, 8 or 13) at whole states x of the reference's times, but for what gusts will add: forces linear about the
     reference, surfaces where they stand there."""

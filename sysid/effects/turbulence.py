@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from sysid.aerodynamics.gust_states import GustStates
 from sysid.aerodynamics.rigid_body import NX, Steps
 from sysid.effects.gust_cost import Likelihood
-from sysid.effects.prediction import Process, surprise
+from sysid.effects.prediction import surprise
+from sysid.estimation.kalman import Process
 from sysid.parallel import ALONE, Processes
 
 FloatArray = NDArray[np.float64]

@@ -58,22 +58,63 @@ def filter_error(
 ) -> FilterErrorFit:
     """Estimate theta (k,) of dx/dt = f(x, u, theta) + w, z = g(x, u, theta) + v from flights in turbulence.
 
-    f, g           vectors in, vectors out: x (nx,), u (nu,), theta (k,). Written with elementwise operations on x[i],
-                   u[i], theta[i] (no branching on values) they are evaluated for many parameter sets at once: faster.
-    x0             (nx,) initial state, or a list, one a segment
-    u, z, t        (n, nu), (n, m), (n,) [s], or lists of them, one a segment; NaN in z = dropout. u may be None
-    names, bounds, free: of theta, as in output_error
-    process_noise  indices or mask of the states that have noise, default all
-    process_noise_start (nx,), noise_start (m,): starting standard deviations (state unit per sqrt(s); output unit)
-    x0_std         (nx,) uncertainty of x0; default: as wide as the outputs' own spread, so that x0 matters little
-    estimate_x0    estimate the initial states too (one set a segment); x0_std then defaults to a thousandth
-    hold           "linear" (measured surfaces, inputs interpolated between samples) or "zoh" (commands held)
-    u_middle       (n-1, nu), or a list: inputs half-way between samples where they are known better than by `hold`
-    jacobian_every renew the filter's Jacobians at every so many samples (default 4: a tenth of a second at 40 Hz;
-                   1 renews them at every sample)
+    Parameters
+    ----------
+    f, g : callable
+        Vectors in, vectors out: x (nx,), u (nu,), theta (k,). Written with elementwise operations on x[i], u[i], theta[i]
+        (no branching on values) they are evaluated for many parameter sets at once: faster.
+    x0 : array_like
+        (nx,) initial state, or a list, one a segment.
+    theta0 : array_like
+        (k,) start.
+    u, z, t : array_like
+        (n, nu), (n, m), (n,) [s], or lists of them, one a segment; NaN in z is a dropout. u may be None.
+    names, bounds, free
+        Of theta, as in `output_error`.
+    process_noise : sequence, optional
+        Indices or mask of the states that have noise; by default all.
+    process_noise_start, noise_start : array_like, optional
+        (nx,) and (m,) starting standard deviations [state unit per sqrt(s); output unit].
+    x0_std : array_like, optional
+        (nx,) uncertainty of x0; by default as wide as the outputs' own spread, so that x0 matters little.
+    estimate_x0 : bool
+        Estimate the initial states too (one set a segment); x0_std then defaults to a thousandth.
+    hold : {"linear", "zoh"}
+        Inputs between samples: interpolated (measured surfaces) or held (commands).
+    u_middle : array_like, optional
+        (n-1, nu), or a list: inputs half-way between samples where they are known better than by `hold`.
+    jacobian_every : int
+        Renew the filter's Jacobians at every so many samples (4: a tenth of a second at 40 Hz).
+    max_iterations, tolerance
+        Stop when the next step is shorter than `tolerance` standard errors.
 
-    Returns a FilterErrorFit: as output_error's, residual = innovations, plus process_noise_cov (nx, nx).
-    Raises ValueError for disagreeing inputs, times that do not increase, models that fail at x0, theta0.
+    Returns
+    -------
+    FilterErrorFit
+        As `output_error` gives, ``residual`` being the innovations, plus ``process_noise_cov`` (nx, nx).
+
+    Raises
+    ------
+    ValueError
+        For inputs that disagree, times that do not increase, models that fail at x0, theta0.
+
+    References
+    ----------
+    R. E. Maine, K. W. Iliff, NASA RP-1168, 1986, chapters 5 and 6. R. V. Jategaonkar, Flight Vehicle System Identification, 2015,
+    chapter 5.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sysid
+    >>> rng, t = np.random.default_rng(1), 0.05 * np.arange(400)
+    >>> u, x = np.sign(np.sin(t))[:, None], np.zeros((400, 1))
+    >>> for k in range(399):
+    ...     x[k + 1] = x[k] + 0.05 * (-1.0 * x[k] + 2.0 * u[k]) + 0.02 * rng.standard_normal(1)
+    >>> z = x + 0.05 * rng.standard_normal(x.shape)
+    >>> fit = sysid.filter_error(lambda x, u, p: [p[0] * x[0] + p[1] * u[0]], lambda x, u, p: [x[0]], [0.0], [-0.5, 1.0], u, z, t)
+    >>> bool(np.all(np.abs(fit.theta - [-1.0, 2.0]) < 4.0 * fit.std))
+    True
     """
     theta = as_parameters(theta0)
     labels = as_names(names, theta.size, "theta")

@@ -46,27 +46,59 @@ def output_error(
     max_iterations: int = 100,
     tolerance: float = 1e-5,
 ) -> OutputErrorFit:
-    """Estimate theta (k,) such that simulate(theta) comes closest to `measured`.
+    """Estimate theta (k,) such that simulate(theta) comes closest to what was measured.
 
-    simulate       theta (k,) -> (n, m) array, or a list of them, one per segment, at the measured samples, in the units
-                   of `measured`. It may raise or return NaN at a trial point: a shorter step is tried.
-    theta0         (k,) start; zeros are fine, but simulate(theta0) must be finite
-    measured       (n, m) or (n,) array, or a list of them; NaN = not measured (dropout)
-    names          k unique names, default theta0, theta1, ...
-    bounds         k pairs (lower, upper), None = open; or two vectors; or {name: (lower, upper)}
-    free           names, indices or a mask of the parameters to estimate; the others stay at theta0
-    noise          "diagonal" (independent outputs) or "full"
-    map            like the built-in map(function, points), e.g. a process pool's: runs the perturbed simulations
-    differences    "central"; "auto" takes forward differences between the first iteration and the last ones; "secant", for
-                   smooth simulations that are dear, carries sensitivities on from iteration to iteration
-    max_iterations, tolerance: stop when the next step is shorter than `tolerance` standard errors
+    Parameters
+    ----------
+    simulate : callable
+        theta (k,) -> (n, m) array, or a list of them, one per segment, at the measured samples, in the units of `measured`. It
+        may raise or return NaN at a trial point: a shorter step is tried.
+    theta0 : array_like
+        (k,) start; zeros are fine, but simulate(theta0) must be finite.
+    measured : array_like
+        (n, m) or (n,) array, or a list of them; NaN is not measured (dropout).
+    names : sequence of str, optional
+        k unique names; by default theta0, theta1, ...
+    bounds : optional
+        k pairs (lower, upper), None = open; or two vectors; or {name: (lower, upper)}.
+    free : optional
+        Names, indices or a mask of the parameters to estimate; the others stay at theta0.
+    noise : {"diagonal", "full"}
+        Independent outputs, or not.
+    map : callable, optional
+        Like the built-in map(function, points), e.g. a process pool's: runs the perturbed simulations.
+    differences : {"auto", "central", "secant"}
+        "auto" takes forward differences between the first iteration and the last ones; "secant", for smooth simulations that
+        are dear, carries sensitivities on from iteration to iteration.
+    max_iterations, tolerance
+        Stop when the next step is shorter than `tolerance` standard errors.
 
-    Returns an OutputErrorFit. `std` is corrected for coloured residuals (Morelli and Klein, see coloured.py), `std_crb`
-    is the Cramer-Rao bound. Parameters that the data do not determine, or that end on a bound, are "not-identified":
-    their std is NaN and fit.reason says why; the others are still estimated.
+    Returns
+    -------
+    OutputErrorFit
+        ``theta`` (k,), ``std`` (k,) corrected for coloured residuals (see coloured.py), ``std_crb`` (k,) the Cramer-Rao bound.
+        Parameters that the data do not determine, or that end on a bound, are "not-identified": their std is NaN and
+        fit.reason says why; the others are still estimated. Where it did not converge, ``converged`` and ``warnings`` say so.
 
-    Raises ValueError when inputs disagree, theta0 lies outside the bounds, there are fewer measured values than
-    parameters, or the simulation fails at theta0. A failure to converge is no exception: see converged and warnings.
+    Raises
+    ------
+    ValueError
+        When inputs disagree, theta0 lies outside the bounds, there are fewer measured values than parameters, or the simulation
+        fails at theta0.
+
+    References
+    ----------
+    L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.4 to 2.9. V. Klein, E. A. Morelli, Aircraft System Identification, 2006.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sysid
+    >>> t = np.linspace(0.0, 5.0, 100)
+    >>> measured = 2.0 * np.exp(-0.5 * t) + 0.01 * np.sin(40.0 * t)
+    >>> fit = sysid.output_error(lambda theta: theta[0] * np.exp(-theta[1] * t), [1.0, 1.0], measured)
+    >>> [round(float(value), 1) for value in fit.theta]
+    [2.0, 0.5]
     """
     theta = as_parameters(theta0)
     labels = as_names(names, theta.size, "theta")

@@ -57,16 +57,45 @@ def segment_edges(segments: Sequence[int] | None, n: int) -> list[int]:
 def equation_error(
     X: ArrayLike, y: ArrayLike, *, names: Sequence[str] | None = None, segments: Sequence[int] | None = None
 ) -> Regression:
-    """Least squares of y (n,) on the columns of X (n, k); a constant term is a column of ones, none is added.
-
-    names     k unique names, default x0, x1, ...
-    segments  lengths of continuous records stacked in X and y, so that no correlation is sought across their joins
+    """Least squares of y on the columns of X; a constant term is a column of ones, none is added.
 
     Solved by the singular value decomposition of X with columns scaled to unit length. Columns that are zero or exact
     combinations of others are "not-identified": theta 0 for a zero column, the smallest-norm share for a collinear one,
     std NaN, reason naming the partners; the rest is estimated as if they were settled.
 
-    Raises ValueError: shapes, names, n <= k, NaN or infinity in a row (rows are not dropped in silence).
+    Parameters
+    ----------
+    X : array_like
+        (n, k) regressors, each in its own unit.
+    y : array_like
+        (n,) response.
+    names : sequence of str, optional
+        k unique names; by default x0, x1, ...
+    segments : sequence of int, optional
+        Lengths of continuous records stacked in X and y, so that no correlation is sought across their joins.
+
+    Returns
+    -------
+    Regression
+        ``theta``, ``std`` (k,) corrected for coloured residuals, ``cov`` (k, k), ``residual`` (n,), ``status`` and ``reason``.
+
+    Raises
+    ------
+    ValueError
+        For shapes and names that disagree, n <= k, NaN or infinity in a row (rows are not dropped in silence).
+
+    References
+    ----------
+    V. Klein, E. A. Morelli, Aircraft System Identification, 2006: regression, and standard errors for coloured residuals.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sysid
+    >>> x = np.linspace(0.0, 1.0, 50)
+    >>> fit = sysid.equation_error(np.column_stack([np.ones(50), x]), 1.0 + 2.0 * x, names=["bias", "slope"])
+    >>> [round(float(value), 6) for value in fit.theta]
+    [1.0, 2.0]
     """
     regressors, response = checked_regressors(X, y)
     n, k = regressors.shape

@@ -36,17 +36,50 @@ def stepwise(
     segments: Sequence[int] | None = None,
     max_terms: int | None = None,
 ) -> Selection:
-    """Choose columns of X (n, k) to model y (n,); deterministic, ties go to the lower index.
+    """Choose columns of X to model y; deterministic, ties go to the lower index.
 
     A constant is a candidate like any other, if X has a column of ones; force it by `keep`.
-    keep                 indices always in the model
-    f_enter, f_remove    thresholds of the effective F; default: 1 % and 5 % points of F(1, n - p), shared out over the
-                         candidates (Bonferroni), so that pure noise lets in any term at all once in a hundred data sets
-    segments             lengths of continuous records stacked in X, y
-    max_terms            stop at so many
 
-    Returns a Selection whose history tells every decision with its statistic.
-    Raises ValueError as equation_error, and for keep outside 0..k-1 or f_remove above f_enter.
+    Parameters
+    ----------
+    X : array_like
+        (n, k) candidate regressors, each in its own unit.
+    y : array_like
+        (n,) response.
+    names : sequence of str, optional
+        k unique names; by default x0, x1, ...
+    keep : sequence of int
+        Indices always in the model.
+    f_enter, f_remove : float, optional
+        Thresholds of the effective F [-]; by default the 1 % and 5 % points of F(1, n - p), shared out over the candidates
+        (Bonferroni), so that pure noise lets in any term at all once in a hundred data sets.
+    segments : sequence of int, optional
+        Lengths of continuous records stacked in X, y.
+    max_terms : int, optional
+        Stop at so many.
+
+    Returns
+    -------
+    Selection
+        ``selected`` indices, ``theta`` and ``std`` of them, and the ``history``, which tells every decision with its statistic.
+
+    Raises
+    ------
+    ValueError
+        As `equation_error`, and for keep outside 0..k-1 or f_remove above f_enter.
+
+    References
+    ----------
+    V. Klein, E. A. Morelli, Aircraft System Identification, 2006: stepwise regression.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sysid
+    >>> rng = np.random.default_rng(1)
+    >>> X = rng.standard_normal((200, 4))
+    >>> sysid.stepwise(X, 3.0 * X[:, 2] + 0.1 * rng.standard_normal(200)).selected
+    [2]
     """
     regressors, response = checked_regressors(X, y)
     n, k = regressors.shape

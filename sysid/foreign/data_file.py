@@ -8,7 +8,6 @@ numpy arrays and the dataclasses of this project's own packages can be written o
 
 from __future__ import annotations
 
-import hashlib
 import json
 import struct
 from collections.abc import Callable, Iterable
@@ -18,9 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from sysid.digests import sha256_of_parts
+from sysid.errors import in_a_line
 from sysid.foreign.data_classes import OwnClass, own_class
 from sysid.foreign.data_dtypes import described
-from sysid.foreign.data_limits import DEEPEST, MALFORMED, DataFileError, Sizes, in_a_line
+from sysid.foreign.data_limits import DEEPEST, MALFORMED, DataFileError, Sizes
 from sysid.foreign.data_reader import Reader
 from sysid.foreign.value_types import fits
 
@@ -55,7 +56,7 @@ def load(data: bytes, kind: Any = Any) -> Any:
     if len(data) < begin + 8 or data[: len(MAGIC)] != MAGIC:
         raise DataFileError("not a data file of this version of the program")
     content = memoryview(data)[begin:]
-    if hashlib.sha256(content).digest() != data[len(MAGIC) : begin]:
+    if bytes.fromhex(sha256_of_parts([content])) != data[len(MAGIC) : begin]:
         raise DataFileError("damaged: its content is not what its digest says")
     length = int.from_bytes(content[:8], "little")
     if length > min(HEADER_MOST, len(content) - 8):
@@ -107,10 +108,7 @@ class _Writer:
         parts = [len(header).to_bytes(8, "little"), header]
         for buffer in self._buffers:
             parts += [buffer, bytes(_padding(len(buffer)))]
-        digest = hashlib.sha256()
-        for part in parts:
-            digest.update(part)
-        return b"".join([MAGIC, digest.digest(), *parts])
+        return b"".join([MAGIC, bytes.fromhex(sha256_of_parts(parts)), *parts])
 
     def add(self, value: Any) -> int:
         """The value's number, its own node written if there is none yet."""

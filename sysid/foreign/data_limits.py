@@ -23,11 +23,6 @@ class DataFileError(ValueError):
     """Bytes that are no such file, a damaged one, or a value that such a file cannot hold."""
 
 
-def in_a_line(error: Exception) -> str:
-    """What went wrong, short and without line ends."""
-    return " ".join(str(error).split())[:200] or type(error).__name__
-
-
 class Sizes:
     """How deep and how large each value is, counted with all inside it."""
 

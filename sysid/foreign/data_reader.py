@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from sysid.errors import in_a_line
 from sysid.foreign.data_classes import find_class
 from sysid.foreign.data_dtypes import dtype_from
-from sysid.foreign.data_limits import MALFORMED, DataFileError, Sizes, in_a_line
+from sysid.foreign.data_limits import MALFORMED, DataFileError, Sizes
 
 # Keys of one hash are told apart one by one.
 _ALIKE_HASHES = 64

@@ -21,20 +21,20 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-import sysid
 from sysid.errors import LogError, finding_from_dict
 from sysid.foreign.data_file import DataFileError, load
 from sysid.foreign.limits import LIMITS, Limit
 from sysid.foreign.raw import MessageTable, Progress, RawLog, Wanted
 from sysid.foreign.regular_files import in_words, open_regular, require_regular
+from sysid.parallel import ONE_THREAD
 
 _START_S = 120.0  # nothing of a stranger's is read yet: only a busy disk makes this long
+_HOME = Path(__file__).parents[2]
 # The package is found where this one is, and its folder is on the path for no longer than that takes.
 _BEGIN = (
     "import sys; sys.path.insert(0, sys.argv[1]); import sysid; del sys.path[0]; "
     "from sysid.logs.importers.limited_child import main; main()"
 )
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
 def read_raw(path: Path, dialect: str, wanted: Wanted | None, progress: Progress | None = None) -> RawLog:
@@ -85,10 +85,10 @@ class _Child:
     """A reader process, and the pipes to and from it."""
 
     def __init__(self) -> None:
-        environment = {**os.environ, **dict.fromkeys(_THREADS, "1"), "ARROW_DEFAULT_MEMORY_POOL": "system"}
+        environment = {**os.environ, **ONE_THREAD, "ARROW_DEFAULT_MEMORY_POOL": "system"}
         # It says nothing on the terminal: what is wrong comes back as a sentence.
         self.process = subprocess.Popen(
-            [sys.executable, "-P", "-c", _BEGIN, str(Path(sysid.__file__).parent.parent)],
+            [sys.executable, "-P", "-c", _BEGIN, str(_HOME)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment,
         )  # fmt: skip
         assert self.process.stdin is not None

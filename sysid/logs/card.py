@@ -1,12 +1,15 @@
-"""airframe.toml, the card of an aircraft: what its XML cannot say. sysid uses its inputs, mixing and sensors."""
+"""airframe.toml, the card of an aircraft: what its XML cannot say. The one reader of it.
+
+Logs need servo tables and mixing. Sections that are the simulator's alone stay as they are in ``document``.
+"""
 
 from __future__ import annotations
 
 import difflib
 import math
 import sys
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,7 @@ from sysid.foreign.regular_files import read_regular_text
 from sysid.logs.signal_map import read_table
 
 Table = tuple[tuple[float, float], ...]
+Position = tuple[float, float, float]
 _INPUT_KEYS = {"property", "selected", "position", "unit", "positive", "limits", "servo_pwm", "channel", "throw_deg"}
 _MIXES = {"vtail": ("elevator", "rudder"), "elevon": ("elevator", "aileron")}
 
@@ -53,52 +57,75 @@ class Mix:
 
 
 @dataclass(frozen=True)
+class Reference:
+    """Wing area [m2], span and mean chord [m] that coefficients are made dimensionless with; None: the metrics of the XML."""
+
+    S_m2: float | None = None
+    b_m: float | None = None
+    c_m: float | None = None
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """position_m: places from the centre of gravity, body axes [m]; noise_std: one standard deviation by channel."""
+
+    position_m: Mapping[str, Position] = field(default_factory=dict)
+    noise_std: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class AirframeCard:
-    """The part of a card that logs need. `reference` is empty where the aircraft's XML metrics count."""
+    """A card. document: every table of the file as it was read, and nothing of it is in a card's text or equality."""
 
     name: str
     path: str = ""
-    reference: Mapping[str, float] = field(default_factory=dict)
+    reference: Reference = Reference()
     servos: Mapping[str, Servo] = field(default_factory=dict)
     mixes: tuple[Mix, ...] = ()
-    sensor_position_m: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
-    noise_std: Mapping[str, float] = field(default_factory=dict)
+    sensors: Sensors = field(default_factory=Sensors)
+    document: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
 
 def read_card(path: Path) -> AirframeCard:
     """Read airframe.toml (or the folder that holds it). LogError names file, table and key."""
     file = path / "airframe.toml" if path.is_dir() else path
     try:
-        data = parse_toml(read_regular_text(file))
+        text = read_regular_text(file)
     except FileNotFoundError:
         raise LogError("no such file; an aircraft folder needs an airframe.toml", file) from None
     except OSError as e:
         raise LogError(f"cannot be read: {e.strerror or e}", file) from None
     except UnicodeDecodeError:
         raise LogError("cannot be read: not a text file in UTF-8", file) from None
+    return parse_card(text, file)
+
+
+def parse_card(text: str, file: Path) -> AirframeCard:
+    """The card in the text of ``file``. LogError names file, table and key."""
+    try:
+        data = parse_toml(text)
     except ParseError as e:
         raise LogError(str(e), file) from None
     name = str(file)
     aircraft = _table(data.get("aircraft", {}), "[aircraft]", name)
     inputs = _table(data.get("inputs", {}), "[inputs]", name)
-    sensors = _table(data.get("sensors", {}), "[sensors]", name)
     servos = {}
     for key, value in inputs.items():
         where = f"[inputs.{key}]"
         row = _table(value, where, name)
         _refuse_slips(row, name, where)
-        if "servo_pwm" in row:
-            servos[key] = _servo(row, where, name)
+        servo = _servo(row, where, name)
+        if servo is not None:
+            servos[key] = servo
     mixing = _table(data.get("mixing", {}), "[mixing]", name)
-    positions = _table(sensors.get("position_m", {}), "[sensors] position_m", name)
     return AirframeCard(
         name=str(aircraft.get("name", file.parent.name)),
         path=name,
-        reference=_numbers(data.get("reference", {}), "[reference]", name),
+        reference=_reference(data.get("reference", {}), name),
         servos=servos,
         mixes=tuple(_mix(kind, row, name) for kind, row in mixing.items()),
-        sensor_position_m={k: _position(v, k, name) for k, v in positions.items()},
-        noise_std=_numbers(sensors.get("noise_std", {}), "[sensors] noise_std", name),
+        sensors=_sensors(data.get("sensors", {}), name),
+        document=data,
     )
 
 
@@ -116,6 +143,31 @@ def _table(value: Any, where: str, name: str) -> dict[str, Any]:
     return value
 
 
+def _own_table(value: Any, allowed: Sequence[str], where: str, name: str) -> dict[str, Any]:
+    """A table with no other keys than these."""
+    row = _table(value, where, name)
+    for key in row:
+        if key not in allowed:
+            raise LogError(f"unknown key {key!r}; allowed are {', '.join(allowed)}", name, where)
+    return row
+
+
+def _reference(value: Any, name: str) -> Reference:
+    where = "[reference]"
+    numbers = _numbers(_own_table(value, [f.name for f in fields(Reference)], where, name), where, name)
+    for key, number in numbers.items():
+        if number <= 0.0:
+            raise LogError(f"{key} must be above 0; received {number:g}", name, where)
+    return Reference(**numbers)
+
+
+def _sensors(value: Any, name: str) -> Sensors:
+    row = _own_table(value, [f.name for f in fields(Sensors)], "[sensors]", name)
+    places = _table(row.get("position_m", {}), "[sensors] position_m", name)
+    noise = _numbers(row.get("noise_std", {}), "[sensors] noise_std", name)
+    return Sensors({key: _position(place, key, name) for key, place in places.items()}, noise)
+
+
 def _numbers(value: Any, where: str, name: str) -> dict[str, float]:
     out = {}
     for key, number in _table(value, where, name).items():
@@ -129,27 +181,27 @@ def _number(value: Any, key: str, name: str, where: str) -> float:
     return float(value)
 
 
-def _servo(row: dict[str, Any], where: str, name: str) -> Servo:
+def _servo(row: dict[str, Any], where: str, name: str) -> Servo | None:
+    """The servo of an input or a panel; None where it has no table."""
     limits = row.get("limits", [-math.inf, math.inf])
     if not (isinstance(limits, list) and len(limits) == 2 and all(_is_number(end) for end in limits) and limits[0] < limits[1]):
         raise LogError(f"limits must be [low, high]; received {limits!r}", name, where)
-    pwm = row.get("servo_pwm")
-    if isinstance(pwm, dict):
-        # Linear form: { neutral = 1500, per_us = 0.05 }.
-        if set(pwm) != {"neutral", "per_us"} or not pwm["per_us"]:
-            raise LogError(
-                f"the linear form is {{ neutral = 1500, per_us = 0.05 }} with per_us not 0; received {pwm!r}",
-                name,
-                where,
-            )
-        neutral, slope = (_number(pwm[key], key, name, where) for key in ("neutral", "per_us"))
-        table: Table = ((neutral, 0.0), (neutral + 100.0, 100.0 * slope))
-    else:
-        table = read_table(pwm, name, where)
     channel = row.get("channel")
     if channel is not None and (isinstance(channel, bool) or not isinstance(channel, int) or not 1 <= channel <= 32):
         raise LogError(f"channel must be a servo output from 1 to 32; received {channel!r}", name, where)
-    return Servo(table, (float(limits[0]), float(limits[1])), channel)
+    if "servo_pwm" not in row:
+        return None
+    return Servo(_servo_table(row["servo_pwm"], where, name), (float(limits[0]), float(limits[1])), channel)
+
+
+def _servo_table(pwm: Any, where: str, name: str) -> Table:
+    if not isinstance(pwm, dict):
+        return read_table(pwm, name, where)
+    # Linear form: { neutral = 1500, per_us = 0.05 }.
+    if set(pwm) != {"neutral", "per_us"} or not pwm["per_us"]:
+        raise LogError(f"the linear form is {{ neutral = 1500, per_us = 0.05 }} with per_us not 0; received {pwm!r}", name, where)
+    neutral, slope = (_number(pwm[key], key, name, where) for key in ("neutral", "per_us"))
+    return ((neutral, 0.0), (neutral + 100.0, 100.0 * slope))
 
 
 def _is_number(value: Any) -> bool:
@@ -162,18 +214,20 @@ def _mix(kind: str, value: Any, name: str) -> Mix:
     if kind not in _MIXES:
         raise LogError(f"unknown mixing; allowed are {sorted(_MIXES)}", name, where)
     row = _table(value, where, name)
-    panels = []
-    for side in ("left", "right"):
-        panel = _table(row.get(side, {}), f"{where} {side}", name)
-        if "servo_pwm" not in panel or "channel" not in panel:
-            raise LogError("needs channel and servo_pwm", name, f"{where} {side}")
-        panels.append(_servo(panel, f"{where} {side}", name))
-    return Mix(kind, panels[0], panels[1])
+    left, right = (_panel(row.get(side, {}), f"{where} {side}", name) for side in ("left", "right"))
+    return Mix(kind, left, right)
 
 
-def _position(value: Any, key: str, name: str) -> tuple[float, float, float]:
-    try:
-        x, y, z = (float(v) for v in value)
-    except (TypeError, ValueError, OverflowError):
-        raise LogError(f"{key} must be [x, y, z] in metres; received {value!r}", name, "[sensors] position_m") from None
+def _panel(value: Any, where: str, name: str) -> Servo:
+    panel = _table(value, where, name)
+    servo = _servo(panel, where, name)
+    if servo is None or servo.channel is None:
+        raise LogError("needs channel and servo_pwm", name, where)
+    return servo
+
+
+def _position(value: Any, key: str, name: str) -> Position:
+    if not (isinstance(value, list) and len(value) == 3 and all(_is_number(v) and math.isfinite(v) for v in value)):
+        raise LogError(f"{key} must be [x, y, z] in metres; received {value!r}", name, "[sensors] position_m")
+    x, y, z = map(float, value)
     return x, y, z

@@ -13,12 +13,12 @@ from scipy import signal as dsp
 
 from sysid.errors import Finding
 from sysid.record import FlightRecord
+from sysid.units import G0_MPS2
 
 FloatArray = NDArray[np.float64]
 BAND_HZ = (0.08, 2.0)
 _MIN_SEGMENT_S = 20.0
 _MIN_ROWS = 20  # the band-pass needs 16; a log so slow that the band is not in it has nothing to compare
-_G = 9.80665
 _ATTITUDE = ("phi_rad", "theta_rad", "psi_rad")
 _RATES = ("p_radps", "q_radps", "r_radps")
 _ACCELERATIONS = ("ax_mps2", "ay_mps2", "az_mps2")
@@ -127,7 +127,7 @@ def _ground_velocity(record: FlightRecord) -> list[Finding]:
     part = _longest(record, (*names, *_ATTITUDE, *_ACCELERATIONS))
     if part is None:
         return []
-    earth = _to_earth(part) + np.array([[0.0], [0.0], [_G]])
+    earth = _to_earth(part) + np.array([[0.0], [0.0], [G0_MPS2]])
     found = [compare(a, np.gradient(part[n], part.dt_s), part.dt_s) for a, n in zip(earth, names, strict=True)]
     good = [f for f in found if f.correlation > 0.8 and abs(f.delay_s) < 0.48]
     if not good:
@@ -148,9 +148,9 @@ def _air_data(record: FlightRecord) -> list[Finding]:
         phi, theta, speed = part["phi_rad"], part["theta_rad"], np.maximum(part["V_mps"], 1.0)
         ax, ay, az = (part[n] for n in _ACCELERATIONS)
         rate = {
-            "V_mps": ax - _G * np.sin(theta),
-            "alpha_rad": part["q_radps"] + (az + _G * np.cos(theta) * np.cos(phi)) / speed,
-            "beta_rad": -part["r_radps"] + (ay + _G * np.cos(theta) * np.sin(phi)) / speed,
+            "V_mps": ax - G0_MPS2 * np.sin(theta),
+            "alpha_rad": part["q_radps"] + (az + G0_MPS2 * np.cos(theta) * np.cos(phi)) / speed,
+            "beta_rad": -part["r_radps"] + (ay + G0_MPS2 * np.cos(theta) * np.sin(phi)) / speed,
         }[name]
         found = compare(rate, np.gradient(part[name], part.dt_s), part.dt_s)
         if found.correlation < 0.8 or abs(found.delay_s) > 0.48:
@@ -231,7 +231,7 @@ def lever_arm(record: FlightRecord) -> LeverArm | None:
     phi, theta = part["phi_rad"], part["theta_rad"]
     p, q, r = (part[n] for n in _RATES)
     v = np.stack([speed * np.cos(alpha) * np.cos(beta), speed * np.sin(beta), speed * np.sin(alpha) * np.cos(beta)])
-    g = _G * np.stack([-np.sin(theta), np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta)])
+    g = G0_MPS2 * np.stack([-np.sin(theta), np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta)])
     omega = np.stack([p, q, r])
     acceleration = np.gradient(v, dt, axis=1) + np.cross(omega, v, axis=0) - g
     measured = np.stack([part[n] for n in _ACCELERATIONS])

@@ -1,22 +1,16 @@
-"""A log file to a FlightRecord: detect, read, assemble, keep in the cache. The only place that joins IO and computing.
-
-The cache lies in the user's cache folder (or where the caller says), named by the content of log, map and card: never
-beside the log, which may be on a medium that is read-only or somebody else's.
-"""
+"""A log file to a FlightRecord: detect, read, assemble, keep in the cache. The only place that joins IO and computing."""
 
 from __future__ import annotations
 
-import hashlib
-import os
-import sys
 from dataclasses import replace
 from pathlib import Path
 
+from sysid.digests import file_sha256
 from sysid.errors import LogError
 from sysid.foreign import limited
 from sysid.foreign.raw import Progress, RawLog
-from sysid.foreign.regular_files import open_regular, read_regular_text
 from sysid.logs.assemble import assemble
+from sysid.logs.cache import cached_file, keep
 from sysid.logs.card import AirframeCard, read_card
 from sysid.logs.checks import check_units
 from sysid.logs.importers import dataflash as dataflash_binary
@@ -25,17 +19,6 @@ from sysid.logs.importers.detect import detect
 from sysid.logs.signal_map import SignalMap, read_map, shipped_map
 from sysid.record import FlightRecord
 from sysid.vocabulary import SIGNALS
-
-_CACHE_FORMAT = "1"  # raise it when importing the same log gives another record
-
-
-def default_cache() -> Path:
-    """The user's cache folder for records: UQ_CACHE, XDG_CACHE_HOME or ~/.cache (Library/Caches on macOS)."""
-    if named := os.environ.get("UQ_CACHE"):
-        return Path(named)
-    if xdg := os.environ.get("XDG_CACHE_HOME"):
-        return Path(xdg) / "uqharness"
-    return Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache") / "uqharness"
 
 
 def import_log(
@@ -60,8 +43,8 @@ def import_log(
     card = None if card_path is None else read_card(card_path)
     if dialect in ("csv", "parquet") and user_map is None:
         return _record_file(path)
-    digest = _digest(path)
-    stored = None if cache is None else cache / f"{_key(digest, map_path, card)}.parquet"
+    digest = file_sha256(path)
+    stored = None if cache is None else cached_file(cache, digest, map_path, card)
     if stored is not None and stored.is_file():
         try:
             record = FlightRecord.read(stored)
@@ -71,7 +54,7 @@ def import_log(
             return FlightRecord(record.columns, replace(record.metadata, source=path.name))
     record = _assemble(path, dialect, user_map, card, digest, progress)
     if stored is not None:
-        _store(record, stored)
+        keep(record, stored)
     return record
 
 
@@ -121,24 +104,3 @@ def _record_file(path: Path) -> FlightRecord:
     if record.metadata.dialect != "record" or record.metadata.findings:
         return record  # an importer has looked at it
     return replace(record, metadata=replace(record.metadata, findings=tuple(check_units(record))))
-
-
-def _digest(path: Path) -> str:
-    with open_regular(path) as handle:
-        return hashlib.file_digest(handle, "sha256").hexdigest()
-
-
-def _key(digest: str, map_path: Path | None, card: AirframeCard | None) -> str:
-    parts = [_CACHE_FORMAT, digest, "" if map_path is None else read_regular_text(map_path), repr(card)]
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
-
-
-def _store(record: FlightRecord, stored: Path) -> None:
-    """Write under a temporary name so that a reader never meets half a file; a full disk only costs the cache."""
-    temporary = stored.with_name(f"{stored.stem}.{os.getpid()}.parquet")
-    try:
-        stored.parent.mkdir(parents=True, exist_ok=True)
-        record.write(temporary)
-        temporary.replace(stored)
-    except OSError:
-        temporary.unlink(missing_ok=True)

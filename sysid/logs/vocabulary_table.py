@@ -1,4 +1,4 @@
-"""The vocabulary joined with the shipped signal maps as a Markdown table: `python -m sysid.logs.vocabulary_table`."""
+"""The vocabulary joined with the shipped signal maps as a Markdown table: that of docs/logs.md."""
 
 from __future__ import annotations
 
@@ -15,7 +15,3 @@ def markdown_table() -> str:
         cells = [" or ".join(found) or "-" for found in labels]
         lines.append(f"| `{signal.name}` | {signal.unit} | {signal.meaning} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    print(markdown_table())

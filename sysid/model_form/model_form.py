@@ -205,7 +205,35 @@ def _plain(value: Any) -> Any:
 
 
 def read_model_form(path: Path) -> ModelForm:
-    """Read what `ModelForm.write` wrote. Raises LogError naming file and key for anything else."""
+    """Read a model form, such as the model-form.json that ``uqharness bounds`` writes.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    ModelForm
+        Per coefficient the polynomial of its bounds [-] in the flight states; ``bounds(states)`` gives lower and upper (n,).
+
+    Raises
+    ------
+    LogError
+        Naming file and key, for anything else.
+
+    References
+    ----------
+    L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.17 and 2.18.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import sysid
+    >>> sysid.read_model_form(Path("nowhere.json"))
+    Traceback (most recent call last):
+    sysid.errors.LogError: nowhere.json: cannot be read: No such file or directory
+    """
     try:
         document = parse_json(read_regular(path))
     except OSError as error:

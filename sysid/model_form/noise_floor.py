@@ -21,6 +21,21 @@ NOISY = (
 )  # fmt: skip
 
 
+def with_noise(
+    channels: Mapping[str, FloatArray], noise_std: Mapping[str, float], rng: np.random.Generator
+) -> dict[str, FloatArray]:
+    """The channels (n,) with white noise of ``noise_std`` (channel -> std) added; those without a finite figure as they are."""
+    return {
+        c: v + noise_std[c] * rng.standard_normal(len(v)) if np.isfinite(noise_std.get(c, np.nan)) else v
+        for c, v in channels.items()
+    }
+
+
+def floor_of(changes: Sequence[FloatArray]) -> FloatArray:
+    """(k,) rms of what added noise changed in k quantities: the mean over experiments of (n, k) each."""
+    return np.asarray(np.sqrt(sum(np.mean(change**2, axis=0) for change in changes) / len(changes)))
+
+
 def noise_floor(
     record: FlightRecord, pieces: Sequence[Piece], model: Model, noise_std: Mapping[str, float], arm_m: Sequence[float],
     cutoffs: Cutoffs, repeats: int = 3, seed: int = 1,
@@ -32,14 +47,13 @@ def noise_floor(
     pieces = _some(pieces)
     plain = residual_coefficients(record, pieces, model, arm_m, cutoffs).delta
     rng = np.random.default_rng(seed)
-    total = np.zeros(plain.shape[1])
-    for _ in range(repeats):
-        noisy = {
-            c: record[c] + noise_std[c] * rng.standard_normal(len(record)) for c in NOISY if np.isfinite(noise_std.get(c, np.nan))
-        }
-        changed = residual_coefficients(record.with_columns(noisy), pieces, model, arm_m, cutoffs).delta
-        total += np.mean((changed - plain) ** 2, axis=0)
-    return np.asarray(np.sqrt(total / repeats))
+    channels = {c: record[c] for c in NOISY if np.isfinite(noise_std.get(c, np.nan))}
+
+    def change() -> FloatArray:
+        noisy = record.with_columns(with_noise(channels, noise_std, rng))
+        return residual_coefficients(noisy, pieces, model, arm_m, cutoffs).delta - plain
+
+    return floor_of([change() for _ in range(repeats)])
 
 
 def _some(pieces: Sequence[Piece]) -> list[Piece]:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from uqharness.cli import sensitivity as sensitivity_command
+from campaigns.modal.reproduce import PUBLISHED, compare, published, table_text
+from campaigns.modal.through_jsbsim import linear_model, nominal_trim, outputs_of, what_is_left_out
+from uqharness.cli.main import run_words
 from uqharness.errors import BadInputError
 from uqharness.sensitivity import analyse
-from uqharness.sensitivity.modal import PUBLISHED, compare, modal_sensitivity, published, table_text
-from uqharness.sensitivity.modal_jsbsim import linear_model, nominal_trim, outputs_of, what_is_left_out
-from uqharness.sensitivity.modal_model import (
+from uqharness.sensitivity.modal import (
     ALEATORY,
     NOMINAL,
     OUTPUTS,
@@ -22,6 +21,7 @@ from uqharness.sensitivity.modal_model import (
     intervals,
     longitudinal_modes,
     modal_model,
+    modal_sensitivity,
     modes_of,
     run_modal_study,
     system_matrix,
@@ -125,10 +125,7 @@ def test_printed_tables_are_all_there():
 
 
 def call(*words):
-    parser = argparse.ArgumentParser(prog="uqharness")
-    sensitivity_command.register(parser.add_subparsers(dest="command", required=True))
-    args = parser.parse_args(["sensitivity", *map(str, words)])
-    return args.handler(args)
+    return run_words(["sensitivity", *map(str, words)])
 
 
 def test_the_command_gives_the_contracted_json_and_a_text(capsys):

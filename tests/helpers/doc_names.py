@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import re
 from functools import cache
 from pathlib import Path
@@ -11,6 +12,8 @@ from tests.helpers.doc_examples import check_options
 from tests.helpers.places import ROOT
 
 PLACE = re.compile(r"`((?:sysid|uqharness|aircraft|scripts|campaigns|tests|docs)/[\w./-]+\.\w+)(?::([\w.]+))?`")
+DOTTED = re.compile(r"`((?:sysid|uqharness)(?:\.[A-Za-z_]\w*)+)`")
+FOLDER = re.compile(r"`((?:sysid|uqharness|aircraft|scripts|campaigns|tests|docs)/[a-z0-9_/-]*/)`")
 COMMAND = re.compile(r"`((?:uqharness|python -m) [^`]+)`")
 
 
@@ -52,3 +55,26 @@ def rows(text: str) -> list[list[str]]:
     heads = {index - 1 for index, line in enumerate(lines) if set(line) <= set("|-: ")}
     kept = [line for i, line in enumerate(lines) if i not in heads and i - 1 not in heads]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in kept]
+
+
+def wrong_names(text: str) -> list[str]:
+    """Dotted names of a text, `package.module` or `package.module.name`, that lead nowhere."""
+    return [name for name in DOTTED.findall(text) if not leads_somewhere(name)]
+
+
+def leads_somewhere(name: str) -> bool:
+    """Whether a dotted name is a package, a module, or something that a module defines or gives on."""
+    parts = name.split(".")
+    for k in range(len(parts), 0, -1):
+        module, rest = ROOT.joinpath(*parts[:k]), ".".join(parts[k:])
+        file = module / "__init__.py" if module.is_dir() else module.with_suffix(".py")
+        if file.is_file():
+            return not rest or rest in defined(file) or hasattr(importlib.import_module(".".join(parts[:k])), rest)
+        if module.is_dir() and not rest:
+            return True
+    return False
+
+
+def wrong_folders(text: str) -> list[str]:
+    """`folder/` marks of a text that lead nowhere; one with a placeholder in capitals is left out."""
+    return [name for name in FOLDER.findall(text) if not (ROOT / name).is_dir()]

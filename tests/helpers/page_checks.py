@@ -5,8 +5,11 @@ from __future__ import annotations
 import re
 from collections import Counter
 from itertools import pairwise
+from pathlib import Path
 
 from lxml import etree, html
+
+from uqharness.report.write import write_report
 
 MOST_BYTES = 3_000_000
 _REFERENCES = ("src", "href", "srcset", "data", "action", "poster", "background")
@@ -19,6 +22,18 @@ def problems(page: str) -> list[str]:
     if len(page.encode()) > MOST_BYTES:
         found.append(f"{len(page.encode())} bytes")
     return found
+
+
+def page_of(folder: Path) -> str:
+    """The page that a folder of results is given, once it was judged to be sound."""
+    text = write_report(folder).path.read_text(encoding="utf-8")
+    assert problems(text) == []
+    return text
+
+
+def words_of(page: str) -> str:
+    """All text of a page on one line."""
+    return re.sub(r"\s+", " ", html.document_fromstring(page).text_content())
 
 
 def _form(page: str, tree: html.HtmlElement) -> list[str]:

@@ -9,7 +9,7 @@ import jsbsim
 import numpy as np
 import pytest
 
-from jsbsim_defects.small_models import dies, load, small, write_model
+from tests.jsbsim_defects.small_models import dies, load, small, write_model
 
 LOADING = """
 fdm = jsbsim.FGFDMExec(root); fdm.set_debug_level(0)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from jsbsim_defects.small_models import load, small, write_model
+from tests.jsbsim_defects.small_models import load, small, write_model
 
 LOCAL = "127.0.0.1"
 ANOTHER_LOCAL = "127.0.0.2"

@@ -7,7 +7,7 @@ import math
 import jsbsim
 import pytest
 
-from jsbsim_defects.small_models import small
+from tests.jsbsim_defects.small_models import small
 
 STILL = "<axis name='X'><function name='aero/f'>{}</function></axis>"
 

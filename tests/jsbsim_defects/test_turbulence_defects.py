@@ -15,7 +15,8 @@ import pytest
 
 from campaigns.air.pinned import Condition, measure, open_pinned, write_vehicle
 from campaigns.air.reproduce import compare
-from uqharness.flight.dryden import FT_M, dryden_sigma
+from sysid.units import FT_M
+from uqharness.flight.dryden import dryden_sigma
 from uqharness.simulator import engine
 
 CALM = Condition(heading_deg=0.0, wind_mps=0.0, wind_from_deg=0.0)

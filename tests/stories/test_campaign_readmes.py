@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+import tomlkit
 
 from uqharness.campaign.folder.case_table import CASES
 from uqharness.cli.main import build_parser, main
 from uqharness.simulator.aircraft import PROJECT_ROOT
-from uqharness.toml_text import toml_text
 
 FOLDER = PROJECT_ROOT / "campaigns"
 READMES = sorted(FOLDER.glob("*/README.md"))
@@ -73,7 +73,7 @@ def small(path: Path) -> dict[str, object]:
 @pytest.mark.parametrize("path", FLOWN, ids=lambda p: f"{p.parent.name}-{p.stem}")
 def test_every_campaign_file_flies_at_small_size(path, tmp_path):
     data = small(path)
-    (tmp_path / "small.toml").write_text(toml_text(data))
+    (tmp_path / "small.toml").write_text(tomlkit.dumps(data))
     out = tmp_path / "out"
     assert main(["campaign", "run", str(tmp_path / "small.toml"), "--out", str(out), "--serial"]) == 0
     frame = pd.read_parquet(out / CASES)

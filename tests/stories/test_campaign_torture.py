@@ -21,7 +21,7 @@ from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecut
 from uqharness.campaign.folder.case_table import CASES
 from uqharness.campaign.folder.store import Store
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.campaign import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.errors import BadInputError
 
 TABLES = (CASES, "pbox.parquet", "excursions.csv")

@@ -19,13 +19,13 @@ from sysid.logs.kinematics import check_kinematics
 from sysid.logs.load import import_log
 from sysid.record import FlightRecord
 from tests.fuzz.formats import CORPUS
-from uqharness.campaign.area_study import read_flights
+from uqharness.campaign.area import read_flights
 from uqharness.campaign.execution.dask_orders import order_from
 from uqharness.campaign.folder.journal_recovery import JournalScan
 from uqharness.campaign.folder.status import read_status
 from uqharness.campaign.folder.store import Store
 from uqharness.campaign.folder.verify import look_at_journal
-from uqharness.campaign.spec.campaign import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.plugin.folder import undo

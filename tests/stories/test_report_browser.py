@@ -15,7 +15,7 @@ import pytest
 
 from tests.helpers import report_folders as folders
 from uqharness.cli.main import main
-from uqharness.report.pages.index import write_report
+from uqharness.report.write import write_report
 
 pytestmark = pytest.mark.browser
 

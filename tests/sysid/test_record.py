@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid.errors import Finding, LogError
-from sysid.logs.manoeuvres import label_manoeuvres
 from sysid.record import FlightRecord, Metadata
 from tests.helpers.synthetic import flight
 
@@ -88,17 +86,3 @@ def test_segments_stop_at_dropouts_and_time_gaps() -> None:
     keep = np.ones(200, dtype=bool)
     keep[100:110] = False
     assert record.rows(keep).segments(("V_mps",)) == [slice(0, 100), slice(100, 190)]
-
-
-def test_manoeuvres_from_a_table(tmp_path: Path) -> None:
-    record = replace(flight(10.0))
-    table = tmp_path / "m.csv"
-    table.write_text("flight,manoeuvre,start_s,end_s\none,pull-up,2,4\ntwo,3211,5,6\n")
-    labels = label_manoeuvres(record, table, "one")["manoeuvre"]
-    assert set(labels) == {"", "pull-up"}
-    assert (labels == "pull-up").sum() == 101
-    with pytest.raises(LogError, match="no manoeuvre of flight 'three'"):
-        label_manoeuvres(record, table, "three")
-    table.write_text("a,b\n1,2\n")
-    with pytest.raises(LogError, match="has no column"):
-        label_manoeuvres(record, table, "one")

@@ -5,14 +5,10 @@ from __future__ import annotations
 import io
 import json
 import sys
-from pathlib import Path
 
 import pytest
 
-from sysid.logs import commands as log_commands
-from sysid.record import FlightRecord
 from sysid.terminal import clean_streams, clean_terminal, drawing, visible
-from tests.helpers.log_writers import write_text_log
 
 HOSTILE = "\x1b]0;owned\x07 \x9b2J \u202egpj.exe \r\x7f \udc80 \x00\x08"
 
@@ -56,16 +52,3 @@ def test_json_stays_json(monkeypatch: pytest.MonkeyPatch) -> None:
     first, second = plain.getvalue().splitlines()
     assert json.loads(first)["name"] == HOSTILE
     assert json.loads(second)["name"] == "\x7f\x9b\u202e"
-
-
-def test_a_logs_vehicle_and_a_files_name_cannot_steer_the_terminal(
-    tmp_path: Path, flown: FlightRecord, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log = tmp_path / "x\x1b[31m.log"
-    write_text_log(log, flown, "ArduPlane \x1b]0;owned\x07")
-    log_commands.main(["info", str(log), "--no-cache"])
-    log_commands.main(["info", str(tmp_path / "none\x1b[2J"), "--no-cache"])
-    seen = capsys.readouterr()
-    assert r"\x1b]0;owned\x07" in seen.out
-    assert r"none\x1b[2J: " in seen.err
-    assert "\x1b" not in seen.out + seen.err

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.places import ROOT
-from uqharness.child_process import CHILD_ENVIRONMENT, child_settings
+from uqharness.child_process import CHILD_ENVIRONMENT, child_settings, ending, run_module
 
 HOSTILE = (
     "jsbsim.py",
@@ -29,7 +29,7 @@ import tests.helpers.campaign_fakes as fakes
 import uqharness.child_process
 from uqharness.campaign.execution.processes import ProcessExecutor
 from uqharness.flight.spec import FlightSpec
-from uqharness.shared_jobs import worker_map
+from uqharness.parallel import worker_map
 
 if __name__ == "__main__":
     if "careless" in sys.argv:
@@ -99,3 +99,43 @@ def test_this_process_keeps_its_own_settings(monkeypatch):
         assert {name: os.environ[name] for name in CHILD_ENVIRONMENT} == CHILD_ENVIRONMENT
     assert os.environ["OMP_NUM_THREADS"] == "8"
     assert "PYTHONSAFEPATH" not in os.environ
+
+
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str) -> str:
+    """Name of a module with that code, which children find."""
+    (tmp_path / "asked_in_a_child.py").write_text(f"import os, sys\nfrom uqharness.child_process import give_answer\n{code}\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return "asked_in_a_child"
+
+
+def test_a_module_answers_from_a_process_of_its_own(tmp_path, monkeypatch):
+    code = "print('one'); give_answer({'first': 1}); give_answer({'words': sys.argv[1:], 'pid': os.getpid()})\nprint('two')"
+    ended = run_module(module(tmp_path, monkeypatch, code), tmp_path, 1.5, timeout_s=60)
+    assert (ended.code, ended.said, ended.errors) == (0, "one two", "")
+    assert ended.answer["words"] == [str(tmp_path), "1.5"]
+    assert ended.answer["pid"] != os.getpid()
+
+
+@pytest.mark.parametrize(
+    ("code", "number", "words"),
+    [
+        ("sys.exit(3)", 3, "exit code 3"),
+        ("os.abort()", -6, "signal 6 (SIGABRT)"),
+        ("os._exit(139)", -11, "signal 11 (SIGSEGV)"),  # as a script around Python tells of it
+    ],
+)
+def test_how_a_child_ended_is_said_in_words(tmp_path, monkeypatch, code, number, words):
+    ended = run_module(module(tmp_path, monkeypatch, f"print('last words', flush=True)\n{code}"), timeout_s=60)
+    assert (ended.code, ended.answer, ended.said) == (number, {}, "last words")
+    assert ending(ended.code) == words
+
+
+def test_a_child_that_does_not_come_back_is_ended(tmp_path, monkeypatch):
+    assert run_module(module(tmp_path, monkeypatch, "import time\ntime.sleep(600)"), timeout_s=1.0).code is None
+
+
+def test_what_looks_like_an_answer_and_is_none_counts_as_none(tmp_path, monkeypatch):
+    code = "print('uqharness-answer {\"a\"')"
+    assert run_module(module(tmp_path, monkeypatch, code), timeout_s=60).answer == {}
+    code = "print('uqharness-answer [1]')"
+    assert run_module(module(tmp_path, monkeypatch, code), timeout_s=60).answer == {}

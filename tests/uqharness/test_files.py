@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from uqharness.errors import BadInputError
-from uqharness.files import inner_folder, write_bytes
+from uqharness.files import inner_folder, lock_at_once, write_bytes
 
 
 def test_a_folder_within_results_is_made_and_found_again(tmp_path: Path) -> None:
@@ -39,3 +42,21 @@ def test_a_link_with_the_name_of_a_file_is_replaced(tmp_path: Path) -> None:
     assert secret.read_text() == "kept"
     assert (tmp_path / "report.html").read_bytes() == b"new"
     assert not (tmp_path / "report.html").is_symlink()
+
+
+def test_a_lock_is_taken_once_and_given_back_at_the_end_of_its_process(tmp_path: Path) -> None:
+    path = tmp_path / "lock"
+    path.touch()
+    held = (
+        "import os, sys\nfrom uqharness.files import lock_at_once\n"
+        "print(lock_at_once(os.open(sys.argv[1], os.O_RDWR)), flush=True)\nsys.stdin.read()"
+    )
+    with subprocess.Popen([sys.executable, "-c", held, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == b"True\n"
+        handle = os.open(path, os.O_RDWR)
+        assert not lock_at_once(handle)
+        other.kill()
+        other.wait()
+        assert lock_at_once(handle)
+        os.close(handle)

@@ -11,7 +11,7 @@ import pytest
 
 from tests.helpers import report_folders as folders
 from uqharness.errors import BadInputError
-from uqharness.report.pages.index import write_report
+from uqharness.report.write import write_report
 
 MAKE = {
     "fit.json": folders.identified, "compare.json": folders.compared, "coverage.json": folders.covered,
@@ -41,7 +41,7 @@ def place_of(document, key):
 
 @pytest.mark.parametrize("name", MAKE)
 def test_the_documents_are_sound_to_begin_with(name, tmp_path):
-    assert write_report(MAKE[name](tmp_path / "results")).is_file()
+    assert write_report(MAKE[name](tmp_path / "results")).path.is_file()
 
 
 @pytest.mark.parametrize(("name", "key"), CASES)

@@ -5,12 +5,12 @@ Such an aircraft is a copy in the campaign's folder, so that what was flown stay
 
 from __future__ import annotations
 
-import hashlib
 import os
 import shutil
 import tempfile
 from pathlib import Path
 
+from sysid.digests import sha256_hex
 from uqharness.campaign.cases import Mission
 from uqharness.campaign.inputs import read_bounds
 from uqharness.campaign.spec.campaign import CampaignSpec
@@ -62,7 +62,7 @@ def find_copied_mission(spec: CampaignSpec, aircraft: Aircraft, script: Path | N
     with scratch_folder("copy") as scratch:
         made = _copy(spec, aircraft, scratch.path)
         aircraft_hash = content_hash(find_aircraft(made))
-        script_hash = hashlib.sha256(read_xml(script or scratch.path / SCRIPT)).hexdigest()
+        script_hash = sha256_hex(read_xml(script or scratch.path / SCRIPT))
     place = folder.resolve()
     return Mission(place / _COPIED / made.name, aircraft_hash, (script or place / SCRIPT).resolve(), script_hash, aircraft.folder)
 

@@ -11,7 +11,7 @@ from typing import Any
 from uqharness.campaign.folder.files import is_sealed, read_checked, read_decisions
 from uqharness.campaign.rounds import ALL_CORNERS
 from uqharness.campaign.statements import STATEMENTS
-from uqharness.csv_rows import csv_rows
+from uqharness.text_tables import csv_rows
 
 _ORDER = ("yes", "no", "open", "flying")
 

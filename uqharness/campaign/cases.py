@@ -7,7 +7,6 @@ corner equally often, and its p-boxes mean something.
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import itertools
 import json
 from collections.abc import Iterator, Mapping
@@ -16,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sysid.digests import sha256_hex
 from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.campaign.spec.samples import Epistemic, epistemic_samples
 from uqharness.campaign.spec.variables import VariableSection
@@ -159,4 +159,4 @@ def case_id(flight: FlightSpec, mission: Mission) -> str:
         "properties": dict(flight.properties),
     }
     text = json.dumps(identity, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    return sha256_hex(text.encode())[:16]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from uqharness.campaign.folder.case_table import ERROR_METRICS, UNCOMMANDED_METRICS
+from uqharness.campaign.columns import ERROR_METRICS, UNCOMMANDED_METRICS
 from uqharness.statistics.pbox import ExcursionRate, PBox, Sample, excursion_rate, pbox
 
 CONFIDENCE = 0.95

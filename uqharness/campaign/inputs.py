@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.digests import sha256_hex
 from sysid.errors import LogError
 from sysid.foreign.parsed_text import ParseError, parse_json
 from sysid.foreign.regular_files import read_regular
@@ -96,7 +96,7 @@ def _find(name: str, beside: Path, role: str, hashes: dict[str, str]) -> Path:
     if path is None:
         raise BadInputError(f"{beside / given}: named as {role} and not there, nor is {given} in this folder")
     try:
-        hashes[role] = hashlib.sha256(read_regular(path)).hexdigest()
+        hashes[role] = sha256_hex(read_regular(path))
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
     return path.resolve()

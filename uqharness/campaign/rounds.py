@@ -19,10 +19,10 @@ from uqharness.campaign.cases import Case
 from uqharness.campaign.execution.worker import CaseOutcome
 from uqharness.campaign.folder.store import Store
 from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.csv_rows import csv_rows
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.statistics.decide import Evidence, Question, add, begin, close, look
+from uqharness.text_tables import csv_rows
 
 DECISIONS = "decisions.csv"
 ALL_CORNERS = "all"

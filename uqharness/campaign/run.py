@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import hashlib
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -12,9 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sysid.digests import sha256_hex
 from uqharness.campaign.cases import Case, Mission, build_cases
 from uqharness.campaign.cost import Cost, Pace, measured_pace, size_of
-from uqharness.campaign.execution.processes import Executor, ProcessExecutor, usable_cores
+from uqharness.campaign.execution.processes import Executor, ProcessExecutor
 from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction
 from uqharness.campaign.folder.digests import DamageError
 from uqharness.campaign.folder.manifest import (
@@ -35,6 +35,7 @@ from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.errors import BadInputError
 from uqharness.files import PART
 from uqharness.flight.spec import FlightSpec
+from uqharness.parallel import usable_cores
 from uqharness.simulator.aircraft_files import read_xml
 
 VALIDATION_S = 5.0
@@ -102,7 +103,7 @@ def find_mission(spec: CampaignSpec, folder: Path = Path()) -> Mission:
     if needs_copy(spec):
         return find_copied_mission(spec, aircraft, script, folder)
     assert script is not None
-    script_hash = hashlib.sha256(read_xml(script)).hexdigest()
+    script_hash = sha256_hex(read_xml(script))
     return Mission(aircraft.folder, content_hash(aircraft), script, script_hash)
 
 

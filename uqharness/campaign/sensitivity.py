@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from uqharness.campaign.columns import ERROR_METRICS, UNCOMMANDED_METRICS, excursion_columns
 from uqharness.campaign.conditions import Condition, conditions, in_condition
-from uqharness.campaign.folder.case_table import CASES, ERROR_METRICS, UNCOMMANDED_METRICS, excursion_columns
+from uqharness.campaign.folder.case_table import CASES
 from uqharness.campaign.folder.files import read_cases
 from uqharness.campaign.folder.manifest import read_complete
 from uqharness.errors import BadInputError

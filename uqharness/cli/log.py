@@ -1,41 +1,173 @@
-"""``uqharness log info`` and ``uqharness log import``: sysid's commands under this program's errors."""
+"""``uqharness log info`` and ``uqharness log import``: what a flight log holds, and a flight record from it."""
 
 from __future__ import annotations
 
 import argparse
+import json
+import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
-from sysid.errors import LogError
-from uqharness.errors import BadInputError
+from sysid.errors import Finding, LogError
+from sysid.logs.cache import default_cache
+from sysid.terminal import drawing, visible
+from uqharness.cli.commands import Table, add_commands
+from uqharness.cli.options import add_manoeuvres, add_map, describe
 from uqharness.simulator.aircraft import find_aircraft
 
+if TYPE_CHECKING:
+    from sysid.foreign.raw import Progress
+    from sysid.logs.info import LogInfo
+    from sysid.record import FlightRecord
 
-def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add ``log info`` and ``log import`` to a parser."""
-    parser = commands.add_parser("log", help="flight logs: what is in them, records from them")
-    parser.set_defaults(handler=_run)
-    parse = parser.parse_known_args
-
-    def parse_completed(args: Any = None, namespace: Any = None) -> Any:
-        parser.parse_known_args = parse  # type: ignore[method-assign]
-        complete(parser)
-        return parse(args, namespace)
-
-    parser.parse_known_args = parse_completed  # type: ignore[method-assign]
+_LOG_HELP = "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, JSBSim's CSV, a flight record in Parquet or CSV"
+VERBS: Table = {
+    "info": ("log:add_info", "what a log holds and what it is good for"),
+    "import": ("log:add_import", "turn a log into a flight record"),
+}
 
 
-def complete(parser: argparse.ArgumentParser) -> None:
-    """Give the ``log`` parser its subcommands: at its first use, since pandas and pyarrow take a second."""
-    from sysid.logs import commands as log_commands
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Give ``log`` its verbs."""
+    parser.description = "Say what a flight log holds, or make a flight record from it."
+    add_commands(parser, VERBS, "log_command", "info|import")
 
-    log_commands.add_arguments(parser.add_subparsers(dest="log_command", metavar="info|import", required=True))
+
+def add_info(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``log info``."""
+    text, no = "Say what a log holds and, purpose by purpose, what it is good for.", "it is good for nothing"
+    describe(parser, _info, text, "  uqharness log info flight1.bin --aircraft aircraft/espaaro", no=no)
+    _add_log(parser)
 
 
-def _run(args: argparse.Namespace) -> int:
+def add_import(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``log import``."""
+    text = "Turn a log into a flight record (Parquet or CSV by the suffix of --out)."
+    describe(parser, _import, text, "  uqharness log import flight1.bin --aircraft aircraft/espaaro --out flight1.parquet")
+    _add_log(parser)
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="FILE.parquet or FILE.csv")
+    parser.add_argument("--whole", action="store_true", help="keep ground and tow; without it free flight alone is kept")
+    add_manoeuvres(parser)
+
+
+def _add_log(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("log", type=Path, metavar="LOG", help=_LOG_HELP)
+    add_map(parser)
+    parser.add_argument("--aircraft", metavar="AIRCRAFT", help="name under aircraft/, folder, or airframe.toml")
+    parser.add_argument("--cache", type=Path, metavar="DIR", help=f"cache of imported logs (default {default_cache()})")
+    parser.add_argument("--no-cache", action="store_true", help="neither read nor write the cache")
+
+
+def _info(args: argparse.Namespace) -> int:
+    """0 when the log serves a purpose, 1 when it serves none."""
+    # Imported here, as below: `uqharness --help` should not wait for the numerical libraries.
+    from sysid.logs.info import log_info
+
+    info = log_info(_read(args))
+    print(json.dumps(info.as_dict(), indent=2) if args.json else _info_text(info))
+    return 0 if info.serves else 1
+
+
+def _import(args: argparse.Namespace) -> int:
+    from sysid.logs.manoeuvres import label_manoeuvres
+
+    if args.out.suffix.lower() not in (".parquet", ".csv"):
+        raise LogError(f"--out ends in '{args.out.suffix}'; allowed are .parquet and .csv", args.out)
+    record = _read(args)
+    if args.manoeuvres is not None:
+        record = label_manoeuvres(record, args.manoeuvres, args.log.stem)
+    kept = whole = (float(record["time_s"][0]), float(record["time_s"][-1]))
+    if not args.whole and record.metadata.free_flight_s and record.metadata.dialect != "record":
+        kept = record.metadata.free_flight_s[0]
+        record = record.between(*kept)
     try:
-        if args.aircraft is not None and not Path(args.aircraft).is_file():
-            args.aircraft = str(find_aircraft(args.aircraft).folder)
-        return int(args.run(args))
-    except LogError as error:
-        raise BadInputError(str(error)) from None
+        args.out.parent.mkdir(parents=True, exist_ok=True)
+        record.write(args.out)
+    except OSError as error:
+        raise LogError(f"cannot be written ({error.strerror})", args.out) from None
+    report = {
+        "out": str(args.out),
+        "rows": len(record),
+        "grid_hz": record.metadata.grid_hz,
+        "kept_s": list(kept),
+        "log_s": list(whole),
+        "columns": list(record.columns),
+        "findings": [f.as_dict() for f in record.metadata.findings],
+    }
+    print(json.dumps(report, indent=2) if args.json else _import_text(record, args.out, kept, whole))
+    return 0
+
+
+def _read(args: argparse.Namespace) -> FlightRecord:
+    from sysid.logs.load import import_log
+
+    card = None
+    if args.aircraft is not None:
+        card = Path(args.aircraft)
+        if not card.is_file():
+            card = find_aircraft(args.aircraft).folder
+    cache = None if args.no_cache else (args.cache or default_cache())
+    with _ProgressLine(args.log.name) as progress:
+        return import_log(args.log, args.map, card, cache=cache, progress=progress)
+
+
+class _ProgressLine:
+    """A percentage on a terminal's standard error; silent in a pipe."""
+
+    def __init__(self, title: str) -> None:
+        self._title, self._shown = title, -1
+
+    def __enter__(self) -> Progress | None:
+        return self._show if sys.stderr.isatty() else None
+
+    def __exit__(self, *_: object) -> None:
+        if self._shown >= 0:
+            drawing(sys.stderr).write("\r\x1b[K")
+
+    def _show(self, share: float) -> None:
+        percent = int(100 * share)
+        if percent != self._shown:
+            self._shown = percent
+            drawing(sys.stderr).write(f"\rreading {visible(self._title)} {percent} %")
+            sys.stderr.flush()
+
+
+def _info_text(info: LogInfo) -> str:
+    flight = "none" if info.flight_s is None else f"{info.flight_s[0]:.1f} to {info.flight_s[1]:.1f} s"
+    lines = [
+        f"{info.source}  ({info.dialect})",
+        f"vehicle      {info.vehicle or 'not said'}",
+        f"duration     {info.duration_s:.1f} s from {info.start_s:.1f} s, grid {info.grid_hz:.1f} Hz",
+        f"free flight  {flight}",
+        "",
+        "channels",
+    ]
+    lines += [f"  {n:18} {info.rates_hz.get(n, float('nan')):7.1f} Hz  {label}" for n, label in info.channels.items()]
+    lines += ["", "findings"]
+    lines += [f"  {line}" for line in _condensed(info.findings)] or ["  none"]
+    lines += ["", "good for"]
+    lines += [f"  {'yes' if p.serves else 'no ':4} {p.name}: {p.reason}" for p in info.purposes]
+    return "\n".join(lines)
+
+
+def _import_text(record: FlightRecord, out: Path, kept: tuple[float, float], whole: tuple[float, float]) -> str:
+    span = f"{kept[0]:.2f} to {kept[1]:.2f} s of {whole[0]:.2f} to {whole[1]:.2f} s"
+    lines = [
+        f"{out}: {len(record)} rows at {record.metadata.grid_hz:g} Hz, {span}",
+        f"columns: {', '.join(record.columns)}",
+    ]
+    return "\n".join(lines + _condensed([f for f in record.metadata.findings if f.severity != "info"]))
+
+
+def _condensed(findings: Sequence[Finding]) -> list[str]:
+    """One line per code and severity: the first message, and the channels of which the same can be said."""
+    groups: dict[tuple[str, str], list[Finding]] = {}
+    for f in findings:
+        groups.setdefault((f.severity, f.code), []).append(f)
+    lines = []
+    for (severity, code), members in groups.items():
+        others = [f.channel for f in members[1:] if f.channel]
+        more = f" (also: {', '.join(others)})" if others else ""
+        lines.append(f"{severity:8} {code}: {members[0].message}{more}")
+    return lines

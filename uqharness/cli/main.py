@@ -1,6 +1,7 @@
-"""The command line: builds the parser, turns errors into one line and an exit code.
+"""The command line: which commands there are, and errors as one line and an exit code.
 
 Exit codes: 0 done, 1 ran but the answer is no, 2 bad input, 130 interrupted (Ctrl-C), 143 ended by a signal (SIGTERM).
+A command's module is loaded when the command is named: ``uqharness --help`` waits for no numerical library.
 """
 
 from __future__ import annotations
@@ -11,22 +12,10 @@ import os
 import sys
 from collections.abc import Sequence
 
+from sysid.errors import LogError
 from sysid.terminal import clean_terminal
 from uqharness import __version__
-from uqharness.cli import bounds as bounds_command
-from uqharness.cli import campaign as campaign_commands
-from uqharness.cli import compare as compare_command
-from uqharness.cli import fly as fly_command
-from uqharness.cli import identify as identify_command
-from uqharness.cli import instrument as instrument_command
-from uqharness.cli import log as log_command
-from uqharness.cli import margins as margins_command
-from uqharness.cli import modes as modes_command
-from uqharness.cli import next_flight as next_flight_command
-from uqharness.cli import refine as refine_command
-from uqharness.cli import report as report_command
-from uqharness.cli import sensitivity as sensitivity_command
-from uqharness.cli import study as chain_command
+from uqharness.cli.commands import Table, add_commands, commands_of
 from uqharness.errors import BadInputError
 
 _EXAMPLE = """examples:
@@ -35,9 +24,27 @@ _EXAMPLE = """examples:
 
 uqharness COMMAND --help tells the rest."""
 
+COMMANDS: Table = {
+    "fly": ("fly", "one flight, recorded"),
+    "modes": ("modes", "trim, eigenvalues, MIL-F-8785C levels"),
+    "margins": ("margins", "gain, phase and delay margins of the autopilot"),
+    "log": ("log", "flight logs: what is in them, records from them"),
+    "identify": ("identify", "parameters from flights"),
+    "compare": ("compare", "a flight beside the model"),
+    "bounds": ("bounds", "model-form bounds from flights"),
+    "validate-bounds": ("validate_bounds", "coverage of bounds on a new flight"),
+    "instrument": ("instrument", "add the model-form plugin to any JSBSim aircraft"),
+    "refine": ("refine", "find, name and add a missing effect"),
+    "campaign": ("campaign", "nested Monte Carlo campaigns: check, run, status, report, merge, rerun, verify, salvage"),
+    "sensitivity": ("sensitivity", "which uncertainty to reduce first"),
+    "next-flight": ("next_flight", "what to fly to reduce the uncertainty that matters"),
+    "study": ("study", "the whole chain: flights to p-boxes, before and after refinement"),
+    "report": ("report", "write report.html of a folder of results"),
+}
+
 
 def build_parser() -> argparse.ArgumentParser:
-    """The parser of the whole command line, every command registered."""
+    """The parser of the whole command line."""
     parser = argparse.ArgumentParser(
         prog="uqharness",
         description="How far can a flight model be trusted, and what does that do to the aircraft's performance?",
@@ -47,39 +54,36 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"uqharness {__version__}")
     # A study runs other commands in its own process.
     parser.set_defaults(run_words=run_words)
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for module in (
-        fly_command,
-        modes_command,
-        margins_command,
-        log_command,
-        identify_command,
-        compare_command,
-        bounds_command,
-        instrument_command,
-        refine_command,
-        campaign_commands,
-        sensitivity_command,
-        next_flight_command,
-        chain_command,
-        report_command,
-    ):
-        module.register(commands)
+    add_commands(parser, COMMANDS, "command", "COMMAND")
     return parser
 
 
 def complete_parser() -> argparse.ArgumentParser:
-    """The same with the subcommands that are otherwise added at their first use: for documentation and checks."""
+    """The same with every command's arguments: for documentation and checks."""
     parser = build_parser()
-    (commands,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
-    log_command.complete(commands.choices["log"])
+    found = list(commands_of(parser).values())
+    for command in found:  # grows on the way
+        command.complete()
+        found += commands_of(command).values()
     return parser
 
 
-def run_words(words: Sequence[str]) -> int:
-    """Run one command in this process, errors left to the caller; its exit code."""
-    arguments = build_parser().parse_args(words)
-    return int(arguments.handler(arguments))
+def load_command(words: Sequence[str]) -> None:
+    """Load what the command among the words needs; nothing where they name none."""
+    commands = commands_of(build_parser())
+    for word in words:
+        if word in commands:
+            commands[word].complete()
+            commands = commands_of(commands[word])
+
+
+def run_words(words: Sequence[str] | None) -> int:
+    """Run one command in this process; its exit code. Bad input raises BadInputError."""
+    try:
+        arguments = build_parser().parse_args(words)
+        return int(arguments.handler(arguments))
+    except LogError as error:
+        raise BadInputError(str(error)) from None
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -101,9 +105,8 @@ def _run(argv: Sequence[str] | None) -> int:
     if not any(isinstance(handler, _Notes) for handler in logger.handlers):
         logger.addHandler(_Notes())
         logger.setLevel(logging.INFO)
-    arguments = build_parser().parse_args(argv)
     try:
-        code = int(arguments.handler(arguments))
+        code = run_words(argv)
         sys.stdout.flush()
         return code
     except BadInputError as error:

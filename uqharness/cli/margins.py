@@ -7,35 +7,30 @@ import json
 import math
 from typing import Any
 
+from uqharness.cli.options import add_aircraft, describe
 from uqharness.errors import BadInputError
 from uqharness.flight.margins import CALM_LOITER, CALM_STRAIGHT, LOOPS, LoopMargins, measure_loop
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.simulator.mission import StagedMission, find_script
 
-_EXAMPLE = """example:
+_EXAMPLE = """
   uqharness margins espaaro
-  uqharness margins espaaro --loop elevator --flight straight --json
-"""
+  uqharness margins espaaro --loop elevator --flight straight --json"""
 
 
-def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add ``margins`` to a parser."""
-    parser = commands.add_parser(
-        "margins",
-        help="gain, phase and delay margins of the autopilot",
-        description="Measure the autopilot's stability margins in flight, loop by loop, by injecting a multisine at each actuator.",
-        epilog=_EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``margins``."""
+    text = "Measure the autopilot's stability margins in flight, loop by loop, by injecting a multisine at each actuator."
+    describe(parser, _run, text, _EXAMPLE)
+    add_aircraft(parser)
+    parser.add_argument(
+        "--script", default="loiter", metavar="S", help="run script that engages the autopilot (default %(default)s)"
     )
-    parser.add_argument("aircraft", metavar="AIRCRAFT", help="name under aircraft/ or a folder")
-    parser.add_argument("--script", default="loiter", metavar="S", help="run script that engages the autopilot (default loiter)")
     parser.add_argument("--loop", action="append", choices=tuple(LOOPS), help="only this actuator; repeatable (default all)")
     parser.add_argument(
-        "--flight", choices=("loiter", "straight"), default="loiter", help="on the circle or straight (default loiter)"
+        "--flight", choices=("loiter", "straight"), default="loiter", help="on the circle or straight (default %(default)s)"
     )
-    parser.add_argument("--json", action="store_true", help="machine-readable output")
-    parser.set_defaults(handler=_run)
 
 
 def _run(args: argparse.Namespace) -> int:

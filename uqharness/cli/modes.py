@@ -5,52 +5,44 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from collections.abc import Callable
 
-from uqharness.errors import BadInputError
+from uqharness.cli.options import add_aircraft, describe, number
 from uqharness.flight.handling import CATEGORIES, CLASSES, Assessment, assess
 from uqharness.simulator.aircraft import Aircraft, find_aircraft
 from uqharness.simulator.linear import Mode, linearise, modes
 from uqharness.simulator.trim import SteadyCondition, Trim, find_trim
 
-_EXAMPLE = """example:
+_EXAMPLE = """
   uqharness modes espaaro --speed-mps 22.2
-  uqharness modes espaaro --speed-mps 22.2 --bank-deg 25 --altitude-m 100 --json
-"""
+  uqharness modes espaaro --speed-mps 22.2 --bank-deg 25 --altitude-m 100 --json"""
 
 
-def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add ``modes`` to a parser."""
-    parser = commands.add_parser(
-        "modes",
-        help="trim, eigenvalues, MIL-F-8785C levels",
-        description="Trim the aircraft in steady flight, linearise the JSBSim model about it, and name its modes.",
-        epilog=_EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("aircraft", metavar="AIRCRAFT", help="name under aircraft/ or a folder")
-    parser.add_argument("--speed-mps", type=float, required=True, metavar="V", help="true airspeed")
-    parser.add_argument("--altitude-m", type=float, default=0.0, metavar="H", help="altitude above sea level (default 0)")
-    parser.add_argument("--climb-deg", type=float, default=0.0, metavar="G", help="flight-path angle (default 0)")
-    parser.add_argument("--bank-deg", type=float, default=0.0, metavar="B", help="bank of a coordinated turn (default 0)")
-    parser.add_argument("--wind-mps", type=float, default=0.0, metavar="W", help="steady wind; moves the path only (default 0)")
-    parser.add_argument("--wind-from-deg", type=float, default=270.0, metavar="D", help="where it blows from, true (default 270)")
-    parser.add_argument("--heading-deg", type=float, default=0.0, metavar="P", help="true heading (default 0)")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``modes``."""
+    text = "Trim the aircraft in steady flight, linearise the JSBSim model about it, and name its modes."
+    describe(parser, _run, text, _EXAMPLE, no="no trim was found")
+    add_aircraft(parser)
+    speed = number("--speed-mps", "a true airspeed in m/s", above=0.0)
+    parser.add_argument("--speed-mps", type=speed, required=True, metavar="V", help="true airspeed, m/s")
+    for option, metavar, default, text, check in (
+        ("--altitude-m", "H", 0.0, "altitude above sea level, m", number("--altitude-m")),
+        ("--climb-deg", "G", 0.0, "flight-path angle, deg", _angle("--climb-deg", 60.0)),
+        ("--bank-deg", "B", 0.0, "bank of a coordinated turn, deg", _angle("--bank-deg", 85.0)),
+        ("--wind-mps", "W", 0.0, "steady wind, m/s; moves the path only", number("--wind-mps", least=0.0)),
+        ("--wind-from-deg", "D", 270.0, "true direction it blows from, deg", number("--wind-from-deg")),
+        ("--heading-deg", "P", 0.0, "true heading, deg", number("--heading-deg")),
+    ):
+        parser.add_argument(option, type=check, default=default, metavar=metavar, help=f"{text} (default {default:g})")
     parser.add_argument("--category", choices=CATEGORIES, default="B", help="flight-phase category (default B: cruise, loiter)")
     parser.add_argument("--class", dest="aircraft_class", choices=CLASSES, default="I", help="aircraft class (default I: light)")
-    parser.add_argument("--json", action="store_true", help="machine-readable output")
-    parser.set_defaults(handler=_run)
+
+
+def _angle(option: str, below: float) -> Callable[[str], float]:
+    return number(option, "an angle in degrees", above=-below, most=math.nextafter(below, 0.0))
 
 
 def _run(args: argparse.Namespace) -> int:
-    if not (math.isfinite(args.speed_mps) and args.speed_mps > 0):
-        raise BadInputError(f"--speed-mps {args.speed_mps}: a positive true airspeed in m/s is needed")
-    if not abs(args.bank_deg) < 85 or not abs(args.climb_deg) < 60:
-        raise BadInputError("--bank-deg must be within -85..85 and --climb-deg within -60..60")
-    others = (args.altitude_m, args.wind_mps, args.wind_from_deg, args.heading_deg)
-    if not all(math.isfinite(value) for value in others) or args.wind_mps < 0:
-        raise BadInputError(
-            "--altitude-m, --wind-mps, --wind-from-deg and --heading-deg take finite numbers, the wind one of at least 0"
-        )
     toward = math.radians(args.wind_from_deg + 180.0)
     wind = (args.wind_mps * math.cos(toward), args.wind_mps * math.sin(toward), 0.0)
     aircraft = find_aircraft(args.aircraft)

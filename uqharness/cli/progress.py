@@ -1,20 +1,57 @@
-"""A running campaign on a terminal: finished cases, time to go, speed, failures so far. Says nothing in a pipe."""
+"""What a terminal is told while a command works; a pipe is told warnings alone."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn
 from rich.progress import Progress as Bar
 
-from sysid.terminal import drawing
-from uqharness.campaign.run import Progress
+from sysid.terminal import drawing, visible
+
+if TYPE_CHECKING:
+    from uqharness.campaign.run import Progress
+
+
+def show_stage(text: str) -> None:
+    """What is being done, on the terminal's last line."""
+    if sys.stderr.isatty():
+        print(f"{visible(text):<40}", end="\r", file=drawing(sys.stderr), flush=True)
+
+
+def say_line(text: object) -> None:
+    """A line of its own."""
+    if sys.stderr.isatty():
+        print(text, file=sys.stderr)
+
+
+def say_warnings(warnings: Iterable[str]) -> None:
+    """A line each on standard error, in a pipe too."""
+    for text in warnings:
+        print(f"uqharness: warning: {text}", file=sys.stderr)
+
+
+@contextmanager
+def counting(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A counter: call it with how many are done and how many there are."""
+    terminal = sys.stderr.isatty()
+
+    def update(done: int, total: int) -> None:
+        if terminal:
+            print(f"\r{visible(what)}: {done} of {total}", end="", file=drawing(sys.stderr), flush=True)
+
+    yield update
+    if terminal:
+        print(file=sys.stderr)
 
 
 class ProgressView:
-    """Context whose ``update`` is a campaign's ``on_progress``. Draws on standard error, and only on a terminal."""
+    """Context whose ``update`` is a campaign's ``on_progress``: finished cases, time to go, speed, failures so far."""
 
     def __init__(self, console: Console | None = None) -> None:
         # The bar moves the cursor itself; what it writes beside it holds no text of anybody's.

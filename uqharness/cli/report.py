@@ -6,7 +6,11 @@ import argparse
 import json
 from pathlib import Path
 
-_EXAMPLE = """examples:
+from uqharness.cli.options import describe
+from uqharness.report.pages.index import kind_of
+from uqharness.report.write import write_report
+
+_EXAMPLE = """
   uqharness report results
   uqharness report refined --json
 
@@ -14,26 +18,16 @@ DIR is the --out of study, campaign run, identify, compare, bounds, validate-bou
 needs no network, for a screen, a phone or a printer."""
 
 
-def register(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add ``report`` to a parser."""
-    parser = commands.add_parser(
-        "report",
-        help="write report.html of a folder of results",
-        description="Write the page of a folder of results from its files; nothing is flown or fitted again (see docs/report.md).",
-        epilog=_EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``report``."""
+    text = "Write the page of a folder of results from its files; nothing is flown or fitted again (see docs/report.md)."
+    describe(parser, _run, text, _EXAMPLE)
     parser.add_argument("folder", type=Path, metavar="DIR", help="folder that another command wrote")
-    parser.add_argument("--json", action="store_true", help="machine-readable output")
-    parser.set_defaults(handler=_run)
 
 
 def _run(args: argparse.Namespace) -> int:
-    # Imported here: pandas takes a second that --help should not pay.
-    from uqharness.report.pages.index import kind_of, write_report
-
     kind = kind_of(args.folder)
-    path = write_report(args.folder)
+    path = write_report(args.folder).path
     if args.json:
         print(json.dumps({"report": str(path), "kind": kind, "bytes": path.stat().st_size}))
     else:

@@ -51,7 +51,10 @@ def _run(argv: Sequence[str] | None, ends: _Ends) -> int:
         from sysid.terminal import clean_streams
 
         clean_streams()
+        from uqharness.cli.main import load_command
         from uqharness.cli.main import main as command_line
+
+        load_command(sys.argv[1:] if argv is None else argv)
     except KeyboardInterrupt:
         # OpenBLAS interrupts its own process where it gets no thread.
         return _no_memory(limit) if limit is not None and not ends.terminated else ends.said()

@@ -21,14 +21,13 @@ import numpy.typing as npt
 from scipy.linalg import cholesky, expm, qr, solve_continuous_lyapunov
 from scipy.signal import lfilter
 
+from sysid.units import FT_M, KT_MPS
 from uqharness.errors import BadInputError
 
 Array = npt.NDArray[np.float64]
 Component = Literal["u", "v", "w", "p", "q", "r"]
 COMPONENTS: tuple[Component, ...] = ("u", "v", "w", "p", "q", "r")
 
-FT_M = 0.3048
-KT_MPS = 1852.0 / 3600.0
 W20_KT = {"none": 0.0, "light": 15.0, "moderate": 30.0, "severe": 45.0}
 """Wind at 20 ft by name of the turbulence, knots (3.7.3.4 with the usual three levels)."""
 

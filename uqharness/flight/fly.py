@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.units import FT_M
 from uqharness.errors import BadInputError
 from uqharness.flight.scoring import Recorded, commanded_signals, from_start_signals, score_commanded, score_from_start
 from uqharness.flight.spec import TURBULENCE_W20_KT, FlightResult, FlightSpec
@@ -20,7 +21,7 @@ from uqharness.simulator import engine
 from uqharness.simulator.aircraft import find_aircraft, find_folder, folder_fingerprint
 from uqharness.simulator.mass_change import CHANGEABLE
 from uqharness.simulator.mission import StagedMission, find_script, refuse_conflicts
-from uqharness.simulator.signals import FT, Source
+from uqharness.simulator.signals import Source
 from uqharness.simulator.start import MARK
 
 Array = NDArray[np.float64]
@@ -214,12 +215,12 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
     toward = math.radians(spec.wind_from_deg + 180.0)
     if spec.wind_mps:
         north, east = fdm["ic/vn-fps"], fdm["ic/ve-fps"]
-        fdm["ic/vn-fps"] = north + spec.wind_mps * math.cos(toward) / FT
-        fdm["ic/ve-fps"] = east + spec.wind_mps * math.sin(toward) / FT
+        fdm["ic/vn-fps"] = north + spec.wind_mps * math.cos(toward) / FT_M
+        fdm["ic/ve-fps"] = east + spec.wind_mps * math.sin(toward) / FT_M
         if not with_air:
             # Set after the velocity over the ground, which it then leaves alone; JSBSim's direction is where the wind blows to.
             fdm["ic/vw-dir-deg"] = math.degrees(toward)
-            fdm["ic/vw-mag-fps"] = spec.wind_mps / FT
+            fdm["ic/vw-mag-fps"] = spec.wind_mps / FT_M
 
 
 def as_model_has(fdm: Any, properties: Mapping[str, float]) -> dict[str, float]:
@@ -240,8 +241,8 @@ def set_wind_without_air(fdm: Any, spec: FlightSpec) -> None:
     if has_air(fdm):
         return
     toward = math.radians(spec.wind_from_deg + 180.0)
-    fdm["atmosphere/wind-north-fps"] = spec.wind_mps * math.cos(toward) / FT
-    fdm["atmosphere/wind-east-fps"] = spec.wind_mps * math.sin(toward) / FT
+    fdm["atmosphere/wind-north-fps"] = spec.wind_mps * math.cos(toward) / FT_M
+    fdm["atmosphere/wind-east-fps"] = spec.wind_mps * math.sin(toward) / FT_M
     fdm["atmosphere/wind-down-fps"] = 0.0
 
 

@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from sysid.units import G0_MPS2
 from uqharness.simulator.linear import LinearModel, Mode
 
 CATEGORIES = ("A", "B", "C")
@@ -57,7 +58,7 @@ def assess(model: LinearModel, found: Sequence[Mode], category: str = "B", aircr
 
 def load_factor_per_alpha(model: LinearModel) -> float:
     """n/alpha [g/rad] = -Z_w V / g, from the linear model's Z_w."""
-    return -float(model.A[2, 2]) * model.trim.condition.V_mps / 9.80665
+    return -float(model.A[2, 2]) * model.trim.condition.V_mps / G0_MPS2
 
 
 def _short_period(pair: list[Mode], model: LinearModel, category: str) -> list[Assessment]:

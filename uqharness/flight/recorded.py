@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import sys
+import math
 import zlib
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uqharness.errors import BadInputError
 from uqharness.flight.fly import Recorded, record_mission
 from uqharness.flight.spec import FlightSpec
 from uqharness.simulator import signals as properties
@@ -37,12 +39,35 @@ def recorded_flight(aircraft: Aircraft, script: Script, spec: FlightSpec) -> tup
             # What a card would have promised is only hoped for: a glider has no throttle.
             controls = set(table) - set(properties.STANDARD)
             optional |= {name: table.pop(name) for name in controls} | properties.standard_positions()
-            print(
-                f"uqharness: note: {aircraft.folder} has no airframe.toml, so the record's commands are JSBSim's fcs/...-cmd-norm",
-                file=sys.stderr,
-            )
         recorded = record_mission(mission, spec, table, optional, keep_burn_in=True)
     return to_record(recorded, aircraft, spec, script.path.stem, script.manoeuvres), recorded
+
+
+def as_asked(spec: FlightSpec, seed: int) -> FlightSpec:
+    """A flight as a person asks for it: both streams from one ``seed``, turbulence filters of second order.
+
+    Raises BadInputError for a duration, wind, direction, rate or seed that cannot be flown.
+    """
+    for name, value, least, most in (
+        ("duration_s", spec.duration_s, 0.0, 1e6),
+        ("wind_mps", spec.wind_mps, None, 100.0),
+        ("rate_hz", spec.record_rate_hz, 0.0, 1e5),
+    ):
+        if not (math.isfinite(value) and (value >= 0.0 if least is None else value > least) and value <= most):
+            low = "of at least 0" if least is None else f"above {least:g}"
+            raise BadInputError(f"{name} = {value:g}: a number {low} and up to {most:g} is needed")
+    if not math.isfinite(spec.wind_from_deg):
+        raise BadInputError(f"wind_from_deg = {spec.wind_from_deg}: an angle in degrees is needed")
+    if seed < 0:
+        raise BadInputError(f"seed = {seed}: an integer of at least 0 is needed")
+    turbulence, noise = two_seeds(seed)
+    settings = {**properties.SECOND_ORDER, **spec.properties}
+    return replace(spec, seed_turbulence=turbulence, seed_noise=noise, properties=settings)
+
+
+def start_of(recorded: Recorded) -> dict[str, float]:
+    """Where a recorded flight began, as a log says it: latitude, longitude [deg] and altitude above sea level [m]."""
+    return {"lat_deg": 45.0, "lon_deg": 0.0, "alt_m": float(recorded.signals["h_m"][0])}
 
 
 def two_seeds(seed: int) -> tuple[int, int]:

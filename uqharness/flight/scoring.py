@@ -8,10 +8,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.units import FT_M
 from uqharness.flight.loiter_metrics import absolute_statistics, count_excursions, lost_control
 from uqharness.flight.spec import FlightResult, FlightSpec
 from uqharness.simulator.aircraft import Aircraft
-from uqharness.simulator.signals import FT, STANDARD, Source
+from uqharness.simulator.signals import STANDARD, Source
 
 _STATISTICS = ("median", "mean", "max")
 _UNITS: Mapping[str, str] = {"cross_track": "m", "altitude": "m", "speed": "mps"}
@@ -40,7 +41,7 @@ def from_start_signals(straight: bool) -> dict[str, Source]:
     names = {"height_m": "h_m", "V_mps": "V_mps", "psi_rad": "psi_rad"}
     table = {ours: STANDARD[theirs] for ours, theirs in names.items()} | {"load_factor": Source("accelerations/Nz")}
     if straight:
-        table |= {f"{axis}_m": Source(f"position/from-start-neu-{axis[0]}-ft", FT) for axis in ("north", "east")}
+        table |= {f"{axis}_m": Source(f"position/from-start-neu-{axis[0]}-ft", FT_M) for axis in ("north", "east")}
         table |= {name: STANDARD[name] for name in ("vn_mps", "ve_mps")}
     return table
 

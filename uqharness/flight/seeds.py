@@ -8,10 +8,9 @@ aleatory id, property), draws of parameters on (root seed, number).
 
 from __future__ import annotations
 
-import hashlib
-
 import numpy as np
 
+from sysid.digests import sha256_hex
 from uqharness.flight.spec import COEFFICIENTS
 
 KINDS = {"turbulence": 1, "noise": 2, "walk": 3, "levels": 4, "parameters": 5, "variable": 6}
@@ -45,5 +44,5 @@ def numbered_stream(root_seed: int, kind: str, number: int, name: str = "") -> n
 
 
 def _words(name: str) -> tuple[int, int]:
-    number = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big")
+    number = int(sha256_hex(name.encode())[:16], 16)
     return number >> 32, number & 0xFFFFFFFF

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.units import FT_M
 from uqharness.flight.levels import BLOCK_STEPS, level_blocks
 from uqharness.flight.spec import COEFFICIENTS, TURBULENCE_W20_KT, FlightSpec
 from uqharness.simulator import engine
-from uqharness.simulator.signals import FT
 
 Array = NDArray[np.float64]
 
@@ -122,7 +122,7 @@ def _with_turned_gusts(fdm: Any, gusts: Rows, levels: Rows | None) -> Callable[[
     set_north, set_east, set_down = _setters(fdm, [f"atmosphere/gust-{axis}-fps" for axis in ("north", "east", "down")])
     level_setters = _setters(fdm, _LEVELS) if levels is not None else []
     level_rows = repeat(()) if levels is None else levels
-    cos, sin, per_ft = math.cos, math.sin, 1.0 / FT
+    cos, sin, per_ft = math.cos, math.sin, 1.0 / FT_M
 
     def fed(count: int) -> None:
         for (u, v, w, _, _, _), row in islice(zip(gusts, level_rows, strict=False), count):
@@ -146,9 +146,9 @@ def _gust_blocks(fdm: Any, spec: FlightSpec, dt_s: float, steps: int) -> Iterato
         steps,
         dt_s,
         V_mps=max(_airspeed_mps(fdm, spec), 1.0),
-        h_m=max(float(fdm["position/h-agl-ft"]) * FT, 3.048),
+        h_m=max(float(fdm["position/h-agl-ft"]) * FT_M, 3.048),
         W20_kt=TURBULENCE_W20_KT[spec.turbulence],
-        b_m=float(fdm["metrics/bw-ft"]) * FT,
+        b_m=float(fdm["metrics/bw-ft"]) * FT_M,
         seed=spec.seed_turbulence,
         block=BLOCK_STEPS,
     )
@@ -164,9 +164,9 @@ def has_air(fdm: Any) -> bool:
 
 def _airspeed_mps(fdm: Any, spec: FlightSpec) -> float:
     if has_air(fdm):
-        return float(fdm["velocities/vt-fps"]) * FT
+        return float(fdm["velocities/vt-fps"]) * FT_M
     # The wind has only just been set and JSBSim has not met it yet.
     toward = math.radians(spec.wind_from_deg + 180.0)
-    north = float(fdm["velocities/v-north-fps"]) * FT - spec.wind_mps * math.cos(toward)
-    east = float(fdm["velocities/v-east-fps"]) * FT - spec.wind_mps * math.sin(toward)
-    return math.hypot(north, east, float(fdm["velocities/v-down-fps"]) * FT)
+    north = float(fdm["velocities/v-north-fps"]) * FT_M - spec.wind_mps * math.cos(toward)
+    east = float(fdm["velocities/v-east-fps"]) * FT_M - spec.wind_mps * math.sin(toward)
+    return math.hypot(north, east, float(fdm["velocities/v-down-fps"]) * FT_M)

@@ -10,25 +10,29 @@ import math
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.coefficients import smooth
 from sysid.aerodynamics.terms import COEFFICIENTS
 from sysid.estimation.gaps import NOISE_FLOOR, Shift, Theil, channel_noise, rms, theil, time_shift, worst
 from sysid.estimation.output_error import output_error
+from sysid.model_form.noise_floor import floor_of
 from uqharness.errors import BadInputError
 from uqharness.identification.identify import BIASES, OUTPUTS
-from uqharness.identification.start import demand_of, forced_at
+from uqharness.identification.start import coefficient_gap
 from uqharness.replay.flights import Flight, measured_outputs, segments, states
 from uqharness.replay.layout import delayed, late_limit_s, nuisance_layout
 from uqharness.replay.model import CONTROLS, ReplayFolder, ReplayModel
 from uqharness.replay.pool import replay_pool
-from uqharness.replay.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF, Segment
+from uqharness.replay.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF
+from uqharness.replay.segments import Segment
 from uqharness.replay.simulation import Replay
 from uqharness.simulator.aircraft import Aircraft
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 LIMIT = NOISE_FLOOR
@@ -120,6 +124,16 @@ class Comparison:
         """Judged channels above the limit, the worst first."""
         found = [(g.ratio, c) for c, g in self.channels.items() if g.judged and not g.ratio <= LIMIT]
         return tuple(c for _, c in sorted(found, reverse=True))
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The table of channels: rms of measured minus model, noise, their ratio, whether it is judged, and the delay [s]."""
+        import pandas as pd
+
+        rows = {
+            c: {"rms": g.rms, "noise": g.noise, "ratio": g.ratio, "judged": g.judged, "delay_s": g.allowed_s + g.shift.seconds}
+            for c, g in self.channels.items()
+        }
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("channel")
 
 
 def compare(
@@ -224,21 +238,12 @@ def _coefficients(
     The latter by experiment: noise is added once more, to what the flight demanded and to the states the model was asked at.
     """
     rng = np.random.default_rng(1)
-    demand, said, change = [], [], []
-    for segment, piece in zip(cut, flight.pieces, strict=True):
-        channels = states(flight, piece)
-        noisy = {
-            c: v + (noise[c] * rng.standard_normal(len(v)) if np.isfinite(noise.get(c, np.nan)) else 0.0)
-            for c, v in channels.items()
-        }
-        found = []
-        for given in (channels, noisy):
-            forced, _ = forced_at(model, straight, segment, given, {})
-            found.append((demand_of(given, forced, segment), smooth(forced.coefficients, segment.dt_s)))
-        demand.append(found[0][0])
-        said.append(found[0][1])
-        change.append((found[1][0] - found[1][1]) - (found[0][0] - found[0][1]))
-    return demand, said, np.sqrt(np.mean(np.concatenate(change) ** 2, axis=0))
+    found = [
+        coefficient_gap(model, straight, segment, states(flight, piece), noise, rng)
+        for segment, piece in zip(cut, flight.pieces, strict=True)
+    ]
+    demand, said, change = (list(part) for part in zip(*found, strict=True))
+    return demand, said, floor_of([np.concatenate(change)])
 
 
 def _allowed(names: Sequence[str], theta: Array, channel: str) -> float:

@@ -11,7 +11,7 @@ import re
 import time
 import uuid
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,13 +21,15 @@ from sysid.estimation.gaps import NOISE_FLOOR, channel_noise, process_noise_show
 from sysid.estimation.output_error import output_error
 from sysid.estimation.result import OutputErrorFit
 from uqharness.errors import BadInputError
+from uqharness.identification.result import Identification
 from uqharness.identification.start import demand_of, equation_error_start, forced_at
 from uqharness.parallel import process_count
 from uqharness.replay.flights import Flight, measured_outputs, segments
 from uqharness.replay.layout import Layout, delayed, misplaced, nuisance_layout
 from uqharness.replay.model import CONTROLS, ReplayFolder, ReplayModel
 from uqharness.replay.pool import replay_pool
-from uqharness.replay.replay import CHANNELS, STATES, Segment
+from uqharness.replay.replay import CHANNELS, STATES
+from uqharness.replay.segments import Segment
 from uqharness.replay.simulation import Replay, counter
 from uqharness.replay.speed import Speed, bare_rate
 from uqharness.simulator.aircraft import Aircraft
@@ -39,49 +41,6 @@ OUTPUTS = (
 )  # fmt: skip
 """Channels that output error compares. Height and heading follow from the others and drift in real sensors."""
 BIASES = ("p_radps", "q_radps", "r_radps")
-
-
-@dataclass(frozen=True)
-class Identification:
-    """What was estimated, how, and how well it fits.
-
-    names, initial, theta, std, std_crb, status, reason  over the parameters asked for (JSBSim properties)
-    cov (k, k)        of the identified ones, in the order of ``identified``
-    nuisance          biases and start states: name -> (value, std)
-    outputs, measured, modelled  channels and their [(n, m)] arrays, one a segment; modelled includes biases
-    residual          measured minus model of the method used (innovations for filter error), one a segment
-    method            "output error" | "filter error"; simulations: replays of all segments, seconds: wall time they took
-    """
-
-    aircraft: str
-    names: tuple[str, ...]
-    initial: Array
-    theta: Array
-    std: Array
-    std_crb: Array
-    status: Mapping[str, str]
-    reason: Mapping[str, str]
-    cov: Array
-    nuisance: Mapping[str, tuple[float, float]]
-    outputs: tuple[str, ...]
-    segments: tuple[Segment, ...]
-    measured: list[Array]
-    modelled: list[Array]
-    residual: list[Array]
-    whiteness: Array
-    noise: Mapping[str, float]
-    method: str
-    converged: bool
-    warnings: tuple[str, ...]
-    notes: tuple[str, ...]
-    simulations: int
-    seconds: float
-    speed: Speed | None = None
-
-    @property
-    def identified(self) -> tuple[str, ...]:
-        """Names of the parameters that the data determined."""
-        return tuple(n for n in self.names if self.status[n] == "identified")
 
 
 def identify(

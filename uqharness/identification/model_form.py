@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,9 @@ from uqharness.errors import BadInputError
 from uqharness.replay.flights import Flight, measured_outputs
 from uqharness.replay.residuals import ReplayPair, flight_residuals, prediction_of
 from uqharness.simulator.aircraft import Aircraft, content_hash
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -69,6 +74,19 @@ class MadeBounds:
     cutoffs: tuple[CutoffRow, ...]
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The table of coefficients: samples, effective ones, standard deviation, mean width and noise of the bounds, walk rate."""
+        import pandas as pd
+
+        rows = {
+            c: {
+                "n": b.n, "n_effective": b.n_effective, "s": math.sqrt(b.s2), "mean_width": self.widths[c],
+                "noise": self.noise.get(c, math.nan), "walk_rate_per_sqrt_s": b.walk_rate,
+            }
+            for c, b in self.form.coefficients.items()
+        }  # fmt: skip
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("coefficient")
 
 
 def make_bounds(

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from sysid.aerodynamics.coefficients import demanded, smooth
 from sysid.aerodynamics.terms import regressor, split_name, variables
 from sysid.estimation.identifiability import assess
+from sysid.model_form.noise_floor import with_noise
 from uqharness.replay.flights import Flight, states
 from uqharness.replay.force import ForcedModel, force_states, surface_positions
 from uqharness.replay.ground import altitudes
 from uqharness.replay.model import CONTROLS, ReplayModel
-from uqharness.replay.replay import Segment
+from uqharness.replay.segments import Segment
 
 Array = NDArray[np.float64]
 
@@ -78,6 +79,22 @@ def forced_at(
         channels["r_radps"], de, da, dr, forced.mass.b, forced.mass.c,
     )  # fmt: skip
     return forced, found
+
+
+def coefficient_gap(
+    model: ReplayModel, straight: ReplayModel, segment: Segment, channels: Mapping[str, Array], noise_std: Mapping[str, float],
+    rng: np.random.Generator,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """(n, 6) each: coefficients demanded, those said at the measured states, and how noise added once more changes the first
+    less the second."""
+
+    def asked(given: Mapping[str, Array]) -> tuple[Array, Array]:
+        forced, _ = forced_at(model, straight, segment, given, {})
+        return demand_of(given, forced, segment), smooth(forced.coefficients, segment.dt_s)
+
+    demand, said = asked(channels)
+    noisy_demand, noisy_said = asked(with_noise(channels, noise_std, rng))
+    return demand, said, (noisy_demand - noisy_said) - (demand - said)
 
 
 def demand_of(channels: Mapping[str, Array], forced: ForcedModel, segment: Segment) -> Array:

@@ -19,7 +19,7 @@ from sysid.aerodynamics.segmentation import as_logged
 from sysid.aerodynamics.terms import split_name
 from sysid.estimation.filter_error import filter_error
 from uqharness.errors import BadInputError
-from uqharness.identification.identify import Identification
+from uqharness.identification.result import Identification
 from uqharness.identification.start import forced_at
 from uqharness.replay.flights import Flight, states
 from uqharness.replay.model import ReplayModel

@@ -14,8 +14,10 @@ from pathlib import Path
 
 from lxml import etree
 
+from sysid.units import G0_MPS2
 from uqharness.next_flight.points import QUIET_S, Condition, TestPoint
-from uqharness.simulator.aircraft import Aircraft, InputCard, parse_xml
+from uqharness.simulator.aircraft import Aircraft, parse_xml
+from uqharness.simulator.card import InputCard
 from uqharness.simulator.mission import MANOEUVRE_PROPERTY
 from uqharness.simulator.signals import SECOND_ORDER
 
@@ -30,7 +32,6 @@ TRANSITION_S = 14.0
 """To another speed or bank, on the autopilot."""
 MOST_BANK_RAD, MOST_PITCH_RAD, MOST_LOSS_M = math.radians(60.0), math.radians(30.0), 35.0
 """Where the safety pilot takes over: bank, pitch, height below the commanded one."""
-_G = 9.80665
 _WIDE_M = 3000.0  # radius of a circle that counts as straight: 1 deg of bank at 22 m/s
 _GENTLE_S, _FIRM_S = 30.0, 17.0  # navigation period on straights and in turns
 
@@ -195,7 +196,7 @@ def _heading_for(condition: Condition) -> Iterator[etree._Element]:
     if condition.speed_mps is None:
         return
     bank = math.radians(abs(condition.bank_deg))
-    radius = condition.speed_mps**2 / (_G * math.tan(bank)) if bank > 1e-3 else _WIDE_M
+    radius = condition.speed_mps**2 / (G0_MPS2 * math.tan(bank)) if bank > 1e-3 else _WIDE_M
     radius = min(radius, _WIDE_M)
     side = -1.0 if condition.bank_deg < 0.0 else 1.0
     yield _set("ap/airspeed-cmd-mps", condition.speed_mps)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
+from sysid.units import FT_M
 from uqharness.plugin.scale_functions import Scaled
 from uqharness.simulator.aircraft_facts import AircraftFacts
+from uqharness.toml import as_toml, dotted
 
 DT_S = 0.01
 ERRORS_SYSTEM = "path-errors"
@@ -19,14 +22,15 @@ _POSITIVE = {
 
 def card_text(name: str, xml: str, facts: AircraftFacts, scaled: Sequence[Scaled], errors: bool) -> str:
     """The card's TOML. ``errors``: the system path-errors goes with it, and missions are scored by its properties."""
+    shown = as_toml(name)[1:-1]
     lines = [
-        f"# What XML cannot say of {name}. Written by `uqharness instrument` from short flights of the aircraft: read it before",
+        f"# What XML cannot say of {shown}. Written by `uqharness instrument` from short flights of the aircraft: read it before",
         "# trusting it. A throw is degrees of surface per unit of the normalised command, mean of both ends, with + as a flight",
         "# record counts (nose down, right wing down, nose left).",
         "",
         "[aircraft]",
-        f'name = "{name}"',
-        f'xml = "{xml}"',
+        f"name = {as_toml(name)}",
+        f"xml = {as_toml(xml)}",
         f"dt_s = {DT_S}",
         "",
         "[reference]                                   # the XML's metrics",
@@ -46,7 +50,7 @@ def card_text(name: str, xml: str, facts: AircraftFacts, scaled: Sequence[Scaled
         elif found.throw_deg is not None:
             lines.append(f"throw_deg = {found.sense * found.throw_deg:.6g}")
         if found.position is not None:
-            lines.append(f'position = "{found.position}"')
+            lines.append(f"position = {as_toml(found.position)}")
     if errors:
         lines += [
             "",
@@ -62,11 +66,17 @@ def card_text(name: str, xml: str, facts: AircraftFacts, scaled: Sequence[Scaled
             "# Factors on the aircraft's own functions. The biases (uq/bias/...) of one axis act alike, so none is a default.",
             "[parameters]",
         ]
-        lines += [
-            f'"{row.scale}" = {{ initial = 1.0, bounds = [-1, 4], unit = "1", source = "factor on {row.function}" }}'
-            for row in scaled
-        ]
+        lines += [f"{dotted((row.scale,))} = {_inline(scale_entry(row))}" for row in scaled]
     return "\n".join(lines) + "\n"
+
+
+def scale_entry(row: Scaled) -> dict[str, Any]:
+    """What [parameters] says of a factor."""
+    return {"initial": 1.0, "bounds": [-1, 4], "unit": "1", "source": f"factor on {row.function}"}
+
+
+def _inline(entry: Mapping[str, Any]) -> str:
+    return "{ " + ", ".join(f"{key} = {as_toml(value)}" for key, value in entry.items()) + " }"
 
 
 IDLE_SYSTEM = "idle-throttle"
@@ -77,7 +87,7 @@ IDLE_XML = b"""<?xml version="1.0" encoding="UTF-8"?>
 </system>
 """
 
-ERRORS_XML = b"""<?xml version="1.0" encoding="UTF-8"?>
+ERRORS_XML = f"""<?xml version="1.0" encoding="UTF-8"?>
 <!--
   How far the flight is from the steady straight one it began as: for scoring a mission of an aircraft that has no navigation.
   Read ten times a second at a step of 0.01 s; nothing in the aircraft reads it.
@@ -93,7 +103,7 @@ ERRORS_XML = b"""<?xml version="1.0" encoding="UTF-8"?>
       <function>
         <quotient>
           <product>
-            <value>0.3048</value>
+            <value>{FT_M}</value>
             <difference>
               <product> <property>position/from-start-neu-e-ft</property> <property>ic/vn-fps</property> </product>
               <product> <property>position/from-start-neu-n-ft</property> <property>ic/ve-fps</property> </product>
@@ -111,7 +121,7 @@ ERRORS_XML = b"""<?xml version="1.0" encoding="UTF-8"?>
     <fcs_function name="nav/altitude-error-m">
       <function>
         <product>
-          <value>0.3048</value>
+          <value>{FT_M}</value>
           <difference> <property>position/h-sl-ft</property> <property>ic/h-sl-ft</property> </difference>
         </product>
       </function>
@@ -119,7 +129,7 @@ ERRORS_XML = b"""<?xml version="1.0" encoding="UTF-8"?>
     <fcs_function name="nav/speed-error-mps">
       <function>
         <product>
-          <value>0.3048</value>
+          <value>{FT_M}</value>
           <difference> <property>velocities/vt-fps</property> <property>ic/vt-fps</property> </difference>
         </product>
       </function>
@@ -136,4 +146,4 @@ ERRORS_XML = b"""<?xml version="1.0" encoding="UTF-8"?>
     </fcs_function>
   </channel>
 </system>
-"""
+""".encode()

@@ -9,10 +9,8 @@ An aircraft from anywhere may end its interpreter, so `check_in_child` is the wa
 
 from __future__ import annotations
 
-import json
 import math
 import re
-import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -23,11 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.units import FT_M
+from uqharness.child_process import ending, give_answer, run_module
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import Aircraft, find_aircraft
 from uqharness.simulator.mid_envelope import _open, open_mid_envelope
-from uqharness.simulator.preflight import child_environment
 
 DELTA = 0.02
 DURATION_S = 10.0
@@ -144,9 +143,9 @@ def _frame(aircraft: Aircraft, names: Sequence[str], coefficient: str | None) ->
     step(SWITCHED_AFTER)
     row = np.array([_get(fdm, name) for name in names])
     reference = aircraft.card.reference
-    S = reference.S_m2 / 0.3048**2 if reference.S_m2 else fdm["metrics/Sw-sqft"]
-    b = reference.b_m / 0.3048 if reference.b_m else fdm["metrics/bw-ft"]
-    c = reference.c_m / 0.3048 if reference.c_m else fdm["metrics/cbarw-ft"]
+    S = reference.S_m2 / FT_M**2 if reference.S_m2 else fdm["metrics/Sw-sqft"]
+    b = reference.b_m / FT_M if reference.b_m else fdm["metrics/bw-ft"]
+    c = reference.c_m / FT_M if reference.c_m else fdm["metrics/cbarw-ft"]
     pressure = fdm["aero/qbar-psf"] * S
     delta = fdm[f"uq/{coefficient}/delta"] if coefficient is not None else 0.0
     return row, delta, [pressure, pressure, pressure, pressure * b, pressure * c, pressure * b]
@@ -180,23 +179,17 @@ def _get(fdm: Any, name: str) -> float:
 
 def check_in_child(untouched: Path, instrumented: Path, duration_s: float = DURATION_S, timeout_s: float = 300.0) -> Verdict:
     """The same in a process of its own; its death is a verdict: fails if the untouched aircraft dies alone as well, else wrong."""
-    command = [sys.executable, "-m", "uqharness.plugin.check", str(untouched), str(instrumented), repr(duration_s)]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, env=child_environment(), check=False)
-    except subprocess.TimeoutExpired:
+    ended = run_module(__name__, untouched, instrumented, repr(duration_s), timeout_s=timeout_s)
+    if ended.code is None:
         return Verdict("fails", f"no answer within {timeout_s:g} s")
-    lines = [line for line in done.stdout.splitlines() if line.startswith('{"status"')]
-    if lines:
-        return Verdict(**json.loads(lines[-1]))
-    words = " ".join(done.stderr.split())[-200:]
-    return Verdict("fails", f"the process ended with {done.returncode}: {words or 'no message'}")
+    if ended.answer:
+        return Verdict(**ended.answer)
+    return Verdict("fails", f"the process ended with {ending(ended.code)}: {ended.errors or 'no message'}")
 
 
-def _main(untouched: str, instrumented: str, duration_s: str) -> int:
-    verdict = check(find_aircraft(untouched), find_aircraft(instrumented), float(duration_s))
-    print(json.dumps(asdict(verdict)), flush=True)
-    return 0
+def _main(untouched: str, instrumented: str, duration_s: str) -> None:
+    give_answer(asdict(check(find_aircraft(untouched), find_aircraft(instrumented), float(duration_s))))
 
 
 if __name__ == "__main__":
-    sys.exit(_main(*sys.argv[1:4]))
+    _main(*sys.argv[1:4])

@@ -11,10 +11,11 @@ from pathlib import Path
 from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import Aircraft
 from uqharness.simulator.aircraft_files import copy_folder
-from uqharness.xml.document import comment
+from uqharness.xml.document import Document, Insertion, apply, comment, parse_document, with_attribute
+from uqharness.xml.properties import declaration, folder_documents
 
-_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
-_REMARK = re.compile(r"[ \t]*<!-- identified [^>]*?-->")
+_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
+_REMARK = re.compile(rb"[ \t]*<!-- identified [^>]*?-->")
 
 
 @dataclass(frozen=True)
@@ -43,44 +44,34 @@ def write_estimates(aircraft: Aircraft, estimates: Mapping[str, Estimate], out: 
     return left
 
 
-def with_value(text: str, name: str, estimate: Estimate) -> str | None:
-    """``text`` with the number in ``<property value="...">name</property>`` replaced; None when it is not declared there.
+def with_value(document: Document, name: str, estimate: Estimate) -> bytes | None:
+    """The file with another number in ``<property value="...">name</property>``; None where it does not declare the property.
 
     An earlier remark of ours is replaced as well; the author's comments are not.
     """
-    hidden = [m.span() for m in _COMMENT.finditer(text)]
-    pattern = re.compile(r"(<property\b[^>]*?\bvalue\s*=\s*)([\"'])([^\"']*)\2([^>]*>\s*" + re.escape(name) + r"\s*</property>)")
-    for found in pattern.finditer(text):
-        if any(a <= found.start() < b for a, b in hidden):
-            continue
-        end_of_line = text.find("\n", found.end())
-        end_of_line = len(text) if end_of_line < 0 else end_of_line
-        rest = text[found.end() : end_of_line]
-        carriage = "\r" if rest.endswith("\r") else ""
-        rest = _REMARK.sub("", rest.removesuffix("\r")).rstrip(" \t")
-        remark = f"  {comment(f'identified {estimate.remark}')}"
-        # A remark inside a comment that runs over lines would end it early; such a line keeps its number alone.
-        if "<!--" in _COMMENT.sub("", rest):
-            remark = ""
-        number = f"{estimate.value:.8g}"
-        return (
-            f"{text[: found.start()]}{found.group(1)}{found.group(2)}{number}{found.group(2)}{found.group(4)}"
-            f"{rest}{remark}{carriage}{text[end_of_line:]}"
-        )
-    return None
+    node = declaration(document, name)
+    if node is None:
+        return None
+    end = document.raw.find(b"\n", node.end)
+    old = document.raw[node.end : None if end < 0 else end].removesuffix(b"\r")
+    rest = _REMARK.sub(b"", old).rstrip(b" \t")
+    # A remark inside a comment that runs over lines would end it early; such a line keeps its number alone.
+    runs_on = b"<!--" in _COMMENT.sub(b"", rest)
+    remark = b"" if runs_on else document.encoded(f"  {comment(f'identified {estimate.remark}')}")
+    number = with_attribute(document, node, "value", f"{estimate.value:.8g}")
+    return apply(document, [number, Insertion(node.end, rest + remark, old)])
 
 
 def put_values(folder: Path, values: Mapping[str, Estimate]) -> list[str]:
     """Write values of properties into the XML files of a folder, in place; names that no file declares are returned."""
     left = dict(values)
-    for path in sorted(folder.rglob("*.xml")):
-        text = path.read_bytes().decode("utf-8", errors="surrogateescape")
-        edited = text
+    for document in folder_documents(folder):
+        edited = document
         for name in list(left):
-            done = with_value(edited, name, left[name])
-            if done is not None:
-                edited = done
+            content = with_value(edited, name, left[name])
+            if content is not None:
+                edited = parse_document(document.path, content)
                 del left[name]
-        if edited != text:
-            path.write_bytes(edited.encode("utf-8", errors="surrogateescape"))
+        if edited is not document:
+            document.path.write_bytes(edited.raw)
     return list(left)

@@ -7,30 +7,31 @@ aircraft that carries the plugin already (E-SPAARO, or an earlier copy) gets new
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pydantic import ValidationError
+import tomlkit
 
 from sysid.aerodynamics.terms import COEFFICIENTS
 from sysid.model_form.model_form import ModelForm
+from sysid.units import FT_M
 from uqharness.errors import BadInputError
-from uqharness.plugin.card import ERRORS_SYSTEM, ERRORS_XML, IDLE_SYSTEM, IDLE_XML, card_text
+from uqharness.plugin.card import ERRORS_SYSTEM, ERRORS_XML, IDLE_SYSTEM, IDLE_XML, card_text, scale_entry
 from uqharness.plugin.model_form_xml import constant_xml, model_form_xml
 from uqharness.plugin.record import Change, changed
 from uqharness.plugin.scale_functions import SYSTEM_NAME, Scaled, add_scales, coefficient_properties, scale_system
-from uqharness.simulator.aircraft import PROJECT_ROOT, Aircraft, Card, content_hash
+from uqharness.simulator.aircraft import PROJECT_ROOT, Aircraft, content_hash
 from uqharness.simulator.aircraft_facts import AircraftFacts
+from uqharness.simulator.card import parse_card
 from uqharness.xml.aerodynamics import AeroSection, read_reference, read_section, require_reference
-from uqharness.xml.document import Document, Insertion, attribute, read_document
+from uqharness.xml.document import Insertion, attribute, read_document
+from uqharness.xml.properties import declaration, folder_names
 from uqharness.xml.summands import Reference, SectionEdit, add_deltas, add_system, axis_name
 
 SYSTEM = "model-form"
 AIR_SYSTEM = "air"
 AIR_FILE = PROJECT_ROOT / "aircraft" / "espaaro" / "Systems" / "air.xml"
-_FT = 0.3048
 _SAME = 1e-6  # a card's rounded figures mean the XML's metrics
 _OWN = re.compile(r"uq/[\w./\-]+")
 
@@ -94,16 +95,16 @@ def plan(aircraft: Aircraft, bounds: Bounds, facts: AircraftFacts | None = None,
         edit = add_system(edit, SYSTEM)
         if scaled:
             edit = add_system(edit, SYSTEM_NAME)
-    if air and not _declared_anywhere(aircraft, "air/"):
+    if air and not folder_names(aircraft.folder, "air/"):
         files[_system_file(aircraft, AIR_SYSTEM)] = AIR_FILE.read_bytes()
         edit = add_system(edit, AIR_SYSTEM)
     card = None
     if facts is not None and not aircraft.has_card:
-        errors = not _declared_anywhere(aircraft, "nav/")
+        errors = not folder_names(aircraft.folder, "nav/")
         if errors:
             files[_system_file(aircraft, ERRORS_SYSTEM)] = ERRORS_XML
             edit = add_system(edit, ERRORS_SYSTEM)
-        if not facts.engines and not _declared_anywhere(aircraft, "fcs/throttle-cmd-norm"):
+        if not facts.engines and not folder_names(aircraft.folder, "fcs/throttle-cmd-norm"):
             files[_system_file(aircraft, IDLE_SYSTEM)] = IDLE_XML
             edit = add_system(edit, IDLE_SYSTEM)
         files["airframe.toml"] = card_text(aircraft.name, aircraft.xml.name, facts, scaled, errors).encode("utf-8")
@@ -141,7 +142,7 @@ def bounds_xml(aircraft: Aircraft, bounds: Bounds) -> bytes:
 def _reference(aircraft: Aircraft, section: AeroSection) -> Reference:
     """What the coefficients are multiplied by: JSBSim's metrics, but the card's numbers where it has others."""
     card = aircraft.card.reference
-    wanted = (card.S_m2 and card.S_m2 / _FT**2, card.b_m and card.b_m / _FT, card.c_m and card.c_m / _FT)
+    wanted = (card.S_m2 and card.S_m2 / FT_M**2, card.b_m and card.b_m / FT_M, card.c_m and card.c_m / FT_M)
     written = read_reference(section)
     return Reference(*(None if w is None or abs(w - x) <= _SAME * w else w for w, x in zip(wanted, written, strict=True)))
 
@@ -149,7 +150,7 @@ def _reference(aircraft: Aircraft, section: AeroSection) -> Reference:
 def metrics_of(aircraft: Aircraft) -> tuple[float, float, float]:
     """S [m2], b and c [m] as the XML has them. Raises BadInputError."""
     S, b, c = read_reference(read_section(aircraft.folder, aircraft.xml.name))
-    return S * _FT**2, b * _FT, c * _FT
+    return S * FT_M**2, b * FT_M, c * FT_M
 
 
 def _has_plugin(section: AeroSection) -> bool:
@@ -212,24 +213,20 @@ def _plugin_system(aircraft: Aircraft, section: AeroSection) -> str:
     for node in section.main.root.all("system"):
         name = attribute(node, "file")
         if not name:
-            if _declares(section.main, "uq/active"):
+            if declaration(section.main, "uq/active") is not None:
                 raise BadInputError(
                     f"{section.main.where(node)}: the plugin's system stands in the aircraft's own XML; move it to a file, "
                     f'<system file="{SYSTEM}"/>, so that bounds can replace it'
                 )
             continue
         for path in _candidates(aircraft, name):
-            if path.is_file() and _declares(read_document(path), "uq/active"):
+            if path.is_file() and declaration(read_document(path), "uq/active") is not None:
                 inside = path.is_relative_to(aircraft.folder)
                 return path.relative_to(aircraft.folder).as_posix() if inside else _system_file(aircraft, name)
     raise BadInputError(
         f"{section.main.where(section.main.root)}: the aerodynamics read uq/CX/delta, but no <system> declares uq/active; add "
         f'<system file="{SYSTEM}"/>'
     )
-
-
-def _declares(document: Document, name: str) -> bool:
-    return any(node.tag == "property" and "value" in node.attributes and node.text.strip() == name for node in document.root.walk())
 
 
 def _candidates(aircraft: Aircraft, name: str) -> list[Path]:
@@ -245,33 +242,21 @@ def _candidates(aircraft: Aircraft, name: str) -> list[Path]:
 def _system_file(aircraft: Aircraft, name: str) -> str:
     """Where a new system goes; BadInputError if the aircraft has another of that name."""
     for path in _candidates(aircraft, name)[:3]:
-        if path.is_file() and not _declares(read_document(path), "uq/active"):
+        if path.is_file() and declaration(read_document(path), "uq/active") is None:
             raise BadInputError(f"{path}:1: the aircraft has a system of this name; rename it, because the plugin brings its own")
     return f"Systems/{name}.xml"
-
-
-def _declared_anywhere(aircraft: Aircraft, prefix: str) -> bool:
-    """Whether any XML of the folder names a property that begins so."""
-    for path in sorted(aircraft.folder.rglob("*.xml")):
-        for node in read_document(path).root.walk():
-            if any(text.strip().startswith(prefix) for text in (node.text, *node.attributes.values())):
-                return True
-    return False
 
 
 def _with_parameters(card: Path, scaled: list[Scaled], notes: list[str]) -> Insertion | None:
     """The scales as [parameters] at the end of a card that there is already; a note where that would spoil it."""
     raw = card.read_bytes()
     newline = b"\r\n" if raw.count(b"\r\n") * 2 > raw.count(b"\n") else b"\n"
-    lines = [b""]
-    for row in scaled:
-        lines += [f'[parameters."{row.scale}"]'.encode(), b"initial = 1.0", b"bounds = [-1, 4]", b'unit = "1"']
-        lines.append(f'source = "factor on {row.function}"'.encode())
-    text = newline.join([*lines, b""])
+    tables = [tomlkit.dumps({"parameters": {row.scale: scale_entry(row)}}) for row in scaled]
+    text = newline.join([b"", *"".join(tables).encode().split(b"\n")])
     text = text if raw.endswith(b"\n") or not raw else newline + text
     try:
-        Card.model_validate(tomllib.loads((raw + text).decode("utf-8")))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, ValidationError):
+        parse_card((raw + text).decode("utf-8"), card)
+    except (UnicodeDecodeError, BadInputError):
         notes.append(f"{card}: the scales could not be added to [parameters]; name them by hand or with --params")
         return None
     return Insertion(len(raw), text)

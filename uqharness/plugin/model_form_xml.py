@@ -15,19 +15,21 @@ from pathlib import Path
 
 from sysid.aerodynamics.terms import COEFFICIENTS
 from sysid.model_form.model_form import CoefficientBounds, ModelForm
+from sysid.units import FT_M, RAD_DEG
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.simulator.aircraft import Aircraft
 from uqharness.simulator.signals import position_factor
 from uqharness.xml.document import in_comment
 from uqharness.xml.expressions import Expression, Powers, call, horner, prop, value
+from uqharness.xml.properties import declare
 
 RATE_HZ = 50.0
 """Bounds are computed at least this often; levels and deltas in every frame."""
 
 _ROUNDING = 1e-9  # as in sysid.model_form.model_form: a state on the hull's edge lies inside
 _FLIGHT_STATES = {
-    "V_mps": ("velocities/vt-fps", 0.3048),
+    "V_mps": ("velocities/vt-fps", FT_M),
     "alpha_rad": ("aero/alpha-rad", 1.0),
     "beta_rad": ("aero/beta-rad", 1.0),
     "phi_rad": ("attitude/phi-rad", 1.0),
@@ -36,7 +38,7 @@ _FLIGHT_STATES = {
     "q_radps": ("velocities/q-rad_sec", 1.0),
     "r_radps": ("velocities/r-rad_sec", 1.0),
 }
-_TO_DEGREES = {"deg": 1.0, "rad": 57.29577951308232}
+_TO_DEGREES = {"deg": 1.0, "rad": RAD_DEG}
 _TO_PERCENT = {"pct": 1.0, "norm": 100.0}
 
 
@@ -102,16 +104,16 @@ def constant_xml(bounds: Mapping[str, tuple[float, float]], remark: str) -> byte
     ``remark`` says where they come from. Raises BadInputError for bounds that do not enclose 0.
     """
     lines = [
-        '<property value="0">uq/active</property>',
-        '<property value="0">uq/extrapolated</property>  <!-- constant bounds: there is no outside -->',
+        declare("uq/active", "0"),
+        declare("uq/extrapolated", "0", "constant bounds: there is no outside"),
     ]
     for name in COEFFICIENTS:
         lower, upper = bounds.get(name, (0.0, 0.0))
         if not lower <= 0.0 <= upper:
             raise BadInputError(f"bounds of {name}: lower must be <= 0 and upper >= 0; received {lower:g}, {upper:g}")
         lines += [
-            f'<property value="{lower!r}">uq/{name}/lower</property>',
-            f'<property value="{upper!r}">uq/{name}/upper</property>',
+            declare(f"uq/{name}/lower", repr(lower)),
+            declare(f"uq/{name}/upper", repr(upper)),
             *_level(name),
         ]
     return _document(remark.splitlines(), [*lines, *_deltas()])
@@ -227,17 +229,16 @@ def _coefficient(name: str, bounds: CoefficientBounds, group: _Group) -> list[st
 
 
 def _declarations(form: ModelForm) -> list[str]:
-    lines = ['<property value="0">uq/active</property>']
+    lines = [declare("uq/active", "0")]
     for name in COEFFICIENTS:
         if name not in form.coefficients:
-            lines += [f'<property value="0">uq/{name}/lower</property>  <!-- no bounds were made for {name} -->']
-            lines += [f'<property value="0">uq/{name}/upper</property>']
+            lines += [declare(f"uq/{name}/lower", "0", f"no bounds were made for {name}"), declare(f"uq/{name}/upper", "0")]
         lines += _level(name)
     return lines
 
 
 def _level(name: str) -> list[str]:
-    return [f'<property value="0.5">uq/{name}/level</property>', f'<property value="1">uq/{name}/active</property>']
+    return [declare(f"uq/{name}/level", "0.5"), declare(f"uq/{name}/active", "1")]
 
 
 def _deltas() -> list[str]:

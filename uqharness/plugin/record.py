@@ -7,13 +7,13 @@ elsewhere in the file. A file that was added is removed, one that was replaced c
 from __future__ import annotations
 
 import base64
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
+from sysid.digests import sha256_hex
 from sysid.foreign.parsed_text import parse_json
 from sysid.foreign.regular_files import read_regular
 from uqharness.errors import BadInputError
@@ -38,16 +38,11 @@ class Change:
         return bool(self.insertions)
 
 
-def digest(content: bytes) -> str:
-    """SHA-256 in hexadecimal digits."""
-    return hashlib.sha256(content).hexdigest()
-
-
 def changed(before: bytes | None, after: bytes, insertions: Sequence[Insertion] = ()) -> Change:
     """The change from ``before`` (None: the file is new) to ``after``."""
-    old = "" if before is None else digest(before)
+    old = "" if before is None else sha256_hex(before)
     kept = None if insertions else before
-    return Change(old, digest(after), tuple(sorted(insertions, key=lambda item: item.at)), kept)
+    return Change(old, sha256_hex(after), tuple(sorted(insertions, key=lambda item: item.at)), kept)
 
 
 def to_json(changes: Mapping[str, Change]) -> bytes:
@@ -108,7 +103,7 @@ def restored(path: Path, change: Change, now: bytes) -> bytes | None:
     """
     if not change.edited:
         return change.content
-    if digest(now) == change.after:
+    if sha256_hex(now) == change.after:
         return _exactly(path, change, now)
     for insertion in change.insertions:
         if now.count(insertion.text) != 1:
@@ -129,6 +124,6 @@ def _exactly(path: Path, change: Change, now: bytes) -> bytes:
         position = begin + len(insertion.text)
         shift += len(insertion.text) - len(insertion.removed)
     out = b"".join([*pieces, now[position:]])
-    if digest(out) != change.before:
+    if sha256_hex(out) != change.before:
         raise BadInputError(f"{path}: the record of the instrumentation does not fit this file; take the uq/ lines out by hand")
     return out

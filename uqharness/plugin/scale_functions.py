@@ -12,7 +12,9 @@ from collections import Counter
 from dataclasses import dataclass
 
 from uqharness.xml.aerodynamics import SLOT, AeroSection, Axis
-from uqharness.xml.document import Document, Insertion, Node, append_child, attribute, in_comment
+from uqharness.xml.document import Document, Insertion, Node, append_child, attribute
+from uqharness.xml.expressions import call, function_lines, prop, value
+from uqharness.xml.properties import declarations, declare
 from uqharness.xml.summands import Reference, SectionEdit
 
 COEFFICIENT_PROPERTY = re.compile(r"aero/(CX|CY|CZ|Cl|Cm|Cn)_\w+")
@@ -33,14 +35,7 @@ class Scaled:
 
 def coefficient_properties(documents: list[Document]) -> list[str]:
     """Names ``aero/<C>_<term>`` that the files declare: such an aircraft is identified by them and needs no scales."""
-    found = []
-    for document in documents:
-        for node in document.root.walk():
-            if node.tag == "property" and "value" in node.attributes:
-                name = node.text.strip()
-                if COEFFICIENT_PROPERTY.fullmatch(name):
-                    found.append(name)
-    return found
+    return [name for document in documents for name, _ in declarations(document) if COEFFICIENT_PROPERTY.fullmatch(name)]
 
 
 def add_scales(edit: SectionEdit, reference: Reference) -> tuple[SectionEdit, list[Scaled]]:
@@ -79,31 +74,19 @@ def scale_system(rows: list[Scaled]) -> bytes:
     ]
     for row in rows:
         lines += [
-            f'  <property value="1">{row.scale}</property>  <!-- {row.axis}: {in_comment(row.function)} -->',
-            f'  <property value="0">{row.bias}</property>',
+            f"  {declare(row.scale, '1', f'{row.axis}: {row.function}')}",
+            f"  {declare(row.bias, '0')}",
         ]
     return ("\n".join([*lines, "</system>"]) + "\n").encode("utf-8")
 
 
 def _function(axis: Axis, rows: list[Scaled], at_cg: bool, reference: Reference) -> list[str]:
     slot = SLOT[axis.name]
-    length = reference.lengths[slot - 3] if slot >= 3 else ""
-    biases = [f"<property>{row.bias}</property>" for row in rows]
-    total = biases[0] if len(biases) == 1 else f"<sum> {' '.join(biases)} </sum>"
-    factors = " ".join(part for part in ("<property>aero/qbar-psf</property>", reference.area, length) if part)
-    extra = ' apply_at_cg="true"' if at_cg else ""
-    return [
-        f'<function name="uq/scaled/{axis.name}{"-at-cg" if at_cg else ""}"{extra}>',
-        "  <sum>",
-        *(
-            f"    <product> <difference> <property>{row.scale}</property> <value>1</value> </difference> "
-            f"<property>{row.function}</property> </product>"
-            for row in rows
-        ),
-        f"    <product> {factors} {total} </product>",
-        "  </sum>",
-        "</function>",
-    ]
+    lengths = [reference.lengths[slot - 3]] if slot >= 3 else []
+    scaled = [call("product", call("difference", prop(row.scale), value(1, "g")), prop(row.function)) for row in rows]
+    biases = call("product", prop("aero/qbar-psf"), reference.area, *lengths, call("sum", *(prop(row.bias) for row in rows)))
+    name = f"uq/scaled/{axis.name}{'-at-cg' if at_cg else ''}"
+    return function_lines(name, "sum", [term.line() for term in (*scaled, biases)], at_cg)
 
 
 def _names(edit: SectionEdit) -> tuple[dict[int, str], SectionEdit]:

@@ -12,8 +12,9 @@ from sysid.effects.score import Evidence, solve
 from sysid.parallel import Processes
 from uqharness.errors import BadInputError
 from uqharness.identification.start import equation_error_start
-from uqharness.refinement.fit import Fit, Flown, Point, Setup, best_flown, positions, refit
+from uqharness.refinement.fit import Fit, best_flown, positions, refit
 from uqharness.refinement.setup import Bench, estimated_channels, turbulent
+from uqharness.refinement.types import Flown, Point, Setup
 from uqharness.simulator.aircraft import Aircraft
 
 SETTLED = 0.01

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from sysid.effects.score import Evidence
 from sysid.effects.selection import Selection, Twins, judged
-from uqharness.refinement.fit import Point, Setup, moved_starts, stepped
+from uqharness.refinement.fit import moved_starts, stepped
+from uqharness.refinement.types import Point, Setup
 
 WEAK, WEAK_IN_GUSTS, OVERWHELMING = 0.1, 1.0, 15.0
 """Share of the strongest |t| below which a candidate waits; in gusts, about the flight as measured, when that is overwhelming:

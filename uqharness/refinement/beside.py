@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 from sysid.effects.selection import Choice
 from sysid.estimation.gaps import NOISE_FLOOR
 from sysid.parallel import Processes
-from uqharness.refinement.fit import Setup
 from uqharness.refinement.judge import Side, evidence_of, left_out, sensed_by
 from uqharness.refinement.refine import Found
 from uqharness.refinement.showing.show import Shown, show, whiteness
+from uqharness.refinement.types import Setup
 from uqharness.simulator.aircraft import Aircraft
 
 COLOURED_P = 1e-7

@@ -14,15 +14,16 @@ from sysid.aerodynamics.terms import COEFFICIENTS
 from sysid.effects.catalogue import Effect
 from sysid.effects.prediction import Columns
 from uqharness.refinement.reference import Probe
+from uqharness.refinement.writing.terms import STALL
 from uqharness.replay.model import CONTROLS
-from uqharness.replay.replay import SENSOR_OF, Segment, runs_per_row
+from uqharness.replay.replay import SENSOR_OF, runs_per_row
+from uqharness.replay.segments import Segment
 from uqharness.simulator.actuators import Actuator
 
 if TYPE_CHECKING:
-    from uqharness.refinement.fit import Flown, Point, Setup
+    from uqharness.refinement.types import Flown, Point, Setup
 
 Array = NDArray[np.float64]
-STALL = {"a1_per_deg": 0.5, "alpha1_deg": 11.0, "alpha2_deg": -20.0}
 GROUND_SPANS = 3.0
 """Height in spans above which nothing is asked of the ground: less than half a per cent of its share is left there."""
 LEAST_INFLOW = 1e-9

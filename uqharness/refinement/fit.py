@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,85 +18,20 @@ from sysid.aerodynamics.gust_states import GustStates
 from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.aerodynamics.rigid_body import MassProperties, Reference, Steps, linearise
-from sysid.effects.catalogue import Effect
 from sysid.effects.prediction import Columns, White, whiten
 from sysid.effects.score import Evidence, gather
 from sysid.parallel import ALONE, Processes
 from uqharness.refinement.candidates import effect_columns, sensor_gain
 from uqharness.refinement.reference import Probe, ProbeJob, named_terms, probe, term_column
 from uqharness.refinement.sensed import as_sensed, late_rate, sensor_late_s
-from uqharness.refinement.writing.effects import in_dynamics
+from uqharness.refinement.types import Flown, Point, Setup, in_dynamics
 from uqharness.replay.flights import Flight, states
 from uqharness.replay.force import surface_positions
 from uqharness.replay.model import CONTROLS, ReplayModel
-from uqharness.replay.replay import CHANNELS, SENSOR_OF, STATES, Segment, at_rows, fly_segment
-from uqharness.simulator.actuators import Actuator
+from uqharness.replay.replay import CHANNELS, SENSOR_OF, STATES, at_rows, fly_segment
+from uqharness.replay.segments import Segment
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Setup:
-    """Everything about the flights that does not change with the model's numbers.
-
-    measured [(n, m)] outputs as logged; noise (m,); late: flight -> sensors whose delay is estimated; biased: channels;
-    active: effects that the model being flown has, or that its sensors have; carriers: key -> property of those that have one;
-    servos: actuators of the surfaces whose commands alone were recorded; limits: surface -> rate limits [deg/s] from and to which
-    a slower servo's effect is read; lagging: surface -> time constant [s] beyond its servo's own with which it flies;
-    slopes: numbers that the active effects are written with (`refine_slopes.control_slopes`), none where none is
-    """
-
-    flights: tuple[Flight, ...]
-    segments: tuple[Segment, ...]
-    channels: tuple[Mapping[str, Array], ...]
-    outputs: tuple[str, ...]
-    measured: tuple[Array, ...]
-    noise: Array
-    biased: tuple[str, ...]
-    late: Mapping[str, Sequence[str]]
-    active: tuple[Effect, ...] = ()
-    carriers: Mapping[str, str] = field(default_factory=dict)
-    servos: Mapping[str, Actuator] = field(default_factory=dict)
-    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    lagging: Mapping[str, float] = field(default_factory=dict)
-    slopes: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def which(self) -> list[int]:
-        """Columns of the replay's outputs that are compared."""
-        return [STEP_OUTPUTS.index(c) for c in self.outputs]
-
-    @property
-    def held(self) -> list[str]:
-        """Keys of active effects that JSBSim reads once (mass, servos): no step moves them."""
-        return [e.key for e in self.active if e.key not in self.carriers and in_dynamics(e)]
-
-    @property
-    def nuisance(self) -> tuple[str, ...]:
-        """Names of gyro biases and delays, estimated beside parameters and effects."""
-        names = [f"bias/{f.name}/{c}" for f in self.flights for c in self.biased]
-        return (*names, *(f"delay/{f}/{s}" for f, sensors in self.late.items() for s in sensors))
-
-
-@dataclass(frozen=True)
-class Point:
-    """Values of properties and nuisance by name; start (9,) of every segment; sensed: values of the sensors' effects by key."""
-
-    values: Mapping[str, float]
-    nuisance: Mapping[str, float]
-    starts: tuple[Array, ...]
-    sensed: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Flown:
-    """Replays at a point: outputs [(n, m)] with biases and delays, reference states [(n, 8)], cost: sum of squares over noise."""
-
-    point: Point
-    outputs: list[Array]
-    x: list[Array]
-    height: list[Array]
-    cost: float
 
 
 def _fly(job: tuple[ReplayModel, Segment, Mapping[str, float], Array, bool]) -> Array:

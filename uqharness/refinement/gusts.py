@@ -23,12 +23,14 @@ from sysid.effects.score import Evidence, gather
 from sysid.effects.turbulence import Gusts, gust_intensity, noise_factors
 from sysid.parallel import Processes
 from uqharness.refinement.candidates import sensor_gain, sensor_offset
-from uqharness.refinement.fit import PRIOR, Fit, Flown, Point, Setup, parameter_columns, probes, stepped, steps_of
+from uqharness.refinement.fit import PRIOR, Fit, parameter_columns, probes, stepped, steps_of
 from uqharness.refinement.reference import Predicted, Probe, along, named_terms
 from uqharness.refinement.sensed import as_sensed, moved_later, sensor_late_s
+from uqharness.refinement.types import Flown, Point, Setup
 from uqharness.replay.force import surface_positions
 from uqharness.replay.model import CONTROLS, ReplayModel
-from uqharness.replay.replay import Segment, by_run
+from uqharness.replay.replay import by_run
+from uqharness.replay.segments import Segment
 
 Array = NDArray[np.float64]
 _KINDS = {c: kind for kind, members in {"attitude": ("phi", "theta", "psi"), "rate": ("p", "q", "r"), "force": ("ax", "ay", "az"),

@@ -16,12 +16,11 @@ from sysid.effects.selection import Choice
 from sysid.effects.turbulence import Gusts
 from sysid.parallel import Processes
 from uqharness.refinement.candidates import effect_columns
-from uqharness.refinement.fit import Setup
 from uqharness.refinement.gusts import GustFit, gust_evidence
 from uqharness.refinement.refine import Found, in_one_step, with_resolution
 from uqharness.refinement.rounds import candidate_evidence
 from uqharness.refinement.showing.show import Shown, show
-from uqharness.refinement.writing.effects import in_dynamics
+from uqharness.refinement.types import Setup, in_dynamics
 from uqharness.simulator.aircraft import Aircraft
 
 Write = Callable[[Found], Aircraft]

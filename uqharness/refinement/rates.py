@@ -17,8 +17,8 @@ from sysid.effects.catalogue import Effect
 from sysid.effects.prediction import Columns
 from sysid.effects.score import Evidence, scores
 from uqharness.refinement.candidates import servo_change
-from uqharness.refinement.fit import Setup
 from uqharness.refinement.reference import Probe
+from uqharness.refinement.types import Setup
 from uqharness.replay.model import CONTROLS
 from uqharness.replay.replay import runs_per_row
 from uqharness.simulator.actuators import Actuator

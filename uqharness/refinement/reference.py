@@ -13,12 +13,13 @@ from sysid.aerodynamics.coefficients import MassProperties
 from sysid.aerodynamics.rigid_body import AIR, STATES, Reference
 from sysid.aerodynamics.terms import split_name
 from sysid.effects.effect_terms import V_REFERENCE_MPS
-from uqharness.replay.force import LBF_N, LBFT_NM, ForcedModel, force_states
+from sysid.units import FT_M, LBF_FT_NM, LBF_N
+from uqharness.replay.force import ForcedModel, force_states
 from uqharness.replay.ground import altitudes, terrain_m
 from uqharness.replay.model import CONTROLS, ReplayModel, control_setters
-from uqharness.replay.replay import Segment
+from uqharness.replay.segments import Segment
 from uqharness.simulator import engine
-from uqharness.simulator.trim import FT, TRIM_LATITUDE_DEG, body_velocity
+from uqharness.simulator.trim import TRIM_LATITUDE_DEG, body_velocity
 
 Array = NDArray[np.float64]
 EVERY = 4
@@ -223,7 +224,7 @@ def property_slopes(job: ProbeJob, rows: NDArray[np.intp], names: Sequence[str])
         engine.start_engines(fdm)
     setters = control_setters(fdm, job.straight)
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
-    fdm["ic/terrain-elevation-ft"] = terrain_m(job.straight, job.segment) / FT
+    fdm["ic/terrain-elevation-ft"] = terrain_m(job.straight, job.segment) / FT_M
     altitude = engine.handle(fdm, "ic/h-sl-ft").set_double_value
     height = altitudes(job.straight, job.segment, job.height_m[rows])
     places = ("phi-rad", "theta-rad", "u-fps", "v-fps", "w-fps", "p-rad_sec", "q-rad_sec", "r-rad_sec")
@@ -233,7 +234,7 @@ def property_slopes(job: ProbeJob, rows: NDArray[np.intp], names: Sequence[str])
     moved = [engine.handle(fdm, name).set_double_value for name in names]
     values = [float(job.properties[n]) if n in job.properties else float(fdm[n]) for n in names]
     steps = [1e-3 * max(abs(v), 1e-2) for v in values]
-    unit = np.array([LBF_N] * 3 + [LBFT_NM] * 3)
+    unit = np.array([LBF_N] * 3 + [LBF_FT_NM] * 3)
     out = {name: np.empty((len(rows), 6)) for name in names}
     scaled = job.straight.to_property(job.controls[rows])
     for k, row in enumerate(rows.tolist()):
@@ -241,9 +242,9 @@ def property_slopes(job: ProbeJob, rows: NDArray[np.intp], names: Sequence[str])
         for handles, value in zip(setters, scaled[k], strict=True):
             for setter in handles:
                 setter(float(value))
-        for put_one, value in zip(put, (phi, theta, *(w / FT for w in body_velocity(V, alpha, beta)), p, q, r), strict=True):
+        for put_one, value in zip(put, (phi, theta, *(w / FT_M for w in body_velocity(V, alpha, beta)), p, q, r), strict=True):
             put_one(float(value))
-        altitude(float(height[k]) / FT)
+        altitude(float(height[k]) / FT_M)
         engine.run_ic(fdm)
         fdm.suspend_integration()
         for name, move, value, step in zip(names, moved, values, steps, strict=True):

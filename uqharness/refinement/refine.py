@@ -26,11 +26,12 @@ from uqharness.plugin.estimates import Estimate
 from uqharness.refinement.base import Base, base_fit_and_noise, undetermined
 from uqharness.refinement.begin import OVERWHELMING, WEAK_IN_GUSTS, strong_first
 from uqharness.refinement.candidates import effect_columns
-from uqharness.refinement.fit import Fit, Setup, positions
+from uqharness.refinement.fit import Fit, positions
 from uqharness.refinement.gusts import GustFit, gust_evidence, gust_refit, middles
 from uqharness.refinement.rates import limits_tried
 from uqharness.refinement.rivals import like_turning_air
-from uqharness.refinement.rounds import LEAST_LATE_ROWS, Start, candidate_evidence, column_evidence, eligible, resolved, settle
+from uqharness.refinement.round import Start
+from uqharness.refinement.rounds import LEAST_LATE_ROWS, candidate_evidence, column_evidence, eligible, resolved, settle
 from uqharness.refinement.setup import (
     Bench,
     candidates_for,
@@ -43,6 +44,7 @@ from uqharness.refinement.setup import (
 )
 from uqharness.refinement.stages import Stages
 from uqharness.refinement.timing import CONTROLS_LATE, MOST_CORRECTIONS, controls_late, later, words
+from uqharness.refinement.types import Setup
 from uqharness.refinement.writing.slopes import control_slopes, of_lift_slope
 from uqharness.simulator.aircraft import Aircraft
 

@@ -16,10 +16,12 @@ from sysid.effects.selection import Choice, Selection, judged
 from uqharness.refinement.begin import OVERWHELMING
 from uqharness.refinement.contest import BESIDE, MOST_BESIDE, many_asked, rivals, winner
 from uqharness.refinement.gusts import GustFit
-from uqharness.refinement.writing.effects import carrier, in_dynamics
+from uqharness.refinement.types import in_dynamics
+from uqharness.refinement.writing.effects import carrier
 
 if TYPE_CHECKING:
-    from uqharness.refinement.rounds import About, Round, Start
+    from uqharness.refinement.begin import About
+    from uqharness.refinement.round import Round, Start
 
 HELD_FLIGHTS = 8
 """Flights in which a number that JSBSim reads once may come to its value."""

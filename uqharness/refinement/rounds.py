@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.effects.catalogue import TWINS, Effect
 from sysid.effects.prediction import Columns, whiten
 from sysid.effects.score import Evidence, gather, scores
 from sysid.effects.selection import Choice, Selection, judged, select
-from sysid.effects.turbulence import Gusts
-from sysid.parallel import Processes
 from uqharness.refinement.begin import OVERWHELMING, About, joint_point
 from uqharness.refinement.candidates import effect_columns
-from uqharness.refinement.fit import PRIOR, Fit, Point, Setup, best_flown, merged, positions, refit
+from uqharness.refinement.fit import PRIOR, Fit, best_flown, merged, positions, refit
 from uqharness.refinement.gusts import GustFit, gust_evidence, gust_refit, middles
 from uqharness.refinement.rates import around, slower_servos
 from uqharness.refinement.rivals import at_values, companion, far_off, read_once_first, rival, without_weak
+from uqharness.refinement.round import Round, Start
 from uqharness.refinement.setup import Bench, with_sensors_of
-from uqharness.refinement.writing.effects import Written, carrier, in_dynamics, write_effects
+from uqharness.refinement.types import Point, Setup, in_dynamics
+from uqharness.refinement.writing.effects import Written, carrier, write_effects
 from uqharness.refinement.writing.slopes import control_slopes
 from uqharness.replay.model import CONTROLS
 from uqharness.simulator.aircraft import Aircraft, find_aircraft
@@ -35,60 +34,6 @@ ROUNDS = 4
 EARNED = 0.6
 """Share of limit^2 by which each effect must lower the cost of the flight itself: a linearised gain is not reached to the last."""
 Say = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class Start:
-    """What every round begins from: the aircraft, the flights, the fit without effects, the candidates and how they are judged.
-
-    limits: of the parameters; limit: |t| asked of an effect; confirming (S,): segments that confirm
-    gusts: the air, where flights are judged by one-step predictions; handicap: key -> odds besides the effect's own
-    """
-
-    aircraft: Aircraft
-    setup: Setup
-    before: Fit
-    names: tuple[str, ...]
-    effects: Sequence[Effect]
-    limits: Mapping[str, tuple[float, float]]
-    confirming: NDArray[np.bool_]
-    limit: float
-    measured: Sequence[str]
-    ideal: Sequence[str]
-    map_: Processes
-    gusts: Gusts | None = None
-    handicap: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Round:
-    """Effects flown with everything estimated.
-
-    evidence   as it would be had the effects not been flown, around the flight with them
-    selection  the effects flown, judged there; again: what would be chosen there
-    standing   whether that is the same, with the same numbers where JSBSim reads them once
-    merit      cost, in gusts `surprise`, and what the effects must earn: less is better; gusts: the air, as estimated with them
-    about      where it ended; surprise: minus twice the log likelihood of one-step predictions; NaN for replays
-    held       key -> value flown, of numbers that JSBSim reads once; far: of those that the flights want elsewhere
-    """
-
-    setup: Setup
-    fit: Fit
-    evidence: Evidence
-    selection: Selection
-    again: Selection
-    standing: bool
-    merit: float
-    gusts: Gusts | None
-    about: About
-    surprise: float = float("nan")
-    held: Mapping[str, float] = field(default_factory=dict)
-    far: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def keys(self) -> frozenset[str]:
-        """Keys of the chosen effects."""
-        return frozenset(c.key for c in self.selection.chosen)
 
 
 def settle(start: Start, selection: Selection, evidence: Evidence, work: Path, say: Say) -> tuple[Round | None, list[str]]:

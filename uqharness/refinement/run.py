@@ -15,8 +15,9 @@ from sysid.parallel import Processes
 from uqharness import __version__
 from uqharness.campaign.folder.manifest import MANIFEST
 from uqharness.files import inner_folder
+from uqharness.parallel import worker_map
 from uqharness.refinement.beside import named_beside
-from uqharness.refinement.fit import Setup, positions
+from uqharness.refinement.fit import positions
 from uqharness.refinement.judge import Judged, Side, bare, judge, sensed_by
 from uqharness.refinement.lone import believed
 from uqharness.refinement.refine import (
@@ -47,11 +48,11 @@ from uqharness.refinement.showing.mission import MissionResult, Model, campaign_
 from uqharness.refinement.showing.show import air_of, write_bytes_tree
 from uqharness.refinement.stages import FOLDER, Stages
 from uqharness.refinement.timing import later
+from uqharness.refinement.types import Setup
 from uqharness.refinement.writing.effects import Written, write_effects
 from uqharness.replay.flights import Flight, read_flights, renamed
 from uqharness.replay.model import CONTROLS
 from uqharness.scratch import scratch_folder
-from uqharness.shared_jobs import worker_map
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import Aircraft, content_hash, find_aircraft, open_aircraft
 from uqharness.simulator.aircraft_files import copy_beside

@@ -11,10 +11,11 @@ from scipy.interpolate import CubicSpline
 
 from uqharness.refinement.candidates import sensor_gain, sensor_offset
 from uqharness.refinement.reference import Probe
-from uqharness.replay.replay import SENSOR_OF, Segment, late_rows
+from uqharness.replay.replay import SENSOR_OF, late_rows
+from uqharness.replay.segments import Segment
 
 if TYPE_CHECKING:
-    from uqharness.refinement.fit import Point, Setup
+    from uqharness.refinement.types import Point, Setup
 
 Array = NDArray[np.float64]
 

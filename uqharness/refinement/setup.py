@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -12,12 +11,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.digests import file_sha256
 from sysid.effects.catalogue import Effect, catalogue
 from sysid.effects.subsystem_effects import subsystem_effects
 from sysid.estimation.gaps import channel_noise, process_noise_shown
 from uqharness.errors import BadInputError
 from uqharness.identification.identify import BIASES, OUTPUTS
-from uqharness.refinement.fit import Flown, Setup, states_of
+from uqharness.refinement.fit import states_of
+from uqharness.refinement.types import Flown, Setup
 from uqharness.replay.flights import Flight, measured_outputs, segments
 from uqharness.replay.model import CONTROLS, ReplayFolder, ReplayModel
 from uqharness.replay.replay import SENSOR_OF
@@ -28,7 +29,7 @@ from uqharness.simulator.aircraft import Aircraft
 def file_hash(path: Path) -> str:
     """SHA-256 of a file's content. Raises BadInputError."""
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        return file_sha256(path)
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror}") from None
 

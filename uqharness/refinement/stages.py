@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import logging
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+from sysid.digests import sha256_hex
 from sysid.foreign.data_file import DataFileError, dump, load
 from sysid.foreign.regular_files import read_regular
 from uqharness.errors import BadInputError
@@ -32,7 +32,7 @@ class Stages:
 
     def __init__(self, folder: Path | None, parts: Sequence[str]) -> None:
         self.folder = folder
-        self.key = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
+        self.key = sha256_hex("\0".join(parts).encode())[:16]
 
     def __call__(self, name: str, kind: Any, make: Callable[[], T]) -> T:
         """What ``make`` returns, from the disk if an earlier run with the same input got that far. ``kind``: its type."""

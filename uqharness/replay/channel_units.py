@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-_DEGREES = 57.29577951308232
+from sysid.units import RAD_DEG
+
 _UNITS = {
-    "rad": ("deg", _DEGREES), "radps": ("deg/s", _DEGREES), "mps": ("m/s", 1.0), "mps2": ("m/s²", 1.0), "m": ("m", 1.0),
+    "rad": ("deg", RAD_DEG), "radps": ("deg/s", RAD_DEG), "mps": ("m/s", 1.0), "mps2": ("m/s²", 1.0), "m": ("m", 1.0),
     "deg": ("deg", 1.0), "pct": ("%", 1.0), "s": ("s", 1.0), "kgpm3": ("kg/m³", 1.0), "rpm": ("1/min", 1.0),
 }  # fmt: skip
 _CONTROLS = {"elevator": "deg", "aileron": "deg", "rudder": "deg", "throttle": "%"}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,18 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics.segmentation import MAX_S, MIN_S, Piece, as_logged, cut
+from sysid.digests import file_sha256
 from sysid.errors import LogError
-from sysid.foreign.regular_files import open_regular
+from sysid.logs.cache import default_cache
 from sysid.logs.checks import in_degrees
 from sysid.logs.dropouts import bridge
-from sysid.logs.load import default_cache, import_log
+from sysid.logs.load import import_log
 from sysid.logs.manoeuvres import label_manoeuvres
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
 from uqharness.replay.ground import height_known
 from uqharness.replay.logged_commands import command_later, mean_ahead, with_steps_placed
 from uqharness.replay.model import CONTROLS
-from uqharness.replay.replay import CHANNELS, STATES, Segment
+from uqharness.replay.replay import CHANNELS, STATES
+from uqharness.replay.segments import Segment
 from uqharness.simulator.aircraft import Aircraft
 from uqharness.simulator.altitude import with_start_altitude
 
@@ -71,17 +72,22 @@ def read_flight(path: Path, aircraft: Aircraft, manoeuvres: Path | None = None, 
         record = import_log(path, map_path, card, cache=default_cache())
         if manoeuvres is not None:
             record = label_manoeuvres(record, manoeuvres, path.stem)
-        if record.metadata.dialect != "record" and record.metadata.free_flight_s:
-            record = record.between(*record.metadata.free_flight_s[0])
     except LogError as error:
         raise BadInputError(str(error)) from None
+    return in_free_flight(record, aircraft, path)
+
+
+def in_free_flight(record: FlightRecord, aircraft: Aircraft, where: object) -> FlightRecord:
+    """A record's free flight. Raises BadInputError, naming ``where``, where it is in degrees or another aircraft's."""
+    if record.metadata.dialect != "record" and record.metadata.free_flight_s:
+        record = record.between(*record.metadata.free_flight_s[0])
     wrong = next((f for f in record.metadata.findings if in_degrees(f)), None)
     if wrong is not None and record.metadata.dialect == "record":
-        raise BadInputError(f"{path}: {wrong.message}; angles and rates of a flight record are in rad and rad/s")
+        raise BadInputError(f"{where}: {wrong.message}; angles and rates of a flight record are in rad and rad/s")
     named = record.metadata.aircraft
     if named and named not in (aircraft.card.aircraft.name, aircraft.name):
         raise BadInputError(
-            f"{path}: this record was made with the card of aircraft '{named}', not of '{aircraft.card.aircraft.name}'; "
+            f"{where}: this record was made with the card of aircraft '{named}', not of '{aircraft.card.aircraft.name}'; "
             "its surface angles follow that card: import the log again with --aircraft, or name that aircraft"
         )
     return record
@@ -268,21 +274,25 @@ def read_flights(
     min_s: float = MIN_S, max_s: float = MAX_S,
 ) -> tuple[list[Flight], tuple[str, ...]]:  # fmt: skip
     """Flights ready for replay, and the surfaces whose measured positions are used. Raises BadInputError."""
-    hashes = [file_hash(path) if path.is_file() else str(path) for path in paths]
-    twice = next((path for path, digest in zip(paths, hashes, strict=True) if hashes.count(digest) > 1), None)
-    if twice is not None:
-        raise BadInputError(f"--flight {twice} is given more than once: its noise would count as if it were measured anew")
+    refuse_twice(paths, [file_sha256(path) if path.is_file() else str(path) for path in paths])
     records = [read_flight(path, aircraft, manoeuvres, map_path) for path in paths]
+    return prepare_together([path.stem for path in paths], records, aircraft, min_s, max_s)
+
+
+def refuse_twice(names: Sequence[object], hashes: Sequence[str]) -> None:
+    """BadInputError for a flight that is given twice; ``names`` say which, ``hashes`` are of their content."""
+    twice = next((name for name, digest in zip(names, hashes, strict=True) if hashes.count(digest) > 1), None)
+    if twice is not None:
+        raise BadInputError(f"flight {twice} is given more than once: its noise would count as if it were measured anew")
+
+
+def prepare_together(
+    names: Sequence[str], records: Sequence[FlightRecord], aircraft: Aircraft, min_s: float = MIN_S, max_s: float = MAX_S
+) -> tuple[list[Flight], tuple[str, ...]]:
+    """Records used together, ready for replay, and the surfaces whose measured positions are used. Raises BadInputError."""
     measured = tuple(n for n in measured_surfaces(records) if n in aircraft.card.inputs)
-    names = renamed([path.stem for path in paths])
     placed = [with_start_altitude(record, aircraft.folder) for record in records]
-    flights = [prepare(n, r, measured, min_s, max_s) for n, (r, _) in zip(names, placed, strict=True)]
+    flights = [prepare(n, r, measured, min_s, max_s) for n, (r, _) in zip(renamed(names), placed, strict=True)]
     return [
         replace(f, notes=(f"{f.name}: {said}", *f.notes)) if said else f for f, (_, said) in zip(flights, placed, strict=True)
     ], measured
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file's bytes."""
-    with open_regular(path) as handle:
-        return hashlib.file_digest(handle, "sha256").hexdigest()

@@ -10,18 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics.coefficients import MassProperties
+from sysid.units import FT_M, LBF_FT_NM, LBF_N, PSF_PA, SLUG_KG
 from uqharness.replay.ground import terrain_m
 from uqharness.replay.model import ReplayModel, control_setters
-from uqharness.replay.replay import Segment
+from uqharness.replay.segments import Segment
 from uqharness.simulator import engine
 from uqharness.simulator.signals import position_factor
-from uqharness.simulator.trim import FT, TRIM_LATITUDE_DEG, body_velocity
+from uqharness.simulator.trim import TRIM_LATITUDE_DEG, body_velocity
 
 Array = NDArray[np.float64]
-LBF_N = 4.4482216152605
-LBFT_NM = 1.3558179483314
-PSF_PA = 47.880258980336
-SLUG_KG = 14.593902937206
 _FORCES = tuple(f"forces/fb{a}-{kind}-lbs" for kind in ("total", "aero") for a in "xyz")
 _MOMENTS = tuple(f"moments/{a}-{kind}-lbsft" for kind in ("total", "aero") for a in "lmn")
 
@@ -69,7 +66,7 @@ def force_states(
     setters = control_setters(fdm, model)
     height = np.full(len(controls), segment.altitude_m) if altitude_m is None else altitude_m
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
-    fdm["ic/terrain-elevation-ft"] = min(terrain_m(model, segment), float(height.min())) / FT
+    fdm["ic/terrain-elevation-ft"] = min(terrain_m(model, segment), float(height.min())) / FT_M
     names = (
         "h-sl-ft",
         "phi-rad",
@@ -93,7 +90,7 @@ def force_states(
                 setter(float(value))
         u, v, w = body_velocity(float(states["V_mps"][k]), float(states["alpha_rad"][k]), float(states["beta_rad"][k]))
         state = (
-            height[k] / FT, states["phi_rad"][k], states["theta_rad"][k], 0.0, u / FT, v / FT, w / FT,
+            height[k] / FT_M, states["phi_rad"][k], states["theta_rad"][k], 0.0, u / FT_M, v / FT_M, w / FT_M,
             states["p_radps"][k], states["q_radps"][k], states["r_radps"][k],
         )  # fmt: skip
         for setter, value in zip(put, state, strict=True):
@@ -106,7 +103,7 @@ def force_states(
             _settle_rates(fdm, *rates)
         raw[k] = [g() for g in get]
     total, aero = raw[:, 0:3] * LBF_N, raw[:, 3:6] * LBF_N
-    total_moment, aero_moment = raw[:, 6:9] * LBFT_NM, raw[:, 9:12] * LBFT_NM
+    total_moment, aero_moment = raw[:, 6:9] * LBF_FT_NM, raw[:, 9:12] * LBF_FT_NM
     return ForcedModel(
         aero, total - aero, aero_moment, total_moment - aero_moment, raw[:, 12] * PSF_PA, mass_properties(fdm, model)
     )
@@ -128,16 +125,16 @@ def _settle_rates(fdm: Any, alphadot: Callable[[], float], betadot: Callable[[],
 def mass_properties(fdm: Any, model: ReplayModel) -> MassProperties:
     """Mass, inertia and reference lengths of an initialised instance; the card's lengths win."""
     get = fdm.__getitem__
-    unit = SLUG_KG * FT**2
+    unit = SLUG_KG * FT_M**2
     # JSBSim publishes the elements of its inertia matrix: inertia/ixz is minus the product of inertia Ixz.
     names = [["ixx", "ixy", "ixz"], ["ixy", "iyy", "iyz"], ["ixz", "iyz", "izz"]]
     inertia = unit * np.array([[get(f"inertia/{n}-slugs_ft2") for n in row] for row in names])
     reference = model.card.reference
     return MassProperties(
         float(get("inertia/mass-slugs")) * SLUG_KG, inertia,
-        reference.S_m2 or get("metrics/Sw-sqft") * FT**2,
-        reference.b_m or get("metrics/bw-ft") * FT,
-        reference.c_m or get("metrics/cbarw-ft") * FT,
+        reference.S_m2 or get("metrics/Sw-sqft") * FT_M**2,
+        reference.b_m or get("metrics/bw-ft") * FT_M,
+        reference.c_m or get("metrics/cbarw-ft") * FT_M,
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from sysid.record import FlightRecord
 
 if TYPE_CHECKING:
     from uqharness.replay.model import ReplayModel
-    from uqharness.replay.replay import Segment
+    from uqharness.replay.segments import Segment
 
 Array = NDArray[np.float64]
 OUT_OF_REACH_M = 2000.0

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table, write_table
-from uqharness.replay.replay import Segment
+from uqharness.replay.segments import Segment
 
 Array = NDArray[np.float64]
 HISTORIES = "histories.parquet"

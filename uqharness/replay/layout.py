@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from uqharness.replay.flights import Flight
-from uqharness.replay.replay import CONTROL_DELAY, SENSOR_OF, Segment
+from uqharness.replay.replay import CONTROL_DELAY, SENSOR_OF
+from uqharness.replay.segments import Segment
 
 _FREE_STARTS = ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps")
 _START_WIDTH = {"V_mps": 6.0, "alpha_rad": 0.2, "beta_rad": 0.2, "phi_rad": 0.3, "theta_rad": 0.2}

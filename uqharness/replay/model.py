@@ -17,10 +17,12 @@ import numpy as np
 from lxml import etree
 from numpy.typing import NDArray
 
+from sysid.units import DEG_RAD
 from uqharness.errors import BadInputError
 from uqharness.scratch import scratch_folder
 from uqharness.simulator import engine
-from uqharness.simulator.aircraft import Aircraft, Card, check_loadable, parse_xml
+from uqharness.simulator.aircraft import Aircraft, check_loadable, parse_xml
+from uqharness.simulator.card import Card
 from uqharness.simulator.signals import SECOND_ORDER, position_factor
 from uqharness.simulator.staging import Staging, stage
 
@@ -129,7 +131,7 @@ def _factor(card: Card, control: str) -> float:
     """Record unit (deg, percent) to the property's unit."""
     unit, limits = card.inputs[control].unit, card.inputs[control].limits
     if unit == "rad":
-        return 0.017453292519943295
+        return DEG_RAD
     if unit != "norm":
         return 1.0
     if control == "throttle":

@@ -11,17 +11,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.units import FT_M
 from uqharness.replay.ground import terrain_m
 from uqharness.replay.model import ReplayModel, control_setters
+from uqharness.replay.segments import Segment
 from uqharness.simulator import engine
 from uqharness.simulator.signals import STANDARD
-from uqharness.simulator.trim import FT, TRIM_LATITUDE_DEG, body_velocity
+from uqharness.simulator.trim import TRIM_LATITUDE_DEG, body_velocity
 
 Array = NDArray[np.float64]
 CHANNELS = (
@@ -49,32 +50,6 @@ BETWEEN_S = 0.005
 """Longest time between outputs that are wanted between rows."""
 MIN_RUNS = 2
 _ANGULAR = ("accelerations/pdot-rad_sec2", "accelerations/qdot-rad_sec2", "accelerations/rdot-rad_sec2")
-
-
-@dataclass(frozen=True)
-class Segment:
-    """One piece to fly through.
-
-    time_s (n,) equidistant; controls (n, c) in the record's units, in the model's order of controls; start (9,) as STATES;
-    altitude_m above sea level at the start; h_m what the record calls its height there; arm_m place of the accelerometers
-    from the CG; targets (n, c) the commands behind measured positions, NaN where there are none. above_ground: whether h_m is that.
-    """
-
-    label: str
-    flight: str
-    time_s: Array
-    controls: Array
-    start: Array
-    altitude_m: float
-    h_m: float
-    arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    targets: Array | None = None
-    above_ground: bool = False
-
-    @property
-    def dt_s(self) -> float:
-        """Mean time between rows [s]."""
-        return float(self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1)
 
 
 def longest_run_s(model: ReplayModel, between: bool = False) -> float:
@@ -140,10 +115,10 @@ def _initialise(fdm: Any, segment: Segment, start: Array, setters: list[list[Any
     V, alpha, beta, phi, theta, psi, p, q, r = (float(x) for x in start)
     u, v, w = body_velocity(V, alpha, beta)
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
-    fdm["ic/terrain-elevation-ft"] = terrain_m(model, segment) / FT
-    fdm["ic/h-sl-ft"] = segment.altitude_m / FT
+    fdm["ic/terrain-elevation-ft"] = terrain_m(model, segment) / FT_M
+    fdm["ic/h-sl-ft"] = segment.altitude_m / FT_M
     fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = phi, theta, psi % (2.0 * math.pi)
-    fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"] = u / FT, v / FT, w / FT
+    fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"] = u / FT_M, v / FT_M, w / FT_M
     fdm["ic/p-rad_sec"], fdm["ic/q-rad_sec"], fdm["ic/r-rad_sec"] = p, q, r
     engines = fdm.get_propulsion().get_num_engines()
     if engines:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uqharness.replay.model import ReplayModel
-from uqharness.replay.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF, STATES, Segment, at_rows, fly_segment, late_rows
+from uqharness.replay.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF, STATES, at_rows, fly_segment, late_rows
+from uqharness.replay.segments import Segment
 
 Array = NDArray[np.float64]
 _CACHE_BYTES = 800_000_000

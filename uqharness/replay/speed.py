@@ -5,10 +5,11 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
+from sysid.units import FT_M
 from uqharness.replay.model import ReplayModel
-from uqharness.replay.replay import Segment, longest_run_s, runs_per_row
+from uqharness.replay.replay import longest_run_s, runs_per_row
+from uqharness.replay.segments import Segment
 from uqharness.simulator import engine
-from uqharness.simulator.trim import FT
 
 _RUNS = 2000
 
@@ -35,7 +36,7 @@ def bare_rate(model: ReplayModel, segment: Segment) -> float:
     """Flight seconds a second of wall time when the model is stepped and nothing is set or read. Raises BadInputError."""
     dt_s = segment.dt_s / runs_per_row(segment.dt_s, longest_run_s(model))
     fdm = model.open(dt_s)
-    fdm["ic/h-sl-ft"], fdm["ic/u-fps"] = (segment.altitude_m + 500.0) / FT, float(segment.start[0]) / FT
+    fdm["ic/h-sl-ft"], fdm["ic/u-fps"] = (segment.altitude_m + 500.0) / FT_M, float(segment.start[0]) / FT_M
     engine.run_ic(fdm)
     run = fdm.run
     begun = time.perf_counter()

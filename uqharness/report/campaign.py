@@ -10,8 +10,8 @@ from typing import Any
 
 import pandas as pd
 
+from uqharness.campaign.columns import UNCOMMANDED_METRICS
 from uqharness.campaign.conditions import CONFIDENCE, Condition, conditions, in_condition, samples
-from uqharness.campaign.folder.case_table import UNCOMMANDED_METRICS
 from uqharness.campaign.folder.files import read_cases, read_decisions
 from uqharness.campaign.folder.manifest import read_complete
 from uqharness.campaign.rounds import band_confidence

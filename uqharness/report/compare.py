@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
-import math
 from pathlib import Path
 from typing import Any
 
 from sysid.aerodynamics.terms import COEFFICIENTS
+from uqharness.files import finite, write_json, write_text
 from uqharness.identification.compare import LIMIT, Comparison
 from uqharness.replay.histories import columns_of, write_histories
 from uqharness.replay.model import CONTROLS
-from uqharness.report.identify import csv_text, markdown_table, write_text
-from uqharness.report.pages.index import write_report
+from uqharness.report.pages.compare import noise_floor
+from uqharness.text_tables import csv_text
 
 _RULE = f"the noise floor is reached when no judged channel's rms is above {LIMIT} times its noise"
 
@@ -29,7 +28,7 @@ def document_of(found: Comparison) -> dict[str, Any]:
         "aligned": found.aligned,
         "above": list(found.above),
         "channels": {
-            c: _clean(
+            c: finite(
                 {
                     "rms": g.rms, "noise": g.noise, "ratio": g.ratio, "judged": g.judged, "delay_s": g.allowed_s + g.shift.seconds,
                     "delay_std_s": g.shift.std, "theil_u": g.theil.u, "theil_bias": g.theil.bias,
@@ -39,20 +38,16 @@ def document_of(found: Comparison) -> dict[str, Any]:
             for c, g in found.channels.items()
         },
         "coefficients": {
-            c: _clean({"rms": g.rms, "noise": g.noise, "mean": g.mean}) for c, g in found.coefficients.items()
+            c: finite({"rms": g.rms, "noise": g.noise, "mean": g.mean}) for c, g in found.coefficients.items()
         },
         "manoeuvres": {
-            m: {"channels": _clean(row), "coefficients": _clean(found.manoeuvre_coefficients[m])}
+            m: {"channels": finite(row), "coefficients": finite(found.manoeuvre_coefficients[m])}
             for m, row in found.manoeuvres.items()
         },
-        "moments": [_clean(vars(m)) for m in found.moments],
+        "moments": [finite(vars(m)) for m in found.moments],
         "biases": {n: v for n, v in found.nuisance.items() if n.startswith("bias/")},
         "notes": list(found.notes),
     }  # fmt: skip
-
-
-def _clean(row: Any) -> dict[str, Any]:
-    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in dict(row).items()}
 
 
 def channel_rows(found: Comparison) -> list[dict[str, str]]:
@@ -115,7 +110,7 @@ def moment_rows(found: Comparison) -> list[dict[str, str]]:
 
 
 def write_tables(found: Comparison, document: dict[str, Any], out: Path) -> None:
-    """compare.json, histories.parquet, the CSV tables, report.md and report.html."""
+    """compare.json, histories.parquet and the CSV tables."""
     tables = {
         "channels": channel_rows(found),
         "coefficients": coefficient_rows(found),
@@ -125,12 +120,6 @@ def write_tables(found: Comparison, document: dict[str, Any], out: Path) -> None
     for name, rows in tables.items():
         if rows:
             write_text(out / f"{name}.csv", csv_text(rows))
-    lines = [f"# {found.flight} beside {found.aircraft}", "", verdict(found), ""]
-    for name, rows in tables.items():
-        if rows:
-            lines += [f"## {name}", "", markdown_table(rows)]
-    lines += [f"- {text}" for text in found.notes]
-    write_text(out / "report.md", "\n".join(lines) + "\n")
     write_histories(
         out,
         found.segments,
@@ -140,34 +129,16 @@ def write_tables(found: Comparison, document: dict[str, Any], out: Path) -> None
             **columns_of(COEFFICIENTS, found.demanded, "_flight"), **columns_of(COEFFICIENTS, found.predicted, "_model"),
         },
     )  # fmt: skip
-    write_text(out / "compare.json", json.dumps(document, indent=1) + "\n")
-    write_report(out)
+    write_json(out / "compare.json", document)
 
 
 def verdict(found: Comparison) -> str:
     """One sentence: reached or not, by the rule."""
-    if found.reached:
-        return f"The model reaches the noise floor ({_RULE})."
-    if not found.aligned:
+    if not found.reached and not found.aligned:
         when = "early" if found.controls_late_s < 0.0 else "late"
         return (
             f"The record is not aligned: its controls act {1e3 * abs(found.controls_late_s):.1f} ms {when}, and "
             f"{1e3 * found.late_limit_s:.1f} ms are allowed. A command belongs to the row whose acceleration has seen it first: "
             "shift the command columns, or everything that is identified from this flight will have a lag too much."
         )
-    worst = ", ".join(f"{c} {found.channels[c].ratio:.2f}" for c in found.above)
-    return f"The model does not reach the noise floor: rms over noise is {worst} ({_RULE})."
-
-
-def summary(found: Comparison, out: Path) -> str:
-    """Text for a terminal."""
-    lines = [f"{'channel':<12}{'rms':>10}{'noise':>10}{'ratio':>7}{'delay ms':>16}{'Theil U':>9}"]
-    for row in channel_rows(found):
-        lines.append(
-            f"{row['channel']:<12}{row['rms']:>10}{row['noise']:>10}{row['ratio']:>7}{row['delay [ms]']:>16}{row['Theil U']:>9}"
-            + ("" if row["verdict"] != "not judged" else "  not judged")
-        )
-    lines += [f"{r['coefficient']:<12}{r['rms']:>10}{r['noise']:>10}{r['ratio']:>7}" for r in coefficient_rows(found)]
-    lines += [f"worst: {m.time_s:.2f} s {m.channel} {m.gap:.3g} ({m.noises:.1f} noises), {m.manoeuvre}" for m in found.moments[:5]]
-    lines += [f"note: {n}" for n in found.notes]
-    return "\n".join([*lines, verdict(found), f"results in {out}"])
+    return noise_floor(found.reached, {c: found.channels[c].ratio for c in found.above}, _RULE)

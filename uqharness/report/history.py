@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,11 @@ _LEAST_CONTROL = 2.0  # deg or %: a control that stands still shall look so
 _CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 
 
+def file_name(text: str) -> str:
+    """Words as the name of a file."""
+    return re.sub(r"[^\w.-]+", "-", text)
+
+
 @dataclass(frozen=True)
 class Model:
     """A model in a file of histories: the ending of its columns, the class that draws it, what it is called."""
@@ -32,14 +38,15 @@ class Model:
 
 def history_section(
     found: Sequence[History], noise: Mapping[str, float | None], models: Sequence[Model], title: str, prefix: str = "",
-    most: int = MOST_SEGMENTS,
-) -> Section | None:  # fmt: skip
-    """The segments in which the first model is farthest from the log, each channel against all models; None without histories.
+    most: int | None = MOST_SEGMENTS, file: Callable[[int, History], str | None] = lambda rank, history: None,
+) -> tuple[Section, ...]:  # fmt: skip
+    """The segments in which the first model is farthest from the log, each channel against all models; none without histories.
 
     noise: channel -> standard deviation, in the channel's own unit, None where it is not known (then no band is drawn).
+    most: number of segments shown, None for all. file: name of a segment's file of figures, by its rank.
     """
     if not found:
-        return None
+        return ()
     ranked = sorted(found, key=lambda h: -_worst(h, noise, models[0])[0])[:most]
     first, last = ((f" {m.words}" if len(models) > 1 else "") for m in (models[0], models[-1]))
     which = "All segments"
@@ -50,12 +57,13 @@ def history_section(
         "times the noise of the channel: with a right model 95 % of the samples lie inside."
     )
     legend = (("dot", "log"), *((m.kind, m.words) for m in models), ("fill1", "95 % band of the noise"))
-    parts = tuple(_segment(h, noise, models, legend, prefix) for h in ranked)
-    return Section(title, (Words(text, note=True),), parts)
+    parts = tuple(_segment(h, noise, models, legend, prefix, file(rank, h)) for rank, h in enumerate(ranked))
+    return (Section(title, (Words(text, note=True),), parts),)
 
 
 def _segment(
-    history: History, noise: Mapping[str, float | None], models: Sequence[Model], legend: tuple[tuple[str, str], ...], prefix: str
+    history: History, noise: Mapping[str, float | None], models: Sequence[Model], legend: tuple[tuple[str, str], ...], prefix: str,
+    file: str | None,
 ) -> Section:  # fmt: skip
     figures = [_channel(history, c, noise[c], models, prefix) for c in noise if c in history.columns]
     for control in _CONTROLS:
@@ -66,7 +74,7 @@ def _segment(
     blocks: list[Block] = []
     if math.isfinite(ratio):
         blocks.append(Words(f"Farthest in {shown_channel(channel)[0]}: rms of log minus model{when} {ratio:.2f} times the noise."))
-    return Section(history.title, (*blocks, Figures(tuple(figures), legend, narrow=True)))
+    return Section(history.title, (*blocks, Figures(tuple(figures), legend, True, file)))
 
 
 def _channel(history: History, name: str, noise: float | None, models: Sequence[Model], prefix: str) -> Figure:

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
-import math
 import shlex
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -16,13 +12,13 @@ import numpy as np
 
 from sysid.estimation.diagnostics import colour
 from sysid.estimation.gaps import rms
-from uqharness.files import write_whole
-from uqharness.identification.identify import Identification
+from uqharness.files import finite, write_json, write_text
+from uqharness.identification.result import Identification
 from uqharness.plugin.estimates import Estimate, write_estimates
 from uqharness.replay.histories import columns_of, write_histories
 from uqharness.replay.model import CONTROLS
-from uqharness.report.pages.index import write_report
 from uqharness.simulator.aircraft import Aircraft
+from uqharness.text_tables import csv_text
 
 
 def fit_document(
@@ -35,10 +31,10 @@ def fit_document(
     fit = {}
     for k, channel in enumerate(found.outputs):
         fit[channel] = {
-            "rms": _finite(rms(residual[k])),
-            "noise": _finite(found.noise[channel]),
-            "whiteness_p": _finite(tint.p_value[k]),
-            "predictable_share": _finite(tint.predictable[k]),
+            "rms": finite(rms(residual[k])),
+            "noise": finite(found.noise[channel]),
+            "whiteness_p": finite(tint.p_value[k]),
+            "predictable_share": finite(tint.predictable[k]),
         }
     return {
         "aircraft": found.aircraft,
@@ -46,12 +42,12 @@ def fit_document(
         "converged": found.converged,
         "parameters": {
             n: {
-                "value": _finite(found.theta[i]),
-                "std": _finite(found.std[i]),
-                "std_crb": _finite(found.std_crb[i]),
+                "value": finite(found.theta[i]),
+                "std": finite(found.std[i]),
+                "std_crb": finite(found.std_crb[i]),
                 "status": found.status[n],
                 "reason": found.reason[n],
-                "initial": _finite(found.initial[i]),
+                "initial": finite(found.initial[i]),
             }
             for i, n in enumerate(found.names)
         },
@@ -59,7 +55,7 @@ def fit_document(
         "cov": [[float(v) for v in row] for row in found.cov],
         "warnings": list(found.warnings),
         "fit": fit,
-        "nuisance": {n: {"value": _finite(v), "std": _finite(s)} for n, (v, s) in found.nuisance.items()},
+        "nuisance": {n: {"value": finite(v), "std": finite(s)} for n, (v, s) in found.nuisance.items()},
         "segments": [
             {"flight": s.flight, "label": s.label, "start_s": float(s.time_s[0]), "end_s": float(s.time_s[-1])}
             for s in found.segments
@@ -72,10 +68,6 @@ def fit_document(
         "seconds": round(found.seconds, 2),
         "speed": None if found.speed is None else {k: round(v, 1) for k, v in asdict(found.speed).items()},
     }
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def parameter_rows(found: Identification) -> list[dict[str, str]]:
@@ -97,69 +89,11 @@ def parameter_rows(found: Identification) -> list[dict[str, str]]:
     return rows
 
 
-def markdown_table(rows: Sequence[dict[str, str]]) -> str:
-    """Rows of equal keys as a markdown table."""
-    keys = list(rows[0])
-    lines = ["| " + " | ".join(keys) + " |", "|" + "---|" * len(keys)]
-    return "\n".join([*lines, *("| " + " | ".join(r[k].replace("|", "/") for k in keys) + " |" for r in rows)]) + "\n"
-
-
-def csv_text(rows: Sequence[dict[str, Any]]) -> str:
-    """Rows of equal keys as CSV."""
-    buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return buffer.getvalue()
-
-
-def write_text(path: Path, text: str) -> None:
-    """The file whole or not at all."""
-    write_whole(path, lambda target: target.write_text(text, encoding="utf-8"))
-
-
-def report_text(found: Identification, document: dict[str, Any]) -> str:
-    """report.md: parameters, fit by channel, segments, warnings."""
-    fit_rows = [
-        {
-            "channel": c,
-            "rms": f"{v['rms']:.4g}",
-            "noise": f"{v['noise']:.4g}" if v["noise"] is not None else "",
-            "ratio": f"{v['rms'] / v['noise']:.2f}" if v["noise"] else "",
-            "whiteness p": f"{v['whiteness_p']:.2g}" if v["whiteness_p"] is not None else "",
-            "predictable share": f"{v['predictable_share']:.2f}" if v["predictable_share"] is not None else "",
-        }
-        for c, v in document["fit"].items()
-    ]
-    lines = [
-        f"# {found.aircraft}: identified by {found.method} from {', '.join(document['flights'])}",
-        "",
-        f"    {document['command']}",
-        "",
-        markdown_table(parameter_rows(found)),
-        "std is one standard deviation, corrected for coloured residuals; crb the uncorrected Cramer-Rao bound.",
-        "",
-        markdown_table(fit_rows),
-        "predictable share: part of the residual's variance that its own past predicts (0 when white).",
-        "",
-    ]
-    lines += [f"- {text}" for text in (*found.warnings, *found.notes)]
-    if found.speed is not None:
-        lines += ["", f"{found.simulations} simulations, {found.seconds:.1f} s: {found.speed.text()}."]
-    return "\n".join(lines) + "\n"
-
-
 def write_results(
-    found: Identification,
-    aircraft: Aircraft,
-    flights: Sequence[str],
-    command: Sequence[str],
-    out: Path,
+    found: Identification, aircraft: Aircraft, flights: Sequence[str], command: Sequence[str], out: Path,
     hashes: Sequence[str] = (),
-) -> dict[str, Any]:
-    """fit.json, parameters.csv, histories.parquet, report.md, report.html and aircraft/ in ``out``; the document.
-
-    Raises BadInputError.
+) -> dict[str, Any]:  # fmt: skip
+    """fit.json, parameters.csv, histories.parquet and aircraft/ in ``out``; the document. Raises BadInputError.
 
     hashes: SHA-256 of the flights' files, by which bounds know a flight that the model was identified from.
     """
@@ -178,7 +112,6 @@ def write_results(
             f"not written into the XML, which does not declare them as <property value=...>: {', '.join(unwritten)}"
         )
     write_text(out / "parameters.csv", csv_text(parameter_rows(found)))
-    write_text(out / "report.md", report_text(found, document))
     write_histories(
         out,
         found.segments,
@@ -187,6 +120,5 @@ def write_results(
             **columns_of(CONTROLS, [s.controls for s in found.segments]),
         },
     )  # fmt: skip
-    write_text(out / "fit.json", json.dumps(document, indent=1) + "\n")
-    write_report(out)
+    write_json(out / "fit.json", document)
     return document

@@ -1,15 +1,15 @@
-"""What `next-flight` leaves and says: next-flight.json, the table of test points, words."""
+"""What `next-flight` leaves: next-flight.json and the table of test points."""
 
 from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sysid.model_form.missing_terms import MissingTerm
 from uqharness.campaign.sensitivity_winner import Winner
+from uqharness.files import finite
 from uqharness.next_flight.mission_states import Occupancy
 from uqharness.next_flight.plan import NextFlight
 from uqharness.next_flight.prospects import Prospect
@@ -20,7 +20,6 @@ COLUMNS = (
     "number", "start_s", "end_s", "speed_mps", "bank_deg", "kind", "control", "size", "unit", "unit_s", "pattern", "begins_s",
     "gain",
 )  # fmt: skip
-_DEGREES = 57.29577951308232
 
 
 def document(
@@ -43,11 +42,11 @@ def document(
             "seconds": round(mission.seconds, 3), "outside_data": found.extrapolated,
         },
         "where": {
-            w.state: {"data": w.data.tolist(), "mission": w.mission.tolist(), "variance": _clean(w.variance.tolist())}
+            w.state: {"data": w.data.tolist(), "mission": w.mission.tolist(), "variance": finite(w.variance.tolist())}
             for w in found.where
         },
         "prospects": {c: prospect_row(p) for c, p in found.prospects.items()},
-        "scatter": {"bounds": found.scatter, "simulated": _number(found.simulated_scatter)},
+        "scatter": {"bounds": found.scatter, "simulated": finite(found.simulated_scatter)},
         "missing": None if missing is None else [{"term": m.name, "share": m.share} for m in missing],
         "flight_s": found.end_s,
         "points": [point_row(found, k, units) for k in range(len(found.plan))],
@@ -100,63 +99,6 @@ def points_csv(found: NextFlight, units: Mapping[str, str]) -> bytes:
         for s in item.point.steps:
             pattern = " ".join(f"{'+' if sign > 0 else '-'}{n}" for n, sign in s.pattern)
             writer.writerow(
-                [
-                    *head,
-                    s.control,
-                    f"{s.size:g}",
-                    units[s.control],
-                    f"{s.unit_s:g}",
-                    pattern,
-                    f"{s.start_s:g}",
-                    f"{item.gain:.4g}",
-                ]
+                [*head, s.control, f"{s.size:g}", units[s.control], f"{s.unit_s:g}", pattern, f"{s.start_s:g}", f"{item.gain:.4g}"]
             )
     return buffer.getvalue().encode()
-
-
-def where_rows(found: NextFlight) -> list[dict[str, str]]:
-    """Quartiles of each state: in the data, in the mission, of the uncertainty there; angles in degrees."""
-    out = []
-    for w in found.where:
-        degrees = _DEGREES if w.state.endswith(("_rad", "_radps")) else 1.0
-        unit = w.state.rsplit("_", 1)[1].replace("radps", "deg/s").replace("rad", "deg").replace("mps", "m/s")
-        row = {"state": w.state.rsplit("_", 1)[0], "unit": unit}
-        for name, values in (("data", w.data), ("mission", w.mission), ("uncertainty", w.variance)):
-            row[name] = " / ".join(f"{degrees * v:.3g}" for v in values)
-        out.append(row)
-    return out
-
-
-def point_rows(found: NextFlight) -> list[dict[str, str]]:
-    """Test points for a terminal or a report."""
-    return [
-        {
-            "": str(k), "from": f"{p.start_s:.0f} s", "point": p.point.name,
-            "unit": ", ".join(f"{s.unit_s:g} s" for s in p.point.steps) or "-", "gain": f"{100 * p.gain:.2g} %",
-        }
-        for k, p in enumerate(found.plan, start=1)
-    ]  # fmt: skip
-
-
-def report(found: NextFlight, doc: Mapping[str, Any], table: str, where: str, command: str, figure: bool) -> str:
-    """report.md."""
-    lines = [
-        f"# Next test flight for {found.coefficient} of {doc['aircraft']['name']}", "", f"    {command}", "",
-        *(f"- {w}" for w in doc["words"]), "", "## Where", "", where,
-        ("Quartiles (25, 50, 75 %): of the data behind the bounds, of the mission, and of the mission weighted by the prediction "
-        "variance."),
-        "", "## What to fly", "", table,
-        (f"`uqharness fly {doc['aircraft']['name']} --script next-flight.xml --out FILE` flies it in simulation; test-points.csv "
-        "is the same for an operator. *gain*: share of the mean width that the point takes, given those chosen before it."), "",
-        *(["![next flight](figures/next-flight.svg)", ""] if figure else []),
-    ]  # fmt: skip
-    lines += [f"- warning: {w}" for w in doc["warnings"]]
-    return "\n".join(lines) + "\n"
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _clean(values: Sequence[float]) -> list[float | None]:
-    return [_number(v) for v in values]

@@ -14,11 +14,7 @@ _OVERLAID = 2
 
 
 def overlay_section(
-    before: CampaignFound,
-    after: CampaignFound,
-    names: Mapping[str, str],
-    prefix: str = "",
-    title: str = "Before and after",
+    before: CampaignFound, after: CampaignFound, names: Mapping[str, str], prefix: str = "", title: str = "Before and after"
 ) -> Section:
     """P-boxes of two campaigns over each other wherever both have the same quantity in the same condition."""
     titles = ("before", "after")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
@@ -13,6 +13,7 @@ import jinja2
 from markupsafe import Markup
 
 from sysid.terminal import visible
+from uqharness.text_tables import text_table
 
 Level = Literal["good", "warn", "bad", ""]
 SIGNS: Mapping[str, str] = {"good": "✓", "bad": "✕", "warn": "!", "": ""}
@@ -43,10 +44,11 @@ class Words:
 
 @dataclass(frozen=True)
 class Bullets:
-    """A list of sentences."""
+    """A list of sentences; ``key``: a terminal shows them too."""
 
     kind: ClassVar[str] = "bullets"
     items: tuple[str, ...]
+    key: bool = False
 
 
 @dataclass(frozen=True)
@@ -75,12 +77,13 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text or cells under a caption; the first column heads its row."""
+    """Rows of text or cells under a caption; the first column heads its row. ``key``: a terminal shows it too."""
 
     kind: ClassVar[str] = "table"
     caption: str
     head: tuple[str, ...]
     rows: tuple[tuple[str | Cell, ...], ...]
+    key: bool = False
 
     @property
     def cells(self) -> tuple[tuple[Cell, ...], ...]:
@@ -100,12 +103,16 @@ class Figure:
 
 @dataclass(frozen=True)
 class Figures:
-    """Drawings side by side; ``legend`` (class of figure.css, words) holds for all of them."""
+    """Drawings side by side; ``legend`` (class of figure.css, words) holds for all of them.
+
+    file: name without ending of the file in figures/ that holds them all; empty: each has one of its own name; None: no file.
+    """
 
     kind: ClassVar[str] = "figures"
     items: tuple[Figure, ...]
     legend: tuple[tuple[str, str], ...] = ()
     narrow: bool = False
+    file: str | None = None
 
 
 @dataclass(frozen=True)
@@ -156,7 +163,8 @@ def render(page: Page) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    cursors = any(figure.cursor for figure in figures_of(page.sections))
+    blocks = (block for section in every_section(page.sections) for block in section.blocks)
+    cursors = any(figure.cursor for block in blocks if isinstance(block, Figures) for figure in block.items)
     sheets = [_text(name) for name in ("figure.css", "page.css")]
     rendered = environment.get_template("page.html.j2").render(
         page=page, style=Markup("".join(sheets)), script=Markup(_text("page.js")) if cursors else ""
@@ -165,15 +173,23 @@ def render(page: Page) -> str:
     return visible(rendered)
 
 
-def figures_of(sections: Iterable[Section]) -> list[Figure]:
-    """All figures of sections, in order."""
-    found: list[Figure] = []
+def every_section(sections: Iterable[Section]) -> Iterator[Section]:
+    """Sections and those within them, as a reader meets them."""
     for section in sections:
-        for block in section.blocks:
-            if isinstance(block, Figures):
-                found += block.items
-        found += figures_of(section.parts)
-    return found
+        yield section
+        yield from every_section(section.parts)
+
+
+def first_lines(page: Page) -> list[str]:
+    """What a terminal shows of a page: the sentences of its verdict, then its key tables and lists."""
+    lines = [item.text for item in page.verdict]
+    for block in (block for section in every_section(page.sections) for block in section.blocks):
+        if isinstance(block, Table) and block.key and block.rows:
+            cells = [[f"{c.text} ({c.small})" if c.small else c.text for c in row] for row in block.cells]
+            lines += ["", block.caption, *text_table([dict(zip(block.head, row, strict=True)) for row in cells])]
+        elif isinstance(block, Bullets) and block.key:
+            lines += ["", *block.items]
+    return lines
 
 
 @cache
@@ -188,7 +204,18 @@ def shown(value: float | None, form: str = ".3g") -> str:
     return "open" if math.isinf(value) else format(value, form)
 
 
-def table_of(caption: str, rows: Sequence[Mapping[str, str]]) -> Table:
-    """A table of rows with equal keys, which head the columns."""
-    head = tuple(rows[0]) if rows else ()
-    return Table(caption, head, tuple(tuple(row[key] for key in head) for row in rows))
+def percent(value: float | None, form: str = ".3g") -> str:
+    """A share as a number of percent."""
+    return shown(None if value is None else 100.0 * value, form)
+
+
+def remarks(document: Mapping[str, Any], key: Iterable[str] = ("warnings", "notes")) -> tuple[Section, ...]:
+    """The section of a document's warnings and notes, none where there are none; a terminal shows those named in ``key``."""
+    said = {name: tuple(document.get(name, ())) for name in ("warnings", "notes")}
+    blocks = tuple(Bullets(items, name in key) for name, items in said.items() if items)
+    return (Section("Warnings and notes", blocks),) if blocks else ()
+
+
+def provenance(*facts: tuple[str, str]) -> Section:
+    """Where a page came from: its last section."""
+    return Section("Where it came from", (Facts(facts),))

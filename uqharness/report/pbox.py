@@ -59,18 +59,20 @@ def pbox_figure(
         chart.line(at, lower, line, steps=True)
         if alone:
             # Outside the values flown, the band still says something: at least its first and at most its last step.
-            chart.line(
-                at,
-                _between(drawn.box.band_upper[0], drawn.box.band_upper),
-                "limit",
-                "95 % band, all samples",
-                steps=True,
-            )
+            chart.line(at, _between(drawn.box.band_upper[0], drawn.box.band_upper), "limit", "95 % band, all samples", steps=True)
             chart.line(at, _between(0.0, drawn.box.band_lower), "limit", steps=True)
     if mark:
         chart.upright(mark[0], "mark", mark[1])
     cursor = {"quantity": quantity, "unit": unit, "boxes": [_cursor(k, b) for k, b in enumerate(boxes)]}
     return Figure(name, chart.svg(), caption, cursor)
+
+
+def metric_label(metric: str) -> str:
+    """A column of cases.parquet as the label of an axis: quantity and unit."""
+    name, measured = metric.removesuffix("_measured"), ", measured" if metric.endswith("_measured") else ""
+    quantity, _, unit = name.rpartition("_")
+    known = {"m": "m", "mps": "m/s", "deg": "deg", "s": "s"}.get(unit)
+    return f"{quantity.replace('_', ' ')}{measured} [{known}]" if quantity and known else f"{metric} [1]"
 
 
 def corner_words(frame: pd.DataFrame) -> dict[str, str]:

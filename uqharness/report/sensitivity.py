@@ -2,36 +2,31 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from uqharness.campaign.conditions import Condition
 from uqharness.campaign.sensitivity_tables import read_sensitivity
 from uqharness.report.parts import Figure, Figures, Section, Table, Words
-from uqharness.report.svg import Chart, Scale
+from uqharness.report.svg import Scale, rows_chart
 
 _SHOWN = ("cross_track_median_m", "altitude_median_m", "speed_median_mps", "heading_median_deg")
 Row = Mapping[str, str]
 
 
-def sensitivity_section(folder: Path, manifest: Mapping[str, Any], prefix: str = "") -> Section | None:
-    """The section, or None where ``uqharness sensitivity`` has not been run on the folder. Raises BadInputError."""
-    rows = read_sensitivity(folder, manifest)
-    if not rows:
-        return None
+def sensitivity_section(folder: Path, manifest: Mapping[str, Any], prefix: str = "") -> tuple[Section, ...]:
+    """The section, none where ``uqharness sensitivity`` has not been run on the folder. Raises BadInputError."""
+    table_rows = read_sensitivity(folder, manifest)
+    if not table_rows:
+        return ()
+    conditions = by_condition(table_rows)
     order = ("none", "light", "moderate", "severe")
-    cells = {(r["wind_mps"], r["turbulence"]) for r in rows}
-    wind, air = max(cells, key=lambda cell: (order.index(cell[1]), float(cell[0])))
-    hardest = Condition(float(wind), air)
-    rows = [r for r in rows if r["wind_mps"] == wind and r["turbulence"] == air]
+    hardest = max(conditions, key=lambda c: (order.index(c.turbulence), c.wind_mps))
+    rows = conditions[hardest]
     counts = [r["metric"] for r in rows if r["metric"].startswith("excursions_") and not r["metric"].endswith("_3d")]
-    wanted = [*_SHOWN, *counts[:1]]
-    by_metric = {m: [r for r in rows if r["metric"] == m] for m in wanted}
-    by_metric = {m: found for m, found in by_metric.items() if found}
-    figures = tuple(_figure(m, found, hardest, prefix) for m, found in by_metric.items() if any(r["share_min"] for r in found))
+    by_metric = {m: found for m in (*_SHOWN, *counts[:1]) if (found := [r for r in rows if r["metric"] == m])}
     text = (
         "How much of the p-box's width each coefficient's interval makes: the thick bar runs from the smallest to the largest "
         "share over the values of the others, the wide pale one is its 95 % sampling interval. Ranges that overlap do not rank. "
@@ -42,7 +37,33 @@ def sensitivity_section(folder: Path, manifest: Mapping[str, Any], prefix: str =
         ("Metric", "Coefficient", "Share", "Its 95 % interval", "Shrinks by"),
         tuple(_table_row(r) for found in by_metric.values() for r in _ordered(found)),
     )
-    return Section("Which uncertainty makes the width", (Words(text, note=True), Figures(figures, _LEGEND, True), table))
+    blocks = (Words(text, note=True), range_figures(rows, tuple(by_metric), hardest, "", prefix), table)
+    return (Section("Which uncertainty makes the width", blocks),)
+
+
+def condition_sections(content: bytes) -> list[Section]:
+    """The drawings of a sensitivity.csv, one file a condition: shares of the medians of the error's three quantities."""
+    out = []
+    for condition, found in by_condition(list(csv.DictReader(content.decode().splitlines()))).items():
+        file = f"sensitivity-{condition.wind_mps:g}mps-{condition.turbulence}"
+        figures = range_figures(found, _SHOWN[:3], condition, file)
+        out += [Section(condition.words, (figures,))] if figures.items else []
+    return out
+
+
+def by_condition(rows: Sequence[Row]) -> dict[Condition, list[Row]]:
+    """Rows of sensitivity.csv by their condition, as they come."""
+    out: dict[Condition, list[Row]] = {}
+    for row in rows:
+        out.setdefault(Condition(float(row["wind_mps"]), row["turbulence"]), []).append(row)
+    return out
+
+
+def range_figures(rows: Sequence[Row], metrics: Sequence[str], condition: Condition, file: str, prefix: str = "") -> Figures:
+    """A chart for each metric that has a share; ``file`` as in :class:`Figures`."""
+    by_metric = {m: [r for r in rows if r["metric"] == m and r["share_min"]] for m in metrics}
+    figures = tuple(_figure(m, _ordered(found), condition, prefix) for m, found in by_metric.items() if found)
+    return Figures(figures, _LEGEND, True, file)
 
 
 _LEGEND = (("thick", "smallest to largest share over the pairs of corners"), ("wide", "95 % sampling interval"))
@@ -53,23 +74,17 @@ def _ordered(rows: Sequence[Row]) -> list[Row]:
 
 
 def _figure(metric: str, rows: Sequence[Row], condition: Condition, prefix: str) -> Figure:
-    known = [r for r in _ordered(rows) if r["share_min"]]
-    words = _words(metric)
-    names = tuple((float(k), r["coefficient"]) for k, r in enumerate(known))
-    first = known[0]
+    words, first = _words(metric), rows[0]
     label = (
         f"Sensitivity of the {words}: shares of the p-box's width [1] by coefficient; {first['coefficient']} has "
         f"{float(first['share_min']):.2g} to {float(first['share_max']):.2g}."
     )
-    chart = Chart(
-        f"{prefix}sensitivity-{metric.replace('_', '-')}", label, Scale("share of the p-box's width [1]", 0.0, 1.0),
-        Scale("", len(known) - 0.5, -0.5, names), height=70 + 22 * len(known),
-    )  # fmt: skip
-    for k, r in enumerate(known):
+    name, x = f"{prefix}sensitivity-{metric.replace('_', '-')}", Scale("share of the p-box's width [1]", 0.0, 1.0)
+    chart = rows_chart(name, label, x, [r["coefficient"] for r in rows], 22)
+    for k, r in enumerate(rows):
         low, high = float(r["share_min"]), float(r["share_max"])
-        at = np.array([float(k), float(k)])
-        chart.line(np.array([float(r["share_low"] or low), float(r["share_high"] or high)]), at, "wide")
-        chart.line(np.array([low, high]), at, "thick")
+        chart.across(float(r["share_low"] or low), float(r["share_high"] or high), k, "wide")
+        chart.across(low, high, k, "thick")
         for end in (low, high):
             chart.marker(end, float(k), "first", "bar")
     return Figure(chart.name, chart.svg(), f"{words[0].upper()}{words[1:]}; {condition.words}.")

@@ -8,6 +8,8 @@ on a phone; wide screens set several side by side.
 from __future__ import annotations
 
 import math
+import re
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -22,6 +24,7 @@ from sysid.terminal import visible
 
 Array = NDArray[np.float64]
 WIDTH = 360
+_GAP = 16
 _LEFT, _RIGHT, _TOP, _BOTTOM = 34, 12, 24, 38
 _CHARACTER = 6.9
 """Width to reserve for a character of the 11-unit text, whichever font the reader has."""
@@ -115,6 +118,10 @@ class Chart:
             self.marks.append(f'<path class="line {kind}"{data} d="{path}"/>')
             self._entry(kind, words)
 
+    def path(self, x: Array, y: Array, kind: str) -> None:
+        """A line through points in any order, all of them drawn."""
+        self.marks.append(f'<path class="line {kind}" d="{_path(*self.at(x, y))}"/>')
+
     def band(self, x: Array, low: Array, high: Array, kind: str, words: str = "", steps: bool = False) -> None:
         """The area between two lines, where both are finite."""
         x, low, high = (np.asarray(v, dtype=float) for v in (x, low, high))
@@ -154,13 +161,24 @@ class Chart:
         self.marks.append(drawn[shape])
         self._entry(kind, words)
 
+    def cells(self, x: Array, y: Array, share: Array, kind: str) -> None:
+        """A map: cells between the edges ``x`` (n + 1,) and ``y`` (m + 1,), as dense as ``share`` (n, m) of 0 to 1; none for 0."""
+        u, v = self.at(x, y[0])[0], self.at(x[0], y)[1]
+        for i, j in zip(*np.nonzero(share), strict=True):
+            place = f'x="{u[i]:.1f}" y="{v[j + 1]:.1f}" width="{u[i + 1] - u[i]:.1f}" height="{v[j] - v[j + 1]:.1f}"'
+            self.marks.append(f'<rect class="cell {kind}" {place} fill-opacity="{share[i, j]:.3f}"/>')
+
     def upright(self, x: float, kind: str, words: str = "") -> None:
         """A line from bottom to top at ``x``."""
         self.line(np.array([x, x]), np.array([self.y.low, self.y.high]), kind, words)
 
     def level(self, y: float, kind: str, words: str = "") -> None:
         """A line from left to right at ``y``."""
-        self.line(np.array([self.x.low, self.x.high]), np.array([y, y]), kind, words)
+        self.across(self.x.low, self.x.high, y, kind, words)
+
+    def across(self, low: float, high: float, y: float, kind: str, words: str = "") -> None:
+        """A level line from ``low`` to ``high``."""
+        self.line(np.array([low, high]), np.array([y, y], dtype=float), kind, words)
 
     def _entry(self, kind: str, words: str) -> None:
         if words and (kind, words) not in self.legend:
@@ -202,17 +220,64 @@ class Chart:
         return out
 
 
-def standalone(svg: Markup) -> str:
-    """The same drawing as a file of its own, its style inside."""
-    inside = f'<svg xmlns="http://www.w3.org/2000/svg" width="{2 * WIDTH}" class="chart"'
-    styled = str(svg).replace('<svg class="chart"', inside, 1)
-    return visible(styled.replace("><clipPath", f"><style>{style()}</style><clipPath", 1)) + "\n"
+def rows_chart(name: str, label: str, x: Scale, rows: Sequence[str], height: int = 17) -> Chart:
+    """A chart with a row, ``height`` units high, for each of the names: row k at the height k, the first on top."""
+    names = tuple((float(k), row) for k, row in enumerate(rows))
+    return Chart(name, label, x, Scale("", len(rows) - 0.5, -0.5, names), 68 + height * len(rows))
+
+
+def standalone(
+    charts: Sequence[tuple[Markup, str]], title: str = "", legend: Sequence[tuple[str, str]] = (), columns: int = 1
+) -> str:  # fmt: skip
+    """Charts with their captions as one file of its own, row by row, light and without any reference to another file."""
+    columns = min(columns, len(charts))
+    width = columns * (WIDTH + _GAP) + _GAP
+    parts, y = [], 0
+    for line in textwrap.wrap(title, int(width / 9.5)):
+        y += 20
+        parts.append(f'<text class="title" x="{_GAP}" y="{y}">{escape(line)}</text>')
+    entries, rows = _legend(legend, width - 8)
+    for kind, words, x, row in entries:
+        at = y + 20 + 16 * row
+        parts.append(f'{_swatch(kind, x + 8, at - 4)}<text x="{x + 36:g}" y="{at}">{escape(words)}</text>')
+    y += 16 * rows + _GAP
+    for first in range(0, len(charts), columns):
+        tallest = 0
+        for column, (svg, caption) in enumerate(charts[first : first + columns]):
+            x = _GAP + column * (WIDTH + _GAP)
+            height, placed = _placed(svg, x, y)
+            parts.append(placed)
+            for line in textwrap.wrap(caption, 58):
+                height += 14
+                parts.append(f'<text class="caption" x="{x}" y="{y + height}">{escape(line)}</text>')
+            tallest = max(tallest, height)
+        y += tallest + _GAP
+    size = f'width="{2 * width if columns == 1 else width}" viewBox="0 0 {width} {y}"'
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" class="chart" role="img" aria-label="{escape(title)}" {size}>'
+    paper = f'<rect width="{width}" height="{y}" fill="#ffffff"/>'
+    return visible("".join([head, f"<style>{_plain_style()}</style>", paper, *parts, "</svg>"])) + "\n"
+
+
+def _placed(svg: Markup, x: int, y: int) -> tuple[int, str]:
+    """Height of a chart, and the chart at a place of another drawing."""
+    found = re.search(r'viewBox="0 0 (\d+) (\d+)"', svg)
+    assert found is not None
+    height = int(found[2])
+    return height, str(svg).replace("<svg ", f'<svg x="{x}" y="{y}" width="{WIDTH}" height="{height}" ', 1)
 
 
 @cache
 def style() -> str:
     """The style sheet of all charts, which is that of the page too."""
     return resources.files("uqharness.report").joinpath("templates/figure.css").read_text(encoding="utf-8")
+
+
+@cache
+def _plain_style() -> str:
+    """The same with each colour in its place: drawing programs know no variables."""
+    colours = dict(re.findall(r"--([\w-]+): (#\w+)", style()))
+    rules = style().partition("}\n")[2]
+    return re.sub(r"var\(--([\w-]+)\)", lambda found: colours[found[1]], rules)
 
 
 def thinned(x: Array, y: Array, most: int = _MOST_POINTS) -> tuple[Array, Array]:

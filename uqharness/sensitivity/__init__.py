@@ -14,22 +14,6 @@
 Source: L. E. Hale, dissertation, Virginia Tech, 2016, chapter 4.
 """
 
-from uqharness.sensitivity.analysis import Sensitivity, analyse
-from uqharness.sensitivity.repeats import average
-from uqharness.sensitivity.result import Index, MethodResult, PairRange
-from uqharness.sensitivity.study import METHODS, Evaluations, Study, read_study, run_study, write_study
+import lazy_loader
 
-__all__ = [
-    "METHODS",
-    "Evaluations",
-    "Index",
-    "MethodResult",
-    "PairRange",
-    "Sensitivity",
-    "Study",
-    "analyse",
-    "average",
-    "read_study",
-    "run_study",
-    "write_study",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -47,8 +47,42 @@ class Sensitivity:
 
 
 def analyse(study: Study, methods: Sequence[str] = METHODS, seed: int = 0, intervals: bool = True) -> Sensitivity:
-    """Apply ``methods`` to every output of a study; no run is made. ``seed`` is that of the resampling,
-    which ``intervals`` False leaves out."""
+    """Apply methods of sensitivity to every output of a study; no run is made.
+
+    Parameters
+    ----------
+    study : Study
+        What `run_study` gave.
+    methods : sequence of str
+        Among ``METHODS``; one that the study was not run for is undefined.
+    seed : int
+        Of the resampling.
+    intervals : bool
+        Whether indices have intervals by resampling.
+
+    Returns
+    -------
+    Sensitivity
+        Output, method and parameter to an `Index` [-] with its 95 % interval, NaN with a reason where it is undefined; ``text()``
+        is the table.
+
+    Raises
+    ------
+    BadInputError
+        For an unknown method.
+
+    References
+    ----------
+    L. E. Hale, dissertation, Virginia Tech, 2016, chapter 4.
+
+    Examples
+    --------
+    >>> from uqharness import sensitivity
+    >>> study = sensitivity.run_study(lambda a, b: 3 * a + b, {"a": (0, 1), "b": (0, 1)}, samples=16)
+    >>> found = sensitivity.analyse(study, methods=["local"])["output"]["local"]
+    >>> bool(found.indices["a"].value > found.indices["b"].value)
+    True
+    """
     unknown = sorted(set(methods) - set(METHODS))
     if unknown:
         raise BadInputError(f"methods {', '.join(unknown)}: choose among {', '.join(METHODS)}")

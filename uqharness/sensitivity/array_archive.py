@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.errors import in_a_line
 from sysid.foreign.regular_files import in_words, read_regular
 from uqharness.errors import BadInputError
 
@@ -42,7 +43,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
                 raise ValueError(f"its arrays would take {in_words(size)}, at most {in_words(MOST_BYTES)} are read")
             return {member.filename.removesuffix(".npy"): _array(archive.read(member)) for member in members}
     except _DAMAGED as error:
-        words = " ".join(str(error).split())[:160] or type(error).__name__
+        words = in_a_line(error)
         raise BadInputError(
             f"{path}: not a study written by uqharness, nor any other archive of arrays: {words}; write it again"
         ) from None

@@ -1,32 +1,176 @@
-"""The modal example of the dissertation's section 4.7.1 beside its Tables 4.4 to 4.6, and the same through JSBSim.
+"""The dissertation's modal example: its linear longitudinal model of the E-SPAARO (Hale 2016, section 4.7.1), and its study.
 
-    python -m uqharness.sensitivity.modal --out campaigns/modal/results
-
-The published study is one run; its size is not printed. Ours has E = 1024, A = 100 and is repeated, so that the spread of one
-run is known and a printed number can be judged by it.
+Two readings. ``as_corrected`` is physics: the trim's sign is repaired and CZ at trim is CZ_0 + CZ_alpha alpha + CZ_de de.
+``as_published`` is what the printed tables follow: CZ at trim begins with CX_0 in place of CZ_0, and "natural frequency"
+is zeta / sqrt(1 - zeta^2) of the short period. In both the intervals are +-5 % about Table 2.6, because Table 4.3's are misprinted.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Literal
 
 import numpy as np
-import pandas as pd
+from numpy.typing import NDArray
+from scipy import stats
 
-from uqharness.errors import BadInputError
-from uqharness.files import write_bytes
-from uqharness.sensitivity import METHODS, Index, MethodResult, PairRange, Sensitivity, analyse, average, write_study
-from uqharness.sensitivity.modal_jsbsim import jsbsim_study, what_is_left_out
-from uqharness.sensitivity.modal_model import OUTPUTS, READINGS, Reading, run_modal_study
-from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
+from uqharness.sensitivity.analysis import Sensitivity, analyse
+from uqharness.sensitivity.repeats import average
+from uqharness.sensitivity.study import Study, run_study
 
-TABLES = dict(zip(OUTPUTS, ("4_4", "4_5", "4_6"), strict=True))
-PUBLISHED = PROJECT_ROOT / "tests" / "reference"
-LOCAL_WITHIN, ENDS_WITHIN, STD_WITHIN = 0.001, 0.002, 3.0
+Array = NDArray[np.float64]
+Reading = Literal["as_corrected", "as_published"]
+READINGS: tuple[Reading, ...] = ("as_corrected", "as_published")
+OUTPUTS = ("phugoid_damping", "short_period_damping", "short_period_frequency")
+
+V_MPS, RHO_KGPM3, G_MPS2 = 20.0, 1.225, 9.81
+QBAR_PA = 0.5 * RHO_KGPM3 * V_MPS**2
+
+# Table 2.6; per rad, CZ_de and Cm_de per degree, Cm_q per q c / 2V.
+NOMINAL = {
+    "CZ_0": -0.312, "CZ_alpha": -3.34, "CZ_de": 0.036, "CX_0": -0.038, "CX_alpha": 0.264, "CX_alpha2": 1.86,
+    "Cm_0": 0.0104, "Cm_alpha": -0.487, "Cm_q": -13.8, "Cm_de": -0.014,
+}  # fmt: skip
+HALF_WIDTH = 0.05
+# Table 4.2: mean and variance, normal.
+ALEATORY = {"M_kg": (21.34, 0.2846), "S_m2": (1.97, 0.0024), "c_m": (0.53, 0.0002), "Iyy_kgm2": (8.26, 0.0426)}
+
+
+def intervals() -> dict[str, tuple[float, float]]:
+    """+-5 % about the nominal value, in order."""
+    return {name: (value - HALF_WIDTH * abs(value), value + HALF_WIDTH * abs(value)) for name, value in NOMINAL.items()}
+
+
+def trim(values: Mapping[str, Any]) -> tuple[Array, Array]:
+    """alpha [rad] and elevator [deg] of level flight by eqs 4.14 (sign repaired) and 4.15: two linear equations."""
+    lift = -values["M_kg"] * G_MPS2 / (QBAR_PA * values["S_m2"]) - values["CZ_0"]
+    det = values["CZ_alpha"] * values["Cm_de"] - values["CZ_de"] * values["Cm_alpha"]
+    alpha = (lift * values["Cm_de"] + values["CZ_de"] * values["Cm_0"]) / det
+    elevator = (-values["CZ_alpha"] * values["Cm_0"] - values["Cm_alpha"] * lift) / det
+    return alpha, elevator
+
+
+@dataclass(frozen=True)
+class SystemMatrix:
+    """The entries of eq. 4.9 that are not 0, 1 or -g, over (u, w, q, theta); ``row column`` from 1, each an array."""
+
+    a11: Array
+    a12: Array
+    a21: Array
+    a22: Array
+    a23: float
+    a32: Array
+    a33: Array
+
+    def dense(self) -> Array:
+        """A (..., 4, 4)."""
+        A = np.zeros((*np.broadcast(self.a11, self.a22, self.a32, self.a33).shape, 4, 4))
+        A[..., 0, 0], A[..., 0, 1], A[..., 0, 3] = self.a11, self.a12, -G_MPS2
+        A[..., 1, 0], A[..., 1, 1], A[..., 1, 2] = self.a21, self.a22, self.a23
+        A[..., 2, 1], A[..., 2, 2], A[..., 3, 2] = self.a32, self.a33, 1.0
+        return A
+
+
+def system_matrix(reading: Reading, values: Mapping[str, Any]) -> SystemMatrix:
+    """Eq. 4.9 for values that broadcast together."""
+    alpha, elevator = trim(values)
+    k = QBAR_PA * values["S_m2"] / (values["M_kg"] * V_MPS)
+    pitch = QBAR_PA * values["S_m2"] * values["c_m"] / (values["Iyy_kgm2"] * V_MPS)
+    CX = values["CX_0"] + values["CX_alpha"] * alpha + values["CX_alpha2"] * alpha**2  # (4.11)
+    CX_alpha = values["CX_alpha"] + 2.0 * values["CX_alpha2"] * alpha  # (4.12)
+    CZ_at_zero = values["CX_0"] if reading == "as_published" else values["CZ_0"]
+    CZ = CZ_at_zero + values["CZ_alpha"] * alpha + values["CZ_de"] * elevator  # (4.13)
+    return SystemMatrix(
+        a11=2.0 * k * CX,
+        a12=k * CX_alpha,
+        a21=2.0 * k * CZ,
+        a22=k * values["CZ_alpha"],
+        a23=V_MPS,
+        a32=pitch * values["Cm_alpha"],
+        a33=0.5 * pitch * values["c_m"] * values["Cm_q"],
+    )
+
+
+def longitudinal_modes(A: Array) -> tuple[Array, Array, Array, Array]:
+    """Damping and frequency [rad/s] of phugoid and short period, in this order, from A (..., 4, 4).
+
+    The two slower eigenvalues make the phugoid. wn = sqrt(l1 l2) and zeta = -(l1 + l2) / 2 wn serve a pair that has split into two
+    real roots as well; a pair with one unstable real root has no frequency and gives NaN.
+    """
+    unsorted = np.linalg.eigvals(A)
+    values = np.take_along_axis(unsorted, np.argsort(np.abs(unsorted), axis=-1), axis=-1)
+    slow, fast = values[..., :2], values[..., 2:]
+    return *_damping(-slow.sum(axis=-1).real, slow.prod(axis=-1).real), *_damping(-fast.sum(axis=-1).real, fast.prod(axis=-1).real)
+
+
+def _damping(r: Array, s: Array) -> tuple[Array, Array]:
+    """zeta and wn of l^2 + r l + s."""
+    wn = np.sqrt(np.where(s > 0.0, s, np.nan))
+    return r / (2.0 * wn), wn
+
+
+def modes_of(matrix: SystemMatrix) -> tuple[Array, Array, Array, Array]:
+    """The same as ``longitudinal_modes`` of the dense matrix, twenty times as fast.
+
+    The characteristic polynomial is split into a slow and a fast quadratic by Lin's iteration, which gains two digits a turn
+    where the modes lie as far apart as an aeroplane's; where it does not settle, eigenvalues are taken.
+    """
+    a11, a12, a21, a22, a23, a32, a33 = (getattr(matrix, field.name) for field in fields(matrix))
+    # |l I - A| = l^4 + c3 l^3 + c2 l^2 + c1 l + c0
+    force = a11 * a22 - a12 * a21
+    c3 = -(a11 + a22 + a33)
+    c2 = force + a33 * (a11 + a22) - a32 * a23
+    c1 = -a33 * force + a32 * a23 * a11
+    c0 = G_MPS2 * a21 * a32
+    with np.errstate(all="ignore"):
+        r, s = c1 / c2, c0 / c2
+        for _ in range(12):
+            before = r
+            m = c3 - r
+            n = c2 - s - r * m
+            s = c0 / n
+            r = (c1 - s * m) / n
+        m = c3 - r
+        n = c2 - s - r * m
+        settled = (np.abs(r - before) <= 1e-13 * np.abs(m)) & (np.abs(s) < np.abs(n))
+    found = np.array([*_damping(r, s), *_damping(m, n)])
+    if not np.all(settled):
+        found[:, ~settled] = np.array(longitudinal_modes(matrix.dense()))[:, ~settled]
+    return found[0], found[1], found[2], found[3]
+
+
+def modal_model(reading: Reading) -> Callable[..., dict[str, Array]]:
+    """The model as a function of its fourteen values by name, giving the three outputs; arrays in, arrays out."""
+
+    def outputs(**values: Array) -> dict[str, Array]:
+        phugoid_zeta, _, zeta, wn = modes_of(system_matrix(reading, values))
+        if reading == "as_published":
+            wn = zeta / np.sqrt(np.where(zeta < 1.0, 1.0 - zeta**2, np.nan))
+        return dict(zip(OUTPUTS, (phugoid_zeta, zeta, wn), strict=True))
+
+    return outputs
+
+
+def run_modal_study(
+    reading: Reading,
+    samples: int = 1024,
+    draws: int = 100,
+    seed: int = 0,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> Study:
+    """The chapter's study: ten intervals, four normal variables; finite differences by 1 % of the nominal value."""
+    return run_study(
+        modal_model(reading),
+        intervals(),
+        {name: stats.norm(mean, variance**0.5) for name, (mean, variance) in ALEATORY.items()},
+        nominal=NOMINAL,
+        step={name: 0.01 * value for name, value in NOMINAL.items()},
+        samples=samples,
+        draws=draws,
+        seed=seed,
+        on_progress=on_progress,
+    )
 
 
 def modal_sensitivity(
@@ -40,149 +184,3 @@ def modal_sensitivity(
         if on_progress is not None:
             on_progress(k + 1, repeats)
     return average(found)
-
-
-def published(output: str) -> pd.DataFrame:
-    """The printed table of one output as text, indexed by parameter: digits tell the rounding. Raises BadInputError."""
-    path = PUBLISHED / f"table_{TABLES[output]}.csv"
-    if not path.is_file():
-        raise BadInputError(f"{path}: not there; the printed tables come with the project's source, not with the package")
-    return pd.read_csv(path, comment="#", index_col=0, dtype=str)
-
-
-@dataclass(frozen=True)
-class Cell:
-    """One printed number beside ours. ``error`` is the distance allowed; ``agrees`` whether the print lies within."""
-
-    output: str
-    parameter: str
-    column: str
-    printed: str
-    ours: float
-    std: float
-    error: float
-
-    @property
-    def agrees(self) -> bool:
-        """Whether the printed value lies within what sampling and rounding explain."""
-        return abs(float(self.printed) - self.ours) <= self.error
-
-
-def compare(found: Sensitivity) -> tuple[list[Cell], dict[str, float]]:
-    """Every printed cell beside ours, and the factor per output that the local cells share.
-
-    Local cells carry the one p-box width that the author's samples happened to have: one factor per table, fitted. Monte Carlo
-    cells may differ by three standard deviations of one run and by half a unit of the last printed place.
-    """
-    cells, factors = [], {}
-    for output in OUTPUTS:
-        table = published(output)
-        methods = found[output]
-        ours = np.array([_single(methods["local"], name).value for name in table.index])
-        printed = table["local"].to_numpy(dtype=float)
-        factors[output] = float(printed @ ours / (ours @ ours))
-        for k, name in enumerate(table.index):
-            for column in table.columns:
-                text = str(table.loc[name, column])
-                value, std = _ours(methods, name, k, column)
-                if column == "local":
-                    value *= factors[output]
-                half_unit = 0.5 * 10.0 ** -(len(text.partition(".")[2]))
-                error = {"local": LOCAL_WITHIN, "proposed_min": ENDS_WITHIN, "proposed_max": ENDS_WITHIN}.get(
-                    column, STD_WITHIN * std + (half_unit if "." in text else 0.5e-4)
-                )
-                cells.append(Cell(output, name, column, text, value, std, error))
-    return cells, factors
-
-
-def _single(result: MethodResult, name: str) -> Index:
-    index = result.indices[name]
-    assert isinstance(index, Index)
-    return index
-
-
-def _ours(methods: Mapping[str, MethodResult], name: str, k: int, column: str) -> tuple[float, float]:
-    method, _, end = column.partition("_")
-    result = methods[method]
-    index = result.indices[name]
-    if isinstance(index, PairRange):
-        index = index.minimum if end == "min" else index.maximum
-    return index.value, float(result.details["std_of_one_run"][k])
-
-
-def table_text(output: str, cells: Sequence[Cell], factor: float) -> str:
-    """One table as Markdown: ours, the standard deviation of one run, and the print; a miss in bold."""
-    columns = [*METHODS[:-1], "proposed_min", "proposed_max"]
-    head = f"| parameter | {' | '.join(column.replace('_', ' ') for column in columns)} |"
-    lines = [
-        f"Table {TABLES[output].replace('_', '.')}, {output}: ours ± one run (print). Local x {factor:.3f}.",
-        "",
-        head,
-    ]
-    lines.append("|" + "---|" * (len(columns) + 1))
-    mine = [cell for cell in cells if cell.output == output]
-    for name in dict.fromkeys(cell.parameter for cell in mine):
-        row = [next(cell for cell in mine if (cell.parameter, cell.column) == (name, column)) for column in columns]
-        lines.append(f"| `{name}` | " + " | ".join(map(_cell_text, row)) + " |")
-    return "\n".join(lines)
-
-
-def _cell_text(cell: Cell) -> str:
-    spread = f" ± {cell.std:.4f}" if cell.column in ("scatter", "anova", "pbox") else ""
-    text = f"{cell.ours:.4f}{spread} ({cell.printed})"
-    return text if cell.agrees else f"**{text}**"
-
-
-def beside_jsbsim(as_published: Sensitivity, as_corrected: Sensitivity, jsbsim: Sensitivity, output: str) -> str:
-    """Markdown: the proposed method's ranges of both readings and of JSBSim's model, and JSBSim's local shares."""
-    lines = ["| parameter | as_published | as_corrected | JSBSim | JSBSim, local |", "|---|---|---|---|---|"]
-    for name in jsbsim[output]["proposed"].indices:
-        row = [_range(item[output]["proposed"].indices[name]) for item in (as_published, as_corrected, jsbsim)]
-        lines.append(f"| `{name}` | {' | '.join(row)} | {_single(jsbsim[output]['local'], name).value:.4f} |")
-    return "\n".join(lines)
-
-
-def _range(index: Index | PairRange) -> str:
-    assert isinstance(index, PairRange)
-    return f"{index.minimum.value:.4f} .. {index.maximum.value:.4f}"
-
-
-def _main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m uqharness.sensitivity.modal", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for tables.md and jsbsim.npz")
-    parser.add_argument("--repeats", type=int, default=20, metavar="R", help="repeats of each reading (default 20)")
-    args = parser.parse_args(argv)
-    args.out.mkdir(parents=True, exist_ok=True)
-    aircraft = find_aircraft("espaaro")
-    by_reading = {reading: modal_sensitivity(reading, args.repeats, on_progress=_say(reading)) for reading in READINGS}
-    cells, factors = compare(by_reading["as_published"])
-    study = jsbsim_study(aircraft, on_progress=_say("JSBSim"))
-    write_study(study, args.out / "jsbsim.npz")
-    through = analyse(study, ("local", "proposed"))
-    parts = [table_text(output, cells, factors[output]) for output in OUTPUTS]
-    missed = [f"{c.output} {c.parameter} {c.column}: {c.ours:.4f} for {c.printed}" for c in cells if not c.agrees]
-    parts.append(f"{len(cells) - len(missed)} of {len(cells)} cells agree. Not: {'; '.join(missed) or 'none'}.")
-    for output in OUTPUTS:
-        models = by_reading["as_published"], by_reading["as_corrected"], through
-        parts.append(f"{output}, three models\n\n{beside_jsbsim(*models, output)}")
-    lines = ["| model | phugoid zeta | wn, rad/s | short-period zeta | wn, rad/s |", "|---|---|---|---|---|"]
-    lines += [f"| {name} | " + " | ".join(f"{value:.4f}" for value in row) + " |" for name, row in what_is_left_out(aircraft)]
-    parts.append("What the linear model leaves out\n\n" + "\n".join(lines))
-    write_bytes(args.out / "tables.md", ("\n\n".join(parts) + "\n").encode())
-    print(args.out / "tables.md")
-    return 0
-
-
-def _say(what: str) -> Callable[[int, int], None]:
-    def update(done: int, total: int) -> None:
-        if sys.stderr.isatty():
-            print(f"\r{what}: {done} of {total}", end="\n" if done == total else "", file=sys.stderr, flush=True)
-
-    return update
-
-
-if __name__ == "__main__":
-    try:
-        sys.exit(_main())
-    except BadInputError as error:
-        sys.exit(f"error: {error}")

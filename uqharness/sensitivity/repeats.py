@@ -19,8 +19,31 @@ from uqharness.sensitivity.result import CONFIDENCE, Index, MethodResult, PairRa
 def average(repeats: Sequence[Sensitivity]) -> Sensitivity:
     """Mean over repeats that differ in their seed alone; each interval is that of the mean (Student's t).
 
-    ``details['std_of_one_run']`` (d,) is the standard deviation of a single repeat (of the larger end for the proposed method). An
-    index that is undefined in one repeat is undefined. Raises BadInputError for fewer than two.
+    Parameters
+    ----------
+    repeats : sequence of Sensitivity
+        At least two, of the same outputs and methods.
+
+    Returns
+    -------
+    Sensitivity
+        ``details["std_of_one_run"]`` (d,) [-] of each method is the standard deviation of a single repeat (of the larger end for
+        the proposed method). An index that is undefined in one repeat is undefined.
+
+    Raises
+    ------
+    BadInputError
+        For fewer than two.
+
+    Examples
+    --------
+    >>> from uqharness import sensitivity
+    >>> def once(seed):
+    ...     study = sensitivity.run_study(lambda a, b: 3 * a + b, {"a": (0, 1), "b": (0, 1)}, samples=16, seed=seed)
+    ...     return sensitivity.analyse(study, intervals=False)
+    >>> mean = sensitivity.average([once(1), once(2), once(3)])
+    >>> mean["output"]["anova"].details["std_of_one_run"].shape
+    (2,)
     """
     if len(repeats) < 2:
         raise BadInputError(f"{len(repeats)} repeats: at least two are needed to see how they differ")

@@ -85,12 +85,58 @@ def run_study(
     vectorised: bool = True,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> Study:
-    """Run ``model`` at the points that ``methods`` need.
+    """Run a function at the points that methods of sensitivity need, and keep every output.
 
-    ``model(**values)`` receives every epistemic and aleatory value by name and returns the output, or a mapping of named outputs;
-    with ``vectorised`` the values are arrays (n,) and so is each output, else floats. A NaN output is kept and reported.
-    ``samples`` is E, a power of two for ``anova`` (scipy's estimator asks for it); ``draws`` is A, and 1 where nothing is
-    aleatory. ``on_progress`` receives runs done and runs to do. Raises BadInputError.
+    Parameters
+    ----------
+    model : callable
+        ``model(**values)`` receives every epistemic and aleatory value by name and returns the output, or a mapping of named
+        outputs. A NaN output is kept and reported.
+    epistemic : Mapping
+        Parameter to its interval (lower, upper), in its own unit.
+    aleatory : Mapping, optional
+        Variable to its distribution, anything with ``ppf`` such as a frozen scipy.stats one.
+    nominal : Mapping, optional
+        Parameter to its nominal value; by default the middle of its interval.
+    step : Mapping, optional
+        Parameter to the signed step of the local method; by default a hundredth of its interval.
+    samples : int
+        E, epistemic samples; a power of two for ``anova``.
+    draws : int
+        A, draws of the aleatory variables; 1 where there are none.
+    seed : int
+        Of samples and draws.
+    methods : sequence of str
+        Among ``METHODS``.
+    vectorised : bool
+        Whether the model takes arrays (n,) and returns such; else it is called with floats, one by one.
+    on_progress : callable, optional
+        Called with runs done and runs to do.
+
+    Returns
+    -------
+    Study
+        ``theta`` (E, d), and per output the evaluations of each stage.
+
+    Raises
+    ------
+    BadInputError
+        For intervals, distributions, sizes and methods that make no study, and for a model that does not return what it should.
+
+    References
+    ----------
+    L. E. Hale, dissertation, Virginia Tech, 2016, chapter 4: the five methods and their costs (Table 4.1).
+
+    Examples
+    --------
+    >>> from scipy import stats
+    >>> import uqharness as uq
+    >>> def sink_rate(CD0, k, mass):
+    ...     return mass * (CD0 + k)
+    >>> intervals, masses = {"CD0": (0.02, 0.03), "k": (0.05, 0.06)}, {"mass": stats.norm(21.3, 0.5)}
+    >>> study = uq.sensitivity.run_study(sink_rate, intervals, masses, samples=64, draws=10)
+    >>> study.theta.shape, list(study.outputs)
+    ((64, 2), ['output'])
     """
     problem = make_problem(epistemic, aleatory, nominal, step)
     _check(problem, samples, draws, methods)
@@ -225,7 +271,26 @@ _ARRAYS = ("lower", "upper", "nominal", "step", "theta")
 
 
 def write_study(study: Study, path: str | Path) -> None:
-    """Write a study as .npz, whole or not at all; ``read_study`` gives it back. Raises BadInputError."""
+    """Write a study, raw outputs included, whole or not at all.
+
+    Parameters
+    ----------
+    study : Study
+        What `run_study` gave.
+    path : str or Path
+        File to write, .npz.
+
+    Raises
+    ------
+    BadInputError
+        Where that cannot be written.
+
+    Examples
+    --------
+    >>> from uqharness import sensitivity
+    >>> study = sensitivity.run_study(lambda a: a**2, {"a": (0, 1)}, samples=16)
+    >>> sensitivity.write_study(study, "study.npz")
+    """
     arrays: dict[str, Any] = {name: getattr(study, name) for name in _ARRAYS}
     header = {"names": list(study.names), "outputs": list(study.outputs), "chance": study.chance}
     arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
@@ -240,7 +305,31 @@ def write_study(study: Study, path: str | Path) -> None:
 
 
 def read_study(path: str | Path) -> Study:
-    """Read a study that ``write_study`` wrote. Raises BadInputError."""
+    """Read a study that `write_study` wrote.
+
+    Parameters
+    ----------
+    path : str or Path
+        The .npz file.
+
+    Returns
+    -------
+    Study
+        As it was written.
+
+    Raises
+    ------
+    BadInputError
+        For any other file.
+
+    Examples
+    --------
+    >>> from uqharness import sensitivity
+    >>> study = sensitivity.run_study(lambda a: a**2, {"a": (0, 1)}, samples=16)
+    >>> sensitivity.write_study(study, "study.npz")
+    >>> sensitivity.read_study("study.npz").names
+    ('a',)
+    """
     arrays = read_arrays(Path(path))
     try:
         header = parse_json(arrays["header"].tobytes())

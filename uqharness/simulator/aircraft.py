@@ -1,130 +1,23 @@
-"""Find an aircraft and read its card: which JSBSim property is which control, and what open loop means."""
+"""Find an aircraft, check that JSBSim can load it, open it."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from lxml import etree
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from sysid.foreign.parsed_text import ParseError, parse_toml
-from sysid.foreign.regular_files import read_regular_text
 from uqharness.errors import BadInputError
 from uqharness.project_files import PROJECT_ROOT as PROJECT_ROOT
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft_files import identity, read_xml, signature, walk
+from uqharness.simulator.card import Card, read_card, standard_card
 from uqharness.simulator.preflight import ensure_loadable
 from uqharness.simulator.staging import fingerprint, staged
-from uqharness.toml import dotted
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
-
-
-class InputCard(_Strict):
-    """One control: the command property, its unit, the sign and the servo table (microseconds -> unit).
-
-    ``selected`` is the command that counts after the aircraft's own selection (autopilot or pilot), ``position`` the surface; both
-    are optional and both are only read. ``throw_deg`` turns a normalised command into a record's degrees: 1 is that many, with the
-    record's sign.
-    """
-
-    property: str
-    selected: str | None = None
-    position: str | None = None
-    unit: Literal["deg", "rad", "pct", "norm"] = "norm"
-    positive: str = ""
-    limits: tuple[float, float] = (-1.0, 1.0)
-    throw_deg: float | None = None
-    # Read by sysid.logs.card, which turns servo microseconds into angles; here they only have to be allowed.
-    servo_pwm: tuple[tuple[float, float], ...] | Mapping[str, float] = ()
-    channel: int | None = Field(default=None, ge=1, le=32)
-
-    @field_validator("limits")
-    @classmethod
-    def _low_then_high(cls, value: tuple[float, float]) -> tuple[float, float]:
-        if not value[0] < value[1]:
-            raise ValueError("limits are [low, high]")
-        return value
-
-    @field_validator("throw_deg")
-    @classmethod
-    def _moves(cls, value: float | None) -> float | None:
-        if value == 0.0:
-            raise ValueError("a throw of 0 degrees cannot be flown")
-        return value
-
-
-class MetricCard(_Strict):
-    """True and noise-laden property of one error signal."""
-
-    true: str
-    measured: str | None = None
-
-
-class ParameterCard(_Strict):
-    """An identifiable property: first guess, bounds, unit and source."""
-
-    initial: float | None = None
-    bounds: tuple[float, float] | None = None
-    unit: str = "1"
-    source: str = ""
-
-
-class _AircraftSection(_Strict):
-    name: str
-    xml: str
-    dt_s: float = Field(default=0.01, gt=0, le=0.1)
-
-
-class _ReferenceSection(_Strict):
-    S_m2: float | None = Field(default=None, gt=0)
-    b_m: float | None = Field(default=None, gt=0)
-    c_m: float | None = Field(default=None, gt=0)
-
-
-class _SensorSection(_Strict):
-    position_m: Mapping[str, tuple[float, float, float]] = {}
-    noise_std: Mapping[str, float] = {}
-
-
-class _ReplaySection(_Strict):
-    """``without_systems``: systems without effect in open loop and still air; a replay leaves them out, which
-    saves a third of its time."""
-
-    without_systems: tuple[str, ...] = ()
-
-
-class Card(_Strict):
-    """airframe.toml, validated."""
-
-    aircraft: _AircraftSection
-    reference: _ReferenceSection = _ReferenceSection()
-    inputs: Mapping[str, InputCard] = {}
-    modes: Mapping[str, Mapping[str, float]] = {}
-    outputs: Mapping[str, str] = {}
-    metrics: Mapping[str, MetricCard] = {}
-    parameters: Mapping[str, ParameterCard] = {}
-    sensors: _SensorSection = _SensorSection()
-    replay: _ReplaySection = _ReplaySection()
-    # Which servo outputs a v-tail or elevons hang on: for reading logs alone, checked by sysid.logs.card.
-    mixing: Mapping[str, Any] = {}
-
-
-# JSBSim's own command properties, for an aircraft that comes without a card.
-_STANDARD_INPUTS = {
-    "elevator": InputCard(property="fcs/elevator-cmd-norm", positive="nose down"),
-    "aileron": InputCard(property="fcs/aileron-cmd-norm", positive="right wing down"),
-    "rudder": InputCard(property="fcs/rudder-cmd-norm", positive="nose left"),
-    "throttle": InputCard(property="fcs/throttle-cmd-norm", positive="more thrust", limits=(0.0, 1.0)),
-}
 
 
 @dataclass(frozen=True)
@@ -161,7 +54,27 @@ class Aircraft:
 def find_aircraft(name_or_folder: str | Path) -> Aircraft:
     """The aircraft of that folder, or of that name under ./aircraft, the project's aircraft/ or JSBSim's own.
 
-    Raises BadInputError naming what was looked at and what there is.
+    Parameters
+    ----------
+    name_or_folder : str or Path
+        A name, or a folder that holds ``<name>.xml`` and, perhaps, airframe.toml.
+
+    Returns
+    -------
+    Aircraft
+        ``name``, ``folder``, ``xml`` and ``card`` (airframe.toml; docs/aircraft.md). Nothing has been loaded into JSBSim yet.
+
+    Raises
+    ------
+    BadInputError
+        Where there is none, naming those there are, and for a card with a mistake in it.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> aircraft = uq.find_aircraft("espaaro")
+    >>> aircraft.name, aircraft.dt_s
+    ('espaaro', 0.01)
     """
     return _read_aircraft(find_folder(name_or_folder))
 
@@ -191,7 +104,7 @@ def _read_aircraft(folder: Path) -> Aircraft:
         xml = folder / f"{folder.name}.xml"
         if not xml.is_file():
             raise BadInputError(f"{folder}: no airframe.toml and no {folder.name}.xml, so this is not a JSBSim aircraft folder")
-        card = Card(aircraft=_AircraftSection(name=folder.name, xml=xml.name), inputs=_STANDARD_INPUTS)
+        card = standard_card(folder.name, xml.name)
     if Path(card.aircraft.xml).name != card.aircraft.xml or "\\" in card.aircraft.xml:
         raise BadInputError(f'{card_file}: [aircraft] xml = "{card.aircraft.xml}": the name of a file in this folder is wanted')
     xml = folder / card.aircraft.xml
@@ -207,25 +120,6 @@ def _read_aircraft(folder: Path) -> Aircraft:
         engine_path=own_engine if own_engine.is_dir() else stock / "engine",
         systems_path=own_systems if own_systems.is_dir() else stock / "systems",
     )
-
-
-def read_card(path: Path) -> Card:
-    """Read and validate airframe.toml. Raises BadInputError with file, key and what is allowed."""
-    try:
-        data = parse_toml(read_regular_text(path))
-    except ParseError as error:
-        raise BadInputError(f"{path}: {error}") from None
-    except UnicodeDecodeError:
-        raise BadInputError(f"{path}: not a text file in UTF-8") from None
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be read: {error.strerror}") from None
-    try:
-        return Card.model_validate(data)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = dotted(first["loc"])
-        what = "no such key in airframe.toml; see docs/aircraft.md" if first["type"] == "extra_forbidden" else first["msg"]
-        raise BadInputError(f"{path}: {key}: {what}; received {first.get('input')!r}") from None
 
 
 def open_aircraft(aircraft: Aircraft, dt_s: float | None = None) -> Any:

@@ -7,21 +7,19 @@ anywhere may end its interpreter.
 
 from __future__ import annotations
 
-import json
-import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from sysid.units import FT_M, RAD_DEG
+from uqharness.child_process import give_answer, run_module
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.simulator.mid_envelope import open_mid_envelope
-from uqharness.simulator.preflight import child_environment
 
-_FT = 0.3048
 _HELD_S, _RESTED_S = 0.5, 3.0
 _LINEAR = 0.01  # of the throw: how far the middle may lie from halfway between the ends
 _METRICS = ("metrics/Sw-sqft", "metrics/bw-ft", "metrics/cbarw-ft")
@@ -83,7 +81,7 @@ def ask(folder: Path) -> AircraftFacts:
     controls = {name: _facts(name, rows) for name, rows in held.items()}
     controls["throttle"] = ControlFacts(int(throttle[1] > throttle[0]))
     S, b, c = (any_flight[name] for name in _METRICS)
-    return AircraftFacts(S * _FT**2, b * _FT, c * _FT, int(any_flight["engines"]), controls)
+    return AircraftFacts(S * FT_M**2, b * FT_M, c * FT_M, int(any_flight["engines"]), controls)
 
 
 def _held(aircraft: Any, control: str, value: float) -> dict[str, float]:
@@ -120,7 +118,7 @@ def _facts(control: str, rows: list[dict[str, float]]) -> ControlFacts:
         return ControlFacts(0)
     sense = sign if high > low else -sign
     for name in _POSITIONS[control]:
-        ends = [row[name] * (57.29577951308232 if name.endswith("rad") else 1.0) for row in rows if name in row]
+        ends = [row[name] * (RAD_DEG if name.endswith("rad") else 1.0) for row in rows if name in row]
         if len(ends) == 3 and abs(ends[2] - ends[0]) > 1e-6:
             throw = 0.5 * abs(ends[2] - ends[0])
             straight = abs(ends[1] - 0.5 * (ends[0] + ends[2])) <= _LINEAR * throw
@@ -130,29 +128,24 @@ def _facts(control: str, rows: list[dict[str, float]]) -> ControlFacts:
 
 def ask_in_child(folder: Path, timeout_s: float = 120.0) -> AircraftFacts:
     """The same in a process of its own. Raises BadInputError with its last words."""
-    command = [sys.executable, "-m", "uqharness.simulator.aircraft_facts", str(folder)]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, env=child_environment(), check=False)
-    except subprocess.TimeoutExpired:
-        raise BadInputError(f"aircraft {folder}: did not fly half a second within {timeout_s:g} s") from None
-    lines = done.stdout.splitlines()
-    if done.returncode or not lines:
-        words = " ".join(done.stderr.split())[-300:] or "no message"
+    ended = run_module(__name__, folder, timeout_s=timeout_s)
+    if ended.code is None:
+        raise BadInputError(f"aircraft {folder}: did not fly half a second within {timeout_s:g} s")
+    if ended.code or not ended.answer:
+        words = ended.errors or "no message"
         raise BadInputError(f"aircraft {folder}: does not fly in JSBSim as it is ({words}); mend that first")
-    row = json.loads(lines[-1])
-    if "error" in row:
-        raise BadInputError(f"aircraft {folder}: does not fly in JSBSim as it is: {row['error']}")
-    row["controls"] = {name: ControlFacts(**facts) for name, facts in row["controls"].items()}
-    return AircraftFacts(**row)
+    if "error" in ended.answer:
+        raise BadInputError(f"aircraft {folder}: does not fly in JSBSim as it is: {ended.answer['error']}")
+    controls = {name: ControlFacts(**facts) for name, facts in ended.answer["controls"].items()}
+    return AircraftFacts(**{**ended.answer, "controls": controls})
 
 
-def _main(folder: str) -> int:
+def _main(folder: str) -> None:
     try:
-        print(json.dumps(asdict(ask(Path(folder)))), flush=True)
+        give_answer(asdict(ask(Path(folder))))
     except (BadInputError, engine.RuntimeFailure) as error:
-        print(json.dumps({"error": " ".join(str(error).split())}), flush=True)
-    return 0
+        give_answer({"error": " ".join(str(error).split())})
 
 
 if __name__ == "__main__":
-    sys.exit(_main(sys.argv[1]))
+    _main(sys.argv[1])

@@ -6,7 +6,6 @@ lies in the folder, or with the other aircraft of a JSBSim root (root/aircraft/N
 
 from __future__ import annotations
 
-import hashlib
 import os
 import shutil
 import stat
@@ -15,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from sysid.digests import sha256_of_parts
 from sysid.foreign.regular_files import read_regular, require_regular
 from uqharness.errors import BadInputError
 from uqharness.simulator.gate import Passed, passed
@@ -188,16 +188,18 @@ def identity(aircraft: HasFiles) -> str:
     These are the XML and TOML files of its folder, and what its XML takes from the folders of engines and systems beside it. Raises
     BadInputError.
     """
-    digest = hashlib.sha256()
+    return sha256_of_parts(_named_contents(aircraft))
+
+
+def _named_contents(aircraft: HasFiles) -> Iterator[bytes]:
     for name, path in walk(aircraft.folder):
         if path.suffix in {".xml", ".toml"}:
-            digest.update(name.encode(errors="surrogateescape") + b"\0")
-            digest.update(read_xml(path) + b"\0")
+            yield name.encode(errors="surrogateescape") + b"\0"
+            yield read_xml(path) + b"\0"
     for name in sorted(opened(aircraft).beside):
         kind, _, rest = name.partition("/")
-        digest.update(f"beside/{name}".encode(errors="surrogateescape") + b"\0")
-        digest.update(read_xml(_shared(aircraft, kind) / rest) + b"\0")
-    return digest.hexdigest()
+        yield f"beside/{name}".encode(errors="surrogateescape") + b"\0"
+        yield read_xml(_shared(aircraft, kind) / rest) + b"\0"
 
 
 FileState = tuple[int, int, int] | None

@@ -8,10 +8,11 @@ from pathlib import Path
 from lxml import etree
 
 from sysid.record import FlightRecord
+from sysid.units import FT_M
 from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import parse_xml
 
-_METRES = {"M": 1.0, "FT": 0.3048, "KM": 1000.0}
+_METRES = {"M": 1.0, "FT": FT_M, "KM": 1000.0}
 _SETTLES = "a column rho_kgpm3 settles it"
 
 

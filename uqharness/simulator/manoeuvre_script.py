@@ -1,7 +1,5 @@
 """Run scripts of the three identification flights: manoeuvres flown open loop, the autopilot in between.
 
-    python -m uqharness.simulator.manoeuvre_script scripts            writes scripts/flight-*.xml
-
 A manoeuvre begins where the autopilot left the controls: the surfaces' and the motor's own positions become the open-loop
 commands, the autopilot lets go, and the steps are added to what it held, so that one script serves any aircraft with this
 project's autopilot, at any speed, in turbulence. ``flight/manoeuvre`` counts the manoeuvres; `uqharness fly` turns the
@@ -10,10 +8,8 @@ count into the name of the event that set it, and the record's column ``manoeuvr
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from uqharness.simulator.mission import MANOEUVRE_PROPERTY
 
@@ -199,18 +195,3 @@ def script(plan: Plan, step_s: float = STEP_S) -> str:
 {"".join(_events(plan, step_s))}  </run>
 </runscript>
 """
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the run scripts of the plans; the process's exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, help="where to write the scripts")
-    folder = parser.parse_args(arguments).folder
-    for plan in PLANS:
-        (folder / f"{plan.name}.xml").write_text(script(plan), encoding="utf-8")
-        print(f"{folder / plan.name}.xml: {len(plan.manoeuvres)} manoeuvres, {plan.end_s:.1f} s")
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -15,17 +15,16 @@ from typing import Any
 
 from lxml import etree
 
+from sysid.units import FT_M, IN_M, LB_KG, SLUG_FT2_KGM2, SLUG_LB
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import Aircraft, parse_xml
 from uqharness.simulator.staging import Staging, copied
 
-_KG_PER_LB, _KG_M2_PER_SLUG_FT2, _M_PER_FT = 0.45359237, 1.3558179483314004, 0.3048
-_LB_PER_SLUG = 32.174049
-_WEIGHT = {"LBS": 1.0, "KG": _KG_PER_LB}
-_INERTIA = {"SLUG*FT2": 1.0, "KG*M2": _KG_M2_PER_SLUG_FT2}
-_LENGTH_FT = {"FT": 1.0, "M": _M_PER_FT, "IN": 12.0}
-_LENGTH_IN = {"IN": 1.0, "FT": 1.0 / 12.0, "M": 0.0254}
+_WEIGHT = {"LBS": 1.0, "KG": LB_KG}
+_INERTIA = {"SLUG*FT2": 1.0, "KG*M2": SLUG_FT2_KGM2}
+_LENGTH_FT = {"FT": 1.0, "M": FT_M, "IN": 12.0}
+_LENGTH_IN = {"IN": 1.0, "FT": 1.0 / 12.0, "M": IN_M}
 _TRIES, _TOLERANCE = 12, 1e-9
 
 
@@ -40,7 +39,7 @@ class _Place:
 
 
 _PLACES: Mapping[str, _Place] = {
-    "inertia/mass-slugs": _Place("mass_balance/emptywt", _WEIGHT, "LBS", _LB_PER_SLUG),
+    "inertia/mass-slugs": _Place("mass_balance/emptywt", _WEIGHT, "LBS", SLUG_LB),
     "inertia/weight-lbs": _Place("mass_balance/emptywt", _WEIGHT, "LBS"),
     "inertia/empty-weight-lbs": _Place("mass_balance/emptywt", _WEIGHT, "LBS"),
     **{

@@ -7,15 +7,15 @@ nothing afterwards.
 
 from __future__ import annotations
 
+import contextlib
 import os
-import signal
-import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 from sysid.foreign.memory_limit import MemoryLimit
 from sysid.foreign.regular_files import in_words
+from uqharness.child_process import ending, give_answer, run_module
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine
 from uqharness.simulator.staging import Named, staged
@@ -23,7 +23,6 @@ from uqharness.simulator.staging import Named, staged
 TIMEOUT_S = 20.0
 MOST_BYTES = 1_500_000_000
 """Of memory for one model: the largest that comes with JSBSim takes some 20 MB."""
-_REFUSED, _NOT_INITIALISED = 3, 4
 _checked: set[str] = set()
 
 
@@ -47,44 +46,18 @@ def ensure_loadable(aircraft: Named, content: str) -> None:
 def _try_in_child(aircraft: Named) -> None:
     folder = aircraft.folder
     places = (folder, aircraft.xml.name, aircraft.engine_path, aircraft.systems_path)
-    command = [sys.executable, "-m", "uqharness.simulator.preflight", *map(str, places)]
-    try:
-        done = subprocess.run(
-            command,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=TIMEOUT_S,
-            env=child_environment(),
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        raise BadInputError(f"aircraft {folder}: JSBSim did not finish loading it within {TIMEOUT_S:g} s") from None
-    if done.returncode == _REFUSED and done.stderr.strip():
-        words = done.stderr.strip()
+    ended = run_module(__name__, *places, timeout_s=TIMEOUT_S)
+    if ended.code is None:
+        raise BadInputError(f"aircraft {folder}: JSBSim did not finish loading it within {TIMEOUT_S:g} s")
+    if "refused" in ended.answer:
+        words = str(ended.answer["refused"])
         raise BadInputError(words if str(folder) in words else f"{folder}: {words}")
-    if done.returncode < 0 or done.returncode >= 128:
-        number = -done.returncode if done.returncode < 0 else done.returncode - 128
-        try:
-            what = signal.Signals(number).name
-        except ValueError:
-            what = f"exit code {done.returncode}"
-        words = " ".join(done.stdout.split()) or "no message"
+    if ended.code < 0:
         raise BadInputError(
-            f"aircraft {folder}: loading it ends JSBSim's process ({what}); its last words: {words}; "
+            f"aircraft {folder}: loading it ends JSBSim's process ({ending(ended.code)}); its last words: "
+            f"{ended.said or 'no message'}; "
             "look there for an unknown element or function operation, or a property name with illegal characters"
         )
-
-
-def child_environment() -> dict[str, str]:
-    """The environment in which a child process finds this package, wherever it was imported from, and nothing of its folder.
-
-    Python puts the working folder first where a module or a command is run by name: a ``socket.py`` there would be imported.
-    """
-    here = str(Path(__file__).resolve().parents[2])
-    foreign = {"", os.curdir, os.getcwd()}
-    places = [here, *(place for place in sys.path if place not in foreign)]
-    return os.environ | {"PYTHONPATH": os.pathsep.join(places), "PYTHONSAFEPATH": "1"}
 
 
 def _cache_folder() -> Path:
@@ -115,24 +88,21 @@ class _Unread:
         return self.xml.stem
 
 
-def _child(folder: str, xml: str, engine_path: str, systems_path: str) -> int:
+def _child(folder: str, xml: str, engine_path: str, systems_path: str) -> None:
     engine.mirror_messages(sys.stdout.fileno())
     aircraft = _Unread(Path(folder), Path(folder) / xml, Path(engine_path), Path(systems_path))
     with MemoryLimit(MOST_BYTES):
         try:
             fdm = engine.open_fdm(staged(aircraft), 0.01)
         except BadInputError as error:
-            print(error, file=sys.stderr)
-            return _REFUSED
+            give_answer({"refused": str(error)})
+            return
         except MemoryError:
-            print(f"loading it takes more than {in_words(MOST_BYTES)} of memory", file=sys.stderr)
-            return _REFUSED
-        try:
+            give_answer({"refused": f"loading it takes more than {in_words(MOST_BYTES)} of memory"})
+            return
+        with contextlib.suppress(BadInputError):
             engine.run_ic(fdm)
-        except BadInputError:
-            return _NOT_INITIALISED
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(_child(*sys.argv[1:5]))
+    _child(*sys.argv[1:5])

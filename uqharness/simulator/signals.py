@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from uqharness.simulator.aircraft import Aircraft, InputCard
+from sysid.units import FT_M, RAD_DEG, SLUG_FT3_KGPM3
+from uqharness.simulator.aircraft import Aircraft
+from uqharness.simulator.card import InputCard
 
-FT = 0.3048
-LBF_PER_SLUG_TO_MPS2 = 0.3048
+LBF_PER_SLUG_TO_MPS2 = FT_M
 """Force in lbf over mass in slugs is ft/s2."""
 
 
@@ -28,7 +29,7 @@ class Source:
 STANDARD: Mapping[str, Source] = MappingProxyType(
     {
         "time_s": Source("simulation/sim-time-sec"),
-        "V_mps": Source("velocities/vt-fps", FT),
+        "V_mps": Source("velocities/vt-fps", FT_M),
         "alpha_rad": Source("aero/alpha-rad"),
         "beta_rad": Source("aero/beta-rad"),
         "phi_rad": Source("attitude/phi-rad"),
@@ -40,11 +41,11 @@ STANDARD: Mapping[str, Source] = MappingProxyType(
         "ax_mps2": Source("forces/fbx-total-lbs", LBF_PER_SLUG_TO_MPS2, "inertia/mass-slugs"),
         "ay_mps2": Source("forces/fby-total-lbs", LBF_PER_SLUG_TO_MPS2, "inertia/mass-slugs"),
         "az_mps2": Source("forces/fbz-total-lbs", LBF_PER_SLUG_TO_MPS2, "inertia/mass-slugs"),
-        "h_m": Source("position/h-sl-ft", FT),
-        "vn_mps": Source("velocities/v-north-fps", FT),
-        "ve_mps": Source("velocities/v-east-fps", FT),
-        "vd_mps": Source("velocities/v-down-fps", FT),
-        "rho_kgpm3": Source("atmosphere/rho-slugs_ft3", 515.378818),
+        "h_m": Source("position/h-sl-ft", FT_M),
+        "vn_mps": Source("velocities/v-north-fps", FT_M),
+        "ve_mps": Source("velocities/v-east-fps", FT_M),
+        "vd_mps": Source("velocities/v-down-fps", FT_M),
+        "rho_kgpm3": Source("atmosphere/rho-slugs_ft3", SLUG_FT3_KGPM3),
     }
 )
 
@@ -61,7 +62,7 @@ JSBSim's default for body rates and attitude is Euler's rule, which at 100 Hz ma
 by half a step; an identification would put the difference into the coefficients.
 """
 
-_UNIT_TO_RECORD = {"deg": 1.0, "pct": 1.0, "rad": 57.29577951308232, "norm": 1.0}
+_UNIT_TO_RECORD = {"deg": 1.0, "pct": 1.0, "rad": RAD_DEG, "norm": 1.0}
 _COLUMN = {"elevator": "elevator_deg", "aileron": "aileron_deg", "rudder": "rudder_deg", "throttle": "throttle_pct"}
 
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+from sysid.units import FT_M
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.simulator.aircraft import Aircraft, content_hash, open_aircraft
 from uqharness.simulator.start import MARK, StartSection
-from uqharness.simulator.trim import FT, TRIM_LATITUDE_DEG, SteadyCondition, Trim, body_velocity, find_trim
+from uqharness.simulator.trim import TRIM_LATITUDE_DEG, SteadyCondition, Trim, body_velocity, find_trim
 
 SCRIPT = "steady-mission.xml"
 INITIALIZE = "steady-start"
@@ -43,7 +44,7 @@ def write_steady_start(aircraft: Aircraft, start: StartSection, script: Path, so
 
 def _initialize(trim: Trim) -> str:
     condition = trim.condition
-    u, v, w = (speed / FT for speed in body_velocity(condition.V_mps, trim.alpha_rad, trim.beta_rad))
+    u, v, w = (speed / FT_M for speed in body_velocity(condition.V_mps, trim.alpha_rad, trim.beta_rad))
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <!-- Level flight at {condition.V_mps:g} m/s true and {condition.altitude_m:g} m above flat ground at sea level. -->
 <initialize name="{INITIALIZE}">

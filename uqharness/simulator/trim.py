@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from sysid.units import FT_M, LBF_N
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import Aircraft, open_aircraft
 
-FT, LBF = 0.3048, 4.4482216152605
 TRIM_LATITUDE_DEG = 45.0
 """Where trims are made: there JSBSim's effective gravity is 9.806 m/s2."""
 
@@ -128,16 +128,16 @@ def force_state(
         engine.set_property(fdm, name, value)
     apply_controls(fdm, aircraft, controls)
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
-    fdm["ic/terrain-elevation-ft"] = (altitude_m - 300.0) / FT
-    fdm["ic/h-sl-ft"] = altitude_m / FT
+    fdm["ic/terrain-elevation-ft"] = (altitude_m - 300.0) / FT_M
+    fdm["ic/h-sl-ft"] = altitude_m / FT_M
     fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = state.phi, state.theta, state.psi
-    fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"] = state.u / FT, state.v / FT, state.w / FT
+    fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"] = state.u / FT_M, state.v / FT_M, state.w / FT_M
     fdm["ic/p-rad_sec"], fdm["ic/q-rad_sec"], fdm["ic/r-rad_sec"] = state.p, state.q, state.r
     engine.run_ic(fdm)
     if fdm.get_propulsion().get_num_engines():
         engine.settle_engines(fdm)
     acceleration = np.array([fdm[name] for name in _ACCELERATIONS])
-    acceleration[:3] *= FT
+    acceleration[:3] *= FT_M
     manager = fdm.get_property_manager()
     return acceleration, {name: fdm[name] for name in outputs if manager.hasNode(name)}
 
@@ -238,7 +238,7 @@ def _result(
     wanted = (*keys.values(), *surfaces.values(), *_ENGINE_THRUSTS, _PROPELLER_RPM)
     _, out = force_state(aircraft, state, controls, condition.altitude_m, condition.properties, wanted)
     engines_lbf = [out[name] for name in _ENGINE_THRUSTS if name in out]
-    thrust_N = out.get(keys.get("thrust_N", ""), LBF * sum(engines_lbf) if engines_lbf else float("nan"))
+    thrust_N = out.get(keys.get("thrust_N", ""), LBF_N * sum(engines_lbf) if engines_lbf else float("nan"))
     converged = bool(np.max(np.abs(left)) < 1e-6)
     at_limit = [
         name

@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TextIO
 
+import tomlkit
+
 import uqharness
 from uqharness.campaign.folder.manifest import binding_versions
 from uqharness.campaign.folder.store import run_lock
@@ -22,7 +24,6 @@ from uqharness.study.spec import ChainSpec
 from uqharness.study.stages import AFTER, BEFORE, Stage, plan
 from uqharness.study.state import begin, content, read_study, refuse_foreign, stage_key, write_study
 from uqharness.study.verdict import judge
-from uqharness.toml_text import toml_text
 
 LOGS = "log"
 """Folder of what each stage printed."""
@@ -114,7 +115,7 @@ def _settle(
         _refuse_other_model(*stage.belongs)
     if stage.writes is not None:
         path, data = stage.writes
-        write_bytes(path, (_HEADER + toml_text(data)).encode())
+        write_bytes(path, (_HEADER + tomlkit.dumps(data)).encode())
     begun = time.monotonic()
     code = _call(run, stage, out, workers)
     row |= {

@@ -198,12 +198,12 @@ class _Planner:
                 self._tried(lambda pair: parse_designs(pair[0], pair[1], 2, False), (states, terms), "bounds", option)
         words = ["bounds", model.word, *self._flight_words(section.flights), "--out", str(out)]
         words += ["--confidence", f"{section.confidence!r}", "--order", str(section.order), "--select", section.select]
-        words += ["--samples", section.samples, "--outside", section.outside, "--servos", self.spec.study.servos]
+        words += ["--sample-size", section.samples, "--outside", section.outside, "--servos", self.spec.study.servos]
         for option in ("cutoff_hz", "airspeed_cutoff_hz", "walk_cutoff_hz"):
             words += [f"--{option.replace('_', '-')}", f"{getattr(section, option)!r}"]
         words += [word for option, given in texts.items() for text in given for word in (f"--{option}", text)]
         words += ["--roll-terms"] if section.roll_terms else []
-        words += [] if section.checks else ["--no-checks"]
+        words += [] if section.checks else ["--no-check"]
         options = section.model_dump(mode="json", exclude={"validate_on"}) | {"servos": self.spec.study.servos}
         inputs = {model.label: model.folder} | self._flight_inputs(section.flights)
         outputs = [out / "model-form.json", out / "model-form.xml"]

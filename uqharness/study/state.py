@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from sysid.digests import file_sha256, sha256_hex
 from sysid.foreign.parsed_text import ParseError, parse_json
-from sysid.foreign.regular_files import open_regular, read_regular
+from sysid.foreign.regular_files import read_regular
 from uqharness.campaign.folder.store import LOCK
 from uqharness.errors import BadInputError
 from uqharness.files import PART, write_bytes
@@ -49,7 +49,7 @@ def begin(spec: ChainSpec, command: str, version: str) -> dict[str, Any]:
         "question": spec.study.question,
         "file": spec.path.name,
         "path": str(spec.path.resolve()),
-        "hash": hashlib.sha256(spec.source.encode()).hexdigest(),
+        "hash": sha256_hex(spec.source.encode()),
         "version": version,
         "command": command,
         "state": "running",
@@ -81,8 +81,7 @@ def content(path: Path) -> str:
     if path.is_dir():
         return folder_hash(path)
     try:
-        with open_regular(path) as handle:
-            return hashlib.file_digest(handle, "sha256").hexdigest()
+        return file_sha256(path)
     except OSError:
         return ""
 
@@ -90,4 +89,4 @@ def content(path: Path) -> str:
 def stage_key(kind: str, options: Mapping[str, Any], inputs: Mapping[str, str], versions: Any) -> str:
     """What a stage's result depends on, as one hash: its command's kind and settings, what it reads, what computes it."""
     text = json.dumps([kind, options, sorted(inputs.items()), versions], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return sha256_hex(text.encode())

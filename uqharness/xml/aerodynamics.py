@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from sysid.units import FT_M
 from uqharness.errors import BadInputError
 from uqharness.xml.document import Document, Node, attribute, number, read_document
 
@@ -158,7 +159,7 @@ def _frame(axis: Axis) -> str:
     return _FRAMES[frame]
 
 
-_UNITS = {"": 1.0, "FT": 1.0, "IN": 1.0 / 12.0, "M": 1.0 / 0.3048, "KM": 1000.0 / 0.3048}
+_UNITS = {"": 1.0, "FT": 1.0, "IN": 1.0 / 12.0, "M": 1.0 / FT_M, "KM": 1000.0 / FT_M}
 _AREAS = {"": 1.0, **{f"{unit}2": factor**2 for unit, factor in _UNITS.items() if unit}}
 
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from xml.sax.saxutils import escape, quoteattr
+
+from uqharness.xml.document import comment
 
 Powers = tuple[int, ...]
 _WIDTH = 110
@@ -12,17 +15,22 @@ _WIDTH = 110
 
 @dataclass(frozen=True)
 class Expression:
-    """``tag`` is a JSBSim operation, ``property`` or ``value``; a leaf has ``text``, an operation arguments."""
+    """``tag`` is a JSBSim operation, ``property`` or ``value``; a leaf has ``text``, an operation arguments.
+
+    ``tight``: without blanks between its tags and its arguments.
+    """
 
     tag: str
     text: str = ""
     arguments: tuple[Expression, ...] = ()
+    tight: bool = False
 
     def line(self) -> str:
         """All of it on one line."""
         if not self.arguments:
-            return f"<{self.tag}>{self.text}</{self.tag}>"
-        return f"<{self.tag}> {' '.join(a.line() for a in self.arguments)} </{self.tag}>"
+            return f"<{self.tag}>{escape(self.text)}</{self.tag}>"
+        gap = "" if self.tight else " "
+        return f"<{self.tag}>{gap}{' '.join(a.line() for a in self.arguments)}{gap}</{self.tag}>"
 
     def lines(self) -> list[str]:
         """On one line where that is short, else arguments on lines of their own, two spaces deeper."""
@@ -33,9 +41,9 @@ class Expression:
         return [f"<{self.tag}>", *inner, f"</{self.tag}>"]
 
 
-def value(number: float) -> Expression:
-    """A constant, in the shortest digits that give the same double again."""
-    return Expression("value", repr(float(number)))
+def value(number: float, form: str = "") -> Expression:
+    """A constant in a format such as ".8g"; without one, in the shortest digits that give the same double again."""
+    return Expression("value", format(number, form) if form else repr(float(number)))
 
 
 def prop(name: str) -> Expression:
@@ -48,6 +56,19 @@ def call(tag: str, *arguments: Expression) -> Expression:
     if tag in ("sum", "product", "min", "max") and len(arguments) == 1:
         return arguments[0]
     return Expression(tag, "", arguments)
+
+
+def function_lines(name: str, tag: str, lines: Sequence[str], at_cg: bool = False, remark: str = "") -> list[str]:
+    """A ``<function>`` of one operation, whose arguments are given as lines."""
+    attributes = ' apply_at_cg="true"' if at_cg else ""
+    return [
+        f"<function name={quoteattr(name)}{attributes}>",
+        *([f"  {comment(remark)}"] if remark else []),
+        f"  <{tag}>",
+        *(f"    {line}" for line in lines),
+        f"  </{tag}>",
+        "</function>",
+    ]
 
 
 def horner(coefficients: Mapping[Powers, float], names: Sequence[str]) -> Expression:

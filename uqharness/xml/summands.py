@@ -22,6 +22,7 @@ from sysid.aerodynamics.terms import COEFFICIENTS
 from uqharness.errors import BadInputError
 from uqharness.xml.aerodynamics import AXIAL, BODY, STABILITY, WIND, AeroSection
 from uqharness.xml.document import Document, Insertion, Node, after, append_child, apply, before, joined
+from uqharness.xml.expressions import Expression, call, function_lines, prop, value
 
 # One term of a row: sign, trigonometric factors, index of the coefficient in its triple (x, y, z or roll, pitch, yaw).
 Term = tuple[int, str, int]
@@ -45,11 +46,11 @@ _NAMES = {
 }
 _MOMENT_NAMES = ("ROLL", "PITCH", "YAW")
 _TRIG = {
-    "ca": "<cos><property>aero/alpha-rad</property></cos>",
-    "sa": "<sin><property>aero/alpha-rad</property></sin>",
-    "cb": "<cos><property>aero/beta-rad</property></cos>",
-    "sb": "<sin><property>aero/beta-rad</property></sin>",
+    f"{tag[0]}{angle[0]}": Expression(tag, "", (prop(f"aero/{angle}-rad"),), tight=True)
+    for tag in ("cos", "sin")
+    for angle in ("alpha", "beta")
 }
+_MINUS = value(-1, "g")
 
 
 @dataclass(frozen=True)
@@ -61,19 +62,19 @@ class Reference:
     c_ft: float | None = None
 
     @property
-    def area(self) -> str:
-        """Reference area [ft2] as an XML value or the property that holds it."""
+    def area(self) -> Expression:
+        """Reference area [ft2], or the property that holds it."""
         return _value(self.S_sqft, "metrics/Sw-sqft")
 
     @property
-    def lengths(self) -> tuple[str, str, str]:
+    def lengths(self) -> tuple[Expression, Expression, Expression]:
         """Reference lengths [ft] of roll, pitch and yaw, likewise."""
         span = _value(self.b_ft, "metrics/bw-ft")
         return span, _value(self.c_ft, "metrics/cbarw-ft"), span
 
 
-def _value(number: float | None, name: str) -> str:
-    return f"<property>{name}</property>" if number is None else f"<value>{number:.17g}</value>"
+def _value(number: float | None, name: str) -> Expression:
+    return prop(name) if number is None else value(number, ".17g")
 
 
 @dataclass(frozen=True)
@@ -142,16 +143,9 @@ def add_deltas(
         if not body:
             continue
         sign = -1 if force and section.force != BODY and slot != 1 else 1
-        attributes = ' apply_at_cg="true"' if force else ""
-        lines = [f'<function name="{names[slot]}"{attributes}>', *([f"  <!-- {remark} -->"] if remark else [])]
-        factors = ["<property>aero/qbar-psf</property>", reference.area, *(["<value>-1</value>"] if sign < 0 else [])]
-        lines += [
-            "  <product>",
-            *(f"    {factor}" for factor in factors),
-            *(f"    {line}" for line in body),
-            "  </product>",
-        ]
-        edit = _into_axis(edit, slot, [*lines, "</function>"])
+        factors = [prop("aero/qbar-psf"), reference.area, *([_MINUS] if sign < 0 else [])]
+        lines = [*(factor.line() for factor in factors), *body]
+        edit = _into_axis(edit, slot, function_lines(names[slot], "product", lines, force, remark))
     return edit
 
 
@@ -176,22 +170,20 @@ def _into_axis(edit: SectionEdit, slot: int, lines: list[str]) -> SectionEdit:
     return add_functions(edit, [opening, *(f"  {line}" for line in lines), "</axis>"])
 
 
-def _sum(terms: Sequence[Term], triple: Sequence[Sequence[str]], lengths: tuple[str, str, str] | None) -> list[str]:
+def _sum(terms: Sequence[Term], triple: Sequence[Sequence[str]], lengths: Sequence[Expression] | None) -> list[str]:
     """XML of the sum over the row's terms; empty where no coefficient of the row has a summand."""
     pieces = []
     for sign, trig, index in terms:
         if not triple[index]:
             continue
-        factors = ["<value>-1</value>"] if sign < 0 else []
+        factors = [_MINUS] if sign < 0 else []
         factors += [_TRIG[name] for name in trig.split()]
         factors += [lengths[index]] if lengths else []
-        properties = [f"<property>{name}</property>" for name in triple[index]]
-        factors.append(properties[0] if len(properties) == 1 else f"<sum> {' '.join(properties)} </sum>")
+        factors.append(call("sum", *map(prop, triple[index])))
         pieces.append(factors)
     if len(pieces) == 1:
-        return pieces[0]
-    products = [factors[0] if len(factors) == 1 else f"<product> {' '.join(factors)} </product>" for factors in pieces]
-    return ["<sum>", *(f"  {line}" for line in products), "</sum>"] if products else []
+        return [factor.line() for factor in pieces[0]]
+    return ["<sum>", *(f"  {call('product', *factors).line()}" for factors in pieces), "</sum>"] if pieces else []
 
 
 def refuse_names(section: AeroSection, names: Sequence[str]) -> None:

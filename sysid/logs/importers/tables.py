@@ -18,10 +18,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from sysid.errors import Finding, LogError
+from sysid.errors import Finding, LogError, in_a_line
 from sysid.foreign.limits import LIMITS, MOST_COLUMNS, MOST_COMMENT, MOST_LINE, too_much
 from sysid.foreign.raw import MessageTable, RawLog, Wanted
 from sysid.foreign.regular_files import in_words, open_regular
+from sysid.units import FT_M, KT_MPS, LBF_N, PSF_PA, SLUG_FT2_KGM2, SLUG_FT3_KGPM3, SLUG_KG
 from sysid.vocabulary import LABELS, SIGNALS
 
 _TIME_NAMES = ("time_s", "Time", "time", "t", "t_s", "Time (s)", "timestamp")
@@ -32,17 +33,17 @@ _ROWS_LOOKED_AT = 100
 _QUOTED = re.compile(rb'"[^"]*"')
 # Suffix of a JSBSim property -> factor into SI. Angles keep the suffix's unit (a map's scale turns them).
 _SUFFIXES = {
-    "-ft_sec2": 0.3048,
-    "-fps_sec": 0.3048,
-    "-fps": 0.3048,
-    "-ft": 0.3048,
-    "-kts": 0.514444444444,
-    "-slugs_ft3": 515.378818393,
-    "-lbs": 4.4482216152605,
-    "-lbs_ft2": 47.88025898,
-    "-psf": 47.88025898,
-    "-slugs": 14.59390294,
-    "-slug_ft2": 1.3558179483314,
+    "-ft_sec2": FT_M,
+    "-fps_sec": FT_M,
+    "-fps": FT_M,
+    "-ft": FT_M,
+    "-kts": KT_MPS,
+    "-slugs_ft3": SLUG_FT3_KGPM3,
+    "-lbs": LBF_N,
+    "-lbs_ft2": PSF_PA,
+    "-psf": PSF_PA,
+    "-slugs": SLUG_KG,
+    "-slug_ft2": SLUG_FT2_KGM2,
 }
 
 
@@ -165,7 +166,7 @@ def _readable(kind: str, path: Path) -> Iterator[None]:
     except (LogError, MemoryError):
         raise
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        why = " ".join(str(error).split())[:160]
+        why = in_a_line(error)
         raise LogError(f"not a readable {kind} ({type(error).__name__}: {why})", path) from None
 
 

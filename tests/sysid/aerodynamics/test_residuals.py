@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,6 @@ from sysid.aerodynamics.residuals import Cutoffs, Prediction, ResidualPiece, Res
 from sysid.aerodynamics.segmentation import Piece, cut
 from sysid.aerodynamics.terms import COEFFICIENTS
 from sysid.model_form.fit import Design, fit_bounds
-from sysid.model_form.noise_floor import NOISY, noise_floor
 from sysid.model_form.variation import STEP_S, variation
 from sysid.record import FlightRecord
 from tests.helpers.flown import fly
@@ -125,29 +122,6 @@ def test_the_airspeeds_low_pass_stops_at_gaps_and_keeps_slow_motion(still):
 def test_pieces_shorter_than_the_filter_are_refused(still):
     with pytest.raises(ValueError, match="raise the cut-off"):
         residual_coefficients(still, [Piece("x", slice(0, 20), 0.0, 0.4)], model_of(AIRFRAME), cutoffs=Cutoffs(0.2))
-
-
-def test_noise_is_what_the_filters_weights_make_of_it():
-    """A flight at rest in the air, a model without coefficients: variances by the smoother's weights .1 .25 .3 .25 .1, by hand."""
-    n, V, rho = 3000, 20.0, 1.225
-    columns = {c: np.full(n, V if c == "V_mps" else 0.0) for c in NOISY} | {"time_s": 0.02 * np.arange(n)}
-    record = FlightRecord(columns)
-    a = dataclasses.replace(AIRFRAME, Ixz=0.0)
-    mass = MassProperties(a.m, inertia(a), a.S, a.b, a.c)
-
-    def predict(record: FlightRecord, piece: Piece) -> Prediction:
-        qbar = 0.5 * rho * record["V_mps"][piece.rows] ** 2
-        zero = np.zeros((len(qbar), 3))
-        return Prediction(np.zeros((len(qbar), 6)), zero, zero, qbar, mass, {})
-
-    noise = {"ay_mps2": 0.16, "p_radps": 0.0035}
-    found = noise_floor(record, [Piece("x", slice(0, n), 0.0, 0.02 * n)], predict, noise, (0, 0, 0), Cutoffs(), repeats=4)
-    pressure = 0.5 * rho * V**2 * a.S
-    side = a.m * 0.16 * np.sqrt(0.3**2 + 2 * 0.25**2 + 2 * 0.1**2) / pressure
-    roll = a.Ixx * 0.0035 * np.sqrt(2 * (1 + 4)) / (10 * 0.02) / (pressure * a.b)
-    assert found[1] == pytest.approx(side, rel=0.04)
-    assert found[3] == pytest.approx(roll, rel=0.04)
-    assert np.all(found[[0, 2]] == 0.0)
 
 
 def wandering(rate_hz: float, seconds: float = 200.0, f: float = 0.2) -> tuple[Residuals, float]:

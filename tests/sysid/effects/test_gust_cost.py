@@ -10,10 +10,10 @@ import pytest
 from sysid.aerodynamics.rigid_body import NX
 from sysid.effects import gust_cost
 from sysid.effects.gust_cost import Likelihood, costs
-from sysid.effects.prediction import Columns, Process, minus_twice_log, whiten
-from sysid.linalg.triangular import inverse_lower
+from sysid.effects.prediction import Columns, minus_twice_log, whiten
+from sysid.estimation.kalman import Process
 from sysid.parallel import Held
-from tests.sysid.effects.test_prediction import system
+from tests.helpers.linear_systems import system
 
 STATES = np.arange(NX)
 ROWS = (0, 1, 2, 5, 6, 7, 8)
@@ -88,12 +88,3 @@ def test_shared_among_processes_the_figures_are_the_same_to_the_bit(count):
     found = Likelihood(steps, data, ROWS, several).costs(noise, airs)
     np.testing.assert_array_equal(found, alone)
     assert several.jobs == min(count, len(steps))
-
-
-def test_triangular_inverses_are_those_of_general_matrices():
-    rng = np.random.default_rng(5)
-    for m in (1, 2, 7, 11):
-        low = np.tril(rng.standard_normal((4, 3, m, m))) + 3.0 * np.eye(m)
-        np.testing.assert_allclose(inverse_lower(low), np.linalg.inv(low), rtol=1e-9, atol=1e-12)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        assert not np.isfinite(inverse_lower(np.diag([1.0, 0.0]))).all()

@@ -6,25 +6,15 @@ import numpy as np
 import pytest
 
 from sysid.aerodynamics.rigid_body import NX, OUTPUTS, Steps
-from sysid.effects import prediction
-from sysid.effects.prediction import Columns, Process, White, _lawful, _root, whiten
+from sysid.effects.prediction import Columns, White, whiten
 from sysid.effects.score import corrected, gather, scores
 from sysid.effects.selection import select, threshold
 from sysid.effects.turbulence import noise_factors
+from sysid.estimation import kalman
+from sysid.estimation.kalman import Process
+from tests.helpers.linear_systems import system
 
 M = len(OUTPUTS)
-
-
-def system(n: int, seed: int) -> Steps:
-    """A stable random system of the right shapes, the first eight states seen."""
-    rng = np.random.default_rng(seed)
-    phi = np.repeat((0.9 * np.eye(NX) + 0.03 * rng.standard_normal((NX, NX)))[None], n - 1, axis=0)
-    g0, g1 = (0.1 * rng.standard_normal((n - 1, NX, 6)) for _ in range(2))
-    H = np.repeat(rng.standard_normal((M, NX))[None], n, axis=0)
-    D = np.repeat(0.2 * rng.standard_normal((M, 6))[None], n, axis=0)
-    defect = 0.05 * rng.standard_normal((n - 1, NX))
-    start = np.vstack([np.eye(8), rng.standard_normal((NX - 8, 8))])
-    return Steps(0.02, phi, g0, g1, defect, H, D, rng.standard_normal((n, M)), start)
 
 
 def dense(steps: Steps, noise: np.ndarray, Q: np.ndarray, P0: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -196,16 +186,6 @@ def test_noise_that_is_half_of_what_is_stated_is_found_in_gusts():
     assert found[[0, 8]] == pytest.approx([1.0, 1.0], abs=0.2)
 
 
-def test_a_variance_below_zero_becomes_none_and_the_rest_stays():
-    good = np.array([[4e6, 1e2], [1e2, 9e-2]])
-    axes = np.linalg.qr(np.random.default_rng(1).standard_normal((2, 2)))[0]
-    sunk = axes @ np.diag([1.0, -0.2]) @ axes.T
-    found = _lawful(np.stack([good, sunk]))
-    np.testing.assert_allclose(found[0], good, rtol=1e-9)
-    assert np.linalg.eigvalsh(found[1]).min() > -1e-12
-    assert np.linalg.eigvalsh(found[1]).max() > 0.5
-
-
 def test_both_forms_of_the_update_are_one_filter(monkeypatch):
     rng = np.random.default_rng(12)
     steps = [system(80, 40)]
@@ -217,18 +197,9 @@ def test_both_forms_of_the_update_are_one_filter(monkeypatch):
         return whiten(steps, data, columns, range(M), np.full(M, 0.5), Process(Q, 0.0 * Q))[0]
 
     plain = found()
-    monkeypatch.setattr(prediction, "VIOLENT", 0.0)
+    monkeypatch.setattr(kalman, "VIOLENT", 0.0)
     other = found()
     assert not np.array_equal(plain.residual, other.residual)
     np.testing.assert_allclose(other.residual, plain.residual, atol=1e-8)
     np.testing.assert_allclose(other.columns, plain.columns, atol=1e-4)
     assert other.logdet == pytest.approx(plain.logdet, rel=1e-10)
-
-
-def test_covariances_that_rounding_has_spoilt_still_have_a_root():
-    good = np.array([[4.0, 1.0], [1.0, 9.0]])
-    spoilt = np.array([[1.0, 1.0 + 1e-9], [1.0 + 1e-9, 1.0]])
-    low = _root(np.stack([good, spoilt]), np.full((2, 2), 0.5))
-    np.testing.assert_allclose(low @ low.transpose(0, 2, 1), np.stack([good, spoilt]), atol=1e-8)
-    sunk = _root(np.array([[[-1.0, 0.0], [0.0, 1.0]]]), np.full((1, 2), 0.5))
-    assert np.isfinite(sunk).all()

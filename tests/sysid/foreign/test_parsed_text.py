@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from sysid.errors import MOST_CHARACTERS, MOST_LINES, LogError, shortened
 from sysid.foreign.parsed_text import ParseError, parse_json, parse_toml
 
 DEEP = 100_000
@@ -39,17 +38,3 @@ def test_json_that_is_none(text: str | bytes, line: int | None, word: str) -> No
     with pytest.raises(ParseError, match=word) as found:
         parse_json(text)
     assert found.value.line == line
-
-
-def test_an_error_is_one_line_of_a_length_to_be_read() -> None:
-    assert shortened("short\n" + "x" * MOST_CHARACTERS) == "short\n" + "x" * MOST_CHARACTERS
-    long = shortened("begin" + "x" * 10**6 + "end")
-    assert len(long) <= MOST_CHARACTERS
-    assert long.startswith("beginx")
-    assert long.endswith("xend")
-    assert shortened(long) == long
-    many = shortened("\n".join(f"a.toml:{k}: wrong and not what it should be" for k in range(500)))
-    assert many.splitlines()[-1] == f"and {500 - MOST_LINES + 1} more"
-    assert len(many.splitlines()) == MOST_LINES
-    assert shortened(many) == many
-    assert str(LogError("unknown signal 'a\nb'", "m.toml", "line 3")) == "m.toml: line 3: unknown signal 'a b'"

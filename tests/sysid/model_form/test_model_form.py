@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 import statsmodels.api as sm
 
-from sysid.aerodynamics.polynomial import full_polynomial, parse_term, regressors, term_name
+from sysid.aerodynamics.polynomial import full_polynomial, regressors, term_name
 from sysid.aerodynamics.residuals import Cutoffs, ResidualPiece, Residuals, together
 from sysid.errors import LogError
-from sysid.estimation.autocorrelation import integral_time
 from sysid.model_form.coverage import coverage, leave_one_out, share_error
 from sysid.model_form.fit import Design, FitOptions, default_designs, fit_bounds, with_walk_rates
 from sysid.model_form.model_form import AircraftReference, Filtering, FlightUsed, ModelForm, read_model_form
@@ -115,17 +114,6 @@ def test_autocorrelation_breaks_the_published_interval_and_effective_samples_men
     assert np.mean(published) < 0.925
     assert np.mean(ours) == pytest.approx(0.95, abs=0.02), (np.mean(published), np.mean(ours))
     assert np.mean(effective) == pytest.approx(1600 * (1 - 0.9) / (1 + 0.9), rel=0.4)
-
-
-def test_integral_time_of_a_first_order_process_is_known():
-    rng = np.random.default_rng(3)
-    e = rng.standard_normal(40_000)
-    series = e.copy()
-    for k in range(1, len(series)):
-        series[k] = 0.8 * series[k - 1] + e[k]
-    assert integral_time([series]) == pytest.approx(9.0, rel=0.1)  # (1 + 0.8)/(1 - 0.8)
-    assert integral_time([e]) == pytest.approx(1.0, abs=0.1)
-    assert integral_time([np.zeros(50)]) == 1.0
 
 
 def test_the_error_of_a_share_counts_runs():
@@ -281,16 +269,6 @@ def test_pieces_of_one_name_are_left_out_by_stretch():
     assert len(found) == 10
     assert "excited, 0 to 23 s" in found
     assert np.mean([row["CX"] for row in found.values()]) == pytest.approx(0.95, abs=0.02)
-
-
-def test_terms_by_name():
-    terms = full_polynomial(4)
-    assert len(terms) == 15
-    assert [parse_term(term_name(t, STATES), STATES) for t in terms] == list(terms)
-    assert parse_term("alpha_rad*alpha_rad", STATES) == parse_term("alpha_rad^2", STATES)
-    for bad in ("beta_rad", "alpha_rad^9", "alpha_rad**2", "alpha_rad^0", ""):
-        with pytest.raises(ValueError, match="term"):
-            parse_term(bad, STATES)
 
 
 def test_flights_of_other_filters_are_not_mixed():

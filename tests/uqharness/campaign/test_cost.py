@@ -14,7 +14,7 @@ from uqharness.campaign import cost
 from uqharness.campaign.cases import build_cases
 from uqharness.campaign.folder.store import JOURNAL
 from uqharness.campaign.run import find_mission
-from uqharness.campaign.spec.campaign import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.campaign.spec.samples import epistemic_samples
 from uqharness.cli.main import main
 from uqharness.flight.spec import FlightSpec

@@ -20,7 +20,7 @@ from uqharness.campaign.cases import Mission, build_cases
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.folder.case_table import CASES
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.campaign import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.campaign.spec.samples import epistemic_samples
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError

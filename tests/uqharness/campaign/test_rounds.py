@@ -15,7 +15,7 @@ from uqharness.campaign.folder.case_table import CASES
 from uqharness.campaign.folder.manifest import read_manifest
 from uqharness.campaign.folder.shards import Shard
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.campaign import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table

@@ -14,8 +14,9 @@ import pytest
 
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.places import ROOT
+from uqharness.campaign.columns import ERROR_METRICS, excursion_columns
 from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor
-from uqharness.campaign.folder.case_table import CASES, ERROR_METRICS, excursion_columns
+from uqharness.campaign.folder.case_table import CASES
 from uqharness.campaign.folder.manifest import read_manifest
 from uqharness.campaign.folder.store import Store, run_lock
 from uqharness.campaign.run import Progress, find_mission, run_campaign

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 import math
@@ -15,8 +14,8 @@ from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.folder.manifest import read_manifest, write_manifest
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.sensitivity import analyse_campaign, read_corner_campaign, read_interior_campaign
-from uqharness.campaign.spec.campaign import read_campaign
-from uqharness.cli import sensitivity as sensitivity_command
+from uqharness.campaign.spec.read import read_campaign
+from uqharness.cli.main import run_words
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightResult
 from uqharness.sensitivity import Index, MethodResult, PairRange
@@ -201,10 +200,7 @@ def test_campaigns_that_are_no_corners_or_not_complete_are_refused(tmp_path, flo
 
 
 def call(*words):
-    parser = argparse.ArgumentParser(prog="uqharness")
-    sensitivity_command.register(parser.add_subparsers(dest="command", required=True))
-    args = parser.parse_args(["sensitivity", *map(str, words)])
-    return args.handler(args)
+    return run_words(["sensitivity", *map(str, words)])
 
 
 def test_the_command_writes_table_figure_and_words_the_same_each_time(flown, capsys):

@@ -12,7 +12,8 @@ import pytest
 
 from campaigns.air.pinned import AIR_XML, Condition, Seen, Source, measure, open_pinned, write_vehicle
 from campaigns.air.reproduce import compare, main
-from uqharness.flight.dryden import COMPONENTS, FT_M, dryden_sigma
+from sysid.units import FT_M
+from uqharness.flight.dryden import COMPONENTS, dryden_sigma
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.simulator.staging import staged

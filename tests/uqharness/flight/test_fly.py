@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from sysid.units import FT_M
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.flight.dryden import dryden_gusts
@@ -22,7 +23,7 @@ from uqharness.flight.loiter_metrics import absolute_statistics, count_excursion
 from uqharness.flight.spec import COEFFICIENTS, FlightSpec
 from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
 from uqharness.simulator.mission import StagedMission, find_script
-from uqharness.simulator.signals import FT, STANDARD, Source
+from uqharness.simulator.signals import STANDARD, Source
 
 SPEC = FlightSpec(
     Path("espaaro"), Path("loiter"), duration_s=20.0, burn_in_s=5.0, wind_mps=3.0, turbulence="moderate",
@@ -287,7 +288,7 @@ def test_an_aircraft_without_air_meets_wind_and_gusts_through_jsbsim(tmp_path):
     with pytest.raises(BadInputError, match='turbulence_source = "spec"'):
         fly(replace(SPEC, aircraft=folder, script=Path("trim"), turbulence_source="jsbsim"))
     signals = {name: STANDARD[name] for name in ("V_mps", "vn_mps", "ve_mps", "alpha_rad", "psi_rad")}
-    signals |= {axis: Source(f"atmosphere/total-wind-{axis}-fps", FT) for axis in ("north", "east", "down")}
+    signals |= {axis: Source(f"atmosphere/total-wind-{axis}-fps", FT_M) for axis in ("north", "east", "down")}
     calm = replace(SPEC, aircraft=folder, duration_s=3.0, burn_in_s=0.0, turbulence="none", wind_from_deg=240.0)
     with StagedMission(find_aircraft(folder), find_script("trim")) as mission:
         steady = record_mission(mission, calm, signals).signals

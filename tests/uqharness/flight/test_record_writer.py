@@ -10,8 +10,7 @@ from sysid.logs.load import import_log
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.flight.record_writer import write_record
-from uqharness.simulator import manoeuvre_script
-from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
+from uqharness.simulator.aircraft import find_aircraft
 from uqharness.simulator.mission import find_script, read_script
 
 CONDITIONS = ["--script", "flight-ident", "--duration-s", "14", "--noise", "--turbulence", "light", "--seed", "5"]
@@ -78,18 +77,3 @@ def test_surfaces_without_servo_tables_are_refused(tmp_path):
     with pytest.raises(BadInputError, match="card"):
         write_record(table, tmp_path / "c.bin")
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("plan", manoeuvre_script.PLANS, ids=lambda plan: plan.name)
-def test_scripts_are_as_the_plans_say(plan):
-    assert (PROJECT_ROOT / "scripts" / f"{plan.name}.xml").read_text(encoding="utf-8") == manoeuvre_script.script(plan)
-
-
-def test_a_manoeuvre_number_that_is_none_is_refused(tmp_path):
-    text = manoeuvre_script.script(manoeuvre_script.PLANS[0]).replace(
-        'name="flight/manoeuvre" value="2"', 'name="flight/manoeuvre" value="x"'
-    )
-    path = tmp_path / "bad.xml"
-    path.write_text(text)
-    with pytest.raises(BadInputError, match="flight/manoeuvre is set to 'x'"):
-        read_script(path)

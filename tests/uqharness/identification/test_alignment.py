@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from uqharness.replay.layout import late_limit_s, misplaced
-from uqharness.replay.replay import Segment
+from uqharness.replay.segments import Segment
 
 TIME = np.arange(5) * 0.02
 PIECE = Segment("s", "f", TIME, np.zeros((5, 4)), np.zeros(9), 100.0, 0.0)

@@ -15,11 +15,12 @@ from sysid.aerodynamics.residuals import Cutoffs
 from sysid.model_form.model_form import read_model_form
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.jsbsim_schema import schema_errors
+from tests.helpers.page_checks import problems
 from uqharness.campaign.cases import build_cases
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.sensitivity_winner import find_winner
-from uqharness.campaign.spec.campaign import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightResult
@@ -105,7 +106,7 @@ def first(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def bounds(first, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("bounds") / "bounds"
-    arguments = ["bounds", "espaaro", "--flight", str(first), "--out", str(out), "--no-checks", "--no-figures"]
+    arguments = ["bounds", "espaaro", "--flight", str(first), "--out", str(out), "--no-check", "--no-figures"]
     assert main(arguments) == 0
     return out / "model-form.json"
 
@@ -148,8 +149,9 @@ def test_the_winner_and_its_prospects_are_told(planned):
     assert document["flight_s"] <= 90.0
     assert any("constant" in w for w in document["warnings"])
     assert (out / "figures" / "next-flight.svg").stat().st_size > 10_000
-    report = (out / "report.md").read_text()
+    report = (out / "report.html").read_text(encoding="utf-8")
     assert document["points"][0]["name"] in report
+    assert problems(report) == []
 
 
 def test_the_script_flies_and_the_redone_bounds_are_as_predicted(planned, campaign, first, bounds, tmp_path, capsys):
@@ -170,7 +172,7 @@ def test_the_script_flies_and_the_redone_bounds_are_as_predicted(planned, campai
         str(record),
         "--out",
         str(both),
-        "--no-checks",
+        "--no-check",
         "--no-figures",
     ]
     assert main(arguments) == 0
@@ -187,7 +189,7 @@ def test_what_scatters_is_asked_of_the_flights_behind(campaign, tmp_path, capsys
     """In still air the reference truth's Cl_de is most of what scatters in Cl; polynomials of V, beta, p and r lack it."""
     flight, made = tmp_path / "calm.parquet", tmp_path / "bounds"
     assert main(["fly", "espaaro_truth", "--script", "flight-bounds", "--noise", "--seed", "3", "--out", str(flight)]) == 0
-    assert main(["bounds", "espaaro", "--flight", str(flight), "--out", str(made), "--no-checks", "--no-figures"]) == 0
+    assert main(["bounds", "espaaro", "--flight", str(flight), "--out", str(made), "--no-check", "--no-figures"]) == 0
     capsys.readouterr()
     arguments = [
         "next-flight",

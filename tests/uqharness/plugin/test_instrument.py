@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from jsbsim_defects.small_models import SKELETON
 
 from campaigns.instrument.reproduce import study
 from tests.helpers.jsbsim_schema import schema_errors
 from tests.helpers.model_forms import made_up_form
+from tests.jsbsim_defects.small_models import SKELETON
 from uqharness.cli.instrument import parse_constant
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError

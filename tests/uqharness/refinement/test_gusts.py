@@ -10,18 +10,19 @@ import pytest
 
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.aerodynamics.rigid_body import NX, STATES, Reference
-from sysid.effects.prediction import Process
 from sysid.effects.selection import Choice
 from sysid.effects.subsystem_effects import subsystem_effects
 from sysid.effects.turbulence import noise_factors
+from sysid.estimation.kalman import Process
 from uqharness.refinement import gusts as refine_gusts
 from uqharness.refinement import rounds as refine_rounds
 from uqharness.refinement.candidates import effect_columns
-from uqharness.refinement.fit import Point, steps_of
+from uqharness.refinement.fit import steps_of
 from uqharness.refinement.gusts import in_step, moved, rows_late
 from uqharness.refinement.reference import Predicted, Probe
 from uqharness.refinement.sensed import as_sensed
 from uqharness.refinement.showing import show as refine_show
+from uqharness.refinement.types import Point
 
 OUTPUTS = ("V_mps", "alpha_rad", "ax_mps2")
 N, DT = 40, 0.02

@@ -15,7 +15,7 @@ from sysid.effects.selection import Choice, Selection, judged
 from sysid.effects.subsystem_effects import subsystem_effects
 from uqharness.refinement.contest import many_asked, rivals, winner
 from uqharness.refinement.rivals import at_value, companion, rival
-from uqharness.refinement.rounds import Start
+from uqharness.refinement.round import Start
 
 KEYS = ("free", "thrust", "speed", "twin", "other")
 

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import pytest
 
 from sysid.effects.subsystem_effects import subsystem_effects
-from uqharness.refinement.fit import Point
 from uqharness.refinement.sensed import sensor_late_s
 from uqharness.refinement.setup import candidates_for
+from uqharness.refinement.types import Point
 
 RATES = ("p_radps", "q_radps", "r_radps")
 

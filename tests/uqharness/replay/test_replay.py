@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from sysid.aerodynamics.coefficients import half_width, smooth
-from sysid.estimation.gaps import theil, time_shift, white_noise, worst
 from tests.helpers.flown import NOISE, fly
 from uqharness.errors import BadInputError
 from uqharness.identification.start import demand_of, forced_at
@@ -206,24 +205,6 @@ def test_the_smoother_is_what_the_differentiator_does_to_a_derivative():
     fast = np.sin(2 * np.pi * 6.0 * np.arange(4000) * 0.002)
     assert half_width(0.002) > 10
     assert np.std(smooth(fast, 0.002)[100:-100]) / np.std(fast) == pytest.approx(1 / np.sqrt(2), abs=0.03)
-
-
-def test_gap_figures_of_known_series():
-    rng = np.random.default_rng(3)
-    t = np.arange(1000) * 0.02
-    y = np.sin(2.0 * t)
-    z = np.sin(2.0 * (t - 0.05)) + 0.02 * rng.standard_normal(t.size)
-    shift = time_shift([z], [y], 0.02)
-    assert shift.seconds == pytest.approx(0.05, abs=4 * shift.std)
-    assert 1e-4 < shift.std < 2e-3
-    assert white_noise([z]) == pytest.approx(0.02, rel=0.1)
-    # Theil's U of a constant offset is all bias: U = d / (rms z + rms y).
-    found = theil(y + 0.5, y)
-    assert found.u == pytest.approx(0.5 / (np.sqrt(np.mean((y + 0.5) ** 2)) + np.sqrt(np.mean(y**2))))
-    assert (found.bias, found.variance, found.covariance) == pytest.approx((1.0, 0.0, 0.0))
-    gap = np.zeros(1000)
-    gap[[100, 102, 500]] = [3.0, 2.9, -5.0]
-    assert worst(gap, t, 1.0, 2, 0.5) == [(t[500], -5.0), (t[100], 3.0)]
 
 
 def test_records_that_cannot_be_replayed_say_why(aircraft, clean, tmp_path):

@@ -16,9 +16,9 @@ from tests.helpers.page_checks import problems
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.folder.manifest import read_manifest, write_manifest
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.campaign import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.errors import BadInputError
-from uqharness.report.write import write_report
+from uqharness.report.write import write_campaign_report, write_report
 
 FIGURES = 6
 
@@ -68,9 +68,7 @@ def test_all_figures_are_there_with_their_words(folder, page):
     assert len(files) == FIGURES
     for file in files:
         assert etree.parse(str(file)).getroot().tag == "{http://www.w3.org/2000/svg}svg"
-        names = set(re.findall(r"var\((--\w+)\)", file.read_text()))
-        assert names
-        assert all(f"{name}:" in file.read_text() for name in names), "a colour that the file does not define"
+        assert "var(" not in file.read_text(), "a colour that drawing programs do not know"
 
 
 def test_the_published_flight_is_marked_on_the_measured_figures_only(page):
@@ -205,10 +203,10 @@ def test_walks_are_not_called_corners(tmp_path, page):
 
 def test_an_incomplete_or_empty_folder_is_refused(tmp_path, folder):
     with pytest.raises(BadInputError, match="not a campaign folder"):
-        write_report(tmp_path)
+        write_campaign_report(tmp_path)
     write_manifest(tmp_path, read_manifest(folder) | {"state": "interrupted"})
     with pytest.raises(BadInputError, match="not complete; finish it first"):
-        write_report(tmp_path)
+        write_campaign_report(tmp_path)
 
 
 def test_all_flights_failed_is_still_a_report(tmp_path):

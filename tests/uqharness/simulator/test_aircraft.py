@@ -13,7 +13,7 @@ from tests.helpers import sixdof
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import COEFFICIENTS
 from uqharness.simulator import engine
-from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft, open_aircraft, read_card
+from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft, open_aircraft
 from uqharness.simulator.trim import BodyState, force_state
 
 FT, LBF = 0.3048, 4.4482216152605
@@ -239,16 +239,6 @@ def test_a_broken_model_is_one_clear_error(copy, kind):
     xml.write_text(text)
     with pytest.raises(BadInputError, match=message):
         force_state(find_aircraft(copy), STATE, CONTROLS, 100.0)
-
-
-def test_a_card_with_an_unknown_key_is_refused(copy):
-    card = copy / "airframe.toml"
-    card.write_text(card.read_text().replace("dt_s = 0.01", "dt_s = 0.01\ndt_ms = 10"))
-    with pytest.raises(BadInputError, match=r"aircraft\.dt_ms"):
-        read_card(card)
-    card.write_text("[aircraft\n")
-    with pytest.raises(BadInputError, match="not valid TOML"):
-        read_card(card)
 
 
 def test_misspelt_and_illegal_property_names_are_refused():

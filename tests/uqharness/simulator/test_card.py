@@ -1,4 +1,4 @@
-"""Normalised commands in a record's degrees: the card's throw and the unit of a position property."""
+"""The card as the simulator reads it; normalised commands in a record's degrees."""
 
 from __future__ import annotations
 
@@ -8,9 +8,14 @@ import json
 import pytest
 from pydantic import ValidationError
 
+from sysid.errors import LogError
+from sysid.logs import card as airframe_card
+from sysid.logs.card import Reference
+from uqharness.errors import BadInputError
 from uqharness.replay.model import _factor
-from uqharness.simulator.aircraft import Aircraft, InputCard, find_aircraft
+from uqharness.simulator.aircraft import Aircraft, find_aircraft
 from uqharness.simulator.aircraft_facts import AircraftFacts, ControlFacts, _facts
+from uqharness.simulator.card import InputCard, parse_card, read_card
 from uqharness.simulator.signals import position_factor, sources
 
 
@@ -64,6 +69,64 @@ def test_sense_and_throw_are_read_from_the_answer():
     assert _facts("elevator", rows([0.2, 0.0, -0.2], [-28.0, 0.0, 23.0])) == ControlFacts(1, 25.5, None)
     assert _facts("elevator", rows([0.2, 0.0, -0.2], None)) == ControlFacts(1, None, None)
     assert _facts("elevator", rows([0.1, 0.1, 0.1], [-20.0, 0.0, 20.0])).sense == 0
+
+
+SOUND = '[aircraft]\nname = "a"\nxml = "a.xml"\n[inputs.elevator]\nproperty = "fcs/elevator-cmd-deg"\nunit = "deg"\n'
+
+
+def test_a_card_with_an_unknown_key_is_refused(tmp_path):
+    card = tmp_path / "airframe.toml"
+    card.write_text(SOUND.replace("[inputs", "dt_ms = 10\n[inputs"))
+    with pytest.raises(BadInputError, match=r"airframe\.toml: aircraft\.dt_ms: no such key"):
+        read_card(card)
+    card.write_text(SOUND + "[else]\na = 1\n")
+    with pytest.raises(BadInputError, match=r"airframe\.toml: else: no such key"):
+        read_card(card)
+    card.write_text("[aircraft\n")
+    with pytest.raises(BadInputError, match="not valid TOML"):
+        read_card(card)
+    with pytest.raises(BadInputError, match="no such file"):
+        read_card(tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ("limits = [5, -5]", r"\[inputs\.elevator\]: limits must be \[low, high\]"),
+        ("channel = 40", "servo output from 1 to 32"),
+        ("servo_pwm = [[1500, 0]]", "two or more pairs"),
+        ("limit = [-1, 1]", "did you mean limits"),
+        ("[reference]\nS_m2 = 0", "S_m2 must be above 0"),
+        ("[reference]\nS = 1", "unknown key 'S'; allowed are S_m2, b_m, c_m"),
+        ("[sensors]\nnoise = 1", "unknown key 'noise'; allowed are position_m, noise_std"),
+        ('[sensors]\nnoise_std = { V_mps = "1" }', "V_mps must be a finite number"),
+        ("[sensors]\nposition_m = { accelerometer = [0, 0] }", "in metres"),
+        ("[mixing.spoiler]\nleft = 1", "unknown mixing"),
+    ],
+)
+def test_what_logs_read_too_is_refused_in_the_same_words(tmp_path, more, message):
+    card = tmp_path / "airframe.toml"
+    card.write_text(SOUND + more)
+    with pytest.raises(BadInputError, match=message) as said:
+        read_card(card)
+    with pytest.raises(LogError) as said_of_logs:
+        airframe_card.read_card(card)
+    assert str(said.value) == str(said_of_logs.value)
+
+
+def test_what_logs_read_too_is_the_one_readers(tmp_path):
+    text = SOUND + "channel = 3\nservo_pwm = [[1000, -1], [2000, 1]]\n[reference]\nb_m = 2\n[mixing.vtail]\n"
+    for side in ("left", "right"):
+        text += f"{side} = {{ channel = {len(side)}, servo_pwm = [[1000, -1], [2000, 1]] }}\n"
+    text += "[sensors]\nposition_m = { accelerometer = [0.1, 0, 0] }\nnoise_std = { V_mps = 1 }\n"
+    card, read = parse_card(text, tmp_path / "airframe.toml"), airframe_card.parse_card(text, tmp_path / "airframe.toml")
+    assert (card.reference, card.sensors) == (read.reference, read.sensors)
+    assert card.reference == Reference(b_m=2.0)
+    assert card.sensors.position_m["accelerometer"] == (0.1, 0.0, 0.0)
+    assert read.servos["elevator"].channel == 3
+    assert [mix.kind for mix in read.mixes] == ["vtail"]
+    with pytest.raises(BadInputError, match=r"inputs\.elevator\.unit"):
+        parse_card(text.replace('unit = "deg"', 'unit = "%"'), tmp_path / "airframe.toml")
 
 
 def test_facts_are_json():

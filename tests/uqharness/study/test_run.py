@@ -14,6 +14,8 @@ from tests.helpers.model_forms import made_up_form
 from uqharness.campaign.folder.store import Store, run_lock
 from uqharness.cli import main as cli
 from uqharness.errors import BadInputError
+from uqharness.report.parts import Page
+from uqharness.report.write import Report
 from uqharness.simulator.aircraft import PROJECT_ROOT
 from uqharness.study import run as chain_run
 from uqharness.study.run import run_chain
@@ -107,7 +109,7 @@ def study(tmp_path, monkeypatch):
 
     monkeypatch.setattr(chain_run, "_call", call)
     monkeypatch.setattr(chain_run, "_refuse_other_model", lambda form, folder: None)
-    monkeypatch.setattr("uqharness.report.pages.index.write_report", lambda folder: folder / "report.html")
+    monkeypatch.setattr("uqharness.cli.study.write_report", lambda folder: Report(folder / "report.html", (), Page("", "", ())))
     monkeypatch.setattr(chain_run, "judge", lambda *_: [("It holds.", "good")])
 
     def run(text=None, file="study.toml", out="out"):

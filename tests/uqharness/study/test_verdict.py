@@ -15,7 +15,7 @@ from uqharness.campaign.cases import Mission
 from uqharness.campaign.conditions import Condition
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.campaign import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.flight.spec import FlightResult
 from uqharness.statistics.pbox import Sample
 from uqharness.study import performance as chain_performance

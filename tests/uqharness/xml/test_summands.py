@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from jsbsim_defects.small_models import SKELETON
 
 from sysid.aerodynamics.terms import COEFFICIENTS
+from tests.jsbsim_defects.small_models import SKELETON
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine
 from uqharness.simulator.staging import Staging

@@ -6,13 +6,13 @@ certain and counted with the words of a local run, and Dask sees nothing of it. 
 
 from __future__ import annotations
 
-import hashlib
 import multiprocessing
 import os
 import socket
 from functools import lru_cache
 from pathlib import Path
 
+from sysid.digests import file_sha256
 from uqharness.campaign.execution.dask_orders import Answer, Order, answer_text, flight_function, order_from
 from uqharness.campaign.execution.processes import ProcessExecutor
 from uqharness.campaign.execution.worker import CaseOutcome
@@ -28,7 +28,7 @@ def content_of(aircraft: Path, script: Path) -> tuple[str, str]:
     """Hashes of the aircraft's and the script's content on this machine, ``ABSENT`` where there is none."""
     return (
         folder_hash(aircraft) if aircraft.is_dir() else ABSENT,
-        hashlib.sha256(script.read_bytes()).hexdigest() if script.is_file() else ABSENT,
+        file_sha256(script) if script.is_file() else ABSENT,
     )
 
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 import multiprocessing
-import os
-import signal
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -19,7 +17,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any, Protocol
 
 from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction, attempt, work
-from uqharness.child_process import child_settings
+from uqharness.child_process import child_settings, ending, main_not_imported
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightSpec
 
@@ -35,6 +33,10 @@ _OUTSIDE_SIGNALS = (-9, -15)
 _START_FAILURES_ALLOWED = 3
 _START_S = 120.0
 _GOODBYE_S = 2.0
+_GUARD = (
+    ". They look for the flight function in the script that was started, and run it to do so: move the function into a module, or "
+    'put what starts the campaign under if __name__ == "__main__":'
+)
 
 
 class Executor(Protocol):
@@ -45,13 +47,6 @@ class Executor(Protocol):
     def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]:
         """Fly every (case id, flight) and hand on outcomes in batches, in any order, each case exactly once."""
         ...
-
-
-def usable_cores() -> int:
-    """Cores this process may use, which in a container or under a scheduler are fewer than the machine has."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def default_timeout_s(flight: FlightSpec) -> float:
@@ -117,7 +112,7 @@ class ProcessExecutor:
         self._context: Any = multiprocessing.get_context(start_method)
         self._timeout_s = timeout_s
         self._retries = retries
-        self._start_failures = 0
+        self._start_failures, self._scripted = 0, False
         self._keep = keep
         self._kept: list[_Worker] = []
 
@@ -126,7 +121,7 @@ class ProcessExecutor:
         source = (_Task(case_id, flight) for case_id, flight in flights)
         again: deque[_Task] = deque()
         pool: list[_Worker] = self._kept
-        self._start_failures = 0
+        self._start_failures, self._scripted = 0, _of_the_script(fly)
         done = False
         with child_settings():
             try:
@@ -185,7 +180,8 @@ class ProcessExecutor:
     def _start(self, fly: FlightFunction) -> _Worker:
         ours, theirs = self._context.Pipe()
         process = self._context.Process(target=work, args=(theirs, fly), daemon=True)
-        process.start()
+        with contextlib.nullcontext() if self._scripted else main_not_imported():
+            process.start()
         # Held open here, the other end would hide the worker's death.
         theirs.close()
         return _Worker(process, ours)
@@ -209,12 +205,13 @@ class ProcessExecutor:
         worker.pipe.close()
         if not worker.ready:
             self._start_failures += 1
-            if self._start_failures > _START_FAILURES_ALLOWED and code not in _OUTSIDE_SIGNALS:
-                raise BadInputError(f"worker processes end before they start ({_describe(code)}); see their message above")
+            if self._start_failures > (0 if self._scripted else _START_FAILURES_ALLOWED) and code not in _OUTSIDE_SIGNALS:
+                advice = _GUARD if self._scripted else ""
+                raise BadInputError(f"worker processes end before they start ({ending(code)}); see their message above{advice}")
             again.extendleft(reversed(worker.tasks))
             return []
         outside = code in _OUTSIDE_SIGNALS
-        return self._second_chance(worker, again, outside, "crashed", f"the worker process ended: {_describe(code)}")
+        return self._second_chance(worker, again, outside, "crashed", f"the worker process ended: {ending(code)}")
 
     def _give_up(self, worker: _Worker, again: deque[_Task], limit_s: float) -> list[CaseOutcome]:
         worker.process.kill()
@@ -235,6 +232,11 @@ class ProcessExecutor:
             return []
         times = guilty.failures + guilty.outside_kills
         return [CaseOutcome(guilty.case_id, status, f"{reason} (tried {times} times)", 0.0)]
+
+
+def _of_the_script(fly: FlightFunction) -> bool:
+    """Whether a worker needs the script that was started in order to find the flight function."""
+    return "__main__" in (getattr(fly, "__module__", ""), type(fly).__module__)
 
 
 def _drained(queue: deque[_Task]) -> Iterator[_Task]:
@@ -263,12 +265,3 @@ def _stop(pool: list[_Worker]) -> None:
         worker.process.kill()
         worker.process.join()
     pool.clear()
-
-
-def _describe(code: int | None) -> str:
-    if code is None or code >= 0:
-        return f"exit code {code}"
-    try:
-        return f"signal {-code} ({signal.Signals(-code).name})"
-    except ValueError:
-        return f"signal {-code}"

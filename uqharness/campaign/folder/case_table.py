@@ -10,30 +10,13 @@ from typing import Any
 import pyarrow as pa
 
 from uqharness.campaign.cases import Case
+from uqharness.campaign.columns import ERROR_METRICS, UNCOMMANDED_METRICS, excursion_columns
 from uqharness.campaign.execution.worker import CaseOutcome
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import COEFFICIENTS, STATUSES, TURBULENCE_W20_KT
 
 CASES = "cases.parquet"
 _ALWAYS = ("case_id", "epistemic_id", "aleatory_id", "wind_mps", "turbulence", "seed", "duration_s", "status", "reason")
-
-ERROR_METRICS = tuple(
-    f"{quantity}_{statistic}_{unit}{suffix}"
-    for suffix in ("", "_measured")
-    for quantity, unit in (("cross_track", "m"), ("altitude", "m"), ("speed", "mps"))
-    for statistic in ("median", "mean", "max")
-)
-"""Statistics of |error| over a flight, true and (``_measured``) as the noise-laden sensors saw it."""
-
-
-UNCOMMANDED_METRICS = ("heading_median_deg", "heading_mean_deg", "heading_max_deg", "load_factor_max")
-"""What a flight without a commanded path is scored by besides; columns only of a campaign that has them."""
-
-
-def excursion_columns(radii_m: Iterable[float]) -> tuple[str, ...]:
-    """Names of the excursion counts: horizontal distance first, then the 3-D ones."""
-    radii = tuple(radii_m)
-    return tuple(f"excursions_{radius:g}m" for radius in radii) + tuple(f"excursions_{radius:g}m_3d" for radius in radii)
 
 
 def build_table(cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> pa.Table:

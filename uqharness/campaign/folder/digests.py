@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shlex
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from sysid.digests import sha256_hex, sha256_of_parts
 from uqharness.errors import BadInputError
 
 _MODULUS = 2**256
@@ -26,14 +26,9 @@ class DamageError(BadInputError):
         )
 
 
-def digest_of(content: bytes) -> str:
-    """SHA-256 of bytes, 64 hex digits."""
-    return hashlib.sha256(content).hexdigest()
-
-
 def digest_of_text(values: Any) -> str:
     """SHA-256 over the canonical JSON of plain values. TypeError or ValueError for what JSON does not hold."""
-    return digest_of(json.dumps(values, sort_keys=True, separators=(",", ":")).encode())
+    return sha256_hex(json.dumps(values, sort_keys=True, separators=(",", ":")).encode())
 
 
 def row_digest(columns: Sequence[Any]) -> str:
@@ -43,10 +38,7 @@ def row_digest(columns: Sequence[Any]) -> str:
 
 def digest_of_rows(digests: Iterable[str]) -> str:
     """One digest over those of all rows, in the order given."""
-    found = hashlib.sha256()
-    for digest in digests:
-        found.update(digest.encode())
-    return found.hexdigest()
+    return sha256_of_parts(digest.encode() for digest in digests)
 
 
 def summed(total: str, added: Iterable[str], removed: Iterable[str] = ()) -> str:

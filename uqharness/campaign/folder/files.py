@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sysid.digests import sha256_hex
 from sysid.foreign.regular_files import read_regular
 from uqharness.campaign.folder.case_table import CASES, checked_table
-from uqharness.campaign.folder.digests import DamageError, digest_of
+from uqharness.campaign.folder.digests import DamageError
 from uqharness.campaign.folder.manifest import has_digests, read_manifest, write_manifest
 from uqharness.campaign.folder.manifest_content import COMPLETE
 from uqharness.campaign.rounds import DECISIONS, decision_rows
@@ -41,7 +42,7 @@ def table_digests(folder: Path, manifest: Mapping[str, Any]) -> dict[str, str | 
     found: dict[str, str | None] = {}
     for name in manifest.get("tables", {}):
         try:
-            found[name] = digest_of(read_regular(folder / name, MOST_BYTES))
+            found[name] = sha256_hex(read_regular(folder / name, MOST_BYTES))
         except FileNotFoundError:
             found[name] = None
         except OSError as error:
@@ -62,7 +63,7 @@ def read_checked(folder: Path, manifest: Mapping[str, Any], name: str) -> bytes:
         expected = manifest.get("tables", {}).get(name)
         if expected is None:
             raise DamageError(path, "the manifest knows of no such table; the command that wrote it writes it again", folder)
-        if digest_of(content) != expected:
+        if sha256_hex(content) != expected:
             raise DamageError(path, "its content does not fit the digest in the manifest", folder)
     return content
 
@@ -87,6 +88,6 @@ def record_table(folder: Path, name: str, content: bytes) -> None:
     write_bytes(folder / name, content)
     manifest = read_manifest(folder)
     if has_digests(manifest):
-        tables = manifest.get("tables", {}) | {name: digest_of(content)}
+        tables = manifest.get("tables", {}) | {name: sha256_hex(content)}
         if tables != manifest.get("tables"):
             write_manifest(folder, manifest | {"tables": tables})

@@ -14,7 +14,8 @@ from sysid.foreign.regular_files import read_regular
 from uqharness.campaign.cases import Mission
 from uqharness.campaign.folder.digests import DamageError, digest_of_text
 from uqharness.campaign.folder.manifest_content import COMPLETE, FORMAT, FORMAT_WITHOUT_DIGESTS, RUNNING, checked_content
-from uqharness.campaign.spec.campaign import CampaignSpec, campaign_from
+from uqharness.campaign.spec.campaign import CampaignSpec
+from uqharness.campaign.spec.read import campaign_from
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 

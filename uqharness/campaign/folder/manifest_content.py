@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from uqharness.campaign.spec.campaign import checked_settings
+from uqharness.campaign.spec.read import checked_settings
 
 FORMAT = 2
 FORMAT_WITHOUT_DIGESTS = 1

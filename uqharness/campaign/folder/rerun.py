@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sysid.units import FT_M
 from uqharness.campaign.aircraft import make_copy, needs_copy
 from uqharness.campaign.cases import Case, build_cases
 from uqharness.campaign.execution.processes import ProcessExecutor
@@ -109,9 +110,7 @@ def _more(metrics: Mapping[str, Any]) -> dict[str, Source]:
         for what in ("level", "lower", "upper", "delta"):
             table[f"{what}_{name}"] = Source(f"uq/{name}/{what}")
     table["extrapolated"] = Source("uq/extrapolated")
-    return table | {
-        f"wind_{axis}_mps": Source(f"atmosphere/total-wind-{axis}-fps", properties.FT) for axis in ("north", "east", "down")
-    }
+    return table | {f"wind_{axis}_mps": Source(f"atmosphere/total-wind-{axis}-fps", FT_M) for axis in ("north", "east", "down")}
 
 
 def _find_case(cases: tuple[Case, ...], case_id: str, folder: Path) -> Case:

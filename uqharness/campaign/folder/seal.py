@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from sysid.digests import sha256_hex
 from uqharness.campaign.cases import Case
-from uqharness.campaign.folder.digests import DamageError, digest_of
+from uqharness.campaign.folder.digests import DamageError
 from uqharness.campaign.folder.files import table_digests
 from uqharness.campaign.folder.manifest import write_manifest
 from uqharness.campaign.folder.manifest_content import COMPLETE
@@ -19,7 +20,7 @@ from uqharness.campaign.spec.campaign import CampaignSpec
 
 def sealed(manifest: Mapping[str, Any], store: Store, tables: Mapping[str, bytes]) -> dict[str, Any]:
     """The manifest of a campaign that is complete now: with digests of the journal's flights and of the tables."""
-    digests = dict(manifest.get("tables", {})) | {name: digest_of(content) for name, content in tables.items()}
+    digests = dict(manifest.get("tables", {})) | {name: sha256_hex(content) for name, content in tables.items()}
     return {**manifest, "state": COMPLETE, "tables": digests, "journal": store.summary()}
 
 

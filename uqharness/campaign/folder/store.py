@@ -26,7 +26,7 @@ from sysid.foreign.regular_files import require_regular
 from uqharness.campaign.execution.worker import CaseOutcome
 from uqharness.campaign.folder.digests import DamageError, digest_of_rows, digest_of_text, row_digest, summed
 from uqharness.errors import BadInputError
-from uqharness.file_lock import lock_at_once
+from uqharness.files import lock_at_once
 from uqharness.flight.spec import STATUSES
 
 JOURNAL = "journal.sqlite"

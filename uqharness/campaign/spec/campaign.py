@@ -11,18 +11,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from uqharness.campaign.inputs import CampaignInputs, read_inputs
-from uqharness.campaign.spec.epistemic import MOST_SAMPLES, EpistemicSection
+from uqharness.campaign.inputs import CampaignInputs
+from uqharness.campaign.spec.epistemic import EpistemicSection
 from uqharness.campaign.spec.names import Turbulence
-from uqharness.campaign.spec.stop import StopSection, planned, settled, without_flights
+from uqharness.campaign.spec.stop import StopSection
 from uqharness.campaign.spec.variables import VariableSection
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import DEFAULT_TURBULENCE_SOURCE
 from uqharness.settings import Number, Section, listed
 from uqharness.simulator.start import STEADY, StartSection
-from uqharness.toml import explain, read_toml
 
 
 class CampaignSection(Section):
@@ -75,7 +74,9 @@ class MetricsSection(Section):
         return self
 
 
-class _Document(Section):
+class Document(Section):
+    """A campaign file's content."""
+
     campaign: CampaignSection
     aleatory: AleatorySection
     epistemic: EpistemicSection
@@ -84,7 +85,7 @@ class _Document(Section):
     start: StartSection | None = None
 
     @model_validator(mode="after")
-    def _consistent(self) -> _Document:
+    def _consistent(self) -> Document:
         if (self.campaign.mission == STEADY) != (self.start is not None):
             raise ValueError(
                 f'mission = "{STEADY}" and a section [start] with V_mps and altitude_m belong together: '
@@ -109,7 +110,7 @@ class CampaignSpec:
 
     def as_dict(self) -> dict[str, Any]:
         """Every setting, defaults included, as plain JSON types: two files that mean the same give the same."""
-        sections = {name: getattr(self, name) for name in _Document.model_fields}
+        sections = {name: getattr(self, name) for name in Document.model_fields}
         found = {
             name: section.model_dump(mode="json", exclude_none=True) for name, section in sections.items() if section is not None
         }
@@ -131,41 +132,3 @@ class CampaignSpec:
     def with_flights(self, flights: int) -> CampaignSpec:
         """The same campaign with another number of flights per corner and condition."""
         return dataclasses.replace(self, aleatory=self.aleatory.model_copy(update={"flights": flights}))
-
-    def with_samples(self, samples: int) -> CampaignSpec:
-        """The same campaign with another number of drawn epistemic samples. Raises BadInputError where none are drawn."""
-        if self.epistemic.samples is None:
-            raise BadInputError(
-                f'--samples {samples}: {self.path} draws no epistemic samples (method = "{self.epistemic.method}"), '
-                "so their number cannot be changed"
-            )
-        if not 1 <= samples <= MOST_SAMPLES:
-            raise BadInputError(f"--samples {samples}: must be from 1 to {MOST_SAMPLES}")
-        return planned(dataclasses.replace(self, epistemic=self.epistemic.model_copy(update={"samples": samples})))
-
-
-def read_campaign(path: str | Path) -> CampaignSpec:
-    """Read and validate a campaign file. Raises BadInputError that lists every mistake as ``file:line: ...``."""
-    path = Path(path)
-    data, text = read_toml(path)
-    return campaign_from(data, path, text)
-
-
-def checked_settings(data: dict[str, Any]) -> dict[str, Any]:
-    """Settings of a campaign as a manifest holds them, defaults filled in. Looks at no file; raises pydantic's ValidationError."""
-    document = _Document.model_validate(without_flights(data))
-    return document.model_dump(mode="json", exclude_none=True)
-
-
-def campaign_from(data: dict[str, Any], path: Path, text: str = "") -> CampaignSpec:
-    """Validate the content of a campaign file, as TOML or a manifest holds it. ``path`` is where files it names are looked for."""
-    try:
-        document = _Document.model_validate(without_flights(data))
-    except ValidationError as error:
-        problems = [explain(_Document, text, data, dict(item)) for item in error.errors()]
-        lines = [f"{path}:{line}: {message}" for line, message in sorted(problems)]
-        raise BadInputError(*dict.fromkeys(lines)) from None
-    sections = {name: getattr(document, name) for name in _Document.model_fields}
-    inputs = read_inputs(document.epistemic, path.resolve().parent)
-    spec = CampaignSpec(path, text, **sections, inputs=inputs)
-    return settled(spec, stated="flights" in data["aleatory"])

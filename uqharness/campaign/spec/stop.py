@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from uqharness.errors import BadInputError
 from uqharness.settings import Number, Section, tupled
-from uqharness.toml import line_of
 
 if TYPE_CHECKING:
-    from uqharness.campaign.spec.campaign import CampaignSpec
+    pass
 
 _OF_RULE: Mapping[str, tuple[str, ...]] = {
     "flights": (),
@@ -68,59 +66,3 @@ def without_flights(data: Mapping[str, Any]) -> Mapping[str, Any]:
         return data
     key = _SETS_FLIGHTS.get(str(stop.get("rule")))
     return {**data, "aleatory": {**air, "flights": 1}} if key is not None and key in stop else data
-
-
-def settled(spec: CampaignSpec, stated: bool) -> CampaignSpec:
-    """The campaign with the number of flights its rule asks for; ``stated``: the file gives a number as well.
-
-    Raises BadInputError, with the line, where the two differ and where [stop] and [metrics] do not belong together.
-    """
-    _agree_with_metrics(spec)
-    found, said = _planned(spec)
-    if stated and found.aleatory.flights != spec.aleatory.flights:
-        raise BadInputError(
-            f"{spec.path}:{line_of(spec.source, ('aleatory', 'flights'))}: [aleatory] flights = {spec.aleatory.flights}, but "
-            f"[stop] {said} asks for {found.aleatory.flights}; leave [aleatory] flights out"
-        )
-    return found
-
-
-def planned(spec: CampaignSpec) -> CampaignSpec:
-    """The campaign with the number of flights its rule asks for, after something that bears on it has been changed."""
-    return _planned(spec)[0]
-
-
-def _agree_with_metrics(spec: CampaignSpec) -> None:
-    stop, metrics = spec.stop, spec.metrics
-    if stop.radius_m is not None and stop.radius_m not in metrics.excursion_radius_m:
-        known = ", ".join(f"{radius:g}" for radius in metrics.excursion_radius_m)
-        raise BadInputError(
-            f"{spec.path}:{line_of(spec.source, ('stop', 'radius_m'))}: [stop] radius_m = {stop.radius_m:g}: must be among "
-            f"[metrics] excursion_radius_m ({known})"
-        )
-    zone = stop.indifference_per_h
-    if zone is not None and not zone[0] <= metrics.acceptable_per_h <= zone[1]:
-        raise BadInputError(
-            f"{spec.path}:{line_of(spec.source, ('stop', 'indifference_per_h'))}: [stop] indifference_per_h = [{zone[0]:g}, "
-            f"{zone[1]:g}]: must hold [metrics] acceptable_per_h = {metrics.acceptable_per_h:g}"
-        )
-
-
-def _planned(spec: CampaignSpec) -> tuple[CampaignSpec, str]:
-    """The campaign with the flights its rule asks for, and what asks for them."""
-    stop = spec.stop
-    if stop.rule == "hours" and stop.hours is not None:
-        said = f"hours = {stop.hours:g} of flights of {spec.aleatory.duration_s:g} s"
-        return spec.with_hours(stop.hours), said
-    if stop.rule == "band-width":
-        # Imported here: it needs campaigns, and campaigns need this module.
-        from uqharness.campaign.conditions import CONFIDENCE
-        from uqharness.campaign.spec.samples import epistemic_samples
-        from uqharness.statistics.pbox import flights_for_band
-
-        assert stop.band_width is not None
-        samples = len(epistemic_samples(spec))
-        wanted = flights_for_band(stop.band_width, samples, CONFIDENCE)
-        said = f"band_width = {stop.band_width:g} over {samples} epistemic samples"
-        return spec.with_flights(wanted), said
-    return spec, ""

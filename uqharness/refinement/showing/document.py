@@ -14,13 +14,13 @@ from sysid.effects.disagreement import Disagreement, dependence, disagreements
 from sysid.effects.selection import STRONG, Alternative, Choice, Refusal
 from sysid.estimation.gaps import NOISE_FLOOR
 from uqharness.refinement.beside import left_in
-from uqharness.refinement.fit import Setup
 from uqharness.refinement.judge import Judged, Verdict
 from uqharness.refinement.refine import Found
 from uqharness.refinement.showing.show import Shown, gap_document, state_ranges
 from uqharness.refinement.showing.words import contradicted, separating_manoeuvre, unnamed, why
+from uqharness.refinement.types import Setup
 from uqharness.refinement.writing.effects import switch_of
-from uqharness.replay.replay import Segment
+from uqharness.replay.segments import Segment
 from uqharness.simulator.actuators import Actuator
 from uqharness.simulator.aircraft import Aircraft
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,24 +13,25 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from uqharness.campaign.columns import ERROR_METRICS, UNCOMMANDED_METRICS
 from uqharness.campaign.conditions import conditions, in_condition, samples
-from uqharness.campaign.execution.processes import ProcessExecutor, usable_cores
-from uqharness.campaign.folder.case_table import ERROR_METRICS, UNCOMMANDED_METRICS
+from uqharness.campaign.execution.processes import ProcessExecutor
 from uqharness.campaign.folder.files import read_cases
 from uqharness.campaign.folder.manifest import MANIFEST, describe, has_digests, read_complete, read_manifest, refuse_if_different
 from uqharness.campaign.run import Progress, find_mission, run_campaign
-from uqharness.campaign.spec.campaign import CampaignSpec, campaign_from, read_campaign
+from uqharness.campaign.spec.campaign import CampaignSpec
+from uqharness.campaign.spec.read import campaign_from, read_campaign
 from uqharness.errors import BadInputError
 from uqharness.files import inner_folder
+from uqharness.parallel import usable_cores
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import Aircraft, open_aircraft
 from uqharness.simulator.mission import find_script, read_script
 from uqharness.simulator.start import STEADY
 from uqharness.statistics.pbox import Sample, envelope
+from uqharness.toml import read_toml
 
 FOLDER = "pbox"
-DRAWN = ("cross_track_median_m", "cross_track_max_m", "altitude_median_m")
-"""Metrics that a figure shows, where the mission has them."""
 LOITER = "scripts/loiter.xml"
 PROBABILITIES = (0.05, 0.5, 0.95)
 _DEFAULT: dict[str, Any] = {
@@ -107,7 +107,7 @@ def campaign_for(aircraft: Aircraft, given: Path | None) -> dict[str, Any]:
     """What is flown, as a campaign file holds it. Raises BadInputError where the aircraft has no mission of its own."""
     if given is not None:
         read_campaign(given)
-        data = tomllib.loads(given.read_text(encoding="utf-8"))
+        data, _ = read_toml(given)
         beside = given.resolve().parent / data["campaign"]["mission"]
         if data["campaign"]["mission"] != STEADY:
             found = beside if beside.is_file() else find_script(data["campaign"]["mission"])

@@ -11,20 +11,21 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.coefficients import smooth
 from sysid.aerodynamics.terms import COEFFICIENTS
 from sysid.effects.turbulence import Gusts
 from sysid.estimation.diagnostics import ljung_box
 from sysid.estimation.gaps import rms, theil
+from sysid.model_form.noise_floor import floor_of
 from sysid.parallel import Processes
-from uqharness.identification.start import demand_of, forced_at
-from uqharness.refinement.fit import Flown, Point, Setup, positions, refit
+from uqharness.identification.start import coefficient_gap
+from uqharness.refinement.fit import positions, refit
 from uqharness.refinement.gusts import gust_refit, middles, moved, rows_late, unfiltered
 from uqharness.refinement.setup import Bench, with_sensors_of
+from uqharness.refinement.types import Flown, Point, Setup
 from uqharness.replay.flights import Flight, states
 from uqharness.replay.logged_commands import command_later
 from uqharness.replay.model import CONTROLS, ReplayModel
-from uqharness.replay.replay import Segment
+from uqharness.replay.segments import Segment
 from uqharness.simulator.aircraft import Aircraft
 from uqharness.simulator.aircraft_files import copy_folder
 
@@ -58,18 +59,6 @@ class Shown:
     def coefficient_rms(self, k: int) -> float:
         """Rms of coefficient ``k``'s gap over all flights."""
         return rms(np.concatenate([g[:, k] for g in self.coefficients]))
-
-
-@dataclass(frozen=True)
-class History:
-    """One manoeuvre: time_s (n,); measured, before and after (n, k) of the channels ``names``; noise (k,)."""
-
-    time_s: Array
-    measured: Array
-    before: Array
-    after: Array
-    names: tuple[str, ...]
-    noise: Array
 
 
 def show(
@@ -120,7 +109,7 @@ def show(
             cost = float(sum(np.nansum(r**2) for r in white))
             outputs = [z - r for z, r in zip(setup.measured, residual, strict=True)]
             flown = replace(at, outputs=outputs, cost=cost)
-    floor = np.sqrt(np.mean(np.concatenate([f[1] for f in found]) ** 2, axis=0))
+    floor = floor_of([np.concatenate([f[1] for f in found])])
     return Shown(flown, residual, noise, [f[0] for f in found], floor, white, cost, tuple(logdet))
 
 
@@ -163,16 +152,8 @@ def _coefficient_gap(
     job: tuple[ReplayModel, ReplayModel, Segment, Mapping[str, Array], Mapping[str, float]],
 ) -> tuple[Array, Array]:
     """(n, 6) demanded minus predicted at the measured states, and how noise added once more changes it."""
-    model, straight, segment, channels, noise = job
-    rng = np.random.default_rng(1)
-    noisy = {
-        c: v + (noise[c] * rng.standard_normal(len(v)) if np.isfinite(noise.get(c, np.nan)) else 0.0) for c, v in channels.items()
-    }
-    gaps = []
-    for given in (channels, noisy):
-        forced, _ = forced_at(model, straight, segment, given, {})
-        gaps.append(demand_of(given, forced, segment) - smooth(forced.coefficients, segment.dt_s))
-    return gaps[0], gaps[1] - gaps[0]
+    demand, said, change = coefficient_gap(*job, np.random.default_rng(1))
+    return demand - said, change
 
 
 def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]:
@@ -205,21 +186,6 @@ def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]
             "samples": int(sum(np.isfinite(z).sum() for z in setup.measured)),
         },
     }
-
-
-def most_improved(setup: Setup, before: Shown, after: Shown) -> tuple[str, History]:
-    """The segment whose squared residuals over noise fell most, with its (at most three) channels that fell most."""
-    fell = [np.nansum(b**2, axis=0) - np.nansum(a**2, axis=0) for b, a in zip(before.white, after.white, strict=True)]
-    s = int(np.argmax([f.sum() for f in fell]))
-    order = np.argsort(-fell[s])[:3]
-    some = np.sort(order[fell[s][order] > 0.1 * fell[s][order[0]]]) if fell[s][order[0]] > 0.0 else order[:1]
-    segment, measured = setup.segments[s], setup.measured[s]
-    residuals = [shown.residual[s][:, some] for shown in (before, after)]
-    history = History(
-        segment.time_s, measured[:, some], measured[:, some] - residuals[0], measured[:, some] - residuals[1],
-        tuple(setup.outputs[k] for k in some), after.noise[some],
-    )  # fmt: skip
-    return f"{segment.flight}, {segment.label}", history
 
 
 def whiteness(setup: Setup, residual: Sequence[Array]) -> dict[str, float]:

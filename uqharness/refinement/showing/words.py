@@ -132,31 +132,6 @@ def test_says(effect: Mapping[str, Any]) -> str:
     return f"the test flights do not tell whether the gap shrank: {number}"
 
 
-def interval_lines(intervals: Mapping[str, Any]) -> list[str]:
-    """Coverage and width of the model-form intervals, a line a coefficient."""
-    if intervals["reason"] is not None:
-        return [f"intervals on the test flights: none: {intervals['reason']}"]
-    out = [f"{'intervals':<14}{'width':>10}{'after':>10}{'inside':>10}{'after':>10}"]
-    for name, row in intervals["coefficients"].items():
-        widths = f"{row['width_before']:>10.4g}{row['width_after']:>10.4g}"
-        out.append(f"{name:<14}{widths}{row['coverage_before']:>10.1%}{row['coverage_after']:>10.1%}")
-    return out
-
-
-def pbox_lines(pbox: Mapping[str, Any]) -> list[str]:
-    """Median of each median error over the mission, as the p-box bounds it."""
-    if pbox["reason"] is not None:
-        return [f"p-box: none: {pbox['reason']}"]
-    failed = f"failed {pbox['before']['failed']} before, {pbox['after']['failed']} after"
-    out = [f"{pbox['mission']}: {pbox['corners']} corners, {pbox['flights_per_corner']} flights each; {failed}"]
-    for row in pbox["metrics"]:
-        if "_median_" in row["metric"]:
-            ends = [row["quantiles"]["0.5"][when] for when in ("before", "after")]
-            words = " -> ".join("[" + ", ".join("open" if e is None else f"{e:.3g}" for e in pair) + "]" for pair in ends)
-            out.append(f"  {row['metric']}, {row['condition']}: median {words}")
-    return out
-
-
 def carried_by(effect: Mapping[str, Any]) -> str:
     """Where an effect of refinement.json stands: its property, a number of the XML, or a sensor."""
     sensor = str(effect.get("subsystem", "")).startswith("sensor.")

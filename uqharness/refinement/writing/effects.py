@@ -7,23 +7,25 @@ property of its own that restores the model without it bit for bit: a term's at 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sysid.effects.catalogue import Effect
+from sysid.units import FT_M
 from uqharness.plugin.estimates import Estimate, put_values
+from uqharness.refinement.types import in_dynamics
 from uqharness.refinement.writing.numbers import servo_switch, write_actuator, write_mass
 from uqharness.refinement.writing.terms import subsystem_terms, term_xml
 from uqharness.simulator.aircraft import Aircraft
 from uqharness.simulator.aircraft_files import copy_folder
 from uqharness.xml.aerodynamics import AeroSection, read_section
-from uqharness.xml.document import Document, Node, after, append_child, comment
+from uqharness.xml.document import Document, Node, after, append_child
+from uqharness.xml.expressions import Expression, function_lines, prop, value
+from uqharness.xml.properties import declaration, declarations, declare, folder_declares
 from uqharness.xml.summands import Reference, SectionEdit, add_deltas, add_functions
 
 THRUST_SCALE = "propulsion/thrust-scale"
-FT = 0.3048
 
 
 @dataclass(frozen=True)
@@ -37,11 +39,6 @@ class Written:
     slopes: Mapping[str, float]
 
 
-def in_dynamics(effect: Effect) -> bool:
-    """Whether the effect belongs in the aircraft's XML; a sensor's does not move the aircraft."""
-    return not (effect.subsystem or "").startswith(("sensor.", "record"))
-
-
 def property_of(effect: Effect) -> str | None:
     """Property of the simulation that carries the effect, None where it has none (sensors; numbers that JSBSim reads once)."""
     if not in_dynamics(effect) or effect.subsystem == "mass" or (effect.subsystem or "").startswith("actuator."):
@@ -51,7 +48,7 @@ def property_of(effect: Effect) -> str | None:
 
 def carrier(effect: Effect, folder: Path) -> tuple[str, float] | None:
     """Property that carries the effect in this aircraft, and its value when the effect is absent; None where there is none."""
-    if _is_scale(effect) and _declares(folder, THRUST_SCALE):
+    if _is_scale(effect) and folder_declares(folder, THRUST_SCALE):
         return THRUST_SCALE, 1.0
     name = property_of(effect)
     return None if name is None else (name, 0.0)
@@ -86,18 +83,18 @@ def write_effects(
         if property_of(w.effect) is None:
             continue
         name = w.effect.property_name
-        if w.effect.coefficient is not None and _declared(section, name) is not None:
+        if w.effect.coefficient is not None and any(declaration(d, name) is not None for d in section.documents):
             plain[name] = Estimate(w.value, w.remark)
-        elif _is_scale(w.effect) and _declares(out, THRUST_SCALE):
+        elif _is_scale(w.effect) and folder_declares(out, THRUST_SCALE):
             plain[THRUST_SCALE] = Estimate(1.0 + w.value, w.remark)
         else:
             edit = _add(edit, aircraft, w, summands, deltas)
     if summands:
         reference = aircraft.card.reference
         given = Reference(
-            None if reference.S_m2 is None else reference.S_m2 / FT**2,
-            None if reference.b_m is None else reference.b_m / FT,
-            None if reference.c_m is None else reference.c_m / FT,
+            None if reference.S_m2 is None else reference.S_m2 / FT_M**2,
+            None if reference.b_m is None else reference.b_m / FT_M,
+            None if reference.c_m is None else reference.c_m / FT_M,
         )
         edit = add_deltas(edit, summands, "aero/effects", given, "effects found by refinement")
     for path, content in edit.files().items():
@@ -114,61 +111,32 @@ def _is_scale(effect: Effect) -> bool:
     return effect.subsystem == "propulsion" and effect.term == "thrust_scale"
 
 
-def _declared(section: AeroSection, name: str) -> tuple[Document, Node] | None:
-    for document in section.documents:
-        for node in document.root.walk():
-            if node.tag == "property" and "value" in node.attributes and node.text.strip() == name:
-                return document, node
-    return None
-
-
-def _declares(folder: Path, name: str) -> bool:
-    return _number(folder, name) is not None
-
-
-_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
-
-
-def _number(folder: Path, name: str) -> str | None:
-    """The number that some file of the folder gives a property, as written."""
-    pattern = re.compile(r"<property\b[^>]*?\bvalue\s*=\s*[\"']([^\"']*)[\"'][^>]*>\s*" + re.escape(name) + r"\s*</property>")
-    for path in sorted(folder.rglob("*.xml")):
-        text = _COMMENT.sub("", path.read_bytes().decode("utf-8", errors="surrogateescape"))
-        found = pattern.search(text)
-        if found:
-            return found.group(1).strip()
-    return None
-
-
 def _add(edit: SectionEdit, aircraft: Aircraft, w: Written, summands: dict[str, list[str]], deltas: bool) -> SectionEdit:
     name = w.effect.property_name
-    declare = f'<property value="{w.value:.8g}">{name}</property>  {comment(w.remark)}'
+    declared = declare(name, f"{w.value:.8g}", w.remark)
     if w.effect.coefficient is not None:
         assert w.effect.parsed is not None
-        factors = [f"<property>{name}</property>", *term_xml(w.effect.parsed, edit.section, aircraft)]
+        factors = [prop(name), *term_xml(w.effect.parsed, edit.section, aircraft)]
         home = None if deltas else _sum_of(edit.section, w.effect.coefficient)
         if home is not None:
             document, total = home
             last = _last_property(document, w.effect.coefficient)
-            edit = add_functions(edit, [declare]) if last is None else edit.plus(document, after(document, last, [declare]))
-            return edit.plus(document, append_child(document, total, [f"<product> {' '.join(factors)} </product>"]))
-        return _function(edit, w.effect.coefficient, name, declare, factors, summands)
+            edit = add_functions(edit, [declared]) if last is None else edit.plus(document, after(document, last, [declared]))
+            return edit.plus(document, append_child(document, total, [Expression("product", "", tuple(factors)).line()]))
+        return _function(edit, w.effect.coefficient, name, declared, factors, summands)
     for coefficient, number, factors in subsystem_terms(w.effect, w.slopes, edit.section, aircraft):
-        parts = [f"<property>{name}</property>", *([] if number == 1.0 else [f"<value>{number:.8g}</value>"]), *factors]
-        edit = _function(edit, coefficient, name, declare, parts, summands)
-        declare = ""
+        parts = [prop(name), *([] if number == 1.0 else [value(number, ".8g")]), *factors]
+        edit = _function(edit, coefficient, name, declared, parts, summands)
+        declared = ""
     return edit
 
 
 def _function(
-    edit: SectionEdit, coefficient: str, name: str, declare: str, factors: Sequence[str], summands: dict[str, list[str]]
+    edit: SectionEdit, coefficient: str, name: str, declared: str, factors: Sequence[Expression], summands: dict[str, list[str]]
 ) -> SectionEdit:
     part = name.rpartition("/")[2]
     function = f"aero/effect/{part if part.startswith(coefficient) else f'{coefficient}-{part}'}"
-    lines = [
-        *([declare] if declare else []), f'<function name="{function}">', "  <product>", *(f"    {f}" for f in factors),
-        "  </product>", "</function>",
-    ]  # fmt: skip
+    lines = [*([declared] if declared else []), *function_lines(function, "product", [f.line() for f in factors])]
     summands.setdefault(coefficient, []).append(function)
     return add_functions(edit, lines)
 
@@ -185,8 +153,5 @@ def _sum_of(section: AeroSection, coefficient: str) -> tuple[Document, Node] | N
 
 
 def _last_property(document: Document, coefficient: str) -> Node | None:
-    found = [
-        n for n in document.root.walk()
-        if n.tag == "property" and "value" in n.attributes and n.text.strip().startswith(f"aero/{coefficient}_")
-    ]  # fmt: skip
+    found = [node for name, node in declarations(document) if name.startswith(f"aero/{coefficient}_")]
     return found[-1] if found else None

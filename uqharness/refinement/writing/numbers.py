@@ -10,10 +10,11 @@ import math
 from pathlib import Path
 
 from sysid.effects.catalogue import Effect
+from sysid.units import FT_M, IN_M, SLUG_FT2_KGM2
 from uqharness.errors import BadInputError
 from uqharness.simulator.actuators import actuators
 from uqharness.simulator.aircraft import Aircraft
-from uqharness.simulator.card import sensors_from_cg
+from uqharness.simulator.card_changes import sensors_from_cg
 from uqharness.xml.document import (
     Document,
     Insertion,
@@ -29,11 +30,11 @@ from uqharness.xml.document import (
     with_attribute,
     with_text,
 )
+from uqharness.xml.properties import declaration, declare
 
 FREE_RATE = 1e9
 """Rate limit that limits nothing."""
-SLUGFT2_KGM2 = 1.3558179483314
-_METRES = {"M": 1.0, "FT": 0.3048, "IN": 0.0254, "": 0.0254}
+_METRES = {"M": 1.0, "FT": FT_M, "IN": IN_M, "": IN_M}
 """Units of <location>; JSBSim takes inches where none stands."""
 _TAGS = {"lag": "lag", "rate_limit": "rate_limit", "deadband": "deadband_width"}
 
@@ -65,7 +66,7 @@ def write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, r
             line = f'<ixz unit="KG*M2">{sign * value:.8g}</ixz>  {comment(remark)}'
             path.write_bytes(apply(document, [append_child(document, block, [line])]))
             return
-        unit = 1.0 if "KG" in attribute(ixz, "unit") else SLUGFT2_KGM2
+        unit = 1.0 if "KG" in attribute(ixz, "unit") else SLUG_FT2_KGM2
         _put(document, ixz, number(ixz, "<ixz>", document) + sign * value / unit, remark)
         return
     place = next((p for p in block.all("location") if attribute(p, "name") == "CG"), None)
@@ -102,12 +103,12 @@ def write_actuator(folder: Path, aircraft: Aircraft, effect: Effect, value: floa
         edits = [_as_text(document, actuator, own, tag, f"{new:.8g}", f"  {comment(remark)}")]
         edits += [] if own is None else [remarked(document, own, remark)]
     else:
-        declared = _declared(document, switch[0])
+        declared = declaration(document, switch[0])
         if declared is not None and own is not None and own.text.strip() == switch[0]:
             # The aircraft carries this effect already.
             edits = [with_attribute(document, declared, "value", f"{new:.8g}"), remarked(document, declared, remark)]
         else:
-            line = f'<property value="{new:.8g}">{switch[0]}</property>  {comment(remark)}'
+            line = declare(switch[0], f"{new:.8g}", remark)
             edits = [
                 before(document, _channel(actuator), [line]),
                 _as_text(document, actuator, own, tag, switch[0]),
@@ -143,10 +144,3 @@ def _channel(node: Node) -> Node:
         if above.tag == "channel":
             return above
     return node
-
-
-def _declared(document: Document, name: str) -> Node | None:
-    return next(
-        (n for n in document.root.walk() if n.tag == "property" and "value" in n.attributes and n.text.strip() == name),
-        None,
-    )

@@ -6,95 +6,83 @@ from collections.abc import Mapping
 
 from sysid.effects.catalogue import Effect
 from sysid.effects.effect_terms import V_REFERENCE_MPS, Term
+from sysid.units import FT_M, LBF_N
 from uqharness.errors import BadInputError
 from uqharness.plugin.model_form_xml import state_source
-from uqharness.refinement.candidates import STALL
 from uqharness.simulator.aircraft import Aircraft
 from uqharness.xml.aerodynamics import AeroSection
+from uqharness.xml.expressions import Expression, call, prop, value
+from uqharness.xml.properties import computes
 
-FT = 0.3048
+STALL = {"a1_per_deg": 0.5, "alpha1_deg": 11.0, "alpha2_deg": -20.0}
+
 INFLOW_POWERS = 4
 """Numbers of the polynomial over CT that inflow is written as."""
 
 
-def _has_function(section: AeroSection, name: str) -> bool:
-    return any(
-        n.tag == "function" and n.attributes.get("name", "").strip() == name for d in section.documents for n in d.root.walk()
-    )
+def _computes(section: AeroSection, name: str) -> bool:
+    return any(computes(document, name) for document in section.documents)
 
 
-def _per_rate(length: str, section: AeroSection) -> str:
+def _per_rate(length: str, section: AeroSection) -> Expression:
     """b/2V or c/2V [s] of this frame: JSBSim's own aero/bi2vel, aero/ci2vel are a frame old in an effect's function."""
-    if _has_function(section, f"aero/{length}_2V"):
-        return f"<property>aero/{length}_2V</property>"
+    if _computes(section, f"aero/{length}_2V"):
+        return prop(f"aero/{length}_2V")
     metric = {"b": "metrics/bw-ft", "c": "metrics/cbarw-ft"}[length]
-    speed = "<max> <property>velocities/vt-fps</property> <value>0.1</value> </max>"
-    return f"<quotient> <property>{metric}</property> <product> <value>2</value> {speed} </product> </quotient>"
+    speed = call("max", prop("velocities/vt-fps"), value(0.1))
+    return call("quotient", prop(metric), call("product", value(2, "g"), speed))
 
 
-def variable_xml(variable: str, section: AeroSection, aircraft: Aircraft) -> str:
-    """XML expression of a term's variable in this aircraft. Raises BadInputError where nothing gives it."""
+def variable_xml(variable: str, section: AeroSection, aircraft: Aircraft) -> Expression:
+    """A term's variable in this aircraft. Raises BadInputError where nothing gives it."""
     if variable in ("alpha", "beta"):
-        return f"<property>aero/{variable}-rad</property>"
+        return prop(f"aero/{variable}-rad")
     if variable in ("p_hat", "q_hat", "r_hat"):
-        if _has_function(section, f"aero/{variable}"):
-            return f"<property>aero/{variable}</property>"
+        if _computes(section, f"aero/{variable}"):
+            return prop(f"aero/{variable}")
         axis = variable[0]
-        scale = _per_rate("c" if axis == "q" else "b", section)
-        return f"<product> {scale} <property>velocities/{axis}-aero-rad_sec</property> </product>"
+        return call("product", _per_rate("c" if axis == "q" else "b", section), prop(f"velocities/{axis}-aero-rad_sec"))
     if variable == "alphadot_hat":
-        return f"<product> {_per_rate('c', section)} <property>aero/alphadot-rad_sec</property> </product>"
+        return call("product", _per_rate("c", section), prop("aero/alphadot-rad_sec"))
     if variable == "betadot_hat":
-        return f"<product> {_per_rate('b', section)} <property>aero/betadot-rad_sec</property> </product>"
+        return call("product", _per_rate("b", section), prop("aero/betadot-rad_sec"))
     if variable in ("de", "da", "dr", "dt"):
         control = {"de": "elevator", "da": "aileron", "dr": "rudder", "dt": "throttle"}[variable]
         source, factor = state_source("throttle_pct" if control == "throttle" else f"{control}_pos_deg", aircraft)
         factor *= 0.01 if control == "throttle" else 1.0
-        name = f"<property>{source}</property>"
-        return name if factor == 1.0 else f"<product> <value>{factor:.10g}</value> {name} </product>"
+        return prop(source) if factor == 1.0 else call("product", value(factor, ".10g"), prop(source))
     if variable == "CT":
         thrust = aircraft.card.outputs.get("thrust_N")
-        force = (
-            f"<product> <value>0.2248089431</value> <property>{thrust}</property> </product>"
-            if thrust
-            else "<property>forces/fbx-prop-lbs</property>"
-        )
-        return (
-            f"<quotient> {force} <product> <property>aero/qbar-psf</property> "
-            "<property>metrics/Sw-sqft</property> </product> </quotient>"
-        )
+        force = call("product", value(1.0 / LBF_N, ".10g"), prop(thrust)) if thrust else prop("forces/fbx-prop-lbs")
+        return call("quotient", force, call("product", prop("aero/qbar-psf"), prop("metrics/Sw-sqft")))
     if variable == "V_rel":
-        return f"<product> <value>{FT / V_REFERENCE_MPS:.10g}</value> <property>velocities/vt-fps</property> </product>"
+        return call("product", value(FT_M / V_REFERENCE_MPS, ".10g"), prop("velocities/vt-fps"))
     if variable == "h_over_b":
-        return (
-            "<max> <value>0.1</value> <quotient> <property>position/h-agl-ft</property> "
-            "<property>metrics/bw-ft</property> </quotient> </max>"
-        )
+        return call("max", value(0.1), call("quotient", prop("position/h-agl-ft"), prop("metrics/bw-ft")))
     raise BadInputError(f"variable '{variable}' has no JSBSim form")
 
 
-def term_xml(term: Term, section: AeroSection, aircraft: Aircraft) -> list[str]:
-    """Factors of a term as XML elements."""
+def term_xml(term: Term, section: AeroSection, aircraft: Aircraft) -> list[Expression]:
+    """Factors of a term."""
     out = []
     for f in term.factors:
         one = variable_xml(f.variable, section, aircraft)
-        one = f"<abs> {one} </abs>" if f.absolute else one
+        one = call("abs", one) if f.absolute else one
         if f.power < 0:
-            whole = one if f.power == -1 else f"<pow> {one} <value>{-f.power}</value> </pow>"
-            out.append(f"<quotient> <value>1</value> {whole} </quotient>")
+            out.append(call("quotient", value(1, "g"), one if f.power == -1 else call("pow", one, value(-f.power, "g"))))
         elif f.power <= 3:
             out += [one] * f.power
         else:
-            out.append(f"<pow> {one} <value>{f.power}</value> </pow>")
+            out.append(call("pow", one, value(f.power, "g")))
     return out
 
 
 def subsystem_terms(
     effect: Effect, slopes: Mapping[str, float], section: AeroSection, aircraft: Aircraft
-) -> list[tuple[str, float, list[str]]]:
+) -> list[tuple[str, float, list[Expression]]]:
     """(coefficient, number, factors) that make up a subsystem's effect; slopes: of `refine_xml.Written`."""
 
-    def x(name: str) -> str:
+    def x(name: str) -> Expression:
         return variable_xml(name, section, aircraft)
 
     part, term = effect.subsystem, effect.term
@@ -102,13 +90,13 @@ def subsystem_terms(
         if term == "thrust_scale":
             return [("CX", 1.0, [x("CT")])]
         if term == "airspeed":
-            return [("CX", 1.0, [x("CT"), f"<difference> {x('V_rel')} <value>1</value> </difference>"])]
+            return [("CX", 1.0, [x("CT"), call("difference", x("V_rel"), value(1, "g"))])]
         if term == "inflow":
             # A propeller's thrust slope over qbar S is a function of the advance ratio, and so of CT: a cubic of it.
             CT, numbers = x("CT"), [slopes.get(f"inflow_{k}", 0.0) for k in range(INFLOW_POWERS)]
-            curve = f"<value>{numbers[-1]:.8g}</value>"
+            curve = value(numbers[-1], ".8g")
             for number in reversed(numbers[:-1]):
-                curve = f"<sum> <value>{number:.8g}</value> <product> {CT} {curve} </product> </sum>"
+                curve = call("sum", value(number, ".8g"), call("product", CT, curve))
             return [("CX", 1.0, [curve])]
         if term == "torque":
             return [("Cl", 1.0, [x("CT")])]
@@ -118,36 +106,29 @@ def subsystem_terms(
         rows += [(c, slopes.get(f"{c}_dr", 0.0), [x("dr"), x("CT")]) for c in ("CY", "Cl", "Cn")]
         return [r for r in rows if r[1] != 0.0]
     if part == "stall":
-        lag = (
-            f"<product> <value>2</value> {_per_rate('c', section)} "
-            "<todegrees> <property>aero/alphadot-rad_sec</property> </todegrees> </product>"
-            if term == "dynamic"
-            else "<value>0</value>"
-        )
-        angle = f"<difference> <property>aero/alpha-deg</property> {lag} </difference>"
-        a1 = 2.0 * STALL["a1_per_deg"]
-
-        def side(sign: int, at: float) -> str:
-            return (
-                f"<sum> <value>1</value> <exp> <product> <value>{sign * a1:g}</value> "
-                f"<difference> {angle} <value>{at:g}</value> </difference> </product> </exp> </sum>"
-            )
-
-        both = f"{side(1, STALL['alpha1_deg'])} {side(-1, STALL['alpha2_deg'])}"
-        X = f"<quotient> <value>1</value> <product> {both} </product> </quotient>"
-        lost = (
-            f"<difference> <product> <value>0.25</value> <pow> <sum> <value>1</value> <sqrt> {X} </sqrt> </sum> "
-            "<value>2</value> </pow> "
-            "</product> <value>1</value> </difference>"
-        )
-        return [("CZ", slopes.get("CZ_alpha", 0.0), [x("alpha"), lost])]
+        return [("CZ", slopes.get("CZ_alpha", 0.0), [x("alpha"), _lift_lost(term, section)])]
     if part == "ground":
-        near = f"<exp> <product> <value>-2</value> {x('h_over_b')} </product> </exp>"
+        near = call("exp", call("product", value(-2, "g"), x("h_over_b")))
         # The force of the frame before holds the effect already: divided by 1 + k exp(-2 h/b) it is the force without.
-        own = (
-            f"<quotient> <property>forces/fbz-aero-lbs</property> <product> <property>aero/qbar-psf</property> "
-            f"<property>metrics/Sw-sqft</property> <sum> <value>1</value> <product> "
-            f"<property>{effect.property_name}</property> {near} </product> </sum> </product> </quotient>"
-        )
-        return [("CZ", 1.0, [near, own])]
+        with_effect = call("sum", value(1, "g"), call("product", prop(effect.property_name), near))
+        force = call("product", prop("aero/qbar-psf"), prop("metrics/Sw-sqft"), with_effect)
+        return [("CZ", 1.0, [near, call("quotient", prop("forces/fbz-aero-lbs"), force)])]
     raise BadInputError(f"effect {effect.key}: no JSBSim form is known")
+
+
+def _lift_lost(term: str, section: AeroSection) -> Expression:
+    """Share of the lift that separation takes, 0 or less: ((1 + sqrt X)/2)^2 - 1."""
+    lag = value(0, "g")
+    if term == "dynamic":
+        lag = call("product", value(2, "g"), _per_rate("c", section), call("todegrees", prop("aero/alphadot-rad_sec")))
+    angle = call("difference", prop("aero/alpha-deg"), lag)
+    a1 = 2.0 * STALL["a1_per_deg"]
+
+    def side(sign: int, at: float) -> Expression:
+        exponent = call("product", value(sign * a1, "g"), call("difference", angle, value(at, "g")))
+        return call("sum", value(1, "g"), call("exp", exponent))
+
+    both = call("product", side(1, STALL["alpha1_deg"]), side(-1, STALL["alpha2_deg"]))
+    X = call("quotient", value(1, "g"), both)
+    square = call("pow", call("sum", value(1, "g"), call("sqrt", X)), value(2, "g"))
+    return call("difference", call("product", value(0.25), square), value(1, "g"))

@@ -11,7 +11,7 @@ from uqharness.campaign.conditions import CONFIDENCE, Condition, ExcursionCell, 
 from uqharness.campaign.statements import Statement
 from uqharness.report import statements as report_statements
 from uqharness.report.campaign import CampaignFound, Finding, answer_level, hardest_first, span
-from uqharness.report.parts import Block, Bullets, Cell, Facts, Figure, Figures, Level, Page, Section, Table, Words, shown
+from uqharness.report.parts import Block, Bullets, Cell, Figure, Figures, Level, Page, Section, Table, Words, provenance, shown
 from uqharness.report.pbox import DrawnBox, corner_words, pbox_figure
 from uqharness.report.sample_words import called
 from uqharness.report.sensitivity import sensitivity_section
@@ -29,14 +29,8 @@ def campaign_page(found: CampaignFound, prefix: str = "") -> Page:
     """The page of one campaign; ``prefix`` keeps its figures' names apart from others' in one page."""
     method = found.campaign["epistemic"]["method"]
     sections = [called(part, method) for part in (grid_section(found.signed), pbox_section(found, prefix))]
-    ranges = sensitivity_section(found.folder, found.manifest, prefix)
-    if ranges is not None:
-        sections.append(ranges)
-    sections += [
-        *(called(s, method) for s in rate_sections(found)),
-        failure_section(found.frame),
-        provenance_section(found),
-    ]
+    sections += sensitivity_section(found.folder, found.manifest, prefix)
+    sections += [*(called(s, method) for s in rate_sections(found)), failure_section(found.frame), _provenance(found)]
     return Page(f"Campaign of {found.aircraft}", found.asked, found.verdict, tuple(sections))
 
 
@@ -53,19 +47,13 @@ def pbox_section(found: CampaignFound, prefix: str = "") -> Section:
         "for one at its upper. The published flight was measured by its own sensors, so it is marked only where the curves "
         "are measured too."
     )
-    blocks: list[Block] = [Words(intro, note=True), Figures(figures)]
+    blocks: list[Block] = [Words(intro, note=True), Figures(figures, file="")]
     undrawn = len(conditions(found.frame)) - len(drawn)
     if undrawn > 0:
         text = f"Further conditions, not drawn: {undrawn}; they are in the tables below and in pbox.parquet."
         blocks.append(Words(text, note=True))
     published = any(item.published is not None for item in found.findings)
-    head = (
-        "Error",
-        "Condition",
-        "Middle of the p-box",
-        f"With {_SURE} band",
-        *(("Published flight",) if published else ()),
-    )
+    head = ("Error", "Condition", "Middle of the p-box", f"With {_SURE} band", *(("Published flight",) if published else ()))
     caption = "Where half of the flights stay below: the p-box's middle, and the same with the band."
     blocks.append(Table(caption, head, tuple(_median_row(item, published) for item in found.findings)))
     return Section("P-boxes of the median errors", tuple(blocks))
@@ -167,16 +155,7 @@ def _signed_row(item: Statement, words: dict[str, str]) -> tuple[str | Cell, ...
     row = report_statements.row(item)
     worst = Cell(row["worst"], small=words.get(row["worst_corner"], row["worst_corner"]))
     answer = Cell(item.answer, answer_level(item), mark=_MARKS[item.answer])
-    return (
-        row["condition"],
-        row["radius"],
-        row["best"],
-        worst,
-        answer,
-        row["hours"],
-        row["dispersion"],
-        row["outside"],
-    )
+    return (row["condition"], row["radius"], row["best"], worst, answer, row["hours"], row["dispersion"], row["outside"])
 
 
 def _excursion_row(cell: ExcursionCell, words: dict[str, str]) -> tuple[str | Cell, ...]:
@@ -215,7 +194,7 @@ def failure_section(frame: pd.DataFrame) -> Section:
     return Section("Failed flights", (Table(f"{len(failed)} failed{more}.", head, tuple(rows)),))
 
 
-def provenance_section(found: CampaignFound) -> Section:
+def _provenance(found: CampaignFound) -> Section:
     """Commands, seed, versions and hashes: what it takes to do it again."""
     manifest, settings = found.manifest, found.campaign["campaign"]
     names = {"aircraft": settings["aircraft"], "script": settings["mission"]}
@@ -223,15 +202,11 @@ def provenance_section(found: CampaignFound) -> Section:
         (f"{role.capitalize()} (SHA-256)", " ".join([digest, str(names.get(role, ""))]).strip())
         for role, digest in manifest["hashes"].items()
     ]
-    items = [
+    return provenance(
         ("Command", manifest["command"] or "not recorded"),
         ("One flight again", "uqharness campaign rerun DIR --case CASE"),
         ("Root seed", str(manifest["seed"])),
         ("Versions", ", ".join(f"{name} {version}" for name, version in manifest["versions"].items())),
         *hashes,
-        (
-            "Tables",
-            "cases.parquet (one row per flight), pbox.parquet, excursions.csv, statements.csv, beside this page",
-        ),
-    ]
-    return Section("Where it came from", (Facts(tuple(items)),))
+        ("Tables", "cases.parquet (one row per flight), pbox.parquet, excursions.csv, statements.csv, beside this page"),
+    )

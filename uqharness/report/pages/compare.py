@@ -6,52 +6,66 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from sysid.aerodynamics.terms import COEFFICIENTS
 from uqharness.replay.channel_units import shown_channel
 from uqharness.replay.histories import HISTORIES, History, have, read_histories
-from uqharness.report.history import MOST_SEGMENTS, Model, end_to_end, history_section
-from uqharness.report.parts import Bullets, Cell, Facts, Figure, Figures, Level, Page, Say, Section, Table, Words, shown
-from uqharness.report.svg import Chart, Scale
+from uqharness.report.history import MOST_SEGMENTS, Model, end_to_end, file_name, history_section
+from uqharness.report.parts import (  # fmt: skip
+    Cell,
+    Figure,
+    Figures,
+    Level,
+    Page,
+    Say,
+    Section,
+    Table,
+    Words,
+    provenance,
+    remarks,
+    shown,
+)
+from uqharness.report.svg import Scale, rows_chart
 from uqharness.result_documents import Compare, read_document
 
 COMPARE = "compare.json"
 LIMIT = 1.15
 
 
-def compare_page(folder: Path, prefix: str = "", segments: int = MOST_SEGMENTS) -> Page:
-    """The page of the folder that ``uqharness compare`` wrote. Raises BadInputError."""
+def compare_page(folder: Path, prefix: str = "", segments: int | None = MOST_SEGMENTS) -> Page:
+    """The page of the folder that ``uqharness compare`` wrote, with so many segments' histories (None: all).
+
+    Raises BadInputError.
+    """
     found = read_document(folder / COMPARE, Compare)
     histories = read_histories(folder / HISTORIES)
     # What is not judged (height, heading) may have a noise that says nothing.
     noise = {c: row["noise"] if row.get("judged", True) else None for c, row in found["channels"].items()}
     sections = [_channel_section(found["channels"], prefix)]
-    drawn = history_section(histories, noise, [Model("_model", "first", "model")], "Log against model", f"{prefix}gap-", segments)
-    sections += [] if drawn is None else [drawn]
-    sections += [_coefficient_section(found["coefficients"], histories, prefix), _manoeuvre_section(found)]
-    if found.get("notes"):
-        sections.append(Section("Notes", (Bullets(tuple(found["notes"])),)))
+    sections += history_section(
+        histories, noise, [Model("_model", "first", "model")], "Log against model", f"{prefix}gap-", segments,
+        lambda _, h: file_name(f"{h.number:02d}-{h.manoeuvre}"),
+    )  # fmt: skip
+    sections += [_coefficient_section(found["coefficients"], histories, prefix), _manoeuvre_section(found), *remarks(found)]
     files = "compare.json, channels.csv, coefficients.csv, manoeuvres.csv, moments.csv, histories.parquet, beside this page"
-    facts = (
-        ("Command", found.get("command") or "not recorded"),
-        ("Rule", found.get("rule", "not recorded")),
-        ("Files", files),
-    )
-    sections.append(Section("Where it came from", (Facts(facts),)))
+    facts = (("Command", found.get("command") or "not recorded"), ("Rule", found.get("rule", "not recorded")), ("Files", files))
+    sections.append(provenance(*facts))
     asked = f"Does {found['aircraft']} fly {found['flight']} as it was flown, to within the sensors' noise?"
     return Page(f"{found['flight']} beside {found['aircraft']}", asked, _verdict(found), tuple(sections))
 
 
+def noise_floor(reached: bool, above: Mapping[str, float], rule: str = "") -> str:
+    """Whether a model reaches the noise floor, in a sentence. above: channel -> rms over noise of those that do not."""
+    by = f" ({rule})" if rule else ""
+    if reached:
+        return f"The model reaches the noise floor{by}."
+    worst = ", ".join(f"{c} {ratio:.2f}" for c, ratio in above.items())
+    return f"The model does not reach the noise floor: rms over noise is {worst}{by}."
+
+
 def _verdict(found: Mapping[str, Any]) -> tuple[Say, ...]:
     reached = bool(found["reached_noise_floor"])
-    channels = found["channels"]
-    if found.get("verdict"):
-        said = [Say(found["verdict"], "good" if reached else "bad")]
-    else:
-        above = ", ".join(f"{c} {channels[c]['ratio']:.2f}" for c in found.get("above", ()))
-        text = "The model reaches the noise floor." if reached else f"The model does not reach the noise floor: {above}."
-        said = [Say(text, "good" if reached else "bad")]
+    above = {c: found["channels"][c]["ratio"] for c in found.get("above", ())}
+    said = [Say(found.get("verdict") or noise_floor(reached, above), "good" if reached else "bad")]
     known = {c: r["rms"] / r["noise"] for c, r in found["coefficients"].items() if r.get("rms") is not None and r.get("noise")}
     if known:
         worst = max(known, key=lambda c: known[c])
@@ -68,7 +82,7 @@ def _channel_section(channels: Mapping[str, Mapping[str, Any]], prefix: str) -> 
         judged = row.get("judged", True)
         level: Level = "" if not judged or ratio is None else "good" if ratio <= LIMIT else "bad"
         answer = "not judged" if not judged else "undefined" if ratio is None else "at the noise" if level == "good" else "above"
-        delay = f"{shown(_milli(row.get('delay_s')), '.1f')} ± {shown(_milli(row.get('delay_std_s')), '.1f')}"
+        delay = f"{_milli(row.get('delay_s'))} ± {_milli(row.get('delay_std_s'))}"
         theil = shown(row.get("theil_u"), ".3f")
         rows.append((f"{quantity} [{unit}]", shown(rms), shown(noise), shown(ratio, ".2f"), Cell(answer, level), delay, theil))
     head = ("Channel", "rms of log minus model", "Noise", "Ratio", "Answer", "Delay [ms]", "Theil's U")
@@ -78,12 +92,13 @@ def _channel_section(channels: Mapping[str, Mapping[str, Any]], prefix: str) -> 
         if r.get("ratio") is not None and r.get("judged", True)
     }
     figure = ratio_figure(f"{prefix}gap-ratios", ratios, [("model", "first", "disc")], "judged channels")
-    blocks = (Figures((figure,)),) if figure else ()
-    return Section("Gap by channel", (*blocks, Table("Gap between log and model, by channel.", head, tuple(rows))))
+    blocks = (Figures((figure,), file="gaps"),) if figure else ()
+    table = Table("Gap between log and model, by channel.", head, tuple(rows), key=True)
+    return Section("Gap by channel", (*blocks, table))
 
 
-def _milli(value: float | None) -> float | None:
-    return None if value is None else 1e3 * value
+def _milli(value: float | None) -> str:
+    return shown(None if value is None else 1e3 * value, ".1f")
 
 
 def ratio_figure(
@@ -92,24 +107,17 @@ def ratio_figure(
     """rms over noise by row, one mark a series (key, class, shape); 1 is the noise itself. None without rows."""
     if not ratios:
         return None
-    keys = tuple(ratios)
     largest = max(v for row in ratios.values() for v in row.values())
     label = "; ".join(f"{row}: {' to '.join(f'{v:.2f}' for v in values.values())}" for row, values in ratios.items())
     x = Scale("rms of log minus model over noise [1]", 0.0, 1.08 * max(largest, 1.3))
-    names = tuple((float(k), row) for k, row in enumerate(keys))
-    chart = Chart(
-        name,
-        f"Gap over noise [1] of the {what}. {label}.",
-        x,
-        Scale("", len(keys) - 0.5, -0.5, names),
-        66 + 17 * len(keys),
-    )
+    label = f"Gap over noise [1] of the {what}. {label}."
+    chart = rows_chart(name, label, x, tuple(ratios))
     chart.upright(1.0, "zero")
     chart.upright(LIMIT, "limit", f"limit {LIMIT:g}")
-    for k, row in enumerate(keys):
+    for k, row in enumerate(ratios):
         values = [ratios[row][key] for key, _, _ in series if key in ratios[row]]
         if len(values) > 1:
-            chart.line(np.array([min(values), max(values)]), np.array([float(k)] * 2), "link")
+            chart.across(min(values), max(values), k, "link")
         for key, kind, shape in series:
             if key in ratios[row]:
                 chart.marker(ratios[row][key], float(k), kind, shape)
@@ -121,19 +129,12 @@ def _coefficient_section(rows: Mapping[str, Mapping[str, Any]], histories: Seque
     cells = []
     for name, row in rows.items():
         ratio = row["rms"] / row["noise"] if row.get("rms") is not None and row.get("noise") else None
-        cells.append(
-            (
-                f"{name} [1]",
-                shown(row.get("rms")),
-                shown(row.get("noise")),
-                shown(ratio, ".2f"),
-                shown(row.get("mean"), ".2g"),
-            )
-        )
+        measured = shown(row.get("rms")), shown(row.get("noise"))
+        cells.append((f"{name} [1]", *measured, shown(ratio, ".2f"), shown(row.get("mean"), ".2g")))
     head = ("Coefficient", "rms of flight minus model", "What noise gives", "Ratio", "Mean")
-    table = Table("Gap between demanded and modelled coefficients (dimensionless, body axes).", head, tuple(cells))
+    table = Table("Gap between demanded and modelled coefficients (dimensionless, body axes).", head, tuple(cells), key=True)
     figures = []
-    series = [("{}_flight", "second thin", "flight"), ("{}_model", "first thin", "model")]
+    series = [("{}_flight", "second thin", ""), ("{}_model", "first thin", "")]
     for c in COEFFICIENTS:
         if have(histories, (f"{c}_flight", f"{c}_model")):
             drawn = [(key.format(c), kind, words) for key, kind, words in series]
@@ -141,7 +142,8 @@ def _coefficient_section(rows: Mapping[str, Mapping[str, Any]], histories: Seque
             figures.append(
                 end_to_end(histories, f"{prefix}gap-{c}", drawn, None, label, f"{c} [1]", f"{c} [1], segments end to end")
             )
-    blocks = (Figures(tuple(figures)),) if figures else ()
+    legend = (("second thin", "flight"), ("first thin", "model"))
+    blocks = (Figures(tuple(figures), legend, file="coefficients"),) if figures else ()
     return Section("Gap by coefficient", (*blocks, table))
 
 
@@ -163,5 +165,5 @@ def _manoeuvre_section(found: Mapping[str, Any]) -> Section:
     ]
     if moments:
         head = ("Time [s]", "Channel", "Manoeuvre", "Gap in noises [1]")
-        blocks.append(Table("The worst moments.", head, tuple(moments)))
+        blocks.append(Table("The worst moments.", head, tuple(moments), key=True))
     return Section("Where the gap is", tuple(blocks) or (Words("Not recorded."),))

@@ -6,36 +6,33 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from uqharness.replay.channel_units import shown_channel
 from uqharness.replay.histories import HISTORIES, read_histories
-from uqharness.report.history import MOST_SEGMENTS, Model, history_section
-from uqharness.report.parts import Bullets, Cell, Facts, Figure, Figures, Page, Say, Section, Table, Words, shown
-from uqharness.report.svg import Chart, Scale
+from uqharness.report.history import MOST_SEGMENTS, Model, file_name, history_section
+from uqharness.report.pages.compare import LIMIT
+from uqharness.report.parts import Cell, Figure, Figures, Page, Say, Section, Table, Words, provenance, remarks, shown
+from uqharness.report.svg import Scale, rows_chart
 from uqharness.result_documents import Fit, read_document
 
 FIT = "fit.json"
-NEAR_NOISE = 1.15
 _IDENTIFIED = "identified"
 
 
-def identify_page(folder: Path, prefix: str = "", segments: int = MOST_SEGMENTS) -> Page:
-    """The page of the folder that ``uqharness identify`` wrote. Raises BadInputError."""
+def identify_page(folder: Path, prefix: str = "", segments: int | None = MOST_SEGMENTS) -> Page:
+    """The page of the folder that ``uqharness identify`` wrote, with so many segments' histories (None: all).
+
+    Raises BadInputError.
+    """
     fit = read_document(folder / FIT, Fit)
     parameters = fit["parameters"]
     sections = [_parameter_section(parameters, prefix), _fit_section(fit["fit"])]
     noise = {c: row.get("noise") for c, row in fit["fit"].items()}
     model = Model("_model", "first", "model with the estimates")
-    histories = history_section(
-        read_histories(folder / HISTORIES), noise, [model], "Log against model", prefix=f"{prefix}fit-", most=segments
-    )
-    if histories is not None:
-        sections.append(histories)
-    said = (*fit.get("warnings", ()), *fit.get("notes", ()))
-    if said:
-        sections.append(Section("Warnings and notes", (Bullets(tuple(said)),)))
-    sections.append(_provenance(fit))
+    sections += history_section(
+        read_histories(folder / HISTORIES), noise, [model], "Log against model", f"{prefix}fit-", segments,
+        lambda _, h: file_name(f"{h.flight}-{h.number:02d}-{h.manoeuvre}"),
+    )  # fmt: skip
+    sections += [*remarks(fit), _provenance(fit)]
     flights = ", ".join(fit["flights"])
     asked = f"Which values of {len(parameters)} parameters of {fit['aircraft']} agree with {flights}, and how surely?"
     return Page(f"Identification of {fit['aircraft']}", asked, _verdict(fit), tuple(sections))
@@ -56,18 +53,14 @@ def _verdict(fit: Mapping[str, Any]) -> tuple[Say, ...]:
     else:
         said.append(Say(f"All {len(parameters)} parameters are identified.", "good"))
     ratios = {c: _ratio(row) for c, row in fit["fit"].items()}
-    above = {c: r for c, r in ratios.items() if r is not None and r > NEAR_NOISE}
+    above = {c: r for c, r in ratios.items() if r is not None and r > LIMIT}
     if above:
         worst = ", ".join(f"{shown_channel(c)[0]} {r:.2f}" for c, r in sorted(above.items(), key=lambda item: -item[1]))
         text = f"The model with the estimates does not reach the sensors' noise: rms over noise is {worst}."
-        said.append(
-            Say(
-                f"{text} Something that no parameter can be is missing: compare, bounds and refine go on from here.",
-                "warn",
-            )
-        )
+        text += " Something that no parameter can be is missing: compare, bounds and refine go on from here."
+        said.append(Say(text, "warn"))
     elif any(r is not None for r in ratios.values()):
-        said.append(Say(f"Every channel with known noise is within {NEAR_NOISE:g} times its noise.", "good"))
+        said.append(Say(f"Every channel with known noise is within {LIMIT:g} times its noise.", "good"))
     return tuple(said)
 
 
@@ -84,7 +77,7 @@ def _parameter_section(parameters: Mapping[str, Mapping[str, Any]], prefix: str)
         value = shown(row["value"], ".5g")
         rows.append((Cell(name, code=True), shown(row.get("initial"), ".5g"), value, *spread, status))
     head = ("Parameter", "Initial value", "Estimate", "Standard error", "Cramér-Rao bound", "Status")
-    table = Table("Parameters in the unit that the XML declares.", head, tuple(rows))
+    table = Table("Parameters in the unit that the XML declares.", head, tuple(rows), key=True)
     words = Words(
         "The standard error allows for coloured residuals, the Cramér-Rao bound does not. What is not identified keeps its "
         "initial value.",
@@ -104,14 +97,13 @@ def _change(parameters: Mapping[str, Mapping[str, Any]], prefix: str) -> Figure 
     if not rows:
         return None
     reach = min(150.0, max(5.0, 1.1 * max(abs(change) + half for _, change, half in rows)))
-    names = tuple((float(k), name) for k, (name, _, _) in enumerate(rows))
     beyond = sum(abs(change) > reach for _, change, _ in rows)
     label = f"Change of {len(rows)} parameters from their initial values [%], with 95 % intervals."
     x = Scale("change from the initial value [%]", -reach, reach)
-    chart = Chart(f"{prefix}parameters", label, x, Scale("", len(rows) - 0.5, -0.5, names), height=70 + 14 * len(rows))
+    chart = rows_chart(f"{prefix}parameters", label, x, [name for name, _, _ in rows], 14)
     chart.upright(0.0, "zero")
     for k, (_, change, half) in enumerate(rows):
-        chart.line(np.array([change - half, change + half]), np.array([float(k), float(k)]), "plain")
+        chart.across(change - half, change + half, k, "plain")
         chart.marker(change, float(k), "first", "disc")
     note = f" {beyond} beyond the frame: see the table." if beyond else ""
     caption = f"Change of the identified parameters that had an initial value [%]; bars: 95 % intervals.{note}"
@@ -123,11 +115,11 @@ def _fit_section(fit: Mapping[str, Mapping[str, Any]]) -> Section:
     for channel, row in fit.items():
         quantity, unit, factor = shown_channel(channel)
         ratio = _ratio(row)
-        level = Cell("undefined") if ratio is None else Cell(f"{ratio:.2f}", "good" if ratio <= NEAR_NOISE else "warn")
+        level = Cell("undefined") if ratio is None else Cell(f"{ratio:.2f}", "good" if ratio <= LIMIT else "warn")
         rms, noise = (None if row.get(k) is None else factor * row[k] for k in ("rms", "noise"))
-        share = row.get("predictable_share")
-        rows.append((f"{quantity} [{unit}]", shown(rms, ".3g"), shown(noise, ".3g"), level, shown(share, ".2f")))
-    head = ("Channel", "rms of log minus model", "Noise", "Ratio", "Share predictable from its past")
+        tint = (shown(row.get("whiteness_p"), ".2g"), shown(row.get("predictable_share"), ".2f"))
+        rows.append((f"{quantity} [{unit}]", shown(rms), shown(noise), level, *tint))
+    head = ("Channel", "rms of log minus model", "Noise", "Ratio", "Whiteness p", "Share predictable from its past")
     return Section("Fit by channel", (Table("What is left between log and model, by channel.", head, tuple(rows)),))
 
 
@@ -137,10 +129,5 @@ def _provenance(fit: Mapping[str, Any]) -> Section:
     items += [(f"Flight {name} (SHA-256)", digest) for name, digest in zip(fit["flights"], hashes, strict=False)]
     if fit.get("simulations") is not None:
         items.append(("Effort", f"{fit['simulations']} simulations, {shown(fit.get('seconds'), '.1f')} s"))
-    items.append(
-        (
-            "Files",
-            "fit.json, parameters.csv, histories.parquet, aircraft/ (the XML with the estimates), beside this page",
-        )
-    )
-    return Section("Where it came from", (Facts(tuple(items)),))
+    items.append(("Files", "fit.json, parameters.csv, histories.parquet, aircraft/ (the XML with the estimates), beside this page"))
+    return provenance(*items)

@@ -1,14 +1,13 @@
-"""report.html of any folder of results: what the folder is, is told by its files."""
+"""The page of any folder of results: what the folder is, is told by its files."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from uqharness.errors import BadInputError
-from uqharness.files import write_bytes
-from uqharness.report.parts import Page, render
+from uqharness.report.history import MOST_SEGMENTS
+from uqharness.report.parts import Page
 
-REPORT = "report.html"
 KINDS = (
     ("study.json", "study"), ("manifest.json", "campaign run"), ("refinement.json", "refine"), ("fit.json", "identify"),
     ("model-form.json", "bounds"), ("compare.json", "compare"), ("coverage.json", "validate-bounds"),
@@ -27,8 +26,11 @@ def kind_of(folder: Path) -> str:
     raise BadInputError(f"{folder}: no results to report on; looked for {looked}")
 
 
-def page_of(folder: Path) -> Page:
-    """The page of a folder of results. Raises BadInputError."""
+def page_of(folder: Path, every_segment: bool = False) -> Page:
+    """The page of a folder of results; ``every_segment``: with the histories of all segments, not of the worst alone.
+
+    Raises BadInputError.
+    """
     kind = kind_of(folder)
     # Imported here: a page needs what its folder's kind needs and no more.
     if kind == "study":
@@ -42,11 +44,11 @@ def page_of(folder: Path) -> Page:
     if kind == "identify":
         from uqharness.report.pages.identify import identify_page
 
-        return identify_page(folder)
+        return identify_page(folder, segments=None if every_segment else MOST_SEGMENTS)
     if kind == "compare":
         from uqharness.report.pages.compare import compare_page
 
-        return compare_page(folder)
+        return compare_page(folder, segments=None if every_segment else MOST_SEGMENTS)
     if kind == "campaign run":
         from uqharness.report.campaign import read_found
         from uqharness.report.pages.campaign import campaign_page
@@ -55,17 +57,3 @@ def page_of(folder: Path) -> Page:
     from uqharness.report.pages.model_form import bounds_page, coverage_page
 
     return bounds_page(folder) if kind == "bounds" else coverage_page(folder)
-
-
-def write_report(folder: Path) -> Path:
-    """Write ``folder``/report.html from the folder's own files and return its path. Same folder, same bytes.
-
-    A campaign's figures are written beside it as files too. Raises BadInputError.
-    """
-    if kind_of(folder) == "campaign run":
-        from uqharness.report.write import write_report as write_campaign_report
-
-        return write_campaign_report(folder).path
-    path = folder / REPORT
-    write_bytes(path, render(page_of(folder)).encode("utf-8", errors="replace"))
-    return path

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from uqharness.refinement.showing.words import carried_by, test_says
 from uqharness.report.parts import Block, Bullets, Figure, Figures, Section, Table, Words, shown
-from uqharness.report.svg import Chart, Scale
+from uqharness.report.svg import Scale, rows_chart
 
 
 def headline(e: Mapping[str, Any]) -> str:
@@ -62,7 +60,7 @@ def effect_section(done: Mapping[str, Any], prefix: str = "") -> Section:
         first.append(Words(f"Best candidate that was refused: {refused['effect']} (|t| {t}): {refused['why']}."))
     figure = _candidates(done, prefix)
     if figure:
-        first.append(Figures((figure,)))
+        first.append(Figures((figure,), file="candidates"))
     return Section("Effects", tuple(first), tuple(parts))
 
 
@@ -76,15 +74,12 @@ def _candidates(done: Mapping[str, Any], prefix: str) -> Figure | None:
     if not rows:
         return None
     chosen = {f"{e.get('coefficient') or e.get('subsystem')} {e['term']}" for e in done["effects"]}
-    names = tuple((float(k), f"{name} ●" if name in chosen else name) for k, (name, _) in enumerate(rows))
     label = "Candidate effects by |t| [1], each alone: " + ", ".join(f"{n} {t:.1f}" for n, t in rows[:5]) + "."
     limit = board.get("limit")
-    chart = Chart(
-        f"{prefix}candidates", label, Scale("|t| of the score test [1]", 0.0, 1.08 * max([t for _, t in rows] + [limit or 0.0])),
-        Scale("", len(rows) - 0.5, -0.5, names), 66 + 17 * len(rows),
-    )  # fmt: skip
+    x = Scale("|t| of the score test [1]", 0.0, 1.08 * max([t for _, t in rows] + [limit or 0.0]))
+    chart = rows_chart(f"{prefix}candidates", label, x, [f"{name} ●" if name in chosen else name for name, _ in rows])
     for k, (name, t) in enumerate(rows):
-        chart.line(np.array([0.0, t]), np.array([float(k)] * 2), "thick" if name in chosen else "wide")
+        chart.across(0.0, t, k, "thick" if name in chosen else "wide")
     if limit is not None:
         chart.upright(limit, "limit", "reached by chance by the best of all")
     caption = "What explains the disagreement of the train flights, each alone: |t| [1]. Chosen ones are dark and carry a ●."

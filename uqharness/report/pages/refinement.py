@@ -10,14 +10,14 @@ import numpy as np
 
 from sysid.aerodynamics.terms import COEFFICIENTS
 from uqharness.refinement.showing.content import Refinement
-from uqharness.refinement.showing.words import left_over, nowhere, test_says
+from uqharness.refinement.showing.words import carried_by, left_over, nowhere, test_says
 from uqharness.replay.channel_units import shown_channel
 from uqharness.replay.histories import HISTORIES, History, have, read_histories
 from uqharness.report.history import Z95, Model, end_to_end, history_section
 from uqharness.report.pages.compare import ratio_figure
 from uqharness.report.pages.refine_effects import effect_section, headline
 from uqharness.report.pages.refine_shown import interval_section, mission_section
-from uqharness.report.parts import (  # fmt: skip
+from uqharness.report.parts import (
     Block,
     Bullets,
     Cell,
@@ -30,8 +30,11 @@ from uqharness.report.parts import (  # fmt: skip
     Section,
     Table,
     Words,
+    percent,
+    provenance,
+    remarks,
     shown,
-)
+)  # fmt: skip
 from uqharness.result_documents import read_document
 
 REFINEMENT = "refinement.json"
@@ -52,22 +55,23 @@ def refine_page(folder: Path, prefix: str = "") -> Page:
             "the sensors' noise alone gives in 95 % of the samples."
         )
         legend = (("second thin", "before"), ("first thin", "after"), ("fill1", "95 % band of the noise"))
-        sections.append(Section("Coefficients before and after", (Words(text, note=True), Figures(figures, legend))))
+        drawn = Figures(figures, legend, file="coefficients")
+        sections.append(Section("Coefficients before and after", (Words(text, note=True), drawn)))
     noise = {c: row["noise_rms"] for c, row in gap["channels"].items()}
     models = [Model("_before", "second", "before"), Model("_after", "first", "after")]
-    drawn = history_section(histories, noise, models, "Test flights against both models", f"{prefix}refine-", most=2)
-    sections += [] if drawn is None else [drawn]
-    sections += [interval_section(gap), mission_section(folder, gap, prefix)]
-    sections += [_left_section(done), _parameter_section(done), _model_section(folder, done)]
-    if done.get("notes"):
-        sections.append(Section("Notes", (Bullets(tuple(done["notes"])),)))
+    sections += history_section(
+        histories, noise, models, "Test flights against both models", f"{prefix}refine-", 2,
+        lambda rank, _: "history" if rank == 0 and done["effects"] else None,
+    )  # fmt: skip
+    sections += [interval_section(gap, prefix), mission_section(folder, gap, prefix)]
+    sections += [_left_section(done), _parameter_section(done), _model_section(folder, done), *remarks(done)]
     train, test = (", ".join(done.get(k, ())) or "flights not recorded" for k in ("train", "test"))
     facts = (
         ("Command", done.get("command") or "not recorded"), ("Chosen on", train), ("Shown on", test),
         ("Time", f"{shown(done.get('seconds'), '.0f')} s"),
         ("Files", "refinement.json, model.diff, histories.parquet, aircraft/ (the refined model), beside this page"),
     )  # fmt: skip
-    sections.append(Section("Where it came from", (Facts(facts),)))
+    sections.append(provenance(*facts))
     asked = f"What does the model lack? Effects were chosen on {train} and shown on {test}, which chose nothing."
     return Page("Refinement", asked, _verdict(done), tuple(sections))
 
@@ -83,7 +87,9 @@ def _verdict(done: Mapping[str, Any]) -> tuple[Say, ...]:
     text, level = _VERDICTS.get(done["verdict"], (done["verdict"], "warn"))
     said = [Say(f"{text} ({done['verdict']}).", level)]
     for e in done["effects"]:
-        said.append(Say(f"{headline(e)}.", "good"))
+        t = shown(abs(e["evidence"]["t"]), ".1f") if e.get("evidence", {}).get("t") is not None else "undefined"
+        tested = f"; {test_says(e)}" if e.get("test") else ""
+        said.append(Say(f"{headline(e)} ({carried_by(e)}), |t| {t}{tested}.", "good"))
     for e in done.get("withdrawn", ()):
         said.append(Say(f"Withdrawn: {headline(e)}; {test_says(e)}.", "warn"))
     unclear = [a["name"] for e in done["effects"] for a in e.get("alternatives", ()) if not a["separable"]]
@@ -112,27 +118,14 @@ def _where_section(done: Mapping[str, Any]) -> Section:
     rows = []
     for d in done["disagreement"]:
         region = "; ".join(_region(s, ends) for s, ends in d.get("region", {}).items())
-        rows.append(
-            (
-                d["coefficient"],
-                d["manoeuvre"],
-                region,
-                shown(_percent(d["share_outside_95"]), ".0f"),
-                shown(d["size"], ".2g"),
-            )
-        )
+        size = (percent(d["share_outside_95"], ".0f"), shown(d["size"], ".2g"))
+        rows.append((d["coefficient"], d["manoeuvre"], region, *size))
     if not rows:
         text = nowhere(done)
         return Section("Where model and flights disagreed", (Words(f"{text[:1].upper()}{text[1:]}."),))
     head = ("Coefficient", "Manoeuvre", "Region", "Outside the 95 % band [%]", "Size [1]")
-    return Section(
-        "Where model and flights disagreed",
-        (Table("Disagreement of the train flights, the largest first.", head, tuple(rows)),),
-    )
-
-
-def _percent(value: float | None) -> float | None:
-    return None if value is None else 100.0 * value
+    table = Table("Disagreement of the train flights, the largest first.", head, tuple(rows), key=True)
+    return Section("Where model and flights disagreed", (table,))
 
 
 def _region(state: str, ends: Sequence[float | None]) -> str:
@@ -166,8 +159,9 @@ def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
         "Before: the model with its parameters identified again, without the effects. After: with them. Start states and biases "
         "are each flight's own. ✓: not larger than before."
     )
-    table = Table("Gap on the test flights: rms of log minus model.", ("Quantity", "Before", "After", "Noise"), tuple(rows))
-    return Section("Gap on the test flights, before and after", (Words(text, note=True), Figures(tuple(figures)), table))
+    table = Table("Gap on the test flights: rms of log minus model.", ("Quantity", "Before", "After", "Noise"), tuple(rows), True)
+    drawn = Figures(tuple(figures), file="gap")
+    return Section("Gap on the test flights, before and after", (Words(text, note=True), drawn, table))
 
 
 def _coefficient_figures(
@@ -191,7 +185,7 @@ def _coefficient_figures(
 def _left_section(done: Mapping[str, Any]) -> Section:
     said = tuple(left_over(done["remaining"]))
     if said:
-        return Section("What is left", (Bullets(said),))
+        return Section("What is left", (Bullets(said, key=True),))
     unplaced = done["remaining"].get("unexplained")
     return Section("What is left", (Words("More than noise, and nothing tells where." if unplaced else "Nothing beyond noise."),))
 

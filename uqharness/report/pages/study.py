@@ -15,7 +15,7 @@ from uqharness.report.pages.compare import compare_page
 from uqharness.report.pages.identify import identify_page
 from uqharness.report.pages.model_form import bounds_page, coverage_page
 from uqharness.report.pages.refinement import refine_page
-from uqharness.report.parts import Bullets, Cell, Code, Facts, Level, Page, Say, Section, Table, Told, Words, shown
+from uqharness.report.parts import Bullets, Cell, Code, Level, Page, Say, Section, Table, Told, Words, provenance, shown
 from uqharness.result_documents import Study, read_document
 
 STUDY = "study.json"
@@ -134,11 +134,10 @@ def _stage_page(
 
 
 def _provenance(study: Mapping[str, Any]) -> Section:
-    items = [
+    seen = dict.fromkeys(item for stage in study["stages"] for item in (stage.get("inputs") or {}).items())
+    return provenance(
         ("Command", study.get("command") or "not recorded"),
         ("Version", f"uqharness {study.get('version', 'not recorded')}"),
         (f"Study file {study.get('file', '')} (SHA-256)", study.get("hash") or "not recorded"),
-    ]
-    seen = dict.fromkeys(item for stage in study["stages"] for item in (stage.get("inputs") or {}).items())
-    items += [(f"Input {name} (SHA-256)", digest) for name, digest in seen]
-    return Section("Where it came from", (Facts(tuple(items)),))
+        *((f"Input {name} (SHA-256)", digest) for name, digest in seen),
+    )

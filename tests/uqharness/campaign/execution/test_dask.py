@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import socket
 import sys
 from dataclasses import dataclass, replace
@@ -16,8 +15,8 @@ from uqharness.campaign.execution.dask import DaskExecutor
 from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor
 from uqharness.campaign.folder.case_table import CASES
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.campaign import read_campaign
-from uqharness.cli import campaign as campaign_commands
+from uqharness.campaign.spec.read import read_campaign
+from uqharness.cli.main import run_words
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightSpec
 from uqharness.parquet_files import read_table
@@ -216,15 +215,11 @@ def test_no_dask_and_no_scheduler_are_sentences(tmp_path, monkeypatch):
 
 def test_the_command_flies_on_the_cluster(tmp_path, cluster, monkeypatch, capsys):
     monkeypatch.setattr("uqharness.flight.fly.fly", fakes.steady)
-    parser = argparse.ArgumentParser(prog="uqharness")
-    campaign_commands.register(parser.add_subparsers(dest="command", required=True))
     words = ["campaign", "run", str(fakes.campaign_file(tmp_path)), "--out", str(tmp_path / "out")]
-    args = parser.parse_args([*words, "--dask", cluster.scheduler_address])
-    assert args.handler(args) == 0
+    assert run_words([*words, "--dask", cluster.scheduler_address]) == 0
     assert "192 flights done, none failed" in capsys.readouterr().out
-    args = parser.parse_args([*words, "--dask", cluster.scheduler_address, "--workers", "3"])
     with pytest.raises(BadInputError, match="leave out --workers"):
-        args.handler(args)
+        run_words([*words, "--dask", cluster.scheduler_address, "--workers", "3"])
 
 
 def test_relative_paths_are_found_from_another_folder(tmp_path, dask, monkeypatch):

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
-from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor, default_timeout_s, usable_cores
+from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor, default_timeout_s
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightSpec
 
@@ -124,5 +124,4 @@ def test_impossible_settings():
         ProcessExecutor(0)
     with pytest.raises(BadInputError, match="start method 'thread'"):
         ProcessExecutor(1, "thread")
-    assert usable_cores() >= 1
     assert default_timeout_s(FlightSpec(Path("a"), Path("b"), 3600.0)) == pytest.approx(420.0)

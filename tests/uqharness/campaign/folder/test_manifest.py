@@ -12,13 +12,14 @@ import shutil
 import pandas as pd
 import pytest
 
+from sysid.digests import sha256_hex
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.places import TESTS
 from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.folder.digests import digest_of, digest_of_text
+from uqharness.campaign.folder.digests import digest_of_text
 from uqharness.campaign.folder.manifest import read_manifest, write_manifest
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.campaign import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import main
 from uqharness.next_flight.mission_states import open_campaign
 
@@ -132,7 +133,7 @@ def put(folder, name, content):
     """A table with a digest that fits, as damage cannot make it and another program could."""
     (folder / name).write_bytes(content)
     manifest = read_manifest(folder)
-    write_manifest(folder, manifest | {"tables": manifest["tables"] | {name: digest_of(content)}})
+    write_manifest(folder, manifest | {"tables": manifest["tables"] | {name: sha256_hex(content)}})
 
 
 def test_tables_with_a_column_less_or_of_another_type_are_one_sentence(made, tmp_path, capsys):

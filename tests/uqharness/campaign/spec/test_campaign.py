@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.helpers.campaign_fakes import CAMPAIGN
-from uqharness.campaign.spec.campaign import campaign_from, read_campaign
+from uqharness.campaign.spec.read import campaign_from, read_campaign, with_samples
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import COEFFICIENTS
 from uqharness.statistics.pbox import band_half_width
@@ -233,7 +233,7 @@ def test_rules_that_say_how_many_flights_there_are(tmp_path):
     assert band_half_width(flights, 64, 0.95) <= 0.1 < band_half_width(flights - 1, 64, 0.95)
     walks = text.replace('"corners"', '"walk"\nsamples = 8\nwalk_rate_per_sqrt_s = 0.01')
     few = read(tmp_path, walks + '\n[stop]\nrule = "band-width"\nband_width = 0.1\n')
-    assert few.aleatory.flights < few.with_samples(64).aleatory.flights == flights
+    assert few.aleatory.flights < with_samples(few, 64).aleatory.flights == flights
     with pytest.raises(BadInputError, match="says how much is flown"):
         band.with_hours(3.0)
     # As a manifest holds them they mean the same.

@@ -22,7 +22,8 @@ from uqharness.refinement.showing.intervals import FlightSet, IntervalJob, fit_i
 from uqharness.refinement.showing.mission import MissionPBox, Model, campaign_for, fly_missions
 from uqharness.refinement.showing.words import left_over, nowhere
 from uqharness.replay.flights import read_flights
-from uqharness.report.refinement import write_report
+from uqharness.report.refinement import write_results
+from uqharness.report.write import write_report
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.statistics.pbox import Sample
 
@@ -70,7 +71,8 @@ def judged_flights(tmp_path_factory) -> tuple[Path, Refinement]:
     out.mkdir()
     request = Request(find_aircraft("espaaro"), (folder / "train.parquet",), (folder / "test.parquet",), out, workers=1, pbox=False)
     done = refine(request)
-    write_report(done, out)
+    write_results(done, out)
+    write_report(out, figures=True)
     return out, done
 
 

@@ -18,7 +18,7 @@ from uqharness.refinement.writing.effects import Written, carrier, switch_of, wr
 from uqharness.simulator import engine
 from uqharness.simulator.actuators import Actuator
 from uqharness.simulator.aircraft import find_aircraft, open_aircraft
-from uqharness.simulator.card import sensors_from_cg
+from uqharness.simulator.card_changes import sensors_from_cg
 
 STATES = (
     "velocities/p-rad_sec", "velocities/q-rad_sec", "velocities/r-rad_sec", "aero/alpha-rad", "aero/beta-rad",

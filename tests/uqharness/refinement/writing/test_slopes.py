@@ -17,7 +17,7 @@ from uqharness.refinement.setup import Bench
 from uqharness.refinement.writing.effects import Written, write_effects
 from uqharness.refinement.writing.slopes import control_slopes, inflow_numbers, of_lift_slope
 from uqharness.replay.model import CONTROLS
-from uqharness.replay.replay import Segment
+from uqharness.replay.segments import Segment
 from uqharness.simulator.aircraft import Aircraft, find_aircraft
 
 N = 40

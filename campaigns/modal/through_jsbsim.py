@@ -1,0 +1,146 @@
+"""The modal example's outputs from the nonlinear JSBSim model: trim, linearise, read the modes, for changed coefficients.
+
+Only the longitudinal motion is trimmed and linearised. The aircraft's small lateral constants (CY_0, Cl_0, Cn_0) accelerate it
+sideways all the while, which the longitudinal derivatives do not feel.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness.errors import BadInputError
+from uqharness.sensitivity import Evaluations, Study
+from uqharness.sensitivity.modal import ALEATORY, NOMINAL, OUTPUTS, V_MPS, intervals, longitudinal_modes, system_matrix
+from uqharness.sensitivity.problem import corners
+from uqharness.simulator.aircraft import Aircraft
+from uqharness.simulator.trim import BodyState, SteadyCondition, find_trim, force_state
+
+Array = NDArray[np.float64]
+_LONGITUDINAL = (0, 2, 4)
+_STEPS = np.array([0.05, 0.05, 1e-3, 1e-3])  # u, w [m/s], q [rad/s], theta [rad]
+_THRUST = "propulsion/thrust-N"
+
+
+@dataclass(frozen=True)
+class ModalTrim:
+    """Level flight of the unchanged model and the matrix that leads back to it.
+
+    ``x`` (3,): alpha [rad], elevator and throttle in the card's units; ``solve`` (3, 3): inverse of d(u', w', q')/dx.
+    """
+
+    aircraft: Aircraft
+    V_mps: float
+    x: Array
+    solve: Array
+
+
+def nominal_trim(aircraft: Aircraft, V_mps: float = V_MPS) -> ModalTrim:
+    """Trim the model as it is. Raises BadInputError if there is no trim."""
+    found = find_trim(aircraft, SteadyCondition(V_mps))
+    if not found.converged:
+        raise BadInputError(f"{aircraft.name}: {found.reason}")
+    x = np.array([found.alpha_rad, found.controls["elevator"], found.controls["throttle"]])
+    steps = np.array([1e-4, 1e-2, 1e-1])
+    columns = [
+        (_residual(aircraft, V_mps, x + h, {}) - _residual(aircraft, V_mps, x - h, {})) / (2.0 * step)
+        for h, step in zip(np.diag(steps), steps, strict=True)
+    ]
+    return ModalTrim(aircraft, V_mps, x, np.linalg.inv(np.stack(columns, axis=1)))
+
+
+def _controls(x: Array) -> dict[str, float]:
+    return {"elevator": float(x[1]), "throttle": float(x[2]), "aileron": 0.0, "rudder": 0.0}
+
+
+def _level(V_mps: float, x: Array) -> BodyState:
+    alpha = float(x[0])
+    return BodyState(V_mps * math.cos(alpha), 0.0, V_mps * math.sin(alpha), 0.0, alpha, 0.0)
+
+
+def _residual(aircraft: Aircraft, V_mps: float, x: Array, properties: Mapping[str, float]) -> Array:
+    acceleration, _ = force_state(aircraft, _level(V_mps, x), _controls(x), 0.0, properties)
+    return acceleration[list(_LONGITUDINAL)]
+
+
+def trim_again(start: ModalTrim, properties: Mapping[str, float]) -> Array:
+    """(3,) trim with changed properties, by chords from the nominal one. Raises BadInputError if it does not come to rest."""
+    x = start.x
+    for _ in range(15):
+        residual = _residual(start.aircraft, start.V_mps, x, properties)
+        if np.max(np.abs(residual)) < 1e-8:
+            return x
+        x = x - start.solve @ residual
+    raise BadInputError(f"no level flight at {start.V_mps:g} m/s with {dict(properties)}")
+
+
+def linear_model(start: ModalTrim, properties: Mapping[str, float]) -> tuple[Array, float]:
+    """A (4, 4) over (u, w, q, theta) about the trim with ``properties``, and the slope of thrust with u [N per m/s]."""
+    x = trim_again(start, properties)
+    centre, controls = _level(start.V_mps, x), _controls(x)
+
+    def derivative(step: Array) -> tuple[Array, float]:
+        state = BodyState(centre.u + step[0], 0.0, centre.w + step[1], 0.0, centre.theta + step[3], 0.0, q=float(step[2]))
+        acceleration, out = force_state(start.aircraft, state, controls, 0.0, properties, (_THRUST,))
+        return np.array([*acceleration[list(_LONGITUDINAL)], step[2]]), out.get(_THRUST, math.nan)
+
+    A, slope = np.empty((4, 4)), math.nan
+    for column, step in enumerate(_STEPS):
+        (plus, thrust_plus), (minus, thrust_minus) = (derivative(sign * step * np.eye(4)[column]) for sign in (1, -1))
+        A[:, column] = (plus - minus) / (2.0 * step)
+        if column == 0:
+            slope = (thrust_plus - thrust_minus) / (2.0 * step)
+    return A, slope
+
+
+def outputs_of(start: ModalTrim, values: Mapping[str, float]) -> Array:
+    """(3,) phugoid damping, short-period damping and frequency [rad/s] with these coefficients."""
+    A, _ = linear_model(start, {f"aero/{name}": value for name, value in values.items()})
+    phugoid_zeta, _, zeta, wn = longitudinal_modes(A)
+    return np.array([phugoid_zeta, zeta, wn])
+
+
+def jsbsim_study(aircraft: Aircraft, on_progress: Callable[[int, int], None] | None = None) -> Study:
+    """Nominal, 1 % steps and all 2^10 corners through JSBSim, mass, area, chord and inertia at their means."""
+    start = nominal_trim(aircraft)
+    names = tuple(NOMINAL)
+    centre = np.array(list(NOMINAL.values()))
+    lower, upper = np.array(list(intervals().values())).T
+    points = np.vstack([centre, centre + np.diag(0.01 * centre), corners(lower, upper)])
+    found = np.empty((len(points), len(OUTPUTS)))
+    for k, point in enumerate(points):
+        found[k] = outputs_of(start, dict(zip(names, point.tolist(), strict=True)))
+        if on_progress is not None:
+            on_progress(k + 1, len(points))
+    d = len(names)
+    outputs = {
+        output: Evaluations(nominal=found[:1, k], forward=found[1 : d + 1, k], corners=found[d + 1 :, k : k + 1])
+        for k, output in enumerate(OUTPUTS)
+    }
+    return Study(names, lower, upper, centre, 0.01 * centre, np.empty((0, d)), False, outputs)
+
+
+def what_is_left_out(aircraft: Aircraft) -> list[tuple[str, Array]]:
+    """From the chapter's linear model to JSBSim's, one term after another.
+
+    Each with its phugoid zeta and wn [rad/s] and short-period zeta and wn.
+    """
+    start = nominal_trim(aircraft)
+    full, slope = linear_model(start, {})
+    values: dict[str, float] = dict(NOMINAL) | {name: mean for name, (mean, _) in ALEATORY.items()}
+    A = system_matrix("as_corrected", {name: np.array(value) for name, value in values.items()}).dense()
+    rows = [("the chapter's linear model, as_corrected", A.copy())]
+    A[0, 0] += slope / values["M_kg"]
+    rows.append(("thrust that falls with speed at fixed throttle", A.copy()))
+    A[0, 2], A[1, 2] = full[0, 2], full[1, 2]
+    rows.append(("the axes' own motion: -w0 q in u', u0 = V cos alpha", A.copy()))
+    A[:2, 3] = full[:2, 3]
+    rows.append(("weight along inclined axes: -g sin theta in w'", A.copy()))
+    A[:, :2] = full[:, :2]
+    rows.append(("incidence that changes with u, and a trim along inclined axes", A.copy()))
+    rows.append(("JSBSim, linearised", full))
+    return [(name, np.array(longitudinal_modes(matrix))) for name, matrix in rows]

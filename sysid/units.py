@@ -1,0 +1,25 @@
+"""What a unit outside the SI is in it: FT_M metres make a foot, RAD_DEG degrees a radian.
+
+A slug is a lbf s2/ft, a psf a lbf/ft2. Five values stand with fewer digits than a float holds, and the exact one beside them:
+flight records, fits and tables have been made with the short ones, and the exact ones would move their last digits.
+"""
+
+from __future__ import annotations
+
+import math
+
+IN_M = 0.0254
+FT_M = 0.3048
+KT_MPS = 1852.0 / 3600.0
+LB_KG = 0.45359237
+LBF_N = 4.4482216152605
+SLUG_LB = 32.174049  # 32.1740485564304; JSBSim's own
+SLUG_KG = 14.593902937206  # 14.5939029372063648
+PSF_PA = 47.880258980336  # 47.8802589803358372
+LBF_FT_NM = 1.3558179483314  # a moment; 1.3558179483314004
+SLUG_FT2_KGM2 = 1.3558179483314004
+SLUG_FT3_KGPM3 = 515.378818  # 515.3788183931961
+RAD_DEG = math.degrees(1.0)
+DEG_RAD = math.radians(1.0)
+G0_MPS2 = 9.80665
+"""Standard gravity. JSBSim's own depends on the place."""

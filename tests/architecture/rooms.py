@@ -1,0 +1,108 @@
+"""The project's modules and what they import, for the tests of its architecture."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator, Mapping
+from functools import cache
+from pathlib import Path
+
+from tests.helpers.places import ROOT
+
+PACKAGES = ("sysid", "uqharness")
+LAYERS: Mapping[str, tuple[str, ...]] = {
+    # Lowest first. "" is what lies in the package itself; BASE beside it.
+    "sysid": ("", "logs", "aerodynamics", "estimation", "model_form", "effects"),
+    "uqharness": (
+        "", "simulator", "xml", "flight", "plugin", "statistics", "replay", "identification", "sensitivity", "campaign",
+        "next_flight", "refinement", "study", "report", "api", "cli",
+    ),
+}  # fmt: skip
+
+BASE = {"sysid": ("foreign", "linalg"), "uqharness": ()}
+"""Folders of the lowest layer."""
+FACES = ("sysid", "uqharness")
+"""The packages' own ``__init__``: the public face, which stands above all layers and is loaded name by name."""
+
+
+@cache
+def modules() -> Mapping[str, Path]:
+    """Every module by its dotted name."""
+    found = {}
+    for package in PACKAGES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def imported_by(source: str) -> Iterator[tuple[str, ...]]:
+    """What a source imports, at any depth of nesting: for each name, the dotted names that it may stand for, longest first."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name,) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield from ((f"{node.module}.{alias.name}", node.module) for alias in node.names)
+
+
+def imports(name: str) -> set[str]:
+    """The project's own modules that a module imports."""
+    known = modules()
+    source = known[name].read_text(encoding="utf-8")
+    found = {next((full for full in names if full in known), "") for names in imported_by(source)}
+    return found - {"", name}
+
+
+def importers(library: str, package: str = "") -> set[str]:
+    """Files that import a library or a part of it."""
+    found = set()
+    for name, path in modules().items():
+        if name.split(".")[0] in (package or name):
+            names = {full for names in imported_by(path.read_text(encoding="utf-8")) for full in names}
+            if any(full == library or full.startswith(f"{library}.") for full in names):
+                found.add(path.relative_to(ROOT).as_posix())
+    return found
+
+
+def room(name: str) -> tuple[str, str]:
+    """Package and room of a module: ("uqharness", "campaign") for uqharness.campaign.folder.store, ("sysid", "") for sysid.record."""
+    package, _, rest = name.partition(".")
+    inner, _, _ = rest.partition(".")
+    return package, inner if inner in LAYERS[package] else ""
+
+
+def against_the_layers(name: str, other: str) -> bool:
+    """Whether a module may not import the other: it lies higher, or in a package that knows nothing of it."""
+    (package, here), (target, there) = room(name), room(other)
+    if name in FACES:
+        return False
+    if package != target:
+        return package == "sysid"
+    return LAYERS[package].index(there) > LAYERS[package].index(here)
+
+
+def circles(graph: Mapping[str, set[str]]) -> list[list[str]]:
+    """Groups of modules that import each other, directly or through others (Tarjan 1972)."""
+    number: dict[str, int] = {}
+    low: dict[str, int] = {}
+    stack: list[str] = []
+    found = []
+
+    def visit(name: str) -> None:
+        number[name] = low[name] = len(number)
+        stack.append(name)
+        for other in sorted(graph[name]):
+            if other not in number:
+                visit(other)
+            if other in stack:
+                low[name] = min(low[name], low[other])
+        if low[name] == number[name]:
+            group = stack[stack.index(name) :]
+            del stack[stack.index(name) :]
+            if len(group) > 1:
+                found.append(sorted(group))
+
+    for name in graph:
+        if name not in number:
+            visit(name)
+    return found

@@ -1,0 +1,139 @@
+"""What must not spread has one door: outside libraries, processes, printing, XML text, conversion factors, digests."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator, Mapping
+
+import pytest
+
+from tests.architecture.rooms import importers, modules
+from tests.helpers.places import ROOT
+
+# What may be imported where: folders end with a slash. Behind each file that is no door stands why.
+DOORS: Mapping[str, tuple[str, ...]] = {
+    "jsbsim": ("uqharness/simulator/engine.py",),
+    "llvmlite": ("uqharness/batch/",),
+    "matplotlib": ("uqharness/report/plots.py",),
+    "argparse": ("uqharness/cli/",),
+    "distributed": ("uqharness/campaign/execution/",),
+    "tomllib": ("sysid/foreign/parsed_text.py",),
+    "multiprocessing": (
+        "uqharness/parallel.py",
+        "uqharness/campaign/execution/",
+        "uqharness/scratch.py",  # a folder that ends with the process, whatever started it
+    ),
+    "subprocess": (
+        "uqharness/child_process.py",
+        "sysid/foreign/limited.py",  # the reader of foreign logs, below uqharness
+    ),
+    "concurrent": (
+        "uqharness/parallel.py",
+        "uqharness/campaign/execution/dask.py",  # Dask's futures end with its errors
+    ),
+    "hashlib": (
+        "sysid/digests.py",
+        "sysid/foreign/data_file.py",  # raw bytes inside a file format
+        "uqharness/simulator/aircraft_files.py",  # an identity of many files in order
+        "uqharness/flight/seeds.py",  # a number from a name
+        "uqharness/campaign/folder/digests.py",  # a chain of rows
+    ),
+}
+NEVER = ("pickle", "shelve", "marshal", "dill", "cloudpickle", "joblib")
+PRINTS = (
+    "uqharness/cli/",
+    "uqharness/child_process.py",  # a child's answer to its parent
+)
+XML_TEXT = (
+    "uqharness/xml/",
+    "uqharness/plugin/",
+    "uqharness/report/",
+    # Run scripts, which are XML from their first line to their last.
+    "uqharness/next_flight/script.py",
+    "uqharness/simulator/manoeuvre_script.py",
+    "uqharness/simulator/steady_start.py",
+    # Effects are written as an author would; refinement's inside is to be rewritten.
+    "uqharness/refinement/writing/",
+    # A message shows what to write.
+    "uqharness/campaign/aircraft.py",
+    "uqharness/flight/fly.py",
+    "uqharness/simulator/engine.py",
+    "uqharness/simulator/mission.py",
+)
+UNITS = "units.py"
+FACTORS = re.compile(
+    r"^(0\.3048|3\.28084?|515\.3788\d*|4\.4482216\d*|14\.5939\d*|1\.35581\d*|0\.4535\d*|32\.174\d*|0\.51444\d*|1\.68781?)\d*$"
+)
+
+
+def outside(files: set[str], doors: tuple[str, ...]) -> set[str]:
+    """Files that are none of the doors."""
+    return {name for name in files if not any(name == door or (door.endswith("/") and name.startswith(door)) for door in doors)}
+
+
+def texts(source: str) -> Iterator[str]:
+    """String constants of a source, docstrings left out."""
+    tree = ast.parse(source)
+    documents = {
+        id(node.body[0].value)
+        for node in ast.walk(tree)
+        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and node.body and isinstance(node.body[0], ast.Expr)
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in documents:
+            yield node.value
+
+
+def files_with(found) -> set[str]:
+    """Files whose syntax tree has a node for which ``found`` is true."""
+    return {
+        path.relative_to(ROOT).as_posix()
+        for path in modules().values()
+        if any(found(node) for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    }
+
+
+def is_print(node: ast.AST) -> bool:
+    return isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
+
+
+def is_factor(node: ast.AST) -> bool:
+    return isinstance(node, ast.Constant) and isinstance(node.value, float) and bool(FACTORS.match(repr(node.value)))
+
+
+def writes_xml(path) -> bool:
+    return any(re.search(r"</?(function|property|system|component|table|value|product|sum|axis)\b", text) for text in texts(path))
+
+
+@pytest.mark.parametrize("library", DOORS)
+def test_a_library_has_its_door(library):
+    assert outside(importers(library), DOORS[library]) == set()
+
+
+@pytest.mark.parametrize("library", NEVER)
+def test_nothing_is_read_that_could_run(library):
+    assert importers(library) == set()
+
+
+def test_only_commands_print():
+    assert outside(files_with(is_print), PRINTS) == set()
+
+
+def test_conversion_factors_have_one_home():
+    assert {name for name in files_with(is_factor) if not name.endswith(UNITS)} == set()
+
+
+def test_jsbsim_xml_is_written_in_its_rooms():
+    found = {p.relative_to(ROOT).as_posix() for p in modules().values() if writes_xml(p.read_text(encoding="utf-8"))}
+    assert outside(found, XML_TEXT) == set()
+
+
+def test_the_looks_can_say_no():
+    assert outside({"uqharness/flight/fly.py"}, ("uqharness/cli/",)) == {"uqharness/flight/fly.py"}
+    assert importers("numpy") != set()
+    assert is_print(ast.parse("print(1)").body[0].value)
+    assert is_factor(ast.parse("0.3048").body[0].value)
+    assert not is_factor(ast.parse("0.5").body[0].value)
+    assert writes_xml("x = \"<function name='a'>\"")
+    assert not writes_xml('"""<function> in a docstring"""')

@@ -1,0 +1,84 @@
+"""Files for people who work on the project: hooks, workflow, forms, changelog, contributor's page."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.helpers.doc_names import check_commands, wrong_folders, wrong_places
+from tests.helpers.places import ROOT
+
+FORMS = sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"))
+CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
+CHANGELOG = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def loaded(name: str) -> Any:
+    return yaml.safe_load((ROOT / name).read_text(encoding="utf-8"))
+
+
+def lint_commands(makefile: str) -> list[str]:
+    """Programs of the lint target, without their folder and what they are given."""
+    recipe = re.search(r"^lint:.*\n((?:\t.*\n)+)", makefile, re.M)
+    assert recipe
+    words = [line.strip().removeprefix("$(BIN)/").split() for line in recipe[1].splitlines()]
+    return [" ".join(w for w in line if w not in (".", "--check")) for line in words]
+
+
+def test_the_hooks_are_what_lint_checks():
+    hooks = [hook for repo in loaded(".pre-commit-config.yaml")["repos"] for hook in repo["hooks"]]
+    assert [hook["entry"].removeprefix(".venv/bin/") for hook in hooks] == lint_commands(MAKEFILE)
+    assert lint_commands("lint: setup\n\t$(BIN)/other .\n") == ["other"]
+
+
+def test_the_workflow_runs_the_readmes_command_on_every_system():
+    job = loaded(".github/workflows/ci.yml")["jobs"]["test"]
+    matrix = job["strategy"]["matrix"]
+    assert {name.split("-")[0] for name in matrix["system"]} == {"ubuntu", "macos", "windows"}
+    assert matrix["python"] == ["3.11", "3.12", "3.13", "3.14"]
+    assert job["steps"][-1]["run"].startswith("make test ")
+    assert "    make test " in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("path", [form for form in FORMS if form.stem != "config"], ids=lambda path: path.stem)
+def test_a_form_asks_for_what_is_needed(path):
+    form = yaml.safe_load(path.read_text(encoding="utf-8"))
+    assert form["name"]
+    assert form["description"]
+    fields = [field for field in form["body"] if field["type"] != "markdown"]
+    assert len({field["id"] for field in fields}) == len(fields) >= 3
+    assert any(field["validations"]["required"] for field in fields)
+    if path.stem in ("bug", "result"):
+        assert "uqharness --version" in fields[0]["attributes"]["description"]
+
+
+def test_the_changelog_begins_with_this_release():
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    releases = re.findall(r"^## (.+)$", CHANGELOG, re.M)
+    assert all(re.fullmatch(r"\d+\.\d+\.\d+ \(\d{4}-\d\d-\d\d\)|Unreleased", name) for name in releases)
+    assert version.removesuffix(".dev0") in releases[0] or (".dev" in version and releases[0] == "Unreleased")
+    assert set(re.findall(r"^### (.+)$", CHANGELOG, re.M)) <= {"Added", "Changed", "Removed", "Fixed"}
+
+
+def test_the_contributors_page_names_what_there_is():
+    assert wrong_places(CONTRIBUTING) == []
+    assert wrong_folders(CONTRIBUTING) == []
+    check_commands(CONTRIBUTING, "CONTRIBUTING.md")
+    named = set(re.findall(r"`make ([a-z-]+)`", CONTRIBUTING))
+    targets = set(re.findall(r"^([a-z-]+):", MAKEFILE, re.M))
+    assert len(named) >= 8
+    assert named <= targets
+
+
+def test_the_readmes_picture_has_a_dark_colour_for_each_of_its_own():
+    picture = (ROOT / "docs" / "figures" / "readme.svg").read_text(encoding="utf-8")
+    drawing, style = picture.split("</style>", 1)[1], picture.split("</style>", 1)[0]
+    used = set(re.findall(r"(?:fill|stroke): #[0-9a-f]{6}", drawing))
+    assert len(used) >= 5
+    assert {colour for colour in used if f'[style*="{colour}"]' not in style} == set()
+    assert "docs/figures/readme.svg" in (ROOT / "README.md").read_text(encoding="utf-8")

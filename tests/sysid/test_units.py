@@ -1,0 +1,43 @@
+"""Units agree with their definitions, as far as their digits go."""
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+
+from sysid import units
+
+ROOT = Path(__file__).resolve().parents[2]
+# Of the international foot, inch, pound and knot, the slug and standard gravity, and of an angle.
+_VALUE = re.compile(r"0\.3048|0\.0254|515\.37|4\.4482|1\.35581|14\.5939|0\.453592|0\.51444|47\.8802|57\.2957|0\.0174532|9\.80665")
+
+
+def test_exact_units_follow_from_pound_foot_and_standard_gravity() -> None:
+    assert pytest.approx(12 * units.IN_M, rel=1e-15) == units.FT_M
+    assert pytest.approx(units.LB_KG * units.G0_MPS2, rel=1e-15) == units.LBF_N
+    assert units.SLUG_FT2_KGM2 == units.LBF_N * units.FT_M
+    assert math.pi * units.RAD_DEG == 180.0
+    assert units.RAD_DEG * units.DEG_RAD == 1.0
+
+
+@pytest.mark.parametrize(
+    ("short", "exact", "rel"),
+    [
+        (units.SLUG_KG, units.LBF_N / units.FT_M, 1e-13),
+        (units.PSF_PA, units.LBF_N / units.FT_M**2, 1e-14),
+        (units.LBF_FT_NM, units.LBF_N * units.FT_M, 1e-15),
+        (units.SLUG_FT3_KGPM3, units.LBF_N / units.FT_M**4, 1e-9),
+    ],
+)
+def test_short_units_are_the_exact_ones_with_fewer_digits(short: float, exact: float, rel: float) -> None:
+    assert short != exact
+    assert short == pytest.approx(exact, rel=rel)
+
+
+def test_no_other_module_writes_such_a_value() -> None:
+    assert _VALUE.search("V_mps = 0.3048 * V_fps")
+    modules = (path for package in ("sysid", "uqharness") for path in (ROOT / package).rglob("*.py"))
+    found = [str(path.relative_to(ROOT)) for path in modules if _VALUE.search(path.read_text())]
+    allowed = {"sysid/units.py", "sysid/logs/checks.py"}  # the latter in a sentence for people
+    assert set(found) <= allowed, found

@@ -1,0 +1,119 @@
+"""Flights of the public face are those of the commands."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import uqharness as uq
+from sysid.record import FlightRecord
+from sysid.vocabulary import CORE
+from uqharness.api.flights import given_flights
+from uqharness.cli.main import main
+from uqharness.simulator.aircraft import find_aircraft
+
+WORDS = ["--script", "doublet-elevator", "--duration-s", "6", "--wind-mps", "3", "--turbulence", "light", "--noise", "--seed", "3"]
+
+
+def flown() -> uq.api.flights.Flight:
+    return uq.fly("espaaro", "doublet-elevator", duration_s=6, wind_mps=3, turbulence="light", noise=True, seed=3)
+
+
+@pytest.mark.parametrize("ending", ["parquet", "csv", "bin"])
+def test_a_flight_is_that_of_the_command(ending: str, tmp_path: Path, capsys: pytest.CaptureFixture):
+    command, python = tmp_path / f"command.{ending}", tmp_path / f"python.{ending}"
+    assert main(["fly", "espaaro", *WORDS, "--json", "--out", str(command)]) == 0
+    lost = json.loads(capsys.readouterr().out)["left_out"]
+    assert set(flown().write(python)) == set(lost)
+    if ending == "bin":
+        assert python.read_bytes() == command.read_bytes()
+    else:
+        # Columns stand in the vocabulary's order; each is the same to the last bit.
+        first, second = (FlightRecord.read(path) for path in (command, python))
+        assert set(first.columns) == set(second.columns)
+        for name, values in first.columns.items():
+            np.testing.assert_array_equal(values, second[name])
+    assert capsys.readouterr() == ("", "")
+
+
+def test_its_table_holds_every_column_of_the_record():
+    flight = flown()
+    table = flight.to_dataframe()
+    assert set(CORE) | {"elevator_pos_deg", "manoeuvre"} <= set(table.columns)
+    assert list(table.columns) == list(flight.record.columns)
+    assert len(table) == len(flight) == 301
+    np.testing.assert_array_equal(table["q_radps"], flight["q_radps"])
+    other = uq.fly("espaaro", "doublet-elevator", duration_s=6, wind_mps=3, turbulence="light", noise=True, seed=4)
+    assert not table["q_radps"].equals(other.to_dataframe()["q_radps"])
+    assert other.sha256 != flight.sha256 == flown().sha256
+
+
+def test_a_crash_is_a_result():
+    flight = uq.fly("espaaro", "doublet-elevator", properties={"aero/CZ_0": 0.8})
+    assert flight.status in ("crashed", "diverged")
+    assert flight.reason
+
+
+def test_what_is_read_is_what_was_flown(tmp_path: Path):
+    flown().write(tmp_path / "a.parquet")
+    flown().write(tmp_path / "b.bin")
+    first, second = uq.read_flights([tmp_path / "a.parquet", str(tmp_path / "b.bin")], find_aircraft("espaaro"))
+    pd.testing.assert_frame_equal(first.to_dataframe(), flown().to_dataframe(), check_dtype=False)
+    assert (first.name, second.name) == ("a", "b")
+    assert second.record.metadata.dialect == "dataflash"
+    assert len(first.sha256) == 64
+
+
+def test_flights_are_taken_as_they_are_given(tmp_path: Path):
+    aircraft, flight = find_aircraft("espaaro"), flown()
+    flight.write(tmp_path / "a.parquet")
+    for given in (flight, flight.record, tmp_path / "a.parquet", str(tmp_path / "a.parquet"), [flight]):
+        (found,) = given_flights(given, aircraft)
+        np.testing.assert_array_equal(found["q_radps"], flight["q_radps"])
+    with pytest.raises(uq.BadInputError, match="given more than once"):
+        given_flights([flight, flight.record], aircraft)
+    with pytest.raises(uq.BadInputError, match="no flight was given"):
+        given_flights([], aircraft)
+    with pytest.raises(uq.BadInputError, match="received int"):
+        given_flights([3], aircraft)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"duration_s": -1}, "duration_s = -1"),
+        ({"wind_mps": float("nan")}, "wind_mps = nan"),
+        ({"seed": -2}, "seed = -2"),
+        ({"rate_hz": 7}, "record rate 7 Hz"),
+        ({"turbulence": "strong"}, "turbulence 'strong'"),
+        ({"script": "nosuch"}, "script 'nosuch' not found"),
+        ({"properties": {"no/such": 1.0}}, "no/such"),
+    ],
+)
+def test_bad_input_is_one_sentence(wrong: dict, message: str):
+    with pytest.raises(uq.BadInputError, match=message) as caught:
+        uq.fly("espaaro", **({"duration_s": 2} | wrong))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_record_in_degrees_or_of_another_aircraft_is_refused(tmp_path: Path):
+    record = flown().record
+    other = FlightRecord(record.columns, type(record.metadata)(aircraft="c172x"))
+    with pytest.raises(uq.BadInputError, match="card of aircraft 'c172x'"):
+        given_flights(other, find_aircraft("espaaro"))
+    wrong = flown().to_dataframe().assign(theta_rad=lambda t: np.degrees(t["theta_rad"]))
+    wrong.to_parquet(tmp_path / "degrees.parquet")
+    with pytest.raises(uq.BadInputError, match="rad and rad/s"):
+        uq.read_flights(tmp_path / "degrees.parquet", "espaaro")
+
+
+def test_an_aircraft_without_a_card_flies(tmp_path: Path):
+    script = tmp_path / "cruise.xml"
+    script.write_text(
+        '<runscript name="cruise"><use aircraft="c172x" initialize="reset01"/><run start="0" end="1" dt="0.01"/></runscript>'
+    )
+    assert len(uq.fly("c172x", script, duration_s=1)) == 51

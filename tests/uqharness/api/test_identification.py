@@ -1,0 +1,114 @@
+"""Identification in Python gives the numbers of the commands."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import uqharness as uq
+from uqharness.api.flights import Flight
+from uqharness.cli.main import main
+from uqharness.report.compare import document_of
+from uqharness.report.identify import fit_document
+
+PARAMETERS = ["aero/Cm_q", "aero/Cm_de"]
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("flights") / "flight-ident.parquet"
+    flown(1).write(path)
+    return path
+
+
+def flown(seed: int) -> Flight:
+    return uq.fly("espaaro", "flight-ident", duration_s=30, noise=True, seed=seed)
+
+
+def command(words: list[str], capsys: pytest.CaptureFixture) -> dict:
+    main([*words, "--json"])
+    return json.loads(capsys.readouterr().out)
+
+
+def test_identify_gives_what_the_command_gives(flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture):
+    words = ["identify", "espaaro", "--flight", str(flight), "--params", ",".join(PARAMETERS), "--workers", "1", "--no-figures"]
+    wanted = command([*words, "--out", str(tmp_path / "out")], capsys)
+    for given in (flight, uq.read_flights([flight], "espaaro"), flown(1)):
+        found = uq.identify("espaaro", given, parameters=PARAMETERS, workers=1)
+        document = fit_document(found, wanted["flights"], [])
+        for key in ("parameters", "names", "cov", "fit", "method", "converged", "simulations"):
+            assert document[key] == wanted[key], key
+        assert list(found.to_dataframe()["estimate"]) == [wanted["parameters"][n]["value"] for n in PARAMETERS]
+    other = uq.identify("espaaro", flight, parameters=PARAMETERS, workers=1, biases=["p", "q"])
+    assert other.to_dataframe()["estimate"].tolist() != found.to_dataframe()["estimate"].tolist()
+    assert capsys.readouterr() == ("", "")
+
+
+def test_compare_gives_what_the_command_gives(flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture):
+    words = ["compare", "espaaro", "--flight", str(flight), "--workers", "1", "--no-figures", "--out", str(tmp_path / "out")]
+    wanted = command(words, capsys)
+    found = uq.compare("espaaro", flight, workers=1)
+    document = document_of(found)
+    assert {key: wanted[key] for key in document} == json.loads(json.dumps(document))
+    table = found.to_dataframe()
+    assert table.loc["q_radps", "rms"] == wanted["channels"]["q_radps"]["rms"]
+    assert not table.loc["h_m", "judged"]
+    assert capsys.readouterr() == ("", "")
+
+
+def test_fit_model_form_gives_the_file_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixture):
+    path = tmp_path / "bounds.parquet"
+    uq.fly("espaaro_truth", "flight-bounds", duration_s=40, noise=True, seed=2).write(path)
+    more = ["--states", "CX=V,alpha,q", "--terms", "Cm=1,alpha,p^2", "--outside", "clamp", "--confidence", "0.9"]
+    for words, options in (
+        ([], {}),
+        (
+            more,
+            {
+                "states": {"CX": ["V", "alpha", "q"]}, "terms": {"Cm": ["1", "alpha", "p^2"]}, "outside": "clamp",
+                "confidence": 0.9,
+            },
+        ),
+    ):  # fmt: skip
+        out = tmp_path / f"out{len(words)}"
+        assert main(["bounds", "espaaro", "--flight", str(path), "--no-check", "--no-figures", *words, "--out", str(out)]) == 0
+        capsys.readouterr()
+        made = uq.fit_model_form("espaaro", path, checks=False, **options)
+        assert made.form.to_json() == (out / "model-form.json").read_text()
+    table = made.to_dataframe()
+    assert table.loc["CX", "n"] == made.form.coefficients["CX"].n
+    assert table["noise"].isna().all()
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"workers": 0}, "workers = 0"),
+        ({"start": "zero"}, "start = 'zero'"),
+        ({"method": "magic"}, "method = 'magic'"),
+        ({"servos": "slow"}, "servos = 'slow'"),
+        ({"biases": ["rpm"]}, "unknown channel rpm"),
+        ({"parameters": ["aero/none"]}, "aero/none"),
+    ],
+)
+def test_bad_input_is_one_sentence(flight: Path, wrong: dict, message: str):
+    with pytest.raises(uq.BadInputError, match=message) as caught:
+        uq.identify("espaaro", flight, **({"workers": 1} | wrong))
+    assert "\n" not in str(caught.value)
+
+
+def test_compare_takes_one_flight_and_model_forms_need_sound_numbers(flight: Path, tmp_path: Path):
+    other = tmp_path / "other.parquet"
+    flown(5).write(other)
+    with pytest.raises(uq.BadInputError, match="takes one flight, 2"):
+        uq.compare("espaaro", [flight, other])
+    for wrong, message in (
+        ({"confidence": 1.0}, "confidence = 1"),
+        ({"order": 4}, "order = 4"),
+        ({"outside": "x"}, "outside = 'x'"),
+    ):
+        with pytest.raises(uq.BadInputError, match=message):
+            uq.fit_model_form("espaaro", flight, **wrong)

@@ -1,0 +1,101 @@
+"""The public face in a script without a guard, through a pipe, and in a notebook: workers do not run the script again."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.places import ROOT
+
+CAMPAIGN = """
+import sys
+import uqharness as uq
+
+open("begun", "a").write("x")
+result = uq.run_campaign(
+    {
+        "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+        "aleatory": {"flights": 2, "duration_s": 2, "burn_in_s": 0},
+        "epistemic": {"method": "none"},
+    },
+    "results",
+    workers=2,
+)
+print(len(result.cases), sorted(set(result.cases["status"])))
+"""
+IDENTIFY = """
+import uqharness as uq
+
+open("begun", "a").write("x")
+flight = uq.fly("espaaro", "doublet-elevator", noise=True, seed=1)
+print(uq.identify("espaaro", flight, parameters=["aero/Cm_q"], workers=2).converged)
+"""
+# A notebook's main module is no file.
+NOTEBOOK = """
+import sys, types
+cell = sys.stdin.read()
+sys.modules["__main__"] = main = types.ModuleType("__main__")
+exec(compile(cell, "<cell>", "exec"), vars(main))
+"""
+
+
+def run(how: str, code: str, folder: Path) -> subprocess.CompletedProcess:
+    words = {"script": ["script.py"], "pipe": ["-"], "notebook": ["-c", NOTEBOOK]}[how]
+    (folder / "script.py").write_text(code)
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+    return subprocess.run(
+        [sys.executable, *words], input=code, cwd=folder, env=environment, capture_output=True, text=True, timeout=300, check=False
+    )
+
+
+@pytest.mark.parametrize(
+    ("how", "code", "said"),
+    [
+        ("script", CAMPAIGN, "2 ['ok']"),
+        ("pipe", CAMPAIGN, "2 ['ok']"),
+        ("notebook", CAMPAIGN, "2 ['ok']"),
+        ("script", IDENTIFY, "True"),
+        ("pipe", IDENTIFY, "True"),
+    ],
+    ids=["campaign-script", "campaign-pipe", "campaign-notebook", "identify-script", "identify-pipe"],
+)
+def test_it_ends_well_and_runs_once(how: str, code: str, said: str, tmp_path: Path):
+    done = run(how, code, tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, said + "\n", "")
+    assert (tmp_path / "begun").read_text() == "x"
+
+
+OWN = """
+from uqharness.campaign.run import run_campaign
+from uqharness.api.campaigns import campaign_of
+from uqharness.flight.fly import fly
+
+def own(spec):
+    return fly(spec)
+
+open("begun", "a").write("x")
+campaign = campaign_of(
+    {
+        "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+        "aleatory": {"flights": 2, "duration_s": 2, "burn_in_s": 0},
+        "epistemic": {"method": "none"},
+    }
+)
+GUARD
+    print(run_campaign(campaign, "results", workers=2, fly=own).statuses)
+"""
+
+
+def test_a_flight_function_of_the_script_needs_a_guard_and_that_is_said(tmp_path: Path):
+    done = run("script", OWN.replace("GUARD", "if True:"), tmp_path)
+    assert done.returncode == 1
+    assert 'put what starts the campaign under if __name__ == "__main__":' in done.stderr
+    # The worker's own message and the script's.
+    assert done.stderr.count("Traceback") <= 2 + done.stderr.count("During handling")
+    assert (tmp_path / "begun").read_text() == "xx"
+    done = run("script", OWN.replace("GUARD", 'if __name__ == "__main__":'), tmp_path)
+    assert (done.returncode, done.stdout) == (0, "{'ok': 2}\n"), done.stderr

@@ -1,0 +1,48 @@
+"""``campaign status | report``: what they say and their exit codes."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from uqharness.campaign.folder.manifest import read_manifest, write_manifest
+from uqharness.campaign.folder.store import run_lock
+from uqharness.cli.main import run_words
+from uqharness.errors import BadInputError
+
+
+def call(*words):
+    return run_words(["campaign", *map(str, words)])
+
+
+def test_status_of_complete_running_and_interrupted(flown, capsys):
+    capsys.readouterr()
+    out = flown / "out"
+    assert call("status", out) == 0
+    assert "complete, 192 of 192 flights done" in capsys.readouterr().out
+    write_manifest(out, read_manifest(out) | {"state": "running", "cases": 200})
+    assert call("status", out, "--json") == 1
+    found = json.loads(capsys.readouterr().out)
+    (answer,) = found.pop("answers")
+    assert (answer["condition"], answer["answer"], answer["hours"]) == ("3 m/s moderate", "open", 8.0)
+    assert found == {"state": "interrupted", "cases": 200, "done": 192, "failed": 0, "statuses": {"ok": 192}}
+    assert call("status", out) == 1
+    assert "resume with: uqharness campaign run" in capsys.readouterr().err
+    with run_lock(out):
+        assert call("status", out) == 1
+    assert "running, 192 of 200" in capsys.readouterr().out
+
+
+def test_report(flown, capsys):
+    capsys.readouterr()
+    assert call("report", flown / "out") == 0
+    assert "report.html: written, with 6 figures" in capsys.readouterr().out
+    assert call("report", flown / "out", "--json") == 0
+    assert len(json.loads(capsys.readouterr().out)["figures"]) == 6
+
+
+@pytest.mark.parametrize("verb", ["status", "report", "merge"])
+def test_a_folder_of_something_else_is_bad_input(tmp_path, verb):
+    with pytest.raises(BadInputError):
+        call(verb, tmp_path)

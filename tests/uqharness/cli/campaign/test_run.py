@@ -1,0 +1,77 @@
+"""``campaign run``: exit codes, output for people and for machines, quiet in pipes."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.helpers import campaign_fakes as fakes
+from uqharness.campaign.folder.manifest import read_manifest
+from uqharness.cli.main import run_words
+from uqharness.errors import BadInputError
+
+
+def call(*words):
+    return run_words(["campaign", *map(str, words)])
+
+
+def test_run_says_one_line_and_nothing_else_in_a_pipe(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("uqharness.flight.fly.fly", fakes.steady)
+    assert call("run", fakes.campaign_file(tmp_path), "--out", tmp_path / "out", "--serial") == 0
+    captured = capsys.readouterr()
+    (cost,) = captured.err.splitlines()
+    assert "192 flights (64 epistemic samples, 1 condition, 3 each), 11.2 flight h" in cost
+    (line,) = captured.out.splitlines()
+    assert "192 flights done, none failed" in line
+    assert "flight h per core h" in line
+    manifest = read_manifest(tmp_path / "out")
+    assert manifest["command"].startswith("uqharness campaign run ")
+    assert "--serial" not in manifest["command"]
+
+
+def test_run_again_resumes_and_speaks_json(flown, capsys):
+    capsys.readouterr()
+    assert call("run", flown / "campaign.toml", "--out", flown / "out", "--serial", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["cases"], found["done_before"], found["failed"], found["statuses"]) == (192, 192, 0, {"ok": 192})
+
+
+def test_hours_replace_the_number_of_flights(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("uqharness.flight.fly.fly", fakes.steady)
+    path = fakes.campaign_file(tmp_path)
+    assert call("run", path, "--out", tmp_path / "out", "--serial", "--hours", "0.05", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["cases"] == 2 * 64
+
+
+def test_samples_replace_the_number_of_walks(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("uqharness.flight.fly.fly", fakes.steady)
+    walks = fakes.CAMPAIGN.replace('"corners"', '"walk"\nsamples = 500\nwalk_rate_per_sqrt_s = 0.012')
+    path = fakes.campaign_file(tmp_path, walks)
+    words = ("run", path, "--out", tmp_path / "out", "--serial", "--samples", "4", "--json")
+    assert call(*words) == 0
+    assert json.loads(capsys.readouterr().out)["cases"] == 3 * 4
+    assert "--samples 4" in read_manifest(tmp_path / "out")["command"]
+    with pytest.raises(BadInputError, match="draws no epistemic samples"):
+        call("run", fakes.campaign_file(tmp_path), "--out", tmp_path / "o2", "--samples", "4")
+    with pytest.raises(BadInputError, match="must be from 1"):
+        call("run", fakes.campaign_file(tmp_path, walks), "--out", tmp_path / "o2", "--samples", "0")
+
+
+def test_bad_input_is_for_the_command_line_to_print(tmp_path):
+    with pytest.raises(BadInputError):
+        call("run", tmp_path / "no.toml", "--out", tmp_path / "o")
+    path = fakes.campaign_file(tmp_path)
+    for verb in (("run", path, "--out", tmp_path / "o"), ("check", path)):
+        with pytest.raises(BadInputError, match="--workers 0: a whole number of at least 1 is needed"):
+            call(*verb, "--workers", "0")
+
+
+@pytest.mark.parametrize("verb", ["check", "run", "status", "report", "merge", "rerun", "verify", "salvage", "convergence", "area"])
+def test_each_verb_has_help_with_an_example(verb, capsys):
+    with pytest.raises(SystemExit) as left:
+        call(verb, "--help")
+    assert left.value.code == 0
+    text = capsys.readouterr().out
+    assert f"uqharness campaign {verb} " in text
+    assert "--json" in text

@@ -1,0 +1,54 @@
+"""``campaign verify | salvage``: exit codes and keys, of a whole folder and of a damaged one."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from uqharness.cli.campaign.run import flying_command
+from uqharness.cli.main import build_parser, run_words
+from uqharness.errors import BadInputError
+
+
+def call(*words):
+    return run_words(["campaign", *map(str, words)])
+
+
+def test_a_whole_folder_is_whole_and_a_changed_table_is_named(flown, capsys):
+    out = flown / "out"
+    capsys.readouterr()
+    assert call("verify", out, "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert set(found) == {"folder", "whole", "complete", "items", "shards"}
+    assert (found["whole"], found["complete"]) == (True, True)
+    with (out / "excursions.csv").open("a") as table:
+        table.write("\n")
+    assert call("verify", out) == 1
+    said = capsys.readouterr().out
+    assert f"{out}: NOT whole" in said
+    assert "excursions.csv: " in said
+
+
+def test_salvage_writes_again_what_was_damaged(flown, capsys):
+    out = flown / "out"
+    table = out / "excursions.csv"
+    before = table.read_bytes()
+    table.write_bytes(before + b"\n")
+    capsys.readouterr()
+    assert call("salvage", out, "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert set(found) == {"folder", "kept", "flown", "missing", "statuses", "rewritten", "aside", "shards"}
+    assert (found["kept"], found["flown"]) == (192, 0)
+    assert table.read_bytes() == before
+
+
+def test_a_size_without_its_campaign_is_refused(flown):
+    with pytest.raises(BadInputError, match="--hours and --samples belong to --campaign"):
+        call("salvage", flown / "out", "--hours", "1")
+
+
+def test_the_words_that_fly_it_again_have_the_size(tmp_path):
+    args = build_parser().parse_args(["campaign", "salvage", "out", "--campaign", "c.toml", "--hours", "0.50", "--samples", "3"])
+    words = flying_command(args, tmp_path)
+    assert words == ["uqharness", "campaign", "run", "c.toml", "--out", str(tmp_path), "--hours", "0.5", "--samples", "3"]

@@ -1,0 +1,33 @@
+"""``uqharness fly``: what it says of a flight, and the properties that it takes."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from uqharness.cli.fly import parse_settings
+from uqharness.cli.main import main
+from uqharness.errors import BadInputError
+
+
+def test_the_summary_is_one_line_or_json(tmp_path, capsys):
+    words = ["fly", "espaaro", "--duration-s", "1", "--rate-hz", "10", "--out", str(tmp_path / "a" / "flight.csv")]
+    assert main(words) == 0
+    assert "11 rows, 1.0 s" in capsys.readouterr().out
+    assert main([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert set(found) == {"status", "reason", "flown_s", "rows", "out", "left_out"}
+    assert (found["status"], found["rows"]) == ("ok", 11)
+
+
+def test_an_ending_without_a_format_is_refused_before_a_flight(tmp_path, capsys):
+    assert main(["fly", "espaaro", "--out", str(tmp_path / "flight.txt")]) == 2
+    assert "the format follows the name's ending, .csv, .parquet, .bin" in capsys.readouterr().err
+
+
+def test_settings_are_properties_with_finite_numbers():
+    assert parse_settings(["aero/Cm_q=-10", "uq/active=1", "aero/Cm_q=-9"]) == {"aero/Cm_q": -9.0, "uq/active": 1.0}
+    for text in ("aero/Cm_q", "=1", "aero/Cm_q=", "aero/Cm_q=nan", "aero/Cm_q=ten"):
+        with pytest.raises(BadInputError, match=f"--set {text}: PROP=VALUE"):
+            parse_settings([text])

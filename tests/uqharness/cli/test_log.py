@@ -1,0 +1,125 @@
+"""`uqharness log info` and `log import`: what they print and write, their exit codes and errors."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sysid.logs.card import read_card
+from sysid.logs.dataflash_writer import write_dataflash
+from sysid.logs.signal_map import shipped_map
+from sysid.record import FlightRecord
+from tests.helpers.log_writers import write_text_log, write_tlog
+from tests.helpers.places import ROOT, TESTS
+from tests.helpers.synthetic import flight
+from uqharness.cli.main import main
+
+CARD = TESTS / "sysid" / "data" / "airframe.toml"
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("logs") / "flight.bin"
+    write_dataflash(flight(duration_s=40.0, start_s=5.0), path, read_card(CARD), vehicle="ArduPlane V4.6.0")
+    return path
+
+
+def test_info_as_json(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["log", "info", str(log), "--aircraft", str(CARD), "--json", "--no-cache"]) == 0
+    out = json.loads(capsys.readouterr().out)
+    assert out["purposes"]["identification"]["serves"] is True
+    assert out["channels"]["q_radps"] == {"source": "IMU.GyrY", "rate_hz": pytest.approx(50.0)}
+
+
+def test_info_as_text(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["log", "info", str(log), "--aircraft", str(CARD), "--no-cache"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:2] == ["flight.bin  (dataflash)", "vehicle      ArduPlane V4.6.0"]
+    assert "  yes  identification: " in "\n".join(lines)
+    assert f"  {'q_radps':18}    50.0 Hz  {shipped_map('dataflash').entries['q_radps'][0].label}" in lines
+
+
+def test_a_log_that_serves_nothing_exits_1(tmp_path: Path) -> None:
+    write_tlog(tmp_path / "copter.tlog", flight(20.0), mav_type=2)
+    assert main(["log", "info", str(tmp_path / "copter.tlog"), "--no-cache"]) == 1
+
+
+def test_import_writes_a_record_and_the_cache_gives_the_same(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    common = ["--aircraft", str(CARD), "--cache", str(tmp_path / "cache")]
+    assert main(["log", "import", str(log), "--out", str(tmp_path / "a.parquet"), *common]) == 0
+    stored = list((tmp_path / "cache").iterdir())
+    assert len(stored) == 1
+    assert f"{tmp_path / 'a.parquet'}: 2000 rows at 50 Hz, " in capsys.readouterr().out
+    assert main(["log", "import", str(log), "--out", str(tmp_path / "b.csv"), "--json", *common]) == 0
+    assert json.loads(capsys.readouterr().out)["rows"] == 2000
+    a, b = FlightRecord.read(tmp_path / "a.parquet"), FlightRecord.read(tmp_path / "b.csv")
+    for name in a.columns:
+        np.testing.assert_array_equal(a[name], b[name])
+    stored[0].write_bytes(b"PAR1 broken")  # an interrupted run's leavings are made anew
+    assert main(["log", "import", str(log), "--out", str(tmp_path / "c.parquet"), *common]) == 0
+    np.testing.assert_array_equal(FlightRecord.read(tmp_path / "c.parquet")["q_radps"], a["q_radps"])
+
+
+def test_import_labels_manoeuvres_from_a_table(log: Path, tmp_path: Path) -> None:
+    table = tmp_path / "table.csv"
+    table.write_text("manoeuvre,start_s,end_s\npull,10,12\n")
+    words = ["log", "import", str(log), "--out", str(tmp_path / "a.parquet"), "--manoeuvres", str(table), "--no-cache"]
+    assert main(words) == 0
+    record = FlightRecord.read(tmp_path / "a.parquet")
+    inside = record["time_s"][record["manoeuvre"] == "pull"]
+    assert 10.0 <= inside[0] < 10.05
+    assert 11.95 < inside[-1] <= 12.0
+
+
+def test_bad_arguments_exit_2(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "text.bin").write_text("This is a text about flying.\n" * 50)
+    for words, said in (
+        (["import", log, "--out", tmp_path / "a.xls"], "allowed are .parquet and .csv"),
+        (["import", log, "--out", tmp_path / "file" / "a.csv"], "cannot be written"),
+        (["info", log, "--aircraft", "nosuch"], "aircraft 'nosuch' not found"),
+        (["info", log, "--map", tmp_path / "none.toml"], "none.toml: cannot read this signal map"),
+        (["info", tmp_path / "none.bin"], "none.bin: no such file"),
+        (["info", tmp_path / "text.bin"], "text.bin: "),
+    ):
+        assert main(["log", *map(str, words), "--no-cache"]) == 2
+        printed = capsys.readouterr().err
+        assert printed.startswith("uqharness: error: ")
+        assert said in printed
+        assert printed.count("\n") == 1
+
+
+def test_an_aircraft_is_a_name_a_folder_or_a_card(log: Path, tmp_path: Path) -> None:
+    printed = []
+    folder = ROOT / "aircraft" / "espaaro"
+    for number, aircraft in enumerate(("espaaro", folder, folder / "airframe.toml")):
+        out = tmp_path / f"{number}.csv"
+        assert main(["log", "import", str(log), "--out", str(out), "--aircraft", str(aircraft), "--no-cache"]) == 0
+        printed.append(out.read_bytes())
+    assert printed[0] == printed[1] == printed[2]
+    assert b"elevator_deg" in printed[0]
+
+
+def test_import_makes_the_folders_on_its_way(log: Path, tmp_path: Path) -> None:
+    assert main(["log", "import", str(log), "--out", str(tmp_path / "a" / "b" / "c.parquet"), "--no-cache"]) == 0
+    assert FlightRecord.read(tmp_path / "a" / "b" / "c.parquet")["time_s"].size
+
+
+def test_the_logs_own_folder_gets_nothing_written(log: Path, tmp_path: Path) -> None:
+    before = sorted(p.name for p in log.parent.iterdir())
+    assert main(["log", "info", str(log), "--cache", str(tmp_path / "c")]) == 1
+    assert sorted(p.name for p in log.parent.iterdir()) == before
+
+
+def test_a_logs_vehicle_and_a_files_name_cannot_steer_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "x\x1b[31m.log"
+    write_text_log(log, flight(duration_s=40.0, start_s=5.0), "ArduPlane \x1b]0;owned\x07")
+    main(["log", "info", str(log), "--no-cache"])
+    main(["log", "info", str(tmp_path / "none\x1b[2J"), "--no-cache"])
+    seen = capsys.readouterr()
+    assert r"\x1b]0;owned\x07" in seen.out
+    assert r"none\x1b[2J: " in seen.err
+    assert "\x1b" not in seen.out + seen.err

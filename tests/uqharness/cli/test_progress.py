@@ -1,0 +1,47 @@
+"""What a terminal is told while a command works, and a pipe is not."""
+
+from __future__ import annotations
+
+import io
+import sys
+
+import pytest
+from rich.console import Console
+
+from uqharness.campaign.run import Progress
+from uqharness.cli.progress import ProgressView, clock, counting, describe, say_line, say_warnings, show_stage
+
+
+def test_progress_on_a_terminal_and_silence_elsewhere():
+    state = Progress(cases=100, done=60, done_before=0, failed=2, flown_s=36000.0, elapsed_s=30.0, workers=2)
+    assert describe(state) == "0:20 to go, 600 flight h per core h, 2 failed"
+    assert clock(3725.4) == "1:02:05"
+    for terminal in (True, False):
+        drawn = io.StringIO()
+        console = Console(file=drawn, force_terminal=terminal, width=100, legacy_windows=False)
+        with ProgressView(console) as view:
+            view.update(state)
+        assert ("60/100" in drawn.getvalue()) is terminal
+        assert bool(drawn.getvalue()) is terminal
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_stages_lines_and_counters_are_for_terminals_alone(monkeypatch, terminal):
+    told = io.StringIO()
+    monkeypatch.setattr(told, "isatty", lambda: terminal)
+    monkeypatch.setattr(sys, "stderr", told)
+    show_stage("fitting\x1b[2J")
+    say_line("round 1")
+    with counting("repeats") as update:
+        update(1, 2)
+    said = told.getvalue()
+    assert (said != "") is terminal
+    assert "\x1b" not in said
+    if terminal:
+        assert "round 1\n" in said
+        assert "repeats: 1 of 2" in said
+
+
+def test_warnings_are_told_in_a_pipe_too(capsys):
+    say_warnings(["too short", "too calm"])
+    assert capsys.readouterr().err == "uqharness: warning: too short\nuqharness: warning: too calm\n"

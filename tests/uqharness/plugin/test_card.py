@@ -1,0 +1,45 @@
+"""The card of an aircraft that came without one."""
+
+from __future__ import annotations
+
+import pytest
+
+from sysid.foreign.parsed_text import parse_toml
+from uqharness.plugin.card import ERRORS_XML, card_text
+from uqharness.plugin.scale_functions import Scaled
+from uqharness.simulator.aircraft_facts import AircraftFacts, ControlFacts
+
+CONTROLS = {
+    "elevator": ControlFacts(-1, 25.0, "fcs/elevator-pos-deg"),
+    "aileron": ControlFacts(0),
+    "rudder": ControlFacts(1, 12.5),
+    "throttle": ControlFacts(1),
+}
+FACTS = AircraftFacts(1.97, 3.66, 0.53, 1, CONTROLS)
+SCALED = Scaled("LIFT", "aero/coefficient/CLalpha", "a.xml", 12, "uq/scale/CLalpha", "uq/bias/CLalpha")
+
+
+def test_what_the_flights_told_stands_in_the_card():
+    card = parse_toml(card_text("plane", "plane.xml", FACTS, [], errors=False))
+    assert card["aircraft"] == {"name": "plane", "xml": "plane.xml", "dt_s": 0.01}
+    assert card["reference"] == {"S_m2": 1.97, "b_m": 3.66, "c_m": 0.53}
+    elevator = card["inputs"]["elevator"]
+    assert (elevator["throw_deg"], elevator["position"], elevator["positive"]) == (-25, "fcs/elevator-pos-deg", "nose up")
+    assert card["inputs"]["aileron"]["throw_deg"] == 1.0
+    assert "throw_deg" not in card["inputs"]["throttle"]
+    assert card["inputs"]["throttle"]["limits"] == [0, 1]
+    assert not {"metrics", "parameters"} & card.keys()
+
+
+def test_scales_and_path_errors_are_added_where_there_are_some():
+    card = parse_toml(card_text("plane", "plane.xml", FACTS, [SCALED], errors=True))
+    assert card["parameters"] == {
+        "uq/scale/CLalpha": {"initial": 1.0, "bounds": [-1, 4], "unit": "1", "source": "factor on aero/coefficient/CLalpha"}
+    }
+    for entry in card["metrics"].values():
+        assert f'name="{entry["true"]}"'.encode() in ERRORS_XML
+
+
+@pytest.mark.parametrize("name", ['my "best" plane', "back\\slash", "a\x7fb"])
+def test_a_name_is_read_back_as_it_was(name):
+    assert parse_toml(card_text(name, f"{name}.xml", FACTS, [], errors=False))["aircraft"]["name"] == name

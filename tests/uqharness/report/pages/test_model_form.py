@@ -1,0 +1,98 @@
+"""The pages of bounds and of their validation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from lxml import html
+
+from sysid.model_form.variation import STEP_S, Variation
+from tests.helpers import report_folders as folders
+from tests.helpers.model_forms import made_up_form
+from tests.helpers.page_checks import page_of, words_of
+from uqharness.replay.histories import History
+from uqharness.report.pages.model_form import coverage_page_of, slice_section, variation_section
+from uqharness.report.parts import render
+
+
+@pytest.fixture
+def bounded(tmp_path):
+    return folders.bounded(tmp_path / "bounds")
+
+
+def test_bounds_from_the_form_alone(bounded):
+    form = made_up_form()
+    page = page_of(bounded)
+    tree = html.document_fromstring(page)
+    slices = {e.get("id") for e in tree.iter("figure")}
+    assert slices == {f"slice-{c}-{s}" for c, b in form.coefficients.items() for s in b.states}
+    assert form.aircraft.sha256 in page
+
+
+def test_a_validation(tmp_path):
+    page = page_of(folders.covered(tmp_path / "check"))
+    words = words_of(page)
+    assert "The bounds do not hold: inside the 95 % bounds are only Cm 40.0 %; at least 85 % is asked for." in words
+    assert "97.0 ± 1.0" in words
+    assert "40.0 ± undefined" in words
+    # 0.8 bounds two pieces of a sine and a cosine: what lies outside is counted by hand.
+    share = np.mean(np.abs(np.concatenate(folders.wave())) <= 0.8)
+    assert f"{100 * share:.1f} % of the samples inside" in words
+    assert "dots dotout" in page
+
+
+def pieces_of(bounds):
+    """One piece of flight around the middle of the data."""
+    time_s = np.arange(0.0, 2.0, 0.02)
+    middle = dict(zip(bounds.states, bounds.hull.middle[:, 1], strict=True))
+    return [History(0, "f", "m", time_s, {**{s: v + 0.0 * time_s for s, v in middle.items()}, "Cm": 0.01 * np.sin(time_s)})]
+
+
+def test_what_bounds_json_has_stands_on_the_page(bounded):
+    row = {"mean_width": 0.02, "noise_width": 0.01, "left_out_share": 0.9}
+    names = list(made_up_form().coefficients)
+    tried = {"cutoff_hz": 3.0, "airspeed_cutoff_hz": None, "mean_width": dict.fromkeys(names, 0.03)}
+    details = {"coefficients": dict.fromkeys(names, row), "cutoffs": [tried | {"left_out_share": {"CX": 0.5}}]}
+    folders.written(bounded, "bounds.json", details)
+    tree = html.document_fromstring(page_of(bounded))
+    (first, second) = tree.xpath("//table[contains(caption, 'when left out')]/tbody/tr")
+    assert [e.text_content().strip() for e in first][:3] == ["6", "2", "0.02 (0.90)"]
+    assert [e.text_content().strip() for e in second][:4] == ["3", "none", "0.03 (0.50)", "0.03 (undefined)"]
+    states = [e.text_content().strip() for e in tree.xpath("//table[contains(caption, 'every state')]/tbody/tr/th")]
+    assert states[:2] == ["V [m/s]", "alpha [deg]"]
+
+
+def test_other_bounds_are_drawn_beside_a_slice():
+    form = made_up_form()
+    pieces = pieces_of(form.coefficients["Cm"])
+    one = replace(form, coefficients={"Cm": form.coefficients["Cm"]})
+    plain, beside = (slice_section(one, pieces, baseline=other) for other in (None, {"Cm": form.coefficients["CX"]}))
+    for section, kinds in ((plain, 0), (beside, 2)):
+        (figures,) = section.parts[0].blocks
+        assert figures.file == "slices-Cm"
+        assert figures.items[0].svg.count('class="line third"') == kinds
+        assert any(words == "bounds of the usual states" for _, words in figures.legend) == bool(kinds)
+
+
+def test_the_rate_of_variation_is_drawn_with_the_rates_over_other_steps():
+    draw = 0.01 * np.random.default_rng(1).standard_normal(4000)
+    found = Variation(draw, 0.0, 0.01, 0.01 / np.sqrt(STEP_S), {0.02: 0.07, 1.0: 0.3})
+    short = Variation(np.zeros(0), np.nan, np.nan, np.nan, {})
+    section = variation_section({"Cm": found, "CX": short})
+    (figures,) = section.blocks
+    assert figures.file == "variation"
+    (figure,) = figures.items
+    assert figure.caption == "Cm: 1.00 % in 0.02 s. Rate [%/√s]: 7 over 0.02 s, 30 over 1 s"
+
+
+def test_a_validation_tells_its_manoeuvres(tmp_path):
+    row = {"0.95": 0.97, "0.68": 0.7}
+    document = {"coverage": {"CX": row}, "manoeuvres": {"roll": {"CX": {"0.95": 0.5, "0.68": None}}}, "outside_data": {"CX": 0.25}}
+    words = words_of(render(coverage_page_of(document)))
+    assert "50 / undefined" in words
+    assert "97.0 ± undefined" in words
+    assert "25.0" in words
+    assert "99.4 / 64" in words
+    assert "The bounds hold: every coefficient has at least 85 % of this flight inside its 95 % bounds." in words

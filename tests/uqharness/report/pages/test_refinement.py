@@ -1,0 +1,47 @@
+"""The page of a refinement: effects, verdicts, what they were taken for."""
+
+from __future__ import annotations
+
+import pytest
+from lxml import html
+
+from tests.helpers import report_folders as folders
+from tests.helpers.page_checks import page_of, words_of
+from tests.helpers.report_folders import refinement, written
+
+
+@pytest.fixture
+def refined(tmp_path):
+    return folders.refined(tmp_path / "refined")
+
+
+def test_a_refinement(refined):
+    page = page_of(refined)
+    words = words_of(page)
+    assert "Pitching moment due to roll rate squared: 2.9963 ± 0.018 (aero/Cm_p2), |t| 164.7." in words
+    assert "The flights do not tell it from: aileron squared." in words
+    assert "Would separate them: a roll at rest." in words
+    assert "goes from 0.407 to 0.195 deg/s (rms), beside noise of 0.201 deg/s" in words
+    assert "+ <property>aero/Cm_p2</property>" in words
+    assert "p 28.6 to 115 deg/s" in words
+    assert "aero/Cm_p2 = 0 restores the model without it" in words
+    assert "Withdrawn: Yawing moment due to elevator: 2.9963 ± 0.018; on the test flights the gap grew" in words
+    assert "97.0 ± 1.0" in words
+    assert "96.0 ± undefined" in words
+    assert "Not shown: no loiter here." in words
+
+
+@pytest.mark.parametrize(
+    ("verdict", "level", "text"),
+    [
+        ("effects-found", "good", "Effects were found"), ("no-missing-effect", "good", "Nothing is missing"),
+        ("unexplained", "bad", "Something is missing that no effect of the catalogue explains"),
+    ],
+)  # fmt: skip
+def test_verdicts_of_a_refinement(tmp_path, verdict, level, text):
+    left = {"unexplained": verdict == "unexplained", "where": [], "channels_above_noise": {}, "coloured_channels": []}
+    changes = {"verdict": verdict, "effects": [], "withdrawn": [], "disagreement": [], "remaining": left}
+    page = page_of(written(tmp_path / "refined", "refinement.json", refinement(**changes)))
+    first = html.document_fromstring(page).find(".//section[@class='verdict']//li")
+    assert first.get("class") == level
+    assert text in first.text_content()

@@ -1,0 +1,41 @@
+"""Two campaigns over each other: drawn where both have the same, told where they are not the same flights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from tests.helpers import report_folders as folders
+from uqharness.report.campaign import read_found
+from uqharness.report.overlay import overlay_section
+from uqharness.report.parts import Figures, Table, Words
+
+NAMES = {"before": "one", "after": "two"}
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
+    root = folders.campaigns(tmp_path_factory.mktemp("campaigns"))
+    return [read_found(root / name) for name in ("before", "after")]
+
+
+def test_unlike_flights_are_told(pair):
+    section = overlay_section(*pair, NAMES)
+    said = [block.text for block in section.blocks if isinstance(block, Words)]
+    assert said[1].startswith("Not the same flights otherwise: flights differ")
+    alike = overlay_section(pair[0], pair[0], NAMES)
+    assert len([block for block in alike.blocks if isinstance(block, Words)]) == 1
+
+
+def test_each_quantity_in_common_has_a_figure_and_a_row(pair):
+    section = overlay_section(*pair, NAMES)
+    (figures,) = (block for block in section.blocks if isinstance(block, Figures))
+    (table,) = (block for block in section.blocks if isinstance(block, Table))
+    assert len(figures.items) == len(table.rows) == len(pair[0].findings)
+    assert all(len(figure.cursor["boxes"]) == 2 for figure in figures.items)
+    fewer = replace(pair[1], findings=pair[1].findings[:1])
+    (left,) = (block for block in overlay_section(pair[0], fewer, NAMES).blocks if isinstance(block, Figures))
+    assert len(left.items) == 1
+    nothing = overlay_section(pair[0], replace(pair[1], findings=()), NAMES)
+    assert [block.text for block in nothing.blocks] == ["The two campaigns share no quantity in the same condition."]

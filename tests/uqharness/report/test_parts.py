@@ -1,0 +1,70 @@
+"""Parts of a page: what a terminal shows of them, figures as text, what is undefined."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from uqharness.report.parts import (
+    Bullets,
+    Cell,
+    Facts,
+    Page,
+    Say,
+    Section,
+    Table,
+    Words,
+    every_section,
+    first_lines,
+    percent,
+    provenance,
+    remarks,
+    render,
+    shown,
+)
+
+
+def test_a_terminal_shows_the_verdict_and_what_is_key():
+    key = Table("Caption.", ("Name", "Value"), (("a", Cell("1.0", "good", "why")), ("bb", "20")), key=True)
+    inner = Section("inner", (Bullets(("a note",), key=True),))
+    other = (Words("words"), Table("Other.", ("x",), (("y",),)), Bullets(("left out",)), Table("Empty.", ("x",), (), key=True))
+    page = Page("Title", "What?", (Say("So.", "good"), Say("But.", "warn")), (Section("s", (*other, key), (inner,)),))
+    assert first_lines(page) == [
+        "So.",
+        "But.",
+        "",
+        "Caption.",
+        "Name      Value",
+        "   a  1.0 (why)",
+        "  bb         20",
+        "",
+        "a note",
+    ]
+
+
+def test_what_is_undefined_says_so():
+    assert [shown(v) for v in (None, math.nan, math.inf, 0.0, 1234.5)] == ["undefined", "undefined", "open", "0", "1.23e+03"]
+    assert (percent(None), percent(0.123, ".1f")) == ("undefined", "12.3")
+
+
+def test_remarks_are_a_section_only_where_there_are_some():
+    assert remarks({"warnings": [], "notes": []}) == remarks({}) == ()
+    (section,) = remarks({"warnings": ["w"], "notes": ["n"]}, key=("notes",))
+    assert section.blocks == (Bullets(("w",)), Bullets(("n",), key=True))
+
+
+def test_sections_are_met_as_a_reader_meets_them():
+    tree = (Section("a", (), (Section("b", ()),)), Section("c", ()))
+    assert [section.title for section in every_section(tree)] == ["a", "b", "c"]
+
+
+def test_provenance_is_facts():
+    assert provenance(("Command", "x")).blocks == (Facts((("Command", "x"),)),)
+
+
+@pytest.mark.parametrize("text", ["<b>", "&", "a\x1b[31mb"])
+def test_a_page_shows_text_as_text(text):
+    page = render(Page(text, text, (Say(text),)))
+    assert "<b>" not in page.replace("<body>", "")
+    assert "\x1b" not in page

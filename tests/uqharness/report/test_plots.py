@@ -1,0 +1,125 @@
+"""Figures for notebooks: they draw into the axes given, name their units and leave everything else alone."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from sysid.record import FlightRecord
+from tests.helpers.model_forms import made_up_form
+from uqharness.campaign.conditions import Condition
+from uqharness.replay.histories import History
+from uqharness.report.plots import plot_history, plot_model_form, plot_overlay, plot_pbox, plot_sensitivity
+from uqharness.sensitivity import Index, PairRange
+from uqharness.statistics.pbox import Sample, pbox
+
+TIME = np.arange(0.0, 4.0, 0.02)
+HISTORY = History(0, "flight1", "roll doublet", TIME, {"q_radps": np.sin(TIME), "q_radps_model": np.cos(TIME)})
+BOX = pbox([Sample("a", np.array([1.0, 2.0, 3.0])), Sample("b", np.array([2.0, 4.0, 6.0]), unknown=1)])
+FORM = made_up_form()
+
+
+def sensitivity():
+    def share(low, high):
+        return PairRange(Index(low, low - 0.1, low), Index(high, high, np.nan), "")
+
+    indices = {"CX": share(0.2, 0.3), "CY": share(0.6, 0.8)}
+    return SimpleNamespace(
+        result=SimpleNamespace(indices=indices), metric="cross_track_median_m", condition=Condition(3.0, "light")
+    )
+
+
+DRAW = {
+    "pbox": lambda ax: plot_pbox(BOX, ax, "median error [m]"),
+    "history": lambda ax: plot_history(FlightRecord({"time_s": TIME, "q_radps": np.sin(TIME)}), "q_radps", ax),
+    "overlay": lambda ax: plot_overlay(HISTORY, "q_radps", ax, noise=0.01),
+    "sensitivity": lambda ax: plot_sensitivity(sensitivity(), ax),
+    "model form": lambda ax: plot_model_form(FORM.coefficients["Cm"], "alpha_rad", ax, "Cm"),
+}
+LABELS = {
+    "pbox": ("median error [m]", "probability of at most the value below"), "history": ("time [s]", "q [deg/s]"),
+    "overlay": ("time of the log [s]", "q [deg/s]"), "sensitivity": ("share of the p-box's width [-]", ""),
+    "model form": ("alpha [deg]", "flight minus model, Cm [-]"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", DRAW)
+def test_it_draws_into_the_axes_given_and_names_its_units(kind):
+    before = dict(matplotlib.rcParams)
+    ax, beside = Figure().subplots(1, 2)
+    assert DRAW[kind](ax) is ax
+    assert (ax.get_xlabel(), ax.get_ylabel()) == LABELS[kind]
+    assert ax.has_data()
+    assert not beside.has_data()
+    assert dict(matplotlib.rcParams) == before
+
+
+@pytest.mark.parametrize("kind", DRAW)
+def test_without_axes_it_makes_a_figure(kind, monkeypatch):
+    plt = pytest.importorskip("matplotlib.pyplot")
+    plt.switch_backend("Agg")
+    ax = DRAW[kind](None)
+    assert plt.get_fignums() != []
+    assert ax.figure.axes == [ax]
+    plt.close("all")
+
+
+def test_a_p_box_is_drawn_where_it_lies():
+    ax = plot_pbox(BOX, Figure().subplots())
+    upper, lower = ax.lines[:2]
+    for line, side in ((upper, BOX.upper), (lower, BOX.lower)):
+        at = dict(zip(line.get_xdata(), line.get_ydata(), strict=True))
+        assert [at[v] for v in BOX.value] == pytest.approx(side)
+
+
+def test_angles_are_drawn_in_degrees():
+    ax = plot_overlay(HISTORY, "q_radps", Figure().subplots())
+    assert ax.lines[0].get_ydata() == pytest.approx(np.degrees(np.sin(TIME)))
+    assert ax.lines[1].get_ydata() == pytest.approx(np.degrees(np.cos(TIME)))
+
+
+def test_the_largest_share_is_on_top_and_an_open_interval_ends_at_the_share():
+    ax = plot_sensitivity(sensitivity(), Figure().subplots())
+    assert [text.get_text() for text in ax.get_yticklabels()] == ["CX", "CY"]
+    assert ax.lines[0].get_xdata() == pytest.approx([0.1, 0.3])
+
+
+def test_bounds_are_those_of_the_slice_and_samples_those_near_it():
+    bounds = FORM.coefficients["Cm"]
+    k = bounds.states.index("alpha_rad")
+    middle = bounds.hull.middle[:, 1]
+    near, far = middle.copy(), middle + 3.0 * bounds.scale
+    far[k] = middle[k]
+    states = {s: np.array([near[j], far[j]]) for j, s in enumerate(bounds.states)}
+    residuals = SimpleNamespace(states=states, columns=lambda coefficient: [np.array([0.5, 0.5])])
+    ax = plot_model_form(bounds, "alpha_rad", Figure().subplots(), "Cm", residuals)
+    dots, lower = ax.lines[:2]
+    assert dots.get_xdata() == pytest.approx([np.degrees(middle[k])])
+    along = {s: np.full(len(lower.get_xdata()), middle[j]) for j, s in enumerate(bounds.states)}
+    along["alpha_rad"] = np.radians(lower.get_xdata())
+    assert lower.get_ydata() == pytest.approx(bounds.bounds(along)[0])
+
+
+def test_what_is_not_there_is_refused():
+    ax = Figure().subplots()
+    with pytest.raises(ValueError, match="not on p_radps; choose one"):
+        plot_model_form(FORM.coefficients["Cm"], "p_radps", ax)
+    with pytest.raises(KeyError, match="r_radps"):
+        plot_overlay(HISTORY, "r_radps", ax)
+
+
+def loaded(modules):
+    """What of matplotlib is there once the modules are imported in a fresh process."""
+    code = f"import sys, {modules}; print(*[n for n in ('matplotlib', 'matplotlib.pyplot') if n in sys.modules])"
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+
+
+def test_reports_load_no_matplotlib():
+    assert loaded("uqharness.report.write, uqharness.report.pages.study, uqharness.report.rerun, uqharness.cli.main") == []
+    assert loaded("uqharness.report.plots") == ["matplotlib"]

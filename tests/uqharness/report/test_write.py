@@ -1,0 +1,111 @@
+"""report.html and figures/*.svg: which drawings go into which file, and that a terminal shows the page's first lines."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from lxml import etree, html
+
+from tests.helpers import report_folders as folders
+from tests.helpers.model_forms import made_up_form
+from tests.helpers.page_checks import problems
+from uqharness.errors import BadInputError
+from uqharness.report.parts import Figure, Figures, Page, Say, Section
+from uqharness.report.svg import Chart, Scale
+from uqharness.report.write import write_campaign_report, write_figures, write_page, write_report
+
+FILES = {
+    "identified": {"flight1-00-roll-doublet", "flight1-01-yaw-doublet"},
+    "compared": {"gaps", "coefficients", "00-roll-doublet", "01-yaw-doublet"},
+    "bounded": {f"slices-{c}" for c in made_up_form().coefficients},
+    "covered": {"coverage"},
+    "refined": {"gap", "history", "intervals", "candidates", "coefficients"},
+}
+
+
+def labels(path):
+    """What the charts of a file show, in words."""
+    return [e.get("aria-label") for e in etree.parse(str(path)).getroot().findall("{*}svg")]
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_a_file_holds_the_charts_of_the_page(tmp_path, kind):
+    folder = getattr(folders, kind)(tmp_path / "results")
+    report = write_report(folder, figures=True)
+    assert {path.stem for path in report.figures} == {path.stem for path in (folder / "figures").iterdir()} == FILES[kind]
+    page = report.path.read_text(encoding="utf-8")
+    assert problems(page) == []
+    first = {path: path.read_bytes() for path in report.figures}
+    for path in report.figures:
+        assert labels(path)
+    drawn = {chart for path in report.figures for chart in labels(path)}
+    assert drawn <= {svg.get("aria-label") for svg in html.document_fromstring(page).iter("svg")}
+    write_report(folder, figures=True)
+    assert {path: path.read_bytes() for path in report.figures} == first
+
+
+def test_without_figures_no_folder_is_made(tmp_path):
+    report = write_report(folders.compared(tmp_path / "results"))
+    assert report.figures == ()
+    assert not (tmp_path / "results" / "figures").exists()
+
+
+def test_every_segment_has_its_file_and_the_page_the_worst_alone(tmp_path):
+    folder = folders.identified(tmp_path / "results")
+    many = [(f"flight{k}", "roll doublet", folders.TIME) for k in range(5)]
+    columns = {"q_radps": [np.sin(folders.TIME)] * 5, "q_radps_model": [0.1 * k * np.sin(folders.TIME) for k in range(5)]}
+    folders.write_pieces(folder / "histories.parquet", many, columns)
+    report = write_report(folder, figures=True)
+    assert len(report.figures) == 5
+    page = report.path.read_text(encoding="utf-8")
+    assert [f"fit-history-{k}-q_radps" in page for k in range(5)] == [True, True, True, False, False]
+
+
+def test_names_of_flights_and_manoeuvres_are_safe_as_names_of_files(tmp_path):
+    folder = folders.identified(tmp_path / "results")
+    odd = [("../a b", "3-2-1-1, 22 m/s", folders.TIME)]
+    columns = {"q_radps": [np.sin(folders.TIME)], "q_radps_model": [np.cos(folders.TIME)]}
+    folders.write_pieces(folder / "histories.parquet", odd, columns)
+    (path,) = write_report(folder, figures=True).figures
+    assert path == folder / "figures" / "..-a-b-00-3-2-1-1-22-m-s.svg"
+
+
+def test_no_figures_of_an_effect_without_one(tmp_path):
+    left = {"unexplained": False, "where": [], "channels_above_noise": {}, "coloured_channels": []}
+    document = folders.refinement(effects=[], withdrawn=[], disagreement=[], remaining=left, verdict="no-missing-effect")
+    folder = folders.refined(tmp_path / "results")
+    (folder / "refinement.json").write_text(json.dumps(document))
+    assert "history" not in {path.stem for path in write_report(folder, figures=True).figures}
+
+
+def figure(name):
+    chart = Chart(name, f"label of {name}", Scale("x [m]", 0.0, 1.0), Scale("y [m]", 0.0, 1.0))
+    chart.upright(0.5, "first")
+    return Figure(name, chart.svg(), "caption")
+
+
+def test_drawings_go_where_their_section_says(tmp_path):
+    """Together under one name, each under its own, or into no file; sections within sections are not forgotten."""
+    inner = Section("inner", (Figures((figure("c"),), file=""),))
+    blocks = (Figures((figure("a"), figure("b")), file="both"), Figures((figure("d"),)), Figures((), file="empty"))
+    paths = write_figures(tmp_path, [Section("outer", blocks, (inner,))], "Title")
+    assert [path.name for path in paths] == ["both.svg", "c.svg"]
+    assert labels(paths[0]) == ["label of a", "label of b"]
+    assert "Title: outer" in paths[0].read_text(encoding="utf-8")
+
+
+def test_a_page_in_hand_is_written_like_any_other(tmp_path):
+    page = Page("Title", "What?", (Say("It is so.", "good"),), (Section("s", (Figures((figure("a"),), file="one"),)),))
+    report = write_page(tmp_path, page, page)
+    assert (report.path, report.verdict) == (tmp_path / "report.html", ["It is so."])
+    assert [path.name for path in report.figures] == ["one.svg"]
+    assert report.text.startswith("It is so.\n")
+    assert report.text.endswith(f"results in {tmp_path}, the report in {tmp_path / 'report.html'}")
+    assert write_page(tmp_path, page).figures == ()
+
+
+def test_a_campaigns_report_is_of_a_campaign(tmp_path):
+    with pytest.raises(BadInputError, match="not a campaign folder"):
+        write_campaign_report(folders.compared(tmp_path / "results"))

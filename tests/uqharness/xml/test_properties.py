@@ -1,0 +1,68 @@
+"""Properties that an aircraft's XML declares, computes or names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from uqharness.xml.document import parse_document
+from uqharness.xml.properties import computes, declaration, declarations, declare, folder_declares, folder_names
+
+XML = b"""<fdm_config>
+  <!-- <property value="1">aero/commented</property> -->
+  <property value="0.5"> aero/first </property>
+  <property>aero/read</property>
+  <system name="x"><property value="2">aero/second</property></system>
+  <function name=" aero/sum "><property>aero/first</property></function>
+  <actuator name="fcs/servo"/>
+</fdm_config>
+"""
+DOCUMENT = parse_document(Path("a.xml"), XML)
+
+
+def test_what_is_declared_has_a_value_and_is_no_remark():
+    assert [name for name, _ in declarations(DOCUMENT)] == ["aero/first", "aero/second"]
+    found = declaration(DOCUMENT, "aero/second")
+    assert found is not None
+    assert found.attributes["value"] == "2"
+    assert declaration(DOCUMENT, "aero/read") is None
+    assert declaration(DOCUMENT, "aero/commented") is None
+
+
+def test_what_is_computed_is_a_function_of_that_name():
+    assert computes(DOCUMENT, "aero/sum")
+    assert not computes(DOCUMENT, "aero/first")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "Systems").mkdir()
+    (tmp_path / "Systems" / "a.xml").write_bytes(XML)
+    (tmp_path / "broken.xml").write_text('<property value="1">aero/broken</property')
+    (tmp_path / "wide.xml").write_text('<property value="1">aero/wide</property>', encoding="utf-16")
+    (tmp_path / "other.txt").write_text('<property value="1">aero/text</property>')
+    return tmp_path
+
+
+def test_a_folder_declares_what_one_of_its_xml_files_does(folder: Path):
+    assert folder_declares(folder, "aero/first")
+    for name in ("aero/read", "aero/broken", "aero/wide", "aero/text"):
+        assert not folder_declares(folder, name)
+
+
+def test_a_folder_names_properties_in_text_and_attributes(folder: Path):
+    for prefix in ("aero/re", "fcs/servo", "aero/sum"):
+        assert folder_names(folder, prefix)
+    for prefix in ("ero/read", "aero/commented", "nav/"):
+        assert not folder_names(folder, prefix)
+
+
+def test_what_is_written_is_declared():
+    lines = [declare("aero/a", "1.5"), declare("aero/b<c", "0", "a remark -- ours")]
+    assert lines == [
+        '<property value="1.5">aero/a</property>',
+        '<property value="0">aero/b&lt;c</property>  <!-- a remark - - ours -->',
+    ]
+    document = parse_document(Path("a.xml"), "\n".join(["<a>", *lines, "</a>"]).encode())
+    assert [name for name, _ in declarations(document)] == ["aero/a", "aero/b<c"]

@@ -1,0 +1,184 @@
+"""Aircraft in Python: steady flight, the linear model about it, and the plugin."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.model_form.model_form import ModelForm, read_model_form
+from uqharness.api.flights import AnyAircraft, AnyPath, given_aircraft
+from uqharness.errors import BadInputError
+from uqharness.files import check_folder
+from uqharness.identification.model_form import MadeBounds
+from uqharness.plugin.apply import Instrumented, instrument_aircraft
+from uqharness.plugin.instrument import Bounds
+from uqharness.simulator import linear, trim
+from uqharness.simulator.linear import LinearModel
+from uqharness.simulator.trim import SteadyCondition, Trim
+
+
+def find_trim(
+    aircraft: AnyAircraft,
+    V_mps: float,
+    *,
+    altitude_m: float = 0.0,
+    climb_rad: float = 0.0,
+    bank_rad: float = 0.0,
+    heading_rad: float = 0.0,
+    properties: Mapping[str, float] | None = None,
+) -> Trim:
+    """Trim an aircraft in steady flight in still air, as ``uqharness modes`` does.
+
+    Parameters
+    ----------
+    aircraft : str, Path or Aircraft
+        The model.
+    V_mps : float
+        True airspeed [m/s].
+    altitude_m : float
+        Above sea level [m].
+    climb_rad, bank_rad, heading_rad : float
+        Flight-path angle, bank of a coordinated turn, true heading [rad].
+    properties : Mapping, optional
+        JSBSim properties to set first.
+
+    Returns
+    -------
+    Trim
+        Angles [rad], body rates [rad/s], ``controls`` in their own units, ``thrust_N`` [N], ``rpm`` [1/min], ``residual`` (6,)
+        the accelerations left [m/s2 and rad/s2]. Where no steady flight exists, ``converged`` is False and ``reason`` says why.
+
+    Raises
+    ------
+    BadInputError
+        For an unknown aircraft, one that does not load, and numbers that mean no flight.
+
+    References
+    ----------
+    B. L. Stevens, F. L. Lewis, Aircraft Control and Simulation: the rate-of-climb constraint.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> steady = uq.find_trim("espaaro", 22.2, altitude_m=100)
+    >>> steady.converged, round(steady.controls["throttle"])
+    (True, 60)
+    """
+    if not (math.isfinite(V_mps) and V_mps > 0.0):
+        raise BadInputError(f"V_mps = {V_mps}: a positive true airspeed [m/s] is needed")
+    if not (abs(bank_rad) < math.radians(85.0) and abs(climb_rad) < math.radians(60.0)):
+        raise BadInputError(
+            f"bank_rad = {bank_rad:g}, climb_rad = {climb_rad:g}: less than 85 and 60 degrees either way are needed"
+        )
+    if not (math.isfinite(altitude_m) and math.isfinite(heading_rad)):
+        raise BadInputError(f"altitude_m = {altitude_m}, heading_rad = {heading_rad}: finite numbers are needed")
+    condition = SteadyCondition(V_mps, altitude_m, climb_rad, bank_rad, heading_rad, properties=dict(properties or {}))
+    return trim.find_trim(given_aircraft(aircraft), condition)
+
+
+def linearise(aircraft: AnyAircraft, steady: Trim) -> LinearModel:
+    """Linearise an aircraft about a steady flight.
+
+    Parameters
+    ----------
+    aircraft : str, Path or Aircraft
+        The model that was trimmed.
+    steady : Trim
+        What `find_trim` gave.
+
+    Returns
+    -------
+    LinearModel
+        dx/dt = A x + B u: ``A`` (8, 8) for x = (u, v, w, p, q, r, phi, theta) in m/s, rad/s and rad, ``B`` (8, c) for the
+        ``controls`` in their own units. ``uqharness.simulator.linear.modes`` names its modes.
+
+    Raises
+    ------
+    BadInputError
+        If the trim did not converge.
+
+    References
+    ----------
+    B. L. Stevens, F. L. Lewis, Aircraft Control and Simulation: numerical linearisation by central differences.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> model = uq.linearise("espaaro", uq.find_trim("espaaro", 22.2))
+    >>> model.A.shape, model.controls
+    ((8, 8), ('elevator', 'aileron', 'rudder', 'throttle'))
+    """
+    return linear.linearise(given_aircraft(aircraft), steady)
+
+
+def instrument(
+    aircraft: AnyAircraft,
+    form: ModelForm | MadeBounds | AnyPath | None = None,
+    *,
+    out: AnyPath,
+    constant: Mapping[str, float | tuple[float, float]] | None = None,
+    air: bool = False,
+    check: bool = True,
+) -> Instrumented:
+    """Give a copy of an aircraft the model-form plugin, as ``uqharness instrument`` does.
+
+    Parameters
+    ----------
+    aircraft : str, Path or Aircraft
+        The model; any JSBSim aircraft.
+    form : MadeBounds, ModelForm, str or Path, optional
+        What `fit_model_form` gave, or a file model-form.json.
+    out : str or Path
+        Folder of the copy.
+    constant : Mapping, optional
+        In place of a form, bounds that stay: coefficient to half width [-] or to (lower, upper) [-], as ``{"CX": 0.01}``.
+    air : bool
+        Whether this project's wind and turbulence are added (docs/air.md).
+    check : bool
+        Whether the copy is flown beside the untouched aircraft.
+
+    Returns
+    -------
+    Instrumented
+        ``folder``, ``notes``, and the ``verdict`` of that flight: works, wrong or fails; None without one.
+
+    Raises
+    ------
+    BadInputError
+        For an aircraft that cannot be instrumented, with file and line, and for a folder that may not be written.
+    LogError
+        For a file that is no model form.
+
+    References
+    ----------
+    L. E. Hale, dissertation, Virginia Tech, 2016, section 2.6: delta coefficients between bounds.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> done = uq.instrument("espaaro", constant={"CX": 0.008, "Cm": (-0.01, 0.02)}, out="bounded")
+    >>> uq.find_aircraft(done.folder).name
+    'espaaro'
+    """
+    if form is not None and constant is not None:
+        raise BadInputError("instrument: form and constant are two sources of bounds; give one of them")
+    if isinstance(form, MadeBounds):
+        form = form.form
+    elif form is not None and not isinstance(form, ModelForm):
+        form = read_model_form(Path(form))
+    bounds = Bounds(form, {name: _pair(name, value) for name, value in (constant or {}).items()})
+    folder = Path(out)
+    check_folder(folder)
+    return instrument_aircraft(given_aircraft(aircraft), bounds, folder, air=air, check=check)
+
+
+def _pair(name: str, value: float | tuple[float, float]) -> tuple[float, float]:
+    low, high = value if isinstance(value, tuple | list) else (-value, value)
+    if name not in COEFFICIENTS or not (math.isfinite(low) and math.isfinite(high) and low <= 0.0 <= high):
+        raise BadInputError(
+            f"constant: {name} = {value!r}: one of {', '.join(COEFFICIENTS)} with a half width, or (lower <= 0, upper >= 0), is "
+            "needed"
+        )
+    return low + 0.0, float(high)

@@ -1,0 +1,240 @@
+"""Campaigns in Python: run or opened, and p-boxes of any samples."""
+
+from __future__ import annotations
+
+import io
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from uqharness.api.flights import AnyPath
+from uqharness.campaign import run as running
+from uqharness.campaign.aircraft import bounds_notes
+from uqharness.campaign.conditions import CONFIDENCE, pboxes
+from uqharness.campaign.folder.files import read_cases, read_checked
+from uqharness.campaign.folder.manifest import read_complete
+from uqharness.campaign.rounds import band_confidence
+from uqharness.campaign.run import Progress
+from uqharness.campaign.spec import read as reading
+from uqharness.campaign.spec.campaign import CampaignSpec
+from uqharness.campaign.statements import STATEMENTS
+from uqharness.errors import BadInputError
+from uqharness.project_files import find_campaign
+from uqharness.statistics import pbox as boxes
+from uqharness.statistics.pbox import PBox, Sample
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class CampaignResult:
+    """A campaign whose flights are all done, read from its folder as it is asked for.
+
+    Attributes
+    ----------
+    folder : Path
+        The results; every ``uqharness campaign`` command takes it.
+    manifest : Mapping
+        What was flown: settings, versions, hashes.
+    notes : tuple of str
+        What to know of the bounds that were flown.
+    """
+
+    folder: Path
+    manifest: Mapping[str, Any] = field(repr=False)
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def cases(self) -> pd.DataFrame:
+        """One row a flight (docs/campaigns.md has the columns). Raises BadInputError where the table is not as it was written."""
+        return read_cases(self.folder, self.manifest)
+
+    def pboxes(self) -> dict[tuple[str, str], PBox]:
+        """(metric, condition) to its p-box; the rows of pbox.parquet."""
+        confidence = band_confidence(self.manifest["campaign"], CONFIDENCE)
+        return {(metric, condition.label): box for metric, condition, box in pboxes(self.cases, confidence)}
+
+    def statements(self) -> pd.DataFrame:
+        """statements.csv: per condition and radius the excursions per hour, their limits, and the answer (docs/statements.md)."""
+        import pandas as pd
+
+        content = read_checked(self.folder, self.manifest, STATEMENTS)
+        return pd.read_csv(io.BytesIO(content), dtype={"best": str, "worst": str}, keep_default_na=False, na_values=[""])
+
+
+def run_campaign(
+    campaign: AnyPath | CampaignSpec | Mapping[str, Any],
+    out: AnyPath,
+    *,
+    hours: float | None = None,
+    samples: int | None = None,
+    workers: int | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> CampaignResult:
+    """Fly a campaign, as ``uqharness campaign run`` does. The same call, or the command, resumes one that was interrupted.
+
+    Parameters
+    ----------
+    campaign : str, Path, Mapping or CampaignSpec
+        A campaign.toml, the name of a folder under campaigns/, or the file's sections as a dictionary.
+    out : str or Path
+        Folder for the results.
+    hours : float, optional
+        Flight hours per corner and condition [h], in place of ``[aleatory] flights``.
+    samples : int, optional
+        Epistemic samples to draw, in place of ``[epistemic] samples``.
+    workers : int, optional
+        Processes; by default one a core.
+    on_progress : callable, optional
+        Called with the `Progress` after each batch of flights.
+
+    Returns
+    -------
+    CampaignResult
+        ``cases`` a DataFrame of one row a flight, ``pboxes()`` (metric, condition) to PBox, ``statements()`` a DataFrame. A
+        flight that failed is a row with its reason.
+
+    Raises
+    ------
+    BadInputError
+        For mistakes in the campaign, each with its line, a model that does not fly, and a folder of another campaign.
+
+    References
+    ----------
+    L. E. Hale, dissertation, Virginia Tech, 2016, chapter 3: nested sampling of epistemic and aleatory uncertainty.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 3, "duration_s": 10, "burn_in_s": 2, "turbulence": "light"},
+    ...     "epistemic": {"method": "corners", "coefficients": ["CX"], "bounds": {"CX": 0.008}},
+    ... }
+    >>> result = uq.run_campaign(campaign, "results", workers=1)
+    >>> len(result.cases), result.statements()["radius_m"].tolist()[:2]
+    (6, [15, 25])
+    >>> box = result.pboxes()["speed_median_mps", "0 m/s light"]
+    >>> bool((box.lower <= box.upper).all())
+    True
+    """
+    spec, folder = campaign_of(campaign), Path(out)
+    if hours is not None:
+        spec = spec.with_hours(hours)
+    if samples is not None:
+        spec = reading.with_samples(spec, samples)
+    command = ["uqharness", "campaign", "run", str(campaign), "--out", str(folder)]
+    command += [] if hours is None else ["--hours", f"{hours:g}"]
+    command += [] if samples is None else ["--samples", str(samples)]
+    # No command goes on with a campaign that stands in no file; the same call does.
+    told = shlex.join(command) if isinstance(campaign, str | PathLike) else ""
+    notes = tuple(bounds_notes(spec))
+    running.run_campaign(spec, folder, workers, on_progress=on_progress, command=told)
+    return CampaignResult(folder, read_complete(folder), notes)
+
+
+def read_campaign(folder: AnyPath) -> CampaignResult:
+    """Open the results of a campaign that was flown before.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The ``--out`` of ``uqharness campaign run``, or the ``out`` of `run_campaign`.
+
+    Returns
+    -------
+    CampaignResult
+        As `run_campaign` gives it.
+
+    Raises
+    ------
+    BadInputError
+        For a folder that is none of a campaign, is not complete, or is not as it was written.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 2, "duration_s": 5, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> uq.read_campaign("results").cases.equals(flown.cases)
+    True
+    """
+    path = Path(folder)
+    return CampaignResult(path, read_complete(path))
+
+
+def pbox(
+    samples: Mapping[str, ArrayLike] | Sequence[ArrayLike | Sample],
+    confidence: float = 0.95,
+) -> PBox:
+    """The p-box of samples: the envelope of their distribution functions, with a band for their finite number.
+
+    Parameters
+    ----------
+    samples : Mapping or sequence
+        One array (n,) of values for each epistemic sample, all of one quantity; a mapping names them. A value that is not finite
+        counts as unknown: it may lie anywhere and is not dropped.
+    confidence : float
+        Of the band [-], over all values and samples at once.
+
+    Returns
+    -------
+    PBox
+        At each ``value`` (m,), the probability of at most that lies between ``lower`` and ``upper`` (m,) [-]; ``band_lower`` and
+        ``band_upper`` (m,) [-] add what chance leaves open. ``quantile(p)`` is the interval of a quantile.
+
+    Raises
+    ------
+    BadInputError
+        For no sample, an empty one, no known value, or a confidence outside 0 to 1.
+
+    References
+    ----------
+    L. E. Hale, dissertation, Virginia Tech, 2016, chapter 3. S. Ferson et al., Constructing probability boxes and Dempster-Shafer
+    structures, SAND2002-4015, 2003. The band: Bonferroni over the samples on Kolmogorov's statistic.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> box = uq.pbox({"low": [1.0, 2.0, 3.0, 4.0], "high": [2.0, 3.0, 4.0, 5.0]})
+    >>> box.quantile(0.5)
+    (2.0, 3.0)
+    """
+    if not 0.0 < confidence < 1.0:
+        raise BadInputError(f"confidence = {confidence:g}: a number between 0 and 1 is needed, such as 0.95")
+    named = samples.items() if isinstance(samples, Mapping) else enumerate(samples)
+    try:
+        return boxes.pbox([_sample(str(name), values) for name, values in named], confidence)
+    except (ValueError, TypeError) as error:
+        raise BadInputError(f"samples: {error}") from None
+
+
+def _sample(name: str, values: ArrayLike | Sample) -> Sample:
+    if isinstance(values, Sample):
+        return values
+    known = np.asarray(values, dtype=float).ravel()
+    finite = np.isfinite(known)
+    return Sample(name, known[finite], int(np.count_nonzero(~finite)))
+
+
+def campaign_of(campaign: AnyPath | CampaignSpec | Mapping[str, Any]) -> CampaignSpec:
+    """The campaign of that file, name or dictionary, or the one given. Raises BadInputError."""
+    if isinstance(campaign, CampaignSpec):
+        return campaign
+    if isinstance(campaign, Mapping):
+        return reading.campaign_from(dict(campaign), Path("campaign.toml"))
+    if not isinstance(campaign, str | PathLike):
+        raise BadInputError(f"a campaign is a file, a name or its sections as a dictionary; received {type(campaign).__name__}")
+    return reading.read_campaign(find_campaign(Path(campaign)))

@@ -1,0 +1,249 @@
+"""Flights in Python: flown here, or read from logs and records."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+from numpy.typing import NDArray
+
+from sysid.digests import file_sha256, sha256_hex
+from sysid.logs.checks import check_units
+from sysid.record import FlightRecord, Metadata
+from sysid.vocabulary import LABELS, SIGNALS
+from uqharness.errors import BadInputError
+from uqharness.flight.record_writer import write_record
+from uqharness.flight.recorded import as_asked, recorded_flight, start_of
+from uqharness.flight.spec import DEFAULT_TURBULENCE_SOURCE, FlightSpec
+from uqharness.replay.flights import in_free_flight, read_flight, refuse_twice
+from uqharness.simulator.aircraft import Aircraft, find_aircraft
+from uqharness.simulator.mission import find_script, read_script
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+AnyPath: TypeAlias = str | PathLike[str]
+AnyAircraft: TypeAlias = str | PathLike[str] | Aircraft
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One flight: its record, and how it ended if it was flown here.
+
+    Attributes
+    ----------
+    name : str
+        What reports call it.
+    record : FlightRecord
+        Channels by name, (n,) each, SI units and body axes (docs/logs.md lists them). ``flight["q_radps"]`` reads one.
+    sha256 : str
+        Identity of its content, which model forms remember.
+    status, reason : str
+        ``ok``, or what ended a flown flight early (``diverged``, ``crashed``) and why.
+    aircraft : Aircraft or None
+        What flew it; None for a log.
+    start : Mapping
+        Where a flown flight began: lat_deg [deg], lon_deg [deg], alt_m above sea level [m].
+    """
+
+    name: str
+    record: FlightRecord
+    sha256: str
+    status: str = "ok"
+    reason: str = ""
+    aircraft: Aircraft | None = None
+    start: Mapping[str, float] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.record)
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """The channel (n,). Raises LogError naming those there are."""
+        return self.record[name]
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Every column of the record as a table of (n,) rows, one a sample."""
+        import pandas as pd
+
+        return pd.DataFrame(dict(self.record.columns))
+
+    def write(self, path: AnyPath) -> tuple[str, ...]:
+        """Write .parquet, .csv or .bin (ArduPilot DataFlash), whole or not at all; the columns that the format has no place for.
+
+        Raises BadInputError for another ending and a folder that cannot be written.
+        """
+        return write_record(self.to_dataframe(), Path(path), self.aircraft, self.start)
+
+
+AnyFlight: TypeAlias = str | PathLike[str] | FlightRecord | Flight
+
+
+def fly(
+    aircraft: AnyAircraft,
+    script: AnyPath = "loiter",
+    *,
+    duration_s: float | None = None,
+    wind_mps: float = 0.0,
+    wind_from_deg: float = 270.0,
+    turbulence: Literal["none", "light", "moderate", "severe"] = "none",
+    turbulence_source: Literal["spec", "jsbsim"] = DEFAULT_TURBULENCE_SOURCE,
+    seed: int = 0,
+    noise: bool = False,
+    properties: Mapping[str, float] | None = None,
+    rate_hz: float = 50.0,
+) -> Flight:
+    """Fly a run script once, as ``uqharness fly`` does.
+
+    Parameters
+    ----------
+    aircraft : str, Path or Aircraft
+        Name under aircraft/ or of JSBSim's collection, a folder, or what `find_aircraft` gave.
+    script : str or Path
+        Run script, a file or a name under scripts/.
+    duration_s : float, optional
+        Length of the flight [s]; by default until the script's end.
+    wind_mps, wind_from_deg : float
+        Steady wind [m/s] and the true direction that it blows from [deg].
+    turbulence : {"none", "light", "moderate", "severe"}
+        Intensity after MIL-F-8785C.
+    turbulence_source : {"spec", "jsbsim"}
+        Which Dryden model: the one after the specification, or JSBSim's own.
+    seed : int
+        Seed of turbulence and of sensor noise; the same seed gives the same flight.
+    noise : bool
+        Whether the sensors are noisy, in what the autopilot is told and in the record.
+    properties : Mapping, optional
+        JSBSim properties set before the flight, such as ``{"aero/Cm_q": -10.0}``.
+    rate_hz : float
+        Rows per second [1/s].
+
+    Returns
+    -------
+    Flight
+        The record, (duration_s * rate_hz + 1,) samples if it flew to the end, and how it ended. A flight that crashes or
+        diverges is a result: its ``status`` says so.
+
+    Raises
+    ------
+    BadInputError
+        For an unknown aircraft, script or property, and for numbers that cannot be flown.
+
+    References
+    ----------
+    MIL-F-8785C, 1980, section 3.7: the Dryden turbulence.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> flight = uq.fly("espaaro", "loiter", duration_s=10, wind_mps=3, turbulence="moderate", seed=7)
+    >>> flight.status, len(flight)
+    ('ok', 501)
+    >>> table = flight.to_dataframe()
+    >>> list(table.columns[:4])
+    ['time_s', 'V_mps', 'alpha_rad', 'beta_rad']
+    """
+    model, run = given_aircraft(aircraft), read_script(find_script(Path(script)))
+    spec = FlightSpec(
+        model.folder,
+        run.path,
+        run.end_s if duration_s is None else duration_s,
+        wind_mps=wind_mps,
+        wind_from_deg=wind_from_deg,
+        turbulence=turbulence,
+        turbulence_source=turbulence_source,
+        sensor_noise=noise,
+        properties=dict(properties or {}),
+        record_rate_hz=rate_hz,
+    )
+    frame, recorded = recorded_flight(model, run, as_asked(spec, seed))
+    known = {str(name): frame[name].to_numpy() for name in frame.columns if name in SIGNALS}
+    record = FlightRecord(known, Metadata(source=run.path.stem, dialect="record"))
+    record = FlightRecord(known, Metadata(source=run.path.stem, dialect="record", findings=tuple(check_units(record))))
+    return Flight(run.path.stem, record, _content_sha256(record), recorded.status, recorded.reason, model, start_of(recorded))
+
+
+def read_flights(
+    paths: AnyPath | Sequence[AnyPath],
+    aircraft: AnyAircraft,
+    *,
+    manoeuvres: AnyPath | None = None,
+    signal_map: AnyPath | None = None,
+) -> list[Flight]:
+    """Read flight logs or records, the part that is free flight.
+
+    Parameters
+    ----------
+    paths : str, Path or sequence of them
+        Records (.parquet, .csv) or logs (ArduPilot .bin, .log, .tlog; PX4 .ulg), told apart by their content.
+    aircraft : str, Path or Aircraft
+        Whose airframe.toml turns servo outputs into angles.
+    manoeuvres : str or Path, optional
+        CSV table manoeuvre, start_s, end_s (and flight) that labels the flights.
+    signal_map : str or Path, optional
+        Signal map of your own, TOML (docs/logs.md).
+
+    Returns
+    -------
+    list of Flight
+        One a file, in order.
+
+    Raises
+    ------
+    BadInputError
+        For what is no log, damaged, of another aircraft, in degrees, or given twice.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> columns = uq.fly("espaaro", "doublet-elevator", duration_s=5).write("doublet.parquet")
+    >>> (flight,) = uq.read_flights("doublet.parquet", "espaaro")
+    >>> flight.name, len(flight), "elevator_deg" in flight.record
+    ('doublet', 251, True)
+    """
+    model = given_aircraft(aircraft)
+    files = [Path(p) for p in ([paths] if isinstance(paths, str | PathLike) else paths)]
+    table, own_map = (None if p is None else Path(p) for p in (manoeuvres, signal_map))
+    records = [read_flight(path, model, table, own_map) for path in files]
+    hashes = [file_sha256(path) for path in files]
+    refuse_twice(files, hashes)
+    return [Flight(path.stem, record, sha256) for path, record, sha256 in zip(files, records, hashes, strict=True)]
+
+
+def given_aircraft(aircraft: AnyAircraft) -> Aircraft:
+    """The aircraft of that name or folder, or the one given. Raises BadInputError."""
+    return aircraft if isinstance(aircraft, Aircraft) else find_aircraft(Path(aircraft))
+
+
+def given_flights(flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft) -> list[Flight]:
+    """One flight or several, whatever each was given as, at least one and none twice. Raises BadInputError."""
+    if isinstance(flights, str | PathLike | FlightRecord | Flight):
+        flights = [flights]
+    found = [_given(flight, aircraft) for flight in flights]
+    if not found:
+        raise BadInputError("no flight was given; at least one is needed, such as uq.read_flights(['flight.bin'], aircraft)")
+    refuse_twice([flight.name for flight in found], [flight.sha256 for flight in found])
+    return found
+
+
+def _given(flight: AnyFlight, aircraft: Aircraft) -> Flight:
+    if isinstance(flight, Flight):
+        return flight
+    if isinstance(flight, FlightRecord):
+        name = Path(flight.metadata.source).stem or "flight"
+        return Flight(name, in_free_flight(flight, aircraft, name), _content_sha256(flight))
+    if not isinstance(flight, str | PathLike):
+        raise BadInputError(
+            f"a flight is a path, a FlightRecord or what fly and read_flights give; received {type(flight).__name__}"
+        )
+    return read_flights(flight, aircraft)[0]
+
+
+def _content_sha256(record: FlightRecord) -> str:
+    parts = []
+    for name, values in record.columns.items():
+        content = "\0".join(values).encode() if name in LABELS else values.astype("<f8").tobytes()
+        parts += [f"{name}\0{len(content)}\0".encode(), content]
+    return sha256_hex(b"".join(parts))

@@ -1,0 +1,268 @@
+"""Identification in Python: parameters, the gap to a flight, and the bounds of what the model does not know."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Literal
+
+from sysid.aerodynamics.residuals import Cutoffs
+from sysid.model_form.fit import FitOptions
+from sysid.model_form.model_form import Outside
+from uqharness.api.flights import AnyAircraft, AnyFlight, Flight, given_aircraft, given_flights
+from uqharness.errors import BadInputError
+from uqharness.identification import compare as comparing
+from uqharness.identification import identify as identifying
+from uqharness.identification import model_form as bounding
+from uqharness.identification.channels import parse_channels
+from uqharness.identification.compare import Comparison
+from uqharness.identification.designs import parse_designs
+from uqharness.identification.model_form import BoundsOptions, MadeBounds
+from uqharness.identification.result import Identification
+from uqharness.replay import flights as replayed
+from uqharness.replay.residuals import recut
+from uqharness.simulator.aircraft import Aircraft
+
+Servos = Literal["card", "ideal"]
+
+
+def identify(
+    aircraft: AnyAircraft,
+    flights: AnyFlight | Iterable[AnyFlight],
+    *,
+    parameters: Sequence[str] | None = None,
+    start: Literal["current", "initial"] = "current",
+    method: Literal["auto", "output-error", "filter-error"] = "auto",
+    biases: Sequence[str] | None = None,
+    delays: Sequence[str] | None = None,
+    servos: Servos = "card",
+    workers: int | None = None,
+) -> Identification:
+    """Estimate an aircraft's parameters from flights, as ``uqharness identify`` does.
+
+    Parameters
+    ----------
+    aircraft : str, Path or Aircraft
+        The model.
+    flights : flight or sequence of flights
+        Paths, FlightRecords, or what `fly` and `read_flights` give.
+    parameters : sequence of str, optional
+        JSBSim properties to estimate, such as ``["aero/Cm_q"]``; by default those that the card lists.
+    start : {"current", "initial"}
+        Start from the values in the XML, or from the card's first guesses.
+    method : {"auto", "output-error", "filter-error"}
+        ``auto`` takes filter error where the residuals show turbulence.
+    biases : sequence of str, optional
+        Channels with a constant sensor bias to estimate, short (``"p"``) or whole (``"p_radps"``); by default p, q, r.
+    delays : sequence of str, optional
+        What is late by a delay to be estimated: channels, or ``"controls"``; by default the controls, and all channels of a log.
+    servos : {"card", "ideal"}
+        Commands go through the aircraft's actuators, or surfaces and throttle follow them at once.
+    workers : int, optional
+        Processes; by default one a core, 8 at most.
+
+    Returns
+    -------
+    Identification
+        ``names`` (k,), ``theta`` (k,) the estimates in the properties' own units, ``std`` (k,) corrected for coloured residuals,
+        ``cov`` (k, k) of the identified ones, ``status``, ``warnings``, the segments with measured and modelled channels.
+        ``to_dataframe()`` is the table of parameters.
+
+    Raises
+    ------
+    BadInputError
+        For flights that lack a channel, unknown parameters or channels, and a model that cannot fly the segments.
+
+    References
+    ----------
+    L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.4 to 2.9: output error. R. V. Jategaonkar, Flight Vehicle System
+    Identification, 2nd ed., 2015: filter error. docs/method.md has the equations.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> flight = uq.fly("espaaro", "doublet-elevator", noise=True, seed=1)
+    >>> fit = uq.identify("espaaro", flight, parameters=["aero/Cm_q", "aero/Cm_de"], workers=1)
+    >>> fit.converged, fit.identified
+    (True, ('aero/Cm_q', 'aero/Cm_de'))
+    """
+    model = given_aircraft(aircraft)
+    _check_workers(workers)
+    late, biased = _channels("delays", delays), _channels("biases", biases)
+    ready, measured = _prepared(given_flights(flights, model), model)
+    return identifying.identify(
+        model,
+        ready,
+        measured,
+        parameters,
+        start=_one_of("start", start, ("current", "initial")),
+        biases=identifying.BIASES if biased is None else biased,
+        delays=late,
+        ideal_servos=_ideal(servos),
+        method=_one_of("method", method, ("auto", "output-error", "filter-error")),
+        workers=workers,
+    )
+
+
+def compare(
+    aircraft: AnyAircraft,
+    flight: AnyFlight,
+    *,
+    biases: Sequence[str] | None = None,
+    delays: Sequence[str] | None = None,
+    servos: Servos = "card",
+    workers: int | None = None,
+) -> Comparison:
+    """Replay a flight and measure the gap to the model against the sensors' noise, as ``uqharness compare`` does.
+
+    Parameters
+    ----------
+    aircraft : str, Path or Aircraft
+        The model.
+    flight : str, Path, FlightRecord or Flight
+        What was measured.
+    biases, delays, servos, workers
+        As for `identify`.
+
+    Returns
+    -------
+    Comparison
+        ``channels`` with rms and noise of each in the channel's own unit, ``coefficients`` [-], ``manoeuvres``, the worst
+        ``moments``, and per segment the channels ``measured`` and ``modelled`` (n, m). ``reached`` says whether every judged
+        channel is within 1.15 of its noise. ``to_dataframe()`` is the table of channels.
+
+    Raises
+    ------
+    BadInputError
+        For a flight that lacks a channel and a model that cannot fly any segment.
+
+    References
+    ----------
+    H. Theil's inequality coefficient, with its shares of bias, variance and covariance; docs/identification.md has the rest.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> flight = uq.fly("espaaro", "doublet-elevator", noise=True, seed=1)
+    >>> gap = uq.compare("espaaro", flight, workers=1)
+    >>> gap.reached, gap.above
+    (True, ())
+    """
+    model = given_aircraft(aircraft)
+    _check_workers(workers)
+    late, biased = _channels("delays", delays), _channels("biases", biases)
+    found = given_flights(flight, model)
+    if len(found) != 1:
+        raise BadInputError(f"compare takes one flight, {len(found)} were given; call it once for each")
+    ready, measured = _prepared(found, model)
+    return comparing.compare(
+        model,
+        ready[0],
+        measured,
+        biases=identifying.BIASES if biased is None else biased,
+        delays=late,
+        ideal_servos=_ideal(servos),
+        workers=workers,
+    )
+
+
+def fit_model_form(
+    aircraft: AnyAircraft,
+    flights: AnyFlight | Iterable[AnyFlight],
+    *,
+    confidence: float = 0.95,
+    states: Mapping[str, Sequence[str]] | None = None,
+    terms: Mapping[str, Sequence[str]] | None = None,
+    order: Literal[0, 1, 2, 3] = 2,
+    outside: Outside = "grow",
+    checks: bool = True,
+    servos: Servos = "card",
+) -> MadeBounds:
+    """Bounds of what a model does not know, from flights that it was not identified from, as ``uqharness bounds`` makes them.
+
+    Parameters
+    ----------
+    aircraft : str, Path or Aircraft
+        The model.
+    flights : flight or sequence of flights
+        Paths, FlightRecords, or what `fly` and `read_flights` give.
+    confidence : float
+        Of the prediction intervals [-], between 0 and 1.
+    states : Mapping, optional
+        Coefficient to the states of its polynomial, such as ``{"CX": ["V", "alpha", "q"]}``.
+    terms : Mapping, optional
+        Coefficient to its terms, such as ``{"Cm": ["1", "alpha", "p^2"]}``.
+    order : int
+        Of full polynomials, 0 to 3.
+    outside : {"grow", "clamp"}
+        What the bounds do beyond the data: grow as published, or stay.
+    checks : bool
+        Whether noise floor, leave-one-out and other filters are worked out too; they take most of the time.
+    servos : {"card", "ideal"}
+        As for `identify`.
+
+    Returns
+    -------
+    MadeBounds
+        ``form``, the model form that `instrument` and campaigns take (``form.to_json()`` is model-form.json), the residual
+        coefficients [-] it was fitted to, ``widths`` and ``noise`` [-] per coefficient, ``warnings``. ``to_dataframe()`` is the
+        table of coefficients.
+
+    Raises
+    ------
+    BadInputError
+        For flights that lack a channel or are too short, and for unknown states or terms.
+
+    References
+    ----------
+    L. E. Hale, dissertation, Virginia Tech, 2016, eq. 2.11 to 2.18: residual coefficients, and the prediction interval of their
+    regression on the flight states.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> flight = uq.fly("espaaro_truth", "flight-bounds", duration_s=40, turbulence="light", noise=True, seed=2)
+    >>> made = uq.fit_model_form("espaaro", flight, checks=False)
+    >>> sorted(made.form.coefficients)
+    ['CX', 'CY', 'CZ', 'Cl', 'Cm', 'Cn']
+    """
+    model = given_aircraft(aircraft)
+    if not 0.0 < confidence < 1.0:
+        raise BadInputError(f"confidence = {confidence:g}: a number between 0 and 1 is needed, such as 0.95")
+    if order not in (0, 1, 2, 3):
+        raise BadInputError(f"order = {order}: allowed are 0, 1, 2, 3")
+    wanted = [[f"{c}={','.join(names)}" for c, names in (given or {}).items()] for given in (states, terms)]
+    options = BoundsOptions(
+        designs=parse_designs(wanted[0], wanted[1], order, False),
+        fit=FitOptions(confidence),
+        cutoffs=Cutoffs(),
+        outside=_one_of("outside", outside, ("grow", "clamp")),  # type: ignore[arg-type]
+        ideal_servos=_ideal(servos),
+        checks=checks,
+    )
+    found = given_flights(flights, model)
+    ready, measured = _prepared(found, model)
+    hashes = [flight.sha256 for flight in found]
+    return bounding.make_bounds(model, [recut(flight, measured) for flight in ready], measured, hashes, options)
+
+
+def _prepared(flights: Sequence[Flight], aircraft: Aircraft) -> tuple[list[replayed.Flight], tuple[str, ...]]:
+    return replayed.prepare_together([f.name for f in flights], [f.record for f in flights], aircraft)
+
+
+def _channels(what: str, names: Sequence[str] | None) -> tuple[str, ...] | None:
+    return parse_channels(f"--{what}", None if names is None else ",".join([names] if isinstance(names, str) else names))
+
+
+def _check_workers(workers: int | None) -> None:
+    if workers is not None and workers < 1:
+        raise BadInputError(f"workers = {workers}: at least 1 is needed")
+
+
+def _ideal(servos: str) -> bool:
+    return _one_of("servos", servos, ("card", "ideal")) == "ideal"
+
+
+def _one_of(name: str, value: str, allowed: Sequence[str]) -> str:
+    if value not in allowed:
+        raise BadInputError(f"{name} = {value!r}: allowed are {', '.join(allowed)}")
+    return value

@@ -1,0 +1,143 @@
+"""Refinement in Python."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Literal
+
+from sysid.effects.file import read_effects
+from sysid.record import FlightRecord
+from uqharness.api.flights import AnyAircraft, AnyFlight, AnyPath, Flight, given_aircraft, given_flights
+from uqharness.errors import BadInputError
+from uqharness.files import check_folder
+from uqharness.refinement import run as running
+from uqharness.refinement.run import Refinement, Request
+from uqharness.replay.flights import renamed
+from uqharness.report.refinement import write_results
+from uqharness.report.write import write_report
+from uqharness.scratch import scratch_folder
+from uqharness.simulator.aircraft import Aircraft
+
+
+def refine(
+    aircraft: AnyAircraft,
+    *,
+    train: AnyFlight | Iterable[AnyFlight],
+    test: AnyFlight | Iterable[AnyFlight],
+    out: AnyPath,
+    effects: AnyPath | None = None,
+    servos: Literal["card", "ideal"] = "card",
+    campaign: AnyPath | None = None,
+    pbox: bool = True,
+    figures: bool = True,
+    workers: int | None = None,
+    on_stage: Callable[[str], None] = lambda stage: None,
+) -> Refinement:
+    """Find, name and add what a model lacks, as ``uqharness refine`` does. The same call goes on where it was interrupted.
+
+    Parameters
+    ----------
+    aircraft : str, Path or Aircraft
+        The model.
+    train : flight or sequence of flights
+        Flights that choose: paths, FlightRecords, or what `fly` and `read_flights` give.
+    test : flight or sequence of flights
+        Flights that only show what it did.
+    out : str or Path
+        Folder for the results.
+    effects : str or Path, optional
+        Effects of your own beside the catalogue, TOML (docs/extend.md).
+    servos : {"card", "ideal"}
+        As for `identify`.
+    campaign : str or Path, optional
+        Mission that both models fly within their intervals; by default the aircraft's loiter, if it has one.
+    pbox : bool
+        Whether that mission is flown.
+    figures : bool
+        Whether figures are drawn into ``out``.
+    workers : int, optional
+        Processes; by default one a core, 8 at most.
+    on_stage : callable, optional
+        Called with a sentence at each stage.
+
+    Returns
+    -------
+    Refinement
+        ``document``, which is refinement.json (verdict, effects with estimate, standard deviation and unit, gaps before and
+        after), and ``aircraft``, the refined one, which every function here takes.
+
+    Raises
+    ------
+    BadInputError
+        For flights that cannot be used or that train and test share, and a card without ``[parameters]``.
+    LogError
+        For a file of effects that cannot be used.
+
+    References
+    ----------
+    L. E. Hale, dissertation, Virginia Tech, 2016, section 2.7. docs/refine.md has the method.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> flights = [uq.fly("espaaro_truth", "flight-ident", noise=True, seed=seed) for seed in (1, 2)]
+    >>> found = uq.refine("espaaro", train=flights[0], test=flights[1], out="refined", pbox=False, figures=False)
+    >>> found.document["verdict"]
+    'effects-found'
+    """
+    model, folder = given_aircraft(aircraft), Path(out)
+    if workers is not None and workers < 1:
+        raise BadInputError(f"workers = {workers}: at least 1 is needed")
+    if servos not in ("card", "ideal"):
+        raise BadInputError(f"servos = {servos!r}: allowed are card, ideal")
+    if campaign is not None and not pbox:
+        raise BadInputError("campaign and pbox = False: a campaign is flown for its p-box; leave out one of them")
+    check_folder(folder)
+    extra = tuple(read_effects(Path(effects))) if effects is not None else ()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInputError(f"{folder}: cannot be made: {error.strerror or error}") from None
+    with scratch_folder("flights") as scratch:
+        files = {name: _files(flights, model, scratch.path / name) for name, flights in (("train", train), ("test", test))}
+        request = Request(
+            model,
+            files["train"],
+            files["test"],
+            folder,
+            extra,
+            ideal_servos=servos == "ideal",
+            workers=workers,
+            command=_command(aircraft, files, servos),
+            pbox=pbox,
+            campaign=None if campaign is None else Path(campaign),
+        )
+        done = running.refine(request, on_stage)
+    write_results(done, folder)
+    write_report(folder, figures)
+    return done
+
+
+def _files(flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft, folder: Path) -> tuple[Path, ...]:
+    """Files of the flights: their own, or ones in ``folder`` for flights that are in memory."""
+    given = [flights] if isinstance(flights, str | PathLike | FlightRecord | Flight) else list(flights)
+    loose = [flight for flight in given if not isinstance(flight, str | PathLike)]
+    known = given_flights(loose, aircraft) if loose else []
+    written = iter([folder / f"{name}.parquet" for name in renamed([flight.name for flight in known])])
+    folder.mkdir()
+    found = [Path(flight) if isinstance(flight, str | PathLike) else next(written) for flight in given]
+    for path, flight in zip((p for p in found if p.parent == folder), known, strict=True):
+        flight.record.write(path)
+    if not found:
+        raise BadInputError("refine needs at least one flight to train on and one to test on")
+    return tuple(found)
+
+
+def _command(aircraft: AnyAircraft, files: Mapping[str, Sequence[Path]], servos: str) -> tuple[str, ...]:
+    name = aircraft.name if isinstance(aircraft, Aircraft) else str(aircraft)
+    words = ["uqharness", "refine", name]
+    for role, paths in files.items():
+        words += [f"--{role}", *(path.name for path in paths)]
+    return (*words, *(("--servos", "ideal") if servos == "ideal" else ()))

@@ -1,0 +1,22 @@
+"""Names of the columns that a campaign's flights are scored by."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+ERROR_METRICS = tuple(
+    f"{quantity}_{statistic}_{unit}{suffix}"
+    for suffix in ("", "_measured")
+    for quantity, unit in (("cross_track", "m"), ("altitude", "m"), ("speed", "mps"))
+    for statistic in ("median", "mean", "max")
+)
+"""Statistics of |error| over a flight, true and (``_measured``) as the noise-laden sensors saw it."""
+
+UNCOMMANDED_METRICS = ("heading_median_deg", "heading_mean_deg", "heading_max_deg", "load_factor_max")
+"""What a flight without a commanded path is scored by besides; columns only of a campaign that has them."""
+
+
+def excursion_columns(radii_m: Iterable[float]) -> tuple[str, ...]:
+    """Names of the excursion counts: horizontal distance first, then the 3-D ones."""
+    radii = tuple(radii_m)
+    return tuple(f"excursions_{radius:g}m" for radius in radii) + tuple(f"excursions_{radius:g}m_3d" for radius in radii)

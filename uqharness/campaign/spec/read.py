@@ -1,0 +1,111 @@
+"""campaign.toml read: every mistake named with its line, and the number of flights that its rule asks for."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from uqharness.campaign.inputs import read_inputs
+from uqharness.campaign.spec.campaign import CampaignSpec, Document
+from uqharness.campaign.spec.epistemic import MOST_SAMPLES
+from uqharness.campaign.spec.stop import without_flights
+from uqharness.errors import BadInputError
+from uqharness.toml import explain, line_of, read_toml
+
+
+def read_campaign(path: str | Path) -> CampaignSpec:
+    """Read and validate a campaign file. Raises BadInputError that lists every mistake as ``file:line: ...``."""
+    path = Path(path)
+    data, text = read_toml(path)
+    return campaign_from(data, path, text)
+
+
+def checked_settings(data: dict[str, Any]) -> dict[str, Any]:
+    """Settings of a campaign as a manifest holds them, defaults filled in. Looks at no file; raises pydantic's ValidationError."""
+    document = Document.model_validate(without_flights(data))
+    return document.model_dump(mode="json", exclude_none=True)
+
+
+def campaign_from(data: dict[str, Any], path: Path, text: str = "") -> CampaignSpec:
+    """Validate the content of a campaign file, as TOML or a manifest holds it. ``path`` is where files it names are looked for."""
+    try:
+        document = Document.model_validate(without_flights(data))
+    except ValidationError as error:
+        problems = [explain(Document, text, data, dict(item)) for item in error.errors()]
+        lines = [f"{path}:{line}: {message}" for line, message in sorted(problems)]
+        raise BadInputError(*dict.fromkeys(lines)) from None
+    sections = {name: getattr(document, name) for name in Document.model_fields}
+    inputs = read_inputs(document.epistemic, path.resolve().parent)
+    spec = CampaignSpec(path, text, **sections, inputs=inputs)
+    return settled(spec, stated="flights" in data["aleatory"])
+
+
+def settled(spec: CampaignSpec, stated: bool) -> CampaignSpec:
+    """The campaign with the number of flights its rule asks for; ``stated``: the file gives a number as well.
+
+    Raises BadInputError, with the line, where the two differ and where [stop] and [metrics] do not belong together.
+    """
+    _agree_with_metrics(spec)
+    found, said = _planned(spec)
+    if stated and found.aleatory.flights != spec.aleatory.flights:
+        raise BadInputError(
+            f"{spec.path}:{line_of(spec.source, ('aleatory', 'flights'))}: [aleatory] flights = {spec.aleatory.flights}, but "
+            f"[stop] {said} asks for {found.aleatory.flights}; leave [aleatory] flights out"
+        )
+    return found
+
+
+def planned(spec: CampaignSpec) -> CampaignSpec:
+    """The campaign with the number of flights its rule asks for, after something that bears on it has been changed."""
+    return _planned(spec)[0]
+
+
+def _agree_with_metrics(spec: CampaignSpec) -> None:
+    stop, metrics = spec.stop, spec.metrics
+    if stop.radius_m is not None and stop.radius_m not in metrics.excursion_radius_m:
+        known = ", ".join(f"{radius:g}" for radius in metrics.excursion_radius_m)
+        raise BadInputError(
+            f"{spec.path}:{line_of(spec.source, ('stop', 'radius_m'))}: [stop] radius_m = {stop.radius_m:g}: must be among "
+            f"[metrics] excursion_radius_m ({known})"
+        )
+    zone = stop.indifference_per_h
+    if zone is not None and not zone[0] <= metrics.acceptable_per_h <= zone[1]:
+        raise BadInputError(
+            f"{spec.path}:{line_of(spec.source, ('stop', 'indifference_per_h'))}: [stop] indifference_per_h = [{zone[0]:g}, "
+            f"{zone[1]:g}]: must hold [metrics] acceptable_per_h = {metrics.acceptable_per_h:g}"
+        )
+
+
+def _planned(spec: CampaignSpec) -> tuple[CampaignSpec, str]:
+    """The campaign with the flights its rule asks for, and what asks for them."""
+    stop = spec.stop
+    if stop.rule == "hours" and stop.hours is not None:
+        said = f"hours = {stop.hours:g} of flights of {spec.aleatory.duration_s:g} s"
+        return spec.with_hours(stop.hours), said
+    if stop.rule == "band-width":
+        # Imported here: pandas and scipy are for this rule alone.
+        from uqharness.campaign.conditions import CONFIDENCE
+        from uqharness.campaign.spec.samples import epistemic_samples
+        from uqharness.statistics.pbox import flights_for_band
+
+        assert stop.band_width is not None
+        samples = len(epistemic_samples(spec))
+        wanted = flights_for_band(stop.band_width, samples, CONFIDENCE)
+        said = f"band_width = {stop.band_width:g} over {samples} epistemic samples"
+        return spec.with_flights(wanted), said
+    return spec, ""
+
+
+def with_samples(spec: CampaignSpec, samples: int) -> CampaignSpec:
+    """The same campaign with another number of drawn epistemic samples. Raises BadInputError where none are drawn."""
+    if spec.epistemic.samples is None:
+        raise BadInputError(
+            f'--samples {samples}: {spec.path} draws no epistemic samples (method = "{spec.epistemic.method}"), '
+            "so their number cannot be changed"
+        )
+    if not 1 <= samples <= MOST_SAMPLES:
+        raise BadInputError(f"--samples {samples}: must be from 1 to {MOST_SAMPLES}")
+    return planned(dataclasses.replace(spec, epistemic=spec.epistemic.model_copy(update={"samples": samples})))

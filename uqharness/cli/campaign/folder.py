@@ -1,0 +1,127 @@
+"""``uqharness campaign status | report | merge | rerun``: a campaign's folder looked at, reported, put together, flown again."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from uqharness.campaign.answers import as_json, lines
+from uqharness.campaign.folder.rerun import rerun_case
+from uqharness.campaign.folder.shards import merge
+from uqharness.campaign.folder.status import read_status
+from uqharness.cli.campaign.run import failures, say_rewritten
+from uqharness.cli.options import describe
+from uqharness.report.rerun import draw_rerun
+from uqharness.report.write import write_campaign_report
+
+_STATUS_EXAMPLE = """
+  uqharness campaign status campaigns/demo/results
+
+Works from another terminal while the campaign runs."""
+_REPORT_EXAMPLE = """
+  uqharness campaign report campaigns/demo/results
+
+Writes DIR/report.html (one file, no network needed) and DIR/figures/*.svg."""
+_MERGE_EXAMPLE = """
+  uqharness campaign merge big
+
+Brings the shards in DIR/shards together and writes DIR's tables, the same bytes as of a run in one piece."""
+_RERUN_EXAMPLE = """
+  uqharness campaign rerun campaigns/demo/results --case 4c4000eebc386034
+
+Writes DIR/rerun/ID/: record.parquet (all signals at 50 Hz, burn-in included), flight.svg and result.json."""
+
+
+def add_folder(parser: argparse.ArgumentParser) -> None:
+    """The campaign folder that a verb looks at."""
+    parser.add_argument("folder", type=Path, metavar="DIR", help="campaign folder")
+
+
+def add_status(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``status``."""
+    describe(parser, _status, "Say how far a campaign is.", _STATUS_EXAMPLE, done="complete", no="not complete")
+    add_folder(parser)
+
+
+def add_report(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``report``."""
+    describe(parser, _report, "Write report.html and the figures.", _REPORT_EXAMPLE)
+    add_folder(parser)
+
+
+def add_merge(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``merge``."""
+    text, no = "Bring shards together and write the tables.", "flights are missing (which shards to run is said)"
+    describe(parser, _merge, text, _MERGE_EXAMPLE, done="complete", no=no)
+    add_folder(parser)
+
+
+def add_rerun(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``rerun``."""
+    text, done = "Fly one case again with full output and a plot.", "it came out as stored (or was not stored yet)"
+    describe(parser, _rerun, text, _RERUN_EXAMPLE, done=done, no="it came out otherwise")
+    add_folder(parser)
+    parser.add_argument("--case", required=True, metavar="ID", help="case id, or the beginning of one")
+
+
+def _status(args: argparse.Namespace) -> int:
+    found = read_status(args.folder)
+    done, statuses = found.done, dict(found.statuses)
+    if args.json:
+        document = {"state": found.state, "cases": found.cases, "done": done, "failed": done - statuses.get("ok", 0)}
+        print(json.dumps(document | {"statuses": statuses, "answers": as_json(found.answers)}))
+    else:
+        summary = f"{args.folder}: {found.state}, {done} of {found.cases} flights done, {failures(statuses)}"
+        print("\n".join([summary, *lines(found.answers)]))
+        if found.state == "interrupted":
+            print(f"resume with: {found.command or 'the command that began it'}", file=sys.stderr)
+    return 0 if found.state == "complete" else 1
+
+
+def _report(args: argparse.Namespace) -> int:
+    report = write_campaign_report(args.folder)
+    if args.json:
+        found = {"report": str(report.path), "figures": [str(path) for path in report.figures]}
+        print(json.dumps(found | {"verdict": report.verdict}))
+    else:
+        print(f"{report.path}: written, with {len(report.figures)} figures")
+        for sentence in report.verdict:
+            print(f"  {sentence}")
+    return 0
+
+
+def _merge(args: argparse.Namespace) -> int:
+    merged = merge(args.folder)
+    say_rewritten(merged.folder, merged.rewritten)
+    done = merged.cases - merged.missing
+    if args.json:
+        found = {"cases": merged.cases, "done": done, "missing": merged.missing, "statuses": merged.statuses}
+        print(json.dumps(found | {"shards": list(merged.shards)}))
+    else:
+        print(f"{merged.folder}: {done} of {merged.cases} flights from {len(merged.shards)} shards, {failures(merged.statuses)}")
+    if merged.missing and not args.json:
+        print(
+            f"{merged.missing} flights are in none of {', '.join(merged.shards)}; fly the shards that lack, then merge again",
+            file=sys.stderr,
+        )
+    return 1 if merged.missing else 0
+
+
+def _rerun(args: argparse.Namespace) -> int:
+    found = rerun_case(args.folder, args.case)
+    files = [*found.files, *draw_rerun(found)]
+    outcome = found.outcome
+    if args.json:
+        document: dict[str, Any] = {"case_id": found.case.case_id, "status": outcome.status, "reason": outcome.reason}
+        document |= {"same_as_stored": found.same, "differences": list(found.differences)}
+        print(json.dumps(document | {"files": [str(path) for path in files]}))
+    else:
+        how = {True: "as stored", False: "NOT as stored", None: "not flown before"}[found.same]
+        end = f" ({outcome.reason})" if outcome.reason else ""
+        print(f"{found.folder}: {outcome.status}{end}, {how}; {', '.join(path.name for path in files)}")
+        for difference in found.differences:
+            print(f"  {difference}")
+    return 1 if found.same is False else 0

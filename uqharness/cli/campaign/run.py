@@ -1,0 +1,229 @@
+"""``uqharness campaign check | run``: what a campaign costs, and flying it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from uqharness.campaign import run as campaign_run
+from uqharness.campaign.aircraft import bounds_notes, make_copy, needs_copy
+from uqharness.campaign.cost import Cost, one_case, refuse_if_long, size_of
+from uqharness.campaign.execution.processes import Executor, ProcessExecutor, SerialExecutor
+from uqharness.campaign.folder.shards import parse_shard
+from uqharness.campaign.folder.status import read_status
+from uqharness.campaign.run import CampaignSummary
+from uqharness.campaign.spec.campaign import CampaignSpec
+from uqharness.campaign.spec.read import read_campaign, with_samples
+from uqharness.cli.options import add_out, add_workers, describe
+from uqharness.cli.progress import ProgressView, clock
+from uqharness.errors import BadInputError
+from uqharness.flight import fly as flight
+from uqharness.parallel import usable_cores
+from uqharness.project_files import find_campaign
+from uqharness.scratch import scratch_folder
+
+_CHECK_EXAMPLE = """
+  uqharness campaign check campaigns/demo/campaign.toml
+
+Flights, flight hours, expected time on this machine and disk. Flies the check flight alone, and keeps nothing of it."""
+_RUN_EXAMPLE = """
+  uqharness campaign run campaigns/demo/campaign.toml --out campaigns/demo/results
+  uqharness campaign run campaigns/demo/campaign.toml --out big --hours 10 --workers 8
+  uqharness campaign run campaigns/demo/campaign.toml --out big --dask tcp://192.168.0.2:8786
+  uqharness campaign run demo --out anywhere      the campaign of that name that comes with the package
+  uqharness campaign run campaigns/demo/campaign.toml --out big --shard 3/16      one of 16 jobs; then: campaign merge big
+
+The same command resumes a run that was interrupted, killed or cut off: only missing flights are flown."""
+
+
+def add_check(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``check``."""
+    text = "Say what a campaign costs before it is flown."
+    describe(parser, _check, text, _CHECK_EXAMPLE, done="done (a model that cannot be flown is bad input)")
+    _add_campaign(parser)
+
+
+def add_run(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``run``."""
+    done = "all flights done (failed ones are counted and reported)"
+    describe(parser, _run, "Fly a campaign, or resume it.", _RUN_EXAMPLE, done=done)
+    _add_campaign(parser)
+    add_out(parser)
+    parser.add_argument(
+        "--start-method", choices=("spawn", "forkserver", "fork"), default="spawn", help="of the processes (default spawn)"
+    )
+    parser.add_argument("--dask", metavar="ADDRESS", help="fly on the Dask cluster of this scheduler (address or scheduler file)")
+    parser.add_argument("--serial", action="store_true", help="fly in this process, for debugging")
+    parser.add_argument("--shard", metavar="i/n", help="fly the i-th of n shares only, to be merged later")
+    add_yes(parser)
+
+
+def _add_campaign(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml", help="a file, or the name of a folder under campaigns/")
+    add_size(parser)
+    add_workers(parser)
+
+
+def add_size(parser: argparse.ArgumentParser) -> None:
+    """``--hours`` and ``--samples``, which stand in place of the file's numbers."""
+    text = "flight hours per corner and condition, in place of [aleatory] flights"
+    parser.add_argument("--hours", type=float, metavar="H", help=text)
+    parser.add_argument("--samples", type=int, metavar="N", help="epistemic samples to draw, in place of [epistemic] samples")
+
+
+def add_yes(parser: argparse.ArgumentParser) -> None:
+    """``--yes``."""
+    parser.add_argument("--yes", action="store_true", help="fly even if it takes more than a day of this machine")
+
+
+def asked_campaign(args: argparse.Namespace) -> CampaignSpec:
+    """The campaign of ``args.campaign`` with ``--hours`` and ``--samples`` in it. Raises BadInputError."""
+    spec = read_campaign(find_campaign(args.campaign))
+    if args.hours is not None:
+        spec = spec.with_hours(args.hours)
+    return spec if args.samples is None else with_samples(spec, args.samples)
+
+
+def flying_command(args: argparse.Namespace, out: Path) -> list[str]:
+    """The words that fly the campaign into a folder, at the size that was asked for."""
+    words = ["uqharness", "campaign", "run", str(args.campaign), "--out", str(out)]
+    words += [] if args.hours is None else ["--hours", f"{args.hours:g}"]
+    return words if args.samples is None else [*words, "--samples", str(args.samples)]
+
+
+def tell_cost(agreed: bool, name: Path) -> Callable[[Cost], None]:
+    """What a campaign calls before it flies: refuses more than a day unless that was agreed to, and says what is ahead."""
+
+    def told(cost: Cost) -> None:
+        refuse_if_long(cost, agreed, name)
+        print(f"{name}: {cost.words}", file=sys.stderr)
+
+    return told
+
+
+def say_rewritten(folder: Path, names: Sequence[str]) -> None:
+    """Say which files were not as they had been written."""
+    for name in names:
+        print(f"note: {folder / name} was not as it had been written; it is written again from the journal", file=sys.stderr)
+
+
+def failures(statuses: Mapping[str, int]) -> str:
+    """How many flights failed, and in which way."""
+    failed = {status: number for status, number in statuses.items() if status != "ok"}
+    if not failed:
+        return "none failed"
+    return f"{sum(failed.values())} failed ({', '.join(f'{number} {status}' for status, number in failed.items())})"
+
+
+def _check(args: argparse.Namespace) -> int:
+    spec = asked_campaign(args)
+    with scratch_folder("check") as scratch:
+        mission = campaign_run.find_mission(spec, scratch.path)
+        if needs_copy(spec):
+            make_copy(spec, mission, scratch.path)
+        pace = campaign_run.validate_model(flight.fly, one_case(spec, mission))
+    cost = Cost(size_of(spec), 0, pace, args.workers or usable_cores())
+    asked = "; more than a day of this machine: `campaign run` wants --yes or --hours" if cost.is_long else ""
+    print(json.dumps(_cost_json(cost)) if args.json else f"{args.campaign}: {cost.words}{asked}")
+    return 0
+
+
+def _cost_json(cost: Cost) -> dict[str, Any]:
+    size = cost.size
+    return {
+        "flights": size.flights,
+        "at_most": size.at_most,
+        "flights_each": size.aleatory,
+        "conditions": size.conditions,
+        "epistemic_samples": size.epistemic,
+        "flight_hours": size.hours,
+        "workers": cost.workers,
+        "expected_s": cost.seconds,
+        "disk_bytes": size.disk_bytes,
+        "more_than_a_day": cost.is_long,
+    }
+
+
+def _run(args: argparse.Namespace) -> int:
+    spec = asked_campaign(args)
+    for note in bounds_notes(spec):
+        print(f"note: {note}", file=sys.stderr)
+    shard = parse_shard(args.shard) if args.shard is not None else None
+    agreed = args.yes or args.hours is not None
+    command = flying_command(args, args.out)
+    command += [] if args.shard is None else ["--shard", args.shard]
+    command += ["--yes"] if args.yes else []
+    try:
+        with ExitStack() as stack:
+            executor = _executor(args, stack)
+            # Before anything is made or tried out: what is too long at any pace need not be.
+            size = size_of(spec, 1 if shard is None else shard.count)
+            refuse_if_long(Cost(size, _done_before(args.out), None, executor.workers), agreed, args.campaign)
+            view = stack.enter_context(ProgressView())
+            summary = campaign_run.run_campaign(
+                spec, args.out, executor=executor, on_progress=view.update, command=shlex.join(command), shard=shard,
+                before_flying=tell_cost(agreed, args.campaign),
+            )  # fmt: skip
+    except KeyboardInterrupt:
+        print(f"{args.out}: stopped; every finished flight is kept, the same command goes on from here", file=sys.stderr)
+        raise
+    say_rewritten(summary.folder, summary.rewritten)
+    print(json.dumps(_summary_json(summary)) if args.json else _sentence(summary))
+    return 0
+
+
+def _done_before(folder: Path) -> int:
+    """Flights that need not be flown again; whether the folder may be flown into is asked later."""
+    try:
+        return read_status(folder).done
+    except BadInputError:
+        return 0
+
+
+def _executor(args: argparse.Namespace, stack: ExitStack) -> Executor:
+    """What flies the cases, closed with the stack. Raises BadInputError."""
+    if args.dask is not None:
+        if args.serial or args.workers is not None:
+            raise BadInputError(
+                "--dask: the cluster's workers fly; leave out --workers and --serial, and give the number to: dask worker "
+                "--nworkers"
+            )
+        # Imported here: Dask is an extra.
+        from uqharness.campaign.execution.dask import DaskExecutor
+
+        return stack.enter_context(DaskExecutor(args.dask))
+    if args.serial:
+        return SerialExecutor()
+    return ProcessExecutor(args.workers or usable_cores(), args.start_method)
+
+
+def _summary_json(summary: CampaignSummary) -> dict[str, Any]:
+    progress = summary.progress
+    return {
+        "folder": str(summary.folder),
+        "cases": summary.cases,
+        "done_before": summary.done_before,
+        "failed": summary.failed,
+        "statuses": summary.statuses,
+        "flight_hours": progress.flown_s / 3600.0,
+        "elapsed_s": progress.elapsed_s,
+        "flight_hours_per_core_hour": progress.hours_per_core_hour,
+    }
+
+
+def _sentence(summary: CampaignSummary) -> str:
+    progress = summary.progress
+    text = f"{summary.folder}: {summary.cases} flights done"
+    if summary.done_before:
+        text += f", {summary.done_before} of them before this run"
+    text += f", {failures(summary.statuses)}"
+    if summary.cases > summary.done_before:
+        text += f"; {progress.flown_s / 3600.0:.2f} flight h in {clock(progress.elapsed_s)} on {progress.workers} workers"
+        text += f", {progress.hours_per_core_hour:.0f} flight h per core h"
+    return text

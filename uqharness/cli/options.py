@@ -1,0 +1,182 @@
+"""Options that commands share: each is defined once, with one help text and one check.
+
+A check that fails raises BadInputError while the words of a command are read, before any work is done.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+
+from uqharness.errors import BadInputError
+
+Handler = Callable[[argparse.Namespace], int]
+MOST_WORKERS = "one a core, 8 at most"
+FLIGHT_FILE = "record (.parquet, .csv) or any log that `log import` reads"
+
+
+def describe(
+    parser: argparse.ArgumentParser, handler: Handler, text: str, examples: str, *, done: str = "done", no: str = ""
+) -> None:
+    """Give a command its handler, ``--json`` and its help page.
+
+    Parameters
+    ----------
+    text
+        What the command does, a sentence.
+    examples
+        Command lines, one a line, and after an empty line what they write.
+    done, no
+        What exit codes 0 and 1 mean; a command without ``no`` never ends with 1.
+    """
+    parser.description = text
+    answers = f"0 {done}, 1 {no}" if no else f"0 {done}"
+    shown = examples.strip("\n")
+    parser.epilog = f"examples:\n{shown}\n\nExit codes: {answers}, 2 bad input, 130 interrupted."
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("--json", action="store_true", help="machine-readable output")
+    parser.set_defaults(handler=handler, parser=parser)
+
+
+def add_aircraft(parser: argparse.ArgumentParser) -> None:
+    """The aircraft, first of a command's words."""
+    parser.add_argument("aircraft", metavar="AIRCRAFT", help="name under aircraft/ or in JSBSim's collection, or a folder")
+
+
+def add_out(parser: argparse.ArgumentParser, required: bool = True) -> None:
+    """``--out``, a folder of results."""
+    text = "folder for the results, made if need be" + ("" if required else " (default: nothing is written)")
+    parser.add_argument("--out", type=Path, required=required, metavar="DIR", help=text)
+
+
+def add_workers(parser: argparse.ArgumentParser, default: str = "one a core") -> None:
+    """``--workers``; None where it is not given."""
+    parser.add_argument("--workers", type=whole("--workers", 1), metavar="N", help=f"processes (default: {default})")
+
+
+def add_seed(parser: argparse.ArgumentParser, of: str, default: int = 0) -> None:
+    """``--seed`` of what is drawn."""
+    parser.add_argument(
+        "--seed", type=whole("--seed", 0), default=default, metavar="N", help=f"seed of {of} (default %(default)s)"
+    )  # fmt: skip
+
+
+def add_no_figures(parser: argparse.ArgumentParser) -> None:
+    """``--no-figures``."""
+    parser.add_argument("--no-figures", action="store_true", help="leave out the figures")
+
+
+def add_flights(parser: argparse.ArgumentParser, option: str = "--flight", text: str = "flight") -> None:
+    """Files of flights, at least one."""
+    parser.add_argument(
+        option, type=Path, nargs="+", action="extend", required=True, metavar="FILE", help=f"{text}: {FLIGHT_FILE}; repeatable"
+    )
+
+
+def add_log_options(parser: argparse.ArgumentParser) -> None:
+    """How flights are read and how commands reach the surfaces: ``--map``, ``--manoeuvres``, ``--servos``."""
+    add_map(parser)
+    add_manoeuvres(parser)
+    parser.add_argument(
+        "--servos", choices=("card", "ideal"), default="card",
+        help="commands go through the aircraft's actuators, or surfaces and throttle follow them at once (default %(default)s)",
+    )  # fmt: skip
+
+
+def add_map(parser: argparse.ArgumentParser) -> None:
+    """``--map``."""
+    parser.add_argument("--map", type=Path, metavar="MAP.toml", help="signal map of your own, laid over that of the log's format")
+
+
+def add_manoeuvres(parser: argparse.ArgumentParser) -> None:
+    """``--manoeuvres``."""
+    text = "table manoeuvre, start_s, end_s (and flight) that labels the flights"
+    parser.add_argument("--manoeuvres", type=Path, metavar="FILE.csv", help=text)
+
+
+def add_replay_options(parser: argparse.ArgumentParser) -> None:
+    """What is estimated beside the parameters when a flight is replayed: ``--biases``, ``--delays``."""
+    parser.add_argument("--biases", metavar="C,C", help="channels with a constant sensor bias to estimate, or none (default p,q,r)")
+    parser.add_argument(
+        "--delays", metavar="C,C",
+        help="what is late by a delay to be estimated: channels, controls, or none (default: controls, and all of a log)",
+    )  # fmt: skip
+
+
+def add_no_check(parser: argparse.ArgumentParser, text: str) -> None:
+    """``--no-check``: leave out what a command does beyond its result to show that it is sound."""
+    parser.add_argument("--no-check", action="store_true", help=f"leave out {text}")
+
+
+def whole(option: str, least: int, most: int | None = None) -> Callable[[str], int]:
+    """Reader of a whole number within limits. It raises BadInputError."""
+
+    def read(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = least - 1
+        if value < least or (most is not None and value > most):
+            raise BadInputError(f"{option} {text}: a whole number of {_limits(f'at least {least}', most)} is needed")
+        return value
+
+    return read
+
+
+def number(
+    option: str, what: str = "a number", *, above: float | None = None, least: float | None = None, most: float | None = None
+) -> Callable[[str], float]:
+    """Reader of a finite number ``above`` or at ``least`` one limit and up to ``most``. It raises BadInputError.
+
+    ``what`` names the quantity and its unit.
+    """
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        low = -math.inf if least is None else least
+        fits = low <= value <= (math.inf if most is None else most) and (above is None or value > above)
+        if not (math.isfinite(value) and fits):
+            lower = f"above {above:g}" if above is not None else f"of at least {least:g}" if least is not None else ""
+            raise BadInputError(f"{option} {text}: {what} {_limits(lower, most)}".rstrip() + " is needed")
+        return value
+
+    return read
+
+
+def _limits(lower: str, most: float | None) -> str:
+    upper = "" if most is None else f"up to {most:g}"
+    return " and ".join(part for part in (lower, upper) if part)
+
+
+def results_folder(path: Path) -> Path:
+    """The folder of ``--out``, made with those above it. Raises BadInputError."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInputError(f"--out {path}: cannot be made: {error.strerror}") from None
+    return path
+
+
+def command_words(args: argparse.Namespace) -> list[str]:
+    """The words that make a result again: files by name alone, no ``--out``, no ``--json``, no option at its default."""
+    words = args.parser.prog.split()
+    for action in args.parser._actions:
+        value = getattr(args, action.dest, None)
+        if action.dest in ("out", "json") or value is None or value == action.default:
+            continue
+        flag, values = action.option_strings[:1], value if isinstance(value, list) else [] if value is True else [value]
+        texts = [v.name if isinstance(v, Path) else str(v) for v in values]
+        each = isinstance(value, list) and action.nargs is None
+        words += [word for text in texts for word in (*flag, text)] if each else [*flag, *texts]
+    return words
+
+
+def command_as_given(args: argparse.Namespace) -> str:
+    """The same as one line of a shell."""
+    return shlex.join(command_words(args))

@@ -1,0 +1,26 @@
+"""Write the run scripts of the identification flights again: ``python -m uqharness.cli.run_scripts scripts``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from uqharness.files import write_bytes
+from uqharness.simulator.manoeuvre_script import PLANS, script
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the scripts of the plans; the process's exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, help="where to write flight-*.xml")
+    folder = parser.parse_args(arguments).folder
+    for plan in PLANS:
+        write_bytes(folder / f"{plan.name}.xml", script(plan).encode())
+        print(f"{folder / plan.name}.xml: {len(plan.manoeuvres)} manoeuvres, {plan.end_s:.1f} s")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,65 @@
+"""``uqharness validate-bounds``: the share of a new flight inside bounds that were made from other flights."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from sysid.digests import file_sha256
+from uqharness import __version__
+from uqharness.cli.options import (
+    add_aircraft,
+    add_flights,
+    add_log_options,
+    add_out,
+    command_as_given,
+    describe,
+    results_folder,
+)
+from uqharness.cli.progress import say_warnings
+from uqharness.files import check_folder, write_json
+from uqharness.identification.validation import failed, load_form, validate
+from uqharness.replay.residuals import read_bounds_flights
+from uqharness.report.model_form import validation_document, write_residuals
+from uqharness.report.pages.model_form import coverage_page_of
+from uqharness.report.parts import first_lines
+from uqharness.report.write import write_report
+from uqharness.simulator.aircraft import find_aircraft
+
+_EXAMPLE = """
+  uqharness validate-bounds espaaro bounds/model-form.json --flight flight3.parquet
+  uqharness validate-bounds espaaro bounds/model-form.json --flight flight3.bin --manoeuvres manoeuvres.csv --out check"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``validate-bounds``."""
+    text = "Share of a flight's residuals inside bounds that were made from other flights."
+    no = "some coefficient has less than 85 % of the flight inside its 95 % bounds"
+    describe(parser, _run, text, _EXAMPLE, done="the bounds hold", no=no)
+    add_aircraft(parser)
+    parser.add_argument("form", type=Path, metavar="MODEL-FORM.json", help="what `uqharness bounds` wrote")
+    add_flights(parser)
+    add_out(parser, required=False)
+    add_log_options(parser)
+
+
+def _run(args: argparse.Namespace) -> int:
+    aircraft = find_aircraft(args.aircraft)
+    if args.out is not None:
+        check_folder(args.out)
+    form = load_form(args.form)
+    flights, measured = read_bounds_flights(args.flight, aircraft, args.manoeuvres, args.map)
+    hashes = [file_sha256(p) for p in args.flight]
+    found = validate(aircraft, form, flights, measured, hashes, args.servos == "ideal")
+    document = validation_document(found)
+    text = "\n".join(first_lines(coverage_page_of(document)))
+    if args.out is not None:
+        out = results_folder(args.out)
+        kept = document | {"command": command_as_given(args), "version": __version__}
+        write_residuals(form, found.residuals, ", ".join(f.name for f in flights), out)
+        write_json(out / "coverage.json", kept)
+        text = write_report(out, figures=True).text
+    say_warnings(found.warnings)
+    print(json.dumps(document) if args.json else text)
+    return 1 if failed(found) else 0

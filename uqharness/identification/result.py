@@ -1,0 +1,69 @@
+"""What an identification found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness.replay.segments import Segment
+from uqharness.replay.speed import Speed
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What was estimated, how, and how well it fits.
+
+    names, initial, theta, std, std_crb, status, reason  over the parameters asked for (JSBSim properties)
+    cov (k, k)        of the identified ones, in the order of ``identified``
+    nuisance          biases and start states: name -> (value, std)
+    outputs, measured, modelled  channels and their [(n, m)] arrays, one a segment; modelled includes biases
+    residual          measured minus model of the method used (innovations for filter error), one a segment
+    method            "output error" | "filter error"; simulations: replays of all segments, seconds: wall time they took
+    """
+
+    aircraft: str
+    names: tuple[str, ...]
+    initial: Array
+    theta: Array
+    std: Array
+    std_crb: Array
+    status: Mapping[str, str]
+    reason: Mapping[str, str]
+    cov: Array
+    nuisance: Mapping[str, tuple[float, float]]
+    outputs: tuple[str, ...]
+    segments: tuple[Segment, ...]
+    measured: list[Array]
+    modelled: list[Array]
+    residual: list[Array]
+    whiteness: Array
+    noise: Mapping[str, float]
+    method: str
+    converged: bool
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    simulations: int
+    seconds: float
+    speed: Speed | None = None
+
+    @property
+    def identified(self) -> tuple[str, ...]:
+        """Names of the parameters that the data determined."""
+        return tuple(n for n in self.names if self.status[n] == "identified")
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The table of parameters: one row a property, with what it began at, estimate, standard error, bound and status."""
+        import pandas as pd
+
+        columns = {"initial": self.initial, "estimate": self.theta, "std": self.std, "std_crb": self.std_crb}
+        told = {"status": [self.status[n] for n in self.names], "reason": [self.reason[n] for n in self.names]}
+        return pd.DataFrame({**columns, **told}, index=pd.Index(self.names, name="parameter"))

@@ -1,0 +1,73 @@
+"""A round of a refinement: what it begins from and how it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.effects.catalogue import Effect
+from sysid.effects.score import Evidence
+from sysid.effects.selection import Selection
+from sysid.effects.turbulence import Gusts
+from sysid.parallel import Processes
+from uqharness.refinement.begin import About
+from uqharness.refinement.fit import Fit
+from uqharness.refinement.types import Setup
+from uqharness.simulator.aircraft import Aircraft
+
+
+@dataclass(frozen=True)
+class Start:
+    """What every round begins from: the aircraft, the flights, the fit without effects, the candidates and how they are judged.
+
+    limits: of the parameters; limit: |t| asked of an effect; confirming (S,): segments that confirm
+    gusts: the air, where flights are judged by one-step predictions; handicap: key -> odds besides the effect's own
+    """
+
+    aircraft: Aircraft
+    setup: Setup
+    before: Fit
+    names: tuple[str, ...]
+    effects: Sequence[Effect]
+    limits: Mapping[str, tuple[float, float]]
+    confirming: NDArray[np.bool_]
+    limit: float
+    measured: Sequence[str]
+    ideal: Sequence[str]
+    map_: Processes
+    gusts: Gusts | None = None
+    handicap: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Round:
+    """Effects flown with everything estimated.
+
+    evidence   as it would be had the effects not been flown, around the flight with them
+    selection  the effects flown, judged there; again: what would be chosen there
+    standing   whether that is the same, with the same numbers where JSBSim reads them once
+    merit      cost, in gusts `surprise`, and what the effects must earn: less is better; gusts: the air, as estimated with them
+    about      where it ended; surprise: minus twice the log likelihood of one-step predictions; NaN for replays
+    held       key -> value flown, of numbers that JSBSim reads once; far: of those that the flights want elsewhere
+    """
+
+    setup: Setup
+    fit: Fit
+    evidence: Evidence
+    selection: Selection
+    again: Selection
+    standing: bool
+    merit: float
+    gusts: Gusts | None
+    about: About
+    surprise: float = float("nan")
+    held: Mapping[str, float] = field(default_factory=dict)
+    far: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def keys(self) -> frozenset[str]:
+        """Keys of the chosen effects."""
+        return frozenset(c.key for c in self.selection.chosen)

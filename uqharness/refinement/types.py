@@ -1,0 +1,86 @@
+"""What the stages of a refinement hand each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
+from sysid.effects.catalogue import Effect
+from uqharness.replay.flights import Flight
+from uqharness.replay.segments import Segment
+from uqharness.simulator.actuators import Actuator
+
+Array = NDArray[np.float64]
+
+
+def in_dynamics(effect: Effect) -> bool:
+    """Whether the effect belongs in the aircraft's XML; a sensor's does not move the aircraft."""
+    return not (effect.subsystem or "").startswith(("sensor.", "record"))
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Everything about the flights that does not change with the model's numbers.
+
+    measured [(n, m)] outputs as logged; noise (m,); late: flight -> sensors whose delay is estimated; biased: channels;
+    active: effects that the model being flown has, or that its sensors have; carriers: key -> property of those that have one;
+    servos: actuators of the surfaces whose commands alone were recorded; limits: surface -> rate limits [deg/s] from and to which
+    a slower servo's effect is read; lagging: surface -> time constant [s] beyond its servo's own with which it flies;
+    slopes: numbers that the active effects are written with (`refine_slopes.control_slopes`), none where none is
+    """
+
+    flights: tuple[Flight, ...]
+    segments: tuple[Segment, ...]
+    channels: tuple[Mapping[str, Array], ...]
+    outputs: tuple[str, ...]
+    measured: tuple[Array, ...]
+    noise: Array
+    biased: tuple[str, ...]
+    late: Mapping[str, Sequence[str]]
+    active: tuple[Effect, ...] = ()
+    carriers: Mapping[str, str] = field(default_factory=dict)
+    servos: Mapping[str, Actuator] = field(default_factory=dict)
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    lagging: Mapping[str, float] = field(default_factory=dict)
+    slopes: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def which(self) -> list[int]:
+        """Columns of the replay's outputs that are compared."""
+        return [STEP_OUTPUTS.index(c) for c in self.outputs]
+
+    @property
+    def held(self) -> list[str]:
+        """Keys of active effects that JSBSim reads once (mass, servos): no step moves them."""
+        return [e.key for e in self.active if e.key not in self.carriers and in_dynamics(e)]
+
+    @property
+    def nuisance(self) -> tuple[str, ...]:
+        """Names of gyro biases and delays, estimated beside parameters and effects."""
+        names = [f"bias/{f.name}/{c}" for f in self.flights for c in self.biased]
+        return (*names, *(f"delay/{f}/{s}" for f, sensors in self.late.items() for s in sensors))
+
+
+@dataclass(frozen=True)
+class Point:
+    """Values of properties and nuisance by name; start (9,) of every segment; sensed: values of the sensors' effects by key."""
+
+    values: Mapping[str, float]
+    nuisance: Mapping[str, float]
+    starts: tuple[Array, ...]
+    sensed: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Flown:
+    """Replays at a point: outputs [(n, m)] with biases and delays, reference states [(n, 8)], cost: sum of squares over noise."""
+
+    point: Point
+    outputs: list[Array]
+    x: list[Array]
+    height: list[Array]
+    cost: float

@@ -1,0 +1,12 @@
+from .analysis import Sensitivity as Sensitivity
+from .analysis import analyse as analyse
+from .repeats import average as average
+from .result import Index as Index
+from .result import MethodResult as MethodResult
+from .result import PairRange as PairRange
+from .study import METHODS as METHODS
+from .study import Evaluations as Evaluations
+from .study import Study as Study
+from .study import read_study as read_study
+from .study import run_study as run_study
+from .study import write_study as write_study
