@@ -26,7 +26,7 @@ if __name__ == "__main__":
 def main(argv: list[str] | None = None) -> int:
     """Run one command; the process's exit code."""
     try:
-        from uqharness.cli.start import run
+        from uqharness.cli import run
     except KeyboardInterrupt:
         os.write(2, b"uqharness: interrupted\n")
         os._exit(130)

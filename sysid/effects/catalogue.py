@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.aerodynamics import COEFFICIENTS
 from sysid.effects import effect_terms
 from sysid.effects.effect_terms import Term, parse
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.aerodynamics import COEFFICIENTS
 
 FloatArray = NDArray[np.float64]
 OUTSIDE = 0.05

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from sysid.aerodynamics.polynomial import regressors
-from sysid.model_form.model_form import CoefficientBounds, Outside
-from sysid.model_form.worth import Information, thinned
+from sysid.aerodynamics import regressors
+from sysid.model_form import CoefficientBounds, Information, Outside, thinned
 
 FloatArray = NDArray[np.float64]
 _MAX_STATES = 500

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.rigid_body import Steps
+from sysid.aerodynamics import Steps
 from sysid.effects.prediction import surprise
-from sysid.estimation.kalman import Lanes, Process, lanes_of, run
+from sysid.estimation import Lanes, Process, lanes_of, run
 from sysid.parallel import ALONE, Processes, Shared
 
 FloatArray = NDArray[np.float64]

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.rigid_body import Steps
-from sysid.estimation.kalman import STARTS, Inputs, Lanes, Process, lanes_of, run
+from sysid.aerodynamics import Steps
+from sysid.estimation import STARTS, Inputs, Lanes, Process, lanes_of, run
 
 FloatArray = NDArray[np.float64]
 _BLOCK_BYTES = 160_000_000

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.effects.prediction import White
-from sysid.estimation.coloured import coloured_information
+from sysid.estimation import coloured_information
 
 FloatArray = NDArray[np.float64]
 Index = NDArray[np.intp]

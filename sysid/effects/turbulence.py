@@ -17,11 +17,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.gust_states import GustStates
-from sysid.aerodynamics.rigid_body import NX, Steps
+from sysid.aerodynamics import NX, GustStates, Steps
 from sysid.effects.gust_cost import Likelihood
 from sysid.effects.prediction import surprise
-from sysid.estimation.kalman import Process
+from sysid.estimation import Process
 from sysid.parallel import ALONE, Processes
 
 FloatArray = NDArray[np.float64]

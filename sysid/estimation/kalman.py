@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.rigid_body import Steps
+from sysid.aerodynamics import Steps
 from sysid.linalg.triangular import inverse_lower
 
 FloatArray = NDArray[np.float64]

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.residuals import Residuals
-from sysid.estimation.autocorrelation import effective_samples, integral_time
+from sysid.aerodynamics import Residuals
+from sysid.estimation import effective_samples, integral_time
 from sysid.model_form.fit import Design, FitOptions, fit_bounds
 from sysid.model_form.model_form import CoefficientBounds, ModelForm, Outside
 

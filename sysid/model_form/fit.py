@@ -15,10 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from sysid.aerodynamics.polynomial import Term, full_polynomial, regressors, stack, term_name
-from sysid.aerodynamics.residuals import Residuals
-from sysid.aerodynamics.terms import COEFFICIENTS
-from sysid.estimation.autocorrelation import effective_samples
+from sysid.aerodynamics import COEFFICIENTS, Residuals, Term, full_polynomial, regressors, stack, term_name
+from sysid.estimation import effective_samples
 from sysid.estimation.stepwise import stepwise
 from sysid.model_form.model_form import CoefficientBounds, Hull
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.polynomial import STATES, full_polynomial, regressors, stack, term_name
-from sysid.aerodynamics.residuals import Residuals
+from sysid.aerodynamics import Residuals, full_polynomial, regressors, stack, term_name
+from sysid.aerodynamics.polynomial import STATES
 from sysid.estimation.stepwise import stepwise
 from sysid.model_form.model_form import CoefficientBounds
 

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from sysid.aerodynamics.polynomial import STATES, Term, parse_term, regressors, stack, term_name
-from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.aerodynamics import COEFFICIENTS, Term, parse_term, regressors, stack, term_name
+from sysid.aerodynamics.polynomial import STATES
 from sysid.errors import LogError
 from sysid.foreign.parsed_text import ParseError, parse_json
 from sysid.foreign.regular_files import read_regular

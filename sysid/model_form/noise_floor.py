@@ -10,8 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.residuals import Cutoffs, Model, residual_coefficients
-from sysid.aerodynamics.segmentation import Piece
+from sysid.aerodynamics import Cutoffs, Model, Piece, residual_coefficients
 from sysid.record import FlightRecord
 
 FloatArray = NDArray[np.float64]

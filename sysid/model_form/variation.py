@@ -16,8 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.coefficients import half_width, smooth
-from sysid.aerodynamics.residuals import Residuals
+from sysid.aerodynamics import Residuals, half_width, smooth
 from sysid.model_form.model_form import CoefficientBounds, Outside
 
 FloatArray = NDArray[np.float64]

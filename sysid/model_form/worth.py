@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, stats
 
-from sysid.aerodynamics.polynomial import regressors, stack
+from sysid.aerodynamics import regressors, stack
 from sysid.model_form.model_form import CoefficientBounds, Outside
 
 FloatArray = NDArray[np.float64]

@@ -65,7 +65,7 @@ def importers(library: str, package: str = "") -> set[str]:
 
 
 def room(name: str) -> tuple[str, str]:
-    """Package and room of a module: ("uqharness", "campaign") for uqharness.campaign.folder.store, ("sysid", "") for sysid.record."""
+    """Package and room of a module: ("uqharness", "campaign") for uqharness.campaign.run, ("sysid", "") for sysid.record."""
     package, _, rest = name.partition(".")
     inner, _, _ = rest.partition(".")
     return package, inner if inner in LAYERS[package] else ""

@@ -7,7 +7,7 @@ import pytest
 from tests.architecture.rooms import BASE, LAYERS, against_the_layers, circles, imported_by, importers, imports, modules, room
 
 # The command's first file, which every worker process reads again, loads the command line when it is called.
-ENTRY = {("uqharness.__main__", "uqharness.cli.start")}
+ENTRY = {("uqharness.__main__", "uqharness.cli")}
 
 
 def test_every_arrow_goes_down():

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy import stats
 
 from sysid.aerodynamics.polynomial import full_polynomial, regressors
 from sysid.model_form.model_form import AircraftReference, CoefficientBounds, Filtering, FlightUsed, Hull, ModelForm, Outside
@@ -59,4 +60,26 @@ def made_up_form(
     return ModelForm(
         AircraftReference("espaaro", "0" * 64), (FlightUsed("made up", "0" * 64, 18.0, 900),), Filtering(6.0, 2.0, 0.5, 50.0),
         0.95, outside, out,
+    )  # fmt: skip
+
+
+def bounds_from(x, y, states=("alpha_rad",), order=1, f=1.0, centre=None, scale=None) -> CoefficientBounds:
+    """Least squares written out: with every sample worth 1/f."""
+    x = np.atleast_2d(np.asarray(x, dtype=float).T).T
+    centre = np.zeros(x.shape[1]) if centre is None else centre
+    scale = np.ones(x.shape[1]) if scale is None else scale
+    terms = full_polynomial(x.shape[1], order)
+    X = regressors((x - centre) / scale, terms)
+    C = np.linalg.inv(X.T @ X)
+    beta = C @ X.T @ y
+    n, m = X.shape
+    dof = n / f - m
+    s2 = float(np.sum((y - X @ beta) ** 2)) / n * (n / f) / dof
+    return CoefficientBounds(
+        states=states, centre=centre, scale=scale, terms=terms, beta_hat=beta, XtX_inv=C, s2=s2, dof=dof,
+        t=float(stats.t.ppf(0.975, dof)), confidence=0.95, leverage_factor=f, n=n, n_effective=n / f, walk_rate=float("nan"),
+        hull=Hull(
+            x.min(axis=0), x.max(axis=0), float(np.max(np.sum((X @ C) * X, axis=1))),
+            np.quantile(x, [0.25, 0.5, 0.75], axis=0).T,
+        ),
     )  # fmt: skip

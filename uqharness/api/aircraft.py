@@ -6,17 +6,14 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
-from sysid.aerodynamics.terms import COEFFICIENTS
-from sysid.model_form.model_form import ModelForm, read_model_form
+from sysid.aerodynamics import COEFFICIENTS
+from sysid.model_form import ModelForm, read_model_form
 from uqharness.api.flights import AnyAircraft, AnyPath, given_aircraft
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder
-from uqharness.identification.model_form import MadeBounds
-from uqharness.plugin.apply import Instrumented, instrument_aircraft
-from uqharness.plugin.instrument import Bounds
-from uqharness.simulator import linear, trim
-from uqharness.simulator.linear import LinearModel
-from uqharness.simulator.trim import SteadyCondition, Trim
+from uqharness.identification import MadeBounds
+from uqharness.plugin import Bounds, Instrumented, instrument_aircraft
+from uqharness.simulator import LinearModel, SteadyCondition, Trim, linear, trim
 
 
 def find_trim(

@@ -15,20 +15,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from uqharness.api.flights import AnyPath
+from uqharness.campaign import CONFIDENCE, STATEMENTS, Progress, band_confidence, bounds_notes, pboxes
 from uqharness.campaign import run as running
-from uqharness.campaign.aircraft import bounds_notes
-from uqharness.campaign.conditions import CONFIDENCE, pboxes
-from uqharness.campaign.folder.files import read_cases, read_checked
-from uqharness.campaign.folder.manifest import read_complete
-from uqharness.campaign.rounds import band_confidence
-from uqharness.campaign.run import Progress
+from uqharness.campaign.folder import read_cases, read_checked, read_complete
+from uqharness.campaign.spec import CampaignSpec
 from uqharness.campaign.spec import read as reading
-from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.statements import STATEMENTS
 from uqharness.errors import BadInputError
 from uqharness.project_files import find_campaign
+from uqharness.statistics import PBox, Sample
 from uqharness.statistics import pbox as boxes
-from uqharness.statistics.pbox import PBox, Sample
 
 if TYPE_CHECKING:
     import pandas as pd

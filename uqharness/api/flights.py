@@ -11,16 +11,13 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from numpy.typing import NDArray
 
 from sysid.digests import file_sha256, sha256_hex
-from sysid.logs.checks import check_units
+from sysid.logs import check_units
 from sysid.record import FlightRecord, Metadata
 from sysid.vocabulary import LABELS, SIGNALS
 from uqharness.errors import BadInputError
-from uqharness.flight.record_writer import write_record
-from uqharness.flight.recorded import as_asked, recorded_flight, start_of
-from uqharness.flight.spec import DEFAULT_TURBULENCE_SOURCE, FlightSpec
-from uqharness.replay.flights import in_free_flight, read_flight, refuse_twice
-from uqharness.simulator.aircraft import Aircraft, find_aircraft
-from uqharness.simulator.mission import find_script, read_script
+from uqharness.flight import DEFAULT_TURBULENCE_SOURCE, FlightSpec, as_asked, recorded_flight, start_of, write_record
+from uqharness.replay import in_free_flight, read_flight, refuse_twice
+from uqharness.simulator import Aircraft, find_aircraft, find_script, read_script
 
 if TYPE_CHECKING:
     import pandas as pd

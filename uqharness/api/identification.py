@@ -5,22 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 
-from sysid.aerodynamics.residuals import Cutoffs
-from sysid.model_form.fit import FitOptions
-from sysid.model_form.model_form import Outside
+from sysid.aerodynamics import Cutoffs
+from sysid.model_form import FitOptions, Outside
 from uqharness.api.flights import AnyAircraft, AnyFlight, Flight, given_aircraft, given_flights
 from uqharness.errors import BadInputError
+from uqharness.identification import BoundsOptions, Comparison, Identification, MadeBounds, parse_channels, parse_designs
 from uqharness.identification import compare as comparing
 from uqharness.identification import identify as identifying
 from uqharness.identification import model_form as bounding
-from uqharness.identification.channels import parse_channels
-from uqharness.identification.compare import Comparison
-from uqharness.identification.designs import parse_designs
-from uqharness.identification.model_form import BoundsOptions, MadeBounds
-from uqharness.identification.result import Identification
 from uqharness.replay import flights as replayed
-from uqharness.replay.residuals import recut
-from uqharness.simulator.aircraft import Aircraft
+from uqharness.replay import recut
+from uqharness.simulator import Aircraft
 
 Servos = Literal["card", "ideal"]
 

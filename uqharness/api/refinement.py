@@ -7,18 +7,18 @@ from os import PathLike
 from pathlib import Path
 from typing import Literal
 
-from sysid.effects.file import read_effects
+from sysid.effects import read_effects
 from sysid.record import FlightRecord
 from uqharness.api.flights import AnyAircraft, AnyFlight, AnyPath, Flight, given_aircraft, given_flights
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder
+from uqharness.refinement import Refinement, Request
 from uqharness.refinement import run as running
-from uqharness.refinement.run import Refinement, Request
-from uqharness.replay.flights import renamed
+from uqharness.replay import renamed
+from uqharness.report import write_report
 from uqharness.report.refinement import write_results
-from uqharness.report.write import write_report
 from uqharness.scratch import scratch_folder
-from uqharness.simulator.aircraft import Aircraft
+from uqharness.simulator import Aircraft
 
 
 def refine(

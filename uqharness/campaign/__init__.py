@@ -1,1 +1,5 @@
 """Monte Carlo campaigns: aleatory inside epistemic, run, resumed, answered."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -18,10 +18,18 @@ from uqharness.errors import BadInputError
 from uqharness.files import inner_folder
 from uqharness.plugin.model_form_xml import model_form_xml
 from uqharness.scratch import scratch_folder
-from uqharness.simulator import engine
-from uqharness.simulator.aircraft import Aircraft, content_hash, find_aircraft, parse_xml
-from uqharness.simulator.aircraft_files import copy_beside, copy_folder, read_xml
-from uqharness.simulator.steady_start import SCRIPT, write_steady_start
+from uqharness.simulator import (
+    SCRIPT,
+    Aircraft,
+    content_hash,
+    copy_beside,
+    copy_folder,
+    engine,
+    find_aircraft,
+    parse_xml,
+    read_xml,
+    write_steady_start,
+)
 
 SYSTEM = "model-form"
 _COPIED = "aircraft"

@@ -13,14 +13,14 @@ import pandas as pd
 import pyarrow as pa
 
 from sysid.errors import LogError
-from sysid.logs.importers.tables import read_small_table
+from sysid.logs.importers import read_small_table
 from uqharness.campaign.conditions import CONFIDENCE, Condition, in_condition, pboxes
 from uqharness.campaign.folder.files import read_cases
 from uqharness.campaign.folder.manifest import read_complete
 from uqharness.campaign.rounds import band_confidence
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table
-from uqharness.statistics.area import AreaMetric, area_metric
+from uqharness.statistics import AreaMetric, area_metric
 
 AREAS = "area.csv"
 _WHERE = ("wind_mps", "turbulence")

@@ -20,8 +20,7 @@ from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.campaign.spec.samples import Epistemic, epistemic_samples
 from uqharness.campaign.spec.variables import VariableSection
 from uqharness.errors import BadInputError
-from uqharness.flight.seeds import flight_seed, numbered_stream
-from uqharness.flight.spec import COEFFICIENTS, FlightSpec
+from uqharness.flight import COEFFICIENTS, FlightSpec, flight_seed, numbered_stream
 
 
 @dataclass(frozen=True)

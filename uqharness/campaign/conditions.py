@@ -9,7 +9,8 @@ import numpy as np
 import pandas as pd
 
 from uqharness.campaign.columns import ERROR_METRICS, UNCOMMANDED_METRICS
-from uqharness.statistics.pbox import ExcursionRate, PBox, Sample, excursion_rate, pbox
+from uqharness.statistics import ExcursionRate, PBox, Sample, excursion_rate
+from uqharness.statistics.pbox import pbox
 
 CONFIDENCE = 0.95
 

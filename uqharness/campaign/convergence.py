@@ -18,7 +18,7 @@ from uqharness.campaign.folder.case_table import CASES
 from uqharness.campaign.folder.files import read_cases
 from uqharness.campaign.folder.manifest import read_complete
 from uqharness.errors import BadInputError
-from uqharness.statistics.convergence import Growth, Repeats, growth, repeats
+from uqharness.statistics import Growth, Repeats, growth, repeats
 
 CONVERGENCE = "convergence.csv"
 METRICS = ("cross_track_median_m", "altitude_median_m", "speed_median_mps")

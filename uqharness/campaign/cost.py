@@ -12,7 +12,7 @@ from uqharness.campaign.cases import Case, Mission, build_cases
 from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.campaign.spec.epistemic import SAMPLED
 from uqharness.errors import BadInputError
-from uqharness.flight.spec import FlightSpec
+from uqharness.flight import FlightSpec
 
 DISK_BYTES_PER_FLIGHT = 2000
 """Measured: 1400 of the journal (100,000 flights; 1100 of text and digest, the rest room between rows), 500 of the tables."""

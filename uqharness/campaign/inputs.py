@@ -16,10 +16,10 @@ from sysid.foreign.parsed_text import ParseError, parse_json
 from sysid.foreign.regular_files import read_regular
 from uqharness.campaign.spec.epistemic import PUBLISHED_WALK_RATE_PER_SQRT_S, EpistemicSection
 from uqharness.errors import BadInputError
-from uqharness.flight.spec import COEFFICIENTS
+from uqharness.flight import COEFFICIENTS
 
 if TYPE_CHECKING:
-    from sysid.model_form.model_form import ModelForm
+    from sysid.model_form import ModelForm
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def read_inputs(section: EpistemicSection, beside: Path) -> CampaignInputs:
 def read_bounds(path: Path) -> ModelForm:
     """A model form from its file. Raises BadInputError."""
     # Imported here: most campaigns do without.
-    from sysid.model_form.model_form import read_model_form
+    from sysid.model_form import read_model_form
 
     try:
         return read_model_form(path)

@@ -21,7 +21,7 @@ from uqharness.campaign.folder.store import Store
 from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
-from uqharness.statistics.decide import Evidence, Question, add, begin, close, look
+from uqharness.statistics import Evidence, Question, add, begin, close, look
 from uqharness.text_tables import csv_rows
 
 DECISIONS = "decisions.csv"

@@ -34,9 +34,9 @@ from uqharness.campaign.rounds import Rounds
 from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.errors import BadInputError
 from uqharness.files import PART
-from uqharness.flight.spec import FlightSpec
+from uqharness.flight import FlightSpec
 from uqharness.parallel import usable_cores
-from uqharness.simulator.aircraft_files import read_xml
+from uqharness.simulator import read_xml
 
 VALIDATION_S = 5.0
 """Flight time of the check that the model flies at all, made in a throw-away process before any case."""
@@ -92,8 +92,7 @@ def find_mission(spec: CampaignSpec, folder: Path = Path()) -> Mission:
     Bounds from a model form and a trimmed start fly in a copy of the aircraft within the campaign's ``folder``, not made here.
     """
     from uqharness.campaign.aircraft import find_copied_mission, named_aircraft, needs_copy
-    from uqharness.simulator.aircraft import content_hash
-    from uqharness.simulator.mission import find_script
+    from uqharness.simulator import content_hash, find_script
 
     script_named = spec.path.resolve().parent / spec.campaign.mission
     aircraft = named_aircraft(spec)

@@ -12,7 +12,7 @@ from typing import Any
 from uqharness.campaign.folder.files import read_checked
 from uqharness.campaign.sensitivity import MetricSensitivity
 from uqharness.errors import BadInputError
-from uqharness.flight.spec import TURBULENCE_W20_KT
+from uqharness.flight import TURBULENCE_W20_KT
 from uqharness.sensitivity import PairRange
 from uqharness.sensitivity.words import unit_of
 from uqharness.text_tables import csv_rows

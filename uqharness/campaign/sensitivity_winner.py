@@ -8,7 +8,7 @@ from pathlib import Path
 
 from uqharness.campaign.sensitivity import analyse_campaign, metrics_of, read_corner_campaign
 from uqharness.errors import BadInputError
-from uqharness.flight.spec import COEFFICIENTS
+from uqharness.flight import COEFFICIENTS
 from uqharness.sensitivity import PairRange
 
 DEFAULT_METRIC = "cross_track_median_m"

@@ -17,8 +17,7 @@ import numpy as np
 
 from uqharness.campaign.conditions import CONFIDENCE, ExcursionCell, excursion_cells, in_condition
 from uqharness.campaign.rounds import ALL_CORNERS, Rule, rule_of
-from uqharness.statistics.decide import NO, OPEN, YES
-from uqharness.statistics.rates import Array, bet_logs, log_e_above, lower_limits, observed_dispersion, upper_limits
+from uqharness.statistics import NO, OPEN, YES, Array, bet_logs, log_e_above, lower_limits, observed_dispersion, upper_limits
 
 STATEMENTS = "statements.csv"
 

@@ -23,17 +23,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from uqharness.campaign.aircraft import put_bounds
-from uqharness.campaign.execution.processes import ProcessExecutor
-from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction, attempt
-from uqharness.campaign.folder.store import Store
-from uqharness.flight.fly import fly, set_conditions
-from uqharness.flight.spec import COEFFICIENTS, DEFAULT_TURBULENCE_SOURCE, FlightResult, FlightSpec, LevelDriver
+from uqharness.campaign import put_bounds
+from uqharness.campaign.execution import CaseOutcome, FlightFunction, ProcessExecutor, attempt
+from uqharness.campaign.folder import Store
+from uqharness.flight import COEFFICIENTS, DEFAULT_TURBULENCE_SOURCE, FlightResult, FlightSpec, LevelDriver, set_conditions
+from uqharness.flight.fly import fly
 from uqharness.scratch import scratch_folder
-from uqharness.simulator import engine
-from uqharness.simulator.aircraft import Aircraft, find_aircraft, parse_xml
-from uqharness.simulator.aircraft_files import copy_folder
-from uqharness.simulator.mission import StagedMission, find_script
+from uqharness.simulator import Aircraft, StagedMission, copy_folder, engine, find_aircraft, find_script, parse_xml
 
 REFERENCE_HOURS_PER_CORE_HOUR = 890.0
 """Flight hours per core hour at 100 Hz of a hand-written loop with compiled intervals, the figure to beat."""

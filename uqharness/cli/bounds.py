@@ -7,9 +7,9 @@ import json
 import math
 from pathlib import Path
 
-from sysid.aerodynamics.residuals import Cutoffs
+from sysid.aerodynamics import Cutoffs
 from sysid.digests import file_sha256
-from sysid.model_form.fit import FitOptions
+from sysid.model_form import FitOptions
 from uqharness import __version__
 from uqharness.cli.options import (
     add_aircraft,
@@ -25,15 +25,12 @@ from uqharness.cli.options import (
 )
 from uqharness.cli.progress import say_warnings, show_stage
 from uqharness.files import check_folder, write_bytes, write_json, write_text
-from uqharness.identification.designs import parse_designs
-from uqharness.identification.model_form import BoundsOptions, MadeBounds, make_bounds
+from uqharness.identification import BoundsOptions, MadeBounds, make_bounds, parse_designs
 from uqharness.plugin.model_form_xml import model_form_xml
-from uqharness.replay.histories import read_histories
-from uqharness.replay.residuals import read_bounds_flights
-from uqharness.report.model_form import bounds_document, write_residuals
-from uqharness.report.pages.model_form import RESIDUALS, slice_section, variation_section
-from uqharness.report.write import write_figures, write_report
-from uqharness.simulator.aircraft import find_aircraft
+from uqharness.replay import read_bounds_flights, read_histories
+from uqharness.report import bounds_document, write_figures, write_report, write_residuals
+from uqharness.report.pages import RESIDUALS, slice_section, variation_section
+from uqharness.simulator import find_aircraft
 
 _EXAMPLE = """
   uqharness bounds espaaro --flight flight2.parquet --out bounds

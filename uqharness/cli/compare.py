@@ -20,13 +20,11 @@ from uqharness.cli.options import (
     results_folder,
 )
 from uqharness.files import check_folder
-from uqharness.identification.channels import parse_channels
+from uqharness.identification import BIASES, parse_channels
 from uqharness.identification.compare import compare
-from uqharness.identification.identify import BIASES
-from uqharness.replay.flights import read_flights
-from uqharness.report.compare import document_of, write_tables
-from uqharness.report.write import write_report
-from uqharness.simulator.aircraft import find_aircraft
+from uqharness.replay import read_flights
+from uqharness.report import document_of, write_report, write_tables
+from uqharness.simulator import find_aircraft
 
 _EXAMPLE = """
   uqharness compare espaaro --flight doublets.parquet --out gap

@@ -11,11 +11,17 @@ from pathlib import Path
 from uqharness.cli.options import add_aircraft, add_seed, describe, number
 from uqharness.errors import BadInputError
 from uqharness.files import check_out
-from uqharness.flight.record_writer import FORMATS, write_record
-from uqharness.flight.recorded import as_asked, recorded_flight, start_of
-from uqharness.flight.spec import DEFAULT_TURBULENCE_SOURCE, TURBULENCE_W20_KT, FlightSpec
-from uqharness.simulator.aircraft import Aircraft, find_aircraft
-from uqharness.simulator.mission import Script, find_script, read_script
+from uqharness.flight import (
+    DEFAULT_TURBULENCE_SOURCE,
+    FORMATS,
+    TURBULENCE_W20_KT,
+    FlightSpec,
+    as_asked,
+    recorded_flight,
+    start_of,
+    write_record,
+)
+from uqharness.simulator import Aircraft, Script, find_aircraft, find_script, read_script
 
 _EXAMPLE = """
   uqharness fly espaaro --script scripts/doublet-elevator.xml --out doublet.csv

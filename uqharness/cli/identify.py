@@ -21,12 +21,12 @@ from uqharness.cli.options import (
 )
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder
-from uqharness.identification.channels import parse_channels
-from uqharness.identification.identify import BIASES, identify
-from uqharness.replay.flights import read_flights
+from uqharness.identification import BIASES, parse_channels
+from uqharness.identification.identify import identify
+from uqharness.replay import read_flights
+from uqharness.report import write_report
 from uqharness.report.identify import write_results
-from uqharness.report.write import write_report
-from uqharness.simulator.aircraft import find_aircraft
+from uqharness.simulator import find_aircraft
 
 _EXAMPLE = """
   uqharness identify espaaro --flight doublets.parquet --out identified

@@ -9,16 +9,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from sysid.aerodynamics.terms import COEFFICIENTS
-from sysid.model_form.model_form import read_model_form
+from sysid.aerodynamics import COEFFICIENTS
+from sysid.model_form import read_model_form
 from uqharness.cli.options import add_aircraft, add_no_check, add_out, describe
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder
-from uqharness.plugin.apply import Instrumented, instrument_aircraft
-from uqharness.plugin.folder import undo
-from uqharness.plugin.instrument import Bounds
-from uqharness.plugin.record import FILE_NAME
-from uqharness.simulator.aircraft import Aircraft, find_aircraft, find_folder
+from uqharness.plugin import FILE_NAME, Bounds, Instrumented, instrument_aircraft, undo
+from uqharness.simulator import Aircraft, find_aircraft, find_folder
 
 _EXAMPLE = """
   uqharness instrument c172x --out aircraft/c172x

@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sysid.errors import Finding, LogError
-from sysid.logs.cache import default_cache
+from sysid.logs import default_cache
 from sysid.terminal import drawing, visible
 from uqharness.cli.commands import Table, add_commands
 from uqharness.cli.options import add_manoeuvres, add_map, describe
-from uqharness.simulator.aircraft import find_aircraft
+from uqharness.simulator import find_aircraft
 
 if TYPE_CHECKING:
     from sysid.foreign.raw import Progress
-    from sysid.logs.info import LogInfo
+    from sysid.logs import LogInfo
     from sysid.record import FlightRecord
 
 _LOG_HELP = "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, JSBSim's CSV, a flight record in Parquet or CSV"
@@ -62,7 +62,7 @@ def _add_log(parser: argparse.ArgumentParser) -> None:
 def _info(args: argparse.Namespace) -> int:
     """0 when the log serves a purpose, 1 when it serves none."""
     # Imported here, as below: `uqharness --help` should not wait for the numerical libraries.
-    from sysid.logs.info import log_info
+    from sysid.logs import log_info
 
     info = log_info(_read(args))
     print(json.dumps(info.as_dict(), indent=2) if args.json else _info_text(info))
@@ -70,7 +70,7 @@ def _info(args: argparse.Namespace) -> int:
 
 
 def _import(args: argparse.Namespace) -> int:
-    from sysid.logs.manoeuvres import label_manoeuvres
+    from sysid.logs import label_manoeuvres
 
     if args.out.suffix.lower() not in (".parquet", ".csv"):
         raise LogError(f"--out ends in '{args.out.suffix}'; allowed are .parquet and .csv", args.out)
@@ -100,7 +100,7 @@ def _import(args: argparse.Namespace) -> int:
 
 
 def _read(args: argparse.Namespace) -> FlightRecord:
-    from sysid.logs.load import import_log
+    from sysid.logs import import_log
 
     card = None
     if args.aircraft is not None:

@@ -9,10 +9,8 @@ from typing import Any
 
 from uqharness.cli.options import add_aircraft, describe
 from uqharness.errors import BadInputError
-from uqharness.flight.margins import CALM_LOITER, CALM_STRAIGHT, LOOPS, LoopMargins, measure_loop
-from uqharness.simulator import engine
-from uqharness.simulator.aircraft import find_aircraft
-from uqharness.simulator.mission import StagedMission, find_script
+from uqharness.flight import CALM_LOITER, CALM_STRAIGHT, LOOPS, LoopMargins, measure_loop
+from uqharness.simulator import StagedMission, engine, find_aircraft, find_script
 
 _EXAMPLE = """
   uqharness margins espaaro

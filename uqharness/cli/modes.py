@@ -8,10 +8,8 @@ import math
 from collections.abc import Callable
 
 from uqharness.cli.options import add_aircraft, describe, number
-from uqharness.flight.handling import CATEGORIES, CLASSES, Assessment, assess
-from uqharness.simulator.aircraft import Aircraft, find_aircraft
-from uqharness.simulator.linear import Mode, linearise, modes
-from uqharness.simulator.trim import SteadyCondition, Trim, find_trim
+from uqharness.flight import CATEGORIES, CLASSES, Assessment, assess
+from uqharness.simulator import Aircraft, Mode, SteadyCondition, Trim, find_aircraft, find_trim, linearise, modes
 
 _EXAMPLE = """
   uqharness modes espaaro --speed-mps 22.2

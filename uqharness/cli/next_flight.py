@@ -7,8 +7,8 @@ import json
 import math
 from pathlib import Path
 
-from sysid.model_form.model_form import ModelForm
-from uqharness.campaign.sensitivity_winner import Winner, find_winner
+from sysid.model_form import ModelForm
+from uqharness.campaign import Winner, find_winner
 from uqharness.cli.options import (
     add_no_figures,
     add_out,
@@ -22,17 +22,30 @@ from uqharness.cli.options import (
 from uqharness.cli.progress import say_warnings, show_stage
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder, write_bytes, write_json
-from uqharness.flight.spec import COEFFICIENTS, TURBULENCE_W20_KT
-from uqharness.identification.validation import load_form
-from uqharness.next_flight.mission_states import CampaignMission, Occupancy, fly_mission, open_campaign, recorded_mission
-from uqharness.next_flight.plan import WORTH, Options, check_form, plan_flight
-from uqharness.next_flight.redone import achieved, as_text
-from uqharness.next_flight.script import script_text
-from uqharness.next_flight.setting import aircraft_of, bounds_of, flight_of, missing_in, warnings_of
-from uqharness.report.next_flight import document, points_csv
-from uqharness.report.pages.next_flight import next_flight_page, uncertainty_figures
-from uqharness.report.write import write_page
-from uqharness.simulator.aircraft import Aircraft
+from uqharness.flight import COEFFICIENTS, TURBULENCE_W20_KT
+from uqharness.identification import load_form
+from uqharness.next_flight import (
+    WORTH,
+    CampaignMission,
+    Occupancy,
+    Options,
+    achieved,
+    aircraft_of,
+    as_text,
+    bounds_of,
+    check_form,
+    flight_of,
+    fly_mission,
+    missing_in,
+    open_campaign,
+    plan_flight,
+    recorded_mission,
+    script_text,
+    warnings_of,
+)
+from uqharness.report import document, points_csv, write_page
+from uqharness.report.pages import next_flight_page, uncertainty_figures
+from uqharness.simulator import Aircraft
 
 DOCUMENT, SCRIPT, TABLE = "next-flight.json", "next-flight.xml", "test-points.csv"
 

@@ -15,7 +15,7 @@ from rich.progress import Progress as Bar
 from sysid.terminal import drawing, visible
 
 if TYPE_CHECKING:
-    from uqharness.campaign.run import Progress
+    from uqharness.campaign import Progress
 
 
 def show_stage(text: str) -> None:

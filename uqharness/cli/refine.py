@@ -6,7 +6,7 @@ import argparse
 import json
 from pathlib import Path
 
-from sysid.effects.file import read_effects
+from sysid.effects import read_effects
 from uqharness.cli.options import (
     MOST_WORKERS,
     add_aircraft,
@@ -22,10 +22,11 @@ from uqharness.cli.options import (
 from uqharness.cli.progress import say_line
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder
-from uqharness.refinement.run import Request, refine
+from uqharness.refinement import Request
+from uqharness.refinement.run import refine
+from uqharness.report import write_report
 from uqharness.report.refinement import write_results
-from uqharness.report.write import write_report
-from uqharness.simulator.aircraft import find_aircraft
+from uqharness.simulator import find_aircraft
 
 _EXAMPLE = """
   uqharness refine espaaro --train flight1.parquet flight2.parquet --test flight3.parquet --out refined

@@ -7,8 +7,8 @@ import json
 from pathlib import Path
 
 from uqharness.cli.options import describe
-from uqharness.report.pages.index import kind_of
-from uqharness.report.write import write_report
+from uqharness.report import write_report
+from uqharness.report.pages import kind_of
 
 _EXAMPLE = """
   uqharness report results

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from uqharness.files import write_bytes
-from uqharness.simulator.manoeuvre_script import PLANS, script
+from uqharness.simulator import PLANS, script
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

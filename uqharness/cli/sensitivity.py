@@ -8,14 +8,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from uqharness.campaign.folder.files import record_table
-from uqharness.campaign.sensitivity import MetricSensitivity, analyse_campaign, read_corner_campaign, read_interior_campaign
-from uqharness.campaign.sensitivity_tables import SENSITIVITY, as_csv, as_json
+from uqharness.campaign import (
+    SENSITIVITY,
+    MetricSensitivity,
+    analyse_campaign,
+    as_csv,
+    read_corner_campaign,
+    read_interior_campaign,
+)
+from uqharness.campaign.folder import record_table
+from uqharness.campaign.sensitivity_tables import as_json
 from uqharness.cli.options import add_seed, describe, whole
 from uqharness.cli.progress import counting
 from uqharness.errors import BadInputError
-from uqharness.report.sensitivity import condition_sections
-from uqharness.report.write import write_figures
+from uqharness.report import condition_sections, write_figures
 from uqharness.sensitivity.analysis import cell
 from uqharness.sensitivity.modal import READINGS, modal_sensitivity
 from uqharness.sensitivity.result import number

@@ -11,9 +11,8 @@ from pathlib import Path
 from uqharness.cli.options import add_out, add_workers, describe
 from uqharness.cli.progress import say_line
 from uqharness.project_files import find_campaign
-from uqharness.report.write import write_report
-from uqharness.study.run import run_chain
-from uqharness.study.spec import read_chain
+from uqharness.report import write_report
+from uqharness.study import read_chain, run_chain
 
 _EXAMPLE = """
   uqharness study campaigns/chain/chain.toml --out campaigns/chain/results

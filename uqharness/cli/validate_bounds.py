@@ -19,13 +19,11 @@ from uqharness.cli.options import (
 )
 from uqharness.cli.progress import say_warnings
 from uqharness.files import check_folder, write_json
-from uqharness.identification.validation import failed, load_form, validate
-from uqharness.replay.residuals import read_bounds_flights
-from uqharness.report.model_form import validation_document, write_residuals
-from uqharness.report.pages.model_form import coverage_page_of
-from uqharness.report.parts import first_lines
-from uqharness.report.write import write_report
-from uqharness.simulator.aircraft import find_aircraft
+from uqharness.identification import failed, load_form, validate
+from uqharness.replay import read_bounds_flights
+from uqharness.report import first_lines, validation_document, write_report, write_residuals
+from uqharness.report.pages import coverage_page_of
+from uqharness.simulator import find_aircraft
 
 _EXAMPLE = """
   uqharness validate-bounds espaaro bounds/model-form.json --flight flight3.parquet

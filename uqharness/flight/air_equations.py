@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid.aerodynamics.gust_states import GustStates, sines
+from sysid.aerodynamics import GustStates, sines
 
 OUTPUTS = (
     "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps",

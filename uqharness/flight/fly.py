@@ -17,12 +17,18 @@ from uqharness.errors import BadInputError
 from uqharness.flight.scoring import Recorded, commanded_signals, from_start_signals, score_commanded, score_from_start
 from uqharness.flight.spec import TURBULENCE_W20_KT, FlightResult, FlightSpec
 from uqharness.flight.stepping import first_levels, has_air, stepper
-from uqharness.simulator import engine
-from uqharness.simulator.aircraft import find_aircraft, find_folder, folder_fingerprint
-from uqharness.simulator.mass_change import CHANGEABLE
-from uqharness.simulator.mission import StagedMission, find_script, refuse_conflicts
-from uqharness.simulator.signals import Source
-from uqharness.simulator.start import MARK
+from uqharness.simulator import (
+    CHANGEABLE,
+    MARK,
+    Source,
+    StagedMission,
+    engine,
+    find_aircraft,
+    find_folder,
+    find_script,
+    folder_fingerprint,
+    refuse_conflicts,
+)
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sysid.units import G0_MPS2
-from uqharness.simulator.linear import LinearModel, Mode
+from uqharness.simulator import LinearModel, Mode
 
 CATEGORIES = ("A", "B", "C")
 CLASSES = ("I", "II-L", "II-C", "III", "IV")

@@ -12,7 +12,7 @@ from uqharness.files import write_whole
 if TYPE_CHECKING:
     import pandas as pd
 
-    from uqharness.simulator.aircraft import Aircraft
+    from uqharness.simulator import Aircraft
 
 FORMATS = (".csv", ".parquet", ".bin")
 
@@ -39,8 +39,7 @@ def write_record(
 
 def _write_dataflash(table: pd.DataFrame, path: Path, aircraft: Aircraft | None, start: Mapping[str, float]) -> tuple[str, ...]:
     from sysid.errors import LogError
-    from sysid.logs.card import read_card
-    from sysid.logs.dataflash_writer import write_dataflash
+    from sysid.logs import read_card, write_dataflash
     from sysid.record import FlightRecord, Metadata
     from sysid.vocabulary import SIGNALS
 

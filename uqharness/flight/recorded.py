@@ -13,10 +13,8 @@ import numpy as np
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import Recorded, record_mission
 from uqharness.flight.spec import FlightSpec
+from uqharness.simulator import MANOEUVRE_PROPERTY, Aircraft, Script, Source, StagedMission
 from uqharness.simulator import signals as properties
-from uqharness.simulator.aircraft import Aircraft
-from uqharness.simulator.mission import MANOEUVRE_PROPERTY, Script, StagedMission
-from uqharness.simulator.signals import Source
 
 if TYPE_CHECKING:
     import pandas as pd

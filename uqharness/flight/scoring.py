@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from sysid.units import FT_M
 from uqharness.flight.loiter_metrics import absolute_statistics, count_excursions, lost_control
 from uqharness.flight.spec import FlightResult, FlightSpec
-from uqharness.simulator.aircraft import Aircraft
-from uqharness.simulator.signals import STANDARD, Source
+from uqharness.simulator import STANDARD, Aircraft, Source
 
 _STATISTICS = ("median", "mean", "max")
 _UNITS: Mapping[str, str] = {"cross_track": "m", "altitude": "m", "speed": "mps"}

@@ -11,7 +11,7 @@ def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
     Raises BadInputError.
     """
     from uqharness.identification.identify import OUTPUTS
-    from uqharness.replay.replay import CONTROL_DELAY
+    from uqharness.replay import CONTROL_DELAY
 
     if text is None:
         return None

@@ -15,21 +15,32 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.terms import COEFFICIENTS
-from sysid.estimation.gaps import NOISE_FLOOR, Shift, Theil, channel_noise, rms, theil, time_shift, worst
+from sysid.aerodynamics import COEFFICIENTS
+from sysid.estimation import NOISE_FLOOR, Shift, Theil, channel_noise, rms, theil, time_shift, worst
 from sysid.estimation.output_error import output_error
-from sysid.model_form.noise_floor import floor_of
+from sysid.model_form import floor_of
 from uqharness.errors import BadInputError
 from uqharness.identification.identify import BIASES, OUTPUTS
 from uqharness.identification.start import coefficient_gap
-from uqharness.replay.flights import Flight, measured_outputs, segments, states
-from uqharness.replay.layout import delayed, late_limit_s, nuisance_layout
-from uqharness.replay.model import CONTROLS, ReplayFolder, ReplayModel
-from uqharness.replay.pool import replay_pool
-from uqharness.replay.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF
-from uqharness.replay.segments import Segment
-from uqharness.replay.simulation import Replay
-from uqharness.simulator.aircraft import Aircraft
+from uqharness.replay import (
+    CHANNELS,
+    CONTROL_DELAY,
+    CONTROLS,
+    SENSOR_OF,
+    Flight,
+    Replay,
+    ReplayFolder,
+    ReplayModel,
+    Segment,
+    delayed,
+    late_limit_s,
+    measured_outputs,
+    nuisance_layout,
+    replay_pool,
+    states,
+)
+from uqharness.replay.flights import segments
+from uqharness.simulator import Aircraft
 
 if TYPE_CHECKING:
     import pandas as pd

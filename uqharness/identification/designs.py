@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from uqharness.errors import BadInputError
 
 if TYPE_CHECKING:
-    from sysid.model_form.fit import Design
+    from sysid.model_form import Design
 
 _SHORT = {
     "V": "V_mps", "alpha": "alpha_rad", "beta": "beta_rad", "phi": "phi_rad", "theta": "theta_rad", "p": "p_radps",
@@ -19,8 +19,9 @@ _SHORT = {
 
 def parse_designs(states: Sequence[str], terms: Sequence[str], order: int, roll_terms: bool) -> dict[str, Design]:
     """Designs from --states, --terms, --order and --roll-terms. Raises BadInputError."""
-    from sysid.aerodynamics.polynomial import STATES, parse_term
-    from sysid.model_form.fit import Design, default_designs
+    from sysid.aerodynamics import parse_term
+    from sysid.aerodynamics.polynomial import STATES
+    from sysid.model_form import Design, default_designs
 
     designs = {c: Design(d.states, None, order) for c, d in default_designs().items()}
     if roll_terms:

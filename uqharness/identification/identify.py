@@ -17,22 +17,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.estimation.gaps import NOISE_FLOOR, channel_noise, process_noise_shown, rms
+from sysid.estimation import NOISE_FLOOR, OutputErrorFit, channel_noise, process_noise_shown, rms
 from sysid.estimation.output_error import output_error
-from sysid.estimation.result import OutputErrorFit
 from uqharness.errors import BadInputError
 from uqharness.identification.result import Identification
 from uqharness.identification.start import demand_of, equation_error_start, forced_at
 from uqharness.parallel import process_count
-from uqharness.replay.flights import Flight, measured_outputs, segments
-from uqharness.replay.layout import Layout, delayed, misplaced, nuisance_layout
-from uqharness.replay.model import CONTROLS, ReplayFolder, ReplayModel
-from uqharness.replay.pool import replay_pool
-from uqharness.replay.replay import CHANNELS, STATES
-from uqharness.replay.segments import Segment
-from uqharness.replay.simulation import Replay, counter
-from uqharness.replay.speed import Speed, bare_rate
-from uqharness.simulator.aircraft import Aircraft
+from uqharness.replay import (
+    CHANNELS,
+    CONTROLS,
+    STATES,
+    Flight,
+    Layout,
+    Replay,
+    ReplayFolder,
+    ReplayModel,
+    Segment,
+    Speed,
+    bare_rate,
+    counter,
+    delayed,
+    measured_outputs,
+    misplaced,
+    nuisance_layout,
+    replay_pool,
+)
+from uqharness.replay.flights import segments
+from uqharness.simulator import Aircraft
 
 Array = NDArray[np.float64]
 OUTPUTS = (

@@ -11,20 +11,34 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.residuals import Cutoffs, Residuals, together
-from sysid.aerodynamics.terms import COEFFICIENTS
-from sysid.estimation.gaps import channel_noise
+from sysid.aerodynamics import COEFFICIENTS, Cutoffs, Residuals, together
+from sysid.estimation import channel_noise
 from sysid.foreign.parsed_text import parse_json
 from sysid.foreign.regular_files import read_regular
-from sysid.model_form.coverage import leave_one_out, told_apart
-from sysid.model_form.fit import Design, FitOptions, FittedBounds, default_designs, fit_bounds, with_walk_rates
-from sysid.model_form.model_form import AircraftReference, CoefficientBounds, Filtering, FlightUsed, ModelForm, Outside
-from sysid.model_form.noise_floor import NOISY, noise_floor
-from sysid.model_form.variation import WALK_CUTOFF_HZ, Variation, variation
+from sysid.model_form import (
+    NOISY,
+    WALK_CUTOFF_HZ,
+    AircraftReference,
+    CoefficientBounds,
+    Design,
+    Filtering,
+    FitOptions,
+    FittedBounds,
+    FlightUsed,
+    ModelForm,
+    Outside,
+    Variation,
+    default_designs,
+    fit_bounds,
+    leave_one_out,
+    told_apart,
+    with_walk_rates,
+)
+from sysid.model_form.noise_floor import noise_floor
+from sysid.model_form.variation import variation
 from uqharness.errors import BadInputError
-from uqharness.replay.flights import Flight, measured_outputs
-from uqharness.replay.residuals import ReplayPair, flight_residuals, prediction_of
-from uqharness.simulator.aircraft import Aircraft, content_hash
+from uqharness.replay import Flight, ReplayPair, flight_residuals, measured_outputs, prediction_of
+from uqharness.simulator import Aircraft, content_hash
 
 if TYPE_CHECKING:
     import pandas as pd

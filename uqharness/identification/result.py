@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from uqharness.replay.segments import Segment
-from uqharness.replay.speed import Speed
+from uqharness.replay import Segment, Speed
 
 if TYPE_CHECKING:
     import pandas as pd

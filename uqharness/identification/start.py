@@ -7,15 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.coefficients import demanded, smooth
-from sysid.aerodynamics.terms import regressor, split_name, variables
-from sysid.estimation.identifiability import assess
-from sysid.model_form.noise_floor import with_noise
-from uqharness.replay.flights import Flight, states
-from uqharness.replay.force import ForcedModel, force_states, surface_positions
-from uqharness.replay.ground import altitudes
-from uqharness.replay.model import CONTROLS, ReplayModel
-from uqharness.replay.segments import Segment
+from sysid.aerodynamics import demanded, regressor, smooth, split_name, variables
+from sysid.estimation import assess
+from sysid.model_form import with_noise
+from uqharness.replay import CONTROLS, Flight, ForcedModel, ReplayModel, Segment, altitudes, force_states, states, surface_positions
 
 Array = NDArray[np.float64]
 

@@ -13,16 +13,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.equations import OUTPUTS, STATES, OpenEquations
-from sysid.aerodynamics.gust_states import NOISE_START, NOISY, STATE_STD
-from sysid.aerodynamics.segmentation import as_logged
-from sysid.aerodynamics.terms import split_name
+from sysid.aerodynamics import NOISE_START, NOISY, STATE_STD, OpenEquations, as_logged, split_name
+from sysid.aerodynamics.equations import OUTPUTS, STATES
 from sysid.estimation.filter_error import filter_error
 from uqharness.errors import BadInputError
 from uqharness.identification.result import Identification
 from uqharness.identification.start import forced_at
-from uqharness.replay.flights import Flight, states
-from uqharness.replay.model import ReplayModel
+from uqharness.replay import Flight, ReplayModel, states
 from uqharness.simulator import engine
 
 Array = NDArray[np.float64]

@@ -6,15 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from sysid.aerodynamics.residuals import Cutoffs, Residuals, together
+from sysid.aerodynamics import Cutoffs, Residuals, together
 from sysid.errors import LogError
-from sysid.model_form.coverage import Coverage, coverage
-from sysid.model_form.model_form import ModelForm, read_model_form
+from sysid.model_form import Coverage, ModelForm, read_model_form
+from sysid.model_form.coverage import coverage
 from uqharness.errors import BadInputError
 from uqharness.identification.model_form import flight_warnings
-from uqharness.replay.flights import Flight
-from uqharness.replay.residuals import flight_residuals, prediction_of
-from uqharness.simulator.aircraft import Aircraft, content_hash
+from uqharness.replay import Flight, flight_residuals, prediction_of
+from uqharness.simulator import Aircraft, content_hash
 
 HOLDS_FROM = 0.85
 """Share of a new flight that 95 % bounds must contain to be said to hold: single flights scatter by 0.02 to 0.04."""

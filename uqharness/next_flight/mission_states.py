@@ -10,20 +10,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.coefficients import smooth
+from sysid.aerodynamics import smooth
 from sysid.aerodynamics.polynomial import STATES
-from uqharness.campaign.aircraft import make_copy, needs_copy
-from uqharness.campaign.cases import Case, Mission, build_cases
-from uqharness.campaign.folder.files import read_cases
-from uqharness.campaign.folder.manifest import describe, has_digests, read_complete, refuse_if_different, spec_of
-from uqharness.campaign.run import find_mission
-from uqharness.campaign.spec.campaign import CampaignSpec
+from uqharness.campaign import Case, Mission, build_cases, find_mission, make_copy, needs_copy
+from uqharness.campaign.folder import describe, has_digests, read_cases, read_complete, refuse_if_different, spec_of
+from uqharness.campaign.spec import CampaignSpec
 from uqharness.errors import BadInputError
-from uqharness.flight.fly import record_mission, staged_mission
-from uqharness.flight.spec import FlightSpec
-from uqharness.replay.flights import read_flight
+from uqharness.flight import FlightSpec, record_mission, staged_mission
+from uqharness.replay import read_flight
+from uqharness.simulator import Aircraft
 from uqharness.simulator import signals as properties
-from uqharness.simulator.aircraft import Aircraft
 
 Array = NDArray[np.float64]
 RATE_HZ = 10.0

@@ -12,11 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.residuals import Cutoffs, Residuals
-from sysid.effects.flight_choice import Offer, choose
-from sysid.model_form.fit import FitOptions, fit_bounds
-from sysid.model_form.model_form import CoefficientBounds, ModelForm
-from sysid.model_form.worth import after, information, parameter_variance, weighted_quartiles
+from sysid.aerodynamics import Cutoffs, Residuals
+from sysid.effects import Offer, choose
+from sysid.model_form import (
+    CoefficientBounds,
+    FitOptions,
+    ModelForm,
+    after,
+    fit_bounds,
+    information,
+    parameter_variance,
+    weighted_quartiles,
+)
 from uqharness.errors import BadInputError
 from uqharness.next_flight.mission_states import Occupancy
 from uqharness.next_flight.points import QUIET_S, REST_S, Condition, TestPoint, library
@@ -34,7 +41,7 @@ from uqharness.next_flight.trials import (
     unit_times,
 )
 from uqharness.scratch import scratch_folder
-from uqharness.simulator.aircraft import Aircraft
+from uqharness.simulator import Aircraft
 
 Array = NDArray[np.float64]
 WORTH = 0.05

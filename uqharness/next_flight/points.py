@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from uqharness.simulator.aircraft import Aircraft
-from uqharness.simulator.card import InputCard
+from uqharness.simulator import Aircraft, InputCard
 
 DOUBLET = ((1, 1.0), (1, -1.0))
 THREE_TWO_ONE_ONE = ((3, 1.0), (2, -1.0), (1, 1.0), (1, -1.0))

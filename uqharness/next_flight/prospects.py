@@ -8,11 +8,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid.aerodynamics.residuals import Residuals
-from sysid.aerodynamics.terms import COEFFICIENTS
-from sysid.model_form.fit import Design
-from sysid.model_form.model_form import ModelForm
-from sysid.model_form.worth import Information, Width, after, expected_width, for_ever, information, mean_power, speed_power, width
+from sysid.aerodynamics import COEFFICIENTS, Residuals
+from sysid.model_form import (
+    Design,
+    Information,
+    ModelForm,
+    Width,
+    after,
+    expected_width,
+    for_ever,
+    information,
+    mean_power,
+    speed_power,
+    width,
+)
 from uqharness.next_flight.mission_states import Occupancy
 from uqharness.next_flight.trials import Trial
 

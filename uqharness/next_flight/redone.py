@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-from sysid.model_form.model_form import ModelForm
+from sysid.model_form import ModelForm
 from uqharness.next_flight.mission_states import Occupancy
 from uqharness.next_flight.prospects import widths_over
 from uqharness.text_tables import text_table

@@ -16,10 +16,7 @@ from lxml import etree
 
 from sysid.units import G0_MPS2
 from uqharness.next_flight.points import QUIET_S, Condition, TestPoint
-from uqharness.simulator.aircraft import Aircraft, parse_xml
-from uqharness.simulator.card import InputCard
-from uqharness.simulator.mission import MANOEUVRE_PROPERTY
-from uqharness.simulator.signals import SECOND_ORDER
+from uqharness.simulator import MANOEUVRE_PROPERTY, SECOND_ORDER, Aircraft, InputCard, parse_xml
 
 AUTOPILOT = (
     "ap/engaged", "ap/airspeed-cmd-mps", "ap/WP_LOITER_RAD", "ap/loiter-center-north-m", "ap/loiter-center-east-m",

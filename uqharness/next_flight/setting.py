@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from sysid.aerodynamics.residuals import Cutoffs, together
+from sysid.aerodynamics import Cutoffs, together
 from sysid.digests import file_sha256
-from sysid.model_form.missing_terms import MissingTerm, missing_terms
-from sysid.model_form.model_form import ModelForm
+from sysid.model_form import MissingTerm, ModelForm
+from sysid.model_form.missing_terms import missing_terms
 from uqharness.errors import BadInputError
 from uqharness.next_flight.mission_states import CampaignMission
 from uqharness.next_flight.trials import TestFlight, has_autopilot, has_noise, residuals_of
-from uqharness.simulator.aircraft import Aircraft, content_hash, find_aircraft
+from uqharness.simulator import Aircraft, content_hash, find_aircraft
 
 _BURN_IN_S = 120.0
 _ON_AUTOPILOT_S = 4.0

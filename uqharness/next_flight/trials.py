@@ -10,21 +10,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.residuals import Cutoffs, Residuals
+from sysid.aerodynamics import Cutoffs, Residuals
 from sysid.errors import LogError
 from uqharness.errors import BadInputError
-from uqharness.flight.record_writer import write_record
-from uqharness.flight.recorded import recorded_flight, two_seeds
-from uqharness.flight.spec import DEFAULT_TURBULENCE_SOURCE, FlightSpec
+from uqharness.flight import DEFAULT_TURBULENCE_SOURCE, FlightSpec, recorded_flight, two_seeds, write_record
 from uqharness.next_flight.points import TestPoint
 from uqharness.next_flight.script import AUTOPILOT, MOST_LOSS_M, RECOVERY_S, schedule, script_text
-from uqharness.replay.residuals import flight_residuals, prediction_of, read_bounds_flights
+from uqharness.replay import flight_residuals, prediction_of, read_bounds_flights
 from uqharness.scratch import scratch_folder
+from uqharness.simulator import Aircraft, SteadyCondition, find_trim, linearise, modes, open_aircraft, read_script
 from uqharness.simulator import signals as properties
-from uqharness.simulator.aircraft import Aircraft, open_aircraft
-from uqharness.simulator.linear import linearise, modes
-from uqharness.simulator.mission import read_script
-from uqharness.simulator.trim import SteadyCondition, find_trim
 
 Array = NDArray[np.float64]
 WIDER = 0.5

@@ -1,1 +1,5 @@
 """The JSBSim system of uncertainty intervals: written, put into any aircraft, checked."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -9,8 +9,7 @@ from uqharness.errors import BadInputError
 from uqharness.plugin.check import Verdict, check_in_child
 from uqharness.plugin.folder import write
 from uqharness.plugin.instrument import Bounds, Plan, metrics_of, plan
-from uqharness.simulator import aircraft_facts
-from uqharness.simulator.aircraft import Aircraft, check_loadable, find_aircraft
+from uqharness.simulator import Aircraft, aircraft_facts, check_loadable, find_aircraft
 
 CHECK_S = 1.0
 """Flight time [s] of the comparison with the untouched aircraft."""

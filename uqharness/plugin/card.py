@@ -7,7 +7,7 @@ from typing import Any
 
 from sysid.units import FT_M
 from uqharness.plugin.scale_functions import Scaled
-from uqharness.simulator.aircraft_facts import AircraftFacts
+from uqharness.simulator import AircraftFacts
 from uqharness.toml import as_toml, dotted
 
 DT_S = 0.01

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from uqharness.simulator import engine
-from uqharness.simulator.aircraft import Aircraft
-from uqharness.simulator.aircraft_files import INSIDE, opened, read_xml
+from uqharness.simulator import INSIDE, Aircraft, engine, opened, read_xml
 
 
 def carried_files(aircraft: Aircraft, out: Path) -> dict[str, bytes]:

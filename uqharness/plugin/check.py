@@ -20,13 +20,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.aerodynamics import COEFFICIENTS
 from sysid.units import FT_M
 from uqharness.child_process import ending, give_answer, run_module
 from uqharness.errors import BadInputError
-from uqharness.simulator import engine
-from uqharness.simulator.aircraft import Aircraft, find_aircraft
-from uqharness.simulator.mid_envelope import _open, open_mid_envelope
+from uqharness.simulator import Aircraft, engine, find_aircraft, open_mid_envelope, staged
 
 DELTA = 0.02
 DURATION_S = 10.0
@@ -164,7 +162,7 @@ def _fly(aircraft: Aircraft, steps: int, names: Sequence[str] | None) -> tuple[l
 
 
 def _has_air(aircraft: Aircraft) -> bool:
-    return bool(_open(aircraft, None).get_property_manager().hasNode("air/wind-mps"))
+    return bool(engine.open_fdm(staged(aircraft), aircraft.dt_s).get_property_manager().hasNode("air/wind-mps"))
 
 
 def _readable(fdm: Any) -> list[str]:

@@ -9,10 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from uqharness.errors import BadInputError
-from uqharness.simulator.aircraft import Aircraft
-from uqharness.simulator.aircraft_files import copy_folder
-from uqharness.xml.document import Document, Insertion, apply, comment, parse_document, with_attribute
-from uqharness.xml.properties import declaration, folder_documents
+from uqharness.simulator import Aircraft, copy_folder
+from uqharness.xml import Document, Insertion, apply, comment, declaration, folder_documents, parse_document, with_attribute
 
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 _REMARK = re.compile(rb"[ \t]*<!-- identified [^>]*?-->")

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 from uqharness.errors import BadInputError
 from uqharness.plugin.carry import carried_files
 from uqharness.plugin.record import FILE_NAME, Change, changed, read_record, restored, to_json
-from uqharness.simulator.aircraft import Aircraft
-from uqharness.simulator.aircraft_files import copy_folder
+from uqharness.simulator import Aircraft, copy_folder
 
 if TYPE_CHECKING:
     from uqharness.plugin.instrument import Plan

@@ -13,21 +13,31 @@ from pathlib import Path
 
 import tomlkit
 
-from sysid.aerodynamics.terms import COEFFICIENTS
-from sysid.model_form.model_form import ModelForm
+from sysid.aerodynamics import COEFFICIENTS
+from sysid.model_form import ModelForm
 from sysid.units import FT_M
 from uqharness.errors import BadInputError
 from uqharness.plugin.card import ERRORS_SYSTEM, ERRORS_XML, IDLE_SYSTEM, IDLE_XML, card_text, scale_entry
 from uqharness.plugin.model_form_xml import constant_xml, model_form_xml
 from uqharness.plugin.record import Change, changed
 from uqharness.plugin.scale_functions import SYSTEM_NAME, Scaled, add_scales, coefficient_properties, scale_system
-from uqharness.simulator.aircraft import PROJECT_ROOT, Aircraft, content_hash
-from uqharness.simulator.aircraft_facts import AircraftFacts
-from uqharness.simulator.card import parse_card
-from uqharness.xml.aerodynamics import AeroSection, read_reference, read_section, require_reference
-from uqharness.xml.document import Insertion, attribute, read_document
-from uqharness.xml.properties import declaration, folder_names
-from uqharness.xml.summands import Reference, SectionEdit, add_deltas, add_system, axis_name
+from uqharness.simulator import PROJECT_ROOT, Aircraft, AircraftFacts, content_hash, parse_card
+from uqharness.xml import (
+    AeroSection,
+    Insertion,
+    Reference,
+    SectionEdit,
+    add_deltas,
+    add_system,
+    attribute,
+    axis_name,
+    declaration,
+    folder_names,
+    read_document,
+    read_reference,
+    read_section,
+    require_reference,
+)
 
 SYSTEM = "model-form"
 AIR_SYSTEM = "air"

@@ -13,16 +13,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from sysid.aerodynamics.terms import COEFFICIENTS
-from sysid.model_form.model_form import CoefficientBounds, ModelForm
+from sysid.aerodynamics import COEFFICIENTS
+from sysid.model_form import CoefficientBounds, ModelForm
 from sysid.units import FT_M, RAD_DEG
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
-from uqharness.simulator.aircraft import Aircraft
-from uqharness.simulator.signals import position_factor
-from uqharness.xml.document import in_comment
-from uqharness.xml.expressions import Expression, Powers, call, horner, prop, value
-from uqharness.xml.properties import declare
+from uqharness.simulator import Aircraft, position_factor
+from uqharness.xml import Expression, Powers, call, declare, horner, in_comment, prop, value
 
 RATE_HZ = 50.0
 """Bounds are computed at least this often; levels and deltas in every frame."""

@@ -17,7 +17,7 @@ from sysid.digests import sha256_hex
 from sysid.foreign.parsed_text import parse_json
 from sysid.foreign.regular_files import read_regular
 from uqharness.errors import BadInputError
-from uqharness.xml.document import Insertion
+from uqharness.xml import Insertion
 
 FILE_NAME = "uq-instrument.json"
 FORMAT = "instrument 1"

@@ -11,11 +11,24 @@ import re
 from collections import Counter
 from dataclasses import dataclass
 
-from uqharness.xml.aerodynamics import SLOT, AeroSection, Axis
-from uqharness.xml.document import Document, Insertion, Node, append_child, attribute
-from uqharness.xml.expressions import call, function_lines, prop, value
-from uqharness.xml.properties import declarations, declare
-from uqharness.xml.summands import Reference, SectionEdit
+from uqharness.xml import (
+    SLOT,
+    AeroSection,
+    Axis,
+    Document,
+    Insertion,
+    Node,
+    Reference,
+    SectionEdit,
+    append_child,
+    attribute,
+    call,
+    declarations,
+    declare,
+    function_lines,
+    prop,
+    value,
+)
 
 COEFFICIENT_PROPERTY = re.compile(r"aero/(CX|CY|CZ|Cl|Cm|Cn)_\w+")
 SYSTEM_NAME = "scale-bias"

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.effects.score import Evidence, solve
+from sysid.effects import Evidence, solve
 from sysid.parallel import Processes
 from uqharness.errors import BadInputError
-from uqharness.identification.start import equation_error_start
+from uqharness.identification import equation_error_start
 from uqharness.refinement.fit import Fit, best_flown, positions, refit
 from uqharness.refinement.setup import Bench, estimated_channels, turbulent
 from uqharness.refinement.types import Flown, Point, Setup
-from uqharness.simulator.aircraft import Aircraft
+from uqharness.simulator import Aircraft
 
 SETTLED = 0.01
 """Relative fall of the cost."""

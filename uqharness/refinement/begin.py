@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.effects.score import Evidence
-from sysid.effects.selection import Selection, Twins, judged
+from sysid.effects import Evidence, Selection, Twins, judged
 from uqharness.refinement.fit import moved_starts, stepped
 from uqharness.refinement.types import Point, Setup
 

@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from sysid.effects.selection import Choice
-from sysid.estimation.gaps import NOISE_FLOOR
+from sysid.effects import Choice
+from sysid.estimation import NOISE_FLOOR
 from sysid.parallel import Processes
 from uqharness.refinement.judge import Side, evidence_of, left_out, sensed_by
 from uqharness.refinement.refine import Found
 from uqharness.refinement.showing.show import Shown, show, whiteness
 from uqharness.refinement.types import Setup
-from uqharness.simulator.aircraft import Aircraft
+from uqharness.simulator import Aircraft
 
 COLOURED_P = 1e-7
 OF_STRONGEST = 0.5

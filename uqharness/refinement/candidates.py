@@ -10,15 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.terms import COEFFICIENTS
-from sysid.effects.catalogue import Effect
-from sysid.effects.prediction import Columns
+from sysid.aerodynamics import COEFFICIENTS
+from sysid.effects import Columns, Effect
 from uqharness.refinement.reference import Probe
 from uqharness.refinement.writing.terms import STALL
-from uqharness.replay.model import CONTROLS
-from uqharness.replay.replay import SENSOR_OF, runs_per_row
-from uqharness.replay.segments import Segment
-from uqharness.simulator.actuators import Actuator
+from uqharness.replay import CONTROLS, SENSOR_OF, Segment, runs_per_row
+from uqharness.simulator import Actuator
 
 if TYPE_CHECKING:
     from uqharness.refinement.types import Flown, Point, Setup

@@ -10,8 +10,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
-from sysid.effects.score import Evidence, likeness, scores
-from sysid.effects.selection import Choice
+from sysid.effects import Choice, Evidence, likeness, scores
 
 NEAR = 0.8
 """Share of the winner's gain that a rival must reach on the linearised flight."""

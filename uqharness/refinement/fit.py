@@ -14,22 +14,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.gust_states import GustStates
+from sysid.aerodynamics import GustStates, Reference, Steps, linearise
 from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
-from sysid.aerodynamics.rigid_body import MassProperties, Reference, Steps, linearise
-from sysid.effects.prediction import Columns, White, whiten
-from sysid.effects.score import Evidence, gather
+from sysid.aerodynamics.rigid_body import MassProperties
+from sysid.effects import Columns, Evidence, White, gather, whiten
 from sysid.parallel import ALONE, Processes
 from uqharness.refinement.candidates import effect_columns, sensor_gain
 from uqharness.refinement.reference import Probe, ProbeJob, named_terms, probe, term_column
 from uqharness.refinement.sensed import as_sensed, late_rate, sensor_late_s
 from uqharness.refinement.types import Flown, Point, Setup, in_dynamics
-from uqharness.replay.flights import Flight, states
-from uqharness.replay.force import surface_positions
-from uqharness.replay.model import CONTROLS, ReplayModel
-from uqharness.replay.replay import CHANNELS, SENSOR_OF, STATES, at_rows, fly_segment
-from uqharness.replay.segments import Segment
+from uqharness.replay import (
+    CHANNELS,
+    CONTROLS,
+    SENSOR_OF,
+    STATES,
+    Flight,
+    ReplayModel,
+    Segment,
+    at_rows,
+    fly_segment,
+    states,
+    surface_positions,
+)
 
 Array = NDArray[np.float64]
 

@@ -14,23 +14,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.coefficients import smooth
-from sysid.aerodynamics.gust_states import GustStates
-from sysid.aerodynamics.rigid_body import AIR, Steps, rates, whole_states
+from sysid.aerodynamics import AIR, GustStates, Steps, rates, smooth, whole_states
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
-from sysid.effects.prediction import Columns, White, minus_twice_log, whiten
-from sysid.effects.score import Evidence, gather
-from sysid.effects.turbulence import Gusts, gust_intensity, noise_factors
+from sysid.effects import Columns, Evidence, Gusts, White, gather, gust_intensity, minus_twice_log, noise_factors, whiten
 from sysid.parallel import Processes
 from uqharness.refinement.candidates import sensor_gain, sensor_offset
 from uqharness.refinement.fit import PRIOR, Fit, parameter_columns, probes, stepped, steps_of
 from uqharness.refinement.reference import Predicted, Probe, along, named_terms
 from uqharness.refinement.sensed import as_sensed, moved_later, sensor_late_s
 from uqharness.refinement.types import Flown, Point, Setup
-from uqharness.replay.force import surface_positions
-from uqharness.replay.model import CONTROLS, ReplayModel
-from uqharness.replay.replay import by_run
-from uqharness.replay.segments import Segment
+from uqharness.replay import CONTROLS, ReplayModel, Segment, by_run, surface_positions
 
 Array = NDArray[np.float64]
 _KINDS = {c: kind for kind, members in {"attitude": ("phi", "theta", "psi"), "rate": ("p", "q", "r"), "force": ("ax", "ay", "az"),

@@ -11,9 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid.effects.score import Evidence, corrected
-from sysid.effects.selection import Choice
-from sysid.effects.turbulence import Gusts
+from sysid.effects import Choice, Evidence, Gusts, corrected
 from sysid.parallel import Processes
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.gusts import GustFit, gust_evidence
@@ -21,7 +19,7 @@ from uqharness.refinement.refine import Found, in_one_step, with_resolution
 from uqharness.refinement.rounds import candidate_evidence
 from uqharness.refinement.showing.show import Shown, show
 from uqharness.refinement.types import Setup, in_dynamics
-from uqharness.simulator.aircraft import Aircraft
+from uqharness.simulator import Aircraft
 
 Write = Callable[[Found], Aircraft]
 BLOCK_S = 2.0

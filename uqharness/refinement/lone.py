@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from sysid.effects.catalogue import Effect
-from sysid.effects.selection import Choice
+from sysid.effects import Choice, Effect
 from uqharness.refinement.refine import Found
-from uqharness.replay.replay import SENSOR_OF
+from uqharness.replay import SENSOR_OF
 
 NOT_BELIEVED = (
     "one channel of a sensor late by itself was not believed beside other delays and servos ({}): the effects were sought "

@@ -13,15 +13,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.effects.catalogue import Effect
-from sysid.effects.prediction import Columns
-from sysid.effects.score import Evidence, scores
+from sysid.effects import Columns, Effect, Evidence, scores
 from uqharness.refinement.candidates import servo_change
 from uqharness.refinement.reference import Probe
 from uqharness.refinement.types import Setup
-from uqharness.replay.model import CONTROLS
-from uqharness.replay.replay import runs_per_row
-from uqharness.simulator.actuators import Actuator
+from uqharness.replay import CONTROLS, runs_per_row
+from uqharness.simulator import Actuator
 
 Array = NDArray[np.float64]
 SHARES = (0.98, 0.95, 0.9, 0.85, 0.75, 0.6, 0.45, 0.3)

@@ -9,17 +9,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.aerodynamics import AIR, Reference, split_name
 from sysid.aerodynamics.coefficients import MassProperties
-from sysid.aerodynamics.rigid_body import AIR, STATES, Reference
-from sysid.aerodynamics.terms import split_name
-from sysid.effects.effect_terms import V_REFERENCE_MPS
+from sysid.aerodynamics.rigid_body import STATES
+from sysid.effects import V_REFERENCE_MPS
 from sysid.units import FT_M, LBF_FT_NM, LBF_N
-from uqharness.replay.force import ForcedModel, force_states
-from uqharness.replay.ground import altitudes, terrain_m
-from uqharness.replay.model import CONTROLS, ReplayModel, control_setters
-from uqharness.replay.segments import Segment
-from uqharness.simulator import engine
-from uqharness.simulator.trim import TRIM_LATITUDE_DEG, body_velocity
+from uqharness.replay import CONTROLS, ForcedModel, ReplayModel, Segment, altitudes, control_setters, force_states, terrain_m
+from uqharness.simulator import TRIM_LATITUDE_DEG, body_velocity, engine
 
 Array = NDArray[np.float64]
 EVERY = 4
@@ -297,7 +293,7 @@ def named_terms(
 
 def term_column(name: str, found: Mapping[str, Array]) -> tuple[int, Array]:
     """Coefficient's index and values (n,) of a property such as ``aero/Cm_q``."""
-    from sysid.aerodynamics.terms import COEFFICIENTS, regressor
+    from sysid.aerodynamics import COEFFICIENTS, regressor
 
     parsed = split_name(name)
     assert parsed is not None

@@ -16,13 +16,24 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.effects.catalogue import TWINS, Effect
-from sysid.effects.score import Evidence, corrected, scores
-from sysid.effects.selection import STRONG, Choice, Refusal, Selection, chance_limit, select, threshold
-from sysid.effects.turbulence import Gusts
+from sysid.effects import (
+    STRONG,
+    TWINS,
+    Choice,
+    Effect,
+    Evidence,
+    Gusts,
+    Refusal,
+    Selection,
+    chance_limit,
+    corrected,
+    scores,
+    select,
+    threshold,
+)
 from sysid.parallel import Processes
 from uqharness.errors import BadInputError
-from uqharness.plugin.estimates import Estimate
+from uqharness.plugin import Estimate
 from uqharness.refinement.base import Base, base_fit_and_noise, undetermined
 from uqharness.refinement.begin import OVERWHELMING, WEAK_IN_GUSTS, strong_first
 from uqharness.refinement.candidates import effect_columns
@@ -46,7 +57,7 @@ from uqharness.refinement.stages import Stages
 from uqharness.refinement.timing import CONTROLS_LATE, MOST_CORRECTIONS, controls_late, later, words
 from uqharness.refinement.types import Setup
 from uqharness.refinement.writing.slopes import control_slopes, of_lift_slope
-from uqharness.simulator.aircraft import Aircraft
+from uqharness.simulator import Aircraft
 
 GUST_LIMIT = 7.0
 """|t| asked of an effect in turbulence, where the air's spectrum is a model, too."""

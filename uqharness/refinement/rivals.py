@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sysid.effects.catalogue import Effect
-from sysid.effects.selection import Choice, Selection, judged
+from sysid.effects import Choice, Effect, Selection, judged
 from uqharness.refinement.begin import OVERWHELMING
 from uqharness.refinement.contest import BESIDE, MOST_BESIDE, many_asked, rivals, winner
 from uqharness.refinement.gusts import GustFit

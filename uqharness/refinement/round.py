@@ -8,15 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.effects.catalogue import Effect
-from sysid.effects.score import Evidence
-from sysid.effects.selection import Selection
-from sysid.effects.turbulence import Gusts
+from sysid.effects import Effect, Evidence, Gusts, Selection
 from sysid.parallel import Processes
 from uqharness.refinement.begin import About
 from uqharness.refinement.fit import Fit
 from uqharness.refinement.types import Setup
-from uqharness.simulator.aircraft import Aircraft
+from uqharness.simulator import Aircraft
 
 
 @dataclass(frozen=True)

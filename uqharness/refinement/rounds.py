@@ -9,10 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.effects.catalogue import TWINS, Effect
-from sysid.effects.prediction import Columns, whiten
-from sysid.effects.score import Evidence, gather, scores
-from sysid.effects.selection import Choice, Selection, judged, select
+from sysid.effects import TWINS, Choice, Columns, Effect, Evidence, Selection, gather, judged, scores, select, whiten
 from uqharness.refinement.begin import OVERWHELMING, About, joint_point
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.fit import PRIOR, Fit, best_flown, merged, positions, refit
@@ -24,8 +21,8 @@ from uqharness.refinement.setup import Bench, with_sensors_of
 from uqharness.refinement.types import Point, Setup, in_dynamics
 from uqharness.refinement.writing.effects import Written, carrier, write_effects
 from uqharness.refinement.writing.slopes import control_slopes
-from uqharness.replay.model import CONTROLS
-from uqharness.simulator.aircraft import Aircraft, find_aircraft
+from uqharness.replay import CONTROLS
+from uqharness.simulator import Aircraft, find_aircraft
 
 LEAST_LATE_ROWS = 0.15
 """A delay or lag below this share of a row is within what a replay resolves, and is no effect."""

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sysid.effects.catalogue import Effect
+from sysid.effects import Effect
 from sysid.parallel import Processes
 from uqharness import __version__
-from uqharness.campaign.folder.manifest import MANIFEST
+from uqharness.campaign.folder import MANIFEST
 from uqharness.files import inner_folder
 from uqharness.parallel import worker_map
 from uqharness.refinement.beside import named_beside
@@ -50,12 +50,9 @@ from uqharness.refinement.stages import FOLDER, Stages
 from uqharness.refinement.timing import later
 from uqharness.refinement.types import Setup
 from uqharness.refinement.writing.effects import Written, write_effects
-from uqharness.replay.flights import Flight, read_flights, renamed
-from uqharness.replay.model import CONTROLS
+from uqharness.replay import CONTROLS, Flight, read_flights, renamed
 from uqharness.scratch import scratch_folder
-from uqharness.simulator import engine
-from uqharness.simulator.aircraft import Aircraft, content_hash, find_aircraft, open_aircraft
-from uqharness.simulator.aircraft_files import copy_beside
+from uqharness.simulator import Aircraft, content_hash, copy_beside, engine, find_aircraft, open_aircraft
 
 Say = Callable[[str], None]
 

@@ -11,8 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from uqharness.refinement.candidates import sensor_gain, sensor_offset
 from uqharness.refinement.reference import Probe
-from uqharness.replay.replay import SENSOR_OF, late_rows
-from uqharness.replay.segments import Segment
+from uqharness.replay import SENSOR_OF, Segment, late_rows
 
 if TYPE_CHECKING:
     from uqharness.refinement.types import Point, Setup

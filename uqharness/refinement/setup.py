@@ -12,18 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.digests import file_sha256
-from sysid.effects.catalogue import Effect, catalogue
+from sysid.effects import Effect
+from sysid.effects.catalogue import catalogue
 from sysid.effects.subsystem_effects import subsystem_effects
-from sysid.estimation.gaps import channel_noise, process_noise_shown
+from sysid.estimation import channel_noise, process_noise_shown
 from uqharness.errors import BadInputError
-from uqharness.identification.identify import BIASES, OUTPUTS
+from uqharness.identification import BIASES, OUTPUTS
 from uqharness.refinement.fit import states_of
 from uqharness.refinement.types import Flown, Setup
-from uqharness.replay.flights import Flight, measured_outputs, segments
-from uqharness.replay.model import CONTROLS, ReplayFolder, ReplayModel
-from uqharness.replay.replay import SENSOR_OF
-from uqharness.simulator.actuators import Actuator, actuators
-from uqharness.simulator.aircraft import Aircraft
+from uqharness.replay import CONTROLS, SENSOR_OF, Flight, ReplayFolder, ReplayModel, measured_outputs
+from uqharness.replay.flights import segments
+from uqharness.simulator import Actuator, Aircraft
+from uqharness.simulator.actuators import actuators
 
 
 def file_hash(path: Path) -> str:

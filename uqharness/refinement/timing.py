@@ -12,12 +12,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.effects.catalogue import Effect
-from sysid.effects.score import Evidence, agreement, corrected, scores, solve
-from sysid.effects.selection import EXCHANGE
-from uqharness.replay.flights import Flight, control_columns
-from uqharness.replay.logged_commands import command_later
-from uqharness.replay.model import CONTROLS
+from sysid.effects import EXCHANGE, Effect, Evidence, agreement, corrected, scores, solve
+from uqharness.replay import CONTROLS, Flight, command_later, control_columns
 
 CONTROLS_LATE = Effect(
     None, "record", "delay", "controls recorded early or late", "all commands act one time later than the record says", unit="s"

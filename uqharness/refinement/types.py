@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
-from sysid.effects.catalogue import Effect
-from uqharness.replay.flights import Flight
-from uqharness.replay.segments import Segment
-from uqharness.simulator.actuators import Actuator
+from sysid.effects import Effect
+from uqharness.replay import Flight, Segment
+from uqharness.simulator import Actuator
 
 Array = NDArray[np.float64]
 

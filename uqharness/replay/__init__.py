@@ -1,1 +1,5 @@
 """Recorded flights flown again by JSBSim: through their controls, beside their motion."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -10,14 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.segmentation import MAX_S, MIN_S, Piece, as_logged, cut
+from sysid.aerodynamics import MAX_S, MIN_S, Piece, as_logged, cut
 from sysid.digests import file_sha256
 from sysid.errors import LogError
-from sysid.logs.cache import default_cache
-from sysid.logs.checks import in_degrees
-from sysid.logs.dropouts import bridge
-from sysid.logs.load import import_log
-from sysid.logs.manoeuvres import label_manoeuvres
+from sysid.logs import bridge, default_cache, import_log, in_degrees, label_manoeuvres
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
 from uqharness.replay.ground import height_known
@@ -25,8 +21,7 @@ from uqharness.replay.logged_commands import command_later, mean_ahead, with_ste
 from uqharness.replay.model import CONTROLS
 from uqharness.replay.replay import CHANNELS, STATES
 from uqharness.replay.segments import Segment
-from uqharness.simulator.aircraft import Aircraft
-from uqharness.simulator.altitude import with_start_altitude
+from uqharness.simulator import Aircraft, with_start_altitude
 
 Array = NDArray[np.float64]
 MAX_RATE_HZ = 60.0

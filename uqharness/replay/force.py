@@ -14,9 +14,7 @@ from sysid.units import FT_M, LBF_FT_NM, LBF_N, PSF_PA, SLUG_KG
 from uqharness.replay.ground import terrain_m
 from uqharness.replay.model import ReplayModel, control_setters
 from uqharness.replay.segments import Segment
-from uqharness.simulator import engine
-from uqharness.simulator.signals import position_factor
-from uqharness.simulator.trim import TRIM_LATITUDE_DEG, body_velocity
+from uqharness.simulator import TRIM_LATITUDE_DEG, body_velocity, engine, position_factor
 
 Array = NDArray[np.float64]
 _FORCES = tuple(f"forces/fb{a}-{kind}-lbs" for kind in ("total", "aero") for a in "xyz")

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.estimation.gaps import white_noise
-from sysid.logs.command_edges import logged_rows, place_steps
+from sysid.estimation import white_noise
+from sysid.logs import logged_rows, place_steps
 from sysid.record import FlightRecord
 
 Array = NDArray[np.float64]

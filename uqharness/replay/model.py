@@ -20,11 +20,7 @@ from numpy.typing import NDArray
 from sysid.units import DEG_RAD
 from uqharness.errors import BadInputError
 from uqharness.scratch import scratch_folder
-from uqharness.simulator import engine
-from uqharness.simulator.aircraft import Aircraft, check_loadable, parse_xml
-from uqharness.simulator.card import Card
-from uqharness.simulator.signals import SECOND_ORDER, position_factor
-from uqharness.simulator.staging import Staging, stage
+from uqharness.simulator import SECOND_ORDER, Aircraft, Card, Staging, check_loadable, engine, parse_xml, position_factor, stage
 
 CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 Array = NDArray[np.float64]

@@ -20,9 +20,7 @@ from sysid.units import FT_M
 from uqharness.replay.ground import terrain_m
 from uqharness.replay.model import ReplayModel, control_setters
 from uqharness.replay.segments import Segment
-from uqharness.simulator import engine
-from uqharness.simulator.signals import STANDARD
-from uqharness.simulator.trim import TRIM_LATITUDE_DEG, body_velocity
+from uqharness.simulator import STANDARD, TRIM_LATITUDE_DEG, body_velocity, engine
 
 Array = NDArray[np.float64]
 CHANNELS = (

@@ -10,14 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.residuals import Cutoffs, Model, Prediction, Residuals, residual_coefficients
-from sysid.aerodynamics.segmentation import Piece, cut
+from sysid.aerodynamics import Cutoffs, Model, Piece, Prediction, Residuals, cut, residual_coefficients
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
 from uqharness.replay.flights import Flight, control_columns, read_flights, segments
 from uqharness.replay.force import force_states, surface_positions
 from uqharness.replay.model import CONTROLS, ReplayFolder, ReplayModel
-from uqharness.simulator.aircraft import Aircraft
+from uqharness.simulator import Aircraft
 
 Array = NDArray[np.float64]
 NEEDED = (

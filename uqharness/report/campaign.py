@@ -10,17 +10,15 @@ from typing import Any
 
 import pandas as pd
 
-from uqharness.campaign.columns import UNCOMMANDED_METRICS
-from uqharness.campaign.conditions import CONFIDENCE, Condition, conditions, in_condition, samples
-from uqharness.campaign.folder.files import read_cases, read_decisions
-from uqharness.campaign.folder.manifest import read_complete
-from uqharness.campaign.rounds import band_confidence
-from uqharness.campaign.statements import Statement, statements
+from uqharness.campaign import CONFIDENCE, UNCOMMANDED_METRICS, Condition, Statement, band_confidence, in_condition, samples
+from uqharness.campaign.conditions import conditions
+from uqharness.campaign.folder import read_cases, read_complete, read_decisions
+from uqharness.campaign.statements import statements
 from uqharness.report import statements as report_statements
 from uqharness.report.parts import Level, Say
 from uqharness.report.sample_words import called
-from uqharness.statistics.decide import NO, OPEN, YES
-from uqharness.statistics.pbox import PBox, Sample, pbox
+from uqharness.statistics import NO, OPEN, YES, PBox, Sample
+from uqharness.statistics.pbox import pbox
 
 _QUANTITIES = (
     ("cross_track", "cross-track", "m"), ("altitude", "altitude", "m"), ("speed", "speed", "mps"), ("heading", "heading", "deg"),

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.aerodynamics import COEFFICIENTS
 from uqharness.files import finite, write_json, write_text
-from uqharness.identification.compare import LIMIT, Comparison
-from uqharness.replay.histories import columns_of, write_histories
-from uqharness.replay.model import CONTROLS
+from uqharness.identification import LIMIT, Comparison
+from uqharness.replay import CONTROLS, columns_of, write_histories
 from uqharness.report.pages.compare import noise_floor
 from uqharness.text_tables import csv_text
 

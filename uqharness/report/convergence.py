@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uqharness.campaign.convergence import Converged
+from uqharness.campaign import Converged
 from uqharness.report.parts import Figure, Figures, Section
 from uqharness.report.pbox import PROBABILITY, metric_label
 from uqharness.report.svg import Chart, Scale, scale

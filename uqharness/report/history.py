@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from uqharness.replay.channel_units import axis_label, shown_channel
-from uqharness.replay.histories import History
+from uqharness.replay import History, axis_label, shown_channel
 from uqharness.report.parts import Block, Figure, Figures, Section, Words
 from uqharness.report.svg import Chart, Scale, scale
 

@@ -10,14 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from sysid.estimation.diagnostics import colour
-from sysid.estimation.gaps import rms
+from sysid.estimation import colour, rms
 from uqharness.files import finite, write_json, write_text
-from uqharness.identification.result import Identification
-from uqharness.plugin.estimates import Estimate, write_estimates
-from uqharness.replay.histories import columns_of, write_histories
-from uqharness.replay.model import CONTROLS
-from uqharness.simulator.aircraft import Aircraft
+from uqharness.identification import Identification
+from uqharness.plugin import Estimate, write_estimates
+from uqharness.replay import CONTROLS, columns_of, write_histories
+from uqharness.simulator import Aircraft
 from uqharness.text_tables import csv_text
 
 

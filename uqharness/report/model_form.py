@@ -6,13 +6,11 @@ import math
 from pathlib import Path
 from typing import Any
 
-from sysid.aerodynamics.polynomial import term_name
-from sysid.aerodynamics.residuals import Residuals
-from sysid.model_form.model_form import ModelForm
+from sysid.aerodynamics import Residuals, term_name
+from sysid.model_form import ModelForm
 from uqharness.files import finite
-from uqharness.identification.model_form import CutoffRow, MadeBounds, mean_left_out
-from uqharness.identification.validation import Validation, failed
-from uqharness.replay.histories import write_pieces
+from uqharness.identification import CutoffRow, MadeBounds, Validation, failed, mean_left_out
+from uqharness.replay import write_pieces
 from uqharness.report.pages.model_form import RESIDUALS
 
 

@@ -7,12 +7,10 @@ import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sysid.model_form.missing_terms import MissingTerm
-from uqharness.campaign.sensitivity_winner import Winner
+from sysid.model_form import MissingTerm
+from uqharness.campaign import Winner
 from uqharness.files import finite
-from uqharness.next_flight.mission_states import Occupancy
-from uqharness.next_flight.plan import NextFlight
-from uqharness.next_flight.prospects import Prospect
+from uqharness.next_flight import NextFlight, Occupancy, Prospect
 from uqharness.report.next_flight_words import words
 
 FORMAT = "next-flight 1"

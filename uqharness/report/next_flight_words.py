@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from sysid.model_form.missing_terms import MissingTerm
-from uqharness.campaign.sensitivity_winner import Winner
-from uqharness.next_flight.plan import SENSORS, WORTH, NextFlight
-from uqharness.next_flight.prospects import Prospect
+from sysid.model_form import MissingTerm
+from uqharness.campaign import Winner
+from uqharness.next_flight import SENSORS, WORTH, NextFlight, Prospect
 
 MOST = 0.9
 """Share of a flight's gain that its few most telling points have together."""

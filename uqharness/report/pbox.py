@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from uqharness.report.parts import Figure, shown
 from uqharness.report.svg import Chart, Scale, scale
-from uqharness.statistics.pbox import PBox, Sample
+from uqharness.statistics import PBox, Sample
 
 Array = NDArray[np.float64]
 _CURVE_POINTS, _MOST_CURVES = 60, 96

@@ -12,18 +12,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from uqharness.replay.channel_units import axis_label, shown_channel
+from uqharness.replay import axis_label, shown_channel
 from uqharness.report.history import Z95
 from uqharness.report.pages.model_form import BEYOND, near_slice, slice_states
 from uqharness.report.pbox import PROBABILITY, metric_label
 
 if TYPE_CHECKING:
-    from sysid.aerodynamics.residuals import Residuals
-    from sysid.model_form.model_form import CoefficientBounds, Outside
+    from sysid.aerodynamics import Residuals
+    from sysid.model_form import CoefficientBounds, Outside
     from sysid.record import FlightRecord
-    from uqharness.campaign.sensitivity import MetricSensitivity
-    from uqharness.replay.histories import History
-    from uqharness.statistics.pbox import PBox
+    from uqharness.campaign import MetricSensitivity
+    from uqharness.replay import History
+    from uqharness.statistics import PBox
 
 _FIRST, _SECOND, _SOFT = "#00639c", "#b34700", "#595f66"
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import difflib
 from pathlib import Path
 
-from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.aerodynamics import COEFFICIENTS
 from uqharness.files import finite, write_bytes, write_json
-from uqharness.refinement.run import Refinement
-from uqharness.replay.histories import columns_of, write_histories
-from uqharness.replay.model import CONTROLS
+from uqharness.refinement import Refinement
+from uqharness.replay import CONTROLS, columns_of, write_histories
 
 FIGURES = ("gap.svg", "history.svg", "intervals.svg", "pbox.svg", "candidates.svg", "coefficients.svg")
 """Figures of a refinement: those of an earlier run are not left beside a later one's."""

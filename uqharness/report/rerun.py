@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 
 from sysid.units import RAD_DEG
-from uqharness.campaign.folder.rerun import Rerun
+from uqharness.campaign.folder import Rerun
 from uqharness.files import write_text
-from uqharness.flight.spec import COEFFICIENTS, FlightSpec
+from uqharness.flight import COEFFICIENTS, FlightSpec
 from uqharness.report.parts import Figure
 from uqharness.report.svg import Chart, Scale, scale, standalone
 

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from uqharness.campaign.conditions import Condition
-from uqharness.campaign.sensitivity_tables import read_sensitivity
+from uqharness.campaign import Condition, read_sensitivity
 from uqharness.report.parts import Figure, Figures, Section, Table, Words
 from uqharness.report.svg import Scale, rows_chart
 

@@ -6,9 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from uqharness.campaign.conditions import CONFIDENCE
-from uqharness.campaign.statements import RateRange, Statement
-from uqharness.statistics.decide import NO, OPEN, YES
+from uqharness.campaign import CONFIDENCE, RateRange, Statement
+from uqharness.statistics import NO, OPEN, YES
 
 _ANSWER_WORDS = {YES: "yes", NO: "no", OPEN: "open: the flights do not settle it"}
 

@@ -9,8 +9,8 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from sysid.errors import LogError
+from sysid.logs import AirframeCard, Reference, Sensors
 from sysid.logs import card as airframe_card
-from sysid.logs.card import AirframeCard, Reference, Sensors
 from uqharness.errors import BadInputError
 from uqharness.toml import dotted
 

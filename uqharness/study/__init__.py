@@ -1,1 +1,5 @@
 """A study: the whole chain from flights to a verdict about performance."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

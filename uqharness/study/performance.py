@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqharness.campaign.conditions import CONFIDENCE, Condition, conditions, in_condition, samples
-from uqharness.campaign.folder.files import read_cases, read_decisions
-from uqharness.campaign.folder.manifest import read_complete
-from uqharness.campaign.sensitivity_tables import read_sensitivity
-from uqharness.campaign.statements import Statement, statements
-from uqharness.statistics.decide import NO, OPEN, YES
-from uqharness.statistics.pbox import Sample, envelope, pbox
+from uqharness.campaign import CONFIDENCE, Condition, Statement, in_condition, read_sensitivity, samples
+from uqharness.campaign.conditions import conditions
+from uqharness.campaign.folder import read_cases, read_complete, read_decisions
+from uqharness.campaign.statements import statements
+from uqharness.statistics import NO, OPEN, YES, Sample, envelope
+from uqharness.statistics.pbox import pbox
 from uqharness.study.stages import AFTER, BEFORE
 
 if TYPE_CHECKING:

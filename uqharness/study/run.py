@@ -15,9 +15,8 @@ from typing import Any, TextIO
 import tomlkit
 
 import uqharness
-from uqharness.campaign.folder.manifest import binding_versions
-from uqharness.campaign.folder.store import run_lock
-from uqharness.campaign.inputs import read_bounds
+from uqharness.campaign import read_bounds
+from uqharness.campaign.folder import binding_versions, run_lock
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder, write_bytes
 from uqharness.study.spec import ChainSpec

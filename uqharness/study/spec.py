@@ -13,11 +13,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
 
-from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.spec.names import Coefficient, Turbulence
-from uqharness.campaign.spec.read import campaign_from
+from uqharness.campaign.spec import CampaignSpec, Coefficient, Turbulence, campaign_from
 from uqharness.errors import BadInputError
-from uqharness.flight.spec import DEFAULT_TURBULENCE_SOURCE
+from uqharness.flight import DEFAULT_TURBULENCE_SOURCE
 from uqharness.settings import Number, Section, listed, tupled
 from uqharness.toml import as_toml, explain, line_of, read_toml
 

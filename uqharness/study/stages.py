@@ -10,12 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from uqharness.campaign.aircraft import system_file
+from uqharness.campaign import system_file
 from uqharness.errors import BadInputError
-from uqharness.identification.channels import parse_channels
-from uqharness.identification.designs import parse_designs
-from uqharness.simulator.aircraft import Aircraft, find_aircraft
-from uqharness.simulator.mission import find_script
+from uqharness.identification import parse_channels, parse_designs
+from uqharness.simulator import Aircraft, find_aircraft, find_script
 from uqharness.study.spec import BoundsSection, ChainSpec, FlySection, IdentifySection, LogSection
 from uqharness.toml import line_of
 

@@ -10,10 +10,10 @@ from typing import Any
 from sysid.digests import file_sha256, sha256_hex
 from sysid.foreign.parsed_text import ParseError, parse_json
 from sysid.foreign.regular_files import read_regular
-from uqharness.campaign.folder.store import LOCK
+from uqharness.campaign.folder import LOCK
 from uqharness.errors import BadInputError
 from uqharness.files import PART, write_bytes
-from uqharness.simulator.aircraft import folder_hash
+from uqharness.simulator import folder_hash
 from uqharness.study.spec import ChainSpec
 
 STUDY = "study.json"

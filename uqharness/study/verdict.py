@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from uqharness.errors import BadInputError
-from uqharness.identification.validation import HOLDS_FROM
+from uqharness.identification import HOLDS_FROM
 from uqharness.result_documents import Coverage, Fit, Part, read_document
 from uqharness.study.performance import BAD, GOOD, SAME, WARN, Sentence, performance
 from uqharness.study.spec import ChainSpec

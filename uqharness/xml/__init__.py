@@ -1,1 +1,5 @@
 """JSBSim XML: documents edited as a hand would, expressions, the aerodynamics section."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

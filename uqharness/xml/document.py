@@ -16,7 +16,7 @@ from xml.parsers import expat
 
 from sysid.foreign.regular_files import read_regular
 from uqharness.errors import BadInputError
-from uqharness.simulator.gate import tag_end
+from uqharness.simulator import tag_end
 
 
 @dataclass(eq=False)

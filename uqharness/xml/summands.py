@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.aerodynamics import COEFFICIENTS
 from uqharness.errors import BadInputError
 from uqharness.xml.aerodynamics import AXIAL, BODY, STABILITY, WIND, AeroSection
 from uqharness.xml.document import Document, Insertion, Node, after, append_child, apply, before, joined

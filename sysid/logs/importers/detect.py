@@ -105,7 +105,7 @@ def _text(head: bytes) -> str | None:
     lines = [line for line in text.splitlines() if line.strip()]
     if any(line.startswith(("FMT,", "FMT, ")) for line in lines[:20]):
         return "dataflash-text"
-    header = next((line for line in lines if not line.startswith("#")), "")
+    header, *rows = [line for line in lines if not line.startswith("#")] or [""]
     names = [name.strip().strip('"') for name in header.split(",")]
     if len(names) < 2:
         return None
@@ -114,7 +114,7 @@ def _text(head: bytes) -> str | None:
     if "time_s" in names or sum(name in SIGNALS for name in names) >= 2:
         return "csv"
     # A table of numbers with other names can be used with a user's map.
-    numeric = [all(_is_number(cell) for cell in line.split(",")) for line in lines[1:6] if not line.startswith("#")]
+    numeric = [all(_is_number(cell) for cell in line.split(",")) for line in rows[:5]]
     return "csv" if numeric and all(numeric) else None
 
 

@@ -93,7 +93,7 @@ def test_the_information_is_the_scatter_of_the_gradient():
         gradients.append(line.gradient)
         informations.append(line.information)
     scatter, mean = np.cov(np.array(gradients).T), np.mean(informations, axis=0)
-    assert np.diagonal(scatter) == pytest.approx(np.diagonal(mean), rel=0.45)
+    assert np.diagonal(scatter) == pytest.approx(np.diagonal(mean), rel=0.6)
 
 
 def test_derivatives_carried_on_meet_the_change_and_cost_no_run():

@@ -24,8 +24,8 @@ def problem(simulate=model, columns=(0, 1, 2), full=False, secant=False, theta=T
     rng = np.random.default_rng(0)
     measured = np.concatenate(model(TRUE)) + 0.02 * rng.standard_normal((160, 2))
     return OutputErrorProblem(
-        SafeSimulation(simulate, (80, 80), 2), measured, theta.copy(), list(columns), (FREE[0][: len(columns)], FREE[1][: len(columns)])
-        if len(columns) < 3 else FREE, measured.std(axis=0), full, None, first_steps(theta, *FREE), secant,
+        SafeSimulation(simulate, (80, 80), 2), measured, theta.copy(), list(columns), FREE, measured.std(axis=0), full, None,
+        first_steps(theta, *FREE), secant,
     )  # fmt: skip
 
 

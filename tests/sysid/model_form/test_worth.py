@@ -9,7 +9,6 @@ import pytest
 from scipy import stats
 
 from sysid.aerodynamics.polynomial import full_polynomial, regressors
-from sysid.model_form.model_form import CoefficientBounds, Hull
 from sysid.model_form.worth import (
     after,
     belief,
@@ -22,30 +21,9 @@ from sysid.model_form.worth import (
     weighted_quartiles,
     width,
 )
+from tests.helpers.model_forms import bounds_from
 
 STATE = "alpha_rad"
-
-
-def bounds_from(x, y, states=(STATE,), order=1, f=1.0, centre=None, scale=None) -> CoefficientBounds:
-    """Least squares written out: the test's own, with every sample worth 1/f."""
-    x = np.atleast_2d(np.asarray(x, dtype=float).T).T
-    centre = np.zeros(x.shape[1]) if centre is None else centre
-    scale = np.ones(x.shape[1]) if scale is None else scale
-    terms = full_polynomial(x.shape[1], order)
-    X = regressors((x - centre) / scale, terms)
-    C = np.linalg.inv(X.T @ X)
-    beta = C @ X.T @ y
-    n, m = X.shape
-    dof = n / f - m
-    s2 = float(np.sum((y - X @ beta) ** 2)) / n * (n / f) / dof
-    return CoefficientBounds(
-        states=states, centre=centre, scale=scale, terms=terms, beta_hat=beta, XtX_inv=C, s2=s2, dof=dof,
-        t=float(stats.t.ppf(0.975, dof)), confidence=0.95, leverage_factor=f, n=n, n_effective=n / f, walk_rate=float("nan"),
-        hull=Hull(
-            x.min(axis=0), x.max(axis=0), float(np.max(np.sum((X @ C) * X, axis=1))),
-            np.quantile(x, [0.25, 0.5, 0.75], axis=0).T,
-        ),
-    )  # fmt: skip
 
 
 def test_a_straight_line_follows_the_textbook():

@@ -22,7 +22,7 @@ from uqharness.campaign.execution.processes import BATCH_S
 from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction
 from uqharness.campaign.folder.manifest import binding_versions
 from uqharness.errors import BadInputError
-from uqharness.flight.spec import FlightSpec
+from uqharness.flight import FlightSpec
 
 CONNECT_S = 10.0
 # Enough on its way that a worker need not wait for this process between two cases that take milliseconds.

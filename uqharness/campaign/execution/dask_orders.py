@@ -17,7 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction
 from uqharness.errors import BadInputError
-from uqharness.flight.spec import STATUSES, FlightSpec
+from uqharness.flight import STATUSES, FlightSpec
 from uqharness.toml import dotted
 
 T = TypeVar("T")

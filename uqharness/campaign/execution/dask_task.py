@@ -19,7 +19,7 @@ from uqharness.campaign.execution.worker import CaseOutcome
 from uqharness.campaign.folder.manifest import binding_versions
 from uqharness.child_process import CHILD_ENVIRONMENT
 from uqharness.errors import BadInputError
-from uqharness.simulator.aircraft import folder_hash
+from uqharness.simulator import folder_hash
 
 ABSENT = "not there"
 

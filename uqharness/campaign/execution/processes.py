@@ -19,7 +19,7 @@ from typing import Any, Protocol
 from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction, attempt, work
 from uqharness.child_process import child_settings, ending, main_not_imported
 from uqharness.errors import BadInputError
-from uqharness.flight.spec import FlightSpec
+from uqharness.flight import FlightSpec
 
 BATCH_S = 0.25
 """Longest time that a finished case waits to be handed on."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 
 from uqharness.errors import BadInputError
-from uqharness.flight.spec import STATUSES, FlightResult, FlightSpec
+from uqharness.flight import STATUSES, FlightResult, FlightSpec
 from uqharness.parallel import end_with_parent
 
 FlightFunction = Callable[[FlightSpec], FlightResult]

@@ -13,7 +13,7 @@ from uqharness.campaign.cases import Case
 from uqharness.campaign.columns import ERROR_METRICS, UNCOMMANDED_METRICS, excursion_columns
 from uqharness.campaign.execution.worker import CaseOutcome
 from uqharness.errors import BadInputError
-from uqharness.flight.spec import COEFFICIENTS, STATUSES, TURBULENCE_W20_KT
+from uqharness.flight import COEFFICIENTS, STATUSES, TURBULENCE_W20_KT
 
 CASES = "cases.parquet"
 _ALWAYS = ("case_id", "epistemic_id", "aleatory_id", "wind_mps", "turbulence", "seed", "duration_s", "status", "reason")

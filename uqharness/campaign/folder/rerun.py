@@ -19,11 +19,10 @@ from uqharness.campaign.folder.store import Store
 from uqharness.campaign.run import find_mission
 from uqharness.errors import BadInputError
 from uqharness.files import inner_folder, write_bytes
-from uqharness.flight.fly import fly, record_mission, staged_mission
-from uqharness.flight.record_writer import write_record
-from uqharness.flight.spec import COEFFICIENTS, FlightResult, FlightSpec
+from uqharness.flight import COEFFICIENTS, FlightResult, FlightSpec, record_mission, staged_mission, write_record
+from uqharness.flight.fly import fly
+from uqharness.simulator import Source
 from uqharness.simulator import signals as properties
-from uqharness.simulator.signals import Source
 
 FOLDER = "rerun"
 RECORD_HZ = 50.0

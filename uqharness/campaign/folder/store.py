@@ -27,7 +27,7 @@ from uqharness.campaign.execution.worker import CaseOutcome
 from uqharness.campaign.folder.digests import DamageError, digest_of_rows, digest_of_text, row_digest, summed
 from uqharness.errors import BadInputError
 from uqharness.files import lock_at_once
-from uqharness.flight.spec import STATUSES
+from uqharness.flight import STATUSES
 
 JOURNAL = "journal.sqlite"
 LOCK = "run.lock"

@@ -19,7 +19,7 @@ from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.campaign.statements import STATEMENTS, Statement, number, statements, statements_csv
 from uqharness.files import write_bytes
 from uqharness.parquet_files import table_bytes
-from uqharness.statistics.pbox import best_and_worst
+from uqharness.statistics import best_and_worst
 
 PBOXES = "pbox.parquet"
 EXCURSIONS = "excursions.csv"

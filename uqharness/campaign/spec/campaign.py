@@ -19,9 +19,9 @@ from uqharness.campaign.spec.names import Turbulence
 from uqharness.campaign.spec.stop import StopSection
 from uqharness.campaign.spec.variables import VariableSection
 from uqharness.errors import BadInputError
-from uqharness.flight.spec import DEFAULT_TURBULENCE_SOURCE
+from uqharness.flight import DEFAULT_TURBULENCE_SOURCE
 from uqharness.settings import Number, Section, listed
-from uqharness.simulator.start import STEADY, StartSection
+from uqharness.simulator import STEADY, StartSection
 
 
 class CampaignSection(Section):

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from uqharness.campaign.spec.names import Coefficient, ordered
-from uqharness.flight.spec import COEFFICIENTS
+from uqharness.flight import COEFFICIENTS
 from uqharness.settings import Number, Section, is_number, tupled
 from uqharness.toml import as_toml
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from uqharness.flight.spec import COEFFICIENTS, TURBULENCE_W20_KT
+from uqharness.flight import COEFFICIENTS, TURBULENCE_W20_KT
 
 Turbulence = Literal["none", "light", "moderate", "severe"]
 Coefficient = Literal["CX", "CY", "CZ", "Cl", "Cm", "Cn"]

@@ -89,7 +89,7 @@ def _planned(spec: CampaignSpec) -> tuple[CampaignSpec, str]:
         # Imported here: pandas and scipy are for this rule alone.
         from uqharness.campaign.conditions import CONFIDENCE
         from uqharness.campaign.spec.samples import epistemic_samples
-        from uqharness.statistics.pbox import flights_for_band
+        from uqharness.statistics import flights_for_band
 
         assert stop.band_width is not None
         samples = len(epistemic_samples(spec))

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from uqharness.campaign.inputs import Estimates
 from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.campaign.spec.epistemic import SAMPLED, ParametersSection
-from uqharness.flight.seeds import named_stream, numbered_stream
-from uqharness.flight.spec import COEFFICIENTS, LevelDriver
+from uqharness.flight import COEFFICIENTS, LevelDriver, named_stream, numbered_stream
 
 Array = NDArray[np.float64]
 

@@ -8,14 +8,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from uqharness.campaign.answers import as_json, lines
-from uqharness.campaign.folder.rerun import rerun_case
-from uqharness.campaign.folder.shards import merge
-from uqharness.campaign.folder.status import read_status
+from uqharness.campaign import lines
+from uqharness.campaign.answers import as_json
+from uqharness.campaign.folder import merge, read_status, rerun_case
 from uqharness.cli.campaign.run import failures, say_rewritten
 from uqharness.cli.options import describe
-from uqharness.report.rerun import draw_rerun
-from uqharness.report.write import write_campaign_report
+from uqharness.report import draw_rerun, write_campaign_report
 
 _STATUS_EXAMPLE = """
   uqharness campaign status campaigns/demo/results

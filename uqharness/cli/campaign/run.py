@@ -11,15 +11,11 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from uqharness.campaign import CampaignSummary, Cost, bounds_notes, make_copy, needs_copy, one_case, refuse_if_long, size_of
 from uqharness.campaign import run as campaign_run
-from uqharness.campaign.aircraft import bounds_notes, make_copy, needs_copy
-from uqharness.campaign.cost import Cost, one_case, refuse_if_long, size_of
-from uqharness.campaign.execution.processes import Executor, ProcessExecutor, SerialExecutor
-from uqharness.campaign.folder.shards import parse_shard
-from uqharness.campaign.folder.status import read_status
-from uqharness.campaign.run import CampaignSummary
-from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.spec.read import read_campaign, with_samples
+from uqharness.campaign.execution import Executor, ProcessExecutor, SerialExecutor
+from uqharness.campaign.folder import parse_shard, read_status
+from uqharness.campaign.spec import CampaignSpec, read_campaign, with_samples
 from uqharness.cli.options import add_out, add_workers, describe
 from uqharness.cli.progress import ProgressView, clock
 from uqharness.errors import BadInputError
@@ -195,7 +191,7 @@ def _executor(args: argparse.Namespace, stack: ExitStack) -> Executor:
                 "--nworkers"
             )
         # Imported here: Dask is an extra.
-        from uqharness.campaign.execution.dask import DaskExecutor
+        from uqharness.campaign.execution import DaskExecutor
 
         return stack.enter_context(DaskExecutor(args.dask))
     if args.serial:

@@ -7,15 +7,14 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from uqharness.campaign.area import AREAS, compare, read_flights
+from uqharness.campaign import AREAS, CONVERGENCE, as_rows, compare, read_flights, sentences, study
 from uqharness.campaign.area import table as area_table
-from uqharness.campaign.convergence import CONVERGENCE, as_rows, sentences, study, table
-from uqharness.campaign.folder.files import record_table
+from uqharness.campaign.convergence import table
+from uqharness.campaign.folder import record_table
 from uqharness.cli.campaign.folder import add_folder
 from uqharness.cli.options import describe, whole
 from uqharness.errors import BadInputError
-from uqharness.report.convergence import convergence_section
-from uqharness.report.write import write_figures
+from uqharness.report import convergence_section, write_figures
 
 _CONVERGENCE_EXAMPLE = """
   uqharness campaign convergence campaigns/demo/results --repeats 4

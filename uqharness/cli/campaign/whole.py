@@ -9,9 +9,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from uqharness.campaign.execution.processes import ProcessExecutor
-from uqharness.campaign.folder.salvage import Flying, Salvaged, salvage
-from uqharness.campaign.folder.verify import Verified, verify
+from uqharness.campaign.execution import ProcessExecutor
+from uqharness.campaign.folder import Flying, Salvaged, Verified
+from uqharness.campaign.folder.salvage import salvage
+from uqharness.campaign.folder.verify import verify
 from uqharness.cli.campaign.folder import add_folder
 from uqharness.cli.campaign.run import add_size, add_yes, asked_campaign, flying_command, tell_cost
 from uqharness.cli.options import add_workers, describe

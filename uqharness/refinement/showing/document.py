@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from sysid.aerodynamics.terms import COEFFICIENTS
-from sysid.effects.catalogue import Effect
-from sysid.effects.disagreement import Disagreement, dependence, disagreements
-from sysid.effects.selection import STRONG, Alternative, Choice, Refusal
-from sysid.estimation.gaps import NOISE_FLOOR
+from sysid.aerodynamics import COEFFICIENTS
+from sysid.effects import STRONG, Alternative, Choice, Disagreement, Effect, Refusal, dependence, disagreements
+from sysid.estimation import NOISE_FLOOR
 from uqharness.refinement.beside import left_in
 from uqharness.refinement.judge import Judged, Verdict
 from uqharness.refinement.refine import Found
@@ -20,9 +18,8 @@ from uqharness.refinement.showing.show import Shown, gap_document, state_ranges
 from uqharness.refinement.showing.words import contradicted, separating_manoeuvre, unnamed, why
 from uqharness.refinement.types import Setup
 from uqharness.refinement.writing.effects import switch_of
-from uqharness.replay.segments import Segment
-from uqharness.simulator.actuators import Actuator
-from uqharness.simulator.aircraft import Aircraft
+from uqharness.replay import Segment
+from uqharness.simulator import Actuator, Aircraft
 
 
 def find_disagreements(setup: Setup, shown: Shown, settled: Shown, controls: Sequence[Any]) -> list[Disagreement]:

@@ -7,17 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sysid.aerodynamics.terms import COEFFICIENTS
-from sysid.model_form.coverage import Coverage
-from sysid.model_form.model_form import ModelForm
+from sysid.aerodynamics import COEFFICIENTS
+from sysid.model_form import Coverage, ModelForm
 from sysid.parallel import Processes
 from uqharness.errors import BadInputError
 from uqharness.files import inner_folder, write_bytes
-from uqharness.identification.model_form import BoundsOptions, make_bounds
-from uqharness.identification.validation import validate
-from uqharness.replay.flights import Flight
-from uqharness.replay.residuals import recut
-from uqharness.simulator.aircraft import Aircraft
+from uqharness.identification import BoundsOptions, make_bounds, validate
+from uqharness.replay import Flight, recut
+from uqharness.simulator import Aircraft
 
 FOLDER = "intervals"
 LEVEL = 0.95

@@ -13,22 +13,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from uqharness.campaign.columns import ERROR_METRICS, UNCOMMANDED_METRICS
-from uqharness.campaign.conditions import conditions, in_condition, samples
-from uqharness.campaign.execution.processes import ProcessExecutor
-from uqharness.campaign.folder.files import read_cases
-from uqharness.campaign.folder.manifest import MANIFEST, describe, has_digests, read_complete, read_manifest, refuse_if_different
-from uqharness.campaign.run import Progress, find_mission, run_campaign
-from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.spec.read import campaign_from, read_campaign
+from uqharness.campaign import ERROR_METRICS, UNCOMMANDED_METRICS, Progress, find_mission, in_condition, run_campaign, samples
+from uqharness.campaign.conditions import conditions
+from uqharness.campaign.execution import ProcessExecutor
+from uqharness.campaign.folder import MANIFEST, describe, has_digests, read_cases, read_complete, read_manifest, refuse_if_different
+from uqharness.campaign.spec import CampaignSpec, campaign_from, read_campaign
 from uqharness.errors import BadInputError
 from uqharness.files import inner_folder
 from uqharness.parallel import usable_cores
-from uqharness.simulator import engine
-from uqharness.simulator.aircraft import Aircraft, open_aircraft
-from uqharness.simulator.mission import find_script, read_script
-from uqharness.simulator.start import STEADY
-from uqharness.statistics.pbox import Sample, envelope
+from uqharness.simulator import STEADY, Aircraft, engine, find_script, open_aircraft, read_script
+from uqharness.statistics import Sample, envelope
 from uqharness.toml import read_toml
 
 FOLDER = "pbox"

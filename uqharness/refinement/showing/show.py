@@ -11,23 +11,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.terms import COEFFICIENTS
-from sysid.effects.turbulence import Gusts
-from sysid.estimation.diagnostics import ljung_box
-from sysid.estimation.gaps import rms, theil
-from sysid.model_form.noise_floor import floor_of
+from sysid.aerodynamics import COEFFICIENTS
+from sysid.effects import Gusts
+from sysid.estimation import ljung_box, rms, theil
+from sysid.model_form import floor_of
 from sysid.parallel import Processes
-from uqharness.identification.start import coefficient_gap
+from uqharness.identification import coefficient_gap
 from uqharness.refinement.fit import positions, refit
 from uqharness.refinement.gusts import gust_refit, middles, moved, rows_late, unfiltered
 from uqharness.refinement.setup import Bench, with_sensors_of
 from uqharness.refinement.types import Flown, Point, Setup
-from uqharness.replay.flights import Flight, states
-from uqharness.replay.logged_commands import command_later
-from uqharness.replay.model import CONTROLS, ReplayModel
-from uqharness.replay.segments import Segment
-from uqharness.simulator.aircraft import Aircraft
-from uqharness.simulator.aircraft_files import copy_folder
+from uqharness.replay import CONTROLS, Flight, ReplayModel, Segment, command_later, states
+from uqharness.simulator import Aircraft, copy_folder
 
 Array = NDArray[np.float64]
 

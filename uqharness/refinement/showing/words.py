@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from sysid.effects.catalogue import Effect
-from sysid.effects.selection import Choice
+from sysid.effects import Choice, Effect
 
 _EXCITES = {
     "alpha": "slow changes of angle of attack by speed (level flight from the slowest to the fastest)",

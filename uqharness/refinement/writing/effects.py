@@ -11,19 +11,33 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sysid.effects.catalogue import Effect
+from sysid.effects import Effect
 from sysid.units import FT_M
-from uqharness.plugin.estimates import Estimate, put_values
+from uqharness.plugin import Estimate, put_values
 from uqharness.refinement.types import in_dynamics
 from uqharness.refinement.writing.numbers import servo_switch, write_actuator, write_mass
 from uqharness.refinement.writing.terms import subsystem_terms, term_xml
-from uqharness.simulator.aircraft import Aircraft
-from uqharness.simulator.aircraft_files import copy_folder
-from uqharness.xml.aerodynamics import AeroSection, read_section
-from uqharness.xml.document import Document, Node, after, append_child
-from uqharness.xml.expressions import Expression, function_lines, prop, value
-from uqharness.xml.properties import declaration, declarations, declare, folder_declares
-from uqharness.xml.summands import Reference, SectionEdit, add_deltas, add_functions
+from uqharness.simulator import Aircraft, copy_folder
+from uqharness.xml import (
+    AeroSection,
+    Document,
+    Expression,
+    Node,
+    Reference,
+    SectionEdit,
+    add_deltas,
+    add_functions,
+    after,
+    append_child,
+    declaration,
+    declarations,
+    declare,
+    folder_declares,
+    function_lines,
+    prop,
+    read_section,
+    value,
+)
 
 THRUST_SCALE = "propulsion/thrust-scale"
 

@@ -9,13 +9,12 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from sysid.effects.catalogue import Effect
+from sysid.effects import Effect
 from sysid.units import FT_M, IN_M, SLUG_FT2_KGM2
 from uqharness.errors import BadInputError
+from uqharness.simulator import Aircraft, sensors_from_cg
 from uqharness.simulator.actuators import actuators
-from uqharness.simulator.aircraft import Aircraft
-from uqharness.simulator.card_changes import sensors_from_cg
-from uqharness.xml.document import (
+from uqharness.xml import (
     Document,
     Insertion,
     Node,
@@ -24,13 +23,14 @@ from uqharness.xml.document import (
     attribute,
     before,
     comment,
+    declaration,
+    declare,
     number,
     read_document,
     remarked,
     with_attribute,
     with_text,
 )
-from uqharness.xml.properties import declaration, declare
 
 FREE_RATE = 1e9
 """Rate limit that limits nothing."""

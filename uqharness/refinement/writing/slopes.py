@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sysid.effects.selection import Selection
+from sysid.effects import Selection
 from uqharness.refinement.fit import Fit
 from uqharness.refinement.reference import Probe
 from uqharness.refinement.writing.terms import INFLOW_POWERS

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sysid.effects.catalogue import Effect
-from sysid.effects.effect_terms import V_REFERENCE_MPS, Term
+from sysid.effects import V_REFERENCE_MPS, Effect, Term
 from sysid.units import FT_M, LBF_N
 from uqharness.errors import BadInputError
-from uqharness.plugin.model_form_xml import state_source
-from uqharness.simulator.aircraft import Aircraft
-from uqharness.xml.aerodynamics import AeroSection
-from uqharness.xml.expressions import Expression, call, prop, value
-from uqharness.xml.properties import computes
+from uqharness.plugin import state_source
+from uqharness.simulator import Aircraft
+from uqharness.xml import AeroSection, Expression, call, computes, prop, value
 
 STALL = {"a1_per_deg": 0.5, "alpha1_deg": 11.0, "alpha2_deg": -20.0}
 

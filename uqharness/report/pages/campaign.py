@@ -7,15 +7,15 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from uqharness.campaign.conditions import CONFIDENCE, Condition, ExcursionCell, conditions
-from uqharness.campaign.statements import Statement
+from uqharness.campaign import CONFIDENCE, Condition, ExcursionCell, Statement
+from uqharness.campaign.conditions import conditions
 from uqharness.report import statements as report_statements
 from uqharness.report.campaign import CampaignFound, Finding, answer_level, hardest_first, span
 from uqharness.report.parts import Block, Bullets, Cell, Figure, Figures, Level, Page, Section, Table, Words, provenance, shown
 from uqharness.report.pbox import DrawnBox, corner_words, pbox_figure
 from uqharness.report.sample_words import called
 from uqharness.report.sensitivity import sensitivity_section
-from uqharness.statistics.pbox import ExcursionRate, best_and_worst, poisson_upper
+from uqharness.statistics import ExcursionRate, best_and_worst, poisson_upper
 
 CONDITIONS_DRAWN = 4
 """Conditions whose p-boxes are drawn in the page, the hardest; the tables hold all."""

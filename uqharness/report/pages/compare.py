@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sysid.aerodynamics.terms import COEFFICIENTS
-from uqharness.replay.channel_units import shown_channel
-from uqharness.replay.histories import HISTORIES, History, have, read_histories
+from sysid.aerodynamics import COEFFICIENTS
+from uqharness.replay import HISTORIES, History, have, read_histories, shown_channel
 from uqharness.report.history import MOST_SEGMENTS, Model, end_to_end, file_name, history_section
 from uqharness.report.parts import (  # fmt: skip
     Cell,

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from uqharness.replay.channel_units import shown_channel
-from uqharness.replay.histories import HISTORIES, read_histories
+from uqharness.replay import HISTORIES, read_histories, shown_channel
 from uqharness.report.history import MOST_SEGMENTS, Model, file_name, history_section
 from uqharness.report.pages.compare import LIMIT
 from uqharness.report.parts import Cell, Figure, Figures, Page, Say, Section, Table, Words, provenance, remarks, shown

@@ -9,12 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.model_form.model_form import CoefficientBounds, ModelForm
-from sysid.model_form.variation import STEP_S, Variation
+from sysid.model_form import STEP_S, CoefficientBounds, ModelForm, Variation
 from uqharness.errors import BadInputError
-from uqharness.identification.validation import HOLDS_FROM, load_form
-from uqharness.replay.channel_units import axis_label, shown_channel
-from uqharness.replay.histories import History, have, read_histories
+from uqharness.identification import HOLDS_FROM, load_form
+from uqharness.replay import History, axis_label, have, read_histories, shown_channel
 from uqharness.report.history import end_to_end
 from uqharness.report.parts import (
     Cell,

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.model_form.model_form import CoefficientBounds, Outside
-from sysid.model_form.worth import parameter_variance
-from uqharness.next_flight.plan import NextFlight
-from uqharness.replay.channel_units import axis_label, shown_channel
+from sysid.model_form import CoefficientBounds, Outside, parameter_variance
+from uqharness.next_flight import NextFlight
+from uqharness.replay import axis_label, shown_channel
 from uqharness.report.parts import Figure, Figures, Page, Say, Section, Table, Words, provenance, remarks, shown
 from uqharness.report.svg import Chart, Scale
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from uqharness.refinement.showing.words import carried_by, test_says
+from uqharness.refinement.showing import carried_by, test_says
 from uqharness.report.parts import Block, Bullets, Figure, Figures, Section, Table, Words, shown
 from uqharness.report.svg import Scale, rows_chart
 

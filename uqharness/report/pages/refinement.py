@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from sysid.aerodynamics.terms import COEFFICIENTS
-from uqharness.refinement.showing.content import Refinement
-from uqharness.refinement.showing.words import carried_by, left_over, nowhere, test_says
-from uqharness.replay.channel_units import shown_channel
-from uqharness.replay.histories import HISTORIES, History, have, read_histories
+from sysid.aerodynamics import COEFFICIENTS
+from uqharness.refinement.showing import Refinement, carried_by, left_over, nowhere, test_says
+from uqharness.replay import HISTORIES, History, have, read_histories, shown_channel
 from uqharness.report.history import Z95, Model, end_to_end, history_section
 from uqharness.report.pages.compare import ratio_figure
 from uqharness.report.pages.refine_effects import effect_section, headline

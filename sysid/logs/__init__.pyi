@@ -1,0 +1,15 @@
+from .cache import default_cache as default_cache
+from .card import AirframeCard as AirframeCard
+from .card import Reference as Reference
+from .card import Sensors as Sensors
+from .card import read_card as read_card
+from .checks import check_units as check_units
+from .checks import in_degrees as in_degrees
+from .command_edges import logged_rows as logged_rows
+from .command_edges import place_steps as place_steps
+from .dataflash_writer import write_dataflash as write_dataflash
+from .dropouts import bridge as bridge
+from .info import LogInfo as LogInfo
+from .info import log_info as log_info
+from .load import import_log as import_log
+from .manoeuvres import label_manoeuvres as label_manoeuvres

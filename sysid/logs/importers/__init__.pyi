@@ -1,0 +1,1 @@
+from .tables import read_small_table as read_small_table

@@ -1,0 +1,6 @@
+from .campaign import CampaignSpec as CampaignSpec
+from .names import Coefficient as Coefficient
+from .names import Turbulence as Turbulence
+from .read import campaign_from as campaign_from
+from .read import read_campaign as read_campaign
+from .read import with_samples as with_samples

@@ -1,0 +1,9 @@
+from .apply import Instrumented as Instrumented
+from .apply import instrument_aircraft as instrument_aircraft
+from .estimates import Estimate as Estimate
+from .estimates import put_values as put_values
+from .estimates import write_estimates as write_estimates
+from .folder import undo as undo
+from .instrument import Bounds as Bounds
+from .model_form_xml import state_source as state_source
+from .record import FILE_NAME as FILE_NAME

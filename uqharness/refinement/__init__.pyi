@@ -1,0 +1,2 @@
+from .run import Refinement as Refinement
+from .run import Request as Request

@@ -1,0 +1,15 @@
+from .compare import document_of as document_of
+from .compare import write_tables as write_tables
+from .convergence import convergence_section as convergence_section
+from .model_form import bounds_document as bounds_document
+from .model_form import validation_document as validation_document
+from .model_form import write_residuals as write_residuals
+from .next_flight import document as document
+from .next_flight import points_csv as points_csv
+from .parts import first_lines as first_lines
+from .rerun import draw_rerun as draw_rerun
+from .sensitivity import condition_sections as condition_sections
+from .write import write_campaign_report as write_campaign_report
+from .write import write_figures as write_figures
+from .write import write_page as write_page
+from .write import write_report as write_report

@@ -1,0 +1,2 @@
+from .run import run_chain as run_chain
+from .spec import read_chain as read_chain
