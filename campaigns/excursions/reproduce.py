@@ -169,7 +169,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         args.out.mkdir(parents=True, exist_ok=True)
         write_bytes(args.out / "beside-published.csv", table(cells))
     except BadInputError as error:
-        print(f"study_excursions: error: {error}", file=sys.stderr)
+        print(f"reproduce: error: {error}", file=sys.stderr)
         return 2
     bests, worsts, singly = zip(*(c.verdicts for c in cells), strict=True)
     counted = {word: worsts.count(word) for word in ("as published", "more", "fewer")}

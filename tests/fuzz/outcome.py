@@ -100,9 +100,8 @@ def stop_colour() -> None:
 @lru_cache(maxsize=1)
 def known_verbs() -> frozenset[str]:
     """Verbs of ``campaign``."""
-    import argparse
+    from uqharness.cli.commands import commands_of
 
-    def choices(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
-        return next(dict(a.choices) for a in parser._actions if isinstance(a, argparse._SubParsersAction))  # type: ignore[arg-type]
-
-    return frozenset(choices(choices(_parser())["campaign"]))
+    campaign = commands_of(_parser())["campaign"]
+    campaign.complete()
+    return frozenset(commands_of(campaign))

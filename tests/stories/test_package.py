@@ -15,10 +15,7 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.places import ROOT
-from uqharness.errors import BadInputError
-from uqharness.project_files import find_campaign
 from uqharness.simulator import engine
-from uqharness.simulator.aircraft import PROJECT_ROOT
 
 yaml = pytest.importorskip("yaml")
 
@@ -115,19 +112,6 @@ def test_the_wheel_installs_from_the_index_into_an_empty_environment(wheel: Path
     run(environment / "bin", tmp_path, "campaign", "run", "demo", "--out", "all", "--hours", "0.05")
     run(environment / "bin", tmp_path, "campaign", "report", "all")
     assert (tmp_path / "all" / "report.html").stat().st_size > 10_000
-
-
-def test_campaigns_are_found_by_name_and_by_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.chdir(tmp_path)
-    demo = PROJECT_ROOT / "campaigns" / "demo" / "campaign.toml"
-    for given in ("demo", "campaigns/demo", "campaigns/demo/campaign.toml", demo):
-        assert find_campaign(given) == demo
-    own = tmp_path / "demo" / "campaign.toml"
-    own.parent.mkdir()
-    own.write_text("")
-    assert find_campaign("demo").resolve() == own
-    with pytest.raises(BadInputError, match=r"campaign 'demonstration' not found.*there: .*demo"):
-        find_campaign("demonstration")
 
 
 def undocumented(source: str) -> list[str]:

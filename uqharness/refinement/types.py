@@ -29,7 +29,7 @@ class Setup:
     active: effects that the model being flown has, or that its sensors have; carriers: key -> property of those that have one;
     servos: actuators of the surfaces whose commands alone were recorded; limits: surface -> rate limits [deg/s] from and to which
     a slower servo's effect is read; lagging: surface -> time constant [s] beyond its servo's own with which it flies;
-    slopes: numbers that the active effects are written with (`refine_slopes.control_slopes`), none where none is
+    slopes: numbers that the active effects are written with (`writing.slopes.control_slopes`), none where none is
     """
 
     flights: tuple[Flight, ...]

@@ -78,6 +78,8 @@ class _Scan:
         if self.depth == 2:
             if tag in TAKEN_OUT:
                 start = self.parser.CurrentByteIndex
+                if self.raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+                    raise BadInputError(f"{self.where}:{line}: has <{tag}> and is in UTF-16; save the file as UTF-8")
                 if not self.raw.startswith(b"<" + tag.encode(), start):
                     raise BadInputError(f"{self.where}:{line}: <{tag}> comes from an entity; such a file is not loaded")
                 self._open = (tag, line, start)
@@ -124,8 +126,6 @@ def passed(raw: bytes, where: str) -> Passed:
     scan = _Scan(raw, where).run()
     if not scan.spans:
         return Passed(raw, scan.root, tuple(scan.references), ())
-    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise BadInputError(f"{where}:1: has <{scan.spans[0][0]}> and is in UTF-16; save the file as UTF-8")
     pieces, position = [], 0
     for _, _, start, end in scan.spans:
         pieces += [raw[position:start], bytes(_blank(raw[start:end]))]

@@ -49,7 +49,7 @@ def test_the_choice_minds_seconds_and_transitions():
 def test_what_narrows_nothing_is_not_flown():
     rng = np.random.default_rng(7)
     now = bounds_from(rng.normal(0.0, 0.5, 80), rng.standard_normal(80))
-    nothing = information(now, {STATE: np.zeros(0)})
+    nothing = information(now, {STATE: np.full(50, 2.0)}, 0.0)
     told = information(now, {STATE: np.full(50, 2.0)})
     mission = {STATE: np.full(20, 2.0)}
     assert choose(now, [Offer("a", 10.0, nothing)], mission, 60.0, 0.0) == []

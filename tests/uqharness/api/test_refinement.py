@@ -24,8 +24,9 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list:
         return SimpleNamespace(document={"verdict": "none"})
 
     monkeypatch.setattr("uqharness.refinement.run.refine", refine)
-    monkeypatch.setattr("uqharness.report.refinement.write_results", lambda *a: None)
-    monkeypatch.setattr("uqharness.report.write.write_report", lambda *a, **k: SimpleNamespace(text=""))
+    monkeypatch.setattr("uqharness.cli.refine.refine", refine)
+    monkeypatch.setattr("uqharness.cli.refine.write_results", lambda *a: None)
+    monkeypatch.setattr("uqharness.cli.refine.write_report", lambda *a, **k: SimpleNamespace(text=""))
     monkeypatch.setattr(refinement, "write_results", lambda *a: None)
     monkeypatch.setattr(refinement, "write_report", lambda *a, **k: None)
     return found

@@ -1,11 +1,10 @@
-"""Area metric and convergence: closed forms, simulation, and the two commands."""
+"""Area metric and convergence of a campaign by their two commands."""
 
 from __future__ import annotations
 
 import csv
 import json
 
-import numpy as np
 import pytest
 from lxml import etree
 
@@ -14,78 +13,6 @@ from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import main
-from uqharness.statistics.area import area_metric
-from uqharness.statistics.convergence import growth, repeats
-from uqharness.statistics.pbox import Sample, pbox
-
-
-def box(*corners, unknown=0):
-    return pbox([Sample(str(number), np.asarray(values, float), unknown) for number, values in enumerate(corners)])
-
-
-def test_the_area_of_a_single_flight_is_its_mean_distance():
-    """One corner, one flight: integral of |F - step| = mean |X - x|; within a wide box the flight is inside."""
-    values = [1.0, 2.0, 4.0]
-    for flight in (0.0, 2.0, 7.0):
-        found = area_metric(box(values), np.array([flight]))
-        assert found.area == pytest.approx(np.mean(np.abs(np.array(values) - flight)))
-    assert area_metric(box([0.0, 1.0], [5.0, 6.0]), np.array([3.0])).area == 0.0
-
-
-def test_the_area_is_the_shift_where_one_distribution_is_moved():
-    values = np.random.default_rng(1).normal(size=200)
-    for shift in (0.5, -0.5):
-        found = area_metric(box(values), values + shift)
-        assert found.area == pytest.approx(abs(shift), rel=0.05)
-        assert (found.above if shift > 0 else found.below) == pytest.approx(found.area)
-    # Between two corners nothing is left of it.
-    assert area_metric(box(values, values + 1.0), values + 0.5).area == pytest.approx(0.0, abs=1e-9)
-
-
-def test_failed_flights_leave_room_above():
-    flights = np.array([9.0] * 8)
-    assert area_metric(box([1.0] * 8), flights).area == pytest.approx(8.0)
-    assert area_metric(box([1.0] * 4, unknown=4), flights).area == pytest.approx(4.0)
-
-
-def test_chance_is_blamed_before_the_model_is():
-    generator = np.random.default_rng(2)
-    false = 0
-    for _ in range(200):
-        model = box(*(generator.normal(shift, 1.0, 60) for shift in (0.0, 0.5, 1.0)))
-        false += area_metric(model, generator.normal(1.0, 1.0, 12)).beyond_chance > 0.0
-    assert false / 200 <= 0.05
-    model = box(generator.normal(size=200))
-    assert area_metric(model, generator.normal(2.0, 1.0, 30)).beyond_chance > 0.0
-    # A single flight far away is no proof: the model may send one in fifty there.
-    assert area_metric(model, np.array([9.0])).beyond_chance == 0.0
-
-
-def test_repeats_of_one_law_lie_within_what_chance_explains_and_others_do_not():
-    generator = np.random.default_rng(3)
-    apart = [repeats(generator.gamma(4.0, 1.0, 400), 10) for _ in range(200)]
-    assert np.mean([item.distance <= item.expected for item in apart]) >= 0.95
-    assert apart[0].curves.shape == (10, 40)
-    drifting = generator.normal(size=400) + np.repeat(np.arange(10), 40)
-    assert repeats(drifting, 10).distance > apart[0].expected
-    with pytest.raises(ValueError, match="do not make 10 repeats"):
-        repeats(np.arange(19.0), 10)
-
-
-def test_the_chance_that_one_more_sample_leaves_the_envelope():
-    """Walks as draws from one law: at a fixed value the next one lies outside in 2/(m + 1) of studies, in no more."""
-    generator = np.random.default_rng(4)
-    curves = generator.random((4000, 17))
-    outside = (curves[:, 16] > curves[:, :16].max(axis=1)) | (curves[:, 16] < curves[:, :16].min(axis=1))
-    samples = [generator.normal(generator.normal(), 1.0, 50) for _ in range(16)]
-    found = growth(samples, seed=1)
-    assert [item.samples for item in found] == [2, 4, 8, 16]
-    assert np.mean(outside) == pytest.approx(found[-1].chance_of_more, abs=0.02)
-    areas = [item.area for item in found]
-    assert areas == sorted(areas)
-    assert found[-1].area_low == found[-1].area == found[-1].area_high
-    same = growth([np.array([1.0, 2.0, np.inf])] * 4, seed=1)
-    assert [item.area for item in same] == [0.0, 0.0]
 
 
 @pytest.fixture(scope="module")

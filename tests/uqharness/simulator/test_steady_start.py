@@ -21,8 +21,6 @@ from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import fly
-from uqharness.flight.scoring import Recorded, score_from_start
-from uqharness.flight.spec import FlightResult
 from uqharness.parquet_files import read_table
 from uqharness.report.write import write_report
 
@@ -140,37 +138,6 @@ def test_what_cannot_be_is_refused_in_words(tmp_path, old, new, message):
     assert CAMPAIGN.count(old) == 1
     with pytest.raises(BadInputError, match=message):
         run_campaign(read_campaign(write(tmp_path, CAMPAIGN.replace(old, new))), tmp_path / "out", workers=1)
-
-
-def test_deviations_by_hand():
-    from tests.uqharness.flight.test_fly import SPEC
-
-    names = ["height_m", "V_mps", "psi_rad", "load_factor", "phi_rad", "alpha_rad"]
-    rows = np.array([
-        [100.0, 50.0, 6.2, 1.0, 0.0, 0.0],
-        [103.0, 49.0, 6.3 - 2 * np.pi, 1.5, 0.1, 0.0],
-        [98.0, 52.0, 6.1, 0.7, 0.1, 0.0],
-    ])  # fmt: skip
-    result = score_from_start(SPEC, Recorded(names, rows, "ok", "", 3.0))
-    assert isinstance(result, FlightResult)
-    assert [result.metrics[f"altitude_{kind}_m"] for kind in ("median", "mean", "max")] == [2.0, 5.0 / 3.0, 3.0]
-    assert result.metrics["speed_max_mps"] == 2.0
-    # The heading passes north, which is no jump of 360 deg.
-    assert result.metrics["heading_max_deg"] == pytest.approx(np.rad2deg(0.1))
-    assert result.metrics["load_factor_max"] == 1.5
-    assert result.metrics["loss_of_control"] == 0.0
-    # Nothing says that this flight is to go straight on.
-    assert result.undefined["cross_track"] == "no path is commanded"
-    assert "excursions_15m" not in result.metrics
-    straight = np.column_stack([rows, [0.0, 10.0, 20.0], [0.0, 10.0, 52.0], [5.0, 0.0, 0.0], [5.0, 9.0, 9.0]])
-    onwards = score_from_start(SPEC, Recorded([*names, "north_m", "east_m", "vn_mps", "ve_mps"], straight, "ok", "", 3.0))
-    # Began towards the north-east; 52 m east and 20 m north lies 32/sqrt(2) m to the right of that line.
-    assert onwards.metrics["cross_track_max_m"] == pytest.approx(32.0 / np.sqrt(2.0))
-    assert (onwards.metrics["excursions_15m"], onwards.metrics["excursions_25m"]) == (1.0, 0.0)
-    broken = score_from_start(SPEC, Recorded(names, rows, "crashed", "hit the ground", 3.0))
-    assert np.isnan(broken.metrics["altitude_max_m"])
-    assert broken.undefined["altitude"] == "hit the ground"
-    assert broken.metrics["loss_of_control"] == 1.0
 
 
 def test_the_folder_of_another_start_is_refused(flown):

@@ -77,7 +77,7 @@ def term_xml(term: Term, section: AeroSection, aircraft: Aircraft) -> list[Expre
 def subsystem_terms(
     effect: Effect, slopes: Mapping[str, float], section: AeroSection, aircraft: Aircraft
 ) -> list[tuple[str, float, list[Expression]]]:
-    """(coefficient, number, factors) that make up a subsystem's effect; slopes: of `refine_xml.Written`."""
+    """(coefficient, number, factors) that make up a subsystem's effect; slopes: of `writing.effects.Written`."""
 
     def x(name: str) -> Expression:
         return variable_xml(name, section, aircraft)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-import tomllib
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from uqharness.refinement.writing.effects import Written, carrier, switch_of, wr
 from uqharness.simulator import engine
 from uqharness.simulator.actuators import Actuator
 from uqharness.simulator.aircraft import find_aircraft, open_aircraft
-from uqharness.simulator.card_changes import sensors_from_cg
 
 STATES = (
     "velocities/p-rad_sec", "velocities/q-rad_sec", "velocities/r-rad_sec", "aero/alpha-rad", "aero/beta-rad",
@@ -228,31 +226,6 @@ def test_a_centre_of_gravity_that_moves_leaves_the_accelerometers_behind(tmp_pat
     assert [n for g, n in zip(given, now, strict=True) if g != n] == [
         "position_m = { accelerometer = [-0.05, 0.0, 0.0] } # a remark"
     ]
-
-
-@pytest.mark.parametrize(
-    ("card", "expected"),
-    [
-        ("# mine\n[sensors]\nnoise_std = { q_radps = 0.1 }  # that\n", {"accelerometer": [-0.02, 0.0, 0.0]}),
-        (
-            "[sensors.position_m]\nvane = [1.0, 0.5, 0]\n",
-            {"accelerometer": [-0.02, 0.0, 0.0], "vane": [0.98, 0.5, 0.0]},
-        ),
-        ("a = 1\n", {"accelerometer": [-0.02, 0.0, 0.0]}),
-    ],
-)
-def test_sensors_stay_in_the_airframe_and_remarks_in_the_card(tmp_path, card, expected):
-    path = tmp_path / "airframe.toml"
-    path.write_text(card, encoding="utf-8")
-    sensors_from_cg(path, 0.02, "moved")
-    text = path.read_text(encoding="utf-8")
-    assert tomllib.loads(text)["sensors"]["position_m"] == expected
-    assert all(line in text for line in card.splitlines() if "#" in line)
-    path.write_text("a = [", encoding="utf-8")
-    with pytest.raises(BadInputError, match=r"airframe\.toml"):
-        sensors_from_cg(path, 0.02, "moved")
-    sensors_from_cg(tmp_path / "none.toml", 0.02, "moved")
-    assert not (tmp_path / "none.toml").exists()
 
 
 def test_a_rate_limits_column_is_what_a_lower_limit_does():

@@ -1,0 +1,64 @@
+"""Classes whose values a file may hold: this project's dataclasses, by name and by fields, and no code of them."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+
+import pytest
+
+from sysid.errors import Finding, LogError
+from sysid.foreign.data_classes import find_class, own_class
+from sysid.record import FlightRecord
+
+FIELDS = ["code", "channel", "severity", "message", "numbers"]
+
+
+def test_a_class_is_found_by_its_name_and_made_without_running_it():
+    own = find_class("sysid.errors:Finding", FIELDS)
+    assert own is own_class(Finding)
+    value = Finding("a", "b", "info", "m", {"n": 1.0})
+    made = own.made(own.values(value))
+    assert made == value
+    assert type(made) is Finding
+    # A record without its time would be refused by its own code.
+    record = own_class(FlightRecord)
+    assert record is not None
+    assert record.made([{}, None]).columns == {}
+    with pytest.raises(LogError, match="time_s"):
+        FlightRecord({})
+
+
+def test_values_of_another_type_are_told():
+    own = find_class("sysid.errors:Finding", FIELDS)
+    assert own.misfit(["a", "b", "info", "m", {}]) == ""
+    assert "message of sysid.errors:Finding holds a int" in own.misfit(["a", "b", "info", 3, {}])
+    assert own.misfit(["a"]) == "sysid.errors:Finding has 5 fields, not 1"
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "said"),
+    [
+        ("os:system", [], "no class of this program"), ("sysid..os:system", [], "no class"), (3, [], "no class"),
+        ("sysid.nothing:Here", [], "sysid.nothing|No module"), ("sysid.errors:LogError", [], "whose values are data"),
+        ("sysid.foreign.raw:Finding", FIELDS, "whose values are data"), ("sysid.errors:Finding", FIELDS[:4], "other fields"),
+        ("sysid.errors:Finding", FIELDS[::-1], "other fields"), ("sysid.data.nowhere:X", [], "no class"),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_any_other_name_is_refused(name, fields, said):
+    before = set(sys.modules)
+    with pytest.raises((ValueError, ImportError), match=said):
+        find_class(name, fields)
+    assert not {m for m in set(sys.modules) - before if not m.startswith("sysid")}
+
+
+def test_only_plain_dataclasses_of_the_project_are_its_own():
+    @dataclass
+    class Stranger:
+        a: int
+
+    assert own_class(Stranger) is None
+    assert own_class(dict) is None
+    assert own_class(LogError) is None
+    assert own_class(Finding) is not None

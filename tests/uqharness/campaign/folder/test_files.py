@@ -1,0 +1,60 @@
+"""Tables of a folder are believed when their digest is what the manifest says, and not before."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from sysid.digests import sha256_hex
+from uqharness.campaign.folder.digests import DamageError
+from uqharness.campaign.folder.files import is_sealed, read_checked, read_decisions, table_digests
+from uqharness.errors import BadInputError
+
+TEXT = b"a,b\n1,2\n"
+SEALED = {"format": 2, "state": "complete", "tables": {"area.csv": sha256_hex(TEXT)}}
+
+
+def test_a_complete_campaign_with_digests_is_sealed():
+    assert is_sealed(SEALED)
+    assert not is_sealed(SEALED | {"state": "running"})
+    assert not is_sealed(SEALED | {"format": 1})
+
+
+def test_a_changed_byte_and_an_unknown_table_are_damage(tmp_path: Path):
+    path = tmp_path / "area.csv"
+    path.write_bytes(TEXT)
+    assert read_checked(tmp_path, SEALED, "area.csv") == TEXT
+    path.write_bytes(TEXT.replace(b"1", b"7"))
+    with pytest.raises(DamageError, match="does not fit the digest"):
+        read_checked(tmp_path, SEALED, "area.csv")
+    # Before the end of a campaign there is no digest to hold it against.
+    assert read_checked(tmp_path, SEALED | {"state": "running"}, "area.csv") != TEXT
+    (tmp_path / "pbox.parquet").write_bytes(b"x")
+    with pytest.raises(DamageError, match="knows of no such table"):
+        read_checked(tmp_path, SEALED, "pbox.parquet")
+
+
+def test_a_table_that_is_not_there(tmp_path: Path):
+    with pytest.raises(BadInputError, match="not there; run the campaign first"):
+        read_checked(tmp_path, SEALED, "area.csv")
+    assert table_digests(tmp_path, SEALED) == {"area.csv": None}
+    (tmp_path / "area.csv").write_bytes(TEXT)
+    assert table_digests(tmp_path, SEALED) == SEALED["tables"]
+    (tmp_path / "area.csv").unlink()
+    (tmp_path / "area.csv").mkdir()
+    with pytest.raises(BadInputError, match="cannot be read"):
+        read_checked(tmp_path, SEALED, "area.csv")
+
+
+def test_decisions_are_read_where_there_are_any(tmp_path: Path):
+    head = b"condition,epistemic_id,radius_m,acceptable_per_h,answer,reason,hours\n"
+    content = head + b"3 m/s none,all,15,2,yes,,1\n"
+    manifest = SEALED | {"tables": {"decisions.csv": sha256_hex(content)}}
+    assert read_decisions(tmp_path, SEALED) == []
+    (tmp_path / "decisions.csv").write_bytes(content)
+    assert [row["answer"] for row in read_decisions(tmp_path, manifest)] == ["yes"]
+    # A sealed campaign that has no such table does not take a stranger's.
+    assert read_decisions(tmp_path, SEALED) == []
+    running = {"format": 2, "state": "running", "tables": {}}
+    assert len(read_decisions(tmp_path, running)) == 1

@@ -1,0 +1,46 @@
+"""How far a question is answered, in lines and as plain types."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from uqharness.campaign.answers import Answer, as_json, lines, read_answers
+from uqharness.errors import BadInputError
+
+MANIFEST = {"format": 1, "state": "complete"}
+HEAD = "condition,epistemic_id,radius_m,acceptable_per_h,answer,reason,hours,distance\n"
+ANSWERS = [Answer("3 m/s none", 15.0, 2.0, "yes", "", 12.3456), Answer("5 m/s none", 15.0, 2.0, "open", "too few flights", 4.0),
+           Answer("7 m/s none", 15.0, 2.0, "yes", "", 1.0)]  # fmt: skip
+
+
+def test_a_summary_and_a_line_a_condition():
+    assert lines(ANSWERS) == [
+        "at most 2 excursions per hour beyond 15 m? 2 yes, 1 open",
+        "  3 m/s none: yes, 12.35 flight h",
+        "  5 m/s none: open (too few flights), 4 flight h",
+        "  7 m/s none: yes, 1 flight h",
+    ]
+    assert lines([]) == []
+    assert json.loads(json.dumps(as_json(ANSWERS)))[1]["reason"] == "too few flights"
+
+
+def test_decisions_are_read_for_whole_cells_alone(tmp_path: Path):
+    rows = "3 m/s none,all,15,2,yes,,12.5,horizontal\n3 m/s none,000000,15,2,no,x,1,horizontal\n"
+    (tmp_path / "decisions.csv").write_text(HEAD + rows)
+    assert read_answers(tmp_path, MANIFEST) == [Answer("3 m/s none", 15.0, 2.0, "yes", "", 12.5)]
+
+
+def test_statements_tell_of_the_smallest_radius(tmp_path: Path):
+    rows = "a,,25,2,yes,,1,horizontal\na,,15,2,no,,1,horizontal\na,,15,2,open,,1,3d\n"
+    (tmp_path / "statements.csv").write_text(HEAD + rows)
+    assert [(x.radius_m, x.answer) for x in read_answers(tmp_path, MANIFEST)] == [(15.0, "no")]
+
+
+def test_nothing_flown_is_no_answer_and_a_damaged_table_is_refused(tmp_path: Path):
+    assert read_answers(tmp_path, MANIFEST) == []
+    (tmp_path / "statements.csv").write_text(HEAD + "a,,wide,2,yes,,1,horizontal\n")
+    with pytest.raises(BadInputError, match=r"statements\.csv:2: radius_m is 'wide'"):
+        read_answers(tmp_path, MANIFEST)

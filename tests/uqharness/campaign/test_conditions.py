@@ -1,0 +1,65 @@
+"""From a table of flights to samples, p-boxes and rates by condition."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from uqharness.campaign.columns import ERROR_METRICS
+from uqharness.campaign.conditions import Condition, conditions, excursion_cells, in_condition, pboxes, samples
+
+METRIC = ERROR_METRICS[0]
+
+
+def frame(**columns) -> pd.DataFrame:
+    """Two winds, two corners, four flights each; the last flight of the first corner crashed."""
+    rng = np.random.default_rng(0)
+    rows = [(wind, corner, k) for wind in (5.0, 3.0) for corner in ("00", "01") for k in range(4)]
+    n = len(rows)
+    status = ["crashed" if corner == "00" and k == 3 else "ok" for _, corner, k in rows]
+    return pd.DataFrame({
+        "wind_mps": [r[0] for r in rows], "turbulence": ["none"] * n, "epistemic_id": [r[1] for r in rows], "status": status,
+        "duration_s": [1800.0] * n, "excursions_15m": np.arange(n) % 3, "excursions_15m_3d": np.nan,
+        **dict.fromkeys(ERROR_METRICS, np.nan), METRIC: rng.gamma(2.0, 1.0, n), **columns,
+    })  # fmt: skip
+
+
+def test_conditions_in_the_tables_order_and_in_words():
+    assert conditions(frame()) == [Condition(5.0, "none"), Condition(3.0, "none")]
+    assert Condition(3.0, "none").label == "3 m/s none"
+    assert Condition(3.0, "none").words == "3 m/s wind and no turbulence"
+    assert Condition(3.5, "severe").words == "3.5 m/s wind and severe turbulence"
+
+
+def test_what_is_not_known_of_a_flight_is_counted():
+    table = frame()
+    rows = in_condition(table, Condition(3.0, "none"))
+    first, second = samples(rows, METRIC)
+    assert (first.values.size, first.unknown) == (3, 1)
+    assert (second.values.size, second.unknown) == (4, 0)
+    assert sorted(second.values) == sorted(rows[rows["epistemic_id"] == "01"][METRIC])
+    # A value that is not finite is not known either.
+    assert samples(rows.assign(**{METRIC: np.inf}), METRIC)[1].unknown == 4
+
+
+def test_a_metric_that_no_flight_has_is_left_out():
+    found = list(pboxes(frame()))
+    assert [(metric, condition.wind_mps) for metric, condition, _ in found] == [(METRIC, 5.0), (METRIC, 3.0)]
+    assert list(pboxes(frame(**{METRIC: np.nan}))) == []
+
+
+def test_rates_are_counts_over_hours():
+    cells = excursion_cells(frame(), [15.0])
+    assert [(c.condition.wind_mps, c.distance, c.radius_m) for c in cells] == [(w, "horizontal", 15.0) for w in (5.0, 3.0)]
+    rates = cells[0].rates
+    assert [r.epistemic_id for r in rates] == ["00", "01"]
+    assert [r.flights for r in rates] == [4, 4]
+    assert [r.failed for r in rates] == [1, 0]
+    assert rates[0].hours == pytest.approx(2.0)
+
+
+def test_a_count_that_no_flight_has_makes_no_cell():
+    assert {c.distance for c in excursion_cells(frame(), [15.0])} == {"horizontal"}
+    counted = frame(excursions_15m_3d=1.0)
+    assert {c.distance for c in excursion_cells(counted, [15.0])} == {"horizontal", "3d"}

@@ -1,0 +1,65 @@
+"""histories.parquet: what is written comes back, and what is not of its kind is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from uqharness.errors import BadInputError
+from uqharness.replay.histories import HISTORIES, columns_of, have, read_histories, write_histories, write_pieces
+from uqharness.replay.segments import Segment
+
+TIMES = [np.arange(4) * 0.02, 10.0 + np.arange(3) * 0.02]
+BLOCKS = [np.arange(8.0).reshape(4, 2), np.array([[1.0, np.nan], [2.0, 3.0], [4.0, 5.0]])]
+
+
+def pieces():
+    return [("f", "pitch", TIMES[0]), ("g", "roll", TIMES[1])]
+
+
+def test_what_is_written_comes_back(tmp_path):
+    columns = columns_of(("q_radps", "V_mps"), BLOCKS) | columns_of(("q_radps", "V_mps"), BLOCKS, "_model")
+    segments = [Segment(m, f, t, np.zeros((len(t), 4)), np.zeros(9), 0.0, 0.0) for f, m, t in pieces()]
+    write_histories(tmp_path, segments, columns)
+    first, second = read_histories(tmp_path / HISTORIES)
+    assert (first.number, first.flight, first.manoeuvre) == (0, "f", "pitch")
+    assert second.title == "g, roll, from 10.0 s"
+    np.testing.assert_array_equal(second.time_s, TIMES[1])
+    np.testing.assert_array_equal(second.columns["V_mps"], BLOCKS[1][:, 1])
+    np.testing.assert_array_equal(first.columns["q_radps_model"], BLOCKS[0][:, 0])
+    assert have([first, second], ["q_radps", "V_mps_model"])
+    assert not have([first, second], ["q_radps", "other"])
+    assert not have([], [])
+    # The same input makes the same bytes.
+    before = (tmp_path / HISTORIES).read_bytes()
+    write_pieces(tmp_path / HISTORIES, pieces(), columns)
+    assert (tmp_path / HISTORIES).read_bytes() == before
+
+
+def test_no_file_is_no_history(tmp_path):
+    assert read_histories(tmp_path / HISTORIES) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"time_s": pa.array(["a", "b"])}, "column time_s is string, it must be there once, of type double"),
+        ({"q_radps": pa.array([1, 2])}, "column q_radps is int64"),
+        ({"flight": pa.array(["f", None])}, "column flight has gaps"),
+        ({"segment": None}, "column segment is there 0 times"),
+    ],
+)
+def test_columns_of_another_kind_are_refused(tmp_path, change, said):
+    table = {
+        "segment": pa.array([0, 0]), "flight": pa.array(["f", "f"]), "manoeuvre": pa.array(["m", "m"]),
+        "time_s": pa.array([0.0, 1.0]), "q_radps": pa.array([1.0, None]),
+    }  # fmt: skip
+    path = tmp_path / HISTORIES
+    pq.write_table(pa.table(table), path)
+    assert np.isnan(read_histories(path)[0].columns["q_radps"][1])
+    table = {name: values for name, values in (table | change).items() if values is not None}
+    pq.write_table(pa.table(table), path)
+    with pytest.raises(BadInputError, match=said):
+        read_histories(path)

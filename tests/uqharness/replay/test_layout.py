@@ -1,0 +1,62 @@
+"""What a replay's theta holds beside the parameters, and records whose commands stand in the wrong row."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from uqharness.replay.layout import delayed, late_limit_s, misplaced, nuisance_layout
+from uqharness.replay.replay import CONTROL_DELAY, SENSOR_OF
+from uqharness.replay.segments import Segment
+
+TIME = np.arange(5) * 0.02
+PIECE = Segment("s", "f", TIME, np.zeros((5, 4)), np.zeros(9), 100.0, 0.0)
+
+
+def flight(native_hz):
+    return SimpleNamespace(name="f", record=SimpleNamespace(metadata=SimpleNamespace(native_hz=native_hz)))
+
+
+def test_half_a_row_is_allowed_and_a_row_is_not():
+    record = flight({})
+    assert misplaced([record], [PIECE], {"delay/f/controls": (0.009, 0.001)}) == []
+    (said,) = misplaced([record], [PIECE], {"delay/f/controls": (-0.02, 0.001)})
+    assert "20.0 ms early" in said
+    assert "10.0 ms are allowed" in said
+
+
+def test_logs_are_stamped_when_written_and_may_be_late():
+    assert late_limit_s(flight({"q_radps": 25.0}), 0.02) == float("inf")
+    assert misplaced([flight({"q_radps": 25.0})], [PIECE], {"delay/f/controls": (0.05, 0.001)}) == []
+
+
+def test_places_of_biases_delays_and_starts():
+    cut = [replace(PIECE, flight=name) for name in ("f", "g", "f")]
+    biases, outputs = ("V_mps", "q_radps"), ("V_mps", "q_radps", "az_mps2")
+    found = nuisance_layout(("Cm_q",), [(-20.0, 0.0)], cut, biases, outputs, {"g": ["controls"]})
+    assert found.names == (
+        "Cm_q", "bias/f/V_mps", "bias/f/q_radps", "bias/g/V_mps", "bias/g/q_radps", "delay/g/controls",
+        "start/0/V_mps", "start/0/q_radps", "start/1/V_mps", "start/1/q_radps", "start/2/V_mps", "start/2/q_radps",
+    )  # fmt: skip
+    assert len(found.bounds) == len(found.names)
+    assert found.bounds[0] == (-20.0, 0.0)
+    assert all(low == -high for low, high in found.bounds[1:])
+    assert dict(zip(found.names, found.bounds, strict=True))["bias/f/V_mps"] == (-5.0, 5.0)
+
+
+def test_of_logs_every_sensor_but_the_gyros_may_be_late():
+    outputs = ("q_radps", "V_mps", "az_mps2", "ax_mps2")
+    logged, recorded = flight({"q_radps": 25.0}), flight({})
+    found = delayed([logged], outputs, None)["f"]
+    assert found == [CONTROL_DELAY, *dict.fromkeys(SENSOR_OF.get(c, c) for c in outputs[1:])]
+    assert delayed([recorded], outputs, None)["f"] == [CONTROL_DELAY]
+    assert delayed([recorded], outputs, ("V_mps",))["f"] == [SENSOR_OF.get("V_mps", "V_mps")]
+    assert delayed([recorded], outputs, ())["f"] == []
+
+
+@pytest.mark.parametrize(("dt_s", "limit"), [(0.02, 0.01), (0.01, 0.0075), (0.1, 0.05)])
+def test_half_a_row_but_no_less_than_a_run(dt_s, limit):
+    assert late_limit_s(flight({}), dt_s) == pytest.approx(limit)

@@ -1,0 +1,67 @@
+"""A model's answers are asked for once, and flights that lack a channel are refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sysid.aerodynamics.residuals import Cutoffs
+from sysid.aerodynamics.segmentation import Piece
+from tests.helpers.synthetic import flight
+from uqharness.errors import BadInputError
+from uqharness.replay import residuals
+from uqharness.replay.flights import Flight
+from uqharness.replay.residuals import NEEDED, ReplayPair, flight_residuals, recut
+
+RECORD = flight(30.0)
+
+
+def made(record=RECORD) -> Flight:
+    return Flight("f", record, (Piece("m", slice(0, 200), 0.0, 4.0),), ("a note", "how it was cut"))
+
+
+def test_the_same_states_are_asked_for_once(monkeypatch):
+    asked = []
+    monkeypatch.setattr(residuals.JsbsimPrediction, "__call__", lambda self, record, piece: asked.append(piece) or len(asked))
+    pair = ReplayPair(None, None, ())
+    piece = made().pieces[0]
+    ask = pair.of(made())
+    assert ask(RECORD, piece) == ask(RECORD, piece) == 1
+    # Other states, another piece or another flight are another question.
+    moved = RECORD.with_columns({"alpha_rad": RECORD["alpha_rad"] + 1e-3})
+    assert ask(moved, piece) == 2
+    assert ask(RECORD, replace(piece, rows=slice(0, 100))) == 3
+    assert pair.of(replace(made(), name="g"))(RECORD, piece) == 4
+    forgetful = pair.of(made(), remember=False)
+    assert (forgetful(RECORD, piece), forgetful(RECORD, piece)) == (5, 6)
+
+
+def test_a_flight_is_cut_where_every_channel_is_there():
+    holes = np.array(RECORD["beta_rad"])
+    holes[600:700] = np.nan
+    found = recut(made(RECORD.with_columns({"beta_rad": holes})), ())
+    rows = np.concatenate([np.arange(p.rows.start, p.rows.stop) for p in found.pieces])
+    assert not set(rows) & set(range(600, 700))
+    assert len(rows) > 1000
+    assert found.notes[0] == "a note"
+    assert found.notes[-1].startswith(f"f: {len(found.pieces)} pieces")
+
+
+def test_what_is_missing_is_named():
+    bare = replace(RECORD, columns={n: v for n, v in RECORD.columns.items() if n != "alpha_rad"})
+    with pytest.raises(BadInputError, match="f: the record has no alpha_rad; residual"):
+        recut(made(bare), ())
+    holes = {n: np.where(np.arange(len(RECORD)) % 40 == 0, np.nan, RECORD[n]) for n in NEEDED}
+    with pytest.raises(BadInputError, match="no stretch of two seconds"):
+        recut(made(RECORD.with_columns(holes)), ())
+
+
+def test_a_refusal_bears_the_flights_name(monkeypatch):
+    def refuse(self, record, piece):
+        raise ValueError("too short")
+
+    monkeypatch.setattr(residuals.JsbsimPrediction, "__call__", refuse)
+    with pytest.raises(BadInputError, match=r"^f: too short$"):
+        flight_residuals(ReplayPair(None, None, ()), made(), (0.0, 0.0, 0.0), Cutoffs())

@@ -1,0 +1,37 @@
+"""Files that come with the package, found by name and by path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from uqharness.errors import BadInputError
+from uqharness.project_files import PROJECT_ROOT, find_campaign
+
+
+def test_campaigns_are_found_by_name_and_by_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    demo = PROJECT_ROOT / "campaigns" / "demo" / "campaign.toml"
+    for given in ("demo", "campaigns/demo", "campaigns/demo/campaign.toml", demo):
+        assert find_campaign(given) == demo
+    own = tmp_path / "demo" / "campaign.toml"
+    own.parent.mkdir()
+    own.write_text("")
+    assert find_campaign("demo").resolve() == own
+    with pytest.raises(BadInputError, match=r"campaign 'demonstration' not found.*there: .*demo"):
+        find_campaign("demonstration")
+
+
+def test_another_file_of_a_folder_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "study.toml").write_text("")
+    assert find_campaign("mine", "study.toml") == Path("mine/study.toml")
+    with pytest.raises(BadInputError, match=r"no folder with a campaign\.toml"):
+        find_campaign("mine")
+
+
+@pytest.mark.parametrize("name", ["aircraft", "scripts", "campaigns", "tests/reference"])
+def test_the_root_holds_what_comes_with_it(name: str):
+    assert (PROJECT_ROOT / name).is_dir()
