@@ -140,6 +140,9 @@ class FlightRecord:
             raise LogError(f"time_s does not increase at row {k + 1}: {time[k]:.6f} then {time[k + 1]:.6f} s")
         object.__setattr__(self, "columns", frozen)
 
+    def __repr__(self) -> str:
+        return f"FlightRecord({len(self)} rows of {len(self.columns)} columns)"
+
     def __len__(self) -> int:
         return len(self.columns["time_s"])
 

@@ -67,7 +67,6 @@ _SIGNALS = (
 )
 
 SIGNALS: dict[str, Signal] = {s.name: s for s in _SIGNALS}
-CORE = tuple(s.name for s in _SIGNALS if s.core)
 LABELS = frozenset(s.name for s in _SIGNALS if s.kind == "label")
 COMMANDS = frozenset(s.name for s in _SIGNALS if s.kind == "command")
 SURFACES = ("elevator_deg", "aileron_deg", "rudder_deg")

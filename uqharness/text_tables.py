@@ -7,8 +7,23 @@ import io
 import math
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from uqharness.errors import BadInputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+class Tabled:
+    """A result whose table a notebook shows."""
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The table."""
+        raise NotImplementedError
+
+    def _repr_html_(self) -> str:
+        return str(self.to_dataframe().to_html(max_rows=20, show_dimensions=True))
 
 
 def text_table(rows: Sequence[Mapping[str, str]]) -> list[str]:

@@ -22,13 +22,21 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from campaigns.identification import round_trip as study_round_trip
+from campaigns.identification import round_trip
+from campaigns.identification.air_equations import (
+    OUTPUTS,
+    AirEquations,
+    Build,
+    body_axis_build,
+    parameters,
+    start_state,
+    wind_axis_build,
+)
 from campaigns.identification.flights import FINE_STEP_S, PASSING_MPS, fly_flights
 from sysid.aerodynamics.gust_states import NOISE_START, NOISY, STATE_STD
 from sysid.estimation.filter_error import filter_error
 from sysid.estimation.result import FilterErrorFit
 from uqharness.errors import BadInputError
-from uqharness.flight.air_equations import OUTPUTS, AirEquations, Build, body_axis_build, parameters, start_state, wind_axis_build
 from uqharness.replay.flights import control_columns, measured_outputs, prepare, read_flight, segments
 from uqharness.replay.model import CONTROLS
 from uqharness.replay.replay import STATES
@@ -225,7 +233,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=1, help="repeat with seeds 10 apart and pool (default 1)")
     parser.add_argument("--cases", nargs="+", default=[c.name for c in CASES], choices=[c.name for c in CASES])
     parser.add_argument("--turbulence", default="light", choices=("none", "light", "moderate"), help="default light")
-    parser.add_argument("--no-round-trip", action="store_true", help="leave out the round trip (study_round_trip)")
+    parser.add_argument("--no-round-trip", action="store_true", help="leave out the round trip (round_trip.py)")
     chosen = parser.parse_args(arguments)
     try:
         return _study(chosen)
@@ -251,9 +259,9 @@ def _study(chosen: argparse.Namespace) -> int:
     print((chosen.out / "tables.md").read_text(encoding="utf-8"))
     told = True
     if not chosen.no_round_trip:
-        trips = study_round_trip.run(chosen.out / "round-trip", chosen.seed)
-        print(study_round_trip.markdown(trips))
-        told = study_round_trip.says_which(trips)
+        trips = round_trip.run(chosen.out / "round-trip", chosen.seed)
+        print(round_trip.markdown(trips))
+        told = round_trip.says_which(trips)
     return 0 if converged and told else 1
 
 

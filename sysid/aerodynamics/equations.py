@@ -23,10 +23,6 @@ from sysid.units import G0_MPS2
 FloatArray = NDArray[np.float64]
 STATES = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps", "phi_rad", "theta_rad")
 """Measured states; the five of `sysid.aerodynamics.gust_states` follow them in x."""
-INPUTS = (
-    "de", "da", "dr", "Fx_N", "Fy_N", "Fz_N", "Mx_Nm", "My_Nm", "Mz_Nm", "rho_kgpm3",
-    "CX", "CY", "CZ", "Cl", "Cm", "Cn",
-)  # fmt: skip
 OUTPUTS = (
     "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps",
     "ax_mps2", "ay_mps2", "az_mps2",
@@ -39,6 +35,8 @@ class OpenEquations:
 
     terms    names such as Cm_q, the first parameters of theta; biases: channels whose constant bias follows them in theta
     outputs  which of OUTPUTS g returns
+
+    u: de, da, dr; forces [N] and moments [N m] that are not aerodynamic; density [kg/m3]; what is known of CX, CY, CZ, Cl, Cm, Cn.
     """
 
     terms: tuple[str, ...]

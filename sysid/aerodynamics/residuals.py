@@ -1,7 +1,7 @@
 """Residual coefficients: what a flight demanded minus what the model says at the same states (dissertation eqs 2.11 to 2.16).
 
 The model is handed in as a callable on pieces of a flight, so that JSBSim, another program or three lines of Python serve alike.
-Everything that is compared has passed one filter (force_coefficients.smooth): demanded and predicted coefficients, and the states
+Everything that is compared has passed one filter (`coefficients.smooth`): demanded and predicted coefficients, and the states
 that the difference is later regressed on.
 """
 

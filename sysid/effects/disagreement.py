@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from sysid.aerodynamics import COEFFICIENTS
 
 FloatArray = NDArray[np.float64]
-OUTSIDE = 0.05
 _LEAST_SHARE = 0.12
 _LEAST_S = 0.5
 

@@ -168,6 +168,9 @@ class ModelForm:
     outside: Outside
     coefficients: Mapping[str, CoefficientBounds]
 
+    def __repr__(self) -> str:
+        return f"ModelForm({', '.join(self.coefficients)}; {len(self.flights)} flights, confidence {self.confidence:g})"
+
     def bounds(self, states: Mapping[str, FloatArray], confidence: float | None = None) -> dict[str, tuple[FloatArray, FloatArray]]:
         """Coefficient -> lower and upper (n,) at states (n,) each, lower <= 0 <= upper. Raises KeyError for a missing state."""
         return {c: b.bounds(states, confidence, self.outside) for c, b in self.coefficients.items()}

@@ -1,4 +1,7 @@
-"""A room is entered by its package's ``__init__``: what others use of it stands in one list."""
+"""A room is entered by its package's ``__init__``: what others use of it stands in one list.
+
+A whole module may be taken from a room (``from uqharness.simulator import engine``): each use then names it.
+"""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from campaigns.identification.air_equations import OUTPUTS, AirEquations, body_axis_build, parameters, start_state, wind_axis_build
 from campaigns.identification.reproduce import (
     CASES,
     Data,
@@ -21,7 +22,6 @@ from campaigns.identification.reproduce import (
 )
 from tests.helpers import sixdof, stall_model
 from uqharness.cli.main import main
-from uqharness.flight.air_equations import OUTPUTS, AirEquations, body_axis_build, parameters, start_state, wind_axis_build
 from uqharness.replay.model import CONTROLS
 from uqharness.simulator.actuators import Actuator, actuators
 from uqharness.simulator.aircraft import find_aircraft

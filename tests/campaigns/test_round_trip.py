@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from campaigns.identification import round_trip as study_round_trip
+from campaigns.identification import round_trip
 from campaigns.identification.round_trip import FORMS, Form, aircraft_of, markdown, run, says_which
 from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import find_aircraft, open_aircraft
@@ -42,6 +42,6 @@ def test_command_reports_bad_input_and_exit_code(tmp_path, monkeypatch, capsys):
     def fail(*arguments, **options):
         raise BadInputError("the flight did not end well")
 
-    monkeypatch.setattr(study_round_trip, "run", fail)
-    assert study_round_trip.main(["--out", str(tmp_path)]) == 2
+    monkeypatch.setattr(round_trip, "run", fail)
+    assert round_trip.main(["--out", str(tmp_path)]) == 2
     assert "did not end well" in capsys.readouterr().err

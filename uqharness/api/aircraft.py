@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
+from numbers import Real
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.model_form import ModelForm, read_model_form
 from uqharness.api.flights import AnyAircraft, AnyPath, given_aircraft
+from uqharness.arguments import flag, instance, number, path, require
+from uqharness.arguments import properties as settings
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder
 from uqharness.identification import MadeBounds
@@ -63,15 +65,14 @@ def find_trim(
     >>> steady.converged, round(steady.controls["throttle"])
     (True, 60)
     """
-    if not (math.isfinite(V_mps) and V_mps > 0.0):
-        raise BadInputError(f"V_mps = {V_mps}: a positive true airspeed [m/s] is needed")
+    number("V_mps", V_mps, "a positive true airspeed [m/s]", lambda given: 0.0 < given < math.inf)
+    for name, angle in (("climb_rad", climb_rad), ("bank_rad", bank_rad), ("heading_rad", heading_rad), ("altitude_m", altitude_m)):
+        number(name, angle)
     if not (abs(bank_rad) < math.radians(85.0) and abs(climb_rad) < math.radians(60.0)):
         raise BadInputError(
             f"bank_rad = {bank_rad:g}, climb_rad = {climb_rad:g}: less than 85 and 60 degrees either way are needed"
         )
-    if not (math.isfinite(altitude_m) and math.isfinite(heading_rad)):
-        raise BadInputError(f"altitude_m = {altitude_m}, heading_rad = {heading_rad}: finite numbers are needed")
-    condition = SteadyCondition(V_mps, altitude_m, climb_rad, bank_rad, heading_rad, properties=dict(properties or {}))
+    condition = SteadyCondition(V_mps, altitude_m, climb_rad, bank_rad, heading_rad, properties=settings(properties))
     return trim.find_trim(given_aircraft(aircraft), condition)
 
 
@@ -94,7 +95,7 @@ def linearise(aircraft: AnyAircraft, steady: Trim) -> LinearModel:
     Raises
     ------
     BadInputError
-        If the trim did not converge.
+        If the trim did not converge or is of another aircraft.
 
     References
     ----------
@@ -159,23 +160,27 @@ def instrument(
     >>> uq.find_aircraft(done.folder).name
     'espaaro'
     """
+    folder = path("out", out)
+    if form is None and constant is None:
+        raise BadInputError('instrument: no bounds; give form, or constant such as {"CX": 0.01}, or {} for bounds of zero')
     if form is not None and constant is not None:
         raise BadInputError("instrument: form and constant are two sources of bounds; give one of them")
     if isinstance(form, MadeBounds):
         form = form.form
     elif form is not None and not isinstance(form, ModelForm):
-        form = read_model_form(Path(form))
-    bounds = Bounds(form, {name: _pair(name, value) for name, value in (constant or {}).items()})
-    folder = Path(out)
+        form = read_model_form(path("form", form))
+    given = instance("constant", {} if constant is None else constant, Mapping, 'a mapping such as {"CX": 0.01}')
+    bounds = Bounds(form, {name: _pair(name, value) for name, value in given.items()})
+    model = given_aircraft(aircraft)
     check_folder(folder)
-    return instrument_aircraft(given_aircraft(aircraft), bounds, folder, air=air, check=check)
+    return instrument_aircraft(model, bounds, folder, air=flag("air", air), check=flag("check", check))
 
 
 def _pair(name: str, value: float | tuple[float, float]) -> tuple[float, float]:
-    low, high = value if isinstance(value, tuple | list) else (-value, value)
-    if name not in COEFFICIENTS or not (math.isfinite(low) and math.isfinite(high) and low <= 0.0 <= high):
-        raise BadInputError(
-            f"constant: {name} = {value!r}: one of {', '.join(COEFFICIENTS)} with a half width, or (lower <= 0, upper >= 0), is "
-            "needed"
-        )
-    return low + 0.0, float(high)
+    ends = tuple(value) if isinstance(value, tuple | list) else (value,)
+    numbers = all(isinstance(end, Real) and not isinstance(end, bool) and math.isfinite(end) for end in ends)
+    needed = f"one of {', '.join(COEFFICIENTS)} with a half width, or (lower <= 0, upper >= 0),"
+    require(f"constant: {name}", value, name in COEFFICIENTS and numbers and len(ends) in (1, 2), needed)
+    low, high = ends if len(ends) == 2 else (-ends[0], ends[0])
+    require(f"constant: {name}", value, low <= 0.0 <= high, needed)
+    return float(low) + 0.0, float(high)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import io
+import math
+import os
+import re
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from os import PathLike
@@ -15,6 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from uqharness.api.flights import AnyPath
+from uqharness.arguments import number, path, require, share, whole
+from uqharness.arguments import workers as given_workers
 from uqharness.campaign import CONFIDENCE, STATEMENTS, Progress, band_confidence, bounds_notes, pboxes
 from uqharness.campaign import run as running
 from uqharness.campaign.folder import read_cases, read_checked, read_complete
@@ -27,6 +32,11 @@ from uqharness.statistics import pbox as boxes
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+_NOWHERE = Path("campaign.toml")
+"""Stands for the file of a campaign that is in none."""
+_IN_A_FILE = re.compile(rf"^{re.escape(str(_NOWHERE))}:\d+: (the file: )?")
 
 
 @dataclass(frozen=True)
@@ -121,10 +131,14 @@ def run_campaign(
     >>> bool((box.lower <= box.upper).all())
     True
     """
-    spec, folder = campaign_of(campaign), Path(out)
+    folder, workers = path("out", out), given_workers(workers)
+    if on_progress is not None:
+        require("on_progress", on_progress, callable(on_progress), "a function of a Progress")
+    spec = campaign_of(campaign)
     if hours is not None:
-        spec = spec.with_hours(hours)
+        spec = spec.with_hours(number("hours", hours, "a number of flight hours above 0", lambda given: 0.0 < given < math.inf))
     if samples is not None:
+        samples = whole("samples", samples, 1)
         spec = reading.with_samples(spec, samples)
     command = ["uqharness", "campaign", "run", str(campaign), "--out", str(folder)]
     command += [] if hours is None else ["--hours", f"{hours:g}"]
@@ -166,8 +180,8 @@ def read_campaign(folder: AnyPath) -> CampaignResult:
     >>> uq.read_campaign("results").cases.equals(flown.cases)
     True
     """
-    path = Path(folder)
-    return CampaignResult(path, read_complete(path))
+    place = path("folder", folder)
+    return CampaignResult(place, read_complete(place))
 
 
 def pbox(
@@ -207,8 +221,8 @@ def pbox(
     >>> box.quantile(0.5)
     (2.0, 3.0)
     """
-    if not 0.0 < confidence < 1.0:
-        raise BadInputError(f"confidence = {confidence:g}: a number between 0 and 1 is needed, such as 0.95")
+    confidence = share("confidence", confidence)
+    require("samples", samples, isinstance(samples, Iterable) and not isinstance(samples, str), "a mapping or sequence of arrays")
     named = samples.items() if isinstance(samples, Mapping) else enumerate(samples)
     try:
         return boxes.pbox([_sample(str(name), values) for name, values in named], confidence)
@@ -229,7 +243,21 @@ def campaign_of(campaign: AnyPath | CampaignSpec | Mapping[str, Any]) -> Campaig
     if isinstance(campaign, CampaignSpec):
         return campaign
     if isinstance(campaign, Mapping):
-        return reading.campaign_from(dict(campaign), Path("campaign.toml"))
+        try:
+            return reading.campaign_from(_plain(campaign), _NOWHERE)
+        except BadInputError as error:
+            raise BadInputError(*(_IN_A_FILE.sub("", line) for line in error.args)) from None
     if not isinstance(campaign, str | PathLike):
         raise BadInputError(f"a campaign is a file, a name or its sections as a dictionary; received {type(campaign).__name__}")
     return reading.read_campaign(find_campaign(Path(campaign)))
+
+
+def _plain(value: Any) -> Any:
+    """What TOML holds: numpy's numbers and arrays and paths as Python's own numbers, lists and texts."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    return os.fspath(value) if isinstance(value, PathLike) else value

@@ -14,10 +14,22 @@ from sysid.digests import file_sha256, sha256_hex
 from sysid.logs import check_units
 from sysid.record import FlightRecord, Metadata
 from sysid.vocabulary import LABELS, SIGNALS
+from uqharness.arguments import flag, instance, number, one_of, whole
+from uqharness.arguments import path as argument_path
+from uqharness.arguments import properties as settings
 from uqharness.errors import BadInputError
-from uqharness.flight import DEFAULT_TURBULENCE_SOURCE, FlightSpec, as_asked, recorded_flight, start_of, write_record
+from uqharness.flight import (
+    DEFAULT_TURBULENCE_SOURCE,
+    TURBULENCE_W20_KT,
+    FlightSpec,
+    as_asked,
+    recorded_flight,
+    start_of,
+    write_record,
+)
 from uqharness.replay import in_free_flight, read_flight, refuse_twice
 from uqharness.simulator import Aircraft, find_aircraft, find_script, read_script
+from uqharness.text_tables import Tabled
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,7 +39,7 @@ AnyAircraft: TypeAlias = str | PathLike[str] | Aircraft
 
 
 @dataclass(frozen=True)
-class Flight:
+class Flight(Tabled):
     """One flight: its record, and how it ended if it was flown here.
 
     Attributes
@@ -54,6 +66,11 @@ class Flight:
     aircraft: Aircraft | None = None
     start: Mapping[str, float] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        time_s = self.record["time_s"]
+        seconds = float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
+        return f"Flight({self.name!r}, {len(self)} rows, {seconds:g} s, {self.status})"
+
     def __len__(self) -> int:
         return len(self.record)
 
@@ -72,7 +89,7 @@ class Flight:
 
         Raises BadInputError for another ending and a folder that cannot be written.
         """
-        return write_record(self.to_dataframe(), Path(path), self.aircraft, self.start)
+        return write_record(self.to_dataframe(), argument_path("path", path), self.aircraft, self.start)
 
 
 AnyFlight: TypeAlias = str | PathLike[str] | FlightRecord | Flight
@@ -142,17 +159,22 @@ def fly(
     >>> list(table.columns[:4])
     ['time_s', 'V_mps', 'alpha_rad', 'beta_rad']
     """
-    model, run = given_aircraft(aircraft), read_script(find_script(Path(script)))
+    model, run = given_aircraft(aircraft), read_script(find_script(argument_path("script", script)))
+    for name, value in (("wind_mps", wind_mps), ("wind_from_deg", wind_from_deg), ("rate_hz", rate_hz)):
+        number(name, value)
+    if duration_s is not None:
+        number("duration_s", duration_s)
+    seed = whole("seed", seed)
     spec = FlightSpec(
         model.folder,
         run.path,
         run.end_s if duration_s is None else duration_s,
         wind_mps=wind_mps,
         wind_from_deg=wind_from_deg,
-        turbulence=turbulence,
-        turbulence_source=turbulence_source,
-        sensor_noise=noise,
-        properties=dict(properties or {}),
+        turbulence=one_of("turbulence", turbulence, tuple(TURBULENCE_W20_KT)),
+        turbulence_source=one_of("turbulence_source", turbulence_source, ("spec", "jsbsim")),
+        sensor_noise=flag("noise", noise),
+        properties=settings(properties),
         record_rate_hz=rate_hz,
     )
     frame, recorded = recorded_flight(model, run, as_asked(spec, seed))
@@ -201,8 +223,10 @@ def read_flights(
     ('doublet', 251, True)
     """
     model = given_aircraft(aircraft)
-    files = [Path(p) for p in ([paths] if isinstance(paths, str | PathLike) else paths)]
-    table, own_map = (None if p is None else Path(p) for p in (manoeuvres, signal_map))
+    several = [paths] if isinstance(paths, str | PathLike) else paths
+    files = [argument_path("paths", p) for p in instance("paths", several, Iterable, "a path or several")]
+    table = None if manoeuvres is None else argument_path("manoeuvres", manoeuvres)
+    own_map = None if signal_map is None else argument_path("signal_map", signal_map)
     records = [read_flight(path, model, table, own_map) for path in files]
     hashes = [file_sha256(path) for path in files]
     refuse_twice(files, hashes)
@@ -211,14 +235,15 @@ def read_flights(
 
 def given_aircraft(aircraft: AnyAircraft) -> Aircraft:
     """The aircraft of that name or folder, or the one given. Raises BadInputError."""
-    return aircraft if isinstance(aircraft, Aircraft) else find_aircraft(Path(aircraft))
+    return aircraft if isinstance(aircraft, Aircraft) else find_aircraft(argument_path("aircraft", aircraft))
 
 
 def given_flights(flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft) -> list[Flight]:
     """One flight or several, whatever each was given as, at least one and none twice. Raises BadInputError."""
     if isinstance(flights, str | PathLike | FlightRecord | Flight):
         flights = [flights]
-    found = [_given(flight, aircraft) for flight in flights]
+    several = instance("flights", flights, Iterable, "a path, a FlightRecord, a Flight or several of them")
+    found = [_given(flight, aircraft) for flight in several]
     if not found:
         raise BadInputError("no flight was given; at least one is needed, such as uq.read_flights(['flight.bin'], aircraft)")
     refuse_twice([flight.name for flight in found], [flight.sha256 for flight in found])

@@ -8,6 +8,8 @@ from typing import Literal
 from sysid.aerodynamics import Cutoffs
 from sysid.model_form import FitOptions, Outside
 from uqharness.api.flights import AnyAircraft, AnyFlight, Flight, given_aircraft, given_flights
+from uqharness.arguments import flag, instance, one_of, share, whole
+from uqharness.arguments import workers as given_workers
 from uqharness.errors import BadInputError
 from uqharness.identification import BoundsOptions, Comparison, Identification, MadeBounds, parse_channels, parse_designs
 from uqharness.identification import compare as comparing
@@ -80,20 +82,22 @@ def identify(
     >>> fit.converged, fit.identified
     (True, ('aero/Cm_q', 'aero/Cm_de'))
     """
-    model = given_aircraft(aircraft)
-    _check_workers(workers)
+    model, workers = given_aircraft(aircraft), given_workers(workers)
+    asked = None if parameters is None else _names("parameters", parameters)
+    if asked == []:
+        raise BadInputError("parameters is empty; name properties such as aero/Cm_q, or leave it out")
     late, biased = _channels("delays", delays), _channels("biases", biases)
     ready, measured = _prepared(given_flights(flights, model), model)
     return identifying.identify(
         model,
         ready,
         measured,
-        parameters,
-        start=_one_of("start", start, ("current", "initial")),
+        asked,
+        start=one_of("start", start, ("current", "initial")),
         biases=identifying.BIASES if biased is None else biased,
         delays=late,
         ideal_servos=_ideal(servos),
-        method=_one_of("method", method, ("auto", "output-error", "filter-error")),
+        method=one_of("method", method, ("auto", "output-error", "filter-error")),
         workers=workers,
     )
 
@@ -142,8 +146,7 @@ def compare(
     >>> gap.reached, gap.above
     (True, ())
     """
-    model = given_aircraft(aircraft)
-    _check_workers(workers)
+    model, workers = given_aircraft(aircraft), given_workers(workers)
     late, biased = _channels("delays", delays), _channels("biases", biases)
     found = given_flights(flight, model)
     if len(found) != 1:
@@ -221,18 +224,14 @@ def fit_model_form(
     ['CX', 'CY', 'CZ', 'Cl', 'Cm', 'Cn']
     """
     model = given_aircraft(aircraft)
-    if not 0.0 < confidence < 1.0:
-        raise BadInputError(f"confidence = {confidence:g}: a number between 0 and 1 is needed, such as 0.95")
-    if order not in (0, 1, 2, 3):
-        raise BadInputError(f"order = {order}: allowed are 0, 1, 2, 3")
-    wanted = [[f"{c}={','.join(names)}" for c, names in (given or {}).items()] for given in (states, terms)]
+    chosen, named = _designs("states", states), _designs("terms", terms)
     options = BoundsOptions(
-        designs=parse_designs(wanted[0], wanted[1], order, False),
-        fit=FitOptions(confidence),
+        designs=parse_designs(chosen, named, one_of("order", whole("order", order), (0, 1, 2, 3)), False),
+        fit=FitOptions(share("confidence", confidence)),
         cutoffs=Cutoffs(),
-        outside=_one_of("outside", outside, ("grow", "clamp")),  # type: ignore[arg-type]
+        outside=one_of("outside", outside, ("grow", "clamp")),
         ideal_servos=_ideal(servos),
-        checks=checks,
+        checks=flag("checks", checks),
     )
     found = given_flights(flights, model)
     ready, measured = _prepared(found, model)
@@ -245,19 +244,19 @@ def _prepared(flights: Sequence[Flight], aircraft: Aircraft) -> tuple[list[repla
 
 
 def _channels(what: str, names: Sequence[str] | None) -> tuple[str, ...] | None:
-    return parse_channels(f"--{what}", None if names is None else ",".join([names] if isinstance(names, str) else names))
+    return parse_channels(f"--{what}", None if names is None else ",".join(_names(what, names)))
 
 
-def _check_workers(workers: int | None) -> None:
-    if workers is not None and workers < 1:
-        raise BadInputError(f"workers = {workers}: at least 1 is needed")
+def _names(what: str, names: Sequence[str]) -> list[str]:
+    """One name or several."""
+    several = [names] if isinstance(names, str) else instance(what, names, Iterable, "a name or several")
+    return [instance(what, name, str, "a name, as a str,") for name in several]
+
+
+def _designs(what: str, given: Mapping[str, Sequence[str]] | None) -> list[str]:
+    known = {} if given is None else instance(what, given, Mapping, 'a mapping such as {"CX": ["V", "alpha"]}')
+    return [f"{c}={','.join(_names(what, names))}" for c, names in known.items()]
 
 
 def _ideal(servos: str) -> bool:
-    return _one_of("servos", servos, ("card", "ideal")) == "ideal"
-
-
-def _one_of(name: str, value: str, allowed: Sequence[str]) -> str:
-    if value not in allowed:
-        raise BadInputError(f"{name} = {value!r}: allowed are {', '.join(allowed)}")
-    return value
+    return bool(one_of("servos", servos, ("card", "ideal")) == "ideal")

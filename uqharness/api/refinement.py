@@ -10,6 +10,8 @@ from typing import Literal
 from sysid.effects import read_effects
 from sysid.record import FlightRecord
 from uqharness.api.flights import AnyAircraft, AnyFlight, AnyPath, Flight, given_aircraft, given_flights
+from uqharness.arguments import flag, instance, one_of, path, require
+from uqharness.arguments import workers as given_workers
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder
 from uqharness.refinement import Refinement, Request
@@ -87,21 +89,23 @@ def refine(
     >>> found.document["verdict"]
     'effects-found'
     """
-    model, folder = given_aircraft(aircraft), Path(out)
-    if workers is not None and workers < 1:
-        raise BadInputError(f"workers = {workers}: at least 1 is needed")
-    if servos not in ("card", "ideal"):
-        raise BadInputError(f"servos = {servos!r}: allowed are card, ideal")
-    if campaign is not None and not pbox:
+    model, folder, workers = given_aircraft(aircraft), path("out", out), given_workers(workers)
+    one_of("servos", servos, ("card", "ideal"))
+    flag("figures", figures)
+    require("on_stage", on_stage, callable(on_stage), "a function of a text")
+    own, mission = (None if f is None else path(n, f) for n, f in (("effects", effects), ("campaign", campaign)))
+    if not flag("pbox", pbox) and campaign is not None:
         raise BadInputError("campaign and pbox = False: a campaign is flown for its p-box; leave out one of them")
     check_folder(folder)
-    extra = tuple(read_effects(Path(effects))) if effects is not None else ()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInputError(f"{folder}: cannot be made: {error.strerror or error}") from None
+    extra = tuple(read_effects(own)) if own is not None else ()
     with scratch_folder("flights") as scratch:
         files = {name: _files(flights, model, scratch.path / name) for name, flights in (("train", train), ("test", test))}
+        options: dict[str, object] = {
+            "--servos": servos if servos != "card" else None, "--effects": own, "--campaign": mission, "--no-pbox": not pbox,
+            "--workers": workers, "--no-figures": not figures,
+        }  # fmt: skip
+        # No command reads flights that are in memory.
+        in_files = all(scratch.path not in file.parents for flights in files.values() for file in flights)
         request = Request(
             model,
             files["train"],
@@ -110,9 +114,9 @@ def refine(
             extra,
             ideal_servos=servos == "ideal",
             workers=workers,
-            command=_command(aircraft, files, servos),
+            command=_command(aircraft, files, options) if in_files else (),
             pbox=pbox,
-            campaign=None if campaign is None else Path(campaign),
+            campaign=mission,
         )
         done = running.refine(request, on_stage)
     write_results(done, folder)
@@ -122,22 +126,28 @@ def refine(
 
 def _files(flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft, folder: Path) -> tuple[Path, ...]:
     """Files of the flights: their own, or ones in ``folder`` for flights that are in memory."""
-    given = [flights] if isinstance(flights, str | PathLike | FlightRecord | Flight) else list(flights)
+    several = [flights] if isinstance(flights, str | PathLike | FlightRecord | Flight) else flights
+    given = list(instance("flights", several, Iterable, "a path, a FlightRecord, a Flight or several of them"))
     loose = [flight for flight in given if not isinstance(flight, str | PathLike)]
     known = given_flights(loose, aircraft) if loose else []
     written = iter([folder / f"{name}.parquet" for name in renamed([flight.name for flight in known])])
     folder.mkdir()
     found = [Path(flight) if isinstance(flight, str | PathLike) else next(written) for flight in given]
-    for path, flight in zip((p for p in found if p.parent == folder), known, strict=True):
-        flight.record.write(path)
+    for file, flight in zip((p for p in found if p.parent == folder), known, strict=True):
+        flight.record.write(file)
     if not found:
         raise BadInputError("refine needs at least one flight to train on and one to test on")
     return tuple(found)
 
 
-def _command(aircraft: AnyAircraft, files: Mapping[str, Sequence[Path]], servos: str) -> tuple[str, ...]:
-    name = aircraft.name if isinstance(aircraft, Aircraft) else str(aircraft)
-    words = ["uqharness", "refine", name]
+def _command(aircraft: AnyAircraft, files: Mapping[str, Sequence[Path]], options: Mapping[str, object]) -> tuple[str, ...]:
+    """The command that does the same: files by name alone, no option at its default."""
+    words = ["uqharness", "refine", aircraft.name if isinstance(aircraft, Aircraft) else str(aircraft)]
     for role, paths in files.items():
-        words += [f"--{role}", *(path.name for path in paths)]
-    return (*words, *(("--servos", "ideal") if servos == "ideal" else ()))
+        words += [f"--{role}", *(file.name for file in paths)]
+    for option, value in options.items():
+        if value is True:
+            words.append(option)
+        elif value is not None and value is not False:
+            words += [option, value.name if isinstance(value, Path) else str(value)]
+    return tuple(words)

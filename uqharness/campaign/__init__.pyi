@@ -15,6 +15,7 @@ from .columns import UNCOMMANDED_METRICS as UNCOMMANDED_METRICS
 from .conditions import CONFIDENCE as CONFIDENCE
 from .conditions import Condition as Condition
 from .conditions import ExcursionCell as ExcursionCell
+from .conditions import hardest_of as hardest_of
 from .conditions import in_condition as in_condition
 from .conditions import pboxes as pboxes
 from .conditions import samples as samples

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from uqharness.campaign.columns import ERROR_METRICS, UNCOMMANDED_METRICS
+from uqharness.flight import TURBULENCE_W20_KT
 from uqharness.statistics import ExcursionRate, PBox, Sample, excursion_rate
 from uqharness.statistics.pbox import pbox
 
@@ -42,6 +43,12 @@ class ExcursionCell:
     radius_m: float
     distance: str
     rates: tuple[ExcursionRate, ...]
+
+
+def hardest_of(found: Iterable[Condition]) -> Condition:
+    """The strongest turbulence, in it the strongest wind."""
+    order = tuple(TURBULENCE_W20_KT)
+    return max(found, key=lambda item: (order.index(item.turbulence), item.wind_mps))
 
 
 def conditions(frame: pd.DataFrame) -> list[Condition]:

@@ -28,7 +28,7 @@ from uqharness.campaign.folder.manifest import (
 from uqharness.campaign.folder.manifest_content import COMPLETE, INTERRUPTED, SPOILT
 from uqharness.campaign.folder.seal import mend_tables, refuse_if_not_whole, sealed
 from uqharness.campaign.folder.shards import SHARDS, Shard
-from uqharness.campaign.folder.store import JOURNAL, Store, run_lock
+from uqharness.campaign.folder.store import JOURNAL, LOCK, Store, run_lock
 from uqharness.campaign.folder.tables import make_tables, write_tables
 from uqharness.campaign.rounds import Rounds
 from uqharness.campaign.spec.campaign import CampaignSpec
@@ -132,7 +132,8 @@ def run_campaign(
 
         fly = fly_mission
     given = mission is not None
-    folder = _folder(Path(out_dir) if shard is None else Path(out_dir) / SHARDS / shard.folder)
+    folder = Path(out_dir) if shard is None else Path(out_dir) / SHARDS / shard.folder
+    executor = executor or ProcessExecutor(usable_cores() if workers is None else workers)
     mission = mission or find_mission(spec, folder)
     cases = build_cases(spec, mission)
     rounds = Rounds(spec, cases, folder)
@@ -144,13 +145,16 @@ def run_campaign(
             )
         cases = cases[shard.number - 1 :: shard.count]
         rounds = Rounds(spec, cases, folder)
-    executor = executor or ProcessExecutor(usable_cores() if workers is None else workers)
     size, processes = size_of(spec, 1 if shard is None else shard.count), executor.workers
 
     def told(pace: Pace | None, done: int) -> None:
         before_flying(Cost(size, done, pace, processes))
 
-    with run_lock(folder):
+    # What cannot be read there is told when the folder is made or locked.
+    with contextlib.suppress(OSError):
+        if not (folder / LOCK).exists():
+            _refuse_foreign(folder)
+    with run_lock(_made(folder)):
         manifest = describe(spec, mission, len(cases), command) | ({} if shard is None else {"shard": str(shard)})
         old, finished = _earlier(folder, manifest)
         if not given:
@@ -260,7 +264,7 @@ def _spoilt(folder: Path) -> BadInputError:
     )
 
 
-def _folder(path: Path) -> Path:
+def _made(path: Path) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -277,7 +281,10 @@ def _finished(folder: Path) -> set[str]:
 
 
 def _refuse_foreign(folder: Path) -> None:
-    others = sorted(item.name for item in folder.iterdir() if item.name != "run.lock" and item.suffix != PART)
+    """A folder of something else. Asked before the lock, which is a file in it, and again under it."""
+    if not folder.is_dir() or (folder / MANIFEST).exists() or (folder / JOURNAL).exists():
+        return
+    others = sorted(item.name for item in folder.iterdir() if item.name != LOCK and item.suffix != PART)
     if others:
         raise BadInputError(f"{folder}: not empty and not a campaign folder (it has {others[0]}); choose another --out")
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from uqharness.campaign.folder.files import read_checked
 from uqharness.campaign.sensitivity import MetricSensitivity
+from uqharness.campaign.statements import number
 from uqharness.errors import BadInputError
 from uqharness.flight import TURBULENCE_W20_KT
 from uqharness.sensitivity import PairRange
@@ -38,13 +39,9 @@ def _rows(found: Sequence[MetricSensitivity]) -> Iterator[list[str]]:
             width = [details.get(key, math.nan) for key in ("area", "area_low", "area_high")]
             yield [
                 item.condition.label, f"{item.condition.wind_mps:g}", item.condition.turbulence, item.metric,
-                unit_of(item.metric), name, *map(_text, [*shares, *shrink, *width]), str(item.flights), str(item.left_out),
-                _text(details.get("interior_outside", math.nan)), index.reason,
+                unit_of(item.metric), name, *map(number, [*shares, *shrink, *width]), str(item.flights), str(item.left_out),
+                number(details.get("interior_outside", math.nan)), index.reason,
             ]  # fmt: skip
-
-
-def _text(value: float) -> str:
-    return "" if math.isnan(value) else f"{value:.6g}"
 
 
 def as_csv(found: Sequence[MetricSensitivity]) -> bytes:

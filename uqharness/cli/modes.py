@@ -98,6 +98,15 @@ def _as_json(aircraft: Aircraft, trim: Trim, found: list[Mode], levels: list[Ass
     }  # fmt: skip
 
 
+def _measured(found: Assessment) -> str:
+    """The criterion with its value; no time to double amplitude is a mode that is stable."""
+    if math.isinf(found.value):
+        return "stable"
+    if math.isnan(found.value):
+        return f"{found.criterion} undefined"
+    return f"{found.criterion} {found.value:.3g} {'' if found.unit == '1' else found.unit}".rstrip()
+
+
 def _as_text(name: str, trim: Trim, found: list[Mode], levels: list[Assessment]) -> str:
     north, east, down = trim.velocity_ned_mps
     attitude = (
@@ -116,7 +125,7 @@ def _as_text(name: str, trim: Trim, found: list[Mode], levels: list[Assessment])
     ]  # fmt: skip
     for mode in found:
         remarks = [
-            f"Level {a.level}" + (" (worse than 3)" if a.level == 4 else "") + f" {a.criterion} {a.value:.3g} {a.unit}"
+            f"Level {a.level}" + (" (worse than 3)" if a.level == 4 else "") + f" {_measured(a)}"
             for a in levels
             if a.mode == mode.name
         ]

@@ -17,7 +17,6 @@ from uqharness.cli.options import (
     add_workers,
     command_words,
     describe,
-    results_folder,
 )
 from uqharness.cli.progress import say_line
 from uqharness.errors import BadInputError
@@ -46,7 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Find where a model and flights disagree, name the missing effect, put it into the model and show on flights that were "
         "not used that the gap shrinks (see docs/refine.md)."
     )
-    done, no = "effects found, or nothing is missing", "something is missing and no effect of the catalogue explains it"
+    done = "effects found and nothing left beside them, or nothing is missing"
+    no = "something is left that no effect of the catalogue explains, whether effects were found beside it or not"
     describe(parser, _run, text, _EXAMPLE, done=done, no=no)
     add_aircraft(parser)
     add_flights(parser, "--train", "flights that choose")
@@ -69,7 +69,7 @@ def _run(args: argparse.Namespace) -> int:
         raise BadInputError("--campaign and --no-pbox: a campaign is flown for its p-box; leave out one of them")
     check_folder(args.out)
     extra = tuple(read_effects(args.effects)) if args.effects else ()
-    out = results_folder(args.out)
+    out = args.out
     request = Request(
         aircraft,
         tuple(args.train),

@@ -28,9 +28,6 @@ Array = npt.NDArray[np.float64]
 Component = Literal["u", "v", "w", "p", "q", "r"]
 COMPONENTS: tuple[Component, ...] = ("u", "v", "w", "p", "q", "r")
 
-W20_KT = {"none": 0.0, "light": 15.0, "moderate": 30.0, "severe": 45.0}
-"""Wind at 20 ft by name of the turbulence, knots (3.7.3.4 with the usual three levels)."""
-
 _STREAMS = {"u": 0, "v": 1, "w": 2, "p": 3}
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 

@@ -15,7 +15,6 @@ from uqharness.simulator import STANDARD, Aircraft, Source
 
 _STATISTICS = ("median", "mean", "max")
 _UNITS: Mapping[str, str] = {"cross_track": "m", "altitude": "m", "speed": "mps"}
-HEADING = tuple(f"heading_{kind}_deg" for kind in _STATISTICS)
 LOAD_FACTOR = "load_factor_max"
 
 

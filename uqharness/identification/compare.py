@@ -41,6 +41,7 @@ from uqharness.replay import (
 )
 from uqharness.replay.flights import segments
 from uqharness.simulator import Aircraft
+from uqharness.text_tables import Tabled
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -94,7 +95,7 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(Tabled):
     """All gaps of one flight.
 
     manoeuvres  label -> channel -> rms over noise        demanded, predicted  coefficients (n, 6), one array a segment
@@ -119,6 +120,9 @@ class Comparison:
     notes: tuple[str, ...]
     controls_late_s: float = 0.0
     late_limit_s: float = math.inf
+
+    def __repr__(self) -> str:
+        return f"Comparison({self.aircraft!r}, {self.flight!r}, above: {', '.join(self.above) or 'none'})"
 
     @property
     def aligned(self) -> bool:

@@ -39,6 +39,7 @@ from sysid.model_form.variation import variation
 from uqharness.errors import BadInputError
 from uqharness.replay import Flight, ReplayPair, flight_residuals, measured_outputs, prediction_of
 from uqharness.simulator import Aircraft, content_hash
+from uqharness.text_tables import Tabled
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,7 +70,7 @@ class CutoffRow:
 
 
 @dataclass(frozen=True)
-class MadeBounds:
+class MadeBounds(Tabled):
     """A model form with its evidence.
 
     widths       coefficient -> mean width of the bounds over the data         noise  -> standard deviation that sensor noise forces
@@ -88,6 +89,9 @@ class MadeBounds:
     cutoffs: tuple[CutoffRow, ...]
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"MadeBounds({self.form!r}, {len(self.warnings)} warnings)"
 
     def to_dataframe(self) -> pd.DataFrame:
         """The table of coefficients: samples, effective ones, standard deviation, mean width and noise of the bounds, walk rate."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uqharness.replay import Segment, Speed
+from uqharness.text_tables import Tabled
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -18,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Identification:
+class Identification(Tabled):
     """What was estimated, how, and how well it fits.
 
     names, initial, theta, std, std_crb, status, reason  over the parameters asked for (JSBSim properties)
@@ -53,6 +54,9 @@ class Identification:
     simulations: int
     seconds: float
     speed: Speed | None = None
+
+    def __repr__(self) -> str:
+        return f"Identification({self.aircraft!r}, {len(self.identified)} of {len(self.names)} identified by {self.method})"
 
     @property
     def identified(self) -> tuple[str, ...]:

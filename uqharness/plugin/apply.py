@@ -28,6 +28,9 @@ class Instrumented:
     notes: tuple[str, ...]
     verdict: Verdict | None
 
+    def __repr__(self) -> str:
+        return f"Instrumented({str(self.folder)!r}, {self.verdict.status if self.verdict is not None else 'not flown'})"
+
 
 def instrument_aircraft(
     aircraft: Aircraft, bounds: Bounds, out: Path, *, air: bool = False, check: bool = True, dry_run: bool = False

@@ -11,13 +11,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.model_form import CoefficientBounds, ModelForm
 from sysid.units import FT_M, RAD_DEG
 from uqharness.errors import BadInputError
-from uqharness.files import write_bytes
 from uqharness.simulator import Aircraft, position_factor
 from uqharness.xml import Expression, Powers, call, declare, horner, in_comment, prop, value
 
@@ -63,15 +61,10 @@ class _Group:
         return f"uq/leverage/{'-'.join(self.coefficients)}"
 
 
-def write_model_form_xml(form: ModelForm, aircraft: Aircraft, path: Path, rate_hz: float = RATE_HZ) -> bytes:
-    """Write model-form.xml, whole or not at all; the bytes written. The same form and aircraft give the same bytes."""
-    content = model_form_xml(form, aircraft, rate_hz)
-    write_bytes(path, content)
-    return content
-
-
 def model_form_xml(form: ModelForm, aircraft: Aircraft, rate_hz: float = RATE_HZ) -> bytes:
-    """The system's XML. The step is the card's dt_s; ``execrate`` is the largest whole number of frames that keeps ``rate_hz``.
+    """The system's XML, the same bytes for the same form and aircraft.
+
+    The step is the card's dt_s; ``execrate`` is the largest whole number of frames that keeps ``rate_hz``.
 
     Raises BadInputError if the bounds depend on a control that the aircraft's card does not give in degrees or percent.
     """

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from sysid.effects import Choice
 from sysid.estimation import NOISE_FLOOR
 from sysid.parallel import Processes
+from uqharness.refinement.find import Found
 from uqharness.refinement.judge import Side, evidence_of, left_out, sensed_by
-from uqharness.refinement.refine import Found
 from uqharness.refinement.showing.show import Shown, show, whiteness
 from uqharness.refinement.types import Setup
 from uqharness.simulator import Aircraft

@@ -14,8 +14,8 @@ import numpy as np
 from sysid.effects import Choice, Evidence, Gusts, corrected
 from sysid.parallel import Processes
 from uqharness.refinement.candidates import effect_columns
+from uqharness.refinement.find import Found, in_one_step, with_resolution
 from uqharness.refinement.gusts import GustFit, gust_evidence
-from uqharness.refinement.refine import Found, in_one_step, with_resolution
 from uqharness.refinement.rounds import candidate_evidence
 from uqharness.refinement.showing.show import Shown, show
 from uqharness.refinement.types import Setup, in_dynamics

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from sysid.effects import Choice, Effect
-from uqharness.refinement.refine import Found
+from uqharness.refinement.find import Found
 from uqharness.replay import SENSOR_OF
 
 NOT_BELIEVED = (

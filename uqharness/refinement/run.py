@@ -17,22 +17,11 @@ from uqharness.campaign.folder import MANIFEST
 from uqharness.files import inner_folder
 from uqharness.parallel import worker_map
 from uqharness.refinement.beside import named_beside
+from uqharness.refinement.find import Found, estimates_of, find_effects, remark
 from uqharness.refinement.fit import positions
 from uqharness.refinement.judge import Judged, Side, bare, judge, sensed_by
 from uqharness.refinement.lone import believed
-from uqharness.refinement.refine import (
-    Bench,
-    Found,
-    control_slopes,
-    estimates_of,
-    file_hash,
-    find_effects,
-    make_setup,
-    refuse_shared,
-    remark,
-    setup_in_gusts,
-)
-from uqharness.refinement.setup import estimated_channels
+from uqharness.refinement.setup import Bench, estimated_channels, file_hash, make_setup, refuse_shared, setup_in_gusts
 from uqharness.refinement.showing.document import document_of
 from uqharness.refinement.showing.intervals import FOLDER as INTERVALS
 from uqharness.refinement.showing.intervals import (
@@ -50,6 +39,7 @@ from uqharness.refinement.stages import FOLDER, Stages
 from uqharness.refinement.timing import later
 from uqharness.refinement.types import Setup
 from uqharness.refinement.writing.effects import Written, write_effects
+from uqharness.refinement.writing.slopes import control_slopes
 from uqharness.replay import CONTROLS, Flight, read_flights, renamed
 from uqharness.scratch import scratch_folder
 from uqharness.simulator import Aircraft, content_hash, copy_beside, engine, find_aircraft, open_aircraft
@@ -86,6 +76,9 @@ class Refinement:
     mission: MissionResult
     aircraft: Aircraft
     given: Aircraft
+
+    def __repr__(self) -> str:
+        return f"Refinement({self.document['verdict']}, {self.aircraft!r})"
 
 
 @dataclass(frozen=True)

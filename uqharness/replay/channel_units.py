@@ -12,12 +12,15 @@ _CONTROLS = {"elevator": "deg", "aileron": "deg", "rudder": "deg", "throttle": "
 
 
 def shown_channel(name: str) -> tuple[str, str, float]:
-    """Quantity, unit and factor: ``("q", "deg/s", 57.3)`` of ``q_radps``, angles in degrees. A name without a unit is a number."""
+    """Quantity, unit and factor: ``("q", "deg/s", 57.3)`` of ``q_radps``, angles in degrees.
+
+    A name without a unit is a number, its unit ``-``.
+    """
     if name in _CONTROLS:
         return name, _CONTROLS[name], 1.0
     quantity, _, unit = name.rpartition("_")
     if not quantity or unit not in _UNITS:
-        return name, "1", 1.0
+        return name, "-", 1.0
     label, factor = _UNITS[unit]
     return quantity.replace("_", " "), label, factor
 

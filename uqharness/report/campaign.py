@@ -10,7 +10,16 @@ from typing import Any
 
 import pandas as pd
 
-from uqharness.campaign import CONFIDENCE, UNCOMMANDED_METRICS, Condition, Statement, band_confidence, in_condition, samples
+from uqharness.campaign import (
+    CONFIDENCE,
+    UNCOMMANDED_METRICS,
+    Condition,
+    Statement,
+    band_confidence,
+    hardest_of,
+    in_condition,
+    samples,
+)
 from uqharness.campaign.conditions import conditions
 from uqharness.campaign.folder import read_cases, read_complete, read_decisions
 from uqharness.campaign.statements import statements
@@ -172,12 +181,6 @@ def _verdict(
 def answer_level(statement: Statement) -> Level:
     """Whether an answer is good news."""
     return _ANSWER_LEVELS[statement.answer]
-
-
-def hardest_of(found: Sequence[Condition]) -> Condition:
-    """The strongest turbulence, in it the strongest wind."""
-    order = ("none", "light", "moderate", "severe")
-    return max(found, key=lambda item: (order.index(item.turbulence), item.wind_mps))
 
 
 def hardest_first(found: Sequence[Condition]) -> list[Condition]:

@@ -38,7 +38,7 @@ def _growth(item: Converged, place: str) -> Figure | None:
     area, low, high = (np.array([getattr(part, name) for part in item.growth]) for name in ("area", "area_low", "area_high"))
     unit = metric_label(item.metric).rpartition("[")[2]
     x = Scale(
-        "epistemic samples [1]", at[0] - 0.2, at[-1] + 0.2, tuple((u, str(p.samples)) for u, p in zip(at, item.growth, strict=True))
+        "epistemic samples [-]", at[0] - 0.2, at[-1] + 0.2, tuple((u, str(p.samples)) for u, p in zip(at, item.growth, strict=True))
     )
     label = f"Area of the p-box from {item.growth[0].samples} to {item.growth[-1].samples} samples."
     chart = Chart(f"growth-{place}", label, x, scale(f"area of the p-box [{unit}", [np.zeros(1), high], least=0.0))

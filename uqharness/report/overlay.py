@@ -48,7 +48,7 @@ def overlay_section(
     unlike = _unlike(before, after)
     if unlike:
         notes.append(Words(f"Not the same flights otherwise: {unlike} differ, so part of the change may be theirs."))
-    head = ("Error", "Condition", "Middle before", "Middle after", "Width after over before [1]")
+    head = ("Error", "Condition", "Middle before", "Middle after", "Width after over before [-]")
     table = Table("Where half of the flights stay below, before and after.", head, tuple(rows))
     return Section(title, (*notes, Figures(tuple(figures)), table))
 

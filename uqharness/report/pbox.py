@@ -16,7 +16,7 @@ from uqharness.statistics import PBox, Sample
 
 Array = NDArray[np.float64]
 _CURVE_POINTS, _MOST_CURVES = 60, 96
-PROBABILITY = "probability of at most the value below"
+PROBABILITY = "cumulative probability [-]"
 _DRAWN = ("first", "fill1"), ("second", "fill2")
 
 
@@ -72,7 +72,7 @@ def metric_label(metric: str) -> str:
     name, measured = metric.removesuffix("_measured"), ", measured" if metric.endswith("_measured") else ""
     quantity, _, unit = name.rpartition("_")
     known = {"m": "m", "mps": "m/s", "deg": "deg", "s": "s"}.get(unit)
-    return f"{quantity.replace('_', ' ')}{measured} [{known}]" if quantity and known else f"{metric} [1]"
+    return f"{quantity.replace('_', ' ')}{measured} [{known}]" if quantity and known else f"{metric} [-]"
 
 
 def corner_words(frame: pd.DataFrame) -> dict[str, str]:

@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from uqharness.arguments import instance
 from uqharness.replay import axis_label, shown_channel
 from uqharness.report.history import Z95
 from uqharness.report.pages.model_form import BEYOND, near_slice, slice_states
 from uqharness.report.pbox import PROBABILITY, metric_label
+from uqharness.statistics import PBox
 
 if TYPE_CHECKING:
     from sysid.aerodynamics import Residuals
@@ -23,7 +25,6 @@ if TYPE_CHECKING:
     from sysid.record import FlightRecord
     from uqharness.campaign import MetricSensitivity
     from uqharness.replay import History
-    from uqharness.statistics import PBox
 
 _FIRST, _SECOND, _SOFT = "#00639c", "#b34700", "#595f66"
 
@@ -47,6 +48,11 @@ def plot_pbox(box: PBox, ax: Axes | None = None, label: str = "value [-]", name:
     matplotlib.axes.Axes
         The axes drawn into.
 
+    Raises
+    ------
+    BadInputError
+        For what is no p-box, or no axes.
+
     References
     ----------
     docs/read-a-p-box.md: what it says and what it does not.
@@ -58,6 +64,7 @@ def plot_pbox(box: PBox, ax: Axes | None = None, label: str = "value [-]", name:
     >>> uq.plot_pbox(box, label="median cross-track error [m]").get_xlabel()
     'median cross-track error [m]'
     """
+    instance("box", box, PBox, "a PBox, as pbox gives it,")
     ax = _axes(ax)
     room = 0.04 * float(np.ptp(box.value)) or 1.0
     x = np.concatenate([[box.value[0] - room], box.value, [box.value[-1] + room]])
@@ -233,7 +240,7 @@ def plot_model_form(
 def _axes(ax: Axes | None) -> Axes:
     """The axes given, or those of a new figure that a notebook shows."""
     if ax is not None:
-        return ax
+        return instance("ax", ax, Axes, "matplotlib's Axes, or None,")
     import matplotlib.pyplot as plt
 
     return plt.subplots(layout="constrained")[1]

@@ -56,9 +56,9 @@ def _panels(record: pd.DataFrame) -> Iterator[tuple[str, str, Mapping[str, str],
         ("angles", "angles [deg]", {a: a.removesuffix("_rad") for a in _ANGLES}, RAD_DEG),
         ("speed", "airspeed [m/s]", {"V_mps": ""}, 1.0),
         ("height", "height above sea level [m]", {"h_m": ""}, 1.0),
-        ("surfaces", "surfaces [deg], [1]", surfaces, 1.0),
-        ("throttle", "throttle [%], [1]", throttle, 1.0),
-        ("levels", "level between the bounds [1]", {f"level_{c}": c for c in acting}, 1.0),
+        ("surfaces", "surfaces [deg], [-]", surfaces, 1.0),
+        ("throttle", "throttle [%], [-]", throttle, 1.0),
+        ("levels", "level between the bounds [-]", {f"level_{c}": c for c in acting}, 1.0),
     ):
         known = {column: words for column, words in lines.items() if column in record}
         if known:

@@ -75,10 +75,10 @@ def _ordered(rows: Sequence[Row]) -> list[Row]:
 def _figure(metric: str, rows: Sequence[Row], condition: Condition, prefix: str) -> Figure:
     words, first = _words(metric), rows[0]
     label = (
-        f"Sensitivity of the {words}: shares of the p-box's width [1] by coefficient; {first['coefficient']} has "
+        f"Sensitivity of the {words}: shares of the p-box's width [-] by coefficient; {first['coefficient']} has "
         f"{float(first['share_min']):.2g} to {float(first['share_max']):.2g}."
     )
-    name, x = f"{prefix}sensitivity-{metric.replace('_', '-')}", Scale("share of the p-box's width [1]", 0.0, 1.0)
+    name, x = f"{prefix}sensitivity-{metric.replace('_', '-')}", Scale("share of the p-box's width [-]", 0.0, 1.0)
     chart = rows_chart(name, label, x, [r["coefficient"] for r in rows], 22)
     for k, r in enumerate(rows):
         low, high = float(r["share_min"]), float(r["share_max"])

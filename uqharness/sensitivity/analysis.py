@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from uqharness.arguments import flag, instance, whole
 from uqharness.errors import BadInputError
 from uqharness.sensitivity.anova import anova
 from uqharness.sensitivity.corner_pairs import corner_pairs
@@ -31,6 +32,9 @@ class Sensitivity:
     """Results by output, then by method."""
 
     results: Mapping[str, Mapping[str, MethodResult]]
+
+    def __repr__(self) -> str:
+        return f"Sensitivity({', '.join(self.results)}; text() is the table)"
 
     def __getitem__(self, output: str) -> Mapping[str, MethodResult]:
         return self.results[output]
@@ -69,7 +73,7 @@ def analyse(study: Study, methods: Sequence[str] = METHODS, seed: int = 0, inter
     Raises
     ------
     BadInputError
-        For an unknown method.
+        For what is no study, and an unknown method.
 
     References
     ----------
@@ -83,6 +87,9 @@ def analyse(study: Study, methods: Sequence[str] = METHODS, seed: int = 0, inter
     >>> bool(found.indices["a"].value > found.indices["b"].value)
     True
     """
+    instance("study", study, Study, "a Study, as run_study gives it,")
+    whole("seed", seed)
+    flag("intervals", intervals)
     unknown = sorted(set(methods) - set(METHODS))
     if unknown:
         raise BadInputError(f"methods {', '.join(unknown)}: choose among {', '.join(METHODS)}")

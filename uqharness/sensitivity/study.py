@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 
 from sysid.foreign.parsed_text import parse_json
+from uqharness.arguments import flag, instance, whole
+from uqharness.arguments import path as file_path
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.sensitivity.array_archive import read_arrays
@@ -64,6 +66,9 @@ class Study:
     theta: Array
     chance: bool
     outputs: Mapping[str, Evaluations]
+
+    def __repr__(self) -> str:
+        return f"Study({len(self.theta)} samples of {', '.join(self.names)}; {', '.join(self.outputs)})"
 
     @property
     def width(self) -> Array:
@@ -138,6 +143,10 @@ def run_study(
     >>> study.theta.shape, list(study.outputs)
     ((64, 2), ['output'])
     """
+    whole("samples", samples)
+    whole("draws", draws)
+    whole("seed", seed)
+    flag("vectorised", vectorised)
     problem = make_problem(epistemic, aleatory, nominal, step)
     _check(problem, samples, draws, methods)
     rng = np.random.default_rng(seed)
@@ -283,7 +292,7 @@ def write_study(study: Study, path: str | Path) -> None:
     Raises
     ------
     BadInputError
-        Where that cannot be written.
+        For what is no study, and where it cannot be written.
 
     Examples
     --------
@@ -291,6 +300,8 @@ def write_study(study: Study, path: str | Path) -> None:
     >>> study = sensitivity.run_study(lambda a: a**2, {"a": (0, 1)}, samples=16)
     >>> sensitivity.write_study(study, "study.npz")
     """
+    instance("study", study, Study, "a Study, as run_study gives it,")
+    target = file_path("path", path)
     arrays: dict[str, Any] = {name: getattr(study, name) for name in _ARRAYS}
     header = {"names": list(study.names), "outputs": list(study.outputs), "chance": study.chance}
     arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
@@ -301,7 +312,7 @@ def write_study(study: Study, path: str | Path) -> None:
                 arrays[f"{number}/{field.name}"] = values
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
-    write_bytes(Path(path), buffer.getvalue())
+    write_bytes(target, buffer.getvalue())
 
 
 def read_study(path: str | Path) -> Study:

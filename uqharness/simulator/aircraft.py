@@ -11,6 +11,7 @@ from typing import Any
 
 from lxml import etree
 
+from uqharness.arguments import path as argument_path
 from uqharness.errors import BadInputError
 from uqharness.project_files import PROJECT_ROOT as PROJECT_ROOT
 from uqharness.simulator import engine
@@ -29,6 +30,9 @@ class Aircraft:
     card: Card
     engine_path: Path
     systems_path: Path
+
+    def __repr__(self) -> str:
+        return f"Aircraft({self.name!r}, {str(self.folder)!r})"
 
     @property
     def xml(self) -> Path:
@@ -76,7 +80,7 @@ def find_aircraft(name_or_folder: str | Path) -> Aircraft:
     >>> aircraft.name, aircraft.dt_s
     ('espaaro', 0.01)
     """
-    return _read_aircraft(find_folder(name_or_folder))
+    return _read_aircraft(find_folder(argument_path("aircraft", name_or_folder)))
 
 
 def find_folder(name_or_folder: str | Path) -> Path:

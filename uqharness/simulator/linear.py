@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from uqharness.arguments import instance
 from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import Aircraft
 from uqharness.simulator.trim import BodyState, Trim, body_velocity, force_state
@@ -19,6 +20,8 @@ LATERAL = (1, 3, 5, 6)
 
 # Central-difference steps: m/s, rad/s and rad; controls take a thousandth of their span.
 _STEP = {"u": 0.05, "v": 0.05, "w": 0.05, "p": 1e-3, "q": 1e-3, "r": 1e-3, "phi": 1e-3, "theta": 1e-3}
+# Accelerations [m/s2, rad/s2] of an aircraft in the trim that was found for it; find_trim leaves less than 1e-6.
+_STILL = 1e-4
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,9 @@ class LinearModel:
     A: NDArray[np.float64]
     B: NDArray[np.float64]
     controls: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"LinearModel(A {self.A.shape}, B {self.B.shape}, controls {', '.join(self.controls)})"
 
 
 @dataclass(frozen=True)
@@ -46,8 +52,9 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
     """A (8, 8) and B (8, controls) by central differences of the model's accelerations and exact attitude kinematics.
 
     Actuators are outside (a control here is a surface position) and thrust follows its map at fixed throttle. Raises
-    BadInputError if the trim did not converge.
+    BadInputError if the trim did not converge or is of another aircraft.
     """
+    instance("trim", trim, Trim, "a Trim, as find_trim gives it,")
     if not trim.converged:
         raise BadInputError(f"cannot linearise: {trim.reason}")
     condition = trim.condition
@@ -62,6 +69,9 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
         return np.array([*acceleration, phi_dot, theta_dot])
 
     base = dict(trim.controls)
+    known = aircraft.card.inputs.keys() >= base.keys()
+    if not (known and np.max(np.abs(derivative(centre, base)[:6])) <= _STILL):
+        raise BadInputError(f"this trim is not of aircraft '{aircraft.name}', which is not in steady flight there; find its own")
     A = np.empty((8, 8))
     for column, name in enumerate(STATES):
         A[:, column] = _central(

@@ -78,6 +78,10 @@ class Trim:
     residual: NDArray[np.float64]
     velocity_ned_mps: tuple[float, float, float]
 
+    def __repr__(self) -> str:
+        said = f"alpha {self.alpha_rad:.4g} rad" if self.converged else self.reason
+        return f"Trim({self.condition.V_mps:g} m/s at {self.condition.altitude_m:g} m, {said})"
+
 
 def pitch_for_climb(alpha: float, beta: float, phi: float, climb: float) -> float:
     """Pitch angle [rad] that gives the flight-path angle ``climb`` at bank ``phi`` (Stevens & Lewis, rate-of-climb constraint)."""

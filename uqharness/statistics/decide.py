@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from uqharness.statistics.rates import Array, bet_logs, log_e_above, log_e_below
 
 YES, NO, OPEN = "yes", "no", "open"
-ANSWERS = (YES, NO, OPEN)
 WITHIN_ZONE, USED_UP = "within the indifference zone", "all flights flown"
 
 

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from uqharness.arguments import number
+
 Array = NDArray[np.float64]
 
 MAX_POINTS = 512
@@ -50,12 +52,18 @@ class PBox:
     corner_lower: NDArray[np.str_]
     corner_upper: NDArray[np.str_]
 
+    def __repr__(self) -> str:
+        return f"PBox({self.value.size} values from {self.value[0]:g} to {self.value[-1]:g})"
+
     def quantile(self, probability: float) -> tuple[float, float]:
-        """Interval of the p-box's quantile; the right end is inf where failures or chance leave it open."""
+        """Interval of the p-box's quantile; the right end is inf where failures or chance leave it open.
+
+        Raises BadInputError for a probability that is none.
+        """
         return _first(self.value, self.upper, probability), _first(self.value, self.lower, probability)
 
     def band_quantile(self, probability: float) -> tuple[float, float]:
-        """The same for the band: -inf or inf where too few flights were flown to say."""
+        """The same for the band: -inf or inf where too few flights were flown to say. Raises BadInputError likewise."""
         left = _first(self.value, self.band_upper, probability)
         if left == self.value[0]:
             left = -np.inf
@@ -63,6 +71,7 @@ class PBox:
 
 
 def _first(value: Array, probability: Array, wanted: float) -> float:
+    wanted = number("probability", wanted, "a number from 0 to 1", lambda given: 0.0 <= given <= 1.0)
     reached = np.flatnonzero(probability >= wanted - 1e-12)
     return float(value[reached[0]]) if reached.size else float("inf")
 

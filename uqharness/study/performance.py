@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqharness.campaign import CONFIDENCE, Condition, Statement, in_condition, read_sensitivity, samples
+from uqharness.campaign import CONFIDENCE, Condition, Statement, hardest_of, in_condition, read_sensitivity, samples
 from uqharness.campaign.conditions import conditions
 from uqharness.campaign.folder import read_cases, read_complete, read_decisions
 from uqharness.campaign.statements import statements
@@ -76,7 +76,7 @@ def performance(out: Path, both: bool) -> Iterator[Sentence]:
         yield "No excursion can be counted: this aircraft publishes no distance from a path.", WARN
     elif len(found) > 1:
         yield _tally(last)
-    told = found if len(found) <= CONDITIONS_TOLD else [_hardest(found)]
+    told = found if len(found) <= CONDITIONS_TOLD else [hardest_of(found)]
     for condition in told:
         for item in _asked(last.signed, condition):
             yield _excursions(item, _same(flown[BEFORE].signed, item) if both else None)
@@ -96,11 +96,6 @@ def _asked(signed: Sequence[Statement], condition: Condition) -> list[Statement]
     """The statement about the smallest radius, which is what is asked; none where no distance from a path is known."""
     here = [item for item in signed if item.cell.condition == condition and item.cell.distance == "horizontal"]
     return sorted(here, key=lambda item: item.cell.radius_m)[:1]
-
-
-def _hardest(found: Sequence[Condition]) -> Condition:
-    order = ("none", "light", "moderate", "severe")
-    return max(found, key=lambda item: (order.index(item.turbulence), item.wind_mps))
 
 
 def _same(signed: Sequence[Statement], wanted: Statement) -> Statement | None:

@@ -64,7 +64,7 @@ def _refined(document: Mapping[str, Any]) -> Iterator[Sentence]:
         for c, g in gap.items()
         if all(g[k] is not None for k in g) and g["noise_rms"] > 0.0
     }
-    flown = f"On {', '.join(_stems(document['test']))}, which chose nothing, rms over noise"
+    flown = f"On the hold-out flights ({', '.join(_stems(document['test']))}) rms over noise"
     above = {c: r for c, r in ratios.items() if max(r) > _ABOVE_NOISE}
     if not above:
         most = max((max(r) for r in ratios.values()), default=math.nan)

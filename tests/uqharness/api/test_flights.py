@@ -11,7 +11,7 @@ import pytest
 
 import uqharness as uq
 from sysid.record import FlightRecord
-from sysid.vocabulary import CORE
+from sysid.vocabulary import SIGNALS
 from uqharness.api.flights import given_flights
 from uqharness.cli.main import main
 from uqharness.simulator.aircraft import find_aircraft
@@ -43,7 +43,8 @@ def test_a_flight_is_that_of_the_command(ending: str, tmp_path: Path, capsys: py
 def test_its_table_holds_every_column_of_the_record():
     flight = flown()
     table = flight.to_dataframe()
-    assert set(CORE) | {"elevator_pos_deg", "manoeuvre"} <= set(table.columns)
+    core = {s.name for s in SIGNALS.values() if s.core}
+    assert core | {"elevator_pos_deg", "manoeuvre"} <= set(table.columns)
     assert list(table.columns) == list(flight.record.columns)
     assert len(table) == len(flight) == 301
     np.testing.assert_array_equal(table["q_radps"], flight["q_radps"])
@@ -89,7 +90,7 @@ def test_flights_are_taken_as_they_are_given(tmp_path: Path):
         ({"wind_mps": float("nan")}, "wind_mps = nan"),
         ({"seed": -2}, "seed = -2"),
         ({"rate_hz": 7}, "record rate 7 Hz"),
-        ({"turbulence": "strong"}, "turbulence 'strong'"),
+        ({"turbulence": "strong"}, "turbulence = 'strong'"),
         ({"script": "nosuch"}, "script 'nosuch' not found"),
         ({"properties": {"no/such": 1.0}}, "no/such"),
     ],

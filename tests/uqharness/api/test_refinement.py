@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -23,8 +22,9 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list:
         found.append((request, [FlightRecord.read(p) for p in (*request.train, *request.test)]))
         return SimpleNamespace(document={"verdict": "none"})
 
-    monkeypatch.setattr("uqharness.refinement.run.refine", refine)
+    # The command first: its module binds the function when it is imported, and not the one that stands in.
     monkeypatch.setattr("uqharness.cli.refine.refine", refine)
+    monkeypatch.setattr("uqharness.refinement.run.refine", refine)
     monkeypatch.setattr("uqharness.cli.refine.write_results", lambda *a: None)
     monkeypatch.setattr("uqharness.cli.refine.write_report", lambda *a, **k: SimpleNamespace(text=""))
     monkeypatch.setattr(refinement, "write_results", lambda *a: None)
@@ -40,8 +40,9 @@ def test_it_asks_what_the_command_asks(asked: list, tmp_path: Path):
     assert main(["refine", "espaaro", *words]) == 0
     uq.refine("espaaro", train=files[0], test=[str(files[1])], out=tmp_path / "out", pbox=False, workers=1)
     command, python = (request for request, _ in asked)
-    assert replace(command, command=()) == replace(python, command=())
-    assert python.command == ("uqharness", "refine", "espaaro", "--train", "a.parquet", "--test", "b.parquet")
+    assert command == python
+    wanted = ["--train", "a.parquet", "--test", "b.parquet", "--no-pbox", "--workers", "1"]
+    assert python.command == ("uqharness", "refine", "espaaro", *wanted)
 
 
 def test_flights_in_memory_are_handed_on(asked: list, tmp_path: Path):
@@ -54,7 +55,9 @@ def test_flights_in_memory_are_handed_on(asked: list, tmp_path: Path):
     for record, flight in zip(records, flights, strict=True):
         assert record["q_radps"].tolist() == flight["q_radps"].tolist()
     assert not request.train[0].exists()
-    assert (tmp_path / "deep" / "out").is_dir()
+    # No command reads what is in memory.
+    assert request.command == ()
+    assert not (tmp_path / "deep").exists()
 
 
 @pytest.mark.parametrize(
@@ -66,10 +69,48 @@ def test_flights_in_memory_are_handed_on(asked: list, tmp_path: Path):
         ({"train": []}, "BadInputError", "at least one flight"),
         ({"effects": "nowhere.toml"}, "LogError", r"nowhere\.toml"),
         ({"out": __file__}, "BadInputError", "no folder"),
+        ({"out": None}, "BadInputError", "out = None: a path"),
+        ({"aircraft": 5}, "BadInputError", "aircraft = 5: a path"),
+        ({"train": 5}, "BadInputError", "flights = 5"),
+        ({"pbox": "stormy"}, "BadInputError", "pbox = 'stormy': True or False"),
+        ({"figures": 1}, "BadInputError", "figures = 1"),
+        ({"workers": "2"}, "BadInputError", "workers = '2': a whole number of at least 1 is needed"),
+        ({"workers": 1.5}, "BadInputError", r"workers = 1\.5"),
+        ({"on_stage": 3}, "BadInputError", "on_stage = 3"),
+        ({"effects": 3}, "BadInputError", "effects = 3"),
     ],
 )
 def test_bad_input_is_said(asked: list, tmp_path: Path, wrong: dict, error: str, message: str):
-    given = {"train": tmp_path / "a.parquet", "test": tmp_path / "b.parquet", "out": tmp_path / "out"}
+    given = {"aircraft": "espaaro", "train": tmp_path / "a.parquet", "test": tmp_path / "b.parquet", "out": tmp_path / "out"}
     with pytest.raises(getattr(uq, error), match=message):
-        uq.refine("espaaro", **(given | wrong))
+        uq.refine(**(given | wrong))
     assert asked == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_option_is_in_the_command(asked: list, tmp_path: Path):
+    files = [tmp_path / f"{name}.parquet" for name in "ab"]
+    for seed, path in enumerate(files):
+        uq.fly("espaaro", "trim", duration_s=3, noise=True, seed=seed).write(path)
+    effects, campaign, out = tmp_path / "own.toml", tmp_path / "mission.toml", tmp_path / "out"
+    effects.write_text('[[effect]]\nname = "own"\ncoefficient = "Cm"\nterm = "alpha^3"\n')
+    words = ["--train", str(files[0]), "--test", str(files[1]), "--servos", "ideal", "--effects", str(effects)]
+    assert main(["refine", "espaaro", *words, "--campaign", str(campaign), "--no-figures", "--out", str(out)]) == 0
+    options = {"servos": "ideal", "effects": effects, "campaign": campaign, "figures": False}
+    uq.refine("espaaro", train=files[0], test=files[1], out=out, **options)
+    command, python = (request for request, _ in asked)
+    assert command == python
+    assert {"--effects", "own.toml", "--campaign", "mission.toml", "--no-figures", "ideal"} <= set(python.command)
+
+
+@pytest.mark.parametrize("way", ["python", "command"])
+def test_flights_that_cannot_be_used_leave_no_folder(way: str, tmp_path: Path):
+    file, out = tmp_path / "a.parquet", tmp_path / "out"
+    uq.fly("espaaro", "trim", duration_s=3, noise=True).write(file)
+    for test, message in ((tmp_path / "none.parquet", r"none\.parquet"), (file, "the same flight")):
+        if way == "python":
+            with pytest.raises((uq.BadInputError, uq.LogError), match=message):
+                uq.refine("espaaro", train=file, test=test, out=out)
+        else:
+            assert main(["refine", "espaaro", "--train", str(file), "--test", str(test), "--out", str(out)]) == 2
+        assert not out.exists()

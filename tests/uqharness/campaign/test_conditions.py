@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from uqharness.campaign.columns import ERROR_METRICS
-from uqharness.campaign.conditions import Condition, conditions, excursion_cells, in_condition, pboxes, samples
+from uqharness.campaign.conditions import Condition, conditions, excursion_cells, hardest_of, in_condition, pboxes, samples
 
 METRIC = ERROR_METRICS[0]
 
@@ -30,6 +30,12 @@ def test_conditions_in_the_tables_order_and_in_words():
     assert Condition(3.0, "none").label == "3 m/s none"
     assert Condition(3.0, "none").words == "3 m/s wind and no turbulence"
     assert Condition(3.5, "severe").words == "3.5 m/s wind and severe turbulence"
+
+
+def test_the_hardest_is_the_strongest_turbulence_before_the_strongest_wind():
+    found = [Condition(9.0, "light"), Condition(3.0, "severe"), Condition(5.0, "severe"), Condition(12.0, "none")]
+    assert hardest_of(found) == Condition(5.0, "severe")
+    assert hardest_of(found[::3]) == Condition(9.0, "light")
 
 
 def test_what_is_not_known_of_a_flight_is_counted():

@@ -223,6 +223,7 @@ def test_a_folder_of_something_else_is_refused(tmp_path):
     (tmp_path / "out" / "thesis.tex").write_text("mine")
     with pytest.raises(BadInputError, match="not empty and not a campaign folder"):
         run(tmp_path, "out")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["thesis.tex"]
     (tmp_path / "file").write_text("")
     with pytest.raises(BadInputError, match="cannot be made"):
         run(tmp_path, "file/out")

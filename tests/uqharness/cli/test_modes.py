@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
+
+import pytest
 
 from uqharness.cli.main import main
+from uqharness.cli.modes import _measured
+from uqharness.flight import Assessment
 
 
 def test_json_has_the_contracted_keys(capsys):
@@ -29,6 +34,17 @@ def test_the_table_names_every_mode(capsys):
     assert main(["modes", "espaaro", "--speed-mps", "22.2"]) == 0
     said = capsys.readouterr().out
     assert all(name in said for name in ("short_period", "phugoid", "dutch_roll", "MIL-F-8785C"))
+
+
+@pytest.mark.parametrize(
+    ("criterion", "value", "unit", "text"),
+    [
+        ("time to double", math.inf, "s", "stable"), ("time to double", 12.34, "s", "time to double 12.3 s"),
+        ("time constant", math.nan, "s", "time constant undefined"), ("damping", 0.456, "1", "damping 0.456"),
+    ],
+)  # fmt: skip
+def test_a_criterion_is_told_in_words(criterion, value, unit, text):
+    assert _measured(Assessment("spiral", criterion, value, unit, 1, "3.3.1.3")) == text
 
 
 def test_no_trim_is_an_answer_and_not_an_error(capsys):

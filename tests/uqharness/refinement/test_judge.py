@@ -11,8 +11,8 @@ import pytest
 from sysid.effects.catalogue import Effect
 from sysid.effects.selection import Choice, Selection
 from uqharness.refinement import judge as refine_judge
+from uqharness.refinement.find import Found
 from uqharness.refinement.judge import BEYOND_CHANCE, gap_change
-from uqharness.refinement.refine import Found
 
 
 def shown(white: list[np.ndarray], deviation: float = 1.0) -> SimpleNamespace:

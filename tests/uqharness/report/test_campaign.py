@@ -61,7 +61,7 @@ def test_all_figures_are_there_with_their_words(folder, page):
     for figure in figures:
         assert "Half of the flights stay below" in figure.find(".//svg").get("aria-label")
         text = " ".join(figure.itertext())
-        assert "probability of at most" in text
+        assert "cumulative probability" in text
         assert "p-box (envelope)" in text
         assert re.search(r"\[(m|m/s)\]", text)
     files = sorted((folder / "figures").glob("*.svg"))

@@ -42,7 +42,7 @@ def test_a_band_where_the_noise_is_known(noise, bands):
 def test_pieces_stand_end_to_end_with_a_gap_and_what_is_outside_is_marked():
     found = [History(k, "f", "m", TIME + 50.0 * k, {"Cm": np.where(TIME < 0.1, 9.0, 0.0)}) for k in range(2)]
     band = ([np.full(TIME.size, -1.0)] * 2, [np.full(TIME.size, 1.0)] * 2, "")
-    figure = end_to_end(found, "n", [("Cm", "plain", "")], band, "label", "Cm [1]", "caption", outside=True)
+    figure = end_to_end(found, "n", [("Cm", "plain", "")], band, "label", "Cm [-]", "caption", outside=True)
     root = etree.fromstring(str(figure.svg))
     assert [float(v) for v in root.get("data-x").split(",")] == pytest.approx([0.0, 2 * TIME[-1] + 0.5])
     (line,) = (e.get("d") for e in root.iter("path") if e.get("class") == "line plain")

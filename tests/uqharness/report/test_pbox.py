@@ -28,7 +28,7 @@ def test_many_samples_make_no_large_page():
     ("metric", "label"),
     [
         ("cross_track_median_m", "cross track median [m]"), ("speed_median_mps_measured", "speed median, measured [m/s]"),
-        ("heading_median_deg", "heading median [deg]"), ("excursions_15m", "excursions_15m [1]"), ("oddity", "oddity [1]"),
+        ("heading_median_deg", "heading median [deg]"), ("excursions_15m", "excursions_15m [-]"), ("oddity", "oddity [-]"),
     ],
 )  # fmt: skip
 def test_a_metric_names_its_unit(metric, label):

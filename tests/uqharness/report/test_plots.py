@@ -43,7 +43,7 @@ DRAW = {
     "model form": lambda ax: plot_model_form(FORM.coefficients["Cm"], "alpha_rad", ax, "Cm"),
 }
 LABELS = {
-    "pbox": ("median error [m]", "probability of at most the value below"), "history": ("time [s]", "q [deg/s]"),
+    "pbox": ("median error [m]", "cumulative probability [-]"), "history": ("time [s]", "q [deg/s]"),
     "overlay": ("time of the log [s]", "q [deg/s]"), "sensitivity": ("share of the p-box's width [-]", ""),
     "model form": ("alpha [deg]", "flight minus model, Cm [-]"),
 }  # fmt: skip

@@ -168,7 +168,7 @@ def refinement(verdict="effects-found", effects=(EFFECT,), after=1.0, where=()):
 def test_what_refinement_named_and_what_it_did_on_the_test_flight():
     (named, first), (gap, second) = chain_verdict._refined(refinement(after=0.25))
     assert named == ("Refinement named, from a: pitching moment due to roll rate squared, 2.98 ± 0.03 (aero/Cm_p2).")
-    assert gap.startswith("On c, which chose nothing, rms over noise went, from before to after: p_radps 4.00 to 1.00")
+    assert gap.startswith("On the hold-out flights (c) rms over noise went, from before to after: p_radps 4.00 to 1.00")
     assert (first, second) == ("good", "good")
     assert "V_mps" not in gap
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from typing import Any, Protocol
 
+from uqharness.arguments import whole
 from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction, attempt, work
 from uqharness.child_process import child_settings, ending, main_not_imported
 from uqharness.errors import BadInputError
@@ -103,12 +104,10 @@ class ProcessExecutor:
         retries: int = _RETRIES,
         keep: bool = False,
     ) -> None:
-        if workers < 1:
-            raise BadInputError(f"workers = {workers}: must be at least 1")
         if start_method not in multiprocessing.get_all_start_methods():
             known = ", ".join(multiprocessing.get_all_start_methods())
             raise BadInputError(f"start method '{start_method}': this system has {known}")
-        self.workers = workers
+        self.workers = whole("workers", workers, 1)
         self._context: Any = multiprocessing.get_context(start_method)
         self._timeout_s = timeout_s
         self._retries = retries

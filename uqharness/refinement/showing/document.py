@@ -12,8 +12,8 @@ from sysid.aerodynamics import COEFFICIENTS
 from sysid.effects import STRONG, Alternative, Choice, Disagreement, Effect, Refusal, dependence, disagreements
 from sysid.estimation import NOISE_FLOOR
 from uqharness.refinement.beside import left_in
+from uqharness.refinement.find import Found
 from uqharness.refinement.judge import Judged, Verdict
-from uqharness.refinement.refine import Found
 from uqharness.refinement.showing.show import Shown, gap_document, state_ranges
 from uqharness.refinement.showing.words import contradicted, separating_manoeuvre, unnamed, why
 from uqharness.refinement.types import Setup

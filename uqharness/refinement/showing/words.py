@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -41,7 +42,7 @@ def why(effect: Effect, choice: Choice) -> str:
     source = f" ({effect.reference})" if effect.reference else ""
     return (
         f"{effect.physics}{where}{source}. "
-        f"The flights want {choice.value:.4g} +/- {choice.std:.2g} ({sign}), |t| {abs(choice.t):.1f} with "
+        f"Estimate {choice.value:.4g} ± {choice.std:.2g} ({sign}), |t| {abs(choice.t):.1f} with "
         "standard errors corrected for coloured residuals"
     )
 
@@ -120,7 +121,7 @@ def test_says(effect: Mapping[str, Any]) -> str:
     """What the test flights say of one effect."""
     test = effect["test"]
     change, std = test["change_of_twice_log_likelihood"], test["std"]
-    number = f"twice the log likelihood {change:+.1f} +/- {std:.1f} with it"
+    number = f"twice the log likelihood {_with_error(change, std)} with it"
     if test["gap"] == "shrank":
         return f"on the test flights the gap shrank: {number}"
     if test["gap"] == "grew":
@@ -129,6 +130,14 @@ def test_says(effect: Mapping[str, Any]) -> str:
         far = f"{test['rms_over_that_of_train']:.0f} times as far from either model as the train flights"
         return f"the test flights do not tell: they lie {far}; look for what is wrong with them"
     return f"the test flights do not tell whether the gap shrank: {number}"
+
+
+def _with_error(value: float, std: float) -> str:
+    """``value ± std`` with three significant figures of the standard error, and as many places of the value."""
+    if not (math.isfinite(value) and math.isfinite(std) and std > 0.0):
+        return f"{value:+.4g} ± {std:.3g}"
+    places = 2 - math.floor(math.log10(std))
+    return f"{round(value, places):+.{max(places, 0)}f} ± {round(std, places):.{max(places, 0)}f}"
 
 
 def carried_by(effect: Mapping[str, Any]) -> str:

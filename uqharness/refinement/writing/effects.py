@@ -1,7 +1,7 @@
 """Effects written into a copy of an aircraft: a term where the author sums the coefficient, else a body-axis increment
 beside the axes.
 
-Every effect carries a remark with value, interval, data and command and, but for mass and dead zones (`refine_numbers_xml`), a
+Every effect carries a remark with value, interval, data and command and, but for mass and dead zones (`writing.numbers`), a
 property of its own that restores the model without it bit for bit: a term's at 0.
 """
 

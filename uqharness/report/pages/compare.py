@@ -108,8 +108,8 @@ def ratio_figure(
         return None
     largest = max(v for row in ratios.values() for v in row.values())
     label = "; ".join(f"{row}: {' to '.join(f'{v:.2f}' for v in values.values())}" for row, values in ratios.items())
-    x = Scale("rms of log minus model over noise [1]", 0.0, 1.08 * max(largest, 1.3))
-    label = f"Gap over noise [1] of the {what}. {label}."
+    x = Scale("rms of log minus model over noise [-]", 0.0, 1.08 * max(largest, 1.3))
+    label = f"Gap over noise [-] of the {what}. {label}."
     chart = rows_chart(name, label, x, tuple(ratios))
     chart.upright(1.0, "zero")
     chart.upright(LIMIT, "limit", f"limit {LIMIT:g}")
@@ -121,7 +121,7 @@ def ratio_figure(
             if key in ratios[row]:
                 chart.marker(ratios[row][key], float(k), kind, shape)
     shapes = ", ".join(f"{shape}: {key}" for key, _, shape in series)
-    return Figure(name, chart.svg(), f"Gap over noise [1] of the {what}; {shapes}. 1 is what noise alone gives.")
+    return Figure(name, chart.svg(), f"Gap over noise [-] of the {what}; {shapes}. 1 is what noise alone gives.")
 
 
 def _coefficient_section(rows: Mapping[str, Mapping[str, Any]], histories: Sequence[History], prefix: str) -> Section:
@@ -129,7 +129,7 @@ def _coefficient_section(rows: Mapping[str, Mapping[str, Any]], histories: Seque
     for name, row in rows.items():
         ratio = row["rms"] / row["noise"] if row.get("rms") is not None and row.get("noise") else None
         measured = shown(row.get("rms")), shown(row.get("noise"))
-        cells.append((f"{name} [1]", *measured, shown(ratio, ".2f"), shown(row.get("mean"), ".2g")))
+        cells.append((f"{name} [-]", *measured, shown(ratio, ".2f"), shown(row.get("mean"), ".2g")))
     head = ("Coefficient", "rms of flight minus model", "What noise gives", "Ratio", "Mean")
     table = Table("Gap between demanded and modelled coefficients (dimensionless, body axes).", head, tuple(cells), key=True)
     figures = []
@@ -137,9 +137,9 @@ def _coefficient_section(rows: Mapping[str, Mapping[str, Any]], histories: Seque
     for c in COEFFICIENTS:
         if have(histories, (f"{c}_flight", f"{c}_model")):
             drawn = [(key.format(c), kind, words) for key, kind, words in series]
-            label = f"{c} [1] that the flight demanded and that the model gives, segments end to end."
+            label = f"{c} [-] that the flight demanded and that the model gives, segments end to end."
             figures.append(
-                end_to_end(histories, f"{prefix}gap-{c}", drawn, None, label, f"{c} [1]", f"{c} [1], segments end to end")
+                end_to_end(histories, f"{prefix}gap-{c}", drawn, None, label, f"{c} [-]", f"{c} [-], segments end to end")
             )
     legend = (("second thin", "flight"), ("first thin", "model"))
     blocks = (Figures(tuple(figures), legend, file="coefficients"),) if figures else ()
@@ -157,12 +157,12 @@ def _manoeuvre_section(found: Mapping[str, Any]) -> Section:
             (label, *(shown(({**row["channels"], **row["coefficients"]}).get(n), ".2f") for n in names))
             for label, row in manoeuvres.items()
         )
-        blocks.append(Table("rms over noise [1] by manoeuvre, channels then coefficients.", head, rows))
+        blocks.append(Table("rms over noise [-] by manoeuvre, channels then coefficients.", head, rows))
     moments = [
         (f"{m['time_s']:.2f}", shown_channel(m["channel"])[0], m["manoeuvre"], shown(m["noises"], ".1f"))
         for m in found.get("moments", ())[:10]
     ]
     if moments:
-        head = ("Time [s]", "Channel", "Manoeuvre", "Gap in noises [1]")
+        head = ("Time [s]", "Channel", "Manoeuvre", "Gap in sigma [-]")
         blocks.append(Table("The worst moments.", head, tuple(moments), key=True))
     return Section("Where the gap is", tuple(blocks) or (Words("Not recorded."),))

@@ -14,6 +14,8 @@ KINDS = (
 )  # fmt: skip
 """File that marks a folder, and the command that writes it; the first that is there counts."""
 
+_NEXT_FLIGHT = "next-flight.json"
+
 
 def kind_of(folder: Path) -> str:
     """Command whose results ``folder`` holds. Raises BadInputError for none, with what was looked for."""
@@ -22,6 +24,11 @@ def kind_of(folder: Path) -> str:
     for name, kind in KINDS:
         if (folder / name).is_file():
             return kind
+    if (folder / _NEXT_FLIGHT).is_file():
+        raise BadInputError(
+            f"{folder}: next-flight writes its report.html itself and report does not; open that page, or run uqharness "
+            "next-flight again to write it anew"
+        )
     looked = ", ".join(f"{name} ({kind})" for name, kind in KINDS)
     raise BadInputError(f"{folder}: no results to report on; looked for {looked}")
 

@@ -68,9 +68,9 @@ def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Say, ...]:
         model = [f"{c} {v:.1f}" for c, v in ratios.items() if v >= 1.5]
         noise = [f"{c} {v:.1f}" for c, v in ratios.items() if v < 1.5]
         if model:
-            said.append(Say(f"Wider than the sensors' noise forces, so the model's own: {', '.join(model)} times."))
+            said.append(Say(f"{', '.join(model)} times the width due to sensor noise: the model contributes."))
         if noise:
-            said.append(Say(f"Hardly wider than the sensors' noise forces, so the sensors': {', '.join(noise)} times.", "warn"))
+            said.append(Say(f"{', '.join(noise)} times the width due to sensor noise: sensor noise alone explains it.", "warn"))
     kept = {c: r["left_out_share"] for c, r in rows.items() if r.get("left_out_share") is not None}
     if kept:
         worst = min(kept, key=lambda c: kept[c])
@@ -92,17 +92,17 @@ def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Se
         walk = None if not np.isfinite(b.walk_rate) else 100.0 * b.walk_rate
         table.append(
             (
-                f"{c} [1]", str(len(b.terms)), str(b.n), shown(b.n_effective, ".0f"), shown(float(np.sqrt(b.s2))), shown(width),
+                f"{c} [-]", str(len(b.terms)), str(b.n), shown(b.n_effective, ".0f"), shown(float(np.sqrt(b.s2))), shown(width),
                 shown(forced), shown(ratio, ".2f"), shown(walk, ".2g"),
             )
         )  # fmt: skip
     head = (
-        "Coefficient", "Terms", "Samples", "Independent", "Residual's standard deviation", "Mean width", "Width noise forces",
-        "Ratio", "Walk [%/√s]",
+        "Coefficient", "Terms", "Samples", "Independent", "Residual's standard deviation", "Mean width",
+        "Width due to sensor noise", "Ratio", "Walk [%/√s]",
     )  # fmt: skip
     text = (
-        "Independent: what the autocorrelated samples are worth. Width noise forces: what adding the sensors' noise once more "
-        "gives; a ratio near 1 says that the interval is the sensors', not the model's."
+        "Independent: what the autocorrelated samples are worth. Width due to sensor noise: what adding it once more gives; "
+        "at a ratio near 1 sensor noise alone explains the interval."
     )
     wide = Table("Bounds by coefficient.", head, tuple(table), key=True)
     return Section("How wide the bounds are", (Words(text, note=True), wide))
@@ -150,10 +150,10 @@ def _slice(
         close = near_slice(b, state, states)
         near = np.flatnonzero(close)[:: max(1, int(close.sum()) // _MOST_DOTS)]
     label = (
-        f"Bounds of {coefficient} [1] along {quantity} [{unit}] from {factor * at[0]:.3g} to {factor * at[-1]:.3g}: "
+        f"Bounds of {coefficient} [-] along {quantity} [{unit}] from {factor * at[0]:.3g} to {factor * at[-1]:.3g}: "
         f"{lower[40]:.2g} to {upper[40]:.2g} at the middle."
     )
-    y = scale(f"flight minus model, {coefficient} [1]", [lower, upper, *others, values[near]])
+    y = scale(f"flight minus model, {coefficient} [-]", [lower, upper, *others, values[near]])
     x = scale(axis_label(state), [factor * at], margin=0.0)
     chart = Chart(f"{prefix}slice-{coefficient}-{state}", label, x, y, height=190)
     ends = factor * np.array([low, high])
@@ -217,11 +217,11 @@ def within_section(pieces: Sequence[History], names: Sequence[str], title: str, 
             [(h.columns[c] >= low) & (h.columns[c] <= high) for h, low, high in zip(pieces, *band[:2], strict=True)]
         )
         share = 100.0 * float(np.mean(inside))
-        label = f"Flight minus model, {c} [1], along the pieces within its bounds: {share:.1f} % of the samples lie inside."
+        label = f"Flight minus model, {c} [-], along the pieces within its bounds: {share:.1f} % of the samples lie inside."
         figures.append(
             end_to_end(
-                pieces, f"{prefix}within-{c}", [(c, "plain thin", "")], band, label, f"flight minus model, {c} [1]",
-                f"{c} [1]: {share:.1f} % of the samples inside", outside=True,
+                pieces, f"{prefix}within-{c}", [(c, "plain thin", "")], band, label, f"flight minus model, {c} [-]",
+                f"{c} [-]: {share:.1f} % of the samples inside", outside=True,
             )
         )  # fmt: skip
     legend = (("plain thin", "flight minus model"), ("fill1", "bounds"), ("dotout", "outside the bounds"))
@@ -234,7 +234,7 @@ def _left_out_section(details: Mapping[str, Any]) -> Section:
         return Section("Leaving one manoeuvre out", (Words("Not checked, or not kept in this folder."),))
     names = list(next(iter(rows.values())))
     cells = tuple((m, *(_share(row.get(c)) for c in names)) for m, row in rows.items())
-    caption = "Share of a manoeuvre's samples [1] inside the bounds that the other manoeuvres give."
+    caption = "Share of a manoeuvre's samples [-] inside the bounds that the other manoeuvres give."
     return Section("Leaving one manoeuvre out", (Table(caption, ("Manoeuvre left out", *names), cells),))
 
 
@@ -265,7 +265,7 @@ def _filter_section(form: ModelForm, details: Mapping[str, Any]) -> tuple[Sectio
     for low_pass, airspeed, width, share in ((cut.cutoff_hz, cut.airspeed_cutoff_hz, widths, shares), *tried):
         filters = (shown(low_pass, "g"), "none" if airspeed is None or np.isinf(airspeed) else f"{airspeed:g}")
         rows.append((*filters, *(f"{shown(width.get(c), '.2g')} ({shown(share.get(c), '.2f')})" for c in used)))
-    table = Table("Mean width [1], and share inside when left out.", ("Filter [Hz]", "Airspeed [Hz]", *used), tuple(rows))
+    table = Table("Mean width [-], and share inside when left out.", ("Filter [Hz]", "Airspeed [Hz]", *used), tuple(rows))
     return (Section("Other filters", (table,)),)
 
 
@@ -326,7 +326,7 @@ def _coverage_section(found: Mapping[str, Any]) -> Section:
         size = (shown(row.get("n_effective"), ".0f"), shown(row.get("mean_width")), beyond, published)
         rows.append((c, Cell(first, level), second, *size))
     head = (
-        "Coefficient", "Inside the 95 % bounds [%]", "Inside the 68 % bounds [%]", "Independent samples", "Mean width [1]",
+        "Coefficient", "Inside the 95 % bounds [%]", "Inside the 68 % bounds [%]", "Independent samples", "Mean width [-]",
         "Outside the data [%]", "Table 2.3 [%]",
     )  # fmt: skip
     text = (

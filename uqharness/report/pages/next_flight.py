@@ -94,9 +94,9 @@ def _profile(b: CoefficientBounds, state: str, values: Array, before: Array, aft
     scatter = b.t * float(np.sqrt(b.s2))
     many = count >= 3
     means = [np.bincount(bins, curve, _BINS)[many] / count[many] for curve in (before, after)]
-    y = Scale(f"half-width of {coefficient} [1]", 0.0, 1.1 * max(scatter, *(float(m.max(initial=0.0)) for m in means)))
+    y = Scale(f"half-width of {coefficient} [-]", 0.0, 1.1 * max(scatter, *(float(m.max(initial=0.0)) for m in means)))
     x = Scale(axis_label(state), factor * low, factor * high)
-    chart = Chart(f"half-width-{state}", f"Half-width of {coefficient} [1] along {quantity} [{unit}], now and after.", x, y, 190)
+    chart = Chart(f"half-width-{state}", f"Half-width of {coefficient} [-] along {quantity} [{unit}], now and after.", x, y, 190)
     chart.band(factor * edges, np.zeros(_BINS + 1), np.append(0.6 * y.high * count / count.max(), 0.0), "fillrange", steps=True)
     middle = factor * 0.5 * (edges[1:] + edges[:-1])[many]
     for mean, kind in zip(means, ("second", "first"), strict=True):

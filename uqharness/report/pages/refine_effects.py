@@ -12,14 +12,15 @@ from uqharness.report.svg import Scale, rows_chart
 
 def headline(e: Mapping[str, Any]) -> str:
     """Name, value and standard error of an effect."""
-    return f"{_capital(e['name'])}: {shown(e['value'], '.5g')} ± {shown(e['std'], '.2g')}{_unit(e)}"
+    return f"{capital(e['name'])}: {shown(e['value'], '.5g')} ± {shown(e['std'], '.2g')}{_unit(e)}"
 
 
 def _unit(e: Mapping[str, Any]) -> str:
     return "" if e.get("unit") in (None, "", "1") else f" {e['unit']}"
 
 
-def _capital(text: str) -> str:
+def capital(text: str) -> str:
+    """The text with a capital first letter; the rest as it is."""
     return text[:1].upper() + text[1:]
 
 
@@ -38,16 +39,16 @@ def effect_section(done: Mapping[str, Any], prefix: str = "") -> Section:
             ("Property", carried_by(e)),
         ]  # fmt: skip
         blocks: list[Block] = [
-            Words(f"{_capital(e['why']).rstrip('.')}.".replace("+/-", "±")),
+            Words(f"{capital(e['why']).rstrip('.')}."),
             Table(f"Evidence for {e['name']}.", ("Evidence", "Value"), tuple(rows)),
         ]
         if e.get("test"):
             said = test_says(e)
-            blocks.insert(0, Words(f"{_capital(said)}."))
+            blocks.insert(0, Words(f"{capital(said)}."))
         told = [
-            f"Told from {a['name']}."
+            f"Distinguished from {a['name']}."
             if a["separable"]
-            else f"Not told from {a['name']}. Would separate them: {a['would_separate']}."
+            else f"Confounded with {a['name']}. Would separate them: {a['would_separate']}."
             for a in e.get("alternatives", ())
         ]
         if told:
@@ -74,13 +75,13 @@ def _candidates(done: Mapping[str, Any], prefix: str) -> Figure | None:
     if not rows:
         return None
     chosen = {f"{e.get('coefficient') or e.get('subsystem')} {e['term']}" for e in done["effects"]}
-    label = "Candidate effects by |t| [1], each alone: " + ", ".join(f"{n} {t:.1f}" for n, t in rows[:5]) + "."
+    label = "Candidate effects by |t| [-], each alone: " + ", ".join(f"{n} {t:.1f}" for n, t in rows[:5]) + "."
     limit = board.get("limit")
-    x = Scale("|t| of the score test [1]", 0.0, 1.08 * max([t for _, t in rows] + [limit or 0.0]))
+    x = Scale("|t| of the score test [-]", 0.0, 1.08 * max([t for _, t in rows] + [limit or 0.0]))
     chart = rows_chart(f"{prefix}candidates", label, x, [f"{name} ●" if name in chosen else name for name, _ in rows])
     for k, (name, t) in enumerate(rows):
         chart.across(0.0, t, k, "thick" if name in chosen else "wide")
     if limit is not None:
         chart.upright(limit, "limit", "reached by chance by the best of all")
-    caption = "What explains the disagreement of the train flights, each alone: |t| [1]. Chosen ones are dark and carry a ●."
+    caption = "What explains the disagreement of the train flights, each alone: |t| [-]. Chosen ones are dark and carry a ●."
     return Figure(chart.name, chart.svg(), caption)

@@ -25,7 +25,7 @@ def interval_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
         before, after = r["width_before"], r["width_after"]
         level: Level = "" if before is None or after is None or before == after else "good" if after < before else "bad"
         rows.append((name, shown(before), Cell(shown(after), level), *(_share(r, when) for when in ("before", "after"))))
-    head = ("Coefficient [1]", "Mean width before", "After", "Test samples inside before [%]", "After [%]")
+    head = ("Coefficient [-]", "Mean width before", "After", "Test samples inside before [%]", "After [%]")
     caption = f"{100.0 * intervals['confidence']:g} % intervals of each model, fitted on the train flights."
     text = "As uqharness bounds fits them, one set for each model; ± is one standard error, neighbouring samples being alike."
     figures = Figures(_interval_figures(intervals, prefix), (("second", "before"), ("first", "after")), file="intervals")
@@ -38,14 +38,14 @@ def _interval_figures(intervals: Mapping[str, Any], prefix: str) -> tuple[Figure
     widths = {c: r["width_after"] / r["width_before"] for c, r in rows.items() if r["width_after"] and r["width_before"]}
     out = []
     if widths:
-        label = "Mean width after over before [1]: " + ", ".join(f"{c} {v:.2f}" for c, v in widths.items()) + "."
-        x = Scale("mean width after over before [1]", 0.0, 1.1 * max(1.0, *widths.values()))
+        label = "Mean width after over before [-]: " + ", ".join(f"{c} {v:.2f}" for c, v in widths.items()) + "."
+        x = Scale("mean width after over before [-]", 0.0, 1.1 * max(1.0, *widths.values()))
         chart = rows_chart(f"{prefix}interval-widths", label, x, tuple(rows), 24)
         chart.upright(1.0, "zero")
         for k, c in enumerate(rows):
             if c in widths:
                 chart.marker(widths[c], float(k), "first", "disc")
-        out.append(Figure(chart.name, chart.svg(), "Mean width of the intervals after, over before [1]."))
+        out.append(Figure(chart.name, chart.svg(), "Mean width of the intervals after, over before [-]."))
     sides = (("before", "second", "ring", -0.15), ("after", "first", "disc", 0.15))
     known = [
         (k + aside, kind, shape, 100.0 * r[f"coverage_{when}"], 196.0 * (r[f"coverage_std_{when}"] or 0.0))

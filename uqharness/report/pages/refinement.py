@@ -13,7 +13,7 @@ from uqharness.refinement.showing import Refinement, carried_by, left_over, nowh
 from uqharness.replay import HISTORIES, History, have, read_histories, shown_channel
 from uqharness.report.history import Z95, Model, end_to_end, history_section
 from uqharness.report.pages.compare import ratio_figure
-from uqharness.report.pages.refine_effects import effect_section, headline
+from uqharness.report.pages.refine_effects import capital, effect_section, headline
 from uqharness.report.pages.refine_shown import interval_section, mission_section
 from uqharness.report.parts import (
     Block,
@@ -70,19 +70,22 @@ def refine_page(folder: Path, prefix: str = "") -> Page:
         ("Files", "refinement.json, model.diff, histories.parquet, aircraft/ (the refined model), beside this page"),
     )  # fmt: skip
     sections.append(provenance(*facts))
-    asked = f"What does the model lack? Effects were chosen on {train} and shown on {test}, which chose nothing."
+    asked = f"What does the model lack? Effects were chosen on {train} and shown on the hold-out flights {test}."
     return Page("Refinement", asked, _verdict(done), tuple(sections))
 
 
 _VERDICTS = {
-    "effects-found": ("Effects were found, and on flights that chose nothing the gap shrank", "good"),
+    "effects-found": ("Effects were found, and the gap on the hold-out flights shrank", "good"),
     "no-missing-effect": ("Nothing is missing beyond what the sensors' noise hides", "good"),
     "unexplained": ("Something is missing that no effect of the catalogue explains", "bad"),
 }
+_UNEXPLAINED_BESIDE = "Effects were found, and something beside them is left that no effect of the catalogue explains"
 
 
 def _verdict(done: Mapping[str, Any]) -> tuple[Say, ...]:
     text, level = _VERDICTS.get(done["verdict"], (done["verdict"], "warn"))
+    if done["verdict"] == "unexplained" and done["effects"]:
+        text = _UNEXPLAINED_BESIDE
     said = [Say(f"{text} ({done['verdict']}).", level)]
     for e in done["effects"]:
         t = shown(abs(e["evidence"]["t"]), ".1f") if e.get("evidence", {}).get("t") is not None else "undefined"
@@ -90,9 +93,10 @@ def _verdict(done: Mapping[str, Any]) -> tuple[Say, ...]:
         said.append(Say(f"{headline(e)} ({carried_by(e)}), |t| {t}{tested}.", "good"))
     for e in done.get("withdrawn", ()):
         said.append(Say(f"Withdrawn: {headline(e)}; {test_says(e)}.", "warn"))
-    unclear = [a["name"] for e in done["effects"] for a in e.get("alternatives", ()) if not a["separable"]]
-    if unclear:
-        said.append(Say(f"The flights do not tell it from: {'; '.join(unclear)}.", "warn"))
+    for e in done["effects"]:
+        alike = [a["name"].removesuffix(" off") for a in e.get("alternatives", ()) if not a["separable"]]
+        if alike:
+            said.append(Say(f"{capital(e['name'])} is confounded with: {'; '.join(alike)}.", "warn"))
     worst = _largest_fall(done["gap"]["test"])
     if worst:
         said.append(Say(worst))
@@ -120,8 +124,8 @@ def _where_section(done: Mapping[str, Any]) -> Section:
         rows.append((d["coefficient"], d["manoeuvre"], region, *size))
     if not rows:
         text = nowhere(done)
-        return Section("Where model and flights disagreed", (Words(f"{text[:1].upper()}{text[1:]}."),))
-    head = ("Coefficient", "Manoeuvre", "Region", "Outside the 95 % band [%]", "Size [1]")
+        return Section("Where model and flights disagreed", (Words(f"{capital(text)}."),))
+    head = ("Coefficient", "Manoeuvre", "Region", "Outside the 95 % band [%]", "Size [-]")
     table = Table("Disagreement of the train flights, the largest first.", head, tuple(rows), key=True)
     return Section("Where model and flights disagreed", (table,))
 
@@ -130,7 +134,7 @@ def _region(state: str, ends: Sequence[float | None]) -> str:
     quantity, unit, factor = shown_channel(state)
     low, high = (None if v is None else factor * v for v in ends)
     named = f"|{quantity.removeprefix('abs ')}|" if quantity.startswith("abs ") else quantity
-    return f"{named} {shown(low)} to {shown(high)} {unit}".removesuffix(" 1")
+    return f"{named} {shown(low)} to {shown(high)} {unit}".removesuffix(" -")
 
 
 def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
@@ -152,7 +156,7 @@ def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
         figures += [figure] if figure else []
     theil = gap.get("theil", {})
     if theil:
-        rows.append(("Theil's U, mean [1]", shown(theil.get("before"), ".4f"), Cell(shown(theil.get("after"), ".4f")), ""))
+        rows.append(("Theil's U, mean [-]", shown(theil.get("before"), ".4f"), Cell(shown(theil.get("after"), ".4f")), ""))
     text = (
         "Before: the model with its parameters identified again, without the effects. After: with them. Start states and biases "
         "are each flight's own. ✓: not larger than before."
@@ -174,9 +178,9 @@ def _coefficient_figures(
         if noise is not None:
             half = [np.full(len(h.time_s), Z95 * noise) for h in histories]
             band = ([-h for h in half], half, "")
-        label = f"{c} [1] demanded by the test flights minus the model's, before and after, segments end to end."
+        label = f"{c} [-] demanded by the test flights minus the model's, before and after, segments end to end."
         series = [(f"{c}_gap_before", "second thin", ""), (f"{c}_gap_after", "first thin", "")]
-        out.append(end_to_end(histories, f"{prefix}demand-{c}", series, band, label, f"flight minus model, {c} [1]", f"{c} [1]"))
+        out.append(end_to_end(histories, f"{prefix}demand-{c}", series, band, label, f"flight minus model, {c} [-]", f"{c} [-]"))
     return tuple(out)
 
 

@@ -38,6 +38,14 @@ def test_a_folder_of_nothing_is_refused_with_what_was_looked_for(tmp_path, capsy
     assert "is no folder" in capsys.readouterr().err
 
 
+def test_a_folder_of_next_flight_is_told_apart_from_a_folder_of_nothing(tmp_path, capsys):
+    (tmp_path / "next-flight.json").write_text("{}")
+    assert main(["report", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert "run uqharness next-flight again" in said
+    assert "no results to report on" not in said
+
+
 @pytest.mark.parametrize("text", ["", "[]", '{"effects": []}', "{"])
 def test_a_spoilt_document_is_refused_by_name(tmp_path, text):
     (tmp_path / "refinement.json").write_text(text)

@@ -19,7 +19,7 @@ def test_a_refinement(refined):
     page = page_of(refined)
     words = words_of(page)
     assert "Pitching moment due to roll rate squared: 2.9963 ± 0.018 (aero/Cm_p2), |t| 164.7." in words
-    assert "The flights do not tell it from: aileron squared." in words
+    assert "Pitching moment due to roll rate squared is confounded with: aileron squared." in words
     assert "Would separate them: a roll at rest." in words
     assert "goes from 0.407 to 0.195 deg/s (rms), beside noise of 0.201 deg/s" in words
     assert "+ <property>aero/Cm_p2</property>" in words
@@ -45,3 +45,16 @@ def test_verdicts_of_a_refinement(tmp_path, verdict, level, text):
     first = html.document_fromstring(page).find(".//section[@class='verdict']//li")
     assert first.get("class") == level
     assert text in first.text_content()
+
+
+def test_effects_with_something_left_beside_them_are_said_together(tmp_path):
+    """Without effects the sentence above stands."""
+    effect = refinement()["effects"][0]
+    inertia = {"term": "Ixz", "name": "product of inertia Ixz off", "separable": False, "would_separate": "none in the air"}
+    other = effect | {"name": "axial force due to pitch rate", "alternatives": [inertia]}
+    done = refinement(verdict="unexplained", effects=[effect, other])
+    words = words_of(page_of(written(tmp_path / "refined", "refinement.json", done)))
+    assert "Effects were found, and something beside them is left that no effect of the catalogue explains (unexplained)." in words
+    assert "Something is missing" not in words
+    assert "Pitching moment due to roll rate squared is confounded with: aileron squared." in words
+    assert "Axial force due to pitch rate is confounded with: product of inertia Ixz." in words

@@ -34,7 +34,7 @@ from sysid.effects import (
 from sysid.parallel import Processes
 from uqharness.errors import BadInputError
 from uqharness.plugin import Estimate
-from uqharness.refinement.base import Base, base_fit_and_noise, undetermined
+from uqharness.refinement.base import Base, base_fit_and_noise
 from uqharness.refinement.begin import OVERWHELMING, WEAK_IN_GUSTS, strong_first
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.fit import Fit, positions
@@ -47,16 +47,14 @@ from uqharness.refinement.setup import (
     Bench,
     candidates_for,
     confirming_segments,
-    file_hash,
     make_setup,
-    refuse_shared,
     setup_in_gusts,
     turbulent,
 )
 from uqharness.refinement.stages import Stages
 from uqharness.refinement.timing import CONTROLS_LATE, MOST_CORRECTIONS, controls_late, later, words
 from uqharness.refinement.types import Setup
-from uqharness.refinement.writing.slopes import control_slopes, of_lift_slope
+from uqharness.refinement.writing.slopes import of_lift_slope
 from uqharness.simulator import Aircraft
 
 GUST_LIMIT = 7.0
@@ -301,9 +299,8 @@ def _parameters(evidence: Evidence, names: Sequence[str], fit: Fit, selection: S
 def remark(choice: Choice, effect: Effect, flights: Sequence[str], command: str) -> str:
     """What stands beside the number in the XML."""
     low, high = choice.value - 1.96 * choice.std, choice.value + 1.96 * choice.std
-    return (
-        f"{effect.name}: {choice.value:.5g} +/- {choice.std:.2g}, 95 % [{low:.5g}, {high:.5g}]; "
-        f"from {', '.join(flights)}; {command}"
+    return f"{effect.name}: {choice.value:.5g} +/- {choice.std:.2g}, 95 % [{low:.5g}, {high:.5g}]; from {', '.join(flights)}" + (
+        f"; {command}" if command else ""
     )
 
 
@@ -313,9 +310,3 @@ def estimates_of(found: Found, flights: Sequence[str], initial: Mapping[str, flo
     for n, (value, std) in found.parameters.items():
         out[n] = Estimate(value, f"{value:.5g} +/- {std:.2g}, was {initial.get(n, float('nan')):.5g}; refine; {', '.join(flights)}")
     return out
-
-
-__all__ = [
-    "Bench", "Found", "Selection", "control_slopes", "estimates_of", "file_hash", "find_effects", "make_setup", "refuse_shared",
-    "remark", "setup_in_gusts", "threshold", "undetermined",
-]  # fmt: skip

@@ -1,0 +1,19 @@
+"""Sentences about effects: numbers with the figures that their standard error leaves them."""
+
+from __future__ import annotations
+
+import pytest
+
+from uqharness.refinement.showing import words
+
+
+@pytest.mark.parametrize(
+    ("change", "std", "text"),
+    [
+        (64560.0, 479.9, "+64560 ± 480"), (12.345, 1.2345, "+12.35 ± 1.23"), (-30.0, 5.0, "-30.00 ± 5.00"),
+        (123456.0, 98765.0, "+123500 ± 98800"), (0.01234, 0.00099, "+0.012340 ± 0.000990"), (4.0, 0.0, "+4 ± 0"),
+    ],
+)  # fmt: skip
+def test_a_change_is_told_to_three_figures_of_its_standard_error(change, std, text):
+    said = words.test_says({"test": {"gap": "shrank", "change_of_twice_log_likelihood": change, "std": std}})
+    assert said == f"on the test flights the gap shrank: twice the log likelihood {text} with it"
