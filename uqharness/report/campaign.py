@@ -1,4 +1,4 @@
-"""What a campaign found, ready to be told: p-boxes of the median errors, what can be signed, the verdict as sentences."""
+"""What a campaign found, ready to be told: p-boxes of the median errors, supportable claims, the verdict as sentences."""
 
 from __future__ import annotations
 

@@ -218,4 +218,4 @@ def remarks(document: Mapping[str, Any], key: Iterable[str] = ("warnings", "note
 
 def provenance(*facts: tuple[str, str]) -> Section:
     """Where a page came from: its last section."""
-    return Section("Where it came from", (Facts(facts),))
+    return Section("Provenance", (Facts(facts),))

@@ -1,4 +1,4 @@
-"""The report's words and table rows about excursion rates: what can be signed, and what stands beside it."""
+"""The report's words and table rows about excursion rates: supportable claims, and what stands beside it."""
 
 from __future__ import annotations
 

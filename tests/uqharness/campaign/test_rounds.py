@@ -161,7 +161,7 @@ def test_the_report_says_what_can_be_signed(tmp_path):
     assert problems(report.path.read_text(encoding="utf-8")) == []
     assert any("At most 1 per hour at every corner? No." in line for line in report.verdict)
     page = report.path.read_text()
-    assert "What can be signed" in page
+    assert "Supportable claims" in page
     assert "variance of the excursions per flight of 2 times their mean" in page
 
 

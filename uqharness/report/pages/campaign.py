@@ -110,7 +110,7 @@ def _grid_cell(item: Statement | None) -> Cell:
 
 
 def rate_sections(found: CampaignFound) -> list[Section]:
-    """What can be signed, and the counts behind it."""
+    """Supportable claims, and the counts behind it."""
     signed = found.signed
     acceptable = f"{found.campaign['metrics']['acceptable_per_h']:g}"
     text = (
@@ -126,7 +126,7 @@ def rate_sections(found: CampaignFound) -> list[Section]:
     words = corner_words(found.frame)
     rows = tuple(_signed_row(item, words) for item in signed)
     first = Section(
-        "What can be signed",
+        "Supportable claims",
         (
             Words(text, note=True),
             Table("Excursions per flight hour that can be signed, by condition and radius.", head, rows),
