@@ -194,10 +194,14 @@ def test_a_disk_that_fills_up_is_a_sentence_and_the_same_command_goes_on(tmp_pat
 @pytest.mark.skipif(not Path("/sys/kernel").is_dir(), reason="no file system at hand on which nobody may write")
 def test_a_folder_that_nobody_may_write_is_refused(tmp_path):
     spec = fakes.small_spec(tmp_path)
-    with pytest.raises(BadInputError, match=r"/sys/kernel: cannot be written: .*choose another --out"):
+    with pytest.raises(BadInputError, match=r"/sys/kernel: not empty and not a campaign folder .*choose another --out"):
         run_campaign(spec, "/sys/kernel", executor=SerialExecutor(), fly=fakes.steady)
     with pytest.raises(BadInputError, match=r"/sys/kernel/campaign: cannot be made: .*choose another --out"):
         run_campaign(spec, "/sys/kernel/campaign", executor=SerialExecutor(), fly=fakes.steady)
+    empty = next((place for place in Path("/sys/kernel").iterdir() if place.is_dir() and not any(place.iterdir())), None)
+    if empty is not None:
+        with pytest.raises(BadInputError, match=rf"{empty}: cannot be written: .*choose another --out"):
+            run_campaign(spec, empty, executor=SerialExecutor(), fly=fakes.steady)
 
 
 @pytest.mark.slow
