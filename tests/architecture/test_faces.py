@@ -6,11 +6,14 @@ A whole module may be taken from a room (``from uqharness.simulator import engin
 from __future__ import annotations
 
 import ast
+import importlib
+import re
 from collections.abc import Mapping
 
 import pytest
 
 from tests.architecture.rooms import BASE, modules, room
+from tests.helpers.places import ROOT
 
 # Names that several modules of a room define, each in its own sense, or that are a module's as well; they are imported from
 # their modules.
@@ -56,7 +59,7 @@ def test_an_entry_by_the_side_is_seen():
 
 @pytest.mark.parametrize("name", FACES)
 def test_a_face_holds_what_it_lists(name):
-    package = __import__(name, fromlist=["__all__"])
+    package = importlib.import_module(name)
     for public in package.__all__:
         assert getattr(package, public) is not None
     with pytest.raises(AttributeError):
@@ -65,10 +68,6 @@ def test_a_face_holds_what_it_lists(name):
 
 def test_a_face_lists_no_more_than_is_used():
     """Names of the inner rooms' lists that no other room, test or campaign asks for."""
-    import re
-
-    from tests.helpers.places import ROOT
-
     everything = "\n".join(
         path.read_text(encoding="utf-8")
         for folder in ("sysid", "uqharness", "tests", "campaigns", "docs")
@@ -79,4 +78,4 @@ def test_a_face_lists_no_more_than_is_used():
             continue
         asked = re.findall(rf"from {re.escape(name)} import \(?([^)\n]*(?:\n[^)]*)?)", everything)
         words = set(re.findall(r"\w+", " ".join(asked)))
-        assert set(__import__(name, fromlist=["__all__"]).__all__) - words == set(), name
+        assert set(importlib.import_module(name).__all__) - words == set(), name

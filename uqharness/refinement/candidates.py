@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +12,10 @@ from numpy.typing import NDArray
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.effects import Columns, Effect
 from uqharness.refinement.reference import Probe
+from uqharness.refinement.types import Flown, Point, Setup
 from uqharness.refinement.writing.terms import STALL
 from uqharness.replay import CONTROLS, SENSOR_OF, Segment, runs_per_row
 from uqharness.simulator import Actuator
-
-if TYPE_CHECKING:
-    from uqharness.refinement.types import Flown, Point, Setup
 
 Array = NDArray[np.float64]
 GROUND_SPANS = 3.0

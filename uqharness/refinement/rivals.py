@@ -7,20 +7,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sysid.effects import Choice, Effect, Selection, judged
-from uqharness.refinement.begin import OVERWHELMING
+from uqharness.refinement.begin import OVERWHELMING, About
 from uqharness.refinement.contest import BESIDE, MOST_BESIDE, many_asked, rivals, winner
 from uqharness.refinement.gusts import GustFit
+from uqharness.refinement.round import Round, Start
 from uqharness.refinement.types import in_dynamics
 from uqharness.refinement.writing.effects import carrier
-
-if TYPE_CHECKING:
-    from uqharness.refinement.begin import About
-    from uqharness.refinement.round import Round, Start
 
 HELD_FLIGHTS = 8
 """Flights in which a number that JSBSim reads once may come to its value."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +10,8 @@ from scipy.interpolate import CubicSpline
 
 from uqharness.refinement.candidates import sensor_gain, sensor_offset
 from uqharness.refinement.reference import Probe
+from uqharness.refinement.types import Point, Setup
 from uqharness.replay import SENSOR_OF, Segment, late_rows
-
-if TYPE_CHECKING:
-    from uqharness.refinement.types import Point, Setup
 
 Array = NDArray[np.float64]
 

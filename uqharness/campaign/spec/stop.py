@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from uqharness.settings import Number, Section, tupled
-
-if TYPE_CHECKING:
-    pass
 
 _OF_RULE: Mapping[str, tuple[str, ...]] = {
     "flights": (),
