@@ -45,7 +45,10 @@ test-browser: setup
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -m browser -rs
 
 bench: setup
-	$(PY) -m uqharness.cli.benchmark
+	@folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && \
+	$(PY) -m uqharness fly espaaro --script flight-bounds --noise --seed 3 --out "$$folder/flight.parquet" && \
+	$(PY) -m uqharness bounds espaaro --flight "$$folder/flight.parquet" --out "$$folder/bounds" --no-check > /dev/null && \
+	OPENBLAS_NUM_THREADS=1 $(PY) -m uqharness.cli.benchmark_batch --model-form "$$folder/bounds/model-form.json"
 
 lock:
 	$(PYTHON) -m piptools compile --no-emit-find-links --quiet --strip-extras --extra dev --output-file requirements.lock pyproject.toml

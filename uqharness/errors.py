@@ -17,3 +17,7 @@ class BadInputError(Exception):
 
     def __str__(self) -> str:
         return "\n".join(self.args)
+
+
+class EnginesDifferError(Exception):
+    """The batch engine and JSBSim flew the same case otherwise, so that no result of the campaign is to be believed."""

@@ -58,6 +58,7 @@ UQHARNESS = (
     Room("replay", "recorded flights flown again", {"residual": (2,), "effect": (4,)}),
     Room("statistics", "p-boxes, rates, decisions", {"campaign": (6,)}),
     Room("plugin", "intervals as a JSBSim system", {"residual": (7,)}),
+    Room("batch", "the compiled engine: many flights", {}),
     Room("flight", "one flight: air, steps, scores", {"campaign": (3,)}),
     Room("xml", "JSBSim's XML read and edited", {"effect": (3,)}),
     Room("simulator", "JSBSim's one door, aircraft, trim", {"residual": (3,), "campaign": (4,)}),

@@ -182,15 +182,16 @@ def _wire(root: Path) -> None:
     from tests.helpers.campaign_fakes import small_spec
     from uqharness.campaign.cases import build_cases
     from uqharness.campaign.execution.dask_orders import OWN_FLIGHT, Answer, Order, answer_text, order_text
-    from uqharness.campaign.execution.worker import CaseOutcome
+    from uqharness.campaign.execution.worker import CaseOutcome, Group
     from uqharness.campaign.run import find_mission
 
     spec = small_spec(_SCRATCH / "wire")
     case = build_cases(spec, find_mission(spec, _SCRATCH / "wire"))[0]
-    order = Order(case.case_id, OWN_FLIGHT, case.flight, ("ab" * 32, "cd" * 32), (("uqharness", "0"), ("jsbsim", "1.3.3")))
+    group = Group("", ((case.case_id, case.flight),))
+    order = Order(OWN_FLIGHT, False, group, ("ab" * 32, "cd" * 32), (("uqharness", "0"), ("jsbsim", "1.3.3")))
     (root / "order.json").write_text(order_text(order))
     outcome = CaseOutcome("4c4000eebc386034", "ok", "", 210.0, {"cross_track_median_m": 2.5}, {})
-    (root / "answer.json").write_text(answer_text(Answer(outcome)))
+    (root / "answer.json").write_text(answer_text(Answer((outcome,))))
 
 
 if __name__ == "__main__":

@@ -3,7 +3,8 @@
 python -m tests.helpers.torture FOLDER OUT FLIGHTS FAKE HOW [MOMENT]: HOW is fork, spawn or the address of a Dask scheduler;
 MOMENT is
 journal:N (killed with the N-th batch half in the journal), table:N (killed with the N-th file written and not yet in place) or
-step:N (killed before the N-th change of a folder). FLIGHTS "as-is" flies FOLDER/campaign.toml as it stands.
+step:N (killed before the N-th change of a folder). FLIGHTS "as-is" flies FOLDER/campaign.toml as it stands. FAKE is of
+campaign_fakes or engine_fakes.
 """
 
 from __future__ import annotations
@@ -69,6 +70,7 @@ def tear(moment: str) -> None:
 
 def main() -> None:
     from tests.helpers import campaign_fakes as fakes
+    from tests.helpers import engine_fakes
     from uqharness.campaign.execution.processes import Executor, ProcessExecutor
     from uqharness.campaign.run import run_campaign
     from uqharness.campaign.spec.read import read_campaign
@@ -85,7 +87,7 @@ def main() -> None:
         executor = DaskExecutor(how)
     as_is = flights == "as-is"
     spec = read_campaign(Path(folder) / "campaign.toml") if as_is else fakes.small_spec(Path(folder), int(flights))
-    run_campaign(spec, out, executor=executor, fly=getattr(fakes, fake))
+    run_campaign(spec, out, executor=executor, fly=getattr(fakes if hasattr(fakes, fake) else engine_fakes, fake))
 
 
 if __name__ == "__main__":

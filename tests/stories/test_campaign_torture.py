@@ -15,10 +15,12 @@ import psutil
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
+from tests.helpers.engine_fakes import batch_alike
 from tests.helpers.places import ROOT
 from tests.uqharness.campaign.test_rounds import TOML as DECIDE
 from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor
 from uqharness.campaign.folder.case_table import CASES
+from uqharness.campaign.folder.engine_file import WHOLE, read_check
 from uqharness.campaign.folder.store import Store
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.spec.read import read_campaign
@@ -169,6 +171,24 @@ def test_a_campaign_that_decides_is_killed_between_its_looks(tmp_path):
     run_campaign(spec, tmp_path / "undisturbed", executor=SerialExecutor(), fly=fakes.by_corner)
     names = (*TABLES, "decisions.csv", "statements.csv")
     assert [(tmp_path / "out" / n).read_bytes() == (tmp_path / "undisturbed" / n).read_bytes() for n in names] == [True] * 5
+
+
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+def test_the_batch_engine_is_killed_in_the_middle_of_groups(tmp_path):
+    fakes.campaign_file(tmp_path)
+    kills = ["parent", "journal", "worker", "table", "worker", "parent"]
+    hit = torture(tmp_path, None, 8, kills, seed=20261123, fake="batch_slowly")
+    assert {"parent", "worker"} <= set(hit), hit
+    spec = fakes.small_spec(tmp_path, 8)
+    summary = run_campaign(spec, tmp_path / "out", executor=ProcessExecutor(2, "fork"), fly=batch_alike)
+    assert (summary.engine, summary.statuses) == ("batch", {"ok": 64 * 8})
+    run_campaign(spec, tmp_path / "undisturbed", executor=SerialExecutor(), fly=batch_alike)
+    for name in TABLES:
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "undisturbed" / name).read_bytes(), name
+    checked = [read_check(tmp_path / name) for name in ("out", "undisturbed")]
+    whole = [{row.case_id for row in rows if row.part == WHOLE} for rows in checked]
+    assert whole[0] == whole[1]
+    assert whole[0]
 
 
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")

@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from uqharness.api.flights import AnyPath
-from uqharness.arguments import number, path, require, share, whole
+from uqharness.arguments import number, one_of, path, require, share, whole
 from uqharness.arguments import workers as given_workers
 from uqharness.campaign import CONFIDENCE, STATEMENTS, Progress, band_confidence, bounds_notes, pboxes
 from uqharness.campaign import run as running
@@ -82,6 +82,7 @@ def run_campaign(
     hours: float | None = None,
     samples: int | None = None,
     workers: int | None = None,
+    engine: Literal["auto", "batch", "jsbsim"] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> CampaignResult:
     """Fly a campaign, as ``uqharness campaign run`` does. The same call, or the command, resumes one that was interrupted.
@@ -98,6 +99,8 @@ def run_campaign(
         Epistemic samples to draw, in place of ``[epistemic] samples``.
     workers : int, optional
         Processes; by default one a core.
+    engine : {"auto", "batch", "jsbsim"}, optional
+        What flies, in place of ``[campaign] engine``.
     on_progress : callable, optional
         Called with the `Progress` after each batch of flights.
 
@@ -140,9 +143,12 @@ def run_campaign(
     if samples is not None:
         samples = whole("samples", samples, 1)
         spec = reading.with_samples(spec, samples)
+    if engine is not None:
+        spec = spec.with_engine(one_of("engine", engine, ("auto", "batch", "jsbsim")))
     command = ["uqharness", "campaign", "run", str(campaign), "--out", str(folder)]
     command += [] if hours is None else ["--hours", f"{hours:g}"]
     command += [] if samples is None else ["--samples", str(samples)]
+    command += [] if engine is None else ["--engine", engine]
     # No command goes on with a campaign that stands in no file; the same call does.
     told = shlex.join(command) if isinstance(campaign, str | PathLike) else ""
     notes = tuple(bounds_notes(spec))

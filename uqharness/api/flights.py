@@ -51,7 +51,7 @@ class Flight(Tabled):
     sha256 : str
         Identity of its content, which model forms remember.
     status, reason : str
-        ``ok``, or what ended a flown flight early (``diverged``, ``crashed``) and why.
+        ``ok``, or what ended a flown flight early (``diverged``, ``ground-contact``, ``crashed``) and why.
     aircraft : Aircraft or None
         What flew it; None for a log.
     start : Mapping

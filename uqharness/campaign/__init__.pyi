@@ -25,9 +25,10 @@ from .convergence import as_rows as as_rows
 from .convergence import sentences as sentences
 from .convergence import study as study
 from .cost import Cost as Cost
-from .cost import one_case as one_case
 from .cost import refuse_if_long as refuse_if_long
 from .cost import size_of as size_of
+from .engine_check import TOLERANCE as TOLERANCE
+from .engines import engine_words as engine_words
 from .inputs import read_bounds as read_bounds
 from .rounds import band_confidence as band_confidence
 from .run import CampaignSummary as CampaignSummary

@@ -16,11 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from sysid.digests import sha256_hex
+from uqharness.campaign.execution.flying import BATCH, JSBSIM
 from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.campaign.spec.samples import Epistemic, epistemic_samples
 from uqharness.campaign.spec.variables import VariableSection
 from uqharness.errors import BadInputError
-from uqharness.flight import COEFFICIENTS, FlightSpec, flight_seed, numbered_stream
+from uqharness.flight import COEFFICIENTS, FlightSpec, flight_seed, normals, numbered_stream
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Mission:
 
 @dataclass(frozen=True)
 class Case:
-    """One flight of a campaign. ``seed`` is the turbulence stream's; ``flight`` is all that a worker needs.
+    """One flight of a campaign. ``seed`` is the turbulence stream's; ``flight`` is all that a worker of ``engine`` needs.
 
     ``levels`` holds the levels that stand still; ``inputs``, by column name, what else was drawn or chosen for it.
     """
@@ -53,6 +54,7 @@ class Case:
     seed: int
     flight: FlightSpec
     inputs: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    engine: str = JSBSIM
 
 
 def uq_properties(spec: CampaignSpec, sample: Epistemic) -> dict[str, float]:
@@ -78,12 +80,13 @@ def uq_properties(spec: CampaignSpec, sample: Epistemic) -> dict[str, float]:
 
 
 def build_cases(spec: CampaignSpec, mission: Mission) -> tuple[Case, ...]:
-    """All cases of the campaign, in case order. Depends on nothing but its arguments."""
+    """All cases of the campaign, in case order. Depends on nothing but its arguments. An engine not settled is JSBSim."""
     return tuple(_cases(spec, mission))
 
 
 def _cases(spec: CampaignSpec, mission: Mission) -> Iterator[Case]:
     air, root_seed = spec.aleatory, spec.campaign.seed
+    engine = BATCH if spec.campaign.engine == BATCH else JSBSIM
     samples = [(sample, uq_properties(spec, sample) | dict(sample.parameters)) for sample in epistemic_samples(spec)]
     _refuse_twice(samples[0][1], air.variables)
     for aleatory_id in range(air.flights):
@@ -111,7 +114,7 @@ def _cases(spec: CampaignSpec, mission: Mission) -> Iterator[Case]:
                     levels=sample.driver,
                 )
                 yield Case(
-                    case_id=case_id(flight, mission),
+                    case_id=case_id(flight, mission, engine),
                     epistemic_id=sample.epistemic_id,
                     levels=sample.levels,
                     aleatory_id=aleatory_id,
@@ -120,13 +123,16 @@ def _cases(spec: CampaignSpec, mission: Mission) -> Iterator[Case]:
                     seed=seed_turbulence,
                     flight=flight,
                     inputs=_columns(sample, values),
+                    engine=engine,
                 )
 
 
 def unit_draw(root_seed: int, aleatory_id: int, name: str, variable: VariableSection) -> float:
     """A variable's draw in its unit: standard normal, or uniform in -1..1. Depends on (root seed, aleatory id, property) alone."""
-    generator = np.random.Generator(np.random.PCG64(numbered_stream(root_seed, "variable", aleatory_id, name)))
-    return float(generator.standard_normal() if variable.distribution == "normal" else generator.uniform(-1.0, 1.0))
+    stream = numbered_stream(root_seed, "variable", aleatory_id, name)
+    if variable.distribution == "normal":
+        return float(normals.drawn(stream, 1)[0])
+    return float(np.random.Generator(np.random.PCG64(stream)).uniform(-1.0, 1.0))
 
 
 def _columns(sample: Epistemic, values: Mapping[str, float]) -> dict[str, float]:
@@ -147,11 +153,13 @@ def _refuse_twice(properties: Mapping[str, float], variables: Mapping[str, Varia
 _FIELDS = tuple(field.name for field in dataclasses.fields(FlightSpec) if field.name != "levels")
 
 
-def case_id(flight: FlightSpec, mission: Mission) -> str:
-    """16 hex digits over everything that defines the flight: content of the files, numbers, seeds, properties."""
+def case_id(flight: FlightSpec, mission: Mission, engine: str = JSBSIM) -> str:
+    """16 hex digits over everything that defines the flight: content of the files, numbers, seeds, properties, engine."""
     identity = {name: getattr(flight, name) for name in _FIELDS}
     # A flight whose levels stand still is the flight it was before they could move.
     identity |= {"levels": dataclasses.asdict(flight.levels)} if flight.levels is not None else {}
+    # JSBSim's are the flights they were before there was another engine.
+    identity |= {"engine": engine} if engine != JSBSIM else {}
     identity |= {
         "aircraft": mission.aircraft_hash,
         "script": mission.script_hash,

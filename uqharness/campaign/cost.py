@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from uqharness.campaign.cases import Case, Mission, build_cases
+from uqharness.campaign.execution.flying import BATCH, JSBSIM
 from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.campaign.spec.epistemic import SAMPLED
 from uqharness.errors import BadInputError
@@ -20,7 +21,7 @@ DISK_BYTES_PER_FLIGHT = 2000
 DAY_S = 86_400.0
 """A campaign that takes longer is asked about before it starts."""
 
-FASTEST_HOURS_PER_CORE_HOUR = 10_000.0
+FASTEST_HOURS_PER_CORE_HOUR = {JSBSIM: 10_000.0, BATCH: 1_000_000.0}
 """Ten times what the E-SPAARO flies at 100 Hz: a campaign too long at this pace is too long, and need not be tried out."""
 
 _CALIBRATION_S = 60.0
@@ -64,12 +65,16 @@ class Pace:
 
 @dataclass(frozen=True)
 class Cost:
-    """Size of a campaign, flights of it that are done already, and the time for the rest; ``pace`` None where it is not known."""
+    """Size of a campaign, flights of it that are done already, and the time for the rest; ``pace`` None where it is not known.
+
+    ``engine`` is the fastest that may fly it.
+    """
 
     size: Size
     done: int
     pace: Pace | None
     workers: int
+    engine: str = JSBSIM
 
     @property
     def missing(self) -> int:
@@ -87,7 +92,7 @@ class Cost:
     def least_seconds(self) -> float:
         """Time that it takes on the fastest machine there may be."""
         hours = self.missing * self.size.flight_s / 3600.0
-        return 3600.0 * hours / FASTEST_HOURS_PER_CORE_HOUR / max(self.workers, 1)
+        return 3600.0 * hours / FASTEST_HOURS_PER_CORE_HOUR[self.engine] / max(self.workers, 1)
 
     @property
     def is_long(self) -> bool:
@@ -134,15 +139,22 @@ def epistemic_count(spec: CampaignSpec) -> int:
 
 def one_case(spec: CampaignSpec, mission: Mission) -> Case:
     """A flight like those of the campaign, made without making the others."""
+    return one_case_each(with_conditions(spec, spec.aleatory.wind_mps[:1], spec.aleatory.turbulence[-1:]), mission)[0]
+
+
+def with_conditions(spec: CampaignSpec, wind_mps: tuple[float, ...], turbulence: tuple[str, ...]) -> CampaignSpec:
+    """The same campaign in other conditions."""
+    return dataclasses.replace(spec, aleatory=spec.aleatory.model_copy(update={"wind_mps": wind_mps, "turbulence": turbulence}))
+
+
+def one_case_each(spec: CampaignSpec, mission: Mission) -> tuple[Case, ...]:
+    """A flight of each condition, made without making the others."""
     section = spec.epistemic
     changes: dict[str, object] = {"samples": 1} if section.samples is not None else {}
     if section.method in ("corners", "levels"):
         changes |= {"method": "levels", "levels": (1.0,)}
-    air = spec.aleatory.model_copy(
-        update={"flights": 1, "wind_mps": spec.aleatory.wind_mps[:1], "turbulence": spec.aleatory.turbulence[-1:]}
-    )
-    small = dataclasses.replace(spec, aleatory=air, epistemic=section.model_copy(update=changes))
-    return build_cases(small, mission)[0]
+    air = spec.aleatory.model_copy(update={"flights": 1})
+    return build_cases(dataclasses.replace(spec, aleatory=air, epistemic=section.model_copy(update=changes)), mission)
 
 
 def measured_pace(flown: Callable[[FlightSpec], bool], brief: FlightSpec, whole: FlightSpec) -> Pace | None:

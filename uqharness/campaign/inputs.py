@@ -16,7 +16,7 @@ from sysid.foreign.parsed_text import ParseError, parse_json
 from sysid.foreign.regular_files import read_regular
 from uqharness.campaign.spec.epistemic import PUBLISHED_WALK_RATE_PER_SQRT_S, EpistemicSection
 from uqharness.errors import BadInputError
-from uqharness.flight import COEFFICIENTS
+from uqharness.flight import COEFFICIENTS, exact
 
 if TYPE_CHECKING:
     from sysid.model_form import ModelForm
@@ -34,7 +34,7 @@ class Estimates:
         """Lower triangle L (n, n) with L L' = covariance."""
         std = np.sqrt(np.diag(self.covariance))
         correlation = self.covariance / np.outer(std, std)
-        factor: NDArray[np.float64] = std[:, None] * np.linalg.cholesky(correlation)
+        factor: NDArray[np.float64] = std[:, None] * np.array(exact.cholesky(correlation.tolist()))
         return factor
 
 
@@ -142,8 +142,8 @@ def _estimates(path: Path, asked: tuple[str, ...] | None) -> Estimates:
         found = Estimates(asked, values[rows], found.covariance[np.ix_(rows, rows)])
     try:
         if not (np.diag(found.covariance) > 0).all():
-            raise np.linalg.LinAlgError
+            raise ValueError("a variance is not positive")
         found.factor()
-    except np.linalg.LinAlgError:
+    except ValueError:
         raise BadInputError(f"{path}: cov is not positive definite, so nothing can be drawn from it") from None
     return found

@@ -13,9 +13,13 @@ from typing import Any
 
 from sysid.digests import sha256_hex
 from uqharness.campaign.cases import Case, Mission, build_cases
-from uqharness.campaign.cost import Cost, Pace, measured_pace, size_of
+from uqharness.campaign.cost import Cost, Pace, measured_pace, one_case, one_case_each, size_of
+from uqharness.campaign.engine_check import Judge
+from uqharness.campaign.engines import Engines, Settled, earlier_engine
+from uqharness.campaign.execution.flying import BATCH, JSBSIM
 from uqharness.campaign.execution.processes import Executor, ProcessExecutor
 from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction
+from uqharness.campaign.first_seconds import batch_pace, compare_start, one_ulp_off_alone, settled_by_flight, throwaway_process
 from uqharness.campaign.folder.digests import DamageError
 from uqharness.campaign.folder.manifest import (
     MANIFEST,
@@ -30,6 +34,7 @@ from uqharness.campaign.folder.seal import mend_tables, refuse_if_not_whole, sea
 from uqharness.campaign.folder.shards import SHARDS, Shard
 from uqharness.campaign.folder.store import JOURNAL, LOCK, Store, run_lock
 from uqharness.campaign.folder.tables import make_tables, write_tables
+from uqharness.campaign.grouping import groups_of
 from uqharness.campaign.rounds import Rounds
 from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.errors import BadInputError
@@ -79,6 +84,7 @@ class CampaignSummary:
     statuses: dict[str, int]
     progress: Progress
     rewritten: tuple[str, ...] = ()
+    engine: str = JSBSIM
 
     @property
     def failed(self) -> int:
@@ -112,7 +118,7 @@ def run_campaign(
     workers: int | None = None,
     executor: Executor | None = None,
     on_progress: Callable[[Progress], None] | None = None,
-    fly: FlightFunction | None = None,
+    fly: FlightFunction | Engines | None = None,
     mission: Mission | None = None,
     command: str = "",
     shard: Shard | None = None,
@@ -125,16 +131,18 @@ def run_campaign(
 
     A case counts once it is on the disk. A flight that fails is a counted row with its reason. Raises BadInputError for an
     unusable model or folder, a folder of another campaign, and a second run in the same folder; KeyboardInterrupt passes, with
-    everything finished so far kept. Raises DamageError, and changes nothing, where the journal is not as it was written.
+    everything finished so far kept. Raises DamageError, and changes nothing, where the journal is not as it was written. Raises
+    EnginesDifferError where the batch engine flies otherwise than JSBSim.
     """
-    if fly is None:
-        from uqharness.flight.fly import fly as fly_mission
-
-        fly = fly_mission
+    engines = Engines.of(fly)
     given = mission is not None
     folder = Path(out_dir) if shard is None else Path(out_dir) / SHARDS / shard.folder
+    if executor is not None and not hasattr(executor, "run_groups"):
+        engines = dataclasses.replace(engines, batch=None, no_batch="the executor flies case by case (it has no run_groups)")
     executor = executor or ProcessExecutor(usable_cores() if workers is None else workers)
     mission = mission or find_mission(spec, folder)
+    settled = settled_by_flight(spec, mission, engines, earlier_engine(folder))
+    spec = settled.spec
     cases = build_cases(spec, mission)
     rounds = Rounds(spec, cases, folder)
     if shard is not None:
@@ -148,7 +156,7 @@ def run_campaign(
     size, processes = size_of(spec, 1 if shard is None else shard.count), executor.workers
 
     def told(pace: Pace | None, done: int) -> None:
-        before_flying(Cost(size, done, pace, processes))
+        before_flying(Cost(size, done, pace, processes, settled.engine))
 
     # What cannot be read there is told when the folder is made or locked.
     with contextlib.suppress(OSError):
@@ -163,13 +171,18 @@ def run_campaign(
             if needs_copy(spec):
                 make_copy(spec, mission, folder)
         if old is not None and old["state"] == COMPLETE:
-            return _look_again(folder, old, spec, cases, shard is None, executor.workers)
+            found = _look_again(folder, old, spec, cases, shard is None, executor.workers)
+            return dataclasses.replace(found, engine=settled.engine)
         # Tables that other commands added are of these flights, and stay.
         manifest |= {"tables": old["tables"]} if old is not None and "tables" in old else {}
+        manifest |= {"engine": settled.as_dict() if old is None or "engine" not in old else old["engine"]}
         write_manifest(folder, manifest)
         with Store(folder) as store:
             try:
-                summary = _fly_missing(folder, store, finished, rounds, executor, fly, on_progress, told)
+                judge = None
+                if settled.engine == BATCH:
+                    judge = Judge(folder, cases, lambda case: one_ulp_off_alone(engines, case), store.outcomes())
+                summary = _fly_missing(store, finished, rounds, executor, engines, judge, on_progress, told)
             except BaseException:
                 # On a full disk this fails too, and the first reason is the one to hear.
                 with contextlib.suppress(BadInputError):
@@ -179,7 +192,21 @@ def run_campaign(
             tables = {} if shard is not None else make_tables(spec, cases, store.outcomes(), rounds.decisions)
             write_tables(folder, tables)
             write_manifest(folder, sealed(manifest | {"cases": summary.cases}, store, tables))
-    return summary
+    return dataclasses.replace(summary, engine=settled.engine)
+
+
+def check_campaign(spec: CampaignSpec, mission: Mission, scratch: Path) -> tuple[Settled, Pace | None]:
+    """The engine that a campaign will fly in, and its pace on this machine; what is compared on the way lies in ``scratch``.
+
+    Raises BadInputError for what cannot be flown, EnginesDifferError where the batch engine flies otherwise than JSBSim.
+    """
+    engines = Engines.of(None)
+    settled = settled_by_flight(spec, mission, engines, None)
+    if settled.engine != BATCH:
+        return settled, validate_model(engines.fly, one_case(settled.spec, mission))
+    cases = one_case_each(settled.spec, mission)
+    judge = Judge(scratch, cases, lambda case: one_ulp_off_alone(engines, case))
+    return settled, _checked_start(judge, engines, cases)
 
 
 def _earlier(folder: Path, manifest: Mapping[str, Any]) -> tuple[dict[str, Any] | None, set[str]]:
@@ -239,6 +266,13 @@ def validate_model(fly: FlightFunction, case: Case) -> Pace | None:
         return measured_pace(flown, brief, case.flight)
 
 
+def _checked_start(judge: Judge, engines: Engines, cases: Sequence[Case]) -> Pace | None:
+    """Compare the first seconds of each condition in both engines. Raises EnginesDifferError, and BadInputError as above."""
+    with contextlib.closing(throwaway_process()) as process:
+        judge.begin(compare_start(engines, cases, process))
+        return batch_pace(engines, cases, process)
+
+
 def _refuse_if_not_flown(outcome: CaseOutcome, brief: FlightSpec) -> None:
     if outcome.bad_input:
         raise BadInputError(outcome.reason)
@@ -290,12 +324,12 @@ def _refuse_foreign(folder: Path) -> None:
 
 
 def _fly_missing(
-    folder: Path,
     store: Store,
     finished: set[str],
     rounds: Rounds,
     executor: Executor,
-    fly: FlightFunction,
+    engines: Engines,
+    judge: Judge | None,
     on_progress: Callable[[Progress], None] | None,
     before_flying: Callable[[Pace | None, int], None],
 ) -> CampaignSummary:
@@ -311,21 +345,32 @@ def _fly_missing(
 
     for wanted in rounds(store):
         missing = [case for case in wanted if case.case_id not in finished]
-        if not missing:
+        judged = [] if judge is None else judge.groups(wanted)
+        if not missing and not judged:
             continue
         if not checked:
-            before_flying(validate_model(fly, missing[0]), done_before)
+            pace = validate_model(engines.fly, missing[0]) if judge is None else _checked_start(judge, engines, missing or wanted)
+            before_flying(pace, done_before)
             checked, started = True, time.monotonic()
-        batches = executor.run(fly, ((case.case_id, case.flight) for case in missing))
+        if judge is None:
+            batches = executor.run(engines.fly, ((case.case_id, case.flight) for case in missing))
+        else:
+            # The judge's first: what is wrong is then seen soon.
+            batches = executor.run_groups(engines.fly_group, [*judged, *groups_of(missing, executor.workers)])
         try:
-            for batch in batches:
+            for found in batches:
+                batch = found if judge is None else judge.take(found)
                 store.add(batch)
                 statuses.update(outcome.status for outcome in batch)
                 flown_s += sum(outcome.flown_s for outcome in batch)
                 if on_progress is not None:
                     on_progress(progress())
+                if judge is not None:
+                    judge.look(final=False)
+            if judge is not None:
+                judge.look(final=True)
         finally:
             close = getattr(batches, "close", None)
             if close is not None:
                 close()
-    return CampaignSummary(folder, rounds.most, done_before, dict(sorted(statuses.items())), progress())
+    return CampaignSummary(store.folder, rounds.most, done_before, dict(sorted(statuses.items())), progress())

@@ -16,7 +16,7 @@ from sysid.errors import LogError
 from sysid.terminal import clean_terminal
 from uqharness import __version__
 from uqharness.cli.commands import Table, add_commands, commands_of
-from uqharness.errors import BadInputError
+from uqharness.errors import BadInputError, EnginesDifferError
 
 _EXAMPLE = """examples:
   uqharness modes espaaro --speed-mps 22.2
@@ -112,6 +112,9 @@ def _run(argv: Sequence[str] | None) -> int:
     except BadInputError as error:
         print(f"uqharness: error: {error}", file=sys.stderr)
         return 2
+    except EnginesDifferError as error:
+        print(f"uqharness: {error}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         print("uqharness: interrupted", file=sys.stderr)
         return 130

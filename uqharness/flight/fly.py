@@ -7,6 +7,7 @@ import math
 from array import array
 from collections.abc import Callable, Mapping
 from functools import lru_cache
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from sysid.units import FT_M
 from uqharness.errors import BadInputError
+from uqharness.flight.contact import GroundWatch
 from uqharness.flight.scoring import Recorded, commanded_signals, from_start_signals, score_commanded, score_from_start
 from uqharness.flight.spec import TURBULENCE_W20_KT, FlightResult, FlightSpec
 from uqharness.flight.stepping import first_levels, has_air, stepper
@@ -61,13 +63,41 @@ def fly(spec: FlightSpec) -> FlightResult:
     A flight that goes wrong (not finite, into the ground, an exception in flight) is a FlightResult with its status and reason.
     Raises BadInputError for what cannot start: unknown aircraft, script or property, impossible values.
     """
+    return _flown(spec, one_ulp_off=False)
+
+
+def fly_one_ulp_off(spec: FlightSpec) -> FlightResult:
+    """The same flight from a velocity over the ground that is one unit in the last place larger: what rounding alone may change."""
+    return _flown(spec, one_ulp_off=True)
+
+
+def _flown(spec: FlightSpec, one_ulp_off: bool) -> FlightResult:
     mission = staged_mission(spec)
-    steady = MARK in mission.script.run_properties
-    from_start = steady or not mission.aircraft.card.metrics
-    signals = from_start_signals(steady) if from_start else commanded_signals(mission.aircraft)
-    signals |= {"phi_rad": Source("attitude/phi-rad"), "alpha_rad": Source("aero/alpha-rad")}
-    recorded = record_mission(mission, spec, signals, optional={"extrapolated": Source("uq/extrapolated")})
-    return score_from_start(spec, recorded) if from_start else score_commanded(spec, recorded)
+    recorded = record_mission(mission, spec, scored_signals(mission), OPTIONAL_SIGNALS, one_ulp_off=one_ulp_off)
+    return score(mission, spec, recorded)
+
+
+def scored_signals(mission: StagedMission) -> dict[str, Source]:
+    """What a flight of the mission is scored by."""
+    signals = from_start_signals(_steady(mission)) if _from_start(mission) else commanded_signals(mission.aircraft)
+    return signals | {"phi_rad": Source("attitude/phi-rad"), "alpha_rad": Source("aero/alpha-rad")}
+
+
+OPTIONAL_SIGNALS: Mapping[str, Source] = MappingProxyType({"extrapolated": Source("uq/extrapolated")})
+"""What is scored where the aircraft has it."""
+
+
+def score(mission: StagedMission, spec: FlightSpec, recorded: Recorded) -> FlightResult:
+    """The scores of what was recorded of a flight."""
+    return score_from_start(spec, recorded) if _from_start(mission) else score_commanded(spec, recorded)
+
+
+def _steady(mission: StagedMission) -> bool:
+    return MARK in mission.script.run_properties
+
+
+def _from_start(mission: StagedMission) -> bool:
+    return _steady(mission) or not mission.aircraft.card.metrics
 
 
 def staged_mission(spec: FlightSpec) -> StagedMission:
@@ -94,16 +124,21 @@ def record_mission(
     signals: Mapping[str, Source],
     optional: Mapping[str, Source] | None = None,
     keep_burn_in: bool = False,
+    one_ulp_off: bool = False,
 ) -> Recorded:
     """Fly ``spec`` and record ``signals`` (and those of ``optional`` that exist) at ``spec.record_rate_hz``.
 
-    Rows are taken after a step, so the accelerations of a row have seen the command of that row. Raises BadInputError.
+    Rows are taken after a step, so the accelerations of a row have seen the command of that row. ``one_ulp_off``: from a velocity
+    over the ground that is one unit in the last place larger. Raises BadInputError.
     """
     changed = {name: value for name, value in spec.properties.items() if name in CHANGEABLE}
     fdm = mission.open(changed=changed)
     dt_s = fdm.get_delta_t()
-    stride = _stride(spec, dt_s)
+    stride = record_stride(spec, dt_s)
     set_conditions(fdm, mission, spec)
+    if one_ulp_off:
+        larger = max("ic/vn-fps", "ic/ve-fps", key=lambda name: abs(fdm[name]))
+        fdm[larger] = math.nextafter(fdm[larger], math.copysign(math.inf, fdm[larger]))
     for name, value in first_levels(spec, dt_s).items():
         engine.set_property(fdm, name, value)
     engine.run_ic(fdm)
@@ -114,38 +149,44 @@ def record_mission(
     present = {name: source for name, source in (optional or {}).items() if _exists(fdm, source)}
     table = {"time_s": Source("simulation/sim-time-sec"), **signals, **present}
     getters = _getters(fdm, table)
-    burn = 0 if keep_burn_in else math.ceil(round(spec.burn_in_s / (dt_s * stride), 9))
-    total_s = spec.duration_s + (spec.burn_in_s if keep_burn_in else 0.0)
-    wanted = math.ceil(round(total_s / (dt_s * stride), 9))
+    burn, wanted = row_counts(spec, dt_s * stride, keep_burn_in)
     advance = stepper(fdm, spec, dt_s, (burn + wanted) * stride)
     read = array("d")
     height = engine.handle(fdm, "position/h-agl-ft").get_double_value
     speed = engine.handle(fdm, "velocities/vt-fps").get_double_value
+    watch = GroundWatch(fdm, mission.aircraft, stride * dt_s)
     status, reason = "ok", ""
     if burn == 0:
         read.extend([get() for get in getters])
     try:
         for block in range(burn + wanted):
-            advance(stride)
+            touched = watch.advance(advance, stride)
             if not math.isfinite(speed() + height()):
                 status, reason = "diverged", f"the state was no longer finite at {_clock(fdm)}"
                 break
-            if height() <= 0.0:
-                status, reason = "crashed", f"hit the ground at {_clock(fdm)}"
+            if touched:
+                status, reason = "ground-contact", f"{touched} touched the ground at {_clock(fdm)}"
                 break
             if block >= burn:
                 read.extend([get() for get in getters])
     except engine.RuntimeFailure as error:
         status, reason = "crashed", engine.explain(fdm, error)
-    rows = _signals(np.frombuffer(read).reshape(-1, len(getters)), table)
+    rows = in_signals(np.frombuffer(read).reshape(-1, len(getters)), table)
     return Recorded(list(table), rows, status, reason, float(fdm.get_sim_time()))
+
+
+def row_counts(spec: FlightSpec, row_s: float, keep_burn_in: bool = False) -> tuple[int, int]:
+    """Rows of ``row_s`` seconds that are flown before recording begins, and rows that are recorded."""
+    burn = 0 if keep_burn_in else math.ceil(round(spec.burn_in_s / row_s, 9))
+    return burn, math.ceil(round((spec.duration_s + (spec.burn_in_s if keep_burn_in else 0.0)) / row_s, 9))
 
 
 def _clock(fdm: Any) -> str:
     return f"{fdm.get_sim_time():.1f} s"
 
 
-def _stride(spec: FlightSpec, dt_s: float) -> int:
+def record_stride(spec: FlightSpec, dt_s: float) -> int:
+    """Steps from one recorded row to the next. Raises BadInputError."""
     stride = round(1.0 / (spec.record_rate_hz * dt_s))
     if stride < 1 or abs(stride * spec.record_rate_hz * dt_s - 1.0) > 1e-6:
         raise BadInputError(
@@ -167,7 +208,7 @@ def _getters(fdm: Any, table: Mapping[str, Source]) -> list[Callable[[], float]]
     return [engine.handle(fdm, name).get_double_value for name in names]
 
 
-def _signals(read: Array, table: Mapping[str, Source]) -> Array:
+def in_signals(read: Array, table: Mapping[str, Source]) -> Array:
     """Signals (n, len(table)) from what the getters gave (n, len(getters)); NaN or infinite where a divisor is zero."""
     rows = np.empty((len(read), len(table)))
     divisor = len(table)

@@ -2,16 +2,18 @@
 
 Hale (2016), section 3.7: a delta coefficient is lower + f (upper - lower) with f in 0..1. A walk's rate is given in 1/sqrt(s), so
 that the variance gathered per second is the same at any step. Streams belong to the epistemic sample and the coefficient, not to
-the flight: one walk is one epistemic sample, the same in all its flights.
+the flight: one walk is one epistemic sample, the same in all its flights. The levels are the same bytes on every processor.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uqharness.flight.normals import Normals, Pairs, numpy_pairs
 from uqharness.flight.seeds import walk_stream
 from uqharness.flight.spec import COEFFICIENTS, LevelDriver
 
@@ -27,12 +29,25 @@ def level_blocks(driver: LevelDriver, steps: int, dt_s: float, block_steps: int 
     A coefficient that the driver does not move stays at 0.5. The same driver gives the same levels, whatever the block. ValueError
     for a kind that is not white or walk, a step that is not positive, or a rate below 0.
     """
-    if not dt_s > 0.0:
-        raise ValueError(f"dt_s = {dt_s}: a step must be positive")
-    columns = [_column(driver, name, dt_s) for name in COEFFICIENTS]
+    levels = Levels(driver, dt_s)
     for first in range(0, steps, block_steps):
-        size = min(block_steps, steps - first)
-        yield np.column_stack([column.take(size) for column in columns])
+        yield levels.take(min(block_steps, steps - first))
+
+
+class Levels:
+    """The same without end. ``pairs`` may be a compiled form of ``numpy_pairs``.
+
+    ``copy.deepcopy`` gives levels that go on from where these stand.
+    """
+
+    def __init__(self, driver: LevelDriver, dt_s: float, pairs: Pairs = numpy_pairs) -> None:
+        if not dt_s > 0.0:
+            raise ValueError(f"dt_s = {dt_s}: a step must be positive")
+        self._columns = [_column(driver, name, dt_s, pairs) for name in COEFFICIENTS]
+
+    def take(self, steps: int) -> Array:
+        """Levels of the next steps (steps, 6)."""
+        return np.column_stack([column.take(steps) for column in self._columns])
 
 
 def reflect(position: Array) -> Array:
@@ -58,31 +73,31 @@ class _White:
 class _Walk:
     """f(0) is uniform: at the rates that flights show, a walk needs most of an hour to forget where it began."""
 
-    def __init__(self, generator: np.random.Generator, rate_per_sqrt_s: float, dt_s: float) -> None:
+    def __init__(self, generator: np.random.PCG64, rate_per_sqrt_s: float, dt_s: float, pairs: Pairs) -> None:
         if not rate_per_sqrt_s >= 0.0:
             raise ValueError(f"walk rate {rate_per_sqrt_s}: 0 or more per square root of a second")
-        self._generator = generator
         # Eq 3.38 with the rates where the print has periods: sigma_sim = sigma_rec sqrt(rate_rec/rate_sim) = rate sqrt(dt)
-        self._sigma = rate_per_sqrt_s * float(np.sqrt(dt_s))
-        self._next = float(generator.random())
+        self._sigma = rate_per_sqrt_s * math.sqrt(dt_s)
+        self._next = float(np.random.Generator(generator).random())
+        self._normals = Normals(generator, pairs)
 
     def take(self, size: int) -> Array:
         path = np.empty(size + 1)
         path[0] = self._next
-        path[1:] = self._sigma * self._generator.standard_normal(size)
+        np.multiply(self._normals.take(size), self._sigma, out=path[1:])
         # Summed one after the other from the carried position: a block's end is no place where rounding differs.
         np.cumsum(path, out=path)
         self._next = float(path[-1])
         return reflect(path[:-1])
 
 
-def _column(driver: LevelDriver, coefficient: str, dt_s: float) -> _Constant | _White | _Walk:
+def _column(driver: LevelDriver, coefficient: str, dt_s: float, pairs: Pairs) -> _Constant | _White | _Walk:
     if coefficient not in driver.coefficients:
         return _Constant()
-    generator = np.random.Generator(np.random.PCG64(walk_stream(driver.root_seed, driver.epistemic_id, coefficient)))
+    generator = np.random.PCG64(walk_stream(driver.root_seed, driver.epistemic_id, coefficient))
     if driver.kind == "white":
-        return _White(generator)
+        return _White(np.random.Generator(generator))
     if driver.kind == "walk":
         rate = driver.rates_per_sqrt_s[driver.coefficients.index(coefficient)]
-        return _Walk(generator, rate, dt_s)
+        return _Walk(generator, rate, dt_s, pairs)
     raise ValueError(f"level driver '{driver.kind}': white or walk")

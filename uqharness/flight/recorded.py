@@ -12,6 +12,7 @@ import numpy as np
 
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import Recorded, record_mission
+from uqharness.flight.normals import drawn
 from uqharness.flight.spec import FlightSpec
 from uqharness.simulator import MANOEUVRE_PROPERTY, Aircraft, Script, Source, StagedMission
 from uqharness.simulator import signals as properties
@@ -92,8 +93,8 @@ def to_record(
         for name, std in aircraft.card.sensors.noise_std.items():
             if name in columns:
                 # One stream a channel, named by the channel: adding a sensor changes no other's noise.
-                stream = np.random.Generator(np.random.Philox(np.random.SeedSequence([spec.seed_noise, zlib.crc32(name.encode())])))
-                columns[name] = columns[name] + std * stream.standard_normal(columns[name].size)
+                stream = np.random.SeedSequence([spec.seed_noise, zlib.crc32(name.encode())])
+                columns[name] = columns[name] + std * drawn(stream, columns[name].size)
     columns["psi_rad"] = np.mod(columns["psi_rad"], 2.0 * np.pi)
     frame = pd.DataFrame(columns)
     frame["manoeuvre"] = [named.get(int(k), "") for k in number] if named and number is not None else manoeuvre

@@ -86,7 +86,7 @@ def score_from_start(spec: FlightSpec, recorded: Recorded) -> FlightResult:
         undefined["cross_track"] = "no path is commanded"
     else:
         height = recorded.signals["height_m"]
-        distances = {"": cross_track, "_3d": np.hypot(cross_track, height - height[:1])}
+        distances = {"": cross_track, "_3d": np.sqrt(cross_track**2 + (height - height[:1]) ** 2)}
         for suffix, distance in distances.items():
             for radius in spec.excursion_radius_m:
                 metrics[f"excursions_{radius:g}m{suffix}"] = float(count_excursions(distance, radius, spec.rearm_m))
@@ -114,7 +114,8 @@ def _cross_track(recorded: Recorded) -> NDArray[np.float64] | None:
     north, east, vn, ve = (recorded.signals[name] for name in ("north_m", "east_m", "vn_mps", "ve_mps"))
     if north.size == 0:
         return north
-    speed = math.hypot(vn[0], ve[0])
+    # Roots and products have the same bits on every processor; a C library's hypot need not.
+    speed = math.sqrt(vn[0] * vn[0] + ve[0] * ve[0])
     track: NDArray[np.float64] = ((east - east[0]) * vn[0] - (north - north[0]) * ve[0]) / speed
     return track
 

@@ -20,7 +20,8 @@ DEFAULT_TURBULENCE_SOURCE: Literal["jsbsim", "spec"] = "spec"
 COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 """Body-axis force and moment coefficients, in the order in which they are always listed."""
 
-STATUSES = ("ok", "diverged", "crashed", "timeout")
+STATUSES = ("ok", "diverged", "ground-contact", "crashed", "timeout")
+"""How a flight ends. crashed: an exception, the loss of its process, and in campaigns older than ground-contact the ground."""
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.units import FT_M
+from uqharness.flight.dryden import gust_blocks
 from uqharness.flight.levels import BLOCK_STEPS, level_blocks
 from uqharness.flight.spec import COEFFICIENTS, TURBULENCE_W20_KT, FlightSpec
 from uqharness.simulator import engine
@@ -139,9 +140,6 @@ def _with_turned_gusts(fdm: Any, gusts: Rows, levels: Rows | None) -> Callable[[
 
 
 def _gust_blocks(fdm: Any, spec: FlightSpec, dt_s: float, steps: int) -> Iterator[Array]:
-    # Imported here: scipy.signal takes a second to load, and calm flights do without.
-    from uqharness.flight.dryden import gust_blocks
-
     blocks = gust_blocks(
         steps,
         dt_s,

@@ -30,10 +30,11 @@ from uqharness.replay import (
     SENSOR_OF,
     STATES,
     Flight,
+    ReplayJob,
     ReplayModel,
     Segment,
     at_rows,
-    fly_segment,
+    fly_all,
     states,
     surface_positions,
 )
@@ -41,18 +42,14 @@ from uqharness.replay import (
 Array = NDArray[np.float64]
 
 
-def _fly(job: tuple[ReplayModel, Segment, Mapping[str, float], Array, bool]) -> Array:
-    model, segment, properties, start, between = job
-    return fly_segment(model, segment, properties, start, between=between)
-
-
 def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flown:
     """Replay every segment at a point; cost inf where a flight leaves the finite."""
     late = [any(sensor_late_s(c, s, point) for c in setup.outputs) for s in setup.segments]
     jobs = [
-        (model, s, dict(point.values), start, between) for s, start, between in zip(setup.segments, point.starts, late, strict=True)
+        ReplayJob(model, s, dict(point.values), start, between=between)
+        for s, start, between in zip(setup.segments, point.starts, late, strict=True)
     ]
-    every = list(map_(_fly, jobs))
+    every = fly_all(jobs, map_)
     raw = [at_rows(r, len(s.time_s)) for r, s in zip(every, setup.segments, strict=True)]
     columns = [CHANNELS.index(c) for c in setup.outputs]
     outputs, cost = [], 0.0

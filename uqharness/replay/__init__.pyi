@@ -21,6 +21,8 @@ from .histories import have as have
 from .histories import read_histories as read_histories
 from .histories import write_histories as write_histories
 from .histories import write_pieces as write_pieces
+from .in_lanes import ReplayJob as ReplayJob
+from .in_lanes import fly_all as fly_all
 from .layout import Layout as Layout
 from .layout import delayed as delayed
 from .layout import late_limit_s as late_limit_s
@@ -38,7 +40,6 @@ from .replay import SENSOR_OF as SENSOR_OF
 from .replay import STATES as STATES
 from .replay import at_rows as at_rows
 from .replay import by_run as by_run
-from .replay import fly_segment as fly_segment
 from .replay import late_rows as late_rows
 from .replay import runs_per_row as runs_per_row
 from .residuals import ReplayPair as ReplayPair

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import numpy as np
@@ -22,13 +22,20 @@ def replay_pool(workers: int | None = None) -> Any:
     if count == 1:
         yield map
         return
-    with process_pool(count) as pool:
+    with ExitStack() as stack:
+        pool: Any = None
+
+        def by_processes(function: Callable[[Any], Any], jobs: Sequence[Any]) -> Any:
+            # Started when the first replay is one that the batch engine does not fly.
+            nonlocal pool
+            pool = pool or stack.enter_context(process_pool(count))
+            return pool.map(function, jobs, chunksize=max(1, len(jobs) // (8 * count)))
 
         def spread(function: Callable[[Array], Any], points: Any) -> Any:
             todo = list(points)
             replay = getattr(function, "simulate", None)
             if isinstance(replay, Replay):
-                replay.fetch(todo, lambda f, jobs: pool.map(f, jobs, chunksize=max(1, len(jobs) // (8 * count))))
+                replay.fetch(todo, by_processes)
             return [function(point) for point in todo]
 
         yield spread

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -48,6 +49,31 @@ BETWEEN_S = 0.005
 """Longest time between outputs that are wanted between rows."""
 MIN_RUNS = 2
 _ANGULAR = ("accelerations/pdot-rad_sec2", "accelerations/qdot-rad_sec2", "accelerations/rdot-rad_sec2")
+RAW = (*(STANDARD[c].property for c in CHANNELS), "inertia/mass-slugs", *_ANGULAR)
+"""Properties that the channels are made of."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How a segment is stepped: runs of ``dt_s``, ``runs`` from row to row, an output every ``stride`` runs, ``rows`` outputs."""
+
+    dt_s: float
+    runs: int
+    stride: int
+    rows: int
+
+
+def shape_of(model: ReplayModel, segment: Segment, between: bool = False) -> Shape:
+    """How the model flies a segment; ``between``: with outputs between its rows."""
+    outputs = math.ceil(segment.dt_s / BETWEEN_S - 1e-6) if between else 1
+    runs = outputs * math.ceil(runs_per_row(segment.dt_s, longest_run_s(model, between)) / outputs)
+    return Shape(segment.dt_s / runs, runs, runs // outputs, (len(segment.time_s) - 1) * outputs + 1)
+
+
+def run_controls(model: ReplayModel, segment: Segment, shape: Shape, late_s: float = 0.0) -> Array:
+    """((n - 1) runs + 1, c) values of the controls' properties in every run, the first while initialising."""
+    measured, lagging = ([name in kind for name in model.controls] for kind in (model.measured, model.lagging))
+    return model.to_property(by_run(segment, shape.runs, measured, lagging, late_s / segment.dt_s * shape.runs))
 
 
 def longest_run_s(model: ReplayModel, between: bool = False) -> float:
@@ -79,18 +105,15 @@ def fly_segment(
     Rows after a failure in flight are NaN.
     Raises BadInputError for a property that the model has not.
     """
-    outputs = math.ceil(segment.dt_s / BETWEEN_S - 1e-6) if between else 1
-    runs = outputs * math.ceil(runs_per_row(segment.dt_s, longest_run_s(model, between)) / outputs)
-    fdm = model.open(segment.dt_s / runs)
+    shape = shape_of(model, segment, between)
+    fdm = model.open(shape.dt_s)
     for name, value in properties.items():
         engine.set_property(fdm, name, value)
     setters = control_setters(fdm, model)
     _initialise(fdm, segment, segment.start if start is None else start, setters, model)
-    read = _reader(fdm, [*extra], any(segment.arm_m))
-    measured, lagging = ([name in kind for name in model.controls] for kind in (model.measured, model.lagging))
-    controls = model.to_property(by_run(segment, runs, measured, lagging, late_s / segment.dt_s * runs))
-    rows = _advance(fdm, controls, setters, read, runs // outputs)
-    return _outputs(rows, segment, len(extra), (len(segment.time_s) - 1) * outputs + 1)
+    read = _reader(fdm, extra)
+    rows = _advance(fdm, run_controls(model, segment, shape, late_s), setters, read, shape.stride)
+    return outputs_of(np.array(rows), segment, len(extra), shape.rows)
 
 
 def at_rows(between: Array, n: int) -> Array:
@@ -133,10 +156,8 @@ def _put(setters: list[list[Any]], values: list[float]) -> None:
             put(value)
 
 
-def _reader(fdm: Any, extra: Sequence[str], angular: bool) -> Any:
-    names = [STANDARD[c].property for c in CHANNELS]
-    names += ["inertia/mass-slugs", *(_ANGULAR if angular else ()), *extra]
-    handles = [engine.handle(fdm, name).get_double_value for name in names]
+def _reader(fdm: Any, extra: Sequence[str]) -> Any:
+    handles = [engine.handle(fdm, name).get_double_value for name in (*RAW, *extra)]
     return lambda: [get() for get in handles]
 
 
@@ -202,8 +223,8 @@ def _advance(fdm: Any, controls: Array, setters: list[list[Any]], read: Any, run
     return out
 
 
-def _outputs(rows: list[list[float]], segment: Segment, extra: int, n: int) -> Array:
-    raw = np.array(rows)
+def outputs_of(raw: Array, segment: Segment, extra: int, n: int) -> Array:
+    """(n, 13 + extra) CHANNELS and further properties from rows of RAW and those; NaN behind the last row."""
     c = len(CHANNELS)
     out = np.full((n, c + extra), np.nan)
     done = len(raw)

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from uqharness.replay.in_lanes import ReplayJob, fly_all
 from uqharness.replay.model import ReplayModel
-from uqharness.replay.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF, STATES, at_rows, fly_segment, late_rows
+from uqharness.replay.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF, STATES, at_rows, late_rows
 from uqharness.replay.segments import Segment
 
 Array = NDArray[np.float64]
@@ -67,6 +68,7 @@ class Replay:
 
     def __call__(self, theta: Array) -> list[Array]:
         """[(n, m)] outputs, one array a segment."""
+        self.fetch([theta], map)
         properties, starts = self._conditions(theta)
         return [
             self._sensed(number, segment, theta, self._key(number, properties, *start), (properties, *start))
@@ -103,14 +105,14 @@ class Replay:
         key = self._key(number, properties, start, late_s)
         found = _flown.get(key)
         if found is None:
-            found = _fly_job(self._job(segment, properties, start, late_s))
+            (found,) = fly_all([self._job(segment, properties, start, late_s)])
             _remember(key, found)
         else:
             _flown.move_to_end(key)
         return found
 
-    def _job(self, segment: Segment, properties: Mapping[str, float], start: Array, late_s: float) -> _Job:
-        return self.model, segment, dict(properties), start, late_s, segment.flight in self._delays
+    def _job(self, segment: Segment, properties: Mapping[str, float], start: Array, late_s: float) -> ReplayJob:
+        return ReplayJob(self.model, segment, dict(properties), start, late_s, segment.flight in self._delays)
 
     def _key(self, number: int, properties: Mapping[str, float], start: Array, late_s: float) -> _Key:
         return self.token, number, np.array(list(properties.values())).tobytes(), start.tobytes(), late_s
@@ -120,7 +122,7 @@ class Replay:
 
         Afterwards every ``self(theta)`` only puts together what is remembered: little has to travel between processes.
         """
-        jobs: dict[_Key, _Job] = {}
+        jobs: dict[_Key, ReplayJob] = {}
         for theta in thetas:
             properties, starts = self._conditions(theta)
             for number, (segment, start) in enumerate(zip(self.segments, starts, strict=True)):
@@ -129,7 +131,7 @@ class Replay:
                     jobs[key] = self._job(segment, properties, *start)
                 else:
                     _flown.move_to_end(key)
-        for key, found in zip(jobs, map_(_fly_job, list(jobs.values())), strict=True):
+        for key, found in zip(jobs, fly_all(list(jobs.values()), map_), strict=True):
             _remember(key, found)
 
 
@@ -146,12 +148,3 @@ def _remember(key: _Key, found: Array) -> None:
     counter["bytes"] += found.nbytes
     while counter["bytes"] > _CACHE_BYTES:
         counter["bytes"] -= _flown.popitem(last=False)[1].nbytes
-
-
-_Job = tuple[ReplayModel, Segment, dict[str, float], Array, float, bool]
-
-
-def _fly_job(job: _Job) -> Array:
-    # Nothing that goes wrong in flight may end the pool; rows that were not flown are NaN, which rejects the trial point.
-    model, segment, properties, start, late_s, between = job
-    return fly_segment(model, segment, properties, start, late_s=late_s, between=between)

@@ -21,7 +21,7 @@ from uqharness.campaign import (
     samples,
 )
 from uqharness.campaign.conditions import conditions
-from uqharness.campaign.folder import read_cases, read_complete, read_decisions
+from uqharness.campaign.folder import CheckRow, read_cases, read_check, read_complete, read_decisions
 from uqharness.campaign.statements import statements
 from uqharness.report import statements as report_statements
 from uqharness.report.parts import Level, Say
@@ -75,6 +75,7 @@ class CampaignFound:
     signed: tuple[Statement, ...]
     asked: str
     verdict: tuple[Say, ...]
+    engine_check: tuple[CheckRow, ...] = ()
 
     @property
     def campaign(self) -> Mapping[str, Any]:
@@ -95,7 +96,8 @@ def read_found(folder: Path) -> CampaignFound:
     findings = tuple(_findings(frame, campaign))
     signed = tuple(statements(frame, campaign, read_decisions(folder, manifest)))
     verdict = tuple(_verdict(frame, campaign, findings, signed))
-    return CampaignFound(folder, manifest, frame, findings, signed, _asked(frame, campaign), verdict)
+    check = tuple(read_check(folder))
+    return CampaignFound(folder, manifest, frame, findings, signed, _asked(frame, campaign), verdict, check)
 
 
 def _findings(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> list[Finding]:

@@ -7,6 +7,7 @@ never dropped: it counts as +inf for the lower side and as -inf for the upper si
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -89,7 +90,9 @@ def band_half_width(flights: int, corners: int, confidence: float) -> float:
     """
     if flights < 1:
         return 1.0
-    return float(min(1.0, stats.kstwo.isf((1.0 - confidence) / corners, flights)))
+    width = float(stats.kstwo.isf((1.0 - confidence) / corners, flights))
+    # Rounded up, for the last bits differ between processors, and tables must not.
+    return min(1.0, math.ceil(width * 1e9) / 1e9)
 
 
 def flights_for_band(half_width: float, corners: int, confidence: float) -> int:

@@ -39,6 +39,16 @@ def test_a_campaign_leaves_the_bytes_of_the_command(result: CampaignResult, tmp_
     assert capsys.readouterr() == ("", "")
 
 
+def test_both_engines_fly_the_same_campaign(result: CampaignResult, tmp_path: Path):
+    other = uq.run_campaign(CAMPAIGN, tmp_path / "jsbsim", engine="jsbsim", workers=2).cases
+    assert set(result.cases["engine"]) == {"batch"}
+    assert set(other["engine"]) == {"jsbsim"}
+    for name in ("cross_track_median_m", "altitude_max_m", "speed_mean_mps_measured"):
+        np.testing.assert_allclose(result.cases[name], other[name], rtol=0.0, atol=1e-7, err_msg=name)
+        assert not np.array_equal(result.cases[name], other[name])
+    assert not set(result.cases["case_id"]) & set(other["case_id"])
+
+
 def test_its_tables_are_those_of_the_folder(result: CampaignResult):
     assert len(result.cases) == 32
     stored = pd.read_parquet(result.folder / "pbox.parquet")
@@ -115,6 +125,8 @@ def test_bad_input_is_said(result: CampaignResult, tmp_path: Path):
         uq.run_campaign(tomllib.loads(CAMPAIGN.read_text()) | {"aleatory": {"flights": 0, "duration_s": 1}}, tmp_path / "out")
     with pytest.raises(uq.BadInputError, match="workers = 0"):
         uq.run_campaign(CAMPAIGN, tmp_path / "out", workers=0)
+    with pytest.raises(uq.BadInputError, match="engine = 'numba'"):
+        uq.run_campaign(CAMPAIGN, tmp_path / "out", engine="numba")
     with pytest.raises(uq.BadInputError, match="another campaign"):
         uq.run_campaign(CAMPAIGN, result.folder, hours=1.0)
     (result.folder / "statements.csv").write_text("condition\n")

@@ -55,8 +55,8 @@ def test_the_table_has_one_row_per_flight_and_the_agreed_columns(tmp_path):
     assert table.num_rows == 128
     levels = [f"level_{name}" for name in ("CX", "CY", "CZ", "Cl", "Cm", "Cn")]
     assert table.column_names == [
-        "case_id", "epistemic_id", *levels, "aleatory_id", "wind_mps", "turbulence", "seed", "duration_s", "status", "reason",
-        "cross_track_median_m", "cross_track_mean_m", "cross_track_max_m",
+        "case_id", "epistemic_id", *levels, "aleatory_id", "wind_mps", "turbulence", "seed", "engine", "duration_s", "status",
+        "reason", "cross_track_median_m", "cross_track_mean_m", "cross_track_max_m",
         "altitude_median_m", "altitude_mean_m", "altitude_max_m", "speed_median_mps", "speed_mean_mps", "speed_max_mps",
         "cross_track_median_m_measured", "cross_track_mean_m_measured", "cross_track_max_m_measured",
         "altitude_median_m_measured", "altitude_mean_m_measured", "altitude_max_m_measured",

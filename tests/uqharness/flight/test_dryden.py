@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import time
 import tracemalloc
@@ -9,12 +10,19 @@ import tracemalloc
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.signal import welch
 
 from uqharness.errors import BadInputError
-from uqharness.flight import dryden
-from uqharness.flight.dryden import COMPONENTS, Component, dryden_gusts, dryden_parameters, dryden_psd, dryden_sigma, gust_blocks
+from uqharness.flight.dryden import (
+    COMPONENTS,
+    Component,
+    DrydenGusts,
+    dryden_gusts,
+    dryden_parameters,
+    dryden_psd,
+    dryden_sigma,
+    gust_blocks,
+)
 
 AIR = (22.2, 100.0, 30.0, 3.66)  # V m/s, h m, W20 kt, span m
 
@@ -56,16 +64,6 @@ def test_gradient_spectra_are_filtered_velocity_spectra() -> None:
     r_over_v = dryden_psd("r", omega, *AIR) / dryden_psd("v", omega, *AIR)
     np.testing.assert_allclose(q_over_w, (omega / V) ** 2 / (1 + (4 * b * omega / (np.pi * V)) ** 2), rtol=1e-12)
     np.testing.assert_allclose(r_over_v, (omega / V) ** 2 / (1 + (3 * b * omega / (np.pi * V)) ** 2), rtol=1e-12)
-
-
-@pytest.mark.parametrize("dt", [0.0005, 0.01, 0.3, 3.0])
-def test_discretisation_has_the_exact_noise_covariance(dt: float) -> None:
-    A = np.array([[-0.2, 0.0, 0.0], [0.2, -0.2, 0.0], [0.8, -0.3, -5.0]])
-    B = np.array([0.2, 0.0, 0.0])
-    step, factor = dryden._discretise(A, B, dt)
-    stationary = solve_continuous_lyapunov(A, -np.outer(B, B))
-    np.testing.assert_allclose(step, expm(A * dt), rtol=1e-12)
-    np.testing.assert_allclose(factor.T @ factor, stationary - step @ stationary @ step.T, rtol=1e-6, atol=1e-15)
 
 
 def test_spectra_of_the_samples() -> None:
@@ -146,6 +144,17 @@ def test_blocks_are_the_same_samples_to_the_bit(block: int) -> None:
     assert len(parts) == -(-1000 // block)
     for name in COMPONENTS:
         assert np.concatenate([part.component(name) for part in parts]).tobytes() == whole.component(name).tobytes()
+
+
+def test_pages_cross_their_seams_unchanged_and_copies_go_on() -> None:
+    whole = dryden_gusts(20_000, 0.01, *AIR, seed=8)
+    gusts = DrydenGusts(dryden_parameters(*AIR), 0.01, 8)
+    pages = [gusts.page()]
+    copied = copy.deepcopy(gusts)
+    pages += [gusts.page(), gusts.page()]
+    for row, name in enumerate(COMPONENTS):
+        np.testing.assert_array_equal(np.concatenate([page[row] for page in pages])[:20_000], whole.component(name))
+    assert copied.page().tobytes() == pages[1].tobytes()
 
 
 def test_a_day_of_gusts_takes_the_memory_of_a_block() -> None:

@@ -96,7 +96,7 @@ def test_the_third_flight_lies_within(made, flights, tmp_path, capsys):
         assert set(row) == {"0.95", "0.68", "n_effective", "mean_width"}
         assert 0.85 < row["0.95"] <= 1.0
         assert row["0.68"] < row["0.95"]
-        assert 20 < row["n_effective"] < 2600
+        assert 10 < row["n_effective"] < 2600
     assert np.mean([row["0.95"] for row in document["coverage"].values()]) == pytest.approx(0.95, abs=0.03)
     assert len(document["manoeuvres"]) == 9
     assert document["warnings"] == []

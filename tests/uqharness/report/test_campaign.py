@@ -49,7 +49,7 @@ def test_it_has_every_section_and_nothing_wrong(page):
     tree = html.document_fromstring(page)
     assert [item.text for item in tree.iter("h2")] == [
         "What was asked", "Where the answer is yes, no or open", "P-boxes of the median errors", "Supportable claims",
-        "Excursions per flight hour", "Failed flights", "Provenance",
+        "Excursions per flight hour", "Failed flights", "Engine", "Provenance",
     ]  # fmt: skip
     assert len(tree.findall(".//table")) == 6
 

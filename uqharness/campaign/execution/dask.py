@@ -18,8 +18,8 @@ from typing import Any
 
 from uqharness.campaign.execution.dask_orders import Order, answer_from, flight_name, order_text
 from uqharness.campaign.execution.dask_task import content_of, fly_order
-from uqharness.campaign.execution.processes import BATCH_S
-from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction
+from uqharness.campaign.execution.processes import BATCH_S, PARTS, singly
+from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction, Group, GroupFunction, OneByOne
 from uqharness.campaign.folder.manifest import binding_versions
 from uqharness.errors import BadInputError
 from uqharness.flight import FlightSpec
@@ -49,11 +49,15 @@ class DaskExecutor:
 
     def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]:
         """Outcomes as they come. Raises BadInputError if the scheduler is lost or a worker cannot fly this campaign."""
-        orders = _orders(fly, flights)
+        return self.run_groups(OneByOne(fly), singly(flights))
+
+    def run_groups(self, fly: GroupFunction, groups: Iterable[Group]) -> Iterator[list[CaseOutcome]]:
+        """The same with cases that fly together."""
+        orders = _orders(fly, groups)
         suspects: deque[Order] = deque()
         flying: dict[str, tuple[Any, Order]] = {}
         landed: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        rounds: dict[str, int] = {}
+        rounds: dict[tuple[str, ...], int] = {}
         prefix = uuid.uuid4().hex
         number = 0
         batch: list[CaseOutcome] = []
@@ -63,7 +67,7 @@ class DaskExecutor:
                 self._look()
                 while len(flying) < _ORDERS_PER_THREAD * max(self.workers, 1):
                     # Dask suspects all that waited on a lost worker. With one suspect on its way at a time, the guilty is alone.
-                    alone = suspects and not any(order.case_id in rounds for _, order in flying.values())
+                    alone = suspects and not any(order.case_ids in rounds for _, order in flying.values())
                     order = suspects.popleft() if alone else next(orders, None)
                     if order is None:
                         break
@@ -76,10 +80,14 @@ class DaskExecutor:
                 for future, answer in self._answers(_drain(landed)):
                     _, order = flying.pop(future.key)
                     if answer is not None:
-                        batch.append(answer_from(answer, order.case_id))
+                        batch += answer_from(answer, order.case_ids)
                         continue
-                    rounds[order.case_id] = rounds.get(order.case_id, 0) + 1
-                    if rounds[order.case_id] < _ROUNDS:
+                    rounds[order.case_ids] = rounds.get(order.case_ids, 0) + 1
+                    if len(order.case_ids) > 1:
+                        parts = [replace(order, group=part) for part in order.group.parts(PARTS)]
+                        rounds |= {part.case_ids: 0 for part in parts}
+                        suspects.extend(parts)
+                    elif rounds[order.case_ids] < _ROUNDS:
                         suspects.append(order)
                     else:
                         batch.append(_given_up(order))
@@ -189,15 +197,17 @@ def _connect(address: str, connect_s: float) -> Any:
         ) from None
 
 
-def _orders(fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[Order]:
+def _orders(fly: GroupFunction, groups: Iterable[Group]) -> Iterator[Order]:
     content: dict[tuple[Path, Path], tuple[str, str]] = {}
-    versions, name = binding_versions(), flight_name(fly)
-    for case_id, flight in flights:
-        aircraft, script = flight.aircraft.resolve(), flight.script.resolve()
+    together = not isinstance(fly, OneByOne)
+    versions, name = binding_versions(), flight_name(fly.fly if isinstance(fly, OneByOne) else fly)
+    for group in groups:
+        _, first = group.cases[0]
+        aircraft, script = first.aircraft.resolve(), first.script.resolve()
         if (aircraft, script) not in content:
             content[aircraft, script] = content_of(aircraft, script)
-        there = replace(flight, aircraft=aircraft, script=script)
-        yield Order(case_id, name, there, content[aircraft, script], versions)
+        cases = tuple((case_id, replace(flight, aircraft=aircraft, script=script)) for case_id, flight in group.cases)
+        yield Order(name, together, Group(group.engine, cases), content[aircraft, script], versions)
 
 
 def _drain(landed: queue.SimpleQueue[Any]) -> list[Any]:
@@ -210,4 +220,4 @@ def _drain(landed: queue.SimpleQueue[Any]) -> list[Any]:
 
 
 def _given_up(order: Order) -> CaseOutcome:
-    return CaseOutcome(order.case_id, "crashed", "every Dask worker that flew it was lost", 0.0)
+    return CaseOutcome(order.case_ids[0], "crashed", "every Dask worker that flew it was lost", 0.0)

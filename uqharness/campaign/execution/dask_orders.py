@@ -15,34 +15,40 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction
+from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction, Group, GroupFunction, OneByOne
 from uqharness.errors import BadInputError
-from uqharness.flight import STATUSES, FlightSpec
+from uqharness.flight import STATUSES
 from uqharness.toml import dotted
 
 T = TypeVar("T")
 OWN_FLIGHT = "uqharness.flight.fly:fly"
+OWN_GROUP = "uqharness.campaign.execution.flying:fly_group"
 MODULES_VARIABLE = "UQHARNESS_FLIGHT_MODULES"
 """Environment variable of a worker: modules whose functions it may fly with beside this program's own, separated by commas."""
 
 
 @dataclass(frozen=True)
 class Order:
-    """One case for a worker elsewhere. ``fly`` names the flight function, "module:function"; ``content`` and ``versions`` are what
-    aircraft, script and program must be there."""
+    """Cases for a worker elsewhere. ``fly`` names the function that flies them, "module:function", ``together`` whether it takes
+    the group; ``content`` and ``versions`` are what aircraft, script and program must be there."""
 
-    case_id: str
     fly: str
-    flight: FlightSpec
+    together: bool
+    group: Group
     content: tuple[str, str]
     versions: tuple[tuple[str, str], ...]
+
+    @property
+    def case_ids(self) -> tuple[str, ...]:
+        """Ids of its cases, in order."""
+        return tuple(case_id for case_id, _ in self.group.cases)
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Of a worker: the outcome, or why it did not fly the case, in a sentence."""
+    """Of a worker: the outcomes, or why it did not fly the cases, in a sentence."""
 
-    outcome: CaseOutcome | None
+    outcomes: tuple[CaseOutcome, ...] | None
     refused: str = ""
 
 
@@ -52,9 +58,10 @@ def order_text(order: Order) -> str:
     try:
         text.encode()
     except UnicodeEncodeError:
+        case_id, flight = order.group.cases[0]
         raise BadInputError(
-            f"case {order.case_id}: a name with bytes that are no UTF-8 cannot be sent to a Dask cluster: aircraft "
-            f"{str(order.flight.aircraft)!r}, script {str(order.flight.script)!r}; rename it, or fly without --dask"
+            f"case {case_id}: a name with bytes that are no UTF-8 cannot be sent to a Dask cluster: aircraft "
+            f"{str(flight.aircraft)!r}, script {str(flight.script)!r}; rename it, or fly without --dask"
         ) from None
     return text
 
@@ -69,20 +76,23 @@ def answer_text(answer: Answer) -> str:
     return json.dumps(answer, default=_plain, ensure_ascii=False).encode("utf-8", "replace").decode()
 
 
-def answer_from(text: Any, case_id: str) -> CaseOutcome:
-    """The outcome of the case asked for. Raises BadInputError where the worker refused it, or for any other text."""
+def answer_from(text: Any, case_ids: tuple[str, ...]) -> list[CaseOutcome]:
+    """Outcomes of the cases asked for. Raises BadInputError where the worker refused them, or for any other text."""
     answer = _read(Answer, text, "answer")
-    if answer.outcome is None:
+    if answer.outcomes is None:
         raise BadInputError(answer.refused or "a Dask worker gave neither an outcome nor a reason; look at its log")
-    if answer.outcome.case_id != case_id or answer.outcome.status not in STATUSES:
-        raise BadInputError(
-            f"a Dask worker answered for case {answer.outcome.case_id!r} with the status {answer.outcome.status!r}; asked for was "
-            f"case {case_id!r} with one of {', '.join(STATUSES)}: every machine needs the same version of uqharness"
-        )
-    return answer.outcome
+    if len(answer.outcomes) != len(case_ids):
+        raise BadInputError(f"a Dask worker answered with {len(answer.outcomes)} flights; asked for were {len(case_ids)}")
+    for outcome, case_id in zip(answer.outcomes, case_ids, strict=True):
+        if outcome.case_id != case_id or outcome.status not in STATUSES:
+            raise BadInputError(
+                f"a Dask worker answered for case {outcome.case_id!r} with the status {outcome.status!r}; asked for was "
+                f"case {case_id!r} with one of {', '.join(STATUSES)}: every machine needs the same version of uqharness"
+            )
+    return list(answer.outcomes)
 
 
-def flight_name(fly: FlightFunction) -> str:
+def flight_name(fly: FlightFunction | GroupFunction) -> str:
     """The name by which a worker finds a flight function. Raises BadInputError for what is not a function of a module."""
     name = f"{getattr(fly, '__module__', '')}:{getattr(fly, '__qualname__', '')}"
     try:
@@ -97,13 +107,19 @@ def flight_name(fly: FlightFunction) -> str:
     return name
 
 
-def flight_function(name: str) -> FlightFunction:
+def group_function(order: Order) -> GroupFunction:
+    """What flies an order's group. Raises BadInputError as `flight_function` does."""
+    found = flight_function(order.fly)
+    return found if order.together else OneByOne(found)
+
+
+def flight_function(name: str) -> Any:
     """The function of that name, if this machine flies with it: the program's own, or one of a module that its operator named.
 
     Nothing else is imported, for importing a module runs it. Raises BadInputError.
     """
     allowed = {module.strip() for module in os.environ.get(MODULES_VARIABLE, "").split(",")}
-    if name != OWN_FLIGHT and name.partition(":")[0] not in allowed - {""}:
+    if name not in (OWN_FLIGHT, OWN_GROUP) and name.partition(":")[0] not in allowed - {""}:
         raise BadInputError(
             f"this worker flies with {OWN_FLIGHT} alone, and not with {name!r}; whoever trusts that module starts the worker with "
             f"the environment variable {MODULES_VARIABLE}={name.partition(':')[0]}"
@@ -111,7 +127,7 @@ def flight_function(name: str) -> FlightFunction:
     return _function(name)
 
 
-def _function(name: str) -> FlightFunction:
+def _function(name: str) -> Any:
     module, _, qualname = name.partition(":")
     try:
         found = vars(importlib.import_module(module)).get(qualname)

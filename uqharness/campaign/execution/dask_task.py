@@ -1,7 +1,7 @@
-"""What a Dask worker does for a campaign: flies one case in a process beside it, if it has what the campaign flies.
+"""What a Dask worker does for a campaign: flies a group of cases in a process beside it, if it has what the campaign flies.
 
-The case never runs in the Dask worker itself. A flight that ends the interpreter or hangs then costs a child process, is blamed for
-certain and counted with the words of a local run, and Dask sees nothing of it. Children stay for the next case.
+They never run in the Dask worker itself. A flight that ends the interpreter or hangs then costs a child process, is blamed for
+certain and counted with the words of a local run, and Dask sees nothing of it. Children stay for the next group.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from functools import lru_cache
 from pathlib import Path
 
 from sysid.digests import file_sha256
-from uqharness.campaign.execution.dask_orders import Answer, Order, answer_text, flight_function, order_from
+from uqharness.campaign.execution.dask_orders import Answer, Order, answer_text, group_function, order_from
+from uqharness.campaign.execution.flying import why_not
 from uqharness.campaign.execution.processes import ProcessExecutor
 from uqharness.campaign.execution.worker import CaseOutcome
 from uqharness.campaign.folder.manifest import binding_versions
@@ -35,20 +36,30 @@ def content_of(aircraft: Path, script: Path) -> tuple[str, str]:
 def fly_order(text: str) -> str:
     """Fly an order and give the answer, both as text; refused where this machine's files or versions are not the campaign's."""
     try:
-        return answer_text(Answer(_flown(order_from(text))))
+        return answer_text(Answer(tuple(_flown(order_from(text)))))
     except BadInputError as error:
         return answer_text(Answer(None, f"Dask worker on {socket.gethostname()}: {error}"))
 
 
-def _flown(order: Order) -> CaseOutcome:
-    fly = flight_function(order.fly)
-    _refuse_unlike(order.versions, order.content, order.flight.aircraft, order.flight.script)
+def _flown(order: Order) -> list[CaseOutcome]:
+    fly = group_function(order)
+    if not order.group.cases:
+        raise BadInputError("malformed order on the Dask cluster: no case in it")
+    _, flight = order.group.cases[0]
+    _refuse_unlike(order.versions, order.content, flight.aircraft, flight.script)
+    _refuse_without_engine(order.group.engine)
     executor = _take(order.fly)
     try:
-        (outcome,) = [item for batch in executor.run(fly, [(order.case_id, order.flight)]) for item in batch]
+        found = {item.case_id: item for batch in executor.run_groups(fly, [order.group]) for item in batch}
     finally:
         _idle.append((order.fly, executor))
-    return outcome
+    return [found[case_id] for case_id in order.case_ids]
+
+
+def _refuse_without_engine(name: str) -> None:
+    reason = why_not(name)
+    if reason is not None:
+        raise BadInputError(f"the campaign flies in the batch engine, and {reason}")
 
 
 # One process per thread of this worker; list operations are atomic, so that threads need no lock.

@@ -17,7 +17,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any, Protocol
 
 from uqharness.arguments import whole
-from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction, attempt, work
+from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction, Group, GroupFunction, OneByOne, attempt_group, work
 from uqharness.child_process import child_settings, ending, main_not_imported
 from uqharness.errors import BadInputError
 from uqharness.flight import FlightSpec
@@ -31,6 +31,9 @@ _RETRIES = 1
 # Death by SIGKILL or SIGTERM comes from outside (a scheduler, a user, want of memory) and says less about the case.
 _RETRIES_AFTER_OUTSIDE_KILL = 4
 _OUTSIDE_SIGNALS = (-9, -15)
+PARTS = 4
+"""A group that took its worker with it is flown again in so many parts, until the case that does so is alone."""
+_GROUP_SHARE = 0.01
 _START_FAILURES_ALLOWED = 3
 _START_S = 120.0
 _GOODBYE_S = 2.0
@@ -41,7 +44,7 @@ _GUARD = (
 
 
 class Executor(Protocol):
-    """Flies (case id, flight) pairs; yields outcomes in any order, in batches no older than about BATCH_S, some empty."""
+    """Flies cases, singly or in groups; yields outcomes in any order, in batches no older than about BATCH_S, some empty."""
 
     workers: int
 
@@ -49,10 +52,19 @@ class Executor(Protocol):
         """Fly every (case id, flight) and hand on outcomes in batches, in any order, each case exactly once."""
         ...
 
+    def run_groups(self, fly: GroupFunction, groups: Iterable[Group]) -> Iterator[list[CaseOutcome]]:
+        """The same with cases that fly together."""
+        ...
+
 
 def default_timeout_s(flight: FlightSpec) -> float:
     """Seconds after which a flight counts as hung: 60 plus a tenth of the flown time, some 100 times what it should need."""
     return 60.0 + 0.1 * (flight.duration_s + flight.burn_in_s)
+
+
+def singly(flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[Group]:
+    """Groups of one."""
+    return (Group("", (case,)) for case in flights)
 
 
 class SerialExecutor:
@@ -62,10 +74,14 @@ class SerialExecutor:
 
     def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]:
         """Fly one after another in this process; see :meth:`Executor.run`."""
+        yield from self.run_groups(OneByOne(fly), singly(flights))
+
+    def run_groups(self, fly: GroupFunction, groups: Iterable[Group]) -> Iterator[list[CaseOutcome]]:
+        """Fly one group after another in this process; see :meth:`Executor.run_groups`."""
         batch: list[CaseOutcome] = []
         handed_on = time.monotonic()
-        for case_id, flight in flights:
-            batch.append(attempt(fly, case_id, flight))
+        for group in groups:
+            batch += attempt_group(fly, group)
             if time.monotonic() - handed_on >= BATCH_S:
                 yield batch
                 batch, handed_on = [], time.monotonic()
@@ -74,8 +90,7 @@ class SerialExecutor:
 
 @dataclass
 class _Task:
-    case_id: str
-    flight: FlightSpec
+    group: Group
     failures: int = 0
     outside_kills: int = 0
 
@@ -92,6 +107,7 @@ class _Worker:
 class ProcessExecutor:
     """Flies in ``workers`` processes; each case has a time limit, and a second chance if its worker dies or hangs.
 
+    A group whose worker dies or hangs is flown again in smaller groups, so that the guilty case is alone in the end.
     ``start_method`` is spawn (default, safe everywhere), forkserver or fork. ``timeout_s`` maps a flight to seconds. With ``keep``
     the processes stay for the next call of run, which must be with the same flight function.
     """
@@ -117,10 +133,14 @@ class ProcessExecutor:
 
     def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]:
         """Fly in worker processes that are replaced when they die or hang; see :meth:`Executor.run`."""
-        source = (_Task(case_id, flight) for case_id, flight in flights)
+        return self.run_groups(OneByOne(fly), singly(flights))
+
+    def run_groups(self, fly: GroupFunction, groups: Iterable[Group]) -> Iterator[list[CaseOutcome]]:
+        """Fly groups in worker processes; see :meth:`Executor.run_groups`."""
+        source = (_Task(group) for group in groups)
         again: deque[_Task] = deque()
         pool: list[_Worker] = self._kept
-        self._start_failures, self._scripted = 0, _of_the_script(fly)
+        self._start_failures, self._scripted = 0, _of_the_script(fly.fly if isinstance(fly, OneByOne) else fly)
         done = False
         with child_settings():
             try:
@@ -135,7 +155,7 @@ class ProcessExecutor:
         _stop(self._kept)
 
     def _loop(
-        self, fly: FlightFunction, source: Iterator[_Task], again: deque[_Task], pool: list[_Worker]
+        self, fly: GroupFunction, source: Iterator[_Task], again: deque[_Task], pool: list[_Worker]
     ) -> Iterator[list[CaseOutcome]]:
         batch: list[CaseOutcome] = []
         handed_on = time.monotonic()
@@ -152,7 +172,7 @@ class ProcessExecutor:
                     pool.remove(worker)
                     batch += self._bury(worker, again)
                 elif worker.tasks:
-                    limit = self._timeout_s(worker.tasks[0].flight) if worker.ready else _START_S
+                    limit = self._limit_s(worker.tasks[0].group) if worker.ready else _START_S
                     if time.monotonic() - worker.head_since > limit:
                         pool.remove(worker)
                         batch += self._give_up(worker, again, limit)
@@ -161,7 +181,7 @@ class ProcessExecutor:
                 batch, handed_on = [], time.monotonic()
         yield batch
 
-    def _feed(self, fly: FlightFunction, source: Iterator[_Task], again: deque[_Task], pool: list[_Worker]) -> None:
+    def _feed(self, fly: GroupFunction, source: Iterator[_Task], again: deque[_Task], pool: list[_Worker]) -> None:
         """Top up every worker, the emptiest first; start a worker only for a case that needs one."""
         tasks = itertools.chain(_drained(again), source)
         for depth in range(_QUEUED_PER_WORKER):
@@ -176,7 +196,7 @@ class ProcessExecutor:
                     slot = len(pool) - 1
                 _send(pool[slot], task)
 
-    def _start(self, fly: FlightFunction) -> _Worker:
+    def _start(self, fly: GroupFunction) -> _Worker:
         ours, theirs = self._context.Pipe()
         process = self._context.Process(target=work, args=(theirs, fly), daemon=True)
         with contextlib.nullcontext() if self._scripted else main_not_imported():
@@ -195,8 +215,13 @@ class ProcessExecutor:
                     worker.ready, self._start_failures = True, 0
                 else:
                     worker.tasks.popleft()
-                    received.append(message)
+                    received += message
         return received
+
+    def _limit_s(self, group: Group) -> float:
+        """That of its first flight, and a hundredth for each other: flights of a group share their steps."""
+        first, *others = (self._timeout_s(flight) for _, flight in group.cases)
+        return first + _GROUP_SHARE * sum(others)
 
     def _bury(self, worker: _Worker, again: deque[_Task]) -> list[CaseOutcome]:
         worker.process.join()
@@ -219,21 +244,25 @@ class ProcessExecutor:
         return self._second_chance(worker, again, False, "timeout", f"no result after {limit_s:g} s")
 
     def _second_chance(self, worker: _Worker, again: deque[_Task], outside: bool, status: str, reason: str) -> list[CaseOutcome]:
-        """The case at the head of the dead worker's queue gets the blame; those behind it were not begun."""
+        """The group at the head of the dead worker's queue gets the blame; those behind it were not begun."""
         if not worker.tasks:
             return []
         guilty = worker.tasks.popleft()
         again.extendleft(reversed(worker.tasks))
+        if len(guilty.group.cases) > 1:
+            again.extendleft(_Task(part) for part in reversed(guilty.group.parts(PARTS)))
+            return []
         guilty.failures += not outside
         guilty.outside_kills += outside
         if guilty.failures <= self._retries and guilty.outside_kills <= _RETRIES_AFTER_OUTSIDE_KILL:
             again.appendleft(guilty)
             return []
         times = guilty.failures + guilty.outside_kills
-        return [CaseOutcome(guilty.case_id, status, f"{reason} (tried {times} times)", 0.0)]
+        ((case_id, _),) = guilty.group.cases
+        return [CaseOutcome(case_id, status, f"{reason} (tried {times} times)", 0.0)]
 
 
-def _of_the_script(fly: FlightFunction) -> bool:
+def _of_the_script(fly: FlightFunction | GroupFunction) -> bool:
     """Whether a worker needs the script that was started in order to find the flight function."""
     return "__main__" in (getattr(fly, "__module__", ""), type(fly).__module__)
 
@@ -249,7 +278,7 @@ def _send(worker: _Worker, task: _Task) -> None:
     worker.tasks.append(task)
     # A worker that died meanwhile is found, with its queue, by the loop.
     with contextlib.suppress(OSError):
-        worker.pipe.send((task.case_id, task.flight))
+        worker.pipe.send(task.group)
 
 
 def _stop(pool: list[_Worker]) -> None:

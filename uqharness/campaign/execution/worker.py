@@ -1,11 +1,11 @@
-"""A campaign's worker: takes a case, flies it, sends what is kept of it. Imports little, for it starts often."""
+"""A campaign's worker: takes cases, flies them, sends what is kept of them. Imports little, for it starts often."""
 
 from __future__ import annotations
 
 import faulthandler
 import math
 import signal
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 
@@ -14,6 +14,32 @@ from uqharness.flight import STATUSES, FlightResult, FlightSpec
 from uqharness.parallel import end_with_parent
 
 FlightFunction = Callable[[FlightSpec], FlightResult]
+GroupFunction = Callable[[str, Sequence[FlightSpec]], Sequence[FlightResult]]
+"""Flies flights in the engine of that name; results in the order given."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Cases (id, flight) that one worker flies together in the engine of that name."""
+
+    engine: str
+    cases: tuple[tuple[str, FlightSpec], ...]
+
+    def parts(self, number: int) -> list[Group]:
+        """At most that many groups of the same cases in the same order, sizes as even as can be."""
+        share = -(-len(self.cases) // number)
+        return [Group(self.engine, self.cases[first : first + share]) for first in range(0, len(self.cases), share)]
+
+
+@dataclass(frozen=True)
+class OneByOne:
+    """A flight function as a group function: one flight after the other, whatever the engine is called."""
+
+    fly: FlightFunction
+
+    def __call__(self, engine: str, flights: Sequence[FlightSpec]) -> list[FlightResult]:
+        """Fly them."""
+        return [self.fly(flight) for flight in flights]
 
 
 @dataclass(frozen=True)
@@ -31,31 +57,43 @@ class CaseOutcome:
 
 def attempt(fly: FlightFunction, case_id: str, flight: FlightSpec) -> CaseOutcome:
     """Fly one case; whatever it raises becomes a crashed outcome with its reason."""
+    return attempt_group(OneByOne(fly), Group("", ((case_id, flight),)))[0]
+
+
+def attempt_group(fly: GroupFunction, group: Group) -> list[CaseOutcome]:
+    """Fly a group; of a case that raises, flown by itself, that becomes a crashed outcome with its reason."""
     try:
-        result = fly(flight)
-        if result.status not in STATUSES:
-            raise ValueError(f"the flight function returned status '{result.status}', not one of {', '.join(STATUSES)}")
-        return CaseOutcome(
-            case_id,
-            result.status,
-            result.reason,
-            float(result.flown_s),
-            # Text carries one NaN, so that tables have the same bytes wherever a case was flown.
-            {name: math.nan if math.isnan(value) else float(value) for name, value in result.metrics.items()},
-            dict(result.undefined),
-        )
-    except BadInputError as error:
-        return CaseOutcome(case_id, "crashed", _one_line(str(error)), 0.0, bad_input=True)
+        results = fly(group.engine, [flight for _, flight in group.cases])
+        return [_outcome(case_id, result) for (case_id, _), result in zip(group.cases, results, strict=True)]
     except Exception as error:
-        return CaseOutcome(case_id, "crashed", _one_line(f"{type(error).__name__}: {error}"), 0.0)
+        if len(group.cases) > 1:
+            return [outcome for part in group.parts(2) for outcome in attempt_group(fly, part)]
+        ((case_id, _),) = group.cases
+        if isinstance(error, BadInputError):
+            return [CaseOutcome(case_id, "crashed", _one_line(str(error)), 0.0, bad_input=True)]
+        return [CaseOutcome(case_id, "crashed", _one_line(f"{type(error).__name__}: {error}"), 0.0)]
+
+
+def _outcome(case_id: str, result: FlightResult) -> CaseOutcome:
+    if result.status not in STATUSES:
+        raise ValueError(f"the flight function returned status '{result.status}', not one of {', '.join(STATUSES)}")
+    return CaseOutcome(
+        case_id,
+        result.status,
+        result.reason,
+        float(result.flown_s),
+        # Text carries one NaN, so that tables have the same bytes wherever a case was flown.
+        {name: math.nan if math.isnan(value) else float(value) for name, value in result.metrics.items()},
+        dict(result.undefined),
+    )
 
 
 def _one_line(text: str) -> str:
     return " ".join(text.split())
 
 
-def work(pipe: Connection, fly: FlightFunction) -> None:
-    """A worker's life: take a case, fly it, send the outcome; end with the parent."""
+def work(pipe: Connection, fly: GroupFunction) -> None:
+    """A worker's life: take a group, fly it, send the outcomes; end with the parent."""
     # Ctrl-C reaches the whole group; the parent decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
@@ -65,7 +103,6 @@ def work(pipe: Connection, fly: FlightFunction) -> None:
     try:
         pipe.send(None)
         while True:
-            case_id, flight = pipe.recv()
-            pipe.send(attempt(fly, case_id, flight))
+            pipe.send(attempt_group(fly, pipe.recv()))
     except (EOFError, OSError):
         return

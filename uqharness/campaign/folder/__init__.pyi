@@ -1,3 +1,8 @@
+from .engine_file import STATUS as STATUS
+from .engine_file import WHOLE as WHOLE
+from .engine_file import CheckRow as CheckRow
+from .engine_file import as_number as as_number
+from .engine_file import read_check as read_check
 from .files import read_cases as read_cases
 from .files import read_checked as read_checked
 from .files import read_decisions as read_decisions

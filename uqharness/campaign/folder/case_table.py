@@ -11,11 +11,13 @@ import pyarrow as pa
 
 from uqharness.campaign.cases import Case
 from uqharness.campaign.columns import ERROR_METRICS, UNCOMMANDED_METRICS, excursion_columns
+from uqharness.campaign.execution.flying import BATCH, JSBSIM
 from uqharness.campaign.execution.worker import CaseOutcome
 from uqharness.errors import BadInputError
 from uqharness.flight import COEFFICIENTS, STATUSES, TURBULENCE_W20_KT
 
 CASES = "cases.parquet"
+_ENGINE = "engine"
 _ALWAYS = ("case_id", "epistemic_id", "aleatory_id", "wind_mps", "turbulence", "seed", "duration_s", "status", "reason")
 
 
@@ -49,6 +51,8 @@ def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> p
     means = tuple(f"level_{name}" for name, item in variables.items() if isinstance(item.get("mean"), list))
     found = {field.name: field.type for field in table.schema}
     for field in _schema(campaign["metrics"]["excursion_radius_m"], (), means):
+        if field.name == _ENGINE and field.name not in found:
+            continue  # a table from before there was another engine than JSBSim
         if field.name not in found or len(table.schema.get_all_field_indices(field.name)) != 1:
             raise BadInputError(f"{path}: has no column {field.name}; run the campaign again")
         if found[field.name] != field.type:
@@ -56,7 +60,8 @@ def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> p
                 f"{path}: column {field.name} is of type {found[field.name]}, not {field.type}; run the campaign again"
             )
     wrong = [name for name in _ALWAYS if table[name].null_count]
-    for name, known in (("status", STATUSES), ("turbulence", tuple(TURBULENCE_W20_KT))):
+    allowed: dict[str, tuple[str, ...]] = {"status": STATUSES, "turbulence": tuple(TURBULENCE_W20_KT)}
+    for name, known in (allowed | ({_ENGINE: (BATCH, JSBSIM)} if _ENGINE in found else {})).items():
         wrong += [name] if set(table[name].unique().to_pylist()) - set(known) else []
     if wrong or not table.num_rows:
         raise BadInputError(f"{path}: column {(wrong or ['case_id'])[0]} holds what no flight leaves; run the campaign again")
@@ -66,7 +71,14 @@ def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> p
 def _schema(radii_m: Sequence[float], more: Sequence[str], inputs: Sequence[str]) -> pa.Schema:
     text, real, whole = pa.string(), pa.float64(), pa.int64()
     fields = [("case_id", text), ("epistemic_id", text), *((f"level_{name}", real) for name in COEFFICIENTS)]
-    fields += [("aleatory_id", whole), ("wind_mps", real), ("turbulence", text), ("seed", whole), ("duration_s", real)]
+    fields += [
+        ("aleatory_id", whole),
+        ("wind_mps", real),
+        ("turbulence", text),
+        ("seed", whole),
+        (_ENGINE, text),
+        ("duration_s", real),
+    ]
     fields += [("status", text), ("reason", text), *((name, real) for name in ERROR_METRICS)]
     fields += [(name, whole) for name in excursion_columns(radii_m)]
     fields += [("loss_of_control", whole), ("extrapolated_share", real), *((name, real) for name in (*more, *inputs))]
@@ -84,6 +96,7 @@ def _row(case: Case, outcome: CaseOutcome, radii_m: Sequence[float], more: Seque
         "wind_mps": case.wind_mps,
         "turbulence": case.turbulence,
         "seed": case.seed,
+        _ENGINE: case.engine,
         "duration_s": scored_s,
         "status": outcome.status,
         "reason": outcome.reason or "; ".join(f"{name}: {why}" for name, why in sorted(outcome.undefined.items())),

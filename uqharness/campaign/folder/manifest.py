@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import platform
 from collections.abc import Mapping
@@ -24,14 +25,16 @@ _MOST_BYTES = 16_000_000
 
 # A change in one of these may change a flight; the others are recorded for the reader.
 _BINDING_VERSIONS = ("uqharness", "jsbsim", "numpy")
-_RECORDED_VERSIONS = ("scipy", "pyarrow", "pandas")
+_RECORDED_VERSIONS = ("scipy", "pyarrow", "pandas", "llvmlite")
 
 
 def versions() -> dict[str, str]:
     """Versions of this program, of what it flies with and of what writes its tables."""
     found = {"uqharness": uqharness.__version__, "python": platform.python_version()}
     for name in (*_BINDING_VERSIONS[1:], *_RECORDED_VERSIONS):
-        found[name] = metadata.version(name)
+        # llvmlite may be left out.
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
     return found
 
 
@@ -139,6 +142,8 @@ def refuse_if_different(folder: Path, old: Mapping[str, Any], new: Mapping[str, 
     ]
     was, now = _flat(old["campaign"]), _flat(new["campaign"])
     for key in sorted(was.keys() | now.keys()):
+        if key == "campaign.engine" and now.get(key, "auto") == "auto":
+            continue  # whichever flew before
         if key not in ("campaign.aircraft", "campaign.mission") and was.get(key) != now.get(key):
             section, _, name = key.partition(".")
             differences.append(f"[{section}] {name} was {json.dumps(was.get(key))}, is {json.dumps(now.get(key))}")

@@ -28,6 +28,11 @@ class _Journal(_Part):
     digest: _Digest
 
 
+class _Engine(_Part):
+    asked: Literal["auto", "batch", "jsbsim"]
+    why: list[str]
+
+
 class _Content(_Part):
     format: Literal[1, 2]
     state: Literal["running", "interrupted", "complete", "spoilt"]
@@ -41,6 +46,7 @@ class _Content(_Part):
     shard: Annotated[str, Field(pattern=r"^[0-9]{1,6}/[0-9]{1,6}$")] | None = None
     tables: dict[_FileName, _Digest] = Field(default_factory=dict)
     journal: _Journal | None = None
+    engine: _Engine | None = None
 
     @model_validator(mode="after")
     def _whole(self) -> _Content:
@@ -59,12 +65,18 @@ def checked_content(data: Mapping[str, Any]) -> dict[str, Any]:
     except ValidationError as error:
         raise ValueError(_words(error)) from None
     try:
-        settings = checked_settings(found.campaign)
+        settings = checked_settings(_with_engine(found.campaign))
     except ValidationError as error:
         raise ValueError(_words(error, "campaign")) from None
     if settings["campaign"]["seed"] != found.seed:
         raise ValueError(f"seed is {found.seed}, that of the campaign in it {settings['campaign']['seed']}")
     return {**data, "campaign": settings}
+
+
+def _with_engine(campaign: dict[str, Any]) -> dict[str, Any]:
+    """Flights from before there was another engine are JSBSim's."""
+    section = campaign.get("campaign")
+    return {**campaign, "campaign": {"engine": "jsbsim", **section}} if isinstance(section, dict) else campaign
 
 
 def _words(error: ValidationError, *section: str) -> str:

@@ -12,6 +12,7 @@ from typing import Any
 from sysid.units import FT_M
 from uqharness.campaign.aircraft import make_copy, needs_copy
 from uqharness.campaign.cases import Case, build_cases
+from uqharness.campaign.execution.flying import JSBSIM, fly_group, why_not
 from uqharness.campaign.execution.processes import ProcessExecutor
 from uqharness.campaign.execution.worker import CaseOutcome
 from uqharness.campaign.folder.manifest import describe, read_manifest, refuse_if_different, refuse_without_digests, spec_of
@@ -20,7 +21,6 @@ from uqharness.campaign.run import find_mission
 from uqharness.errors import BadInputError
 from uqharness.files import inner_folder, write_bytes
 from uqharness.flight import COEFFICIENTS, FlightResult, FlightSpec, record_mission, staged_mission, write_record
-from uqharness.flight.fly import fly
 from uqharness.simulator import Source
 from uqharness.simulator import signals as properties
 
@@ -42,14 +42,18 @@ class Rerun:
 
 @dataclass(frozen=True)
 class RecordedFlight:
-    """A flight function for a worker: flies and scores as the campaign does, then once more with all signals to ``path``."""
+    """A flight function for a worker: flies and scores as the campaign does, then once more with all signals to ``path``.
+
+    The signals are JSBSim's, also of a flight in the batch ``engine``.
+    """
 
     path: Path
+    engine: str = JSBSIM
 
     def __call__(self, spec: FlightSpec) -> FlightResult:
         import pandas as pd
 
-        result = fly(spec)
+        (result,) = fly_group(self.engine, [spec])
         mission = staged_mission(spec)
         table = {name: source for name, source in properties.sources(mission.aircraft).items() if name != "time_s"}
         optional = {} if mission.aircraft.has_card else {name: table.pop(name) for name in set(table) - set(properties.STANDARD)}
@@ -73,6 +77,9 @@ def rerun_case(folder: Path, case_id: str) -> Rerun:
     mission = find_mission(spec, folder)
     refuse_if_different(folder, manifest, describe(spec, mission, manifest["cases"], ""))
     case = _find_case(build_cases(spec, mission), case_id, folder)
+    reason = why_not(case.engine)
+    if reason is not None:
+        raise BadInputError(f"{folder}: this campaign flies in the batch engine, and {reason}; fly the case where it was flown")
     if needs_copy(spec):
         make_copy(spec, mission, folder)
     stored = _stored(folder, case.case_id)
@@ -81,7 +88,9 @@ def rerun_case(folder: Path, case_id: str) -> Rerun:
     record.unlink(missing_ok=True)
     # A case that ends the interpreter must end another one than ours.
     executor = ProcessExecutor(1, timeout_s=lambda flight: 120.0 + 0.5 * (flight.duration_s + flight.burn_in_s), retries=0)
-    (outcome,) = [item for batch in executor.run(RecordedFlight(record), [(case.case_id, case.flight)]) for item in batch]
+    (outcome,) = [
+        item for batch in executor.run(RecordedFlight(record, case.engine), [(case.case_id, case.flight)]) for item in batch
+    ]
     if outcome.bad_input:
         raise BadInputError(outcome.reason)
     differences = () if stored is None else tuple(_differences(stored, outcome))

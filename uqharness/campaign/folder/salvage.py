@@ -17,8 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from sysid.foreign.regular_files import read_regular
-from uqharness.campaign.cases import build_cases
+from uqharness.campaign.cases import Mission, build_cases
 from uqharness.campaign.cost import Cost
+from uqharness.campaign.engines import Engines
+from uqharness.campaign.execution.flying import BATCH, JSBSIM
 from uqharness.campaign.execution.processes import Executor
 from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction
 from uqharness.campaign.folder.digests import DamageError
@@ -72,7 +74,7 @@ class Flying:
     executor: Executor
     before_flying: Callable[[Cost], None] = lambda _: None
     on_progress: Callable[[Any], None] | None = None
-    fly: FlightFunction | None = None
+    fly: FlightFunction | Engines | None = None
 
 
 def salvage(folder: Path, flying: Flying, campaign: CampaignSpec | None = None, command: str = "") -> Salvaged:
@@ -183,6 +185,7 @@ def _known_campaign(folder: Path, campaign: CampaignSpec | None, command: str) -
         _refuse_other_versions(folder)
         shard = _shard_of(folder)
         mission = find_mission(campaign, folder)
+        campaign = _in_the_engine_flown(folder, campaign, mission)
         cases = build_cases(campaign, mission)
         if shard is None:
             made = describe(campaign, mission, len(cases), command)
@@ -207,14 +210,28 @@ def _refuse_other_versions(folder: Path) -> None:
 
 def _refuse_foreign_flights(folder: Path, campaign: CampaignSpec, manifest: Mapping[str, Any]) -> None:
     wanted = _case_ids(folder, campaign, manifest)
-    with _work_folder(folder) as work:
-        found = {row[0] for source in _sources(folder) for row in JournalScan(source, work / "scan").rows(wanted)}
+    found = _sound_ids(folder, wanted)
     foreign = len(found - wanted)
     if foreign:
         raise BadInputError(
             f"{folder}: {foreign} of its {len(found)} sound flights are no part of {campaign.path}; give the campaign file, the "
             "aircraft and the --hours or --samples that it was flown with"
         )
+
+
+def _sound_ids(folder: Path, wanted: Collection[str]) -> set[str]:
+    with _work_folder(folder) as work:
+        return {row[0] for source in _sources(folder) for row in JournalScan(source, work / "scan").rows(wanted)}
+
+
+def _in_the_engine_flown(folder: Path, campaign: CampaignSpec, mission: Mission) -> CampaignSpec:
+    """The campaign in the engine whose flights the journal holds: ids tell, where the file leaves it to the first run."""
+    if campaign.campaign.engine != "auto":
+        return campaign
+    both = {engine: {case.case_id for case in build_cases(campaign.with_engine(engine), mission)} for engine in (JSBSIM, BATCH)}
+    found = _sound_ids(folder, set().union(*both.values()))
+    hits = {engine: len(found & ids) for engine, ids in both.items()}
+    return campaign.with_engine(max(hits, key=lambda engine: hits[engine])) if any(hits.values()) else campaign
 
 
 def _case_ids(folder: Path, spec: CampaignSpec, manifest: Mapping[str, Any]) -> set[str]:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from uqharness.campaign.cases import Case, Mission, build_cases
+from uqharness.campaign.folder.engine_file import merge_checks
 from uqharness.campaign.folder.manifest import (
     MANIFEST,
     describe,
@@ -93,7 +94,9 @@ def merge(folder: Path) -> Merged:
     cases = build_cases(spec, mission)
     wanted = {case.case_id for case in cases}
     command = first["command"].partition(" --shard ")[0]
-    manifest = describe(spec, mission, len(cases), command) | {"versions": first["versions"]}
+    manifest = describe(spec, mission, len(cases), command) | {
+        name: first[name] for name in ("versions", "engine") if name in first
+    }
     with run_lock(folder):
         old = _merged_before(folder, manifest)
         for part in folders:
@@ -119,6 +122,7 @@ def merge(folder: Path) -> Merged:
             if not missing:
                 tables = make_tables(spec, cases, store.outcomes())
                 write_tables(folder, tables)
+                merge_checks(folder, folders)
                 write_manifest(folder, sealed(manifest, store, tables))
             return _merged(folder, cases, store.statuses(), missing, folders, ())
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from uqharness.campaign.answers import Answer, read_answers
+from uqharness.campaign.execution.flying import JSBSIM
 from uqharness.campaign.folder.digests import DamageError
 from uqharness.campaign.folder.files import is_sealed
 from uqharness.campaign.folder.manifest import MANIFEST, has_digests, read_manifest
@@ -22,13 +23,18 @@ from uqharness.errors import BadInputError
 
 @dataclass(frozen=True)
 class Status:
-    """``state``: complete, running or interrupted; ``statuses``: number of finished flights by status."""
+    """``state``: complete, running or interrupted; ``statuses``: number of finished flights by status.
+
+    ``engine`` flies the campaign, ``why`` says for what reasons.
+    """
 
     state: str
     cases: int
     statuses: Mapping[str, int]
     answers: tuple[Answer, ...]
     command: str
+    engine: str = JSBSIM
+    why: tuple[str, ...] = ()
 
     @property
     def done(self) -> int:
@@ -51,7 +57,8 @@ def read_status(folder: Path) -> Status:
     state = COMPLETE if complete else RUNNING if any(map(is_running, folders)) else INTERRUPTED
     # Answers are of a campaign as a whole.
     answers = tuple(read_answers(folder, manifest)) if folders == [folder] else ()
-    return Status(state, cases, dict(sorted(counted.items())), answers, manifest["command"])
+    engine, why = manifest["campaign"]["campaign"]["engine"], tuple(manifest.get("engine", {}).get("why", ()))
+    return Status(state, cases, dict(sorted(counted.items())), answers, manifest["command"], engine, why)
 
 
 def _counted(folder: Path, manifest: Mapping[str, Any]) -> Mapping[str, int]:

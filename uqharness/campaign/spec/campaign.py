@@ -25,11 +25,16 @@ from uqharness.simulator import STEADY, StartSection
 
 
 class CampaignSection(Section):
-    """What flies: an aircraft (name under aircraft/, or folder), a run script, and the root seed of all streams."""
+    """What flies: an aircraft (name under aircraft/, or folder), a run script, and the root seed of all streams.
+
+    ``engine`` auto is batch where the batch engine understands aircraft and mission as a whole, else jsbsim; settled at the first
+    run.
+    """
 
     aircraft: str = Field(min_length=1)
     mission: str = Field(min_length=1)
     seed: int = Field(ge=0, lt=2**63)
+    engine: Literal["auto", "batch", "jsbsim"] = "auto"
 
 
 class AleatorySection(Section):
@@ -128,6 +133,10 @@ class CampaignSpec:
         flights = math.ceil(hours * 3600.0 / self.aleatory.duration_s - 1e-9)
         given = self.stop.model_copy(update={"hours": float(hours)}) if self.stop.rule == "hours" else self.stop
         return dataclasses.replace(self.with_flights(max(1, flights)), stop=given)
+
+    def with_engine(self, engine: str) -> CampaignSpec:
+        """The same campaign flown in the engine of that name."""
+        return dataclasses.replace(self, campaign=self.campaign.model_copy(update={"engine": engine}))
 
     def with_flights(self, flights: int) -> CampaignSpec:
         """The same campaign with another number of flights per corner and condition."""

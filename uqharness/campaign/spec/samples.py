@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from uqharness.campaign.inputs import Estimates
 from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.campaign.spec.epistemic import SAMPLED, ParametersSection
-from uqharness.flight import COEFFICIENTS, LevelDriver, named_stream, numbered_stream
+from uqharness.flight import COEFFICIENTS, LevelDriver, exact, named_stream, normals, numbered_stream
 
 Array = NDArray[np.float64]
 
@@ -109,17 +109,14 @@ def _parameter_draws(spec: CampaignSpec) -> list[dict[str, float]]:
 def parameter_draws(section: ParametersSection, estimates: Estimates, samples: int, root_seed: int) -> Array:
     """Draws of the parameters, (samples, n): from N(values, covariance), or filling the simultaneous confidence box."""
     if section.distribution == "normal":
-        unit = np.vstack([
-            np.random.Generator(np.random.PCG64(numbered_stream(root_seed, "parameters", number))).standard_normal(
-                len(estimates.names)
-            )
-            for number in range(samples)
-        ])  # fmt: skip
-        return np.asarray(estimates.values + unit @ estimates.factor().T)
-    from scipy.special import ndtri
-
+        rows = [normals.drawn(numbered_stream(root_seed, "parameters", n), len(estimates.names)) for n in range(samples)]
+        found = np.tile(estimates.values, (samples, 1))
+        # Column by column: a matrix product's order, and so its last bits, is the library's and the processor's.
+        for column, weights in zip(np.vstack(rows).T, estimates.factor().T, strict=True):
+            found += column[:, None] * weights
+        return found
     # Bonferroni: each interval at 1 - (1 - confidence)/n, so that all n hold at once with at least ``confidence``.
-    reach = float(ndtri(1.0 - (1.0 - section.box_confidence) / (2.0 * len(estimates.names))))
+    reach = exact.normal_quantile(1.0 - (1.0 - section.box_confidence) / (2.0 * len(estimates.names)))
     columns = [latin_column(root_seed, f"parameter {name}", samples) for name in estimates.names]
     unit = 2.0 * np.column_stack(columns) - 1.0
     return np.asarray(estimates.values + unit * reach * np.sqrt(np.diag(estimates.covariance)))

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from uqharness.campaign import lines
+from uqharness.campaign import engine_words, lines
 from uqharness.campaign.answers import as_json
 from uqharness.campaign.folder import merge, read_status, rerun_case
 from uqharness.cli.campaign.run import failures, say_rewritten
@@ -70,9 +70,11 @@ def _status(args: argparse.Namespace) -> int:
     done, statuses = found.done, dict(found.statuses)
     if args.json:
         document = {"state": found.state, "cases": found.cases, "done": done, "failed": done - statuses.get("ok", 0)}
-        print(json.dumps(document | {"statuses": statuses, "answers": as_json(found.answers)}))
+        document |= {"statuses": statuses, "engine": found.engine, "engine_why": list(found.why)}
+        print(json.dumps(document | {"answers": as_json(found.answers)}))
     else:
         summary = f"{args.folder}: {found.state}, {done} of {found.cases} flights done, {failures(statuses)}"
+        summary += f"\nengine {engine_words(found.engine, found.why)}"
         print("\n".join([summary, *lines(found.answers)]))
         if found.state == "interrupted":
             print(f"resume with: {found.command or 'the command that began it'}", file=sys.stderr)

@@ -11,15 +11,14 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from uqharness.campaign import CampaignSummary, Cost, bounds_notes, make_copy, needs_copy, one_case, refuse_if_long, size_of
+from uqharness.campaign import CampaignSummary, Cost, bounds_notes, make_copy, needs_copy, refuse_if_long, size_of
 from uqharness.campaign import run as campaign_run
-from uqharness.campaign.execution import Executor, ProcessExecutor, SerialExecutor
+from uqharness.campaign.execution import Executor, ProcessExecutor, SerialExecutor, why_not
 from uqharness.campaign.folder import parse_shard, read_status
 from uqharness.campaign.spec import CampaignSpec, read_campaign, with_samples
 from uqharness.cli.options import add_out, add_workers, describe
 from uqharness.cli.progress import ProgressView, clock
 from uqharness.errors import BadInputError
-from uqharness.flight import fly as flight
 from uqharness.parallel import usable_cores
 from uqharness.project_files import find_campaign
 from uqharness.scratch import scratch_folder
@@ -27,7 +26,8 @@ from uqharness.scratch import scratch_folder
 _CHECK_EXAMPLE = """
   uqharness campaign check campaigns/demo/campaign.toml
 
-Flights, flight hours, expected time on this machine and disk. Flies the check flight alone, and keeps nothing of it."""
+Flights, flight hours, expected time on this machine and disk, and the engine that flies them: batch, or jsbsim and why, with file
+and line. Flies the check flights alone, and keeps nothing of them."""
 _RUN_EXAMPLE = """
   uqharness campaign run campaigns/demo/campaign.toml --out campaigns/demo/results
   uqharness campaign run campaigns/demo/campaign.toml --out big --hours 10 --workers 8
@@ -41,14 +41,16 @@ The same command resumes a run that was interrupted, killed or cut off: only mis
 def add_check(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``check``."""
     text = "Say what a campaign costs before it is flown."
-    describe(parser, _check, text, _CHECK_EXAMPLE, done="done (a model that cannot be flown is bad input)")
+    done, no = "done (a model that cannot be flown is bad input)", "the batch engine flies otherwise than JSBSim"
+    describe(parser, _check, text, _CHECK_EXAMPLE, done=done, no=no)
     _add_campaign(parser)
 
 
 def add_run(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``run``."""
     done = "all flights done (failed ones are counted and reported)"
-    describe(parser, _run, "Fly a campaign, or resume it.", _RUN_EXAMPLE, done=done)
+    no = "the batch engine flies otherwise than JSBSim"
+    describe(parser, _run, "Fly a campaign, or resume it.", _RUN_EXAMPLE, done=done, no=no)
     _add_campaign(parser)
     add_out(parser)
     parser.add_argument(
@@ -63,6 +65,10 @@ def add_run(parser: argparse.ArgumentParser) -> None:
 def _add_campaign(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml", help="a file, or the name of a folder under campaigns/")
     add_size(parser)
+    parser.add_argument(
+        "--engine", choices=("auto", "batch", "jsbsim"),
+        help="what flies, in place of [campaign] engine; auto: batch where it understands aircraft and mission, else jsbsim",
+    )  # fmt: skip
     add_workers(parser)
 
 
@@ -79,8 +85,10 @@ def add_yes(parser: argparse.ArgumentParser) -> None:
 
 
 def asked_campaign(args: argparse.Namespace) -> CampaignSpec:
-    """The campaign of ``args.campaign`` with ``--hours`` and ``--samples`` in it. Raises BadInputError."""
+    """The campaign of ``args.campaign`` with ``--hours``, ``--samples`` and ``--engine`` in it. Raises BadInputError."""
     spec = read_campaign(find_campaign(args.campaign))
+    engine = getattr(args, "engine", None)
+    spec = spec if engine is None else spec.with_engine(engine)
     if args.hours is not None:
         spec = spec.with_hours(args.hours)
     return spec if args.samples is None else with_samples(spec, args.samples)
@@ -90,6 +98,7 @@ def flying_command(args: argparse.Namespace, out: Path) -> list[str]:
     """The words that fly the campaign into a folder, at the size that was asked for."""
     words = ["uqharness", "campaign", "run", str(args.campaign), "--out", str(out)]
     words += [] if args.hours is None else ["--hours", f"{args.hours:g}"]
+    words += [] if getattr(args, "engine", None) is None else ["--engine", args.engine]
     return words if args.samples is None else [*words, "--samples", str(args.samples)]
 
 
@@ -123,10 +132,13 @@ def _check(args: argparse.Namespace) -> int:
         mission = campaign_run.find_mission(spec, scratch.path)
         if needs_copy(spec):
             make_copy(spec, mission, scratch.path)
-        pace = campaign_run.validate_model(flight.fly, one_case(spec, mission))
-    cost = Cost(size_of(spec), 0, pace, args.workers or usable_cores())
+        settled, pace = campaign_run.check_campaign(spec, mission, scratch.path)
+    cost = Cost(size_of(spec), 0, pace, args.workers or usable_cores(), settled.engine)
     asked = "; more than a day of this machine: `campaign run` wants --yes or --hours" if cost.is_long else ""
-    print(json.dumps(_cost_json(cost)) if args.json else f"{args.campaign}: {cost.words}{asked}")
+    if args.json:
+        print(json.dumps(_cost_json(cost) | {"engine": settled.engine, "engine_why": list(settled.why)}))
+    else:
+        print(f"{args.campaign}: {cost.words}{asked}\n{args.campaign}: engine {settled.words}")
     return 0
 
 
@@ -160,7 +172,8 @@ def _run(args: argparse.Namespace) -> int:
             executor = _executor(args, stack)
             # Before anything is made or tried out: what is too long at any pace need not be.
             size = size_of(spec, 1 if shard is None else shard.count)
-            refuse_if_long(Cost(size, _done_before(args.out), None, executor.workers), agreed, args.campaign)
+            fastest = "jsbsim" if spec.campaign.engine == "jsbsim" or why_not("batch") is not None else "batch"
+            refuse_if_long(Cost(size, _done_before(args.out), None, executor.workers, fastest), agreed, args.campaign)
             view = stack.enter_context(ProgressView())
             summary = campaign_run.run_campaign(
                 spec, args.out, executor=executor, on_progress=view.update, command=shlex.join(command), shard=shard,
@@ -210,6 +223,7 @@ def _summary_json(summary: CampaignSummary) -> dict[str, Any]:
         "flight_hours": progress.flown_s / 3600.0,
         "elapsed_s": progress.elapsed_s,
         "flight_hours_per_core_hour": progress.hours_per_core_hour,
+        "engine": summary.engine,
     }
 
 
@@ -221,5 +235,5 @@ def _sentence(summary: CampaignSummary) -> str:
     text += f", {failures(summary.statuses)}"
     if summary.cases > summary.done_before:
         text += f"; {progress.flown_s / 3600.0:.2f} flight h in {clock(progress.elapsed_s)} on {progress.workers} workers"
-        text += f", {progress.hours_per_core_hour:.0f} flight h per core h"
+        text += f", {progress.hours_per_core_hour:.0f} flight h per core h, engine {summary.engine}"
     return text

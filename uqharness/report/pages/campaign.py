@@ -11,6 +11,7 @@ from uqharness.campaign import CONFIDENCE, Condition, ExcursionCell, Statement
 from uqharness.campaign.conditions import conditions
 from uqharness.report import statements as report_statements
 from uqharness.report.campaign import CampaignFound, Finding, answer_level, hardest_first, span
+from uqharness.report.engine_check import engine_section
 from uqharness.report.parts import Block, Bullets, Cell, Figure, Figures, Level, Page, Section, Table, Words, provenance, shown
 from uqharness.report.pbox import DrawnBox, corner_words, pbox_figure
 from uqharness.report.sample_words import called
@@ -30,7 +31,8 @@ def campaign_page(found: CampaignFound, prefix: str = "") -> Page:
     method = found.campaign["epistemic"]["method"]
     sections = [called(part, method) for part in (grid_section(found.signed), pbox_section(found, prefix))]
     sections += sensitivity_section(found.folder, found.manifest, prefix)
-    sections += [*(called(s, method) for s in rate_sections(found)), failure_section(found.frame), _provenance(found)]
+    sections += [*(called(s, method) for s in rate_sections(found)), failure_section(found.frame)]
+    sections += [engine_section(found.manifest, found.engine_check), _provenance(found)]
     return Page(f"Campaign of {found.aircraft}", found.asked, found.verdict, tuple(sections))
 
 

@@ -11,8 +11,11 @@ import pytest
 
 from tests.helpers import campaign_fakes as fakes
 from uqharness.campaign.execution import dask as dask_executor
+from uqharness.campaign.execution import dask_task
 from uqharness.campaign.execution.dask import DaskExecutor
+from uqharness.campaign.execution.dask_orders import OWN_FLIGHT, Order, order_text
 from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor
+from uqharness.campaign.execution.worker import Group, OneByOne
 from uqharness.campaign.folder.case_table import CASES
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.spec.read import read_campaign
@@ -183,13 +186,31 @@ class Said:
         return self.answer
 
 
+def test_groups_fly_together_and_a_guilty_case_is_left_alone(tmp_path, dask):
+    cases = flights(tmp_path, list(range(4, 24)))
+    alone = fly(dask, fakes.hazardous, cases)
+    together = [Group("jsbsim", tuple(cases[first : first + 10])) for first in (0, 10)]
+    found = {o.case_id: o for batch in dask.run_groups(OneByOne(fakes.hazardous), together) for o in batch}
+    assert found == alone
+
+
+def test_a_worker_without_the_batch_engine_refuses_its_cases(monkeypatch):
+    monkeypatch.setattr(dask_task, "why_not", lambda engine: f"llvmlite is not installed for {engine}")
+    group = Group("batch", (("0001", FlightSpec(Path("nowhere"), Path("nothing"), 1.0)),))
+    content = (dask_task.ABSENT, dask_task.ABSENT)
+    monkeypatch.setattr(dask_task, "_refuse_unlike", lambda *given: None)
+    said = dask_task.fly_order(order_text(Order(OWN_FLIGHT, False, group, content, ())))
+    assert "the campaign flies in the batch engine, and llvmlite is not installed for batch" in said
+
+
 def test_an_answer_that_is_none_is_a_sentence(tmp_path, dask, monkeypatch):
-    other = '{"outcome": {"case_id": "0005", "status": "ok", "reason": "", "flown_s": 1.0}}'
+    other = '{"outcomes": [{"case_id": "0005", "status": "ok", "reason": "", "flown_s": 1.0}]}'
     for answer, said in (
         ("no json", "malformed answer on the Dask cluster"),
         (b"\x80\x05K\x01.", "malformed answer on the Dask cluster"),
         (17, "malformed answer on the Dask cluster"),
-        ('{"outcome": null}', "neither an outcome nor a reason"),
+        ('{"outcomes": null}', "neither an outcome nor a reason"),
+        ('{"outcomes": []}', "answered with 0 flights; asked for were 1"),
         (other, "answered for case '0005'"),
         (other.replace("0005", "0004").replace('"ok"', '"fine"'), "with the status 'fine'"),
     ):

@@ -19,6 +19,7 @@ from tests.helpers import campaign_fakes as fakes
 from uqharness.campaign.execution.dask_orders import (
     MODULES_VARIABLE,
     OWN_FLIGHT,
+    OWN_GROUP,
     Answer,
     Order,
     answer_from,
@@ -29,7 +30,8 @@ from uqharness.campaign.execution.dask_orders import (
     order_text,
 )
 from uqharness.campaign.execution.dask_task import fly_order
-from uqharness.campaign.execution.worker import CaseOutcome, attempt
+from uqharness.campaign.execution.flying import fly_group
+from uqharness.campaign.execution.worker import CaseOutcome, Group, attempt
 from uqharness.campaign.folder.rerun import RecordedFlight
 from uqharness.errors import BadInputError
 from uqharness.flight import fly as flight
@@ -40,38 +42,45 @@ FLIGHT = FlightSpec(
     seed_turbulence=2**70, properties={"uq/CX/level": 1 / 3, "x": -0.0, "low": -math.inf}, excursion_radius_m=(15.0, 1e300),
     levels=LevelDriver("walk", 7, "e1", ("CX", "Cn"), (0.1, 2.5)),
 )  # fmt: skip
-ORDER = Order("0001", OWN_FLIGHT, FLIGHT, ("a" * 64, "b" * 64), (("jsbsim", "1.3.3"),))
+ORDER = Order(OWN_FLIGHT, False, Group("jsbsim", (("0001", FLIGHT),)), ("a" * 64, "b" * 64), (("jsbsim", "1.3.3"),))
 OUTCOME = CaseOutcome("0001", "ok", "", 3.5, {"a": 1 / 3, "b": math.inf}, {"c": "why"})
+
+
+def order_of(flight, **changes):
+    return replace(ORDER, group=Group("batch", (("0001", flight),)), **changes)
 
 
 def test_an_order_comes_back_as_it_was():
     back = order_from(order_text(ORDER))
     assert back == ORDER
-    assert str(back.flight.properties["x"]) == "-0.0"
-    assert back != replace(ORDER, flight=replace(FLIGHT, duration_s=0.3))
+    ((case_id, back_flight),) = back.group.cases
+    assert (case_id, str(back_flight.properties["x"])) == ("0001", "-0.0")
+    assert back != replace(ORDER, group=Group("jsbsim", (("0001", replace(FLIGHT, duration_s=0.3)),)))
+    several = replace(ORDER, group=Group("batch", (("0001", FLIGHT), ("0002", replace(FLIGHT, seed_noise=5)))), together=True)
+    assert order_from(order_text(several)) == several
     given_so = MappingProxyType({"x": np.float64(1 / 3)})
-    odd = replace(ORDER, flight=replace(FLIGHT, properties=given_so, levels=None, seed_noise=np.int64(3)))
-    assert order_from(order_text(odd)) == replace(ORDER, flight=replace(FLIGHT, properties={"x": 1 / 3}, levels=None, seed_noise=3))
+    odd = order_of(replace(FLIGHT, properties=given_so, levels=None, seed_noise=np.int64(3)))
+    assert order_from(order_text(odd)) == order_of(replace(FLIGHT, properties={"x": 1 / 3}, levels=None, seed_noise=3))
 
 
 @settings(max_examples=300, deadline=None)
 @given(st.floats(allow_nan=False))
 def test_every_number_comes_back_bit_for_bit(value):
-    back = order_from(order_text(replace(ORDER, flight=replace(FLIGHT, properties={"x": value}))))
-    assert struct.pack("<d", back.flight.properties["x"]) == struct.pack("<d", value)
-    outcome = answer_from(answer_text(Answer(replace(OUTCOME, metrics={"x": value}))), "0001")
+    back = order_from(order_text(order_of(replace(FLIGHT, properties={"x": value}))))
+    assert struct.pack("<d", back.group.cases[0][1].properties["x"]) == struct.pack("<d", value)
+    (outcome,) = answer_from(answer_text(Answer((replace(OUTCOME, metrics={"x": value}),))), ("0001",))
     assert struct.pack("<d", outcome.metrics["x"]) == struct.pack("<d", value)
 
 
 def test_a_path_that_is_no_text_is_a_sentence():
     with pytest.raises(BadInputError, match="no UTF-8 cannot be sent"):
-        order_text(replace(ORDER, flight=replace(FLIGHT, aircraft=Path("/a\udc80"))))
+        order_text(order_of(replace(FLIGHT, aircraft=Path("/a\udc80"))))
 
 
 def test_nan_is_the_same_wherever_a_case_was_flown():
     negative = struct.unpack("<d", b"\x01\x00\x00\x00\x00\x00\xf8\xff")[0]
     found = attempt(lambda _: FlightResult("ok", "", 1.0, {"x": negative}, {"x": "why"}, {}), "0001", FLIGHT)
-    back = answer_from(answer_text(Answer(found)), "0001")
+    (back,) = answer_from(answer_text(Answer((found,))), ("0001",))
     assert struct.pack("<d", found.metrics["x"]) == struct.pack("<d", back.metrics["x"])
     assert struct.pack("<d", found.metrics["x"]) != struct.pack("<d", negative)
 
@@ -90,26 +99,30 @@ def test_a_malformed_order_is_one_sentence_to_the_campaign(text):
         order_from(text)
     assert "\n" not in str(error.value)
     with pytest.raises(BadInputError, match=r"Dask worker on .*: malformed order on the Dask cluster"):
-        answer_from(fly_order(text), "0001")
+        answer_from(fly_order(text), ("0001",))
 
 
 def test_an_answer_is_that_of_the_case_asked_for():
-    text = answer_text(Answer(OUTCOME))
-    assert answer_from(text, "0001") == OUTCOME
+    text = answer_text(Answer((OUTCOME,)))
+    assert answer_from(text, ("0001",)) == [OUTCOME]
     with pytest.raises(BadInputError, match="answered for case '0001'"):
-        answer_from(text, "0002")
-    for bad in (text[:-1], text.replace('"ok"', "3"), json.dumps({"outcome": []})):
+        answer_from(text, ("0002",))
+    with pytest.raises(BadInputError, match="answered with 1 flights; asked for were 2"):
+        answer_from(text, ("0001", "0002"))
+    for bad in (text[:-1], text.replace('"ok"', "3"), json.dumps({"outcomes": [[]]}), json.dumps({"outcomes": {}})):
         with pytest.raises(BadInputError, match="malformed answer"):
-            answer_from(bad, "0001")
+            answer_from(bad, ("0001",))
     with pytest.raises(BadInputError, match="status 'fine'"):
-        answer_from(text.replace('"ok"', '"fine"'), "0001")
+        answer_from(text.replace('"ok"', '"fine"'), ("0001",))
     with pytest.raises(BadInputError, match="other content here"):
-        answer_from(answer_text(Answer(None, "other content here")), "0001")
+        answer_from(answer_text(Answer(None, "other content here")), ("0001",))
 
 
 def test_functions_have_names_and_other_things_have_none(tmp_path):
     assert flight_name(flight.fly) == OWN_FLIGHT
     assert flight_function(OWN_FLIGHT) is flight.fly
+    assert flight_name(fly_group) == OWN_GROUP
+    assert flight_function(OWN_GROUP) is fly_group
     assert flight_name(fakes.steady) == "tests.helpers.campaign_fakes:steady"
     for other in (lambda spec: None, fakes.NotThere(), RecordedFlight(tmp_path), print, fakes.NotThere.__call__):
         with pytest.raises(BadInputError, match="fly this campaign without --dask"):
@@ -143,3 +156,4 @@ def test_a_worker_imports_no_module_that_its_operator_did_not_name(tmp_path, mon
 
 def test_an_order_without_versions_is_refused(tmp_path):
     assert "jsbsim unknown there" in fly_order(order_text(replace(ORDER, versions=())))
+    assert "no case in it" in fly_order(order_text(replace(ORDER, group=Group("jsbsim", ()))))

@@ -14,6 +14,7 @@ import pytest
 
 from tests.helpers import campaign_fakes as fakes
 from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor, default_timeout_s
+from uqharness.campaign.execution.worker import Group, OneByOne
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightSpec
 
@@ -87,6 +88,54 @@ def test_workers_killed_from_outside_cost_no_case():
         thread.join()
     assert len(kills) >= 3
     assert found == reference
+
+
+def groups(cases, size):
+    return [Group("batch", tuple(cases[first : first + size])) for first in range(0, len(cases), size)]
+
+
+def fly_groups(executor, function, cases, size):
+    outcomes = [outcome for batch in executor.run_groups(function, groups(cases, size)) for outcome in batch]
+    assert sorted(outcome.case_id for outcome in outcomes) == sorted(case_id for case_id, _ in cases)
+    return {outcome.case_id: outcome for outcome in outcomes}
+
+
+def test_groups_give_what_single_flights_give():
+    cases = flights(50)
+    reference = fly(SerialExecutor(), fakes.steady, cases)
+    for executor, size in ((SerialExecutor(), 7), (ProcessExecutor(2, "fork"), 16), (ProcessExecutor(2, "spawn"), 50)):
+        assert fly_groups(executor, OneByOne(fakes.steady), cases, size) == reference
+
+
+def test_a_group_that_ends_its_process_is_flown_in_parts_until_the_guilty_are_alone():
+    # Of twenty flights, eight do something dreadful; all the others come back.
+    cases = flights(20)
+    alone = fly(ProcessExecutor(2, "fork"), fakes.hazardous, cases)
+    assert fly_groups(ProcessExecutor(2, "fork"), OneByOne(fakes.hazardous), cases, 10) == alone
+    assert {outcome.status for outcome in alone.values()} == {"ok", "crashed", "diverged"}
+
+
+def test_a_group_that_hangs_is_flown_in_parts_too():
+    executor = ProcessExecutor(2, "fork", timeout_s=lambda flight: 0.5)
+    found = fly_groups(executor, OneByOne(fakes.hangs_sometimes), flights(12), 12)
+    assert {case_id for case_id, outcome in found.items() if outcome.status != "ok"} == {"0009"}
+    assert found["0009"].reason == "no result after 0.5 s (tried 2 times)"
+
+
+def too_few(engine, flights):
+    return [fakes.steady(flight) for flight in flights[1:]]
+
+
+def test_a_group_function_that_loses_a_flight_is_no_result():
+    found = fly_groups(SerialExecutor(), too_few, flights(3), 3)
+    assert {outcome.status for outcome in found.values()} == {"crashed"}
+
+
+def test_parts_are_even_and_in_order():
+    (group,) = groups(flights(10), 10)
+    assert [len(part.cases) for part in group.parts(4)] == [3, 3, 3, 1]
+    assert [case for part in group.parts(4) for case in part.cases] == list(group.cases)
+    assert [len(part.cases) for part in Group("batch", group.cases[:3]).parts(4)] == [1, 1, 1]
 
 
 def test_bad_input_is_marked():

@@ -160,7 +160,8 @@ def test_a_case_comes_out_as_stored_with_full_output_and_a_plot(flown, capsys):
     assert {"V_mps", "elevator_deg", "error_cross_track", "level_CX", "delta_Cm", "upper_CX", "wind_down_mps"} <= set(record)
     assert record["level_Cm"].nunique() > 300
     scored = record[record["scored"]]["error_cross_track"].abs()
-    assert scored.max() >= row["cross_track_max_m"] > 0.99 * scored.max()
+    # The record is JSBSim's, whichever engine flew the case.
+    assert scored.max() + 1e-6 >= row["cross_track_max_m"] > 0.99 * scored.max()
     result = json.loads((target / "result.json").read_text())
     assert result["metrics"]["altitude_median_m"] == row["altitude_median_m"]
     assert result["levels"]["epistemic_id"] == row["epistemic_id"]

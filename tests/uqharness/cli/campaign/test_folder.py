@@ -20,12 +20,15 @@ def test_status_of_complete_running_and_interrupted(flown, capsys):
     capsys.readouterr()
     out = flown / "out"
     assert call("status", out) == 0
-    assert "complete, 192 of 192 flights done" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "complete, 192 of 192 flights done" in said
+    assert "engine jsbsim, because " in said
     write_manifest(out, read_manifest(out) | {"state": "running", "cases": 200})
     assert call("status", out, "--json") == 1
     found = json.loads(capsys.readouterr().out)
     (answer,) = found.pop("answers")
     assert (answer["condition"], answer["answer"], answer["hours"]) == ("3 m/s moderate", "open", 8.0)
+    assert (found.pop("engine"), bool(found.pop("engine_why"))) == ("jsbsim", True)
     assert found == {"state": "interrupted", "cases": 200, "done": 192, "failed": 0, "statuses": {"ok": 192}}
     assert call("status", out) == 1
     assert "resume with: uqharness campaign run" in capsys.readouterr().err

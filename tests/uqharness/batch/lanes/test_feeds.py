@@ -1,0 +1,91 @@
+"""Feeds of lanes: each air, noise and walk is made once, and lanes point into it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.helpers.batch_whole import WALK, spec
+from uqharness.batch.form.flying import begun
+from uqharness.batch.lanes.begin import begin
+from uqharness.batch.lanes.feeds import Feeder
+from uqharness.batch.lanes.fly import ready
+from uqharness.batch.lanes.streams import GUSTS, LEVELS
+from uqharness.batch.models.winds import COUNTER, NORMALS
+
+
+def made(specs, frames=400):
+    lanes = ready(specs[0]).lanes
+    started = begin(lanes, specs)
+    state = begun(lanes.program, len(specs), {n: v for n, v in started.values.items() if n in lanes.program.slots})
+    return lanes, Feeder(lanes, specs, started, frames), state
+
+
+def specs(seeds=(1, 2, 1), **changes):
+    return [
+        spec(duration_s=4.0, seed_turbulence=seed, seed_noise=seed + 10, sensor_noise=True, turbulence="light", **changes)
+        for seed in seeds
+    ]
+
+
+def rows(feed, lane, count):
+    return feed.array[feed.offsets[lane] : feed.offsets[lane] + count]
+
+
+def test_lanes_of_one_air_share_its_numbers():
+    _, feeder, state = made(specs())
+    feeds = feeder.feeds(np.arange(3), 100, state)
+    gusts = feeds[GUSTS.name]
+    assert len(gusts.array) == 200
+    assert gusts.offsets[0] == gusts.offsets[2] != gusts.offsets[1]
+    assert np.abs(rows(gusts, 0, 100) - rows(gusts, 1, 100)).max() > 0.01
+    noise = [feed for name, feed in feeds.items() if name.startswith("noise/")]
+    assert noise
+    assert all(feed.offsets[0] == feed.offsets[2] != feed.offsets[1] for feed in noise)
+
+
+@pytest.mark.parametrize("pieces", [(100,), (30, 70), (1, 2, 97)])
+def test_pieces_are_the_whole(pieces):
+    _, whole, state = made(specs())
+    all_at_once = whole.feeds(np.arange(3), 100, state)[GUSTS.name]
+    _, feeder, state = made(specs())
+    got, frame = [], 0
+    for count in pieces:
+        feed = feeder.feeds(np.arange(3), count, state)[GUSTS.name]
+        assert feed.first_row == frame
+        got.append(rows(feed, 1, count))
+        frame += count
+    assert np.concatenate(got).tobytes() == rows(all_at_once, 1, 100).tobytes()
+
+
+def test_lanes_that_have_ended_are_left_out():
+    _, feeder, state = made(specs())
+    feeder.feeds(np.arange(3), 10, state)
+    rest = feeder.feeds(np.array([1]), 10, state)[GUSTS.name]
+    assert len(rest.array) == 10
+    assert rest.first_row == 10
+    _, other, state = made(specs())
+    both = other.feeds(np.arange(3), 20, state)[GUSTS.name]
+    assert rest.array.tobytes() == rows(both, 1, 20)[10:].tobytes()
+
+
+def test_levels_belong_to_their_driver():
+    given = specs(levels=WALK, properties={"uq/active": 1.0})
+    _, feeder, state = made(given)
+    levels = feeder.feeds(np.arange(3), 50, state)[LEVELS.name]
+    assert len(levels.array) == 50
+    assert list(levels.offsets) == [0, 0, 0]
+    assert ((levels.array >= 0.0) & (levels.array <= 1.0)).all()
+
+
+def test_jsbsims_turbulence_keeps_rows_that_a_lane_still_needs():
+    """Lanes of one air stand at different rows where its filters did not run in all of them."""
+    lanes, feeder, state = made(specs(turbulence_source="jsbsim"))
+    names = list(lanes.program.slots)
+    first = feeder.feeds(np.arange(3), 50, state)[NORMALS.name]
+    assert first.first_row == 0
+    state[0, names.index(COUNTER), :3] = [10.0, 30.0, 25.0]
+    later = feeder.feeds(np.arange(3), 50, state)[NORMALS.name]
+    assert later.first_row == 10
+    assert rows(later, 0, 15).tobytes() == rows(first, 0, 50)[10:25].tobytes()
+    assert rows(later, 1, 15).tobytes() == rows(first, 1, 50)[10:25].tobytes()

@@ -1,0 +1,267 @@
+"""Whole flights in both engines, and lanes that do not know of each other."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import sys
+
+import numpy as np
+import pytest
+
+from tests.helpers.batch_whole import (
+    CORNER,
+    EXPENSIVE,
+    SECOND_ORDER,
+    WALK,
+    WHITE,
+    beyond,
+    copied,
+    same_end,
+    spec,
+    with_bounds,
+)
+from uqharness.batch.installation import available
+from uqharness.batch.lanes import fly as lanes
+from uqharness.batch.lanes.fly import fly_many
+from uqharness.batch.machine.target import VECTORS, target_names
+from uqharness.errors import BadInputError
+from uqharness.flight.fly import fly, fly_one_ulp_off
+
+ACTIVE = {"uq/active": 1.0}
+MASS = {"inertia/mass-slugs": 1.5, "inertia/iyy-slugs_ft2": 3.9, "inertia/cg-x-in": 0.1, "inertia/ixz-slugs_ft2": 0.2}
+FLIGHTS = {
+    "calm": spec(),
+    "wind": spec(wind_mps=5.0, wind_from_deg=200.0, duration_s=30.0),
+    "jsbsim's turbulence": spec(wind_mps=3.0, turbulence="moderate", turbulence_source="jsbsim"),
+    "jsbsim's turbulence, no wind": spec(turbulence="light", turbulence_source="jsbsim", duration_s=20.0),
+    "host's turbulence": spec(wind_mps=3.0, turbulence="severe"),
+    "noise": spec(sensor_noise=True, duration_s=30.0),
+    "all": spec(**EXPENSIVE),
+    "corner": spec(properties=CORNER, **EXPENSIVE),
+    "white levels": spec(levels=WHITE, properties=ACTIVE, **EXPENSIVE),
+    "walking levels": spec(levels=WALK, properties=ACTIVE, **EXPENSIVE),
+    "other integrators": spec(properties=SECOND_ORDER, wind_mps=3.0),
+    "mass and inertia": spec(properties=MASS, wind_mps=2.0, duration_s=30.0),
+    "span": spec(properties={"metrics/bw-ft": 11.0}, turbulence="light", duration_s=30.0),
+    "a parameter": spec(properties={"ap/altitude-cmd-m": 110.0, "ap/WP_LOITER_RAD": 90.0}, wind_mps=2.0),
+    "another start": spec(properties={"ic/psi-true-deg": 40.0, "ic/h-agl-ft": 500.0, "ic/lat-geod-deg": -33.0}, duration_s=30.0),
+    "burn-in": spec(burn_in_s=20.0, duration_s=20.0, **EXPENSIVE),
+    "another rate": spec(record_rate_hz=20.0, duration_s=10.0, **EXPENSIVE),
+    "truth": spec("espaaro_truth", **EXPENSIVE),
+    "stall": spec("synthetic_stall", **EXPENSIVE),
+    "stall, corner": spec("synthetic_stall", properties={"uq/active": 1.0, "uq/CZ/level": 0.0}, **EXPENSIVE),
+    "elevator doublet": spec(script="doublet-elevator", duration_s=20.0),
+    "aileron doublet": spec("espaaro_truth", "doublet-aileron", 20.0),
+    "rudder doublet": spec("synthetic_stall", "doublet-rudder", 20.0),
+    "manoeuvres": spec(script="3-2-1-1", duration_s=20.0),
+    "flight for identification": spec("espaaro_truth", "flight-ident", 60.0, sensor_noise=True),
+}
+
+
+QUICK = ("jsbsim's turbulence", "all", "corner", "walking levels", "mass and inertia", "another start", "burn-in", "truth", "stall",
+         "elevator doublet")  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in FLIGHTS])
+def test_whole_flights(name):
+    found = beyond(FLIGHTS[name])
+    assert max(found.values()) < 1.0, found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("aircraft", ["espaaro", "espaaro_truth", "synthetic_stall"])
+@pytest.mark.parametrize("integrators", [{}, SECOND_ORDER])
+def test_each_aircraft_with_each_set_of_integrators(aircraft, integrators):
+    found = beyond(spec(aircraft, duration_s=20.0, properties={**integrators, **ACTIVE}, **EXPENSIVE))
+    assert max(found.values()) < 1.0, found
+
+
+def test_bounds_that_depend_on_the_state(tmp_path):
+    plane = with_bounds(tmp_path, 0.001)
+    levels = {**ACTIVE, "uq/CZ/level": 0.9, "uq/Cm/level": 0.3, "uq/Cl/level": 0.6}
+    for given in (spec(plane, properties=levels, **EXPENSIVE), spec(plane, properties=ACTIVE, levels=WALK, **EXPENSIVE)):
+        found = beyond(given)
+        assert "extrapolated" in found
+        assert max(found.values()) < 1.0, found
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"properties": {"uq/CZ/upper": 0.05000001, **CORNER}},
+        {"seed_noise": 7},
+        {"seed_turbulence": 7},
+        {"wind_from_deg": 270.00001},
+        {"wind_mps": 4.000001},
+        {"properties": {**CORNER, "uq/Cm/level": 1e-7}},
+        {"properties": {**CORNER, **SECOND_ORDER}},
+        {"properties": {**CORNER, "inertia/iyy-slugs_ft2": 4.0}},
+    ],
+)
+def test_another_flight_is_noticed(change):
+    given = spec(properties=CORNER, duration_s=20.0, **EXPENSIVE)
+    assert max(beyond(given, changed=dataclasses.replace(given, **change)).values()) > 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("aircraft", ["espaaro", "bounds"])
+def test_fifteen_minutes(tmp_path, aircraft):
+    plane = with_bounds(tmp_path, 0.001) if aircraft == "bounds" else aircraft
+    found = beyond(spec(plane, duration_s=900.0, properties={**ACTIVE, "uq/CZ/level": 0.9}, **EXPENSIVE))
+    assert max(found.values()) < 1.0, found
+
+
+def test_a_flight_that_diverges_ends_at_the_same_time(tmp_path):
+    """Wild bounds: control is lost, and the numbers with it. Before that the engines agree."""
+    given = spec(with_bounds(tmp_path), properties={**ACTIVE, "uq/CZ/level": 0.9, "uq/Cm/level": 0.3}, **EXPENSIVE)
+    assert fly(given).status == "diverged"
+    found = beyond(given, until_s=15.0)
+    assert max(found.values()) < 1.0, found
+
+
+def test_a_flight_into_the_ground():
+    given = spec(properties={"ap/altitude-cmd-m": -20.0, "ic/h-agl-ft": 60.0}, wind_mps=3.0)
+    theirs, (ours,) = fly(given), fly_many([given])
+    assert theirs.status == "ground-contact"
+    assert same_end(theirs, ours)
+    found = beyond(given)
+    assert max(found.values()) < 1.0, found
+    above = dataclasses.replace(given, properties={**given.properties, "ap/altitude-cmd-m": 20.0})
+    assert fly_many([above])[0].status == "ok"
+
+
+CONTACTS = """<ground_reactions>
+  <contact type="STRUCTURE" name="TAIL"><location unit="IN"><x>60</x><y>0</y><z>-12</z></location>
+   <static_friction>0.8</static_friction><dynamic_friction>0.5</dynamic_friction>
+   <spring_coeff unit="LBS/FT">100</spring_coeff><damping_coeff unit="LBS/FT/SEC">10</damping_coeff></contact>
+  <contact type="BOGEY" name="WHEEL"><location unit="IN"><x>-5</x><y>10</y><z>-30</z></location>
+   <static_friction>0.8</static_friction><dynamic_friction>0.5</dynamic_friction><rolling_friction>0.02</rolling_friction>
+   <spring_coeff unit="LBS/FT">100</spring_coeff><damping_coeff unit="LBS/FT/SEC">10</damping_coeff>
+   <max_steer unit="DEG">0</max_steer><brake_group>NONE</brake_group><retractable>0</retractable></contact>
+ </ground_reactions>"""
+
+
+def test_contact_points_touch_as_in_jsbsim(tmp_path):
+    text = (copied(tmp_path / "plain") / "espaaro.xml").read_text()
+    begin, end = text.index("<ground_reactions"), text.index("</ground_reactions>") if "</ground_reactions>" in text else -1
+    old = text[begin : end + len("</ground_reactions>")] if end > 0 else text[begin : text.index("/>", begin) + 2]
+    plane = copied(tmp_path, edits={"espaaro.xml": {old: CONTACTS}})
+    for properties in (
+        {"ap/altitude-cmd-m": -20.0, "ic/h-agl-ft": 40.0},
+        {"ap/altitude-cmd-m": -20.0, "ic/h-agl-ft": 40.0, "ic/theta-deg": 20.0},
+    ):
+        given = spec(plane, properties=properties, wind_mps=2.0, duration_s=30.0)
+        theirs, (ours,) = fly(given), fly_many([given])
+        assert theirs.status == "ground-contact"
+        assert "contact point" in theirs.reason
+        assert same_end(theirs, ours), (theirs.reason, ours.reason)
+    with pytest.raises(BadInputError, match="starts on the ground"):
+        fly_many([spec(plane, properties={"ic/h-agl-ft": 1.0}, duration_s=5.0)])
+
+
+def _as_bytes(result):
+    metrics = {name: np.float64(value).tobytes() for name, value in result.metrics.items()}
+    return (
+        result.status,
+        result.reason,
+        result.flown_s,
+        metrics,
+        {name: values.tobytes() for name, values in result.signals.items()},
+    )
+
+
+def _mixed():
+    """Flights of several airs, samples and lengths."""
+    out = []
+    for seed in range(3):
+        for level in (0.0, 0.5, 1.0):
+            properties = {**ACTIVE, "uq/CZ/level": level, "uq/Cm/level": 1.0 - level}
+            out.append(
+                spec(
+                    duration_s=8.0 + 2.0 * (seed % 2),
+                    properties=properties,
+                    seed_turbulence=seed + 1,
+                    seed_noise=seed + 9,
+                    **EXPENSIVE,
+                )
+            )
+    return out
+
+
+def test_lanes_do_not_know_of_each_other():
+    """Number, order and neighbours leave every byte alone; results come in the order given."""
+    given = _mixed()
+    alone = [_as_bytes(fly_many([one])[0]) for one in given]
+    assert len({str(each) for each in alone}) == len(given)
+    assert [_as_bytes(each) for each in fly_many(given)] == alone
+    order = np.random.default_rng(1).permutation(len(given))
+    assert [_as_bytes(each) for each in fly_many([given[k] for k in order])] == [alone[k] for k in order]
+    assert [_as_bytes(each) for each in fly_many(given * 3)] == alone * 3
+
+
+def test_a_lane_that_is_not_a_number_harms_no_other():
+    given = _mixed()[:3]
+    alone = [_as_bytes(each) for each in fly_many(given)]
+    bad = dataclasses.replace(given[1], properties={**given[1].properties, "uq/Cm/level": 1e6})
+    together = fly_many([given[0], bad, given[2], bad, bad])
+    assert [each.status for each in together] == ["ok", "diverged", "ok", "diverged", "diverged"]
+    assert [_as_bytes(together[0]), _as_bytes(together[2])] == [alone[0], alone[2]]
+    assert same_end(fly(bad), together[1])
+
+
+@pytest.mark.parametrize("chunk", [10, 70, 333])
+def test_flights_in_pieces(monkeypatch, chunk):
+    given = _mixed()
+    whole = [_as_bytes(each) for each in fly_many(given)]
+    monkeypatch.setattr(lanes, "_CHUNK", chunk)
+    assert [_as_bytes(each) for each in fly_many(given)] == whole
+
+
+def test_groups_that_fit_into_memory(monkeypatch):
+    given = _mixed()
+    whole = [_as_bytes(each) for each in fly_many(given)]
+    monkeypatch.setattr(lanes, "_RECORD_BYTES", 1)
+    assert [_as_bytes(each) for each in fly_many(given * 2)] == whole * 2
+
+
+@pytest.mark.parametrize("source", [pytest.param("jsbsim", marks=pytest.mark.slow), "spec"])
+def test_every_processor_gives_the_same_bytes(monkeypatch, source):
+    """Scalar, SSE2, AVX2 and AVX-512 where the processor has them."""
+    given = [dataclasses.replace(one, turbulence_source=source, duration_s=6.0) for one in _mixed()]
+    found = {}
+    for name in target_names():
+        monkeypatch.setenv(VECTORS, name)
+        lanes._ready.clear()
+        found[name] = [_as_bytes(each) for each in fly_many(given)]
+    lanes._ready.clear()
+    assert len(found) >= 2
+    assert all(each == found["scalar"] for each in found.values())
+
+
+def test_without_llvmlite_it_says_so(monkeypatch):
+    monkeypatch.setitem(sys.modules, "llvmlite", None)
+    said = available()
+    assert said is not None
+    assert "llvmlite is not installed" in said
+
+
+def test_llvmlite_is_here():
+    assert available() is None
+
+
+def test_rounding_alone_is_what_it_is_compared_with():
+    """The flight that is one unit in the last place off differs, and by little."""
+    given = FLIGHTS["all"]
+    one, other = fly(given), fly_one_ulp_off(given)
+    gap = max(float(np.abs(one.signals[name] - other.signals[name]).max()) for name in one.signals)
+    assert 0.0 < gap < 1e-6
+
+
+def test_metrics_are_those_of_jsbsim():
+    given = FLIGHTS["all"]
+    theirs, (ours,) = fly(given), fly_many([given])
+    assert theirs.undefined == ours.undefined
+    assert theirs.metrics.keys() == ours.metrics.keys()
+    for name, value in theirs.metrics.items():
+        assert ours.metrics[name] == pytest.approx(value, rel=1e-7, abs=1e-7, nan_ok=math.isnan(value))

@@ -1,0 +1,92 @@
+"""A mission made ready: what keeps its value, what JSBSim is asked for, which start a flight has."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.helpers.batch_flights import START, aircraft, craft
+from tests.helpers.batch_whole import copied, spec
+from uqharness.batch.lanes.begin import begin
+from uqharness.batch.lanes.fly import fly_many, ready
+from uqharness.batch.lanes.mission import constant_properties, initial_values, load_start
+from uqharness.batch.models.start import CONDITIONS
+from uqharness.errors import BadInputError
+from uqharness.simulator import engine
+
+BODY = """<system name='s'><property value='3'>s/declared</property><property value='3'>velocities/vc-kts</property>
+<function name='s/f'><sum><property>position/vrp-radius-ft</property><property>s/declared</property></sum></function></system>
+<aerodynamics/>"""
+
+
+def test_a_property_that_is_read_is_not_declared():
+    """<property> declares in a system, and reads in a function. JSBSim's own properties change though somebody declares them."""
+    with craft(aircraft(BODY), START) as made:
+        constant = constant_properties(made.sources())
+    assert constant("s/declared")
+    assert constant("metrics/bw-ft")
+    assert constant("atmosphere/delta-T")
+    assert not constant("position/vrp-radius-ft")
+    assert not constant("velocities/vc-kts")
+    assert not constant("s/unheard-of")
+
+
+def test_values_before_the_first_frame():
+    with craft(aircraft(BODY), START) as made:
+        value = initial_values(made.open)
+        fdm = made.open()
+        engine.run_ic(fdm)
+    # Loading alone does not make mass and metrics.
+    assert value("inertia/mass-slugs") == fdm["inertia/mass-slugs"] > 0.0
+    assert value("s/declared") == 3.0
+    assert value("s/unheard-of") is None
+    assert value("aero/qbar-area") == 0.0
+
+
+def test_a_start_is_jsbsims():
+    given = spec(
+        properties={"ic/psi-true-deg": 40.0, "inertia/mass-slugs": 1.5, "ap/WP_LOITER_RAD": 90.0}, wind_mps=3.0, duration_s=5.0
+    )
+    made = ready(given).lanes
+    loaded = load_start(made, given)
+    assert set(loaded.conditions) == set(CONDITIONS)
+    assert loaded.conditions["ic/psi-true-rad"] == pytest.approx(np.radians(40.0))
+    assert loaded.static["inertia/mass-slugs"] == pytest.approx(1.5, rel=1e-9)
+    assert loaded.settings["ap/WP_LOITER_RAD"] == 90.0
+
+
+def test_begin_gives_each_lane_its_own():
+    many = [spec(properties={"ic/h-agl-ft": h, "uq/CZ/level": h / 1000.0}, duration_s=5.0) for h in (300.0, 400.0, 500.0)]
+    made = ready(many[0]).lanes
+    together = begin(made, many)
+    assert together.values["position/h-agl-ft"][:3] == pytest.approx([300.0, 400.0, 500.0], abs=1e-6)
+    assert list(together.values["uq/CZ/level"][:3]) == [0.3, 0.4, 0.5]
+    alone = begin(made, many[1:2])
+    assert all(together.values[name][1] == alone.values[name][0] for name in alone.values)
+
+
+def test_what_the_model_computes_cannot_be_set():
+    """JSBSim's engine says the same of a property that initialising overwrites."""
+    with pytest.raises(BadInputError, match="uq/CZ/delta was set to 1 and stands at 0 after initialising"):
+        fly_many([spec(properties={"uq/CZ/delta": 1.0}, duration_s=2.0)])
+
+
+def test_a_mission_is_translated_once_for_flights_that_are_alike():
+    one, other = spec(seed_noise=1, duration_s=5.0), spec(seed_noise=2, duration_s=9.0)
+    assert ready(one) is ready(other)
+    assert ready(one) is not ready(spec(sensor_noise=True, duration_s=5.0))
+    assert ready(one) is not ready(spec(properties={"uq/active": 1.0}, duration_s=5.0))
+
+
+def test_an_aircraft_that_was_edited_is_translated_anew(tmp_path):
+    plane = copied(tmp_path)
+    given = spec(plane, duration_s=5.0)
+    (before,) = fly_many([given])
+    file = plane / "espaaro.xml"
+    file.write_text(file.read_text().replace("</fdm_config>", "<!-- --></fdm_config>"))
+    (same,) = fly_many([given])
+    assert before.signals["cross_track"].tobytes() == same.signals["cross_track"].tobytes()
+    text = (plane / "Systems/autopilot.xml").read_text()
+    (plane / "Systems/autopilot.xml").write_text(text.replace("</channel>", "<wobbler/></channel>", 1))
+    with pytest.raises(BadInputError):
+        fly_many([given])

@@ -1,0 +1,89 @@
+"""The piston engine of the stock c172p and others against JSBSim: throttle, mixture and airspeed at random."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.helpers import batch_engines as engines
+from tests.helpers import batch_flights as flights
+
+FRAMES = 900
+NAMES = [
+    "set-running", "fuel-flow-rate-pps", "map-pa", "map-inhg", "cht-degF", "egt-degF", "oil-temperature-degF", "oil-pressure-psi",
+    "AFR", "power-hp", "engine-rpm", "propeller-rpm", "thrust-lbs",
+]  # fmt: skip
+OWN = """<piston_engine name="own"><minmp unit="INHG">9</minmp><maxmp unit="INHG">28</maxmp>
+<displacement unit="IN3">300</displacement>
+<maxhp>150</maxhp><cycles>4</cycles><idlerpm>500</idlerpm><maxrpm>2600</maxrpm><stroke unit="IN">4.1</stroke><bsfc>0.4</bsfc>
+<cylinders>6</cylinders><compression-ratio>7.5</compression-ratio><volumetric-efficiency>0.8</volumetric-efficiency>
+<sparkfaildrop>0.15</sparkfaildrop><man-press-lag>0.3</man-press-lag><ram-air-factor>0.7</ram-air-factor>
+<static-friction unit="HP">2</static-friction><cooling-factor>0.4</cooling-factor><dynamic-fmep unit="PA">17000</dynamic-fmep>
+<static-fmep unit="PA">40000</static-fmep><peak-piston-speed>90</peak-piston-speed>
+<cylinder-head-mass unit="KG">1.5</cylinder-head-mass>
+<oil-viscosity-index>0.2</oil-viscosity-index>
+<table name="MIXTURE" type="internal"><tableData>
+0.05 0.0
+0.06 0.8
+0.09 1.0
+0.13 0.0</tableData></table>
+<table name="COMBUSTION" type="internal"><tableData>
+0.0 0.98
+1.1 0.9
+2.0 0.3</tableData></table></piston_engine>"""
+
+
+def case(motor: str = "eng_io320", events: str = engines.RUNNING, frames: int = FRAMES) -> engines.Case:
+    rng = np.random.default_rng(3)
+    inputs = engines.levers(frames)
+    inputs["fcs/mixture-cmd-norm"] = np.repeat(rng.uniform(0.3, 1.1, frames // 50 + 2), 50)[: frames + 1]
+    return engines.Case(
+        engines.aircraft(engines.mounted(motor, "prop_75in2f", feed="<feed>0</feed>") + engines.tank(6.0), engines.HEAVY),
+        [*engines.of(0, NAMES), *engines.TOTALS, *engines.MOTION],
+        inputs,
+        {**engines.stock("eng_io320", "prop_75in2f"), "Engines/own.xml": OWN},
+        events,
+        {"ic/u-fps": 150.0},
+    )
+
+
+@pytest.mark.parametrize(
+    ("motor", "events"),
+    [
+        ("eng_io320", engines.RUNNING),
+        ("eng_io320", ""),
+        ("own", engines.RUNNING),
+        ("own", engines.RUNNING + '<property value="1">propulsion/magneto_cmd</property>'),
+    ],
+)
+def test_the_engine_runs_as_in_jsbsim(motor: str, events: str) -> None:
+    made = case(motor, events)
+    theirs = made.theirs()
+    assert flights.worst(flights.apart(theirs, made.ours())) < 1e-11
+    # It stops where the mixture is too lean, and starts again while the air turns the propeller.
+    runs = theirs["propulsion/engine/set-running"].mean()
+    assert 0.1 < runs < 0.9 if events else runs == 0.0
+
+
+TAGS = """minmp maxmp displacement maxrpm idlerpm stroke bsfc cylinders compression-ratio volumetric-efficiency man-press-lag
+ram-air-factor static-friction cooling-factor dynamic-fmep static-fmep cylinder-head-mass oil-viscosity-index"""
+
+
+@pytest.mark.parametrize("tag", TAGS.split())
+def test_each_number_matters(tag: str) -> None:
+    made = case("own", frames=300)
+    head, _, tail = OWN.partition(f"</{tag}>")
+    start, _, number = head.rpartition(">")
+    changed = {**made.files, "Engines/own.xml": f"{start}>{float(number) * 1.001!r}</{tag}>{tail}"}
+    assert flights.worst(flights.apart(made.theirs(), made.ours(files=changed))) > 1e-9
+
+
+def test_both_magnetos_are_better_than_one() -> None:
+    made = case("own", engines.RUNNING + '<property value="1">propulsion/magneto_cmd</property>', 100)
+    assert flights.worst(flights.apart(made.theirs(), made.ours(events=engines.RUNNING))) > 1e-6
+
+
+def test_a_supercharger_is_refused() -> None:
+    files = {"Engines/eng.xml": OWN.replace("<maxhp>", "<numboostspeeds>1</numboostspeeds><maxhp>"), **engines.FILES}
+    message = engines.refusal(engines.aircraft(engines.mounted("eng", "fixed")), files)
+    assert "eng.xml:3: a supercharged engine (numboostspeeds) is not understood" in message

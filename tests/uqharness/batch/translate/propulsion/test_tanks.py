@@ -1,0 +1,98 @@
+"""Tanks against JSBSim: who feeds whom, what stays in, what is set; and the mass, place and inertia that follow."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.helpers import batch_engines as engines
+from tests.helpers import batch_flights as flights
+
+FEEDS = "<feed>0</feed><feed>1</feed><feed>2</feed>"
+TANKS = (
+    engines.tank(0.06, "<priority>2</priority>")
+    + engines.tank(0.05, '<unusable-volume unit="GAL">0.004</unusable-volume><density unit="LBS/GAL">6.1</density>')
+    + engines.tank(0.03)
+)
+OF_TANKS = [f"propulsion/tank{index}/{name}" for index in ("", "[1]", "[2]") for name in ("contents-lbs", "pct-full", "priority")]
+POINTMASS = (
+    "</mass_balance>",
+    """<pointmass name="p"><weight unit="LBS">90</weight><location unit="IN"><x>-30</x><y>9</y><z>4</z></location></pointmass>
+</mass_balance>""",
+)
+
+
+def case(systems: str = "", inputs: dict | None = None, frames: int = 900) -> engines.Case:
+    moved = engines.levers(frames)
+    return engines.Case(
+        engines.aircraft(
+            engines.mounted("eng_io320", "prop_75in2f", feed=FEEDS) + TANKS, engines.HEAVY.replace(*POINTMASS), systems
+        ),
+        [*OF_TANKS, *engines.of(0, ["fuel-used-lbs", "fuel-flow-rate-pps", "fuel-flow-rate-gph", "set-running", "thrust-lbs"]),
+         "propulsion/total-fuel-lbs", *engines.MASS, *engines.TOTALS, *engines.MOTION],
+        {**moved, **(inputs or {}), "fcs/throttle-cmd-norm": np.ones(frames + 1)},
+        engines.stock("eng_io320", "prop_75in2f"),
+        start={"ic/u-fps": 150.0},
+    )  # fmt: skip
+
+
+def test_tanks_empty_in_their_order_and_the_engine_stops() -> None:
+    made = case()
+    theirs = made.theirs()
+    ours = made.ours()
+    assert flights.worst(flights.apart(theirs, ours)) < 1e-11
+    # All of it has happened: the first two tanks gave until nothing was left, then the one of second priority, then none.
+    assert theirs["propulsion/tank[1]/contents-lbs"][-1] == pytest.approx(0.0244)
+    assert theirs["propulsion/tank[2]/contents-lbs"][-1] == 0.0
+    assert theirs["propulsion/tank/contents-lbs"][-1] == 0.0
+    assert theirs["propulsion/engine/set-running"][0] == 1.0
+    assert theirs["propulsion/engine/set-running"][-1] == 0.0
+    assert ours["inertia/weight-lbs"][0] > ours["inertia/weight-lbs"][-1]
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("<priority>2", "<priority>1"),
+        ('unit="GAL">0.004', 'unit="GAL">0.00401'),
+        ("<feed>2</feed>", ""),
+        ('<radius unit="IN">6', '<radius unit="IN">6.1'),
+        ("<z>-6</z></drain", "<z>-6.01</z></drain"),
+        ('LBS/GAL">6.1', 'LBS/GAL">6.11'),
+    ],
+)
+def test_each_number_matters(before: str, after: str) -> None:
+    made = case()
+    theirs = made.theirs()
+    assert before in made.text
+    assert flights.worst(flights.apart(theirs, made.ours(made.text.replace(before, after)))) > 1e-9
+
+
+def test_contents_and_priorities_are_set_and_fuel_flows_by_itself() -> None:
+    systems = """<system name="s"><channel name="c">
+    <fcs_function name="s/a"><function><product><v>30</v><p>s/in</p></product></function>
+    <output>propulsion/tank/contents-lbs</output></fcs_function>
+    <fcs_function name="s/b"><function><sum><v>1.3</v><p>s/in</p></sum></function>
+    <output>propulsion/tank[1]/priority</output></fcs_function>
+    <fcs_function name="s/c"><function><difference><v>.5</v><p>s/in</p></difference></function>
+    <output>propulsion/tank[2]/external-flow-rate-pps</output></fcs_function></channel>
+    <property value="0">s/in</property></system>"""
+    rng = np.random.default_rng(4)
+    made = case(systems, {"s/in": rng.uniform(-0.2, 1.0, 301)}, 300)
+    theirs = made.theirs()
+    assert flights.worst(flights.apart(theirs, made.ours())) < 1e-11
+    assert flights.worst(flights.apart(theirs, made.ours(made.text.replace("<v>30</v>", "<v>30.001</v>")))) > 1e-9
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('<tank type="OXIDIZER"/>', "a tank of type 'OXIDIZER' is not understood"),
+        ('<tank type="FUEL"><grain_config type="CYLINDRICAL"/></tank>', "<grain_config> of <tank> is not understood"),
+        ('<engine file="motor"><feed>1</feed><thruster file="direct"/></engine>', "an engine feeds from tanks 0 to -1; received 1"),
+    ],
+)
+def test_what_is_not_understood_is_refused(text: str, said: str) -> None:
+    message = engines.refusal(engines.aircraft(text), engines.FILES)
+    assert said in message
+    assert "point.xml:" in message

@@ -1,0 +1,158 @@
+"""Every operation of JSBSim's functions against JSBSim, nested trees drawn at random, a negative control, and refusals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.helpers import batch_oracle as oracle
+from tests.helpers.batch_against import EXACT, ROTATIONS, TRANSCENDENTAL, arguments, compared, same_bits, translated, ulps
+from uqharness.batch.form.ir import Builder, evaluate
+from uqharness.batch.machine.llvm import compiled
+from uqharness.batch.machine.target import targets
+from uqharness.batch.translate.functions import RULES, function_value
+from uqharness.batch.translate.scope import Scope
+from uqharness.errors import BadInputError
+from uqharness.xml.document import parse_document
+
+ROWS = 5000
+
+
+def test_ieee_operations_have_jsbsims_bits() -> None:
+    theirs, ours = compared(EXACT, arguments(ROWS))
+    assert {name: float(np.mean(same_bits(theirs[name], ours[name]))) for name in EXACT} == dict.fromkeys(EXACT, 1.0)
+
+
+def test_transcendental_operations_are_within_two_ulp() -> None:
+    theirs, ours = compared(TRANSCENDENTAL, arguments(ROWS))
+    worst = {name: float(ulps(theirs[name], ours[name]).max()) for name in TRANSCENDENTAL}
+    assert {name: w for name, w in worst.items() if w > 2.0} == {}
+
+
+def test_rotations_agree_to_rounding() -> None:
+    theirs, ours = compared(ROTATIONS, arguments(ROWS))
+    for name in ROTATIONS:
+        # gamma is the angle of two numbers that may both be small.
+        allowed = 1e-12 if "gamma" in name else 1e-15
+        assert np.abs(theirs[name] - ours[name]).max() <= allowed * np.abs(theirs[name]).max(), name
+
+
+def test_every_operation_is_compared() -> None:
+    tried = {
+        tag for tag in RULES for body in (EXACT | TRANSCENDENTAL | ROTATIONS).values() if f"<{tag}>" in body or f"<{tag}/>" in body
+    }
+    assert set(RULES) - tried == set()
+
+
+def test_a_changed_constant_is_noticed() -> None:
+    inputs = arguments(1000)
+    theirs, _ = compared({"f": "<sum><p>i/a</p><v>0.1</v></sum>"}, inputs)
+    _, ours = compared({"f": "<sum><p>i/a</p><v>0.100000000000001</v></sum>"}, inputs)
+    assert np.mean(~same_bits(theirs["f"], ours["f"])) > 0.5
+
+
+def _tree(rng: np.random.Generator, depth: int) -> str:
+    """A random tree of operations that JSBSim computes exactly."""
+    if depth == 0 or rng.random() < 0.15:
+        leaf = rng.integers(0, 4)
+        return f"<v>{rng.normal():.6g}</v>" if leaf == 3 else f"<p>{'-' if rng.random() < 0.2 else ''}i/{'abc'[leaf]}</p>"
+    tag = rng.choice(
+        ["sum", "product", "difference", "quotient", "min", "max", "avg", "abs", "floor", "ifthen", "fraction", "toradians", "sqrt"]
+    )
+    count = {"quotient": 2, "abs": 1, "floor": 1, "fraction": 1, "toradians": 1, "sqrt": 1, "ifthen": 2}.get(
+        tag, int(rng.integers(2, 5))
+    )
+    parts = "".join(_tree(rng, depth - 1) for _ in range(count))
+    if tag == "ifthen":
+        test = rng.choice(["lt", "le", "gt", "ge", "eq", "nq"])
+        parts = f"<{test}>{_tree(rng, depth - 1)}{_tree(rng, depth - 1)}</{test}>" + parts
+    return f"<{tag}>{parts}</{tag}>"
+
+
+def test_random_trees_have_jsbsims_bits_in_compiled_code() -> None:
+    rng = np.random.default_rng(7)
+    functions = {f"t{k}": _tree(rng, 5) for k in range(60)}
+    inputs = arguments(800)
+    theirs, ours = compared(functions, inputs)
+    assert {n: float(np.mean(same_bits(theirs[n], ours[n]))) for n in functions} == dict.fromkeys(functions, 1.0)
+    function = translated(functions, inputs)
+    for target in targets().values():
+        made, _ = compiled(function, target)(inputs)
+        assert all(same_bits(made[n], ours[n]).all() for n in functions), target
+
+
+def test_draws_are_standard_draws_scaled() -> None:
+    tags = {"plain": "random", "scaled": 'random mean="1.7" stddev="0.3"', "mean": 'random mean="0.4"', "sd": 'random stddev="0.6"'}
+    uniform = {
+        "unit": 'urandom lower="0" upper="1"',
+        "none": "urandom",
+        "wide": 'urandom lower="-0.3" upper="7.1"',
+        "low": 'urandom lower="0.2"',
+    }
+    functions = {name: f'<{tag} seed="5"/>' for name, tag in (tags | uniform).items()}
+    rows = {"i/a": np.zeros(300)}
+    theirs = oracle.evaluate({f"o/{name}": body for name, body in functions.items()}, rows)
+    builder = Builder()
+    outputs = {}
+    for name, body in functions.items():
+        document = parse_document(Path("f.xml"), f"<function>{body}</function>".encode())
+        scope = Scope(builder, document, lambda _: None, lambda node: builder.input(node.tag))
+        outputs[name] = function_value(scope, document.root)
+    ours, _ = evaluate(builder.finish(outputs), {"random": theirs["o/plain"], "urandom": theirs["o/none"]})
+    for name in functions:
+        assert same_bits(ours[name], theirs[f"o/{name}"]).all(), name
+
+
+def test_what_ends_jsbsims_flight_is_nan() -> None:
+    inputs = {"i/a": np.array([0.0, 1.0, 2.0, -1.0, np.nan, 0.5, 1.0000000015])}
+    functions = {
+        "not": "<not><p>i/a</p></not>",
+        "ifthen": "<ifthen><p>i/a</p><v>5</v><v>6</v></ifthen>",
+        "and": "<and><p>i/a</p><v>0</v></and>",
+        "and after": "<and><v>0</v><p>i/a</p></and>",
+        "switch": "<switch><p>i/a</p><v>5</v><v>6</v></switch>",
+        "mod": "<mod><v>5</v><p>i/a</p></mod>",
+    }
+    function = translated(functions, inputs)
+    made, _ = compiled(function, targets()["sse2"])(inputs)
+    nan = np.nan
+    wanted = {
+        "not": [1, 0, nan, 0, nan, 0, nan],
+        "ifthen": [6, 5, nan, 5, nan, 5, nan],
+        "and": [0, 0, nan, 0, nan, 0, nan],
+        "and after": [0, 0, 0, 0, 0, 0, 0],
+        "switch": [5, 6, nan, nan, nan, 6, 6],
+        "mod": [nan, 0, 1, 0, nan, nan, 0],
+    }
+    for name, row in wanted.items():
+        np.testing.assert_array_equal(made[name], np.array(row, dtype=float), err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ("<prodct><v>1</v><v>2</v></prodct>", "operation <prodct> is unknown"),
+        ("<sum><v>1</v><function><v>1</v></function></sum>", "drops a <function>"),
+        ("<sum><v>1</v><foo/></sum>", "operation <foo> is unknown"),
+        ("<random/>", "<random> draws"),
+        ('<urandom lower="1"/>', "<urandom> draws"),
+        ("<v>0x10</v>", "finite decimal number"),
+        ("<v>nan</v>", "finite decimal number"),
+        ("<v>1e400</v>", "finite decimal number"),
+        ("<p>i/nothing</p>", "property i/nothing is not computed"),
+        ('<p apply="x">i/a</p>', "attribute 'apply'"),
+        ('<sum unit="FT"><v>1</v><v>2</v></sum>', "attribute 'unit'"),
+        ("<sum>3<v>1</v><v>2</v></sum>", "has arguments, not text"),
+        ("<quotient><v>1</v></quotient>", "takes 2 arguments; received 1"),
+        ("<interpolate1d><p>i/a</p><v>1</v><v>2</v><v>3</v><v>3</v><v>3</v></interpolate1d>", "odd number"),
+        ("<v>1</v><v>2</v>", "has one operation"),
+        ("<rotation_gamma_local/>", "takes 6 arguments; received 0"),
+        ("<delay><p>i/a</p></delay>", "is unknown"),
+    ],
+)
+def test_refusals_have_file_and_line(body: str, message: str) -> None:
+    with pytest.raises(BadInputError, match=message) as error:
+        translated({"f": body}, {"i/a": np.zeros(1)})
+    assert str(error.value).startswith("functions.xml:1: ")

@@ -1,0 +1,55 @@
+"""The first seconds in both engines before a campaign, and the pace of this machine."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import replace
+
+import pytest
+
+from tests.helpers import campaign_fakes as fakes
+from tests.helpers.engine_fakes import Flown, engines
+from uqharness.campaign.cases import build_cases
+from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.first_seconds import CASES_EACH, STORING_S, batch_pace, compare_start, throwaway_process
+from uqharness.campaign.run import find_mission
+from uqharness.errors import BadInputError
+
+
+@pytest.fixture
+def cases(tmp_path):
+    spec = fakes.small_spec(tmp_path, 2, wind_mps=(0.0, 3.0))
+    return build_cases(spec.with_engine("batch"), find_mission(spec))
+
+
+def test_some_cases_of_each_condition_are_compared_over_ten_seconds_without_burn_in(cases):
+    flown = []
+
+    def group(engine, flights):
+        flown.extend((engine, flight.duration_s, flight.burn_in_s) for flight in flights)
+        return Flown()(engine, flights)
+
+    rows = compare_start(replace(engines(Flown()), fly_group=group), cases, SerialExecutor())
+    assert {row.condition for row in rows} == {"0 m/s moderate", "3 m/s moderate"}
+    assert {row.part for row in rows} == {"start"}
+    assert len({row.case_id for row in rows}) == 2 * CASES_EACH
+    assert set(flown) == {("batch", 10.0, 0.0), ("jsbsim as judge", 10.0, 0.0)}
+    assert {row.verdict for row in rows} == {"alike"}
+    moved = compare_start(engines(Flown(offset=0.1)), cases, SerialExecutor())
+    assert {row.metric for row in moved if row.verdict == "differs"} == {"cross_track_median_m"}
+
+
+def test_what_cannot_be_flown_is_bad_input(cases):
+    given = replace(engines(Flown()), fly_group=lambda engine, flights: [fakes.refuses(flight) for flight in flights])
+    with pytest.raises(BadInputError, match="uq/active"):
+        compare_start(given, cases, SerialExecutor())
+
+
+def test_the_pace_is_that_of_many_lanes_however_few_cases_there_are(cases):
+    with contextlib.closing(throwaway_process()) as process:
+        pace = batch_pace(engines(Flown(sleep_s=0.002)), cases[:3], process)
+    assert pace is not None
+    assert pace.flight_s == STORING_S
+    assert 0.002 / 60.0 < pace.per_second < 0.02 / 60.0
+    failing = replace(engines(Flown()), fly_group=lambda engine, flights: [fakes.diverges(flight) for flight in flights])
+    assert batch_pace(failing, cases, SerialExecutor()) is None

@@ -1,0 +1,54 @@
+"""The random streams have the same bytes whatever the processor lets numpy, the C library and the matrix library use."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from tests.helpers.places import ROOT
+from tests.helpers.stream_digest import digest, librarys
+
+DIGEST = "3a1e9d72ed3122bc0ae6b7a59d9dccdbff8d329a7afe549747cb96357d3a9ee7"
+"""Of a machine with AVX-512."""
+
+
+def _numpys_features() -> str:
+    """What numpy can be told to leave out on this processor."""
+    from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
+
+    return " ".join(f for f in __cpu_dispatch__ if __cpu_features__.get(f))
+
+
+RESTRICTED = {
+    "numpy": {"NPY_DISABLE_CPU_FEATURES": _numpys_features()},
+    "C library": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX2_Usable,-FMA_Usable"},
+    "matrix library": {"OPENBLAS_CORETYPE": "Prescott"},
+}
+
+
+def in_a_child(environment: dict[str, str]) -> tuple[str, str]:
+    """Digests of the streams and of the libraries' own functions in a new process."""
+    child = subprocess.run(
+        [sys.executable, "-W", "ignore", "-m", "tests.helpers.stream_digest"],
+        env={**os.environ, **environment}, cwd=ROOT, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    streams, library = child.stdout.split()
+    return streams, library
+
+
+def test_the_digest_is_that_of_another_machine() -> None:
+    assert digest() == DIGEST
+
+
+@pytest.mark.parametrize("name", RESTRICTED)
+def test_restricted_libraries_change_no_byte(name: str) -> None:
+    assert in_a_child(RESTRICTED[name])[0] == DIGEST
+
+
+def test_numpys_own_functions_do_change() -> None:
+    if not RESTRICTED["numpy"]["NPY_DISABLE_CPU_FEATURES"]:
+        pytest.skip("numpy has nothing to leave out on this processor")
+    assert in_a_child(RESTRICTED["numpy"])[1] != librarys()

@@ -1,0 +1,128 @@
+"""Replays by the batch engine against JSBSim's, and by JSBSim where the engine does not understand the aircraft."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from uqharness.errors import BadInputError
+from uqharness.replay import CHANNELS, ReplayFolder, ReplayJob, ReplayModel, Segment, fly_all
+from uqharness.replay import in_lanes as module
+from uqharness.replay.in_lanes import by_jsbsim
+from uqharness.simulator import find_aircraft
+
+ROWS, DT_S = 120, 0.02
+NAMES = ("aero/Cm_q", "aero/CZ_alpha", "aero/Cl_p")
+
+
+def segment(rows: int = ROWS, dt_s: float = DT_S, seed: int = 1) -> Segment:
+    """Steps of all controls about level flight."""
+    rng = np.random.default_rng(seed)
+    held = np.repeat(rng.normal(size=(rows // 10 + 1, 4)), 10, axis=0)[:rows]
+    controls = np.array([0.2, 0.0, 0.0, 60.0]) + held * np.array([1.5, 2.0, 1.0, 4.0])
+    start = np.array([22.2, 0.015, 0.01, 0.1, 0.05, 1.0, 0.05, -0.02, 0.03])
+    return Segment("piece", "flight", dt_s * np.arange(rows), controls, start, 130.0, 100.0)
+
+
+@pytest.fixture(scope="module", params=[(), ("elevator", "aileron", "rudder")], ids=["commands", "measured surfaces"])
+def model(request: pytest.FixtureRequest) -> Iterator[ReplayModel]:
+    """The E-SPAARO for replay."""
+    with ReplayFolder(find_aircraft("espaaro"), measured=request.param) as made:
+        yield made
+
+
+def jobs(model: ReplayModel) -> list[ReplayJob]:
+    """Lanes of different length, step, lateness, start and properties."""
+    rng = np.random.default_rng(2)
+    found = []
+    for piece in (segment(), segment(90, 0.0213, 3), segment(60, 1.0 / 60.0, 4)):
+        for between in (False, True):
+            properties = {name: model.card.parameters[name].initial * (1.0 + 0.1 * rng.normal()) for name in NAMES}
+            start = piece.start * (1.0 + 0.02 * rng.normal(size=9))
+            found.append(ReplayJob(model, piece, properties, start, 0.004, between))
+    return found
+
+
+def apart(a: np.ndarray, b: np.ndarray) -> float:
+    """Largest difference of a channel over its largest size."""
+    return float(np.max(np.abs(a - b).max(0) / np.maximum(np.abs(b).max(0), 1e-3)))
+
+
+def test_replays_agree_with_jsbsim(model: ReplayModel) -> None:
+    every = jobs(model)
+    for ours, job in zip(fly_all(every), every, strict=True):
+        theirs = by_jsbsim(job)
+        assert ours.shape == theirs.shape
+        assert apart(ours, theirs) < 1e-8
+
+
+def test_the_batch_engine_flew_them(model: ReplayModel) -> None:
+    def refuse(*_: object) -> list[np.ndarray]:
+        raise AssertionError("JSBSim was asked")
+
+    # The first job is judged by JSBSim; the others are not flown by it.
+    fly_all(jobs(model)[:1])
+    assert len(fly_all(jobs(model), refuse)) == 6
+
+
+def test_a_change_of_a_ten_thousandth_is_noticed(model: ReplayModel) -> None:
+    job = jobs(model)[0]
+    other = ReplayJob(model, job.segment, {**job.properties, "aero/Cm_q": job.properties["aero/Cm_q"] * 1.0001}, job.start, 0.004)
+    assert apart(fly_all([other])[0], by_jsbsim(job)) > 1e-7
+
+
+def test_a_step_later_is_noticed(model: ReplayModel) -> None:
+    job = jobs(model)[0]
+    late = ReplayJob(model, job.segment, job.properties, job.start, 0.014)
+    assert apart(fly_all([late])[0], by_jsbsim(job)) > 1e-4
+
+
+def test_further_properties_and_the_arm_of_the_accelerometers(model: ReplayModel) -> None:
+    piece = segment()
+    job = ReplayJob(model, replace(piece, arm_m=(0.3, 0.1, -0.2)), {}, piece.start, extra=("aero/CZ", "fcs/elevator-pos-deg"))
+    ours, theirs = fly_all([job])[0], by_jsbsim(job)
+    assert ours.shape == (ROWS, len(CHANNELS) + 2)
+    assert apart(ours, theirs) < 1e-8
+
+
+def test_rows_behind_a_failure_are_nan(model: ReplayModel) -> None:
+    piece = segment()
+    wild = ReplayJob(model, piece, {"aero/Cm_q": 1e9}, piece.start)
+    calm = ReplayJob(model, piece, {"aero/Cm_q": -13.8}, piece.start)
+    ours, beside = fly_all([wild, calm])
+    theirs = by_jsbsim(wild)
+    assert np.isnan(ours[-1]).all()
+    assert np.isfinite(ours[0]).all()
+    assert np.isnan(theirs[-1]).all()
+    assert apart(beside, by_jsbsim(calm)) < 1e-8
+
+
+def test_what_is_not_understood_is_flown_by_jsbsim(model: ReplayModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise BadInputError("x.xml:3: not understood")
+
+    monkeypatch.setattr(module, "_programs", module.OrderedDict())
+    monkeypatch.setattr("uqharness.batch.read_sources", refused)
+    job = jobs(model)[0]
+    np.testing.assert_array_equal(fly_all([job])[0], by_jsbsim(job))
+
+
+def test_an_engine_that_differs_is_not_used(
+    model: ReplayModel, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    real = module._in_lanes
+    monkeypatch.setattr(module, "_programs", module.OrderedDict())
+    monkeypatch.setattr(module, "_in_lanes", lambda program, some: [rows * (1.0 + 1e-5) for rows in real(program, some)])
+    job = jobs(model)[0]
+    np.testing.assert_array_equal(fly_all([job])[0], by_jsbsim(job))
+    assert "differs" in caplog.text
+
+
+def test_without_a_compiler_jsbsim_flies(model: ReplayModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_programs", module.OrderedDict())
+    monkeypatch.setattr("uqharness.batch.available", lambda: "llvmlite is not installed")
+    job = jobs(model)[0]
+    np.testing.assert_array_equal(fly_all([job])[0], by_jsbsim(job))

@@ -1,0 +1,13 @@
+from .installation import available as available
+from .lanes.fly import fly_many as fly_many
+from .lanes.fly import forget as forget
+from .lanes.fly import record_many as record_many
+from .lanes.replay import ReplayLane as ReplayLane
+from .lanes.replay import ReplayProgram as ReplayProgram
+from .lanes.replay import fly_replays as fly_replays
+from .lanes.replay import make_replay as make_replay
+from .lanes.understood import refusals as refusals
+from .machine.target import VECTORS as VECTORS
+from .machine.target import target_names as target_names
+from .translate.sources import Files as Files
+from .translate.sources import read_sources as read_sources

@@ -1,0 +1,347 @@
+"""The intermediate form: a graph of typed values, built without repetition, with constants folded and without control flow.
+
+A ``Builder`` makes values; a value that was made before is not made again, and an operation on constants is a constant. ``finish``
+keeps what outputs and stores need and gives a ``Function``, which passes rewrite, ``machine`` compiles and ``evaluate``
+computes in numpy. State is read once at the begin of a frame and written once at its end: ``load`` after ``store`` gives the
+stored value.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from uqharness.batch.form.semantics import F64, I1, I64, OPERATIONS, TABLE, computed
+
+Constant = float | int | bool
+Known = Constant | tuple[float, ...]
+"""What a constant node holds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """An operation on earlier nodes. ``const`` has its ``value``; ``input`` and ``load`` have the ``name`` of what they read."""
+
+    operation: str
+    kind: str
+    arguments: tuple[int, ...] = ()
+    value: Known | None = None
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Function:
+    """What is computed in a frame: ``nodes`` in an order in which each stands behind its arguments.
+
+    inputs   names of what is given from outside
+    slots    names of the state, read or written
+    outputs  name to the node that has the value;  ``stores`` the same for slots that change
+    """
+
+    nodes: tuple[Node, ...]
+    inputs: tuple[str, ...]
+    slots: tuple[str, ...]
+    outputs: Mapping[str, int]
+    stores: Mapping[str, int]
+
+    def counts(self) -> dict[str, int]:
+        """How often each operation occurs."""
+        found: dict[str, int] = {}
+        for node in self.nodes:
+            found[node.operation] = found.get(node.operation, 0) + 1
+        return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Value:
+    """A value of a builder. Arithmetic operators work on doubles and numbers; comparisons are methods, so that ``==`` stays
+    Python's."""
+
+    builder: Builder
+    index: int
+
+    @property
+    def kind(self) -> str:
+        """f64, i64 or i1."""
+        return self.builder.nodes[self.index].kind
+
+    @property
+    def constant(self) -> Constant | None:
+        """The number it is known to be, or None."""
+        value = self.builder.nodes[self.index].value
+        return None if isinstance(value, tuple) else value
+
+    def __add__(self, other: Value | float) -> Value:
+        return self.builder.op("add", self, other)
+
+    def __radd__(self, other: float) -> Value:
+        return self.builder.op("add", other, self)
+
+    def __sub__(self, other: Value | float) -> Value:
+        return self.builder.op("sub", self, other)
+
+    def __rsub__(self, other: float) -> Value:
+        return self.builder.op("sub", other, self)
+
+    def __mul__(self, other: Value | float) -> Value:
+        return self.builder.op("mul", self, other)
+
+    def __rmul__(self, other: float) -> Value:
+        return self.builder.op("mul", other, self)
+
+    def __truediv__(self, other: Value | float) -> Value:
+        return self.builder.op("div", self, other)
+
+    def __rtruediv__(self, other: float) -> Value:
+        return self.builder.op("div", other, self)
+
+    def __neg__(self) -> Value:
+        return self.builder.op("neg", self)
+
+    def lt(self, other: Value | float) -> Value:
+        """Whether it is less; false with a NaN, as ``le``, ``gt``, ``ge`` and ``eq``."""
+        return self.builder.op("lt", self, other)
+
+    def le(self, other: Value | float) -> Value:
+        """Less or equal."""
+        return self.builder.op("le", self, other)
+
+    def gt(self, other: Value | float) -> Value:
+        """Greater."""
+        return self.builder.op("gt", self, other)
+
+    def ge(self, other: Value | float) -> Value:
+        """Greater or equal."""
+        return self.builder.op("ge", self, other)
+
+    def eq(self, other: Value | float) -> Value:
+        """Equal; zeros of both signs are."""
+        return self.builder.op("eq", self, other)
+
+    def ne(self, other: Value | float) -> Value:
+        """Not equal; true with a NaN."""
+        return self.builder.op("ne", self, other)
+
+    def choose(self, yes: Value | float, no: Value | float) -> Value:
+        """``yes`` where this truth value is true, else ``no``; both are computed."""
+        return self.builder.op("select", self, yes, no)
+
+
+class Builder:
+    """Makes values, each once."""
+
+    def __init__(self) -> None:
+        self.nodes: list[Node] = []
+        self.state: dict[str, Value] = {}
+        self._known: dict[tuple[Any, ...], int] = {}
+
+    def constant(self, value: Constant, kind: str = F64) -> Value:
+        """A number: doubles are told apart by their bits, so 0.0 is not -0.0."""
+        if kind == F64:
+            value = float(value)
+            key: Any = struct.pack("<d", value) if value == value else "nan"
+        else:
+            value = bool(value) if kind == I1 else (int(value) + 2**63) % 2**64 - 2**63
+            key = value
+        return self._made(("const", kind, key), Node("const", kind, value=value))
+
+    def integer(self, value: int) -> Value:
+        """A constant of kind i64."""
+        return self.constant(value, I64)
+
+    def truth(self, value: bool) -> Value:
+        """A constant of kind i1."""
+        return self.constant(value, I1)
+
+    def table(self, values: Sequence[float]) -> Value:
+        """Constant doubles that ``lookup`` picks from, at least one."""
+        if not values:
+            raise ValueError("a table has a number at least")
+        numbers = tuple(float(x) for x in values)
+        return self._made(("const", TABLE, np.array(numbers).tobytes()), Node("const", TABLE, value=numbers))
+
+    def input(self, name: str) -> Value:
+        """A double that is given from outside, for each lane its own."""
+        return self._made(("input", name), Node("input", F64, name=name))
+
+    def load(self, slot: str) -> Value:
+        """The double in a slot of the state: what was stored in this frame, else what the last frame left."""
+        if slot in self.state:
+            return self.state[slot]
+        return self._made(("load", slot), Node("load", F64, name=slot))
+
+    def store(self, slot: str, value: Value | float) -> None:
+        """Put a double into a slot of the state."""
+        self.state[slot] = self.value(value)
+
+    def value(self, value: Value | Constant) -> Value:
+        """A number as a constant; a value as it is. A value of another builder is refused."""
+        if not isinstance(value, Value):
+            return self.constant(value)
+        if value.builder is not self:
+            raise ValueError("a value of another builder")
+        return value
+
+    def op(self, operation: str, *arguments: Value | float) -> Value:
+        """The operation on the arguments, folded where they are constants. Raises ValueError for wrong kinds."""
+        values = [self.value(a) for a in arguments]
+        meaning = OPERATIONS[operation]
+        if tuple(v.kind for v in values) != meaning.kinds:
+            raise ValueError(f"{operation} takes {', '.join(meaning.kinds)}; received {', '.join(v.kind for v in values)}")
+        if meaning.compute is not None and all(self.nodes[v.index].value is not None for v in values):
+            return self.constant(computed(operation, [_scalar(v) for v in values]).item(), meaning.result)
+        simpler = self._simpler(operation, values)
+        if simpler is not None:
+            return simpler
+        indices = tuple(v.index for v in values)
+        return self._made((operation, *indices), Node(operation, meaning.result, indices))
+
+    def finish(self, outputs: Mapping[str, Value], stores: Mapping[str, Value] | None = None) -> Function:
+        """The function that computes ``outputs`` and the stored slots; what they do not need is left out."""
+        stores = self.state if stores is None else stores
+        needed: set[int] = set()
+        open_nodes = [v.index for v in (*outputs.values(), *stores.values())]
+        while open_nodes:
+            index = open_nodes.pop()
+            if index not in needed:
+                needed.add(index)
+                open_nodes.extend(self.nodes[index].arguments)
+        place = {old: new for new, old in enumerate(sorted(needed))}
+        nodes = tuple(_moved(self.nodes[old], place) for old in sorted(needed))
+        loads = [node.name for node in nodes if node.operation == "load"]
+        return Function(
+            nodes,
+            tuple(node.name for node in nodes if node.operation == "input"),
+            tuple(dict.fromkeys([*loads, *stores])),
+            {name: place[v.index] for name, v in outputs.items()},
+            {name: place[v.index] for name, v in stores.items()},
+        )
+
+    def _made(self, key: tuple[Any, ...], node: Node) -> Value:
+        index = self._known.get(key)
+        if index is None:
+            index = self._known[key] = len(self.nodes)
+            self.nodes.append(node)
+        return Value(self, index)
+
+    def _simpler(self, operation: str, values: list[Value]) -> Value | None:
+        """The same value by less work, bit for bit; None if there is none."""
+        first, last = values[0], values[-1]
+        if operation == "select":
+            if first.constant is not None:
+                return values[1] if first.constant else values[2]
+            return values[1] if values[1].index == values[2].index else None
+        if operation in ("and", "or") and (first.constant is not None or last.constant is not None):
+            known, other = (first, last) if first.constant is not None else (last, first)
+            return other if bool(known.constant) == (operation == "and") else known
+        if operation in ("neg", "not") and self.nodes[first.index].operation == operation:
+            return Value(self, self.nodes[first.index].arguments[0])
+        if last.kind != F64 or last.constant is None:
+            if operation == "mul" and first.constant in (1.0, -1.0):
+                return last if first.constant == 1.0 else self.op("neg", last)
+            return None
+        if (operation in ("mul", "div") and last.constant == 1.0) or (operation == "sub" and _same(last.constant, 0.0)):
+            return first
+        if operation == "mul" and last.constant == -1.0:
+            return self.op("neg", first)
+        if operation == "add" and _same(last.constant, -0.0):
+            return first
+        if operation == "div" and _exact_reciprocal(float(last.constant)):
+            return self.op("mul", first, 1.0 / float(last.constant))
+        return None
+
+
+def rebuilt(function: Function, rule: Callable[[Builder, Node, list[Value]], Value]) -> Function:
+    """The function made again in a new builder, each operation by ``rule``; constants, inputs and loads stay."""
+    builder = Builder()
+    values: list[Value] = []
+    for node in function.nodes:
+        values.append(replayed(builder, node) or rule(builder, node, [values[i] for i in node.arguments]))
+    outputs = {name: values[i] for name, i in function.outputs.items()}
+    return builder.finish(outputs, {name: values[i] for name, i in function.stores.items()})
+
+
+def replayed(builder: Builder, node: Node) -> Value | None:
+    """A constant, input or load in another builder; None for an operation."""
+    if node.operation == "const":
+        assert node.value is not None
+        return builder.table(node.value) if isinstance(node.value, tuple) else builder.constant(node.value, node.kind)
+    if node.operation == "input":
+        return builder.input(node.name)
+    return builder.load(node.name) if node.operation == "load" else None
+
+
+def slots_read(function: Function) -> dict[str, frozenset[str]]:
+    """For each store the slots that its value is made of."""
+    of: list[frozenset[str]] = []
+    for node in function.nodes:
+        if node.operation == "load":
+            of.append(frozenset((node.name,)))
+        else:
+            parts = [of[i] for i in node.arguments]
+            of.append(parts[0] if len(parts) == 1 else frozenset().union(*parts))
+    return {slot: of[index] for slot, index in function.stores.items()}
+
+
+def evaluate(
+    function: Function, inputs: Mapping[str, np.ndarray], state: Mapping[str, np.ndarray] | None = None
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Outputs and the state after the frame, computed by numpy over lanes; the reference for the compiled code."""
+    lanes = max([np.size(a) for a in (*inputs.values(), *(state or {}).values())], default=1)
+    last = _last_uses(function)
+    values: list[Any] = [None] * len(function.nodes)
+    for index, node in enumerate(function.nodes):
+        if node.operation == "const":
+            values[index] = known(node)
+        elif node.operation in ("input", "load"):
+            source = inputs if node.operation == "input" else (state or {})
+            values[index] = np.asarray(source[node.name], dtype=np.float64)
+        else:
+            values[index] = computed(node.operation, [values[i] for i in node.arguments])
+        for i in node.arguments:
+            if last[i] == index:
+                values[i] = None
+    outputs = {name: np.broadcast_to(values[i], lanes).copy() for name, i in function.outputs.items()}
+    after = {slot: np.array(state[slot], dtype=np.float64) for slot in function.slots if state and slot in state}
+    after.update({name: np.broadcast_to(values[i], lanes).copy() for name, i in function.stores.items()})
+    return outputs, after
+
+
+def _last_uses(function: Function) -> list[int]:
+    """For each node the last node that reads it; outputs and stores are never done with."""
+    last = [-1] * len(function.nodes)
+    for index, node in enumerate(function.nodes):
+        for i in node.arguments:
+            last[i] = index
+    for i in (*function.outputs.values(), *function.stores.values()):
+        last[i] = len(last)
+    return last
+
+
+def _moved(node: Node, place: Mapping[int, int]) -> Node:
+    return Node(node.operation, node.kind, tuple(place[i] for i in node.arguments), node.value, node.name)
+
+
+def _scalar(value: Value) -> Any:
+    return known(value.builder.nodes[value.index])
+
+
+def known(node: Node) -> Any:
+    """A constant as numpy has it."""
+    assert node.value is not None
+    kinds: dict[str, Callable[..., Any]] = {F64: np.float64, I64: np.int64, I1: np.bool_, TABLE: np.array}
+    return kinds[node.kind](node.value)
+
+
+def _same(a: Constant, b: float) -> bool:
+    return struct.pack("<d", float(a)) == struct.pack("<d", b)
+
+
+def _exact_reciprocal(x: float) -> bool:
+    """Whether 1/x is a normal double without rounding: x is a power of two."""
+    mantissa, exponent = np.frexp(x)
+    return abs(mantissa) == 0.5 and -1000 < exponent < 1000

@@ -1,0 +1,1 @@
+"""Flights in lanes: start, streams, stepping, records."""

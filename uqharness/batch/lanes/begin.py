@@ -1,0 +1,110 @@
+"""From the specification of flights to their state before the first frame: JSBSim's start, then the two initialising frames."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness.batch.form.flying import begun, slot
+from uqharness.batch.lanes.mission import LaneMission, Loaded, load_start
+from uqharness.batch.lanes.streams import Noise
+from uqharness.batch.models.ground import TOUCHED
+from uqharness.batch.models.start import CONDITIONS, start_state
+from uqharness.batch.translate.scope import canonical
+from uqharness.errors import BadInputError
+from uqharness.flight import FlightSpec, first_levels
+from uqharness.simulator import CHANGEABLE
+
+Array = NDArray[np.float64]
+
+_TURNS = 200
+"""Turns between two looks at whether engines have come to rest."""
+
+
+@dataclass(frozen=True)
+class Begun:
+    """``values``: slot to its value in each lane behind the initialising frames. ``noise``: by seed, drawn up to there."""
+
+    values: dict[str, Array]
+    noise: Mapping[int, Noise]
+
+
+def begin(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Begun:
+    """Initialise. Raises BadInputError for a property that cannot be set, or that initialising has overwritten."""
+    count = len(specs)
+    loaded = _loaded(lanes, specs)
+    values = start_state({name: np.array([one.conditions[name] for one in loaded]) for name in CONDITIONS})
+    given = {name: np.array([_given(lanes, one, spec, name) for one, spec in zip(loaded, specs, strict=True)])
+             for name in {canonical(n) for n in (*specs[0].properties, *first_levels(specs[0], lanes.dt_s))}}  # fmt: skip
+    values |= given
+    values |= {name: np.array([one.static[name] for one in loaded]) for name in loaded[0].static if name not in given}
+    wind = np.array([one.wind_fps for one in loaded])
+    noise = {s: Noise(s, lanes.flight.draws, lanes.flight.first_draws, initialising=3 if lanes.steady else 2)
+             for s in dict.fromkeys(spec.seed_noise for spec in specs)}  # fmt: skip
+    for number, flyer in enumerate((*lanes.initialisers, *([lanes.renewer] if lanes.renewer is not None else []))):
+        if number == len(lanes.initialisers):
+            _settle(lanes, values, count)
+        program = flyer.program
+        for axis, speed in zip(("north", "east", "down"), wind.T, strict=True):
+            name = f"atmosphere/wind-{axis}-fps"
+            if number == 0 and name in program.slots:
+                values[name] = speed
+        drawn = np.array([noise[spec.seed_noise].initial[number] for spec in specs])
+        values |= {f"#draw/{k}": drawn[:, k] for k in range(drawn.shape[1])}
+        state = begun(program, count, {name: v for name, v in values.items() if name in program.slots})
+        flyer.fly(state, 1, 1)
+        values |= {name: slot(program, state, name, count) for name in program.slots}
+    if lanes.points and (values[TOUCHED] >= 0.0).any():
+        raise BadInputError(
+            'the flight starts on the ground, where the batch engine computes no forces; fly it with engine = "jsbsim"'
+        )
+    _require_kept(specs, given, values)
+    return Begun(values, noise)
+
+
+def _settle(lanes: LaneMission, values: dict[str, Array], count: int) -> None:
+    """Bring every lane's engines to their steady state."""
+    for going, flyer in lanes.settlers:
+        program = flyer.program
+        state = begun(program, count, {name: v for name, v in values.items() if name in program.slots})
+        while slot(program, state, going, count).any():
+            flyer.fly(state, 1, _TURNS)
+        values |= {name: slot(program, state, name, count) for name in program.slots}
+
+
+def _loaded(lanes: LaneMission, specs: Sequence[FlightSpec]) -> list[Loaded]:
+    """JSBSim is asked once for each start that differs."""
+    found: dict[tuple[object, ...], Loaded] = {}
+    out = []
+    for spec in specs:
+        own = tuple((n, v) for n, v in sorted(spec.properties.items()) if n.startswith("ic/") or n in CHANGEABLE)
+        key = (spec.wind_mps, spec.wind_from_deg, own)
+        if key not in found:
+            found[key] = load_start(lanes, spec)
+        out.append(found[key])
+    return out
+
+
+def _given(lanes: LaneMission, loaded: Loaded, spec: FlightSpec, name: str) -> float:
+    if name in loaded.static:
+        return loaded.static[name]
+    if name in spec.properties:
+        return float(spec.properties[name])
+    return float(first_levels(spec, lanes.dt_s)[name])
+
+
+def _require_kept(specs: Sequence[FlightSpec], given: Mapping[str, Array], values: Mapping[str, Array]) -> None:
+    for name in specs[0].properties:
+        if name.startswith("ic/") or name in CHANGEABLE:
+            continue
+        wanted, kept = given[canonical(name)], values[canonical(name)]
+        moved = np.abs(kept - wanted) > 1e-9 * np.maximum(np.abs(wanted), 1.0)
+        if moved.any():
+            lane = int(np.argmax(moved))
+            raise BadInputError(
+                f"property {name} was set to {wanted[lane]:g} and stands at {kept[lane]:g} after initialising: the model computes "
+                "it, so it cannot be set"
+            )

@@ -1,0 +1,164 @@
+"""Numbers that flights are fed with, frame by frame: sensor noise, JSBSim's turbulence, host gusts, moving levels.
+
+They are those that JSBSim's engine meets in the same case: noise and turbulence from JSBSim's generators, gusts and levels from
+``flight.dryden`` and ``flight.levels``. Compiled code makes them with the bits of numpy's forms. Each belongs to an air or to an
+epistemic sample, never to a lane; the numbers do not depend on how many frames are asked for at once, and ``copy.deepcopy`` gives
+a stream that goes on from where the first stands.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness.batch.form.program import Stream
+from uqharness.batch.lanes.jsbsim_random import MODULUS, MULTIPLIER, JsbsimNormals, Tries, polar_normals
+from uqharness.batch.machine.gusts import compiled_recursion
+from uqharness.batch.machine.random import compiled_pairs, compiled_tries
+from uqharness.batch.machine.target import Target, chosen_target
+from uqharness.batch.models.winds import DRAWS
+from uqharness.flight import COEFFICIENTS, DrydenGusts, DrydenParameters, LevelDriver, Levels
+
+Array = NDArray[np.float64]
+
+GUSTS = Stream("gusts", tuple(f"air/host/{name}" for name in ("u-mps", "v-mps", "w-mps", "p-rad_sec", "q-rad_sec", "r-rad_sec")))
+"""Host gusts, a row a frame."""
+LEVELS = Stream("levels", tuple(f"uq/{name}/level" for name in COEFFICIENTS))
+"""Moving levels, a row a frame."""
+
+_LONGEST_PERIOD = 100_000
+
+
+class Rows(NamedTuple):
+    """Rows (n, columns) of a stream, and the number of the first."""
+
+    array: Array
+    first_row: int
+
+
+class Series(Protocol):
+    """A stream with a row a frame, or a row each time its counter moves."""
+
+    def rows(self, n: int) -> Rows:
+        """The next ``n`` rows."""
+
+
+def noise_streams(draws: Sequence[tuple[str, int]]) -> tuple[Stream, ...]:
+    """The streams for places that draw normals (slot, every), one for each rate, in the order of the rates."""
+    rates = sorted({every for _, every in draws})
+    return tuple(Stream(f"noise/{rate}", tuple(slot for slot, every in draws if every == rate), rate) for rate in rates)
+
+
+class Noise:
+    """Normals that the systems of a flight draw from JSBSim's common generator.
+
+    draws    places of the frame in which a normal is drawn (slot, every), in their order: that with ``every`` draws in frames
+             that ``every`` divides
+    initial  what the initialising frames draw, (frames, first_draws): they come first
+    """
+
+    def __init__(
+        self,
+        seed: int,
+        draws: Sequence[tuple[str, int]],
+        first_draws: int | None = None,
+        target: Target | None = None,
+        initialising: int = 2,
+    ) -> None:
+        first_draws = len(draws) if first_draws is None else first_draws
+        self._normals = JsbsimNormals(seed, _tries(target or _widest()))
+        self.initial = self._normals.take(initialising * first_draws).reshape(initialising, first_draws)
+        self._streams = noise_streams(draws)
+        self._period = math.lcm(*(stream.every for stream in self._streams))
+        if self._period > _LONGEST_PERIOD:
+            raise ValueError(f"the draws repeat every {self._period} frames; {_LONGEST_PERIOD} at most are possible")
+        # Over a period: which number of those drawn in it stands in each row and column.
+        rates = np.array([every for _, every in draws], dtype=np.int64)
+        drawn = np.arange(1, self._period + 1)[:, None] % rates == 0 if len(draws) else np.zeros((self._period, 0), dtype=bool)
+        number = np.cumsum(drawn.ravel()).reshape(drawn.shape) - 1
+        self._per_period = int(drawn.sum())
+        self._places = {s.name: number[s.every - 1 :: s.every, rates == s.every] for s in self._streams}
+        self._held = {s.name: np.empty((0, len(s.columns))) for s in self._streams}
+        self._frame = 0
+
+    def frames(self, count: int) -> dict[str, Rows]:
+        """Rows of the next ``count`` frames by the streams' names."""
+        last = self._frame + count
+        out = {}
+        wanted = {s.name: last // s.every - self._frame // s.every for s in self._streams}
+        lacking = [-(-(wanted[name] - len(self._held[name])) // len(places)) for name, places in self._places.items()]
+        self._draw(max(lacking, default=0))
+        for stream in self._streams:
+            held, n = self._held[stream.name], wanted[stream.name]
+            out[stream.name] = Rows(np.ascontiguousarray(held[:n]), self._frame // stream.every)
+            self._held[stream.name] = held[n:]
+        self._frame = last
+        return out
+
+    def _draw(self, periods: int) -> None:
+        if periods <= 0:
+            return
+        drawn = self._normals.take(periods * self._per_period).reshape(periods, self._per_period)
+        for name, places in self._places.items():
+            # With one rate the numbers stand in order already.
+            rows = drawn if places.size == self._per_period else drawn[:, places.ravel()]
+            rows = rows.reshape(periods * len(places), places.shape[1])
+            self._held[name] = np.concatenate([self._held[name], rows]) if len(self._held[name]) else rows
+
+
+class Turbulence:
+    """Normals of JSBSim's turbulence: a row (nu_u, nu_v, nu_w, nu_p) for each frame in which its filters run."""
+
+    def __init__(self, seed: int, target: Target | None = None) -> None:
+        self._normals, self._row = JsbsimNormals(seed, _tries(target or _widest())), 0
+
+    def rows(self, n: int) -> Rows:
+        """The next ``n`` rows (n, 4)."""
+        first, self._row = self._row, self._row + n
+        return Rows(self._normals.take(len(DRAWS) * n).reshape(n, len(DRAWS)), first)
+
+
+class HostGusts:
+    """Gusts of ``flight.dryden`` at constant airspeed and height, with the columns of GUSTS."""
+
+    def __init__(self, parameters: DrydenParameters, dt_s: float, seed: int | Sequence[int], target: Target | None = None) -> None:
+        target = target or _widest()
+        self._gusts = DrydenGusts(parameters, dt_s, seed, compiled_pairs(target), compiled_recursion(target))
+        self._held, self._row = np.empty((0, len(GUSTS.columns))), 0
+
+    def rows(self, n: int) -> Rows:
+        """The next ``n`` rows (n, 6) [m/s, rad/s]."""
+        parts, known = [self._held], len(self._held)
+        while known < n:
+            parts.append(self._gusts.page().T)
+            known += len(parts[-1])
+        joined = np.concatenate(parts)
+        first, self._row = self._row, self._row + n
+        self._held = joined[n:]
+        return Rows(np.ascontiguousarray(joined[:n]), first)
+
+
+class MovingLevels:
+    """Levels of ``flight.levels``, with the columns of LEVELS."""
+
+    def __init__(self, driver: LevelDriver, dt_s: float, target: Target | None = None) -> None:
+        self._levels, self._row = Levels(driver, dt_s, compiled_pairs(target or _widest())), 0
+
+    def rows(self, n: int) -> Rows:
+        """The next ``n`` rows (n, 6) in 0..1."""
+        first, self._row = self._row, self._row + n
+        return Rows(np.ascontiguousarray(self._levels.take(n)), first)
+
+
+def _widest() -> Target:
+    return chosen_target()
+
+
+@lru_cache(maxsize=8)
+def _tries(target: Target) -> Tries:
+    return compiled_tries(target, MODULUS, MULTIPLIER, polar_normals)

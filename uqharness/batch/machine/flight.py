@@ -1,0 +1,306 @@
+"""A program as one native function that flies many frames: for each W lanes all frames, so that their state stays in cache.
+
+The state of W lanes is copied side by side, flown, and copied back. The function runs without Python's lock.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from uqharness.batch.form.flying import BLOCK, Feeds, checked
+from uqharness.batch.form.ir import Function
+from uqharness.batch.form.passes import lowered
+from uqharness.batch.form.program import Program, Section, Stream, When
+from uqharness.batch.form.semantics import F64, I1
+from uqharness.batch.machine.printer import FunctionPrinter, Vectors
+from uqharness.batch.machine.target import Target, attributes, built
+
+
+@dataclass(frozen=True)
+class FlightKernel:
+    """A compiled program; ``text`` is what LLVM was given."""
+
+    program: Program
+    target: Target
+    text: str
+    _engine: Any
+    _call: Any
+
+    def fly(self, state: np.ndarray, first_frame: int, frames: int, streams: Feeds | None = None, stride: int = 1) -> np.ndarray:
+        """See ``form.flying.Flyer``. Raises ValueError for arguments that do not fit. Other threads of Python run meanwhile."""
+        call = checked(self.program, state, first_frame, frames, streams, stride)
+        feeds = [(f.array.ctypes.data, f.offsets.ctypes.data, f.first_row, f.rows) for f in call.feeds]
+        described = np.array(feeds, dtype=np.int64)
+        sizes = np.array([stride, call.records.shape[2], (first_frame - 1) // stride + 1], dtype=np.int64)
+        scratch = np.empty(max(1, len(self.program.slots)) * BLOCK)
+        arrays = (state, scratch, described, call.records, sizes)
+        pointers = [array.ctypes.data for array in arrays]
+        self._call(*pointers, state.shape[0], first_frame, first_frame + frames - 1)
+        return call.records
+
+
+def compile_program(program: Program, target: Target) -> FlightKernel:
+    """Machine code of a program; transcendental operations are written out first."""
+    program = lowered(program)
+    text = printed_program(program, target)
+    code = built(text, "fly", target)
+    pointer, count = ctypes.c_void_p, ctypes.c_int64
+    call = ctypes.CFUNCTYPE(None, *[pointer] * 5, *[count] * 3)(code.address)
+    return FlightKernel(program, target, text, code.engine, call)
+
+
+def printed_program(program: Program, target: Target) -> str:
+    """The text: ``void fly(state, scratch, feeds, records, {stride, times, first time}, blocks, first frame, last frame)``."""
+    return _ProgramPrinter(program, target).text()
+
+
+class _ProgramPrinter:
+    """Slots stand at %slots, W doubles each, in the order of the program; ``%stream<k>`` is the k-th stream."""
+
+    def __init__(self, program: Program, target: Target) -> None:
+        self.program, self.target, self.width = program, target, target.width
+        self.vectors = Vectors(target.width, target.rounds)
+        self.vector = self.vectors.of(F64)
+        self.rows = {name: row for row, name in enumerate(program.slots)}
+
+    def text(self) -> str:
+        """The whole function."""
+        program = self.program
+        prelude = [] if program.prelude is None else self._function(program.prelude, "once.", None)
+        begins = [line for k, stream in enumerate(program.streams) for line in self._stream_begin(k, stream)]
+        frame = [line for k, stream in enumerate(program.streams) for line in self._stream(k, stream)]
+        frame += [line for k, section in enumerate(program.sections) for line in self._section(k, section)]
+        recorded = self._record()
+        pointers = ", ".join(f"ptr noalias %{name}" for name in ("state", "slots", "feeds", "records", "sizes"))
+        return f"""{self.vectors.declarations()}
+define void @fly({pointers}, i64 %blocks, i64 %first, i64 %last) #0 {{
+entry:
+  %stride = load i64, ptr %sizes, align 8
+  %times.at = getelementptr i64, ptr %sizes, i64 1
+  %times = load i64, ptr %times.at, align 8
+  %time.at = getelementptr i64, ptr %sizes, i64 2
+  %time.first = load i64, ptr %time.at, align 8
+  %lanes = mul i64 %blocks, {BLOCK}
+  %channel = mul i64 %lanes, %times
+  %turns = sdiv i64 %lanes, {self.width}
+  %some.lanes = icmp sgt i64 %turns, 0
+  %some.frames = icmp sle i64 %first, %last
+  %some = and i1 %some.lanes, %some.frames
+  br i1 %some, label %group, label %done
+group:
+  %turn = phi i64 [ 0, %entry ], [ %turn.next, %group.done ]
+  %lane = mul i64 %turn, {self.width}
+  %block = sdiv i64 %lane, {BLOCK}
+  %part = srem i64 %lane, {BLOCK}
+  %block.start = mul i64 %block, {len(self.rows) * BLOCK}
+  %block.lane = add i64 %block.start, %part
+  %here = getelementptr double, ptr %state, i64 %block.lane
+{self._copied("in", "group", "begin")}
+begin:
+{_joined(prelude)}
+{_joined(begins)}
+  br label %frame
+frame:
+  %k = phi i64 [ %first, %begin ], [ %k.next, %frame.done ]
+{_joined(frame)}
+  %beside = urem i64 %k, %stride
+  %recorded = icmp eq i64 %beside, 0
+  br i1 %recorded, label %record, label %frame.done
+record:
+{_joined(recorded)}
+  br label %frame.done
+frame.done:
+  %k.next = add i64 %k, 1
+  %more = icmp sle i64 %k.next, %last
+  br i1 %more, label %frame, label %end
+end:
+{self._copied("out", "end", "group.done")}
+group.done:
+  %turn.next = add i64 %turn, 1
+  %more.lanes = icmp slt i64 %turn.next, %turns
+  br i1 %more.lanes, label %group, label %done
+done:
+  ret void
+}}
+{attributes(self.target)}
+"""
+
+    def _copied(self, way: str, before: str, behind: str) -> str:
+        """A loop that copies all slots between the state and %slots."""
+        packed, spread = f"%{way}.packed", f"%{way}.spread"
+        source, goal = (spread, packed) if way == "in" else (packed, spread)
+        return f"""  br label %{way}
+{way}:
+  %{way}.row = phi i64 [ 0, %{before} ], [ %{way}.next, %{way} ]
+  %{way}.near = mul i64 %{way}.row, {self.width}
+  %{way}.far = mul i64 %{way}.row, {BLOCK}
+  {packed} = getelementptr double, ptr %slots, i64 %{way}.near
+  {spread} = getelementptr double, ptr %here, i64 %{way}.far
+  %{way}.value = load {self.vector}, ptr {source}, align 8
+  store {self.vector} %{way}.value, ptr {goal}, align 8
+  %{way}.next = add i64 %{way}.row, 1
+  %{way}.more = icmp slt i64 %{way}.next, {len(self.rows)}
+  br i1 %{way}.more, label %{way}, label %{behind}"""
+
+    def _function(self, function: Function, prefix: str, mask: str | None) -> list[str]:
+        return FunctionPrinter(
+            function, self.vectors, lambda _, name: ("%slots", self.rows[name] * self.width), prefix, mask
+        ).lines()
+
+    def _section(self, number: int, section: Section) -> list[str]:
+        prefix, when = f"x{number}.", section.when
+        out = self._due(when, prefix)
+        mask = None
+        if when.mask is not None:
+            mask = f"%{prefix}mask"
+            out += self._load(when.mask, f"{prefix}flag")
+            out.append(f"  {mask} = fcmp une {self.vector} %{prefix}flag, {self.vectors.number(0.0)}")
+            out += [*self._any(mask, prefix), f"  br i1 %{prefix}any, label %{prefix}some, label %{prefix}over", f"{prefix}some:"]
+        out += self._function(section.function, prefix, mask)
+        return [*out, f"  br label %{prefix}over", f"{prefix}over:"]
+
+    def _due(self, when: When, prefix: str) -> list[str]:
+        """Goes to <prefix>over in frames in which the section does not run."""
+        tests = []
+        if when.every != 1:
+            tests.append(f"  %{prefix}rest = urem i64 %k, {when.every}\n  %{prefix}test0 = icmp eq i64 %{prefix}rest, 0")
+        if when.at is not None:
+            tests.append(f"  %{prefix}test1 = icmp eq i64 %k, {when.at}")
+        names = [f"%{prefix}test{number}" for number, asked in enumerate((when.every != 1, when.at is not None)) if asked]
+        if not names:
+            return [f"  br label %{prefix}run", f"{prefix}run:"]
+        both = f"  %{prefix}due = and i1 {names[0]}, {names[-1]}"
+        return [*tests, both, f"  br i1 %{prefix}due, label %{prefix}run, label %{prefix}over", f"{prefix}run:"]
+
+    def _any(self, mask: str, prefix: str) -> list[str]:
+        if self.width == 1:
+            return [f"  %{prefix}any = or i1 {mask}, false"]
+        bits = f"i{self.width}"
+        cast = f"  %{prefix}bits = bitcast {self.vectors.of(I1)} {mask} to {bits}"
+        return [cast, f"  %{prefix}any = icmp ne {bits} %{prefix}bits, 0"]
+
+    def _load(self, slot: str, name: str) -> list[str]:
+        at = f"  %{name}.at = getelementptr double, ptr %slots, i64 {self.rows[slot] * self.width}"
+        return [at, f"  %{name} = load {self.vector}, ptr %{name}.at, align 8"]
+
+    def _stream_begin(self, number: int, stream: Stream) -> list[str]:
+        """Each lane's pointer to its row 0, were it there: %stream<k>.base<lane>."""
+        me = f"%stream{number}"
+        out = []
+        for field, kind in enumerate(("ptr", "ptr", "i64", "i64")):
+            out.append(f"  {me}.at{field} = getelementptr i64, ptr %feeds, i64 {number * 4 + field}")
+            out.append(f"  {me}.given{field} = load {kind}, ptr {me}.at{field}, align 8")
+        for lane in range(self.width):
+            part = f"{me}.{lane}"
+            out += [
+                f"  {part}.lane = add i64 %lane, {lane}",
+                f"  {part}.at = getelementptr i64, ptr {me}.given1, i64 {part}.lane",
+                f"  {part}.offset = load i64, ptr {part}.at, align 8",
+                f"  {part}.row = sub i64 {part}.offset, {'0' if stream.counter else me + '.given2'}",
+                f"  {part}.start = mul i64 {part}.row, {len(stream.columns)}",
+                f"  {me}.base{lane} = getelementptr double, ptr {me}.given0, i64 {part}.start",
+            ]
+        if stream.counter:
+            out.append(f"  {me}.first = sitofp i64 {me}.given2 to double")
+            out.append(f"  {me}.rows = sitofp i64 {me}.given3 to double")
+        return out
+
+    def _stream(self, number: int, stream: Stream) -> list[str]:
+        """Puts a row into the slots of its columns."""
+        prefix, me = f"feed{number}.", f"%stream{number}"
+        out = self._due(When(every=stream.every), prefix)
+        if stream.counter:
+            out += self._counted_rows(stream, prefix, me)
+        else:
+            out += [
+                f"  %{prefix}turn = udiv i64 %k, {stream.every}",
+                f"  %{prefix}row = sub i64 %{prefix}turn, 1",
+                f"  %{prefix}begin = mul i64 %{prefix}row, {len(stream.columns)}",
+            ]
+            out += [f"  %{prefix}at{j} = getelementptr double, ptr {me}.base{j}, i64 %{prefix}begin" for j in range(self.width)]
+        for column, slot in enumerate(stream.columns):
+            name = f"%{prefix}c{column}."
+            for j in range(self.width):
+                out.append(f"  {name}p{j} = getelementptr double, ptr %{prefix}at{j}, i64 {column}")
+                out.append(f"  {name}x{j} = load double, ptr {name}p{j}, align 8")
+            value = self._gathered(out, f"{name}v", [f"{name}x{j}" for j in range(self.width)])
+            if stream.counter:
+                nan = self.vectors.splat(F64, "0x7FF8000000000000")
+                out.append(f"  {name}r = select {self.vectors.of(I1)} %{prefix}there, {self.vector} {value}, {self.vector} {nan}")
+                value = f"{name}r"
+            out.append(f"  {name}slot = getelementptr double, ptr %slots, i64 {self.rows[slot] * self.width}")
+            out.append(f"  store {self.vector} {value}, ptr {name}slot, align 8")
+        return [*out, f"  br label %{prefix}over", f"{prefix}over:"]
+
+    def _counted_rows(self, stream: Stream, prefix: str, me: str) -> list[str]:
+        """Pointers to the row that each lane's counter asks for; where it is not there, to the lane's first row."""
+        assert stream.counter is not None
+        names = ["first", "rows"]
+        out = self._load(stream.counter, f"{prefix}count")
+        for name in names:
+            self._gathered(out, f"%{prefix}{name}", [f"{me}.{name}"] * self.width)
+        zero = self.vectors.number(0.0)
+        truths = self.vectors.of(I1)
+        first, rows = (f"%{prefix}{name}" if self.width > 1 else f"{me}.{name}" for name in names)
+        out += [
+            f"  %{prefix}from = fsub {self.vector} %{prefix}count, {first}",
+            f"  %{prefix}low = fcmp oge {self.vector} %{prefix}from, {zero}",
+            f"  %{prefix}high = fcmp olt {self.vector} %{prefix}from, {rows}",
+            f"  %{prefix}there = and {truths} %{prefix}low, %{prefix}high",
+            f"  %{prefix}safe = select {truths} %{prefix}there, {self.vector} %{prefix}from, {self.vector} {zero}",
+        ]
+        for j in range(self.width):
+            one = f"%{prefix}safe" if self.width == 1 else f"%{prefix}safe{j}"
+            if self.width > 1:
+                out.append(f"  {one} = extractelement {self.vector} %{prefix}safe, i64 {j}")
+            out += [
+                f"  %{prefix}whole{j} = fptosi double {one} to i64",
+                f"  %{prefix}begin{j} = mul i64 %{prefix}whole{j}, {len(stream.columns)}",
+                f"  %{prefix}at{j} = getelementptr double, ptr {me}.base{j}, i64 %{prefix}begin{j}",
+            ]
+        return out
+
+    def _gathered(self, out: list[str], name: str, parts: list[str]) -> str:
+        """A vector of doubles, one a lane."""
+        if self.width == 1:
+            return parts[0]
+        held = "poison"
+        for j, part in enumerate(parts):
+            goal = name if j == self.width - 1 else f"{name}.{j}"
+            out.append(f"  {goal} = insertelement {self.vector} {held}, double {part}, i64 {j}")
+            held = goal
+        return name
+
+    def _record(self) -> list[str]:
+        """Each lane's value at its place: (channel, lane, time)."""
+        out = ["  %time.k = udiv i64 %k, %stride", "  %time = sub i64 %time.k, %time.first"]
+        for j in range(self.width):
+            out += [
+                f"  %record.lane{j} = add i64 %lane, {j}",
+                f"  %record.start{j} = mul i64 %record.lane{j}, %times",
+                f"  %record.first{j} = add i64 %record.start{j}, %time",
+            ]
+        for number, slot in enumerate(self.program.records):
+            name = f"record{number}"
+            out += self._load(slot, name)
+            out.append(f"  %{name}.start = mul i64 %channel, {number}")
+            for j in range(self.width):
+                part = f"%{name}.{j}"
+                one = f"%{name}" if self.width == 1 else f"{part}.value"
+                if self.width > 1:
+                    out.append(f"  {one} = extractelement {self.vector} %{name}, i64 {j}")
+                out += [
+                    f"  {part}.place = add i64 %{name}.start, %record.first{j}",
+                    f"  {part}.at = getelementptr double, ptr %records, i64 {part}.place",
+                    f"  store double {one}, ptr {part}.at, align 8",
+                ]
+        return out
+
+
+def _joined(lines: Iterable[str]) -> str:
+    return "\n".join(lines)

@@ -1,0 +1,224 @@
+"""Random normals as machine code: twins of ``flight.normals.numpy_pairs`` and of JSBSim's polar method, with the same bits."""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+import threading
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness.batch.form.flying import BLOCK
+from uqharness.batch.form.ir import Builder, Value
+from uqharness.batch.machine.llvm import Kernel, compiled
+from uqharness.batch.machine.target import Target, attributes, built
+from uqharness.flight import normals
+
+Array = NDArray[np.float64]
+
+assert normals.GROUP == 2 * BLOCK
+
+
+class Traced:
+    """``flight.normals.Operations`` over values of a builder."""
+
+    def __init__(self, builder: Builder) -> None:
+        self._builder = builder
+
+    def bits(self, x: Any) -> Any:
+        """The 64 bits of a double as an integer."""
+        return self._builder.op("bits", x)
+
+    def double(self, bits: Any) -> Any:
+        """The double of 64 bits."""
+        return self._builder.op("double", bits)
+
+    def sqrt(self, x: Any) -> Any:
+        """The square root."""
+        return self._builder.op("sqrt", x)
+
+    def least(self, a: Any, b: Any) -> Any:
+        """The smaller of two doubles."""
+        return self._builder.op("min", a, b)
+
+    def integer(self, operation: str, a: Any, b: Any) -> Any:
+        """Of 64-bit integers: add, sub, and, or, xor, shl, shr."""
+        values = [x if isinstance(x, Value) else self._builder.integer(x) for x in (a, b)]
+        return self._builder.op(f"i{operation}", *values)
+
+
+@lru_cache(maxsize=8)
+def compiled_pairs(target: Target) -> normals.Pairs:
+    """The twin of ``flight.normals.numpy_pairs``."""
+    b = Builder()
+    m = Traced(b)
+    one, other = normals.normal_pair(m.bits(b.input("first")), m.bits(b.input("second")), m)
+    kernel = compiled(b.finish({"one": one, "other": other}), target)
+
+    def pairs(raw: NDArray[np.int64]) -> Array:
+        out = np.empty(raw.shape)
+        kernel.run(raw.view(np.float64), np.empty((len(raw), 0, BLOCK)), out)
+        return out
+
+    return pairs
+
+
+Tries = Callable[[int, int], tuple[Array, int]]
+
+
+Points = Callable[[Sequence[Any], normals.Operations], tuple[Any, Any, Any]]
+_ROUND = 8192
+"""Tries computed at once, so that they stay in the processor's cache."""
+
+
+def compiled_tries(target: Target, modulus: int, multiplier: int, points: Points) -> Tries:
+    """The polar method on Lehmer's generator: state and number of tries to normals, in order, and the state behind them.
+
+    ``modulus`` is 2^31 - 1. ``points`` makes of four of the generator's numbers, less 1, two normals and the square by which they
+    count or not.
+    """
+    factors = [pow(multiplier, k, modulus) for k in range(1, 4 * BLOCK + 1)]
+    drawing = built(_drawing(target, modulus, factors), "draw", target)
+    choosing = built(_choosing(target), "choose", target)
+    pointer, integer = ctypes.c_void_p, ctypes.c_int64
+    draw = ctypes.CFUNCTYPE(integer, integer, integer, pointer)(drawing.address)
+    choose = ctypes.CFUNCTYPE(integer, integer, pointer, pointer)(choosing.address)
+    kernel = _kernel(target, points)
+    # Arrays are kept, for new ones cost as much as what is computed in them; each thread has its own.
+    kept = threading.local()
+
+    def tries(state: int, count: int) -> tuple[Array, int]:
+        if not hasattr(kept, "arrays"):
+            kept.arrays = tuple(np.empty((_ROUND // BLOCK, rows, BLOCK)) for rows in (4, 3, 0))
+        drawn, made, nothing = kept.arrays
+        out = np.empty(2 * count + 2)
+        found = 0
+        for first in range(0, count, _ROUND):
+            now = min(_ROUND, count - first)
+            blocks = -(-now // BLOCK)
+            draw(state, blocks, drawn.ctypes.data)
+            state = int(drawn[(now - 1) // BLOCK, 3, (now - 1) % BLOCK]) + 1
+            kernel.run(drawn[:blocks], nothing[:blocks], made[:blocks])
+            found += choose(now, made.ctypes.data, out.ctypes.data + 2 * found * out.itemsize)
+        return out[: 2 * found], state
+
+    # Machine code lives as long as its engine.
+    tries.code = (drawing, choosing)  # type: ignore[attr-defined]
+    return tries
+
+
+def _kernel(target: Target, points: Points) -> Kernel:
+    b = Builder()
+    one, other, square = points([b.input(f"drawn{k}") for k in range(4)], Traced(b))
+    return compiled(b.finish({"one": one, "other": other, "square": square}), target)
+
+
+def _drawing(target: Target, modulus: int, factors: list[int]) -> str:
+    """``i64 draw(i64 state, i64 blocks, double* drawn)``: the generator's next numbers, less 1, and the state behind them.
+
+    Number k of try l stands at [l // BLOCK, k, l % BLOCK]; a block's numbers are leaps from the state before it.
+    """
+    width = target.width
+    parts = BLOCK // width
+    vector, of = f"<{width} x i64>", f"<{width} x double>"
+
+    def same(value: int) -> str:
+        return f"splat (i64 {value})"
+
+    def fold(name: str, result: str) -> list[str]:
+        return [
+            f"  %{result}.low = and {vector} %{name}, {same(modulus)}",
+            f"  %{result}.high = lshr {vector} %{name}, {same(31)}",
+            f"  %{result} = add {vector} %{result}.low, %{result}.high",
+        ]
+
+    lines: list[str] = []
+    for part in range(parts):
+        for k in range(4):
+            me = f"{part}.{k}"
+            leaps = ", ".join(f"i64 {factors[4 * (part * width + lane) + k]}" for lane in range(width))
+            lines += [
+                f"  %p{me} = mul {vector} %states, <{leaps}>",
+                *fold(f"p{me}", f"q{me}"),
+                *fold(f"q{me}", f"raw{me}"),
+                f"  %bits{me} = or {vector} %raw{me}, {same(0x4330000000000000)}",
+                f"  %whole{me} = bitcast {vector} %bits{me} to {of}",
+                f"  %less{me} = fsub {of} %whole{me}, splat (double {_double(2.0**52 + 1.0)})",
+                f"  %place{me} = getelementptr double, ptr %here, i64 {k * BLOCK + part * width}",
+                f"  store {of} %less{me}, ptr %place{me}, align 8",
+            ]
+    body = "\n".join(lines)
+    last = f"{parts - 1}.3"
+    return f"""
+define i64 @draw(i64 %begin, i64 %blocks, ptr noalias %drawn) #0 {{
+entry:
+  br label %loop
+loop:
+  %turn = phi i64 [ 0, %entry ], [ %next, %loop ]
+  %state = phi i64 [ %begin, %entry ], [ %behind, %loop ]
+  %small = and i64 %state, 4294967295
+  %first = insertelement {vector} poison, i64 %small, i64 0
+  %states = shufflevector {vector} %first, {vector} poison, <{width} x i32> zeroinitializer
+  %start = mul i64 %turn, {4 * BLOCK}
+  %here = getelementptr double, ptr %drawn, i64 %start
+{body}
+  %behind = extractelement {vector} %raw{last}, i64 {width - 1}
+  %next = add i64 %turn, 1
+  %more = icmp slt i64 %next, %blocks
+  br i1 %more, label %loop, label %done
+done:
+  ret i64 %behind
+}}
+{attributes(target)}
+"""
+
+
+def _choosing(target: Target) -> str:
+    """``i64 choose(i64 tries, double* made, double* out)``: of made (blocks, {one, other, square}, BLOCK) the pairs that count.
+
+    They stand side by side in their order; the value is how many. Every pair is stored where the next belongs; the place moves on
+    only if it counts.
+    """
+    return f"""
+define i64 @choose(i64 %count, ptr noalias %made, ptr noalias %out) #0 {{
+entry:
+  br label %loop
+loop:
+  %turn = phi i64 [ 0, %entry ], [ %next, %loop ]
+  %found = phi i64 [ 0, %entry ], [ %found.next, %loop ]
+  %block = lshr i64 %turn, {BLOCK.bit_length() - 1}
+  %lane = and i64 %turn, {BLOCK - 1}
+  %start = mul i64 %block, {3 * BLOCK}
+  %at = add i64 %start, %lane
+  %from.one = getelementptr double, ptr %made, i64 %at
+  %from.other = getelementptr double, ptr %from.one, i64 {BLOCK}
+  %from.square = getelementptr double, ptr %from.one, i64 {2 * BLOCK}
+  %one = load double, ptr %from.one, align 8
+  %other = load double, ptr %from.other, align 8
+  %square = load double, ptr %from.square, align 8
+  %place = mul i64 %found, 2
+  %to.one = getelementptr double, ptr %out, i64 %place
+  %to.other = getelementptr double, ptr %to.one, i64 1
+  store double %one, ptr %to.one, align 8
+  store double %other, ptr %to.other, align 8
+  %near = fcmp ole double %square, {_double(1.0)}
+  %apart = fcmp une double %square, {_double(0.0)}
+  %counts = and i1 %near, %apart
+  %more.found = zext i1 %counts to i64
+  %found.next = add i64 %found, %more.found
+  %next = add i64 %turn, 1
+  %more = icmp slt i64 %next, %count
+  br i1 %more, label %loop, label %done
+done:
+  ret i64 %found.next
+}}
+{attributes(target)}
+"""
+
+
+def _double(value: float) -> str:
+    return f"0x{struct.unpack('<Q', struct.pack('<d', value))[0]:016X}"

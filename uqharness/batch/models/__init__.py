@@ -1,0 +1,1 @@
+"""JSBSim's own models as values of the intermediate form: earth, motion, atmosphere, winds, forces."""

@@ -1,0 +1,155 @@
+"""What JSBSim's auxiliary model publishes: airspeed, incidence, dynamic pressure, load factors, pilot's accelerations, flight path.
+
+It runs behind the systems and before the aerodynamics, so systems see the values of the frame before.
+"""
+
+from __future__ import annotations
+
+import math
+
+from sysid.units import FT_M
+from uqharness.batch.form.ir import Value
+from uqharness.batch.models.atmosphere import STANDARD_DENSITY_SLUGS_FT3
+from uqharness.batch.models.motion import BODY_ACCELERATION, MATRIX, PLACE, matrix, slots, vector
+from uqharness.batch.models.vectors import Vector, applied, cross, dot, minus, plus, times
+from uqharness.batch.models.winds import AXES
+from uqharness.batch.translate.frame import Frame
+
+_DEG = 180.0 / math.pi
+G_FPS2 = 9.80665 / FT_M
+"""Standard gravity."""
+_LEAST_SPEED = 0.001
+_LEAST_SQUARE = 1e-6
+
+
+def trace_auxiliary(frame: Frame) -> None:
+    """Write everything that depends on the air and on the accelerations of the frame before."""
+    b = frame.builder
+    pqr: Vector = tuple(frame.get(f"velocities/{a}-rad_sec") for a in "pqr")  # type: ignore[assignment]
+    uvw: Vector = tuple(frame.get(f"velocities/{a}-fps") for a in "uvw")  # type: ignore[assignment]
+    air: Vector = tuple(frame.get(f"atmosphere/total-wind-{axis}-fps") for axis in AXES)  # type: ignore[assignment]
+    u, v, w = (b.value(c) for c in minus(uvw, applied(matrix(frame, MATRIX), air)))
+    for name, value in zip("uvw", (u, v, w), strict=True):
+        frame.write(f"velocities/{name}-aero-fps", value)
+    for k, name in enumerate("pqr"):
+        gust = frame.get(f"atmosphere/{name}-turb-rad_sec")
+        frame.write(f"velocities/{name}-aero-rad_sec", b.value(pqr[k]) - gust)
+    plane = u * u + w * w
+    square = plane + v * v
+    speed = b.op("sqrt", square)
+    _incidence(frame, (u, v, w), plane, speed)
+    density, sound = frame.get("atmosphere/rho-slugs_ft3"), frame.get("atmosphere/a-fps")
+    half = 0.5 * density
+    frame.write("velocities/vt-fps", speed)
+    frame.write("velocities/vtrue-fps", speed)
+    frame.write("aero/qbar-psf", half * square)
+    frame.write("aero/qbarUW-psf", half * plane)
+    frame.write("aero/qbarUV-psf", half * (u * u + v * v))
+    frame.write("velocities/mach", speed / sound)
+    frame.write("velocities/machU", u / sound)
+    moving = speed.gt(0.0)
+    equivalent = moving.choose(b.op("sqrt", 2.0 * (half * square) / STANDARD_DENSITY_SLUGS_FT3), 0.0)
+    frame.write("velocities/ve-fps", equivalent)
+    _path(frame)
+    _attitude_rates(frame, pqr)
+    _accelerations(frame)
+    height, span = frame.get("position/h-agl-ft"), frame.get("metrics/bw-ft")
+    frame.write("aero/h_b-cg-ft", height / span)
+    down = [row[2] for row in matrix(frame, MATRIX)]
+    below = dot((down[0], down[1], down[2]), structural_to_body(frame, "aero-rp"))
+    frame.write("aero/h_b-mac-ft", (height - below) / span)
+
+
+def _incidence(frame: Frame, air: tuple[Value, Value, Value], plane: Value, speed: Value) -> None:
+    b = frame.builder
+    u, v, w = air
+    udot, vdot, wdot = (frame.get(f"accelerations/{a}dot-ft_sec2") for a in "uvw")
+    moving, forward = speed.gt(_LEAST_SPEED), plane.ge(_LEAST_SQUARE)
+    both = b.op("and", moving, forward)
+    root = b.op("sqrt", plane)
+    alpha = both.choose(b.op("atan2", w, u), 0.0)
+    beta = moving.choose(b.op("atan2", v, root), 0.0)
+    # Stevens and Lewis, eqs 2.3-6
+    faster = (u * udot + v * vdot + w * wdot) / speed
+    alpha_rate = both.choose((u * wdot - w * udot) / plane, 0.0)
+    beta_rate = both.choose((vdot * speed - v * faster) / (speed * root), 0.0)
+    for name, value in (("alpha", alpha), ("beta", beta)):
+        frame.write(f"aero/{name}-rad", value)
+        frame.write(f"aero/{name}-deg", value * _DEG)
+    for name, value in (("alphadot", alpha_rate), ("betadot", beta_rate)):
+        frame.write(f"aero/{name}-rad_sec", value)
+        frame.write(f"aero/{name}-deg_sec", value * _DEG)
+    frame.write("aero/mag-beta-rad", b.op("abs", beta))
+    frame.write("aero/mag-beta-deg", b.op("abs", beta) * _DEG)
+
+
+def _path(frame: Frame) -> None:
+    b = frame.builder
+    north, east, down = (frame.get(f"velocities/v-{axis}-fps") for axis in AXES)
+    ground = b.op("sqrt", north * north + east * east)
+    course = b.op("atan2", east, north)
+    gamma = b.op("atan2", -down, ground)
+    frame.write("velocities/vg-fps", ground)
+    frame.write("flight-path/psi-gt-rad", course.lt(0.0).choose(course + 2.0 * math.pi, course))
+    frame.write("flight-path/gamma-rad", gamma)
+    frame.write("flight-path/gamma-deg", gamma * _DEG)
+
+
+def _attitude_rates(frame: Frame, pqr: Vector) -> None:
+    b = frame.builder
+    phi, theta = frame.get("attitude/phi-rad"), frame.get("attitude/theta-rad")
+    p, q, r = (b.value(c) for c in pqr)
+    sine, cosine = b.op("sin", phi), b.op("cos", phi)
+    frame.write("velocities/thetadot-rad_sec", q * cosine - r * sine)
+    level = b.op("cos", theta)
+    psi_rate = level.ne(0.0).choose((q * sine + r * cosine) / level, frame.get("velocities/psidot-rad_sec"))
+    frame.write("velocities/psidot-rad_sec", psi_rate)
+    phi_rate = level.ne(0.0).choose(p + psi_rate * b.op("sin", theta), frame.get("velocities/phidot-rad_sec"))
+    frame.write("velocities/phidot-rad_sec", phi_rate)
+
+
+def _accelerations(frame: Frame) -> None:
+    """Specific force at the CG [g] and at the eyepoint, from the frame before."""
+    body = vector(frame, BODY_ACCELERATION)
+    b = frame.builder
+    x, y, z = (b.value(c) for c in times(body, 1.0 / G_FPS2))
+    frame.write("accelerations/Nx", x)
+    frame.write("accelerations/Ny", y)
+    frame.write("accelerations/Nz", -z)
+    rates: Vector = tuple(frame.memory(name) for name in slots("rates"))  # type: ignore[assignment]
+    turning: Vector = tuple(frame.memory(name) for name in slots("rates", 0))  # type: ignore[assignment]
+    arm = structural_to_body(frame, "eyepoint")
+    pilot = plus(plus(body, cross(turning, arm)), cross(rates, cross(rates, arm)))
+    for axis, value in zip("xyz", pilot, strict=True):
+        frame.write(f"accelerations/a-pilot-{axis}-ft_sec2", value)
+        frame.write(f"accelerations/n-pilot-{axis}-norm", b.value(value) / G_FPS2)
+
+
+def structural_to_body(frame: Frame, point: str) -> Vector:
+    """From the CG to metrics/<point>-x-in ... in body axes [ft]: x forward, z down, where structural axes have x aft and z up."""
+    return arm(frame, tuple(frame.get(f"metrics/{point}-{axis}-in") for axis in "xyz"))  # type: ignore[arg-type]
+
+
+def arm(frame: Frame, at_in: tuple[Value, Value, Value]) -> Vector:
+    """From the CG to a point of the structural frame [in] in body axes [ft]."""
+    x, y, z = (frame.get(f"inertia/cg-{axis}-in") for axis in "xyz")
+    inch = 1.0 / 12.0
+    return ((x - at_in[0]) * inch, (at_in[1] - y) * inch, (z - at_in[2]) * inch)
+
+
+def trace_start_distance(frame: Frame) -> None:
+    """From the ellipsoid below the start of the flight in its local axes [ft]: position/from-start-neu-...; systems see it late."""
+
+    start = [frame.memory(f"start/{k}") for k in ("x", "y", "z", "sin-lat", "cos-lat", "sin-lon", "cos-lon", "height")]
+    here = [frame.get(f"position/ecef-{axis}-ft") for axis in "xyz"]
+    if frame.initialising:
+        place = [frame.memory(name) for name in PLACE]
+        start = [*here, *place, frame.get("position/geod-alt-ft")]
+        for name, value in zip(("x", "y", "z", "sin-lat", "cos-lat", "sin-lon", "cos-lon", "height"), start, strict=True):
+            frame.remember(f"start/{name}", value)
+    dx, dy, dz = (h - s for h, s in zip(here, start[:3], strict=True))
+    sin_lat, cos_lat, sin_lon, cos_lon, height = start[3:]
+    along = cos_lon * dx + sin_lon * dy
+    frame.write("position/from-start-neu-n-ft", cos_lat * dz - sin_lat * along)
+    frame.write("position/from-start-neu-e-ft", cos_lon * dy - sin_lon * dx)
+    frame.write("position/from-start-neu-u-ft", cos_lat * along + sin_lat * dz + height)

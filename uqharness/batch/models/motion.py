@@ -1,0 +1,289 @@
+"""The motion of the aircraft: state in inertial axes, JSBSim's integrators, and what follows from the state.
+
+State (slots of ``Frame.memory``): attitude quaternion from inertial to body axes, body rates relative to inertial axes [rad/s],
+inertial position [ft] and velocity [ft/s], the earth's rotation angle [rad]; their derivatives of this frame and of up to four
+frames before. Found by experiment with JSBSim 1.3.3: the derivatives of the frame before move the state, the position moves with
+the velocity from before this step, and the attitude is brought to unit length only where it is off by more than 1e-10.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from sysid.units import FT_M
+from uqharness.batch.form.angles import COSINE, SINE
+from uqharness.batch.form.ir import Builder, Value
+from uqharness.batch.models import earth
+from uqharness.batch.models.vectors import (
+    Matrix,
+    Vector,
+    applied,
+    cross,
+    direction,
+    inverse,
+    minus,
+    plus,
+    product,
+    quaternion_rate,
+    rotation,
+    times,
+    transposed,
+)
+from uqharness.batch.translate.frame import TIME, Frame
+
+WEIGHTS = {
+    0: (),
+    1: (1.0,),
+    2: (0.5, 0.5),
+    3: (1.5, -0.5),
+    4: (23.0 / 12.0, -16.0 / 12.0, 5.0 / 12.0),
+    5: (55.0 / 24.0, -59.0 / 24.0, 37.0 / 24.0, -9.0 / 24.0),
+}
+"""JSBSim's numbers of integrators to weights of the derivatives, newest first: none, Euler, trapezoidal, Adams-Bashforth 2 to 4."""
+INTEGRATORS = {
+    "attitude": "simulation/integrator/position/rotational",
+    "rates": "simulation/integrator/rate/rotational",
+    "position": "simulation/integrator/position/translational",
+    "velocity": "simulation/integrator/rate/translational",
+}
+_SIZE = {"attitude": 4, "rates": 3, "position": 3, "velocity": 3}
+_NORMAL = 1e-10
+_INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+
+
+def slots(part: str, back: int = -1) -> list[str]:
+    """Slots of a part of the state (attitude, rates, position, velocity), or of its derivative, ``back`` frames old."""
+    names = [f"{part}/{k}" for k in range(_SIZE[part])]
+    return names if back < 0 else [f"{name}/rate{back}" for name in names]
+
+
+def _read(frame: Frame, names: Sequence[str]) -> tuple[Value, ...]:
+    return tuple(frame.memory(name) for name in names)
+
+
+def _keep(frame: Frame, names: Sequence[str], values: Sequence[Value | float]) -> None:
+    for name, value in zip(names, values, strict=True):
+        frame.remember(name, value)
+
+
+def integrate(frame: Frame, methods: dict[str, int]) -> None:
+    """Move the state on by one step of the frame; ``methods`` names the integrator of each part (a key of WEIGHTS)."""
+    new = {}
+    for part, number in methods.items():
+        weights = WEIGHTS[number]
+        old = _read(frame, slots(part))
+        rates = [_read(frame, slots(part, back)) for back in range(max(len(weights), 1))]
+        moved = []
+        for k, value in enumerate(old):
+            if weights:
+                slope = weights[0] * rates[0][k] if weights[0] != 1.0 else rates[0][k]
+                for weight, rate in zip(weights[1:], rates[1:], strict=True):
+                    slope = slope + weight * rate[k]
+                value = value + frame.step * slope
+            moved.append(value)
+        for back in range(len(weights) - 1, 0, -1):
+            _keep(frame, slots(part, back), rates[back - 1])
+        new[part] = moved
+    for part, values in new.items():
+        _keep(frame, slots(part), _unit(values) if part == "attitude" else values)
+
+
+def _unit(q: Sequence[Value]) -> list[Value]:
+    b = q[0].builder
+    size = b.op("sqrt", q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    factor = b.op("abs", 1.0 - size).gt(_NORMAL).choose(1.0 / size, 1.0)
+    return [c * factor for c in q]
+
+
+def remember_derivatives(frame: Frame) -> None:
+    """Fill the histories, as JSBSim does when initialising ends: accelerations are those of the pass before this one."""
+    for part in WEIGHTS_PARTS:
+        newest = _read(frame, slots(part, 0))
+        for back in range(1, 4):
+            _keep(frame, slots(part, back), newest)
+
+
+WEIGHTS_PARTS = ("attitude", "rates", "position", "velocity")
+
+
+def trace_propagate(frame: Frame, methods: dict[str, int]) -> None:
+    """Integrate (unless initialising) and write what JSBSim's propagation publishes."""
+    b = frame.builder
+    angle = frame.memory("earth/angle")
+    if not frame.initialising:
+        integrate(frame, methods)
+        angle = angle + earth.RATE_RADPS * frame.step
+        frame.remember("earth/angle", angle)
+    q = _read(frame, slots("attitude"))
+    position = _vector(_read(frame, slots("position")))
+    velocity = _vector(_read(frame, slots("velocity")))
+    rates = _vector(_read(frame, slots("rates")))
+    sine, cosine = b.op("sin", angle), b.op("cos", angle)
+    at = earth.place(earth.turned(sine, cosine, position))
+    inertial_to_body = rotation((q[0], q[1], q[2], q[3]))
+    to_inertial: Matrix = ((cosine, -sine, 0.0), (sine, cosine, 0.0), (0.0, 0.0, 1.0))
+    local_to_body = product(product(inertial_to_body, to_inertial), transposed(at.to_local))
+    spin: Vector = (0.0, 0.0, earth.RATE_RADPS)
+    uvw = applied(inertial_to_body, minus(velocity, cross(spin, position)))
+    pqr = minus(rates, times(_column(inertial_to_body, 2), earth.RATE_RADPS))
+    ned = applied(transposed(local_to_body), uvw)
+    _keep(frame, slots("attitude", 0), quaternion_rate((q[0], q[1], q[2], q[3]), rates))
+    _keep(frame, slots("position", 0), _values(velocity, b))
+    _keep(frame, MATRIX, [b.value(local_to_body[i][j]) for i in range(3) for j in range(3)])
+    gravity = applied(product(inertial_to_body, to_inertial), earth.gravity(at))
+    _keep(frame, GRAVITY, _values(gravity, b))
+    _keep(frame, SPIN, _values(times(_column(inertial_to_body, 2), earth.RATE_RADPS), b))
+    centre = applied(inertial_to_body, cross(spin, cross(spin, position)))
+    _keep(frame, CENTRIPETAL, _values(centre, b))
+    _keep(frame, INERTIAL, [b.value(inertial_to_body[i][j]) for i in range(3) for j in range(3)])
+    _publish(frame, at, uvw, pqr, rates, ned, local_to_body)
+    _publish_place(frame, at, position, velocity)
+
+
+MATRIX = [f"local-to-body/{k}" for k in range(9)]
+INERTIAL = [f"inertial-to-body/{k}" for k in range(9)]
+GRAVITY = [f"gravity/{k}" for k in range(3)]
+SPIN = [f"spin/{k}" for k in range(3)]
+CENTRIPETAL = [f"centripetal/{k}" for k in range(3)]
+
+
+def matrix(frame: Frame, names: Sequence[str]) -> Matrix:
+    """A matrix kept in nine slots."""
+    m = _read(frame, names)
+    return ((m[0], m[1], m[2]), (m[3], m[4], m[5]), (m[6], m[7], m[8]))
+
+
+def vector(frame: Frame, names: Sequence[str]) -> Vector:
+    """A vector kept in three slots."""
+    return _vector(_read(frame, names))
+
+
+def _vector(values: Sequence[Value]) -> Vector:
+    return (values[0], values[1], values[2])
+
+
+def _values(v: Vector, b: Builder) -> list[Value]:
+    return [b.value(c) for c in v]
+
+
+def _column(m: Matrix, k: int) -> Vector:
+    return (m[0][k], m[1][k], m[2][k])
+
+
+def _publish(frame: Frame, at: earth.Place, uvw: Vector, pqr: Vector, rates: Vector, ned: Vector, local_to_body: Matrix) -> None:
+    b = frame.builder
+    for name, value in zip("uvw", uvw, strict=True):
+        frame.write(f"velocities/{name}-fps", value)
+    for name, value, inertial in zip("pqr", pqr, rates, strict=True):
+        frame.write(f"velocities/{name}-rad_sec", value)
+        frame.write(f"velocities/{name}i-rad_sec", inertial)
+    for name, value in zip(("north", "east", "down"), ned, strict=True):
+        frame.write(f"velocities/v-{name}-fps", value)
+    frame.write("velocities/ned-velocity-mag-fps", _size(b, ned))
+    frame.write("velocities/h-dot-fps", -b.value(ned[2]))
+    t = local_to_body
+    phi = _angle(frame, "phi", b.value(t[1][2]), b.value(t[2][2]))
+    sine = b.value(t[0][2])
+    limited = sine.lt(-1.0).choose(-1.0, sine.gt(1.0).choose(1.0, sine))
+    theta = -b.op("asin", limited)
+    _keep_turn(frame, "theta", -limited, b.op("sqrt", (1.0 - limited) * (1.0 + limited)))
+    psi = _angle(frame, "psi", b.value(t[0][1]), b.value(t[0][0]))
+    psi = psi.lt(0.0).choose(psi + 2.0 * math.pi, psi)
+    for name, value in (("phi", phi), ("theta", theta), ("psi", psi)):
+        frame.write(f"attitude/{name}-rad", value)
+        frame.write(f"attitude/{name}-deg", value * (180.0 / math.pi))
+    frame.write("attitude/roll-rad", phi)
+    frame.write("attitude/pitch-rad", theta)
+    frame.write("attitude/heading-true-rad", psi)
+
+
+def _size(b: Builder, v: Vector) -> Value:
+    return b.op("sqrt", b.value(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]))
+
+
+def _angle(frame: Frame, name: str, y: Value, x: Value) -> Value:
+    level, (cosine, sine) = x.eq(0.0), direction(x, y)
+    _keep_turn(frame, name, level.choose(1.0, sine), level.choose(0.0, cosine))
+    return level.choose(0.5 * math.pi, frame.builder.op("atan2", y, x))
+
+
+def _keep_turn(frame: Frame, name: str, sine: Value, cosine: Value) -> None:
+    """The sine and cosine of an angle, for who wants them rather than the angle."""
+    for prefix, value in ((SINE, sine), (COSINE, cosine)):
+        frame.remember(f"{prefix[1:]}attitude/{name}-rad", value)
+
+
+def _publish_place(frame: Frame, at: earth.Place, position: Vector, velocity: Vector) -> None:
+    b = frame.builder
+    terrain = frame.get("position/terrain-elevation-asl-ft")
+    for axis, ecef, eci, speed in zip("xyz", at.ecef, position, velocity, strict=True):
+        frame.write(f"position/ecef-{axis}-ft", ecef)
+        frame.write(f"position/eci-{axis}-ft", eci)
+        frame.write(f"velocities/eci-{axis}-fps", speed)
+    frame.write("velocities/eci-velocity-mag-fps", _size(b, velocity))
+    above_sea = at.radius_ft - at.sea_level_radius_ft
+    frame.write("position/h-sl-ft", above_sea)
+    frame.write("position/h-sl-meters", above_sea * FT_M)
+    frame.write("position/geod-alt-ft", at.height_ft)
+    frame.write("position/h-agl-ft", at.height_ft - terrain)
+    frame.write("position/radius-to-vehicle-ft", at.radius_ft)
+    frame.write("inertial/sea-level-radius_ft", at.sea_level_radius_ft)
+    latitude = b.op("atan2", at.sin_latitude, at.cos_latitude)
+    longitude = b.op("atan2", b.value(at.ecef[1]), b.value(at.ecef[0]))
+    frame.write("position/lat-geod-rad", latitude)
+    frame.write("position/lat-geod-deg", latitude * (180.0 / math.pi))
+    frame.write("position/long-gc-rad", longitude)
+    frame.write("position/long-gc-deg", longitude * (180.0 / math.pi))
+    _keep(frame, PLACE, [at.sin_latitude, at.cos_latitude, at.sin_longitude, at.cos_longitude])
+
+
+PLACE = [f"place/{k}" for k in ("sin-lat", "cos-lat", "sin-lon", "cos-lon")]
+
+
+def trace_time(frame: Frame) -> None:
+    """The clock, which goes on before anything else in a frame."""
+    if not frame.initialising:
+        frame.write(TIME, frame.get(TIME) + frame.step)
+
+
+def inertia_matrix(frame: Frame) -> Matrix:
+    """From inertia/ixx-slugs_ft2 and its like [slug ft2].
+
+    JSBSim gives ixz as an entry of the matrix, ixy and iyz with their sign changed.
+    """
+    ixx, iyy, izz, ixy, ixz, iyz = (frame.get(f"inertia/{name}-slugs_ft2") for name in _INERTIA)
+    return ((ixx, -ixy, ixz), (-ixy, iyy, -iyz), (ixz, -iyz, izz))
+
+
+def trace_accelerations(frame: Frame) -> None:
+    """Forces and moments of this frame to the derivatives that move the next one (Stevens and Lewis, eqs 1.3-1 ff.)."""
+    b = frame.builder
+    force: Vector = tuple(frame.get(f"forces/fb{a}-total-lbs") for a in "xyz")  # type: ignore[assignment]
+    moment: Vector = tuple(frame.get(f"moments/{a}-total-lbsft") for a in "lmn")  # type: ignore[assignment]
+    mass = frame.get("inertia/mass-slugs")
+    inertia = inertia_matrix(frame)
+    rates = _vector(_read(frame, slots("rates")))
+    spin = vector(frame, SPIN)
+    pqr: Vector = tuple(frame.get(f"velocities/{a}-rad_sec") for a in "pqr")  # type: ignore[assignment]
+    uvw: Vector = tuple(frame.get(f"velocities/{a}-fps") for a in "uvw")  # type: ignore[assignment]
+    turning = applied(inverse(inertia), minus(moment, cross(rates, applied(inertia, rates))))
+    relative = plus(turning, cross(rates, spin))
+    body: Vector = times(force, 1.0 / mass)
+    gravity = vector(frame, GRAVITY)
+    linear = minus(body, cross(plus(pqr, times(spin, 2.0)), uvw))
+    linear = plus(minus(linear, vector(frame, CENTRIPETAL)), gravity)
+    inertial = applied(transposed(matrix(frame, INERTIAL)), plus(body, gravity))
+    _keep(frame, slots("rates", 0), _values(turning, b))
+    _keep(frame, slots("velocity", 0), _values(inertial, b))
+    _keep(frame, BODY_ACCELERATION, _values(body, b))
+    for name, value, own in zip("pqr", relative, turning, strict=True):
+        frame.write(f"accelerations/{name}dot-rad_sec2", value)
+        frame.write(f"accelerations/{name}idot-rad_sec2", own)
+    for name, value in zip("uvw", linear, strict=True):
+        frame.write(f"accelerations/{name}dot-ft_sec2", value)
+    g = gravity
+    frame.write("accelerations/gravity-ft_sec2", b.op("sqrt", b.value(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])))
+
+
+BODY_ACCELERATION = [f"body-acceleration/{k}" for k in range(3)]

@@ -1,0 +1,1 @@
+"""JSBSim XML to the intermediate form: functions, tables, components, sections of an aircraft, scripts."""

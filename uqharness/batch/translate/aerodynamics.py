@@ -1,0 +1,214 @@
+"""``<aerodynamics>``: functions and axes to forces and moments.
+
+Found by experiment with JSBSim 1.3.3: aero/cl-squared comes first, with the lift of the frame before; functions outside an axis run
+next, in the order of the file; aero/bi2vel, ci2vel and qbar-area follow, so such functions read them a frame old. Axes run in the
+order x, y, z, roll, pitch, yaw, whatever the file's, in each axis the functions with apply_at_cg last. A moment is taken about
+AERORP and moved to the CG with the force, but for those functions. One system of axes is allowed: JSBSim loads a mixture and flies
+wrong forces. DRAG, SIDE and LIFT are along the wind whatever ``frame`` says, and ``unit`` says nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from uqharness.batch.form.ir import Value
+from uqharness.batch.models.auxiliary import structural_to_body
+from uqharness.batch.models.vectors import Matrix, Vector, applied, cross, plus, transposed
+from uqharness.batch.translate.channels import function_name
+from uqharness.batch.translate.frame import Frame
+from uqharness.batch.translate.functions import function_value
+from uqharness.batch.translate.properties import writable
+from uqharness.batch.translate.scope import Scope, canonical
+from uqharness.xml import Document, Node
+
+_FORCES = {"wind": ("DRAG", "SIDE", "LIFT"), "axial-normal": ("AXIAL", "SIDE", "NORMAL"), "named": ("X", "Y", "Z")}
+_MOMENTS = ("ROLL", "PITCH", "YAW")
+_FRAMES = {"": "body", "BODY": "body", "STABILITY": "stability", "WIND": "wind"}
+_LIMITS = {"alphalimits": ("aero/alpha-min-rad", "aero/alpha-max-rad"), "hysteresis_limits": ("least", "greatest")}
+_ANGLES = {"RAD": 1.0, "": 1.0, "DEG": math.pi / 180.0}
+_TEXT = ("description", "documentation", "note", "reference", "title")
+
+
+def trace_aerodynamics(frame: Frame, document: Document, node: Node | None) -> None:
+    """Functions, then forces and moments about the CG [lbf, lbf ft] as forces/fb?-aero-lbs and moments/?-aero-lbsft."""
+    with frame.section("aerodynamics"):
+        scope = frame.scope(document)
+        children = [] if node is None else [child for child in node.children if child.tag not in (*_TEXT, "property")]
+        if node is not None:
+            scope.only(node, ("name",))
+        _lift_squared(frame)
+        functions = [child for child in children if child.tag == "function"]
+        for child in functions:
+            if child.attributes.get("type", "") not in ("", "pre", "post"):
+                scope.refuse(child, f"type='{child.attributes['type']}' of <function>: allowed are pre and post")
+            if child.attributes.get("type", "") != "post":
+                write_function(frame, scope, child, ("name", "type"))
+        _shared(frame)
+        _stall(frame, scope, [child for child in children if child.tag in _LIMITS])
+        others = ("function", *_LIMITS)
+        force, moment = _axes(frame, scope, [child for child in children if child.tag not in others])
+        for axis, value in zip("xyz", force, strict=True):
+            frame.write(f"forces/fb{axis}-aero-lbs", value)
+        for axis, value in zip("lmn", moment, strict=True):
+            frame.write(f"moments/{axis}-aero-lbsft", value)
+        _along_wind(frame, force)
+        for child in functions:
+            if child.attributes.get("type", "") == "post":
+                write_function(frame, scope, child, ("name", "type"))
+
+
+def write_function(frame: Frame, scope: Scope, node: Node, attributes: Sequence[str] = ("name",)) -> Value:
+    """A function's value, put into the property of its name if it has one."""
+    value = function_value(scope, node, attributes)
+    name = node.attributes.get("name", "").strip()
+    if name:
+        name = function_name(name)
+        if not writable(canonical(name)):
+            scope.refuse(node, f"property {name} is JSBSim's own; a function cannot have its name")
+        frame.live.pop(canonical(name), None)
+        frame.write(name, value)
+    return value
+
+
+def functions_of(node: Node | None) -> list[Node]:
+    """Every ``<function>`` with a name, in the order of the text."""
+    return [] if node is None else [child for child in node.walk() if child.tag == "function" and child.attributes.get("name")]
+
+
+def _lift_squared(frame: Frame) -> None:
+    qbar, area = frame.get("aero/qbar-psf"), frame.get("metrics/Sw-sqft")
+    fast = qbar.gt(1.0)
+    coefficient = frame.get("forces/fwz-aero-lbs") / (area * qbar)
+    frame.write("aero/cl-squared", fast.choose(coefficient * coefficient, frame.get("aero/cl-squared")))
+
+
+def _shared(frame: Frame) -> None:
+    """What JSBSim computes between the functions and the axes."""
+    speed = frame.get("velocities/vt-fps")
+    twice = 2.0 * speed
+    moving = twice.ne(0.0)
+    for name, length in (("aero/bi2vel", "metrics/bw-ft"), ("aero/ci2vel", "metrics/cbarw-ft")):
+        frame.write(name, moving.choose(frame.get(length) / twice, frame.get(name)))
+    frame.write("aero/qbar-area", frame.get("aero/qbar-psf") * frame.get("metrics/Sw-sqft"))
+    frame.write("aero/alpha-wing-rad", frame.get("aero/alpha-rad") + frame.get("metrics/iw-rad"))
+
+
+def _stall(frame: Frame, scope: Scope, limits: Sequence[Node]) -> None:
+    """Stall warning and stall hysteresis, 0 without limits."""
+    b, zero = frame.builder, frame.builder.constant(0.0)
+    found = {name: zero for names in _LIMITS.values() for name in names}
+    for node in limits:
+        unit = node.attributes.get("unit", "")
+        scope.only(node, ("unit",))
+        tags = [child.tag for child in node.children if child.tag not in _TEXT]
+        if unit not in _ANGLES or sorted(tags) != ["max", "min"] or sum(other.tag == node.tag for other in limits) > 1:
+            scope.refuse(node, f"<{node.tag}> stands once, with one <min> and one <max> in RAD or DEG")
+        for tag, name in zip(("min", "max"), _LIMITS[node.tag], strict=True):
+            child = node.all(tag)[0]
+            scope.only(child)
+            found[name] = b.constant(scope.number(child) * _ANGLES[unit])
+    alpha, most = frame.get("aero/alpha-rad"), found["aero/alpha-max-rad"]
+    for name in _LIMITS["alphalimits"]:
+        frame.write(name, found[name])
+    warned = alpha.gt(0.85 * most).choose(10.0 * (alpha / most - 0.85), 0.0)
+    frame.write("systems/stall-warn-norm", most.ne(0.0).choose(warned, 0.0))
+    before, both = frame.get("aero/stall-hyst-norm"), b.op("and", found["least"].ne(0.0), found["greatest"].ne(0.0))
+    held = alpha.gt(found["greatest"]).choose(1.0, alpha.lt(found["least"]).choose(0.0, before))
+    frame.write("aero/stall-hyst-norm", both.choose(held, before))
+
+
+def _along_wind(frame: Frame, force: Vector) -> None:
+    """The forces as drag, side force and lift of the wind axes, and of the stability axes; lift over drag."""
+    b = frame.builder
+    for kind in ("w", "s"):
+        x, y, z = (b.value(c) for c in applied(transposed(wind_to_body(frame, kind == "s")), force))
+        for axis, value in zip("xyz", (-x, y, -z), strict=True):
+            frame.write(f"forces/f{kind}{axis}-aero-lbs", value)
+    drag, lift = frame.get("forces/fwx-aero-lbs"), frame.get("forces/fwz-aero-lbs")
+    frame.write("forces/lod-norm", drag.ne(0.0).choose(b.op("abs", lift / drag), frame.get("forces/lod-norm")))
+
+
+def _axes(frame: Frame, scope: Scope, axes: Sequence[Node]) -> tuple[Vector, Vector]:
+    """Force and moment in body axes about the CG."""
+    named: dict[str, Node] = {}
+    for axis in axes:
+        if axis.tag != "axis":
+            scope.refuse(axis, f"<{axis.tag}> in <aerodynamics> is not understood; function and axis are")
+        scope.only(axis, ("name", "unit", "frame"))
+        name = axis.attributes.get("name", "")
+        if name in named:
+            scope.refuse(axis, f"axis {name} stands here twice")
+        if name not in _MOMENTS and not any(name in names for names in _FORCES.values()):
+            scope.refuse(axis, f"axis '{name}' is not understood")
+        if axis.attributes.get("frame", "") not in _FRAMES:
+            scope.refuse(axis, f"frame='{axis.attributes['frame']}' of an axis: allowed are BODY, STABILITY and WIND")
+        named[name] = axis
+    names, kind = _force_axes(scope, named)
+    frames = {_FRAMES[named[name].attributes.get("frame", "")] for name in _MOMENTS if name in named}
+    if len(frames) > 1:
+        scope.refuse(named[next(name for name in _MOMENTS if name in named)], "moments have one frame")
+    sums = [_axis(frame, scope, named.get(name), name in _MOMENTS) for name in (*names, *_MOMENTS)]
+    force = _to_body(frame, kind, (sums[0][0], sums[1][0], sums[2][0]))
+    at_cg = _to_body(frame, kind, (sums[0][1], sums[1][1], sums[2][1]))
+    moment: Vector = (sums[3][0], sums[4][0], sums[5][0])
+    turn = frames.pop() if frames else "body"
+    if turn != "body":
+        moment = applied(wind_to_body(frame, turn == "stability"), moment)
+    return plus(force, at_cg), plus(moment, cross(structural_to_body(frame, "aero-rp"), force))
+
+
+def _axis(frame: Frame, scope: Scope, axis: Node | None, moment: bool) -> tuple[Value, Value]:
+    """Sums of the axis's functions: those about AERORP, then those at the CG."""
+    sums = [frame.builder.constant(0.0), frame.builder.constant(0.0)]
+    for child in [] if axis is None else axis.children:
+        if child.tag not in ("function", *_TEXT):
+            scope.refuse(child, f"<{child.tag}> in an axis is not understood; functions are")
+        at_cg = child.attributes.get("apply_at_cg", "false")
+        if at_cg not in ("true", "false") or (at_cg == "true" and moment):
+            scope.refuse(child, f"apply_at_cg='{at_cg}': true or false is allowed, true for forces alone")
+    functions = [] if axis is None else axis.all("function")
+    for place, wanted in enumerate(("false", "true")):
+        for child in functions:
+            if child.attributes.get("apply_at_cg", "false") == wanted:
+                sums[place] = sums[place] + write_function(frame, scope, child, ("name", "apply_at_cg"))
+    return sums[0], sums[1]
+
+
+def _force_axes(scope: Scope, named: dict[str, Node]) -> tuple[Sequence[str], str]:
+    """Names of the force axes, and their system: body, axial-normal, stability or wind."""
+    forces = [name for name in named if name not in _MOMENTS]
+    if not forces:
+        return _FORCES["named"], "body"
+    # SIDE alone is taken along the wind.
+    fitting = next((kind for kind, names in _FORCES.items() if all(name in names for name in forces)), None)
+    if fitting is None:
+        first = named[forces[0]]
+        scope.refuse(first, f"axes {', '.join(forces)} do not belong to one system (DRAG SIDE LIFT, X Y Z, or AXIAL SIDE NORMAL)")
+    if fitting != "named":
+        return _FORCES[fitting], fitting
+    frames = {_FRAMES[named[name].attributes.get("frame", "")] for name in forces}
+    if len(frames) > 1:
+        scope.refuse(named[forces[0]], f"axes {', '.join(forces)} have different frames")
+    return _FORCES[fitting], frames.pop()
+
+
+def _to_body(frame: Frame, kind: str, force: Vector) -> Vector:
+    x, y, z = force
+    if kind == "body":
+        return force
+    if kind == "axial-normal":
+        return (-x, y, -z)
+    return applied(wind_to_body(frame, kind == "stability"), (-x, y, -z))
+
+
+def wind_to_body(frame: Frame, stability: bool = False) -> Matrix:
+    """Stevens and Lewis, eq 2.3-2; stability axes are wind axes without sideslip."""
+    b = frame.builder
+    alpha = frame.get("aero/alpha-rad")
+    ca, sa = b.op("cos", alpha), b.op("sin", alpha)
+    if stability:
+        return ((ca, 0.0, -sa), (0.0, 1.0, 0.0), (sa, 0.0, ca))
+    beta = frame.get("aero/beta-rad")
+    cb, sb = b.op("cos", beta), b.op("sin", beta)
+    return ((ca * cb, -(ca * sb), -sa), (sb, cb, 0.0), (sa * cb, -(sa * sb), ca))

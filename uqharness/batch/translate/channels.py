@@ -1,0 +1,236 @@
+"""Everything of ``<system>``, ``<autopilot>`` and ``<flight_control>``: functions, and channels of components.
+
+JSBSim 1.3.3 puts all of them into one model. In each frame it runs the functions of all of them in the order of loading, copies
+the engines' levers, runs all channels, and at the end the functions of ``type="post"``. A channel of ``execrate`` n runs in every
+n-th frame in which its ``execute`` property is not 0; where time stands still, in each such frame. A function is computed wherever
+its property is read until it has been run for the first time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from uqharness.batch.form.ir import Builder, Value
+from uqharness.batch.form.program import When
+from uqharness.batch.translate.components.component import Component
+from uqharness.batch.translate.components.kinds import trace
+from uqharness.batch.translate.controls import CHANNEL_STEP, HOOKS, copy_levers, read_only
+from uqharness.batch.translate.frame import Frame
+from uqharness.batch.translate.functions import function_value
+from uqharness.batch.translate.scope import Scope, property_of
+from uqharness.xml import Document, Node
+
+_SILENT = ("description", "documentation", "limitation", "note", "reference")
+_FUNCTION = ("name", "type", "copyto")
+
+
+@dataclass(frozen=True)
+class System:
+    """A ``<system>``, ``<autopilot>`` or ``<flight_control>`` and the file it stands in.
+
+    For ``<system file="x">`` these are the root of that file, and ``outer`` the document and the element that names it.
+    """
+
+    document: Document
+    node: Node
+    outer: tuple[Document, Node] | None = None
+
+
+@dataclass(frozen=True)
+class Systems:
+    """The systems of an aircraft in the order in which JSBSim loads them: systems, the autopilot, the flight control.
+
+    load_dt_s  the step at which the aircraft is loaded
+    engines    how many engines have levers
+    """
+
+    parts: Sequence[System]
+    load_dt_s: float
+    engines: int = 0
+
+    def trace(self, frame: Frame, first: bool = False) -> None:
+        """Put a frame's sections into ``frame``. ``first``: it is the first of the two in which JSBSim initialises.
+
+        Raises BadInputError with file and line for what is not understood.
+        """
+        frame.hooks.update(HOOKS)
+        for part in self.parts:
+            _check(part)
+            refuse_inner_names(frame, part.document, part.node)
+        before, after = self._functions("pre"), self._functions("post")
+        for document, node in (*before, *after) if first else ():
+            compute_where_read(frame, document, node)
+        _set_step(frame, 1)
+        _trace_functions(frame, "functions of systems", before)
+        if self.engines:
+            with frame.section("levers"):
+                copy_levers(frame, self.engines)
+        channels = [(part.document, channel) for part in self.parts for channel in part.node.all("channel")]
+        for number, (document, channel) in enumerate(channels, start=1):
+            _Channel(frame, document, channel, self.load_dt_s, f"channel-{number}").trace()
+        _set_step(frame, 1)
+        _trace_functions(frame, "last functions of systems", after)
+
+    def _functions(self, kind: str) -> list[tuple[Document, Node]]:
+        return [
+            (part.document, node)
+            for part in self.parts
+            for node in part.node.all("function")
+            if (node.attributes.get("type", "") or "pre") == kind
+        ]
+
+
+def compute_where_read(frame: Frame, document: Document, node: Node) -> None:
+    """Have a function computed wherever its property is read, until ``frame.live`` loses it."""
+    name = node.attributes.get("name", "")
+    if not name:
+        return
+    reading: list[str] = []
+
+    def value() -> Value:
+        # What is drawn here would be drawn again when the function is run, so there is no draw.
+        scope = Scope(frame.builder, document, frame.read)
+        if reading:
+            scope.refuse(node, "this function reads itself")
+        if node.attributes.get("copyto"):
+            scope.refuse(node, "this function is read before it is run, and copies what it gives; the batch engine does not")
+        reading.append(name)
+        found = function_value(scope, node, _FUNCTION)
+        reading.pop()
+        return found
+
+    frame.live[property_of(_plain(document), node, function_name(name))] = value
+
+
+def refuse_inner_names(frame: Frame, document: Document, node: Node) -> None:
+    """Have names of tables, and of operations inside functions, refused where they are read: JSBSim makes properties of them."""
+    for outer in node.walk():
+        inside = [inner for inner in outer.walk() if inner is not outer] if outer.tag == "function" else []
+        for inner in [outer, *inside] if outer.tag in ("table", "t") else inside:
+            name = inner.attributes.get("name", "")
+            if name:
+                frame.live[property_of(_plain(document), inner, function_name(name))] = _refusal(document, inner, name)
+
+
+def function_name(name: str) -> str:
+    """The property of a function: white space becomes '-'."""
+    return "".join("-" if c.isspace() else c for c in name)
+
+
+def _refusal(document: Document, node: Node, name: str) -> Callable[[], Value]:
+    def refuse() -> Value:
+        _plain(document).refuse(node, f"property {name} is made by a <{node.tag}> of that name, which the batch engine does not")
+
+    return refuse
+
+
+def _set_step(frame: Frame, rate: int) -> None:
+    """``simulation/channel-dt`` as it is in a channel of that rate."""
+    frame.live[CHANNEL_STEP] = lambda: frame.step * float(rate)
+
+
+def _check(part: System) -> None:
+    """Refuse what stands beside properties, functions and channels, and what stands beside the name of a file."""
+    scope = _plain(part.document)
+    for node in part.node.children:
+        if node.tag not in ("property", "channel", "function", *_SILENT):
+            scope.refuse(node, f"<{node.tag}> in <{part.node.tag}> is not understood by the batch engine")
+        if node.tag == "function" and node.attributes.get("type", "") not in ("", "pre", "post"):
+            scope.refuse(node, f"type='{node.attributes['type']}' of <function>: allowed are pre and post")
+    if part.outer is None:
+        return
+    document, outer = part.outer
+    if outer.tag != part.node.tag:
+        _plain(document).refuse(outer, f"<{outer.tag}> names a file of <{part.node.tag}>")
+    for node in outer.children:
+        if node.tag != "property" and node.tag not in _SILENT:
+            _plain(document).refuse(
+                node, f"<{node.tag}> beside a file is not understood by the batch engine; allowed is <property>"
+            )
+
+
+def _plain(document: Document) -> Scope:
+    """For refusals outside a frame."""
+    return Scope(Builder(), document, lambda _: None)
+
+
+def _trace_functions(frame: Frame, name: str, functions: Sequence[tuple[Document, Node]]) -> None:
+    if not functions:
+        return
+    with frame.section(name):
+        for document, node in functions:
+            scope = frame.scope(document)
+            value = function_value(scope, node, _FUNCTION)
+            title, copy = node.attributes.get("name", ""), node.attributes.get("copyto", "")
+            if copy:
+                target = property_of(scope, node, copy)
+                if read_only(target) or (frame.written is None and target not in frame.values):
+                    scope.refuse(node, f"property {target} cannot be written by copyto: JSBSim takes no value for it")
+                frame.write(target, value)
+            if title:
+                own = property_of(scope, node, function_name(title))
+                frame.live.pop(own, None)
+                frame.write(own, value)
+
+
+@dataclass(frozen=True)
+class _Channel:
+    """A channel in the frame that is traced. ``key`` begins the names of its memory."""
+
+    frame: Frame
+    document: Document
+    node: Node
+    load_dt_s: float
+    key: str
+
+    def trace(self) -> None:
+        """Its sections: one that decides whether it runs, if that may differ between lanes or frames, and one that does."""
+        frame, scope = self.frame, _plain(self.document)
+        scope.only(self.node, ("name", "execrate", "execute"))
+        text = self.node.attributes.get("execrate", "")
+        rate = scope.number(self.node, text) if text else 1.0
+        if rate < 0.0 or rate != int(rate):
+            scope.refuse(self.node, f"execrate of a <channel> is a whole number, 0 or more; received {text}")
+        # Rate 0 runs in every frame, but its components are told a step of 0.
+        every = max(int(rate), 1)
+        runs, mask = self._switched(every)
+        if not runs:
+            return
+        _set_step(frame, every)
+        when = When(1 if frame.initialising or mask is not None else every, mask=mask)
+        with frame.section(f"{self.document.where(self.node)}: channel {self.node.attributes.get('name', '')}", when):
+            asked: list[bool] = []
+
+            def started() -> Value:
+                if mask is None and not frame.initialising:
+                    # It has run while JSBSim initialised.
+                    return frame.builder.truth(True)
+                asked.append(True)
+                return frame.memory(f"{self.key}/started").ne(0.0)
+
+            components = [node for node in self.node.children if node.tag not in _SILENT]
+            for number, node in enumerate(components, start=1):
+                key = f"{self.key}/{number}"
+                trace(Component(frame, frame.scope(self.document), node, self.load_dt_s * int(rate), int(rate), key, started))
+            if asked:
+                frame.remember(f"{self.key}/started", 1.0)
+
+    def _switched(self, every: int) -> tuple[bool, str | None]:
+        """Whether it may run at all, and the slot that says where it does; None: everywhere."""
+        frame, name = self.frame, self.node.attributes.get("execute", "")
+        if not name:
+            return True, None
+        slot, count_slot = f"{self.key}/runs", f"{self.key}/count"
+        with frame.section(f"{self.document.where(self.node)}: execute"):
+            switch = frame.scope(self.document).named_property(self.node, name)
+            if switch.constant is not None:
+                return switch.constant != 0.0, None
+            runs = switch.ne(0.0)
+            if every > 1:
+                before = frame.memory(count_slot, float(every))
+                count = before if frame.initialising else before.ge(float(every)).choose(0.0, before) + 1.0
+                frame.remember(count_slot, runs.choose(count, before), float(every))
+                runs = frame.builder.op("and", runs, count.ge(float(every)))
+            frame.remember(slot, runs.choose(1.0, 0.0))
+        return True, f"#{slot}"

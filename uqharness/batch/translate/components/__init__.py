@@ -1,0 +1,1 @@
+"""JSBSim's flight control components as values of the intermediate form."""

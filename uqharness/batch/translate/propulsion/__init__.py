@@ -1,0 +1,1 @@
+"""``<propulsion>``: engines, thrusters, tanks, and the mass that follows from what is in them."""

@@ -1,0 +1,239 @@
+"""``<piston_engine>`` of JSBSim 1.3.3 without supercharger: manifold pressure, flows of air and fuel, power, temperatures.
+
+Volumetric efficiency by Taylor, The Internal Combustion Engine, vol 1, eq 6-10; friction by Lumley, Engines, fig 4.4. The starter
+does not turn in flight.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from sysid.units import FT_M
+from uqharness.batch.form.ir import Value
+from uqharness.batch.translate.frame import Frame
+from uqharness.batch.translate.propulsion.engine_units import MANIFOLD_PA_INHG, MANIFOLD_PA_PSF
+from uqharness.batch.translate.propulsion.propeller import Propeller
+from uqharness.batch.translate.propulsion.read import Part, grid, known, looked_up, number
+from uqharness.batch.translate.propulsion.thruster import Jet
+from uqharness.batch.translate.scope import Scope
+from uqharness.batch.translate.tables import Grid
+
+_R_AIR, _CALORIFIC, _CP_AIR, _CP_FUEL = 287.3, 47.3e6, 1005.0, 1700.0
+_STANDARD_PA, _HP_FTLBPS = 101320.73, 550.0
+_LEAST_INDICATED_HP = 0.125
+_MANIFOLD_GAMMA = 1.3
+_TAGS = (
+    "minmp", "maxmp", "displacement", "maxhp", "cycles", "idlerpm", "maxrpm", "maxthrottle", "minthrottle", "sparkfaildrop",
+    "bore", "stroke", "compression-ratio", "cylinders", "bsfc", "volumetric-efficiency", "starter-torque", "starter-rpm",
+    "function", "ram-air-factor", "man-press-lag", "static-friction", "cylinder-head-mass", "air-intake-impedance-factor",
+    "cooling-factor", "dynamic-fmep", "static-fmep", "peak-piston-speed", "oil-pressure-relief-valve-psi", "design-oil-temp-degK",
+    "oil-pressure-rpm-max", "oil-viscosity-index", "table", "injected",
+)  # fmt: skip
+"""JSBSim's piston engines do not know of injected, and nothing is done with bore."""
+_COMBUSTION = Grid(
+    (0.0, 0.9, 1.0, 1.05, 1.1, 1.15, 1.2, 1.3, 1.4, 1.5, 1.6, 2.0),
+    (),
+    tuple((x,) for x in (0.98, 0.98, 0.97, 0.95, 0.9, 0.85, 0.79, 0.7, 0.63, 0.57, 0.525, 0.345)),
+)
+_MIXTURE = Grid(
+    (0.05, 0.05137, 0.05179, 0.0543, 0.05842, 0.06312, 0.06942, 0.07786, 0.08845, 0.0927, 0.1012, 0.11455, 0.12158, 0.12435, 0.125),
+    (),
+    tuple(
+        (x,)
+        for x in (
+            0.0, 0.00862, 0.21552, 0.48276, 0.7069, 0.83621, 0.93103, 1.0, 1.0, 0.98276, 0.93103, 0.72414, 0.4569, 0.23276, 0.0,
+        )
+    ),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """What an engine file says, with JSBSim's defaults."""
+
+    displacement_in3: float
+    idle_rpm: float
+    max_rpm: float
+    max_hp: float
+    cycles: float
+    stroke_in: float
+    cylinders: float
+    compression: float
+    spark_drop: float
+    lag_s: float
+    peak_piston_fps: float
+    fmep_dynamic: float
+    fmep_static: float
+    head_mass_kg: float
+    throttle_impedance: float
+    oil: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Piston:
+    """``magnetos`` 0 to 3: off, left, right, both."""
+
+    name: str
+    index: str
+    numbers: Numbers
+    combustion: Grid
+    mixture: Grid
+    magnetos: float
+
+    @property
+    def key(self) -> str:
+        """Begin of the names of its memory."""
+        return f"engine{self.index}"
+
+    def trace(self, frame: Frame, thruster: Propeller | Jet) -> Value:
+        """What the thruster gets [ft lbf/s]."""
+        b, n, name = frame.builder, self.numbers, self.name
+        rpm = thruster.engine_rpm(frame) if isinstance(thruster, Propeller) else b.constant(0.0)
+        outside = frame.get("atmosphere/P-psf") * MANIFOLD_PA_PSF
+        ram = (frame.get("propulsion/pt-lbs_sqft") * MANIFOLD_PA_PSF - outside) * frame.get(f"{name}ram-air-factor") + outside
+        ambient_k = frame.get("atmosphere/T-R") / 1.8
+        piston_fps = rpm * n.stroke_in / 360.0
+        running = self._ignition(frame, rpm)
+        manifold = self._manifold(frame, ram, piston_fps)
+        efficiency = frame.get(f"{name}volumetric-efficiency")
+        pumping = (manifold - outside) * efficiency
+        air = self._air(manifold, outside, ambient_k, rpm) * efficiency
+        starved = frame.memory(f"{self.key}/starved").ne(0.0)
+        mixture = 1.3 * frame.get(f"fcs/mixture-pos-norm{self.index}")
+        rich = starved.choose(0.0, mixture * 101325.0 / outside)
+        fuel = starved.choose(0.0, air * rich / 14.7)
+        lbs_per_s = fuel * 2.2046
+        frame.store(f"{name}fuel-flow-rate-pps", lbs_per_s)
+        static = frame.get(f"{name}friction-hp")
+        spark = 1.0 if self.magnetos == 3.0 else n.spark_drop
+        mixed = looked_up(self.mixture, fuel / air)
+        burning = lbs_per_s * 3600.0 / frame.get(f"{name}bsfc-lbs_hphr") * mixed * spark - static
+        indicated = running.choose(burning, -static)
+        friction = running.choose(-n.fmep_dynamic * piston_fps * FT_M - n.fmep_static, 0.0)
+        volume = n.displacement_in3 * _IN3_M3
+        hp = indicated + (pumping + friction) * volume * rpm / (n.cycles * 22371.0)
+        running = b.op("and", running, b.op("not", indicated.lt(_LEAST_INDICATED_HP)))
+        frame.store(f"{name}set-running", running.choose(1.0, 0.0))
+        frame.store(f"{name}power-hp", hp)
+        frame.store(f"{name}AFR", fuel.gt(0.0).choose(air / fuel, math.inf))
+        self._temperatures(frame, (running, air, fuel, rich), (rpm, outside, ambient_k))
+        power = hp * _HP_FTLBPS
+        return b.op("and", rpm.le(0.1), power.lt(0.0)).choose(0.0, power)
+
+    def _ignition(self, frame: Frame, rpm: Value) -> Value:
+        """Whether it runs: it needs a spark, fuel and speed, and starts again when the air turns the propeller."""
+        b = frame.builder
+        burns = b.op("and", frame.get(f"{self.name}fuel-flow-rate-pps").gt(0.0), b.truth(self.magnetos != 0.0))
+        least = self.numbers.idle_rpm * 0.8
+        stays = b.op("and", burns, b.op("not", rpm.lt(least)))
+        starts = b.op("and", burns, rpm.gt(least))
+        ran = frame.get(f"{self.name}set-running").ne(0.0)
+        return b.op("or", b.op("and", ran, stays), b.op("and", b.op("not", ran), starts))
+
+    def _manifold(self, frame: Frame, ram: Value, piston_fps: Value) -> Value:
+        """Manifold pressure [Pa]: the ram pressure over impedances of intake, throttle and engine, with a lag."""
+        n = self.numbers
+        closed = 1.0 - frame.get(f"fcs/throttle-pos-norm{self.index}")
+        throttle = closed * closed * n.throttle_impedance
+        engine = piston_fps.gt(0.0).choose(n.peak_piston_fps / piston_fps, 999999.0)
+        share = engine / (engine + frame.get(f"{self.name}air-intake-impedance-factor") + throttle)
+        before, step = frame.get(f"{self.name}map-pa"), frame.step
+        apart = before - ram * share
+        apart = frame.builder.constant(n.lag_s).gt(step).choose(apart * (step / n.lag_s if n.lag_s else step), apart)
+        manifold = before - apart
+        frame.store(f"{self.name}map-pa", manifold)
+        frame.store(f"{self.name}map-inhg", manifold / MANIFOLD_PA_INHG)
+        return manifold
+
+    def _air(self, manifold: Value, outside: Value, ambient_k: Value, rpm: Value) -> Value:
+        """Air [kg/s] at a volumetric efficiency of 1."""
+        c, g = self.numbers.compression, _MANIFOLD_GAMMA
+        ratio = manifold.lt(1.0).choose(c, outside / manifold)
+        ratio = ratio.gt(c).choose(c, ratio)
+        loss = (g - 1.0) / g + (c - ratio) / (g * (c - 1.0))
+        swept = self.numbers.displacement_in3 * _IN3_M3 * (rpm / 60.0) / 2.0
+        return swept * loss * (manifold / (_R_AIR * ambient_k))
+
+    def _temperatures(self, frame: Frame, burning: tuple[Value, ...], state: tuple[Value, ...]) -> None:
+        """Exhaust, cylinder head and oil; nothing but their properties depends on them."""
+        b, n, name, step = frame.builder, self.numbers, self.name, frame.step
+        running, air, fuel, rich = burning
+        rpm, outside, ambient_k = state
+        hot = b.op("and", running, air.gt(0.0))
+        share = hot.choose(looked_up(self.combustion, rich), 0.0)
+        exhaust = _kelvin(frame.get(f"{name}egt-degF"))
+        burnt = ambient_k + fuel * _CALORIFIC * share * 0.30 / (_CP_AIR * air + _CP_FUEL * fuel)
+        frame.store(f"{name}egt-degF", _fahrenheit(hot.choose(burnt, exhaust + (ambient_k - exhaust) / 100.0 * step)))
+        head = _kelvin(frame.get(f"{name}cht-degF"))
+        above, area = head - ambient_k, n.displacement_in3 / 360.0
+        wind = area * (frame.get("velocities/vc-kts") * frame.get(f"{name}cooling-factor")) * (outside / (_R_AIR * ambient_k))
+        heat = fuel * _CALORIFIC * share * 0.33 + (-3.95 * wind * above - 140.0 * rpm * above / n.max_rpm) - 95.0 * above * area
+        head = head + heat / (800.0 * (n.head_mass_kg * n.cylinders)) * step
+        frame.store(f"{name}cht-degF", _fahrenheit(head))
+        relief, design_k, viscosity, full_rpm = n.oil
+        pressure, oil = frame.get(f"{name}oil-pressure-psi"), _kelvin(frame.get(f"{name}oil-temperature-degF"))
+        slowly = pressure.gt(5.0).choose(5000.0 / pressure, 1000.0)
+        oil = oil + (head + 0.667 * (ambient_k - head) - oil) / slowly * step
+        frame.store(f"{name}oil-temperature-degF", _fahrenheit(oil))
+        by_speed = relief / full_rpm * rpm
+        by_speed = by_speed.ge(relief).choose(relief, by_speed)
+        frame.store(f"{name}oil-pressure-psi", by_speed + (design_k - oil) * viscosity * by_speed / relief)
+
+    def fuel_rate(self, frame: Frame) -> Value:
+        """What it takes from its tanks [lbs/s]."""
+        return frame.get(f"{self.name}fuel-flow-rate-pps")
+
+
+_IN3_M3 = (1.0 / 12.0) ** 3 * FT_M**3
+
+
+def _kelvin(fahrenheit: Value) -> Value:
+    return (fahrenheit + 459.4) / 1.8
+
+
+def _fahrenheit(kelvin: Value) -> Value:
+    return 1.8 * kelvin - 459.4
+
+
+def read_piston(scope: Scope, part: Part, name: str, index: str, magnetos: float) -> Piston:
+    """A ``<piston_engine>``. Raises BadInputError with file and line."""
+    node = part[1]
+    boost = node.find("numboostspeeds")
+    if boost is not None and scope.number(boost) != 0.0:
+        scope.refuse(boost, "a supercharged engine (numboostspeeds) is not understood by the batch engine")
+    known(scope, node, _TAGS)
+    tables = {"COMBUSTION": _COMBUSTION, "MIXTURE": _MIXTURE}
+    for table in node.all("table"):
+        title = table.attributes.get("name", "")
+        if title not in tables:
+            scope.refuse(table, f"a table '{title}' of a piston engine is not understood; COMBUSTION and MIXTURE are")
+        tables[title] = grid(scope, table)
+        if tables[title].columns:
+            scope.refuse(table, f"table {title} has one dimension")
+
+    def get(tag: str, default: float, unit: str = "") -> float:
+        return number(scope, node, tag, default, unit)
+
+    idle, most, stroke = get("idlerpm", 600.0), get("maxrpm", 2800.0), get("stroke", 4.375, "IN")
+    peak = get("peak-piston-speed", 100.0)
+    least_pa = get("minmp", 6.5, "INHG") * MANIFOLD_PA_INHG
+    most_pa = min(get("maxmp", 28.5, "INHG"), 29.9) * MANIFOLD_PA_INHG
+    airbox = get("air-intake-impedance-factor", -999.0)
+    if airbox < 0.0:
+        rated = peak / (most * stroke / 360.0)
+        airbox = _STANDARD_PA * rated / most_pa - rated
+    throttle = peak / (idle * stroke / 360.0) * (_STANDARD_PA / least_pa - 1.0) - airbox
+    oil = (
+        get("oil-pressure-relief-valve-psi", 60.0, "PSI"),
+        get("design-oil-temp-degK", 358.0),
+        get("oil-viscosity-index", 0.25),
+        get("oil-pressure-rpm-max", most * 0.75),
+    )
+    drop = get("sparkfaildrop", 0.0)
+    numbers = Numbers(
+        get("displacement", 360.0, "IN3"), idle, most, get("maxhp", 200.0, "HP"), get("cycles", 4.0), stroke,
+        get("cylinders", 4.0), get("compression-ratio", 8.5), min(max(1.0 - drop, 0.0), 1.0), get("man-press-lag", 1.0), peak,
+        get("dynamic-fmep", 18400.0, "PA"), get("static-fmep", 46500.0, "PA"), get("cylinder-head-mass", 2.0, "KG"), throttle, oil,
+    )  # fmt: skip
+    return Piston(name, index, numbers, tables["COMBUSTION"], tables["MIXTURE"], magnetos)

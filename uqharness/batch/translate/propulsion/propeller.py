@@ -1,0 +1,187 @@
+"""``<propeller>``: thrust and power by the advance ratio, its speed by the torque that is left over (JSBSim 1.3.3).
+
+Tables give CT and CP over J = V/(nD), or over J and the blade angle; thrust = CT rho n2 D4, power = CP rho n3 D5 (McCormick,
+Aerodynamics, Aeronautics, and Flight Mechanics). The speed of the frame before makes the thrust of this one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from uqharness.batch.form.ir import Value
+from uqharness.batch.models.auxiliary import arm
+from uqharness.batch.models.motion import slots
+from uqharness.batch.models.vectors import Vector, applied, cross, plus, transposed
+from uqharness.batch.translate.frame import Frame
+from uqharness.batch.translate.propulsion.read import Part, grid, known, looked_up, needed, number
+from uqharness.batch.translate.propulsion.thruster import Mount
+from uqharness.batch.translate.scope import Scope
+from uqharness.batch.translate.tables import Grid
+
+_TABLES = ("C_THRUST", "C_POWER", "CT_MACH", "CP_MACH", "CT_RPM_FACTOR", "CP_RPM_FACTOR")
+_TAGS = (
+    "ixx", "diameter", "numblades", "gearratio", "minpitch", "maxpitch", "minrpm", "maxrpm", "constspeed", "ct_factor",
+    "cp_factor", "table", "p_factor", "sense", "reversepitch",
+)  # fmt: skip
+"""JSBSim reads p_factor and sense from <thruster>; what stands here of them it ignores, and reversepitch without a turboprop."""
+_LEAST_RPS = 0.01
+_PITCH_FROM_RPM = 200.0
+_LEAST_P_FACTOR = 1e-4
+_LEAST_ACROSS_FPS = 1e-4
+
+
+@dataclass(frozen=True)
+class Propeller:
+    """A propeller on its mount. Lengths in ft, ixx in slug ft2, pitch in degrees."""
+
+    mount: Mount
+    ixx: float
+    diameter: float
+    gear: float
+    pitch: tuple[float, float]
+    rpm: tuple[float, float]
+    factors: tuple[float, float]
+    tables: Mapping[str, Grid]
+    gyroscopic_sense: float
+
+    @property
+    def variable(self) -> bool:
+        """Whether its pitch may change."""
+        return self.pitch[0] != self.pitch[1]
+
+    def engine_rpm(self, frame: Frame) -> Value:
+        """The speed of the engine's shaft."""
+        return frame.get(f"{self.mount.name}propeller-rpm") * self.gear
+
+    def trace(self, frame: Frame, power: Value) -> tuple[Vector, Vector]:
+        """Force and moment while the engine gives so much power [ft lbf/s]."""
+        b, name = frame.builder, self.mount.name
+        rpm, density = frame.get(f"{name}propeller-rpm"), frame.get("atmosphere/rho-slugs_ft3")
+        to_body = self.mount.to_body(frame)
+        air = self._air(frame)
+        local = applied(transposed(to_body), air)
+        speed = b.value(local[0])
+        rps = rpm / 60.0
+        tip = rps * self.diameter * math.pi
+        mach = b.op("sqrt", tip * tip + speed * speed) / frame.get("atmosphere/a-fps")
+        ratio = rps.gt(_LEAST_RPS).choose(speed / (self.diameter * rps), speed / self.diameter)
+        pitch = self._pitch(frame, rpm)
+        needed_power = self._power(ratio, pitch, mach, rpm, density)
+        left = power - needed_power
+        ct = looked_up(self.tables["C_THRUST"], ratio, pitch) * self.factors[0]
+        if "CT_MACH" in self.tables:
+            ct = ct * looked_up(self.tables["CT_MACH"], mach)
+        if "CT_RPM_FACTOR" in self.tables:
+            ct = ct * looked_up(self.tables["CT_RPM_FACTOR"], rpm)
+        thrust = ct * rps * rps * self.diameter**4 * density
+        induced = self._induced(speed, thrust, density)
+        sense = frame.get(f"{name}propeller-sense")
+        self._shift(frame, (speed, b.value(local[1]), b.value(local[2])), induced, sense)
+        omega = rps * 2.0 * math.pi
+        torque = -sense * power / b.op("max", omega, 0.01)
+        spin = self.ixx * omega * sense * self.gyroscopic_sense
+        excess = omega.gt(_LEAST_RPS).choose(left / omega, left)
+        faster = (rps + excess / self.ixx / (2.0 * math.pi) * frame.step) * 60.0
+        zero = b.constant(0.0)
+        rates: Vector = tuple(frame.memory(slot) for slot in slots("rates"))  # type: ignore[assignment]
+        own = plus(cross(rates, applied(to_body, (spin, zero, zero))), applied(to_body, (torque, zero, zero)))
+        frame.store(f"{name}propeller-rpm", faster.lt(0.0).choose(0.0, faster))
+        frame.store(f"{name}engine-rpm", frame.get(f"{name}propeller-rpm") * self.gear)
+        for key, value in (("advance-ratio", ratio), ("thrust-coefficient", ct), ("helical-tip-Mach", mach), ("thrust-lbs", thrust),
+                           ("prop-induced-velocity_fps", induced), ("propeller-power-ftlbps", needed_power),
+                           ("propeller-torque-ftlb", torque)):  # fmt: skip
+            frame.store(f"{name}{key}", value)
+        return self.mount.act(frame, to_body, thrust, own)
+
+    def _air(self, frame: Frame) -> Vector:
+        """What blows at the propeller (Stevens and Lewis, 3rd ed., eq 8.2-1), body axes."""
+        name = self.mount.name
+        at = tuple(frame.get(f"{name}{axis}-reference-position") for axis in "xyz")
+        body: Vector = tuple(frame.get(f"velocities/{a}-aero-fps") for a in "uvw")  # type: ignore[assignment]
+        turning: Vector = tuple(frame.get(f"velocities/{a}-aero-rad_sec") for a in "pqr")  # type: ignore[assignment]
+        return plus(body, cross(turning, arm(frame, (at[0], at[1], at[2]))))
+
+    def _pitch(self, frame: Frame, rpm: Value) -> Value:
+        """Blade angle of this frame: the governor's, or where something else has put it."""
+        b, name = frame.builder, self.mount.name
+        before = frame.get(f"{name}blade-angle")
+        if not self.variable:
+            return before
+        low, high = self.pitch
+        index = name.removeprefix("propulsion/engine").removesuffix("/")
+        wanted = self.rpm[0] + (self.rpm[1] - self.rpm[0]) * frame.get(f"fcs/advance-pos-norm{index}")
+        turned = rpm.gt(_PITCH_FROM_RPM).choose(before - (wanted - rpm) * frame.step, before)
+        governed = turned.lt(low).choose(low, turned.gt(high).choose(high, turned))
+        feathering = before + (high - before) / 300.0
+        feathered = frame.get(f"fcs/feather-pos-norm{index}").ne(0.0)
+        governs = frame.get(f"{name}constant-speed-mode").ne(0.0)
+        pitch = governs.choose(feathered.choose(feathering, governed), before)
+        frame.store(f"{name}blade-angle", pitch)
+        return b.value(pitch)
+
+    def _power(self, ratio: Value, pitch: Value, mach: Value, rpm: Value, density: Value) -> Value:
+        """What the propeller takes [ft lbf/s]."""
+        cp = looked_up(self.tables["C_POWER"], ratio, pitch) * self.factors[1]
+        if "CP_MACH" in self.tables:
+            cp = cp * looked_up(self.tables["CP_MACH"], mach)
+        if "CP_RPM_FACTOR" in self.tables:
+            cp = cp * looked_up(self.tables["CP_RPM_FACTOR"], rpm)
+        rps = rpm / 60.0
+        turning = rps.lt(_LEAST_RPS).choose(_LEAST_RPS, rps)
+        return cp * turning * turning * turning * (self.diameter**4 * self.diameter) * density
+
+    def _induced(self, speed: Value, thrust: Value, density: Value) -> Value:
+        """Induced velocity at the disk [ft/s] by momentum theory (McCormick, eq 6.15)."""
+        b = speed.builder
+        area = 0.25 * self.diameter * self.diameter * math.pi
+        square = speed * b.op("abs", speed) + 2.0 * thrust / (density * area)
+        root = b.op("sqrt", b.op("abs", square))
+        return 0.5 * square.gt(0.0).choose(-speed + root, -speed - root)
+
+    def _shift(self, frame: Frame, local: tuple[Value, Value, Value], induced: Value, sense: Value) -> None:
+        """The P-factor: thrust acts beside the axis when air comes from the side."""
+        if not self.mount.p_factor > _LEAST_P_FACTOR:
+            return
+        b, name = frame.builder, self.mount.name
+        across = b.op("sqrt", local[1] * local[1] + local[2] * local[2])
+        sideways = across.gt(_LEAST_ACROSS_FPS)
+        factor = sense * self.mount.p_factor * b.op("atan2", across, local[0] + induced) / across
+        for axis, flow in (("y", local[2]), ("z", local[1])):
+            moved = frame.get(f"{name}{axis}-reference-position") + factor * flow
+            frame.store(f"{name}{axis}-position", sideways.choose(moved, frame.get(f"{name}{axis}-position")))
+
+
+def read_propeller(scope: Scope, part: Part, mount: Mount) -> Propeller:
+    """A ``<propeller>``. Raises BadInputError with file and line."""
+    node = part[1]
+    known(scope, node, _TAGS, ("name", "version"))
+    tables: dict[str, Grid] = {}
+    for table in node.all("table"):
+        name = table.attributes.get("name", "")
+        if name not in _TABLES:
+            scope.refuse(table, f"a table '{name}' of a propeller is not understood; {', '.join(_TABLES)} are")
+        tables[name] = grid(scope, table)
+    pitch = (number(scope, node, "minpitch", 0.0), number(scope, node, "maxpitch", 0.0))
+    for name in ("C_THRUST", "C_POWER"):
+        if name not in tables:
+            scope.refuse(node, f"a propeller has a table {name}")
+        if bool(tables[name].columns) != (pitch[0] != pitch[1]):
+            scope.refuse(node, f"table {name} has one dimension where minpitch is maxpitch, two where it is not")
+    if any(tables[name].columns for name in tables if name not in ("C_THRUST", "C_POWER")):
+        scope.refuse(node, "a table of factors has one dimension")
+    if mount.p_factor < 0.0:
+        scope.refuse(node, "p_factor is 0 or more")
+    version = node.attributes.get("version", "").strip()
+    return Propeller(
+        mount,
+        max(needed(scope, node, "ixx", "SLUG*FT2"), 1e-6),
+        max(needed(scope, node, "diameter", "FT"), 0.001),
+        max(number(scope, node, "gearratio", 1.0), 0.001),
+        pitch,
+        (number(scope, node, "minrpm", 0.0), number(scope, node, "maxrpm", 0.0)),
+        (number(scope, node, "ct_factor", 1.0), number(scope, node, "cp_factor", 1.0)),
+        tables,
+        -1.0 if version and scope.number(node, version) > 1.0 else 1.0,
+    )

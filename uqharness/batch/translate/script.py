@@ -1,0 +1,161 @@
+"""A run script's events: conditions that are looked at before each frame, and what they set.
+
+Found by experiment with JSBSim 1.3.3: events are looked at in the order of the script once the clock has gone on, before anything
+else of the frame, and not while JSBSim initialises. All new values of an event are computed before the first is set. An event is
+triggered once, a ``persistent`` or ``continuous`` one again whenever its condition has been false. It acts ``delay`` seconds later
+if it is still triggered: at once, along a ramp of ``tc`` seconds, or on an exponential that never ends. While it stays triggered, a
+continuous event sets its values in every frame and computes functions anew. FG_BOOL sets the number as it stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from uqharness.batch.form.ir import Value
+from uqharness.batch.form.program import When
+from uqharness.batch.translate.conditions import condition
+from uqharness.batch.translate.frame import TIME, Frame
+from uqharness.batch.translate.functions import function_value
+from uqharness.batch.translate.properties import writable
+from uqharness.batch.translate.scope import Scope, canonical
+from uqharness.xml import Document, Node
+
+_PARTS = ("description", "documentation", "notify", "property", "condition", "set", "delay")
+_TYPES = {"": "value", "value": "value", "delta": "delta", "bool": "value"}
+_ACTIONS = {"": "step", "step": "step", "ramp": "ramp", "exp": "exp"}
+_TRUTHS = ("true", "false", "")
+
+
+def trace_events(frame: Frame, document: Document) -> None:
+    """Every event as sections: whether it acts in this frame, in which lanes; and what it sets there."""
+    run = document.root.find("run")
+    if run is None or frame.initialising:
+        return
+    for number, event in enumerate(run.all("event")):
+        _Event(frame, document, event, f"event/{number}").trace()
+
+
+@dataclass(frozen=True)
+class _Set:
+    """A ``<set>``: what it sets, by which number or function, and how. ``tc_s`` is the time of a ramp or exponential."""
+
+    node: Node
+    name: str
+    delta: bool
+    action: str
+    tc_s: float
+    function: Node | None
+
+
+@dataclass(frozen=True)
+class _Event:
+    """An event in the frame that is traced. ``key`` begins the names of its memory."""
+
+    frame: Frame
+    document: Document
+    node: Node
+    key: str
+
+    def trace(self) -> None:
+        """Its sections."""
+        scope = self.frame.scope(self.document)
+        scope.only(self.node, ("name", "persistent", "continuous"))
+        for child in self.node.children:
+            if child.tag not in _PARTS:
+                scope.refuse(child, f"<{child.tag}> of an event is not understood; condition, set, delay and notify are")
+        for word in ("persistent", "continuous"):
+            if self.node.attributes.get(word, "") not in _TRUTHS:
+                scope.refuse(self.node, f"{word}='{self.node.attributes[word]}' of an event: allowed are true and false")
+        continuous = self.node.attributes.get("continuous") == "true"
+        again = continuous or self.node.attributes.get("persistent") == "true"
+        delays = self.node.all("delay")
+        if len(delays) > 1:
+            scope.refuse(delays[1], "an event has at most one <delay>")
+        sets = [self._set(scope, item) for item in self.node.all("set")]
+        delay_s = scope.number(delays[0]) if delays else 0.0
+        with self.frame.section(f"{self.key}: whether"):
+            starts = self._triggered(again)
+            self.frame.remember(f"{self.key}/starts", starts.choose(1.0, 0.0))
+        if not delays and not again and all(item.action == "step" for item in sets):
+            with self.frame.section(self.key, When(mask=f"#{self.key}/starts")):
+                for item, (_, value) in zip(sets, self._new_values(sets), strict=True):
+                    self.frame.write(item.name, value)
+            return
+        self._gradual(sets, delay_s, continuous)
+
+    def _triggered(self, again: bool) -> Value:
+        """Whether it is triggered in this frame."""
+        frame, b = self.frame, self.frame.builder
+        scope = frame.scope(self.document)
+        conditions = self.node.all("condition")
+        if len(conditions) != 1:
+            scope.refuse(self.node, f"an event has one <condition>; received {len(conditions)}")
+        true = condition(scope, conditions[0])
+        before = frame.memory(f"{self.key}/triggered").ne(0.0)
+        now = true if again else b.op("or", true, before)
+        frame.remember(f"{self.key}/triggered", now.choose(1.0, 0.0))
+        return b.op("and", true, b.op("not", before))
+
+    def _gradual(self, sets: Sequence[_Set], delay_s: float, continuous: bool) -> None:
+        frame, key = self.frame, self.key
+        with frame.section(f"{key}: begin", When(mask=f"#{key}/starts")):
+            for number, (old, new) in enumerate(self._new_values(sets)):
+                for name, value in (("from", old), ("to", new), ("moves", 1.0)):
+                    frame.remember(f"{key}/{number}/{name}", value)
+            frame.remember(f"{key}/at", frame.get(TIME) + delay_s)
+        with frame.section(f"{key}: whether it acts"):
+            b = frame.builder
+            acts = b.op("and", frame.memory(f"{key}/triggered").ne(0.0), frame.get(TIME).ge(frame.memory(f"{key}/at")))
+            for number in range(len(sets)):
+                moves = b.op("and", acts, frame.memory(f"{key}/{number}/moves").ne(0.0))
+                frame.remember(f"{key}/{number}/acts", moves.choose(1.0, 0.0))
+        for number, item in enumerate(sets):
+            with frame.section(f"{key}: set {number}", When(mask=f"#{key}/{number}/acts")):
+                self._act(item, f"{key}/{number}", continuous)
+
+    def _act(self, item: _Set, key: str, continuous: bool) -> None:
+        frame, b = self.frame, self.frame.builder
+        old, new = frame.memory(f"{key}/from"), frame.memory(f"{key}/to")
+        since = frame.get(TIME) - frame.memory(f"{self.key}/at")
+        if item.action == "step":
+            if continuous and item.function is not None:
+                new = function_value(frame.scope(self.document), item.function)
+            over, value = b.truth(True), new
+        elif item.action == "ramp":
+            over = b.op("not", since.le(item.tc_s))
+            value = over.choose(new, since / item.tc_s * (new - old) + old)
+        else:
+            over, value = b.truth(False), (1.0 - b.op("exp", -since / item.tc_s)) * (new - old) + old
+        frame.write(item.name, value)
+        if not continuous:
+            frame.remember(f"{key}/moves", over.choose(0.0, frame.memory(f"{key}/moves")))
+
+    def _set(self, scope: Scope, node: Node) -> _Set:
+        scope.only(node, ("name", "value", "type", "action", "tc"))
+        name = canonical(node.attributes.get("name", ""))
+        if not writable(name):
+            scope.refuse(node, f"property {name} cannot be set by an event: JSBSim does more with it than keep its value")
+        if self.frame.read(name) is None or (self.frame.written is None and name not in self.frame.values):
+            scope.refuse(node, f"property {name} is not computed by the batch engine")
+        words = [node.attributes.get(word, "").strip().lower().removeprefix("fg_") for word in ("type", "action")]
+        if words[0] not in _TYPES or words[1] not in _ACTIONS:
+            scope.refuse(node, "a <set> has type FG_VALUE, FG_DELTA or FG_BOOL and action FG_STEP, FG_RAMP or FG_EXP")
+        functions = node.all("function")
+        if bool(node.attributes.get("value", "")) == bool(functions) or len(functions) > 1 or len(node.children) != len(functions):
+            scope.refuse(node, "a <set> has either a value or a function")
+        tc_s = scope.number(node, node.attributes["tc"]) if node.attributes.get("tc", "") else 1.0
+        return _Set(node, name, _TYPES[words[0]] == "delta", _ACTIONS[words[1]], tc_s, functions[0] if functions else None)
+
+    def _new_values(self, sets: Sequence[_Set]) -> list[tuple[Value, Value]]:
+        """Of each property the value that it has and the one that it is to have."""
+        scope = self.frame.scope(self.document)
+        out = []
+        for item in sets:
+            old = self.frame.get(item.name)
+            if item.function is None:
+                value = scope.builder.constant(scope.number(item.node, item.node.attributes["value"]))
+            else:
+                value = function_value(scope, item.function)
+            out.append((old, old + value if item.delta else value))
+        return out

@@ -1,0 +1,163 @@
+"""What the batch engine brings over JSBSim's bare loop, measured in turns: ``python -m uqharness.cli.benchmark_batch``.
+
+One flight is the expensive case: loiter in wind, turbulence, sensor noise, autopilot, and with --model-form bounds that depend on
+the state. Loops take turns in one process, and the least processor time of all rounds counts:
+
+a  JSBSim's bare loop, one flight;
+c  the product through JSBSim: a campaign's default air, recorded, scored, one flight;
+d  the batch engine alone: 64 corners in two airs, streams included, recorded, not scored; for each width of vector there is here;
+e  a corner campaign from end to end, by the clock: engine check, flights, scores, journal, tables; in one process and in two.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from uqharness.batch import VECTORS, forget, record_many, target_names
+from uqharness.campaign import find_mission, run_campaign
+from uqharness.campaign.spec import campaign_from
+from uqharness.cli.benchmark import bare_loop, with_model_form
+from uqharness.flight import COEFFICIENTS, FlightSpec
+from uqharness.flight.fly import fly
+from uqharness.scratch import scratch_folder
+from uqharness.simulator import Aircraft, find_aircraft, find_script
+
+_AIRS = 2
+CAMPAIGN_AIRS = 48
+"""Airs of the campaigns, each flown by 64 corners."""
+_BURN_IN_S = 60.0
+
+
+def measure_batch(
+    aircraft_name: str, duration_s: float, rounds: int, model_form: Path | None = None, campaign_airs: int = CAMPAIGN_AIRS
+) -> dict[str, float]:
+    """Microseconds per step and flight of a, c and each d, flight hours per core hour of d and e, and their ratios."""
+    with scratch_folder() as scratch:
+        aircraft = find_aircraft(aircraft_name)
+        flown = aircraft if model_form is None else with_model_form(aircraft, model_form, scratch.path)
+        found = _in_turns(flown, duration_s, rounds)
+        return found | _campaigns(aircraft, duration_s, scratch.path, model_form, campaign_airs)
+
+
+def _in_turns(aircraft: Aircraft, duration_s: float, rounds: int) -> dict[str, float]:
+    one = FlightSpec(
+        aircraft.folder, find_script("loiter"), duration_s, wind_mps=3.0, turbulence="moderate", sensor_noise=True,
+        seed_turbulence=11, seed_noise=12, properties=_corner((1.0,) * 6),
+    )  # fmt: skip
+    corners = [
+        replace(one, seed_turbulence=11 + air, seed_noise=30 + air, properties=_corner(levels))
+        for air in range(_AIRS)
+        for levels in itertools.product((0.0, 1.0), repeat=6)
+    ]
+    bare = bare_loop(aircraft, replace(one, turbulence_source="jsbsim"))
+    best: dict[str, float] = {}
+
+    def timed(key: str, seconds: float, flights: int) -> None:
+        per_step = 1e6 * seconds / (flights * duration_s / aircraft.dt_s)
+        best[key] = min(best.get(key, float("inf")), per_step)
+
+    for _ in range(rounds):
+        timed("a_us_per_step", bare(), 1)
+        begun = time.process_time()
+        fly(one)
+        timed("c_us_per_step", time.process_time() - begun, 1)
+        for name in target_names():
+            with _compiled_for(name):
+                for source in ("spec", "jsbsim"):
+                    flights = [replace(spec, turbulence_source=source) for spec in corners]
+                    # Translated and compiled once; a campaign does so once for each condition.
+                    record_many(flights[:8])
+                    begun = time.process_time()
+                    record_many(flights)
+                    timed(f"d_{name}_{source}_us_per_step", time.process_time() - begun, len(flights))
+    ratios = {key.replace("us_per_step", "over_a"): best["a_us_per_step"] / value for key, value in best.items() if key[0] == "d"}
+    return best | ratios
+
+
+def _corner(levels: tuple[float, ...]) -> dict[str, float]:
+    return {"uq/active": 1.0} | {f"uq/{name}/level": level for name, level in zip(COEFFICIENTS, levels, strict=True)}
+
+
+@contextmanager
+def _compiled_for(name: str) -> Iterator[None]:
+    before = os.environ.get(VECTORS)
+    os.environ[VECTORS] = name
+    forget()
+    try:
+        yield
+    finally:
+        os.environ.pop(VECTORS)
+        if before is not None:
+            os.environ[VECTORS] = before
+        forget()
+
+
+def _campaigns(aircraft: Aircraft, duration_s: float, folder: Path, model_form: Path | None, airs: int) -> dict[str, float]:
+    """Flight hours per hour of the clock of whole campaigns; the least worker time would leave out what the parent does."""
+    found: dict[str, float] = {}
+    bounds = dict.fromkeys(COEFFICIENTS, 0.001) if model_form is None else str(model_form.resolve())
+    for workers in (1, 2):
+        spec = campaign_from(
+            {
+                "campaign": {"aircraft": str(aircraft.folder), "mission": str(find_script("loiter")), "seed": 1, "engine": "batch"},
+                "aleatory": {
+                    "flights": airs, "duration_s": duration_s, "burn_in_s": _BURN_IN_S, "wind_mps": [3],
+                    "turbulence": ["moderate"], "sensor_noise": True,
+                },
+                "epistemic": {"method": "corners", "coefficients": list(COEFFICIENTS), "bounds": bounds},
+                "metrics": {"excursion_radius_m": [15, 25], "rearm_m": 2},
+            },
+            folder / "campaign.toml",
+        )  # fmt: skip
+        begun = time.monotonic()
+        summary = run_campaign(spec, folder / f"campaign-{workers}", workers=workers, mission=find_mission(spec, folder))
+        assert summary.failed == 0, summary
+        hours = summary.cases * (duration_s + _BURN_IN_S) / 3600.0
+        found[f"e_{workers}_flight_hours_per_hour"] = hours / ((time.monotonic() - begun) / 3600.0)
+    found["e_2_over_1"] = found["e_2_flight_hours_per_hour"] / found["e_1_flight_hours_per_hour"]
+    return found
+
+
+def said(found: Mapping[str, float]) -> str:
+    """The figures for a reader."""
+    lines = [f"  a  JSBSim's bare loop                     {found['a_us_per_step']:8.3f} us/step"]
+    lines.append(f"  c  the product through JSBSim             {found['c_us_per_step']:8.3f} us/step")
+    for key, value in found.items():
+        if key.startswith("d_") and key.endswith("us_per_step"):
+            _, name, source, *_ = key.split("_")
+            ratio = found[key.replace("us_per_step", "over_a")]
+            lines.append(f"  d  batch, {name:7s} air from {source:7s}          {value:8.3f} us/step and flight   a/d {ratio:5.1f}")
+    for workers in (1, 2):
+        hours = found[f"e_{workers}_flight_hours_per_hour"]
+        lines.append(f"  e  corner campaign, {workers} process(es), by the clock  {hours:8.0f} flight h per h")
+    lines.append(f"     two processes over one                {found['e_2_over_1']:8.2f}")
+    return "\n".join(lines)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Measure and print; the process's exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m uqharness.cli.benchmark_batch", description="The batch engine beside JSBSim's bare loop."
+    )
+    parser.add_argument("--aircraft", default="espaaro")
+    parser.add_argument("--duration-s", type=float, default=900.0, help="flight per round and loop (default 900)")
+    parser.add_argument("--rounds", type=int, default=3, help="rounds; the least time counts (default 3)")
+    parser.add_argument("--model-form", type=Path, metavar="model-form.json", help="bounds that depend on the state")
+    parser.add_argument("--json", action="store_true")
+    args = parser.parse_args(argv)
+    found = measure_batch(args.aircraft, args.duration_s, args.rounds, args.model_form)
+    print(json.dumps(found) if args.json else said(found))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,200 @@
+"""Standard normal numbers of raw random bits, by IEEE operations alone: the same bytes on every processor.
+
+numpy's own normals call the C library's exponential and logarithm, whose last bits differ between processors and versions. Here
+two numbers of 64 random bits become two independent standard normals (Box and Muller, 1958), the logarithm and the sine
+written out as polynomials. The functions take numpy arrays, or any other values with the same operations, which are given as
+``m``: a compiler of the same expressions gives the same bits.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+GROUP = 16
+"""Raw numbers that are turned at once: number k of the first half goes with number k of the second half."""
+
+_CHUNK = 8192
+"""Pairs computed at once, so that they stay in the processor's cache."""
+
+_ONE_BITS = 0x3FF0000000000000
+_FRACTION_BITS = (1 << 52) - 1
+_ROOT_HALF_BITS = 0x3FE6A09E00000000
+"""A little below sqrt(1/2): a number is taken apart as 2^k m with m from there to its double."""
+_LN2_HIGH, _LN2_LOW = 0.6931471803691238, 1.9082149292705877e-10
+"""ln 2 in two parts, the first of 32 bits: its product with k is exact."""
+
+# Chebyshev fits: (log((1 + s)/(1 - s))/s - 2)/s^2 over s^2 to 0.0295, error 3e-16; sin(pi x/2)/x over x^2 to 1/4, error 5e-18.
+_LOG = (
+    0.666666666666667,
+    0.39999999999899444,
+    0.2857142862600327,
+    0.22222211130259875,
+    0.18182889455675105,
+    0.1533171061820642,
+    0.14616585424934123,
+)
+_SINE = (
+    1.5707963267948966,
+    -0.6459640975062443,
+    0.07969262624604301,
+    -0.004681754132340976,
+    0.0001604411507421909,
+    -3.59864335298231e-06,
+    5.633933781537854e-08,
+)
+
+
+class Operations(Protocol):
+    """What is done with bits and roots; sums, products and quotients are the values' own operators."""
+
+    def bits(self, x: Any) -> Any:
+        """The 64 bits of a double as an integer."""
+
+    def double(self, bits: Any) -> Any:
+        """The double of 64 bits."""
+
+    def sqrt(self, x: Any) -> Any:
+        """The square root, correctly rounded."""
+
+    def least(self, a: Any, b: Any) -> Any:
+        """The smaller of two doubles."""
+
+    def integer(self, operation: str, a: Any, b: Any) -> Any:
+        """Of 64-bit integers: add, sub, and, or, xor, shl, shr (which fills with zeros); ``b`` may be a Python integer."""
+
+
+class NumpyOperations:
+    """The operations over numpy arrays of float64 and int64."""
+
+    _INTEGER: ClassVar[dict[str, Callable[..., Any]]] = {
+        "add": np.add,
+        "sub": np.subtract,
+        "and": np.bitwise_and,
+        "or": np.bitwise_or,
+        "xor": np.bitwise_xor,
+    }
+
+    def bits(self, x: Any) -> Any:
+        """The 64 bits of doubles as integers."""
+        return x.view(np.int64)
+
+    def double(self, bits: Any) -> Any:
+        """The doubles of 64 bits."""
+        return bits.view(np.float64)
+
+    def sqrt(self, x: Any) -> Any:
+        """The square root, correctly rounded."""
+        return np.sqrt(x)
+
+    def least(self, a: Any, b: Any) -> Any:
+        """The smaller of two doubles."""
+        return np.minimum(a, b)
+
+    def integer(self, operation: str, a: Any, b: Any) -> Any:
+        """Of 64-bit integers: add, sub, and, or, xor, shl, shr."""
+        if operation == "shl":
+            return np.left_shift(a, b)
+        if operation == "shr":
+            return np.right_shift(a.view(np.uint64), np.uint64(b)).view(np.int64)
+        return self._INTEGER[operation](a, b)
+
+
+NUMPY = NumpyOperations()
+
+Pairs = Callable[[NDArray[np.int64]], Array]
+"""Turns raw numbers (groups, 2, GROUP // 2) into normals of that shape."""
+
+
+def logarithm(x: Any, m: Operations) -> Any:
+    """Natural logarithm of normal doubles between 2^-1021 and 2^1023, to 1 unit in the last place."""
+    shifted = m.integer("add", m.bits(x), (1024 << 52) - _ROOT_HALF_BITS)
+    # The exponent in the low bits of 2^52 is a double without a conversion.
+    k = m.double(m.integer("or", m.integer("shr", shifted, 52), _bits_of(2.0**52))) - (2.0**52 + 1024.0)
+    f = m.double(m.integer("add", m.integer("and", shifted, _FRACTION_BITS), _ROOT_HALF_BITS)) - 1.0
+    s = f / (f + 2.0)
+    z = s * s
+    # log(1 + f) = f - s (f - s^2 P): what is added to f is small.
+    return k * _LN2_HIGH - ((s * (f - z * _polynomial(z, _LOG)) - k * _LN2_LOW) - f)
+
+
+def normal_pair(first: Any, second: Any, m: Operations) -> tuple[Any, Any]:
+    """Two independent standard normals of two numbers of 64 random bits; the largest is 8.5.
+
+    The first gives the radius, sqrt(-2 log v) with v of 52 bits in (0, 1]; of the second 52 bits give an angle between -45 and
+    45 degrees, two others turn it into the four quadrants.
+    """
+    v = 2.0 - _one_to_two(first, m)
+    radius = m.sqrt(logarithm(v, m) * -2.0)
+    x = _one_to_two(second, m) - 1.5
+    sine = x * _polynomial(x * x, _SINE)
+    cosine = m.sqrt(1.0 - sine * sine)
+    sign = m.integer("shl", m.integer("and", second, 2), 62)
+    along = m.integer("xor", m.bits(radius * cosine), sign)
+    across = m.bits(radius * sine)
+    swapped = m.integer("and", m.integer("xor", along, across), m.integer("sub", 0, m.integer("and", second, 1)))
+    return m.double(m.integer("xor", along, swapped)), m.double(m.integer("xor", across, swapped))
+
+
+def numpy_pairs(raw: NDArray[np.int64]) -> Array:
+    """Normals of raw numbers, both of shape (groups, 2, GROUP // 2), by numpy."""
+    out = np.empty(raw.shape)
+    for first in range(0, len(raw), 2 * _CHUNK // GROUP):
+        part = slice(first, first + 2 * _CHUNK // GROUP)
+        one, other = np.ascontiguousarray(raw[part].transpose(1, 0, 2))
+        out[part, 0], out[part, 1] = normal_pair(one, other, NUMPY)
+    return out
+
+
+class Normals:
+    """A stream of standard normals, drawn from a numpy bit generator (such as PCG64) that nobody else uses from here on.
+
+    The numbers do not depend on how they are cut into calls. ``pairs`` may be a compiled form of ``numpy_pairs``.
+    """
+
+    def __init__(self, generator: np.random.BitGenerator, pairs: Pairs = numpy_pairs) -> None:
+        self._generator, self._pairs = generator, pairs
+        self._left = np.empty(0)
+
+    def take(self, n: int) -> Array:
+        """The next ``n`` numbers, (n,)."""
+        if n > self._left.size:
+            groups = -(-(n - self._left.size) // GROUP)
+            raw = self._generator.random_raw(groups * GROUP).view(np.int64).reshape(groups, 2, GROUP // 2)
+            made = self._pairs(raw).reshape(-1)
+            self._left = np.concatenate([self._left, made]) if self._left.size else made
+        out, self._left = self._left[:n], self._left[n:]
+        return out
+
+    def copy(self) -> Normals:
+        """Another stream that goes on from here with the same numbers."""
+        other = Normals(copy.deepcopy(self._generator), self._pairs)
+        other._left = self._left
+        return other
+
+
+def drawn(seed: np.random.SeedSequence, n: int) -> Array:
+    """The first ``n`` normals (n,) of the stream of that seed."""
+    return Normals(np.random.PCG64(seed)).take(n)
+
+
+def _one_to_two(raw: Any, m: Operations) -> Any:
+    """The upper 52 bits as a number in [1, 2)."""
+    return m.double(m.integer("or", m.integer("shr", raw, 12), _ONE_BITS))
+
+
+def _polynomial(x: Any, coefficients: tuple[float, ...]) -> Any:
+    result = x * coefficients[-1] + coefficients[-2]
+    for c in coefficients[-3::-1]:
+        result = result * x + c
+    return result
+
+
+def _bits_of(x: float) -> int:
+    return int(np.float64(x).view(np.int64))

@@ -1,0 +1,179 @@
+"""Replays by the batch engine, many at once; by JSBSim where the engine does not understand the aircraft, or is not there.
+
+A model's first replay is flown by both, and JSBSim flies all others too where they differ.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.units import FT_M
+from uqharness import batch
+from uqharness.errors import BadInputError
+from uqharness.replay.ground import terrain_m
+from uqharness.replay.model import ReplayModel
+from uqharness.replay.replay import RAW, Shape, fly_segment, outputs_of, run_controls, shape_of
+from uqharness.replay.segments import Segment
+from uqharness.simulator import TRIM_LATITUDE_DEG, body_velocity
+
+if TYPE_CHECKING:
+    from uqharness.batch import ReplayLane, ReplayProgram
+
+Array = NDArray[np.float64]
+_LOG = logging.getLogger("uqharness")
+_KEPT = 8
+_AGREES = 1e-6
+"""Largest difference of a channel between the engines, in units of its largest size in the replay."""
+
+
+@dataclass(frozen=True)
+class ReplayJob:
+    """One replay that is wanted: arguments of ``fly_segment``."""
+
+    model: ReplayModel
+    segment: Segment
+    properties: Mapping[str, float]
+    start: Array
+    late_s: float = 0.0
+    between: bool = False
+    extra: tuple[str, ...] = ()
+
+
+Map = Callable[[Callable[[ReplayJob], Array], Sequence[ReplayJob]], Iterable[Array]]
+
+
+def by_jsbsim(job: ReplayJob) -> Array:
+    """Fly one replay in JSBSim."""
+    return fly_segment(job.model, job.segment, job.properties, job.start, job.extra, job.late_s, job.between)
+
+
+def fly_all(jobs: Sequence[ReplayJob], map_: Map = map) -> list[Array]:
+    """What ``fly_segment`` gives for each; ``map_`` spreads what JSBSim flies."""
+    found: dict[int, Array] = {}
+    by_model: dict[tuple[str, tuple[str, ...]], list[int]] = {}
+    for k, job in enumerate(jobs):
+        by_model.setdefault((str(job.model.staging.root), job.extra), []).append(k)
+    for places in by_model.values():
+        some = [jobs[k] for k in places]
+        program = _program(some)
+        flown = map_(by_jsbsim, some) if program is None else _in_lanes(program, some)
+        found.update(zip(places, flown, strict=True))
+    return [found[k] for k in range(len(jobs))]
+
+
+@dataclass
+class _Program:
+    replay: ReplayProgram
+    names: frozenset[str]
+    levels: dict[float, tuple[float, float]]
+
+
+_programs: OrderedDict[tuple[str, tuple[str, ...]], _Program | None] = OrderedDict()
+
+
+def _program(jobs: Sequence[ReplayJob]) -> _Program | None:
+    """The compiled aircraft of jobs of one model, None where JSBSim is to fly."""
+    job = jobs[0]
+    key = (str(job.model.staging.root), job.extra)
+    wanted = frozenset(name for one in jobs for name in one.properties)
+    if key in _programs:
+        known = _programs[key]
+        if known is None or wanted <= known.names:
+            _programs.move_to_end(key)
+            return known
+        wanted |= known.names
+    _programs[key] = _judged(job, _made(job, wanted))
+    while len(_programs) > _KEPT:
+        _programs.popitem(last=False)
+    return _programs[key]
+
+
+def _made(job: ReplayJob, names: frozenset[str]) -> _Program | None:
+    if batch.available() is not None:
+        return None
+    from uqharness.batch import Files, make_replay, read_sources
+
+    model = job.model
+    root = model.staging.root
+    # All coefficients of the card: estimators free them in turns, and one program serves all.
+    names |= {name for name in model.card.parameters if name.startswith("aero/")}
+    properties = [model.card.inputs[name].property for name in model.controls]
+    try:
+        sources = read_sources(Files(model.staging.folder, model.staging.xml, root / "engine", root / "systems"), None)
+        dt_s = shape_of(job.model, job.segment, job.between).dt_s
+        records = [*RAW, *job.extra]
+        made = make_replay(sources, lambda: model.open(dt_s), dt_s, properties, sorted(names), records)
+    except BadInputError as error:
+        _LOG.info("replays are flown by JSBSim: %s", error)
+        return None
+    return _Program(made, names, {})
+
+
+def _judged(job: ReplayJob, program: _Program | None) -> _Program | None:
+    """The program, if it flies the job as JSBSim does."""
+    if program is None:
+        return None
+    ours, theirs = _in_lanes(program, [job])[0], by_jsbsim(job)
+    size = np.nanmax(np.abs(theirs), axis=0, initial=1e-3)
+    with np.errstate(invalid="ignore"):
+        apart = np.nanmax(np.abs(ours - theirs) / size, initial=0.0)
+    if apart <= _AGREES and bool((np.isfinite(ours) == np.isfinite(theirs)).all()):
+        return program
+    _LOG.warning("replays are flown by JSBSim: the batch engine differs by %.1g of a channel's size", apart)
+    return None
+
+
+def _in_lanes(program: _Program, jobs: Sequence[ReplayJob]) -> list[Array]:
+    from uqharness.batch import fly_replays
+
+    shapes = [shape_of(job.model, job.segment, job.between) for job in jobs]
+    controls: dict[tuple[int, float, bool], Array] = {}
+    lanes = [_lane(program, job, shape, controls) for job, shape in zip(jobs, shapes, strict=True)]
+    raw = fly_replays(program.replay, lanes)
+    return [_outputs(rows, job, shape) for rows, job, shape in zip(raw, jobs, shapes, strict=True)]
+
+
+def _lane(program: _Program, job: ReplayJob, shape: Shape, controls: dict[tuple[int, float, bool], Array]) -> ReplayLane:
+    from uqharness.batch import ReplayLane
+
+    key = (id(job.segment), job.late_s, job.between)
+    if key not in controls:
+        controls[key] = run_controls(job.model, job.segment, shape, job.late_s)
+    latitude, height = _level(program, job)
+    V, alpha, beta, phi, theta, psi, p, q, r = (float(x) for x in job.start)
+    u, v, w = body_velocity(V, alpha, beta)
+    conditions = {
+        "ic/lat-geod-rad": latitude, "ic/long-gc-rad": 0.0, "ic/geod-alt-ft": height,
+        "ic/phi-rad": phi, "ic/theta-rad": theta, "ic/psi-true-rad": psi % (2.0 * math.pi),
+        "ic/u-fps": u / FT_M, "ic/v-fps": v / FT_M, "ic/w-fps": w / FT_M,
+        "ic/p-rad_sec": p, "ic/q-rad_sec": q, "ic/r-rad_sec": r,
+    }  # fmt: skip
+    terrain = terrain_m(job.model, job.segment) / FT_M
+    return ReplayLane(job.properties, conditions, terrain, controls[key], shape.dt_s, shape.stride)
+
+
+def _level(program: _Program, job: ReplayJob) -> tuple[float, float]:
+    """Geodetic latitude [rad] and height [ft] of a start, as JSBSim has them."""
+    altitude = job.segment.altitude_m
+    if altitude not in program.levels:
+        fdm = job.model.open(0.01)
+        fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
+        fdm["ic/h-sl-ft"] = altitude / FT_M
+        program.levels[altitude] = (float(fdm["ic/lat-geod-rad"]), float(fdm["ic/geod-alt-ft"]))
+    return program.levels[altitude]
+
+
+def _outputs(rows: Array, job: ReplayJob, shape: Shape) -> Array:
+    """As ``fly_segment`` has it: rows behind a failure are NaN."""
+    good = np.isfinite(rows[:, 0]) & (np.abs(rows[:, 0]) < 1e5)
+    good[0] = True
+    done = len(good) if good.all() else int(np.argmin(good))
+    return outputs_of(rows[:done], job.segment, len(job.extra), shape.rows)
