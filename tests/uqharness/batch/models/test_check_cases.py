@@ -23,7 +23,8 @@ SPIN_DPS = np.degrees(7.292115e-5)
 METRICS = """<metrics><wingarea unit="FT2">.22222</wingarea><wingspan unit="FT">.333333333333</wingspan>
 <chord unit="FT">.666666666667</chord><location name="AERORP" unit="IN"><x>0</x><y>0</y><z>0</z></location></metrics>"""
 MASS = """<mass_balance><ixx unit="SLUG*FT2">0.001894220</ixx><iyy unit="SLUG*FT2">0.006211019</iyy>
-<izz unit="SLUG*FT2">0.007194665</izz><emptywt unit="LBS">5</emptywt><location name="CG" unit="IN"><x>0</x><y>0</y><z>0</z></location></mass_balance>"""
+<izz unit="SLUG*FT2">0.007194665</izz><emptywt unit="LBS">5</emptywt>
+<location name="CG" unit="IN"><x>0</x><y>0</y><z>0</z></location></mass_balance>"""
 DAMPED = "".join(
     f"<axis name='{axis}'><function name='d/{axis}'><product><p>aero/qbar-area</p><p>metrics/{length}-ft</p><p>aero/{per}2vel</p>"
     f"<p>velocities/{rate}i-rad_sec</p><v>-1</v></product></function></axis>"

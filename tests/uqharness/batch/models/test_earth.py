@@ -23,7 +23,8 @@ def placed(x, y, z):
     g = earth.gravity(at)
     named = {
         "height": at.height_ft, "radius": at.radius_ft, "sea": at.sea_level_radius_ft, "sin": at.sin_latitude,
-        "cos": at.cos_latitude, "sinlon": at.sin_longitude, "coslon": at.cos_longitude, **{f"g{k}": b.value(g[k]) for k in range(3)},
+        "cos": at.cos_latitude, "sinlon": at.sin_longitude, "coslon": at.cos_longitude,
+        **{f"g{k}": b.value(g[k]) for k in range(3)},
         **{f"l{i}{j}": b.value(at.to_local[i][j]) for i in range(3) for j in range(3)},
     }  # fmt: skip
     found, _ = evaluate(b.finish(named), {name: np.atleast_1d(value) for name, value in zip("xyz", (x, y, z), strict=True)})

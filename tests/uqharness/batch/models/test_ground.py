@@ -40,9 +40,9 @@ def contact(start, steps=120):
         values = Values(initial_values(made.open), constant_properties(sources))
         flight = trace_flight(sources, DT_S, values, Asked((), [], [TOUCHED, POINT], points))
         engine.run_ic(fdm)
-        there = set(engine.catalog(fdm))
+        there = fdm.get_property_manager().hasNode
         units = [[f"gear/unit[{k}]/WOW", f"contact/unit[{k}]/WOW"] for k in range(len(POINTS))]
-        wow = [engine.handle(fdm, next(name for name in names if name in there)) for names in units]
+        wow = [engine.handle(fdm, next(name for name in names if there(name))) for names in units]
         first = None
         for step in range(1, steps + 1):
             fdm.run()

@@ -14,7 +14,8 @@ from uqharness.simulator import engine
 
 RECORDS = (
     *(f"position/eci-{a}-ft" for a in "xyz"), *(f"velocities/eci-{a}-fps" for a in "xyz"),
-    *(f"velocities/{a}i-rad_sec" for a in "pqr"), *(f"velocities/{a}-fps" for a in "uvw"), *(f"attitude/{a}-rad" for a in ("phi", "theta", "psi")), "position/geod-alt-ft",
+    *(f"velocities/{a}i-rad_sec" for a in "pqr"), *(f"velocities/{a}-fps" for a in "uvw"),
+    *(f"attitude/{a}-rad" for a in ("phi", "theta", "psi")), "position/geod-alt-ft",
     "position/lat-geod-rad", "position/long-gc-rad", "velocities/vt-fps", "aero/alpha-rad", "aero/beta-rad",
 )  # fmt: skip
 
@@ -24,7 +25,8 @@ def random_start(seed):
     return {
         "ic/lat-geod-deg": rng.uniform(-85.0, 85.0), "ic/long-gc-deg": rng.uniform(-180.0, 180.0),
         "ic/h-sl-ft": rng.uniform(0, 3e4), "ic/psi-true-deg": rng.uniform(0.0, 360.0), "ic/theta-deg": rng.uniform(-80.0, 80.0),
-        "ic/phi-deg": rng.uniform(-180.0, 180.0), "ic/u-fps": rng.uniform(20.0, 500.0), "ic/v-fps": rng.normal() * 20.0, "ic/w-fps": rng.normal() * 20.0,
+        "ic/phi-deg": rng.uniform(-180.0, 180.0),
+        "ic/u-fps": rng.uniform(20.0, 500.0), "ic/v-fps": rng.normal() * 20.0, "ic/w-fps": rng.normal() * 20.0,
         "ic/p-rad_sec": rng.normal(), "ic/q-rad_sec": rng.normal(), "ic/r-rad_sec": rng.normal(),
     }  # fmt: skip
 

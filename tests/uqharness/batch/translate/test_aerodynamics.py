@@ -130,12 +130,12 @@ STALL = (
 
 
 def test_stall_warning_and_hysteresis():
-    found = differences(STALL, frames=200)
+    found = differences(STALL, frames=110)
     assert worst(found) < 1e-10
-    assert worst(differences(STALL, STALL.replace("<max>7</max>", "<max>6</max>"), frames=200)) > 1e-3
-    assert worst(differences(STALL, STALL.replace("<min>3</min>", "<min>2</min>"), frames=200)) > 1e-3
+    assert worst(differences(STALL, STALL.replace("<max>7</max>", "<max>6</max>"), frames=110)) > 1e-3
+    assert worst(differences(STALL, STALL.replace("<min>3</min>", "<min>2</min>"), frames=110)) > 1e-3
     radians = STALL.replace(' unit="DEG"', "").replace(">9<", ">.16<").replace(">7<", ">.12<").replace(">3<", ">.05<")
-    assert worst(differences(radians, frames=100)) < 1e-10
+    assert worst(differences(radians, frames=60)) < 1e-10
 
 
 def test_alphadot_and_betadot_in_a_function():
