@@ -33,6 +33,7 @@ from uqharness.batch.translate.propulsion.mass import DRY, MASS, dry_aircraft
 from uqharness.batch.translate.scope import canonical
 from uqharness.batch.translate.sources import Sources, read_sources
 from uqharness.batch.translate.whole import Asked, Flight, trace_flight
+from uqharness.errors import BadInputError
 from uqharness.flight import (
     ContactPoint,
     FlightSpec,
@@ -44,7 +45,7 @@ from uqharness.flight import (
     set_wind_without_air,
 )
 from uqharness.simulator import CHANGEABLE, MARK, StagedMission, engine
-from uqharness.xml import Document
+from uqharness.xml import Document, read_document
 
 Array = NDArray[np.float64]
 
@@ -114,11 +115,22 @@ class LaneMission:
         return Interpreter(self.flight.renewed) if self.steady and self.flight.renewed is not None else None
 
 
+def _refuse_running(mission: StagedMission) -> None:
+    """BadInputError with file and line where the initial conditions start engines, which is not understood."""
+    start = mission.aircraft.folder / mission.script.initialize
+    path = start if start.is_file() else start.with_name(f"{start.name}.xml")
+    document = read_document(path)
+    for node in document.root.walk():
+        if node.tag == "running":
+            raise BadInputError(f"{document.where(node)}: <running> in initial conditions is not understood by the batch engine")
+
+
 def make_mission(
     mission: StagedMission, spec: FlightSpec, inputs: Collection[str], records: Sequence[str], optional: Sequence[str] = ()
 ) -> LaneMission:
     """Translate the mission under the conditions of ``spec``, recorded at its rate. Raises BadInputError with file and line."""
     sources = read_sources(mission.aircraft, mission.script.path)
+    _refuse_running(mission)
     unchanged = replace(spec, properties={n: v for n, v in spec.properties.items() if n not in CHANGEABLE})
 
     def opened() -> Any:
