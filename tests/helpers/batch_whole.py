@@ -82,3 +82,15 @@ def with_bounds(folder: Path, size: float = 0.004) -> Path:
     aircraft = find_aircraft(target)
     (target / "Systems" / "model-form.xml").write_bytes(model_form_xml(made_up_form(size=size), aircraft))
     return target
+
+
+def without_air(folder: Path) -> Path:
+    """espaaro without its air system: JSBSim blows the wind, the host's gusts come through JSBSim's own properties."""
+    target = copied(folder)
+    file = target / "espaaro.xml"
+    lines = [line for line in file.read_text().splitlines(keepends=True) if 'file="air"' not in line]
+    text = "".join(lines)
+    for axis in "pqr":
+        text = text.replace(f"air/{axis}-gust-rad_sec", f"atmosphere/{axis}-turb-rad_sec")
+    file.write_text(text)
+    return target

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uqharness.batch.form.flying import begun, slot
-from uqharness.batch.lanes.mission import LaneMission, Loaded, load_start
+from uqharness.batch.lanes.mission import WIND, LaneMission, Loaded, load_start
 from uqharness.batch.lanes.streams import Noise
 from uqharness.batch.models.ground import TOUCHED
 from uqharness.batch.models.start import CONDITIONS, start_state
@@ -41,22 +41,22 @@ def begin(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Begun:
              for name in {canonical(n) for n in (*specs[0].properties, *first_levels(specs[0], lanes.dt_s))}}  # fmt: skip
     values |= given
     values |= {name: np.array([one.static[name] for one in loaded]) for name in loaded[0].static if name not in given}
-    wind = np.array([one.wind_fps for one in loaded])
+    wind, blown = (np.array([getattr(one, which) for one in loaded]) for which in ("wind_fps", "blown_fps"))
     noise = {s: Noise(s, lanes.flight.draws, lanes.flight.first_draws, initialising=3 if lanes.steady else 2)
              for s in dict.fromkeys(spec.seed_noise for spec in specs)}  # fmt: skip
     for number, flyer in enumerate((*lanes.initialisers, *([lanes.renewer] if lanes.renewer is not None else []))):
         if number == len(lanes.initialisers):
             _settle(lanes, values, count)
         program = flyer.program
-        for axis, speed in zip(("north", "east", "down"), wind.T, strict=True):
-            name = f"atmosphere/wind-{axis}-fps"
-            if number == 0 and name in program.slots:
-                values[name] = speed
+        if number == 0:
+            values |= {name: speed for name, speed in zip(WIND, wind.T, strict=True) if name in program.slots}
         drawn = np.array([noise[spec.seed_noise].initial[number] for spec in specs])
         values |= {f"#draw/{k}": drawn[:, k] for k in range(drawn.shape[1])}
         state = begun(program, count, {name: v for name, v in values.items() if name in program.slots})
         flyer.fly(state, 1, 1)
         values |= {name: slot(program, state, name, count) for name in program.slots}
+        if number == 1 and not lanes.air:
+            values |= dict(zip(WIND, blown.T, strict=True))
     if lanes.points and (values[TOUCHED] >= 0.0).any():
         raise BadInputError(
             'the flight starts on the ground, where the batch engine computes no forces; fly it with engine = "jsbsim"'

@@ -33,12 +33,12 @@ Array = NDArray[np.float64]
 
 _CHUNK = 4000
 """Frames flown between two looks at which lanes have ended."""
-_RECORD_BYTES = 200_000_000
+_RECORD_BYTES = 100_000_000
 """Records of lanes that are flown together."""
 _HEIGHT, _SPEED = "position/h-agl-ft", "velocities/vt-fps"
 _FIXED = ("simulation/integrator/", "simulation/gravity-model")
 """Properties that decide which program flies."""
-_KEPT = 64
+_KEPT = 24
 
 
 @dataclass(frozen=True)

@@ -53,6 +53,9 @@ _DECLARING = ("system", "autopilot", "flight_control", "aerodynamics", "external
 """Elements whose property children declare; elsewhere they read."""
 _START = re.compile(r"(?<![\w/])(?:/?fdm/jsbsim/)?ic/[\w.\-]+(?:\[\d+\])?")
 _ENGINE = "propulsion/engine"
+WIND = tuple(f"atmosphere/wind-{axis}-fps" for axis in ("north", "east", "down"))
+"""The steady wind as JSBSim blows it."""
+GROUND_SPEED = tuple(f"velocities/v-{axis}-fps" for axis in ("north", "east", "down"))
 _STATIC = ("inertia/", "metrics/")
 """What loading alone does not fill in."""
 
@@ -63,13 +66,15 @@ class Loaded:
 
     conditions  CONDITIONS
     settings    values of properties that were set: the aircraft's own where it has not all of them
-    wind_fps    steady wind that JSBSim blows itself, north, east, down
+    wind_fps    steady wind, north, east, down, of JSBSim's initial conditions
+    blown_fps   that of the flight, where JSBSim blows it itself and not the air system
     """
 
     conditions: Mapping[str, float]
     settings: Mapping[str, float]
     static: Mapping[str, float]
-    wind_fps: tuple[float, float, float]
+    wind_fps: tuple[float, ...]
+    blown_fps: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -96,8 +101,10 @@ class LaneMission:
     def initialisers(self) -> tuple[Interpreter, Interpreter]:
         """The two initialising frames."""
         behind = [one for one in (*self.flight.steady, self.flight.renewed) if one is not None]
-        kept = [*self.inputs, *(name for one in behind for name in one.slots)]
-        first, second = for_what_follows(self.flight.first, self.flight.second, self.program, kept if self.steady else self.inputs)
+        # From the ground speed the host's gusts are made where there is no air system.
+        kept = [*self.inputs, *(() if self.air else GROUND_SPEED)]
+        kept += [name for one in behind for name in one.slots] if self.steady else []
+        first, second = for_what_follows(self.flight.first, self.flight.second, self.program, kept)
         return Interpreter(first), Interpreter(second)
 
     @cached_property
@@ -153,6 +160,9 @@ def make_mission(
         # Whatever is changed of them may move the others.
         names |= dict.fromkeys(MASS)
     names |= dict.fromkeys(name for name in start_properties(sources) if there(name))
+    if not air:
+        # It is another one in the initialising frames.
+        names |= dict.fromkeys(WIND)
     asked = Asked(tuple(names), fed, records, points, turned=gusty and not air, reweighed=True)
     flight = trace_flight(sources, mission.aircraft.dt_s, values, asked)
     varying = (*asked.inputs, *(f"#{name}" for part in WEIGHTS_PARTS for name in slots(part)), *(name for name, _ in flight.draws))
@@ -232,8 +242,8 @@ def load_start(mission: LaneMission, spec: FlightSpec) -> Loaded:
     static = {name: rounded(float(fdm[name])) for name in mission.inputs if _START.fullmatch(name)}
     if changed:
         engine.run_ic(fdm)
-        set_wind_without_air(fdm, spec)
         static |= {name: float(fdm[name]) for name in mission.inputs if name.startswith(_STATIC)}
         if mission.flight.propulsion.tanks and set(mission.inputs) & set(MASS):
             static |= dry_aircraft(mission.flight.propulsion.tanks, lambda name: float(fdm[name]))
-    return Loaded(conditions, settings, static, wind)  # type: ignore[arg-type]
+    set_wind_without_air(fdm, spec)
+    return Loaded(conditions, settings, static, wind, tuple(float(fdm[name]) for name in WIND))

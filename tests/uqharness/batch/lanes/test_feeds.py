@@ -89,3 +89,18 @@ def test_jsbsims_turbulence_keeps_rows_that_a_lane_still_needs():
     assert later.first_row == 10
     assert rows(later, 0, 15).tobytes() == rows(first, 0, 50)[10:25].tobytes()
     assert rows(later, 1, 15).tobytes() == rows(first, 1, 50)[10:25].tobytes()
+
+
+def test_a_state_that_is_copied_goes_on_alike():
+    """Nothing of a flight lies outside its state and its streams; the first frame of a call may be any."""
+    lanes, feeder, state = made(specs(turbulence_source="jsbsim", properties={"uq/active": 1.0}))
+    everyone = np.arange(3)
+    lanes.flyer.fly(state, 1, 130, feeder.feeds(everyone, 130, state), 10)
+    copy = state.copy()
+    feeds = feeder.feeds(everyone, 70, state)
+    records = lanes.flyer.fly(state, 131, 70, feeds, 10)
+    assert lanes.flyer.fly(copy, 131, 70, feeds, 10).tobytes() == records.tobytes()
+    assert copy.tobytes() == state.tobytes()
+    _, other, whole = made(specs(turbulence_source="jsbsim", properties={"uq/active": 1.0}))
+    at_once = lanes.flyer.fly(whole, 1, 200, other.feeds(everyone, 200, whole), 10)
+    assert np.ascontiguousarray(at_once[:, :3, 13:]).tobytes() == np.ascontiguousarray(records[:, :3]).tobytes()

@@ -20,6 +20,7 @@ from tests.helpers.batch_whole import (
     same_end,
     spec,
     with_bounds,
+    without_air,
 )
 from uqharness.batch.installation import available
 from uqharness.batch.lanes import fly as lanes
@@ -85,22 +86,44 @@ def test_bounds_that_depend_on_the_state(tmp_path):
     assert max(found.values()) < 1.0, found
 
 
+NEAR = (
+    {"seed_noise": 7},
+    {"seed_turbulence": 7},
+    {"wind_from_deg": 270.00001},
+    {"wind_mps": 4.000001},
+    {"properties": {**CORNER, **SECOND_ORDER}},
+)
+
+
 @pytest.mark.parametrize(
     "change",
     [
         {"properties": {"uq/CZ/upper": 0.05000001, **CORNER}},
-        {"seed_noise": 7},
-        {"seed_turbulence": 7},
-        {"wind_from_deg": 270.00001},
-        {"wind_mps": 4.000001},
         {"properties": {**CORNER, "uq/Cm/level": 1e-7}},
-        {"properties": {**CORNER, **SECOND_ORDER}},
         {"properties": {**CORNER, "inertia/iyy-slugs_ft2": 4.0}},
+        *(pytest.param(change, marks=pytest.mark.slow) for change in NEAR),
     ],
 )
 def test_another_flight_is_noticed(change):
     given = spec(properties=CORNER, duration_s=20.0, **EXPENSIVE)
     assert max(beyond(given, changed=dataclasses.replace(given, **change)).values()) > 1.0
+
+
+@pytest.mark.parametrize(
+    "conditions",
+    [
+        {"wind_mps": 3.0, "turbulence": "moderate", "sensor_noise": True},
+        pytest.param({"wind_mps": 3.0, "wind_from_deg": 20.0}, marks=pytest.mark.slow),
+        pytest.param({"turbulence": "severe", "levels": WALK, "properties": ACTIVE}, marks=pytest.mark.slow),
+        pytest.param({}, marks=pytest.mark.slow),
+    ],
+)
+def test_an_aircraft_without_the_air_system(tmp_path, conditions):
+    plane = without_air(tmp_path)
+    found = beyond(spec(plane, "doublet-elevator", 20.0, **conditions))
+    assert max(found.values()) < 1.0, found
+    other = spec(plane, "doublet-elevator", 20.0, **{"wind_mps": 3.0, **conditions, "wind_from_deg": 21.0})
+    assert max(beyond(spec(plane, "doublet-elevator", 20.0, **{"wind_mps": 3.0, **conditions}), changed=other).values()) > 1.0
 
 
 @pytest.mark.slow

@@ -13,6 +13,9 @@ NAMES = ("T-R", "P-psf", "rho-slugs_ft3", "a-fps", "T-sl-R", "rho-sl-slugs_ft3",
 RECORDS = tuple(f"atmosphere/{name}" for name in NAMES)
 HEIGHTS = (-1000.0, 0.0, 10.0, 5000.0, 36000.0, 36152.0, 50000.0, 65000.0, 66000.0, 100000.0)
 BODY = "<aerodynamics/>"
+MORE = ((27.0, 2116.228), (9.0, 2200.0))
+DAYS = [(0.0, 2116.228), (-54.0, 2000.0), *(pytest.param(*day, marks=pytest.mark.slow) for day in MORE)]
+"""Bias [R] and pressure at sea level [psf]."""
 
 
 def at(height_ft, bias_R=0.0, sea_level_psf=2116.228):
@@ -20,7 +23,14 @@ def at(height_ft, bias_R=0.0, sea_level_psf=2116.228):
 
 
 @pytest.mark.parametrize("height_ft", HEIGHTS)
-@pytest.mark.parametrize(("bias_R", "sea_level_psf"), [(0.0, 2116.228), (27.0, 2116.228), (-54.0, 2000.0), (9.0, 2200.0)])
+@pytest.mark.parametrize(
+    ("bias_R", "sea_level_psf"),
+    [
+        (0.0, 2116.228),
+        (-54.0, 2000.0),
+        *(pytest.param(*pair, marks=pytest.mark.slow) for pair in ((27.0, 2116.228), (9.0, 2200.0))),
+    ],
+)
 def test_as_in_jsbsim(height_ft, bias_R, sea_level_psf):
     assert worst(compared(aircraft(BODY), RECORDS, frames=2, start=at(height_ft, bias_R, sea_level_psf))) < 1e-12
 

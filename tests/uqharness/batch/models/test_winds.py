@@ -20,6 +20,8 @@ RECORDS = (
     "velocities/p-aero-rad_sec", "aero/alpha-rad",
 )  # fmt: skip
 FRAMES = 120
+MORE = (600.0, 999.9, 1000.1, 2000.1, 3000.0, 78000.0, 90000.0)
+HEIGHTS = [5.0, 1500.0, 20000.0, *(pytest.param(height, marks=pytest.mark.slow) for height in MORE)]
 
 
 def air(wind=(10.0, -5.0, 1.0), severity=4.0, w20=25.0):
@@ -50,12 +52,20 @@ def differences(height_ft=600.0, inputs=None, text=None, changed=None, seed=5):
     return compared(text, RECORDS, inputs or air(), FRAMES, start(height_ft, seed), changed=changed, floor=0.01)
 
 
-@pytest.mark.parametrize("height_ft", [5.0, 600.0, 999.9, 1000.1, 1500.0, 2000.1, 3000.0, 20000.0, 78000.0, 90000.0])
+@pytest.mark.parametrize(
+    "height_ft",
+    [
+        5.0,
+        1500.0,
+        20000.0,
+        *(pytest.param(h, marks=pytest.mark.slow) for h in (600.0, 999.9, 1000.1, 2000.1, 3000.0, 78000.0, 90000.0)),
+    ],
+)
 def test_turbulence_at_heights(height_ft):
     assert worst(differences(height_ft)) < 5e-10
 
 
-@pytest.mark.parametrize("severity", range(1, 8))
+@pytest.mark.parametrize("severity", [1, 7, *(pytest.param(s, marks=pytest.mark.slow) for s in range(2, 7))])
 def test_severities(severity):
     assert worst(differences(5000.0, air(severity=float(severity)))) < 5e-10
 
