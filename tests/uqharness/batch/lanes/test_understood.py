@@ -121,9 +121,13 @@ def outcome(plane):
     except BadInputError as error:
         return "batch" if re.search(r"\.xml:\d+: ", str(error)) else "no line"
     assert same_end(theirs, ours)
-    for name, values in theirs.signals.items():
-        gap = np.abs(values - ours.signals[name])
-        assert theirs.status != "ok" or not gap.max() > 1e-7 * max(np.abs(values).max(), 1e-2), name
+    if theirs.status == "ok":
+        # In the first row places are roundings of 0, of which a mutant may take the sign.
+        for name, values in ((name, values[1:]) for name, values in theirs.signals.items()):
+            there, other = np.isfinite(values), ours.signals[name][1:]
+            assert (there == np.isfinite(other)).all(), name
+            gap = np.abs(values[there] - other[there])
+            assert gap.max(initial=0.0) <= 1e-7 * np.abs(values[there]).max(initial=1e-2), name
     return "same"
 
 
@@ -157,6 +161,6 @@ def test_a_mutant_that_only_one_engine_flies_is_noticed(tmp_path, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_many_mutants(tmp_path, seed):
-    found = survey(tmp_path, 100 + seed, 120)
-    assert found.count("same") > 10
-    assert found.count("batch") > 10
+    found = survey(tmp_path, 100 + seed, 60)
+    assert found.count("same") > 5
+    assert found.count("batch") > 5
