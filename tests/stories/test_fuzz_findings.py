@@ -89,7 +89,7 @@ def test_a_key_with_a_line_break(dart):
     assert '"a\\nb"' in refusal(BadInputError, find_aircraft, dart)
     assert dotted(("a", "b c", 3)) == 'a."b c".3'
     order = json.loads((CORPUS / "results" / "order.json").read_text())
-    order["flight"]["properties"] = {"a\nb": "x"}
+    order["group"]["cases"][0][1]["properties"] = {"a\nb": "x"}
     refusal(BadInputError, order_from, json.dumps(order))
 
 

@@ -99,18 +99,16 @@ def _program(jobs: Sequence[ReplayJob]) -> _Program | None:
 def _made(job: ReplayJob, names: frozenset[str]) -> _Program | None:
     if batch.available() is not None:
         return None
-    from uqharness.batch import Files, make_replay, read_sources
-
     model = job.model
     root = model.staging.root
     # All coefficients of the card: estimators free them in turns, and one program serves all.
     names |= {name for name in model.card.parameters if name.startswith("aero/")}
     properties = [model.card.inputs[name].property for name in model.controls]
     try:
-        sources = read_sources(Files(model.staging.folder, model.staging.xml, root / "engine", root / "systems"), None)
+        sources = batch.read_sources(batch.Files(model.staging.folder, model.staging.xml, root / "engine", root / "systems"), None)
         dt_s = shape_of(job.model, job.segment, job.between).dt_s
         records = [*RAW, *job.extra]
-        made = make_replay(sources, lambda: model.open(dt_s), dt_s, properties, sorted(names), records)
+        made = batch.make_replay(sources, lambda: model.open(dt_s), dt_s, properties, sorted(names), records)
     except BadInputError as error:
         _LOG.info("replays are flown by JSBSim: %s", error)
         return None
@@ -132,18 +130,14 @@ def _judged(job: ReplayJob, program: _Program | None) -> _Program | None:
 
 
 def _in_lanes(program: _Program, jobs: Sequence[ReplayJob]) -> list[Array]:
-    from uqharness.batch import fly_replays
-
     shapes = [shape_of(job.model, job.segment, job.between) for job in jobs]
     controls: dict[tuple[int, float, bool], Array] = {}
     lanes = [_lane(program, job, shape, controls) for job, shape in zip(jobs, shapes, strict=True)]
-    raw = fly_replays(program.replay, lanes)
+    raw = batch.fly_replays(program.replay, lanes)
     return [_outputs(rows, job, shape) for rows, job, shape in zip(raw, jobs, shapes, strict=True)]
 
 
 def _lane(program: _Program, job: ReplayJob, shape: Shape, controls: dict[tuple[int, float, bool], Array]) -> ReplayLane:
-    from uqharness.batch import ReplayLane
-
     key = (id(job.segment), job.late_s, job.between)
     if key not in controls:
         controls[key] = run_controls(job.model, job.segment, shape, job.late_s)
@@ -157,7 +151,7 @@ def _lane(program: _Program, job: ReplayJob, shape: Shape, controls: dict[tuple[
         "ic/p-rad_sec": p, "ic/q-rad_sec": q, "ic/r-rad_sec": r,
     }  # fmt: skip
     terrain = terrain_m(job.model, job.segment) / FT_M
-    return ReplayLane(job.properties, conditions, terrain, controls[key], shape.dt_s, shape.stride)
+    return batch.ReplayLane(job.properties, conditions, terrain, controls[key], shape.dt_s, shape.stride)
 
 
 def _level(program: _Program, job: ReplayJob) -> tuple[float, float]:

@@ -6,9 +6,9 @@ Records have the shape (channels, blocks * BLOCK, times): a lane's channel lies 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -129,6 +129,22 @@ def begun(program: Program, lanes: int, values: Mapping[str, np.ndarray | float]
     if strange:
         raise ValueError(f"the program has no slot {', '.join(strange)}")
     return blocked([np.asarray(values.get(name, first), dtype=np.float64) for name, first in program.slots.items()], lanes)
+
+
+def shared(pieces: Mapping[Any, np.ndarray], keys: Sequence[Hashable], first_row: int) -> Feed:
+    """One feed of equally long ``pieces``, each of which several lanes may share; ``keys`` name the piece of each lane."""
+    rows = len(next(iter(pieces.values())))
+    starts = {key: k * rows for k, key in enumerate(pieces)}
+    array = np.ascontiguousarray(np.concatenate(list(pieces.values())))
+    return Feed(array, first_row, np.array([starts[key] for key in keys], dtype=np.int64), rows)
+
+
+def stepped(flyer: Flyer, values: Mapping[str, np.ndarray], lanes: int) -> dict[str, np.ndarray]:
+    """Every slot of a program behind one frame that begins with ``values``; those that the program does not have are left out."""
+    program = flyer.program
+    state = begun(program, lanes, {name: value for name, value in values.items() if name in program.slots})
+    flyer.fly(state, 1, 1)
+    return {name: slot(program, state, name, lanes) for name in program.slots}
 
 
 def slot(program: Program, state: np.ndarray, name: str, lanes: int) -> np.ndarray:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from uqharness.batch.form.flying import begun, slot
+from uqharness.batch.form.flying import begun, slot, stepped
 from uqharness.batch.lanes.mission import WIND, LaneMission, Loaded, load_start
 from uqharness.batch.lanes.streams import Noise
 from uqharness.batch.models.ground import TOUCHED
@@ -37,8 +37,8 @@ def begin(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Begun:
     count = len(specs)
     loaded = _loaded(lanes, specs)
     values = start_state({name: np.array([one.conditions[name] for one in loaded]) for name in CONDITIONS})
-    given = {name: np.array([_given(lanes, one, spec, name) for one, spec in zip(loaded, specs, strict=True)])
-             for name in {canonical(n) for n in (*specs[0].properties, *first_levels(specs[0], lanes.dt_s))}}  # fmt: skip
+    rows = [_given(lanes, one, spec) for one, spec in zip(loaded, specs, strict=True)]
+    given = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     values |= given
     values |= {name: np.array([one.static[name] for one in loaded]) for name in loaded[0].static if name not in given}
     wind, blown = (np.array([getattr(one, which) for one in loaded]) for which in ("wind_fps", "blown_fps"))
@@ -47,14 +47,11 @@ def begin(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Begun:
     for number, flyer in enumerate((*lanes.initialisers, *([lanes.renewer] if lanes.renewer is not None else []))):
         if number == len(lanes.initialisers):
             _settle(lanes, values, count)
-        program = flyer.program
         if number == 0:
-            values |= {name: speed for name, speed in zip(WIND, wind.T, strict=True) if name in program.slots}
+            values |= {name: speed for name, speed in zip(WIND, wind.T, strict=True) if name in flyer.program.slots}
         drawn = np.array([noise[spec.seed_noise].initial[number] for spec in specs])
         values |= {f"#draw/{k}": drawn[:, k] for k in range(drawn.shape[1])}
-        state = begun(program, count, {name: v for name, v in values.items() if name in program.slots})
-        flyer.fly(state, 1, 1)
-        values |= {name: slot(program, state, name, count) for name in program.slots}
+        values |= stepped(flyer, values, count)
         if number == 1 and not lanes.air:
             values |= dict(zip(WIND, blown.T, strict=True))
     if lanes.points and (values[TOUCHED] >= 0.0).any():
@@ -88,12 +85,10 @@ def _loaded(lanes: LaneMission, specs: Sequence[FlightSpec]) -> list[Loaded]:
     return out
 
 
-def _given(lanes: LaneMission, loaded: Loaded, spec: FlightSpec, name: str) -> float:
-    if name in loaded.static:
-        return loaded.static[name]
-    if name in spec.properties:
-        return float(spec.properties[name])
-    return float(first_levels(spec, lanes.dt_s)[name])
+def _given(lanes: LaneMission, loaded: Loaded, spec: FlightSpec) -> dict[str, float]:
+    """Properties that are set for a flight; mass and what follows from it as JSBSim has them."""
+    asked = {**first_levels(spec, lanes.dt_s), **spec.properties}
+    return {name: loaded.static.get(name, float(value)) for name, value in ((canonical(n), v) for n, v in asked.items())}
 
 
 def _require_kept(specs: Sequence[FlightSpec], given: Mapping[str, Array], values: Mapping[str, Array]) -> None:

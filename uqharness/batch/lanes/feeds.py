@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.units import FT_M
-from uqharness.batch.form.flying import Feed, slot
+from uqharness.batch.form.flying import Feed, shared, slot
 from uqharness.batch.lanes.begin import Begun
 from uqharness.batch.lanes.mission import LaneMission
 from uqharness.batch.lanes.streams import GUSTS, LEVELS, HostGusts, MovingLevels, Series, Turbulence, noise_streams
@@ -23,13 +23,15 @@ Array = NDArray[np.float64]
 class Feeder:
     """Feeds of the next frames for the lanes that are still flying."""
 
-    def __init__(self, lanes: LaneMission, specs: Sequence[FlightSpec], started: Begun, frames: int) -> None:
-        self._lanes, self._specs, self._started, self._frames = lanes, specs, started, frames
+    def __init__(self, lanes: LaneMission, specs: Sequence[FlightSpec], started: Begun) -> None:
+        self._lanes, self._specs, self._started = lanes, specs, started
         self._program = lanes.program
         self._wanted = {stream.name for stream in self._program.streams}
         self._noise = noise_streams(lanes.flight.draws)
         self._series: dict[tuple[str, Hashable], Series] = {}
         self._windows: dict[Hashable, _Window] = {}
+        gusty = GUSTS.name in self._wanted
+        self._airs = [(spec.seed_turbulence, *self._scales(k)) for k, spec in enumerate(specs)] if gusty else []
 
     def feeds(self, alive: NDArray[np.intp], frames: int, state: Array) -> dict[str, Feed]:
         """For ``frames`` frames on."""
@@ -37,8 +39,7 @@ class Feeder:
         if self._noise:
             out |= self._noise_feeds(alive, frames)
         if GUSTS.name in self._wanted:
-            keys = [(self._specs[k].seed_turbulence, *self._scales(int(k))) for k in alive]
-            out[GUSTS.name] = self._fed(GUSTS.name, keys, frames, lambda key: self._gusts(key))
+            out[GUSTS.name] = self._fed(GUSTS.name, [self._airs[k] for k in alive], frames, self._gusts)
         if LEVELS.name in self._wanted:
             drivers = [self._specs[k].levels for k in alive]
             out[LEVELS.name] = self._fed(LEVELS.name, drivers, frames, lambda driver: MovingLevels(driver, self._lanes.dt_s))
@@ -48,22 +49,23 @@ class Feeder:
 
     def _noise_feeds(self, alive: NDArray[np.intp], frames: int) -> dict[str, Feed]:
         seeds = [self._specs[k].seed_noise for k in alive]
-        # Every noise goes on, that of lanes that have ended too: a seed may be met again by none, and costs little.
+        # What no lane meets any more stands still: nobody asks for it again.
         rows = {seed: self._started.noise[seed].frames(frames) for seed in dict.fromkeys(seeds)}
         out = {}
         for stream in self._noise:
             pieces = {seed: found[stream.name] for seed, found in rows.items()}
-            out[stream.name] = _joined({s: p.array for s, p in pieces.items()}, seeds, next(iter(pieces.values())).first_row)
+            out[stream.name] = shared({s: p.array for s, p in pieces.items()}, seeds, next(iter(pieces.values())).first_row)
         return out
 
     def _fed(self, name: str, keys: Sequence[Hashable], frames: int, make: Callable[..., Series]) -> Feed:
         pieces = {}
         first = 0
         for key in dict.fromkeys(keys):
-            series = self._series.setdefault((name, key), make(key)) if (name, key) not in self._series else self._series[name, key]
-            array, first = series.rows(frames)
+            if (name, key) not in self._series:
+                self._series[name, key] = make(key)
+            array, first = self._series[name, key].rows(frames)
             pieces[key] = array
-        return _joined(pieces, keys, first)
+        return shared(pieces, keys, first)
 
     def _scales(self, lane: int) -> tuple[float, float, float]:
         """Airspeed [m/s], height [m] and span [m] at the start, from which the host's gusts are made."""
@@ -94,7 +96,7 @@ class Feeder:
         for seed in dict.fromkeys(seeds):
             window = self._windows.setdefault(seed, _Window(Turbulence(seed)))
             pieces[seed] = window.from_to(low, int(counters.max()) + frames)
-        return _joined(pieces, seeds, low)
+        return shared(pieces, seeds, low)
 
 
 class _Window:
@@ -113,11 +115,3 @@ class _Window:
         self._held = self._held[first - self._first :]
         self._first = first
         return self._held[: last - first]
-
-
-def _joined(pieces: dict[Hashable, Array], keys: Sequence[Hashable], first_row: int) -> Feed:
-    """One array of all pieces, which are equally long, and where each lane's begins."""
-    rows = len(next(iter(pieces.values())))
-    starts = {key: k * rows for k, key in enumerate(pieces)}
-    array = np.ascontiguousarray(np.concatenate(list(pieces.values())))
-    return Feed(array, first_row, np.array([starts[key] for key in keys], dtype=np.int64), rows)

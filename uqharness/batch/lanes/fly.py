@@ -110,11 +110,10 @@ def ready(spec: FlightSpec) -> _Ready:
 
 @dataclass
 class _Lane:
-    """How a lane's flight ended, and how many recorded rows it has."""
+    """How a lane's flight ended."""
 
     status: str = "ok"
     reason: str = ""
-    rows: int = 0
     flown_s: float = 0.0
 
 
@@ -124,7 +123,7 @@ def _fly_alike(specs: Sequence[FlightSpec]) -> list[Recorded]:
     stride = record_stride(specs[0], lanes.dt_s)
     burn, wanted = row_counts(specs[0], lanes.dt_s * stride)
     started = begin(lanes, specs)
-    feeder = Feeder(lanes, specs, started, (burn + wanted) * stride)
+    feeder = Feeder(lanes, specs, started)
     state = begun(program, len(specs), {n: v for n, v in started.values.items() if n in program.slots})
     first = _first_row(made, started.values, len(specs)) if burn == 0 else None
     flown = [_Lane() for _ in specs]

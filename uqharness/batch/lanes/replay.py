@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from uqharness.batch.form.flying import Feed, Flyer, begun, slot
+from uqharness.batch.form.flying import Flyer, begun, shared, stepped
 from uqharness.batch.form.interpret import Interpreter
 from uqharness.batch.form.passes import for_what_follows, optimised
 from uqharness.batch.form.program import Program, Stream
@@ -127,12 +127,8 @@ def _begun(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[str, Array
     values[STEP] = np.array([job.dt_s for job in jobs])
     values |= {name: np.array([job.controls[0, k] for job in jobs]) for k, name in enumerate(replay.controls)}
     for flyer in replay.initialisers:
-        program = flyer.program
-        state = begun(program, count, {name: v for name, v in values.items() if name in program.slots})
-        flyer.fly(state, 1, 1)
-        values |= {name: slot(program, state, name, count) for name in program.slots}
-    known = {name: values.get(name, np.full(count, first)) for name, first in replay.program.slots.items()}
-    return known
+        values |= stepped(flyer, values, count)
+    return {name: values.get(name, np.full(count, first)) for name, first in replay.program.slots.items()}
 
 
 def _flown(replay: ReplayProgram, jobs: Sequence[ReplayLane], values: Mapping[str, Array]) -> list[Array]:
@@ -140,8 +136,6 @@ def _flown(replay: ReplayProgram, jobs: Sequence[ReplayLane], values: Mapping[st
     state = begun(program, count, values)
     first = np.stack([values[name] for name in program.records])
     pieces = {id(job.controls): job.controls[1:] for job in jobs}
-    starts = {key: k * frames for k, key in enumerate(pieces)}
-    array = np.ascontiguousarray(np.concatenate(list(pieces.values())))
-    offsets = np.array([starts[id(job.controls)] for job in jobs], dtype=np.int64)
-    records = replay.flyer.fly(state, 1, frames, {"controls": Feed(array, 0, offsets, frames)}, jobs[0].stride)
+    feed = shared(pieces, [id(job.controls) for job in jobs], 0)
+    records = replay.flyer.fly(state, 1, frames, {"controls": feed}, jobs[0].stride)
     return [np.concatenate([first[:, k : k + 1], records[:, k, :]], axis=1).T for k in range(count)]

@@ -18,7 +18,7 @@ def made(specs, frames=400):
     lanes = ready(specs[0]).lanes
     started = begin(lanes, specs)
     state = begun(lanes.program, len(specs), {n: v for n, v in started.values.items() if n in lanes.program.slots})
-    return lanes, Feeder(lanes, specs, started, frames), state
+    return lanes, Feeder(lanes, specs, started), state
 
 
 def specs(seeds=(1, 2, 1), **changes):

@@ -28,6 +28,7 @@ from uqharness.batch.lanes.fly import fly_many
 from uqharness.batch.machine.target import VECTORS, target_names
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import fly, fly_one_ulp_off
+from uqharness.simulator import find_aircraft
 
 ACTIVE = {"uq/active": 1.0}
 MASS = {"inertia/mass-slugs": 1.5, "inertia/iyy-slugs_ft2": 3.9, "inertia/cg-x-in": 0.1, "inertia/ixz-slugs_ft2": 0.2}
@@ -308,3 +309,14 @@ def test_metrics_are_those_of_jsbsim():
     assert theirs.metrics.keys() == ours.metrics.keys()
     for name, value in theirs.metrics.items():
         assert ours.metrics[name] == pytest.approx(value, rel=1e-7, abs=1e-7, nan_ok=math.isnan(value))
+
+
+def test_a_coefficient_without_a_switch_is_taken_out_by_bounds_of_zero(tmp_path):
+    text = (find_aircraft("espaaro").folder / "Systems" / "model-form.xml").read_text()
+    # Plugins of other versions have no uq/<C>/active: a campaign that leaves a coefficient out flies them all the same.
+    edits = {line: "" for line in text.splitlines() if ">uq/CZ/active<" in line}
+    made = copied(tmp_path, edits={"Systems/model-form.xml": edits})
+    given = spec(made, duration_s=10.0, properties={**CORNER, "uq/CZ/active": 0.0})
+    assert max(beyond(given).values()) <= 1.0
+    left_in = spec(made, duration_s=10.0, properties=CORNER)
+    assert max(beyond(given, changed=left_in).values()) > 1.0
