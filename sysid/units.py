@@ -21,5 +21,6 @@ SLUG_FT2_KGM2 = 1.3558179483314004
 SLUG_FT3_KGPM3 = 515.378818  # 515.3788183931961
 RAD_DEG = math.degrees(1.0)
 DEG_RAD = math.radians(1.0)
+SHORT_DEG_RAD = 0.017453293  # JSBSim's own, where a component takes an angle in degrees
 G0_MPS2 = 9.80665
 """Standard gravity. JSBSim's own depends on the place."""

@@ -7,7 +7,7 @@ or a text in place of a number is told of the file. Keys that no page reads may 
 from __future__ import annotations
 
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -153,6 +153,16 @@ class Share(Part):
     mean_width: Number = None
 
 
+class StateBin(Part):
+    """A range of a state in coverage.json, and the share of its samples inside by coefficient."""
+
+    state: str
+    low: Number = Field(alias="from")
+    high: Number = Field(alias="to")
+    samples: int = 0
+    share: Numbers = Field(default_factory=dict)
+
+
 class Coverage(Part):
     """coverage.json of `uqharness validate-bounds`."""
 
@@ -160,6 +170,11 @@ class Coverage(Part):
     errors: dict[str, Numbers] = Field(default_factory=dict)
     outside_data: Numbers = Field(default_factory=dict)
     manoeuvres: dict[str, dict[str, Numbers]] = Field(default_factory=dict)
+    by_speed: list[StateBin] = Field(default_factory=list)
+    by_incidence: list[StateBin] = Field(default_factory=list)
+    conformal: dict[str, Numbers] = Field(default_factory=dict)
+    verdicts: dict[str, Literal["holds", "fails", "inconclusive"]] = Field(default_factory=dict)
+    flight_variance: Numbers = Field(default_factory=dict)
     failed: list[str] = Field(default_factory=list)
     warnings: list[str] = Field(default_factory=list)
     notes: list[str] = Field(default_factory=list)
@@ -178,6 +193,7 @@ class Width(Part):
 
     mean_width: Number = None
     noise_width: Number = None
+    noise_std: Number = None
     left_out_share: Number = None
 
 

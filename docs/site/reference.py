@@ -117,7 +117,7 @@ def files() -> str:
 
 # File, the functions whose returned dictionaries make it, meanings.
 DOCUMENTS = (
-    ("manifest.json", ("uqharness.campaign.folder.manifest:describe", "+tables", "+journal", "+digest"), words.MANIFEST),
+    ("manifest.json", ("uqharness.campaign.folder.manifest:describe", "+tables", "+journal", "+digest", "+engine"), words.MANIFEST),
     ("fit.json", ("uqharness.report.identify:fit_document",), words.FIT),
     ("compare.json", ("uqharness.report.compare:document_of", "+command"), words.COMPARE),
     ("bounds.json", ("uqharness.report.model_form:bounds_document", "+command", "+version"), words.BOUNDS_REPORT),

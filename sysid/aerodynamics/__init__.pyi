@@ -16,6 +16,7 @@ from .polynomial import term_name as term_name
 from .residuals import Cutoffs as Cutoffs
 from .residuals import Model as Model
 from .residuals import Prediction as Prediction
+from .residuals import ResidualPiece as ResidualPiece
 from .residuals import Residuals as Residuals
 from .residuals import residual_coefficients as residual_coefficients
 from .residuals import together as together
@@ -31,6 +32,12 @@ from .segmentation import MIN_S as MIN_S
 from .segmentation import Piece as Piece
 from .segmentation import as_logged as as_logged
 from .segmentation import cut as cut
+from .sensor_noise import autocorrelation as autocorrelation
+from .sensor_noise import cosine_variance as cosine_variance
+from .sensor_noise import noise_cosines as noise_cosines
+from .sensor_noise import noise_variance as noise_variance
+from .sensor_noise import with_noise_of as with_noise_of
+from .sensor_noise import with_sensor_noise as with_sensor_noise
 from .terms import COEFFICIENTS as COEFFICIENTS
 from .terms import regressor as regressor
 from .terms import split_name as split_name

@@ -52,7 +52,7 @@ def smooth(values: FloatArray, dt_s: float, cutoff_hz: float = CUTOFF_HZ, deriva
     """
     n, widest = len(values), half_width(dt_s, cutoff_hz)
     out = np.empty(np.shape(values))
-    inner = [_kernel(m, dt_s, derivative) for m in range(widest + 1)]
+    inner = [kernel(m, dt_s, derivative) for m in range(widest + 1)]
     if n > 2 * widest:
         windows = np.lib.stride_tricks.sliding_window_view(values, 2 * widest + 1, axis=0)
         out[widest : n - widest] = windows @ inner[widest]
@@ -67,7 +67,8 @@ def smooth(values: FloatArray, dt_s: float, cutoff_hz: float = CUTOFF_HZ, deriva
     return out
 
 
-def _kernel(m: int, dt_s: float, derivative: int) -> FloatArray:
+def kernel(m: int, dt_s: float, derivative: int = 0) -> FloatArray:
+    """(2 m + 1,) weights of the smoother, or of the differentiator [1/s], over m samples to either side."""
     at = np.arange(-m, m + 1)
     if m == 0:
         return np.ones(1)

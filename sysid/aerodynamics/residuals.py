@@ -8,7 +8,8 @@ that the difference is later regressed on.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from sysid.record import FlightRecord
 
 FloatArray = NDArray[np.float64]
 AIRSPEED_CUTOFF_HZ = 2.0
+Way = Literal["smoothed", "differentiated", "both"]
 
 
 @dataclass(frozen=True)
@@ -57,13 +59,51 @@ class Cutoffs:
 
 
 @dataclass(frozen=True)
+class Passage:
+    """One way of a channel's noise into the residual coefficients.
+
+    way                 smoothed, differentiated, or both one after the other
+    gain (n, 6)         of each coefficient, per standard deviation of the channel's noise
+    weights (2 m + 1,)  of the filter on that way       spread  relative standard deviation of the noise's presumed size
+    """
+
+    channel: str
+    way: Way
+    gain: FloatArray
+    weights: tuple[float, ...]
+    spread: float
+
+
+@dataclass(frozen=True)
+class PieceNoise:
+    """Sensor noise of the ``n`` samples of a piece (`sensor_noise` makes it).
+
+    passages  all ways into the coefficients        states  state -> standard deviation of its channel's noise, and filter weights
+    """
+
+    passages: tuple[Passage, ...]
+    states: Mapping[str, tuple[float, tuple[float, ...]]]
+    n: int
+
+    def rows(self, rows: slice) -> PieceNoise:
+        """Of some of the samples."""
+        passages = tuple(replace(p, gain=p.gain[rows]) for p in self.passages)
+        return PieceNoise(passages, self.states, len(range(*rows.indices(self.n))))
+
+
+@dataclass(frozen=True)
 class ResidualPiece:
-    """One piece without a gap: time_s (n,), delta (n, 6) in the order of COEFFICIENTS, states by name (n,) each, all filtered."""
+    """One piece without a gap: time_s (n,), delta (n, 6) in the order of COEFFICIENTS, states by name (n,) each, all filtered.
+
+    flight: number of the flight it comes from, of those put together. noise: of the sensors, where it was asked for.
+    """
 
     label: str
     time_s: FloatArray
     delta: FloatArray
     states: Mapping[str, FloatArray]
+    flight: int = 0
+    noise: PieceNoise | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -162,7 +202,8 @@ def steady_airspeed(record: FlightRecord, cutoff_hz: float) -> FlightRecord:
 
 
 def together(parts: Sequence[Residuals]) -> Residuals:
-    """Several flights' residuals as one. Raises ValueError when they have passed different filters."""
+    """Several flights' residuals as one, pieces numbered by flight. Raises ValueError when they have passed different filters."""
     if len({r.cutoffs for r in parts}) > 1:
         raise ValueError("residuals of different cut-offs cannot be put together")
-    return Residuals(tuple(p for r in parts for p in r.pieces), parts[0].dt_s, parts[0].cutoffs)
+    pieces = tuple(replace(p, flight=k) for k, r in enumerate(parts) for p in r.pieces)
+    return Residuals(pieces, parts[0].dt_s, parts[0].cutoffs)

@@ -74,7 +74,8 @@ def choose(
 
 
 def _half_width(bounds: CoefficientBounds, X: FloatArray, M: FloatArray, n: float) -> float:
-    f = bounds.leverage_factor
-    t = stats.t.ppf(0.5 + 0.5 * bounds.confidence, n / f - len(bounds.terms))
+    t = bounds.t
+    if bounds.parts is None:
+        t = float(stats.t.ppf(0.5 + 0.5 * bounds.confidence, n / bounds.leverage_factor - len(bounds.terms)))
     h = np.einsum("ni,in->n", X, np.linalg.solve(M, X.T))
-    return float(t * np.mean(np.sqrt(bounds.s2 * (1.0 + f * h))))  # (2.18)
+    return float(np.mean(bounds.half_width(h, t)))

@@ -7,6 +7,9 @@ from .fit import FittedBounds as FittedBounds
 from .fit import default_designs as default_designs
 from .fit import fit_bounds as fit_bounds
 from .fit import with_walk_rates as with_walk_rates
+from .judgement import HOLDS_FROM as HOLDS_FROM
+from .judgement import Verdict as Verdict
+from .judgement import verdict as verdict
 from .missing_terms import MissingTerm as MissingTerm
 from .model_form import AircraftReference as AircraftReference
 from .model_form import CoefficientBounds as CoefficientBounds
@@ -14,6 +17,7 @@ from .model_form import Filtering as Filtering
 from .model_form import FlightUsed as FlightUsed
 from .model_form import ModelForm as ModelForm
 from .model_form import Outside as Outside
+from .model_form import Parts as Parts
 from .model_form import read_model_form as read_model_form
 from .noise_floor import NOISY as NOISY
 from .noise_floor import floor_of as floor_of

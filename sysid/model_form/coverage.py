@@ -8,10 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics import Residuals
+from sysid.aerodynamics import COEFFICIENTS, ResidualPiece, Residuals, noise_variance
 from sysid.estimation import effective_samples, integral_time
-from sysid.model_form.fit import Design, FitOptions, fit_bounds
+from sysid.model_form.blocks import stretches
+from sysid.model_form.fit import Design, FitOptions, FittedBounds, fit_bounds, with_components
+from sysid.model_form.judgement import Bin, Conformal, bins, conformal
 from sysid.model_form.model_form import CoefficientBounds, ModelForm, Outside
+from sysid.model_form.regressor_states import quiet
 
 FloatArray = NDArray[np.float64]
 LEVELS = (0.95, 0.68)
@@ -24,8 +27,10 @@ class Coverage:
 
     share, error   level -> share of samples within the bounds of that confidence; its standard error, autocorrelation counted
     n, n_effective samples, and independent ones they are worth (of the residual about the interval's middle)
-    mean_width     of the 95 % bounds        outside  share of samples outside the data's hull
+    mean_width     of the 95 % bounds, without the sensors' noise        outside  share of samples outside the data's hull
     manoeuvres     label -> level -> share
+    speeds, incidences  shares at the 95 % level in thirds of the flight's airspeed and angle of attack
+    conformal      factor by which the 95 % bounds must be widened, by what manoeuvres show
     """
 
     share: Mapping[float, float]
@@ -35,10 +40,18 @@ class Coverage:
     mean_width: float
     outside: float
     manoeuvres: Mapping[str, Mapping[float, float]]
+    speeds: tuple[Bin, ...] = ()
+    incidences: tuple[Bin, ...] = ()
+    conformal: Conformal | None = None
 
 
 def coverage(form: ModelForm, residuals: Residuals, levels: Sequence[float] = LEVELS) -> dict[str, Coverage]:
-    """Coverage of a form on a flight's residuals, filtered as the form's own were. Raises KeyError for a missing state."""
+    """Coverage of a form on a flight's residuals, filtered as the form's own were. Raises KeyError for a missing state.
+
+    Samples are measured: where the form keeps noise apart, that of the flight's own sensors is added to the interval.
+    """
+    if any(b.parts is not None for b in form.coefficients.values()):
+        residuals = quiet(residuals)
     return {c: _of(c, b, form.outside, residuals, levels) for c, b in form.coefficients.items()}
 
 
@@ -46,7 +59,7 @@ def _of(coefficient: str, bounds: CoefficientBounds, outside: Outside, residuals
     y = residuals.columns(coefficient)
     inside: dict[float, list[FloatArray]] = {}
     for level in levels:
-        ends = [bounds.bounds(p.states, level, outside) for p in residuals.pieces]
+        ends = [measured_bounds(bounds, coefficient, p, level, outside) for p in residuals.pieces]
         inside[level] = [((v >= low) & (v <= high)).astype(float) for v, (low, high) in zip(y, ends, strict=True)]
     share = {level: float(np.concatenate(rows).mean()) for level, rows in inside.items()}
     middle = [0.5 * np.add(*bounds.interval(p.states, None, outside)) for p in residuals.pieces]
@@ -66,7 +79,28 @@ def _of(coefficient: str, bounds: CoefficientBounds, outside: Outside, residuals
             }
             for label in residuals.labels
         },
+        speeds=bins(residuals, "V_mps", inside[0.95]) if 0.95 in inside else (),
+        incidences=bins(residuals, "alpha_rad", inside[0.95]) if 0.95 in inside else (),
+        conformal=conformal(told_apart(residuals).pieces, [_stretch(bounds, coefficient, p, outside) for p in residuals.pieces]),
     )
+
+
+def _stretch(bounds: CoefficientBounds, coefficient: str, piece: ResidualPiece, outside: Outside) -> FloatArray:
+    """(n,) by what factor the 95 % bounds of measured samples must be widened about zero to hold each sample."""
+    lower, upper = measured_bounds(bounds, coefficient, piece, 0.95, outside)
+    y = piece.delta[:, COEFFICIENTS.index(coefficient)]
+    end = np.where(y >= 0.0, upper, -lower)
+    return np.abs(y) / np.maximum(end, np.finfo(float).tiny)
+
+
+def measured_bounds(
+    bounds: CoefficientBounds, coefficient: str, piece: ResidualPiece, confidence: float | None, outside: Outside
+) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper end (n,) of the interval for a piece's measured samples, its sensors' noise and all."""
+    noise = np.zeros(len(piece))
+    if piece.noise is not None:
+        noise = noise_variance(piece.noise)[:, COEFFICIENTS.index(coefficient)]
+    return bounds.sample_interval(piece.states, noise, confidence, outside)
 
 
 def share_error(inside: Sequence[FloatArray]) -> float:
@@ -91,26 +125,40 @@ def told_apart(residuals: Residuals) -> Residuals:
 
 
 def leave_one_out(
-    residuals: Residuals, designs: Mapping[str, Design], options: FitOptions, outside: Outside = "grow"
-) -> dict[str, dict[str, float]]:
+    residuals: Residuals, designs: Mapping[str, Design], options: FitOptions, outside: Outside = "grow",
+    fitted: Mapping[str, FittedBounds] | None = None,
+) -> dict[str, dict[str, float]]:  # fmt: skip
     """Manoeuvre -> coefficient -> share of its samples within the bounds that the other manoeuvres give.
 
     A share far below the confidence says that the manoeuvre holds something that the others do not. NaN where the rest is too
     short for a fit. Where all pieces have one name, BLOCKS stretches of the flight stand for manoeuvres; empty for a single piece.
+    fitted: what `fit_bounds` made of the same residuals.
     """
     out: dict[str, dict[str, float]] = {}
     residuals = told_apart(residuals)
     if len(residuals.labels) < 2:
         return out
+    whole = dict(fitted) if fitted is not None else fit_bounds(residuals, designs, options)
+    blocks = [p.label for p in stretches(residuals).pieces]
     for label in residuals.labels:
-        rest = residuals.only([other for other in residuals.labels if other != label])
         left_out = residuals.only([label])
         try:
-            fitted = fit_bounds(rest, designs, options)
+            others = {c: _without(f, [k for k, name in enumerate(blocks) if name == label]) for c, f in whole.items()}
+            if not all(others.values()):
+                rest = residuals.only([other for other in residuals.labels if other != label])
+                others = {c: f.bounds for c, f in fit_bounds(rest, designs, options).items()}
         except ValueError:
             out[label] = dict.fromkeys(designs, float("nan"))
             continue
         out[label] = {
-            c: _of(c, f.bounds, outside, left_out, [options.confidence]).share[options.confidence] for c, f in fitted.items()
+            c: _of(c, b, outside, left_out, [options.confidence]).share[options.confidence] for c, b in others.items() if b
         }
     return out
+
+
+def _without(fitted: FittedBounds, blocks: Sequence[int]) -> CoefficientBounds | None:
+    """The interval of the other blocks; None where only another fit tells."""
+    if fitted.separation is None or fitted.bounds.parts is None:
+        return None
+    presumed = fitted.bounds.parts.noise / fitted.bounds.parts.noise_scale
+    return with_components(fitted.bounds, fitted.separation.without(blocks), presumed)

@@ -1,5 +1,9 @@
 """From residual coefficients to intervals: regression on polynomials of flight states (dissertation eqs 2.17, 2.18).
 
+Where the pieces know their sensor noise, model error is taken apart from it (components.py): what persists through a manoeuvre or
+a flight, what comes and goes within one, and noise, which belongs to the sensors and to no bounds. ``noise = "inside"`` keeps the
+published interval, of measured samples, noise and all.
+
 The published interval counts every sample as news. Residuals sampled at 50 Hz and filtered at some hertz are not: n samples are
 worth n/tau independent ones, tau their integral time (autocorrelation.py). By default the degrees of freedom, the residual
 variance and the leverage's weight are those of the independent ones; ``samples = "all"`` is the published way.
@@ -15,10 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from sysid.aerodynamics import COEFFICIENTS, Residuals, Term, full_polynomial, regressors, stack, term_name
+from sysid.aerodynamics import COEFFICIENTS, Residuals, Term, full_polynomial, noise_variance, regressors, stack, term_name
 from sysid.estimation import effective_samples
 from sysid.estimation.stepwise import stepwise
-from sysid.model_form.model_form import CoefficientBounds, Hull
+from sysid.model_form.blocks import blocks_of, stretches
+from sysid.model_form.components import STRONG, Components, Separation, separate
+from sysid.model_form.model_form import CoefficientBounds, Hull, Parts
+from sysid.model_form.regressor_states import quiet
 
 FloatArray = NDArray[np.float64]
 LONGITUDINAL = ("V_mps", "alpha_rad", "q_radps", "theta_rad")
@@ -51,20 +58,28 @@ def default_designs() -> dict[str, Design]:
 
 @dataclass(frozen=True)
 class FitOptions:
-    """confidence of the interval; samples: how autocorrelation counts; select: all terms, or those a statistic asks for."""
+    """confidence of the interval; samples: how autocorrelation counts; select: all terms, or those a statistic asks for.
+
+    noise: "apart" leaves the sensors' noise out of the intervals, where the residuals know it; "inside" is the published way.
+    """
 
     confidence: float = 0.95
     samples: Literal["effective", "all"] = "effective"
     select: Literal["full", "stepwise"] = "full"
+    noise: Literal["apart", "inside"] = "apart"
 
 
 @dataclass(frozen=True)
 class FittedBounds:
-    """An interval, what is left of the residual in each piece (flight minus fit, [(n,)]), and what was done about its terms."""
+    """An interval, what is left of the residual in each piece (flight minus fit, [(n,)]), and what was done about its terms.
+
+    separation: of model error from noise, block by block of `stretches`; None where noise is inside the interval.
+    """
 
     bounds: CoefficientBounds
     left: list[FloatArray]
     notes: tuple[str, ...] = field(default=())
+    separation: Separation | None = None
 
 
 def fit_bounds(
@@ -77,6 +92,10 @@ def fit_bounds(
     (X'X)^-1.
     """
     designs, options = designs or default_designs(), options or FitOptions()
+    apart = options.noise == "apart" and all(p.noise is not None for p in residuals.pieces)
+    if apart:
+        # Noise that is in a state and in the residual alike would pass for a function of that state.
+        residuals = quiet(residuals)
     states = residuals.states
     wanted = dict.fromkeys(s for d in designs.values() for s in d.states)
     missing = [s for s in wanted if s not in states]
@@ -85,7 +104,8 @@ def fit_bounds(
     scaling = {}
     for name in wanted:
         scaling[name] = (float(states[name].mean()), max(float(states[name].std()), _still(name)))
-    return {c: _fit(residuals, c, d, scaling, options) for c, d in designs.items()}
+    fit = _fit_apart if apart else _fit
+    return {c: fit(residuals, c, d, scaling, options) for c, d in designs.items()}
 
 
 def _moving(
@@ -132,6 +152,56 @@ def _fit(
         f"{coefficient}: {n} samples are worth {n_effective:.0f} independent ones, at least {MIN_SAMPLES_PER_TERM:g} a term are "
         "needed; fly longer or choose fewer terms"
     )
+
+
+def _fit_apart(
+    residuals: Residuals, coefficient: str, design: Design, scaling: Mapping[str, tuple[float, float]], options: FitOptions
+) -> FittedBounds:  # fmt: skip
+    """The interval of the model's error alone. Its prior holds the polynomial finite: no flight is too short for its order."""
+    open_terms, said_of_states = _moving(coefficient, design, scaling)
+    asked = open_terms if open_terms is not None else full_polynomial(len(design.states), design.order)
+    terms, said = _chosen(residuals, coefficient, design, asked, scaling, options)
+    blocks = stretches(residuals)
+    x = _design_matrix(blocks, design, terms, scaling)
+    separation = separate(blocks_of(blocks, coefficient, _parts(x, blocks)))
+    found = separation.components()
+    left = [y - part @ found.beta for y, part in zip(residuals.columns(coefficient), _parts(x, residuals), strict=True)]
+    n = len(x)
+    n_effective = effective_samples(left)
+    s2 = sum(float(e @ e) for e in left) / n
+    noise = np.concatenate([noise_variance(p.noise)[:, COEFFICIENTS.index(coefficient)] for p in residuals.pieces if p.noise])
+    bounds = CoefficientBounds(
+        states=design.states, centre=np.array([scaling[s][0] for s in design.states]),
+        scale=np.array([scaling[s][1] for s in design.states]), terms=terms, beta_hat=found.beta,
+        XtX_inv=found.covariance * n_effective / (n * s2), s2=s2, dof=found.lasting.dof, t=1.0, confidence=options.confidence,
+        leverage_factor=n / n_effective, n=n, n_effective=n_effective, walk_rate=float("nan"),
+        hull=_hull(stack(residuals.states, design.states), 0.0),
+    )  # fmt: skip
+    bounds = with_components(bounds, found, float(np.sqrt(noise.mean())))
+    leverage = float(np.einsum("ni,ij,nj->n", x, bounds.XtX_inv, x).max())
+    return FittedBounds(replace(bounds, hull=replace(bounds.hull, leverage=leverage)), left, (*said_of_states, *said), separation)
+
+
+def with_components(bounds: CoefficientBounds, found: Components, noise: float) -> CoefficientBounds:
+    """The interval with other components of the same terms; noise: rms of the sensors' in the samples as presumed [-]."""
+    parts = Parts(
+        persistent=float(np.sqrt(found.persistent)), transient=float(np.sqrt(found.transient)),
+        flight=float(np.sqrt(found.flight)), transient_time_s=found.time_s, noise=found.noise_factor * noise,
+        noise_scale=found.noise_factor, total_dof=found.whole.dof, total_t=found.whole.quantile(bounds.confidence) * found.tail,
+        not_above=found.not_above, found=found.log_odds >= STRONG,
+    )  # fmt: skip
+    return replace(
+        bounds, beta_hat=found.beta, XtX_inv=found.covariance / (bounds.s2 * bounds.leverage_factor), dof=found.lasting.dof,
+        t=found.lasting.quantile(bounds.confidence), walk_rate=parts.transient_rate_per_sqrt_s, parts=parts,
+    )  # fmt: skip
+
+
+def _parts(x: FloatArray, residuals: Residuals) -> list[FloatArray]:
+    return list(np.split(x, np.cumsum(residuals.lengths)[:-1]))
+
+
+def _hull(states: FloatArray, leverage: float) -> Hull:
+    return Hull(states.min(axis=0), states.max(axis=0), leverage, np.percentile(states, [25, 50, 75], axis=0).T)
 
 
 def _design_matrix(
@@ -194,13 +264,10 @@ def _bounds(
         scale=np.array([scaling[s][1] for s in design.states]), terms=terms, beta_hat=beta, XtX_inv=inverse @ inverse.T,
         s2=s2, dof=float(dof), t=float(stats.t.ppf(0.5 + 0.5 * options.confidence, dof)), confidence=options.confidence,
         leverage_factor=n / n_effective, n=n, n_effective=n_effective, walk_rate=float("nan"),
-        hull=Hull(
-            states.min(axis=0), states.max(axis=0), float(np.max(np.sum(q**2, axis=1))),
-            np.percentile(states, [25, 50, 75], axis=0).T,
-        ),
+        hull=_hull(states, float(np.max(np.sum(q**2, axis=1)))),
     )  # fmt: skip
 
 
 def with_walk_rates(fitted: Mapping[str, FittedBounds], rates: Mapping[str, float]) -> dict[str, CoefficientBounds]:
-    """The intervals with their rates of variation [1/sqrt(s)]."""
-    return {c: replace(f.bounds, walk_rate=rates[c]) for c, f in fitted.items()}
+    """The intervals with their rates of variation [1/sqrt(s)]; one with parts keeps that of its transient part."""
+    return {c: f.bounds if f.bounds.parts else replace(f.bounds, walk_rate=rates[c]) for c, f in fitted.items()}

@@ -11,8 +11,9 @@ model's own coefficient, body axes, SI (CZ down). f is 1 as published; above 1 w
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,7 +29,9 @@ from sysid.foreign.regular_files import read_regular
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-FORMAT = "model-form 1"
+FORMAT = "model-form 2"
+WITHOUT_PARTS = "model-form 1"
+"""Format of files whose intervals are not separated into parts; they are read as well."""
 Outside = Literal["grow", "clamp"]
 _ROUNDING = 1e-9  # of a hull's edge: a sample on the edge lies inside, whatever the last digits say
 
@@ -49,14 +52,57 @@ class Hull:
 
 
 @dataclass(frozen=True)
+class Parts:
+    """What the difference between flight and model consists of beside the polynomial; standard deviations [-].
+
+    persistent        constant through a manoeuvre, of all flights       transient    comes and goes within a manoeuvre
+    flight            part of ``persistent`` that is common to a flight; NaN: not estimable, there was one flight
+    transient_time_s  correlation time of the transient part; NaN where there is none
+    noise             of the sensors, in the data's samples (rms)        noise_scale  their size over what was presumed
+    total_dof, total_t  degrees of freedom and two-sided quantile of persistent and transient part together
+    not_above         upper 95 % limit of the root of persistent plus transient variance
+    found             whether the data show any model error: polynomial, persistent or transient
+    """
+
+    persistent: float
+    transient: float
+    flight: float
+    transient_time_s: float
+    noise: float
+    noise_scale: float
+    total_dof: float
+    total_t: float
+    not_above: float
+    found: bool
+
+    @property
+    def transient_half_width(self) -> float:
+        """Half-width of a uniform distribution with the transient part's standard deviation [-]."""
+        return math.sqrt(3.0) * self.transient
+
+    @property
+    def transient_rate_per_sqrt_s(self) -> float:
+        """Rate [1/sqrt(s)] of a walk between reflecting ends 0 and 1 whose correlation time is the transient part's.
+
+        The slowest mode of such a walk decays with rate**2 pi**2 / 2. 0 where there is no transient part.
+        """
+        if not self.transient_time_s > 0.0:
+            return 0.0
+        return math.sqrt(2.0) / (math.pi * math.sqrt(self.transient_time_s))
+
+
+@dataclass(frozen=True)
 class CoefficientBounds:
     """The interval of one coefficient.
+
+    With ``parts`` it is that of the model's error which persists: y(x) +/- t sqrt(persistent**2 + s2 f x' (X'X)^-1 x).
 
     states (k,)          record columns, units as named         centre, scale (k,)  z = (x - centre)/scale
     terms (m,)           powers of z                            beta_hat (m,), XtX_inv (m, m)  over the terms
     s2, dof, t           residual variance, degrees of freedom, two-sided quantile of Student's t at ``confidence``
     leverage_factor      f above        n, n_effective  samples, and how many independent ones they are worth
     walk_rate            1/sqrt(s), of the interval's width; NaN (null in the file) where the flight is too short
+    parts                model error apart from noise; None: not separated, the interval holds the sensors' noise as published
     hull                 where the data are
     """
 
@@ -75,6 +121,16 @@ class CoefficientBounds:
     n_effective: float
     walk_rate: float
     hull: Hull
+    parts: Parts | None = None
+
+    @property
+    def constant_variance(self) -> float:
+        """What the interval's variance is where the polynomial is known: persistent model error; the residual's without parts."""
+        return self.s2 if self.parts is None else self.parts.persistent**2
+
+    def half_width(self, leverage: FloatArray, t: float) -> FloatArray:
+        """(n,) half-width of the interval at leverages (n,)."""
+        return np.asarray(t * np.sqrt(self.constant_variance + self.s2 * self.leverage_factor * leverage))  # (2.18)
 
     def normalised(self, states: Mapping[str, FloatArray], outside: Outside = "grow") -> FloatArray:
         """(n, k) z of the states; with ``clamp`` each state goes no further than the data's box."""
@@ -90,7 +146,14 @@ class CoefficientBounds:
 
     def t_at(self, confidence: float) -> float:
         """Two-sided quantile of Student's t with ``dof`` degrees of freedom."""
-        return self.t if confidence == self.confidence else float(stats.t.ppf(0.5 + 0.5 * confidence, self.dof))
+        return self._quantile(confidence, self.t, self.dof)
+
+    def _quantile(self, confidence: float, t: float, dof: float) -> float:
+        """``t`` is that at the form's confidence; at another one a Student distribution's, in proportion where parts are kept."""
+        if confidence == self.confidence:
+            return t
+        asked, known = (float(stats.t.ppf(0.5 + 0.5 * level, dof)) for level in (confidence, self.confidence))
+        return asked if self.parts is None else t * asked / known
 
     def interval(
         self, states: Mapping[str, FloatArray], confidence: float | None = None, outside: Outside = "grow"
@@ -99,8 +162,26 @@ class CoefficientBounds:
         z = self.normalised(states, outside)
         t = self.t if confidence is None else self.t_at(confidence)
         y = regressors(z, self.terms) @ self.beta_hat  # (2.17)
-        half = t * np.sqrt(self.s2 * (1.0 + self.leverage_factor * self.leverage(z)))  # (2.18)
+        half = self.half_width(self.leverage(z), t)
         return y - half, y + half
+
+    def sample_interval(
+        self, states: Mapping[str, FloatArray], noise_variance: FloatArray, confidence: float | None = None,
+        outside: Outside = "grow",
+    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        """Lower <= 0 <= upper (n,) for one measured sample: model error, persistent and transient, and the sensors' noise.
+
+        noise_variance (n,): of the samples; it counts only where the interval has parts, others hold the noise already.
+        """
+        if self.parts is None:
+            return self.bounds(states, confidence, outside)
+        p = self.parts
+        z = self.normalised(states, outside)
+        t = p.total_t if confidence is None else self._quantile(confidence, p.total_t, p.total_dof)
+        y = regressors(z, self.terms) @ self.beta_hat
+        known = self.s2 * self.leverage_factor * self.leverage(z)
+        half = t * np.sqrt(known + p.persistent**2 + p.transient**2 + noise_variance)
+        return np.minimum(y - half, 0.0), np.maximum(y + half, 0.0)
 
     def bounds(
         self, states: Mapping[str, FloatArray], confidence: float | None = None, outside: Outside = "grow"
@@ -187,13 +268,19 @@ class ModelForm:
 
     def to_json(self) -> str:
         """The file's text; the same form gives the same bytes."""
-        document: dict[str, Any] = {"format": FORMAT, **asdict(self)}
+        parted = any(bounds.parts is not None for bounds in self.coefficients.values())
+        document: dict[str, Any] = {"format": FORMAT if parted else WITHOUT_PARTS, **asdict(self)}
         if not np.isfinite(self.filtering.airspeed_cutoff_hz):
             document["filtering"]["airspeed_cutoff_hz"] = None
         for name, bounds in self.coefficients.items():
             row = document["coefficients"][name]
             row["terms"] = [term_name(t, bounds.states) for t in bounds.terms]
             row["walk_rate"] = bounds.walk_rate if np.isfinite(bounds.walk_rate) else None
+            if bounds.parts is None:
+                del row["parts"]
+                continue
+            for key in ("flight", "transient_time_s"):
+                row["parts"][key] = row["parts"][key] if np.isfinite(row["parts"][key]) else None
         return json.dumps(document, indent=1, default=_plain, allow_nan=False) + "\n"
 
     def write(self, path: Path) -> None:
@@ -243,9 +330,10 @@ def read_model_form(path: Path) -> ModelForm:
         raise LogError(f"cannot be read: {error.strerror or error}", path) from None
     except ParseError as error:
         raise LogError(str(error), path, None if error.line is None else f"line {error.line}") from None
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
+    if not isinstance(document, dict) or document.get("format") not in (FORMAT, WITHOUT_PARTS):
         found = document.get("format") if isinstance(document, dict) else type(document).__name__
-        raise LogError(f"is no model form: format is {found!r}, '{FORMAT}' is read; make one with `uqharness bounds`", path)
+        read = f"'{FORMAT}' and '{WITHOUT_PARTS}' are read"
+        raise LogError(f"is no model form: format is {found!r}, {read}; make one with `uqharness bounds`", path)
     where = ""
     try:
         coefficients = {}
@@ -314,6 +402,7 @@ def _coefficient(name: str, row: Mapping[str, Any]) -> CoefficientBounds:
         hull=Hull(_array(hull, "low", k), _array(hull, "high", k), float(hull["leverage"]), _array(hull, "middle", k, 3)),
         n=int(row["n"]), walk_rate=float("nan") if row["walk_rate"] is None else float(row["walk_rate"]),
         **{key: float(row[key]) for key in ("s2", "dof", "t", "confidence", "leverage_factor", "n_effective")},
+        parts=None if row.get("parts") is None else _parts(row["parts"]),
     )  # fmt: skip
     numbers = {key: getattr(out, key) for key in ("s2", "dof", "t", "confidence", "leverage_factor", "n_effective")}
     infinite = [key for key, value in {**numbers, "leverage": out.hull.leverage}.items() if not np.isfinite(value)]
@@ -322,6 +411,23 @@ def _coefficient(name: str, row: Mapping[str, Any]) -> CoefficientBounds:
     if not (out.s2 >= 0.0 and out.t > 0.0 and 0.0 < out.confidence < 1.0 and np.all(out.scale > 0.0)):
         raise ValueError("s2 must not be negative; t, confidence and scale must be above 0, confidence below 1")
     return out
+
+
+def _parts(row: Mapping[str, Any]) -> Parts:
+    if not isinstance(row["found"], bool):
+        raise ValueError("parts: found must be true or false")
+    values = {f.name: float("nan") if row[f.name] is None else float(row[f.name]) for f in fields(Parts) if f.name != "found"}
+    parts = Parts(found=row["found"], **values)
+    unknown = [key for key, value in values.items() if key not in ("flight", "transient_time_s") and not np.isfinite(value)]
+    if unknown:
+        raise ValueError(f"parts: {', '.join(unknown)} must be a finite number")
+    if min(parts.persistent, parts.transient, parts.noise, parts.noise_scale, parts.not_above) < 0.0:
+        raise ValueError("parts: no standard deviation may be negative")
+    if not (parts.total_dof > 2.0 and parts.total_t > 0.0):
+        raise ValueError("parts: total_dof must be above 2 and total_t above 0")
+    if parts.transient > 0.0 and not parts.transient_time_s > 0.0:
+        raise ValueError("parts: a transient part needs a transient_time_s above 0")
+    return parts
 
 
 def _array(row: Mapping[str, Any], key: str, *shape: int) -> FloatArray:

@@ -79,15 +79,20 @@ def after(bounds: CoefficientBounds, more: Sequence[Information], scatter: float
         np.min([bounds.hull.low, *(item.low for item in more)], axis=0),
         np.max([bounds.hull.high, *(item.high for item in more)], axis=0),
     )
-    return replace(
-        bounds, XtX_inv=0.5 * (C + C.T), s2=bounds.s2 * (bounds.n + scatter * added) / n, n=round(n),
-        n_effective=n_effective, dof=dof, t=float(stats.t.ppf(0.5 + 0.5 * bounds.confidence, dof)),
-        hull=replace(bounds.hull, low=low, high=high),
-    )  # fmt: skip
+    more_known = replace(
+        bounds, XtX_inv=0.5 * (C + C.T), n=round(n), n_effective=n_effective, hull=replace(bounds.hull, low=low, high=high)
+    )
+    if bounds.parts is not None:
+        # What persists and how sure that is are the model's; samples alone do not change them, and noise is in no width.
+        return more_known
+    t = float(stats.t.ppf(0.5 + 0.5 * bounds.confidence, dof))
+    return replace(more_known, s2=bounds.s2 * (bounds.n + scatter * added) / n, dof=dof, t=t)
 
 
 def for_ever(bounds: CoefficientBounds) -> CoefficientBounds:
-    """The limit of endless data: no parameter part left, s2 as it is."""
+    """The limit of endless data: no parameter part left, all else as it is."""
+    if bounds.parts is not None:
+        return replace(bounds, XtX_inv=np.zeros_like(bounds.XtX_inv))
     t = float(stats.norm.ppf(0.5 + 0.5 * bounds.confidence))
     return replace(bounds, XtX_inv=np.zeros_like(bounds.XtX_inv), dof=float("inf"), t=t)
 
@@ -107,8 +112,11 @@ def width(bounds: CoefficientBounds, states: Mapping[str, FloatArray], outside: 
 def belief(bounds: CoefficientBounds) -> tuple[FloatArray, FloatArray]:
     """Mean (m,) and covariance (m, m) of beta: beta_hat is N(beta, f s2 C), beta is N(0, v I), v where beta_hat is likeliest.
 
-    Terms are of normalised states, so that one size for all of them has a meaning.
+    Terms are of normalised states, so that one size for all of them has a meaning. Where model error was taken apart from noise,
+    beta_hat and its covariance are a posterior already.
     """
+    if bounds.parts is not None:
+        return bounds.beta_hat, bounds.leverage_factor * bounds.s2 * bounds.XtX_inv
     S = bounds.leverage_factor * bounds.s2 * bounds.XtX_inv
     values, vectors = np.linalg.eigh(0.5 * (S + S.T))
     values = np.maximum(values, 0.0)
@@ -135,7 +143,7 @@ def expected_width(
     kept = thinned(states, now.states, _MAX_STATES)
     z = then.normalised(kept, outside)
     X = regressors(z, then.terms)
-    half = then.t * np.sqrt(then.s2 * (1.0 + then.leverage_factor * then.leverage(z)))
+    half = then.half_width(then.leverage(z), then.t)
     mean, covariance = belief(now)
     if then.XtX_inv.any():
         M = np.linalg.inv(now.XtX_inv)

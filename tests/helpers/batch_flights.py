@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.helpers.batch_flyers import flyer_of
 from tests.helpers.batch_systems import Series
 from uqharness.batch.form.flying import Feed, begun, slot
-from uqharness.batch.form.interpret import Interpreter
 from uqharness.batch.form.program import Program, Stream
 from uqharness.batch.lanes.mission import constant_properties, initial_values
 from uqharness.batch.lanes.streams import Turbulence
@@ -140,7 +140,7 @@ def flown(
     program: Program, values: Mapping[str, np.ndarray], frames: int, feeds: Mapping[str, Feed] | None = None, first: int = 1
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """The slots of one lane behind ``frames`` frames, and the records (records, frames)."""
-    flyer = Interpreter(program)
+    flyer = flyer_of(program, frames)
     state = begun(flyer.program, 1, {name: value for name, value in values.items() if name in flyer.program.slots})
     records = flyer.fly(state, first, frames, feeds)
     return {name: slot(flyer.program, state, name, 1) for name in flyer.program.slots}, records[:, 0]

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from tests.helpers.batch_flyers import flyer_of
 from tests.helpers.batch_systems import Pair, flown_once, values_of
 from uqharness.batch.form.flying import Feed, begun
-from uqharness.batch.form.interpret import Interpreter
 from uqharness.batch.form.ir import Value
 from uqharness.batch.form.program import Stream
 from uqharness.batch.translate.channels import System, Systems
@@ -118,7 +118,7 @@ def _by_translation(traced: Sequence[Frame], given: list[str], made: list[str], 
     for frame, row in zip(traced[:2], (theirs.first, theirs.inputs[0]), strict=True):
         state.update(zip(given, row.tolist(), strict=True))
         state.update(flown_once(frame.program(()), state))
-    flyer = Interpreter(traced[2].program(made, [Stream("given", tuple(given))]))
+    flyer = flyer_of(traced[2].program(made, [Stream("given", tuple(given))]), len(theirs.inputs) - 1)
     held = begun(flyer.program, 1, {name: value for name, value in state.items() if name in flyer.program.slots})
     table = np.ascontiguousarray(theirs.inputs[1:])
     records = flyer.fly(held, 1, len(table), {"given": Feed(table, 0, np.zeros(1, dtype=np.int64))})

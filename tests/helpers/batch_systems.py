@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tests.helpers import batch_oracle as oracle
+from tests.helpers.batch_flyers import flyer_of
 from uqharness.batch.form.flying import Feed, begun, slot
 from uqharness.batch.form.interpret import Interpreter
 from uqharness.batch.form.program import Program, Stream
@@ -107,7 +108,7 @@ def run(frames: Sequence[Frame], inputs: Series, records: Sequence[str], draws: 
         feeds["draws"] = Feed(series, 0, np.zeros(1, dtype=np.int64))
     begin = {name: state.get(name, flight.values[name]) for name in records}
     feeds["inputs"] = Feed(np.ascontiguousarray(table[1:]), 0, np.zeros(1, dtype=np.int64))
-    flyer = Interpreter(flight.program(records, streams))
+    flyer = flyer_of(flight.program(records, streams), rows - 1)
     held = begun(flyer.program, 1, {k: v for k, v in state.items() if k in flyer.program.slots})
     made = flyer.fly(held, 1, rows - 1, feeds)
     return {name: np.concatenate([[begin[name]], made[k, 0]]) for k, name in enumerate(flyer.program.records)}

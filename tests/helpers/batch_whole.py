@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from tests.helpers.model_forms import made_up_form
+from sysid.model_form.model_form import Outside
+from tests.helpers.model_forms import made_up_form, with_parts
 from uqharness.batch.lanes.fly import fly_many
 from uqharness.flight.fly import fly, fly_one_ulp_off
-from uqharness.flight.spec import COEFFICIENTS, FlightResult, FlightSpec, LevelDriver
+from uqharness.flight.spec import COEFFICIENTS, FlightResult, FlightSpec, LevelDriver, TransientDriver
 from uqharness.plugin.model_form_xml import model_form_xml
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.simulator.mission import find_script
@@ -28,6 +29,7 @@ SECOND_ORDER = {
 EXPENSIVE: Mapping[str, Any] = {"wind_mps": 4.0, "turbulence": "moderate", "sensor_noise": True}
 WALK = LevelDriver("walk", 11, "e3", ("CX", "CZ", "Cm"), (0.03, 0.02, 0.05))
 WHITE = LevelDriver("white", 12, "e4", COEFFICIENTS)
+TRANSIENT = TransientDriver(13, 4, ("CX", "CZ", "Cm"), (0.5, 0.8, 0.6))
 CORNER = {"uq/active": 1.0, "uq/CZ/level": 1.0, "uq/Cm/level": 0.0, "uq/CX/level": 1.0, "uq/Cl/level": 0.25}
 
 
@@ -76,11 +78,13 @@ def copied(folder: Path, name: str = "espaaro", edits: Mapping[str, Mapping[str,
     return target
 
 
-def with_bounds(folder: Path, size: float = 0.004) -> Path:
-    """espaaro with bounds that depend on the state."""
+def with_bounds(folder: Path, size: float = 0.004, transient: float = 0.0, outside: Outside = "grow") -> Path:
+    """espaaro with bounds that depend on the state, and with a transient part where it has a size."""
     target = copied(folder)
     aircraft = find_aircraft(target)
-    (target / "Systems" / "model-form.xml").write_bytes(model_form_xml(made_up_form(size=size), aircraft))
+    form = made_up_form(size=size, outside=outside)
+    form = with_parts(form, persistent=size, transient=transient) if transient else form
+    (target / "Systems" / "model-form.xml").write_bytes(model_form_xml(form, aircraft))
     return target
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy import stats
 
 from sysid.aerodynamics.polynomial import full_polynomial, regressors
-from sysid.model_form.model_form import AircraftReference, CoefficientBounds, Filtering, FlightUsed, Hull, ModelForm, Outside
+from sysid.model_form.model_form import AircraftReference, CoefficientBounds, Filtering, FlightUsed, Hull, ModelForm, Outside, Parts
 
 MEAN = {"V_mps": 22.0, "alpha_rad": 0.02, "theta_rad": 0.05, "throttle_pct": 60.0}
 SPREAD = {
@@ -61,6 +62,24 @@ def made_up_form(
         AircraftReference("espaaro", "0" * 64), (FlightUsed("made up", "0" * 64, 18.0, 900),), Filtering(6.0, 2.0, 0.5, 50.0),
         0.95, outside, out,
     )  # fmt: skip
+
+
+def with_parts(
+    form: ModelForm, persistent: float = 0.003, transient: float | Mapping[str, float] = 0.0, time_s: float = 0.5,
+    missing: Collection[str] | None = None,
+) -> ModelForm:  # fmt: skip
+    """The form with its model error told apart; ``transient`` of every coefficient, or of those named.
+
+    missing: coefficients whose model error counts as found; by default all.
+    """
+    found = {}
+    for name, bounds in form.coefficients.items():
+        size = transient.get(name, 0.0) if isinstance(transient, Mapping) else transient
+        found[name] = replace(bounds, parts=Parts(
+            persistent=persistent, transient=size, flight=float("nan"), transient_time_s=time_s if size else float("nan"),
+            noise=0.01, noise_scale=1.0, total_dof=40.0, total_t=2.02, not_above=0.02, found=missing is None or name in missing,
+        ))  # fmt: skip
+    return replace(form, coefficients=found)
 
 
 def bounds_from(x, y, states=("alpha_rad",), order=1, f=1.0, centre=None, scale=None) -> CoefficientBounds:

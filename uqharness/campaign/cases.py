@@ -21,7 +21,7 @@ from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.campaign.spec.samples import Epistemic, epistemic_samples
 from uqharness.campaign.spec.variables import VariableSection
 from uqharness.errors import BadInputError
-from uqharness.flight import COEFFICIENTS, FlightSpec, flight_seed, normals, numbered_stream
+from uqharness.flight import COEFFICIENTS, FlightSpec, TransientDriver, flight_seed, normals, numbered_stream
 
 
 @dataclass(frozen=True)
@@ -93,6 +93,7 @@ def _cases(spec: CampaignSpec, mission: Mission) -> Iterator[Case]:
         seed_turbulence = flight_seed(root_seed, aleatory_id, "turbulence")
         seed_noise = flight_seed(root_seed, aleatory_id, "noise")
         draws = {name: unit_draw(root_seed, aleatory_id, name, item) for name, item in air.variables.items()}
+        transient = _transient(spec, aleatory_id)
         for wind_mps, turbulence in itertools.product(air.wind_mps, air.turbulence):
             for sample, properties in samples:
                 values = {name: item.value(draws[name], sample.means.get(name, 0.5)) for name, item in air.variables.items()}
@@ -112,6 +113,7 @@ def _cases(spec: CampaignSpec, mission: Mission) -> Iterator[Case]:
                     excursion_radius_m=tuple(map(float, spec.metrics.excursion_radius_m)),
                     rearm_m=float(spec.metrics.rearm_m),
                     levels=sample.driver,
+                    transient=transient,
                 )
                 yield Case(
                     case_id=case_id(flight, mission, engine),
@@ -125,6 +127,13 @@ def _cases(spec: CampaignSpec, mission: Mission) -> Iterator[Case]:
                     inputs=_columns(sample, values),
                     engine=engine,
                 )
+
+
+def _transient(spec: CampaignSpec, aleatory_id: int) -> TransientDriver | None:
+    rates = spec.inputs.transient_rates
+    if not rates:
+        return None
+    return TransientDriver(spec.campaign.seed, aleatory_id, tuple(rates), tuple(map(float, rates.values())))
 
 
 def unit_draw(root_seed: int, aleatory_id: int, name: str, variable: VariableSection) -> float:
@@ -150,7 +159,7 @@ def _refuse_twice(properties: Mapping[str, float], variables: Mapping[str, Varia
         )
 
 
-_FIELDS = tuple(field.name for field in dataclasses.fields(FlightSpec) if field.name != "levels")
+_FIELDS = tuple(field.name for field in dataclasses.fields(FlightSpec) if field.name not in ("levels", "transient"))
 
 
 def case_id(flight: FlightSpec, mission: Mission, engine: str = JSBSIM) -> str:
@@ -158,6 +167,7 @@ def case_id(flight: FlightSpec, mission: Mission, engine: str = JSBSIM) -> str:
     identity = {name: getattr(flight, name) for name in _FIELDS}
     # A flight whose levels stand still is the flight it was before they could move.
     identity |= {"levels": dataclasses.asdict(flight.levels)} if flight.levels is not None else {}
+    identity |= {"transient": dataclasses.asdict(flight.transient)} if flight.transient is not None else {}
     # JSBSim's are the flights they were before there was another engine.
     identity |= {"engine": engine} if engine != JSBSIM else {}
     identity |= {

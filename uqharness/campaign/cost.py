@@ -31,7 +31,10 @@ _SLOW_S = 0.2
 
 @dataclass(frozen=True)
 class Size:
-    """Flights of a campaign; ``at_most`` where its rule may end it sooner. ``flight_s`` of each, burn-in included."""
+    """Flights of a campaign; ``at_most`` where its rule may end it sooner. ``flight_s`` of each, burn-in included.
+
+    Of the ``epistemic`` samples ``interior`` lie between the corners.
+    """
 
     aleatory: int
     conditions: int
@@ -39,6 +42,7 @@ class Size:
     flights: int
     flight_s: float
     at_most: bool
+    interior: int = 0
 
     @property
     def hours(self) -> float:
@@ -104,9 +108,10 @@ class Cost:
         """All of it in one line."""
         size = self.size
         most = "at most " if size.at_most else ""
+        between = f", {size.interior} of them between the corners" if size.interior else ""
         text = (
-            f"{most}{size.flights} flights ({_count(size.epistemic, 'epistemic sample')}, {_count(size.conditions, 'condition')}, "
-            f"{size.aleatory} each), {hours_in_words(size.hours)} flight h"
+            f"{most}{size.flights} flights ({_count(size.epistemic, 'epistemic sample')}{between}, "
+            f"{_count(size.conditions, 'condition')}, {size.aleatory} each), {hours_in_words(size.hours)} flight h"
         )
         text += f", {self.done} flights done before" if self.done else ""
         processes = _count(self.workers, "process", "processes")
@@ -123,7 +128,8 @@ def size_of(spec: CampaignSpec, shards: int = 1) -> Size:
     conditions = len(air.wind_mps) * len(air.turbulence)
     flights = -(-air.flights * conditions * samples // shards)
     flight_s = float(air.duration_s) + float(air.burn_in_s)
-    return Size(air.flights, conditions, samples, flights, flight_s, spec.stop.rule == "decide")
+    at_most = spec.stop.rule == "decide"
+    return Size(air.flights, conditions, samples, flights, flight_s, at_most, spec.epistemic.interior_samples * _draws(spec))
 
 
 def epistemic_count(spec: CampaignSpec) -> int:
@@ -134,7 +140,15 @@ def epistemic_count(spec: CampaignSpec) -> int:
     means = sum(item.mean_interval is not None for item in spec.aleatory.variables.values())
     moved = 0 if section.method == "none" else len(spec.inputs.coefficients)
     values = len(section.levels) if section.method == "levels" and section.levels else 2
-    return int(values ** (moved + means) * (section.samples if section.parameters is not None and section.samples else 1))
+    points = values**moved
+    if section.set == "ellipsoid" and moved > 1:
+        points += 2 * moved
+    return int((points * values**means + section.interior_samples) * _draws(spec))
+
+
+def _draws(spec: CampaignSpec) -> int:
+    section = spec.epistemic
+    return section.samples if section.parameters is not None and section.samples else 1
 
 
 def one_case(spec: CampaignSpec, mission: Mission) -> Case:
@@ -152,7 +166,7 @@ def one_case_each(spec: CampaignSpec, mission: Mission) -> tuple[Case, ...]:
     section = spec.epistemic
     changes: dict[str, object] = {"samples": 1} if section.samples is not None else {}
     if section.method in ("corners", "levels"):
-        changes |= {"method": "levels", "levels": (1.0,)}
+        changes |= {"method": "levels", "levels": (1.0,), "set": "box", "interior": 0}
     air = spec.aleatory.model_copy(update={"flights": 1})
     return build_cases(dataclasses.replace(spec, aleatory=air, epistemic=section.model_copy(update=changes)), mission)
 

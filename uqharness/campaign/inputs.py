@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,13 +42,18 @@ class Estimates:
 class CampaignInputs:
     """What the named files hold: the path of the model form, the coefficients it bounds, walk rates in 1/sqrt(s), the fit.
 
-    ``hashes`` are SHA-256 of the files by what they are named as: bounds, fit.
+    ``confidence`` is that of the model form's intervals; ``has_parts``: it tells model error that comes and goes from what
+    persists; ``transient_rates``, in 1/sqrt(s), are of the coefficients whose transient part is flown. ``hashes`` are SHA-256 of
+    the files by what they are named as: bounds, fit.
     """
 
     model_form: Path | None = None
     coefficients: tuple[str, ...] = COEFFICIENTS
     walk_rates: Mapping[str, float] = field(default_factory=dict)
     estimates: Estimates | None = None
+    confidence: float | None = None
+    has_parts: bool = False
+    transient_rates: Mapping[str, float] = field(default_factory=dict)
     hashes: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -60,6 +65,7 @@ def read_inputs(section: EpistemicSection, beside: Path) -> CampaignInputs:
     rates: dict[str, float] = {str(name): rate for name, rate in (section.walk_rate_per_sqrt_s or {}).items()}
     if section.method == "walk" and not rates and not isinstance(section.bounds, str):
         rates = dict.fromkeys(coefficients, PUBLISHED_WALK_RATE_PER_SQRT_S)
+    form: ModelForm | None = None
     if isinstance(section.bounds, str):
         model_form = _find(section.bounds, beside, "bounds", hashes)
         form = read_bounds(model_form)
@@ -76,7 +82,24 @@ def read_inputs(section: EpistemicSection, beside: Path) -> CampaignInputs:
     if section.parameters is not None:
         path = _find(section.parameters.fit, beside, "fit", hashes)
         estimates = _estimates(path, section.parameters.parameters)
-    return CampaignInputs(model_form, coefficients, rates, estimates, hashes)
+    found = CampaignInputs(model_form, coefficients, rates, estimates, hashes=hashes)
+    return found if form is None else replace(found, **_of_form(section, form, coefficients))
+
+
+def _of_form(section: EpistemicSection, form: ModelForm, coefficients: tuple[str, ...]) -> dict[str, Any]:
+    """What a model form says beside its bounds."""
+    parts = {name: form.coefficients[name].parts for name in coefficients}
+    flown = section.transient is not False and section.method != "none"
+    rates = {
+        name: part.transient_rate_per_sqrt_s
+        for name, part in parts.items()
+        if flown and part is not None and part.transient_half_width > 0.0
+    }
+    return {
+        "confidence": form.confidence,
+        "has_parts": any(part is not None for part in parts.values()),
+        "transient_rates": rates,
+    }
 
 
 def read_bounds(path: Path) -> ModelForm:

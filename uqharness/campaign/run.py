@@ -15,7 +15,7 @@ from sysid.digests import sha256_hex
 from uqharness.campaign.cases import Case, Mission, build_cases
 from uqharness.campaign.cost import Cost, Pace, measured_pace, one_case, one_case_each, size_of
 from uqharness.campaign.engine_check import Judge
-from uqharness.campaign.engines import Engines, Settled, earlier_engine
+from uqharness.campaign.engines import Engines, Settled, earlier_engine, laid_out
 from uqharness.campaign.execution.flying import BATCH, JSBSIM
 from uqharness.campaign.execution.processes import Executor, ProcessExecutor
 from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction
@@ -45,6 +45,9 @@ from uqharness.simulator import read_xml
 
 VALIDATION_S = 5.0
 """Flight time of the check that the model flies at all, made in a throw-away process before any case."""
+
+MANY = 1_000_000
+"""Flights whose cases take some 0.6 GB and a minute to make; the cost of more is told before."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +130,8 @@ def run_campaign(
     """Fly the campaign's missing cases into ``out_dir`` and write its tables; the same call resumes.
 
     A ``shard`` flies its share into ``out_dir``/shards/i-of-n and writes no tables; merging does. ``before_flying`` is told the
-    cost after the check flight and before the first flight that counts; what it raises ends the run.
+    cost after the check flight and before the first flight that counts, and where the campaign is surely long or of more than MANY
+    flights also before its cases are made; what it raises ends the run.
 
     A case counts once it is on the disk. A flight that fails is a counted row with its reason. Raises BadInputError for an
     unusable model or folder, a folder of another campaign, and a second run in the same folder; KeyboardInterrupt passes, with
@@ -143,6 +147,16 @@ def run_campaign(
     mission = mission or find_mission(spec, folder)
     settled = settled_by_flight(spec, mission, engines, earlier_engine(folder))
     spec = settled.spec
+    size, processes = size_of(spec, 1 if shard is None else shard.count), executor.workers
+
+    def told(pace: Pace | None, done: int) -> None:
+        before_flying(Cost(size, done, pace, processes, settled.engine))
+
+    if not (folder / JOURNAL).exists():
+        if Cost(size, 0, None, processes, settled.engine).is_long:
+            told(None, 0)
+        elif size.flights > MANY:
+            told(_pace_of_a_few(settled, mission, engines), 0)
     cases = build_cases(spec, mission)
     rounds = Rounds(spec, cases, folder)
     if shard is not None:
@@ -153,11 +167,6 @@ def run_campaign(
             )
         cases = cases[shard.number - 1 :: shard.count]
         rounds = Rounds(spec, cases, folder)
-    size, processes = size_of(spec, 1 if shard is None else shard.count), executor.workers
-
-    def told(pace: Pace | None, done: int) -> None:
-        before_flying(Cost(size, done, pace, processes, settled.engine))
-
     # What cannot be read there is told when the folder is made or locked.
     with contextlib.suppress(OSError):
         if not (folder / LOCK).exists():
@@ -207,6 +216,15 @@ def check_campaign(spec: CampaignSpec, mission: Mission, scratch: Path) -> tuple
     cases = one_case_each(settled.spec, mission)
     judge = Judge(scratch, cases, lambda case: one_ulp_off_alone(engines, case))
     return settled, _checked_start(judge, engines, cases)
+
+
+def _pace_of_a_few(settled: Settled, mission: Mission, engines: Engines) -> Pace | None:
+    """The pace on this machine, by flights of which none is a case of the campaign."""
+    with laid_out(settled.spec, mission) as there:
+        if settled.engine != BATCH:
+            return validate_model(engines.fly, one_case(settled.spec, there))
+        with contextlib.closing(throwaway_process()) as process:
+            return batch_pace(engines, one_case_each(settled.spec, there), process)
 
 
 def _earlier(folder: Path, manifest: Mapping[str, Any]) -> tuple[dict[str, Any] | None, set[str]]:

@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from uqharness.campaign.columns import ERROR_METRICS, UNCOMMANDED_METRICS, excursion_columns
 from uqharness.campaign.conditions import Condition, conditions, in_condition
 from uqharness.campaign.folder.case_table import CASES
 from uqharness.campaign.folder.files import read_cases
 from uqharness.campaign.folder.manifest import read_complete
+from uqharness.campaign.spec.samples import INTERIOR_MARK
 from uqharness.errors import BadInputError
 from uqharness.sensitivity import Evaluations, MethodResult, Study
 from uqharness.sensitivity.corner_pairs import corner_pairs
@@ -74,6 +76,11 @@ def read_corner_campaign(folder: Path) -> Flown:
         raise BadInputError(
             f'{folder}: not a corner campaign ({found}); sensitivity compares corners: fly one with method = "corners", '
             'or "levels" that include 0 and 1'
+        )
+    if epistemic["set"] != "box":
+        raise BadInputError(
+            f'{folder}: set = "{epistemic["set"]}" flies points of an ellipsoid, and sensitivity compares the corners of a '
+            'box; fly one with set = "box"'
         )
     if "parameters" in epistemic:
         raise BadInputError(
@@ -148,6 +155,7 @@ def _analyse(flown: Flown, interior: Flown | None, condition: Condition, metric:
     known = np.all(np.isfinite(y), axis=0)
     if inside is not None:
         known &= np.all(np.isfinite(inside), axis=0)
+    inside = _with_points(inside, list(_by_level(flown, condition, metric, interior=True).values()), known)
     lost = int(np.count_nonzero(~known))
     if lost <= MOST_LOST * known.size:
         y, inside = y[:, known], None if inside is None else inside[:, known]
@@ -159,11 +167,22 @@ def _analyse(flown: Flown, interior: Flown | None, condition: Condition, metric:
     return MetricSensitivity(condition, metric, result, y.shape[1], lost, ranking, said)
 
 
-def _by_level(flown: Flown, condition: Condition, metric: str) -> dict[tuple[float, ...], Array]:
-    """Values (A,) in the order of the aleatory ids, for each combination of levels; NaN where a flight failed."""
+def _with_points(inside: Array | None, points: list[Array], known: NDArray[np.bool_]) -> Array | None:
+    """``inside`` with a campaign's interior points: they check the corners and leave out no air; one that failed is dropped."""
+    whole = [point for point in points if np.all(np.isfinite(point[known]))]
+    found = ([] if inside is None else [inside]) + ([np.array(whole)] if whole else [])
+    return np.concatenate(found) if found else None
+
+
+def _by_level(flown: Flown, condition: Condition, metric: str, interior: bool = False) -> dict[tuple[float, ...], Array]:
+    """Values (A,) in the order of the aleatory ids, for each combination of levels; NaN where a flight failed.
+
+    Of the corners and levels, or of the ``interior`` points flown beside them.
+    """
     if metric not in flown.frame:
         raise BadInputError(f"metric {metric}: not in {flown.folder / CASES}; it has {', '.join(metrics_of(flown))}")
     rows = in_condition(flown.frame, condition)
+    rows = rows[rows["epistemic_id"].str.startswith(INTERIOR_MARK) == interior]
     level_names = [f"level_{name}" for name in flown.coefficients]
     ids = np.sort(rows["aleatory_id"].unique())
     found = {}

@@ -39,12 +39,15 @@ _EXAMPLE = """
 
 DIR/model-form.json (read by validate-bounds, instrument and campaigns), DIR/model-form.xml (the same as a JSBSim system),
 DIR/report.html and DIR/figures/*.svg, drawn from DIR/bounds.json and DIR/residuals.parquet.
+--as-published keeps noise and model error together, for comparison with the print.
 States: V alpha beta phi theta p q r, de da dr (surface positions), dt (throttle)."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``bounds``."""
-    text = "Prediction intervals of flight minus model, as functions of the flight state (see docs/model-form.md)."
+    text = (
+        "Intervals of the model's error as functions of the flight state, apart from the sensors' noise (see docs/model-form.md)."
+    )
     describe(parser, _run, text, _EXAMPLE)
     add_aircraft(parser)
     add_flights(parser)
@@ -64,8 +67,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--select", choices=("full", "stepwise"), default="full", help="all terms, or those a partial F asks for (default full)"
     )
     parser.add_argument(
-        "--sample-size", choices=("effective", "all"), default="effective",
-        help="effective: allow for autocorrelation (default); all: every sample counts, as published",
+        "--as-published", action="store_true",
+        help="the dissertation's interval of a measured sample, the sensors' noise inside; default: of the model's error alone",
+    )  # fmt: skip
+    parser.add_argument(
+        "--sample-size", choices=("effective", "all"), default="all",
+        help="with --as-published; all: every sample counts (default); effective: allow for autocorrelation",
     )  # fmt: skip
     parser.add_argument(
         "--outside", choices=("grow", "clamp"), default="grow", help="beyond the data: grow as published (default), or clamp"
@@ -76,14 +83,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("--walk-cutoff-hz", 0.5, "low-pass for the rate of variation, Hz (default 0.5)", {"above": 0.0}),
     ):
         parser.add_argument(option, type=number(option, "a frequency", **limits), default=default, metavar="F", help=text)
-    add_no_check(parser, "noise floor, leave-one-out and other filters")
+    add_no_check(parser, "leave-one-out and other filters")
     add_no_figures(parser)
 
 
 def _options(args: argparse.Namespace) -> BoundsOptions:
     return BoundsOptions(
         designs=parse_designs(args.states, args.terms, args.order, args.roll_terms),
-        fit=FitOptions(args.confidence, args.sample_size, args.select),
+        fit=FitOptions(args.confidence, args.sample_size, args.select, "inside" if args.as_published else "apart"),
         cutoffs=Cutoffs(args.cutoff_hz, args.airspeed_cutoff_hz or math.inf),
         walk_cutoff_hz=args.walk_cutoff_hz,
         outside=args.outside,

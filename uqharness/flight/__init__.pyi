@@ -42,5 +42,6 @@ from .spec import TURBULENCE_W20_KT as TURBULENCE_W20_KT
 from .spec import FlightResult as FlightResult
 from .spec import FlightSpec as FlightSpec
 from .spec import LevelDriver as LevelDriver
+from .spec import TransientDriver as TransientDriver
 from .stepping import first_levels as first_levels
 from .stepping import has_air as has_air

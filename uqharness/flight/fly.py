@@ -17,7 +17,7 @@ from sysid.units import FT_M
 from uqharness.errors import BadInputError
 from uqharness.flight.contact import GroundWatch
 from uqharness.flight.scoring import Recorded, commanded_signals, from_start_signals, score_commanded, score_from_start
-from uqharness.flight.spec import TURBULENCE_W20_KT, FlightResult, FlightSpec
+from uqharness.flight.spec import COEFFICIENTS, TURBULENCE_W20_KT, FlightResult, FlightSpec
 from uqharness.flight.stepping import first_levels, has_air, stepper
 from uqharness.simulator import (
     CHANGEABLE,
@@ -234,6 +234,7 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
         if name in _RESERVED:
             raise BadInputError(f"property {name} is not for setting by name: {_RESERVED[name]}")
     refuse_conflicts(mission.script, [*_CONDITION_PROPERTIES, *spec.properties])
+    _require_transient(fdm, mission, spec)
     with_air = has_air(fdm)
     if not with_air and spec.turbulence != "none" and spec.turbulence_source == "jsbsim":
         raise BadInputError(
@@ -268,6 +269,18 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
             # Set after the velocity over the ground, which it then leaves alone; JSBSim's direction is where the wind blows to.
             fdm["ic/vw-dir-deg"] = math.degrees(toward)
             fdm["ic/vw-mag-fps"] = spec.wind_mps / FT_M
+
+
+def _require_transient(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
+    if spec.transient is None:
+        return
+    exists = fdm.get_property_manager().hasNode
+    lacking = [name for name in (f"uq/{c}/transient-level" for c in COEFFICIENTS) if not exists(name)]
+    if lacking:
+        raise BadInputError(
+            f"aircraft '{mission.aircraft.name}' has no property {lacking[0]}, so no transient model error can act on it: make its "
+            "model-form.xml anew (uqharness instrument), or fly it with [epistemic] transient = false"
+        )
 
 
 def as_model_has(fdm: Any, properties: Mapping[str, float]) -> dict[str, float]:

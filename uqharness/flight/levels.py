@@ -3,19 +3,22 @@
 Hale (2016), section 3.7: a delta coefficient is lower + f (upper - lower) with f in 0..1. A walk's rate is given in 1/sqrt(s), so
 that the variance gathered per second is the same at any step. Streams belong to the epistemic sample and the coefficient, not to
 the flight: one walk is one epistemic sample, the same in all its flights. The levels are the same bytes on every processor.
+
+Beside them moves the transient part of a model's error, a walk between -1 and 1 with streams of the air.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uqharness.flight.normals import Normals, Pairs, numpy_pairs
-from uqharness.flight.seeds import walk_stream
-from uqharness.flight.spec import COEFFICIENTS, LevelDriver
+from uqharness.flight.seeds import transient_stream, walk_stream
+from uqharness.flight.spec import COEFFICIENTS, LevelDriver, TransientDriver
 
 Array = NDArray[np.float64]
 
@@ -23,11 +26,11 @@ BLOCK_STEPS = 8192
 """Steps drawn at once. The values do not depend on it; memory does."""
 
 
-def level_blocks(driver: LevelDriver, steps: int, dt_s: float, block_steps: int = BLOCK_STEPS) -> Iterator[Array]:
+def level_blocks(driver: LevelDriver | TransientDriver, steps: int, dt_s: float, block_steps: int = BLOCK_STEPS) -> Iterator[Array]:
     """Levels of ``steps`` steps as arrays (<= block_steps, 6), columns in the order of COEFFICIENTS.
 
-    A coefficient that the driver does not move stays at 0.5. The same driver gives the same levels, whatever the block. ValueError
-    for a kind that is not white or walk, a step that is not positive, or a rate below 0.
+    A coefficient that the driver does not move stays at 0.5, of a transient one at 0. The same driver gives the same levels,
+    whatever the block. ValueError for a kind that is not white or walk, a step that is not positive, or a rate below 0.
     """
     levels = Levels(driver, dt_s)
     for first in range(0, steps, block_steps):
@@ -40,10 +43,11 @@ class Levels:
     ``copy.deepcopy`` gives levels that go on from where these stand.
     """
 
-    def __init__(self, driver: LevelDriver, dt_s: float, pairs: Pairs = numpy_pairs) -> None:
+    def __init__(self, driver: LevelDriver | TransientDriver, dt_s: float, pairs: Pairs = numpy_pairs) -> None:
         if not dt_s > 0.0:
             raise ValueError(f"dt_s = {dt_s}: a step must be positive")
-        self._columns = [_column(driver, name, dt_s, pairs) for name in COEFFICIENTS]
+        make: Callable[[Any, str, float, Pairs], _Column] = _transient_column if isinstance(driver, TransientDriver) else _column
+        self._columns = [make(driver, name, dt_s, pairs) for name in COEFFICIENTS]
 
     def take(self, steps: int) -> Array:
         """Levels of the next steps (steps, 6)."""
@@ -57,9 +61,16 @@ def reflect(position: Array) -> Array:
     return np.minimum(folded, 2.0 - folded)
 
 
+class _Column(Protocol):
+    def take(self, size: int) -> Array: ...
+
+
 class _Constant:
+    def __init__(self, level: float) -> None:
+        self._level = level
+
     def take(self, size: int) -> Array:
-        return np.full(size, 0.5)
+        return np.full(size, self._level)
 
 
 class _White:
@@ -91,9 +102,27 @@ class _Walk:
         return reflect(path[:-1])
 
 
-def _column(driver: LevelDriver, coefficient: str, dt_s: float, pairs: Pairs) -> _Constant | _White | _Walk:
+class _Centred:
+    """A walk between -1 and 1."""
+
+    def __init__(self, walk: _Walk) -> None:
+        self._walk = walk
+
+    def take(self, size: int) -> Array:
+        return np.asarray(2.0 * self._walk.take(size) - 1.0)
+
+
+def _transient_column(driver: TransientDriver, coefficient: str, dt_s: float, pairs: Pairs) -> _Column:
     if coefficient not in driver.coefficients:
-        return _Constant()
+        return _Constant(0.0)
+    generator = np.random.PCG64(transient_stream(driver.root_seed, driver.aleatory_id, coefficient))
+    rate = driver.rates_per_sqrt_s[driver.coefficients.index(coefficient)]
+    return _Centred(_Walk(generator, rate, dt_s, pairs))
+
+
+def _column(driver: LevelDriver, coefficient: str, dt_s: float, pairs: Pairs) -> _Column:
+    if coefficient not in driver.coefficients:
+        return _Constant(0.5)
     generator = np.random.PCG64(walk_stream(driver.root_seed, driver.epistemic_id, coefficient))
     if driver.kind == "white":
         return _White(np.random.Generator(generator))

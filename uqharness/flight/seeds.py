@@ -2,7 +2,8 @@
 
 Turbulence and sensor noise depend on (root seed, aleatory id, kind): every corner and every condition meets the same
 air, so differences between them are theirs and not chance's. Walks depend on (root seed, epistemic id, coefficient): one
-walk is one epistemic sample, the same in all its flights. Random variables of a flight, such as its mass, depend on (root seed,
+walk is one epistemic sample, the same in all its flights. Transient model error depends on (root seed, aleatory id, coefficient):
+it is chance and common to the corners, as air is. Random variables of a flight, such as its mass, depend on (root seed,
 aleatory id, property), draws of parameters on (root seed, number).
 """
 
@@ -13,7 +14,7 @@ import numpy as np
 from sysid.digests import sha256_hex
 from uqharness.flight.spec import COEFFICIENTS
 
-KINDS = {"turbulence": 1, "noise": 2, "walk": 3, "levels": 4, "parameters": 5, "variable": 6}
+KINDS = {"turbulence": 1, "noise": 2, "walk": 3, "levels": 4, "parameters": 5, "variable": 6, "transient": 7}
 """Stream kinds and their numbers; a number once given is never reused, or old campaigns could not be repeated."""
 
 _LARGEST = 2**31 - 2
@@ -30,6 +31,12 @@ def flight_seed(root_seed: int, aleatory_id: int, kind: str) -> int:
 def walk_stream(root_seed: int, epistemic_id: str, coefficient: str) -> np.random.SeedSequence:
     """Seed sequence of one coefficient's walk in one epistemic sample."""
     key = (KINDS["walk"], *_words(epistemic_id), COEFFICIENTS.index(coefficient))
+    return np.random.SeedSequence(entropy=root_seed, spawn_key=key)
+
+
+def transient_stream(root_seed: int, aleatory_id: int, coefficient: str) -> np.random.SeedSequence:
+    """Seed sequence of one coefficient's transient model error in one air."""
+    key = (KINDS["transient"], aleatory_id, COEFFICIENTS.index(coefficient))
     return np.random.SeedSequence(entropy=root_seed, spawn_key=key)
 
 

@@ -40,12 +40,27 @@ class LevelDriver:
 
 
 @dataclass(frozen=True)
+class TransientDriver:
+    """How what comes and goes within a manoeuvre moves in flight: reflecting random walks of uq/<C>/transient-level in -1..1.
+
+    Each of ``coefficients`` walks in the stream (root seed, aleatory id, coefficient): chance, the same at every corner of one air.
+    ``rates_per_sqrt_s`` (1/sqrt(s), one per coefficient) are of the walk's width, as those of a LevelDriver.
+    """
+
+    root_seed: int
+    aleatory_id: int
+    coefficients: tuple[str, ...]
+    rates_per_sqrt_s: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class FlightSpec:
     """One flight of a mission script, complete: the same spec gives the same bytes in any process.
 
     ``duration_s`` is scored and follows ``burn_in_s``, which is flown and not scored. ``seed_turbulence`` and ``seed_noise`` are
     the streams of the air and of the sensors (any integers >= 0). ``properties`` are set after loading, before initialising
-    (levels, bounds, coefficients, gains); they win over the script's own run properties. ``levels`` moves uq/<C>/level each step.
+    (levels, bounds, coefficients, gains); they win over the script's own run properties. ``levels`` moves uq/<C>/level each step,
+    ``transient`` uq/<C>/transient-level.
     """
 
     aircraft: Path
@@ -64,6 +79,7 @@ class FlightSpec:
     rearm_m: float = 2.0
     record_rate_hz: float = 10.0
     levels: LevelDriver | None = None
+    transient: TransientDriver | None = None
 
 
 @dataclass(frozen=True)

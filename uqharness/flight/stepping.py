@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sysid.units import FT_M
 from uqharness.flight.dryden import gust_blocks
 from uqharness.flight.levels import BLOCK_STEPS, level_blocks
-from uqharness.flight.spec import COEFFICIENTS, TURBULENCE_W20_KT, FlightSpec
+from uqharness.flight.spec import COEFFICIENTS, TURBULENCE_W20_KT, FlightSpec, LevelDriver, TransientDriver
 from uqharness.simulator import engine
 
 Array = NDArray[np.float64]
@@ -24,22 +24,24 @@ Rows = Iterator[tuple[float, ...]]
 _GUSTS = tuple(f"air/host/{name}" for name in ("u-mps", "v-mps", "w-mps", "p-rad_sec", "q-rad_sec", "r-rad_sec"))
 # All six at once: a coefficient that does not move gets a level nobody reads, which is cheaper than asking.
 _LEVELS = tuple(f"uq/{name}/level" for name in COEFFICIENTS)
+_TRANSIENTS = tuple(f"uq/{name}/transient-level" for name in COEFFICIENTS)
 
 
 def stepper(fdm: Any, spec: FlightSpec, dt_s: float, steps: int) -> Callable[[int], None]:
     """A function that runs n steps, at most ``steps`` in all, feeding gusts and levels before each. Call it after initialising."""
     run = fdm.run
     gusty = spec.turbulence != "none" and spec.turbulence_source == "spec"
-    levels = level_blocks(spec.levels, steps, dt_s) if spec.levels is not None else None
+    moving = [level_blocks(driver, steps, dt_s) for driver, _ in _drivers(spec)]
+    names = [columns for _, columns in _drivers(spec)]
     if gusty and not has_air(fdm):
         gusts = _rows(_gust_blocks(fdm, spec, dt_s, steps))
-        return _with_turned_gusts(fdm, gusts, None if levels is None else _rows(levels))
-    if gusty and levels is not None:
-        return _with_gusts_and_levels(fdm, _rows(_gust_blocks(fdm, spec, dt_s, steps), levels))
+        return _with_turned_gusts(fdm, gusts, tuple(chain(*names)), _rows(*moving) if moving else repeat(()))
     if gusty:
-        return _with_six(fdm, _rows(_gust_blocks(fdm, spec, dt_s, steps)), _GUSTS)
-    if levels is not None:
-        return _with_six(fdm, _rows(levels), _LEVELS)
+        moving.insert(0, _gust_blocks(fdm, spec, dt_s, steps))
+        names.insert(0, _GUSTS)
+    if moving:
+        with_them = (_with_six, _with_twelve, _with_many)[len(moving) - 1]
+        return with_them(fdm, _rows(*moving), tuple(chain(*names)))
 
     def plain(count: int) -> None:
         for _ in repeat(None, count):
@@ -50,12 +52,20 @@ def stepper(fdm: Any, spec: FlightSpec, dt_s: float, steps: int) -> Callable[[in
 
 def first_levels(spec: FlightSpec, dt_s: float) -> dict[str, float]:
     """Levels of the first step as properties: what initialising has to see."""
-    if spec.levels is None:
-        return {}
-    row = next(level_blocks(spec.levels, 1, dt_s))[0]
-    return {
-        f"uq/{name}/level": float(value) for name, value in zip(COEFFICIENTS, row, strict=True) if name in spec.levels.coefficients
-    }
+    found: dict[str, float] = {}
+    for driver, columns in _drivers(spec):
+        row = next(level_blocks(driver, 1, dt_s))[0]
+        moved = zip(COEFFICIENTS, columns, row, strict=True)
+        found |= {name: float(value) for coefficient, name, value in moved if coefficient in driver.coefficients}
+    return found
+
+
+def _drivers(spec: FlightSpec) -> list[tuple[LevelDriver | TransientDriver, tuple[str, ...]]]:
+    """What moves levels in flight, with the properties that it moves."""
+    found: list[tuple[LevelDriver | TransientDriver, tuple[str, ...]]] = []
+    found += [(spec.levels, _LEVELS)] if spec.levels is not None else []
+    found += [(spec.transient, _TRANSIENTS)] if spec.transient is not None else []
+    return found
 
 
 def _rows(*series: Iterable[Array]) -> Rows:
@@ -89,10 +99,9 @@ def _with_six(fdm: Any, rows: Rows, names: Sequence[str]) -> Callable[[int], Non
     return fed
 
 
-def _with_gusts_and_levels(fdm: Any, rows: Rows) -> Callable[[int], None]:
+def _with_twelve(fdm: Any, rows: Rows, names: Sequence[str]) -> Callable[[int], None]:
     run = fdm.run
-    set_u, set_v, set_w, set_p, set_q, set_r = _setters(fdm, _GUSTS)
-    set_1, set_2, set_3, set_4, set_5, set_6 = _setters(fdm, _LEVELS)
+    set_u, set_v, set_w, set_p, set_q, set_r, set_1, set_2, set_3, set_4, set_5, set_6 = _setters(fdm, names)
 
     def fed(count: int) -> None:
         for u, v, w, p, q, r, one, two, three, four, five, six in islice(rows, count):
@@ -113,7 +122,20 @@ def _with_gusts_and_levels(fdm: Any, rows: Rows) -> Callable[[int], None]:
     return fed
 
 
-def _with_turned_gusts(fdm: Any, gusts: Rows, levels: Rows | None) -> Callable[[int], None]:
+def _with_many(fdm: Any, rows: Rows, names: Sequence[str]) -> Callable[[int], None]:
+    run = fdm.run
+    setters = _setters(fdm, names)
+
+    def fed(count: int) -> None:
+        for row in islice(rows, count):
+            for put, one in zip(setters, row, strict=True):
+                put(one)
+            run()
+
+    return fed
+
+
+def _with_turned_gusts(fdm: Any, gusts: Rows, names: Sequence[str], levels: Iterable[tuple[float, ...]]) -> Callable[[int], None]:
     """Gust velocities through JSBSim's own properties, heading axes turned to north and east by the heading of the frame before.
 
     JSBSim keeps the gusts' rotation to itself, so the aircraft meets u, v and w alone.
@@ -121,12 +143,11 @@ def _with_turned_gusts(fdm: Any, gusts: Rows, levels: Rows | None) -> Callable[[
     run = fdm.run
     heading = engine.handle(fdm, "attitude/psi-rad").get_double_value
     set_north, set_east, set_down = _setters(fdm, [f"atmosphere/gust-{axis}-fps" for axis in ("north", "east", "down")])
-    level_setters = _setters(fdm, _LEVELS) if levels is not None else []
-    level_rows = repeat(()) if levels is None else levels
+    level_setters = _setters(fdm, names)
     cos, sin, per_ft = math.cos, math.sin, 1.0 / FT_M
 
     def fed(count: int) -> None:
-        for (u, v, w, _, _, _), row in islice(zip(gusts, level_rows, strict=False), count):
+        for (u, v, w, _, _, _), row in islice(zip(gusts, levels, strict=False), count):
             psi = heading()
             c, s = cos(psi) * per_ft, sin(psi) * per_ft
             set_north(u * c - v * s)

@@ -12,8 +12,8 @@ from .model_form import mean_left_out as mean_left_out
 from .result import Identification as Identification
 from .start import coefficient_gap as coefficient_gap
 from .start import equation_error_start as equation_error_start
-from .validation import HOLDS_FROM as HOLDS_FROM
 from .validation import Validation as Validation
 from .validation import failed as failed
 from .validation import load_form as load_form
 from .validation import validate as validate
+from .validation import verdicts as verdicts

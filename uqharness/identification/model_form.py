@@ -11,8 +11,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics import COEFFICIENTS, Cutoffs, Residuals, together
-from sysid.estimation import channel_noise
+from sysid.aerodynamics import (
+    COEFFICIENTS,
+    Cutoffs,
+    Residuals,
+    noise_variance,
+    together,
+    with_noise_of,
+    with_sensor_noise,
+)
+from sysid.estimation import NoiseSize, noise_size
 from sysid.foreign.parsed_text import parse_json
 from sysid.foreign.regular_files import read_regular
 from sysid.model_form import (
@@ -34,10 +42,9 @@ from sysid.model_form import (
     told_apart,
     with_walk_rates,
 )
-from sysid.model_form.noise_floor import noise_floor
 from sysid.model_form.variation import variation
 from uqharness.errors import BadInputError
-from uqharness.replay import Flight, ReplayPair, flight_residuals, measured_outputs, prediction_of
+from uqharness.replay import Flight, ReplayPair, flight_residuals, prediction_of
 from uqharness.simulator import Aircraft, content_hash
 from uqharness.text_tables import Tabled
 
@@ -62,18 +69,17 @@ class BoundsOptions:
 
 @dataclass(frozen=True)
 class CutoffRow:
-    """One other filter: its cut-offs, and per coefficient the mean width and the share inside when manoeuvres are left out."""
+    """One other filter: its cut-offs, and per coefficient the mean width."""
 
     cutoffs: Cutoffs
     width: Mapping[str, float]
-    left_out: Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class MadeBounds(Tabled):
     """A model form with its evidence.
 
-    widths       coefficient -> mean width of the bounds over the data         noise  -> standard deviation that sensor noise forces
+    widths       coefficient -> mean width of the bounds over the data         noise  -> rms of the sensors' noise in a sample
     baseline     the default states' bounds where other states were asked for, for comparison
     left_out     manoeuvre -> coefficient -> share inside the bounds of the others        cutoffs  other filters
     """
@@ -124,14 +130,15 @@ def make_bounds(
     with prediction_of(aircraft, measured, options.ideal_servos) as pair:
         say("residual coefficients")
         parts = [flight_residuals(pair, f, arm, options.cutoffs) for f in flights]
+        say("sensor noise")
+        parts = [noisy_residuals(pair, f, r, aircraft) for f, r in zip(flights, parts, strict=True)]
         residuals = together(parts)
+        say("model error apart from noise" if options.fit.noise == "apart" else "intervals")
         fitted = _fit(residuals, options.designs, options.fit)
-        noise, table = {}, []
+        table = []
         if options.checks:
-            say("noise floor")
-            noise = _noise(pair, flights, aircraft, arm, options.cutoffs)
             say("other filters")
-            table = [_other(pair, flights, arm, c, options) for c in _other_cutoffs(options.cutoffs)]
+            table = [_other(pair, flights, residuals, arm, c, options) for c in _other_cutoffs(options.cutoffs)]
     walks = {c: variation(residuals, c, f.bounds, options.walk_cutoff_hz, options.outside) for c, f in fitted.items()}
     form = ModelForm(
         aircraft=AircraftReference(aircraft.name, content_hash(aircraft)),
@@ -142,10 +149,10 @@ def make_bounds(
         coefficients=with_walk_rates(fitted, {c: w.rate for c, w in walks.items()}),
     )
     say("leaving manoeuvres out")
-    left_out = leave_one_out(residuals, options.designs, options.fit, options.outside) if options.checks else {}
+    left_out = leave_one_out(residuals, options.designs, options.fit, options.outside, fitted) if options.checks else {}
     return MadeBounds(
         form=form, residuals=residuals, fitted=fitted, baseline=_baseline(residuals, options), variations=walks,
-        widths=mean_widths(form, residuals), noise=noise, left_out=left_out, cutoffs=tuple(table),
+        widths=mean_widths(form, residuals), noise=_forced(residuals), left_out=left_out, cutoffs=tuple(table),
         notes=(*(n for f in flights for n in f.notes), *(n for f in fitted.values() for n in f.notes)),
         warnings=tuple(_warnings(aircraft, flights, hashes, form, walks, options.cutoffs)),
     )  # fmt: skip
@@ -173,21 +180,38 @@ def mean_widths(form: ModelForm, residuals: Residuals) -> dict[str, float]:
     return {c: float(np.mean(high - low)) for c, (low, high) in form.bounds(residuals.states).items()}
 
 
-def noise_of(flight: Flight, aircraft: Aircraft) -> dict[str, float]:
-    """Noise of each channel: the card's figure, else what the samples show (to which gusts on the airspeed would add)."""
-    stated = aircraft.card.sensors.noise_std
-    rest = [c for c in NOISY if c in flight.record and c not in stated]
-    return {**stated, **channel_noise(measured_outputs(flight, rest), rest, {})}
+def noise_sizes(flight: Flight, aircraft: Aircraft, cutoffs: Cutoffs) -> dict[str, NoiseSize]:
+    """White noise of each channel: what the flight's samples show above the filter's cut-off, with the card's figure as prior."""
+    record = flight.record
+    out = {}
+    for name in NOISY:
+        if name not in record:
+            continue
+        pieces = [np.asarray(record[name][p.rows], dtype=float) for p in flight.pieces]
+        found = noise_size([x for x in pieces if np.isfinite(x).all()], record.dt_s, cutoffs.all_hz, stated_noise(aircraft, name))
+        if found is not None:
+            out[name] = found
+    return out
 
 
-def _noise(
-    pair: ReplayPair, flights: Sequence[Flight], aircraft: Aircraft, arm: Sequence[float], cutoffs: Cutoffs
-) -> dict[str, float]:
-    squares = [
-        noise_floor(f.record, f.pieces, pair.of(f, remember=False), noise_of(f, aircraft), arm, cutoffs) ** 2 for f in flights
-    ]
-    seconds = [sum(p.end_s - p.start_s for p in f.pieces) for f in flights]
-    return dict(zip(COEFFICIENTS, np.sqrt(np.average(squares, axis=0, weights=seconds)).tolist(), strict=True))
+def stated_noise(aircraft: Aircraft, channel: str) -> float | None:
+    """What the card says of a channel's noise; None where it says nothing."""
+    return aircraft.card.sensors.noise_std.get(channel)
+
+
+def noisy_residuals(pair: ReplayPair, flight: Flight, residuals: Residuals, aircraft: Aircraft) -> Residuals:
+    """A flight's residuals with the noise that its own sensors have put in."""
+    sizes = noise_sizes(flight, aircraft, residuals.cutoffs)
+    return with_sensor_noise(
+        residuals, flight.record, flight.pieces, pair.of(flight, remember=False), aircraft.accelerometer_m,
+        {c: found.std for c, found in sizes.items()}, {c: found.spread for c, found in sizes.items()},
+    )  # fmt: skip
+
+
+def _forced(residuals: Residuals) -> dict[str, float]:
+    """Root mean square of the sensors' noise in each coefficient's samples [-]."""
+    variance = np.concatenate([noise_variance(p.noise) for p in residuals.pieces if p.noise is not None])
+    return dict(zip(COEFFICIENTS, np.sqrt(variance.mean(axis=0)).tolist(), strict=True))
 
 
 def _other_cutoffs(used: Cutoffs) -> list[Cutoffs]:
@@ -201,16 +225,19 @@ def _other_cutoffs(used: Cutoffs) -> list[Cutoffs]:
 
 
 def _other(
-    pair: ReplayPair, flights: Sequence[Flight], arm: Sequence[float], cutoffs: Cutoffs, options: BoundsOptions
+    pair: ReplayPair, flights: Sequence[Flight], used: Residuals, arm: Sequence[float], cutoffs: Cutoffs, options: BoundsOptions
 ) -> CutoffRow:
-    nan = dict.fromkeys(options.designs, float("nan"))
     try:
-        residuals = together([flight_residuals(pair, f, arm, cutoffs) for f in flights])
+        residuals = with_noise_of(together([flight_residuals(pair, f, arm, cutoffs) for f in flights]), used)
         fitted = fit_bounds(residuals, options.designs, options.fit)
     except (ValueError, BadInputError):
-        return CutoffRow(cutoffs, nan, nan)
-    width = {c: float(np.mean(np.subtract(*f.bounds.bounds(residuals.states)[::-1]))) for c, f in fitted.items()}
-    return CutoffRow(cutoffs, width, mean_left_out(residuals, leave_one_out(residuals, options.designs, options.fit)))
+        return CutoffRow(cutoffs, dict.fromkeys(options.designs, float("nan")))
+    return CutoffRow(cutoffs, {c: _mean_width(f.bounds, residuals) for c, f in fitted.items()})
+
+
+def _mean_width(bounds: CoefficientBounds, residuals: Residuals) -> float:
+    low, high = bounds.bounds(residuals.states)
+    return float(np.mean(high - low))
 
 
 def mean_left_out(residuals: Residuals, left_out: Mapping[str, Mapping[str, float]]) -> dict[str, float]:

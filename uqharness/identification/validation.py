@@ -3,30 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from sysid.aerodynamics import Cutoffs, Residuals, together
 from sysid.errors import LogError
-from sysid.model_form import Coverage, ModelForm, read_model_form
+from sysid.model_form import Coverage, ModelForm, Verdict, read_model_form, verdict
 from sysid.model_form.coverage import coverage
 from uqharness.errors import BadInputError
-from uqharness.identification.model_form import flight_warnings
+from uqharness.identification.model_form import flight_warnings, noisy_residuals
 from uqharness.replay import Flight, flight_residuals, prediction_of
 from uqharness.simulator import Aircraft, content_hash
-
-HOLDS_FROM = 0.85
-"""Share of a new flight that 95 % bounds must contain to be said to hold: single flights scatter by 0.02 to 0.04."""
 
 
 @dataclass(frozen=True)
 class Validation:
-    """Coverage of a form on flights it has not seen. warnings: why it may mean less than it seems to."""
+    """Coverage of a form on flights it has not seen. warnings: why it may mean less than it seems to.
+
+    flight_std: coefficient -> standard deviation of model error from flight to flight [-], NaN: not estimable from the flights
+    behind the form.
+    """
 
     coverage: Mapping[str, Coverage]
     residuals: Residuals
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
+    flight_std: Mapping[str, float] = field(default_factory=dict)
 
 
 def load_form(path: Path) -> ModelForm:
@@ -51,7 +53,8 @@ def validate(
     arm = aircraft.accelerometer_m
     flights = [f.with_commands_as_felt() for f in flights] if ideal_servos else flights
     with prediction_of(aircraft, measured, ideal_servos) as pair:
-        residuals = together([flight_residuals(pair, f, arm, cutoffs) for f in flights])
+        parts = [flight_residuals(pair, f, arm, cutoffs) for f in flights]
+        residuals = together([noisy_residuals(pair, f, r, aircraft) for f, r in zip(flights, parts, strict=True)])
     missing = [s for s in form.states if s not in residuals.states]
     if missing:
         raise BadInputError(f"the bounds depend on {', '.join(missing)}, which these flights do not have throughout")
@@ -61,9 +64,15 @@ def validate(
     for flight, sha256 in zip(flights, hashes, strict=True):
         if sha256 in {f.sha256 for f in form.flights}:
             warnings.append(f"{flight.name}: the bounds were made from this flight; coverage on it validates nothing")
-    return Validation(coverage(form, residuals), residuals, tuple(n for f in flights for n in f.notes), tuple(warnings))
+    std = {c: b.parts.flight if b.parts is not None else float("nan") for c, b in form.coefficients.items()}
+    return Validation(coverage(form, residuals), residuals, tuple(n for f in flights for n in f.notes), tuple(warnings), std)
+
+
+def verdicts(found: Validation) -> dict[str, Verdict]:
+    """Coefficient -> whether its 95 % bounds hold on these flights."""
+    return {c: verdict(row.share[0.95], row.error[0.95], 0.95) for c, row in found.coverage.items()}
 
 
 def failed(found: Validation) -> tuple[str, ...]:
-    """Coefficients whose 95 % bounds contain less than HOLDS_FROM of the samples."""
-    return tuple(c for c, row in found.coverage.items() if not row.share[0.95] >= HOLDS_FROM)
+    """Coefficients whose 95 % bounds do not hold."""
+    return tuple(c for c, said in verdicts(found).items() if said == "fails")

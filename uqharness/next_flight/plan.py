@@ -257,7 +257,7 @@ def plan_from(
 
 def _mean_half_width(form: ModelForm, coefficient: str, states: Mapping[str, Array]) -> float:
     bounds = form.coefficients[coefficient]
-    variance = bounds.s2 + parameter_variance(bounds, states, form.outside)
+    variance = bounds.constant_variance + parameter_variance(bounds, states, form.outside)
     return float(bounds.t * np.mean(np.sqrt(variance)))
 
 

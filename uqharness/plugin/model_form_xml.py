@@ -60,6 +60,11 @@ class _Group:
     def leverage(self) -> str:
         return f"uq/leverage/{'-'.join(self.coefficients)}"
 
+    @property
+    def free_leverage(self) -> str:
+        """That of the states as they are, where those of the bounds are held at the data's box."""
+        return f"uq/leverage-free/{'-'.join(self.coefficients)}"
+
 
 def model_form_xml(form: ModelForm, aircraft: Aircraft, rate_hz: float = RATE_HZ) -> bytes:
     """The system's XML, the same bytes for the same form and aircraft.
@@ -79,8 +84,11 @@ def model_form_xml(form: ModelForm, aircraft: Aircraft, rate_hz: float = RATE_HZ
         if clamped:
             body += _indent(_held(name, state))
     for group in groups:
-        body += _indent(_component(group.leverage, horner(quadratic_form(group.bounds), group.names)))
-    body += _indent(_component("uq/extrapolated", _outside(states, groups, clamped)))
+        form_of_group = quadratic_form(group.bounds)
+        body += _indent(_component(group.leverage, horner(form_of_group, group.names)))
+        if clamped:
+            body += _indent(_component(group.free_leverage, horner(form_of_group, [f"{name}-free" for name in group.names])))
+    body += _indent(_outside(states, groups, clamped))
     for name, bounds in form.coefficients.items():
         group = next(group for group in groups if name in group.coefficients)
         body += _indent(_coefficient(name, bounds, group))
@@ -96,6 +104,7 @@ def constant_xml(bounds: Mapping[str, tuple[float, float]], remark: str) -> byte
     lines = [
         declare("uq/active", "0"),
         declare("uq/extrapolated", "0", "constant bounds: there is no outside"),
+        declare("uq/extrapolation", "0"),
     ]
     for name in COEFFICIENTS:
         lower, upper = bounds.get(name, (0.0, 0.0))
@@ -104,7 +113,7 @@ def constant_xml(bounds: Mapping[str, tuple[float, float]], remark: str) -> byte
         lines += [
             declare(f"uq/{name}/lower", repr(lower)),
             declare(f"uq/{name}/upper", repr(upper)),
-            *_level(name),
+            *_levels(name),
         ]
     return _document(remark.splitlines(), [*lines, *_deltas()])
 
@@ -184,31 +193,37 @@ def _held(name: str, state: _Normalised) -> list[str]:
     ]
 
 
-def _outside(states: Mapping[_Normalised, str], groups: list[_Group], clamped: bool) -> Expression:
-    """1 if a state lies outside its box, or a leverage above the data's largest.
+def _outside(states: Mapping[_Normalised, str], groups: list[_Group], clamped: bool) -> list[str]:
+    """uq/extrapolation: by how much the state lies outside the data, as CoefficientBounds.distance; uq/extrapolated: whether.
 
-    The leverage of held states serves as well: it differs from the free one only where the box says 1 already.
+    Of all coefficients at once, for the largest distance of any is the largest of all excesses.
     """
-    conditions = []
+    excesses = []
     for state, name in states.items():
         low, high = _edges(state)
-        slack = _ROUNDING * (high - low if high > low else 1.0 / state.scale)
         z = prop(f"{name}-free" if clamped else name)
-        conditions.append(
-            call("gt", call("abs", call("difference", z, value(0.5 * (low + high)))), value(0.5 * (high - low) + slack))
-        )
+        beyond = call("difference", call("abs", call("difference", z, value(0.5 * (low + high)))), value(0.5 * (high - low)))
+        # In widths of the box; a state that stood still in the data has none, and its own unit serves.
+        width = high - low if high > low else 1.0 / state.scale
+        excesses.append(call("product", beyond, value(1.0 / width)))
     for group in groups:
-        limit = group.bounds.hull.leverage * (1.0 + _ROUNDING) ** 2
-        conditions.append(call("gt", prop(group.leverage), value(limit)))
-    return call("or", *conditions)
+        share = call("quotient", prop(group.free_leverage if clamped else group.leverage), value(group.bounds.hull.leverage))
+        excesses.append(call("difference", call("sqrt", share), value(1.0)))
+    far = prop("uq/beyond-edge")
+    return [
+        *_component("uq/beyond-edge", call("max", *excesses, value(0.0))),
+        *_component("uq/extrapolated", call("gt", far, value(_ROUNDING))),
+        *_component("uq/extrapolation", call("product", prop("uq/extrapolated"), far)),
+    ]
 
 
 def _coefficient(name: str, bounds: CoefficientBounds, group: _Group) -> list[str]:
     """y, half width, lower and upper of one coefficient."""
     beta = dict(zip(bounds.terms, (float(b) for b in bounds.beta_hat), strict=True))
-    # t sqrt(s2 (1 + f h)) with t and s2 brought inside the root (2.18).
-    constant = bounds.t**2 * bounds.s2
-    root = call("sum", value(constant), call("product", value(constant * bounds.leverage_factor), prop(group.leverage)))
+    # t sqrt(constant + s2 f h) with t brought inside the root (2.18).
+    known = bounds.t**2 * bounds.s2 * bounds.leverage_factor
+    constant = bounds.t**2 * bounds.constant_variance
+    root = call("sum", value(constant), call("product", value(known), prop(group.leverage)))
     y, half = f"uq/{name}/centre", f"uq/{name}/half-width"
     return [
         *_component(y, horner(beta, group.names)),  # (2.17)
@@ -223,20 +238,28 @@ def _declarations(form: ModelForm) -> list[str]:
     for name in COEFFICIENTS:
         if name not in form.coefficients:
             lines += [declare(f"uq/{name}/lower", "0", f"no bounds were made for {name}"), declare(f"uq/{name}/upper", "0")]
-        lines += _level(name)
+        parts = form.coefficients[name].parts if name in form.coefficients else None
+        lines += _levels(name, 0.0 if parts is None else parts.transient_half_width)
     return lines
 
 
-def _level(name: str) -> list[str]:
-    return [declare(f"uq/{name}/level", "0.5"), declare(f"uq/{name}/active", "1")]
+def _levels(name: str, transient: float = 0.0) -> list[str]:
+    return [
+        declare(f"uq/{name}/level", "0.5"),
+        declare(f"uq/{name}/transient", repr(float(transient)) if transient else "0"),
+        declare(f"uq/{name}/transient-level", "0"),
+        declare(f"uq/{name}/active", "1"),
+    ]
 
 
 def _deltas() -> list[str]:
     lines = ['<channel name="Deltas">']
     for name in COEFFICIENTS:
         lower, upper = prop(f"uq/{name}/lower"), prop(f"uq/{name}/upper")
-        inside = call("sum", lower, call("product", prop(f"uq/{name}/level"), call("difference", upper, lower)))
-        lines += _indent(_component(f"uq/{name}/delta", call("product", prop("uq/active"), prop(f"uq/{name}/active"), inside)))
+        persistent = call("product", prop(f"uq/{name}/level"), call("difference", upper, lower))
+        transient = call("product", prop(f"uq/{name}/transient"), prop(f"uq/{name}/transient-level"))
+        whole = call("sum", lower, persistent, transient)
+        lines += _indent(_component(f"uq/{name}/delta", call("product", prop("uq/active"), prop(f"uq/{name}/active"), whole)))
     return [*lines, "</channel>"]
 
 
@@ -256,12 +279,17 @@ def _indent(lines: list[str]) -> list[str]:
 
 _GENERAL = """Model-form uncertainty: delta coefficients in body axes, between bounds.
 
-  uq/active             0: nominal, bit-identical to the aircraft without this system;   1: deltas applied
-  uq/<C>/lower, upper   bounds at the present flight state, lower <= 0 <= upper; <C> is CX CY CZ Cl Cm Cn
-  uq/<C>/level          0..1, driven by the host or a script
-  uq/<C>/active         1; 0 takes this coefficient out, whatever its bounds
-  uq/<C>/delta          uq/active uq/<C>/active (lower + level (upper - lower)), what the aerodynamics add
-  uq/extrapolated       1 while the state lies outside the data the bounds came from
+  uq/active                 0: nominal, bit-identical to the aircraft without this system;   1: deltas applied
+  uq/<C>/lower, upper       bounds at the present flight state, lower <= 0 <= upper; <C> is CX CY CZ Cl Cm Cn
+  uq/<C>/level              0..1, driven by the host or a script
+  uq/<C>/transient          half-width of what comes and goes within a manoeuvre; 0: no such part
+  uq/<C>/transient-level    -1..1, driven by the host or a script
+  uq/<C>/active             1; 0 takes this coefficient out, whatever its bounds
+  uq/<C>/delta              what the aerodynamics add: uq/active uq/<C>/active
+                            (lower + level (upper - lower) + transient transient-level)
+  uq/extrapolated           1 while the state lies outside the data the bounds came from
+  uq/extrapolation          by how much: the largest of a state's excess over its box, in widths of the box, and
+                            sqrt(leverage/largest of the data) - 1; 0 inside
 """
 
 
@@ -269,11 +297,13 @@ def _remarks(form: ModelForm, aircraft: Aircraft, every: int) -> list[str]:
     flights = ", ".join(f"{f.name} ({f.seconds:.0f} s)" for f in form.flights) or "none named"
     growth = "grow with the polynomial (published form)" if form.outside == "grow" else "stay as at the edge"
     rate = 1.0 / (every * aircraft.dt_s)
+    parted = any(bounds.parts is not None for bounds in form.coefficients.values())
+    half = "t sqrt(persistent^2 + s2 f leverage)" if parted else "t sqrt(s2 (1 + f leverage))"
     return [
         f"{form.confidence:.0%} intervals of aircraft {form.aircraft.name} (SHA-256 {form.aircraft.sha256[:16]}...),",
         f"from flights: {flights}.",
         "Bounds are centre -/+ half-width, clipped at 0 so that the model itself always lies inside;",
-        "  centre = polynomial of z,   half-width = t sqrt(s2 (1 + f leverage)),   z = (state - centre)/scale, uq/z/...",
+        f"  centre = polynomial of z,   half-width = {half},   z = (state - centre)/scale, uq/z/...",
         f"Outside the data's box they {growth}.",
         f"Bounds every {every} frame(s), {rate:.4g} Hz at a step of {aircraft.dt_s:g} s; deltas every frame.",
     ]

@@ -18,15 +18,17 @@ from uqharness.campaign import (
     band_confidence,
     hardest_of,
     in_condition,
+    joint_words,
     samples,
 )
 from uqharness.campaign.conditions import conditions
 from uqharness.campaign.folder import CheckRow, read_cases, read_check, read_complete, read_decisions
+from uqharness.campaign.spec import INTERIOR_MARK
 from uqharness.campaign.statements import statements
 from uqharness.report import statements as report_statements
 from uqharness.report.parts import Level, Say
-from uqharness.report.sample_words import called
-from uqharness.statistics import NO, OPEN, YES, PBox, Sample
+from uqharness.report.sample_words import called, kind_of
+from uqharness.statistics import NO, OPEN, YES, PBox, Sample, widened
 from uqharness.statistics.pbox import pbox
 
 _QUANTITIES = (
@@ -40,7 +42,10 @@ _PUBLISHED_AIRCRAFT, _PUBLISHED_WIND_MPS, _PUBLISHED_AIR = "espaaro", 3.0, ("mod
 
 @dataclass(frozen=True)
 class Finding:
-    """One p-box of a median error and the samples it is the envelope of. ``metric`` is its column of cases.parquet."""
+    """One p-box of a median error and the samples it is the envelope of. ``metric`` is its column of cases.parquet.
+
+    ``widened``: by which share of its area the points between the corners widen it; None where none were flown.
+    """
 
     metric: str
     quantity: str
@@ -51,6 +56,7 @@ class Finding:
     box: PBox
     samples: Sequence[Sample]
     published: float | None
+    widened: float | None = None
 
     @property
     def title(self) -> str:
@@ -97,7 +103,8 @@ def read_found(folder: Path) -> CampaignFound:
     signed = tuple(statements(frame, campaign, read_decisions(folder, manifest)))
     verdict = tuple(_verdict(frame, campaign, findings, signed))
     check = tuple(read_check(folder))
-    return CampaignFound(folder, manifest, frame, findings, signed, _asked(frame, campaign), verdict, check)
+    asked = " ".join([_asked(frame, campaign), *(f"{words[0].upper()}{words[1:]}." for words in joint_words(manifest))])
+    return CampaignFound(folder, manifest, frame, findings, signed, asked, verdict, check)
 
 
 def _findings(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> list[Finding]:
@@ -113,8 +120,15 @@ def _findings(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> list[Finding]
                     continue
                 box = pbox(corners, band_confidence(campaign, CONFIDENCE))
                 published = _published(campaign, condition, quantity) if measured else None
-                found.append(Finding(metric, quantity, words, _UNITS[unit], measured, condition, box, corners, published))
+                grown = _widened(corners)
+                found.append(Finding(metric, quantity, words, _UNITS[unit], measured, condition, box, corners, published, grown))
     return found
+
+
+def _widened(found: Sequence[Sample]) -> float | None:
+    between = [sample for sample in found if sample.epistemic_id.startswith(INTERIOR_MARK)]
+    others = [sample for sample in found if not sample.epistemic_id.startswith(INTERIOR_MARK)]
+    return widened(others, between) if between and others else None
 
 
 def _published(campaign: Mapping[str, Any], condition: Condition, quantity: str) -> float | None:
@@ -127,10 +141,13 @@ def _published(campaign: Mapping[str, Any], condition: Condition, quantity: str)
 def _asked(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> str:
     air, epistemic = campaign["aleatory"], campaign["epistemic"]
     corners = frame["epistemic_id"].nunique()
+    between = frame["epistemic_id"][frame["epistemic_id"].str.startswith(INTERIOR_MARK)].nunique()
+    ends = "points of the joint ellipsoid" if epistemic["set"] == "ellipsoid" else "corners"
+    also = f" and {between} points between them" if between else ""
     within = f"within the intervals of {', '.join(epistemic['coefficients'])}"
     samples_text = {
         "none": "the model as it is, without model-form uncertainty",
-        "corners": f"{corners} corners of the model-form intervals of {', '.join(epistemic['coefficients'])}",
+        "corners": f"{corners - between} {ends}{also} of the model-form intervals of {', '.join(epistemic['coefficients'])}",
         "levels": f"{corners} combinations of levels {within}",
         "lhs": f"{corners} fixed levels, a Latin hypercube, {within}",
         "white": f"{corners} samples of levels redrawn at every step {within}",
@@ -158,19 +175,19 @@ def _verdict(
     frame: pd.DataFrame, campaign: Mapping[str, Any], findings: Sequence[Finding], signed: Sequence[Statement]
 ) -> list[Say]:
     """The answer in words with numbers: the hardest condition, its excursions, its medians, and what failed."""
-    method = campaign["epistemic"]["method"]
+    kind = kind_of(campaign["epistemic"])
     hardest = hardest_of(conditions(frame))
     duration = campaign["aleatory"]["duration_s"]
     said = [Say(f"Hardest condition flown: {hardest.words}.")]
     for statement in signed:
         if statement.cell.condition == hardest and statement.cell.distance == "horizontal":
-            said.append(Say(called(report_statements.sentence(statement), method), answer_level(statement)))
+            said.append(Say(called(report_statements.sentence(statement), kind), answer_level(statement)))
     if UNCOMMANDED_METRICS[0] in frame:
         said.append(Say("Nothing was commanded: errors are deviations from the state in which scoring began."))
     for quantity, _, _ in _QUANTITIES:
         both = [item for item in findings if item.condition == hardest and item.quantity == quantity]
         if both:
-            said.append(Say(called(_median_sentence(both, duration), method)))
+            said.append(Say(called(_median_sentence(both, duration), kind)))
     failed = int((frame["status"] != "ok").sum())
     counted = f"{failed} failed; they are bounded at the worst, not dropped" if failed else "all ended as planned"
     said.append(Say(f"Of {len(frame)} flights, {counted}.", "warn" if failed else "good"))

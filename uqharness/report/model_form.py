@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from sysid.aerodynamics import Residuals, term_name
-from sysid.model_form import ModelForm
+from sysid.model_form import ModelForm, Parts
 from uqharness.files import finite
-from uqharness.identification import CutoffRow, MadeBounds, Validation, failed, mean_left_out
+from uqharness.identification import CutoffRow, MadeBounds, Validation, failed, mean_left_out, verdicts
 from uqharness.replay import write_pieces
 from uqharness.report.pages.model_form import RESIDUALS
 
@@ -34,6 +35,7 @@ def bounds_document(found: MadeBounds) -> dict[str, Any]:
                 "n": b.n, "n_effective": b.n_effective,
                 "s": math.sqrt(b.s2), "mean_width": found.widths[c], "noise_width": forced_width(noise, b.confidence),
                 "left_out_share": kept.get(c, math.nan), "walk_rate": b.walk_rate, "walk_sigma": found.variations[c].sigma,
+                "noise_std": noise, **({} if b.parts is None else _parts(b.parts)),
             }
         )  # fmt: skip
     return {
@@ -49,9 +51,17 @@ def bounds_document(found: MadeBounds) -> dict[str, Any]:
     }
 
 
+def _parts(parts: Parts) -> dict[str, float]:
+    return {
+        "persistent": parts.persistent, "transient": parts.transient, "transient_half_width": parts.transient_half_width,
+        "transient_time_s": parts.transient_time_s, "flight": parts.flight, "noise_scale": parts.noise_scale,
+        "not_above": parts.not_above, "found": parts.found,
+    }  # fmt: skip
+
+
 def _cutoff(row: CutoffRow) -> dict[str, Any]:
     cut = {"cutoff_hz": row.cutoffs.all_hz, "airspeed_cutoff_hz": row.cutoffs.airspeed_hz}
-    return {**finite(cut), "mean_width": finite(row.width), "left_out_share": finite(row.left_out)}
+    return {**finite(cut), "mean_width": finite(row.width)}
 
 
 def validation_document(found: Validation) -> dict[str, Any]:
@@ -69,10 +79,26 @@ def validation_document(found: Validation) -> dict[str, Any]:
             m: {c: {str(k): v for k, v in row.manoeuvres[m].items()} for c, row in found.coverage.items()}
             for m in found.residuals.labels
         },
+        "by_speed": _bins(found, "speeds", "V_mps"),
+        "by_incidence": _bins(found, "incidences", "alpha_rad"),
+        "conformal": {c: asdict(row.conformal) for c, row in found.coverage.items() if row.conformal is not None},
+        "verdicts": dict(verdicts(found)),
+        "flight_variance": {c: finite({"std": found.flight_std.get(c, math.nan)})["std"] for c in found.coverage},
         "failed": list(failed(found)),
         "warnings": list(found.warnings),
         "notes": list(found.notes),
     }  # fmt: skip
+
+
+def _bins(found: Validation, kind: str, state: str) -> list[dict[str, Any]]:
+    """Rows of a state's thirds, each with the share inside by coefficient."""
+    out: list[dict[str, Any]] = []
+    for c, row in found.coverage.items():
+        for k, item in enumerate(getattr(row, kind)):
+            if k == len(out):
+                out.append({"state": state, "from": item.low, "to": item.high, "samples": item.n, "share": {}})
+            out[k]["share"] |= finite({c: item.share})
+    return out
 
 
 def write_residuals(form: ModelForm, residuals: Residuals, flights: str, out: Path) -> None:

@@ -13,6 +13,12 @@ NOUNS: Mapping[str, str] = {"corners": "corner", "levels": "combination", "walk"
 """[epistemic] method -> one of its samples; any other: sample."""
 
 
+def kind_of(epistemic: Mapping[str, Any]) -> str:
+    """What ``called`` takes for a campaign's [epistemic]: its method, unless other samples flew beside or in place of corners."""
+    mixed = epistemic["method"] == "corners" and (epistemic.get("interior") or epistemic["set"] != "box")
+    return "samples" if mixed else str(epistemic["method"])
+
+
 def called(part: Part, method: str) -> Part:
     """A text, or a part of a page with all texts in it, that names the samples of ``method``. Drawings stay as they are."""
     noun = NOUNS.get(method, "sample")

@@ -63,6 +63,16 @@ class PBox:
         """
         return _first(self.value, self.upper, probability), _first(self.value, self.lower, probability)
 
+    def set_by(self, probability: float) -> tuple[str, str]:
+        """Epistemic samples that set the two ends of :meth:`quantile`, best first; empty for an end that is open.
+
+        Raises BadInputError likewise.
+        """
+        found = []
+        for end, names in zip(self.quantile(probability), (self.corner_upper, self.corner_lower), strict=True):
+            found.append(str(names[np.searchsorted(self.value, end)]) if np.isfinite(end) else "")
+        return found[0], found[1]
+
     def band_quantile(self, probability: float) -> tuple[float, float]:
         """The same for the band: -inf or inf where too few flights were flown to say. Raises BadInputError likewise."""
         left = _first(self.value, self.band_upper, probability)
@@ -146,6 +156,19 @@ def envelope(samples: Sequence[Sample], at: Array) -> tuple[Array, Array]:
         lower = np.minimum(lower, below / sample.size)
         upper = np.maximum(upper, (below + sample.unknown) / sample.size)
     return lower, upper
+
+
+def widened(samples: Sequence[Sample], added: Sequence[Sample]) -> float:
+    """By which share of its area the p-box of ``samples`` grows when ``added`` join it; NaN where it has no area.
+
+    Raises ValueError as :func:`envelope` does.
+    """
+    value = np.unique(np.concatenate([sample.values for sample in (*samples, *added)]))
+    areas = [
+        float(np.sum((upper - lower)[:-1] * np.diff(value)))
+        for lower, upper in (envelope(samples, value), envelope((*samples, *added), value))
+    ]
+    return areas[1] / areas[0] - 1.0 if areas[0] > 0.0 else float("nan")
 
 
 @dataclass(frozen=True)

@@ -112,7 +112,7 @@ class _Planner:
         if spec.campaign is not None:
             stage = self._campaign(model, form, when)
             yield stage
-            if spec.campaign.epistemic.method == "corners":
+            if (spec.campaign.epistemic.method, spec.campaign.epistemic.set) == ("corners", "box"):
                 yield self._sensitivity(stage)
 
     # One method a command, each beside what it depends on.
@@ -196,7 +196,9 @@ class _Planner:
                 self._tried(lambda pair: parse_designs(pair[0], pair[1], 2, False), (states, terms), "bounds", option)
         words = ["bounds", model.word, *self._flight_words(section.flights), "--out", str(out)]
         words += ["--confidence", f"{section.confidence!r}", "--order", str(section.order), "--select", section.select]
-        words += ["--sample-size", section.samples, "--outside", section.outside, "--servos", self.spec.study.servos]
+        # Every sample counts in the published interval alone.
+        words += ["--as-published"] if section.samples == "all" else []
+        words += ["--outside", section.outside, "--servos", self.spec.study.servos]
         for option in ("cutoff_hz", "airspeed_cutoff_hz", "walk_cutoff_hz"):
             words += [f"--{option.replace('_', '-')}", f"{getattr(section, option)!r}"]
         words += [word for option, given in texts.items() for text in given for word in (f"--{option}", text)]

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from sysid.model_form import HOLDS_FROM
 from uqharness.errors import BadInputError
-from uqharness.identification import HOLDS_FROM
 from uqharness.result_documents import Coverage, Fit, Part, read_document
 from uqharness.study.performance import BAD, GOOD, SAME, WARN, Sentence, performance
 from uqharness.study.spec import ChainSpec
@@ -89,10 +89,11 @@ def _unexplained(document: Mapping[str, Any]) -> str:
 
 
 def _coverage(out: Path, flights: Sequence[str], both: bool) -> Iterator[Sentence]:
-    found = {
-        when: read_document(out / f"validate-{when}" / "coverage.json", Coverage)["coverage"]
+    documents = {
+        when: read_document(out / f"validate-{when}" / "coverage.json", Coverage)
         for when in ((BEFORE, AFTER) if both else (BEFORE,))
     }
+    found = {when: document["coverage"] for when, document in documents.items()}
     named = ", ".join(flights)
     for when, coverage in found.items():
         shares = {c: row["0.95"] for c, row in coverage.items()}
@@ -100,9 +101,16 @@ def _coverage(out: Path, flights: Sequence[str], both: bool) -> Iterator[Sentenc
         which = f" {when} refinement" if both else ""
         text = f"Of {named}, {100 * shares[low]:.1f} % ({low}) to {100 * shares[high]:.1f} % ({high}) lies inside"
         text += f" the 95 % bounds{which}"
-        holds = shares[low] >= HOLDS_FROM
-        text += "." if holds else f": they do not hold, at least {100 * HOLDS_FROM:g} % is asked for."
-        yield text, GOOD if holds else BAD
+        verdicts = documents[when].get("verdicts", {})
+        bad = [c for c, said in verdicts.items() if said == "fails"] or [c for c in shares if not shares[c] >= HOLDS_FROM]
+        open_ = [c for c, said in verdicts.items() if said == "inconclusive"]
+        if bad:
+            text += f": those of {', '.join(bad)} do not hold."
+        elif open_:
+            text += f": too short a flight to tell of {', '.join(open_)}."
+        else:
+            text += "."
+        yield text, BAD if bad else WARN if open_ else GOOD
     if both:
         widths = {w: {c: row["mean_width"] for c, row in coverage.items()} for w, coverage in found.items()}
         change = {c: _change(widths[BEFORE][c], width) for c, width in widths[AFTER].items() if c in widths[BEFORE]}

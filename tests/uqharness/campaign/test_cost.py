@@ -9,11 +9,14 @@ from pathlib import Path
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
+from tests.helpers.engine_fakes import batch_alike
+from tests.helpers.model_forms import made_up_form
 from tests.uqharness.campaign.test_rounds import TOML as DECIDE
 from uqharness.campaign import cost
 from uqharness.campaign.cases import build_cases
+from uqharness.campaign.execution.processes import ProcessExecutor
 from uqharness.campaign.folder.store import JOURNAL
-from uqharness.campaign.run import find_mission
+from uqharness.campaign.run import find_mission, run_campaign
 from uqharness.campaign.spec.read import read_campaign
 from uqharness.campaign.spec.samples import epistemic_samples
 from uqharness.cli.main import main
@@ -24,9 +27,10 @@ CORNERS = 'method = "corners"'
 
 
 LEVELS = 'method = "levels"\nlevels = [0, 0.5, 1]'
+METHODS = [CORNERS, f"{CORNERS}\ninterior = 5", LEVELS, 'method = "lhs"\nsamples = 7', 'method = "white"\nsamples = 3', "none"]
 
 
-@pytest.mark.parametrize("method", [CORNERS, LEVELS, 'method = "lhs"\nsamples = 7', 'method = "white"\nsamples = 3', "none"])
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("mean", ["", MEAN])
 def test_flights_are_counted_as_they_are_built(tmp_path, method, mean):
     text = fakes.CAMPAIGN.replace("wind_mps = 3", "wind_mps = [1, 3]")
@@ -41,6 +45,17 @@ def test_flights_are_counted_as_they_are_built(tmp_path, method, mean):
     assert cost.size_of(spec, 5).flights == -(-size.flights // 5)
     flight = cost.one_case(spec, mission).flight
     assert (flight.aircraft, flight.duration_s, flight.turbulence) == (mission.aircraft, 150.0, "moderate")
+
+
+def test_a_model_forms_points_are_counted_too(tmp_path):
+    made_up_form().write(tmp_path / "model-form.json")
+    head = fakes.CAMPAIGN.partition("bounds =")[0] + 'bounds = "model-form.json"\n'
+    for more, samples, interior in (("", 80, 16), ("interior = 0\n", 64, 0), ('set = "ellipsoid"\n', 92, 16)):
+        spec = read_campaign(fakes.campaign_file(tmp_path, head + more))
+        size = cost.size_of(spec)
+        assert size.epistemic == len(epistemic_samples(spec)) == samples
+        assert (size.interior, size.flights) == (interior, 3 * samples)
+        assert ("between the corners" in cost.Cost(size, 0, None, 1).words) == (interior > 0)
 
 
 def test_a_campaign_that_may_end_sooner_says_at_most(tmp_path):
@@ -79,9 +94,12 @@ def test_times_in_words(seconds, words):
 def test_a_campaign_of_years_is_refused_at_once_in_little_memory(tmp_path, capsys):
     path = fakes.campaign_file(tmp_path, fakes.CAMPAIGN.replace("flights = 3", "flights = 1000000"))
     tracemalloc.start()
-    code = main(["campaign", "run", str(path), "--out", str(tmp_path / "out")])
-    most = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
+    try:
+        code = main(["campaign", "run", str(path), "--out", str(tmp_path / "out")])
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        # Left running, it would slow down every test that follows.
+        tracemalloc.stop()
     said = capsys.readouterr()
     assert (code, said.out) == (2, "")
     assert "64000000 flights (64 epistemic samples, 1 condition, 1000000 each), 3733333 flight h" in said.err
@@ -89,6 +107,32 @@ def test_a_campaign_of_years_is_refused_at_once_in_little_memory(tmp_path, capsy
     assert "give --yes to fly it all the same, or --hours H" in said.err
     assert most < 200e6
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("engine", ["batch", "jsbsim"])
+def test_the_pace_of_very_many_flights_is_known_before_their_cases_are_made(tmp_path, monkeypatch, engine):
+    class Enough(Exception):
+        pass
+
+    def stop(told):
+        costs.append(told)
+        raise Enough
+
+    costs: list[cost.Cost] = []
+    spec = fakes.small_spec(tmp_path, 3).with_engine(engine)
+    everything = {"executor": ProcessExecutor(2, "fork"), "fly": batch_alike, "before_flying": stop}
+    monkeypatch.setattr("uqharness.campaign.run.MANY", 191)
+    with monkeypatch.context() as patch:
+        patch.setattr("uqharness.campaign.run.build_cases", None)
+        with pytest.raises(Enough):
+            run_campaign(spec, tmp_path / "out", **everything)
+    assert not (tmp_path / "out").exists()
+    # With one flight fewer than that the cases are made first, and the folder with them.
+    monkeypatch.setattr("uqharness.campaign.run.MANY", 192)
+    with pytest.raises(Enough):
+        run_campaign(spec, tmp_path / "out", **everything)
+    assert (tmp_path / "out").exists()
+    assert [(found.engine, found.missing, found.pace is None) for found in costs] == [(engine, 192, False)] * 2
 
 
 def test_a_slow_model_is_refused_after_its_check_flight_and_yes_flies_it(tmp_path, monkeypatch, capsys):

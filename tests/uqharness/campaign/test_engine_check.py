@@ -62,6 +62,8 @@ def width(spec, out):
 @pytest.mark.parametrize("late", [False, True])
 def test_a_hundred_thousandth_of_the_spread_stops_the_campaign_and_a_hundred_millionth_does_not(spec, tmp_path, late):
     iqr = width(spec, tmp_path / "alike")
+    # Asked for by name: an engine that nobody asked for would give way to JSBSim at the first look.
+    spec = spec.with_engine("batch")
     with pytest.raises(EnginesDifferError, match=f"has {METRIC} .* of its spread apart") as error:
         run(spec, tmp_path / "wrong", Flown(offset=1e-5 * iqr, late=late))
     assert ("in its first seconds" in str(error.value)) is not late
@@ -107,7 +109,9 @@ def test_flights_left_to_the_judge_are_flown_by_the_next_run(spec, tmp_path):
     run(spec, out)
     run(spec, tmp_path / "undisturbed")
     assert tables(out) == tables(tmp_path / "undisturbed")
-    assert {row.case_id for row in read_check(out)} == {row.case_id for row in read_check(tmp_path / "undisturbed")}
+    # The first seconds are those of flights that were still missing, which depends on when the run was stopped.
+    judged = [{row.case_id for row in read_check(folder) if row.part == WHOLE} for folder in (out, tmp_path / "undisturbed")]
+    assert judged[0] == judged[1] != set()
 
 
 @pytest.mark.parametrize("kind", [Deadly, Raising])

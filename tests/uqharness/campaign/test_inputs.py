@@ -14,11 +14,12 @@ from scipy import stats
 from sysid.model_form.model_form import AircraftReference, read_model_form
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.campaign_fakes import CAMPAIGN, campaign_file
-from tests.helpers.model_forms import PUBLISHED, made_up_form
+from tests.helpers.model_forms import PUBLISHED, made_up_form, with_parts
 from uqharness.campaign.aircraft import bounds_notes
 from uqharness.campaign.cases import Mission, build_cases
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.folder.case_table import CASES
+from uqharness.campaign.folder.manifest import describe, spec_of
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.spec.read import read_campaign
 from uqharness.campaign.spec.samples import epistemic_samples
@@ -26,7 +27,7 @@ from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import record_mission
 from uqharness.flight.seeds import walk_stream
-from uqharness.flight.spec import COEFFICIENTS, FlightResult, LevelDriver
+from uqharness.flight.spec import COEFFICIENTS, FlightResult, LevelDriver, TransientDriver
 from uqharness.parquet_files import read_table
 from uqharness.plugin.model_form_xml import model_form_xml
 from uqharness.simulator.aircraft import PROJECT_ROOT, content_hash, find_aircraft
@@ -46,9 +47,10 @@ FIT = {
 }
 
 
-def model_form(path, rates=(0.02, 0.012, float("nan")), names=("CX", "CZ", "Cm"), **changes):
-    """A model form with bounds of CX, CZ and Cm."""
+def model_form(path, rates=(0.02, 0.012, float("nan")), names=("CX", "CZ", "Cm"), transient=None, **changes):
+    """A model form with bounds of CX, CZ and Cm; told apart into parts where ``transient`` is given."""
     form = made_up_form({name: PUBLISHED[name] for name in names})
+    form = form if transient is None else with_parts(form, transient=transient)
     bounds = {
         name: dataclasses.replace(item, walk_rate=rate)
         for (name, item), rate in zip(form.coefficients.items(), rates, strict=False)
@@ -115,6 +117,56 @@ def test_rates_and_coefficients_come_from_the_model_form(tmp_path):
         campaign(tmp_path, 'method = "walk"\nsamples = 2\nbounds = "model-form.json"\n')
     with pytest.raises(BadInputError, match="has no bounds for Cn"):
         campaign(tmp_path, 'method = "corners"\nbounds = "model-form.json"\ncoefficients = ["CX", "Cn"]\n')
+
+
+CORNERS = 'method = "corners"\nbounds = "model-form.json"\ncoefficients = ["CX", "Cm"]\n'
+
+
+def test_transient_error_flies_where_the_form_has_it_the_same_at_every_corner(tmp_path):
+    model_form(tmp_path / "model-form.json", transient={"Cm": 0.001, "CZ": 0.002})
+    spec = campaign(tmp_path, CORNERS)
+    rate = np.sqrt(2.0) / (np.pi * np.sqrt(0.5))
+    cases = build_cases(spec, mission(tmp_path))
+    assert len(cases) == 3 * (4 + 16)
+    for case in cases:
+        # CZ has such a part, and is certain in this campaign.
+        assert case.flight.transient == TransientDriver(7, case.aleatory_id, ("Cm",), (pytest.approx(rate),))
+    still = build_cases(campaign(tmp_path, CORNERS + "transient = false\n"), mission(tmp_path))
+    assert all(case.flight.transient is None for case in still)
+    assert {case.case_id for case in still}.isdisjoint(case.case_id for case in cases)
+    said = [campaign(tmp_path, CORNERS + more).as_dict()["epistemic"]["transient"] for more in ("", "transient = false\n")]
+    assert said == [True, False]
+    assert (
+        spec_of(describe(spec, mission(tmp_path), 60, "") | {"campaign_file": str(tmp_path / "campaign.toml")}).inputs
+        == spec.inputs
+    )
+    # The same coefficient's walk joins walks and the hypercube alike.
+    lhs = build_cases(campaign(tmp_path, CORNERS.replace('"corners"', '"lhs"\nsamples = 2')), mission(tmp_path))
+    assert lhs[0].flight.transient == cases[0].flight.transient
+
+
+def test_a_form_without_such_a_part_flies_none(tmp_path):
+    model_form(tmp_path / "model-form.json", transient=0.0)
+    spec = campaign(tmp_path, CORNERS + "transient = true\n")
+    assert spec.inputs.has_parts
+    assert not spec.inputs.transient_rates
+    assert spec.as_dict()["epistemic"]["transient"] is False
+    # From before there were parts: its campaigns are the flights they were.
+    model_form(tmp_path / "model-form.json")
+    old = campaign(tmp_path, CORNERS + "interior = 0\n")
+    assert "transient" not in old.as_dict()["epistemic"]
+    assert all(case.flight.transient is None for case in build_cases(old, mission(tmp_path)))
+
+
+def test_what_the_bounds_do_not_hold_is_refused_with_its_line(tmp_path):
+    model_form(tmp_path / "model-form.json")
+    with pytest.raises(BadInputError, match=r"campaign.toml:\d+: \[epistemic\] transient = true: .*does not tell transient"):
+        campaign(tmp_path, CORNERS + "transient = true\n")
+    with pytest.raises(BadInputError, match=r"campaign.toml:\d+: \[epistemic\] transient = true: bounds are no model-form.json"):
+        campaign(tmp_path, f'method = "corners"\n{BOUNDS}transient = true\n')
+    with pytest.raises(BadInputError, match=r"campaign.toml:\d+: \[epistemic\] set = .ellipsoid.: it needs intervals"):
+        campaign(tmp_path, f'method = "corners"\n{BOUNDS}set = "ellipsoid"\n')
+    assert campaign(tmp_path, f'method = "corners"\n{BOUNDS}transient = false\n').inputs.transient_rates == {}
 
 
 @pytest.mark.parametrize(
@@ -290,7 +342,7 @@ def bounded(tmp_path):
     shutil.copytree(PROJECT_ROOT / "aircraft" / "espaaro", tmp_path / "plane")
     shutil.copy(PROJECT_ROOT / "scripts" / "trim.xml", tmp_path / "loiter.xml")
     model_form(tmp_path / "model-form.json")
-    epistemic = '[epistemic]\nmethod = "corners"\nbounds = "model-form.json"\ncoefficients = ["CX"]\n'
+    epistemic = '[epistemic]\nmethod = "corners"\nbounds = "model-form.json"\ncoefficients = ["CX"]\ninterior = 0\n'
     head = HEAD.replace("150", "2").replace("60", "0").replace("flights = 3", "flights = 1")
     (tmp_path / "campaign.toml").write_text(head.replace('"moderate"', '"light"') + epistemic)
     return read_campaign(tmp_path / "campaign.toml")

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
+from tests.helpers.model_forms import made_up_form
+from uqharness.campaign.cases import Mission
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.folder.manifest import read_manifest, write_manifest
 from uqharness.campaign.run import run_campaign
@@ -44,6 +46,10 @@ def bump(spec):
     return with_bump(spec, 8.0)
 
 
+def large(spec):
+    return with_bump(spec, 80.0)
+
+
 def steeper(spec):
     return with_bump(spec, 12.0)
 
@@ -60,6 +66,15 @@ def one_fails(spec):
     result = known_effects(spec)
     corner = all(spec.properties[f"uq/{name}/level"] == 1.0 for name in SLOPES)
     if corner and spec.seed_turbulence % 5 == 0:
+        return FlightResult("crashed", "reached the ground at 90 s", 90.0, {}, {}, {})
+    return result
+
+
+def interior_fails(spec):
+    """The first interior point crashes in every air."""
+    result = known_effects(spec)
+    level = spec.properties["uq/CX/level"]
+    if level not in (0.0, 1.0) and level < 1.0 / 3.0:
         return FlightResult("crashed", "reached the ground at 90 s", 90.0, {}, {}, {})
     return result
 
@@ -250,3 +265,30 @@ def test_ranking_needs_a_lead_to_be_certain():
     assert ranked(math.nan).by_sampling == ("b",)
     assert not ranked(math.nan).certain
     assert ranked(-0.05).by_ranges == ()
+
+
+def test_interior_points_check_the_corners_and_move_no_share(tmp_path, flown):
+    text = fakes.CAMPAIGN.replace('method = "corners"', 'method = "corners"\ninterior = 9')
+    beside = analyse_campaign(read_corner_campaign(fly(tmp_path / "i", known_effects, text=text)), metrics=["cross_track_median_m"])
+    alone = analyse_campaign(read_corner_campaign(flown), metrics=["cross_track_median_m"])
+    assert beside[0].result.indices == alone[0].result.indices
+    assert beside[0].flights == alone[0].flights
+    assert beside[0].result.details["interior_outside"] == 0.0
+    bumped = analyse_campaign(read_corner_campaign(fly(tmp_path / "b", large, text=text)), metrics=["cross_track_median_m"])
+    assert bumped[0].result.details["interior_outside"] > 0.02
+
+
+def test_a_failed_interior_flight_leaves_no_air_out(tmp_path):
+    text = fakes.CAMPAIGN.replace('method = "corners"', 'method = "corners"\ninterior = 3')
+    (found,) = analyse_campaign(read_corner_campaign(fly(tmp_path, interior_fails, text=text)), metrics=["cross_track_median_m"])
+    assert (found.flights, found.left_out) == (FLIGHTS, 0)
+
+
+def test_an_ellipsoid_has_no_corners_to_compare(tmp_path):
+    made_up_form().write(tmp_path / "model-form.json")
+    text = fakes.CAMPAIGN.partition("bounds =")[0] + 'bounds = "model-form.json"\nset = "ellipsoid"\ncoefficients = ["CX", "CY"]\n'
+    spec = read_campaign(fakes.campaign_file(tmp_path, text))
+    mission = Mission(tmp_path / "plane", "a" * 64, tmp_path / "loiter.xml", "b" * 64)
+    run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady, mission=mission)
+    with pytest.raises(BadInputError, match=r'points of an ellipsoid.*set = "box"'):
+        read_corner_campaign(tmp_path / "out")

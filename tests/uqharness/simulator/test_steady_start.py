@@ -144,7 +144,7 @@ def test_the_folder_of_another_start_is_refused(flown):
     folder, _ = flown
     faster = read_campaign(write(folder, CAMPAIGN.replace("V_mps = 55", "V_mps = 56")))
     with pytest.raises(BadInputError, match=r"\[start\] V_mps was 55.0, is 56.0"):
-        run_campaign(faster, folder / "out", executor=SerialExecutor(), fly=fly)
+        run_campaign(faster, folder / "out", executor=SerialExecutor())
     assert Path(folder / "out" / CASES).is_file()
 
 

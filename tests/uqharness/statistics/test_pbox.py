@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqharness.statistics.pbox import Sample, band_half_width, best_and_worst, excursion_rate, pbox, poisson_limits, poisson_upper
+from uqharness.errors import BadInputError
+from uqharness.statistics.pbox import (
+    Sample,
+    band_half_width,
+    best_and_worst,
+    excursion_rate,
+    pbox,
+    poisson_limits,
+    poisson_upper,
+    widened,
+)
 
 
 def sample(name, values, unknown=0):
@@ -200,3 +210,20 @@ def test_the_worst_of_many_needs_the_simultaneous_limit():
         together += worst.simultaneous[0] <= rate
     assert alone / campaigns < 0.8
     assert together / campaigns >= 0.95
+
+
+def test_the_samples_behind_a_quantile_are_named():
+    box = pbox([Sample("low", np.arange(10.0)), Sample("high", np.arange(10.0) + 20.0)])
+    assert box.quantile(0.5) == (4.0, 24.0)
+    assert box.set_by(0.5) == ("low", "high")
+    open_ended = pbox([Sample("low", np.arange(10.0)), Sample("lost", np.arange(2.0), 8)])
+    assert open_ended.set_by(0.5) == ("lost", "")
+    with pytest.raises(BadInputError):
+        box.set_by(1.5)
+
+
+def test_samples_that_join_widen_by_a_share_of_the_area():
+    corners = [Sample("a", np.array([2.0])), Sample("b", np.array([6.0]))]
+    assert widened(corners, [Sample("between", np.array([4.0]))]) == 0.0
+    assert widened(corners, [Sample("best", np.array([1.0]))]) == pytest.approx(0.25)
+    assert np.isnan(widened(corners[:1], [Sample("a2", np.array([3.0]))]))

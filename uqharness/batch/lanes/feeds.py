@@ -12,10 +12,10 @@ from sysid.units import FT_M
 from uqharness.batch.form.flying import Feed, shared, slot
 from uqharness.batch.lanes.begin import Begun
 from uqharness.batch.lanes.mission import LaneMission
-from uqharness.batch.lanes.streams import GUSTS, LEVELS, HostGusts, MovingLevels, Series, Turbulence, noise_streams
+from uqharness.batch.lanes.streams import GUSTS, LEVELS, TRANSIENTS, HostGusts, MovingLevels, Series, Turbulence, noise_streams
 from uqharness.batch.models.start import rounded
 from uqharness.batch.models.winds import COUNTER, NORMALS
-from uqharness.flight import TURBULENCE_W20_KT, FlightSpec, dryden_parameters
+from uqharness.flight import TURBULENCE_W20_KT, FlightSpec, LevelDriver, TransientDriver, dryden_parameters
 
 Array = NDArray[np.float64]
 
@@ -41,8 +41,9 @@ class Feeder:
         if GUSTS.name in self._wanted:
             out[GUSTS.name] = self._fed(GUSTS.name, [self._airs[k] for k in alive], frames, self._gusts)
         if LEVELS.name in self._wanted:
-            drivers = [self._specs[k].levels for k in alive]
-            out[LEVELS.name] = self._fed(LEVELS.name, drivers, frames, lambda driver: MovingLevels(driver, self._lanes.dt_s))
+            out[LEVELS.name] = self._fed(LEVELS.name, [self._specs[k].levels for k in alive], frames, self._levels)
+        if TRANSIENTS.name in self._wanted:
+            out[TRANSIENTS.name] = self._fed(TRANSIENTS.name, [self._specs[k].transient for k in alive], frames, self._levels)
         if NORMALS.name in self._wanted:
             out[NORMALS.name] = self._turbulence(alive, frames, state)
         return out
@@ -66,6 +67,9 @@ class Feeder:
             array, first = self._series[name, key].rows(frames)
             pieces[key] = array
         return shared(pieces, keys, first)
+
+    def _levels(self, driver: LevelDriver | TransientDriver) -> MovingLevels:
+        return MovingLevels(driver, self._lanes.dt_s)
 
     def _scales(self, lane: int) -> tuple[float, float, float]:
         """Airspeed [m/s], height [m] and span [m] at the start, from which the host's gusts are made."""

@@ -76,7 +76,8 @@ def record_many(specs: Sequence[FlightSpec]) -> list[Recorded]:
 def _program_key(spec: FlightSpec) -> Hashable:
     fixed = tuple(sorted((n, float(v)) for n, v in spec.properties.items() if n.startswith(_FIXED)))
     air = (spec.wind_mps, spec.wind_from_deg, spec.turbulence, spec.turbulence_source, spec.sensor_noise)
-    flight = (str(spec.aircraft), str(spec.script), air, spec.levels is not None, spec.record_rate_hz)
+    moving = (spec.levels is not None, None if spec.transient is None else spec.transient.coefficients)
+    flight = (str(spec.aircraft), str(spec.script), air, moving, spec.record_rate_hz)
     return (flight, fixed, tuple(sorted(spec.properties)))
 
 

@@ -20,7 +20,7 @@ from uqharness.batch.form.interpret import Interpreter
 from uqharness.batch.form.passes import for_what_follows, optimised
 from uqharness.batch.form.program import Program, Stream
 from uqharness.batch.form.settled import settled
-from uqharness.batch.lanes.streams import GUSTS, LEVELS, noise_streams
+from uqharness.batch.lanes.streams import GUSTS, LEVELS, TRANSIENTS, noise_streams
 from uqharness.batch.machine.flight import compile_program
 from uqharness.batch.machine.target import chosen_target
 from uqharness.batch.models.ground import POINT, TOUCHED
@@ -151,6 +151,7 @@ def make_mission(
     gusty = spec.turbulence != "none" and spec.turbulence_source == "spec"
     fed: list[Stream] = [GUSTS] if gusty else []
     fed += [LEVELS] if spec.levels is not None else []
+    fed += [TRANSIENTS] if spec.transient is not None else []
     there = fdm.get_property_manager().hasNode
     records = [*records, *(name for name in optional if there(name))]
     points = tuple(contact_points(fdm, mission.aircraft))

@@ -22,7 +22,7 @@ from uqharness.batch.machine.gusts import compiled_recursion
 from uqharness.batch.machine.random import compiled_pairs, compiled_tries
 from uqharness.batch.machine.target import Target, chosen_target
 from uqharness.batch.models.winds import DRAWS
-from uqharness.flight import COEFFICIENTS, DrydenGusts, DrydenParameters, LevelDriver, Levels
+from uqharness.flight import COEFFICIENTS, DrydenGusts, DrydenParameters, LevelDriver, Levels, TransientDriver
 
 Array = NDArray[np.float64]
 
@@ -30,6 +30,8 @@ GUSTS = Stream("gusts", tuple(f"air/host/{name}" for name in ("u-mps", "v-mps", 
 """Host gusts, a row a frame."""
 LEVELS = Stream("levels", tuple(f"uq/{name}/level" for name in COEFFICIENTS))
 """Moving levels, a row a frame."""
+TRANSIENTS = Stream("transients", tuple(f"uq/{name}/transient-level" for name in COEFFICIENTS))
+"""Moving levels of the transient part, a row a frame."""
 
 _LONGEST_PERIOD = 100_000
 
@@ -144,13 +146,13 @@ class HostGusts:
 
 
 class MovingLevels:
-    """Levels of ``flight.levels``, with the columns of LEVELS."""
+    """Levels of ``flight.levels``, with the columns of LEVELS or TRANSIENTS."""
 
-    def __init__(self, driver: LevelDriver, dt_s: float, target: Target | None = None) -> None:
+    def __init__(self, driver: LevelDriver | TransientDriver, dt_s: float, target: Target | None = None) -> None:
         self._levels, self._row = Levels(driver, dt_s, compiled_pairs(target or _widest())), 0
 
     def rows(self, n: int) -> Rows:
-        """The next ``n`` rows (n, 6) in 0..1."""
+        """The next ``n`` rows (n, 6) in 0..1, transient ones in -1..1."""
         first, self._row = self._row, self._row + n
         return Rows(np.ascontiguousarray(self._levels.take(n)), first)
 

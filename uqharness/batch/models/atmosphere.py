@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 
-from sysid.units import FT_M
+from sysid.units import FT_M, G0_MPS2
 from uqharness.batch.form.ir import Value
 from uqharness.batch.translate.frame import Frame
 
@@ -19,7 +19,7 @@ _LAYERS = (
 )  # fmt: skip
 """Geopotential height [ft] and temperature [deg R] of the breakpoints."""
 _EARTH_RADIUS_FT = 6356766.0 / FT_M
-_G0_FPS2 = 9.80665 / FT_M
+_G0_FPS2 = G0_MPS2 / FT_M
 _R_DRY = 1716.5571582043528
 """Gas constant of dry air, ft2/(s2 R)."""
 _GAMMA = 1.4

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from sysid.units import FT_M
+from sysid.units import FT_M, G0_MPS2
 from uqharness.batch.form.ir import Value
 from uqharness.batch.models.atmosphere import STANDARD_DENSITY_SLUGS_FT3
 from uqharness.batch.models.motion import BODY_ACCELERATION, MATRIX, PLACE, matrix, slots, vector
@@ -16,7 +16,7 @@ from uqharness.batch.models.winds import AXES
 from uqharness.batch.translate.frame import Frame
 
 _DEG = 180.0 / math.pi
-G_FPS2 = 9.80665 / FT_M
+G_FPS2 = G0_MPS2 / FT_M
 """Standard gravity."""
 _LEAST_SPEED = 0.001
 _LEAST_SQUARE = 1e-6

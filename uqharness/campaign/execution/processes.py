@@ -284,11 +284,15 @@ def _send(worker: _Worker, task: _Task) -> None:
 def _stop(pool: list[_Worker]) -> None:
     """End the workers at once. What they were flying has not been counted and will be flown again."""
     for worker in pool:
-        worker.pipe.close()
         if worker.tasks or not worker.ready:
             worker.process.kill()
+        else:
+            # A forked worker holds this end of its pipe as well, and would not see it close.
+            with contextlib.suppress(OSError):
+                worker.pipe.send(None)
+        worker.pipe.close()
     for worker in pool:
-        # An idle worker ends by itself when its pipe closes, and then tidies its temporary files away.
+        # An idle worker ends by itself, and then tidies its temporary files away.
         worker.process.join(_GOODBYE_S)
         worker.process.kill()
         worker.process.join()

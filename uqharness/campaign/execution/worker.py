@@ -93,7 +93,7 @@ def _one_line(text: str) -> str:
 
 
 def work(pipe: Connection, fly: GroupFunction) -> None:
-    """A worker's life: take a group, fly it, send the outcomes; end with the parent."""
+    """A worker's life: take a group, fly it, send the outcomes; end with the parent, or when it is sent None."""
     # Ctrl-C reaches the whole group; the parent decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
@@ -102,7 +102,7 @@ def work(pipe: Connection, fly: GroupFunction) -> None:
         faulthandler.disable()
     try:
         pipe.send(None)
-        while True:
-            pipe.send(attempt_group(fly, pipe.recv()))
+        while (group := pipe.recv()) is not None:
+            pipe.send(attempt_group(fly, group))
     except (EOFError, OSError):
         return

@@ -46,6 +46,8 @@ def binding_versions() -> tuple[tuple[str, str], ...]:
 
 def describe(spec: CampaignSpec, mission: Mission, cases: int, command: str) -> dict[str, Any]:
     """Manifest of a campaign that is about to run."""
+    inputs = spec.inputs
+    bounds = {"confidence": inputs.confidence, "transient": list(inputs.transient_rates)}
     return {
         "format": FORMAT,
         "state": RUNNING,
@@ -55,7 +57,8 @@ def describe(spec: CampaignSpec, mission: Mission, cases: int, command: str) -> 
         "campaign": spec.as_dict(),
         "campaign_file": str(spec.path.resolve()),
         "versions": versions(),
-        "hashes": {"aircraft": mission.aircraft_hash, "script": mission.script_hash, **spec.inputs.hashes},
+        "hashes": {"aircraft": mission.aircraft_hash, "script": mission.script_hash, **inputs.hashes},
+        **({} if inputs.confidence is None else {"bounds": bounds}),
     }
 
 

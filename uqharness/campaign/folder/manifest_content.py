@@ -33,6 +33,11 @@ class _Engine(_Part):
     why: list[str]
 
 
+class _Bounds(_Part):
+    confidence: float = Field(gt=0, lt=1)
+    transient: list[str]
+
+
 class _Content(_Part):
     format: Literal[1, 2]
     state: Literal["running", "interrupted", "complete", "spoilt"]
@@ -47,6 +52,7 @@ class _Content(_Part):
     tables: dict[_FileName, _Digest] = Field(default_factory=dict)
     journal: _Journal | None = None
     engine: _Engine | None = None
+    bounds: _Bounds | None = None
 
     @model_validator(mode="after")
     def _whole(self) -> _Content:
@@ -65,7 +71,7 @@ def checked_content(data: Mapping[str, Any]) -> dict[str, Any]:
     except ValidationError as error:
         raise ValueError(_words(error)) from None
     try:
-        settings = checked_settings(_with_engine(found.campaign))
+        settings = checked_settings(_as_it_was(found.campaign))
     except ValidationError as error:
         raise ValueError(_words(error, "campaign")) from None
     if settings["campaign"]["seed"] != found.seed:
@@ -73,10 +79,15 @@ def checked_content(data: Mapping[str, Any]) -> dict[str, Any]:
     return {**data, "campaign": settings}
 
 
-def _with_engine(campaign: dict[str, Any]) -> dict[str, Any]:
-    """Flights from before there was another engine are JSBSim's."""
-    section = campaign.get("campaign")
-    return {**campaign, "campaign": {"engine": "jsbsim", **section}} if isinstance(section, dict) else campaign
+def _as_it_was(campaign: dict[str, Any]) -> dict[str, Any]:
+    """Flights from before there was another engine are JSBSim's; those from before there were interior points are corners alone."""
+    filled = dict(campaign)
+    if isinstance(section := campaign.get("campaign"), dict):
+        filled["campaign"] = {"engine": "jsbsim", **section}
+    section = campaign.get("epistemic")
+    if isinstance(section, dict) and section.get("method") == "corners" and isinstance(section.get("bounds"), str):
+        filled["epistemic"] = {"interior": 0, **section}
+    return filled
 
 
 def _words(error: ValidationError, *section: str) -> str:

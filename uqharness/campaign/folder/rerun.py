@@ -115,9 +115,9 @@ def _more(metrics: Mapping[str, Any]) -> dict[str, Source]:
         "load_factor": Source("accelerations/Nz"),
     }
     for name in COEFFICIENTS:
-        for what in ("level", "lower", "upper", "delta"):
-            table[f"{what}_{name}"] = Source(f"uq/{name}/{what}")
-    table["extrapolated"] = Source("uq/extrapolated")
+        for what in ("level", "lower", "upper", "delta", "transient-level"):
+            table[f"{what.replace('-', '_')}_{name}"] = Source(f"uq/{name}/{what}")
+    table |= {name: Source(f"uq/{name}") for name in ("extrapolated", "extrapolation")}
     return table | {f"wind_{axis}_mps": Source(f"atmosphere/total-wind-{axis}-fps", FT_M) for axis in ("north", "east", "down")}
 
 
@@ -167,6 +167,7 @@ def _write(
         "metrics": {name: value if math.isfinite(value) else None for name, value in sorted(outcome.metrics.items())},
         "properties": dict(case.flight.properties),
         "levels": None if case.flight.levels is None else vars(case.flight.levels) | {},
+        "transient": None if case.flight.transient is None else vars(case.flight.transient) | {},
     }
     files = [target / "result.json"]
     write_bytes(files[0], (json.dumps(document, indent=1) + "\n").encode())

@@ -18,6 +18,7 @@ from uqharness.campaign.folder.manifest import MANIFEST, has_digests, read_manif
 from uqharness.campaign.folder.manifest_content import COMPLETE, INTERRUPTED, RUNNING
 from uqharness.campaign.folder.shards import shard_folders
 from uqharness.campaign.folder.store import JOURNAL, Store, is_running
+from uqharness.campaign.joint import joint_level, joint_words
 from uqharness.errors import BadInputError
 
 
@@ -25,7 +26,8 @@ from uqharness.errors import BadInputError
 class Status:
     """``state``: complete, running or interrupted; ``statuses``: number of finished flights by status.
 
-    ``engine`` flies the campaign, ``why`` says for what reasons.
+    ``engine`` flies the campaign, ``why`` says for what reasons. ``joint`` says what its intervals hold together, ``joint_level``
+    at which confidence; None where that of the intervals is not known.
     """
 
     state: str
@@ -35,6 +37,8 @@ class Status:
     command: str
     engine: str = JSBSIM
     why: tuple[str, ...] = ()
+    joint: tuple[str, ...] = ()
+    joint_level: float | None = None
 
     @property
     def done(self) -> int:
@@ -58,7 +62,9 @@ def read_status(folder: Path) -> Status:
     # Answers are of a campaign as a whole.
     answers = tuple(read_answers(folder, manifest)) if folders == [folder] else ()
     engine, why = manifest["campaign"]["campaign"]["engine"], tuple(manifest.get("engine", {}).get("why", ()))
-    return Status(state, cases, dict(sorted(counted.items())), answers, manifest["command"], engine, why)
+    joint = tuple(joint_words(manifest))
+    counts = dict(sorted(counted.items()))
+    return Status(state, cases, counts, answers, manifest["command"], engine, why, joint, joint_level(manifest))
 
 
 def _counted(folder: Path, manifest: Mapping[str, Any]) -> Mapping[str, int]:

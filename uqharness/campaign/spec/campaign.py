@@ -119,9 +119,17 @@ class CampaignSpec:
         found = {
             name: section.model_dump(mode="json", exclude_none=True) for name, section in sections.items() if section is not None
         }
-        found["epistemic"]["coefficients"] = list(self.inputs.coefficients)
+        epistemic = found["epistemic"]
+        epistemic["coefficients"] = list(self.inputs.coefficients)
+        # What an older campaign could not say is left out where it says nothing new: its flights are then the same campaign's.
+        epistemic.pop("interior", None)
+        epistemic.pop("transient", None)
+        if self.epistemic.interior_samples or self.epistemic.flies_interior:
+            epistemic["interior"] = self.epistemic.interior_samples
+        if self.inputs.has_parts and self.epistemic.method != "none":
+            epistemic["transient"] = bool(self.inputs.transient_rates)
         if self.epistemic.method == "walk":
-            found["epistemic"]["walk_rate_per_sqrt_s"] = {name: self.inputs.walk_rates[name] for name in self.inputs.coefficients}
+            epistemic["walk_rate_per_sqrt_s"] = {name: self.inputs.walk_rates[name] for name in self.inputs.coefficients}
         return found
 
     def with_hours(self, hours: float) -> CampaignSpec:

@@ -16,6 +16,9 @@ SAMPLED = ("lhs", "white", "walk")
 
 MOST_SAMPLES = 1_000_000
 
+INTERIOR = 16
+"""Points between the corners that are flown beside those of a model form, unless told."""
+
 PUBLISHED_WALK_RATE_PER_SQRT_S = 0.0017 * 50.0**0.5
 """0.17 % of the interval a sample (Hale 2016, Fig 3.3, CZ), the record taken as 50 Hz: what a walk moves at unless told."""
 
@@ -50,7 +53,9 @@ class ParametersSection(Section):
 class EpistemicSection(Section):
     """Ignorance: how the deltas move between their bounds.
 
-    ``bounds`` per coefficient, or the name of a model-form.json; absent = the aircraft's own.
+    ``bounds`` per coefficient, or the name of a model-form.json; absent = the aircraft's own. ``set``: the intervals' box, or the
+    ellipsoid of their joint confidence. ``transient``: what a model form says to come and go within a manoeuvre flies as well;
+    absent = where there is such a part. ``interior``: points of a Latin hypercube beside the corners.
     """
 
     method: Literal["none", "corners", "levels", "lhs", "white", "walk"]
@@ -59,6 +64,9 @@ class EpistemicSection(Section):
     levels: tuple[Number, ...] | None = None
     samples: int | None = Field(default=None, ge=1, le=MOST_SAMPLES)
     walk_rate_per_sqrt_s: dict[Coefficient, Number] | None = None
+    transient: bool | None = None
+    set: Literal["box", "ellipsoid"] = "box"
+    interior: int | None = Field(default=None, ge=0, le=MOST_SAMPLES)
     parameters: ParametersSection | None = None
 
     @field_validator("coefficients")
@@ -102,7 +110,20 @@ class EpistemicSection(Section):
         self._check_bounds()
         self._check_samples()
         self._check_rates()
+        self._check_set()
         return self
+
+    @property
+    def interior_samples(self) -> int:
+        """Interior points flown."""
+        if self.interior is not None:
+            return self.interior
+        return INTERIOR if self.flies_interior else 0
+
+    @property
+    def flies_interior(self) -> bool:
+        """Whether interior points fly unless told otherwise: corners of a model form."""
+        return self.method == "corners" and isinstance(self.bounds, str)
 
     def _check_bounds(self) -> None:
         if not isinstance(self.bounds, dict):
@@ -133,6 +154,16 @@ class EpistemicSection(Section):
         missing = [name for name in self.coefficients if name not in self.walk_rate_per_sqrt_s]
         if missing and not isinstance(self.bounds, str):
             raise ValueError(f"walk_rate_per_sqrt_s lacks {', '.join(missing)}: give them, or leave them out of coefficients")
+
+    def _check_set(self) -> None:
+        if self.set == "ellipsoid" and self.method not in ("corners", "lhs"):
+            raise ValueError(f'set = "ellipsoid" belongs to the methods corners and lhs, not to "{self.method}"')
+        if self.interior and self.method != "corners":
+            raise ValueError(
+                f'interior = {self.interior}: interior points are flown beside corners, not with method = "{self.method}"'
+            )
+        if self.transient and self.method == "none":
+            raise ValueError('transient = true: method = "none" flies no model error')
 
 
 def _interval(name: str, item: Any) -> Any:

@@ -46,9 +46,11 @@ def campaign_from(data: dict[str, Any], path: Path, text: str = "") -> CampaignS
 def settled(spec: CampaignSpec, stated: bool) -> CampaignSpec:
     """The campaign with the number of flights its rule asks for; ``stated``: the file gives a number as well.
 
-    Raises BadInputError, with the line, where the two differ and where [stop] and [metrics] do not belong together.
+    Raises BadInputError, with the line, where the two differ, where [stop] and [metrics] do not belong together, and where
+    [epistemic] asks for what its bounds do not hold.
     """
     _agree_with_metrics(spec)
+    _agree_with_form(spec)
     found, said = _planned(spec)
     if stated and found.aleatory.flights != spec.aleatory.flights:
         raise BadInputError(
@@ -76,6 +78,21 @@ def _agree_with_metrics(spec: CampaignSpec) -> None:
         raise BadInputError(
             f"{spec.path}:{line_of(spec.source, ('stop', 'indifference_per_h'))}: [stop] indifference_per_h = [{zone[0]:g}, "
             f"{zone[1]:g}]: must hold [metrics] acceptable_per_h = {metrics.acceptable_per_h:g}"
+        )
+
+
+def _agree_with_form(spec: CampaignSpec) -> None:
+    section, form = spec.epistemic, spec.inputs.model_form
+    if section.transient and not spec.inputs.has_parts:
+        lacks = "bounds are no model-form.json" if form is None else f"{form} does not tell transient model error from the rest"
+        raise BadInputError(
+            f"{spec.path}:{line_of(spec.source, ('epistemic', 'transient'))}: [epistemic] transient = true: {lacks}; make a "
+            "model-form.json with `uqharness bounds`, or leave transient out"
+        )
+    if section.set == "ellipsoid" and form is None:
+        raise BadInputError(
+            f'{spec.path}:{line_of(spec.source, ("epistemic", "set"))}: [epistemic] set = "ellipsoid": it needs intervals whose '
+            'confidence is known, bounds = "model-form.json"; bounds given as numbers, or an aircraft\'s own, are a box'
         )
 
 

@@ -71,11 +71,12 @@ def _status(args: argparse.Namespace) -> int:
     if args.json:
         document = {"state": found.state, "cases": found.cases, "done": done, "failed": done - statuses.get("ok", 0)}
         document |= {"statuses": statuses, "engine": found.engine, "engine_why": list(found.why)}
+        document |= {"joint_level": found.joint_level, "joint": list(found.joint)}
         print(json.dumps(document | {"answers": as_json(found.answers)}))
     else:
         summary = f"{args.folder}: {found.state}, {done} of {found.cases} flights done, {failures(statuses)}"
         summary += f"\nengine {engine_words(found.engine, found.why)}"
-        print("\n".join([summary, *lines(found.answers)]))
+        print("\n".join([summary, *found.joint, *lines(found.answers)]))
         if found.state == "interrupted":
             print(f"resume with: {found.command or 'the command that began it'}", file=sys.stderr)
     return 0 if found.state == "complete" else 1

@@ -11,9 +11,20 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from uqharness.campaign import CampaignSummary, Cost, bounds_notes, make_copy, needs_copy, refuse_if_long, size_of
+from uqharness.campaign import (
+    CampaignSummary,
+    Cost,
+    bounds_notes,
+    joint_level,
+    joint_words,
+    make_copy,
+    needs_copy,
+    refuse_if_long,
+    size_of,
+)
 from uqharness.campaign import run as campaign_run
 from uqharness.campaign.execution import Executor, ProcessExecutor, SerialExecutor, why_not
+from uqharness.campaign.folder import describe as describe_campaign
 from uqharness.campaign.folder import parse_shard, read_status
 from uqharness.campaign.spec import CampaignSpec, read_campaign, with_samples
 from uqharness.cli.options import add_out, add_workers, describe
@@ -26,8 +37,9 @@ from uqharness.scratch import scratch_folder
 _CHECK_EXAMPLE = """
   uqharness campaign check campaigns/demo/campaign.toml
 
-Flights, flight hours, expected time on this machine and disk, and the engine that flies them: batch, or jsbsim and why, with file
-and line. Flies the check flights alone, and keeps nothing of them."""
+Flights, flight hours, expected time on this machine and disk, the engine that flies them (batch, or jsbsim and why, with
+file and line), and the level at which the intervals of a model-form.json hold together. Flies the check flights alone, and
+keeps nothing of them."""
 _RUN_EXAMPLE = """
   uqharness campaign run campaigns/demo/campaign.toml --out campaigns/demo/results
   uqharness campaign run campaigns/demo/campaign.toml --out big --hours 10 --workers 8
@@ -35,7 +47,10 @@ _RUN_EXAMPLE = """
   uqharness campaign run demo --out anywhere      the campaign of that name that comes with the package
   uqharness campaign run campaigns/demo/campaign.toml --out big --shard 3/16      one of 16 jobs; then: campaign merge big
 
-The same command resumes a run that was interrupted, killed or cut off: only missing flights are flown."""
+The same command resumes a run that was interrupted, killed or cut off: only missing flights are flown.
+
+With bounds = "model-form.json" 16 points between the corners fly as well ([epistemic] interior = N), and model error that comes
+and goes where the file has such a part (transient = false leaves it out); set = "ellipsoid" flies the joint confidence set."""
 
 
 def add_check(parser: argparse.ArgumentParser) -> None:
@@ -134,11 +149,15 @@ def _check(args: argparse.Namespace) -> int:
             make_copy(spec, mission, scratch.path)
         settled, pace = campaign_run.check_campaign(spec, mission, scratch.path)
     cost = Cost(size_of(spec), 0, pace, args.workers or usable_cores(), settled.engine)
+    described = describe_campaign(settled.spec, mission, cost.size.flights, "")
+    joint = joint_words(described)
     asked = "; more than a day of this machine: `campaign run` wants --yes or --hours" if cost.is_long else ""
     if args.json:
-        print(json.dumps(_cost_json(cost) | {"engine": settled.engine, "engine_why": list(settled.why)}))
+        found = {"engine": settled.engine, "engine_why": list(settled.why), "joint_level": joint_level(described), "joint": joint}
+        print(json.dumps(_cost_json(cost) | found))
     else:
-        print(f"{args.campaign}: {cost.words}{asked}\n{args.campaign}: engine {settled.words}")
+        told = [f"{cost.words}{asked}", f"engine {settled.words}", *joint]
+        print("\n".join(f"{args.campaign}: {line}" for line in told))
     return 0
 
 
@@ -150,6 +169,7 @@ def _cost_json(cost: Cost) -> dict[str, Any]:
         "flights_each": size.aleatory,
         "conditions": size.conditions,
         "epistemic_samples": size.epistemic,
+        "interior_samples": size.interior,
         "flight_hours": size.hours,
         "workers": cost.workers,
         "expected_s": cost.seconds,

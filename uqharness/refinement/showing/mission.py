@@ -128,7 +128,8 @@ def campaign_for(aircraft: Aircraft, given: Path | None) -> dict[str, Any]:
 def specification(data: Mapping[str, Any], model: Model) -> CampaignSpec:
     """The campaign with a model and its intervals in it. Raises BadInputError."""
     campaign = {**data["campaign"], "aircraft": str(model.aircraft.folder)}
-    epistemic = {**data["epistemic"], "bounds": model.form.name}
+    # Corners alone unless the campaign says otherwise: what is compared is the same set of samples before and after.
+    epistemic = {"interior": 0, **data["epistemic"], "bounds": model.form.name}
     whole = {**data, "campaign": campaign, "epistemic": epistemic}
     return campaign_from(whole, model.form.with_suffix(".toml"))
 

@@ -14,7 +14,7 @@ from uqharness.report.campaign import CampaignFound, Finding, answer_level, hard
 from uqharness.report.engine_check import engine_section
 from uqharness.report.parts import Block, Bullets, Cell, Figure, Figures, Level, Page, Section, Table, Words, provenance, shown
 from uqharness.report.pbox import DrawnBox, corner_words, pbox_figure
-from uqharness.report.sample_words import called
+from uqharness.report.sample_words import called, kind_of
 from uqharness.report.sensitivity import sensitivity_section
 from uqharness.statistics import ExcursionRate, best_and_worst, poisson_upper
 
@@ -28,10 +28,10 @@ _MARKS = {"yes": "✓", "no": "✕", "open": "?"}
 
 def campaign_page(found: CampaignFound, prefix: str = "") -> Page:
     """The page of one campaign; ``prefix`` keeps its figures' names apart from others' in one page."""
-    method = found.campaign["epistemic"]["method"]
-    sections = [called(part, method) for part in (grid_section(found.signed), pbox_section(found, prefix))]
+    kind = kind_of(found.campaign["epistemic"])
+    sections = [called(part, kind) for part in (grid_section(found.signed), pbox_section(found, prefix))]
     sections += sensitivity_section(found.folder, found.manifest, prefix)
-    sections += [*(called(s, method) for s in rate_sections(found)), failure_section(found.frame)]
+    sections += [*(called(s, kind) for s in rate_sections(found)), failure_section(found.frame)]
     sections += [engine_section(found.manifest, found.engine_check), _provenance(found)]
     return Page(f"Campaign of {found.aircraft}", found.asked, found.verdict, tuple(sections))
 
@@ -55,9 +55,14 @@ def pbox_section(found: CampaignFound, prefix: str = "") -> Section:
         text = f"Further conditions, not drawn: {undrawn}; they are in the tables below and in pbox.parquet."
         blocks.append(Words(text, note=True))
     published = any(item.published is not None for item in found.findings)
-    head = ("Error", "Condition", "Middle of the p-box", f"With {_SURE} band", *(("Published flight",) if published else ()))
-    caption = "Where half of the flights stay below: the p-box's middle, and the same with the band."
-    blocks.append(Table(caption, head, tuple(_median_row(item, published) for item in found.findings)))
+    between = any(item.widened is not None for item in found.findings)
+    head = ["Error", "Condition", "Middle of the p-box", f"With {_SURE} band", "Set by, best", "Set by, worst"]
+    head += [*(["Widened by interior points"] if between else []), *(["Published flight"] if published else [])]
+    caption = (
+        "Where half of the flights stay below: the p-box's middle, the same with the band, and the samples that set its two ends"
+        + (", and by which share of its area the interior points widen the whole." if between else ".")
+    )
+    blocks.append(Table(caption, tuple(head), tuple(_median_row(item, words, between, published) for item in found.findings)))
     return Section("P-boxes of the median errors", tuple(blocks))
 
 
@@ -69,10 +74,15 @@ def _figure(item: Finding, words: dict[str, str], prefix: str) -> Figure:
     return pbox_figure(name, item.axis, item.unit, [drawn], f"{item.title}; {item.condition.words}.", mark)
 
 
-def _median_row(item: Finding, published: bool) -> tuple[str, ...]:
+def _median_row(item: Finding, words: dict[str, str], between: bool, published: bool) -> tuple[str, ...]:
     band = " to ".join(shown(end) for end in item.box.band_quantile(0.5))
-    row = (f"{item.title} [{item.unit}]", item.condition.label, span(*item.box.quantile(0.5)), band)
-    return (*row, "" if item.published is None else f"{item.published:g}") if published else row
+    ends = [words.get(name, name) for name in item.box.set_by(0.5)]
+    row = [f"{item.title} [{item.unit}]", item.condition.label, span(*item.box.quantile(0.5)), band, *ends]
+    if between:
+        row.append("" if item.widened is None or math.isnan(item.widened) else f"{100.0 * item.widened:.2g} %")
+    if published:
+        row.append("" if item.published is None else f"{item.published:g}")
+    return tuple(row)
 
 
 def grid_section(signed: Sequence[Statement], title: str = "Where the answer is yes, no or open") -> Section:

@@ -61,6 +61,7 @@ def page_of(folder: Path, every_segment: bool = False) -> Page:
         from uqharness.report.pages.campaign import campaign_page
 
         return campaign_page(read_found(folder))
-    from uqharness.report.pages.model_form import bounds_page, coverage_page
+    from uqharness.report.pages.coverage import coverage_page
+    from uqharness.report.pages.model_form import bounds_page
 
     return bounds_page(folder) if kind == "bounds" else coverage_page(folder)

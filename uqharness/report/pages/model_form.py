@@ -9,28 +9,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.model_form import STEP_S, CoefficientBounds, ModelForm, Variation
+from sysid.model_form import HOLDS_FROM, STEP_S, CoefficientBounds, ModelForm, Variation
 from uqharness.errors import BadInputError
-from uqharness.identification import HOLDS_FROM, load_form
+from uqharness.identification import load_form
 from uqharness.replay import History, axis_label, have, read_histories, shown_channel
 from uqharness.report.history import end_to_end
 from uqharness.report.parts import (
     Cell,
     Figure,
     Figures,
-    Level,
     Page,
     Say,
     Section,
     Table,
     Words,
-    percent,
     provenance,
     remarks,
     shown,
 )  # fmt: skip
 from uqharness.report.svg import Chart, scale
-from uqharness.result_documents import Bounds, Coverage, read_document
+from uqharness.result_documents import Bounds, read_document
 
 Array = NDArray[np.float64]
 FORM, DETAILS, COVERAGE, RESIDUALS = "model-form.json", "bounds.json", "coverage.json", "residuals.parquet"
@@ -55,7 +53,7 @@ def bounds_page(folder: Path, prefix: str = "") -> Page:
     flights = ", ".join(f.name for f in form.flights)
     asked = (
         f"By how much may the coefficients of {form.aircraft.name} be wrong, as functions of the flight state, judged by "
-        f"{flights}? {100 * form.confidence:g} % prediction intervals of flight minus model, dimensionless, body axes."
+        f"{flights}? {100 * form.confidence:g} % intervals of the model's error, dimensionless, body axes."
     )
     return Page(f"Model-form bounds of {form.aircraft.name}", asked, _verdict(details, form), tuple(sections))
 
@@ -63,14 +61,16 @@ def bounds_page(folder: Path, prefix: str = "") -> Page:
 def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Say, ...]:
     rows = details.get("coefficients", {})
     said = []
-    ratios = {c: r["mean_width"] / r["noise_width"] for c, r in rows.items() if r.get("mean_width") and r.get("noise_width")}
-    if ratios:
-        model = [f"{c} {v:.1f}" for c, v in ratios.items() if v >= 1.5]
-        noise = [f"{c} {v:.1f}" for c, v in ratios.items() if v < 1.5]
-        if model:
-            said.append(Say(f"{', '.join(model)} times the width due to sensor noise: the model contributes."))
-        if noise:
-            said.append(Say(f"{', '.join(noise)} times the width due to sensor noise: sensor noise alone explains it.", "warn"))
+    parts = {c: b.parts for c, b in form.coefficients.items() if b.parts is not None}
+    if parts:
+        found = [c for c, p in parts.items() if p.found]
+        none = [f"{c} ±{1.96 * p.not_above:.2g}" for c, p in parts.items() if not p.found]
+        if found:
+            said.append(Say(f"The flights show model error in {', '.join(found)}."))
+        if none:
+            said.append(Say(f"No model error found above {', '.join(none)}.", "good"))
+    else:
+        said.append(Say("These intervals hold the sensors' noise besides the model's error.", "warn"))
     kept = {c: r["left_out_share"] for c, r in rows.items() if r.get("left_out_share") is not None}
     if kept:
         worst = min(kept, key=lambda c: kept[c])
@@ -87,25 +87,31 @@ def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Se
     table = []
     for c, b in form.coefficients.items():
         r = rows.get(c, {})
-        width, forced = r.get("mean_width"), r.get("noise_width")
-        ratio = width / forced if width is not None and forced else None
+        p = b.parts
+        sizes = ("-",) * 4
+        if p is not None:
+            time = shown(p.transient_time_s, ".2g")
+            sizes = (shown(p.persistent), f"{shown(p.transient)} ({time} s)", shown(1.96 * p.not_above), "yes" if p.found else "no")
         walk = None if not np.isfinite(b.walk_rate) else 100.0 * b.walk_rate
         table.append(
-            (
-                f"{c} [-]", str(len(b.terms)), str(b.n), shown(b.n_effective, ".0f"), shown(float(np.sqrt(b.s2))), shown(width),
-                shown(forced), shown(ratio, ".2f"), shown(walk, ".2g"),
-            )
+            (f"{c} [-]", str(len(b.terms)), shown(b.n_effective, ".0f"), shown(r.get("mean_width")), *sizes,
+             shown(r.get("noise_std")), shown(walk, ".2g"))
         )  # fmt: skip
     head = (
-        "Coefficient", "Terms", "Samples", "Independent", "Residual's standard deviation", "Mean width",
-        "Width due to sensor noise", "Ratio", "Walk [%/√s]",
+        "Coefficient", "Terms", "Independent samples", "Mean width", "Persistent", "Transient (time)", "Error not above ±", "Found",
+        "Sensor noise", "Walk [%/√s]",
     )  # fmt: skip
     text = (
-        "Independent: what the autocorrelated samples are worth. Width due to sensor noise: what adding it once more gives; "
-        "at a ratio near 1 sensor noise alone explains the interval."
+        "Mean width: of the bounds that a campaign holds through a flight; they know the polynomial and what persists through a "
+        "manoeuvre. Persistent, transient, sensor noise: standard deviations; the transient part comes and goes within seconds, "
+        "noise is in no bounds. Error not above: 95 % limit of the whole model error in the data."
     )
     wide = Table("Bounds by coefficient.", head, tuple(table), key=True)
-    return Section("How wide the bounds are", (Words(text, note=True), wide))
+    flights = [c for c, b in form.coefficients.items() if b.parts is not None and not np.isfinite(b.parts.flight)]
+    words = [Words(text, note=True)]
+    if flights:
+        words.append(Words("One flight: what changes from flight to flight is not estimable.", note=True))
+    return Section("How wide the bounds are", (*words, wide))
 
 
 def slice_section(
@@ -255,17 +261,17 @@ def _hull_section(form: ModelForm) -> Section:
 
 
 def _filter_section(form: ModelForm, details: Mapping[str, Any]) -> tuple[Section, ...]:
-    """Mean width and left-out share by filter, the one in use first; none where other filters were not tried."""
+    """Mean width by filter, the one in use first; none where other filters were not tried."""
     if not details.get("cutoffs"):
         return ()
     cut, used = form.filtering, details["coefficients"]
-    widths, shares = ({c: row.get(key) for c, row in used.items()} for key in ("mean_width", "left_out_share"))
-    tried = [(r["cutoff_hz"], r.get("airspeed_cutoff_hz"), r["mean_width"], r["left_out_share"]) for r in details["cutoffs"]]
+    widths = {c: row.get("mean_width") for c, row in used.items()}
+    tried = [(r["cutoff_hz"], r.get("airspeed_cutoff_hz"), r["mean_width"]) for r in details["cutoffs"]]
     rows = []
-    for low_pass, airspeed, width, share in ((cut.cutoff_hz, cut.airspeed_cutoff_hz, widths, shares), *tried):
+    for low_pass, airspeed, width in ((cut.cutoff_hz, cut.airspeed_cutoff_hz, widths), *tried):
         filters = (shown(low_pass, "g"), "none" if airspeed is None or np.isinf(airspeed) else f"{airspeed:g}")
-        rows.append((*filters, *(f"{shown(width.get(c), '.2g')} ({shown(share.get(c), '.2f')})" for c in used)))
-    table = Table("Mean width [-], and share inside when left out.", ("Filter [Hz]", "Airspeed [Hz]", *used), tuple(rows))
+        rows.append((*filters, *(shown(width.get(c), ".2g") for c in used)))
+    table = Table("Mean width [-].", ("Filter [Hz]", "Airspeed [Hz]", *used), tuple(rows))
     return (Section("Other filters", (table,)),)
 
 
@@ -285,63 +291,3 @@ def _provenance(form: ModelForm, details: Mapping[str, Any]) -> Section:
         ("Files", "model-form.json, model-form.xml (the same as a JSBSim system), residuals.parquet, beside this page"),
     ]  # fmt: skip
     return provenance(*items)
-
-
-PUBLISHED = {
-    "CX": (99.4, 64.0), "CY": (94.7, 63.7), "CZ": (93.9, 63.5), "Cl": (92.8, 72.7), "Cm": (98.4, 89.0), "Cn": (99.4, 94.6),
-}  # fmt: skip
-"""Table 2.3 of Hale (2016): coverage of the E-SPAARO's third flight at 95 and 68 %."""
-
-
-def coverage_page(folder: Path, prefix: str = "") -> Page:
-    """The page of the folder that ``uqharness validate-bounds --out`` wrote. Raises BadInputError."""
-    return coverage_page_of(read_document(folder / COVERAGE, Coverage), read_histories(folder / RESIDUALS), prefix)
-
-
-def coverage_page_of(found: Mapping[str, Any], pieces: Sequence[History] = (), prefix: str = "") -> Page:
-    """The page of a validation from its document and its residuals."""
-    sections = [_coverage_section(found)]
-    sections += within_section(pieces, list(found["coverage"]), "The new flight within the bounds", "coverage", prefix)
-    sections += [*_manoeuvre_section(found), *remarks(found, key=("notes",))]
-    sections.append(provenance(("Command", found.get("command") or "not recorded")))
-    holds = f"at least {100 * HOLDS_FROM:g} %"
-    bad = found.get("failed", [c for c, row in found["coverage"].items() if not row["0.95"] >= HOLDS_FROM])
-    if bad:
-        shares = ", ".join(f"{c} {100 * found['coverage'][c]['0.95']:.1f} %" for c in bad)
-        verdict = Say(f"The bounds do not hold: inside the 95 % bounds are only {shares}; {holds} is asked for.", "bad")
-    else:
-        verdict = Say(f"The bounds hold: every coefficient has {holds} of this flight inside its 95 % bounds.", "good")
-    asked = "Do the bounds hold on a flight that they were not made from?"
-    return Page("Validation of model-form bounds", asked, (verdict,), tuple(sections))
-
-
-def _coverage_section(found: Mapping[str, Any]) -> Section:
-    rows = []
-    for c, row in found["coverage"].items():
-        level: Level = "good" if row["0.95"] >= HOLDS_FROM else "bad"
-        errors = found.get("errors", {}).get(c, {})
-        first, second = (f"{100 * row[k]:.1f} ± {percent(errors.get(k), '.1f')}" for k in ("0.95", "0.68"))
-        beyond = percent(found.get("outside_data", {}).get(c), ".1f")
-        published = f"{PUBLISHED[c][0]:g} / {PUBLISHED[c][1]:g}" if c in PUBLISHED else ""
-        size = (shown(row.get("n_effective"), ".0f"), shown(row.get("mean_width")), beyond, published)
-        rows.append((c, Cell(first, level), second, *size))
-    head = (
-        "Coefficient", "Inside the 95 % bounds [%]", "Inside the 68 % bounds [%]", "Independent samples", "Mean width [-]",
-        "Outside the data [%]", "Table 2.3 [%]",
-    )  # fmt: skip
-    text = (
-        "The standard error counts autocorrelation. Table 2.3 of Hale (2016) is another aeroplane's flight: for orientation, not "
-        "for comparison."
-    )
-    table = Table("Share of a new flight's samples inside the bounds, ± standard error.", head, tuple(rows), key=True)
-    return Section("Coverage by coefficient", (Words(text, note=True), table))
-
-
-def _manoeuvre_section(found: Mapping[str, Any]) -> tuple[Section, ...]:
-    names = tuple(found["coverage"])
-    rows = tuple(
-        (m, *(" / ".join(percent(row.get(c, {}).get(p), ".0f") for p in ("0.95", "0.68")) for c in names))
-        for m, row in found.get("manoeuvres", {}).items()
-    )
-    table = Table("Share of the samples inside the 95 / 68 % bounds [%].", ("Manoeuvre", *names), rows)
-    return (Section("Coverage by manoeuvre", (table,)),) if rows else ()

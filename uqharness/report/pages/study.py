@@ -12,8 +12,9 @@ from uqharness.report.campaign import CampaignFound, read_found
 from uqharness.report.overlay import overlay_section
 from uqharness.report.pages.campaign import campaign_page, grid_section
 from uqharness.report.pages.compare import compare_page
+from uqharness.report.pages.coverage import coverage_page
 from uqharness.report.pages.identify import identify_page
-from uqharness.report.pages.model_form import bounds_page, coverage_page
+from uqharness.report.pages.model_form import bounds_page
 from uqharness.report.pages.refinement import refine_page
 from uqharness.report.parts import Bullets, Cell, Code, Level, Page, Say, Section, Table, Told, Words, provenance, shown
 from uqharness.result_documents import Study, read_document

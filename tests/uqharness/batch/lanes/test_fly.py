@@ -13,6 +13,7 @@ from tests.helpers.batch_whole import (
     CORNER,
     EXPENSIVE,
     SECOND_ORDER,
+    TRANSIENT,
     WALK,
     WHITE,
     beyond,
@@ -28,6 +29,8 @@ from uqharness.batch.lanes.fly import fly_many
 from uqharness.batch.machine.target import VECTORS, target_names
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import fly, fly_one_ulp_off
+from uqharness.flight.spec import COEFFICIENTS
+from uqharness.plugin.model_form_xml import constant_xml
 from uqharness.simulator import find_aircraft
 
 ACTIVE = {"uq/active": 1.0}
@@ -84,6 +87,30 @@ def test_bounds_that_depend_on_the_state(tmp_path):
     levels = {**ACTIVE, "uq/CZ/level": 0.9, "uq/Cm/level": 0.3, "uq/Cl/level": 0.6}
     found = beyond(spec(plane, properties=levels, **EXPENSIVE))
     assert "extrapolated" in found
+    assert max(found.values()) < 1.0, found
+
+
+@pytest.mark.parametrize("outside", ["grow", pytest.param("clamp", marks=pytest.mark.slow)])
+def test_a_transient_part_that_walks(tmp_path, outside):
+    plane = with_bounds(tmp_path, 0.001, transient=0.0004, outside=outside)
+    given = spec(plane, properties={**ACTIVE, "uq/CZ/level": 0.9}, duration_s=30.0, transient=TRANSIENT, **EXPENSIVE)
+    found = beyond(given)
+    assert max(found.values()) < 1.0, found
+    if outside == "grow":
+        other = dataclasses.replace(given, transient=dataclasses.replace(TRANSIENT, aleatory_id=5))
+        assert max(beyond(given, changed=other).values()) > 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("air", [True, False])
+def test_a_transient_part_beside_levels_that_walk(tmp_path, air):
+    plane = with_bounds(tmp_path, 0.001, transient=0.0004) if air else without_air(tmp_path)
+    if not air:
+        text = constant_xml(dict.fromkeys(COEFFICIENTS, (-0.0004, 0.0004)), "made up")
+        (plane / "Systems" / "model-form.xml").write_bytes(text)
+    script = "loiter" if air else "doublet-elevator"
+    active = {**ACTIVE, "uq/CZ/transient": 0.0004} if not air else ACTIVE
+    found = beyond(spec(plane, script, 20.0, properties=active, levels=WALK, transient=TRANSIENT, **EXPENSIVE))
     assert max(found.values()) < 1.0, found
 
 

@@ -9,12 +9,12 @@ import pytest
 
 from tests.helpers import batch_oracle
 from uqharness.batch.lanes.jsbsim_random import JsbsimNormals
-from uqharness.batch.lanes.streams import GUSTS, LEVELS, HostGusts, MovingLevels, Noise, Turbulence, noise_streams
+from uqharness.batch.lanes.streams import GUSTS, LEVELS, TRANSIENTS, HostGusts, MovingLevels, Noise, Turbulence, noise_streams
 from uqharness.batch.models.winds import NORMALS
 from uqharness.flight import stepping
 from uqharness.flight.dryden import COMPONENTS, dryden_gusts, dryden_parameters
 from uqharness.flight.levels import level_blocks
-from uqharness.flight.spec import COEFFICIENTS, LevelDriver
+from uqharness.flight.spec import COEFFICIENTS, LevelDriver, TransientDriver
 
 AIR = (22.2, 100.0, 30.0, 3.66)
 DRAWS = (("a", 3), ("b", 1), ("c", 3), ("d", 2), ("e", 1))
@@ -24,6 +24,7 @@ WALK = LevelDriver("walk", 7, "walk-000000", COEFFICIENTS, (0.012,) * 6)
 def test_columns_are_what_jsbsims_engine_sets() -> None:
     assert GUSTS.columns == stepping._GUSTS
     assert LEVELS.columns == stepping._LEVELS
+    assert TRANSIENTS.columns == stepping._TRANSIENTS
     assert len(NORMALS.columns) == 4
 
 
@@ -98,8 +99,11 @@ def test_host_gusts_are_those_of_jsbsims_engine() -> None:
     assert not np.any(HostGusts(dryden_parameters(*AIR), 0.01, 4).rows(100).array == ours[:100])
 
 
-@pytest.mark.parametrize("driver", [WALK, LevelDriver("white", 7, "white-000000", COEFFICIENTS)])
-def test_levels_are_those_of_jsbsims_engine(driver: LevelDriver) -> None:
+@pytest.mark.parametrize(
+    "driver",
+    [WALK, LevelDriver("white", 7, "white-000000", COEFFICIENTS), TransientDriver(7, 3, ("CX", "Cn"), (0.9, 1.4))],
+)
+def test_levels_are_those_of_jsbsims_engine(driver: LevelDriver | TransientDriver) -> None:
     theirs = np.concatenate(list(level_blocks(driver, 3000, 0.01)))
     levels = MovingLevels(driver, 0.01)
     first = levels.rows(1234).array

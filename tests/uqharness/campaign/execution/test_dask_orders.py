@@ -35,12 +35,12 @@ from uqharness.campaign.execution.worker import CaseOutcome, Group, attempt
 from uqharness.campaign.folder.rerun import RecordedFlight
 from uqharness.errors import BadInputError
 from uqharness.flight import fly as flight
-from uqharness.flight.spec import FlightResult, FlightSpec, LevelDriver
+from uqharness.flight.spec import FlightResult, FlightSpec, LevelDriver, TransientDriver
 
 FLIGHT = FlightSpec(
     Path("/a/plane é"), Path("/b/loiter.xml"), 0.1 + 0.2, burn_in_s=5e-324, turbulence="moderate", sensor_noise=True,
     seed_turbulence=2**70, properties={"uq/CX/level": 1 / 3, "x": -0.0, "low": -math.inf}, excursion_radius_m=(15.0, 1e300),
-    levels=LevelDriver("walk", 7, "e1", ("CX", "Cn"), (0.1, 2.5)),
+    levels=LevelDriver("walk", 7, "e1", ("CX", "Cn"), (0.1, 2.5)), transient=TransientDriver(7, 3, ("CX", "Cm"), (0.9, 1 / 3)),
 )  # fmt: skip
 ORDER = Order(OWN_FLIGHT, False, Group("jsbsim", (("0001", FLIGHT),)), ("a" * 64, "b" * 64), (("jsbsim", "1.3.3"),))
 OUTCOME = CaseOutcome("0001", "ok", "", 3.5, {"a": 1 / 3, "b": math.inf}, {"c": "why"})

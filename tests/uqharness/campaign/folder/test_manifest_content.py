@@ -48,3 +48,14 @@ def test_what_is_missing_is_named():
     for name in ("command", "versions", "campaign"):
         with pytest.raises(ValueError, match=f"{name} is missing"):
             checked_content({key: value for key, value in GOOD.items() if key != name})
+
+
+def test_corners_of_a_model_form_flew_without_interior_points_before_there_were_any():
+    epistemic = {"method": "corners", "bounds": "model-form.json"}
+    old = checked_content(GOOD | {"campaign": GOOD["campaign"] | {"epistemic": epistemic}})["campaign"]["epistemic"]
+    assert (old["interior"], old["set"]) == (0, "box")
+    new = checked_content(GOOD | {"campaign": GOOD["campaign"] | {"epistemic": epistemic | {"interior": 16}}})
+    assert new["campaign"]["epistemic"]["interior"] == 16
+    assert "interior" not in checked_content(GOOD)["campaign"]["epistemic"]
+    with pytest.raises(ValueError, match=r"bounds\.confidence"):
+        checked_content(GOOD | {"bounds": {"confidence": 1.5, "transient": []}})

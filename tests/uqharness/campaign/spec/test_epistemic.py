@@ -48,6 +48,14 @@ def test_one_rate_is_everyones():
         ({"method": "none", "parameters": {"fit": "fit.json"}}, ".epistemic.parameters. needs samples"),
         ({"method": "corners", "coefficients": ["CX", "CX"]}, "none twice"),
         ({"method": "corners", "coefficients": ["CQ"]}, "coefficients"),
+        (
+            {"method": "walk", "samples": 5, "bounds": "model-form.json", "set": "ellipsoid"},
+            "belongs to the methods corners and lhs",
+        ),
+        ({"method": "lhs", "samples": 5, "bounds": BOUNDS, "interior": 4}, "flown beside corners"),
+        ({"method": "corners", "bounds": BOUNDS, "interior": -1}, "interior"),
+        ({"method": "corners", "bounds": BOUNDS, "set": "ball"}, "set"),
+        ({"method": "none", "transient": True}, 'method = "none" flies no model error'),
     ],
 )
 def test_sections_that_contradict_themselves(section, said):
@@ -62,3 +70,11 @@ def test_a_confidence_belongs_to_a_box():
     for section, said in (({"confidence": 0.9}, "a normal distribution has no edge"), ({"parameters": []}, "at least one")):
         with pytest.raises(ValidationError, match=said):
             ParametersSection.model_validate({"fit": "fit.json", **section})
+
+
+def test_interior_points_fly_beside_the_corners_of_a_model_form():
+    assert made(method="corners", bounds="model-form.json").interior_samples == 16
+    assert made(method="corners", bounds="model-form.json", interior=0).interior_samples == 0
+    assert made(method="corners", bounds=BOUNDS).interior_samples == 0
+    assert made(method="corners", bounds=BOUNDS, interior=3).interior_samples == 3
+    assert made(method="lhs", samples=5, bounds="model-form.json").interior_samples == 0

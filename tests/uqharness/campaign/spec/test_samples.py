@@ -21,7 +21,9 @@ ESTIMATES = Estimates(("a", "b"), np.array([1.0, -2.0]), np.array([[0.36, 0.0084
 def spec(variables=None, moved=("CX", "Cm"), estimates=None, **section):
     section = EpistemicSection.model_validate({"coefficients": moved, **section})
     return SimpleNamespace(
-        epistemic=section, inputs=SimpleNamespace(coefficients=moved, walk_rates={"CX": 0.1, "Cm": 0.2}, estimates=estimates),
+        epistemic=section, inputs=SimpleNamespace(
+            coefficients=moved, walk_rates={"CX": 0.1, "Cm": 0.2}, estimates=estimates, confidence=0.95,
+        ),
         aleatory=SimpleNamespace(variables=variables or {}), campaign=SimpleNamespace(seed=7),
     )  # fmt: skip
 
@@ -80,3 +82,52 @@ def test_draws_of_parameters_multiply_corners():
     assert len(found) == 12
     assert found[4].epistemic_id == "0---1-+p000001"
     assert found[4].parameters == found[1].parameters != found[0].parameters
+
+
+def test_interior_points_follow_the_corners_and_are_those_of_a_latin_hypercube():
+    found = epistemic_samples(spec(LOAD, method="corners", bounds=BOUNDS, interior=16))
+    alone = epistemic_samples(spec(LOAD, method="lhs", samples=16, bounds=BOUNDS))
+    assert found[:8] == epistemic_samples(spec(LOAD, method="corners", bounds=BOUNDS))
+    assert found[8:] == alone
+    assert found[8].epistemic_id == "lhs-000000"
+    drawn = epistemic_samples(
+        spec(method="corners", bounds=BOUNDS, interior=2, samples=3, parameters={"fit": "f"}, estimates=ESTIMATES)
+    )
+    assert len(drawn) == 3 * (4 + 2)
+    assert drawn[-1].epistemic_id == "lhs-000001+p000002"
+
+
+def radii(found, names):
+    """Distance from the intervals' middles in standard deviations."""
+    sigma = stats.norm.ppf(0.975)
+    return [sigma * np.linalg.norm([2.0 * s.levels[name] - 1.0 for name in names]) for s in found]
+
+
+def test_an_ellipsoid_has_its_directions_and_axis_ends_on_it_and_the_rest_inside():
+    names = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
+    found = epistemic_samples(spec(moved=names, method="corners", bounds="model-form.json", set="ellipsoid"))
+    directions, ends, inside = found[:64], found[64:76], found[76:]
+    assert [s.epistemic_id for s in directions[:2]] == ["e000000", "e000001"]
+    assert [s.epistemic_id for s in ends[:3]] == ["a0.....", "a1.....", "a.0...."]
+    assert len(inside) == 16
+    assert len({s.epistemic_id for s in found}) == len(found)
+    assert radii(directions, names) == pytest.approx([3.5485] * 64, abs=1e-4)
+    assert radii(ends, names) == pytest.approx([3.5485] * 12, abs=1e-4)
+    assert directions[63].levels["CX"] == pytest.approx(0.5 + 0.5 * 3.54846 / 1.95996 / np.sqrt(6.0), abs=1e-5)
+    assert ends[1].levels == {"CX": pytest.approx(0.5 + 0.5 * 3.54846 / 1.95996, abs=1e-5)} | dict.fromkeys(names[1:], 0.5)
+    assert max(radii(inside, names)) < 3.5485
+    # The box's own corners lie outside it, which is the point of it.
+    corners = epistemic_samples(spec(moved=names, method="corners", bounds="model-form.json", interior=0))
+    assert radii(corners, names) == pytest.approx([np.sqrt(6.0) * stats.norm.ppf(0.975)] * 64)
+    # One coefficient: its directions are its axis, and the joint set is the interval.
+    one = epistemic_samples(spec(moved=("CX",), method="corners", bounds="model-form.json", set="ellipsoid", interior=0))
+    assert [(s.epistemic_id, s.levels["CX"]) for s in one] == [("e0-----", 0.0), ("e1-----", 1.0)]
+
+
+def test_uncertain_means_stay_a_box_beside_an_ellipsoid():
+    found = epistemic_samples(spec(LOAD, method="corners", bounds="model-form.json", set="ellipsoid", interior=2))
+    assert [s.epistemic_id for s in found[:3]] == ["e0---0-+0", "e0---0-+1", "e0---1-+0"]
+    assert [s.epistemic_id for s in found[8:10]] == ["a0---.-+0", "a0---.-+1"]
+    assert len(found) == 2 * (4 + 4) + 2
+    hypercube = epistemic_samples(spec(method="lhs", samples=50, bounds="model-form.json", set="ellipsoid"))
+    assert 2.0 < max(radii(hypercube, ("CX", "Cm"))) <= stats.chi2.ppf(0.95, 2) ** 0.5 + 1e-9

@@ -29,6 +29,8 @@ def test_status_of_complete_running_and_interrupted(flown, capsys):
     (answer,) = found.pop("answers")
     assert (answer["condition"], answer["answer"], answer["hours"]) == ("3 m/s moderate", "open", 8.0)
     assert (found.pop("engine"), bool(found.pop("engine_why"))) == ("jsbsim", True)
+    # Bounds given as numbers have no confidence to join.
+    assert (found.pop("joint"), found.pop("joint_level")) == ([], None)
     assert found == {"state": "interrupted", "cases": 200, "done": 192, "failed": 0, "statuses": {"ok": 192}}
     assert call("status", out) == 1
     assert "resume with: uqharness campaign run" in capsys.readouterr().err

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 
+from sysid.units import SHORT_DEG_RAD
 from uqharness.batch.form.ir import Value
 from uqharness.batch.translate.components.component import Component, inner
 from uqharness.batch.translate.functions import function_value
 from uqharness.batch.translate.tables import table
 from uqharness.xml import Node
-
-_DEGREE = 0.017453293
-"""JSBSim's degree in radians, where a component takes an angle in degrees."""
 
 
 def pure_gain(c: Component) -> None:
@@ -87,7 +85,7 @@ def _angle(c: Component, tag: str) -> Value:
         c.scope.refuse(
             node, f"<{tag}> names a property, without a minus sign, with unit DEG or RAD; received {node.text.strip()} {unit}"
         )
-    return c.scope.property_value(node) * (_DEGREE if unit == "DEG" else 1.0)
+    return c.scope.property_value(node) * (SHORT_DEG_RAD if unit == "DEG" else 1.0)
 
 
 def _ends(c: Component, node: Node | None, default: tuple[float, float] | None) -> tuple[float, float]:

@@ -1,0 +1,189 @@
+"""Sensor noise in residual coefficients: how white noise of each channel passes formula, filter and differentiator.
+
+Gains vary slowly, so that noise of channel c adds to the residual of a coefficient
+
+    e(k) = sum over c and its ways w of  g_cw(k) sum_j h_w(j) n_c(k - j)
+
+with h_w the smoother, the differentiator or both one after the other. Offsets pass the smoother as they are and the differentiator
+not at all, so the gains g of the smoothed ways are found by offsetting a channel; those of the differentiated rates are
+m arm/(qbar S) and I/(qbar S l). Noise of accelerometers therefore comes out as 1/qbar.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import toeplitz
+
+from sysid.aerodynamics.coefficients import half_width, kernel
+from sysid.aerodynamics.residuals import (
+    Cutoffs,
+    Model,
+    Passage,
+    PieceNoise,
+    Prediction,
+    Residuals,
+    Way,
+    residual_piece,
+    steady_airspeed,
+)
+from sysid.aerodynamics.segmentation import Piece
+from sysid.record import FlightRecord
+
+FloatArray = NDArray[np.float64]
+ACCELERATIONS = ("ax_mps2", "ay_mps2", "az_mps2")
+RATES = ("p_radps", "q_radps", "r_radps")
+FORCED = ("V_mps", "alpha_rad", "beta_rad", *RATES)
+REACHING = (*FORCED, *ACCELERATIONS)
+"""Channels whose noise reaches a residual coefficient."""
+_OFFSETS = {"V_mps": 0.1}
+_OFFSET = 1e-3  # of the others: small against what a flight has, large against rounding
+
+
+@cache
+def autocorrelation(weights: tuple[float, ...]) -> tuple[float, ...]:
+    """Of filtered white noise of unit variance, at lags 0, 1, ..., for a filter of these weights."""
+    w = np.array(weights)
+    return tuple(float(w[lag:] @ w[: len(w) - lag]) for lag in range(len(w)))
+
+
+@cache
+def cosine_variance(n: int, correlation: tuple[float, ...]) -> FloatArray:
+    """(n,) variances of the orthonormal DCT-II of a stationary series with autocovariance ``correlation`` at lags 0, 1, ..."""
+    k, i = np.arange(n)[:, None], np.arange(n)[None, :]
+    basis = np.sqrt(2.0 / n) * np.cos(np.pi * (i + 0.5) * k / n)
+    basis[0] = np.sqrt(1.0 / n)
+    lags = np.zeros(n)
+    lags[: len(correlation)] = correlation[:n]
+    out = np.einsum("ki,ki->k", basis @ toeplitz(lags), basis)
+    out.flags.writeable = False
+    return out
+
+
+def with_sensor_noise(
+    residuals: Residuals, record: FlightRecord, pieces: Sequence[Piece], model: Model, arm_m: Sequence[float],
+    std: Mapping[str, float], spread: Mapping[str, float] | None = None,
+) -> Residuals:  # fmt: skip
+    """The residuals of a flight with the sensor noise of each piece; ``pieces`` and ``model`` as they were made with.
+
+    std: channel -> standard deviation of its white noise, in the record's unit; channels without a figure are noise-free.
+    spread: channel -> relative standard deviation of that figure.
+    """
+    cutoffs = residuals.cutoffs
+    record = steady_airspeed(record, cutoffs.airspeed_hz)
+    sizes = {c: s for c, s in std.items() if np.isfinite(s) and s > 0.0}
+    found = (_of_piece(record, p, model, arm_m, cutoffs, sizes, dict(spread or {})) for p in pieces)
+    noises = [noise for noise in found if noise is not None]
+    named = tuple(replace(p, noise=noise) for p, noise in zip(residuals.pieces, noises, strict=True))
+    return replace(residuals, pieces=named)
+
+
+def _of_piece(
+    record: FlightRecord, piece: Piece, model: Model, arm: Sequence[float], cutoffs: Cutoffs,
+    std: Mapping[str, float], spread: Mapping[str, float],
+) -> PieceNoise | None:  # fmt: skip
+    prediction = model(record, piece)
+    plain = residual_piece(record, piece, prediction, arm, cutoffs.all_hz)
+    if plain is None:
+        return None
+    m = (piece.rows.stop - piece.rows.start - len(plain)) // 2
+    filters = _Filters(record.dt_s, m, cutoffs.airspeed_hz)
+    passages = []
+    for channel in (c for c in REACHING if c in std):
+        offset = _OFFSETS.get(channel, _OFFSET)
+        moved = record.with_columns({channel: record[channel] + offset})
+        said = model(moved, piece) if channel in FORCED else prediction
+        other = residual_piece(moved, piece, said, arm, cutoffs.all_hz)
+        assert other is not None
+        gain = std[channel] / offset * (other.delta - plain.delta)
+        passages.append(Passage(channel, "smoothed", gain, filters.weights(channel, "smoothed"), spread.get(channel, 0.0)))
+    for channel in (c for c in RATES if c in std):
+        for way, gain in _differentiated(prediction, np.asarray(arm, dtype=float), slice(m, m + len(plain)), channel):
+            passages.append(Passage(channel, way, std[channel] * gain, filters.weights(channel, way), spread.get(channel, 0.0)))
+    states = {c: (s, filters.weights(c, "smoothed")) for c, s in std.items() if c in plain.states}
+    return PieceNoise(tuple(passages), states, len(plain))
+
+
+@dataclass(frozen=True)
+class _Filters:
+    """Weights of the filters over m samples to either side, and of the airspeed's low-pass before them."""
+
+    dt_s: float
+    m: int
+    airspeed_hz: float
+
+    def weights(self, channel: str, way: Way) -> tuple[float, ...]:
+        out = kernel(self.m, self.dt_s, derivative=0 if way == "smoothed" else 1)
+        if way == "both":
+            out = np.convolve(out, kernel(self.m, self.dt_s))
+        if channel == "V_mps" and np.isfinite(self.airspeed_hz):
+            out = np.convolve(out, kernel(half_width(self.dt_s, self.airspeed_hz), self.dt_s))
+        return tuple(out.tolist())
+
+
+def _differentiated(prediction: Prediction, arm: FloatArray, inner: slice, channel: str) -> list[tuple[Way, FloatArray]]:
+    """Gain (n, 6) of a rate's noise by way of its derivative: into moments, and into forces where the sensors have an arm."""
+    mass = prediction.mass
+    axis = RATES.index(channel)
+    pressure = prediction.qbar[inner] * mass.S
+    moments = np.zeros((len(pressure), 6))
+    moments[:, 3:] = mass.inertia[:, axis] / (pressure[:, None] * mass.lengths)
+    out: list[tuple[Way, FloatArray]] = [("differentiated", moments)]
+    if np.any(arm):
+        unit = np.zeros(3)
+        unit[axis] = 1.0
+        forces = np.zeros((len(pressure), 6))
+        forces[:, :3] = -mass.mass * np.cross(unit, arm) / pressure[:, None]
+        out.append(("both", forces))
+    return out
+
+
+def with_noise_of(residuals: Residuals, other: Residuals) -> Residuals:
+    """Residuals of the same pieces behind another filter with the noise of ``other``: gains hardly depend on a filter.
+
+    Both have the record's step. Raises ValueError where the pieces are not the same.
+    """
+    pieces = []
+    for piece, known in zip(residuals.pieces, other.pieces, strict=True):
+        assert known.noise is not None
+        more = (len(piece) - len(known)) // 2
+        filters = _Filters(other.dt_s, half_width(residuals.dt_s, residuals.cutoffs.all_hz), residuals.cutoffs.airspeed_hz)
+        passages = tuple(
+            replace(p, gain=_resized(p.gain, more, len(piece)), weights=filters.weights(p.channel, p.way))
+            for p in known.noise.passages
+        )
+        states = {c: (s, filters.weights(c, "smoothed")) for c, (s, _) in known.noise.states.items()}
+        pieces.append(replace(piece, noise=PieceNoise(passages, states, len(piece))))
+    return replace(residuals, pieces=tuple(pieces))
+
+
+def _resized(gain: FloatArray, more: int, n: int) -> FloatArray:
+    """The gain with ``more`` rows at either end (fewer where negative), n in all."""
+    if more < 0:
+        gain, more = gain[-more:], 0
+    return np.asarray(np.pad(gain, ((more, max(0, n - len(gain) - more)), (0, 0)), mode="edge")[:n])
+
+
+def noise_variance(noise: PieceNoise) -> FloatArray:
+    """(n, 6) of the samples' noise."""
+    out = np.zeros((noise.n, 6))
+    for p in noise.passages:
+        out += p.gain**2 * autocorrelation(p.weights)[0]
+    return out
+
+
+def noise_cosines(noise: PieceNoise) -> tuple[FloatArray, FloatArray]:
+    """(n, 6) variances of the noise's cosine transform (orthonormal DCT-II), gains at their rms; (6,) their relative spread."""
+    out = np.zeros((noise.n, 6))
+    spread: dict[str, FloatArray] = {}
+    for p in noise.passages:
+        added = cosine_variance(noise.n, autocorrelation(p.weights))[:, None] * np.mean(p.gain**2, axis=0)
+        out += added
+        # One figure's error is common to all ways of its channel; a variance is off by twice what a standard deviation is.
+        spread[p.channel] = spread.get(p.channel, np.zeros(6)) + 2.0 * p.spread * added.sum(axis=0)
+    total = np.maximum(out.sum(axis=0), np.finfo(float).tiny)
+    return out, np.sqrt(sum((v / total) ** 2 for v in spread.values()) + np.zeros(6))

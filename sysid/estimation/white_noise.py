@@ -1,0 +1,77 @@
+"""Size of a channel's white noise, from what its signal leaves at high frequencies, with the sensor's data sheet as prior.
+
+Near half the sampling rate a flight's signal falls at least as the inverse square of the frequency (gusts do; the aircraft's own
+motion falls faster), while white noise stays. The spectrum of the signal's differences is therefore
+
+    S(w) = q + 2 std**2 (1 - cos w)        w in radians a sample
+
+with q of the signal, another in each piece: what is quiet tells most. The Whittle likelihood of the periodogram above a frequency,
+times a log-normal prior about the card's figure, is integrated over std and q on a grid (Whittle 1953; Harvey, "Forecasting,
+Structural Time Series Models" (1989), 4.3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+FloatArray = NDArray[np.float64]
+PRIOR_SPREAD = float(np.log(2.0))
+"""Standard deviation of the logarithm of a noise's size about the card's figure: data sheets are wrong by a factor of two."""
+_LEAST = 16  # frequencies below which a channel shows nothing of its noise
+_SIZES = np.concatenate([np.linspace(-5.0, -1.0, 41)[:-1], np.linspace(-1.0, 0.6, 81)])  # logarithm, about what is shown
+_SIGNALS = np.exp(np.linspace(-12.0, 1.0, 41))  # of a piece's mean power, equally likely in the logarithm
+
+
+@dataclass(frozen=True)
+class NoiseSize:
+    """Root mean square ``std`` of a channel's noise in its own unit, and the relative standard deviation ``spread`` of std."""
+
+    std: float
+    spread: float
+
+
+def noise_size(pieces: Sequence[FloatArray], dt_s: float, from_hz: float, stated: float | None = None) -> NoiseSize | None:
+    """Size of white noise in a channel.
+
+    pieces   [(n,)] of the channel without gaps, ``dt_s`` apart       from_hz   the signal's own motion lies below
+    stated   what the card says of the sensor, a prior; None: nothing
+    None where neither card nor samples tell: fewer than 16 frequencies above ``from_hz``, or a channel without any noise.
+    """
+    spectra = [found for x in pieces if (found := _periodogram(x, dt_s, from_hz)) is not None]
+    known = stated is not None and np.isfinite(stated) and stated > 0.0
+    if sum(len(power) for power, _ in spectra) < _LEAST or not any(np.any(power > 0.0) for power, _ in spectra):
+        return NoiseSize(float(stated), PRIOR_SPREAD) if known and stated is not None else None
+    shown = np.sqrt(min(np.sum(power) / np.sum(shape) for power, shape in spectra if np.any(power > 0.0)))
+    size = np.log(shown) + _SIZES
+    likelihood = np.zeros(len(size))
+    for power, shape in spectra:
+        signal = _SIGNALS * np.mean(power)
+        variance = signal[None, :, None] + np.exp(2.0 * size)[:, None, None] * shape[None, None, :]
+        likelihood += logsumexp(-np.sum(np.log(variance) + power / variance, axis=2), axis=1)
+    if known and stated is not None:
+        likelihood -= 0.5 * ((size - np.log(stated)) / PRIOR_SPREAD) ** 2
+    weight = np.exp(likelihood - likelihood.max()) * np.gradient(size)
+    weight /= weight.sum()
+    mean = float(weight @ np.exp(2.0 * size))
+    spread = float(np.sqrt(max(weight @ np.exp(4.0 * size) - mean**2, 0.0))) / (2.0 * mean)
+    return NoiseSize(float(np.sqrt(mean)), spread)
+
+
+def _periodogram(x: FloatArray, dt_s: float, from_hz: float) -> tuple[FloatArray, FloatArray] | None:
+    """Power of a piece's differences above ``from_hz``, and 2 (1 - cos w) there; None where the piece is too short."""
+    steps = np.diff(np.asarray(x, dtype=float))
+    n = len(steps)
+    if n < 2 * _LEAST:
+        return None
+    # A taper keeps the signal's low frequencies from leaking into the noise's.
+    taper = np.hanning(n)
+    power = np.abs(np.fft.rfft(steps * taper)) ** 2 / np.sum(taper**2)
+    w = 2.0 * np.pi * np.arange(len(power)) / n
+    # Neighbours of a tapered periodogram say the same: every second one.
+    keep = np.flatnonzero(w / (2.0 * np.pi * dt_s) >= from_hz)[::2]
+    return (power[keep], 2.0 * (1.0 - np.cos(w[keep]))) if len(keep) else None

@@ -1,0 +1,175 @@
+"""Model error apart from noise: over many draws of known parts, and where there is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from sysid.aerodynamics.polynomial import regressors
+from sysid.model_form.blocks import blocks_of
+from sysid.model_form.components import Uncertain, separate
+from sysid.model_form.fit import Design, FitOptions, fit_bounds
+from tests.helpers.residual_pieces import HALF, filtered, first_order, residuals_of
+
+STATES = ("V_mps", "alpha_rad")
+LENGTH = 250
+
+
+def draw(seed, polynomial, persistent, transient, noise, presumed=None, blocks=12, flights=1, of_flight=0.0):
+    """Residuals whose parts are known, and the model's error in them piece by piece."""
+    rng = np.random.default_rng(seed)
+    beta = polynomial * rng.standard_normal(6)
+    of_flights = of_flight * rng.standard_normal(flights)
+    series, errors, states, numbers = [], [], [], []
+    for number in range(blocks * flights):
+        n = LENGTH + 2 * HALF
+        t = 0.02 * np.arange(n)
+        v = rng.standard_normal() + 0.3 * np.sin(0.7 * t + 6.3 * rng.random())
+        a = rng.uniform(0.5, 1.5) * np.exp(-((t - 2.0) ** 2)) * np.sin(4.0 * t + 6.3 * rng.random())
+        x = np.column_stack([np.ones(n), v, a, v * v, v * a, a * a])
+        flight = number // blocks
+        error = x @ beta + of_flights[flight] + persistent * rng.standard_normal() + transient * first_order(n, 0.4, rng)
+        errors.append(filtered(error))
+        series.append(filtered(error + noise * rng.standard_normal(n)))
+        states.append({"V_mps": 20.0 + 2.0 * filtered(v), "alpha_rad": 0.03 * filtered(a)})
+        numbers.append(flight)
+    return residuals_of(series, presumed or noise, states, numbers), errors
+
+
+def fitted(residuals):
+    return fit_bounds(residuals, {"CX": Design(STATES)}, FitOptions())["CX"]
+
+
+def share_inside(bounds, residuals, errors, widen=1.0):
+    """Of the model's error, within the whole interval before the sign clip."""
+    inside = []
+    for piece, error in zip(residuals.pieces, errors, strict=True):
+        z = bounds.normalised(piece.states)
+        variance = bounds.s2 * bounds.leverage_factor * bounds.leverage(z) + bounds.parts.persistent**2 + bounds.parts.transient**2
+        inside.append(
+            np.abs(error - regressors(z, bounds.terms) @ bounds.beta_hat) <= widen * bounds.parts.total_t * np.sqrt(variance)
+        )
+    return float(np.mean(np.concatenate(inside)))
+
+
+def over_draws(seeds, widen=1.0, **parts):
+    """Share of the error of twelve further blocks within the interval of twelve."""
+    shares = []
+    for seed in seeds:
+        residuals, errors = draw(seed, blocks=24, **parts)
+        made, new = (type(residuals)(residuals.pieces[k::2], 0.02, residuals.cutoffs) for k in (0, 1))
+        shares.append(share_inside(fitted(made).bounds, new, errors[1::2], widen))
+    return float(np.mean(shares))
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        {"polynomial": 0.005, "persistent": 0.005, "transient": 0.005, "noise": 0.02},
+        {"polynomial": 0.01, "persistent": 0.0, "transient": 0.02, "noise": 0.01},
+        {"polynomial": 0.0, "persistent": 0.02, "transient": 0.01, "noise": 0.03},
+    ],
+    ids=["small", "transient", "persistent"],
+)
+def test_new_blocks_lie_within_as_often_as_stated(parts):
+    # Sixteen draws: the standard error is a point and a half.
+    assert 0.91 <= over_draws(range(16), **parts) <= 0.985
+    # The count can say no.
+    assert over_draws(range(6), widen=0.6, **parts) < 0.9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "size", [(0.005, 0.005, 0.005, 0.02), (0.0, 0.02, 0.01, 0.03), (0.02, 0.01, 0.01, 0.02), (0.0, 0.0, 0.02, 0.02)]
+)
+def test_coverage_over_many_draws(size):
+    polynomial, persistent, transient, noise = size
+    share = over_draws(range(500), polynomial=polynomial, persistent=persistent, transient=transient, noise=noise)
+    assert 0.93 <= share <= 0.975
+
+
+def test_the_parts_are_those_that_were_put_in():
+    found = [fitted(draw(seed, 0.01, 0.012, 0.02, 0.02)[0]).bounds.parts for seed in range(8)]
+    assert np.mean([p.transient for p in found]) == pytest.approx(0.02, rel=0.1)
+    assert np.mean([p.persistent for p in found]) == pytest.approx(0.012, rel=0.5)
+    assert np.mean([p.transient_time_s for p in found]) == pytest.approx(0.4, rel=0.35)
+    assert np.mean([p.noise_scale for p in found]) == pytest.approx(1.0, abs=0.1)
+    assert all(p.found for p in found)
+    assert all(np.isnan(p.flight) for p in found)  # one flight
+
+
+def test_without_model_error_little_is_left_and_none_is_found():
+    noise = 0.02
+    for seed in range(6):
+        bounds = fitted(draw(seed, 0.0, 0.0, 0.0, noise)[0]).bounds
+        low, high = bounds.bounds({"V_mps": np.array([20.0]), "alpha_rad": np.array([0.0])})
+        assert not bounds.parts.found
+        # The published interval of noisy samples is 2 x 1.96 x 0.0096 wide here, the smoother's share of the noise.
+        assert high - low < 0.25 * 2 * 1.96 * 0.0096
+        assert bounds.parts.not_above < 0.5 * 0.0096
+    assert fitted(draw(1, 0.0, 0.0, 0.01, noise)[0]).bounds.parts.found
+
+
+@pytest.mark.parametrize("presumed", [0.5, 2.0])
+def test_a_noise_presumed_wrong_costs_no_coverage(presumed):
+    parts = {"polynomial": 0.005, "persistent": 0.01, "transient": 0.01, "noise": 0.02}
+    assert over_draws(range(8), presumed=presumed * 0.02, **parts) >= 0.93
+    told = [fitted(draw(seed, 0.0, 0.0, 0.0, 0.02, presumed=0.04)[0]).bounds.parts for seed in range(4)]
+    # Overstated, it shows in the data, which scatter less than it says.
+    assert np.mean([p.noise_scale for p in told]) < 0.75
+
+
+def test_what_differs_from_flight_to_flight_widens_the_persistent_part():
+    made = {"polynomial": 0.005, "persistent": 0.004, "transient": 0.005, "noise": 0.01}
+    apart = [fitted(draw(seed, blocks=6, flights=5, of_flight=0.02, **made)[0]).bounds.parts for seed in range(6)]
+    alike = [fitted(draw(seed, blocks=6, flights=5, **made)[0]).bounds.parts for seed in range(6)]
+    assert np.mean([p.flight for p in apart]) > 3.0 * np.mean([p.flight for p in alike])
+    assert np.mean([p.flight for p in apart]) == pytest.approx(0.02, rel=0.6)
+    assert all(p.persistent > p.flight for p in apart)
+
+
+def test_few_blocks_are_trusted_less():
+    made = {"polynomial": 0.0, "persistent": 0.02, "transient": 0.002, "noise": 0.005}
+    few, many = ([fitted(draw(seed, blocks=n, **made)[0]).bounds for seed in range(4)] for n in (4, 40))
+    assert np.mean([b.dof for b in few]) < 0.7 * np.mean([b.dof for b in many])
+    # Twice the quantile of a normal distribution where four blocks are all that is known.
+    assert np.mean([b.t for b in few]) > np.mean([b.t for b in many])
+
+
+def test_leaving_blocks_out_is_fitting_the_others():
+    residuals, _ = draw(3, 0.005, 0.01, 0.01, 0.02)
+    whole = fitted(residuals)
+    rest = type(residuals)(residuals.pieces[2:], 0.02, residuals.cutoffs)
+    terms, b = whole.bounds.terms, whole.bounds
+    again = separate(blocks_of(rest, "CX", [regressors(b.normalised(p.states), terms) for p in rest.pieces])).components()
+    quick, all_blocks = whole.separation.without([0, 1]), whole.separation.components()
+    assert quick.whole.mean == pytest.approx(again.whole.mean, rel=0.15)
+    assert quick.transient == pytest.approx(again.transient, rel=0.15)
+    spread = np.sqrt(np.diag(again.covariance))
+    assert np.all(np.abs(quick.beta - again.beta) < 0.5 * spread)
+    assert np.any(np.abs(all_blocks.beta - again.beta) > 0.2 * spread)
+
+
+def test_a_quantile_of_an_uncertain_variance():
+    """Inverse chi-square weights of nu degrees of freedom make Student's t (scaled to unit variance)."""
+    nu = 6.0
+    values = stats.invgamma(nu / 2.0, scale=nu / 2.0).ppf((np.arange(20_000) + 0.5) / 20_000)
+    found = Uncertain(values, np.full(len(values), 1.0 / len(values)))
+    assert found.quantile(0.95) == pytest.approx(stats.t.ppf(0.975, nu) * np.sqrt((nu - 2.0) / nu), rel=0.01)
+    sure = Uncertain(np.ones(3), np.full(3, 1.0 / 3.0))
+    assert sure.quantile(0.95) == pytest.approx(1.959964, rel=1e-5)
+    assert sure.dof > 1e5
+
+
+def test_tails_that_reach_further_than_a_normal_distributions_widen_the_interval():
+    """Error in two blocks of twelve alone: its variance says too little of those two."""
+    residuals, errors = draw(1, 0.0, 0.0, 0.0, 0.005)
+    rng = np.random.default_rng(9)
+    series = [p.delta[:, 0] + (0.05 * filtered(first_order(LENGTH + 2 * HALF, 0.4, rng)) if k < 2 else 0.0)
+              for k, p in enumerate(residuals.pieces)]  # fmt: skip
+    made = residuals_of(series, 0.005, [p.states for p in residuals.pieces])
+    errors = [e + s - p.delta[:, 0] for e, s, p in zip(errors, series, residuals.pieces, strict=True)]
+    found = fitted(made)
+    assert found.separation.components().tail > 1.1
+    assert share_inside(found.bounds, made, errors) > 0.93
