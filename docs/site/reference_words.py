@@ -220,7 +220,12 @@ COVERAGE = {
     "errors": "coefficient → standard error of the shares",
     "outside_data": "coefficient → share of samples outside the data of the bounds",
     "manoeuvres": "the shares by manoeuvre",
-    "failed": "coefficients below the limit",
+    "by_speed": "the shares in thirds of the airspeed",
+    "by_incidence": "the shares in thirds of the angle of attack",
+    "conformal": "coefficient → factor by which bounds must be widened, by what manoeuvres show, and its level",
+    "verdicts": "coefficient → holds, fails or inconclusive",
+    "flight_variance": "coefficient → standard deviation from flight to flight; null: not estimable",
+    "failed": "coefficients that fail",
     "warnings": "sentences with their evidence",
     "notes": "what was done to the records",
     "command": "what repeats it",
@@ -250,7 +255,8 @@ BOUNDS = {
     "n": "samples",
     "n_effective": "of them as good as independent",
     "hull": "the data's box and greatest leverage",
-    "walk_rate": "of the normalised residual, 1/sqrt(s)",
+    "walk_rate": "of the transient part, or of the normalised residual, 1/sqrt(s)",
+    "parts": "persistent and transient model error and noise; see model-form.md",
 }
 PROPERTIES = {
     r"uq/active": "0: the aircraft as if without the plugin, to the last bit; 1: deltas act",

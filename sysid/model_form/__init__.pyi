@@ -1,5 +1,6 @@
 from .coverage import Coverage as Coverage
 from .coverage import leave_one_out as leave_one_out
+from .coverage import measured_bounds as measured_bounds
 from .coverage import told_apart as told_apart
 from .fit import Design as Design
 from .fit import FitOptions as FitOptions

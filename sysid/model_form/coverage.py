@@ -86,21 +86,24 @@ def _of(coefficient: str, bounds: CoefficientBounds, outside: Outside, residuals
 
 
 def _stretch(bounds: CoefficientBounds, coefficient: str, piece: ResidualPiece, outside: Outside) -> FloatArray:
-    """(n,) by what factor the 95 % bounds of measured samples must be widened about zero to hold each sample."""
-    lower, upper = measured_bounds(bounds, coefficient, piece, 0.95, outside)
+    """(n,) by what factor the 95 % bounds of measured samples must be widened about their middle to hold each sample and zero."""
+    middle, half = bounds.sample_middle(piece.states, _noise(coefficient, piece), 0.95, outside)
     y = piece.delta[:, COEFFICIENTS.index(coefficient)]
-    end = np.where(y >= 0.0, upper, -lower)
-    return np.abs(y) / np.maximum(end, np.finfo(float).tiny)
+    return np.maximum(np.where(y >= 0.0, y - middle, middle - y), 0.0) / np.maximum(half, np.finfo(float).tiny)
 
 
 def measured_bounds(
     bounds: CoefficientBounds, coefficient: str, piece: ResidualPiece, confidence: float | None, outside: Outside
 ) -> tuple[FloatArray, FloatArray]:
     """Lower and upper end (n,) of the interval for a piece's measured samples, its sensors' noise and all."""
-    noise = np.zeros(len(piece))
-    if piece.noise is not None:
-        noise = noise_variance(piece.noise)[:, COEFFICIENTS.index(coefficient)]
-    return bounds.sample_interval(piece.states, noise, confidence, outside)
+    return bounds.sample_interval(piece.states, _noise(coefficient, piece), confidence, outside)
+
+
+def _noise(coefficient: str, piece: ResidualPiece) -> FloatArray:
+    """(n,) variance of the sensors' noise in a piece's samples; 0 where it is not known."""
+    if piece.noise is None:
+        return np.zeros(len(piece))
+    return noise_variance(piece.noise)[:, COEFFICIENTS.index(coefficient)]
 
 
 def share_error(inside: Sequence[FloatArray]) -> float:

@@ -173,15 +173,22 @@ class CoefficientBounds:
 
         noise_variance (n,): of the samples; it counts only where the interval has parts, others hold the noise already.
         """
-        if self.parts is None:
-            return self.bounds(states, confidence, outside)
-        p = self.parts
-        z = self.normalised(states, outside)
-        t = p.total_t if confidence is None else self._quantile(confidence, p.total_t, p.total_dof)
-        y = regressors(z, self.terms) @ self.beta_hat
-        known = self.s2 * self.leverage_factor * self.leverage(z)
-        half = t * np.sqrt(known + p.persistent**2 + p.transient**2 + noise_variance)
+        y, half = self.sample_middle(states, noise_variance, confidence, outside)
         return np.minimum(y - half, 0.0), np.maximum(y + half, 0.0)
+
+    def sample_middle(
+        self, states: Mapping[str, FloatArray], noise_variance: FloatArray, confidence: float | None = None,
+        outside: Outside = "grow",
+    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        """Middle and half-width (n,) of that interval before it is stretched to hold zero; without noise of the model error."""
+        z = self.normalised(states, outside)
+        y = regressors(z, self.terms) @ self.beta_hat
+        if self.parts is None:
+            return y, self.half_width(self.leverage(z), self.t if confidence is None else self.t_at(confidence))
+        p = self.parts
+        t = p.total_t if confidence is None else self._quantile(confidence, p.total_t, p.total_dof)
+        known = self.s2 * self.leverage_factor * self.leverage(z)
+        return y, np.asarray(t * np.sqrt(known + p.persistent**2 + p.transient**2 + noise_variance))
 
     def bounds(
         self, states: Mapping[str, FloatArray], confidence: float | None = None, outside: Outside = "grow"

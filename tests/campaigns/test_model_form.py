@@ -36,8 +36,11 @@ def test_the_model_has_no_error_against_itself_and_the_truth_has_its_four():
     states, delta = truth.true.states, truth.true.delta
     # CX_q 1.5 times q c/2V, by hand.
     expected = 1.5 * states["q_radps"] * 0.53 / (2.0 * states["V_mps"])
-    assert delta[:, 0] == pytest.approx(expected, abs=2e-4)
-    assert delta[:, 0] != pytest.approx(2.0 * expected, abs=2e-4)
+    # Where lift does not separate yet; then CX has a share of what is lost.
+    calm = states["alpha_rad"] < np.radians(3.0)
+    left = delta[calm, 0] - expected[calm]
+    assert np.sqrt(np.mean(left**2)) < 0.05 * np.sqrt(np.mean(expected[calm] ** 2))
+    assert np.sqrt(np.mean((left - expected[calm]) ** 2)) > 0.5 * np.sqrt(np.mean(expected[calm] ** 2))
     assert not delta[:, 1].any()  # CY and Cn lack nothing
     assert not delta[:, 5].any()
 
@@ -72,7 +75,7 @@ def test_noise_is_added_where_it_should_be():
         stated = np.sqrt(np.mean(np.concatenate([noise_variance(p.noise)[:, k] for p in one.exactly().pieces])))
         assert measured == pytest.approx(stated, rel=0.1)
     found = one.sizes[1.0]
-    assert found["p_radps"].std == pytest.approx(0.00349, rel=0.05)
+    assert found["p_radps"].std == pytest.approx(0.00349, rel=0.1)
 
 
 def test_the_true_error_is_inside_and_the_widths_are_the_noise_knowns(answers):
@@ -83,7 +86,7 @@ def test_the_true_error_is_inside_and_the_widths_are_the_noise_knowns(answers):
     assert (usual["width"] / known["width"]).max() < 1.5
     parts = fits[fits["way"] == "default"].set_index(["case", "coefficient"])
     assert not parts.loc["nominal-calm"]["found"].any()
-    assert parts.loc["truth-calm"].loc[["CX", "Cl", "Cm"], "found"].all()
+    assert parts.loc["truth-calm"].loc[["CX", "CZ", "Cl", "Cm"], "found"].all()
     # Far below what the dissertation's interval holds, noise and all.
     assert (parts.loc["nominal-calm"]["persistent_width"] < 0.2 * parts.loc["nominal-calm"]["published_width"]).all()
 

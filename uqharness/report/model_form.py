@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid.aerodynamics import Residuals, term_name
-from sysid.model_form import ModelForm, Parts
+from sysid.model_form import ModelForm, Parts, measured_bounds
 from uqharness.files import finite
 from uqharness.identification import CutoffRow, MadeBounds, Validation, failed, mean_left_out, verdicts
 from uqharness.replay import write_pieces
@@ -102,10 +102,16 @@ def _bins(found: Validation, kind: str, state: str) -> list[dict[str, Any]]:
 
 
 def write_residuals(form: ModelForm, residuals: Residuals, flights: str, out: Path) -> None:
-    """residuals.parquet in ``out``: by piece the states, flight minus model per coefficient and its bounds there."""
+    """residuals.parquet in ``out``: by piece the states, flight minus model per coefficient and the bounds of its samples there.
+
+    Where the form keeps noise apart, the samples' bounds hold the sensors' noise; ``<C>_model_lower``, ``_upper`` do not.
+    """
     columns = {state: [piece.states[state] for piece in residuals.pieces] for state in form.states}
-    for name in form.coefficients:
-        bounds = [form.bounds(piece.states)[name] for piece in residuals.pieces]
+    for name, bounds in form.coefficients.items():
         columns[name] = residuals.columns(name)
-        columns[f"{name}_lower"], columns[f"{name}_upper"] = [low for low, _ in bounds], [high for _, high in bounds]
+        samples = [measured_bounds(bounds, name, piece, None, form.outside) for piece in residuals.pieces]
+        columns[f"{name}_lower"], columns[f"{name}_upper"] = [low for low, _ in samples], [high for _, high in samples]
+        if bounds.parts is not None:
+            model = [bounds.bounds(piece.states, outside=form.outside) for piece in residuals.pieces]
+            columns[f"{name}_model_lower"], columns[f"{name}_model_upper"] = [low for low, _ in model], [high for _, high in model]
     write_pieces(out / RESIDUALS, [(flights, piece.label, piece.time_s) for piece in residuals.pieces], columns)

@@ -67,6 +67,9 @@ def read_sources(aircraft: Aircraft | Files, script: Path | None) -> Sources:
         if "file" in node.attributes:
             part = _included(aircraft, document, node)
         if node.tag in _SYSTEMS:
+            # JSBSim takes the first of these and leaves the others.
+            if node.tag != "system" and any(one.node.tag == node.tag for one in systems):
+                raise BadInputError(f"{document.where(node)}: <{node.tag}> stands here twice")
             systems.append(System(*part, None if part[1] is node else (document, node)))
         elif node.tag in found and node.tag not in ("input", "output"):
             raise BadInputError(f"{document.where(node)}: <{node.tag}> stands here twice")

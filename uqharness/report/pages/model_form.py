@@ -215,6 +215,7 @@ def within_section(pieces: Sequence[History], names: Sequence[str], title: str, 
     if not pieces:
         return ()
     figures = []
+    apart = False
     for c in names:
         if not have(pieces, (c, f"{c}_lower", f"{c}_upper")):
             continue
@@ -223,15 +224,20 @@ def within_section(pieces: Sequence[History], names: Sequence[str], title: str, 
             [(h.columns[c] >= low) & (h.columns[c] <= high) for h, low, high in zip(pieces, *band[:2], strict=True)]
         )
         share = 100.0 * float(np.mean(inside))
+        ends = (f"{c}_model_lower", f"{c}_model_upper")
+        model = [(end, "second", "") for end in ends] if have(pieces, ends) else []
+        apart = apart or bool(model)
         label = f"Flight minus model, {c} [-], along the pieces within its bounds: {share:.1f} % of the samples lie inside."
         figures.append(
             end_to_end(
-                pieces, f"{prefix}within-{c}", [(c, "plain thin", "")], band, label, f"flight minus model, {c} [-]",
+                pieces, f"{prefix}within-{c}", [(c, "plain thin", ""), *model], band, label, f"flight minus model, {c} [-]",
                 f"{c} [-]: {share:.1f} % of the samples inside", outside=True,
             )
         )  # fmt: skip
-    legend = (("plain thin", "flight minus model"), ("fill1", "bounds"), ("dotout", "outside the bounds"))
-    return (Section(title, (Figures(tuple(figures), legend, file=file),)),)
+    samples = "bounds of its samples, sensor noise and all" if apart else "bounds"
+    legend = [("plain thin", "flight minus model"), ("fill1", samples), ("dotout", "outside these bounds")]
+    legend += [("second", "bounds of the model's persistent error")] if apart else []
+    return (Section(title, (Figures(tuple(figures), tuple(legend), file=file),)),)
 
 
 def _left_out_section(details: Mapping[str, Any]) -> Section:

@@ -51,6 +51,8 @@ def test_sections_are_found():
     ("body", "said"),
     [
         ("<aerodynamics/><aerodynamics/>", "<aerodynamics> stands here twice"),
+        ("<flight_control name='a'/><flight_control name='b'/><aerodynamics/>", "<flight_control> stands here twice"),
+        ("<autopilot name='a'/><autopilot name='b'/><aerodynamics/>", "<autopilot> stands here twice"),
         ("<wings/><aerodynamics/>", "<wings> is not understood"),
         ("<planet/><aerodynamics/>", "<planet> is not understood"),
     ],
