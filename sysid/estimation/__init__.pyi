@@ -21,5 +21,5 @@ from .kalman import Process as Process
 from .kalman import lanes_of as lanes_of
 from .kalman import run as run
 from .result import OutputErrorFit as OutputErrorFit
-from .white_noise import NoiseSize as NoiseSize
-from .white_noise import noise_size as noise_size
+from .noise_sizes import NoiseSize as NoiseSize
+from .noise_sizes import noise_size as noise_size

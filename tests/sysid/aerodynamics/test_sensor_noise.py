@@ -157,3 +157,27 @@ def test_channels_without_a_figure_are_free_of_noise():
         residual_coefficients(record, [short, *pieces], predict, ARM), record, [short, *pieces], predict, ARM, STD
     )
     assert len(both.pieces) == 1
+
+
+def test_a_flight_at_rest_by_hand():
+    """The smoother's weights are .1 .25 .3 .25 .1, a slope's (-2 -1 0 1 2)/(10 dt); variances follow by hand."""
+    n, V = 300, 20.0
+    columns = {c: np.full(n, V if c == "V_mps" else 0.0) for c in (*REACHING, "phi_rad", "theta_rad")}
+    record = FlightRecord(columns | {"time_s": DT * np.arange(n)})
+    pieces = [Piece("x", slice(0, n), 0.0, DT * (n - 1))]
+    mass = MassProperties(20.0, np.diag([5.0, 6.0, 10.0]), 1.97, 3.66, 0.53)
+
+    def at_rest(record: FlightRecord, piece: Piece) -> Prediction:
+        qbar = 0.6 * record["V_mps"][piece.rows] ** 2
+        zero = np.zeros((len(qbar), 3))
+        return Prediction(np.zeros((len(qbar), 6)), zero, zero, qbar, mass, {})
+
+    plain = residual_coefficients(record, pieces, at_rest)
+    made_of = with_sensor_noise(plain, record, pieces, at_rest, (0.0, 0.0, 0.0), {"ay_mps2": 0.16, "p_radps": 0.0035})
+    found = np.sqrt(noise_variance(made_of.pieces[0].noise))
+    pressure = 0.6 * V**2 * 1.97
+    side = 20.0 * 0.16 * np.sqrt(0.3**2 + 2 * 0.25**2 + 2 * 0.1**2) / pressure
+    roll = 5.0 * 0.0035 * np.sqrt(2 * (1 + 4)) / (10 * DT) / (pressure * 3.66)
+    np.testing.assert_allclose(found[:, 1], side, rtol=1e-6)
+    np.testing.assert_allclose(found[:, 3], roll, rtol=1e-6)
+    assert not found[:, [0, 2]].any()

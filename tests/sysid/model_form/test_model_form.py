@@ -116,6 +116,21 @@ def test_autocorrelation_breaks_the_published_interval_and_effective_samples_men
     assert np.mean(effective) == pytest.approx(1600 * (1 - 0.9) / (1 + 0.9), rel=0.4)
 
 
+def test_the_conformal_factor_is_finite_where_bounds_end_at_zero():
+    """A model error that is all on one side: a sample on the other lies outside by a finite factor."""
+    made = made_up(1)
+    form = form_of(made, coefficients=("CX",))
+    b = form.coefficients["CX"]
+    constant = np.array([float(not any(term)) for term in b.terms])
+    above = dataclasses.replace(form, coefficients={"CX": dataclasses.replace(b, beta_hat=0.1 * constant)})
+    half = b.half_width(b.leverage(b.normalised(made.states)), b.t)
+    below = dataclasses.replace(made, pieces=tuple(dataclasses.replace(p, delta=np.full_like(p.delta, -0.1)) for p in made.pieces))
+    factor = coverage(above, below)["CX"].conformal.factor
+    assert 0.2 / half.max() <= factor <= 0.2 / half.min()
+    inside = dataclasses.replace(made, pieces=tuple(dataclasses.replace(p, delta=np.full_like(p.delta, 0.05)) for p in made.pieces))
+    assert coverage(above, inside)["CX"].conformal.factor == 0.0
+
+
 def test_the_error_of_a_share_counts_runs():
     rng = np.random.default_rng(1)
     single = (rng.random(4000) < 0.9).astype(float)
