@@ -20,6 +20,6 @@ from .kalman import Lanes as Lanes
 from .kalman import Process as Process
 from .kalman import lanes_of as lanes_of
 from .kalman import run as run
-from .result import OutputErrorFit as OutputErrorFit
 from .noise_sizes import NoiseSize as NoiseSize
 from .noise_sizes import noise_size as noise_size
+from .result import OutputErrorFit as OutputErrorFit

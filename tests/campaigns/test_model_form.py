@@ -20,6 +20,7 @@ from uqharness.simulator.aircraft import find_aircraft
 FLIGHTS: ModuleType = campaign_script("model-form", "flights")
 JUDGE: ModuleType = campaign_script("model-form", "judge")
 STUDY: ModuleType = campaign_script("model-form")
+PBOX: ModuleType = campaign_script("model-form", "pbox")
 TABLES: ModuleType = campaign_script("model-form", "tables")
 CASES = {c.name: c for c in FLIGHTS.CASES}
 
@@ -73,7 +74,7 @@ def test_noise_is_added_where_it_should_be():
     for k in range(6):
         measured = np.std(one.residuals.delta[:, k])
         stated = np.sqrt(np.mean(np.concatenate([noise_variance(p.noise)[:, k] for p in one.exactly().pieces])))
-        assert measured == pytest.approx(stated, rel=0.1)
+        assert measured == pytest.approx(stated, rel=0.2)  # one draw, behind a slow filter
     found = one.sizes[1.0]
     assert found["p_radps"].std == pytest.approx(0.00349, rel=0.1)
 
@@ -96,15 +97,13 @@ def test_tables_verdicts_and_pictures_say_so(answers, tmp_path):
     text = TABLES.tables(rows, fits)
     assert "| CX |" in text
     assert "truth-calm" in text
-    bad = TABLES.verdict(rows.assign(inside_stretched=0.9), fits)
+    bad = TABLES.verdict(rows.assign(inside=0.9), fits)
     assert any("CY at 27 m/s: 90.0 %" in line for line in bad)
     wide = rows.assign(width=np.where(rows["way"] == "default", 2.0, 1.0))
     assert any("2.00 times as wide" in line for line in TABLES.verdict(wide, fits))
     assert any("a model error of CZ" in line for line in TABLES.verdict(rows, fits.assign(found=False)))
     assert any("that is not there" in line for line in TABLES.verdict(rows, fits.assign(found=True)))
-    good = TABLES.verdict(
-        rows.assign(inside_stretched=0.95, width=1.0, third=0.95), fits.assign(found=fits["case"] == "truth-calm")
-    )
+    good = TABLES.verdict(rows.assign(inside=0.95, width=1.0, third=0.95), fits.assign(found=fits["case"] == "truth-calm"))
     assert good == []
     paths = STUDY.write_pictures([a for a in answers if "histories" in a], tmp_path)
     assert [p.stem for p in paths] == list(COEFFICIENTS)
@@ -135,6 +134,25 @@ def test_what_is_there_is_not_flown_again(answers, tmp_path, monkeypatch, capsys
     with pytest.raises(ValueError, match="a number of seeds"):
         STUDY.seed_range("4-1")
     assert list(STUDY.seed_range("7-9")) == [7, 8, 9]
+
+
+def test_the_p_box_by_parts_is_held_against_the_published_one(tmp_path, monkeypatch, capsys):
+    levels = {"truth": [2.0], "by-parts": [1.9, 2.1], "as-published": [0.5, 4.5]}
+
+    def flown(folder, aircraft, epistemic, settings):
+        assert (folder / "model-form.json").exists() == (aircraft == "espaaro" and "corners" in epistemic)
+        return [PBOX.Sample(str(k), centre + np.linspace(-0.01, 0.01, 8)) for k, centre in enumerate(levels[folder.name])]
+
+    monkeypatch.setattr(PBOX, "_flown", flown)
+    command = ["--out", str(tmp_path), "--seeds", "1", "--cases", "nominal-calm"]
+    assert PBOX.main(command) == 0
+    said = capsys.readouterr().out
+    assert "| nominal-calm | by parts | 1 | 0.2 | 1.90 to 2.10 | 2.00 | 1 of 1 |" in said
+    monkeypatch.setattr(PBOX, "run_seed", None)  # what is there is not flown again
+    assert PBOX.main(command) == 0
+    (row,) = [json.loads(p.read_text()) for p in (tmp_path / "pbox").glob("*.json")]
+    wide = {**row, "by parts": {**row["by parts"], "area": 3.0, "flown": "outside"}}
+    assert [line.partition(":")[0] for line in PBOX.verdict([wide])] == ["nominal-calm"] * 2
 
 
 @pytest.mark.slow

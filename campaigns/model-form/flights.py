@@ -1,0 +1,224 @@
+"""The study's flights: one to make bounds from, three to judge them by, each without noise and with as much of it as is wanted.
+
+A flight is flown without sensor noise, so the autopilot hears none; noise of Table 2.1 is added to the record afterwards. Each
+noisy record so has a noise-free twin, and in still air all seeds share one flight. The true model error is what the flown
+aircraft's coefficients are at the noise-free states minus what the model's are there, behind the filter that residuals pass. What
+the air's own rotation does to the flown aircraft is therefore no model error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from sysid.aerodynamics import Cutoffs, Residuals, with_sensor_noise
+from sysid.aerodynamics.residuals import Passage, PieceNoise
+from sysid.estimation import NoiseSize, noise_size
+from sysid.model_form.noise_floor import NOISY, with_noise
+from sysid.record import FlightRecord
+from uqharness.errors import BadInputError
+from uqharness.flight.recorded import as_asked, recorded_flight
+from uqharness.flight.spec import FlightSpec
+from uqharness.identification.model_form import stated_noise
+from uqharness.replay.flights import Flight, measured_surfaces, prepare
+from uqharness.replay.residuals import ReplayPair, flight_residuals, prediction_of, recut
+from uqharness.scratch import scratch_folder
+from uqharness.simulator.aircraft import Aircraft, find_aircraft
+from uqharness.simulator.manoeuvre_script import PLANS, THREE_TWO_ONE_ONE, Manoeuvre, Plan, script
+from uqharness.simulator.mission import read_script
+
+MODEL = "espaaro"
+CUTOFFS = Cutoffs()
+SPEEDS = (18.5, 21.0, 27.0)
+BOUNDS = Plan(
+    "study-bounds",
+    "model-form bounds from 16.5 to 27.5 m/s",
+    16.5,
+    (
+        Manoeuvre("pull-up, 16.5 m/s", "elevator", -8.0, 0.9, recovery_s=8.0, speed_mps=18.0),
+        Manoeuvre("3-2-1-1, 18 m/s", "elevator", -6.0, 0.4, THREE_TWO_ONE_ONE),
+        Manoeuvre("yaw doublet, 18 m/s", "rudder", -8.5, 0.9),
+        Manoeuvre("roll doublet, 18 m/s", "aileron", -10.0, 0.6, rest_s=2.0, recovery_s=8.0, speed_mps=22.5),
+        Manoeuvre("pitch doublet, 22.5 m/s", "elevator", -5.0, 0.5),
+        Manoeuvre("throttle doublet, 22.5 m/s", "throttle", -22.0, 1.6, rest_s=1.5),
+        Manoeuvre("yaw doublet, 22.5 m/s", "rudder", 8.0, 0.7, recovery_s=10.0, speed_mps=27.5),
+        Manoeuvre("roll doublet, 27.5 m/s", "aileron", 8.0, 0.5, rest_s=2.0),
+        Manoeuvre("pitch doublet, 27.5 m/s", "elevator", 3.5, 0.4),
+        Manoeuvre("yaw doublet, 27.5 m/s", "rudder", -7.0, 0.7, recovery_s=1.0),
+    ),
+    settle_s=12.0,
+)
+"""As flight-bounds, over a wider range of speeds; the pull-up reaches 11 deg of incidence, where lift separates."""
+_CHOSEN = (0, 1, 2, 3, 6)  # of the validation flight's manoeuvres: one of each kind
+
+
+@dataclass(frozen=True)
+class Case:
+    """Which aircraft flies, in what air."""
+
+    name: str
+    flown: str
+    turbulence: str
+
+
+CASES = (
+    Case("nominal-calm", MODEL, "none"),
+    Case("nominal-light", MODEL, "light"),
+    Case("truth-calm", "espaaro_truth", "none"),
+    Case("truth-light", "espaaro_truth", "light"),
+)
+
+
+def validation_plan(speed_mps: float) -> Plan:
+    """Five manoeuvres of the validation flight, all at one speed; sizes go down with it, so that load factors stay alike."""
+    plan = next(p for p in PLANS if p.name == "flight-validation")
+    moved = tuple(
+        replace(
+            m, name=f"{m.name.partition(',')[0]}, {speed_mps:g} m/s", size=round(m.size * 20.0 / speed_mps, 1), recovery_s=5.0,
+            speed_mps=None,
+        )
+        for m in (plan.manoeuvres[k] for k in _CHOSEN)
+    )  # fmt: skip
+    return replace(plan, name=f"study-validation-{speed_mps:g}", speed_mps=speed_mps, manoeuvres=moved, settle_s=10.0)
+
+
+PLANS_FLOWN = (BOUNDS, *(validation_plan(speed) for speed in SPEEDS))
+
+
+@dataclass(frozen=True)
+class Quiet:
+    """A noise-free flight.
+
+    record, measured  as flown, and surfaces with measured positions
+    true              residuals whose delta is the true model error, states noise-free, both filtered
+    unit              the same pieces with the noise that Table 2.1's figures give
+    """
+
+    record: FlightRecord
+    measured: tuple[str, ...]
+    true: Residuals
+    unit: Residuals
+
+
+def quiet_flight(case: Case, plan: Plan, seed: int) -> Quiet:
+    """A plan flown once without sensor noise. Raises BadInputError when the flight does not end well."""
+    return _quiet(case.flown, case.turbulence, plan, 0 if case.turbulence == "none" else seed)
+
+
+@cache
+def _still(flown: str, plan: Plan) -> Quiet:
+    return _flown(flown, "none", plan, 0)
+
+
+def _quiet(flown: str, turbulence: str, plan: Plan, seed: int) -> Quiet:
+    return _still(flown, plan) if turbulence == "none" else _flown(flown, turbulence, plan, seed)
+
+
+def _flown(flown: str, turbulence: str, plan: Plan, seed: int) -> Quiet:
+    record = _record(find_aircraft(flown), turbulence, plan, seed)
+    measured = measured_surfaces([record])
+    flight = _flight(plan.name, record, measured)
+    model = find_aircraft(MODEL)
+    with model_pair(measured) as pair:
+        said = flight_residuals(pair, flight, model.accelerometer_m, CUTOFFS)
+        unit = with_sensor_noise(said, flight.record, flight.pieces, pair.of(flight), model.accelerometer_m, table_noise())
+    deltas = [np.zeros_like(p.delta) for p in said.pieces]
+    if flown != MODEL:
+        with prediction_of(find_aircraft(flown), measured) as pair:
+            other = flight_residuals(pair, flight, model.accelerometer_m, CUTOFFS)
+        # Both are what was demanded minus what one of the two says.
+        deltas = [a.delta - b.delta for a, b in zip(said.pieces, other.pieces, strict=True)]
+    true = replace(said, pieces=tuple(replace(p, delta=d) for p, d in zip(said.pieces, deltas, strict=True)))
+    return Quiet(record, measured, true, unit)
+
+
+def _record(aircraft: Aircraft, turbulence: str, plan: Plan, seed: int) -> FlightRecord:
+    with scratch_folder("model-form") as scratch:
+        path = scratch.path / f"{plan.name}.xml"
+        path.write_text(script(plan), encoding="utf-8")
+        read = read_script(path)
+        spec = FlightSpec(aircraft.folder, path, read.end_s, turbulence=turbulence, record_rate_hz=50.0)
+        table, recorded = recorded_flight(aircraft, read, as_asked(spec, seed))
+        if recorded.status != "ok":
+            raise BadInputError(f"{plan.name}, seed {seed}: the flight did not end well: {recorded.reason}")
+        kept = scratch.path / "record.parquet"
+        table.to_parquet(kept)
+        return FlightRecord.read(kept)
+
+
+def _flight(name: str, record: FlightRecord, measured: tuple[str, ...]) -> Flight:
+    return recut(prepare(name, record, measured), measured)
+
+
+@contextmanager
+def model_pair(measured: tuple[str, ...]) -> Iterator[ReplayPair]:
+    """The model, opened."""
+    with prediction_of(find_aircraft(MODEL), measured) as pair:
+        yield pair
+
+
+def table_noise() -> dict[str, float]:
+    """Channel -> standard deviation of Table 2.1, as the model's card has it; these are the true sizes throughout."""
+    return {c: s for c, s in find_aircraft(MODEL).card.sensors.noise_std.items() if np.isfinite(s)}
+
+
+@dataclass(frozen=True)
+class Noisy:
+    """A flight's measured residuals and the noise that its samples show, by what the card is off: factor -> channel -> size."""
+
+    residuals: Residuals
+    unit: Residuals
+    sizes: Mapping[float, Mapping[str, NoiseSize]]
+
+    def knowing(self, sizes: Mapping[str, NoiseSize]) -> Residuals:
+        """The residuals with noise of these sizes. Gains are those of the noise-free flight."""
+        pieces = []
+        for piece, twin in zip(self.residuals.pieces, self.unit.pieces, strict=True):
+            assert twin.noise is not None
+            pieces.append(replace(piece, noise=_resized(twin.noise, sizes)))
+        return replace(self.residuals, pieces=tuple(pieces))
+
+    def exactly(self) -> Residuals:
+        """The residuals with the true noise, known without doubt."""
+        return self.knowing({c: NoiseSize(s, 0.0) for c, s in table_noise().items()})
+
+
+def noisy_twin(quiet: Quiet, pair: ReplayPair, stream: tuple[int, ...], card_factors: tuple[float, ...]) -> Noisy:
+    """The flight with noise of Table 2.1 from the stream, its states as measured forced upon the model."""
+    std = table_noise()
+    channels = {c: quiet.record[c] for c in std if c in quiet.record}
+    record = quiet.record.with_columns(with_noise(channels, std, np.random.default_rng(stream)))
+    flight = _flight("noisy", record, quiet.measured)
+    residuals = flight_residuals(pair, flight, find_aircraft(MODEL).accelerometer_m, CUTOFFS)
+    return Noisy(residuals, quiet.unit, {f: sizes_of(flight, f) for f in card_factors})
+
+
+def sizes_of(flight: Flight, card_factor: float) -> dict[str, NoiseSize]:
+    """Noise of each channel as `uqharness bounds` finds it, the card's figures multiplied by a factor."""
+    model, out = find_aircraft(MODEL), {}
+    for name in (n for n in NOISY if n in flight.record):
+        stated = stated_noise(model, name)
+        pieces = [np.asarray(flight.record[name][p.rows], dtype=float) for p in flight.pieces]
+        found = noise_size(
+            [x for x in pieces if np.isfinite(x).all()], flight.record.dt_s, CUTOFFS.all_hz,
+            None if stated is None else card_factor * stated,
+        )  # fmt: skip
+        if found is not None:
+            out[name] = found
+    return out
+
+
+def _resized(noise: PieceNoise, sizes: Mapping[str, NoiseSize]) -> PieceNoise:
+    """Noise of Table 2.1 made that of other sizes: gains are proportional to them."""
+    std = table_noise()
+
+    def other(p: Passage) -> Passage:
+        size = sizes[p.channel]
+        return replace(p, gain=p.gain * (size.std / std[p.channel]), spread=size.spread)
+
+    states = {c: (sizes[c].std, weights) for c, (_, weights) in noise.states.items() if c in sizes}
+    return PieceNoise(tuple(other(p) for p in noise.passages if p.channel in sizes), states, noise.n)
