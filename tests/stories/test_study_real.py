@@ -80,7 +80,7 @@ def test_a_small_study_from_logs_to_p_boxes(tmp_path, capsys):
     assert (flown.folder / "Systems" / "model-form.xml").read_bytes() == (out / "bounds-before" / "model-form.xml").read_bytes()
     assert (flown.folder / "espaaro.xml").read_bytes() == (out / "identify" / "aircraft" / "espaaro.xml").read_bytes()
     manifest = json.loads((out / "campaign-before" / "manifest.json").read_text())
-    assert manifest["cases"] == 8
+    assert manifest["cases"] == 40  # two of each of 4 corners and 16 points between them
     # A stage's command, given to a shell, does what the stage did.
     row = next(row for row in document["stages"] if row["name"] == "fly-ident")
     before = (out / "flights" / "ident.bin").read_bytes()

@@ -194,7 +194,7 @@ def fit_model_form(
     outside : {"grow", "clamp"}
         What the bounds do beyond the data: grow as published, or stay.
     checks : bool
-        Whether noise floor, leave-one-out and other filters are worked out too; they take most of the time.
+        Whether leave-one-out and other filters are worked out too.
     servos : {"card", "ideal"}
         As for `identify`.
 
@@ -202,8 +202,8 @@ def fit_model_form(
     -------
     MadeBounds
         ``form``, the model form that `instrument` and campaigns take (``form.to_json()`` is model-form.json), the residual
-        coefficients [-] it was fitted to, ``widths`` and ``noise`` [-] per coefficient, ``warnings``. ``to_dataframe()`` is the
-        table of coefficients.
+        coefficients [-] it was fitted to, ``widths`` and ``noise`` [-] per coefficient, ``warnings``. Sensor noise is in no
+        bounds. ``to_dataframe()`` is the table of coefficients, with the parts of model error [-] and whether any was found.
 
     Raises
     ------

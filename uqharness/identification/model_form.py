@@ -100,17 +100,28 @@ class MadeBounds(Tabled):
         return f"MadeBounds({self.form!r}, {len(self.warnings)} warnings)"
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The table of coefficients: samples, effective ones, standard deviation, mean width and noise of the bounds, walk rate."""
+        """The table of coefficients: samples, effective ones, standard deviation, mean width, noise, walk rate, parts."""
         import pandas as pd
 
         rows = {
             c: {
                 "n": b.n, "n_effective": b.n_effective, "s": math.sqrt(b.s2), "mean_width": self.widths[c],
-                "noise": self.noise.get(c, math.nan), "walk_rate_per_sqrt_s": b.walk_rate,
+                "noise": self.noise.get(c, math.nan), "walk_rate_per_sqrt_s": b.walk_rate, **_parts_of(b),
             }
             for c, b in self.form.coefficients.items()
         }  # fmt: skip
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis("coefficient")
+
+
+def _parts_of(bounds: CoefficientBounds) -> dict[str, float]:
+    """Sizes of the parts [-]; none where noise and model error were kept together."""
+    p = bounds.parts
+    if p is None:
+        return {}
+    return {
+        "persistent": p.persistent, "transient": p.transient, "transient_time_s": p.transient_time_s, "not_above": p.not_above,
+        "found": p.found,
+    }  # fmt: skip
 
 
 def make_bounds(

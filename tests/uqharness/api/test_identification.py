@@ -79,7 +79,9 @@ def test_fit_model_form_gives_the_file_of_the_command(tmp_path: Path, capsys: py
         assert made.form.to_json() == (out / "model-form.json").read_text()
     table = made.to_dataframe()
     assert table.loc["CX", "n"] == made.form.coefficients["CX"].n
-    assert table["noise"].isna().all()
+    assert (table["noise"] > 0.0).all()
+    assert (table["persistent"] > 0.0).all()
+    assert table["found"].isin([True, False]).all()
     assert capsys.readouterr() == ("", "")
 
 
