@@ -48,7 +48,7 @@ def boxes(axes: Axes, study: Path) -> None:
         cases = pd.read_parquet(study / f"campaign-{name}" / "cases.parquet", columns=["wind_mps", "turbulence", "status"])
         status = cases["status"][cases["wind_mps"].map("{:g} m/s ".format) + cases["turbulence"] == CONDITION]
         failed = int((status != "ok").sum())
-        labels[name] = f"{name}: {failed} of {len(status)} flights failed"
+        labels[name] = f"{name}: {failed} of {len(status)}\nflights failed"
     end = 1.04 * max(box["value"].max() for box in found.values())
     for name, colour, line in (("before", BEFORE, "--"), ("after", AFTER, "-")):
         box = found[name]
@@ -77,8 +77,7 @@ def draw(study: Path) -> str:
         axes.set_facecolor(PAGE)
         axes.spines[["top", "right"]].set_visible(False)
         panel(axes, study)
-        place = {"loc": "upper right"} if axes is left else {"loc": "center", "bbox_to_anchor": (0.535, 0.135)}
-        axes.legend(frameon=False, fontsize=9, handlelength=1.6, **place)
+        axes.legend(frameon=False, fontsize=9, handlelength=1.6, loc="upper right" if axes is left else "upper left")
     path = PICTURE.with_suffix(".part")
     figure.savefig(path, format="svg", metadata={"Date": None, "Creator": None})
     text = path.read_text(encoding="utf-8")
