@@ -24,6 +24,7 @@ from uqharness.cli.options import (
     results_folder,
 )
 from uqharness.cli.progress import say_warnings, show_stage
+from uqharness.errors import BadInputError
 from uqharness.files import check_folder, write_bytes, write_json, write_text
 from uqharness.identification import BoundsOptions, MadeBounds, make_bounds, parse_designs
 from uqharness.plugin.model_form_xml import model_form_xml
@@ -71,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the dissertation's interval of a measured sample, the sensors' noise inside; default: of the model's error alone",
     )  # fmt: skip
     parser.add_argument(
-        "--sample-size", choices=("effective", "all"), default="all",
+        "--sample-size", choices=("effective", "all"),
         help="with --as-published; all: every sample counts (default); effective: allow for autocorrelation",
     )  # fmt: skip
     parser.add_argument(
@@ -88,9 +89,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _options(args: argparse.Namespace) -> BoundsOptions:
+    if args.sample_size is not None and not args.as_published:
+        raise BadInputError(
+            f"--sample-size {args.sample_size} belongs to --as-published: bounds of the model's error know how their samples "
+            "hang together; leave it out, or ask for the published interval"
+        )
     return BoundsOptions(
         designs=parse_designs(args.states, args.terms, args.order, args.roll_terms),
-        fit=FitOptions(args.confidence, args.sample_size, args.select, "inside" if args.as_published else "apart"),
+        fit=FitOptions(args.confidence, args.sample_size or "all", args.select, "inside" if args.as_published else "apart"),
         cutoffs=Cutoffs(args.cutoff_hz, args.airspeed_cutoff_hz or math.inf),
         walk_cutoff_hz=args.walk_cutoff_hz,
         outside=args.outside,

@@ -235,3 +235,23 @@ def test_genuine_logs_of_three_flights(tmp_path, capsys):
     assert main(["validate-bounds", MODEL, form, "--flight", flight, *more, "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["coverage"]
     assert all(0.92 < row["0.95"] < 0.99 for row in rows.values())
+
+
+def test_the_published_interval_is_made_on_request(flights, tmp_path, capsys):
+    """Noise and all, every sample counted: wider than the model's error by far where the model is right."""
+    arguments = ["bounds", MODEL, "--flight", str(flights["bounds"]), "--no-check", "--no-figures", "--json"]
+    found = {}
+    for name, more in (
+        ("published", ["--as-published"]),
+        ("apart", []),
+        ("counted", ["--as-published", "--sample-size", "effective"]),
+    ):
+        assert main([*arguments, *more, "--out", str(tmp_path / name)]) == 0
+        found[name] = json.loads(capsys.readouterr().out)["coefficients"]
+    assert json.loads((tmp_path / "published" / "model-form.json").read_text())["format"] == "model-form 1"
+    assert json.loads((tmp_path / "apart" / "model-form.json").read_text())["format"] == "model-form 2"
+    assert found["published"]["CY"]["n_effective"] == found["published"]["CY"]["n"] > 3.0 * found["counted"]["CY"]["n_effective"]
+    assert found["published"]["CY"]["mean_width"] > 3.0 * found["apart"]["CY"]["mean_width"]
+    assert main([*arguments, "--sample-size", "all", "--out", str(tmp_path / "x")]) == 2
+    assert "--sample-size all belongs to --as-published" in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
