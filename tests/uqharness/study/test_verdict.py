@@ -196,13 +196,22 @@ def test_coverage_and_widths(tmp_path):
     write_coverage(tmp_path, "after", 0.80, 0.01)
     (before, good), (after, bad), (widths, narrower) = chain_verdict._coverage(tmp_path, ("c",), True)
     assert (good, bad, narrower) == ("good", "bad", "good")
-    assert "they do not hold" in after
-    assert "they do not hold" not in before
+    assert "those of CX, Cl do not hold" in after
+    assert "do not hold" not in before
     assert "CX -50 %, Cl -50 %" in widths
     write_coverage(tmp_path / "x", "before", 0.95, 0.02)
     write_coverage(tmp_path / "x", "after", 0.95, 0.02)
     *_, (widths, level) = chain_verdict._coverage(tmp_path / "x", ("c",), True)
     assert (level, "none is narrower" in widths) == ("warn", True)
+
+
+def test_a_flight_too_short_to_tell_is_said(tmp_path):
+    write_coverage(tmp_path, "before", 0.95, 0.02)
+    path = tmp_path / "validate-before" / "coverage.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"verdicts": {"CX": "holds", "Cl": "inconclusive"}}))
+    ((text, level),) = chain_verdict._coverage(tmp_path, ("c",), False)
+    assert text.endswith("too short a flight to tell of Cl.")
+    assert level == "warn"
 
 
 def test_widths_that_are_not_known_stay_undefined(tmp_path):
