@@ -8,8 +8,8 @@ the air's own rotation does to the flown aircraft is therefore no model error.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -17,13 +17,13 @@ import numpy as np
 
 from sysid.aerodynamics import Cutoffs, Residuals, with_sensor_noise
 from sysid.aerodynamics.residuals import Passage, PieceNoise
-from sysid.estimation import NoiseSize, noise_size
-from sysid.model_form.noise_floor import NOISY, with_noise
+from sysid.estimation import NoiseSize
+from sysid.model_form.noise_floor import with_noise
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
 from uqharness.flight.recorded import as_asked, recorded_flight
 from uqharness.flight.spec import FlightSpec
-from uqharness.identification.model_form import stated_noise
+from uqharness.identification.model_form import noise_sizes
 from uqharness.replay.flights import Flight, measured_surfaces, prepare
 from uqharness.replay.residuals import ReplayPair, flight_residuals, prediction_of, recut
 from uqharness.scratch import scratch_folder
@@ -106,16 +106,14 @@ class Quiet:
 
 def quiet_flight(case: Case, plan: Plan, seed: int) -> Quiet:
     """A plan flown once without sensor noise. Raises BadInputError when the flight does not end well."""
-    return _quiet(case.flown, case.turbulence, plan, 0 if case.turbulence == "none" else seed)
+    if case.turbulence == "none":
+        return _still(case.flown, plan)
+    return _flown(case.flown, case.turbulence, plan, seed)
 
 
 @cache
 def _still(flown: str, plan: Plan) -> Quiet:
     return _flown(flown, "none", plan, 0)
-
-
-def _quiet(flown: str, turbulence: str, plan: Plan, seed: int) -> Quiet:
-    return _still(flown, plan) if turbulence == "none" else _flown(flown, turbulence, plan, seed)
 
 
 def _flown(flown: str, turbulence: str, plan: Plan, seed: int) -> Quiet:
@@ -154,11 +152,9 @@ def _flight(name: str, record: FlightRecord, measured: tuple[str, ...]) -> Fligh
     return recut(prepare(name, record, measured), measured)
 
 
-@contextmanager
-def model_pair(measured: tuple[str, ...]) -> Iterator[ReplayPair]:
+def model_pair(measured: tuple[str, ...]) -> AbstractContextManager[ReplayPair]:
     """The model, opened."""
-    with prediction_of(find_aircraft(MODEL), measured) as pair:
-        yield pair
+    return prediction_of(find_aircraft(MODEL), measured)
 
 
 def table_noise() -> dict[str, float]:
@@ -194,22 +190,7 @@ def noisy_twin(quiet: Quiet, pair: ReplayPair, stream: tuple[int, ...], card_fac
     record = quiet.record.with_columns(with_noise(channels, std, np.random.default_rng(stream)))
     flight = _flight("noisy", record, quiet.measured)
     residuals = flight_residuals(pair, flight, find_aircraft(MODEL).accelerometer_m, CUTOFFS)
-    return Noisy(residuals, quiet.unit, {f: sizes_of(flight, f) for f in card_factors})
-
-
-def sizes_of(flight: Flight, card_factor: float) -> dict[str, NoiseSize]:
-    """Noise of each channel as `uqharness bounds` finds it, the card's figures multiplied by a factor."""
-    model, out = find_aircraft(MODEL), {}
-    for name in (n for n in NOISY if n in flight.record):
-        stated = stated_noise(model, name)
-        pieces = [np.asarray(flight.record[name][p.rows], dtype=float) for p in flight.pieces]
-        found = noise_size(
-            [x for x in pieces if np.isfinite(x).all()], flight.record.dt_s, CUTOFFS.all_hz,
-            None if stated is None else card_factor * stated,
-        )  # fmt: skip
-        if found is not None:
-            out[name] = found
-    return out
+    return Noisy(residuals, quiet.unit, {f: noise_sizes(flight, {c: f * s for c, s in std.items()}, CUTOFFS) for f in card_factors})
 
 
 def _resized(noise: PieceNoise, sizes: Mapping[str, NoiseSize]) -> PieceNoise:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,7 @@ RATES = ("p_radps", "q_radps", "r_radps")
 FORCED = ("V_mps", "alpha_rad", "beta_rad", *RATES)
 REACHING = (*FORCED, *ACCELERATIONS)
 """Channels whose noise reaches a residual coefficient."""
+_KEPT = 4096  # spectra: of a long flight's stretches at every time constant; each some 10 kB
 _OFFSETS = {"V_mps": 0.1}
 _OFFSET = 1e-3  # of the others: small against what a flight has, large against rounding
 
@@ -51,7 +52,7 @@ def autocorrelation(weights: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(float(w[lag:] @ w[: len(w) - lag]) for lag in range(len(w)))
 
 
-@cache
+@lru_cache(_KEPT)
 def cosine_variance(n: int, correlation: tuple[float, ...]) -> FloatArray:
     """(n,) variances of the orthonormal DCT-II of a stationary series with autocovariance ``correlation`` at lags 0, 1, ..."""
     k, i = np.arange(n)[:, None], np.arange(n)[None, :]
@@ -77,9 +78,9 @@ def with_sensor_noise(
     record = steady_airspeed(record, cutoffs.airspeed_hz)
     sizes = {c: s for c, s in std.items() if np.isfinite(s) and s > 0.0}
     found = (_of_piece(record, p, model, arm_m, cutoffs, sizes, dict(spread or {})) for p in pieces)
-    noises = [noise for noise in found if noise is not None]
-    named = tuple(replace(p, noise=noise) for p, noise in zip(residuals.pieces, noises, strict=True))
-    return replace(residuals, pieces=named)
+    of_pieces = [noise for noise in found if noise is not None]
+    with_noise = tuple(replace(p, noise=noise) for p, noise in zip(residuals.pieces, of_pieces, strict=True))
+    return replace(residuals, pieces=with_noise)
 
 
 def _of_piece(

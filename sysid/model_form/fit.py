@@ -169,17 +169,18 @@ def _fit_apart(
     n = len(x)
     n_effective = effective_samples(left)
     s2 = sum(float(e @ e) for e in left) / n
+    inverse = found.covariance / (s2 * (n / n_effective))
+    leverage = float(np.einsum("ni,ij,nj->n", x, inverse, x).max())
     noise = np.concatenate([noise_variance(p.noise)[:, COEFFICIENTS.index(coefficient)] for p in residuals.pieces if p.noise])
     bounds = CoefficientBounds(
         states=design.states, centre=np.array([scaling[s][0] for s in design.states]),
         scale=np.array([scaling[s][1] for s in design.states]), terms=terms, beta_hat=found.beta,
-        XtX_inv=found.covariance * n_effective / (n * s2), s2=s2, dof=found.lasting.dof, t=1.0, confidence=options.confidence,
+        XtX_inv=inverse, s2=s2, dof=found.lasting.dof, t=1.0, confidence=options.confidence,
         leverage_factor=n / n_effective, n=n, n_effective=n_effective, walk_rate=float("nan"),
-        hull=_hull(stack(residuals.states, design.states), 0.0),
+        hull=_hull(stack(residuals.states, design.states), leverage),
     )  # fmt: skip
     bounds = with_components(bounds, found, float(np.sqrt(noise.mean())))
-    leverage = float(np.einsum("ni,ij,nj->n", x, bounds.XtX_inv, x).max())
-    return FittedBounds(replace(bounds, hull=replace(bounds.hull, leverage=leverage)), left, (*said_of_states, *said), separation)
+    return FittedBounds(bounds, left, (*said_of_states, *said), separation)
 
 
 def with_components(bounds: CoefficientBounds, found: Components, noise: float) -> CoefficientBounds:

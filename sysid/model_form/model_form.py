@@ -145,7 +145,7 @@ class CoefficientBounds:
         return np.asarray(np.einsum("ni,ij,nj->n", x, self.XtX_inv, x))
 
     def t_at(self, confidence: float) -> float:
-        """Two-sided quantile of Student's t with ``dof`` degrees of freedom."""
+        """Two-sided quantile ``t`` at another confidence."""
         return self._quantile(confidence, self.t, self.dof)
 
     def _quantile(self, confidence: float, t: float, dof: float) -> float:

@@ -44,15 +44,15 @@ def quiet_states(pieces: Sequence[ResidualPiece], dt_s: float) -> list[dict[str,
 
 
 def _quiet(pieces: Sequence[ResidualPiece], name: str, dt_s: float) -> list[FloatArray]:
-    waves, noises, bands = [], [], []
+    waves, noise, bands = [], [], []
     for piece in pieces:
         assert piece.noise is not None
         std, weights = piece.noise.states[name]
         n = len(piece)
         waves.append(fft.dct(piece.states[name], norm="ortho"))
-        noises.append(std**2 * cosine_variance(n, autocorrelation(weights)))
+        noise.append(std**2 * cosine_variance(n, autocorrelation(weights)))
         bands.append(np.digitize(np.arange(n) / (2.0 * n * dt_s), _BANDS_HZ))
-    share = _signal(np.concatenate([w[1:] ** 2 for w in waves]), np.concatenate([v[1:] for v in noises]),
+    share = _signal(np.concatenate([w[1:] ** 2 for w in waves]), np.concatenate([v[1:] for v in noise]),
                     np.concatenate([b[1:] for b in bands]))  # fmt: skip
     return [fft.idct(np.concatenate([w[:1], w[1:] * share[b[1:]]]), norm="ortho") for w, b in zip(waves, bands, strict=True)]
 

@@ -191,28 +191,26 @@ def mean_widths(form: ModelForm, residuals: Residuals) -> dict[str, float]:
     return {c: float(np.mean(high - low)) for c, (low, high) in form.bounds(residuals.states).items()}
 
 
-def noise_sizes(flight: Flight, aircraft: Aircraft, cutoffs: Cutoffs) -> dict[str, NoiseSize]:
-    """White noise of each channel: what the flight's samples show above the filter's cut-off, with the card's figure as prior."""
+def noise_sizes(flight: Flight, stated: Mapping[str, float], cutoffs: Cutoffs) -> dict[str, NoiseSize]:
+    """White noise of each channel: what the flight's samples show above the filter's cut-off, the card's figure as prior.
+
+    stated: channel -> standard deviation that the card gives.
+    """
     record = flight.record
     out = {}
     for name in NOISY:
         if name not in record:
             continue
         pieces = [np.asarray(record[name][p.rows], dtype=float) for p in flight.pieces]
-        found = noise_size([x for x in pieces if np.isfinite(x).all()], record.dt_s, cutoffs.all_hz, stated_noise(aircraft, name))
+        found = noise_size([x for x in pieces if np.isfinite(x).all()], record.dt_s, cutoffs.all_hz, stated.get(name))
         if found is not None:
             out[name] = found
     return out
 
 
-def stated_noise(aircraft: Aircraft, channel: str) -> float | None:
-    """What the card says of a channel's noise; None where it says nothing."""
-    return aircraft.card.sensors.noise_std.get(channel)
-
-
 def noisy_residuals(pair: ReplayPair, flight: Flight, residuals: Residuals, aircraft: Aircraft) -> Residuals:
     """A flight's residuals with the noise that its own sensors have put in."""
-    sizes = noise_sizes(flight, aircraft, residuals.cutoffs)
+    sizes = noise_sizes(flight, aircraft.card.sensors.noise_std, residuals.cutoffs)
     return with_sensor_noise(
         residuals, flight.record, flight.pieces, pair.of(flight, remember=False), aircraft.accelerometer_m,
         {c: found.std for c, found in sizes.items()}, {c: found.spread for c, found in sizes.items()},

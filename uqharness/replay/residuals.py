@@ -84,17 +84,18 @@ class ReplayPair:
     said: dict[tuple[object, ...], Prediction] = field(default_factory=dict)
 
     def of(self, flight: Flight, remember: bool = True) -> Model:
-        """The callable that `residual_coefficients` takes; without ``remember`` its answers are not kept (states asked once)."""
+        """The callable that `residual_coefficients` takes; without ``remember`` new answers are not kept (states asked once)."""
         model = JsbsimPrediction(self.model, self.straight, flight, self.measured)
-        if not remember:
-            return model
 
         def ask(record: FlightRecord, piece: Piece) -> Prediction:
             states = hash(tuple(record[c][piece.rows].tobytes() for c in NEEDED))
             key = (flight.name, piece.rows.start, piece.rows.stop, states)
-            if key not in self.said:
-                self.said[key] = model(record, piece)
-            return self.said[key]
+            if key in self.said:
+                return self.said[key]
+            answer = model(record, piece)
+            if remember:
+                self.said[key] = answer
+            return answer
 
         return ask
 

@@ -35,7 +35,10 @@ def test_the_same_states_are_asked_for_once(monkeypatch):
     assert ask(RECORD, replace(piece, rows=slice(0, 100))) == 3
     assert pair.of(replace(made(), name="g"))(RECORD, piece) == 4
     forgetful = pair.of(made(), remember=False)
-    assert (forgetful(RECORD, piece), forgetful(RECORD, piece)) == (5, 6)
+    # What is known is used; what is new is asked for each time and not kept.
+    assert forgetful(RECORD, piece) == 1
+    new = replace(piece, rows=slice(0, 50))
+    assert (forgetful(RECORD, new), forgetful(RECORD, new), ask(RECORD, new)) == (5, 6, 7)
 
 
 def test_a_flight_is_cut_where_every_channel_is_there():

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.model_form import HOLDS_FROM, STEP_S, CoefficientBounds, ModelForm, Variation
+from sysid.model_form import HOLDS_FROM, STEP_S, CoefficientBounds, ModelForm, Parts, Variation
 from uqharness.errors import BadInputError
 from uqharness.identification import load_form
 from uqharness.replay import History, axis_label, have, read_histories, shown_channel
@@ -64,7 +64,7 @@ def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Say, ...]:
     parts = {c: b.parts for c, b in form.coefficients.items() if b.parts is not None}
     if parts:
         found = [c for c, p in parts.items() if p.found]
-        none = [f"{c} ±{1.96 * p.not_above:.2g}" for c, p in parts.items() if not p.found]
+        none = [f"{c} ±{_limit(p):.2g}" for c, p in parts.items() if not p.found]
         if found:
             said.append(Say(f"The flights show model error in {', '.join(found)}."))
         if none:
@@ -83,6 +83,11 @@ def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Say, ...]:
     return tuple(said)
 
 
+def _limit(parts: Parts) -> float:
+    """What 95 % of a normal model error of the largest likely size do not exceed [-]."""
+    return 1.96 * parts.not_above
+
+
 def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Section:
     table = []
     for c, b in form.coefficients.items():
@@ -91,7 +96,7 @@ def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Se
         sizes = ("-",) * 4
         if p is not None:
             time = shown(p.transient_time_s, ".2g")
-            sizes = (shown(p.persistent), f"{shown(p.transient)} ({time} s)", shown(1.96 * p.not_above), "yes" if p.found else "no")
+            sizes = (shown(p.persistent), f"{shown(p.transient)} ({time} s)", shown(_limit(p)), "yes" if p.found else "no")
         walk = None if not np.isfinite(b.walk_rate) else 100.0 * b.walk_rate
         table.append(
             (f"{c} [-]", str(len(b.terms)), shown(b.n_effective, ".0f"), shown(r.get("mean_width")), *sizes,
