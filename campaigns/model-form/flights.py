@@ -15,7 +15,7 @@ from functools import cache
 
 import numpy as np
 
-from sysid.aerodynamics import Cutoffs, Residuals, with_sensor_noise
+from sysid.aerodynamics import AirPiece, Cutoffs, Residuals, air_pieces, as_measured, with_sensor_noise, without_air_rotation
 from sysid.aerodynamics.residuals import Passage, PieceNoise
 from sysid.estimation import NoiseSize
 from sysid.model_form.noise_floor import with_noise
@@ -23,7 +23,7 @@ from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
 from uqharness.flight.recorded import as_asked, recorded_flight
 from uqharness.flight.spec import FlightSpec
-from uqharness.identification.model_form import noise_sizes
+from uqharness.identification.noisy_flight import noise_sizes
 from uqharness.replay.flights import Flight, measured_surfaces, prepare
 from uqharness.replay.residuals import ReplayPair, flight_residuals, prediction_of, recut
 from uqharness.scratch import scratch_folder
@@ -96,12 +96,14 @@ class Quiet:
     record, measured  as flown, and surfaces with measured positions
     true              residuals whose delta is the true model error, states noise-free, both filtered
     unit              the same pieces with the noise that Table 2.1's figures give
+    air               what tells of the air's rotation
     """
 
     record: FlightRecord
     measured: tuple[str, ...]
     true: Residuals
     unit: Residuals
+    air: tuple[AirPiece, ...]
 
 
 def quiet_flight(case: Case, plan: Plan, seed: int) -> Quiet:
@@ -123,6 +125,7 @@ def _flown(flown: str, turbulence: str, plan: Plan, seed: int) -> Quiet:
     model = find_aircraft(MODEL)
     with model_pair(measured) as pair:
         said = flight_residuals(pair, flight, model.accelerometer_m, CUTOFFS)
+        air = tuple(air_pieces(flight.record, flight.pieces, pair.of(flight), CUTOFFS.airspeed_hz))
         unit = with_sensor_noise(said, flight.record, flight.pieces, pair.of(flight), model.accelerometer_m, table_noise())
     deltas = [np.zeros_like(p.delta) for p in said.pieces]
     if flown != MODEL:
@@ -131,7 +134,7 @@ def _flown(flown: str, turbulence: str, plan: Plan, seed: int) -> Quiet:
         # Both are what was demanded minus what one of the two says.
         deltas = [a.delta - b.delta for a, b in zip(said.pieces, other.pieces, strict=True)]
     true = replace(said, pieces=tuple(replace(p, delta=d) for p, d in zip(said.pieces, deltas, strict=True)))
-    return Quiet(record, measured, true, unit)
+    return Quiet(record, measured, true, unit, air)
 
 
 def _record(aircraft: Aircraft, turbulence: str, plan: Plan, seed: int) -> FlightRecord:
@@ -168,15 +171,18 @@ class Noisy:
 
     residuals: Residuals
     unit: Residuals
+    air: tuple[AirPiece, ...]
     sizes: Mapping[float, Mapping[str, NoiseSize]]
 
     def knowing(self, sizes: Mapping[str, NoiseSize]) -> Residuals:
-        """The residuals with noise of these sizes. Gains are those of the noise-free flight."""
+        """The residuals with noise of these sizes, without the air's rotation. Gains are those of the noise-free flight."""
         pieces = []
         for piece, twin in zip(self.residuals.pieces, self.unit.pieces, strict=True):
             assert twin.noise is not None
             pieces.append(replace(piece, noise=_resized(twin.noise, sizes)))
-        return replace(self.residuals, pieces=tuple(pieces))
+        noisy = replace(self.residuals, pieces=tuple(pieces))
+        arm = find_aircraft(MODEL).accelerometer_m
+        return without_air_rotation(noisy, self.air, arm, {c: size.std for c, size in sizes.items()})[0]
 
     def exactly(self) -> Residuals:
         """The residuals with the true noise, known without doubt."""
@@ -190,7 +196,9 @@ def noisy_twin(quiet: Quiet, pair: ReplayPair, stream: tuple[int, ...], card_fac
     record = quiet.record.with_columns(with_noise(channels, std, np.random.default_rng(stream)))
     flight = _flight("noisy", record, quiet.measured)
     residuals = flight_residuals(pair, flight, find_aircraft(MODEL).accelerometer_m, CUTOFFS)
-    return Noisy(residuals, quiet.unit, {f: noise_sizes(flight, {c: f * s for c, s in std.items()}, CUTOFFS) for f in card_factors})
+    air = tuple(as_measured(quiet.air, flight.record, flight.pieces, CUTOFFS.airspeed_hz))
+    sizes = {f: noise_sizes(flight, {c: f * s for c, s in std.items()}, CUTOFFS) for f in card_factors}
+    return Noisy(residuals, quiet.unit, air, sizes)
 
 
 def _resized(noise: PieceNoise, sizes: Mapping[str, NoiseSize]) -> PieceNoise:

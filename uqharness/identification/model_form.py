@@ -18,9 +18,7 @@ from sysid.aerodynamics import (
     noise_variance,
     together,
     with_noise_of,
-    with_sensor_noise,
 )
-from sysid.estimation import NoiseSize, noise_size
 from sysid.foreign.parsed_text import parse_json
 from sysid.foreign.regular_files import read_regular
 from sysid.model_form import (
@@ -44,6 +42,7 @@ from sysid.model_form import (
 )
 from sysid.model_form.variation import variation
 from uqharness.errors import BadInputError
+from uqharness.identification.noisy_flight import NoisyFlight, said_of_air
 from uqharness.replay import Flight, ReplayPair, flight_residuals, prediction_of
 from uqharness.simulator import Aircraft, content_hash
 from uqharness.text_tables import Tabled
@@ -142,14 +141,17 @@ def make_bounds(
         say("residual coefficients")
         parts = [flight_residuals(pair, f, arm, options.cutoffs) for f in flights]
         say("sensor noise")
-        parts = [noisy_residuals(pair, f, r, aircraft) for f, r in zip(flights, parts, strict=True)]
-        residuals = together(parts)
+        noisy = [NoisyFlight.of(pair, f, r, aircraft) for f, r in zip(flights, parts, strict=True)]
+        still = (
+            [n.in_still_air(n.residuals) for n in noisy] if options.fit.noise == "apart" else [(n.residuals, None) for n in noisy]
+        )
+        residuals = together([r for r, _ in still])
         say("model error apart from noise" if options.fit.noise == "apart" else "intervals")
         fitted = _fit(residuals, options.designs, options.fit)
         table = []
         if options.checks:
             say("other filters")
-            table = [_other(pair, flights, residuals, arm, c, options) for c in _other_cutoffs(options.cutoffs)]
+            table = [_other(pair, flights, noisy, arm, c, options) for c in _other_cutoffs(options.cutoffs)]
     walks = {c: variation(residuals, c, f.bounds, options.walk_cutoff_hz, options.outside) for c, f in fitted.items()}
     form = ModelForm(
         aircraft=AircraftReference(aircraft.name, content_hash(aircraft)),
@@ -161,10 +163,11 @@ def make_bounds(
     )
     say("leaving manoeuvres out")
     left_out = leave_one_out(residuals, options.designs, options.fit, options.outside, fitted) if options.checks else {}
+    said = [said_of_air(f, air) for f, (_, air) in zip(flights, still, strict=True) if air is not None and air.level > 0.0]
     return MadeBounds(
         form=form, residuals=residuals, fitted=fitted, baseline=_baseline(residuals, options), variations=walks,
-        widths=mean_widths(form, residuals), noise=_forced(residuals), left_out=left_out, cutoffs=tuple(table),
-        notes=(*(n for f in flights for n in f.notes), *(n for f in fitted.values() for n in f.notes)),
+        widths=mean_widths(form, residuals), noise=_forced(together([n.residuals for n in noisy])), left_out=left_out,
+        cutoffs=tuple(table), notes=(*(n for f in flights for n in f.notes), *said, *(n for f in fitted.values() for n in f.notes)),
         warnings=tuple(_warnings(aircraft, flights, hashes, form, walks, options.cutoffs)),
     )  # fmt: skip
 
@@ -191,32 +194,6 @@ def mean_widths(form: ModelForm, residuals: Residuals) -> dict[str, float]:
     return {c: float(np.mean(high - low)) for c, (low, high) in form.bounds(residuals.states).items()}
 
 
-def noise_sizes(flight: Flight, stated: Mapping[str, float], cutoffs: Cutoffs) -> dict[str, NoiseSize]:
-    """White noise of each channel: what the flight's samples show above the filter's cut-off, the card's figure as prior.
-
-    stated: channel -> standard deviation that the card gives.
-    """
-    record = flight.record
-    out = {}
-    for name in NOISY:
-        if name not in record:
-            continue
-        pieces = [np.asarray(record[name][p.rows], dtype=float) for p in flight.pieces]
-        found = noise_size([x for x in pieces if np.isfinite(x).all()], record.dt_s, cutoffs.all_hz, stated.get(name))
-        if found is not None:
-            out[name] = found
-    return out
-
-
-def noisy_residuals(pair: ReplayPair, flight: Flight, residuals: Residuals, aircraft: Aircraft) -> Residuals:
-    """A flight's residuals with the noise that its own sensors have put in."""
-    sizes = noise_sizes(flight, aircraft.card.sensors.noise_std, residuals.cutoffs)
-    return with_sensor_noise(
-        residuals, flight.record, flight.pieces, pair.of(flight, remember=False), aircraft.accelerometer_m,
-        {c: found.std for c, found in sizes.items()}, {c: found.spread for c, found in sizes.items()},
-    )  # fmt: skip
-
-
 def _forced(residuals: Residuals) -> dict[str, float]:
     """Root mean square of the sensors' noise in each coefficient's samples [-]."""
     variance = np.concatenate([noise_variance(p.noise) for p in residuals.pieces if p.noise is not None])
@@ -234,10 +211,14 @@ def _other_cutoffs(used: Cutoffs) -> list[Cutoffs]:
 
 
 def _other(
-    pair: ReplayPair, flights: Sequence[Flight], used: Residuals, arm: Sequence[float], cutoffs: Cutoffs, options: BoundsOptions
-) -> CutoffRow:
+    pair: ReplayPair, flights: Sequence[Flight], used: Sequence[NoisyFlight], arm: Sequence[float], cutoffs: Cutoffs,
+    options: BoundsOptions,
+) -> CutoffRow:  # fmt: skip
     try:
-        residuals = with_noise_of(together([flight_residuals(pair, f, arm, cutoffs) for f in flights]), used)
+        parts = [with_noise_of(flight_residuals(pair, f, arm, cutoffs), u.residuals) for f, u in zip(flights, used, strict=True)]
+        if options.fit.noise == "apart":
+            parts = [u.in_still_air(r)[0] for u, r in zip(used, parts, strict=True)]
+        residuals = together(parts)
         fitted = fit_bounds(residuals, options.designs, options.fit)
     except (ValueError, BadInputError):
         return CutoffRow(cutoffs, dict.fromkeys(options.designs, float("nan")))

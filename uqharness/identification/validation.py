@@ -11,7 +11,8 @@ from sysid.errors import LogError
 from sysid.model_form import Coverage, ModelForm, Verdict, read_model_form, verdict
 from sysid.model_form.coverage import coverage
 from uqharness.errors import BadInputError
-from uqharness.identification.model_form import flight_warnings, noisy_residuals
+from uqharness.identification.model_form import flight_warnings
+from uqharness.identification.noisy_flight import noisy_residuals
 from uqharness.replay import Flight, flight_residuals, prediction_of
 from uqharness.simulator import Aircraft, content_hash
 
