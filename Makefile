@@ -48,7 +48,9 @@ bench: setup
 	@folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && \
 	$(PY) -m uqharness fly espaaro --script flight-bounds --noise --seed 3 --out "$$folder/flight.parquet" && \
 	$(PY) -m uqharness bounds espaaro --flight "$$folder/flight.parquet" --out "$$folder/bounds" --no-check > /dev/null && \
-	OPENBLAS_NUM_THREADS=1 $(PY) -m uqharness.cli.benchmark_batch --model-form "$$folder/bounds/model-form.json"
+	$(PY) -m uqharness fly espaaro --script flight-ident --noise --seed 3 --out "$$folder/ident.parquet" && \
+	OPENBLAS_NUM_THREADS=1 $(PY) -m uqharness.cli.benchmark_batch --model-form "$$folder/bounds/model-form.json" \
+		--flight "$$folder/ident.parquet"
 
 lock:
 	$(PYTHON) -m piptools compile --no-emit-find-links --quiet --strip-extras --extra dev --output-file requirements.lock pyproject.toml

@@ -12,7 +12,6 @@ from tests.helpers.places import ROOT, TESTS
 # Modules without, and the file that tests them through what uses them.
 ELSEWHERE: Mapping[str, str] = {
     "sysid.estimation.filter_report": "sysid/estimation/test_filter_error.py",
-    "uqharness.batch.lanes.replay": "uqharness/replay/test_in_lanes.py",
     "uqharness.batch.translate.frame": "uqharness/batch/translate/test_channels.py",
     "uqharness.batch.translate.rotations": "uqharness/batch/translate/test_functions.py",
     "uqharness.campaign.convergence": "uqharness/campaign/test_area.py",

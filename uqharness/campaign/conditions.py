@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -64,12 +65,16 @@ def in_condition(frame: pd.DataFrame, condition: Condition) -> pd.DataFrame:
 
 def samples(frame: pd.DataFrame, metric: str) -> list[Sample]:
     """One sample per epistemic id from the rows of one condition; what is not known of a flight is counted, not dropped."""
-    found = []
-    for name, group in frame.groupby("epistemic_id", sort=False):
-        values = group[metric].to_numpy(dtype=float)
-        known = np.isfinite(values) & (group["status"] == "ok").to_numpy()
-        found.append(Sample(str(name), values[known], int(np.count_nonzero(~known))))
-    return found
+    values = frame[metric].to_numpy(dtype=float)
+    known = np.isfinite(values) & (frame["status"] == "ok").to_numpy()
+    which, names = pd.factorize(frame["epistemic_id"])
+    order = np.argsort(which, kind="stable")
+    edges = np.searchsorted(which[order], np.arange(len(names) + 1))
+    places = [order[begin:end] for begin, end in pairwise(edges)]
+    return [
+        Sample(str(name), values[rows][known[rows]], int(np.count_nonzero(~known[rows])))
+        for name, rows in zip(names, places, strict=True)
+    ]
 
 
 def pboxes(frame: pd.DataFrame, confidence: float = CONFIDENCE) -> Iterator[tuple[str, Condition, PBox]]:
@@ -86,13 +91,13 @@ def excursion_cells(frame: pd.DataFrame, radii_m: Iterable[float]) -> list[Excur
     cells = []
     for condition in conditions(frame):
         rows = in_condition(frame, condition)
-        groups = [(str(name), group) for name, group in rows.groupby("epistemic_id", sort=False)]
+        groups = [_Corner.of(str(name), group) for name, group in rows.groupby("epistemic_id", sort=False)]
         for distance, suffix in (("horizontal", ""), ("3d", "_3d")):
             for radius in radii_m:
                 column = f"excursions_{radius:g}m{suffix}"
                 if _not_measured(rows, column, distance):
                     continue
-                rates = tuple(_rate(name, group, column, len(groups)) for name, group in groups)
+                rates = tuple(corner.rate(column, len(groups)) for corner in groups)
                 cells.append(ExcursionCell(condition, float(radius), distance, rates))
     return cells
 
@@ -104,7 +109,19 @@ def _not_measured(rows: pd.DataFrame, column: str, distance: str) -> bool:
     return unknown and (distance == "3d" or len(ended_well) > 0)
 
 
-def _rate(name: str, group: pd.DataFrame, column: str, corners: int) -> ExcursionRate:
-    counts = [None if pd.isna(count) else int(count) for count in group[column]]
-    failed = int((group["status"] != "ok").sum())
-    return excursion_rate(name, counts, failed, float(group["duration_s"].sum()) / 3600.0, corners, CONFIDENCE)
+@dataclass(frozen=True)
+class _Corner:
+    """A corner's flights in one condition, how many of them failed and how long they were to last."""
+
+    name: str
+    flights: pd.DataFrame
+    failed: int
+    hours: float
+
+    @classmethod
+    def of(cls, name: str, flights: pd.DataFrame) -> _Corner:
+        return cls(name, flights, int((flights["status"] != "ok").sum()), float(flights["duration_s"].sum()) / 3600.0)
+
+    def rate(self, column: str, corners: int) -> ExcursionRate:
+        counts = [None if pd.isna(count) else int(count) for count in self.flights[column]]
+        return excursion_rate(self.name, counts, self.failed, self.hours, corners, CONFIDENCE)

@@ -7,6 +7,8 @@ a  JSBSim's bare loop, one flight;
 c  the product through JSBSim: a campaign's default air, recorded, scored, one flight;
 d  the batch engine alone: 64 corners in two airs, streams included, recorded, not scored; for each width of vector there is here;
 e  a corner campaign from end to end, by the clock: engine check, flights, scores, journal, tables; in one process and in two.
+
+With --flight also f, g and h: replays of it (``benchmark_replays``).
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from uqharness.batch import VECTORS, forget, record_many, target_names
 from uqharness.campaign import find_mission, run_campaign
 from uqharness.campaign.spec import campaign_from
 from uqharness.cli.benchmark import bare_loop, with_model_form
+from uqharness.cli.benchmark_replays import measure_replays, said_of_replays
 from uqharness.flight import COEFFICIENTS, FlightSpec
 from uqharness.flight.fly import fly
 from uqharness.scratch import scratch_folder
@@ -140,6 +143,8 @@ def said(found: Mapping[str, float]) -> str:
         hours = found[f"e_{workers}_flight_hours_per_hour"]
         lines.append(f"  e  corner campaign, {workers} process(es), by the clock  {hours:8.0f} flight h per h")
     lines.append(f"     two processes over one                {found['e_2_over_1']:8.2f}")
+    if "f_replays_per_s" in found:
+        lines += said_of_replays(found)
     return "\n".join(lines)
 
 
@@ -152,9 +157,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--duration-s", type=float, default=900.0, help="flight per round and loop (default 900)")
     parser.add_argument("--rounds", type=int, default=3, help="rounds; the least time counts (default 3)")
     parser.add_argument("--model-form", type=Path, metavar="model-form.json", help="bounds that depend on the state")
+    parser.add_argument("--flight", type=Path, metavar="flight.parquet", help="a flight of 90 s with manoeuvres: replays of it")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(argv)
     found = measure_batch(args.aircraft, args.duration_s, args.rounds, args.model_form)
+    if args.flight is not None:
+        found |= measure_replays(find_aircraft(args.aircraft), args.flight, args.rounds)
     print(json.dumps(found) if args.json else said(found))
     return 0
 

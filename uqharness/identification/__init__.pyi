@@ -9,6 +9,9 @@ from .model_form import CutoffRow as CutoffRow
 from .model_form import MadeBounds as MadeBounds
 from .model_form import make_bounds as make_bounds
 from .model_form import mean_left_out as mean_left_out
+from .replay_fit import Observed as Observed
+from .replay_fit import ReplayFit as ReplayFit
+from .replay_fit import fit_replays as fit_replays
 from .result import Identification as Identification
 from .start import coefficient_gap as coefficient_gap
 from .start import equation_error_start as equation_error_start

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.estimation import NOISE_FLOOR, Shift, Theil, channel_noise, rms, theil, time_shift, worst
-from sysid.estimation.output_error import output_error
 from sysid.model_form import floor_of
 from uqharness.errors import BadInputError
 from uqharness.identification.identify import BIASES, OUTPUTS
+from uqharness.identification.replay_fit import Observed, fit_replays
 from uqharness.identification.start import coefficient_gap
 from uqharness.replay import (
     CHANNELS,
@@ -226,12 +226,8 @@ def _starts(
     ]
     flown = [s for s, ok in zip(cut, kept, strict=True) if ok]
     wanted = [z[:, columns] for z, ok in zip(data, kept, strict=True) if ok]
-    inner = nuisance_layout((), (), flown, biases, judged, late)
-    replay = Replay(model, flown, inner.names, judged, uuid.uuid4().hex)
-    fit = output_error(
-        replay, np.zeros(len(inner.names)), wanted, names=inner.names, bounds=inner.bounds, tolerance=0.05, max_iterations=15,
-        differences="secant", map=None if spread is map else spread,
-    )  # fmt: skip
+    fitted = fit_replays(model, Observed(flown, tuple(judged), wanted, biases, late), (), [np.zeros(0)], (), spread)
+    fit, inner = fitted.found, fitted.layout
     if not fit.converged:
         notes.append("start states and biases did not settle: the gaps may be too large")
     # Numbers of the segments flown back to numbers of all segments.

@@ -9,17 +9,15 @@ from __future__ import annotations
 
 import re
 import time
-import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.estimation import NOISE_FLOOR, OutputErrorFit, channel_noise, process_noise_shown, rms
-from sysid.estimation.output_error import output_error
+from sysid.estimation import NOISE_FLOOR, channel_noise, process_noise_shown, rms
 from uqharness.errors import BadInputError
+from uqharness.identification.replay_fit import Observed, ReplayFit, fit_replays
 from uqharness.identification.result import Identification
 from uqharness.identification.start import demand_of, equation_error_start, forced_at
 from uqharness.parallel import process_count
@@ -28,11 +26,8 @@ from uqharness.replay import (
     CONTROLS,
     STATES,
     Flight,
-    Layout,
-    Replay,
     ReplayFolder,
     ReplayModel,
-    Segment,
     Speed,
     bare_rate,
     counter,
@@ -90,27 +85,17 @@ def identify(
             near, notes = equation_error_start(model, straight, flights, cut, names, initial, limits)
         outputs = tuple(c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights))
         data = [block for f in flights for block in measured_outputs(f, outputs)]
+        observed = Observed(cut, outputs, data, [b for b in biases if b in outputs], delayed(flights, outputs, delays))
         noise = channel_noise(data, outputs, aircraft.card.sensors.noise_std)
         bare, flown, started = bare_rate(model, cut[0]), counter["rows"], time.perf_counter()
         with replay_pool(workers) as spread:
-            fit, layout, replay = _output_error(
-                model,
-                cut,
-                names,
-                near,
-                initial,
-                limits,
-                outputs,
-                data,
-                [b for b in biases if b in outputs],
-                delayed(flights, outputs, delays),
-                spread,
-            )
+            fitted = fit_replays(model, observed, names, (near, initial), limits, spread)
+        fit = fitted.found
         taken = time.perf_counter() - started
         seconds = time.perf_counter() - begun
         flown_s = (counter["rows"] - flown) * cut[0].dt_s
         speed = Speed(fit.n_simulations / taken, flown_s / taken, process_count(workers), bare)
-        found = _assemble(aircraft, names, initial, fit, layout, replay, cut, outputs, data, noise, notes, seconds, speed)
+        found = _assemble(aircraft, names, initial, fitted, observed, noise, notes, seconds, speed)
         found = replace(found, warnings=(*misplaced(flights, cut, found.nuisance), *found.warnings))
         if method == "output-error" or (method == "auto" and not process_noise_shown(*_sensed(found))):
             return found
@@ -171,59 +156,6 @@ def _limits(aircraft: Aircraft, names: Sequence[str], initial: Array) -> list[tu
     return out
 
 
-def _output_error(
-    model: ReplayModel, cut: Sequence[Segment], names: Sequence[str], near: Array, initial: Array,
-    limits: Sequence[tuple[float, float]], outputs: tuple[str, ...], data: list[Array], biases: Sequence[str],
-    late: Mapping[str, Sequence[str]], spread: Any,
-) -> tuple[OutputErrorFit, Layout, Replay]:  # fmt: skip
-    layout = nuisance_layout(names, limits, cut, biases, outputs, late)
-    replay = Replay(model, cut, layout.names, outputs, uuid.uuid4().hex)
-    theta0 = np.zeros(len(layout.names))
-    theta0[: len(names)] = near
-    pool = None if spread is map else spread
-
-    def fit_from(theta: Array, free: list[str]) -> OutputErrorFit:
-        return output_error(
-            replay,
-            theta,
-            data,
-            names=layout.names,
-            bounds=layout.bounds,
-            free=free,
-            map=pool,
-            tolerance=0.05,
-            max_iterations=40,
-            differences="secant",
-        )
-
-    free = list(layout.names)
-    try:
-        fit = fit_from(theta0, free)
-    except ValueError as error:
-        if "fails at theta0" not in str(error):
-            raise BadInputError(str(error)) from None
-        theta0[: len(names)] = initial
-        try:
-            fit = fit_from(theta0, free)
-        except ValueError as again:
-            raise BadInputError(f"the model cannot fly these segments: {again}; give other start values (--start)") from None
-    lost = [n for n in names if fit.status[n] == "not-identified"]
-    if lost:
-        # What the data do not determine goes back to where it was, so that the rest is estimated beside values that will be flown.
-        theta = fit.theta.copy()
-        for n in lost:
-            theta[layout.names.index(n)] = initial[list(names).index(n)]
-        again_fit = fit_from(theta, [n for n in free if n not in lost])
-        status = {**again_fit.status, **dict.fromkeys(lost, "not-identified")}
-        reason = {**again_fit.reason, **{n: fit.reason[n] for n in lost}}
-        kept = [w for w in fit.warnings if any(w.startswith(f"{n} not identified") for n in lost)]
-        fit = replace(
-            again_fit, status=status, reason=reason, warnings=kept + again_fit.warnings,
-            n_simulations=fit.n_simulations + again_fit.n_simulations,
-        )  # fmt: skip
-    return fit, layout, replay
-
-
 def _left_over(residual: Sequence[Array], outputs: Sequence[str], noise: Mapping[str, float]) -> list[str]:
     """A sentence when a channel is left further off than its noise explains although nothing looks coloured."""
     whole = np.concatenate(residual)
@@ -239,13 +171,12 @@ def _left_over(residual: Sequence[Array], outputs: Sequence[str], noise: Mapping
 
 
 def _assemble(
-    aircraft: Aircraft, names: tuple[str, ...], initial: Array, fit: OutputErrorFit, layout: Layout, replay: Replay,
-    cut: Sequence[Segment], outputs: tuple[str, ...], data: list[Array], noise: Mapping[str, float], notes: Sequence[str],
-    seconds: float, speed: Speed,
+    aircraft: Aircraft, names: tuple[str, ...], initial: Array, fitted: ReplayFit, observed: Observed,
+    noise: Mapping[str, float], notes: Sequence[str], seconds: float, speed: Speed,
 ) -> Identification:  # fmt: skip
-    k = len(names)
+    k, fit, outputs = len(names), fitted.found, observed.outputs
     identified = [i for i in range(k) if fit.status[names[i]] == "identified"]
-    hidden = {n: (float(fit.theta[i]), float(fit.std[i])) for i, n in enumerate(layout.names) if i >= k}
+    hidden = {n: (float(fit.theta[i]), float(fit.std[i])) for i, n in enumerate(fitted.layout.names) if i >= k}
     # A start state that two channels cannot tell apart is nobody's concern; a parameter is.
     warnings = [
         re.sub(r"\boutput (\d+)", lambda found: outputs[int(found[1])], w)
@@ -257,10 +188,10 @@ def _assemble(
     return Identification(
         aircraft=aircraft.name, names=names, initial=initial, theta=fit.theta[:k], std=fit.std[:k], std_crb=fit.std_crb[:k],
         status={n: fit.status[n] for n in names}, reason={n: fit.reason[n] for n in names},
-        cov=fit.cov[np.ix_(identified, identified)], nuisance=hidden, outputs=outputs, segments=tuple(cut), measured=data,
-        modelled=replay(fit.theta), residual=fit.residual, whiteness=fit.whiteness, noise=noise, method="output error",
-        converged=fit.converged, warnings=tuple(warnings), notes=tuple(notes), simulations=fit.n_simulations, seconds=seconds,
-        speed=speed,
+        cov=fit.cov[np.ix_(identified, identified)], nuisance=hidden, outputs=outputs, segments=tuple(observed.cut),
+        measured=list(observed.data), modelled=fitted.replay(fit.theta), residual=fit.residual, whiteness=fit.whiteness,
+        noise=noise, method="output error", converged=fit.converged, warnings=tuple(warnings), notes=tuple(notes),
+        simulations=fit.n_simulations, seconds=seconds, speed=speed,
     )  # fmt: skip
 
 

@@ -8,17 +8,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.effects import Evidence, solve
 from sysid.parallel import Processes
-from uqharness.errors import BadInputError
-from uqharness.identification import equation_error_start
-from uqharness.refinement.fit import Fit, best_flown, positions, refit
-from uqharness.refinement.setup import Bench, estimated_channels, turbulent
+from uqharness.identification import Observed, ReplayFit, equation_error_start, fit_replays
+from uqharness.refinement.candidates import sensor_gain, sensor_offset
+from uqharness.refinement.fit import Fit, Linear, fly, positions, refit
+from uqharness.refinement.sensed import sensor_late_s
+from uqharness.refinement.setup import Bench, estimated_channels
 from uqharness.refinement.types import Flown, Point, Setup
+from uqharness.replay import CONTROL_DELAY, spread_over
 from uqharness.simulator import Aircraft
 
-SETTLED = 0.01
-"""Relative fall of the cost."""
 ESTIMATOR_ROUNDS = 2
 Base = tuple[Fit, tuple[str, ...], list[str], NDArray[np.float64]]
 """Fit, names estimated, notes, and the noise (m,) of the outputs."""
@@ -74,50 +73,36 @@ def base_fit(
     near, notes = equation_error_start(
         bench.model, bench.straight, setup.flights, setup.segments, names, current, [limits[n] for n in names]
     )
-    controls = positions(bench.model, setup, map_)
-    starts = tuple(s.start for s in setup.segments)
-    options = [Point(dict(zip(names, values.tolist(), strict=True)), {}, starts) for values in (near, current)]
-    best = best_flown(bench.model, setup, options, map_)
-    if not np.isfinite(best.cost):
-        raise BadInputError(
-            "the model leaves the flight in some segment (its state is no longer finite); check its XML and the controls' signs"
-        )
-    # One step tells what the flights hold nothing of; it must not be carried to a bound by rounding.
-    first = refit(bench.model, bench.straight, setup, controls, best.point, names, limits, map_, max_iterations=1)
-    lost = undetermined(first.evidence, names, limits)
-
-    def enough(last: Flown, now: Flown) -> bool:
-        # In turbulence a replay's fit is where another method begins; it need not be a minimum.
-        return last.cost - now.cost < SETTLED * now.cost and turbulent(setup, now)
-
-    kept = tuple(n for n in names if n not in lost)
-    values = {**first.flown.point.values, **{n: float(current[names.index(n)]) for n in lost}}
-    point = replace(first.flown.point, values=values)
-    fit = refit(bench.model, bench.straight, setup, controls, point, kept, limits, map_, enough=enough)
-    if lost:
-        notes = [*notes, f"not determined by these flights and left as they are: {', '.join(lost)}"]
-    return fit, kept, notes
+    tries, bounds = (near, current), [limits[n] for n in names]
+    found = fit_replays(bench.model, observed(setup), names, tries, bounds, spread_over(map_))
+    kept = tuple(n for n in names if n not in found.lost)
+    point = point_of(found, setup, names)
+    flown = fly(bench.model, setup, point, map_)
+    fit = Linear(bench.straight, setup, positions(bench.model, setup, map_), kept, map_).fit_at(flown)
+    if found.lost:
+        notes = [*notes, f"not determined by these flights and left as they are: {', '.join(found.lost)}"]
+    return replace(fit, converged=found.found.converged), kept, notes
 
 
-def undetermined(evidence: Evidence, names: Sequence[str], limits: Mapping[str, tuple[float, float]]) -> list[str]:
-    """Parameters of which the flights hold next to nothing that the others do not, or less than their bounds alone say."""
-    G, _ = evidence.everything
-    some = evidence.index(names)
-    scale = np.sqrt(np.maximum(np.diagonal(G), 0.0))
-    dead = [n for n, i in zip(names, some, strict=True) if scale[i] == 0.0]
-    alive = np.flatnonzero(scale > 0.0)
-    corr = G[np.ix_(alive, alive)] / np.outer(scale[alive], scale[alive])
-    values, vectors = np.linalg.eigh(corr)
-    for k in np.flatnonzero(values < 1e-8).tolist():
-        share = np.abs(vectors[:, k])
-        members = [evidence.names[alive[j]] for j in np.argsort(-share) if share[j] > 0.1]
-        worst = next((m for m in members if m in names and m not in dead), None)
-        if worst is not None:
-            dead.append(worst)
-    inverse = solve(corr, np.eye(len(alive)))
-    for k, column in enumerate(alive.tolist()):
-        name = evidence.names[column]
-        low, high = limits.get(name, (-np.inf, np.inf))
-        if name in names and name not in dead and float(np.sqrt(inverse[k, k])) / scale[column] > (high - low) / np.sqrt(12.0):
-            dead.append(name)
-    return dead
+def observed(setup: Setup, sensed: Mapping[str, float] | None = None) -> Observed:
+    """What a fit compares replays with; sensed: values of sensors' effects by key, taken out of what was measured."""
+    late = {**setup.late, **dict.fromkeys(setup.timed, (CONTROL_DELAY,))}
+    if not sensed:
+        return Observed(setup.segments, setup.outputs, setup.measured, setup.biased, late)
+    point = Point({}, {}, (), dict(sensed))
+    gain = np.array([sensor_gain(c, point) for c in setup.outputs])
+    late_s = {c: sensor_late_s(c, setup.segments[0], point) for c in setup.outputs}
+    data = [
+        (z - np.array([sensor_offset(c, s, point) for c in setup.outputs])) / gain
+        for z, s in zip(setup.measured, setup.segments, strict=True)
+    ]
+    return Observed(setup.segments, setup.outputs, data, setup.biased, late, late_s)
+
+
+def point_of(found: ReplayFit, setup: Setup, names: Sequence[str], sensed: Mapping[str, float] | None = None) -> Point:
+    """Where a fit of properties ``names`` ended, with the sensors' effects that were taken out of what was measured."""
+    estimates = found.values()
+    nuisance = {n: estimates[n.replace("lateness/", "delay/")] for n in setup.nuisance}
+    point = Point({n: estimates[n] for n in names}, nuisance, tuple(found.starts()), dict(sensed or {}))
+    gains = {n: sensor_gain(n.split("/")[2], point) if n.startswith("bias/") else 1.0 for n in nuisance}
+    return replace(point, nuisance={n: value * gains[n] for n, value in nuisance.items()})

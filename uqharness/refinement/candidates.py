@@ -137,9 +137,14 @@ def _subsystem(
                 out[:, k] = (y[:, k] - sensor_offset(c, segment, point)) / sensor_gain(c, point) if e.term == "scale" else 1.0
         return None, out
     if part == "record":
-        rate = np.gradient(p.controls, h, axis=0)
-        return -np.einsum("ncj,nj->nc", p.by_control, rate), None
+        return later_controls(p), None
     raise ValueError(f"no model of effect {e.key}")
+
+
+def later_controls(p: Probe) -> Array:
+    """(n, 6) change of the coefficients per second by which all controls act later."""
+    rate = np.gradient(p.controls, p.reference.dt_s, axis=0)
+    return -np.einsum("ncj,nj->nc", p.by_control, rate)
 
 
 def _written(slopes: Mapping[str, float], control: str) -> Array:

@@ -53,7 +53,7 @@ from uqharness.refinement.setup import (
 )
 from uqharness.refinement.stages import Stages
 from uqharness.refinement.timing import CONTROLS_LATE, MOST_CORRECTIONS, controls_late, later, words
-from uqharness.refinement.types import Setup
+from uqharness.refinement.types import Setup, lateness
 from uqharness.refinement.writing.slopes import of_lift_slope
 from uqharness.simulator import Aircraft
 
@@ -148,13 +148,8 @@ def find_effects(
         setup = limits_tried(setup, before.probes, before.columns[0].names, lambda extra: column_evidence(setup, before, extra))
         timed = () if setup.late else (CONTROLS_LATE,)
         evidence = candidate_evidence(setup, before, [*effects, *timed])
-        odds = eligible(effects, setup, before, evidence)
-        dt = setup.segments[0].dt_s
-        late = (
-            controls_late(evidence, before.columns[0].names, odds, confirming, threshold(len(odds) + 1), LEAST_LATE_ROWS * dt, dt)
-            if timed and len(put_right) < MOST_CORRECTIONS
-            else None
-        )
+        odds, dt = eligible(effects, setup, before, evidence), setup.segments[0].dt_s
+        late = _of_the_clock(setup, before, evidence, effects, confirming) if timed and len(put_right) < MOST_CORRECTIONS else None
     if late is not None:
         say(f"all controls act {1e3 * late[0]:.1f} ms after their rows; putting the records right")
         right = make_setup(aircraft, later(setup.flights, late[0]), measured, ideal)
@@ -187,6 +182,18 @@ def find_effects(
         tuple(notes), {n: before.flown.point.values[n] for n in names}, None, board, limit, sum(put_right),
         tuple(trail), slopes, best.about.flown,
     )  # fmt: skip
+
+
+def _of_the_clock(
+    setup: Setup, before: Fit, evidence: Evidence, effects: Sequence[Effect], confirming: NDArray[np.bool_]
+) -> tuple[float, float] | None:
+    """`controls_late` of the flights as they are with the controls at their rows, beside the effects that compete with it there."""
+    held = {lateness(f): before.flown.point.nuisance[lateness(f)] for f in setup.timed}
+    at_rows, dt = evidence.taken_out(held), setup.segments[0].dt_s
+    columns = [replace(c, names=tuple(n for n in c.names if n not in held)) for c in before.columns]
+    free = columns[0].names
+    odds = eligible(effects, setup, replace(before, columns=columns), at_rows)
+    return controls_late(at_rows, free, odds, confirming, threshold(len(odds) + 1), LEAST_LATE_ROWS * dt, dt)
 
 
 def _not_borne_out(first: Selection, limit: float) -> Refusal | None:

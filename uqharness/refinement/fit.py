@@ -8,7 +8,7 @@ error's own: at the answer the residuals are orthogonal to sensitivities that do
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,10 +20,10 @@ from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.aerodynamics.rigid_body import MassProperties
 from sysid.effects import Columns, Evidence, White, gather, whiten
 from sysid.parallel import ALONE, Processes
-from uqharness.refinement.candidates import effect_columns, sensor_gain
+from uqharness.refinement.candidates import effect_columns, later_controls, sensor_gain
 from uqharness.refinement.reference import Probe, ProbeJob, named_terms, probe, term_column
 from uqharness.refinement.sensed import as_sensed, late_rate, sensor_late_s
-from uqharness.refinement.types import Flown, Point, Setup, in_dynamics
+from uqharness.refinement.types import Flown, Point, Setup, in_dynamics, lateness
 from uqharness.replay import (
     CHANNELS,
     CONTROLS,
@@ -46,7 +46,7 @@ def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flow
     """Replay every segment at a point; cost inf where a flight leaves the finite."""
     late = [any(sensor_late_s(c, s, point) for c in setup.outputs) for s in setup.segments]
     jobs = [
-        ReplayJob(model, s, dict(point.values), start, between=between)
+        ReplayJob(model, s, dict(point.values), start, point.nuisance.get(lateness(s.flight), 0.0), between)
         for s, start, between in zip(setup.segments, point.starts, late, strict=True)
     ]
     every = fly_all(jobs, map_)
@@ -132,6 +132,9 @@ def parameter_columns(
             kind, flight, what = name.split("/")
             if flight != segment.flight:
                 continue
+            if name == lateness(flight):
+                inputs[name] = (-1, later_controls(p))
+                continue
             block = np.zeros_like(y)
             for k, c in enumerate(setup.outputs):
                 if kind == "bias" and c == what:
@@ -165,27 +168,61 @@ class Fit:
     converged: bool
 
 
-PRIOR = {"bias": 0.1, "delay": 0.1}
+PRIOR = {"bias": 0.1, "delay": 0.1, "lateness": 0.005}
+"""Standard deviations known beforehand. Controls act at their rows; a simulation of 10 ms a step has them act half a step early."""
 
 
 def refit(
     model: ReplayModel, straight: ReplayModel, setup: Setup, controls: Sequence[Array], start: Point, names: Sequence[str],
     limits: Mapping[str, tuple[float, float]], map_: Processes, *, max_iterations: int = 12, tolerance: float = 0.05,
-    enough: Callable[[Flown, Flown], bool] | None = None,
 ) -> Fit:  # fmt: skip
-    """Output error from ``start`` over the properties ``names``, biases, delays and start states.
-
-    enough(before, after): whether to leave it at an iteration.
-    """
+    """Output error from ``start`` over the properties ``names``, biases, delays and start states."""
+    bench = Linear(straight, setup, controls, tuple(names), map_)
     flown = fly(model, setup, start, map_)
-    analytic: tuple[str, ...] | None = None
-    keys = {e.key for e in setup.active}
     converged = False
     length = math.inf
     iteration = 0
+    fit = None
     while iteration < max_iterations:
         iteration += 1
-        own = [n for n in names if n not in keys]
+        fit = bench.fit_at(flown, fit.analytic if fit is not None else None)
+        delta, length = fit.evidence.step(setup.held)
+        if length < tolerance:
+            converged = True
+            break
+        order, white = fit.columns[0].names, fit.evidence.white
+        trial = fly(model, setup, _moved(setup, flown.point, order, delta, white, limits, 1.0), map_)
+        share = 1.0
+        while not trial.cost < flown.cost and share > 0.02:
+            share *= 0.35
+            trial = fly(model, setup, _moved(setup, flown.point, order, delta, white, limits, share), map_)
+        if not trial.cost < flown.cost:
+            converged = length < 1.0
+            break
+        settled = flown.cost - trial.cost < 0.02 and share == 1.0
+        flown = trial
+        if settled:
+            converged = True
+            break
+    assert fit is not None
+    return replace(fit, flown=flown, iterations=iteration, converged=converged)
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Linearisation of replays at any point: evidence of the properties and active effects ``names`` and the nuisance."""
+
+    straight: ReplayModel
+    setup: Setup
+    controls: Sequence[Array]
+    names: tuple[str, ...]
+    map_: Processes
+
+    def fit_at(self, flown: Flown, analytic: tuple[str, ...] | None = None) -> Fit:
+        """The linearised flights at what was flown. analytic: properties known to be the coefficient terms their names say."""
+        straight, setup, controls, map_ = self.straight, self.setup, self.controls, self.map_
+        keys = {e.key for e in setup.active}
+        own = [n for n in self.names if n not in keys]
         differ: Sequence[str] = () if analytic is None else [n for n in own if n not in analytic]
         found = probes(straight, setup, flown, controls, differ, map_)
         if analytic is None:
@@ -193,31 +230,10 @@ def refit(
             if len(analytic) < len(own):
                 found = probes(straight, setup, flown, controls, [n for n in own if n not in analytic], map_)
         steps = steps_of(found, flown.outputs, setup, flown.point, by=map_)
-        columns = parameter_columns(setup, found, flown, names, analytic)
+        columns = parameter_columns(setup, found, flown, self.names, analytic)
         white = whiten(steps, setup.measured, columns, setup.which, setup.noise)
         evidence = gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)
-        delta, length = evidence.step(setup.held)
-        if length < tolerance:
-            converged = True
-            break
-        moved = _moved(setup, flown.point, columns[0].names, delta, white, limits, 1.0)
-        trial = fly(model, setup, moved, map_)
-        share = 1.0
-        while not trial.cost < flown.cost and share > 0.02:
-            share *= 0.35
-            trial = fly(model, setup, _moved(setup, flown.point, columns[0].names, delta, white, limits, share), map_)
-        if not trial.cost < flown.cost:
-            converged = length < 1.0
-            break
-        settled = flown.cost - trial.cost < 0.02 and share == 1.0
-        last, flown = flown, trial
-        if settled:
-            converged = True
-            break
-        if enough is not None and enough(last, flown):
-            break
-    assert analytic is not None
-    return Fit(flown, found, steps, columns, evidence, analytic, iteration, converged)
+        return Fit(flown, found, steps, columns, evidence, analytic, 0, True)
 
 
 def _moved(

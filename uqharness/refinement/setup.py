@@ -57,6 +57,7 @@ def make_setup(aircraft: Aircraft, flights: Sequence[Flight], measured: Sequence
     return Setup(
         tuple(flights), tuple(cut), states_of(flights), outputs, tuple(data), np.array([known[c] for c in outputs]),
         tuple(b for b in BIASES if b in outputs), late, servos=servos_of(aircraft, measured, ideal),
+        timed=tuple(f.name for f in flights if f.name not in late),
     )  # fmt: skip
 
 
@@ -142,7 +143,8 @@ def estimated_channels(setup: Setup) -> tuple[str, ...]:
 
 def setup_in_gusts(aircraft: Aircraft, setup: Setup) -> Setup:
     """The same with the card's sensor noise where it says one: third differences of an accelerometer see gusts as noise. The card
-    says nothing of what an estimator computed."""
+    says nothing of what an estimator computed. Predictions are made with the controls at their rows."""
     stated, guessed = aircraft.card.sensors.noise_std, estimated_channels(setup)
     given = zip(setup.outputs, setup.noise.tolist(), strict=True)
-    return replace(setup, noise=np.array([n if c in guessed else stated.get(c, n) for c, n in given]))
+    noise = np.array([n if c in guessed else stated.get(c, n) for c, n in given])
+    return replace(setup, noise=noise, timed=())

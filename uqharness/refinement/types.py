@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
 from sysid.effects import Effect
-from uqharness.replay import Flight, Segment
+from uqharness.replay import CONTROL_DELAY, Flight, Segment
 from uqharness.simulator import Actuator
 
 Array = NDArray[np.float64]
@@ -21,11 +21,17 @@ def in_dynamics(effect: Effect) -> bool:
     return not (effect.subsystem or "").startswith(("sensor.", "record"))
 
 
+def lateness(flight: str) -> str:
+    """Name of the time [s] by which a flight's controls act after their rows: a simulation's half step, a hand that logged late."""
+    return f"lateness/{flight}/{CONTROL_DELAY}"
+
+
 @dataclass(frozen=True)
 class Setup:
     """Everything about the flights that does not change with the model's numbers.
 
-    measured [(n, m)] outputs as logged; noise (m,); late: flight -> sensors whose delay is estimated; biased: channels;
+    measured [(n, m)] outputs as logged; noise (m,); late: flight -> sensors whose delay is estimated; timed: flights of which it is
+    estimated how late the controls act (`lateness`); biased: channels;
     active: effects that the model being flown has, or that its sensors have; carriers: key -> property of those that have one;
     servos: actuators of the surfaces whose commands alone were recorded; limits: surface -> rate limits [deg/s] from and to which
     a slower servo's effect is read; lagging: surface -> time constant [s] beyond its servo's own with which it flies;
@@ -46,6 +52,7 @@ class Setup:
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     lagging: Mapping[str, float] = field(default_factory=dict)
     slopes: Mapping[str, float] = field(default_factory=dict)
+    timed: tuple[str, ...] = ()
 
     @property
     def which(self) -> list[int]:
@@ -61,6 +68,7 @@ class Setup:
     def nuisance(self) -> tuple[str, ...]:
         """Names of gyro biases and delays, estimated beside parameters and effects."""
         names = [f"bias/{f.name}/{c}" for f in self.flights for c in self.biased]
+        names += [lateness(f) for f in self.timed]
         return (*names, *(f"delay/{f}/{s}" for f, sensors in self.late.items() for s in sensors))
 
 

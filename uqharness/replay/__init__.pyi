@@ -34,6 +34,7 @@ from .model import ReplayFolder as ReplayFolder
 from .model import ReplayModel as ReplayModel
 from .model import control_setters as control_setters
 from .pool import replay_pool as replay_pool
+from .pool import spread_over as spread_over
 from .replay import CHANNELS as CHANNELS
 from .replay import CONTROL_DELAY as CONTROL_DELAY
 from .replay import SENSOR_OF as SENSOR_OF

@@ -58,9 +58,9 @@ def by_jsbsim(job: ReplayJob) -> Array:
 def fly_all(jobs: Sequence[ReplayJob], map_: Map = map) -> list[Array]:
     """What ``fly_segment`` gives for each; ``map_`` spreads what JSBSim flies."""
     found: dict[int, Array] = {}
-    by_model: dict[tuple[str, tuple[str, ...]], list[int]] = {}
+    by_model: dict[_Alike, list[int]] = {}
     for k, job in enumerate(jobs):
-        by_model.setdefault((str(job.model.staging.root), job.extra), []).append(k)
+        by_model.setdefault(_alike(job), []).append(k)
     for places in by_model.values():
         some = [jobs[k] for k in places]
         program = _program(some)
@@ -76,13 +76,19 @@ class _Program:
     levels: dict[float, tuple[float, float]]
 
 
-_programs: OrderedDict[tuple[str, tuple[str, ...]], _Program | None] = OrderedDict()
+_Alike = tuple[str, tuple[str, ...], int]
+"""What jobs that one program flies have in common: the aircraft, what is recorded, the runs between two outputs."""
+_programs: OrderedDict[_Alike, _Program | None] = OrderedDict()
+
+
+def _alike(job: ReplayJob) -> _Alike:
+    return str(job.model.staging.root), job.extra, shape_of(job.segment, job.between).stride
 
 
 def _program(jobs: Sequence[ReplayJob]) -> _Program | None:
-    """The compiled aircraft of jobs of one model, None where JSBSim is to fly."""
+    """The compiled aircraft of jobs that are alike, None where JSBSim is to fly."""
     job = jobs[0]
-    key = (str(job.model.staging.root), job.extra)
+    key = _alike(job)
     wanted = frozenset(name for one in jobs for name in one.properties)
     if key in _programs:
         known = _programs[key]
@@ -106,9 +112,11 @@ def _made(job: ReplayJob, names: frozenset[str]) -> _Program | None:
     properties = [model.card.inputs[name].property for name in model.controls]
     try:
         sources = batch.read_sources(batch.Files(model.staging.folder, model.staging.xml, root / "engine", root / "systems"), None)
-        dt_s = shape_of(job.model, job.segment, job.between).dt_s
+        shape = shape_of(job.segment, job.between)
         records = [*RAW, *job.extra]
-        made = batch.make_replay(sources, lambda: model.open(dt_s), dt_s, properties, sorted(names), records)
+        made = batch.make_replay(
+            sources, lambda: model.open(shape.dt_s), shape.dt_s, properties, sorted(names), records, shape.stride
+        )
     except BadInputError as error:
         _LOG.info("replays are flown by JSBSim: %s", error)
         return None
@@ -130,11 +138,11 @@ def _judged(job: ReplayJob, program: _Program | None) -> _Program | None:
 
 
 def _in_lanes(program: _Program, jobs: Sequence[ReplayJob]) -> list[Array]:
-    shapes = [shape_of(job.model, job.segment, job.between) for job in jobs]
+    shapes = [shape_of(job.segment, job.between) for job in jobs]
     controls: dict[tuple[int, float, bool], Array] = {}
     lanes = [_lane(program, job, shape, controls) for job, shape in zip(jobs, shapes, strict=True)]
-    raw = batch.fly_replays(program.replay, lanes)
-    return [_outputs(rows, job, shape) for rows, job, shape in zip(raw, jobs, shapes, strict=True)]
+    found = {k: _outputs(rows, jobs[k], shapes[k]) for k, rows in batch.fly_replays(program.replay, lanes)}
+    return [found[k] for k in range(len(jobs))]
 
 
 def _lane(program: _Program, job: ReplayJob, shape: Shape, controls: dict[tuple[int, float, bool], Array]) -> ReplayLane:
@@ -151,7 +159,7 @@ def _lane(program: _Program, job: ReplayJob, shape: Shape, controls: dict[tuple[
         "ic/p-rad_sec": p, "ic/q-rad_sec": q, "ic/r-rad_sec": r,
     }  # fmt: skip
     terrain = terrain_m(job.model, job.segment) / FT_M
-    return batch.ReplayLane(job.properties, conditions, terrain, controls[key], shape.dt_s, shape.stride)
+    return batch.ReplayLane(job.properties, conditions, terrain, controls[key], shape.dt_s)
 
 
 def _level(program: _Program, job: ReplayJob) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Worker processes for replays: started once, fed with single segments; what a perturbed value leaves alone is not flown."""
+"""Replays of many points at once: together by the batch engine, or in worker processes; each piece that several share once."""
 
 from __future__ import annotations
 
@@ -15,27 +15,35 @@ from uqharness.replay.simulation import Replay
 Array = NDArray[np.float64]
 
 
+def spread_over(map_: Callable[..., Any]) -> Callable[..., list[Any]]:
+    """A `map` for output error that has the replays of all its points flown together; ``map_`` spreads what JSBSim flies."""
+
+    def spread(function: Callable[[Array], Any], points: Any) -> list[Any]:
+        todo = list(points)
+        replay = getattr(function, "simulate", None)
+        if isinstance(replay, Replay):
+            replay.fetch(todo, map_)
+        return [function(point) for point in todo]
+
+    return spread
+
+
 @contextmanager
 def replay_pool(workers: int | None = None) -> Any:
-    """A `map` for output error whose replays are flown by worker processes, started once; the built-in one for a single worker."""
+    """A `map` for output error that has the replays of all its points flown together.
+
+    What JSBSim flies goes to worker processes, started once; a single worker is this process.
+    """
     count = process_count(workers)
-    if count == 1:
-        yield map
-        return
     with ExitStack() as stack:
         pool: Any = None
 
         def by_processes(function: Callable[[Any], Any], jobs: Sequence[Any]) -> Any:
             # Started when the first replay is one that the batch engine does not fly.
             nonlocal pool
+            if count == 1:
+                return map(function, jobs)
             pool = pool or stack.enter_context(process_pool(count))
             return pool.map(function, jobs, chunksize=max(1, len(jobs) // (8 * count)))
 
-        def spread(function: Callable[[Array], Any], points: Any) -> Any:
-            todo = list(points)
-            replay = getattr(function, "simulate", None)
-            if isinstance(replay, Replay):
-                replay.fetch(todo, by_processes)
-            return [function(point) for point in todo]
-
-        yield spread
+        yield spread_over(by_processes)

@@ -25,16 +25,17 @@ class Replay:
     ``delay/<flight>/<sensor>`` by which a sensor's outputs come late, s (SENSOR_OF), or, for CONTROL_DELAY, by which the controls
     act late; and ``start/<segment number>/<state>`` added to a segment's start state. What a perturbed value does not touch is
     not flown again.
-    channels: which of CHANNELS are returned.
+    channels: which of CHANNELS are returned; late_s: channel -> known time by which it comes late besides.
     """
 
     def __init__(
         self, model: ReplayModel, segments: Sequence[Segment], names: Sequence[str], channels: Sequence[str],
-        token: str, base: Mapping[str, float] | None = None,
+        token: str, base: Mapping[str, float] | None = None, late_s: Mapping[str, float] | None = None,
     ) -> None:  # fmt: skip
         self.model, self.segments, self.names = model, tuple(segments), tuple(names)
         self.channels, self.token = tuple(channels), token
         self.base = dict(base or {})
+        self._late_s = {self.channels.index(c): s for c, s in (late_s or {}).items() if s != 0.0}
         self._columns = [CHANNELS.index(c) for c in channels]
         self._properties = [(i, n) for i, n in enumerate(names) if not n.startswith(("bias/", "delay/", "start/"))]
         self._biases: dict[str, list[tuple[int, int]]] = {}
@@ -55,16 +56,19 @@ class Replay:
             elif kind == "start":
                 self._starts.setdefault(int(where), []).append((i, STATES.index(what)))
 
-    def _conditions(self, theta: Array) -> tuple[dict[str, float], list[tuple[Array, float]]]:
-        """Properties, and every segment's start state and lateness of the controls, at theta."""
-        properties = {**self.base, **{n: float(theta[i]) for i, n in self._properties}}
+    def starts_at(self, theta: Array) -> list[tuple[Array, float]]:
+        """Every segment's start state (9,) and how late its controls act [s], at theta."""
         starts = []
         for number, segment in enumerate(self.segments):
             start = segment.start.copy()
             for i, k in self._starts.get(number, ()):
                 start[k] += theta[i]
             starts.append((start, float(theta[self._late[segment.flight]]) if segment.flight in self._late else 0.0))
-        return properties, starts
+        return starts
+
+    def _conditions(self, theta: Array) -> tuple[dict[str, float], list[tuple[Array, float]]]:
+        """Properties, and every segment's start state and lateness of the controls, at theta."""
+        return {**self.base, **{n: float(theta[i]) for i, n in self._properties}}, self.starts_at(theta)
 
     def __call__(self, theta: Array) -> list[Array]:
         """[(n, m)] outputs, one array a segment."""
@@ -92,9 +96,12 @@ class Replay:
         between = self._flown(number, segment, *conditions)[:, self._columns]
         n = len(segment.time_s)
         flown = at_rows(between, n).copy()
+        late_s = dict(self._late_s)
         for i, k in late:
-            if theta[i] != 0.0:
-                flown[:, k] = late_rows(between[:, k], n, float(theta[i]) / segment.dt_s)
+            late_s[k] = late_s.get(k, 0.0) + float(theta[i])
+        for k, seconds in late_s.items():
+            if seconds != 0.0:
+                flown[:, k] = late_rows(between[:, k], n, seconds / segment.dt_s)
         for i, k in biased:
             flown[:, k] += theta[i]
         flown.setflags(write=False)
@@ -112,7 +119,7 @@ class Replay:
         return found
 
     def _job(self, segment: Segment, properties: Mapping[str, float], start: Array, late_s: float) -> ReplayJob:
-        return ReplayJob(self.model, segment, dict(properties), start, late_s, segment.flight in self._delays)
+        return ReplayJob(self.model, segment, dict(properties), start, late_s, segment.flight in self._delays or bool(self._late_s))
 
     def _key(self, number: int, properties: Mapping[str, float], start: Array, late_s: float) -> _Key:
         return self.token, number, np.array(list(properties.values())).tobytes(), start.tobytes(), late_s

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from sysid.units import FT_M
 from uqharness.replay.model import ReplayModel
-from uqharness.replay.replay import longest_run_s, runs_per_row
+from uqharness.replay.replay import runs_per_row
 from uqharness.replay.segments import Segment
 from uqharness.simulator import engine
 
@@ -34,7 +34,7 @@ class Speed:
 
 def bare_rate(model: ReplayModel, segment: Segment) -> float:
     """Flight seconds a second of wall time when the model is stepped and nothing is set or read. Raises BadInputError."""
-    dt_s = segment.dt_s / runs_per_row(segment.dt_s, longest_run_s(model))
+    dt_s = segment.dt_s / runs_per_row(segment.dt_s)
     fdm = model.open(dt_s)
     fdm["ic/h-sl-ft"], fdm["ic/u-fps"] = (segment.altitude_m + 500.0) / FT_M, float(segment.start[0]) / FT_M
     engine.run_ic(fdm)

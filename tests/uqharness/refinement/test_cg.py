@@ -72,5 +72,5 @@ def test_it_flies_as_with_the_moments_of_the_forces_and_is_felt_as_its_column_sa
         change = after - before
         assert np.abs(change[:, rest]).max() < 1e-9
         left = change[:, felt] - FORWARD_M * column[:, felt]
-        assert np.sqrt(np.mean(left**2)) < 0.02 * np.sqrt(np.mean(change[:, felt] ** 2))
+        assert np.sqrt(np.mean(left**2)) < 0.03 * np.sqrt(np.mean(change[:, felt] ** 2))
         assert np.abs(change[:, felt]).max() > 0.02

@@ -5,18 +5,23 @@ from __future__ import annotations
 import re
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from sysid.aerodynamics.coefficients import half_width, smooth
 from tests.helpers.flown import NOISE, fly
+from tests.helpers.sixdof import Airframe
+from tests.hidden_effects.motion import Model, integrate, trim
 from uqharness.errors import BadInputError
 from uqharness.identification.start import demand_of, forced_at
+from uqharness.replay import replay
 from uqharness.replay.flights import prepare, read_flight, segments, states
 from uqharness.replay.force import force_states
 from uqharness.replay.model import CONTROLS, ReplayFolder
-from uqharness.replay.replay import CHANNELS, STATES, fly_segment, runs_per_row
+from uqharness.replay.replay import CHANNELS, STATES, by_run, fly_segment, runs_per_row
+from uqharness.replay.segments import Segment
 from uqharness.replay.simulation import Replay, counter
 from uqharness.simulator.aircraft import find_aircraft
 
@@ -96,7 +101,55 @@ def test_sample_times_are_met_at_any_record_rate(aircraft):
         record = fly((("roll-yaw", 22.0),), seed=None, rate_hz=rate)
         gaps = misses(aircraft, record, SURFACES)
         assert max(gaps.values()) < 1.0, (rate, gaps)
-    assert [runs_per_row(dt) for dt in (0.01, 0.02, 0.04, 0.1)] == [2, 2, 4, 10]
+    assert [runs_per_row(dt) for dt in (0.004, 0.01, 0.02, 0.1)] == [2, 4, 8, 40]
+
+
+def controls_of(rows, **more):
+    controls = np.asarray(rows, dtype=float)[:, None]
+    return SimpleNamespace(controls=controls, targets=None, **more)
+
+
+def test_values_of_the_runs_around_a_step_give_it_its_time():
+    """Mean time and the row's own value: integrators count half of a run's change, a lag by Tustin's rule as much."""
+    segment = controls_of([0.0, 0.0, 8.0, 8.0])
+    jumping = by_run(segment, 4, [False], [False])[:, 0]
+    np.testing.assert_array_equal(jumping[7:11], [0.0, 8.0, 4.0, 8.0])
+    lagging = by_run(segment, 4, [False], [True])[:, 0]
+    np.testing.assert_array_equal(lagging[7:11], [0.0, 0.0, 12.0, 8.0])
+    assert jumping.sum() == lagging.sum() == 8.0 * 4.5
+    for late in (-1.5, 0.75, 2.0):
+        moved = [by_run(segment, 4, [False], [lags], late)[:, 0] for lags in (False, True)]
+        # The same step, later; what jumps has jumped at its row all the same, unless outputs between rows are asked for.
+        assert [m.sum() for m in moved] == pytest.approx([8.0 * (4.5 - late)] * 2)
+        assert moved[0][8] == 8.0
+        assert by_run(segment, 4, [False], [False], late, rows_see=False)[:, 0].sum() == pytest.approx(8.0 * (4.5 - late))
+    assert by_run(segment, 4, [False], [False], 2.0, rows_see=False)[8, 0] == 0.0
+
+
+@pytest.mark.parametrize("model", ["servo", "at once"])
+def test_steps_of_commands_through_a_servo_at_its_rate_limit_and_without_one(aircraft, model, monkeypatch):
+    """Against the servo's own solution (exact lag, then the limit) and fourth-order motion; a run of 10 ms is seen."""
+    dynamics = Model([Airframe()], [()])
+    if model == "at once":
+        dynamics.lag[:3], dynamics.rate[:3] = 1e9, 1e9
+    x0, s0 = trim(dynamics, np.array([22.0]), np.array([100.0]))
+    steps = np.zeros((140, 4, 1))
+    steps[20:45, 1], steps[45:70, 1], steps[90:, 0] = 14.0, -14.0, -3.0
+    flown = integrate(dynamics, x0, s0, 140, 0.02, 40, lambda k, air, x: s0 + steps[k])
+    x, time = flown.x[:, :, 0], 0.02 * np.arange(140)
+    controls = (s0 + steps)[:, :, 0]
+    start = np.array([22.0, flown.alpha[0, 0], flown.beta[0, 0], x[0, 6], x[0, 7], 0.0, 0.0, 0.0, 0.0])
+    segment = Segment("steps", "f", time, controls, start, 100.0, 100.0)
+    ideal = () if model == "servo" else SURFACES
+
+    def miss():
+        with ReplayFolder(aircraft, ideal=ideal) as staged:
+            replayed = fly_segment(staged, segment, {})
+        return max(np.abs(replayed[:, 6 + k] - x[:, 3 + k]).max() / NOISE[c] for k, c in enumerate(("p_radps", "q_radps")))
+
+    assert miss() < 0.75
+    monkeypatch.setattr(replay, "MAX_STEP_S", 0.01)
+    assert miss() > 1.5
 
 
 def test_the_copy_leaves_the_aircraft_as_it_was_and_goes_away(aircraft):

@@ -109,16 +109,16 @@ def _checked_feed(stream: Stream, feed: Feed, lanes: int, first: int, last: int)
 def blocked(rows: Sequence[np.ndarray], lanes: int) -> np.ndarray:
     """Rows of lanes, or numbers, as (blocks, rows, BLOCK); the last block is filled up with copies of the last lane."""
     blocks = -(-lanes // BLOCK)
-    out = np.empty((blocks, len(rows), BLOCK))
+    flat = np.empty((len(rows), blocks * BLOCK))
     for k, row in enumerate(rows):
-        full = np.broadcast_to(np.asarray(row, dtype=np.float64).ravel() if np.size(row) > 1 else np.asarray(row).item(), lanes)
-        out[:, k, :] = np.concatenate([full, np.full(blocks * BLOCK - lanes, full[-1])]).reshape(blocks, BLOCK)
-    return out
+        flat[k, :lanes] = row
+    flat[:, lanes:] = flat[:, lanes - 1 : lanes]
+    return np.ascontiguousarray(flat.reshape(len(rows), blocks, BLOCK).transpose(1, 0, 2))
 
 
 def unblocked(array: np.ndarray, lanes: int) -> list[np.ndarray]:
     """The rows back."""
-    return [np.ascontiguousarray(array[:, k, :]).reshape(-1)[:lanes] for k in range(array.shape[1])]
+    return list(array.transpose(1, 0, 2).reshape(array.shape[1], array.shape[0] * BLOCK)[:, :lanes])
 
 
 def begun(program: Program, lanes: int, values: Mapping[str, np.ndarray | float] | None = None) -> np.ndarray:
@@ -144,7 +144,7 @@ def stepped(flyer: Flyer, values: Mapping[str, np.ndarray], lanes: int) -> dict[
     program = flyer.program
     state = begun(program, lanes, {name: value for name, value in values.items() if name in program.slots})
     flyer.fly(state, 1, 1)
-    return {name: slot(program, state, name, lanes) for name in program.slots}
+    return dict(zip(program.slots, unblocked(state, lanes), strict=True))
 
 
 def slot(program: Program, state: np.ndarray, name: str, lanes: int) -> np.ndarray:

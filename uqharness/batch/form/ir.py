@@ -11,19 +11,18 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from uqharness.batch.form.semantics import F64, I1, I64, OPERATIONS, TABLE, computed
+from uqharness.batch.form.semantics import F64, I1, I64, OPERATIONS, TABLE, computed, numpy_of
 
 Constant = float | int | bool
 Known = Constant | tuple[float, ...]
 """What a constant node holds."""
 
 
-@dataclass(frozen=True, slots=True)
-class Node:
+class Node(NamedTuple):
     """An operation on earlier nodes. ``const`` has its ``value``; ``input`` and ``load`` have the ``name`` of what they read."""
 
     operation: str
@@ -56,10 +55,10 @@ class Function:
         return found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Value:
-    """A value of a builder. Arithmetic operators work on doubles and numbers; comparisons are methods, so that ``==`` stays
-    Python's."""
+    """A value of a builder, never changed. Arithmetic operators work on doubles and numbers; comparisons are methods, so that
+    ``==`` stays Python's."""
 
     builder: Builder
     index: int
@@ -189,15 +188,16 @@ class Builder:
     def op(self, operation: str, *arguments: Value | float) -> Value:
         """The operation on the arguments, folded where they are constants. Raises ValueError for wrong kinds."""
         values = [self.value(a) for a in arguments]
+        indices = tuple([v.index for v in values])
+        nodes = [self.nodes[i] for i in indices]
         meaning = OPERATIONS[operation]
-        if tuple(v.kind for v in values) != meaning.kinds:
-            raise ValueError(f"{operation} takes {', '.join(meaning.kinds)}; received {', '.join(v.kind for v in values)}")
-        if meaning.compute is not None and all(self.nodes[v.index].value is not None for v in values):
-            return self.constant(computed(operation, [_scalar(v) for v in values]).item(), meaning.result)
+        if tuple([node.kind for node in nodes]) != meaning.kinds:
+            raise ValueError(f"{operation} takes {', '.join(meaning.kinds)}; received {', '.join(n.kind for n in nodes)}")
+        if meaning.compute is not None and None not in [node.value for node in nodes]:
+            return self.constant(computed(operation, [known(node) for node in nodes]).item(), meaning.result)
         simpler = self._simpler(operation, values)
         if simpler is not None:
             return simpler
-        indices = tuple(v.index for v in values)
         return self._made((operation, *indices), Node(operation, meaning.result, indices))
 
     def finish(self, outputs: Mapping[str, Value], stores: Mapping[str, Value] | None = None) -> Function:
@@ -210,8 +210,9 @@ class Builder:
             if index not in needed:
                 needed.add(index)
                 open_nodes.extend(self.nodes[index].arguments)
-        place = {old: new for new, old in enumerate(sorted(needed))}
-        nodes = tuple(_moved(self.nodes[old], place) for old in sorted(needed))
+        kept = sorted(needed)
+        place = {old: new for new, old in enumerate(kept)}
+        nodes = tuple([_moved(self.nodes[old], place) for old in kept])
         loads = [node.name for node in nodes if node.operation == "load"]
         return Function(
             nodes,
@@ -294,17 +295,18 @@ def evaluate(
     lanes = max([np.size(a) for a in (*inputs.values(), *(state or {}).values())], default=1)
     last = _last_uses(function)
     values: list[Any] = [None] * len(function.nodes)
-    for index, node in enumerate(function.nodes):
-        if node.operation == "const":
-            values[index] = known(node)
-        elif node.operation in ("input", "load"):
-            source = inputs if node.operation == "input" else (state or {})
-            values[index] = np.asarray(source[node.name], dtype=np.float64)
-        else:
-            values[index] = computed(node.operation, [values[i] for i in node.arguments])
-        for i in node.arguments:
-            if last[i] == index:
-                values[i] = None
+    with np.errstate(all="ignore"):
+        for index, node in enumerate(function.nodes):
+            if node.operation == "const":
+                values[index] = known(node)
+            elif node.operation in ("input", "load"):
+                source = inputs if node.operation == "input" else (state or {})
+                values[index] = np.asarray(source[node.name], dtype=np.float64)
+            else:
+                values[index] = numpy_of(node.operation)(*[values[i] for i in node.arguments])
+            for i in node.arguments:
+                if last[i] == index:
+                    values[i] = None
     outputs = {name: np.broadcast_to(values[i], lanes).copy() for name, i in function.outputs.items()}
     after = {slot: np.array(state[slot], dtype=np.float64) for slot in function.slots if state and slot in state}
     after.update({name: np.broadcast_to(values[i], lanes).copy() for name, i in function.stores.items()})
@@ -323,18 +325,18 @@ def _last_uses(function: Function) -> list[int]:
 
 
 def _moved(node: Node, place: Mapping[int, int]) -> Node:
-    return Node(node.operation, node.kind, tuple(place[i] for i in node.arguments), node.value, node.name)
+    if not node.arguments:
+        return node
+    return Node(node.operation, node.kind, tuple([place[i] for i in node.arguments]), node.value, node.name)
 
 
-def _scalar(value: Value) -> Any:
-    return known(value.builder.nodes[value.index])
+_MAKE: Mapping[str, Callable[..., Any]] = {F64: np.float64, I64: np.int64, I1: np.bool_, TABLE: np.array}
 
 
 def known(node: Node) -> Any:
     """A constant as numpy has it."""
     assert node.value is not None
-    kinds: dict[str, Callable[..., Any]] = {F64: np.float64, I64: np.int64, I1: np.bool_, TABLE: np.array}
-    return kinds[node.kind](node.value)
+    return _MAKE[node.kind](node.value)
 
 
 def _same(a: Constant, b: float) -> bool:

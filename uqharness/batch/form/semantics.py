@@ -7,7 +7,7 @@ NaN is compared as NaN. There is no fused multiply-add.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -96,10 +96,16 @@ is true for a NaN, the other comparisons are false. ``bits`` and ``double`` view
 fills with zeros. ``lookup`` gives the number of a table at an index, cut to a whole one and held at the ends; at 0 for a NaN."""
 
 
-def computed(operation: str, arguments: list[Any]) -> Any:
-    """The operation over numpy arrays or scalars, without warnings of numpy. ``operation`` is not a transcendental one."""
+def numpy_of(operation: str) -> Callable[..., Any]:
+    """What computes the operation over numpy arrays or scalars. Raises ValueError for a transcendental one."""
     compute = OPERATIONS[operation].compute
     if compute is None:
         raise ValueError(f"{operation} is computed only after form.maths.lower has written it out")
+    return compute
+
+
+def computed(operation: str, arguments: Sequence[Any]) -> Any:
+    """The operation over numpy arrays or scalars, without warnings of numpy. Raises ValueError for a transcendental one."""
+    compute = numpy_of(operation)
     with np.errstate(all="ignore"):
         return compute(*arguments)

@@ -101,7 +101,7 @@ def ready(spec: FlightSpec) -> _Ready:
         needed = [s.property for s in signals.values()] + [s.over for s in signals.values() if s.over is not None]
         records = list(dict.fromkeys([TIME, *needed, _HEIGHT, _SPEED]))
         made = make_mission(staged, spec, inputs, records, [s.property for s in OPTIONAL_SIGNALS.values()])
-        there = {name: s for name, s in OPTIONAL_SIGNALS.items() if s.property in made.program.records}
+        there = {name: s for name, s in OPTIONAL_SIGNALS.items() if s.property in made.flight.frame.records}
         found = _Ready(staged, made, {"time_s": Source(TIME), **signals, **there})
         while len(_ready) >= _KEPT:
             del _ready[next(iter(_ready))]

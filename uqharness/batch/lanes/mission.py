@@ -79,18 +79,28 @@ class Loaded:
 
 @dataclass(frozen=True)
 class LaneMission:
-    """A mission for any number of lanes. ``inputs`` are properties that may differ between them; ``steady``: engines begin in the
-    steady state of their throttles."""
+    """A mission for any number of lanes. ``inputs`` are properties that may differ between them, ``varying`` all slots that may;
+    a row is recorded every ``stride`` frames; ``steady``: engines begin in the steady state of their throttles."""
 
     mission: StagedMission
     flight: Flight
-    program: Program
     inputs: tuple[str, ...]
+    varying: tuple[str, ...]
+    stride: int
     dt_s: float
     air: bool
     span_ft: float
     points: tuple[ContactPoint, ...]
     steady: bool = False
+
+    @cached_property
+    def program(self) -> Program:
+        """A frame of the flight with less work: made when it is flown, for who asks whether it can be does without."""
+        flight = self.flight
+        between = (*flight.steady, flight.renewed) if self.steady and flight.renewed is not None else ()
+        program = settled((flight.first, flight.second), flight.frame, self.varying, between)
+        program = replace(program, streams=(*program.streams, *noise_streams(flight.draws)))
+        return optimised(program, [name for name in program.slots if name.startswith("#turbulence/row")], self.stride)
 
     @cached_property
     def flyer(self) -> Flyer:
@@ -169,14 +179,9 @@ def make_mission(
     varying = (*asked.inputs, *(f"#{name}" for part in WEIGHTS_PARTS for name in slots(part)), *(name for name, _ in flight.draws))
     varying = (*varying, *(DRY if set(asked.inputs) & set(MASS) else ()))
     steady = MARK in mission.script.run_properties and flight.renewed is not None
-    between = (*flight.steady, flight.renewed) if steady and flight.renewed is not None else ()
-    program = settled((flight.first, flight.second), flight.frame, varying, between)
-    program = replace(program, streams=(*program.streams, *noise_streams(flight.draws)))
-    kept = [name for name in program.slots if name.startswith("#turbulence/row")]
-    program = optimised(program, kept, record_stride(spec, mission.aircraft.dt_s))
     return LaneMission(
-        mission, flight, program, tuple(asked.inputs), mission.aircraft.dt_s, air, float(values["metrics/bw-ft"]),
-        points, steady,
+        mission, flight, tuple(asked.inputs), varying, record_stride(spec, mission.aircraft.dt_s), mission.aircraft.dt_s, air,
+        float(values["metrics/bw-ft"]), points, steady,
     )  # fmt: skip
 
 

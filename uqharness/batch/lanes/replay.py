@@ -1,11 +1,12 @@
 """Replays in lanes: a record's controls fed step by step, from start states and under properties that differ between lanes.
 
-One program serves every step length: the step is a number of the lane.
+One program serves every step length: the step is a number of the lane. How many frames lie between two rows is the program's: what
+only rows show is computed in their frames alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from uqharness.batch.form.flying import Flyer, begun, shared, stepped
+from uqharness.batch.form.flying import BLOCK, Flyer, begun, shared, stepped
 from uqharness.batch.form.interpret import Interpreter
 from uqharness.batch.form.passes import for_what_follows, optimised
 from uqharness.batch.form.program import Program, Stream
@@ -32,29 +33,31 @@ from uqharness.errors import BadInputError
 Array = NDArray[np.float64]
 
 TERRAIN = "position/terrain-elevation-asl-ft"
-_LANES = 256
+_RECORD_BYTES = 8_000_000
+"""Records of lanes that are flown together: the memory is used again."""
 
 
 @dataclass(frozen=True)
 class ReplayLane:
-    """One lane. ``controls`` (frames + 1, c): values while initialising, then of each frame; ``stride``: frames from row to row."""
+    """One lane. ``controls`` (frames + 1, c): values while initialising, then of each frame."""
 
     properties: Mapping[str, float]
     conditions: Mapping[str, float]
     terrain_ft: float
     controls: Array
     dt_s: float
-    stride: int
 
 
 @dataclass(frozen=True)
 class ReplayProgram:
-    """A translated aircraft: ``controls`` are fed in the order given, ``inputs`` may differ between lanes."""
+    """A translated aircraft: ``controls`` are fed in the order given, ``inputs`` may differ between lanes, ``stride`` frames lie
+    between rows."""
 
     flight: Flight
     program: Program
     controls: tuple[str, ...]
     inputs: tuple[str, ...]
+    stride: int
 
     def first_value(self, name: str) -> float:
         """A property's value in the aircraft's XML; 0 where nothing reads it."""
@@ -79,8 +82,11 @@ def make_replay(
     controls: Sequence[str],
     inputs: Collection[str],
     records: Sequence[str],
+    stride: int,
 ) -> ReplayProgram:
     """Translate an aircraft for replays. ``open_fdm`` gives JSBSim with the aircraft loaded and set, nothing run.
+
+    ``controls`` are fed, ``inputs`` may differ between lanes; ``records`` are kept of every frame that ``stride`` divides.
 
     Raises BadInputError with file and line for what is not understood.
     """
@@ -93,27 +99,32 @@ def make_replay(
     if flight.draws:
         raise BadInputError("the aircraft draws random numbers, which a replay does without")
     varying = (STEP, *names, *fed.columns, *(f"#{name}" for part in WEIGHTS_PARTS for name in slots(part)))
-    program = optimised(settled((flight.first, flight.second), flight.frame, varying))
+    program = optimised(settled((flight.first, flight.second), flight.frame, varying), stride=stride)
     # What a stream feeds may be folded away with the section that read it.
     read = {name for section in program.sections for name in section.function.slots}
     if any(read & set(stream.columns) for stream in program.streams if stream is not fed):
         raise BadInputError("the aircraft has turbulence of its own, which a replay does without")
     program = replace(program, streams=(fed,))
-    return ReplayProgram(flight, program, fed.columns, names)
+    return ReplayProgram(flight, program, fed.columns, names, stride)
 
 
-def fly_replays(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> list[Array]:
-    """For each job the recorded properties, (rows, records): at the start, then behind every ``stride`` frames."""
-    found: dict[int, Array] = {}
+def fly_replays(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> Iterator[tuple[int, Array]]:
+    """The number of each job, in any order, and its recorded properties (rows, records): at the start, then behind every ``stride``
+    frames."""
     values = _begun(replay, jobs)
-    groups: dict[tuple[int, int], list[int]] = {}
+    groups: dict[int, list[int]] = {}
     for k, job in enumerate(jobs):
-        groups.setdefault((len(job.controls), job.stride), []).append(k)
-    for places in groups.values():
-        for k in range(0, len(places), _LANES):
-            part = places[k : k + _LANES]
-            found.update(zip(part, _flown(replay, [jobs[p] for p in part], {n: v[part] for n, v in values.items()}), strict=True))
-    return [found[k] for k in range(len(jobs))]
+        groups.setdefault(len(job.controls), []).append(k)
+    for frames, places in groups.items():
+        row_bytes = 8 * len(replay.program.records) * BLOCK
+        lanes = BLOCK * max(1, _RECORD_BYTES // (row_bytes * max(1, frames // replay.stride)))
+        for k in range(0, len(places), lanes):
+            part = places[k : k + lanes]
+            begin = {name: value[part] for name, value in values.items()}
+            records = _flown(replay, [jobs[p] for p in part], begin)
+            first = np.stack([begin[name] for name in replay.program.records])
+            for lane, place in enumerate(part):
+                yield place, np.vstack([first[:, lane], records[:, lane].T])
 
 
 def _begun(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[str, Array]:
@@ -131,11 +142,9 @@ def _begun(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[str, Array
     return {name: values.get(name, np.full(count, first)) for name, first in replay.program.slots.items()}
 
 
-def _flown(replay: ReplayProgram, jobs: Sequence[ReplayLane], values: Mapping[str, Array]) -> list[Array]:
-    count, frames, program = len(jobs), len(jobs[0].controls) - 1, replay.program
-    state = begun(program, count, values)
-    first = np.stack([values[name] for name in program.records])
+def _flown(replay: ReplayProgram, jobs: Sequence[ReplayLane], values: Mapping[str, Array]) -> Array:
+    """(records, lanes, rows) behind the start."""
     pieces = {id(job.controls): job.controls[1:] for job in jobs}
     feed = shared(pieces, [id(job.controls) for job in jobs], 0)
-    records = replay.flyer.fly(state, 1, frames, {"controls": feed}, jobs[0].stride)
-    return [np.concatenate([first[:, k : k + 1], records[:, k, :]], axis=1).T for k in range(count)]
+    state = begun(replay.program, len(jobs), values)
+    return replay.flyer.fly(state, 1, len(jobs[0].controls) - 1, {"controls": feed}, replay.stride)

@@ -16,12 +16,13 @@ from sysid.effects import Gusts
 from sysid.estimation import ljung_box, rms, theil
 from sysid.model_form import floor_of
 from sysid.parallel import Processes
-from uqharness.identification import coefficient_gap
-from uqharness.refinement.fit import positions, refit
+from uqharness.identification import coefficient_gap, fit_replays
+from uqharness.refinement.base import observed, point_of
+from uqharness.refinement.fit import fly, positions
 from uqharness.refinement.gusts import gust_refit, middles, moved, rows_late, unfiltered
 from uqharness.refinement.setup import Bench, with_sensors_of
 from uqharness.refinement.types import Flown, Point, Setup
-from uqharness.replay import CONTROLS, Flight, ReplayModel, Segment, command_later, states
+from uqharness.replay import CONTROLS, Flight, ReplayModel, Segment, command_later, spread_over, states
 from uqharness.simulator import Aircraft, copy_folder
 
 Array = NDArray[np.float64]
@@ -81,10 +82,13 @@ def show(
         ]
         found = list(map_(_coefficient_gap, jobs))
         if gusts is None:
-            fit = refit(bench.model, bench.straight, plain, controls, start, (), {}, map_, max_iterations=6)
-            residual = [z - y for z, y in zip(setup.measured, fit.flown.outputs, strict=True)]
+            flown = fly(bench.model, plain, start, map_)
+            if np.isfinite(flown.cost):
+                fit = fit_replays(bench.model, observed(plain, sensed), (), [np.zeros(0)], (), spread_over(map_))
+                flown = fly(bench.model, plain, point_of(fit, plain, (), sensed), map_)
+            residual = [z - y for z, y in zip(setup.measured, flown.outputs, strict=True)]
             white = [r / setup.noise for r in residual]
-            flown, noise, cost = fit.flown, setup.noise, fit.flown.cost
+            noise, cost = setup.noise, flown.cost
             logdet = [0.0] * len(white)
         else:
             bends = middles(bench.model, plain, map_)

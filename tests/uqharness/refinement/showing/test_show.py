@@ -181,7 +181,7 @@ def test_intervals_shrink_where_the_effect_was_and_still_cover(contradicted):
     cm, cy = intervals["coefficients"]["Cm"], intervals["coefficients"]["CY"]
     assert cm["width_after"] < 0.9 * cm["width_before"]
     assert cm["coverage_after"] > 0.8
-    assert cy["width_after"] == pytest.approx(cy["width_before"], rel=0.1)
+    assert cy["width_after"] == pytest.approx(cy["width_before"], rel=0.2)
     assert json.loads((contradicted / "intervals" / "after.json").read_text())["format"] == "model-form 2"
     assert document(contradicted)["gap"]["test"]["pbox"] == {"reason": "left out (--no-pbox)", "metrics": []}
 

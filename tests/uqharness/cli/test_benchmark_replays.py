@@ -1,0 +1,26 @@
+"""What the benchmark of replays measures and prints."""
+
+from __future__ import annotations
+
+import pytest
+
+from uqharness.cli.benchmark_replays import measure_replays, said_of_replays
+from uqharness.cli.main import main
+from uqharness.errors import BadInputError
+from uqharness.simulator import find_aircraft
+
+
+def test_replays_are_measured_and_said(tmp_path):
+    flight = tmp_path / "flight.parquet"
+    main(["fly", "espaaro", "--script", "flight-ident", "--noise", "--out", str(flight)])
+    found = measure_replays(find_aircraft("espaaro"), flight, 1, replays=2)
+    assert set(found) == {"f_replays_per_s", "g_compile_s", "h_identify_s"}
+    assert all(value > 0.0 for value in found.values())
+    assert len(said_of_replays(found)) == len(found)
+
+
+def test_a_short_flight_is_refused(tmp_path):
+    flight = tmp_path / "flight.parquet"
+    main(["fly", "espaaro", "--script", "doublet-elevator", "--duration-s", "6", "--out", str(flight)])
+    with pytest.raises(BadInputError, match=r"90 s of flight are wanted, it has 301 rows of 4501"):
+        measure_replays(find_aircraft("espaaro"), flight, 1, replays=1)

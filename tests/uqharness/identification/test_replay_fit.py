@@ -1,0 +1,84 @@
+"""One fit for identify, compare and refine: the same estimates and gap from each, and what the flights do not tell stays."""
+
+import numpy as np
+import pytest
+
+from sysid.parallel import ALONE
+from tests.helpers.flown import fly
+from uqharness.errors import BadInputError
+from uqharness.identification.compare import compare
+from uqharness.identification.identify import identify
+from uqharness.identification.replay_fit import Observed, fit_replays
+from uqharness.refinement.base import base_fit
+from uqharness.refinement.setup import Bench, make_setup
+from uqharness.refinement.showing.show import show
+from uqharness.replay import CONTROL_DELAY, ReplayFolder, command_later
+from uqharness.replay.flights import prepare
+from uqharness.replay.pool import spread_over
+from uqharness.simulator.aircraft import find_aircraft
+
+NAMES = ("aero/Cl_p", "aero/Cl_da", "aero/Cm_q", "aero/Cm_alpha", "aero/Cn_r")
+
+
+@pytest.fixture(scope="module")
+def aircraft():
+    return find_aircraft("espaaro")
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return prepare("f", fly((("pitch-3211", 22.0), ("roll-yaw", 22.0)), positions=False), ())
+
+
+def refined(aircraft, flight):
+    setup = make_setup(aircraft, [flight], ())
+    limits = {n: aircraft.card.parameters[n].bounds for n in NAMES}
+    with Bench(aircraft, (), ()) as bench:
+        fit, kept, _ = base_fit(aircraft, bench, setup, NAMES, limits, ALONE)
+    assert kept == NAMES
+    return fit.flown.point
+
+
+def test_identify_and_refine_estimate_the_same(aircraft, flight):
+    found = identify(aircraft, [flight], (), NAMES, method="output-error", workers=1)
+    point = refined(aircraft, flight)
+    apart = (np.array([point.values[n] for n in NAMES]) - found.theta) / found.std
+    assert np.abs(apart).max() < 0.05
+    late, std = found.nuisance[f"delay/f/{CONTROL_DELAY}"]
+    assert abs(point.nuisance[f"lateness/f/{CONTROL_DELAY}"] - late) < 0.05 * std
+    assert np.abs(late) < 4.0 * std < 0.002
+    # Commands 3 ms later are seen by both: by their lateness, not in the parameters.
+    moved = {
+        c: command_later(flight.record[c], flight.record["time_s"], 0.003) for c in flight.record.columns if c.endswith("_deg")
+    }
+    other = prepare("f", flight.record.with_columns(moved), ())
+    shifted = refined(aircraft, other).nuisance[f"lateness/f/{CONTROL_DELAY}"]
+    assert shifted - late == pytest.approx(-0.003, abs=0.001)
+
+
+def test_compare_and_refine_show_the_same_gap(aircraft, flight):
+    gap = compare(aircraft, flight, (), workers=1)
+    setup = make_setup(aircraft, [flight], ())
+    shown = show(aircraft, setup, (), (), ALONE, {})
+    ours = {c: shown.channel_rms(k) / shown.noise[k] for k, c in enumerate(setup.outputs)}
+    assert ours == pytest.approx({c: gap.channels[c].ratio for c in setup.outputs}, rel=1e-3)
+    # A sensor's scale, known, is taken out before the fit and put back: the same flight with a vane that reads 1.1 times.
+    scaled = prepare("f", flight.record.with_columns({"alpha_rad": 1.1 * flight.record["alpha_rad"]}), ())
+    setup = make_setup(aircraft, [scaled], ())
+    blind, told = (show(aircraft, setup, (), (), ALONE, s).cost for s in ({}, {"effect/sensor.alpha_rad/scale": 0.1}))
+    assert told < blind - 100.0
+
+
+def test_what_the_flights_do_not_determine_stays(aircraft, flight):
+    setup = make_setup(aircraft, [flight], ())
+    observed = Observed(setup.segments, setup.outputs, setup.measured, setup.biased, {})
+    names, values = ("aero/Cm_q", "aero/CX_alpha2"), np.array([-13.8, 1.86])
+    with ReplayFolder(aircraft) as model:
+        fit = fit_replays(
+            model, observed, names, (values + np.array([0.5, 0.02]), values), [(-60.0, 0.0), (1.8, 1.9)], spread_over(map)
+        )
+        assert fit.lost == ("aero/CX_alpha2",)
+        assert fit.values()["aero/CX_alpha2"] == 1.86
+        assert fit.values()["aero/Cm_q"] == pytest.approx(-13.8, abs=1.0)
+        with pytest.raises(BadInputError, match="cannot fly these segments"):
+            fit_replays(model, observed, names, (np.array([1e9, 1e9]),), [(None, None)] * 2, spread_over(map))

@@ -1,0 +1,113 @@
+"""The one fit of a model to flights: output error on replays, by which models are identified, compared and refined.
+
+Beside the parameters it estimates what no model knows: start states of the segments, biases of the gyros, delays, of the
+controls above all. The noise of the channels is what the fit leaves of them.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.estimation import OutputErrorFit
+from sysid.estimation.output_error import output_error
+from uqharness.errors import BadInputError
+from uqharness.replay import Layout, Replay, ReplayModel, Segment, nuisance_layout
+
+Array = NDArray[np.float64]
+MAX_ITERATIONS = 40
+TOLERANCE = 0.05
+"""Standard errors: a shorter step ends the search."""
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What replays are compared with: segments, and data [(n, m)] of the channels ``outputs`` in them.
+
+    biases  channels with a constant bias, one a flight       late  flight -> sensors, or CONTROL_DELAY, whose delay is estimated
+    late_s  channel -> time by which it is known to come late besides
+    """
+
+    cut: Sequence[Segment]
+    outputs: tuple[str, ...]
+    data: Sequence[Array]
+    biases: Sequence[str]
+    late: Mapping[str, Sequence[str]]
+    late_s: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ReplayFit:
+    """Where output error ended; theta of ``found`` is the layout's. lost: parameters that the flights do not determine, held."""
+
+    found: OutputErrorFit
+    layout: Layout
+    replay: Replay
+    lost: tuple[str, ...]
+
+    def values(self) -> dict[str, float]:
+        """Estimates of everything by name."""
+        return dict(zip(self.layout.names, self.found.theta.tolist(), strict=True))
+
+    def starts(self) -> list[Array]:
+        """(9,) start state of every segment."""
+        return [start for start, _ in self.replay.starts_at(self.found.theta)]
+
+
+def fit_replays(
+    model: ReplayModel, observed: Observed, names: Sequence[str], tries: Sequence[Array],
+    limits: Sequence[tuple[float, float]], map_: Callable[..., Any], max_iterations: int = MAX_ITERATIONS,
+) -> ReplayFit:  # fmt: skip
+    """Fit properties ``names`` of a model, and everything that is estimated beside them.
+
+    tries   values to begin from, the first that can be flown counts; what the flights do not determine stays at the last
+    map_    as `replay_pool` or `spread_over` gives it
+    Raises BadInputError when the model cannot fly the segments.
+    """
+    layout = nuisance_layout(names, limits, observed.cut, observed.biases, observed.outputs, observed.late)
+    replay = Replay(model, observed.cut, layout.names, observed.outputs, uuid.uuid4().hex, late_s=observed.late_s)
+
+    def fit_from(theta: Array, free: Sequence[str]) -> OutputErrorFit:
+        return output_error(
+            replay, theta, list(observed.data), names=layout.names, bounds=layout.bounds, free=list(free), map=map_,
+            tolerance=TOLERANCE, max_iterations=max_iterations, differences="secant",
+        )  # fmt: skip
+
+    fit = _first_that_flies(fit_from, layout, [np.asarray(values) for values in tries])
+    lost = tuple(n for n in names if fit.status[n] == "not-identified")
+    if lost:
+        # What the data do not determine goes back to where it was, so that the rest is estimated beside values that will be flown.
+        theta = fit.theta.copy()
+        for n in lost:
+            theta[layout.names.index(n)] = tries[-1][list(names).index(n)]
+        again = fit_from(theta, [n for n in layout.names if n not in lost])
+        status = {**again.status, **dict.fromkeys(lost, "not-identified")}
+        reason = {**again.reason, **{n: fit.reason[n] for n in lost}}
+        kept = [w for w in fit.warnings if any(w.startswith(f"{n} not identified") for n in lost)]
+        fit = replace(
+            again, status=status, reason=reason, warnings=kept + again.warnings,
+            n_simulations=fit.n_simulations + again.n_simulations,
+        )  # fmt: skip
+    return ReplayFit(fit, layout, replay, lost)
+
+
+def _first_that_flies(
+    fit_from: Callable[[Array, Sequence[str]], OutputErrorFit], layout: Layout, tries: Sequence[Array]
+) -> OutputErrorFit:
+    """The fit from the first of some values at which the segments can be flown."""
+    failure: ValueError | None = None
+    for values in tries:
+        theta = np.zeros(len(layout.names))
+        theta[: len(values)] = values
+        try:
+            return fit_from(theta, layout.names)
+        except ValueError as error:
+            failure = error
+            if "fails at theta0" not in str(error):
+                raise BadInputError(str(error)) from None
+    raise BadInputError(f"the model cannot fly these segments: {failure}; give other start values (--start)")
