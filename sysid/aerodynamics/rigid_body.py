@@ -36,8 +36,9 @@ class Reference:
     """One segment's reference flight of n samples.
 
     x (n, 8) STATES; force (n, 3) N and moment (n, 3) N m about the CG, gravity left out; slopes (n, 6, 6): d(force, moment) by
-    AIR; qbar (n,) Pa; bend (n - 1, 6): how much force and moment at the middle of a step differ from the mean of its ends
-    because the surfaces do not move in straight lines. arm_m (3,): accelerometers from the CG.
+    AIR; qbar (n,) Pa; bend (2, n - 1, 6): how much force and moment at the middle of a step differ from the mean of its ends, and
+    at its end, just before the next row, from those of that row: surfaces do not move in straight lines, and one without a lag
+    jumps at a row. arm_m (3,): accelerometers from the CG.
     consistent: the reference is itself a flight of the model (a simulation), so that it has no defects.
     """
 
@@ -99,7 +100,7 @@ def linearise(reference: Reference, mass: MassProperties, gravity: float = G0_MP
     g0, g1 = to0 @ B[:-1], to1 @ B[1:]
     defect = np.zeros((n - 1, size))
     if not reference.consistent:
-        bend = np.zeros((n - 1, 6)) if reference.bend is None else reference.bend
+        bend = np.zeros((2, n - 1, 6)) if reference.bend is None else reference.bend
         defect = _advance(model, wide, bend, h) - wide[1:]
     start = np.empty((size, 8))
     for j in range(8):
@@ -198,9 +199,9 @@ def _advance(model: _Rigid, x: FloatArray, bend: FloatArray, h: float) -> FloatA
     at = np.arange(len(x) - 1).astype(float)
     start = x[:-1]
     k1, _ = model(start, at)
-    k2, _ = model(start + 0.5 * h * k1, at + 0.5, bend)
-    k3, _ = model(start + 0.5 * h * k2, at + 0.5, bend)
-    k4, _ = model(start + h * k3, at + 1.0)
+    k2, _ = model(start + 0.5 * h * k1, at + 0.5, bend[0])
+    k3, _ = model(start + 0.5 * h * k2, at + 0.5, bend[0])
+    k4, _ = model(start + h * k3, at + 1.0, bend[1])
     return np.asarray(start + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
 
 

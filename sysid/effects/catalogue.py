@@ -52,7 +52,8 @@ class Effect:
     term         text of the term, or the subsystem's own word (lag, thrust_scale, Ixz ...)
     name, physics, regime, sign, reference  words for an engineer; sign: what is usual, "" where either is
     unit         of the value
-    positive     whether only a positive value is physics: no sensor is early, no servo faster than its command
+    positive     whether only a positive value is physics: no sensor is early, no servo faster than its command (one with a lag
+                 in the XML may be faster than that)
     odds         what the candidate must explain more than a plain one, in units of 2 ln L: 0 for what every textbook lists
     """
 

@@ -52,7 +52,8 @@ def subsystem_effects(
     rows = [*_AIRCRAFT]
     for s in surfaces:
         rows += [
-            (f"actuator.{s}", "lag", f"{s} servo slower than modelled", "first-order lag of the servo", f"{s} steps", "s", 1.0),
+            (f"actuator.{s}", "lag", f"{s} servo's lag other than modelled", "first-order lag of the servo", f"{s} steps", "s",
+             1.0),
             (f"actuator.{s}", "deadband", f"{s} servo with a deadband", "small commands do not move the surface",
              f"small {s} commands", "deg", 1.0),
             (f"actuator.{s}", "rate_limit", f"{s} servo slower than its steps", "the servo's speed is limited",

@@ -20,7 +20,7 @@ from sysid.estimation import NOISE_FLOOR, Shift, Theil, channel_noise, rms, thei
 from sysid.model_form import floor_of
 from uqharness.errors import BadInputError
 from uqharness.identification.identify import BIASES, OUTPUTS
-from uqharness.identification.replay_fit import Observed, fit_replays
+from uqharness.identification.replay_fit import Observed, fit_replays, jumping_in
 from uqharness.identification.start import coefficient_gap
 from uqharness.replay import (
     CHANNELS,
@@ -211,7 +211,7 @@ def _starts(
 ) -> tuple[Array, tuple[str, ...], list[bool], list[str]]:  # fmt: skip
     """Start states and biases (and their names) that bring the replay nearest; which segments the model can fly; notes."""
     columns = [list(present).index(c) for c in judged]
-    layout = nuisance_layout((), (), cut, biases, judged, late)
+    layout = nuisance_layout((), (), cut, biases, judged, late, jumping_in(model, cut, late))
     token = uuid.uuid4().hex
     plain = Replay(model, cut, (), judged, token)
     kept = [bool(np.isfinite(y).all()) for y in plain(np.zeros(0))]

@@ -25,6 +25,7 @@ from uqharness.replay import (
     CHANNELS,
     CONTROLS,
     STATES,
+    UNSEEN,
     Flight,
     ReplayFolder,
     ReplayModel,
@@ -180,7 +181,7 @@ def _assemble(
     # A start state that two channels cannot tell apart is nobody's concern; a parameter is.
     warnings = [
         re.sub(r"\boutput (\d+)", lambda found: outputs[int(found[1])], w)
-        for w in fit.warnings if not w.startswith(("start/", "bias/", "delay/"))
+        for w in fit.warnings if not w.startswith(("start/", "bias/", "delay/", f"{UNSEEN}/"))
     ]  # fmt: skip
     assert isinstance(fit.residual, list)
     if not any(w.startswith("coloured") for w in warnings):

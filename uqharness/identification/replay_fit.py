@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from sysid.estimation import OutputErrorFit
 from sysid.estimation.output_error import output_error
 from uqharness.errors import BadInputError
-from uqharness.replay import Layout, Replay, ReplayModel, Segment, nuisance_layout
+from uqharness.replay import CONTROL_DELAY, Layout, Replay, ReplayModel, Segment, nuisance_layout
 
 Array = NDArray[np.float64]
 MAX_ITERATIONS = 40
@@ -56,7 +56,7 @@ class ReplayFit:
 
     def starts(self) -> list[Array]:
         """(9,) start state of every segment."""
-        return [start for start, _ in self.replay.starts_at(self.found.theta)]
+        return [start for start, *_ in self.replay.starts_at(self.found.theta)]
 
 
 def fit_replays(
@@ -69,7 +69,8 @@ def fit_replays(
     map_    as `replay_pool` or `spread_over` gives it
     Raises BadInputError when the model cannot fly the segments.
     """
-    layout = nuisance_layout(names, limits, observed.cut, observed.biases, observed.outputs, observed.late)
+    jumping = () if observed.late_s else jumping_in(model, observed.cut, observed.late)
+    layout = nuisance_layout(names, limits, observed.cut, observed.biases, observed.outputs, observed.late, jumping)
     replay = Replay(model, observed.cut, layout.names, observed.outputs, uuid.uuid4().hex, late_s=observed.late_s)
 
     def fit_from(theta: Array, free: Sequence[str]) -> OutputErrorFit:
@@ -94,6 +95,12 @@ def fit_replays(
             n_simulations=fit.n_simulations + again.n_simulations,
         )  # fmt: skip
     return ReplayFit(fit, layout, replay, lost)
+
+
+def jumping_in(model: ReplayModel, cut: Sequence[Segment], late: Mapping[str, Sequence[str]]) -> list[str]:
+    """Flights in which some control jumps with its command and no sensor is late: in them a row says what it has seen of that."""
+    flights = dict.fromkeys(s.flight for s in cut) if model.jumping else {}
+    return [f for f in flights if not set(late.get(f, ())) - {CONTROL_DELAY}]
 
 
 def _first_that_flies(

@@ -15,7 +15,7 @@ from uqharness.refinement.fit import Fit, Linear, fly, positions, refit
 from uqharness.refinement.sensed import sensor_late_s
 from uqharness.refinement.setup import Bench, estimated_channels
 from uqharness.refinement.types import Flown, Point, Setup
-from uqharness.replay import CONTROL_DELAY, spread_over
+from uqharness.replay import CONTROL_DELAY, UNSEEN, spread_over
 from uqharness.simulator import Aircraft
 
 ESTIMATOR_ROUNDS = 2
@@ -103,6 +103,7 @@ def point_of(found: ReplayFit, setup: Setup, names: Sequence[str], sensed: Mappi
     """Where a fit of properties ``names`` ended, with the sensors' effects that were taken out of what was measured."""
     estimates = found.values()
     nuisance = {n: estimates[n.replace("lateness/", "delay/")] for n in setup.nuisance}
+    nuisance |= {n: v for n, v in estimates.items() if n.startswith(f"{UNSEEN}/")}
     point = Point({n: estimates[n] for n in names}, nuisance, tuple(found.starts()), dict(sensed or {}))
     gains = {n: sensor_gain(n.split("/")[2], point) if n.startswith("bias/") else 1.0 for n in nuisance}
     return replace(point, nuisance={n: value * gains[n] for n, value in nuisance.items()})

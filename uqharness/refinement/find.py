@@ -9,7 +9,7 @@ around that flight until it stands.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -61,6 +61,8 @@ GUST_LIMIT = 7.0
 """|t| asked of an effect in turbulence, where the air's spectrum is a model, too."""
 GUST_ODDS = 30.0
 """Odds against what a gust model that is a little off would look like."""
+LEFT_T = 10.0
+"""|t| from which a candidate that was not chosen is told, beside those that were: no limit for chance reaches it."""
 RESOLVED_ROWS = 0.03
 """Standard error, in rows, of a time told by replay."""
 NO_AIR = (
@@ -82,6 +84,7 @@ class Found:
     slopes          numbers that effects of stall and propulsion are written with
     flown           key -> value that an effect has in ``after``
     unnamed         effects that were chosen and are too weak to be named beside something unexplained
+    left            candidates that are not chosen and whose |t| beside the chosen is above LEFT_T: (key, t), the strongest first
     """
 
     setup: Setup
@@ -101,6 +104,7 @@ class Found:
     slopes: Mapping[str, float] = field(default_factory=dict)
     flown: Mapping[str, float] = field(default_factory=dict)
     unnamed: tuple[Choice, ...] = ()
+    left: tuple[tuple[str, float], ...] = ()
 
     @property
     def gusty(self) -> bool:
@@ -171,7 +175,7 @@ def find_effects(
         plain = {n: before.flown.point.values[n] for n in names}
         return Found(
             setup, names, before, before, none, by_key, parameters, tuple(notes), plain, None, board, limit,
-            sum(put_right), tuple(trail),
+            sum(put_right), tuple(trail), left=left_beside(evidence, free, (), odds),
         )  # fmt: skip
     selection = with_resolution(resolved(start, best), by_key, setup.segments[0].dt_s)
     # A number that JSBSim reads once stands within its error of the one flown, and what goes with it moves by that, too.
@@ -181,6 +185,7 @@ def find_effects(
         best.setup, names, before, best.fit, selection, by_key, parameters,
         tuple(notes), {n: before.flown.point.values[n] for n in names}, None, board, limit, sum(put_right),
         tuple(trail), slopes, best.about.flown,
+        left=left_beside(best.evidence, free, [c.key for c in selection.chosen], eligible(effects, setup, best.fit, best.evidence)),
     )  # fmt: skip
 
 
@@ -264,7 +269,19 @@ def _in_gusts(
         score_table(evidence, free, odds, by_key), limit,
         trail=tuple(f"one-step predictions: {line}" for line in trail), slopes=slopes,
         flown={} if best is None else best.about.flown,
+        left=left_beside(last, free, [c.key for c in selection.chosen], eligible(effects, setup, after, last)),
     )  # fmt: skip
+
+
+def left_beside(
+    evidence: Evidence, free: Sequence[str], chosen: Sequence[str], odds: Iterable[str]
+) -> tuple[tuple[str, float], ...]:
+    """Candidates not chosen whose |t| beside the chosen is above LEFT_T: (key, t), the strongest first."""
+    own = [n for n in free if not n.startswith("effect/")]
+    rest = [k for k in odds if k not in chosen and k in evidence.names]
+    t = np.nan_to_num(scores(evidence, [*own, *chosen], rest).t) if rest else np.zeros(0)
+    order = np.argsort(-np.abs(t))
+    return tuple((rest[i], float(t[i])) for i in order if abs(t[i]) > LEFT_T)
 
 
 def _moved_alone(evidence: Evidence, names: Sequence[str], fit: Fit) -> dict[str, float]:

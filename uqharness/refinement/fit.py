@@ -23,12 +23,13 @@ from sysid.parallel import ALONE, Processes
 from uqharness.refinement.candidates import effect_columns, later_controls, sensor_gain
 from uqharness.refinement.reference import Probe, ProbeJob, named_terms, probe, term_column
 from uqharness.refinement.sensed import as_sensed, late_rate, sensor_late_s
-from uqharness.refinement.types import Flown, Point, Setup, in_dynamics, lateness
+from uqharness.refinement.types import Flown, Point, Setup, in_dynamics, lateness, unseen
 from uqharness.replay import (
     CHANNELS,
     CONTROLS,
     SENSOR_OF,
     STATES,
+    UNSEEN,
     Flight,
     ReplayJob,
     ReplayModel,
@@ -40,13 +41,22 @@ from uqharness.replay import (
 )
 
 Array = NDArray[np.float64]
+_FELT = ("ax_mps2", "ay_mps2", "az_mps2")
 
 
 def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flown:
     """Replay every segment at a point; cost inf where a flight leaves the finite."""
     late = [any(sensor_late_s(c, s, point) for c in setup.outputs) for s in setup.segments]
     jobs = [
-        ReplayJob(model, s, dict(point.values), start, point.nuisance.get(lateness(s.flight), 0.0), between)
+        ReplayJob(
+            model,
+            s,
+            dict(point.values),
+            start,
+            point.nuisance.get(lateness(s.flight), 0.0),
+            between,
+            unseen=point.nuisance.get(unseen(s.flight), 0.0),
+        )
         for s, start, between in zip(setup.segments, point.starts, late, strict=True)
     ]
     every = fly_all(jobs, map_)
@@ -121,7 +131,8 @@ def parameter_columns(
     out = []
     own = {e.key for e in setup.active}
     effects = effect_columns(setup, found, flown, setup.active)
-    for segment, p, y, active in zip(setup.segments, found, flown.outputs, effects, strict=True):
+    blind = jumps_unseen(setup, found, flown.point)
+    for segment, p, y, active, jump in zip(setup.segments, found, flown.outputs, effects, blind, strict=True):
         variables = p.variables()
         inputs: dict[str, tuple[int, Array]] = {n: v for n, v in active.inputs.items() if n in names}
         for name in names:
@@ -129,9 +140,13 @@ def parameter_columns(
                 inputs[name] = term_column(name, variables) if name in analytic else (-1, p.by_property[name])
         outputs: dict[str, Array] = {n: v for n, v in active.outputs.items() if n in names}
         for name in setup.nuisance:
-            kind, flight, what = name.split("/")
+            kind, flight, *rest = name.split("/")
             if flight != segment.flight:
                 continue
+            if name == unseen(flight):
+                outputs[name] = jump
+                continue
+            what = rest[0]
             if name == lateness(flight):
                 inputs[name] = (-1, later_controls(p))
                 continue
@@ -143,6 +158,18 @@ def parameter_columns(
                     block[:, k] = -late_rate(p, c, y[:, k], sensor_late_s(c, segment, flown.point))
             outputs[name] = block
         out.append(Columns(every, inputs, outputs))
+    return out
+
+
+def jumps_unseen(setup: Setup, found: Sequence[Probe], point: Point) -> list[Array]:
+    """[(n, m)] what the outputs lack where the accelerometers have seen nothing of the jumps at their own rows."""
+    gain = [sensor_gain(c, point) for c in setup.outputs]
+    out = []
+    for p in found:
+        lacking = dict(zip(_FELT, -p.felt_jump().T, strict=True))
+        out.append(
+            np.column_stack([g * lacking.get(c, np.zeros(len(p.controls))) for c, g in zip(setup.outputs, gain, strict=True)])
+        )
     return out
 
 
@@ -168,7 +195,7 @@ class Fit:
     converged: bool
 
 
-PRIOR = {"bias": 0.1, "delay": 0.1, "lateness": 0.005}
+PRIOR = {"bias": 0.1, "delay": 0.1, "lateness": 0.005, UNSEEN: 1.0}
 """Standard deviations known beforehand. Controls act at their rows; a simulation of 10 ms a step has them act half a step early."""
 
 
@@ -269,7 +296,8 @@ def stepped(setup: Setup, point: Point, step: Mapping[str, float], limits: Mappi
             values[setup.carriers[e.key]] += step[e.key]
         elif not in_dynamics(e):
             sensed[e.key] = sensed.get(e.key, 0.0) + step[e.key]
-    nuisance = {n: point.nuisance.get(n, 0.0) + step[n] for n in setup.nuisance}
+    nuisance = {n: v for n, v in point.nuisance.items() if n.startswith(f"{UNSEEN}/")}
+    nuisance |= {n: point.nuisance.get(n, 0.0) + step[n] for n in setup.nuisance}
     return replace(point, values=values, nuisance=nuisance, sensed=sensed)
 
 

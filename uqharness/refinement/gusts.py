@@ -19,10 +19,10 @@ from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.effects import Columns, Evidence, Gusts, White, gather, gust_intensity, minus_twice_log, noise_factors, whiten
 from sysid.parallel import Processes
 from uqharness.refinement.candidates import sensor_gain, sensor_offset
-from uqharness.refinement.fit import PRIOR, Fit, parameter_columns, probes, stepped, steps_of
+from uqharness.refinement.fit import PRIOR, Fit, jumps_unseen, parameter_columns, probes, stepped, steps_of
 from uqharness.refinement.reference import Predicted, Probe, along, named_terms
 from uqharness.refinement.sensed import as_sensed, moved_later, sensor_late_s
-from uqharness.refinement.types import Flown, Point, Setup
+from uqharness.refinement.types import Flown, Point, Setup, unseen
 from uqharness.replay import CONTROLS, ReplayModel, Segment, by_run, surface_positions
 
 Array = NDArray[np.float64]
@@ -100,7 +100,10 @@ def moved(values: Array, rows: int) -> Array:
 
 
 def middles(model: ReplayModel, setup: Setup, map_: Processes) -> list[Array]:
-    """[(n - 1, c)] how far the controls stand from the mean of a step's ends at its middle: a servo's path is no straight line."""
+    """[(2, n - 1, c)] how far the controls stand from the mean of a step's ends at its middle, and at its end from the next row's.
+
+    A servo's path is no straight line, and a surface without a lag jumps at a row: until then it stands where it stood.
+    """
     return list(map_(_middles, [(model, s) for s in setup.segments]))
 
 
@@ -116,7 +119,9 @@ def _middles(job: tuple[ReplayModel, Segment]) -> Array:
         targets = None if segment.targets is None else np.repeat(segment.targets, 2, axis=0)[:-1]
         half = surface_positions(model, replace(segment, time_s=time_s, controls=fine, targets=targets), CONTROLS)
         middle[:, held] = half[1::2][:, held]
-    return np.asarray(middle - 0.5 * (ends[:-1] + ends[1:]))
+    jumps = np.array([c in model.jumping for c in model.controls])
+    last = np.where(jumps, middle, ends[1:])
+    return np.stack([middle - 0.5 * (ends[:-1] + ends[1:]), last - ends[1:]])
 
 
 def predict(
@@ -126,17 +131,25 @@ def predict(
     """The measured flight and the model's forces along it."""
     flown = measured_flight(setup, point)
     found = [
-        along(p, bend=_bend(p, b))
+        replace(along(p, bend=_bend(p, b)), jump=_jump(p, b))
         for p, b in zip(probes(straight, setup, flown, controls, differ, map_, consistent=False), bends, strict=True)
     ]
     return flown, found
 
 
 def _bend(p: Probe, away: Array) -> Array:
-    """(n - 1, 6) force and moment that the surfaces' paths add in the middle of a step."""
+    """(2, n - 1, 6) force and moment that the surfaces' paths add in the middle and at the end of a step."""
     scale = p.reference.qbar[:, None] * p.mass.S * np.array([1.0, 1.0, 1.0, p.mass.b, p.mass.c, p.mass.b])
-    middle = 0.5 * (p.by_control[:-1] + p.by_control[1:]) * (0.5 * (scale[:-1] + scale[1:]))[:, :, None]
-    return np.asarray(np.einsum("nij,nj->ni", middle, away))
+    slopes = p.by_control * scale[:, :, None]
+    at = np.stack([0.5 * (slopes[:-1] + slopes[1:]), slopes[1:]])
+    return np.asarray(np.einsum("knij,knj->kni", at, away))
+
+
+def _jump(p: Probe, away: Array) -> Array | None:
+    """(n, 6) change of CX..Cn by what the controls jump at each row; the first row's is not known."""
+    if not away[1].any():
+        return None
+    return np.einsum("nij,nj->ni", p.by_control, np.vstack([np.zeros_like(away[1, :1]), -away[1]]))
 
 
 def gust_refit(
@@ -153,6 +166,9 @@ def gust_refit(
     searched, again = False, False
     keys = {e.key for e in setup.active}
     own = [n for n in names if n not in keys]
+    jumping = {} if setup.late else dict.fromkeys(s.flight for s, b in zip(setup.segments, bends, strict=True) if b[1].any())
+    if jumping:
+        setup = replace(setup, jumping=tuple(jumping))
     for number in range(1, iterations + 1):
         differ: list[str] = [] if analytic is None else [n for n in own if n not in analytic]
         flown, found = predict(straight, setup, point, controls, bends, differ, map_)
@@ -228,6 +244,8 @@ class _Linear:
         for k, s in zip(missing, steps_of(found, outputs, self.setup, point, states, self.by), strict=True):
             which, y, segment = self.setup.which, s.y_ref.copy(), self.setup.segments[k]
             # Outputs are those at the reference, biases added.
+            share = point.nuisance.get(unseen(segment.flight), 0.0)
+            y[:, which] += share * jumps_unseen(self.setup, [self.found[k]], replace(point, sensed={}))[0]
             y[:, which] = as_sensed(y[:, which], self.setup, segment, point, rows_late(self.setup, segment, point))
             self.made[k, states] = replace(s, y_ref=y)
         return [self.made[k, states] for k in some]

@@ -50,6 +50,7 @@ class Probe:
     by_control  (n, 6, c) change of CX..Cn by each control, per record unit; controls (n, c) positions
     by_property property -> (n, 6) change of CX..Cn by a unit of it
     height_m    (n,) above the ground; infinite where the record does not say
+    jump        (n, 6) change of CX..Cn by what the controls jump at each row; none where nothing jumps
     by_inflow   (n,) change of CX by thrust's own slope with airspeed, V dT/dV/(qbar S): by an inflow that is twice the model's
     predicted   in turbulence: a regressor that has seen a sample must not be used to predict that sample
     """
@@ -65,6 +66,16 @@ class Probe:
     height_m: Array
     predicted: Predicted | None = None
     by_inflow: Array | None = None
+    jump: Array | None = None
+
+    def felt_jump(self) -> Array:
+        """(n, 3) what the accelerometers feel of the controls' jumps [m/s2]."""
+        if self.jump is None:
+            return np.zeros((len(self.controls), 3))
+        m, arm = self.mass, np.broadcast_to(self.reference.arm_m, (len(self.controls), 3))
+        load = self.jump * (self.reference.qbar[:, None] * m.S * np.array([1.0, 1.0, 1.0, m.b, m.c, m.b]))
+        turn = load[:, 3:] @ np.linalg.inv(m.inertia).T
+        return np.asarray(load[:, :3] / m.mass + np.cross(turn, arm))
 
     @property
     def body(self) -> Array:

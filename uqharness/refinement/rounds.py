@@ -238,14 +238,14 @@ def resolved(start: Start, found: Round) -> Selection:
     free = [n for n in found.fit.columns[0].names if n not in found.keys]
     rest = [e for e in start.effects if e.key in found.evidence.names and e.key not in kept]
     open_ = list(eligible(rest, start.setup, found.fit, found.evidence))
-    brief = _brief([e for e in rest if e.key not in open_], free, kept, found.evidence)
+    brief = _brief([e for e in rest if e.key not in open_], free, kept, found.evidence, start.setup)
     if len(kept) == len(chosen) and not brief:
         return found.selection
     again = judged(found.evidence, free, kept, [*open_, *brief], start.confirming, TWINS)
     return replace(found.selection, chosen=again)
 
 
-def _brief(effects: Sequence[Effect], free: Sequence[str], kept: Sequence[str], evidence: Evidence) -> list[str]:
+def _brief(effects: Sequence[Effect], free: Sequence[str], kept: Sequence[str], evidence: Evidence, setup: Setup) -> list[str]:
     """Times among effects that are no candidates, being too short, that have their sign in the place of one that was kept."""
     timed = [e for e in effects if e.unit in ("s", "s/deg")]
     if not timed or not kept:
@@ -253,7 +253,7 @@ def _brief(effects: Sequence[Effect], free: Sequence[str], kept: Sequence[str], 
     names = [e.key for e in timed]
     instead = [scores(evidence, [*free, *(o for o in kept if o != k)], names).estimate for k in kept]
     largest = np.max(np.nan_to_num(instead, nan=-np.inf), axis=0)
-    return [e.key for e, value in zip(timed, largest, strict=True) if value > 0.0 or not e.positive]
+    return [e.key for e, value in zip(timed, largest, strict=True) if value > 0.0 or not e.positive or may_be_faster(e, setup)]
 
 
 def _least_late_s(setup: Setup) -> float:
@@ -269,7 +269,7 @@ def eligible(effects: Sequence[Effect], setup: Setup, fit: Fit, evidence: Eviden
     for e, estimate, share in zip(effects, found.estimate, found.share, strict=True):
         if not share > 0.0:
             continue
-        if e.positive and not estimate > 0.0:
+        if e.positive and not estimate > 0.0 and not may_be_faster(e, setup):
             continue
         if e.unit == "s" and not abs(estimate) > least:
             continue
@@ -277,6 +277,12 @@ def eligible(effects: Sequence[Effect], setup: Setup, fit: Fit, evidence: Eviden
             continue
         out[e.key] = e.odds
     return out
+
+
+def may_be_faster(effect: Effect, setup: Setup) -> bool:
+    """Whether the effect is the lag of a servo that has one in the XML, which the real one need not have."""
+    servo = setup.servos.get((effect.subsystem or "").removeprefix("actuator."))
+    return effect.term == "lag" and servo is not None and servo.lag is not None
 
 
 def largest_step(setup: Setup, effect: Effect) -> float:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
 from sysid.effects import Effect
-from uqharness.replay import CONTROL_DELAY, Flight, Segment
+from uqharness.replay import CONTROL_DELAY, UNSEEN, Flight, Segment
 from uqharness.simulator import Actuator
 
 Array = NDArray[np.float64]
@@ -26,12 +26,17 @@ def lateness(flight: str) -> str:
     return f"lateness/{flight}/{CONTROL_DELAY}"
 
 
+def unseen(flight: str) -> str:
+    """Name of the share of a control's jump that the accelerometers of its row have not seen."""
+    return f"{UNSEEN}/{flight}"
+
+
 @dataclass(frozen=True)
 class Setup:
     """Everything about the flights that does not change with the model's numbers.
 
     measured [(n, m)] outputs as logged; noise (m,); late: flight -> sensors whose delay is estimated; timed: flights of which it is
-    estimated how late the controls act (`lateness`); biased: channels;
+    estimated how late the controls act (`lateness`); jumping: of which is estimated what is `unseen`; biased: channels;
     active: effects that the model being flown has, or that its sensors have; carriers: key -> property of those that have one;
     servos: actuators of the surfaces whose commands alone were recorded; limits: surface -> rate limits [deg/s] from and to which
     a slower servo's effect is read; lagging: surface -> time constant [s] beyond its servo's own with which it flies;
@@ -53,6 +58,7 @@ class Setup:
     lagging: Mapping[str, float] = field(default_factory=dict)
     slopes: Mapping[str, float] = field(default_factory=dict)
     timed: tuple[str, ...] = ()
+    jumping: tuple[str, ...] = ()
 
     @property
     def which(self) -> list[int]:
@@ -68,7 +74,7 @@ class Setup:
     def nuisance(self) -> tuple[str, ...]:
         """Names of gyro biases and delays, estimated beside parameters and effects."""
         names = [f"bias/{f.name}/{c}" for f in self.flights for c in self.biased]
-        names += [lateness(f) for f in self.timed]
+        names += [*(lateness(f) for f in self.timed), *(unseen(f) for f in self.jumping)]
         return (*names, *(f"delay/{f}/{s}" for f, sensors in self.late.items() for s in sensors))
 
 

@@ -39,6 +39,7 @@ from .replay import CHANNELS as CHANNELS
 from .replay import CONTROL_DELAY as CONTROL_DELAY
 from .replay import SENSOR_OF as SENSOR_OF
 from .replay import STATES as STATES
+from .replay import UNSEEN as UNSEEN
 from .replay import at_rows as at_rows
 from .replay import by_run as by_run
 from .replay import late_rows as late_rows

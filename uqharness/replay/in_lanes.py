@@ -45,6 +45,7 @@ class ReplayJob:
     late_s: float = 0.0
     between: bool = False
     extra: tuple[str, ...] = ()
+    unseen: float = 0.0
 
 
 Map = Callable[[Callable[[ReplayJob], Array], Sequence[ReplayJob]], Iterable[Array]]
@@ -52,7 +53,7 @@ Map = Callable[[Callable[[ReplayJob], Array], Sequence[ReplayJob]], Iterable[Arr
 
 def by_jsbsim(job: ReplayJob) -> Array:
     """Fly one replay in JSBSim."""
-    return fly_segment(job.model, job.segment, job.properties, job.start, job.extra, job.late_s, job.between)
+    return fly_segment(job.model, job.segment, job.properties, job.start, job.extra, job.late_s, job.between, job.unseen)
 
 
 def fly_all(jobs: Sequence[ReplayJob], map_: Map = map) -> list[Array]:
@@ -78,6 +79,8 @@ class _Program:
 
 _Alike = tuple[str, tuple[str, ...], int]
 """What jobs that one program flies have in common: the aircraft, what is recorded, the runs between two outputs."""
+_Timing = tuple[int, float, bool, float]
+"""Segment, lateness, outputs between rows, share unseen: what makes the controls of a replay."""
 _programs: OrderedDict[_Alike, _Program | None] = OrderedDict()
 
 
@@ -139,16 +142,16 @@ def _judged(job: ReplayJob, program: _Program | None) -> _Program | None:
 
 def _in_lanes(program: _Program, jobs: Sequence[ReplayJob]) -> list[Array]:
     shapes = [shape_of(job.segment, job.between) for job in jobs]
-    controls: dict[tuple[int, float, bool], Array] = {}
+    controls: dict[_Timing, Array] = {}
     lanes = [_lane(program, job, shape, controls) for job, shape in zip(jobs, shapes, strict=True)]
     found = {k: _outputs(rows, jobs[k], shapes[k]) for k, rows in batch.fly_replays(program.replay, lanes)}
     return [found[k] for k in range(len(jobs))]
 
 
-def _lane(program: _Program, job: ReplayJob, shape: Shape, controls: dict[tuple[int, float, bool], Array]) -> ReplayLane:
-    key = (id(job.segment), job.late_s, job.between)
+def _lane(program: _Program, job: ReplayJob, shape: Shape, controls: dict[_Timing, Array]) -> ReplayLane:
+    key = (id(job.segment), job.late_s, job.between, job.unseen)
     if key not in controls:
-        controls[key] = run_controls(job.model, job.segment, shape, job.late_s)
+        controls[key] = run_controls(job.model, job.segment, shape, job.late_s, job.unseen)
     latitude, height = _level(program, job)
     V, alpha, beta, phi, theta, psi, p, q, r = (float(x) for x in job.start)
     u, v, w = body_velocity(V, alpha, beta)

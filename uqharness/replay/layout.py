@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from uqharness.replay.flights import Flight
-from uqharness.replay.replay import CONTROL_DELAY, SENSOR_OF
+from uqharness.replay.replay import CONTROL_DELAY, SENSOR_OF, UNSEEN
 from uqharness.replay.segments import Segment
 
 _FREE_STARTS = ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps")
@@ -15,6 +15,7 @@ _START_WIDTH = {"V_mps": 6.0, "alpha_rad": 0.2, "beta_rad": 0.2, "phi_rad": 0.3,
 _BIAS_WIDTH = {"V_mps": 5.0, "ax_mps2": 2.0, "ay_mps2": 2.0, "az_mps2": 2.0}
 _DEFAULT_WIDTH = 0.5
 _DELAY_WIDTH = 0.15
+_UNSEEN = (-0.5, 1.5)  # none and all of it, and room for noise
 _REFERENCE = SENSOR_OF["p_radps"]
 
 
@@ -28,9 +29,10 @@ class Layout:
 
 def nuisance_layout(
     names: Sequence[str], limits: Sequence[tuple[float, float]], cut: Sequence[Segment], biases: Sequence[str],
-    outputs: Sequence[str], late: Mapping[str, Sequence[str]],
+    outputs: Sequence[str], late: Mapping[str, Sequence[str]], jumping: Sequence[str] = (),
 ) -> Layout:  # fmt: skip
-    """Parameters, one bias a flight and channel, the delays ``late`` (flight -> channels), start states of every segment."""
+    """Parameters, one bias a flight and channel, the delays ``late`` (flight -> channels), what the accelerometers have not seen of
+    the jumps in flights ``jumping``, start states of every segment."""
     extra, bounds = [], list(limits)
     for flight in dict.fromkeys(s.flight for s in cut):
         for channel in biases:
@@ -40,6 +42,8 @@ def nuisance_layout(
     for flight, channels in late.items():
         extra += [f"delay/{flight}/{channel}" for channel in channels]
         bounds += [(-_DELAY_WIDTH, _DELAY_WIDTH)] * len(channels)
+    extra += [f"{UNSEEN}/{flight}" for flight in jumping]
+    bounds += [_UNSEEN] * len(jumping)
     for number in range(len(cut)):
         for state in _FREE_STARTS:
             if state not in outputs:

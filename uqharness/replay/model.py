@@ -52,6 +52,11 @@ class ReplayModel:
     near_ground: bool = False
     by_rates: bool = False
 
+    @property
+    def jumping(self) -> tuple[str, ...]:
+        """Controls that jump with their commands."""
+        return tuple(c for c in self.controls if c not in self.measured and c not in self.lagging)
+
     def to_property(self, controls: Array) -> Array:
         """(..., c) values of the controls in the record's units, in those of their properties."""
         out = controls * np.array(self.factor)

@@ -4,7 +4,8 @@ Timing. A record's command k acts from sample k on: the acceleration of sample k
 is set before the run that arrives at sample k, and never earlier: one run too early or late is a lag in every servo.
 JSBSim's second-order integrators and its actuators (Tustin) take a step for a ramp that began a run before, half a run early in the
 mean; the values of the runs around a step make up for that (`by_run`). Any flight has its own way between two samples, one that
-JSBSim flew acted half of its own step early: how late the controls act is for the estimator to find (CONTROL_DELAY).
+JSBSim flew acted half of its own step early: how late the controls act is for the estimator to find (CONTROL_DELAY). So is whether
+a row's accelerometers were read before its command went out (UNSEEN): a surface without a lag jumps then, and so do they.
 """
 
 from __future__ import annotations
@@ -39,6 +40,8 @@ SENSOR_OF = {
 """Channels that come from one sensor and share its delay; the others stand for themselves."""
 CONTROL_DELAY = "controls"
 """What a delay is called by which the controls act late, all of them."""
+UNSEEN = "unseen"
+"""What the share of a jump is called that the accelerometers of its row have not seen."""
 MAX_STEP_S = 0.0025
 """Longest run. The integrators change a mode of rate w by (5/12)(w run)^2: at 10 ms 0.3 % of the roll mode, more than two standard
 errors of three calm flights of 90 s, at 2.5 ms 0.02 %."""
@@ -67,12 +70,12 @@ def shape_of(segment: Segment, between: bool = False) -> Shape:
     return Shape(segment.dt_s / runs, runs, runs // outputs, (len(segment.time_s) - 1) * outputs + 1)
 
 
-def run_controls(model: ReplayModel, segment: Segment, shape: Shape, late_s: float = 0.0) -> Array:
+def run_controls(model: ReplayModel, segment: Segment, shape: Shape, late_s: float = 0.0, unseen: float = 0.0) -> Array:
     """((n - 1) runs + 1, c) values of the controls' properties in every run, the first while initialising."""
     measured, lagging = ([name in kind for name in model.controls] for kind in (model.measured, model.lagging))
-    at_rows_only = shape.stride == shape.runs
+    seen = 1.0 - unseen if shape.stride == shape.runs else None
     late = late_s / segment.dt_s * shape.runs
-    return model.to_property(by_run(segment, shape.runs, measured, lagging, late, at_rows_only))
+    return model.to_property(by_run(segment, shape.runs, measured, lagging, late, seen))
 
 
 def runs_per_row(dt_s: float) -> int:
@@ -88,10 +91,12 @@ def fly_segment(
     extra: Sequence[str] = (),
     late_s: float = 0.0,
     between: bool = False,
+    unseen: float = 0.0,
 ) -> Array:
     """(n, 13 + len(extra)) outputs: CHANNELS, then the properties ``extra`` in their own units.
 
-    properties are set before initialising; start (9,) replaces the segment's own; controls act ``late_s`` after their time.
+    properties are set before initialising; start (9,) replaces the segment's own; controls act ``late_s`` after their time;
+    unseen: share of a jump that the accelerometers of its row have not seen.
     between: ((n - 1) k + 1, ...) outputs at the rows and at k - 1 equal steps between two of them, BETWEEN_S or less.
     Rows after a failure in flight are NaN.
     Raises BadInputError for a property that the model has not.
@@ -103,7 +108,7 @@ def fly_segment(
     setters = control_setters(fdm, model)
     _initialise(fdm, segment, segment.start if start is None else start, setters, model)
     read = _reader(fdm, extra)
-    rows = _advance(fdm, run_controls(model, segment, shape, late_s), setters, read, shape.stride)
+    rows = _advance(fdm, run_controls(model, segment, shape, late_s, unseen), setters, read, shape.stride)
     return outputs_of(np.array(rows), segment, len(extra), shape.rows)
 
 
@@ -153,14 +158,15 @@ def _reader(fdm: Any, extra: Sequence[str]) -> Any:
 
 
 def by_run(
-    segment: Segment, runs: int, measured: Sequence[bool], lagging: Sequence[bool], late: float = 0.0, rows_see: bool = True
-) -> Array:
+    segment: Segment, runs: int, measured: Sequence[bool], lagging: Sequence[bool], late: float = 0.0,
+    seen: float | None = 1.0,
+) -> Array:  # fmt: skip
     """((n - 1) runs + 1, c) control values of every run, the first at the first row; all of them ``late`` runs late.
 
     A command is held, and begins half a run later than it is set (see the module's text). An actuator with a lag has not moved at
     the row of a step: what is missing there the run after it has besides, so that a rate limit behind the lag begins in time. A
-    surface that jumps with its command has jumped at its row, whenever the others began to move: rows_see, where outputs are
-    those of the rows alone. The run after takes back what this moves too early.
+    surface that jumps with its command has jumped at its row by the share ``seen``, whenever the others began to move; None, for
+    outputs between rows: as it comes. The run after takes back what this moves too early.
     A measured position goes to the next one as a servo does: exponentially towards its command where that is known and explains
     the two, else in a straight line.
     """
@@ -187,9 +193,10 @@ def by_run(
         if wait != 0.0:
             # In proportion between two runs: the step's mean time is right.
             out[:, column] = np.interp(at - wait, at, out[:, column])
-    if rows_see:
+    if seen is not None:
         rows = at[::runs]
-        missing = np.where(jumps, segment.controls - out[rows], 0.0)
+        before = np.vstack([segment.controls[:1], now])
+        missing = np.where(jumps, before + seen * (segment.controls - before) - out[rows], 0.0)
         out[rows] += missing
         out[rows[:-1] + 1] -= missing[:-1]
     return out

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from uqharness.replay.in_lanes import ReplayJob, fly_all
 from uqharness.replay.model import ReplayModel
-from uqharness.replay.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF, STATES, at_rows, late_rows
+from uqharness.replay.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF, STATES, UNSEEN, at_rows, late_rows
 from uqharness.replay.segments import Segment
 
 Array = NDArray[np.float64]
 _CACHE_BYTES = 800_000_000
+Start = tuple[Array, float, float]
+"""Start state (9,), how late the controls act [s], share of a jump unseen."""
 
 
 class Replay:
@@ -23,7 +25,8 @@ class Replay:
 
     theta is laid out by ``names``: JSBSim properties; ``bias/<flight>/<channel>`` added to an output;
     ``delay/<flight>/<sensor>`` by which a sensor's outputs come late, s (SENSOR_OF), or, for CONTROL_DELAY, by which the controls
-    act late; and ``start/<segment number>/<state>`` added to a segment's start state. What a perturbed value does not touch is
+    act late; ``unseen/<flight>`` the share of a control's jump that the accelerometers of its row have not seen; and
+    ``start/<segment number>/<state>`` added to a segment's start state. What a perturbed value does not touch is
     not flown again.
     channels: which of CHANNELS are returned; late_s: channel -> known time by which it comes late besides.
     """
@@ -37,16 +40,19 @@ class Replay:
         self.base = dict(base or {})
         self._late_s = {self.channels.index(c): s for c, s in (late_s or {}).items() if s != 0.0}
         self._columns = [CHANNELS.index(c) for c in channels]
-        self._properties = [(i, n) for i, n in enumerate(names) if not n.startswith(("bias/", "delay/", "start/"))]
+        self._properties = [(i, n) for i, n in enumerate(names) if not n.startswith(("bias/", "delay/", "start/", f"{UNSEEN}/"))]
         self._biases: dict[str, list[tuple[int, int]]] = {}
         self._delays: dict[str, list[tuple[int, int]]] = {}
         self._starts: dict[int, list[tuple[int, int]]] = {}
         self._late: dict[str, int] = {}
+        self._unseen: dict[str, int] = {}
         self._kept: dict[int, tuple[tuple[_Key, bytes], Array]] = {}
         for i, name in enumerate(names):
             kind, _, rest = name.partition("/")
             where, _, what = rest.rpartition("/")
-            if kind == "bias" and what in self.channels:
+            if kind == UNSEEN:
+                self._unseen[rest] = i
+            elif kind == "bias" and what in self.channels:
                 self._biases.setdefault(where, []).append((i, self.channels.index(what)))
             elif kind == "delay" and what == CONTROL_DELAY:
                 self._late[where] = i
@@ -56,18 +62,19 @@ class Replay:
             elif kind == "start":
                 self._starts.setdefault(int(where), []).append((i, STATES.index(what)))
 
-    def starts_at(self, theta: Array) -> list[tuple[Array, float]]:
-        """Every segment's start state (9,) and how late its controls act [s], at theta."""
+    def starts_at(self, theta: Array) -> list[Start]:
+        """Every segment's start state (9,), how late its controls act [s], and what share of a jump is unseen, at theta."""
         starts = []
         for number, segment in enumerate(self.segments):
             start = segment.start.copy()
             for i, k in self._starts.get(number, ()):
                 start[k] += theta[i]
-            starts.append((start, float(theta[self._late[segment.flight]]) if segment.flight in self._late else 0.0))
+            late, unseen = (float(theta[of[segment.flight]]) if segment.flight in of else 0.0 for of in (self._late, self._unseen))
+            starts.append((start, late, unseen))
         return starts
 
-    def _conditions(self, theta: Array) -> tuple[dict[str, float], list[tuple[Array, float]]]:
-        """Properties, and every segment's start state and lateness of the controls, at theta."""
+    def _conditions(self, theta: Array) -> tuple[dict[str, float], list[Start]]:
+        """Properties, and every segment's start state and timing of the controls, at theta."""
         return {**self.base, **{n: float(theta[i]) for i, n in self._properties}}, self.starts_at(theta)
 
     def __call__(self, theta: Array) -> list[Array]:
@@ -85,7 +92,7 @@ class Replay:
         segment: Segment,
         theta: Array,
         key: _Key,
-        conditions: tuple[Mapping[str, float], Array, float],
+        conditions: tuple[Mapping[str, float], Array, float, float],
     ) -> Array:
         """(n, m) outputs of one segment with its flight's delays and biases; the last ones are kept."""
         late, biased = self._delays.get(segment.flight, []), self._biases.get(segment.flight, [])
@@ -108,21 +115,26 @@ class Replay:
         self._kept[number] = (state, flown)
         return flown
 
-    def _flown(self, number: int, segment: Segment, properties: Mapping[str, float], start: Array, late_s: float) -> Array:
-        key = self._key(number, properties, start, late_s)
+    def _flown(
+        self, number: int, segment: Segment, properties: Mapping[str, float], start: Array, late_s: float, unseen: float
+    ) -> Array:  # fmt: skip
+        key = self._key(number, properties, start, late_s, unseen)
         found = _flown.get(key)
         if found is None:
-            (found,) = fly_all([self._job(segment, properties, start, late_s)])
+            (found,) = fly_all([self._job(segment, properties, start, late_s, unseen)])
             _remember(key, found)
         else:
             _flown.move_to_end(key)
         return found
 
-    def _job(self, segment: Segment, properties: Mapping[str, float], start: Array, late_s: float) -> ReplayJob:
-        return ReplayJob(self.model, segment, dict(properties), start, late_s, segment.flight in self._delays or bool(self._late_s))
+    def _job(
+        self, segment: Segment, properties: Mapping[str, float], start: Array, late_s: float, unseen: float
+    ) -> ReplayJob:  # fmt: skip
+        between = segment.flight in self._delays or bool(self._late_s)
+        return ReplayJob(self.model, segment, dict(properties), start, late_s, between, unseen=unseen)
 
-    def _key(self, number: int, properties: Mapping[str, float], start: Array, late_s: float) -> _Key:
-        return self.token, number, np.array(list(properties.values())).tobytes(), start.tobytes(), late_s
+    def _key(self, number: int, properties: Mapping[str, float], start: Array, late_s: float, unseen: float) -> _Key:
+        return self.token, number, np.array(list(properties.values())).tobytes(), start.tobytes(), late_s, unseen
 
     def fetch(self, thetas: Sequence[Array], map_: Callable[..., Iterable[Any]]) -> None:
         """Fly whatever several theta need and nobody remembers, each piece once, by ``map_`` (a process pool's, say).
@@ -143,7 +155,7 @@ class Replay:
 
 
 # Memory of the process, shared by unpickled copies of a replay: perturbing one segment's start leaves the others as they were.
-_Key = tuple[str, int, bytes, bytes, float]
+_Key = tuple[str, int, bytes, bytes, float, float]
 _flown: OrderedDict[_Key, Array] = OrderedDict()
 counter = {"rows": 0, "bytes": 0, "segments": 0}
 

@@ -20,6 +20,10 @@ from uqharness.simulator.aircraft import Aircraft, open_aircraft, parse_xml
 Array = NDArray[np.float64]
 
 
+SHORTEST_S = 1e-3
+"""Time constant below which a servo acts at once."""
+
+
 @dataclass(frozen=True)
 class Actuator:
     """First-order lag [1/s] (None: none), rate limit [unit/s] and stops."""
@@ -30,8 +34,8 @@ class Actuator:
     high: float = math.inf
 
     def lag_with(self, more_s: float) -> float:
-        """Lag [1/s] where its time constant is so much longer."""
-        return 1.0 / ((1.0 / self.lag if self.lag else 0.0) + more_s)
+        """Lag [1/s] where its time constant is so much longer, or for a negative one shorter: at least SHORTEST_S."""
+        return 1.0 / max((1.0 / self.lag if self.lag else 0.0) + more_s, SHORTEST_S)
 
     def slowed_to(self, more_s_per_unit: float) -> float:
         """Rate limit [unit/s] where each unit of travel takes so much longer."""

@@ -84,7 +84,7 @@ def _unexplained(document: Mapping[str, Any]) -> str:
     withdrawn = [e["name"] for e in document["effects"] if e["withdrawn"]]
     if withdrawn:
         return f"{', '.join(withdrawn)} did not shrink the gap on the test flights and was withdrawn"
-    where = [w.get("words") or w.get("coefficient", "") for w in document["remaining"]["where"]]
+    where = [w.get("words") or w.get("coefficient", "") for w in document["remaining"]["where"] if "words" in w or "t" not in w]
     return "; ".join(w for w in where if w) or "the residuals are not white, and no place stands out"
 
 

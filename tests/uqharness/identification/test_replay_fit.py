@@ -1,18 +1,26 @@
 """One fit for identify, compare and refine: the same estimates and gap from each, and what the flights do not tell stays."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from sysid.parallel import ALONE
 from tests.helpers.flown import fly
+from tests.helpers.sixdof import Airframe
+from tests.hidden_effects import motion
+from tests.hidden_effects.cases import cards
+from tests.hidden_effects.flights import Flight
+from tests.hidden_effects.flights import fly as fly_hidden
 from uqharness.errors import BadInputError
+from uqharness.identification import replay_fit
 from uqharness.identification.compare import compare
 from uqharness.identification.identify import identify
-from uqharness.identification.replay_fit import Observed, fit_replays
-from uqharness.refinement.base import base_fit
+from uqharness.identification.replay_fit import Observed, fit_replays, jumping_in
+from uqharness.refinement.base import base_fit, observed
 from uqharness.refinement.setup import Bench, make_setup
 from uqharness.refinement.showing.show import show
-from uqharness.replay import CONTROL_DELAY, ReplayFolder, command_later
+from uqharness.replay import CONTROL_DELAY, CONTROLS, ReplayFolder, command_later
 from uqharness.replay.flights import prepare
 from uqharness.replay.pool import spread_over
 from uqharness.simulator.aircraft import find_aircraft
@@ -82,3 +90,45 @@ def test_what_the_flights_do_not_determine_stays(aircraft, flight):
         assert fit.values()["aero/Cm_q"] == pytest.approx(-13.8, abs=1.0)
         with pytest.raises(BadInputError, match="cannot fly these segments"):
             fit_replays(model, observed, names, (np.array([1e9, 1e9]),), [(None, None)] * 2, spread_over(map))
+
+
+@pytest.fixture
+def jumping(monkeypatch):
+    """Three manoeuvres of equations of motion whose servos act at once, and whose rows were read before their commands went out."""
+    monkeypatch.setattr(motion, "LAG", (1e6,) * 4)
+    monkeypatch.setattr(motion, "RATE", (1e9,) * 4)
+    card = cards("jumps", "mixed", 0.0, 1.0, 50.0)[0]
+    return prepare("f", fly_hidden([Flight(card, Airframe())])[0], ())
+
+
+def test_what_accelerometers_have_not_seen_of_a_jump_is_estimated(aircraft, jumping):
+    names = ("aero/CZ_de", "aero/Cm_de", "aero/CY_dr", "aero/Cl_da")
+    true = [Airframe().coefficients[n.removeprefix("aero/")] for n in names]
+    setup = make_setup(aircraft, [jumping], (), CONTROLS)
+    bounds = [aircraft.card.parameters[n].bounds for n in names]
+    with ReplayFolder(aircraft, ideal=CONTROLS) as model:
+        fit = fit_replays(model, observed(setup), names, (np.array(true),), bounds, spread_over(map))
+        blind = fit_replays(
+            replace(model, lagging=("throttle_pct",)), observed(setup), names, (np.array(true),), bounds, spread_over(map)
+        )
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(replay_fit, "jumping_in", lambda *_: [])
+            without = fit_replays(model, observed(setup), names, (np.array(true),), bounds, spread_over(map))
+    share, std = (fit.values()["unseen/f"], float(fit.found.std[fit.layout.names.index("unseen/f")]))
+    assert share == pytest.approx(1.0, abs=4.0 * std)
+    assert std < 0.05
+    assert (np.array([fit.values()[n] for n in names]) - true) / fit.found.std[:4] == pytest.approx(0.0, abs=4.0)
+    assert blind.values()["unseen/f"] == pytest.approx(share, abs=3.0 * std)
+    # Taken to have seen their jumps, the same flights put the force of a surface elsewhere.
+    assert "unseen/f" not in without.layout.names
+    assert np.abs((np.array([without.values()[n] for n in names]) - true) / without.found.std[:4]).max() > 4.0
+
+
+def test_a_lag_in_every_servo_leaves_nothing_to_see(aircraft, flight):
+    setup = make_setup(aircraft, [flight], ())
+    with ReplayFolder(aircraft) as model:
+        assert model.jumping == ()
+        assert jumping_in(model, setup.segments, {}) == []
+    with ReplayFolder(aircraft, ideal=("elevator",)) as model:
+        assert jumping_in(model, setup.segments, {"f": [CONTROL_DELAY]}) == ["f"]
+        assert jumping_in(model, setup.segments, {"f": ["rates"]}) == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +15,7 @@ from sysid.effects.selection import Choice
 from sysid.effects.subsystem_effects import subsystem_effects
 from sysid.effects.turbulence import noise_factors
 from sysid.estimation.kalman import Process
+from sysid.parallel import ALONE
 from uqharness.refinement import gusts as refine_gusts
 from uqharness.refinement import rounds as refine_rounds
 from uqharness.refinement.candidates import effect_columns
@@ -23,6 +25,9 @@ from uqharness.refinement.reference import Predicted, Probe
 from uqharness.refinement.sensed import as_sensed
 from uqharness.refinement.showing import show as refine_show
 from uqharness.refinement.types import Point
+from uqharness.replay.model import ReplayFolder
+from uqharness.replay.segments import Segment
+from uqharness.simulator.aircraft import find_aircraft
 
 OUTPUTS = ("V_mps", "alpha_rad", "ax_mps2")
 N, DT = 40, 0.02
@@ -207,7 +212,7 @@ def iterated(monkeypatch, steps, strengths=(1.0,), **asked):
         monkeypatch.setattr(refine_gusts, name, instead)
     setup = SimpleNamespace(active=(), held=(), late={}, noise=np.ones(1), which=[0], segments=[SimpleNamespace(flight="one")])
     point = SimpleNamespace(values={})
-    refine_gusts.gust_refit(None, setup, [], [], point, ["aero/Cm_q"], {}, map, **asked)  # type: ignore[arg-type]
+    refine_gusts.gust_refit(None, setup, [], [np.zeros((2, 1, 4))], point, ["aero/Cm_q"], {}, map, **asked)  # type: ignore[arg-type]
     return sought, taken
 
 
@@ -255,3 +260,34 @@ def test_the_air_of_flights_that_no_filter_follows_is_that_of_the_others(monkeyp
     assert refine_show.air_of(None, setup, (), (), map, {}, near) is near  # type: ignore[arg-type]
     monkeypatch.setattr(refine_show, "gust_refit", lambda *_, **__: SimpleNamespace(gusts="their own"))
     assert refine_show.air_of(None, setup, (), (), map, {}, near) == "their own"  # type: ignore[arg-type]
+
+
+def test_a_surface_without_a_lag_stands_where_it_stood_until_the_next_row():
+    """Elevator straight through, the others with their servos: how far paths are from straight lines, at middles and ends."""
+    aircraft = find_aircraft("espaaro")
+    controls = np.tile([1.0, 0.0, 0.0, 55.0], (12, 1))
+    controls[6:, :2] += 4.0
+    segment = Segment("step", "f", 0.02 * np.arange(12), controls, np.array([22.0, 0.03, *np.zeros(7)]), 100.0, 100.0)
+    with ReplayFolder(aircraft, ideal=("elevator",)) as model:
+        (away,) = refine_gusts.middles(model, SimpleNamespace(segments=[segment]), ALONE)
+    middle, end = away
+    expected = np.zeros(11)
+    expected[5] = -4.0
+    assert end[:, 0] == pytest.approx(expected, abs=1e-9)
+    assert middle[:, 0] == pytest.approx(0.5 * expected, abs=1e-9)
+    # A servo is nowhere in two places: at a step's end it is where the next row has it.
+    assert not end[:, 1:].any()
+    assert np.abs(middle[6:, 1]).max() > 0.01
+
+
+def test_what_accelerometers_feel_of_a_jump_is_force_over_mass_and_the_turn_at_their_arm():
+    probe = probe_of(np.random.default_rng(7))
+    jump = np.zeros((N, 6))
+    jump[5, 2], jump[6, 4] = -0.1, 0.05
+    probe = replace(probe, jump=jump, reference=replace(probe.reference, arm_m=np.array([0.2, 0.0, 0.0])))
+    felt = probe.felt_jump()
+    pressure = probe.reference.qbar * MASS.S
+    assert felt[5] == pytest.approx([0.0, 0.0, -0.1 * pressure[5] / MASS.mass])
+    # A pitching moment turns an accelerometer ahead of the CG up: z is down.
+    assert felt[6] == pytest.approx([0.0, 0.0, -0.2 * 0.05 * pressure[6] * MASS.c / MASS.inertia[1, 1]])
+    assert not replace(probe, jump=None).felt_jump().any()

@@ -14,12 +14,13 @@ from sysid.effects.selection import Choice, Selection
 from sysid.effects.subsystem_effects import subsystem_effects
 from uqharness.refinement.rivals import at_values, far_off, without_weak
 from uqharness.refinement.rounds import eligible, first_at_values, largest_step, likeliest, resolved
+from uqharness.simulator.actuators import Actuator
 
 DT = 0.02
 EFFECTS = [e for e in subsystem_effects(["aileron"], [], []) if e.term in ("lag", "rate_limit")]
 
 
-def at(value: float, late: dict[str, list[str]]) -> dict[str, float]:
+def at(value: float, late: dict[str, list[str]], servos=None) -> dict[str, float]:
     """Eligible effects where every one of them is estimated at ``value`` exactly; a doublet of 10 deg."""
     rng = np.random.default_rng(1)
     columns = rng.standard_normal((50, 2, len(EFFECTS)))
@@ -31,7 +32,7 @@ def at(value: float, late: dict[str, list[str]]) -> dict[str, float]:
     evidence = gather([white], [e.key for e in EFFECTS], ["one"], {})
     controls = np.zeros((50, 4))
     controls[10:20, 1], controls[20:30, 1] = 10.0, -10.0
-    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT, controls=controls)], late=late)
+    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT, controls=controls)], late=late, servos=servos or {})
     fit = SimpleNamespace(columns=[SimpleNamespace(names=())])
     return eligible(EFFECTS, setup, fit, evidence)  # type: ignore[arg-type]
 
@@ -58,6 +59,12 @@ def test_what_the_rows_do_not_resolve_is_no_candidate(value, late, terms):
     assert {k.rpartition("/")[2] for k in at(value, late)} == terms
 
 
+def test_a_servo_may_be_faster_than_its_xml_has_it_if_that_has_a_lag():
+    assert {k.rpartition("/")[2] for k in at(-2e-2, {}, {"aileron": Actuator(25.0)})} == {"lag"}
+    assert at(-2e-2, {}, {"aileron": Actuator(None)}) == {}
+    assert at(-2e-2, {}, {"rudder": Actuator(25.0)}) == {}
+
+
 def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
     rng = np.random.default_rng(2)
     keys = ["effect/sensor.rates/delay", "effect/Cm/p_hat^2"]
@@ -67,7 +74,7 @@ def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
         np.ones(2), np.zeros((200, 11)),
     )  # fmt: skip
     evidence = gather([white], ["aero/Cm_q", *keys], ["one"], {})
-    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={})
+    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={})
     units = zip(keys, ("s", "1"), strict=True)
     effects = [SimpleNamespace(key=k, unit=u, positive=False, odds=0.0) for k, u in units]
     start = SimpleNamespace(setup=setup, effects=effects, confirming=np.zeros(1, dtype=bool))
@@ -95,10 +102,10 @@ def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(al
     )  # fmt: skip
     evidence = gather([white], [term, delay], ["one"], {})
     start = SimpleNamespace(
-        setup=SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}), confirming=np.zeros(1, dtype=bool),
+        setup=SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={}), confirming=np.zeros(1, dtype=bool),
         effects=[
-            SimpleNamespace(key=k, unit=u, positive=positive, odds=0.0)
-            for k, u in ((term, "1"), (delay, "s"))
+            SimpleNamespace(key=k, unit=u, positive=positive, odds=0.0, subsystem=of, term=k.rpartition("/")[2])
+            for k, u, of in ((term, "1", None), (delay, "s", "actuator.elevator"))
         ],
     )  # fmt: skip
     fit = SimpleNamespace(columns=[SimpleNamespace(names=(term,))])

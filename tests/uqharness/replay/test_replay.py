@@ -122,8 +122,41 @@ def test_values_of_the_runs_around_a_step_give_it_its_time():
         # The same step, later; what jumps has jumped at its row all the same, unless outputs between rows are asked for.
         assert [m.sum() for m in moved] == pytest.approx([8.0 * (4.5 - late)] * 2)
         assert moved[0][8] == 8.0
-        assert by_run(segment, 4, [False], [False], late, rows_see=False)[:, 0].sum() == pytest.approx(8.0 * (4.5 - late))
-    assert by_run(segment, 4, [False], [False], 2.0, rows_see=False)[8, 0] == 0.0
+        assert by_run(segment, 4, [False], [False], late, seen=None)[:, 0].sum() == pytest.approx(8.0 * (4.5 - late))
+    assert by_run(segment, 4, [False], [False], 2.0, seen=None)[8, 0] == 0.0
+    # A row that was read before its command went out has seen nothing of the step, or a share; the step's time stays.
+    for seen, at_row, after in ((0.0, 0.0, 12.0), (0.25, 2.0, 10.0)):
+        blind = by_run(segment, 4, [False], [False], seen=seen)[:, 0]
+        np.testing.assert_array_equal(blind[7:11], [0.0, at_row, after, 8.0])
+        np.testing.assert_array_equal(by_run(segment, 4, [False], [True], seen=seen)[:, 0], lagging)
+
+
+def test_accelerometers_read_before_the_command_feel_the_step_a_row_later(aircraft):
+    segment = prepared_step()
+    with ReplayFolder(aircraft, ideal=SURFACES) as model:
+        seen, half, blind = (fly_segment(model, segment, {}, unseen=share) for share in (0.0, 0.5, 1.0))
+        still = fly_segment(model, replace(segment, controls=np.repeat(segment.controls[:1], len(segment.time_s), axis=0)), {})
+    felt = CHANNELS.index("az_mps2")
+    step = seen[20, felt] - still[20, felt]
+    assert abs(step) > 0.1
+    assert blind[20, felt] == pytest.approx(still[20, felt], abs=0.02 * abs(step))
+    assert half[20, felt] == pytest.approx(0.5 * (seen[20, felt] + blind[20, felt]), abs=0.02 * abs(step))
+    # Only that row's accelerations differ: what the aircraft does is the same but for a run's share of one step.
+    rates = [CHANNELS.index(c) for c in ("p_radps", "q_radps", "r_radps")]
+    q = CHANNELS.index("q_radps")
+    assert np.abs(blind[:, rates] - seen[:, rates]).max() < 0.02 * np.abs(seen[:, q] - still[:, q]).max()
+    assert np.abs(blind[21:, felt] - seen[21:, felt]).max() < 0.05 * abs(step)
+
+
+def prepared_step():
+    """An elevator step of 4 deg at row 20."""
+    dynamics = Model([Airframe()], [()])
+    x0, s0 = trim(dynamics, np.array([22.0]), np.array([100.0]))
+    controls = np.repeat(s0[:, 0][None], 60, axis=0)
+    controls[20:, 0] += 4.0
+    alpha = float(np.arctan2(x0[2, 0], x0[0, 0]))
+    start = np.array([22.0, alpha, 0.0, 0.0, x0[7, 0], 0.0, 0.0, 0.0, 0.0])
+    return Segment("step", "f", 0.02 * np.arange(60), controls, start, 100.0, 100.0)
 
 
 @pytest.mark.parametrize("model", ["servo", "at once"])

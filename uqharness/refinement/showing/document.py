@@ -15,11 +15,14 @@ from uqharness.refinement.beside import left_in
 from uqharness.refinement.find import Found
 from uqharness.refinement.judge import Judged, Verdict
 from uqharness.refinement.showing.show import Shown, gap_document, state_ranges
-from uqharness.refinement.showing.words import contradicted, separating_manoeuvre, unnamed, why
+from uqharness.refinement.showing.words import contradicted, separating_manoeuvre, still_asked, unnamed, why
 from uqharness.refinement.types import Setup
 from uqharness.refinement.writing.effects import switch_of
 from uqharness.replay import Segment
 from uqharness.simulator import Actuator, Aircraft
+
+MOST_SAID = 3
+"""Candidates still asked for that are told in words; the others stand in `remaining.where` alone."""
 
 
 def find_disagreements(setup: Setup, shown: Shown, settled: Shown, controls: Sequence[Any]) -> list[Disagreement]:
@@ -103,7 +106,10 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
     asked = [c for c in judged.withdrawn if abs(c.t) > chosen.limit + STRONG]
     remaining["where"] += [_contradicted(chosen.effects[c.key], c) for c in asked]
     remaining["where"] += [_unnamed(chosen.effects[c.key], c) for c in chosen.unnamed]
-    remaining["unexplained"] |= bool(asked) and not effects
+    told = {c.key for c in (*asked, *chosen.unnamed, *chosen.selection.chosen)}
+    more = [(key, t) for key, t in chosen.left if key not in told]
+    remaining["where"] += [_still_asked(chosen.effects[key], t, k) for k, (key, t) in enumerate(more)]
+    remaining["unexplained"] |= (bool(asked) and not effects) or bool(more)
     verdict = "unexplained" if remaining["unexplained"] else "effects-found" if effects else "no-missing-effect"
     refused = found.selection.refused
     return {
@@ -139,6 +145,11 @@ def _contradicted(effect: Effect, choice: Choice) -> dict[str, Any]:
 
 def _unnamed(effect: Effect, choice: Choice) -> dict[str, Any]:
     return {**_label(effect), "t": choice.t, "words": unnamed(effect, choice)}
+
+
+def _still_asked(effect: Effect, t: float, rank: int) -> dict[str, Any]:
+    said = {"words": still_asked(effect, t)} if rank < MOST_SAID else {}
+    return {**_label(effect), "t": t, **said}
 
 
 def _label(effect: Effect) -> dict[str, str]:

@@ -84,6 +84,11 @@ def unnamed(effect: Effect, choice: Choice) -> str:
     )
 
 
+def still_asked(effect: Effect, t: float) -> str:
+    """What is said of a candidate that the flights still ask for beside the effects that were chosen."""
+    return f"{effect.name} is still asked for (|t| {abs(t):.1f}): it, or something like it, is missing"
+
+
 def nowhere(document: Mapping[str, Any]) -> str:
     """What is said where no region stands out: nothing at all is missing, or what is missing shows over whole flights alone."""
     named = [abs(e["evidence"]["t"]) for e in (*document["effects"], *document["withdrawn"])]
@@ -111,7 +116,7 @@ def left_over(remaining: Mapping[str, Any]) -> list[str]:
     for w in remaining["where"]:
         if "words" in w:
             out.append(w["words"])
-        else:
+        elif "rms_over_noise" in w:
             depends = w["depends_on"][0]["state"] if w["depends_on"] else "none of the states looked at"
             out.append(f"{w['coefficient']}: {w['rms_over_noise']:.2f} times noise, depends on {depends}")
     return out

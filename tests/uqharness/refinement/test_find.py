@@ -1,0 +1,40 @@
+"""What is told of candidates that were not chosen."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sysid.effects.catalogue import coefficient_effect
+from sysid.effects.score import Evidence
+from uqharness.refinement.find import LEFT_T, left_beside
+from uqharness.refinement.showing.words import still_asked
+
+
+def evidence(strengths: dict[str, float], likeness: float = 0.0) -> Evidence:
+    """A parameter and candidates of unit information each; a and b as alike as asked; the flights ask for ``strengths``."""
+    names = ("aero/Cm_q", *strengths)
+    gram = np.eye(len(names))
+    gram[1, 2] = gram[2, 1] = likeness
+    score = gram @ np.array([0.0, *strengths.values()])
+    return Evidence(names, gram[None], score[None], np.array([1e4]), np.array([1000.0]), np.zeros(len(names)), (), ())
+
+
+def test_every_strong_candidate_beside_the_chosen_is_told_the_strongest_first():
+    found = evidence({"effect/a": 30.0, "effect/b": 12.0, "effect/c": -25.0, "effect/d": 9.0})
+    keys = ["effect/a", "effect/b", "effect/c", "effect/d"]
+    assert [k for k, _ in left_beside(found, ["aero/Cm_q"], ["effect/a"], keys)] == ["effect/c", "effect/b"]
+    assert [k for k, _ in left_beside(found, ["aero/Cm_q"], [], keys)] == ["effect/a", "effect/c", "effect/b"]
+    assert left_beside(found, ["aero/Cm_q"], keys, keys) == ()
+    assert all(abs(t) > LEFT_T for _, t in left_beside(found, ["aero/Cm_q"], [], keys))
+
+
+def test_what_only_resembles_the_chosen_is_not():
+    """b is nothing but like a: alone it would stand at |t| 27."""
+    found = evidence({"effect/a": 30.0, "effect/b": 0.0}, likeness=0.9)
+    assert [k for k, _ in left_beside(found, ["aero/Cm_q"], [], ["effect/a", "effect/b"])] == ["effect/a", "effect/b"]
+    assert left_beside(found, ["aero/Cm_q"], ["effect/a"], ["effect/a", "effect/b"]) == ()
+
+
+def test_words_name_it_and_its_strength():
+    effect = coefficient_effect("Cm", "p_hat^2")
+    assert still_asked(effect, -12.34).startswith(f"{effect.name} is still asked for (|t| 12.3)")
