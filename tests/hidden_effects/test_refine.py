@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from sysid.record import FlightRecord
-from tests.hidden_effects import sealed
+from tests.helpers.sixdof import Airframe
+from tests.hidden_effects import motion, sealed
+from tests.hidden_effects.airframes import ROOT
 from tests.hidden_effects.answers import canonical, contract_faults, judge
 from tests.hidden_effects.cases import Case, battery, write
 from tests.hidden_effects.catalogue import ENTRIES
 from tests.hidden_effects.effects import Effect
+from tests.hidden_effects.flights import Flight, fly
 from tests.hidden_effects.manoeuvres import card
 from tests.hidden_effects.run import PLACEBO, ask
+from uqharness.cli.main import main
 
 KINDS = ("roll and yaw", "roll and pitch", "elevator 3-2-1-1")
 CARDS = tuple(card(40 + i, V, seconds=33.0, kinds=KINDS, first=i) for i, V in enumerate((21.0, 24.0, 22.5)))
@@ -106,6 +112,55 @@ def test_sensors_noisier_than_stated_do_not_pass_for_gusts(place):
     done, found = refine(place, files["train"], files["test"], "noisy")
     assert judge(noisy, found, done.returncode).right, (found, done.stderr)
     assert [n for n in found["notes"] if "rotate the air and turn with the aircraft" in n]
+
+
+def another_servo(folder, **lags):
+    """The aircraft with other lags [1/s] of its actuators, None for none, no rate limit then."""
+    out = shutil.copytree(ROOT / "aircraft" / "espaaro", folder / "espaaro")
+    text = (out / "espaaro.xml").read_text(encoding="utf-8")
+    for control, lag in lags.items():
+        block = re.search(rf'<actuator name="fcs/{control}-pos-\w+">.*?</actuator>', text, re.DOTALL)[0]
+        changed = re.sub(r"<lag>.*?</lag>", "" if lag is None else f"<lag>{lag:g}</lag>", block)
+        if lag is None:
+            changed = re.sub(r"<rate_limit>.*?</rate_limit>", "", changed)
+        assert changed != block
+        text = text.replace(block, changed)
+    (out / "espaaro.xml").write_text(text, encoding="utf-8")
+    return out
+
+
+def refined(aircraft, cards_of, folder, w20_kt=0.0):
+    """refinement.json of an aircraft and flights of the equations of motion, as a process in the project's folder."""
+    flights = fly([Flight(replace(c, w20_kt=w20_kt), Airframe()) for c in cards_of])
+    paths = [folder / f"{k}.parquet" for k in range(len(flights))]
+    for record, path in zip(flights, paths, strict=True):
+        record.write(path)
+    out, (*train, test) = folder / "out", map(str, paths)
+    arguments = ["refine", str(aircraft), "--train", *train, "--test", test, "--out", str(out), "--no-figures", "--no-pbox"]
+    assert main([*arguments, "--workers", "1"]) in (0, 1)
+    return json.loads((out / "refinement.json").read_text(encoding="utf-8"))
+
+
+@pytest.mark.slow
+def test_servos_that_act_at_once_leave_no_fault_in_turbulence(tmp_path, monkeypatch):
+    """Rows are read before their commands go out. On one such flight an elevator's rate limit had |t| 42."""
+    monkeypatch.setattr(motion, "LAG", (1e6,) * 4)
+    monkeypatch.setattr(motion, "RATE", (1e9,) * 4)
+    at_once = another_servo(tmp_path, elevator=None, aileron=None, rudder=None, throttle=None)
+    found = refined(at_once, CARDS[:2], tmp_path, 14.0)
+    assert (found["verdict"], found["effects"]) == ("no-missing-effect", [])
+    assert any("one sample ahead" in note for note in found["notes"])
+    assert max(abs(c["t"]) for c in found["candidates"]["scores"]) < found["candidates"]["limit"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lag", [12.0, 60.0])
+def test_a_servos_lag_in_the_xml_may_be_wrong_either_way(tmp_path, lag):
+    found = refined(another_servo(tmp_path, elevator=lag), CARDS, tmp_path)
+    (effect,) = found["effects"]
+    assert (effect["subsystem"], effect["term"], found["verdict"]) == ("actuator.elevator", "lag", "effects-found")
+    assert effect["value"] == pytest.approx(25.0, abs=4.0 * effect["std"])
+    assert effect["std"] < 2.0
 
 
 @pytest.mark.slow
