@@ -21,6 +21,7 @@ FLIGHTS: ModuleType = campaign_script("model-form", "flights")
 JUDGE: ModuleType = campaign_script("model-form", "judge")
 STUDY: ModuleType = campaign_script("model-form")
 PBOX: ModuleType = campaign_script("model-form", "pbox")
+REFINED: ModuleType = campaign_script("model-form", "refined")
 TABLES: ModuleType = campaign_script("model-form", "tables")
 CASES = {c.name: c for c in FLIGHTS.CASES}
 
@@ -159,3 +160,19 @@ def test_the_p_box_by_parts_is_held_against_the_published_one(tmp_path, monkeypa
 def test_forty_seeds(tmp_path):
     assert STUDY.main(["--out", str(tmp_path), "--seeds", "40"]) == 0
     assert "as asked for" in (tmp_path / "tables.md").read_text()
+
+
+def test_refinements_that_narrow_are_counted_and_too_few_fail(tmp_path, monkeypatch):
+    def ran(seed):
+        return {"seed": seed, "verdict": "effects-found", "effects": [], "widths": {"cross_track_median_m": [0.5, after[seed]]}}
+
+    monkeypatch.setattr(REFINED, "run_seed", ran)
+    after = {1: 0.2, 2: 0.3}
+    assert REFINED.main(["--out", str(tmp_path), "--seeds", "2"]) == 0
+    # Seeds that are there are not flown again.
+    after[1], after[3] = 9.0, 0.6
+    assert REFINED.main(["--out", str(tmp_path), "--seeds", "3"]) == 1
+    text = (tmp_path / "refined.md").read_text()
+    assert "2 of 3" in text
+    assert "0.367" in text
+    assert "Too few" in text
