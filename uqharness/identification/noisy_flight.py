@@ -58,7 +58,8 @@ class NoisyFlight:
         """Asks the model for what noise and rotation would change."""
         sizes = noise_sizes(flight, aircraft.card.sensors.noise_std, residuals.cutoffs)
         std = {c: found.std for c, found in sizes.items()}
-        model, arm = pair.of(flight, remember=False), tuple(aircraft.accelerometer_m)
+        # Rates moved by noise's probe and by rotation's are the same states: asked once.
+        model, arm = pair.of(flight), tuple(aircraft.accelerometer_m)
         noisy = with_sensor_noise(
             residuals, flight.record, flight.pieces, model, arm, std, {c: found.spread for c, found in sizes.items()}
         )
