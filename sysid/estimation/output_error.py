@@ -20,7 +20,7 @@ from sysid.arrays import Array, as_bounds, as_free, as_names, as_parameters, as_
 from sysid.estimation.gaps import white_noise
 from sysid.estimation.gauss_newton import Minimum, minimise
 from sysid.estimation.output_problem import OutputErrorProblem
-from sysid.estimation.report import Findings, judge
+from sysid.estimation.report import Findings, judge, unjudged
 from sysid.estimation.result import OutputErrorFit, split
 from sysid.estimation.sensitivities import MapLike, SafeSimulation, first_steps
 
@@ -45,6 +45,7 @@ def output_error(
     differences: str = "auto",
     max_iterations: int = 100,
     tolerance: float = 1e-5,
+    errors: bool = True,
 ) -> OutputErrorFit:
     """Estimate theta (k,) such that simulate(theta) comes closest to what was measured.
 
@@ -72,6 +73,8 @@ def output_error(
         are dear, carries sensitivities on from iteration to iteration.
     max_iterations, tolerance
         Stop when the next step is shorter than `tolerance` standard errors.
+    errors : bool
+        False for the estimates alone: standard errors, covariances and variance inflation are then NaN, nothing is judged.
 
     Returns
     -------
@@ -153,8 +156,11 @@ def output_error(
 
     again = problem.evaluate(best.theta)
     assert again is not None
-    line = problem.settle(best.theta, again[1])
     residual = stacked - again[1]
+    if not errors:
+        said = unjudged(problem.noise(again[1]), len(columns))
+        return _assemble(theta, columns, labels, best, problem, said, split(residual, edges), is_many(measured))
+    line = problem.settle(best.theta, again[1])
     findings = judge(
         theta=best.theta,
         gradient=line.gradient,

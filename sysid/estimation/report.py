@@ -64,6 +64,13 @@ def unknown_noise(counts: NDArray[np.intp], spent: Array, reach: Array) -> list[
     return out
 
 
+def unjudged(noise: Noise, free: int) -> Findings:
+    """What is said of ``free`` parameters whose estimates alone were asked for: nothing, as NaN; all count as identified."""
+    unknown, outputs = np.full((free, free), np.nan), np.full(len(noise.cov), np.nan)
+    colour_ = Colour(outputs, outputs, outputs, outputs)
+    return Findings(unknown, unknown, np.ones(free, dtype=bool), ("",) * free, np.full(free, np.nan), noise, colour_, [])
+
+
 def judge(
     *,
     theta: Array,

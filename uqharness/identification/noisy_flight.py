@@ -59,7 +59,7 @@ class NoisyFlight:
         sizes = noise_sizes(flight, aircraft.card.sensors.noise_std, residuals.cutoffs)
         std = {c: found.std for c, found in sizes.items()}
         # Rates moved by noise's probe and by rotation's are the same states: asked once.
-        model, arm = pair.of(flight), tuple(aircraft.accelerometer_m)
+        model, arm = pair.around(flight), tuple(aircraft.accelerometer_m)
         noisy = with_sensor_noise(
             residuals, flight.record, flight.pieces, model, arm, std, {c: found.spread for c, found in sizes.items()}
         )

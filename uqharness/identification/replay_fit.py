@@ -62,11 +62,12 @@ class ReplayFit:
 def fit_replays(
     model: ReplayModel, observed: Observed, names: Sequence[str], tries: Sequence[Array],
     limits: Sequence[tuple[float, float]], map_: Callable[..., Any], max_iterations: int = MAX_ITERATIONS,
+    errors: bool = True,
 ) -> ReplayFit:  # fmt: skip
     """Fit properties ``names`` of a model, and everything that is estimated beside them.
 
     tries   values to begin from, the first that can be flown counts; what the flights do not determine stays at the last
-    map_    as `replay_pool` or `spread_over` gives it
+    map_    as `replay_pool` or `spread_over` gives it      errors  False for estimates alone, without standard errors
     Raises BadInputError when the model cannot fly the segments.
     """
     jumping = () if observed.late_s else jumping_in(model, observed.cut, observed.late)
@@ -76,7 +77,7 @@ def fit_replays(
     def fit_from(theta: Array, free: Sequence[str]) -> OutputErrorFit:
         return output_error(
             replay, theta, list(observed.data), names=layout.names, bounds=layout.bounds, free=list(free), map=map_,
-            tolerance=TOLERANCE, max_iterations=max_iterations, differences="secant",
+            tolerance=TOLERANCE, max_iterations=max_iterations, differences="secant", errors=errors,
         )  # fmt: skip
 
     fit = _first_that_flies(fit_from, layout, [np.asarray(values) for values in tries])

@@ -24,20 +24,26 @@ NEEDED = (
     "ax_mps2", "ay_mps2", "az_mps2",
 )  # fmt: skip
 """Channels without which there is no residual; none of them is bridged across a gap."""
+ANSWERED = ("coefficients", "other_force", "other_moment", "qbar")
+"""What a model says of each row."""
 _PRE_ROLL_S = 2.0
+_EVERY = 4
+"""Changes of what the model says are asked for at every fourth row: they move with the state, which takes longer than that."""
 
 
 @dataclass(frozen=True)
 class JsbsimPrediction:
-    """coefficients(record, piece) of a flight's model. ``straight`` passes its controls through, ``model`` has its actuators."""
+    """coefficients(record, piece) of a flight's model. ``straight`` passes its controls through, ``model`` has its actuators.
+    ``stood``: where the controls stood, by their columns."""
 
     model: ReplayModel
     straight: ReplayModel
     flight: Flight
     measured: tuple[str, ...]
+    stood: dict[bytes, Array] = field(default_factory=dict)
 
-    def __call__(self, record: FlightRecord, piece: Piece) -> Prediction:
-        """Force each row's state upon JSBSim and read what it says. Raises BadInputError."""
+    def __call__(self, record: FlightRecord, piece: Piece, every: int = 1) -> Prediction:
+        """Force the state of every so many rows, and of the last, upon JSBSim and read what it says. Raises BadInputError."""
         controls = self._controls(record, piece)
         segment = segments(replace(self.flight, pieces=(piece,)), self.measured)[0]
         rows = piece.rows
@@ -46,8 +52,10 @@ class JsbsimPrediction:
             # Below the ground's reach its height must be what the terrain was laid for.
             above = segment.h_m if self.model.near_ground else np.median(record["h_m"][rows])
             altitude += record["h_m"][rows] - above
-        channels = {c: np.asarray(record[c][rows], dtype=float) for c in NEEDED}
-        said = force_states(self.straight, segment, channels, controls, {}, altitude)
+        asked = asked_rows(len(controls), every)
+        channels = {c: np.asarray(record[c][rows], dtype=float)[asked] for c in NEEDED}
+        controls = controls[asked]
+        said = force_states(self.straight, segment, channels, controls, {}, altitude[asked])
         names = [f"{c}_pos_deg" if c != "throttle" else "throttle_pct" for c in CONTROLS]
         positions = {n: controls[:, self.model.controls.index(c)] for n, c in zip(names, CONTROLS, strict=True)}
         return Prediction(said.coefficients, said.other_force, said.other_moment, said.qbar, said.mass, positions)
@@ -60,7 +68,30 @@ class JsbsimPrediction:
         first = max(whole.start, piece.rows.start - run_up)
         longer = replace(piece, rows=slice(first, piece.rows.stop), start_s=float(record["time_s"][first]))
         segment = segments(replace(self.flight, pieces=(longer,)), self.measured)[0]
-        return surface_positions(self.model, segment, CONTROLS)[piece.rows.start - first :]
+        # Another state of the flight has the same controls: where these stood does not depend on how the aircraft moved.
+        key = segment.time_s.tobytes() + segment.controls.tobytes()
+        if key not in self.stood:
+            self.stood[key] = surface_positions(self.model, segment, CONTROLS)
+        return self.stood[key][piece.rows.start - first :]
+
+
+def asked_rows(n: int, every: int) -> NDArray[np.intp]:
+    """Every so many of n rows, and the last."""
+    return np.unique(np.append(np.arange(0, n, every), n - 1))
+
+
+def changed(near: Prediction, said: Prediction, every: int) -> Prediction:
+    """What a model says at states near those of ``near``: asked at every so many rows, its change drawn straight between them."""
+    n = len(near.qbar)
+    asked, full = asked_rows(n, every), np.arange(n)
+
+    def moved(all_rows: Array, some: Array) -> Array:
+        change = some - all_rows[asked]
+        flat = change.reshape(len(asked), -1)
+        wide = np.column_stack([np.interp(full, asked, column) for column in flat.T])
+        return np.asarray(all_rows + wide.reshape(all_rows.shape))
+
+    return replace(near, **{name: moved(getattr(near, name), getattr(said, name)) for name in ANSWERED})
 
 
 @contextmanager
@@ -74,6 +105,10 @@ def prediction_of(aircraft: Aircraft, measured: Sequence[str], ideal_servos: boo
         yield ReplayPair(model, straight, tuple(measured))
 
 
+def _states(record: FlightRecord, piece: Piece) -> int:
+    return hash(tuple(record[c][piece.rows].tobytes() for c in NEEDED))
+
+
 @dataclass(frozen=True)
 class ReplayPair:
     """The aircraft, and what it has said already: another filter asks for the same states again."""
@@ -82,22 +117,36 @@ class ReplayPair:
     straight: ReplayModel
     measured: tuple[str, ...]
     said: dict[tuple[object, ...], Prediction] = field(default_factory=dict)
+    stood: dict[bytes, Array] = field(default_factory=dict)
 
-    def of(self, flight: Flight, remember: bool = True) -> Model:
-        """The callable that `residual_coefficients` takes; without ``remember`` new answers are not kept (states asked once)."""
-        model = JsbsimPrediction(self.model, self.straight, flight, self.measured)
+    def of(self, flight: Flight) -> Model:
+        """The callable that `residual_coefficients` takes."""
+        model = JsbsimPrediction(self.model, self.straight, flight, self.measured, self.stood)
 
         def ask(record: FlightRecord, piece: Piece) -> Prediction:
-            states = hash(tuple(record[c][piece.rows].tobytes() for c in NEEDED))
-            key = (flight.name, piece.rows.start, piece.rows.stop, states)
-            if key in self.said:
-                return self.said[key]
-            answer = model(record, piece)
-            if remember:
-                self.said[key] = answer
-            return answer
+            key = (flight.name, piece.rows.start, piece.rows.stop, _states(record, piece))
+            if key not in self.said:
+                self.said[key] = model(record, piece)
+            return self.said[key]
 
         return ask
+
+    def around(self, flight: Flight) -> Model:
+        """The same for one who asks for a piece's own states first and then for states near them."""
+        model = JsbsimPrediction(self.model, self.straight, flight, self.measured, self.stood)
+        ask, own = self.of(flight), dict[tuple[int, int], Prediction]()
+
+        def near(record: FlightRecord, piece: Piece) -> Prediction:
+            rows = (piece.rows.start, piece.rows.stop)
+            if rows not in own:
+                own[rows] = ask(record, piece)
+                return own[rows]
+            key = (flight.name, *rows, _EVERY, _states(record, piece))
+            if key not in self.said:
+                self.said[key] = changed(own[rows], model(record, piece, _EVERY), _EVERY)
+            return self.said[key]
+
+        return near
 
 
 def read_bounds_flights(

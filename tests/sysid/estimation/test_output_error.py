@@ -252,3 +252,18 @@ def test_bad_input_is_refused(arguments, said):
     given = {"simulate": lambda theta: theta[0] + theta[1] * x, "theta0": [1.0, 1.0], "measured": x}
     with pytest.raises(ValueError, match=said):
         output_error(**{**given, **arguments})
+
+
+def test_estimates_alone_are_the_same_and_say_nothing_of_errors():
+    t = np.linspace(0.0, 5.0, 200)
+    measured = 2.0 * np.exp(-0.5 * t) + 0.01 * np.random.default_rng(1).standard_normal(200)
+
+    def fitted(**options):
+        return output_error(lambda theta: theta[0] * np.exp(-theta[1] * t), [1.0, 1.0], measured, **options)
+
+    whole, alone = fitted(), fitted(errors=False)
+    assert np.allclose(alone.theta, whole.theta, rtol=1e-12)
+    assert alone.converged
+    assert np.isnan(alone.std).all()
+    assert np.isnan(alone.cov).all()
+    assert np.isfinite(whole.std).all()

@@ -13,7 +13,8 @@ from tests.helpers.synthetic import flight
 from uqharness.errors import BadInputError
 from uqharness.replay import residuals
 from uqharness.replay.flights import Flight
-from uqharness.replay.residuals import NEEDED, ReplayPair, flight_residuals, recut
+from uqharness.replay.residuals import ANSWERED, NEEDED, ReplayPair, asked_rows, changed, flight_residuals, prediction_of, recut
+from uqharness.simulator import find_aircraft
 
 RECORD = flight(30.0)
 
@@ -34,11 +35,6 @@ def test_the_same_states_are_asked_for_once(monkeypatch):
     assert ask(moved, piece) == 2
     assert ask(RECORD, replace(piece, rows=slice(0, 100))) == 3
     assert pair.of(replace(made(), name="g"))(RECORD, piece) == 4
-    forgetful = pair.of(made(), remember=False)
-    # What is known is used; what is new is asked for each time and not kept.
-    assert forgetful(RECORD, piece) == 1
-    new = replace(piece, rows=slice(0, 50))
-    assert (forgetful(RECORD, new), forgetful(RECORD, new), ask(RECORD, new)) == (5, 6, 7)
 
 
 def test_a_flight_is_cut_where_every_channel_is_there():
@@ -68,3 +64,20 @@ def test_a_refusal_bears_the_flights_name(monkeypatch):
     monkeypatch.setattr(residuals.JsbsimPrediction, "__call__", refuse)
     with pytest.raises(BadInputError, match=r"^f: too short$"):
         flight_residuals(ReplayPair(None, None, ()), made(), (0.0, 0.0, 0.0), Cutoffs())
+
+
+def test_changes_asked_for_at_some_rows_are_those_of_all_rows():
+    flown = made(RECORD.with_columns({f"{c}_pos_deg": np.zeros(len(RECORD["V_mps"])) for c in ("elevator", "aileron", "rudder")}))
+    record, piece = flown.record, flown.pieces[0]
+    moved = record.with_columns({"alpha_rad": record["alpha_rad"] + 1e-3})
+    with prediction_of(find_aircraft("espaaro"), ("elevator", "aileron", "rudder")) as pair:
+        exact, near = pair.of(flown), pair.around(flown)
+        base = near(record, piece)
+        assert base is exact(record, piece)
+        whole, some = exact(moved, piece), near(moved, piece)
+    change, error = (np.abs(a.coefficients - whole.coefficients).max(axis=0) for a in (base, some))
+    assert (error <= 0.01 * change.max()).all()
+    assert change.max() > 1e-4
+    # A change that is not drawn from the states themselves is not that of all rows.
+    other = changed(base, replace(whole, **{n: getattr(base, n)[asked_rows(200, 4)] for n in ANSWERED}), 4)
+    assert np.abs(other.coefficients - whole.coefficients).max() > 10.0 * error.max()

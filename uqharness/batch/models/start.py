@@ -30,9 +30,15 @@ def rounded(value: float) -> float:
     return math.ldexp(round(math.ldexp(fraction, _BITS)), exponent - _BITS) if math.isfinite(value) else value
 
 
+def _rounded(values: Array) -> Array:
+    """`rounded` of every element."""
+    fraction, exponent = np.frexp(values)
+    return np.asarray(np.where(np.isfinite(values), np.ldexp(np.rint(np.ldexp(fraction, _BITS)), exponent - _BITS), values))
+
+
 def start_state(conditions: Mapping[str, Array]) -> dict[str, Array]:
     """Slots of the motion from CONDITIONS, arrays over lanes."""
-    inputs = {name: np.array([rounded(float(x)) for x in np.atleast_1d(conditions[name])]) for name in CONDITIONS}
+    inputs = {name: _rounded(np.atleast_1d(np.asarray(conditions[name], dtype=float))) for name in CONDITIONS}
     found, _ = evaluate(_FUNCTION, inputs)
     return found
 
