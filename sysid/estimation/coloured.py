@@ -18,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from sysid.arrays import Array
+from sysid.linalg.blocks import Blocks
 
 CROSS_LAGS = 40  # longest lag, in samples, at which one output's innovation is looked for in another's
 
@@ -110,13 +111,14 @@ def residual_models(residual: list[Array]) -> tuple[list[Array], Array]:
     return models, np.array(variances)
 
 
-def coloured_information(sensitivity: list[Array], residual: list[Array]) -> Array:
+def coloured_information(sensitivity: list[Array] | Blocks, residual: list[Array]) -> Array:
     """The bracket of (MK): (k, k), for sensitivities (n, m, k) and residuals (n, m), one pair a segment.
 
     Both are expected divided by the noise's square root, so that white residuals of unit variance return sum S'S.
     NaN in a residual marks a missing sample; its sensitivity must be zero.
     """
-    m, k = sensitivity[0].shape[1:]
+    blocks = sensitivity if isinstance(sensitivity, Blocks) else Blocks.listed(sensitivity)
+    m, k = residual[0].shape[1], blocks.k
     models, variances = residual_models(residual)
     size = 1 << int(2 * max(part.shape[0] for part in residual)).bit_length()
     frequencies = size // 2 + 1
@@ -155,10 +157,8 @@ def coloured_information(sensitivity: list[Array], residual: list[Array]) -> Arr
     weight = np.full(frequencies, 2.0 / size)
     weight[0] = weight[-1] = 1.0 / size
     bracket = np.zeros((k, k))
-    for part in sensitivity:
-        # A segment's own start states are all that many columns are about: the others' are zero here.
-        columns = np.flatnonzero(part.any(axis=(0, 1)))
-        wave = np.fft.rfft(part[:, :, columns], size, axis=0)
+    for part, columns in blocks:
+        wave = np.fft.rfft(part, size, axis=0)
         # (MK) by Parseval: sum_ij s(i)' r(i-j) s(j) = mean over frequency of S^H P S; padded, so not cyclic.
         bracket[np.ix_(columns, columns)] += np.einsum(
             "fak,f,fab,fbl->kl", np.conj(wave), weight, spectrum, wave, optimize=True

@@ -6,13 +6,12 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.arrays import Array
 from sysid.estimation.gauss_newton import Linearisation
 from sysid.estimation.noise import Noise, concentrated, residual_noise
 from sysid.estimation.sensitivities import TARGET, MapLike, SafeSimulation, roughness, sensitivities, target_for
-from sysid.linalg.blocks import active_columns
+from sysid.linalg.blocks import Blocks, Index
 
 CARRIED = 8  # secant updates before sensitivities are differenced anew
 NEARBY = 0.5  # standard errors within which sensitivities need no renewal
@@ -35,12 +34,11 @@ class OutputErrorProblem:
     runs: int = 0
     target: float | None = None
     last_failure: str = ""
-    sensitivity: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    sensitivity: Blocks = field(default_factory=lambda: Blocks((), (), 0))
     _last: tuple[Array, Array] | None = None
-    _fresh: tuple[Array, Array, Array] | None = None
+    _fresh: tuple[Array, Blocks, Array] | None = None
     _metric: Array = field(default_factory=lambda: np.zeros((0, 0)))
     _updates: int = 0
-    _active: list[NDArray[np.intp]] = field(default_factory=list)
 
     @property
     def edges(self) -> list[int]:
@@ -114,12 +112,13 @@ class OutputErrorProblem:
         near = self._distance(theta) < NEARBY
         if not float(step @ along) > 0.0 or (central and not near):
             return None
-        change = outputs - self._last[1] - self.sensitivity @ step
-        self.sensitivity = self.sensitivity.copy()
-        for (a, b), columns in zip(pairwise(self.edges), self._active, strict=True):
+        change = outputs - self._last[1] - self.sensitivity.times(step)
+
+        def updated(part: Array, columns: Index, rows: slice) -> Array:
             size = float(step[columns] @ along[columns])
-            if size > 0.0:
-                self.sensitivity[a:b, :, columns] += change[a:b, :, None] * (along[columns] / size)
+            return part + change[rows, :, None] * (along[columns] / size) if size > 0.0 else part
+
+        self.sensitivity = self.sensitivity.each(updated)
         self._updates += 1
         return near
 
@@ -136,21 +135,20 @@ class OutputErrorProblem:
             rough, runs = roughness(self.simulation, self.whole(theta), outputs, small, self.limits, self.spread, self.map_)
             self.target, self.runs = target_for(rough), self.runs + runs
         self.sensitivity, self._updates = found.sensitivity, 0
-        self._active = active_columns(found.sensitivity, self.edges)
 
     def _line(self, outputs: Array) -> Linearisation:
         sensitivity, residual, noise = self.sensitivity, self.measured - outputs, self.noise(outputs)
         k = len(self.columns)
         gradient, information = np.zeros(k), np.zeros((k, k))
-        for (a, b), columns in zip(pairwise(self.edges), self._active, strict=True):
-            white, scaled = noise.whiten(residual[a:b], sensitivity[a:b][:, :, columns])
+        for (a, b), (part, columns) in zip(pairwise(self.edges), sensitivity, strict=True):
+            white, scaled = noise.whiten(residual[a:b], part)
             assert scaled is not None
             flat = scaled.reshape(-1, columns.size)
             gradient[columns] += flat.T @ white.ravel()
             information[np.ix_(columns, columns)] += flat.T @ flat
 
         def predict(delta: Array) -> float:
-            expected = residual - sensitivity @ delta
+            expected = residual - sensitivity.times(delta)
             return concentrated(expected, residual_noise(expected, self.floor, self.full))
 
         # M = sum S' R^-1 S,  g = sum S' R^-1 v: one Gauss-Newton step is M^-1 g

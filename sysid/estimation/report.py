@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from sysid.arrays import Array
 from sysid.estimation.coloured import coloured_information
 from sysid.estimation.diagnostics import Colour, colour, colour_warnings
-from sysid.estimation.identifiability import Identifiability, assess, masked_covariance
+from sysid.estimation.identifiability import assess, masked_covariance
 from sysid.estimation.noise import Noise, residual_noise
 from sysid.estimation.result import split
-from sysid.linalg.blocks import information, leverage
+from sysid.linalg.blocks import Blocks, Index, information, leverage
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def judge(
     *,
     theta: Array,
     gradient: Array,
-    sensitivity: Array,
+    sensitivity: Blocks,
     residual: Array,
     motion: Array,
     edges: list[int],
@@ -85,29 +85,27 @@ def judge(
     full: bool,
     method: str,
 ) -> Findings:
-    """Bounds and warnings at the optimum theta (k,): sensitivity (N, m, k), residual and motion (N, m), segment edges,
+    """Bounds and warnings at the optimum theta (k,): sensitivity (N, m, k) by segments, residual and motion (N, m), their edges,
     gradient (k,) of minus the cost, by which an active bound is told from one merely touched."""
     lower, upper = bounds
     held = outward(theta, gradient, lower, upper)
     inside = np.flatnonzero(~held)
     there = np.isfinite(residual)
-    sensitivity = np.where(there[:, :, None], sensitivity, 0.0)[:, :, inside]
+    sensitivity = sensitivity.taken(inside).each(lambda part, _, rows: np.where(there[rows, :, None], part, 0.0))
 
     # Degrees of freedom: each output has spent its share of the leverage, sum_i S_a D S_a'/R_aa; one output: k.
     noise = residual_noise(residual, floor, full)
-    gate = _gate(noise, residual, sensitivity, names, inside, edges)
-    _, scaled = noise.whiten(residual, sensitivity)
-    assert scaled is not None
-    spent = leverage(scaled, gate.inverse, edges)
+    within = tuple(names[index] for index in inside)
+    scaled = _scaled(noise, residual, sensitivity)
+    spent = leverage(scaled, assess(information(scaled), within).inverse)
     noise = residual_noise(residual, floor, full, spent)
-    gate = _gate(noise, residual, sensitivity, names, inside, edges)
-
-    white, scaled = noise.whiten(residual, sensitivity)
-    assert scaled is not None
+    scaled = _scaled(noise, residual, sensitivity)
+    gate = assess(information(scaled), within)
+    white, _ = noise.whiten(residual)
     marked = np.where(there, white, np.nan)
     counts = there.sum(axis=0)
     inflate = np.sqrt(counts / np.maximum(counts - spent, 1.0))  # the autocovariance divides by N, R by N minus the share
-    bracket = coloured_information(split(scaled, edges), split(marked * inflate, edges))
+    bracket = coloured_information(scaled, split(marked * inflate, edges))
     crb, coloured = gate.inverse, gate.inverse @ bracket @ gate.inverse  # (MK) in coloured.py
 
     k = theta.size
@@ -124,7 +122,7 @@ def judge(
             reason[index] = at_bound(theta[index], lower[index], upper[index])
         else:
             reason[index] = reason[index] or idle_bound(float(np.sqrt(cov[index, index])), upper[index] - lower[index])
-    unknown = unknown_noise(counts, spent, np.abs(scaled).max(axis=0, initial=0.0))
+    unknown = unknown_noise(counts, spent, scaled.largest())
     for position, index in enumerate(inside.tolist()):
         reason[index] = reason[index] or unknown[position]
     identified = np.array([not text for text in reason])
@@ -136,15 +134,12 @@ def judge(
     return Findings(cov, cov_crb, identified, tuple(reason), vif, noise, found, warnings)
 
 
-def _gate(
-    noise: Noise,
-    residual: Array,
-    sensitivity: Array,
-    names: tuple[str, ...],
-    inside: NDArray[np.intp],
-    edges: list[int],
-) -> Identifiability:
-    """The identifiability of the parameters that are not held at a bound."""
-    _, scaled = noise.whiten(residual, sensitivity)
-    assert scaled is not None
-    return assess(information(scaled, edges), tuple(names[index] for index in inside))
+def _scaled(noise: Noise, residual: Array, sensitivity: Blocks) -> Blocks:
+    """Sensitivities over the noise's square root."""
+
+    def over_noise(part: Array, _: Index, rows: slice) -> Array:
+        scaled = noise.whiten(residual[rows], part)[1]
+        assert scaled is not None
+        return scaled
+
+    return sensitivity.each(over_noise)

@@ -7,14 +7,16 @@ So parameters of any unit, and starts at zero, need no hint.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby, pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sysid.arrays import Array, is_many
+from sysid.linalg.blocks import Blocks
 
 TARGET = 3e-4  # first wanted change of the most affected output, in its spread; then `target_for` its roughness
 TARGETS = (3e-5, 3e-2)  # range of wanted changes: truncation ~ target^2, rounding ~ roughness / target
@@ -63,16 +65,17 @@ class SafeSimulation:
         return out
 
 
-def run_all(simulation: SafeSimulation, thetas: Sequence[Array], map_: MapLike | None) -> list[Array | str]:
-    """Every theta simulated, in order, through the injected map if there is one."""
-    return list((map_ or map)(simulation, thetas))
+def run_all(simulation: SafeSimulation, thetas: Sequence[Array], map_: MapLike | None) -> Iterator[Array | str]:
+    """Every theta simulated, in order, through the injected map if there is one; one after the other, where that is how it gives
+    them."""
+    yield from (map_ or map)(simulation, thetas)
 
 
 @dataclass(frozen=True)
 class Differences:
-    """sensitivity (N, m, len(columns)); step (k,) as adapted; effect (len(columns),) bool; runs: simulations spent."""
+    """sensitivity (N, m, len(columns)) in blocks; step (k,) as adapted; effect (len(columns),) bool; runs: simulations spent."""
 
-    sensitivity: Array
+    sensitivity: Blocks
     step: Array
     effect: NDArray[np.bool_]
     runs: int
@@ -105,7 +108,8 @@ def sensitivities(
     """
     step = step.copy()
     lower, upper = limits
-    out = np.zeros((*base.shape, len(columns)))
+    edges = [0, *np.cumsum(simulation.lengths).tolist()]
+    out: list[list[Array | None]] = [[None] * (len(edges) - 1) for _ in columns]
     effect = np.zeros(len(columns), dtype=bool)
     pending, runs, largest = list(range(len(columns))), 0, np.zeros(len(columns))
     for attempt in range(6):
@@ -129,13 +133,11 @@ def sensitivities(
         answers = run_all(simulation, points, map_)
         runs += len(points)
         again = []
-        for position in pending:
+        for position, group in groupby(zip(plan, points, answers, strict=True), key=lambda entry: entry[0][0]):
             j = columns[position]
             # the step as the machine sees it: (theta + h) - theta
             sides = [
-                (point[j] - theta[j], answer)
-                for (where, _), point, answer in zip(plan, points, answers, strict=True)
-                if where == position and not isinstance(answer, str) and point[j] != theta[j]
+                (point[j] - theta[j], answer) for _, point, answer in group if not isinstance(answer, str) and point[j] != theta[j]
             ]
             if not sides:
                 step[j] *= 0.03
@@ -153,8 +155,9 @@ def sensitivities(
                 again.append(position)
                 continue
             largest[position] = max(largest[position], change)
-            out[:, :, position] = column
             effect[position] = change > NO_EFFECT
+            some = [column[a:b] for a, b in pairwise(edges)] if effect[position] else []
+            out[position] = [part.copy() if part.any() else None for part in some] or [None] * (len(edges) - 1)
             if change <= NO_EFFECT:
                 unit = max(abs(theta[j]), 1.0)
                 if step[j] < 99.0 * unit and attempt < 5:
@@ -174,8 +177,7 @@ def sensitivities(
         pending = again
         if not pending:
             break
-    out[:, :, ~effect] = 0.0
-    return Differences(out, step, effect, runs)
+    return Differences(Blocks.gathered(out, base.shape[1], edges), step, effect, runs)
 
 
 def roughness(
@@ -191,7 +193,7 @@ def roughness(
     inward = np.where(theta + 7.0 * small > upper, -small, small)
     points = [theta + count * inward for count in range(1, 7)]
     points = [np.clip(point, lower, upper) for point in points]
-    answers = run_all(simulation, points, map_)
+    answers = list(run_all(simulation, points, map_))
     if any(isinstance(answer, str) for answer in answers):
         return 0.0, len(points)
     table = np.stack([base, *(answer for answer in answers if not isinstance(answer, str))])

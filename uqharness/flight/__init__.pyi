@@ -1,3 +1,4 @@
+from .branching import Split as Split
 from .contact import ContactPoint as ContactPoint
 from .contact import contact_points as contact_points
 from .dryden import DrydenGusts as DrydenGusts

@@ -21,6 +21,7 @@ import numpy.typing as npt
 from sysid.units import FT_M, KT_MPS
 from uqharness.errors import BadInputError
 from uqharness.flight import exact
+from uqharness.flight.branching import Source, Split, spliced
 from uqharness.flight.gust_filters import PAGE_STEPS, GustFilters, Recur, UnitGusts, first_order, lateral, numpy_recursion
 from uqharness.flight.normals import Normals, Pairs, numpy_pairs
 
@@ -169,7 +170,8 @@ def gust_blocks(
 class DrydenGusts:
     """The same samples without end, a page of PAGE_STEPS at a time.
 
-    ``seed`` as of ``dryden_gusts``. ``pairs`` and ``recur`` may be compiled forms of ``numpy_pairs`` and ``numpy_recursion``.
+    ``seed`` as of ``dryden_gusts``; behind each of ``splits`` the noise is another. ``pairs`` and ``recur`` may be compiled forms
+    of ``numpy_pairs`` and ``numpy_recursion``.
     ``copy.deepcopy`` gives gusts that go on from where these stand.
     """
 
@@ -180,6 +182,7 @@ class DrydenGusts:
         seed: int | Sequence[int],
         pairs: Pairs = numpy_pairs,
         recur: Recur = numpy_recursion,
+        splits: Sequence[Split] = (),
     ) -> None:
         _positive(dt_s=dt_s)
         par = parameters
@@ -194,7 +197,12 @@ class DrydenGusts:
             par.sigma_u_mps / par.V_mps,  # 3.7.5: r = +dv/dx = +(dv/dt)/V
         )
         self._scales = np.array([par.sigma_u_mps, par.sigma_u_mps, par.sigma_w_mps, par.sigma_p_radps, *slopes])[:, None]
-        self._unit = UnitGusts(filters, [Normals(_generator(seed, name), pairs) for name in "uvwp"], recur)
+
+        def noise(name: str, per_step: int) -> Source:
+            first = Normals(_generator(seed, name), pairs)
+            return spliced(first, splits, "turbulence", _STREAMS[name], lambda g: Normals(g, pairs), per_step)
+
+        self._unit = UnitGusts(filters, [noise(*each) for each in (("u", 1), ("v", 3), ("w", 3), ("p", 1))], recur)
 
     def page(self) -> Array:
         """The next samples, (6, PAGE_STEPS) with the rows of COMPONENTS [m/s, rad/s]."""

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uqharness.flight import exact
-from uqharness.flight.normals import Normals
+from uqharness.flight.branching import Source
 
 Array = NDArray[np.float64]
 Matrix = tuple[tuple[float, ...], ...]
@@ -142,7 +142,7 @@ Recur = Callable[[Array, Array, Array, float], Array]
 class UnitGusts:
     """Gusts of unit intensity, a page of samples at a time; ``normals`` are the noises of u, v, w and p."""
 
-    def __init__(self, filters: GustFilters, normals: Sequence[Normals], recur: Recur = numpy_recursion) -> None:
+    def __init__(self, filters: GustFilters, normals: Sequence[Source], recur: Recur = numpy_recursion) -> None:
         self._normals = tuple(normals)
         self._u, self._p = _FirstOrderGusts(filters.u, recur), _FirstOrderGusts(filters.p, recur)
         self._v, self._w = _LateralGusts(filters.v, recur), _LateralGusts(filters.w, recur)

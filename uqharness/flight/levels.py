@@ -10,12 +10,13 @@ Beside them moves the transient part of a model's error, a walk between -1 and 1
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from typing import Any, Protocol
+from collections.abc import Callable, Iterator, Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uqharness.flight.branching import Source, Split, spliced
 from uqharness.flight.normals import Normals, Pairs, numpy_pairs
 from uqharness.flight.seeds import transient_stream, walk_stream
 from uqharness.flight.spec import COEFFICIENTS, LevelDriver, TransientDriver
@@ -38,16 +39,22 @@ def level_blocks(driver: LevelDriver | TransientDriver, steps: int, dt_s: float,
 
 
 class Levels:
-    """The same without end. ``pairs`` may be a compiled form of ``numpy_pairs``.
+    """The same without end. ``pairs`` may be a compiled form of ``numpy_pairs``. Behind each of ``splits`` transient levels, which
+    belong to the air, walk on otherwise.
 
     ``copy.deepcopy`` gives levels that go on from where these stand.
     """
 
-    def __init__(self, driver: LevelDriver | TransientDriver, dt_s: float, pairs: Pairs = numpy_pairs) -> None:
+    def __init__(
+        self, driver: LevelDriver | TransientDriver, dt_s: float, pairs: Pairs = numpy_pairs, splits: Sequence[Split] = ()
+    ) -> None:
         if not dt_s > 0.0:
             raise ValueError(f"dt_s = {dt_s}: a step must be positive")
-        make: Callable[[Any, str, float, Pairs], _Column] = _transient_column if isinstance(driver, TransientDriver) else _column
-        self._columns = [make(driver, name, dt_s, pairs) for name in COEFFICIENTS]
+        self._columns: list[_Column]
+        if isinstance(driver, TransientDriver):
+            self._columns = [_transient_column(driver, name, dt_s, pairs, splits) for name in COEFFICIENTS]
+        else:
+            self._columns = [_column(driver, name, dt_s, pairs) for name in COEFFICIENTS]
 
     def take(self, steps: int) -> Array:
         """Levels of the next steps (steps, 6)."""
@@ -84,13 +91,16 @@ class _White:
 class _Walk:
     """f(0) is uniform: at the rates that flights show, a walk needs most of an hour to forget where it began."""
 
-    def __init__(self, generator: np.random.PCG64, rate_per_sqrt_s: float, dt_s: float, pairs: Pairs) -> None:
+    def __init__(
+        self, generator: np.random.PCG64, rate_per_sqrt_s: float, dt_s: float, pairs: Pairs,
+        spliced_to: Callable[[Source], Source] = lambda first: first,
+    ) -> None:  # fmt: skip
         if not rate_per_sqrt_s >= 0.0:
             raise ValueError(f"walk rate {rate_per_sqrt_s}: 0 or more per square root of a second")
         # Eq 3.38 with the rates where the print has periods: sigma_sim = sigma_rec sqrt(rate_rec/rate_sim) = rate sqrt(dt)
         self._sigma = rate_per_sqrt_s * math.sqrt(dt_s)
         self._next = float(np.random.Generator(generator).random())
-        self._normals = Normals(generator, pairs)
+        self._normals = spliced_to(Normals(generator, pairs))
 
     def take(self, size: int) -> Array:
         path = np.empty(size + 1)
@@ -112,12 +122,17 @@ class _Centred:
         return np.asarray(2.0 * self._walk.take(size) - 1.0)
 
 
-def _transient_column(driver: TransientDriver, coefficient: str, dt_s: float, pairs: Pairs) -> _Column:
+def _transient_column(
+    driver: TransientDriver, coefficient: str, dt_s: float, pairs: Pairs, splits: Sequence[Split]
+) -> _Column:  # fmt: skip
     if coefficient not in driver.coefficients:
         return _Constant(0.0)
     generator = np.random.PCG64(transient_stream(driver.root_seed, driver.aleatory_id, coefficient))
     rate = driver.rates_per_sqrt_s[driver.coefficients.index(coefficient)]
-    return _Centred(_Walk(generator, rate, dt_s, pairs))
+    number = COEFFICIENTS.index(coefficient)
+    return _Centred(
+        _Walk(generator, rate, dt_s, pairs, lambda first: spliced(first, splits, "transient", number, lambda g: Normals(g, pairs)))
+    )
 
 
 def _column(driver: LevelDriver, coefficient: str, dt_s: float, pairs: Pairs) -> _Column:

@@ -14,7 +14,7 @@ import numpy as np
 from sysid.digests import sha256_hex
 from uqharness.flight.spec import COEFFICIENTS
 
-KINDS = {"turbulence": 1, "noise": 2, "walk": 3, "levels": 4, "parameters": 5, "variable": 6, "transient": 7}
+KINDS = {"turbulence": 1, "noise": 2, "walk": 3, "levels": 4, "parameters": 5, "variable": 6, "transient": 7, "branch": 8}
 """Stream kinds and their numbers; a number once given is never reused, or old campaigns could not be repeated."""
 
 _LARGEST = 2**31 - 2
@@ -38,6 +38,17 @@ def transient_stream(root_seed: int, aleatory_id: int, coefficient: str) -> np.r
     """Seed sequence of one coefficient's transient model error in one air."""
     key = (KINDS["transient"], aleatory_id, COEFFICIENTS.index(coefficient))
     return np.random.SeedSequence(entropy=root_seed, spawn_key=key)
+
+
+def branch_stream(root_seed: int, aleatory_id: int, level: int, branch: int, kind: str, number: int) -> np.random.SeedSequence:
+    """Seed sequence of one stream of the kind behind a split: of the branch of that number at that level, in that air."""
+    return np.random.SeedSequence(entropy=root_seed, spawn_key=(KINDS["branch"], aleatory_id, level, branch, KINDS[kind], number))
+
+
+def branch_seed(root_seed: int, aleatory_id: int, level: int, branch: int, kind: str) -> int:
+    """The same for JSBSim's generator, 1..2^31-2."""
+    sequence = branch_stream(root_seed, aleatory_id, level, branch, kind, 0)
+    return int(sequence.generate_state(1, np.uint64)[0] % _LARGEST) + 1
 
 
 def named_stream(root_seed: int, kind: str, name: str) -> np.random.SeedSequence:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,8 +20,8 @@ from uqharness.simulator import TRIM_LATITUDE_DEG, body_velocity, engine, positi
 Array = NDArray[np.float64]
 _FORCES = tuple(f"forces/fb{a}-{kind}-lbs" for kind in ("total", "aero") for a in "xyz")
 _MOMENTS = tuple(f"moments/{a}-{kind}-lbsft" for kind in ("total", "aero") for a in "lmn")
-
-
+_STOOD_BYTES = 50_000_000
+_stood: OrderedDict[tuple[object, ...], Array] = OrderedDict()
 SETTLED_RADPS, MOST_FRAMES = 1e-6, 25
 """Change of alphadot and betadot from frame to frame at which a forced state has settled, and the frames that it may take."""
 
@@ -137,7 +138,22 @@ def mass_properties(fdm: Any, model: ReplayModel) -> MassProperties:
 
 
 def surface_positions(model: ReplayModel, segment: Segment, names: Sequence[str]) -> Array:
-    """(n, c) where the controls stood: the record's own values where measured, else what the model's actuators make of them."""
+    """(n, c) where the controls stood: the record's own values where measured, else what the model's actuators make of them.
+
+    What was asked before is remembered: residuals ask for the same stretch under many states.
+    """
+    asked = (segment.controls, segment.time_s, segment.start, np.array([segment.altitude_m, segment.h_m]))
+    key = (model.identity, *(a.tobytes() for a in asked), *names)
+    if key in _stood:
+        _stood.move_to_end(key)
+    else:
+        _stood[key] = _positions(model, segment, names)
+        while sum(value.nbytes for value in _stood.values()) > _STOOD_BYTES:
+            _stood.popitem(last=False)
+    return _stood[key].copy()
+
+
+def _positions(model: ReplayModel, segment: Segment, names: Sequence[str]) -> Array:
     from uqharness.replay.replay import CHANNELS, fly_segment
 
     out = segment.controls.copy()

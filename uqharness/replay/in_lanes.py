@@ -85,7 +85,7 @@ _programs: OrderedDict[_Alike, _Program | None] = OrderedDict()
 
 
 def _alike(job: ReplayJob) -> _Alike:
-    return str(job.model.staging.root), job.extra, shape_of(job.segment, job.between).stride
+    return job.model.identity, job.extra, shape_of(job.model, job.segment, job.between).stride
 
 
 def _program(jobs: Sequence[ReplayJob]) -> _Program | None:
@@ -115,7 +115,7 @@ def _made(job: ReplayJob, names: frozenset[str]) -> _Program | None:
     properties = [model.card.inputs[name].property for name in model.controls]
     try:
         sources = batch.read_sources(batch.Files(model.staging.folder, model.staging.xml, root / "engine", root / "systems"), None)
-        shape = shape_of(job.segment, job.between)
+        shape = shape_of(job.model, job.segment, job.between)
         records = [*RAW, *job.extra]
         made = batch.make_replay(
             sources, lambda: model.open(shape.dt_s), shape.dt_s, properties, sorted(names), records, shape.stride
@@ -141,7 +141,7 @@ def _judged(job: ReplayJob, program: _Program | None) -> _Program | None:
 
 
 def _in_lanes(program: _Program, jobs: Sequence[ReplayJob]) -> list[Array]:
-    shapes = [shape_of(job.segment, job.between) for job in jobs]
+    shapes = [shape_of(job.model, job.segment, job.between) for job in jobs]
     controls: dict[_Timing, Array] = {}
     lanes = [_lane(program, job, shape, controls) for job, shape in zip(jobs, shapes, strict=True)]
     found = {k: _outputs(rows, jobs[k], shapes[k]) for k, rows in batch.fly_replays(program.replay, lanes)}

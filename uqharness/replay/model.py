@@ -20,12 +20,19 @@ from numpy.typing import NDArray
 from sysid.units import DEG_RAD
 from uqharness.errors import BadInputError
 from uqharness.scratch import scratch_folder
-from uqharness.simulator import SECOND_ORDER, Aircraft, Card, Staging, check_loadable, engine, parse_xml, position_factor, stage
+from uqharness.simulator import Aircraft, Card, Staging, check_loadable, content_hash, engine, parse_xml, position_factor, stage
 
 CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 Array = NDArray[np.float64]
 _HEIGHT = re.compile(r"h-agl-(?:ft|km)|h_b-(?:mac|cg)-ft")
 _RATES = re.compile(r"(?:alpha|beta)dot-(?:rad|deg)_sec")
+_INTEGRATORS = tuple(
+    f"simulation/integrator/{part}"
+    for part in ("rate/rotational", "rate/translational", "position/rotational", "position/translational")
+)
+_THIRD_ORDER = 4.0
+"""JSBSim's number of Adams-Bashforth's rule of third order. One of second order would add 0.08 % to a mode of 8.5 rad/s in runs of
+5 ms."""
 _ACTUATOR_DYNAMICS = ("lag", "rate_limit", "hysteresis_width", "deadband_width", "bias")
 
 
@@ -38,6 +45,7 @@ class ReplayModel:
     ``factor`` record unit -> property unit of each control, in the order of ``controls``.
     ``throws`` positions and the commands at which the aircraft's own linkage puts them, of normalised controls whose values are
     positions: both ends of a travel seldom have one factor.
+    ``identity`` of what flies: two copies of one aircraft, opened alike, have the same.
     ``near_ground`` whether its XML reads the height above the ground, ``by_rates`` whether it reads the rates of alpha or beta.
     """
 
@@ -51,6 +59,7 @@ class ReplayModel:
     throws: tuple[tuple[tuple[float, ...], tuple[float, ...]] | None, ...] = ()
     near_ground: bool = False
     by_rates: bool = False
+    identity: str = ""
 
     @property
     def jumping(self) -> tuple[str, ...]:
@@ -70,8 +79,8 @@ class ReplayModel:
         fdm = engine.open_fdm(self.staging, dt_s)
         for name, value in {**self.card.modes.get("open_loop", {}), **self.settings}.items():
             engine.set_property(fdm, name, value)
-        for name, value in SECOND_ORDER.items():
-            fdm[name] = value
+        for name in _INTEGRATORS:
+            fdm[name] = _THIRD_ORDER
         return fdm
 
     def positions(self) -> dict[str, str]:
@@ -111,6 +120,7 @@ class ReplayFolder:
             staging, card, tuple(controls), tuple(measured),
             tuple(_factor(card, name) for name in controls), tuple(c for c in controls if card.inputs[c].position in lagging),
             dict(settings or {}), near_ground=_asks_for(_HEIGHT, copy), by_rates=_asks_for(_RATES, copy),
+            identity=repr((content_hash(aircraft), tuple(controls), tuple(measured), tuple(ideal), dict(settings or {}))),
         )  # fmt: skip
         _declare_orphans(self.model, staging.xml, aircraft.dt_s)
         self.model = replace(self.model, throws=_throws(self.model, (*measured, *ideal), aircraft.dt_s))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
@@ -15,15 +15,15 @@ from uqharness.replay.simulation import Replay
 Array = NDArray[np.float64]
 
 
-def spread_over(map_: Callable[..., Any]) -> Callable[..., list[Any]]:
+def spread_over(map_: Callable[..., Any]) -> Callable[..., Iterable[Any]]:
     """A `map` for output error that has the replays of all its points flown together; ``map_`` spreads what JSBSim flies."""
 
-    def spread(function: Callable[[Array], Any], points: Any) -> list[Any]:
+    def spread(function: Callable[[Array], Any], points: Any) -> Iterable[Any]:
         todo = list(points)
         replay = getattr(function, "simulate", None)
         if isinstance(replay, Replay):
             replay.fetch(todo, map_)
-        return [function(point) for point in todo]
+        return map(function, todo)
 
     return spread
 

@@ -2,10 +2,11 @@
 
 Timing. A record's command k acts from sample k on: the acceleration of sample k has seen it, the rates only later. So the command
 is set before the run that arrives at sample k, and never earlier: one run too early or late is a lag in every servo.
-JSBSim's second-order integrators and its actuators (Tustin) take a step for a ramp that began a run before, half a run early in the
-mean; the values of the runs around a step make up for that (`by_run`). Any flight has its own way between two samples, one that
-JSBSim flew acted half of its own step early: how late the controls act is for the estimator to find (CONTROL_DELAY). So is whether
-a row's accelerometers were read before its command went out (UNSEEN): a surface without a lag jumps then, and so do they.
+JSBSim's Adams-Bashforth integrators and its actuators (Tustin) take a step for a ramp that began a run before, half a run early in
+the mean; the values of the runs around a step make up for that, to the square of a run (`by_run`). Any flight has its own way
+between two samples, one that JSBSim flew acted half of its own step early: how late the controls act is for the estimator to find
+(CONTROL_DELAY). So is whether a row's accelerometers were read before its command went out (UNSEEN): a surface without a lag jumps
+then, and so do they.
 """
 
 from __future__ import annotations
@@ -42,15 +43,29 @@ CONTROL_DELAY = "controls"
 """What a delay is called by which the controls act late, all of them."""
 UNSEEN = "unseen"
 """What the share of a jump is called that the accelerometers of its row have not seen."""
-MAX_STEP_S = 0.0025
-"""Longest run. The integrators change a mode of rate w by (5/12)(w run)^2: at 10 ms 0.3 % of the roll mode, more than two standard
-errors of three calm flights of 90 s, at 2.5 ms 0.02 %."""
+MAX_STEP_S = 0.005
+"""Longest run. The integrators change a mode of rate w by (3/8)(w run)^3: 0.003 % of a roll mode of 8.5 rad/s, and they are stable
+to 0.545 / run = 109 rad/s."""
+SHORT_STEP_S = 0.0025
+"""Longest run where a surface jumps with its command, and the accelerometers with it, or where forces go with the rates of alpha or
+beta, which JSBSim takes from the run before."""
 BETWEEN_S = 0.005
 """Longest time between outputs that are wanted between rows."""
 MIN_RUNS = 2
+_JUMP = (5.0 / 12.0, 8.0 / 12.0, -1.0 / 12.0)
+"""Shares of a step in three runs (Adams-Moulton's weights): the sum, the mean time and its spread are those of the step itself."""
+_BEYOND = 11.0 / 12.0
+"""How far, in steps, the same takes a command beyond its goal where a servo by Tustin's rule has not moved at the row."""
+_RETURN = (1.0, -37.0 / 21.0, 11.0 / 21.0, 5.0 / 21.0)
+"""Values that move a row's own by 1 and nothing else: not sum, mean time and spread, nor what is summed up four runs later."""
+_KINK = 1.0 / 12.0
+"""Of a line's change of direction: what sums over runs have too little."""
 _ANGULAR = ("accelerations/pdot-rad_sec2", "accelerations/qdot-rad_sec2", "accelerations/rdot-rad_sec2")
 RAW = (*(STANDARD[c].property for c in CHANNELS), "inertia/mass-slugs", *_ANGULAR)
 """Properties that the channels are made of."""
+_FACTORS = np.array([STANDARD[c].factor for c in CHANNELS])
+_OVER_MASS = slice(CHANNELS.index("ax_mps2"), CHANNELS.index("az_mps2") + 1)
+assert [c for c in CHANNELS if STANDARD[c].over] == list(CHANNELS[_OVER_MASS])
 
 
 @dataclass(frozen=True)
@@ -63,10 +78,12 @@ class Shape:
     rows: int
 
 
-def shape_of(segment: Segment, between: bool = False) -> Shape:
+def shape_of(model: ReplayModel, segment: Segment, between: bool = False) -> Shape:
     """How a segment is flown; ``between``: with outputs between its rows."""
     outputs = math.ceil(segment.dt_s / BETWEEN_S - 1e-6) if between else 1
-    runs = outputs * math.ceil(runs_per_row(segment.dt_s) / outputs)
+    runs = outputs * math.ceil(
+        runs_per_row(segment.dt_s, SHORT_STEP_S if model.by_rates or model.jumping else MAX_STEP_S) / outputs
+    )
     return Shape(segment.dt_s / runs, runs, runs // outputs, (len(segment.time_s) - 1) * outputs + 1)
 
 
@@ -75,12 +92,18 @@ def run_controls(model: ReplayModel, segment: Segment, shape: Shape, late_s: flo
     measured, lagging = ([name in kind for name in model.controls] for kind in (model.measured, model.lagging))
     seen = 1.0 - unseen if shape.stride == shape.runs else None
     late = late_s / segment.dt_s * shape.runs
-    return model.to_property(by_run(segment, shape.runs, measured, lagging, late, seen))
+    limits = [
+        tuple(limit / factor for limit in model.card.inputs[c].limits)
+        for c, factor in zip(model.controls, model.factor, strict=True)
+    ]
+    return model.to_property(by_run(segment, shape.runs, measured, lagging, late, seen, np.sort(limits)))
 
 
-def runs_per_row(dt_s: float) -> int:
-    """JSBSim runs from one row to the next: at least two, none longer than MAX_STEP_S."""
-    return max(MIN_RUNS, math.ceil(dt_s / MAX_STEP_S - 1e-6))
+def runs_per_row(dt_s: float, longest_s: float | None = None) -> int:
+    """JSBSim runs from one row to the next, none longer than ``longest_s`` (MAX_STEP_S): at least two, and four, as many as the
+    values around a step take, unless they were shorter than SHORT_STEP_S."""
+    whole, short = (math.ceil(dt_s / step - 1e-6) for step in (longest_s or MAX_STEP_S, SHORT_STEP_S))
+    return max(MIN_RUNS, whole, min(len(_RETURN), short))
 
 
 def fly_segment(
@@ -101,7 +124,7 @@ def fly_segment(
     Rows after a failure in flight are NaN.
     Raises BadInputError for a property that the model has not.
     """
-    shape = shape_of(segment, between)
+    shape = shape_of(model, segment, between)
     fdm = model.open(shape.dt_s)
     for name, value in properties.items():
         engine.set_property(fdm, name, value)
@@ -159,23 +182,29 @@ def _reader(fdm: Any, extra: Sequence[str]) -> Any:
 
 def by_run(
     segment: Segment, runs: int, measured: Sequence[bool], lagging: Sequence[bool], late: float = 0.0,
-    seen: float | None = 1.0,
+    seen: float | None = 1.0, limits: Array | None = None,
 ) -> Array:  # fmt: skip
     """((n - 1) runs + 1, c) control values of every run, the first at the first row; all of them ``late`` runs late.
 
-    A command is held, and begins half a run later than it is set (see the module's text). An actuator with a lag has not moved at
-    the row of a step: what is missing there the run after it has besides, so that a rate limit behind the lag begins in time. A
-    surface that jumps with its command has jumped at its row by the share ``seen``, whenever the others began to move; None, for
-    outputs between rows: as it comes. The run after takes back what this moves too early.
+    A command is held. The values of the runs around its step are such that Adams-Bashforth's sums have the step's own area, mean
+    time and spread (see the module's text). An actuator with a lag has not moved at the row of a step: what is missing there the
+    runs after it have besides, so that a rate limit behind the lag begins in time. A surface that jumps with its command has jumped
+    at its row by the share ``seen``, whenever the others began to move; None, for outputs between rows: as it comes. The runs after
+    take back what this moves too early. With fewer than four runs a row only area and mean time are kept: more would reach into
+    the next row; limits (c, 2): where a command goes no further.
     A measured position goes to the next one as a servo does: exponentially towards its command where that is known and explains
     the two, else in a straight line.
     """
     now, then = segment.controls[:-1], segment.controls[1:]
     before = np.vstack([now[:1], now[:-1]])
     held, lags = ~np.asarray(measured), np.asarray(lagging)
+    fits = runs >= len(_RETURN)
     values = np.repeat(now[:, None, :], runs, axis=1)
     values[:, 0, lags] = before[:, lags]
-    values[:, 1, lags] += 0.5 * (now - before)[:, lags]
+    beyond = _beyond(before, now, _BEYOND if fits else 0.5, limits)
+    values[:, 1, lags] += beyond[:, lags]
+    if fits:
+        values[:, 2, lags] += np.where(np.abs(beyond) < 0.25 * np.abs(now - before), beyond, 0.5 * (now - before) - beyond)[:, lags]
     share = (np.arange(runs) / runs)[None, :, None]
     straight = now[:, None, :] + share * (then - now)[:, None, :]
     if segment.targets is not None:
@@ -188,18 +217,37 @@ def by_run(
     values = np.where(held[None, None, :], values, straight)
     out = np.vstack([values.reshape(-1, now.shape[1]), segment.controls[-1:]])
     jumps = held & ~lags
+    if fits:
+        out[1::runs, ~held] += _KINK * np.diff(out, 2, axis=0, prepend=out[:1])[::runs, ~held]
+    out[:, jumps] = _spread(out[:, jumps], _JUMP if fits else (0.5, 0.5))
     at = np.arange(len(out))
-    for column, wait in enumerate(late + 0.5 * jumps):
-        if wait != 0.0:
+    if late != 0.0:
+        for column in range(out.shape[1]):
             # In proportion between two runs: the step's mean time is right.
-            out[:, column] = np.interp(at - wait, at, out[:, column])
+            out[:, column] = np.interp(at - late, at, out[:, column])
     if seen is not None:
         rows = at[::runs]
         before = np.vstack([segment.controls[:1], now])
         missing = np.where(jumps, before + seen * (segment.controls - before) - out[rows], 0.0)
-        out[rows] += missing
-        out[rows[:-1] + 1] -= missing[:-1]
+        out[-1] += missing[-1]
+        for run, part in enumerate(_RETURN if fits else (1.0, -1.0)):
+            out[rows[:-1] + run] += part * missing[:-1]
     return out
+
+
+def _beyond(before: Array, now: Array, steps: float, limits: Array | None) -> Array:
+    """(n, c) so many steps, or as much of them as the limits leave room for."""
+    wanted = steps * (now - before)
+    if limits is None:
+        return wanted
+    low, high = limits.T
+    return np.clip(wanted, np.minimum(low - now, 0.0), np.maximum(high - now, 0.0))
+
+
+def _spread(values: Array, shares: Sequence[float]) -> Array:
+    """Values each of which begins bit by bit, in as many runs as there are shares; before the first they were as there."""
+    held = np.vstack([values[:1]] * (len(shares) - 1) + [values])
+    return sum((share * held[len(shares) - 1 - k : len(held) - k] for k, share in enumerate(shares)), np.zeros_like(values))
 
 
 def _advance(fdm: Any, controls: Array, setters: list[list[Any]], read: Any, runs: int) -> list[list[float]]:
@@ -235,16 +283,16 @@ def _advance(fdm: Any, controls: Array, setters: list[list[Any]], read: Any, run
 def outputs_of(raw: Array, segment: Segment, extra: int, n: int) -> Array:
     """(n, 13 + extra) CHANNELS and further properties from rows of RAW and those; NaN behind the last row."""
     c = len(CHANNELS)
-    out = np.full((n, c + extra), np.nan)
     done = len(raw)
-    mass = raw[:, c]
-    for k, name in enumerate(CHANNELS):
-        source = STANDARD[name]
-        out[:done, k] = raw[:, k] * source.factor / (mass if source.over else 1.0)
+    out = np.empty((n, c + extra))
+    out[done:] = np.nan
+    np.multiply(raw[:, :c], _FACTORS, out=out[:done, :c])
+    out[:done, _OVER_MASS] /= raw[:, c : c + 1]
     psi = CHANNELS.index("psi_rad")
     turned = out[:done, psi]
-    if not np.abs(np.diff(turned)).max(initial=0.0) < np.pi:
-        turned = np.unwrap(turned)
+    turns = np.rint(np.diff(turned) / (2.0 * np.pi))
+    if turns.any():
+        turned[1:] -= 2.0 * np.pi * np.cumsum(turns)
     # As near the start's heading as possible: measured headings are unwrapped from there.
     out[:done, psi] = turned + 2.0 * np.pi * round((segment.start[5] - turned[0]) / (2.0 * np.pi))
     out[:done, -1 - extra] += segment.h_m - out[0, -1 - extra]

@@ -33,14 +33,12 @@ _EVERY = 4
 
 @dataclass(frozen=True)
 class JsbsimPrediction:
-    """coefficients(record, piece) of a flight's model. ``straight`` passes its controls through, ``model`` has its actuators.
-    ``stood``: where the controls stood, by their columns."""
+    """coefficients(record, piece) of a flight's model. ``straight`` passes its controls through, ``model`` has its actuators."""
 
     model: ReplayModel
     straight: ReplayModel
     flight: Flight
     measured: tuple[str, ...]
-    stood: dict[bytes, Array] = field(default_factory=dict)
 
     def __call__(self, record: FlightRecord, piece: Piece, every: int = 1) -> Prediction:
         """Force the state of every so many rows, and of the last, upon JSBSim and read what it says. Raises BadInputError."""
@@ -68,11 +66,7 @@ class JsbsimPrediction:
         first = max(whole.start, piece.rows.start - run_up)
         longer = replace(piece, rows=slice(first, piece.rows.stop), start_s=float(record["time_s"][first]))
         segment = segments(replace(self.flight, pieces=(longer,)), self.measured)[0]
-        # Another state of the flight has the same controls: where these stood does not depend on how the aircraft moved.
-        key = segment.time_s.tobytes() + segment.controls.tobytes()
-        if key not in self.stood:
-            self.stood[key] = surface_positions(self.model, segment, CONTROLS)
-        return self.stood[key][piece.rows.start - first :]
+        return surface_positions(self.model, segment, CONTROLS)[piece.rows.start - first :]
 
 
 def asked_rows(n: int, every: int) -> NDArray[np.intp]:
@@ -91,7 +85,8 @@ def changed(near: Prediction, said: Prediction, every: int) -> Prediction:
         wide = np.column_stack([np.interp(full, asked, column) for column in flat.T])
         return np.asarray(all_rows + wide.reshape(all_rows.shape))
 
-    return replace(near, **{name: moved(getattr(near, name), getattr(said, name)) for name in ANSWERED})
+    answers = {name: moved(getattr(near, name), getattr(said, name)) for name in ANSWERED}
+    return replace(near, **answers)  # type: ignore[arg-type]
 
 
 @contextmanager
@@ -117,11 +112,10 @@ class ReplayPair:
     straight: ReplayModel
     measured: tuple[str, ...]
     said: dict[tuple[object, ...], Prediction] = field(default_factory=dict)
-    stood: dict[bytes, Array] = field(default_factory=dict)
 
     def of(self, flight: Flight) -> Model:
         """The callable that `residual_coefficients` takes."""
-        model = JsbsimPrediction(self.model, self.straight, flight, self.measured, self.stood)
+        model = JsbsimPrediction(self.model, self.straight, flight, self.measured)
 
         def ask(record: FlightRecord, piece: Piece) -> Prediction:
             key = (flight.name, piece.rows.start, piece.rows.stop, _states(record, piece))
@@ -133,7 +127,7 @@ class ReplayPair:
 
     def around(self, flight: Flight) -> Model:
         """The same for one who asks for a piece's own states first and then for states near them."""
-        model = JsbsimPrediction(self.model, self.straight, flight, self.measured, self.stood)
+        model = JsbsimPrediction(self.model, self.straight, flight, self.measured)
         ask, own = self.of(flight), dict[tuple[int, int], Prediction]()
 
         def near(record: FlightRecord, piece: Piece) -> Prediction:

@@ -15,7 +15,7 @@ from uqharness.replay.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF, STATES, 
 from uqharness.replay.segments import Segment
 
 Array = NDArray[np.float64]
-_CACHE_BYTES = 800_000_000
+_CACHE_BYTES = 300_000_000
 Start = tuple[Array, float, float]
 """Start state (9,), how late the controls act [s], share of a jump unseen."""
 

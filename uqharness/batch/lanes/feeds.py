@@ -3,35 +3,57 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sysid.units import FT_M
 from uqharness.batch.form.flying import Feed, shared, slot
-from uqharness.batch.lanes.begin import Begun
 from uqharness.batch.lanes.mission import LaneMission
-from uqharness.batch.lanes.streams import GUSTS, LEVELS, TRANSIENTS, HostGusts, MovingLevels, Series, Turbulence, noise_streams
+from uqharness.batch.lanes.streams import (
+    GUSTS,
+    LEVELS,
+    TRANSIENTS,
+    HostGusts,
+    MovingLevels,
+    Noise,
+    Rows,
+    Series,
+    Turbulence,
+    noise_streams,
+)
 from uqharness.batch.models.start import rounded
 from uqharness.batch.models.winds import COUNTER, NORMALS
-from uqharness.flight import TURBULENCE_W20_KT, FlightSpec, LevelDriver, TransientDriver, dryden_parameters
+from uqharness.flight import TURBULENCE_W20_KT, FlightSpec, LevelDriver, Split, TransientDriver, dryden_parameters
 
 Array = NDArray[np.float64]
 
 
-class Feeder:
-    """Feeds of the next frames for the lanes that are still flying."""
+Air = tuple[float, float, float]
+"""Airspeed [m/s], height [m] and span [m] from which the host's gusts are made."""
+Splits = tuple[Split, ...]
 
-    def __init__(self, lanes: LaneMission, specs: Sequence[FlightSpec], started: Begun) -> None:
-        self._lanes, self._specs, self._started = lanes, specs, started
+
+class Feeder:
+    """Feeds of the next frames for the lanes that are still flying.
+
+    airs: each lane's; begun: noise by seed, where the lanes stand before their first frame. Lanes that go on behind ``frame``
+    frames have ``splits``, and their streams are made anew up to there.
+    """
+
+    def __init__(
+        self, lanes: LaneMission, specs: Sequence[FlightSpec], airs: Sequence[Air], begun: Mapping[int, Noise] | None = None,
+        frame: int = 0, splits: Sequence[Splits] | None = None,
+    ) -> None:  # fmt: skip
+        self._lanes, self._specs, self._airs, self._frame = lanes, specs, airs, frame
+        self._splits = [()] * len(specs) if splits is None else splits
         self._program = lanes.program
         self._wanted = {stream.name for stream in self._program.streams}
         self._noise = noise_streams(lanes.flight.draws)
+        self._noises: dict[tuple[int, Splits], Noise] = {(seed, ()): noise for seed, noise in (begun or {}).items()}
         self._series: dict[tuple[str, Hashable], Series] = {}
         self._windows: dict[Hashable, _Window] = {}
-        gusty = GUSTS.name in self._wanted
-        self._airs = [(spec.seed_turbulence, *self._scales(k)) for k, spec in enumerate(specs)] if gusty else []
 
     def feeds(self, alive: NDArray[np.intp], frames: int, state: Array) -> dict[str, Feed]:
         """For ``frames`` frames on."""
@@ -39,24 +61,38 @@ class Feeder:
         if self._noise:
             out |= self._noise_feeds(alive, frames)
         if GUSTS.name in self._wanted:
-            out[GUSTS.name] = self._fed(GUSTS.name, [self._airs[k] for k in alive], frames, self._gusts)
+            out[GUSTS.name] = self._fed(GUSTS.name, [self._air(k) for k in alive], frames, self._gusts)
         if LEVELS.name in self._wanted:
-            out[LEVELS.name] = self._fed(LEVELS.name, [self._specs[k].levels for k in alive], frames, self._levels)
+            out[LEVELS.name] = self._fed(LEVELS.name, [(self._specs[k].levels, ()) for k in alive], frames, self._levels)
         if TRANSIENTS.name in self._wanted:
-            out[TRANSIENTS.name] = self._fed(TRANSIENTS.name, [self._specs[k].transient for k in alive], frames, self._levels)
+            drivers = [(self._specs[k].transient, self._splits[k]) for k in alive]
+            out[TRANSIENTS.name] = self._fed(TRANSIENTS.name, drivers, frames, self._levels)
         if NORMALS.name in self._wanted:
             out[NORMALS.name] = self._turbulence(alive, frames, state)
         return out
 
     def _noise_feeds(self, alive: NDArray[np.intp], frames: int) -> dict[str, Feed]:
-        seeds = [self._specs[k].seed_noise for k in alive]
+        seeds = [(self._specs[k].seed_noise, self._splits[k]) for k in alive]
         # What no lane meets any more stands still: nobody asks for it again.
-        rows = {seed: self._started.noise[seed].frames(frames) for seed in dict.fromkeys(seeds)}
+        rows = {key: self._noise_of(*key).frames(frames) for key in dict.fromkeys(seeds)}
         out = {}
         for stream in self._noise:
             pieces = {seed: found[stream.name] for seed, found in rows.items()}
             out[stream.name] = shared({s: p.array for s, p in pieces.items()}, seeds, next(iter(pieces.values())).first_row)
         return out
+
+    def _noise_of(self, seed: int, splits: Splits) -> Noise:
+        if (seed, splits) not in self._noises:
+            flight, initialising = self._lanes.flight, 3 if self._lanes.steady else 2
+            if splits:
+                # Noise has no memory: that of the last split is all that is heard.
+                made = Noise(splits[-1].seed("noise"), flight.draws, 0, frame=splits[-1].frame)
+                made.frames(self._frame - splits[-1].frame)
+            else:
+                made = Noise(seed, flight.draws, flight.first_draws, initialising=initialising)
+                made.frames(self._frame)
+            self._noises[seed, splits] = made
+        return self._noises[seed, splits]
 
     def _fed(self, name: str, keys: Sequence[Hashable], frames: int, make: Callable[..., Series]) -> Feed:
         pieces = {}
@@ -64,43 +100,73 @@ class Feeder:
         for key in dict.fromkeys(keys):
             if (name, key) not in self._series:
                 self._series[name, key] = make(key)
+                self._series[name, key].rows(self._frame)
             array, first = self._series[name, key].rows(frames)
             pieces[key] = array
         return shared(pieces, keys, first)
 
-    def _levels(self, driver: LevelDriver | TransientDriver) -> MovingLevels:
-        return MovingLevels(driver, self._lanes.dt_s)
+    def _levels(self, key: tuple[LevelDriver | TransientDriver, Splits]) -> MovingLevels:
+        return MovingLevels(key[0], self._lanes.dt_s, splits=key[1])
 
-    def _scales(self, lane: int) -> tuple[float, float, float]:
-        """Airspeed [m/s], height [m] and span [m] at the start, from which the host's gusts are made."""
-        values, spec = self._started.values, self._specs[lane]
-        if self._lanes.air:
-            speed = float(values["velocities/vt-fps"][lane]) * FT_M
-        else:
-            toward = math.radians(spec.wind_from_deg + 180.0)
-            north = float(values["velocities/v-north-fps"][lane]) * FT_M - spec.wind_mps * math.cos(toward)
-            east = float(values["velocities/v-east-fps"][lane]) * FT_M - spec.wind_mps * math.sin(toward)
-            down = float(values["velocities/v-down-fps"][lane]) * FT_M
-            speed = math.sqrt(north * north + east * east + down * down)
-        height = float(values["position/h-agl-ft"][lane]) * FT_M
-        span = float(values.get("metrics/bw-ft", np.full(lane + 1, self._lanes.span_ft))[lane]) * FT_M
-        return rounded(max(speed, 1.0)), rounded(max(height, 3.048)), span
+    def _air(self, lane: int) -> tuple[int, Air, Splits]:
+        return self._specs[lane].seed_turbulence, self._airs[lane], self._splits[lane]
 
-    def _gusts(self, key: tuple[int, float, float, float]) -> HostGusts:
-        seed, speed, height, span = key
+    def _gusts(self, key: tuple[int, Air, Splits]) -> HostGusts:
+        seed, (speed, height, span), splits = key
         w20 = TURBULENCE_W20_KT[self._specs[0].turbulence]
-        return HostGusts(dryden_parameters(speed, height, w20, span), self._lanes.dt_s, seed)
+        return HostGusts(dryden_parameters(speed, height, w20, span), self._lanes.dt_s, seed, splits=splits)
 
     def _turbulence(self, alive: NDArray[np.intp], frames: int, state: Array) -> Feed:
         """Lanes of one air may stand at different rows: each air keeps those that any of its lanes may still need."""
         counters = slot(self._program, state, COUNTER, len(alive)).astype(np.int64)
-        seeds = [self._specs[k].seed_turbulence for k in alive]
+        seeds = [(self._specs[k].seed_turbulence, self._splits[k]) for k in alive]
         pieces = {}
         low = int(counters.min())
         for seed in dict.fromkeys(seeds):
-            window = self._windows.setdefault(seed, _Window(Turbulence(seed)))
+            if seed not in self._windows:
+                self._windows[seed] = _Window(_turbulence_of(*seed))
+            window = self._windows[seed]
             pieces[seed] = window.from_to(low, int(counters.max()) + frames)
         return shared(pieces, seeds, low)
+
+
+def airs_of(lanes: LaneMission, specs: Sequence[FlightSpec], values: Mapping[str, Array]) -> list[Air]:
+    """Each lane's air, of its values behind initialising."""
+    return [_air_of(lanes, spec, values, lane) for lane, spec in enumerate(specs)]
+
+
+def _air_of(lanes: LaneMission, spec: FlightSpec, values: Mapping[str, Array], lane: int) -> Air:
+    if lanes.air:
+        speed = float(values["velocities/vt-fps"][lane]) * FT_M
+    else:
+        toward = math.radians(spec.wind_from_deg + 180.0)
+        north = float(values["velocities/v-north-fps"][lane]) * FT_M - spec.wind_mps * math.cos(toward)
+        east = float(values["velocities/v-east-fps"][lane]) * FT_M - spec.wind_mps * math.sin(toward)
+        down = float(values["velocities/v-down-fps"][lane]) * FT_M
+        speed = math.sqrt(north * north + east * east + down * down)
+    height = float(values["position/h-agl-ft"][lane]) * FT_M
+    span = float(values.get("metrics/bw-ft", np.full(lane + 1, lanes.span_ft))[lane]) * FT_M
+    return rounded(max(speed, 1.0)), rounded(max(height, 3.048)), span
+
+
+def _turbulence_of(seed: int, splits: Splits) -> Series:
+    """Normals alone: the filters are the aircraft's, so that the last split's are all that is heard."""
+    if splits:
+        return _Behind(Turbulence(splits[-1].seed("turbulence"), row=splits[-1].turbulence_row), splits[-1].turbulence_row)
+    return Turbulence(seed)
+
+
+class _Behind:
+    """A series that begins at a row: those before it, which nobody asks for, are NaN."""
+
+    def __init__(self, series: Series, row: int) -> None:
+        self._series, self._row = series, row
+
+    def rows(self, n: int) -> Rows:
+        """The next ``n`` rows."""
+        lacking, self._row = min(n, self._row), max(self._row - n, 0)
+        array, first = self._series.rows(n - lacking)
+        return Rows(np.concatenate([np.full((lacking, array.shape[1]), np.nan), array]), first - lacking)
 
 
 class _Window:

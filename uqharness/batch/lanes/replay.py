@@ -122,9 +122,10 @@ def fly_replays(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> Iterator[t
             part = places[k : k + lanes]
             begin = {name: value[part] for name, value in values.items()}
             records = _flown(replay, [jobs[p] for p in part], begin)
-            first = np.stack([begin[name] for name in replay.program.records])
-            for lane, place in enumerate(part):
-                yield place, np.vstack([first[:, lane], records[:, lane].T])
+            rows = np.empty((len(part), records.shape[2] + 1, len(records)))
+            rows[:, 0] = np.stack([begin[name] for name in replay.program.records], axis=1)
+            rows[:, 1:] = records[:, : len(part)].transpose(1, 2, 0)
+            yield from zip(part, rows, strict=True)
 
 
 def _begun(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[str, Array]:

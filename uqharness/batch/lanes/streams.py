@@ -22,7 +22,7 @@ from uqharness.batch.machine.gusts import compiled_recursion
 from uqharness.batch.machine.random import compiled_pairs, compiled_tries
 from uqharness.batch.machine.target import Target, chosen_target
 from uqharness.batch.models.winds import DRAWS
-from uqharness.flight import COEFFICIENTS, DrydenGusts, DrydenParameters, LevelDriver, Levels, TransientDriver
+from uqharness.flight import COEFFICIENTS, DrydenGusts, DrydenParameters, LevelDriver, Levels, Split, TransientDriver
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ class Noise:
 
     draws    places of the frame in which a normal is drawn (slot, every), in their order: that with ``every`` draws in frames
              that ``every`` divides
-    initial  what the initialising frames draw, (frames, first_draws): they come first
+    initial  what the initialising frames draw, (frames, first_draws): they come first; none where it begins behind ``frame`` frames
     """
 
     def __init__(
@@ -71,6 +71,7 @@ class Noise:
         first_draws: int | None = None,
         target: Target | None = None,
         initialising: int = 2,
+        frame: int = 0,
     ) -> None:
         first_draws = len(draws) if first_draws is None else first_draws
         self._normals = JsbsimNormals(seed, _tries(target or _widest()))
@@ -86,7 +87,9 @@ class Noise:
         self._per_period = int(drawn.sum())
         self._places = {s.name: number[s.every - 1 :: s.every, rates == s.every] for s in self._streams}
         self._held = {s.name: np.empty((0, len(s.columns))) for s in self._streams}
-        self._frame = 0
+        # Numbers stand in periods: those of the begun one are left.
+        self._frame = frame - frame % self._period
+        self.frames(frame - self._frame)
 
     def frames(self, count: int) -> dict[str, Rows]:
         """Rows of the next ``count`` frames by the streams' names."""
@@ -116,8 +119,8 @@ class Noise:
 class Turbulence:
     """Normals of JSBSim's turbulence: a row (nu_u, nu_v, nu_w, nu_p) for each frame in which its filters run."""
 
-    def __init__(self, seed: int, target: Target | None = None) -> None:
-        self._normals, self._row = JsbsimNormals(seed, _tries(target or _widest())), 0
+    def __init__(self, seed: int, target: Target | None = None, row: int = 0) -> None:
+        self._normals, self._row = JsbsimNormals(seed, _tries(target or _widest())), row
 
     def rows(self, n: int) -> Rows:
         """The next ``n`` rows (n, 4)."""
@@ -128,9 +131,12 @@ class Turbulence:
 class HostGusts:
     """Gusts of ``flight.dryden`` at constant airspeed and height, with the columns of GUSTS."""
 
-    def __init__(self, parameters: DrydenParameters, dt_s: float, seed: int | Sequence[int], target: Target | None = None) -> None:
+    def __init__(
+        self, parameters: DrydenParameters, dt_s: float, seed: int | Sequence[int], target: Target | None = None,
+        splits: Sequence[Split] = (),
+    ) -> None:  # fmt: skip
         target = target or _widest()
-        self._gusts = DrydenGusts(parameters, dt_s, seed, compiled_pairs(target), compiled_recursion(target))
+        self._gusts = DrydenGusts(parameters, dt_s, seed, compiled_pairs(target), compiled_recursion(target), splits)
         self._held, self._row = np.empty((0, len(GUSTS.columns))), 0
 
     def rows(self, n: int) -> Rows:
@@ -148,8 +154,10 @@ class HostGusts:
 class MovingLevels:
     """Levels of ``flight.levels``, with the columns of LEVELS or TRANSIENTS."""
 
-    def __init__(self, driver: LevelDriver | TransientDriver, dt_s: float, target: Target | None = None) -> None:
-        self._levels, self._row = Levels(driver, dt_s, compiled_pairs(target or _widest())), 0
+    def __init__(
+        self, driver: LevelDriver | TransientDriver, dt_s: float, target: Target | None = None, splits: Sequence[Split] = ()
+    ) -> None:
+        self._levels, self._row = Levels(driver, dt_s, compiled_pairs(target or _widest()), splits), 0
 
     def rows(self, n: int) -> Rows:
         """The next ``n`` rows (n, 6) in 0..1, transient ones in -1..1."""

@@ -8,7 +8,7 @@ import pytest
 from tests.helpers.batch_whole import WALK, spec
 from uqharness.batch.form.flying import begun
 from uqharness.batch.lanes.begin import begin
-from uqharness.batch.lanes.feeds import Feeder
+from uqharness.batch.lanes.feeds import Feeder, airs_of
 from uqharness.batch.lanes.fly import ready
 from uqharness.batch.lanes.streams import GUSTS, LEVELS
 from uqharness.batch.models.winds import COUNTER, NORMALS
@@ -18,7 +18,7 @@ def made(specs, frames=400):
     lanes = ready(specs[0]).lanes
     started = begin(lanes, specs)
     state = begun(lanes.program, len(specs), {n: v for n, v in started.values.items() if n in lanes.program.slots})
-    return lanes, Feeder(lanes, specs, started), state
+    return lanes, Feeder(lanes, specs, airs_of(lanes, specs, started.values), started.noise), state
 
 
 def specs(seeds=(1, 2, 1), **changes):

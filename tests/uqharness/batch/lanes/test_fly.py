@@ -24,6 +24,7 @@ from tests.helpers.batch_whole import (
     without_air,
 )
 from uqharness.batch.installation import available
+from uqharness.batch.lanes import course
 from uqharness.batch.lanes import fly as lanes
 from uqharness.batch.lanes.fly import fly_many
 from uqharness.batch.machine.target import VECTORS, target_names
@@ -272,7 +273,7 @@ def test_a_lane_that_is_not_a_number_harms_no_other():
 def test_flights_in_pieces(monkeypatch, chunk):
     given = _mixed()
     whole = [_as_bytes(each) for each in fly_many(given)]
-    monkeypatch.setattr(lanes, "_CHUNK", chunk)
+    monkeypatch.setattr(course, "_CHUNK", chunk)
     assert [_as_bytes(each) for each in fly_many(given)] == whole
 
 
