@@ -52,6 +52,8 @@ class Finding:
     severity  "info" (know it), "warning" (look at it), "error" (do not use this channel for that)
     message   one sentence with the figures in it
     numbers   the same figures for machines
+    spoils    what would come out wrong, "" where nothing would
+    mend      the lines of a signal map that put it right, "" where a map cannot
     """
 
     code: str
@@ -59,6 +61,8 @@ class Finding:
     severity: str
     message: str
     numbers: Mapping[str, float] = field(default_factory=dict)
+    spoils: str = ""
+    mend: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """Plain dictionary for JSON; figures that are not finite become None."""
@@ -69,10 +73,13 @@ class Finding:
             "severity": self.severity,
             "message": self.message,
             "numbers": numbers,
+            "spoils": self.spoils,
+            "mend": self.mend,
         }
 
 
 def finding_from_dict(data: Mapping[str, Any]) -> Finding:
     """Inverse of `Finding.as_dict` (None becomes NaN)."""
     numbers = {str(k): (math.nan if v is None else float(v)) for k, v in dict(data.get("numbers", {})).items()}
-    return Finding(str(data["code"]), str(data["channel"]), str(data["severity"]), str(data["message"]), numbers)
+    code, channel, severity, message = (str(data[key]) for key in ("code", "channel", "severity", "message"))
+    return Finding(code, channel, severity, message, numbers, str(data.get("spoils", "")), str(data.get("mend", "")))

@@ -39,18 +39,41 @@ def white_noise(pieces: Sequence[FloatArray]) -> float:
     return float(np.sqrt(np.median(np.concatenate(squares)) / 0.454936 / 20.0))
 
 
-def channel_noise(data: Sequence[FloatArray], channels: Sequence[str], card: Mapping[str, float]) -> dict[str, float]:
-    """Noise of each channel: what its own samples show, or what the card says of the sensor, whichever is larger.
+def quantum(pieces: Sequence[FloatArray]) -> float:
+    """Size of the steps in which a channel's samples move; 0 for one that takes any value, or never moves."""
+    steps = [np.abs(np.diff(p[np.isfinite(p)])) for p in pieces]
+    together = np.concatenate(steps) if steps else np.zeros(0)
+    moving = together[together > 0.0]
+    if moving.size < 2 or moving.size > _REPEATS * together.size:
+        return 0.0
+    return float(np.quantile(moving, 0.01))
 
-    Attitudes of an autopilot are filtered and look cleaner than they are true; there the card's figure counts.
+
+_REPEATS = 0.9  # share of samples that differ from the one before, above which a channel is not coarse
+_RESOLUTION = 1e-6  # of a channel's size: what a record's numbers tell at best
+
+
+def channel_noise(data: Sequence[FloatArray], channels: Sequence[str], card: Mapping[str, float]) -> dict[str, float]:
+    """Noise of each channel: what its own samples show, what the card says of the sensor, and what its steps hide: the largest.
+
+    Attitudes of an autopilot are filtered and look cleaner than they are true; there the card's figure counts. Steps of size q
+    hide an error of variance q^2/12. Nothing is known better than to a
+    millionth: no noise is zero. NaN for a channel without samples.
     """
     out = {}
     for k, name in enumerate(channels):
-        shown = white_noise([block[:, k] for block in data])
-        stated = card.get(name, float("nan"))
-        known = [v for v in (shown, stated) if np.isfinite(v)]
-        out[name] = max(known) if known else float("nan")
+        pieces = [block[:, k] for block in data]
+        sizes = [float(np.abs(good).max()) for p in pieces if (good := p[np.isfinite(p)]).size]
+        if not sizes:
+            out[name] = float("nan")
+            continue
+        floor = max(quantum(pieces) / np.sqrt(12.0), _RESOLUTION * max([*sizes, _SMALLEST]))
+        out[name] = max(v for v in (white_noise(pieces), card.get(name, float("nan")), floor) if np.isfinite(v))
     return out
+
+
+_SMALLEST = 1e-2
+"""Size of a channel that stands at zero: of angles in rad, rates in rad/s and speeds in m/s alike."""
 
 
 def quiet_share(residual: Sequence[FloatArray], motion: Sequence[FloatArray], noise: FloatArray) -> FloatArray:

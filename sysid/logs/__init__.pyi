@@ -13,3 +13,5 @@ from .info import LogInfo as LogInfo
 from .info import log_info as log_info
 from .load import import_log as import_log
 from .manoeuvres import label_manoeuvres as label_manoeuvres
+from .spectra import Relation as Relation
+from .spectra import relate as relate

@@ -7,7 +7,12 @@ from numpy.typing import NDArray
 
 from sysid.errors import Finding
 from sysid.logs.channels import Channel
-from sysid.logs.kinematics import check_kinematics
+from sysid.logs.held import held, interpolated, stuck, wraps
+from sysid.logs.lever_arm import lever_arm_finding
+from sysid.logs.mending import spoils
+from sysid.logs.physics import check_physics
+from sysid.logs.surface_signs import check_surfaces
+from sysid.logs.time_base import CleanTime
 from sysid.record import FlightRecord
 from sysid.vocabulary import COMMANDS, LABELS, SIGNALS
 
@@ -82,46 +87,60 @@ def _hold(name: str, c: Channel, grid_step_s: float) -> list[Finding]:
             text += f"; it comes {late * 1e3:.0f} ms late on average, {2 * late * 1e3:.0f} ms at most"
         numbers = {"native_hz": c.rate_hz, "grid_hz": 1 / grid_step_s, "mean_late_s": late}
         return [Finding("slower-than-grid", name, "info", text, numbers)]
-    held = repeat_length(c.values)
-    if name not in COMMANDS and held >= 1.8:
-        rate = c.rate_hz / held
+    return _kept(name, c)
+
+
+def _kept(name: str, c: Channel) -> list[Finding]:
+    """A channel that was logged fast and yet has fewer values, or coarser ones, than samples."""
+    if name in COMMANDS or name == "rho_kgpm3":  # a density is computed, and hardly changes
+        return []
+    found = held(c.values)
+    if found is not None and found.held:
+        rate = c.rate_hz / found.run
         text = (
             f"{name} is logged at {c.rate_hz:.1f} Hz but its value changes at {rate:.1f} Hz only (sample and hold, mean"
-            f" run {held:.1f} samples): it lags by {0.5 * (held - 1) * c.clean.step_s * 1e3:.0f} ms on average"
+            f" run {found.run:.1f} samples): it lags by {0.5 * (found.run - 1) * c.clean.step_s * 1e3:.0f} ms on average"
         )
-        numbers = {"logged_hz": c.rate_hz, "native_hz": rate, "mean_run": held}
-        return [Finding("sample-and-hold", name, "warning", text, numbers)]
+        numbers = {"logged_hz": c.rate_hz, "native_hz": rate, "mean_run": found.run}
+        return [Finding("sample-and-hold", name, "warning", text, numbers, "phases: dampings and delays")]
+    if found is not None:
+        text = f"{name} moves in steps of {found.quantum:.3g}: its noise is at least {found.quantum / 12**0.5:.2g} (step / sqrt 12)"
+        return [Finding("quantised", name, "info", text, {"quantum": found.quantum})]
+    between = interpolated(c.values)
+    if between is not None:
+        rate = c.rate_hz / between
+        text = (
+            f"{name} is logged at {c.rate_hz:.1f} Hz but lies on straight lines between values at {rate:.1f} Hz: somebody has"
+            " interpolated it; its noise looks smaller than it is, and its samples are not independent"
+        )
+        numbers = {"logged_hz": c.rate_hz, "native_hz": rate}
+        return [Finding("interpolated", name, "warning", text, numbers, "standard errors, and what is faster than its own rate")]
     return []
 
 
-def repeat_length(values: FloatArray) -> float:
-    """Mean run of equal values while the signal moves (runs longer than 50 samples count as standing still)."""
-    good = values[np.isfinite(values)]
-    if len(good) < 20:
-        return 1.0
-    changes = np.flatnonzero(np.diff(good) != 0)
-    if len(changes) < 10:
-        return 1.0
-    runs = np.diff(changes)
-    moving = runs[runs <= 50]
-    return float(moving.mean()) if len(moving) >= 10 else 1.0
+def _stuck(record: FlightRecord) -> list[Finding]:
+    """Channels that stood still for seconds while their noise moves them with every sample else."""
+    out = []
+    for name, values in record.columns.items():
+        if name in LABELS or name in COMMANDS or name == "time_s":
+            continue
+        found = stuck(values, record.dt_s)
+        if found is not None:
+            begin, end = (float(record["time_s"][k]) for k in found)
+            text = f"{name} stands at {values[found[0]]:.4g} from {begin:.2f} to {end:.2f} s, among samples that all differ"
+            out.append(Finding("stuck", name, "error", text, {"start_s": begin, "end_s": end}, spoils(name)))
+    return out
 
 
 def _wrap(name: str, c: Channel) -> list[Finding]:
     """Steps of a whole integer range in the logged number: a counter or scaled integer that wrapped."""
-    if c.raw is None or name in LABELS or SIGNALS[name].kind == "heading" or len(c.raw) < 20:
+    if c.raw is None or name in LABELS or SIGNALS[name].kind == "heading":
         return []
-    steps = np.abs(np.diff(c.raw[np.isfinite(c.raw)]))
-    moving = steps[steps > 0]
-    if not len(moving):
+    found = wraps(c.raw)
+    if found is None:
         return []
-    usual = float(np.quantile(moving, 0.9))
-    for span, what in ((65536.0, "16-bit"), (655.36, "16-bit, 1/100"), (65.536, "16-bit, 1/1000"), (256.0, "8-bit")):
-        hits = int(np.sum(np.abs(steps - span) < 0.03 * span))
-        if hits and span > 20.0 * usual and span > 0.4 * float(np.ptp(c.raw[np.isfinite(c.raw)])):
-            text = f"{name} ({c.label}) jumps by {span:g} {hits} times while it usually moves {usual:.3g}: a {what} wrap"
-            return [Finding("wraps", name, "error", text, {"jumps": float(hits), "span": span})]
-    return []
+    text = f"{name} ({c.label}) jumps by {found[1]:g} {found[0]} times from one end of its range to the other: a {found[2]} wrap"
+    return [Finding("wraps", name, "error", text, {"jumps": float(found[0]), "span": found[1]}, spoils(name))]
 
 
 def _range(name: str, label: str, values: FloatArray) -> list[Finding]:
@@ -157,10 +176,7 @@ def check_record(record: FlightRecord, free_s: tuple[float, float] | None) -> li
             text = f"{name} is missing in {100 * missing:.2g} % of the flight"
             severity = "warning" if missing > 0.01 and name not in _GUIDANCE else "info"
             out.append(Finding("dropouts", name, severity, text, {"share": missing}))
-        good = values[np.isfinite(values)]
-        if name not in COMMANDS and len(good) > 50 and np.ptp(good) == 0.0 and name != "rho_kgpm3":
-            text = f"{name} stands at {good[0]:g} throughout: sensor absent or not logged"
-            out.append(Finding("frozen", name, "error", text, {"value": float(good[0])}))
+    out += _frozen(flight) + _stuck(flight)
     if "V_mps" in flight and len(flight):
         speed = flight["V_mps"][np.isfinite(flight["V_mps"])]
         below = float(np.mean(speed < 0)) if len(speed) else 0.0
@@ -168,18 +184,93 @@ def check_record(record: FlightRecord, free_s: tuple[float, float] | None) -> li
             text = f"airspeed is negative in {100 * below:.0f} % of the samples (median {np.median(speed):.2f} m/s)"
             out.append(Finding("negative-airspeed", "V_mps", "error", text, {"share": below, "median": float(np.median(speed))}))
     if free_s is not None:
-        out += check_kinematics(flight)
+        out += check_motion(flight)
+    return out
+
+
+def check_motion(flight: FlightRecord) -> list[Finding]:
+    """Channels of free flight against one another: units, signs, lateness, the surfaces' effects, the accelerometers' place."""
+    if len(flight) < 3:
+        return []
+    absurd = {n: np.where(np.abs(v) < _ABSURD, v, np.nan) for n, v in flight.columns.items() if n not in LABELS and n != "time_s"}
+    flight = flight.with_columns({n: v for n, v in absurd.items() if not np.array_equal(v, flight[n], equal_nan=True)})
+    found = [*check_physics(flight), *check_surfaces(flight)]
+    # With a unit or a sign wrong, what is left over would pass for a lever arm.
+    return found if any(f.severity == "error" for f in found) else [*found, *lever_arm_finding(flight)]
+
+
+_ABSURD = 1e7
+"""Larger than any channel in any unit: damage."""
+
+
+_TOGETHER = (("V_mps", "alpha_rad", "theta_rad", "q_radps", "ax_mps2", "az_mps2", "h_m"),
+             ("beta_rad", "phi_rad", "psi_rad", "p_radps", "r_radps", "ay_mps2"))  # fmt: skip
+"""Channels of which none stands still while another moves."""
+_STILL = 1e-9
+
+
+def _frozen(flight: FlightRecord) -> list[Finding]:
+    out = []
+    spans = {n: np.ptp(v[np.isfinite(v)]) for n, v in flight.columns.items() if n not in LABELS and np.isfinite(v).sum() > 50}
+    for name, span in spans.items():
+        if span != 0.0 or name in COMMANDS or name == "time_s":
+            continue
+        value = float(flight[name][np.isfinite(flight[name])][0])
+        moving = [n for group in _TOGETHER if name in group for n in group if spans.get(n, 0.0) > _STILL]
+        if moving:
+            text = f"{name} stands at {value:g} throughout while {moving[0]} moves: sensor absent or not logged"
+            out.append(Finding("frozen", name, "error", text, {"value": value}, spoils(name)))
+        elif name != "rho_kgpm3":
+            text = f"{name} stands at {value:g} throughout; nothing in the flight says that it should have moved"
+            out.append(Finding("frozen", name, "info", text, {"value": value}))
     return out
 
 
 def check_units(record: FlightRecord) -> list[Finding]:
-    """Angles and rates that cannot be radians, by their range or by each other: for tables that no importer has looked at."""
-    out: list[Finding] = []
-    for name, values in record.columns.items():
-        if name not in LABELS and SIGNALS[name].unit.startswith("rad"):
-            out += _range(name, "column", values)
+    """Ranges, units and signs of a table's channels, by themselves and by each other."""
+    out = check_ranges(record)
     if len(record) > 1:
-        out += [f for f in check_kinematics(record) if f.code in ("unit", "sign")]
+        out += [f for f in check_motion(record) if f.code in ("unit", "sign")]
+    return out
+
+
+def check_ranges(record: FlightRecord) -> list[Finding]:
+    """Channels outside the vocabulary's ranges."""
+    found = [_range(n, record.metadata.channels.get(n, "column"), v) for n, v in record.columns.items() if n not in LABELS]
+    return [f for group in found for f in group]
+
+
+_AT_RECORD = frozenset({
+    "unit", "sign", "kinematics-disagree", "delay", "lever-arm", "frozen", "stuck", "negative-airspeed", "dropouts", "out-of-range",
+    "sample-and-hold", "interpolated", "quantised",
+})  # fmt: skip
+"""Findings that a record itself shows, whatever was known when it was made."""
+
+
+def check_again(record: FlightRecord) -> list[Finding]:
+    """The findings of a record as they are known today: those of its log stay, all that it shows itself is new."""
+    if len(record) < 3:
+        return list(record.metadata.findings)
+    kept = [f for f in record.metadata.findings if f.code not in _AT_RECORD]
+    free = record.metadata.free_flight_s
+    start, end = float(record["time_s"][0]), float(record["time_s"][-1])
+    span = (max(start, free[0][0]), min(end, free[0][1])) if free else (start, end)
+    span = span if span[1] > span[0] else (start, end)
+    with np.errstate(all="ignore"):  # a damaged record holds what no sum can
+        return [*kept, *check_ranges(record), *_samples(record), *check_record(record, span)]
+
+
+def _samples(record: FlightRecord) -> list[Finding]:
+    """Held, coarse and interpolated channels of a record, those left out that its maker filled in himself."""
+    out = []
+    rate = 1.0 / record.dt_s if len(record) > 1 else float("nan")
+    for name, values in record.columns.items():
+        if name in LABELS or name == "time_s" or SIGNALS[name].kind == "heading" or name in _GUIDANCE:
+            continue
+        if record.metadata.native_hz.get(name, rate) < 0.75 * rate:
+            continue
+        nothing = CleanTime(np.ones(len(values), dtype=bool), record.dt_s, 0, 0, 0.0, np.zeros((0, 2)))
+        out += _kept(name, Channel(name, "column", record["time_s"], values, nothing, False))
     return out
 
 

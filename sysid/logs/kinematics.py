@@ -1,72 +1,59 @@
-"""Channels against each other through kinematics: unit slips, sign slips, delays and the accelerometer's place.
+"""What the channels of a flight must have to do with one another, whatever the aircraft: relations that hold for any rigid body.
 
-Everything works on the band `BAND_HZ`, in which attitude, rates and accelerations must agree whatever the aircraft.
+Each relation says that one channel, or what is made of it, equals something made of others. `sysid.logs.spectra` estimates scale,
+sign and lateness of it. Equations of motion of the centre of gravity: Etkin and Reid, "Dynamics of Flight", 3rd ed. 1996, 4.3, 4.7.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal as dsp
 
-from sysid.errors import Finding
+from sysid.logs.spectra import NOTHING, Relation, relate, relate_means
 from sysid.record import FlightRecord
 from sysid.units import G0_MPS2
 
 FloatArray = NDArray[np.float64]
-BAND_HZ = (0.08, 2.0)
-_MIN_SEGMENT_S = 20.0
-_MIN_ROWS = 20  # the band-pass needs 16; a log so slow that the band is not in it has nothing to compare
-_ATTITUDE = ("phi_rad", "theta_rad", "psi_rad")
-_RATES = ("p_radps", "q_radps", "r_radps")
-_ACCELERATIONS = ("ax_mps2", "ay_mps2", "az_mps2")
+Columns = Mapping[str, FloatArray]
+Pair = tuple[FloatArray, FloatArray]
+BAND_HZ = (0.08, 2.5)
+_SLOW_HZ = 0.15  # below it an aircraft's angle of attack hardly changes
+_OF_NATIVE = 0.15  # of a channel's own rate: up to there straight lines between its samples lose less than 8 %
+_MIN_S, _MOST_S = 8.0, 200.0
+_BLOCK_S = 2.0
+ATTITUDE = ("phi_rad", "theta_rad", "psi_rad")
+RATES = ("p_radps", "q_radps", "r_radps")
+ACCELERATIONS = ("ax_mps2", "ay_mps2", "az_mps2")
+GROUND = ("vn_mps", "ve_mps", "vd_mps")
+AIR = ("V_mps", "alpha_rad", "beta_rad")
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """measured(t) = slope * reference(t - delay_s), with correlation and the delay's standard error."""
+class Law:
+    """One relation that physics demands. It says of ``subject`` what ``says`` tells in words.
 
-    slope: float
-    delay_s: float
-    delay_std_s: float
-    correlation: float
-
-
-def compare(reference: FloatArray, measured: FloatArray, dt_s: float, max_delay_s: float = 0.5) -> Comparison:
-    """Delay and slope of `measured` (n,) behind `reference` (n,), + when measured comes later.
-
-    Cross-correlation in the band gives the coarse delay, a regression of measured on the shifted reference and its
-    derivative the fine one; the standard error counts 2 x bandwidth x duration independent samples.
+    uses   every channel that has a part in it        sides  channels and step [s] -> (x, y), y of the subject
+    means  of blocks of time are compared, not motion  high_hz  above which it holds no longer
     """
-    x, y = _band(reference, dt_s), _band(measured, dt_s)
-    scale = np.sqrt(np.sum(x * x) * np.sum(y * y))
-    if not scale > 0:
-        return Comparison(float("nan"), float("nan"), float("inf"), 0.0)
-    lags = np.arange(-int(max_delay_s / dt_s), int(max_delay_s / dt_s) + 1)
-    full = dsp.correlate(y, x, mode="full", method="fft")
-    rho = full[len(x) - 1 + lags] / scale
-    best = int(np.argmax(np.abs(rho)))
-    coarse = int(lags[best])
-    shifted = np.roll(x, coarse)
-    rate = np.gradient(shifted, dt_s)
-    edge = slice(abs(coarse) + 2, len(x) - abs(coarse) - 2)
-    a = np.column_stack([shifted[edge], -rate[edge]])
-    (slope, lag), *_ = np.linalg.lstsq(a, y[edge], rcond=None)
-    if slope == 0.0:
-        return Comparison(0.0, float("nan"), float("inf"), 0.0)
-    residual = y[edge] - a @ np.array([slope, lag])
-    count = max(4.0, 2.0 * (BAND_HZ[1] - BAND_HZ[0]) * len(residual) * dt_s)
-    spread = np.sqrt(np.mean(residual**2) / (count * max(np.mean(rate[edge] ** 2), 1e-30)))
-    return Comparison(float(slope), coarse * dt_s + float(lag / slope), float(spread / abs(slope)), float(abs(rho[best])))
+
+    subject: str
+    says: str
+    uses: tuple[str, ...]
+    sides: Callable[[Columns, float], Pair]
+    means: bool = False
+    high_hz: float = BAND_HZ[1]
 
 
-def _band(x: FloatArray, dt_s: float) -> FloatArray:
-    """Zero-phase band-pass over BAND_HZ (upper edge below 0.4 of the sampling rate)."""
-    high = min(BAND_HZ[1], 0.4 / dt_s)
-    sos = dsp.butter(2, [BAND_HZ[0], high], btype="bandpass", fs=1.0 / dt_s, output="sos")
-    return dsp.sosfiltfilt(sos, x - x.mean())
+@dataclass(frozen=True)
+class Stretches:
+    """Parts of a record without gaps in any channel of a law, and the rate [Hz] of the slowest of them."""
+
+    parts: tuple[Columns, ...]
+    dt_s: float
+    native_hz: float
 
 
 def body_rates_of_attitude(phi: FloatArray, theta: FloatArray, psi: FloatArray, dt_s: float) -> FloatArray:
@@ -80,203 +67,220 @@ def body_rates_of_attitude(phi: FloatArray, theta: FloatArray, psi: FloatArray, 
     return np.stack([p, q, r])
 
 
-def check_kinematics(record: FlightRecord) -> list[Finding]:
-    """All comparisons that the record's channels allow."""
-    return [
-        *_attitude_against_rates(record),
-        *_ground_velocity(record),
-        *_air_data(record),
-        *lever_arm_finding(record),
+def to_earth(c: Columns, vector: FloatArray) -> FloatArray:
+    """(3, n) in north, east, down of a vector (3, n) in body axes."""
+    phi, theta, psi = (c[n] for n in ATTITUDE)
+    across = np.sin(phi) * vector[1] + np.cos(phi) * vector[2]
+    forward = np.cos(theta) * vector[0] + np.sin(theta) * across
+    side = np.cos(phi) * vector[1] - np.sin(phi) * vector[2]
+    north, east = np.cos(psi) * forward - np.sin(psi) * side, np.sin(psi) * forward + np.cos(psi) * side
+    return np.stack([north, east, -np.sin(theta) * vector[0] + np.cos(theta) * across])
+
+
+def to_body(c: Columns, vector: FloatArray) -> FloatArray:
+    """(3, n) in body axes of a vector (3, n) in north, east, down; the inverse of `to_earth`."""
+    phi, theta, psi = (c[n] for n in ATTITUDE)
+    level, side = np.cos(psi) * vector[0] + np.sin(psi) * vector[1], np.cos(psi) * vector[1] - np.sin(psi) * vector[0]
+    forward, down = np.cos(theta) * level - np.sin(theta) * vector[2], np.sin(theta) * level + np.cos(theta) * vector[2]
+    return np.stack([forward, np.cos(phi) * side + np.sin(phi) * down, np.cos(phi) * down - np.sin(phi) * side])
+
+
+def gravity(c: Columns) -> FloatArray:
+    """(3, n) gravity in body axes, m/s2."""
+    phi, theta = c["phi_rad"], c["theta_rad"]
+    return G0_MPS2 * np.stack([-np.sin(theta), np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta)])
+
+
+def _rate(axis: int) -> Callable[[Columns, float], Pair]:
+    def sides(c: Columns, dt: float) -> Pair:
+        return body_rates_of_attitude(c["phi_rad"], c["theta_rad"], c["psi_rad"], dt)[axis], c[RATES[axis]]
+
+    return sides
+
+
+def _felt_on_path(axis: int) -> Callable[[Columns, float], Pair]:
+    """Specific force against the ground velocity's change, free of wind and of the aircraft."""
+
+    def sides(c: Columns, dt: float) -> Pair:
+        change = np.gradient(np.stack([c[n] for n in GROUND]), dt, axis=1)
+        return to_body(c, change)[axis] - gravity(c)[axis], c[ACCELERATIONS[axis]]
+
+    return sides
+
+
+def air_velocity(c: Columns) -> FloatArray:
+    """(3, n) u, v, w of the motion through the air, m/s."""
+    speed, alpha, beta = (c[n] for n in AIR)
+    return np.stack([speed * np.cos(alpha) * np.cos(beta), speed * np.sin(beta), speed * np.sin(alpha) * np.cos(beta)])
+
+
+def _felt_in_air(axis: int) -> Callable[[Columns, float], Pair]:
+    def sides(c: Columns, dt: float) -> Pair:
+        v, omega = air_velocity(c), np.stack([c[n] for n in RATES])
+        return (np.gradient(v, dt, axis=1) + np.cross(omega, v, axis=0) - gravity(c))[axis], c[ACCELERATIONS[axis]]
+
+    return sides
+
+
+def _speed_change(c: Columns, dt: float) -> Pair:
+    force = np.stack([c[n] for n in ACCELERATIONS]) + gravity(c)
+    alpha, beta = c["alpha_rad"], c["beta_rad"]
+    along = np.stack([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
+    return np.sum(along * force, axis=0), np.gradient(c["V_mps"], dt)
+
+
+def _alpha_change(c: Columns, dt: float) -> Pair:
+    force = np.stack([c[n] for n in ACCELERATIONS]) + gravity(c)
+    p, q, r = (c[n] for n in RATES)
+    alpha, beta = c["alpha_rad"], c["beta_rad"]
+    speed = np.maximum(np.abs(c["V_mps"]), 1.0)
+    turned = q - np.tan(beta) * (p * np.cos(alpha) + r * np.sin(alpha))
+    return turned + (force[2] * np.cos(alpha) - force[0] * np.sin(alpha)) / (speed * np.cos(beta)), np.gradient(alpha, dt)
+
+
+def _beta_change(c: Columns, dt: float) -> Pair:
+    force = np.stack([c[n] for n in ACCELERATIONS]) + gravity(c)
+    alpha, beta = c["alpha_rad"], c["beta_rad"]
+    speed = np.maximum(np.abs(c["V_mps"]), 1.0)
+    turned = c["p_radps"] * np.sin(alpha) - c["r_radps"] * np.cos(alpha)
+    across = np.stack([-np.sin(beta) * np.cos(alpha), np.cos(beta), -np.sin(beta) * np.sin(alpha)])
+    return turned + np.sum(across * force, axis=0) / speed, np.gradient(beta, dt)
+
+
+def _weight(c: Columns, dt: float) -> Pair:
+    """Specific force downwards of flight that neither climbs ever faster nor sinks ever faster: minus gravity."""
+    down = to_earth({**c, "psi_rad": np.zeros(c["phi_rad"].size)}, np.stack([c[n] for n in ACCELERATIONS]))[2]
+    return np.full(down.size, -G0_MPS2), down
+
+
+def _turn(c: Columns, dt: float) -> Pair:
+    """A steady turn: the horizontal force across is speed times the heading's rate."""
+    phi, theta = c["phi_rad"], c["theta_rad"]
+    across = np.cos(phi) * c["ay_mps2"] - np.sin(phi) * c["az_mps2"]
+    return across, c["V_mps"] * np.cos(theta) * np.gradient(np.unwrap(c["psi_rad"]), dt)
+
+
+def _climb_on_path(c: Columns, dt: float) -> Pair:
+    return -c["vd_mps"], np.gradient(c["h_m"], dt)
+
+
+def _climb_in_air(c: Columns, dt: float) -> Pair:
+    return -to_earth({**c, "psi_rad": np.zeros(c["phi_rad"].size)}, air_velocity(c))[2], np.gradient(c["h_m"], dt)
+
+
+def _climb_by_pitch(c: Columns, dt: float) -> Pair:
+    return c["V_mps"] * np.sin(c["theta_rad"]), np.gradient(c["h_m"], dt)
+
+
+def _position(place: str, speed: str) -> Callable[[Columns, float], Pair]:
+    def sides(c: Columns, dt: float) -> Pair:
+        return c[speed], np.gradient(c[place], dt)
+
+    return sides
+
+
+def _laws() -> tuple[Law, ...]:
+    moving = (*ATTITUDE, *RATES, *ACCELERATIONS)
+    found = [Law(n, "the rate of the logged attitude", (*ATTITUDE, n), _rate(k)) for k, n in enumerate(RATES)]
+    for k, n in enumerate(ACCELERATIONS):
+        found.append(Law(n, "the ground velocity's change less gravity", (*GROUND, *ATTITUDE, n), _felt_on_path(k)))
+        found.append(Law(n, "what the motion through the air demands", (*AIR, *ATTITUDE, *RATES, n), _felt_in_air(k)))
+    found += [
+        Law(n, "what rates and accelerations say", (*AIR, *moving[:2], *RATES, *ACCELERATIONS), sides)
+        for n, sides in zip(AIR, (_speed_change, _alpha_change, _beta_change), strict=True)
     ]
+    found += [
+        Law("az_mps2", "the weight that has to be carried", (*ATTITUDE[:2], *ACCELERATIONS), _weight, means=True),
+        Law("V_mps", "the turns that the accelerometers feel", ("V_mps", *ATTITUDE, *ACCELERATIONS[1:]), _turn, means=True),
+        Law("h_m", "the vertical speed", ("vd_mps", "h_m"), _climb_on_path),
+        Law("h_m", "the climb through the air", (*AIR, *ATTITUDE[:2], "h_m"), _climb_in_air),
+        Law("h_m", "airspeed and pitch angle", ("V_mps", "theta_rad", "h_m"), _climb_by_pitch, high_hz=_SLOW_HZ),
+        Law("north_m", "the ground velocity", ("vn_mps", "north_m"), _position("north_m", "vn_mps")),
+        Law("east_m", "the ground velocity", ("ve_mps", "east_m"), _position("east_m", "ve_mps")),
+    ]
+    return tuple(found)
 
 
-def _longest(record: FlightRecord, names: tuple[str, ...]) -> FlightRecord | None:
-    if not all(n in record for n in names):
+LAWS = _laws()
+WIND_LAW = Law("V_mps", "ground speed and a steady wind", ("V_mps", "vn_mps", "ve_mps"), lambda c, dt: (c["vn_mps"], c["V_mps"]))
+"""Judged by `against_wind`; here for its names."""
+
+
+def stretches(record: FlightRecord, law: Law, most_s: float = _MOST_S) -> Stretches | None:
+    """The longest parts of a record that have all channels of a law, ``most_s`` seconds together; None without any."""
+    if any(n not in record for n in law.uses) or len(record) < 3:
         return None
-    segments = record.segments(names, _MIN_SEGMENT_S)
-    if not segments:
-        return None
-    best = max(segments, key=lambda s: s.stop - s.start)
-    # Ten minutes are plenty, and keep the check quick on long logs.
-    part = record.rows(slice(best.start, min(best.stop, best.start + int(600.0 / record.dt_s))))
-    return part if len(part) >= _MIN_ROWS and 0.4 / part.dt_s > BAND_HZ[0] else None
+    left, parts = round(most_s / record.dt_s), []
+    for part in sorted(record.segments(law.uses, _MIN_S), key=lambda s: s.start - s.stop):
+        rows = slice(part.start, min(part.stop, part.start + left))
+        if rows.stop - rows.start < _MIN_S / record.dt_s:
+            break
+        parts.append({n: record[n][rows] for n in law.uses})
+        left -= rows.stop - rows.start
+    native = record.metadata.native_hz
+    slowest = min([1.0 / record.dt_s, *(native[n] for n in law.uses if n in native)])
+    return Stretches(tuple(parts), record.dt_s, slowest) if parts else None
 
 
-def _attitude_against_rates(record: FlightRecord) -> list[Finding]:
-    part = _longest(record, _ATTITUDE + _RATES)
-    if part is None:
-        return []
-    derived = body_rates_of_attitude(part["phi_rad"], part["theta_rad"], part["psi_rad"], part.dt_s)
-    out = []
-    for name, values in zip(_RATES, derived, strict=True):
-        found = compare(values, part[name], part.dt_s)
-        if found.correlation < 0.5:
-            if found.correlation > 0 and np.std(part[name]) > 0.02:
-                text = f"{name} and the rate of the logged attitude agree poorly (correlation {found.correlation:.2f})"
-                out.append(Finding("kinematics-disagree", name, "warning", text, {"correlation": found.correlation}))
-            continue
-        out += _unit(name, found.slope, "the rate of the logged attitude", found.correlation)
-        # The attitude lags the rate: the rate leads, so its delay behind the attitude's derivative is negative.
-        out += _delay("attitude", name, -found.delay_s, found)
-    return out
+def judged(law: Law, found: Stretches) -> Relation:
+    """What the flight says of a law: scale, sign and lateness of its subject against the rest."""
+    if law is WIND_LAW:
+        return against_wind(found)
+    pairs = [law.sides(c, found.dt_s) for c in found.parts]
+    if law.means:
+        x, y = (np.concatenate([_means(p[k], found.dt_s) for p in pairs]) for k in (0, 1))
+        return relate_means(x, y)
+    high = min(law.high_hz, _OF_NATIVE * found.native_hz)
+    longest = max(p[0].size for p in pairs) * found.dt_s
+    low = max(0.02 if law.high_hz < BAND_HZ[1] else BAND_HZ[0], 2.0 / longest)
+    if high <= 1.5 * low:
+        return NOTHING
+    return relate([p[0] for p in pairs], [p[1] for p in pairs], found.dt_s, low, high)
 
 
-def _ground_velocity(record: FlightRecord) -> list[Finding]:
-    """GPS velocity against the accelerations turned into the earth's axes: free of wind and of the aircraft."""
-    names = ("vn_mps", "ve_mps", "vd_mps")
-    part = _longest(record, (*names, *_ATTITUDE, *_ACCELERATIONS))
-    if part is None:
-        return []
-    earth = _to_earth(part) + np.array([[0.0], [0.0], [G0_MPS2]])
-    found = [compare(a, np.gradient(part[n], part.dt_s), part.dt_s) for a, n in zip(earth, names, strict=True)]
-    good = [f for f in found if f.correlation > 0.8 and abs(f.delay_s) < 0.48]
-    if not good:
-        return []
-    weights = np.array([1.0 / f.delay_std_s**2 for f in good])
-    delay = float(weights @ [f.delay_s for f in good] / weights.sum())
-    joint = Comparison(good[0].slope, delay, float(weights.sum() ** -0.5), min(f.correlation for f in good))
-    return _delay("ground velocity", "the accelerations", delay, joint)
+def _means(values: FloatArray, dt_s: float) -> FloatArray:
+    n = max(1, round(_BLOCK_S / dt_s))
+    return values[: values.size // n * n].reshape(-1, n).mean(axis=1)
 
 
-def _air_data(record: FlightRecord) -> list[Finding]:
-    """V, alpha and beta against what rates and accelerations say; in gusts the correlation is too low to judge."""
-    out = []
-    for name in ("V_mps", "alpha_rad", "beta_rad"):
-        part = _longest(record, (name, "V_mps", *_ATTITUDE, *_RATES, *_ACCELERATIONS))
-        if part is None:
-            continue
-        phi, theta, speed = part["phi_rad"], part["theta_rad"], np.maximum(part["V_mps"], 1.0)
-        ax, ay, az = (part[n] for n in _ACCELERATIONS)
-        rate = {
-            "V_mps": ax - G0_MPS2 * np.sin(theta),
-            "alpha_rad": part["q_radps"] + (az + G0_MPS2 * np.cos(theta) * np.cos(phi)) / speed,
-            "beta_rad": -part["r_radps"] + (ay + G0_MPS2 * np.cos(theta) * np.sin(phi)) / speed,
-        }[name]
-        found = compare(rate, np.gradient(part[name], part.dt_s), part.dt_s)
-        if found.correlation < 0.8 or abs(found.delay_s) > 0.48:
-            continue
-        out += _unit(name, found.slope, "what rates and accelerations say", found.correlation)
-        out += _delay(name, "rates and accelerations", found.delay_s, found)
-    return out
+_WIND_MPS, _WIND_SHARE = 5.0, 0.3  # what a wind may be before anything is measured, one standard deviation
 
 
-def _to_earth(part: FlightRecord) -> FloatArray:
-    """(3, n) specific force in north, east, down."""
-    phi, theta, psi = (part[n] for n in _ATTITUDE)
-    ax, ay, az = (part[n] for n in _ACCELERATIONS)
-    across = np.sin(phi) * ay + np.cos(phi) * az
-    forward = np.cos(theta) * ax + np.sin(theta) * across
-    side = np.cos(phi) * ay - np.sin(phi) * az
-    north = np.cos(psi) * forward - np.sin(psi) * side
-    east = np.sin(psi) * forward + np.cos(psi) * side
-    return np.stack([north, east, -np.sin(theta) * ax + np.cos(theta) * across])
+def against_wind(found: Stretches) -> Relation:
+    """Airspeed as a multiple of the speed over ground less a steady wind, from block means; scale and wind are estimated together.
 
-
-def _unit(name: str, slope: float, against: str, correlation: float) -> list[Finding]:
-    numbers = {"slope": slope, "correlation": correlation}
-    # Noise in the reference pulls a regression's slope down by up to the squared correlation: the truth lies between the two.
-    steepest = slope / correlation**2
-    if steepest > 0.75 and slope < 1.33:
-        return []
-    ratio = abs(slope)
-    if 45.0 < ratio < 72.0:
-        why = "degrees where radians are due"
-    elif 1 / 72.0 < ratio < 1 / 45.0:
-        why = "radians scaled as if they were degrees"
-    elif slope < 0 and ratio < 1.33:
-        why = "the sign is reversed"
-    else:
-        why = "scale or unit is wrong in one of them"
-    text = f"{name} is {slope:.3g} times {against} (correlation {correlation:.2f}): {why}"
-    return [Finding("unit" if slope > 0 else "sign", name, "error", text, numbers)]
-
-
-def _delay(late: str, reference: str, delay_s: float, found: Comparison) -> list[Finding]:
-    if not abs(delay_s) > max(0.01, 3.0 * found.delay_std_s):
-        return []
-    text = (
-        f"{late} comes {delay_s * 1e3:.0f} +- {found.delay_std_s * 1e3:.0f} ms {'after' if delay_s > 0 else 'before'}"
-        f" {reference} (correlation {found.correlation:.2f}, {BAND_HZ[0]}-{BAND_HZ[1]} Hz)"
-    )
-    numbers = {"delay_s": delay_s, "std_s": found.delay_std_s, "correlation": found.correlation}
-    return [Finding("delay", late, "info" if abs(delay_s) < 0.05 else "warning", text, numbers)]
-
-
-_BLOCK_S, _LEAST_BLOCKS = 4.0, 8
-_SURE = 4.5  # standard errors: three axes in every log, a few dozen blocks behind each error
-
-
-@dataclass(frozen=True)
-class LeverArm:
-    """Place of the accelerometer from the CG, body axes, m: value and standard error per axis."""
-
-    position_m: FloatArray
-    std_m: FloatArray
-
-
-def lever_arm(record: FlightRecord) -> LeverArm | None:
-    """Place of the accelerometer relative to the point whose motion V, alpha and beta describe (the CG).
-
-    From a = dv/dt + omega x v - g + (omega_dot x) r + omega x (omega x r), all terms band-passed alike; least squares
-    over the longest stretch without gaps. None without measured V, alpha, beta, attitude, rates and accelerations.
+    A flight that never turns tells little of either: a prior on the wind stands for what is then unknown.
     """
-    names = ("V_mps", "alpha_rad", "beta_rad", *_ATTITUDE, *_RATES, *_ACCELERATIONS)
-    if any(n in record.metadata.estimates for n in ("alpha_rad", "beta_rad")):
-        return None
-    part = _longest(record, names)
-    if part is None:
-        return None
-    dt = part.dt_s
-    speed, alpha, beta = part["V_mps"], part["alpha_rad"], part["beta_rad"]
-    phi, theta = part["phi_rad"], part["theta_rad"]
-    p, q, r = (part[n] for n in _RATES)
-    v = np.stack([speed * np.cos(alpha) * np.cos(beta), speed * np.sin(beta), speed * np.sin(alpha) * np.cos(beta)])
-    g = G0_MPS2 * np.stack([-np.sin(theta), np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta)])
-    omega = np.stack([p, q, r])
-    acceleration = np.gradient(v, dt, axis=1) + np.cross(omega, v, axis=0) - g
-    measured = np.stack([part[n] for n in _ACCELERATIONS])
-    dp, dq, dr = np.gradient(omega, dt, axis=1)
-    rows = np.array(
-        [
-            [-(q**2 + r**2), p * q - dr, p * r + dq],
-            [p * q + dr, -(p**2 + r**2), q * r - dp],
-            [p * r - dq, q * r + dp, -(p**2 + q**2)],
-        ]
-    )
-    a = np.concatenate([np.stack([_band(rows[i, j], dt) for j in range(3)], axis=1) for i in range(3)])
-    b = np.concatenate([_band(measured[i] - acceleration[i], dt) for i in range(3)])
-    weight = np.ones(b.size)
-    for _ in range(2):
-        information = (a * weight[:, None]).T @ a
-        if np.linalg.cond(information) > 1e8:
-            return None
-        position = np.linalg.solve(information, a.T @ (weight * b))
-        residual = b - a @ position
-        # The axes are not equally good: beta's noise times the airspeed is on one, the airspeed's own on another.
-        weight = np.repeat(1.0 / np.maximum(np.mean(residual.reshape(3, -1) ** 2, axis=1), 1e-300), speed.size)
-    # Residuals are correlated in time and larger in manoeuvres: what counts is how the sums over some seconds scatter
-    # (cluster-robust covariance; Liang and Zeger, Biometrika 73, 1986).
-    block = np.tile(np.arange(speed.size) * dt // _BLOCK_S, 3).astype(int)
-    sums = np.zeros((block.max() + 1, 3))
-    information = (a * weight[:, None]).T @ a
-    np.add.at(sums, block, a * (weight * residual)[:, None])
-    if len(sums) < _LEAST_BLOCKS:
-        return None
-    inverse = np.linalg.inv(information)
-    scatter = sums.T @ sums * len(sums) / (len(sums) - 3.0)
-    return LeverArm(position, np.sqrt(np.diag(inverse @ scatter @ inverse)))
+    v, n, e = (np.concatenate([_means(c[name], found.dt_s) for c in found.parts]) for name in WIND_LAW.uses)
+    if v.size < 4:
+        return NOTHING
+    ground = float(np.median(np.hypot(n, e)))
+    prior = max(_WIND_MPS, _WIND_SHARE * ground)
+    theta = np.array([max(float(np.median(v)), 1e-6) / max(ground, 1e-6), 0.0, 0.0])
+    std = 0.05 * float(np.median(np.abs(v))) + 1e-9
+    information = np.eye(3)
+    for _ in range(12):
+        a, b = n - theta[1], e - theta[2]
+        length = np.maximum(np.hypot(a, b), 1e-6)
+        residual = v - theta[0] * length
+        std = max(float(np.sqrt(np.mean(residual**2))), 0.02 * float(np.median(np.abs(v))), 1e-9)
+        jacobian = np.column_stack([length, -theta[0] * a / length, -theta[0] * b / length]) / std
+        # Blocks of some seconds share gusts: one in five counts as independent.
+        information = jacobian.T @ jacobian / 5.0 + np.diag([0.0, prior**-2, prior**-2])
+        slope = jacobian.T @ residual / std / 5.0 - np.array([0.0, theta[1], theta[2]]) / prior**2
+        step = np.linalg.solve(information + 1e-12 * np.eye(3), slope)
+        theta = theta + step
+        if np.max(np.abs(step)) < 1e-6:
+            break
+    if not theta[0] > 0.0:
+        return NOTHING
+    spread = 3.0 * float(np.sqrt(np.linalg.inv(information)[0, 0])) / theta[0] + 0.05
+    if not spread < 1.0:
+        return NOTHING
+    ends = theta[0] * np.exp(-spread), theta[0] * np.exp(spread)
+    return Relation(float(ends[0]), float(ends[1]), float("nan"), float("inf"), 1.0, 1)
 
 
-def lever_arm_finding(record: FlightRecord) -> list[Finding]:
-    """A finding when the accelerometer sits off the CG by more than _SURE standard errors and 3 cm."""
-    found = lever_arm(record)
-    if found is None:
-        return []
-    off = np.abs(found.position_m) > np.maximum(_SURE * found.std_m, 0.03)
-    if not off.any():
-        return []
-    pairs = ", ".join(f"{n} {v:+.2f} +- {s:.2f}" for n, v, s in zip("xyz", found.position_m, found.std_m, strict=True))
-    numbers = {f"{n}_m": float(v) for n, v in zip("xyz", found.position_m, strict=True)}
-    numbers |= {f"{n}_std_m": float(v) for n, v in zip("xyz", found.std_m, strict=True)}
-    text = f"the accelerometers sit off the CG: {pairs} m; put it into the card's [sensors] position_m"
-    return [Finding("lever-arm", "ax_mps2", "warning", text, numbers)]
+def all_laws() -> Sequence[Law]:
+    """Every law that a flight is held against."""
+    return (*LAWS, WIND_LAW)

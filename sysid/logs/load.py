@@ -12,7 +12,7 @@ from sysid.foreign.raw import Progress, RawLog
 from sysid.logs.assemble import assemble
 from sysid.logs.cache import cached_file, keep
 from sysid.logs.card import AirframeCard, read_card
-from sysid.logs.checks import check_units
+from sysid.logs.checks import check_again
 from sysid.logs.importers import dataflash as dataflash_binary
 from sysid.logs.importers import dataflash_text
 from sysid.logs.importers.detect import detect
@@ -51,7 +51,7 @@ def import_log(
         except LogError:
             stored.unlink(missing_ok=True)  # cut short by an interrupted run: make it anew
         else:
-            return FlightRecord(record.columns, replace(record.metadata, source=path.name))
+            return _as_known_today(replace(record, metadata=replace(record.metadata, source=path.name)))
     record = _assemble(path, dialect, user_map, card, digest, progress)
     if stored is not None:
         keep(record, stored)
@@ -101,6 +101,9 @@ def _record_file(path: Path) -> FlightRecord:
     record = FlightRecord.read(path)
     if not set(record.columns) & (set(SIGNALS) - {"time_s", "manoeuvre", "mode"}):
         raise LogError("the table holds a time and no signal; name the columns as the vocabulary does or give a --map", path)
-    if record.metadata.dialect != "record" or record.metadata.findings:
-        return record  # an importer has looked at it
-    return replace(record, metadata=replace(record.metadata, findings=tuple(check_units(record))))
+    return _as_known_today(record)
+
+
+def _as_known_today(record: FlightRecord) -> FlightRecord:
+    """The record with what today's checks find in it: it may have been imported before a fault was known."""
+    return replace(record, metadata=replace(record.metadata, findings=tuple(check_again(record))))

@@ -52,6 +52,7 @@ XML_TEXT = (
     # Run scripts, which are XML from their first line to their last.
     "uqharness/next_flight/script.py",
     "uqharness/simulator/manoeuvre_script.py",
+    "uqharness/simulator/own_mission.py",
     "uqharness/simulator/steady_start.py",
     # Effects are written as an author would; refinement's inside is to be rewritten.
     "uqharness/refinement/writing/",

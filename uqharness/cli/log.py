@@ -161,7 +161,7 @@ def _import_text(record: FlightRecord, out: Path, kept: tuple[float, float], who
 
 
 def _condensed(findings: Sequence[Finding]) -> list[str]:
-    """One line per code and severity: the first message, and the channels of which the same can be said."""
+    """By code and severity: the first message, further channels of which it can be said, what errors spoil and what mends them."""
     groups: dict[tuple[str, str], list[Finding]] = {}
     for f in findings:
         groups.setdefault((f.severity, f.code), []).append(f)
@@ -170,4 +170,7 @@ def _condensed(findings: Sequence[Finding]) -> list[str]:
         others = [f.channel for f in members[1:] if f.channel]
         more = f" (also: {', '.join(others)})" if others else ""
         lines.append(f"{severity:8} {code}: {members[0].message}{more}")
+        if severity == "error":
+            lines += [f"{'':8} {'  '}spoils {text}" for text in dict.fromkeys(f.spoils for f in members) if text]
+            lines += [f"{'':8} {'  '}mend: {'; '.join(f.mend.splitlines())}" for f in members if f.mend]
     return lines

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.estimation import NOISE_FLOOR, Shift, Theil, channel_noise, rms, theil, time_shift, worst
+from sysid.logs import Relation, relate
 from sysid.model_form import floor_of
 from uqharness.errors import BadInputError
 from uqharness.identification.identify import BIASES, OUTPUTS
@@ -50,6 +51,13 @@ Array = NDArray[np.float64]
 LIMIT = NOISE_FLOOR
 """The noise floor is reached when no judged channel's rms is above this many times its noise."""
 _WORST = 20
+_ANSWERS = {
+    "elevator": {"q_radps", "alpha_rad", "az_mps2", "theta_rad"},
+    "aileron": {"p_radps", "phi_rad"},
+    "rudder": {"r_radps", "beta_rad", "ay_mps2"},
+}
+"""Channels that show a control's effect first."""
+_ANSWER_HZ = (0.1, 2.5)
 
 
 @dataclass(frozen=True)
@@ -58,7 +66,8 @@ class ChannelGap:
 
     rms is what is left after the delay that was allowed for (``allowed_s``, 0 where none was estimated); shift is on top of it.
 
-    ``judged`` channels decide the verdict; height and heading do not (integrals of the others, with drifting sensors).
+    answer is the measured channel as a multiple of the model's; a delay means something only where sign and scale are right, and is
+    NaN elsewhere. ``judged`` channels decide the verdict; height and heading do not (integrals of others, drifting sensors).
     """
 
     rms: float
@@ -67,11 +76,29 @@ class ChannelGap:
     allowed_s: float
     shift: Shift
     theil: Theil
+    answer: Relation
+
+    @property
+    def slip(self) -> str:
+        """What is wrong with sign or scale of the measured channel against the model's, "" when nothing is for sure."""
+        return slip_of(self.answer)
 
     @property
     def ratio(self) -> float:
         """Rms of measured minus model over the channel's noise; 1 is the noise floor."""
         return self.rms / self.noise
+
+
+_SAME = 0.33
+"""By how much a channel may be larger or smaller than the model's before its unit is doubted: derivatives are that wrong."""
+
+
+def slip_of(answer: Relation) -> str:
+    """Sign or scale that is wrong for sure, in words; "" when it cannot be told or is right."""
+    if not answer.evident or answer.allows(1.0, _SAME):
+        return ""
+    size = f"{answer.scale:.2f} times the model's (between {answer.low:.2f} and {answer.high:.2f})"
+    return f"reversed: {size}" if answer.scale < 0.0 else f"out of scale: {size}"
 
 
 @dataclass(frozen=True)
@@ -128,6 +155,18 @@ class Comparison(Tabled):
     def aligned(self) -> bool:
         """The record's commands act when it says they do. A row of difference would otherwise pass for a lag in every servo."""
         return abs(self.controls_late_s) <= self.late_limit_s
+
+    @property
+    def slips(self) -> tuple[str, ...]:
+        """Judged channels whose sign or scale is not the model's, in words, and the control that explains it where one does."""
+        wrong = {c: g.slip for c, g in self.channels.items() if g.judged and g.slip}
+        reversed_ = {c for c, text in wrong.items() if text.startswith("reversed")}
+        said = [
+            f"the {control} is reversed: {' and '.join(sorted(reversed_ & answers))} answer it with the opposite sign"
+            for control, answers in _ANSWERS.items()
+            if len(reversed_ & answers) >= 2
+        ]
+        return (*said, *(f"{c} is {text}" for c, text in wrong.items()))
 
     @property
     def reached(self) -> bool:
@@ -268,10 +307,23 @@ def _channel(
     noise: Mapping[str, float], judged: bool, allowed_s: float,
 ) -> ChannelGap:  # fmt: skip
     z, y = [d[:, k] for d in data], [m[:, k] for m in modelled]
+    answer = _answer(z, y, cut[0].dt_s)
+    shift = Shift(math.nan, math.nan) if slip_of(answer) else time_shift(z, y, cut[0].dt_s)
     return ChannelGap(
         rms(np.concatenate([g[:, k] for g in gaps])), noise[name], judged, allowed_s,
-        time_shift(z, y, cut[0].dt_s), theil(np.concatenate(z), np.concatenate(y)),
+        shift, theil(np.concatenate(z), np.concatenate(y)), answer,
     )  # fmt: skip
+
+
+def _answer(measured: list[Array], modelled: list[Array], dt_s: float) -> Relation:
+    """The measured channel as a multiple of the model's, where it was logged (straight lines between samples)."""
+    x, y = [], []
+    for z, m in zip(measured, modelled, strict=True):
+        at, good = np.arange(len(z)), np.isfinite(z)
+        if good.sum() > 0.1 * len(z) and np.isfinite(m).all() and good.sum() > 8:
+            x.append(np.interp(at, at[good], m[good]))
+            y.append(np.interp(at, at[good], z[good]))
+    return relate(x, y, dt_s, *_ANSWER_HZ)
 
 
 def _coefficient(k: int, demand: list[Array], said: list[Array], floor: Array) -> CoefficientGap:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ def document_of(found: Comparison) -> dict[str, Any]:
                     "theil_variance": g.theil.variance, "theil_covariance": g.theil.covariance,
                 }
             )
+            | {"slip": g.slip}
             for c, g in found.channels.items()
         },
         "coefficients": {
@@ -58,7 +60,7 @@ def channel_rows(found: Comparison) -> list[dict[str, str]]:
             "noise": f"{g.noise:.4g}",
             "ratio": f"{g.ratio:.2f}",
             "verdict": ("at the noise" if g.ratio <= LIMIT else "above") if g.judged else "not judged",
-            "delay [ms]": f"{1e3 * (g.allowed_s + g.shift.seconds):.1f} +/- {1e3 * g.shift.std:.1f}",
+            "delay [ms]": _delay(g),
             "Theil U": f"{g.theil.u:.3f}",
             "bias": f"{g.theil.bias:.2f}",
             "variance": f"{g.theil.variance:.2f}",
@@ -68,6 +70,14 @@ def channel_rows(found: Comparison) -> list[dict[str, str]]:
     ]
 
 
+def _delay(g: Any) -> str:
+    if g.slip:
+        return "not judged: " + g.slip.split(":")[0]
+    if not math.isfinite(g.shift.std):
+        return "not judged: the model does not move"
+    return f"{1e3 * (g.allowed_s + g.shift.seconds):.1f} +/- {1e3 * g.shift.std:.1f}"
+
+
 def coefficient_rows(found: Comparison) -> list[dict[str, str]]:
     """Table of coefficients as text."""
     return [
@@ -75,7 +85,7 @@ def coefficient_rows(found: Comparison) -> list[dict[str, str]]:
             "coefficient": c,
             "rms": f"{g.rms:.3g}",
             "noise": f"{g.noise:.3g}",
-            "ratio": f"{g.rms / g.noise:.2f}",
+            "ratio": f"{g.rms / g.noise:.2f}" if g.noise > 0.0 else "no noise known",
             "mean": f"{g.mean:.3g}",
         }
         for c, g in found.coefficients.items()
@@ -133,6 +143,11 @@ def write_tables(found: Comparison, document: dict[str, Any], out: Path) -> None
 
 def verdict(found: Comparison) -> str:
     """One sentence: reached or not, by the rule."""
+    if not found.reached and found.slips:
+        return (
+            "Signs or scales differ between record and model, which comes before any delay: "
+            f"{'; '.join(found.slips)}. Correct the channel's map or the servo table (see uqharness log info), or the model."
+        )
     if not found.reached and not found.aligned:
         when = "early" if found.controls_late_s < 0.0 else "late"
         return (

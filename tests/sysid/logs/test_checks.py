@@ -11,7 +11,7 @@ from sysid.errors import Finding
 from sysid.logs.card import AirframeCard
 from sysid.logs.checks import check_record
 from sysid.logs.dataflash_writer import write_dataflash
-from sysid.logs.kinematics import compare, lever_arm
+from sysid.logs.lever_arm import lever_arm
 from sysid.logs.load import import_log
 from sysid.logs.phase import find
 from sysid.logs.time_base import clean, hold, interpolate
@@ -158,16 +158,6 @@ def test_negative_airspeed_and_frozen_channels() -> None:
 # --- channels against each other ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("late_s", [0.0, 0.035, 0.12])
-def test_delay_is_measured_to_a_few_milliseconds(late_s: float) -> None:
-    rng = np.random.default_rng(1)
-    record = flight(60.0, 50.0, seed=3)
-    x, t = record["q_radps"], record["time_s"]
-    found = compare(x, np.interp(t - late_s, t, x) + 0.005 * rng.standard_normal(len(t)), 0.02)
-    assert found.delay_s == pytest.approx(late_s, abs=0.004)
-    assert found.slope == pytest.approx(1.0, abs=0.06)
-
-
 def test_delays_of_gps_and_vane_are_found(tmp_path: Path, card: AirframeCard) -> None:
     record = flight(60.0, start_s=1.0, wind=(4.0, -3.0))
     t = record["time_s"]
@@ -231,10 +221,6 @@ def test_a_noisy_attitude_is_no_wrong_unit() -> None:
     quiet = flight(90.0)
     noise = {name: quiet[name] + 0.02 * rng.standard_normal(len(quiet)) for name in ("phi_rad", "theta_rad", "psi_rad")}
     noisy = quiet.with_columns(noise)
-    part = noisy["phi_rad"], noisy["p_radps"]
-    # Seen as a regression on a noisy rate, the slope is far from 1 ...
-    assert compare(np.gradient(part[0], 0.02), part[1], 0.02).slope < 0.75
-    # ... and yet nothing is wrong with the unit; a factor of three is found all the same.
     assert not [f for f in check_record(noisy, (0.0, 90.0)) if f.code == "unit"]
     wrong = noisy.with_columns({"p_radps": noisy["p_radps"] / 3.0})
     assert [f for f in check_record(wrong, (0.0, 90.0)) if f.code == "unit"]

@@ -1,0 +1,122 @@
+"""What was done to a channel's samples: held, interpolated, quantised, stuck, wrapped. Pure numerics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+_LEAST = 60  # samples
+_LEAST_CHANGES = 20
+_STANDING = 50  # samples in a row after which a value stands still rather than is held
+_COMMON = 0.9  # share of changes on one beat
+_STUCK_S = 2.0
+_WRAPS = tuple(
+    (span * unit, f"{bits}-bit" + ("" if unit == 1.0 else f", 1/{1 / unit:.0f}"))
+    for bits, span in ((16, 65536.0), (8, 256.0))
+    for unit in (1.0, 0.1, 0.01, 0.001)
+)
+
+
+@dataclass(frozen=True)
+class Held:
+    """run: samples from one change to the next; quantum: size of the smallest step; held: the value was kept, not merely coarse."""
+
+    run: float
+    quantum: float
+    held: bool
+
+
+def held(values: FloatArray) -> Held | None:
+    """How a channel repeats its values; None where it changes with most samples, or hardly moves.
+
+    A coarse channel repeats its value while it moves by less than a step, and then moves by one step. A held channel moves by what
+    has gathered, or all its changes fall on one beat.
+    """
+    good = values[np.isfinite(values)]
+    if len(good) < _LEAST:
+        return None
+    with np.errstate(invalid="ignore", over="ignore"):
+        steps = np.abs(np.diff(good))
+    changes = np.flatnonzero(steps > 0.0)
+    runs = np.diff(changes)
+    moving = runs[runs <= _STANDING]
+    if len(moving) < _LEAST_CHANGES or float(moving.mean()) < 1.8:
+        return None
+    sizes = steps[changes]
+    quantum = float(np.quantile(sizes, 0.01))
+    gathered = float(np.mean(sizes > 1.5 * quantum)) > 0.3
+    beat = int(np.median(moving))
+    on_beat = beat >= 2 and max(np.bincount(changes % beat)) > _COMMON * len(changes)
+    return Held(float(moving.mean()), quantum, gathered or bool(on_beat))
+
+
+def interpolated(values: FloatArray) -> float | None:
+    """Samples from one measured value to the next where the ones between lie on straight lines; None where they do not."""
+    good = values[np.isfinite(values)]
+    if len(good) < _LEAST:
+        return None
+    slope = np.abs(np.diff(good))
+    bend = np.abs(np.diff(good, 2))
+    usual = float(np.median(slope))
+    tolerance = max(8.0 * float(np.finfo(np.float32).eps) * float(np.abs(good).max()), 1e-4 * usual)
+    kinks = bend > tolerance
+    starts = np.flatnonzero(kinks & ~np.concatenate([[False], kinks[:-1]]))
+    if usual <= 4.0 * tolerance or len(starts) < _LEAST_CHANGES or float(np.median(bend[kinks])) < 20.0 * tolerance:
+        return None
+    spacing = np.diff(starts)
+    middle = float(np.median(spacing))
+    regular = float(np.mean(np.abs(spacing - middle) <= 1.0)) > 0.8
+    return float(spacing.mean()) if middle >= 2.0 and regular and float(kinks.mean()) < 2.2 / middle else None
+
+
+def stuck(values: FloatArray, step_s: float) -> tuple[int, int] | None:
+    """First and last sample of the longest stand-still of a channel whose noise moves it with every sample before and after."""
+    if len(values) < _LEAST:
+        return None
+    same = np.concatenate([[False], np.diff(values) == 0.0, [False]])
+    edges = np.flatnonzero(np.diff(same.astype(np.int8)))
+    if not len(edges):
+        return None
+    begins, ends = edges[::2], edges[1::2]
+    longest = int(np.argmax(ends - begins))
+    first, last = int(begins[longest]), int(ends[longest])
+    around = max(20, round(1.0 / step_s))
+    before, after = values[max(0, first - around) : first + 1], values[last : last + around + 1]
+    lively = all(len(side) > 10 and np.mean(np.diff(side) != 0.0) > _COMMON and _noisy(side) for side in (before, after))
+    return (first, last) if lively and (last - first) * step_s > _STUCK_S else None
+
+
+def _noisy(values: FloatArray) -> bool:
+    """Whether noise rather than motion makes the steps from sample to sample: of white noise each undoes half of the one before."""
+    steps = np.diff(values)
+    steps = steps[np.isfinite(steps)]
+    steps = steps - steps.mean() if len(steps) else steps
+    return len(steps) > 10 and float(steps[1:] @ steps[:-1]) < -0.15 * float(steps @ steps)
+
+
+def wraps(raw: FloatArray) -> tuple[int, float, str] | None:
+    """Jumps of a whole integer range, their number, the range and what it is; None without any.
+
+    A number that wraps leaves its range at one end and comes back at the other, and put together again it moves as it usually does.
+    """
+    values = raw[np.isfinite(raw)]
+    if len(values) < 20:
+        return None
+    steps = np.diff(values)
+    moving = np.abs(steps[steps != 0.0])
+    low, high = float(values.min()), float(values.max())
+    for span, what in _WRAPS:
+        jumps = np.flatnonzero(np.abs(np.abs(steps) - span) < 0.25 * span)
+        if not len(jumps) or high - low > 1.02 * span or len(jumps) > 0.2 * len(steps):
+            continue
+        usual = float(np.quantile(np.delete(np.abs(steps), jumps), 0.99)) if len(moving) > len(jumps) else 0.0
+        near = max(2.0 * usual, 0.01 * span)
+        ends = np.minimum(values[jumps], values[jumps + 1]) - low < near
+        ends &= high - np.maximum(values[jumps], values[jumps + 1]) < near
+        back = np.abs(np.abs(steps[jumps]) - span) <= near
+        if usual < 0.2 * span and np.all(ends & back):
+            return len(jumps), span, what
+    return None

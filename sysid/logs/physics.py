@@ -1,0 +1,295 @@
+"""Wrong units, signs and late channels, by the laws that a flight's channels must obey whatever the aircraft.
+
+A law that does not hold says that one of its channels is wrong, not which. The explanation is looked for among all slips that
+are made with a channel's unit or sign: the one with which most laws hold that did not, and that breaks none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.errors import Finding
+from sysid.logs.kinematics import ACCELERATIONS, AIR, ATTITUDE, GROUND, RATES, Law, all_laws, judged, stretches
+from sysid.logs.mending import mend, spoils
+from sysid.logs.spectra import Relation
+from sysid.record import FlightRecord
+from sysid.units import FT_M, G0_MPS2, KT_MPS
+from sysid.vocabulary import LABELS, SIGNALS
+
+FloatArray = NDArray[np.float64]
+SAME = 1.33
+"""Factor within which a scale passes for right: sensors that are out by less are a matter of calibration, not of units."""
+_SHARP = 2.0  # high over low of a relation that tells anything
+_MOST_SLIPS = 4
+_MOST_HZ = 40.0
+_ALIKE = 8.0  # factor within which the noise of sensors of one kind is the same
+_DEG = 180.0 / math.pi
+
+_SPEEDS = {1.0 / KT_MPS: "knots", 3.6: "km/h", 1.0 / FT_M: "feet per second", 2.236936: "miles per hour", 100.0: "cm/s"}
+_LENGTHS = {1.0 / FT_M: "feet", 100.0: "cm", 1000.0: "mm", 1e-3: "km"}
+_FORCES = {1.0 / G0_MPS2: "g", 1000.0 / G0_MPS2: "mg", 1.0 / FT_M: "ft/s2", 100.0: "cm/s2"}
+_TURNS = {_DEG: "degrees per second", 1000.0: "mrad/s"}
+_ANGLES = {_DEG: "degrees"}
+_PLACES = ("north_m", "east_m")
+_FAMILIES: tuple[tuple[tuple[str, ...], Mapping[float, str], str], ...] = (
+    # Channels that share a unit, units that come instead of the due one, and the due one.
+    (("V_mps",), _SPEEDS, "m/s"), (("h_m",), _LENGTHS, "m"), (ACCELERATIONS, _FORCES, "m/s2"), (RATES, _TURNS, "rad/s"),
+    (ATTITUDE, _ANGLES, "rad"), (("alpha_rad",), _ANGLES, "rad"), (("beta_rad",), _ANGLES, "rad"), (GROUND, _SPEEDS, "m/s"),
+    (_PLACES, _LENGTHS, "m"),
+)  # fmt: skip
+
+
+_LEAST_LATE_S, _LATE_SURE = 0.01, 4.0
+_LATE_COHERENCE = 0.7  # below it gusts, which accelerations do not see at once, pass for lateness
+_LATEST_S = 0.45
+
+
+@dataclass(frozen=True)
+class Slip:
+    """Channels that are ``factor`` times what they should be, and what they hold in words. rank: the likelier, the lower."""
+
+    channels: tuple[str, ...]
+    factor: float
+    words: str
+    rank: int
+
+    def undone(self, record: FlightRecord) -> FlightRecord:
+        """The record without it."""
+        return record.with_columns({c: record[c] / self.factor for c in self.channels if c in record})
+
+
+@dataclass(frozen=True)
+class Heard:
+    """What a flight says of one law."""
+
+    law: Law
+    relation: Relation
+
+    @property
+    def in_air(self) -> bool:
+        """The law takes the air for still: in gusts the air's own acceleration, which the aircraft answers, passes for a scale."""
+        return {"alpha_rad", "beta_rad"} <= set(self.law.uses)
+
+    @property
+    def agrees(self) -> bool:
+        """The scale is 1 as far as can be told, and it can."""
+        r = self.relation
+        return r.evident and r.low > 0.0 and r.high < _SHARP * r.low and r.allows(1.0, SAME - 1.0)
+
+    @property
+    def differs(self) -> bool:
+        """The scale cannot be 1."""
+        return self.relation.evident and not self.relation.allows(1.0, SAME - 1.0)
+
+
+def check_physics(record: FlightRecord) -> list[Finding]:
+    """Units, signs and lateness of the channels of a flight. Noise, however much of it, is no finding."""
+    mended, late_s = _ground_in_time(_in_radians(_thinned(record)))
+    out: list[Finding] = []
+    for _ in range(_MOST_SLIPS):
+        before = heard(mended)
+        if not any(h.differs for h in before):
+            break
+        found = _explanation(mended, before)
+        if found is None:
+            out += [_unexplained(h) for h in before if h.differs and not h.in_air]
+            break
+        slip, rivals = found
+        out += _named(slip, rivals, record, before, _heard_anew(mended, before, slip))
+        mended = slip.undone(mended)
+    return [*out, *_delays(heard(mended), late_s)]
+
+
+def heard(record: FlightRecord) -> list[Heard]:
+    """Every law that the record has the channels for, and what the flight says of it."""
+    return [Heard(law, judged(law, found)) for law in all_laws() if (found := stretches(record, law)) is not None]
+
+
+def _heard_anew(record: FlightRecord, before: Sequence[Heard], slip: Slip) -> list[Heard]:
+    """As `heard`, for the record without a slip; laws without its channels say what they said."""
+    mended = slip.undone(record)
+    out = []
+    for h in before:
+        if set(h.law.uses) & set(slip.channels):
+            found = stretches(mended, h.law)
+            h = h if found is None else Heard(h.law, judged(h.law, found))
+        out.append(h)
+    return out
+
+
+def _thinned(record: FlightRecord) -> FlightRecord:
+    """At most _MOST_HZ rows a second, each the mean of some: the laws are about motion far below that."""
+    n = math.floor(1.0 / (record.dt_s * _MOST_HZ) + 1e-6)
+    if n < 2:
+        return record
+    rows = len(record) // n * n
+    columns: dict[str, NDArray[Any]] = {}
+    for name, values in record.columns.items():
+        if name in LABELS:
+            columns[name] = values[:rows:n]
+        elif SIGNALS[name].kind == "heading" or name == "phi_rad":
+            # Means of angles on the circle, of what goes round with them.
+            parts = [part(values[:rows]).reshape(-1, n).mean(axis=1) for part in (np.sin, np.cos)]
+            turned = np.arctan2(*parts)
+            columns[name] = np.mod(turned, 2.0 * np.pi) if name == "psi_rad" else turned
+        else:
+            columns[name] = values[:rows].reshape(-1, n).mean(axis=1)
+    return FlightRecord(columns, record.metadata)
+
+
+def _ground_in_time(record: FlightRecord) -> tuple[FlightRecord, float]:
+    """The ground velocity moved to when it was true, and by how much it was late, s.
+
+    In a turn the path's change and gravity nearly cancel along the wings: a tenth of a second between them would pass for a scale.
+    Along the lift it is the path's change alone that varies.
+    """
+    law = next(x for x in all_laws() if x.subject == "az_mps2" and set(GROUND) <= set(x.uses))
+    found = stretches(record, law)
+    relation = None if found is None else judged(law, found)
+    if relation is None or not relation.evident or relation.coherence < _LATE_COHERENCE:
+        return record, 0.0
+    late = -relation.late_s
+    if not max(_LEAST_LATE_S, _LATE_SURE * relation.late_std_s) < abs(late) < _LATEST_S:
+        return record, 0.0
+    time = record["time_s"]
+    moved = {n: np.interp(time + late, time, record[n], left=np.nan, right=np.nan) for n in GROUND}
+    return record.with_columns(moved), late
+
+
+def _in_radians(record: FlightRecord) -> FlightRecord:
+    """Angles that leave their range by far are degrees, which the check of ranges says; the laws are about radians."""
+    most = {"phi_rad": 3.3, "theta_rad": 1.65, "psi_rad": 6.6, "alpha_rad": 1.65, "beta_rad": 1.65}
+    wrong = {}
+    for name, limit in most.items():
+        if name in record and np.isfinite(record[name]).any() and float(np.nanquantile(np.abs(record[name]), 0.99)) > limit:
+            wrong[name] = record[name] / _DEG
+    return record.with_columns(wrong) if wrong else record
+
+
+def _slips(record: FlightRecord, wrong: Sequence[Heard]) -> Iterator[Slip]:
+    """Every slip that would touch a law which does not hold. Sensors of one kind share a unit if they share their noise."""
+    touched = {n for h in wrong for n in h.law.uses}
+    for family, units, due in _FAMILIES:
+        together = len(family) > 1 and _alike(record, family)
+        for channels in (*([family] if together else []), *((n,) for n in family)):
+            if not touched & set(channels) or not all(n in record for n in channels):
+                continue
+            usual = 0 if len(channels) == len(family) or not together else 1
+            yield Slip(channels, -1.0, "the sign is reversed", 1)
+            for factor, unit in units.items():
+                yield Slip(channels, factor, f"it is in {unit}, not in {due}", usual)
+                yield Slip(channels, 1.0 / factor, f"it was in {due} and has been converted from {unit} once too often", 2)
+                yield Slip(channels, -factor, f"it is in {unit}, not in {due}, and its sign is reversed", 3)
+    for h in wrong:
+        if h.in_air:
+            continue
+        yield Slip((h.law.subject,), h.relation.scale, "scale or unit is wrong in one of them", 4)
+
+
+def _alike(record: FlightRecord, channels: tuple[str, ...]) -> bool:
+    """Whether the channels' noise is of one size, as far as they show any (third differences, which motion hardly enters)."""
+    if not all(n in record for n in channels):
+        return False
+    steps = [np.abs(np.diff(record[n][np.isfinite(record[n])], 3)) for n in channels]
+    sizes = [size for d in steps if d.size and (size := float(np.median(d))) > 0.0]
+    return not sizes or max(sizes) < _ALIKE * min(sizes)
+
+
+def _points(laws: Sequence[Heard]) -> int:
+    return sum(1 if h.agrees else -2 if h.differs else 0 for h in laws)
+
+
+def _explanation(record: FlightRecord, before: Sequence[Heard]) -> tuple[Slip, list[Slip]] | None:
+    """The slip that mends most, and others that mend as much; None where none mends anything."""
+    wrong = [h for h in before if h.differs]
+    base = _points(before)
+    broken = {h.law for h in wrong}
+    scored = []
+    for slip in _slips(record, wrong):
+        after = _heard_anew(record, before, slip)
+        gain = _points(after) - base
+        if gain > 0 and any(h.agrees and h.law in broken for h in after):
+            # As near as the measured scales are to 1 afterwards, of what mends as much.
+            left = [abs(math.log(abs(h.relation.scale))) for h in after if h.agrees]
+            scored.append((-gain, slip.rank, round(float(np.mean(left)), 2), len(slip.channels), slip))
+    if not scored:
+        return None
+    scored.sort(key=lambda row: row[:-1])
+    best = scored[0]
+    rivals = [s for g, rank, *_, s in scored[1:] if g == best[0] and rank <= best[1] and set(s.channels) != set(best[-1].channels)]
+    return best[-1], rivals[:2]
+
+
+def _named(
+    slip: Slip, rivals: Sequence[Slip], record: FlightRecord, before: Sequence[Heard], after: Sequence[Heard]
+) -> Iterator[Finding]:
+    """A finding for each channel of a slip."""
+    now = {h.law: h for h in after}
+    mended = [h for h in before if h.law in now and now[h.law].agrees and not h.agrees]
+    broke = [h for h in before if h.differs]
+    about = [h for h in mended if h.law.subject in slip.channels] or mended or broke
+    best = min(about, key=lambda h: h.relation.high / h.relation.low if h.relation.evident and h.relation.low else math.inf)
+    after_it = now[best.law].relation if best.law in now and now[best.law].agrees else None
+    relation = after_it or best.relation
+    low, high = sorted((slip.factor if after_it else 1.0) * end for end in (relation.low, relation.high))
+    size = f"{slip.factor:.4g}" if slip.factor == -1.0 else f"{slip.factor:.3g}"
+    either = "".join(f"; or {' '.join(r.channels)}: {r.words}" for r in rivals)
+    for channel in slip.channels:
+        text = (
+            f"{channel} is {size} times {best.law.says} (between {low:.3g} and {high:.3g}, coherence {relation.coherence:.2f}):"
+            f" {slip.words}; without it {len(mended)} of {len(broke)} relations between channels hold that do not{either}"
+        )
+        numbers = {
+            "slope": slip.factor, "low": low, "high": high, "correlation": math.sqrt(max(relation.coherence, 0.0)),
+            "relations_mended": float(len(mended)), "relations_broken": float(len(broke)),
+        }  # fmt: skip
+        code = "sign" if -SAME < slip.factor < 0.0 else "unit"
+        yield Finding(code, channel, "error", text, numbers, spoils(channel), mend(channel, 1.0 / slip.factor, record.metadata))
+
+
+def _unexplained(h: Heard) -> Finding:
+    r = h.relation
+    text = (
+        f"{h.law.subject} is {r.scale:.3g} times {h.law.says} (between {r.low:.3g} and {r.high:.3g}, coherence {r.coherence:.2f}),"
+        f" and no unit or sign of one channel explains it: look at {', '.join(h.law.uses)}"
+    )
+    numbers = {"slope": r.scale, "low": r.low, "high": r.high, "correlation": math.sqrt(max(r.coherence, 0.0))}
+    return Finding("kinematics-disagree", h.law.subject, "warning", text, numbers, spoils(h.law.subject))
+
+
+def _delays(laws: Sequence[Heard], ground_late_s: float) -> list[Finding]:
+    """Channels that come late: the attitude against the rates, the ground velocity and the air data against the accelerations."""
+    rows: list[tuple[str, str, tuple[Heard, ...], float]] = []
+    by = {(h.law.subject, h.law.says): h for h in laws}
+    rows.append(("attitude", "the body rates", tuple(h for h in laws if h.law.subject in RATES), -1.0))
+    path = tuple(h for h in laws if h.law.subject in ACCELERATIONS and set(GROUND) <= set(h.law.uses))
+    rows.append(("ground velocity", "the accelerations", path, -1.0))
+    rows += [(n, "rates and accelerations", tuple(h for (s, w), h in by.items() if s == n and "rates" in w), 1.0) for n in AIR]
+    out: list[Finding] = []
+    for channel, reference, members, sense in rows:
+        good = [h.relation for h in members if h.agrees and h.relation.coherence > _LATE_COHERENCE]
+        if not good:
+            continue
+        weight = np.array([r.late_std_s**-2 for r in good])
+        late = sense * float(weight @ [r.late_s for r in good]) / float(weight.sum())
+        late += ground_late_s if channel == "ground velocity" else 0.0
+        std = float(weight.sum()) ** -0.5
+        if max(_LEAST_LATE_S, _LATE_SURE * std) < abs(late) < _LATEST_S:
+            out.append(_delay(channel, reference, late, std, min(r.coherence for r in good)))
+    return out
+
+
+def _delay(channel: str, reference: str, late_s: float, std_s: float, coherence: float) -> Finding:
+    text = (
+        f"{channel} comes {abs(late_s) * 1e3:.0f} +- {std_s * 1e3:.1f} ms {'after' if late_s > 0 else 'before'} {reference}"
+        f" (coherence {coherence:.2f})"
+    )
+    numbers = {"delay_s": late_s, "std_s": std_s, "correlation": math.sqrt(coherence)}
+    severity = "info" if abs(late_s) < 0.05 else "warning"
+    return Finding("delay", channel, severity, text, numbers, "phases, and with them damping derivatives")

@@ -1,0 +1,152 @@
+"""The sign of each surface, by the angular acceleration that it makes.
+
++ elevator pitches the nose down, + aileron rolls right, + rudder yaws the nose left. The angular acceleration about the surface's
+axis is regressed on the surface, the other surface of the plane, the rates and the angles of flow: what an autopilot does against
+a gust goes with the motion, what a surface does comes beside it. A surface moves as it was told to, and the aircraft a little
+later: the lag is the one that explains most.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal as dsp
+
+from sysid.errors import Finding
+from sysid.logs.mending import mend, spoils
+from sysid.record import FlightRecord
+
+FloatArray = NDArray[np.float64]
+_BAND_HZ = (0.15, 4.0)
+_BLOCK_S = 3.0
+_LEAST_BLOCKS = 5
+_LATEST_S = 0.16
+_MIN_S, _MOST_S = 8.0, 300.0
+_LEAST_HZ = 18.0
+_SURE = 6.0  # standard errors of a sign
+_SHARE = 0.15  # of what is left of the angular acceleration that the surface must explain
+_MOVING_DEG = 0.3  # rms in the band
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A surface, the rate [rad/s] that it drives, the sign of its effect, and what else drives that rate."""
+
+    surface: str
+    rate: str
+    sense: float
+    others: tuple[str, ...]
+
+
+AXES = (
+    Axis("elevator_deg", "q_radps", -1.0, ("alpha_rad", "az_mps2", "V_mps")),
+    Axis("aileron_deg", "p_radps", 1.0, ("beta_rad", "r_radps", "rudder_deg")),
+    Axis("rudder_deg", "r_radps", -1.0, ("beta_rad", "p_radps", "aileron_deg")),
+)
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Angular acceleration a degree, 1/s2, its standard error, the surface's lag and the share of variance that it explains."""
+
+    slope: float
+    std: float
+    late_s: float
+    share: float
+
+    @property
+    def certain(self) -> bool:
+        """Whether the flight tells the sign."""
+        return abs(self.slope) > _SURE * self.std and self.share > _SHARE
+
+
+def effect(record: FlightRecord, axis: Axis) -> Effect | None:
+    """What a surface does to its axis' rate; None where it does not move, or is not logged."""
+    column = _column(record, axis.surface)
+    if column is None or axis.rate not in record or len(record) < 3:
+        return None
+    dt = record.dt_s
+    native = min((record.metadata.native_hz.get(n, 1.0 / dt) for n in (column, axis.rate)), default=1.0 / dt)
+    if native < _LEAST_HZ:
+        return None  # an autopilot answers a gust within a sample: what it does and what that does cannot be told apart
+    high = min(_BAND_HZ[1], 0.2 * native)
+    others = tuple(n for n in axis.others if n in record and np.isfinite(record[n]).mean() > 0.5)
+    parts = _parts(record, (column, axis.rate, *others), dt)
+    if not parts or high < 2.0 * _BAND_HZ[0]:
+        return None
+    sos = dsp.butter(2, [_BAND_HZ[0], high], btype="bandpass", fs=1.0 / dt, output="sos")
+    rows = [{n: dsp.sosfiltfilt(sos, c[n] - c[n].mean()) for n in c} for c in parts]
+    if math.sqrt(float(np.mean(np.concatenate([c[column] for c in rows]) ** 2))) < _MOVING_DEG:
+        return None
+    best: Effect | None = None
+    for lag in range(round(_LATEST_S / dt) + 1):
+        found = _regressed(rows, column, axis.rate, others, lag, dt)
+        if found is not None and (best is None or found.share > best.share):
+            best = found
+    return best
+
+
+def check_surfaces(record: FlightRecord) -> list[Finding]:
+    """Surfaces whose effect has the wrong sign for sure."""
+    out = []
+    for axis in AXES:
+        found = effect(record, axis)
+        if found is None or not found.certain or found.slope * axis.sense > 0.0:
+            continue
+        column = _column(record, axis.surface) or axis.surface
+        does = {"elevator_deg": "pitches the nose up", "aileron_deg": "rolls left", "rudder_deg": "yaws the nose right"}
+        text = (
+            f"+ {column} {does[axis.surface]}: {axis.rate} changes by {found.slope:+.3g} +- {found.std:.2g} rad/s2 a degree,"
+            f" {found.late_s * 1e3:.0f} ms later ({100 * found.share:.0f} % of what else is left): its sign is reversed"
+        )
+        numbers = {"slope": -1.0, "effect": found.slope, "std": found.std, "late_s": found.late_s, "share": found.share}
+        out.append(Finding("sign", column, "error", text, numbers, spoils(column), mend(column, -1.0, record.metadata)))
+    return out
+
+
+def _column(record: FlightRecord, surface: str) -> str | None:
+    """The measured position where it was measured, else the command."""
+    position = surface.replace("_deg", "_pos_deg")
+    return next((n for n in (position, surface) if n in record and np.isfinite(record[n]).mean() > 0.5), None)
+
+
+def _parts(record: FlightRecord, names: tuple[str, ...], dt: float) -> list[dict[str, FloatArray]]:
+    left, out = round(_MOST_S / dt), []
+    for part in sorted(record.segments(names, _MIN_S), key=lambda s: s.start - s.stop):
+        stop = min(part.stop, part.start + left)
+        if stop - part.start < max(_MIN_S / dt, 64):
+            break
+        out.append({n: np.asarray(record[n][part.start : stop], dtype=np.float64) for n in names})
+        left -= stop - part.start
+    return out
+
+
+def _regressed(
+    rows: list[dict[str, FloatArray]], column: str, rate: str, others: tuple[str, ...], lag: int, dt: float
+) -> Effect | None:
+    """Regression with the surface ``lag`` samples earlier; errors from sums over some seconds (Liang and Zeger 1986)."""
+    targets, designs, blocks, first = [], [], [], 0
+    for c in rows:
+        n = c[rate].size - lag
+        moved = [c[column][:n], *(c[o][:n] if o.endswith("_deg") else c[o][lag:] for o in (rate, *others))]
+        targets.append(np.gradient(c[rate], dt)[lag:])
+        designs.append(np.column_stack(moved))
+        block = first + (np.arange(n) * dt // _BLOCK_S).astype(int)
+        blocks.append(block)
+        first = int(block[-1]) + 1
+    y, a, block = np.concatenate(targets), np.vstack(designs), np.concatenate(blocks)
+    rest = a[:, 1:] / np.maximum(a[:, 1:].std(axis=0), 1e-12)
+    own = a[:, 0] - rest @ np.linalg.lstsq(rest, a[:, 0], rcond=1e-9)[0]
+    left = y - rest @ np.linalg.lstsq(rest, y, rcond=1e-9)[0]
+    power = float(own @ own)
+    count = int(block[-1]) + 1
+    if not power > 1e-6 * float(a[:, 0] @ a[:, 0]) or count < _LEAST_BLOCKS or not float(left @ left) > 0.0:
+        return None
+    slope = float(own @ left) / power
+    sums = np.zeros(count)
+    np.add.at(sums, block, own * (left - slope * own))
+    std = math.sqrt(float(sums @ sums) * count / (count - 2.0)) / power
+    return Effect(slope, std, lag * dt, slope**2 * power / float(left @ left))
