@@ -21,11 +21,26 @@ from uqharness.flight import (
     start_of,
     write_record,
 )
-from uqharness.simulator import Aircraft, Script, find_aircraft, find_script, read_script
+from uqharness.scratch import scratch_folder
+from uqharness.simulator import (
+    MISSIONS,
+    Aircraft,
+    Script,
+    StartSection,
+    copy_beside,
+    copy_folder,
+    engine,
+    find_aircraft,
+    find_script,
+    finely,
+    read_script,
+    write_own_mission,
+)
 
 _EXAMPLE = """
   uqharness fly espaaro --script scripts/doublet-elevator.xml --out doublet.csv
   uqharness fly espaaro --duration-s 600 --wind-mps 3 --wind-from-deg 270 --turbulence moderate --seed 7 --noise --out x.parquet
+  uqharness fly c172p --mission doublets --speed-mps 50 --noise --seed 1 --out doublets.parquet
   uqharness fly espaaro --set aero/Cm_q=-10 --set uq/active=1 --set uq/CX/level=1 --out changed.csv"""
 
 
@@ -37,6 +52,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--script", default="loiter", metavar="S", help="run script, a path or a name under scripts/ (default %(default)s)"
     )
+    parser.add_argument(
+        "--mission",
+        choices=MISSIONS,
+        help="instead of a script, for any aircraft: from trim at --speed-mps",
+    )
+    parser.add_argument(
+        "--speed-mps", type=number("--speed-mps", above=0.0, most=1000.0), metavar="V", help="true airspeed of --mission, m/s"
+    )
+    parser.add_argument(
+        "--altitude-m", type=number("--altitude-m", above=0.0, most=30_000.0), default=200.0, metavar="H",
+        help="height of --mission above flat ground at sea level, m (default %(default)g)",
+    )  # fmt: skip
     parser.add_argument(
         "--duration-s", type=number("--duration-s", above=0.0, most=1e6), metavar="T",
         help="length of the flight, s (default: the script's end)",
@@ -78,8 +105,26 @@ def _run(args: argparse.Namespace) -> int:
         raise BadInputError(f"--out {args.out}: the format follows the name's ending, {', '.join(FORMATS)}")
     check_out(args.out)
     aircraft = find_aircraft(args.aircraft)
-    script = read_script(find_script(args.script))
-    record, recorded = recorded_flight(aircraft, script, _spec(args, aircraft, script))
+    if args.mission is None and args.speed_mps is not None:
+        raise BadInputError(f"--speed-mps: belongs to --mission, one of {', '.join(MISSIONS)}")
+    if args.mission is None:
+        return _fly(args, aircraft, aircraft, find_script(args.script))
+    if args.speed_mps is None:
+        raise BadInputError(f"--mission {args.mission}: give --speed-mps V, at which {aircraft.name} trims (uqharness modes)")
+    # Initial conditions lie in the aircraft's folder, and that is not ours to write to.
+    with scratch_folder("fly") as scratch:
+        root = scratch.path
+        copy_folder(aircraft.folder, root / "aircraft" / aircraft.folder.name)
+        copy_beside(aircraft, root, engine.default_root())
+        copy = finely(find_aircraft(root / "aircraft" / aircraft.folder.name))
+        path, _ = write_own_mission(copy, StartSection(V_mps=args.speed_mps, altitude_m=args.altitude_m), args.mission)
+        return _fly(args, aircraft, copy, path)
+
+
+def _fly(args: argparse.Namespace, aircraft: Aircraft, flown: Aircraft, path: Path) -> int:
+    """Fly ``flown``, which is ``aircraft`` or its copy with initial conditions, and write the record."""
+    script = read_script(path)
+    record, recorded = recorded_flight(flown, script, _spec(args, flown, script))
     if not aircraft.has_card:
         print(
             f"uqharness: note: {aircraft.folder} has no airframe.toml, so the record's commands are JSBSim's fcs/...-cmd-norm",

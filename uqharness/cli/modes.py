@@ -25,7 +25,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--speed-mps", type=speed, required=True, metavar="V", help="true airspeed, m/s")
     for option, metavar, default, text, check in (
         ("--altitude-m", "H", 0.0, "altitude above sea level, m", number("--altitude-m")),
-        ("--climb-deg", "G", 0.0, "flight-path angle, deg", _angle("--climb-deg", 60.0)),
+        (
+            "--climb-deg",
+            "G",
+            0.0,
+            "flight-path angle, deg; solved for where the throttle gives no thrust",
+            _angle("--climb-deg", 60.0),
+        ),
         ("--bank-deg", "B", 0.0, "bank of a coordinated turn, deg", _angle("--bank-deg", 85.0)),
         ("--wind-mps", "W", 0.0, "steady wind, m/s; moves the path only", number("--wind-mps", least=0.0)),
         ("--wind-from-deg", "D", 270.0, "true direction it blows from, deg", number("--wind-from-deg")),
@@ -81,6 +87,7 @@ def _as_json(aircraft: Aircraft, trim: Trim, found: list[Mode], levels: list[Ass
             "alpha_deg": math.degrees(trim.alpha_rad),
             "beta_deg": math.degrees(trim.beta_rad),
             "theta_deg": math.degrees(trim.theta_rad),
+            "climb_deg": math.degrees(trim.condition.climb_rad),
             "turn_rate_degps": math.degrees(trim.turn_rate_radps),
             **controls,
             **dict(zip(("v_north_mps", "v_east_mps", "v_down_mps"), trim.velocity_ned_mps, strict=True)),
@@ -119,6 +126,7 @@ def _as_text(name: str, trim: Trim, found: list[Mode], levels: list[Assessment])
         "  " + "   ".join(f"{key} {value:.3f}" for key, value in trim.controls.items())
         + (f"   thrust {trim.thrust_N:.3f} N" if math.isfinite(trim.thrust_N) else "")
         + (f"   {trim.rpm:.0f} rpm" if math.isfinite(trim.rpm) else ""),
+        *([f"  path {math.degrees(trim.condition.climb_rad):.3f} deg"] if trim.condition.climb_rad else []),
         f"  over the ground: north {north:.3f}, east {east:.3f}, down {down:.3f} m/s",
         "",
         f"  {'mode':<14}{'real, 1/s':>11}{'imag, 1/s':>11}{'wn, rad/s':>11}{'zeta':>9}   MIL-F-8785C",

@@ -14,7 +14,7 @@ from uqharness.errors import BadInputError
 from uqharness.flight.fly import Recorded, record_mission
 from uqharness.flight.normals import drawn
 from uqharness.flight.spec import FlightSpec
-from uqharness.simulator import MANOEUVRE_PROPERTY, Aircraft, Script, Source, StagedMission
+from uqharness.simulator import MANOEUVRE_PROPERTY, MEMS_NOISE_STD, Aircraft, Script, Source, StagedMission, open_aircraft
 from uqharness.simulator import signals as properties
 
 if TYPE_CHECKING:
@@ -38,8 +38,14 @@ def recorded_flight(aircraft: Aircraft, script: Script, spec: FlightSpec) -> tup
             # What a card would have promised is only hoped for: a glider has no throttle.
             controls = set(table) - set(properties.STANDARD)
             optional |= {name: table.pop(name) for name in controls} | properties.standard_positions()
-        recorded = record_mission(mission, spec, table, optional, keep_burn_in=True)
+        # Without a sensors system nothing in the aircraft is told of noise; the record has it all the same.
+        flown = spec if _has_sensors(aircraft) else replace(spec, sensor_noise=False)
+        recorded = record_mission(mission, flown, table, optional, keep_burn_in=True)
     return to_record(recorded, aircraft, spec, script.path.stem, script.manoeuvres), recorded
+
+
+def _has_sensors(aircraft: Aircraft) -> bool:
+    return bool(open_aircraft(aircraft).get_property_manager().hasNode("sensor/V-mps"))
 
 
 def as_asked(spec: FlightSpec, seed: int) -> FlightSpec:
@@ -90,7 +96,7 @@ def to_record(
     # A script may name manoeuvres and never declare the property that counts them.
     number = columns.pop(_NUMBER, None)
     if spec.sensor_noise:
-        for name, std in aircraft.card.sensors.noise_std.items():
+        for name, std in (aircraft.card.sensors.noise_std or MEMS_NOISE_STD).items():
             if name in columns:
                 # One stream a channel, named by the channel: adding a sensor changes no other's noise.
                 stream = np.random.SeedSequence([spec.seed_noise, zlib.crc32(name.encode())])

@@ -7,10 +7,11 @@ from typing import Any
 
 from sysid.units import FT_M
 from uqharness.plugin.scale_functions import Scaled
-from uqharness.simulator import AircraftFacts
+from uqharness.simulator import MEMS_NOISE_STD, AircraftFacts
 from uqharness.toml import as_toml, dotted
 
 DT_S = 0.01
+_ASSUMED_THROW_DEG = 20.0
 ERRORS_SYSTEM = "path-errors"
 _POSITIVE = {
     "elevator": ("nose down", "nose up"),
@@ -45,12 +46,17 @@ def card_text(name: str, xml: str, facts: AircraftFacts, scaled: Sequence[Scaled
             f'positive = "{_POSITIVE[control][found.sense < 0]}"',
             f"limits = {[0, 1] if control == 'throttle' else [-1, 1]}",
         ]
-        if not found.sense and control != "throttle":
-            lines.append("throw_deg = 1.0")
-        elif found.throw_deg is not None:
-            lines.append(f"throw_deg = {found.sense * found.throw_deg:.6g}")
+        throw = found.throw_deg
+        if control != "throttle":
+            remark = "" if throw is not None else "     # assumed: the XML tells no angle"
+            if throw is None:
+                throw = _ASSUMED_THROW_DEG if found.sense else 1.0
+            lines.append(f"throw_deg = {(found.sense or 1) * throw:.6g}{remark}")
+        lines.append(f"servo_pwm = {_pulses(control, throw)}     # assumed: your log's, if it has others")
         if found.position is not None:
             lines.append(f"position = {as_toml(found.position)}")
+    lines += ["", "[sensors.noise_std]                            # assumed: small MEMS units; SI"]
+    lines += [f"{name} = {std!r}" for name, std in MEMS_NOISE_STD.items()]
     if errors:
         lines += [
             "",
@@ -68,6 +74,14 @@ def card_text(name: str, xml: str, facts: AircraftFacts, scaled: Sequence[Scaled
         ]
         lines += [f"{dotted((row.scale,))} = {_inline(scale_entry(row))}" for row in scaled]
     return "\n".join(lines) + "\n"
+
+
+def _pulses(control: str, throw_deg: float | None) -> list[list[float]]:
+    """Servo pulses [us] and what they mean: degrees as a record counts, percent of a throttle."""
+    if control == "throttle" or throw_deg is None:
+        return [[1000, 0], [2000, 100]]
+    reach = float(f"{abs(throw_deg):.6g}")
+    return [[1000, -reach], [1500, 0], [2000, reach]]
 
 
 def scale_entry(row: Scaled) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from .aircraft_files import copy_folder as copy_folder
 from .aircraft_files import opened as opened
 from .aircraft_files import read_xml as read_xml
 from .altitude import with_start_altitude as with_start_altitude
+from .card import MEMS_NOISE_STD as MEMS_NOISE_STD
 from .card import Card as Card
 from .card import InputCard as InputCard
 from .card import parse_card as parse_card
@@ -35,6 +36,9 @@ from .mission import StagedMission as StagedMission
 from .mission import find_script as find_script
 from .mission import read_script as read_script
 from .mission import refuse_conflicts as refuse_conflicts
+from .own_mission import MISSIONS as MISSIONS
+from .own_mission import finely as finely
+from .own_mission import write_own_mission as write_own_mission
 from .signals import SECOND_ORDER as SECOND_ORDER
 from .signals import STANDARD as STANDARD
 from .signals import Source as Source

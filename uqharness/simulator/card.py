@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
@@ -90,6 +91,15 @@ class Card(_Strict):
     parameters: Mapping[str, ParameterCard] = {}
     sensors: Sensors = Sensors()
     replay: _ReplaySection = _ReplaySection()
+
+
+MEMS_NOISE_STD: Mapping[str, float] = MappingProxyType(
+    {
+        "V_mps": 0.3, "alpha_rad": 0.003, "beta_rad": 0.003, "phi_rad": 0.003, "theta_rad": 0.003, "psi_rad": 0.01,
+        "p_radps": 0.003, "q_radps": 0.003, "r_radps": 0.003, "ax_mps2": 0.05, "ay_mps2": 0.05, "az_mps2": 0.05, "h_m": 0.3,
+    }
+)  # fmt: skip
+"""Standard deviations taken for sensors of an aircraft whose card names none: an assumption, of the size of small MEMS units."""
 
 
 # JSBSim's own command properties, for an aircraft that comes without a card.

@@ -17,6 +17,7 @@ from typing import Any
 import jsbsim
 
 from uqharness.errors import BadInputError
+from uqharness.simulator import settling
 from uqharness.simulator.staging import Staging
 
 JSBSIM_VERSION: str = jsbsim.__version__
@@ -184,18 +185,35 @@ def run_ic(fdm: Any) -> None:
 def start_engines(fdm: Any) -> None:
     """Every engine runs, with rich mixture and fine pitch, which no flight record tells; its throttle is left wide open."""
     fdm["propulsion/set-running"] = -1
+    for name in levers(fdm):
+        fdm[name] = 1.0
+
+
+def levers(fdm: Any) -> list[str]:
+    """The commands of every engine's mixture and propeller pitch: 1 is rich and fine."""
+    engines = range(fdm.get_propulsion().get_num_engines())
+    names = [f"fcs/{lever}-cmd-norm" + (f"[{k}]" if k else "") for k in engines for lever in ("mixture", "advance")]
     manager = fdm.get_property_manager()
-    for number in range(fdm.get_propulsion().get_num_engines()):
-        for lever in ("mixture", "advance"):
-            name = f"fcs/{lever}-cmd-norm" + (f"[{number}]" if number else "")
-            if manager.hasNode(name):
-                fdm[name] = 1.0
+    return [name for name in names if manager.hasNode(name)]
 
 
-def settle_engines(fdm: Any) -> None:
-    """Bring <propulsion> engines to the steady state of their throttles and renew the forces, the aircraft's state unmoved."""
+def settle_engines(fdm: Any) -> str:
+    """Bring <propulsion> engines to the steady state of their throttles and renew the forces, the aircraft's state unmoved.
+
+    JSBSim's own way where it arrives, else by frames with the motion frozen (see settling). Empty, or which engine does not settle
+    or stands still.
+    """
+    changing = ""
     fdm.get_propulsion().get_steady_state()
     renew_forces(fdm)
+    if not settling.settled(fdm):
+        try:
+            changing = settling.settle(fdm)
+        except RuntimeFailure as error:
+            raise BadInputError(explain(fdm, error)) from None
+        if not settling.has_turboprop(fdm):
+            renew_forces(fdm)
+    return settling.stopped(fdm) or changing
 
 
 def renew_forces(fdm: Any) -> None:

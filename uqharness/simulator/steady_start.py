@@ -11,6 +11,7 @@ from pathlib import Path
 from sysid.units import FT_M
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
+from uqharness.simulator import engine
 from uqharness.simulator.aircraft import Aircraft, content_hash, open_aircraft
 from uqharness.simulator.start import MARK, StartSection
 from uqharness.simulator.trim import TRIM_LATITUDE_DEG, SteadyCondition, Trim, body_velocity, find_trim
@@ -46,7 +47,7 @@ def _initialize(trim: Trim) -> str:
     condition = trim.condition
     u, v, w = (speed / FT_M for speed in body_velocity(condition.V_mps, trim.alpha_rad, trim.beta_rad))
     return f"""<?xml version="1.0" encoding="UTF-8"?>
-<!-- Level flight at {condition.V_mps:g} m/s true and {condition.altitude_m:g} m above flat ground at sea level. -->
+<!-- {_path(condition)} at {condition.V_mps:g} m/s true and {condition.altitude_m:g} m above flat ground at sea level. -->
 <initialize name="{INITIALIZE}">
   <latitude unit="DEG" type="geodetic"> {TRIM_LATITUDE_DEG:g} </latitude>
   <longitude unit="DEG"> 0 </longitude>
@@ -62,13 +63,19 @@ def _initialize(trim: Trim) -> str:
 """
 
 
+def _path(condition: SteadyCondition) -> str:
+    if condition.climb_rad == 0.0:
+        return "Level flight"
+    return f"Steady flight on a path of {math.degrees(condition.climb_rad):.3f} deg"
+
+
 def _script(aircraft: Aircraft, trim: Trim) -> str:
     fdm = open_aircraft(aircraft)
     engines = fdm.get_propulsion().get_num_engines()
     properties = [(MARK, 1.0), *aircraft.card.modes.get("open_loop", {}).items()]
     if engines:
         # Before the throttle, which starting an engine opens.
-        properties.append(("propulsion/set-running", -1.0))
+        properties += [("propulsion/set-running", -1.0), *((name, 1.0) for name in engine.levers(fdm))]
     for control, value in trim.controls.items():
         name = aircraft.card.inputs[control].property
         properties.append((name, value))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from scipy.optimize import least_squares
 from sysid.units import FT_M, LBF_N
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import Aircraft, open_aircraft
+from uqharness.simulator.thrust_limit import AtLimit, dead_throttle, thrust_reason
 
 TRIM_LATITUDE_DEG = 45.0
 """Where trims are made: there JSBSim's effective gravity is 9.806 m/s2."""
@@ -34,6 +35,11 @@ _ACCELERATIONS = (
 _ENGINE_THRUSTS = ("propulsion/engine/thrust-lbs", *(f"propulsion/engine[{k}]/thrust-lbs" for k in range(1, 8)))
 _PROPELLER_RPM = "propulsion/engine/propeller-rpm"
 _SURFACES = ("elevator", "aileron", "rudder", "throttle")
+_LATERAL_FELT = "accelerations/Ny"
+_G_MPS2 = 9.806
+_MOVES = 1e-9  # m/s2, rad/s2
+_STEEPEST_RAD = 0.9
+_OPEN = 0.9  # of the throttle's travel, from where a second search begins
 
 
 @dataclass(frozen=True)
@@ -127,6 +133,21 @@ def force_state(
 
     Actuators stand at their commands (first frame of a fresh instance); the ground is put 300 m below. Raises BadInputError.
     """
+    fdm, _ = _forced(aircraft, state, controls, altitude_m, properties)
+    acceleration = np.array([fdm[name] for name in _ACCELERATIONS])
+    acceleration[:3] *= FT_M
+    manager = fdm.get_property_manager()
+    return acceleration, {name: fdm[name] for name in outputs if manager.hasNode(name)}
+
+
+def _forced(
+    aircraft: Aircraft,
+    state: BodyState,
+    controls: Mapping[str, float],
+    altitude_m: float,
+    properties: Mapping[str, float] | None,
+) -> tuple[Any, str]:
+    """A fresh instance at that state, engines settled, and which engine does not settle (empty: all do)."""
     fdm = open_aircraft(aircraft)
     for name, value in (properties or {}).items():
         engine.set_property(fdm, name, value)
@@ -138,12 +159,7 @@ def force_state(
     fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"] = state.u / FT_M, state.v / FT_M, state.w / FT_M
     fdm["ic/p-rad_sec"], fdm["ic/q-rad_sec"], fdm["ic/r-rad_sec"] = state.p, state.q, state.r
     engine.run_ic(fdm)
-    if fdm.get_propulsion().get_num_engines():
-        engine.settle_engines(fdm)
-    acceleration = np.array([fdm[name] for name in _ACCELERATIONS])
-    acceleration[:3] *= FT_M
-    manager = fdm.get_property_manager()
-    return acceleration, {name: fdm[name] for name in outputs if manager.hasNode(name)}
+    return fdm, engine.settle_engines(fdm) if fdm.get_propulsion().get_num_engines() else ""
 
 
 def apply_controls(fdm: Any, aircraft: Aircraft, controls: Mapping[str, float]) -> None:
@@ -151,7 +167,7 @@ def apply_controls(fdm: Any, aircraft: Aircraft, controls: Mapping[str, float]) 
     engines = fdm.get_propulsion().get_num_engines()
     if engines:
         # First of all: starting the engines opens their throttles.
-        fdm["propulsion/set-running"] = -1
+        engine.start_engines(fdm)
     for control, value in controls.items():
         card = aircraft.card.inputs.get(control)
         if card is None:
@@ -166,77 +182,150 @@ def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
     """Trim by bounded least squares on (alpha, beta, controls[, turn rate]); never raises for a condition that has no trim.
 
     Unknowns: alpha, beta, elevator, aileron, rudder, throttle, and in a turn its rate; equations: the six accelerations and, in a
-    turn, no lateral specific force. Raises BadInputError for a card without the four controls or a model that does not load.
+    turn, no lateral specific force. Of an aircraft without thrust to set (a glider) the flight-path angle is unknown in place of
+    the throttle, and stands in the trim's ``condition``. Engines that the throttle does not move make no glider: that is not
+    converged, with the reason, as are engines that never settle. Raises BadInputError for a model that does not load.
     """
     cards = aircraft.card.inputs
     exists = open_aircraft(aircraft).get_property_manager().hasNode
     names = [name for name in _SURFACES if name in cards and (aircraft.has_card or exists(cards[name].property))]
-    turning = condition.bank_rad != 0.0
-    V, phi = condition.V_mps, condition.bank_rad
-    spans = np.array([cards[name].limits[1] - cards[name].limits[0] for name in names])
-    lows = np.array([cards[name].limits[0] for name in names])
-    # Unknowns are scaled to order one: 0.1 rad, a tenth of the control's span, 0.1 rad/s.
-    scale = np.concatenate([[0.1, 0.1], spans / 10.0, [0.1] if turning else []])
-    lower = np.concatenate([[-0.35, -0.35], lows, [-3.0] if turning else []]) / scale
-    upper = np.concatenate([[0.5, 0.35], lows + spans, [3.0] if turning else []]) / scale
-    g = 9.806
-    guess = np.concatenate([[0.03, 0.0], [0.5 * (lo + lo + sp) for lo, sp in zip(lows, spans, strict=True)]])
-    if turning:
-        guess = np.append(guess, g * math.tan(phi) / V)
-    lateral_felt = "accelerations/Ny"
-    outputs = (lateral_felt,)
+    acts, dead = _throttle_acts(aircraft, condition, names)
+    held = {} if acts else {n: cards[n].limits[0] for n in names if n == "throttle"}
+    gliding = bool(held) or "throttle" not in names
+    problem = _Problem(aircraft, condition, tuple(n for n in names if n not in held), held, free_climb=gliding)
+    x = problem.solve()
+    trim = _result(problem, x)
+    if not trim.converged and acts:
+        # A propeller that the wind drives and one that its engine drives are two steady states; thrust leaps between them.
+        again = problem.solve(_OPEN)
+        other = _result(problem, again)
+        x, trim = (again, other) if other.converged else (x, trim)
+    reason = dead or _unsettled(problem, x)
+    if not reason and not trim.converged and not gliding:
+        reason = _thrust_reason(aircraft, condition, names)
+    return replace(trim, converged=False, reason=f"{_asked(condition)}: {reason}") if reason else trim
 
-    def unpack(x: NDArray[np.float64]) -> tuple[BodyState, dict[str, float], float]:
-        value = x * scale
-        alpha, beta = float(value[0]), float(value[1])
-        controls = {name: float(v) for name, v in zip(names, value[2 : 2 + len(names)], strict=True)}
-        rate = float(value[-1]) if turning else 0.0
-        theta = pitch_for_climb(alpha, beta, phi, condition.climb_rad)
-        u, v, w = body_velocity(V, alpha, beta)
+
+def _throttle_acts(aircraft: Aircraft, condition: SteadyCondition, names: list[str]) -> tuple[bool, str]:
+    """Whether the throttle moves a force or a moment at this speed, and what is wrong where engines are there and it does not."""
+    if "throttle" not in names:
+        return False, ""
+    card = aircraft.card.inputs["throttle"]
+    u, v, w = body_velocity(condition.V_mps, 0.05, 0.0)
+    state = BodyState(u, v, w, 0.0, 0.05, condition.heading_rad)
+    said, unsettled = [], ""
+    for end in card.limits:
+        fdm, why = _forced(aircraft, state, {"throttle": end}, condition.altitude_m, condition.properties)
+        said.append(np.array([fdm[name] for name in _ACCELERATIONS]))
+        unsettled = unsettled or why
+    if float(np.max(np.abs(said[1] - said[0]))) > _MOVES:
+        return True, ""
+    if not fdm.get_propulsion().get_num_engines():
+        return False, ""
+    exists = fdm.get_property_manager().hasNode
+    return False, dead_throttle(card.property, LBF_N * sum(fdm[name] for name in _ENGINE_THRUSTS if exists(name)), unsettled)
+
+
+def _unsettled(problem: _Problem, x: NDArray[np.float64]) -> str:
+    """Which engine does not settle at the throttle that was found."""
+    (state, controls, _, _), condition = problem.unpack(x), problem.condition
+    if not math.isfinite(state.theta):
+        return ""
+    return _forced(problem.aircraft, state, controls, condition.altitude_m, condition.properties)[1]
+
+
+def _thrust_reason(aircraft: Aircraft, condition: SteadyCondition, names: list[str]) -> str:
+    """What the thrust at either end of the throttle has to do with it."""
+    low, high = aircraft.card.inputs["throttle"].limits
+    free = tuple(name for name in names if name != "throttle")
+
+    def at(end: float, V: float) -> AtLimit | None:
+        problem = _Problem(aircraft, replace(condition, V_mps=V), free, {"throttle": end}, free_climb=True)
+        found = _result(problem, problem.solve())
+        return AtLimit(found.condition.climb_rad, found.thrust_N) if found.converged else None
+
+    return thrust_reason(condition.V_mps, condition.climb_rad, lambda V: at(high, V), lambda V: at(low, V))
+
+
+class _Problem:
+    """Unknowns, bounds and equations of steady flight. Controls of ``held`` stay; with ``free_climb`` the path is unknown."""
+
+    def __init__(
+        self, aircraft: Aircraft, condition: SteadyCondition, names: tuple[str, ...], held: Mapping[str, float], free_climb: bool
+    ) -> None:
+        self.aircraft, self.condition, self.names, self.held, self.free_climb = aircraft, condition, names, held, free_climb
+        self.turning = condition.bank_rad != 0.0
+        lows, highs = (np.array([aircraft.card.inputs[name].limits[end] for name in names], dtype=float) for end in (0, 1))
+        extra = [0.1] * (self.turning + free_climb)
+        # Unknowns are scaled to order one: 0.1 rad, a tenth of the control's span, 0.1 rad/s.
+        self.scale = np.concatenate([[0.1, 0.1], (highs - lows) / 10.0, extra])
+        turn, climb = [3.0] * self.turning, [_STEEPEST_RAD] * free_climb
+        self.lower = np.concatenate([[-0.35, -0.35], lows, np.negative(turn), np.negative(climb)]) / self.scale
+        self.upper = np.concatenate([[0.5, 0.35], highs, turn, climb]) / self.scale
+        rate = [_G_MPS2 * math.tan(condition.bank_rad) / condition.V_mps] * self.turning
+        self.guess = np.concatenate([[0.03, 0.0], 0.5 * (lows + highs), rate, [condition.climb_rad] * free_climb])
+
+    def solve(self, throttle: float = 0.5) -> NDArray[np.float64]:
+        """The unknowns that leave the least acceleration, from that share of the throttle's travel on."""
+        start = np.clip(self.guess / self.scale, self.lower + 1e-9, self.upper - 1e-9)
+        if "throttle" in self.names:
+            at = 2 + self.names.index("throttle")
+            start[at] = self.lower[at] + throttle * (self.upper[at] - self.lower[at])
+        solution = least_squares(
+            self.residual,
+            start,
+            bounds=(self.lower, self.upper),
+            xtol=1e-14,
+            ftol=1e-14,
+            gtol=1e-14,
+            x_scale=1.0,
+            diff_step=1e-6,
+            max_nfev=25,
+        )
+        return np.asarray(solution.x)
+
+    def unpack(self, x: NDArray[np.float64]) -> tuple[BodyState, dict[str, float], float, float]:
+        """State, controls, turn rate [rad/s] and flight-path angle [rad]."""
+        value = x * self.scale
+        alpha, beta, phi = float(value[0]), float(value[1]), self.condition.bank_rad
+        controls = {name: float(v) for name, v in zip(self.names, value[2 : 2 + len(self.names)], strict=True)} | dict(self.held)
+        rate = float(value[2 + len(self.names)]) if self.turning else 0.0
+        climb = float(value[-1]) if self.free_climb else self.condition.climb_rad
+        theta = pitch_for_climb(alpha, beta, phi, climb)
+        u, v, w = body_velocity(self.condition.V_mps, alpha, beta)
         state = BodyState(
-            u, v, w, phi, theta, condition.heading_rad,
+            u, v, w, phi, theta, self.condition.heading_rad,
             p=-rate * math.sin(theta),
             q=rate * math.cos(theta) * math.sin(phi),
             r=rate * math.cos(theta) * math.cos(phi),
         )  # fmt: skip
-        return state, controls, rate
+        return state, controls, rate, climb
 
-    def residual(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        state, controls, _ = unpack(x)
+    def residual(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Accelerations [m/s2, rad/s2], and in a turn the lateral specific force [m/s2]."""
+        state, controls, _, _ = self.unpack(x)
         if not math.isfinite(state.theta):
-            return np.full(7 if turning else 6, 1e3)
-        acceleration, out = force_state(aircraft, state, controls, condition.altitude_m, condition.properties, outputs)
-        if turning:
-            acceleration = np.append(acceleration, out[lateral_felt] * g)
+            return np.full(7 if self.turning else 6, 1e3)
+        condition = self.condition
+        acceleration, out = force_state(
+            self.aircraft, state, controls, condition.altitude_m, condition.properties, (_LATERAL_FELT,)
+        )
+        if self.turning:
+            acceleration = np.append(acceleration, out[_LATERAL_FELT] * _G_MPS2)
         return np.where(np.isfinite(acceleration), acceleration, 1e3)
 
-    start = np.clip(guess / scale, lower + 1e-9, upper - 1e-9)
-    solution = least_squares(
-        residual,
-        start,
-        bounds=(lower, upper),
-        xtol=1e-14,
-        ftol=1e-14,
-        gtol=1e-14,
-        x_scale=1.0,
-        diff_step=1e-6,
-        max_nfev=25,
+
+def _asked(condition: SteadyCondition) -> str:
+    return (
+        f"no steady flight at {condition.V_mps:g} m/s, bank {math.degrees(condition.bank_rad):g} deg, climb "
+        f"{math.degrees(condition.climb_rad):g} deg"
     )
-    return _result(aircraft, condition, solution.x, unpack, residual, names, lower, upper)
 
 
-def _result(
-    aircraft: Aircraft,
-    condition: SteadyCondition,
-    x: NDArray[np.float64],
-    unpack: Any,
-    residual: Any,
-    names: list[str],
-    lower: NDArray[np.float64],
-    upper: NDArray[np.float64],
-) -> Trim:
-    state, controls, rate = unpack(x)
-    left = residual(x)
+def _result(problem: _Problem, x: NDArray[np.float64]) -> Trim:
+    aircraft, condition, names = problem.aircraft, problem.condition, problem.names
+    state, controls, rate, climb = problem.unpack(x)
+    left = problem.residual(x)
     keys = {key: aircraft.card.outputs[key] for key in ("thrust_N", "rpm") if key in aircraft.card.outputs}
     surfaces = {name: aircraft.card.inputs[name].position or f"fcs/{name}-pos-deg" for name in names if name != "throttle"}
     wanted = (*keys.values(), *surfaces.values(), *_ENGINE_THRUSTS, _PROPELLER_RPM)
@@ -246,19 +335,16 @@ def _result(
     converged = bool(np.max(np.abs(left)) < 1e-6)
     at_limit = [
         name
-        for name, value, lo, hi in zip(["alpha", "beta", *names], x, lower, upper, strict=False)
+        for name, value, lo, hi in zip(["alpha", "beta", *names], x, problem.lower, problem.upper, strict=False)
         if min(value - lo, hi - value) < 1e-6 * (hi - lo)
     ]
     reason = ""
     if not converged:
         worst = ("u", "v", "w", "p", "q", "r", "lateral force")[int(np.argmax(np.abs(left)))]
         limits = f"; at its limit: {', '.join(at_limit)}" if at_limit else ""
-        reason = (
-            f"no steady flight at {condition.V_mps:g} m/s, bank {math.degrees(condition.bank_rad):g} deg, climb "
-            f"{math.degrees(condition.climb_rad):g} deg: {worst} still accelerates by {np.max(np.abs(left)):.3g}{limits}"
-        )
+        reason = f"{_asked(condition)}: {worst} still accelerates by {np.max(np.abs(left)):.3g}{limits}"
     return Trim(
-        condition=condition,
+        condition=replace(condition, climb_rad=climb),
         converged=converged,
         reason=reason,
         alpha_rad=math.atan2(state.w, state.u),

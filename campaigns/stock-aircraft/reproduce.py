@@ -1,0 +1,178 @@
+"""Every aeroplane of JSBSim's own collection from nothing to a p-box: the table of docs/aircraft.md.
+
+python campaigns/stock-aircraft/reproduce.py [--aircraft NAME]...
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import subprocess
+import sys
+from dataclasses import dataclass, field
+
+from sysid.units import FT_M
+from uqharness.child_process import child_environment, give_answer
+from uqharness.scratch import scratch_folder
+from uqharness.simulator import engine
+
+ALTITUDE_M = 200.0
+SPEEDS = (1.0, 1.15, 1.35, 0.9)
+"""Shares of the speed at which 4 deg of incidence carry the weight; the first at which the aircraft trims is flown."""
+BOUNDS = "CX=0.01,CY=0.01,CZ=0.05,Cl=0.001,Cm=0.01,Cn=0.001"
+STEPS = ("trim", "modes", "instrument", "campaign", "p-box")
+_CAMPAIGN = """[campaign]
+aircraft = "mine"
+mission = "steady"
+seed = 1
+[start]
+V_mps = {V:.1f}
+altitude_m = {h:g}
+[aleatory]
+flights = 1
+duration_s = 4
+burn_in_s = 0
+wind_mps = 0
+turbulence = "none"
+sensor_noise = false
+[epistemic]
+method = "corners"
+"""
+# What flies, and is no aeroplane.
+OTHERS = {
+    "ah1s": "helicopter", "ball": "ball", "ballx": "ball", "F450": "quadrotor", "J246": "launcher", "mk82": "bomb",
+    "Submarine_Scout": "airship", "ZLT-NT": "airship", "weather-balloon": "balloon",
+}  # fmt: skip
+
+
+@dataclass
+class Row:
+    """One aeroplane: the speed it was flown at [m/s], what was reached of STEPS, and why not more."""
+
+    name: str
+    V_mps: float = math.nan
+    reached: list[str] = field(default_factory=list)
+    reason: str = ""
+
+    def line(self) -> str:
+        """As a row of the table."""
+        cells = " | ".join("yes" if step in self.reached else "" for step in STEPS)
+        speed = f"{self.V_mps:.1f}" if math.isfinite(self.V_mps) else ""
+        return f"| {self.name} | {speed} | {cells} | {self.reason} |"
+
+
+def untouched(name: str) -> None:
+    """In a process of its own, by JSBSim alone: the speed at which 4 deg carry the weight, and five seconds flown there."""
+    import jsbsim
+
+    def opened(speed_fps: float, alpha: float) -> object:
+        fdm = jsbsim.FGFDMExec(None)
+        fdm.set_debug_level(0)
+        if not fdm.load_model(name):
+            raise RuntimeError("JSBSim does not load it")
+        fdm["ic/lat-geod-deg"], fdm["ic/h-sl-ft"], fdm["ic/theta-deg"] = 45.0, ALTITUDE_M / FT_M, alpha
+        fdm["ic/u-fps"] = speed_fps * math.cos(math.radians(alpha))
+        fdm["ic/w-fps"] = speed_fps * math.sin(math.radians(alpha))
+        fdm.run_ic()
+        return fdm
+
+    answer: dict[str, object] = {}
+    try:
+        fdm = opened(200.0, 4.0)
+        lift, weight = fdm["forces/fwz-aero-lbs"], fdm["inertia/weight-lbs"]  # type: ignore[index]
+        if not lift > 0.0:
+            raise RuntimeError("no lift at 4 deg of incidence")
+        speed = 200.0 * math.sqrt(weight / lift)
+        fdm = opened(speed, 4.0)
+        fdm["propulsion/set-running"] = -1  # type: ignore[index]
+        for _ in range(600):
+            fdm.run()  # type: ignore[attr-defined]
+        state = [fdm[n] for n in ("velocities/vt-fps", "position/h-agl-ft", "attitude/phi-rad", "attitude/theta-rad")]  # type: ignore[index]
+        if not all(map(math.isfinite, state)):
+            raise RuntimeError("the state is not finite after five seconds")
+        answer["V_mps"] = speed * FT_M
+    except Exception as error:
+        answer["error"] = " ".join(str(error).split())[:200] or type(error).__name__
+    give_answer(answer)
+
+
+def alone(name: str) -> tuple[float, str]:
+    """The speed [m/s] at which an aircraft flies untouched, or NaN and why it does not."""
+    command = [sys.executable, __file__, "--untouched", name]
+    ended = subprocess.run(command, capture_output=True, text=True, errors="replace", env=child_environment(), check=False)
+    for line in reversed(ended.stdout.splitlines()):
+        if line.startswith("uqharness-answer "):
+            said = json.loads(line.removeprefix("uqharness-answer "))
+            return said.get("V_mps", math.nan), said.get("error", "")
+    return math.nan, f"ends JSBSim's process (code {ended.returncode})"
+
+
+def study(name: str, V_mps: float) -> Row:
+    """The three commands, and `modes` before them."""
+    row = Row(name)
+    with scratch_folder() as scratch:
+        folder = scratch.path
+
+        def command(*words: str) -> tuple[int, str]:
+            done = subprocess.run(
+                [sys.executable, "-m", "uqharness", *words],
+                cwd=folder, capture_output=True, text=True, env=child_environment(), timeout=600, check=False,
+            )  # fmt: skip
+            row.reason = "" if done.returncode == 0 else _last(done.stdout, done.stderr)
+            return done.returncode, done.stdout
+
+        for share in SPEEDS:
+            row.V_mps = round(share * V_mps, 1)
+            code, _ = command("modes", name, "--speed-mps", f"{row.V_mps:.1f}", "--altitude-m", f"{ALTITUDE_M:g}")
+            if code == 0:
+                break
+        else:
+            return row
+        row.reached += ["trim", "modes"]
+        if command("instrument", name, "--out", "mine", "--constant", BOUNDS)[0]:
+            return row
+        row.reached.append("instrument")
+        (folder / "campaign.toml").write_text(_CAMPAIGN.format(V=row.V_mps, h=ALTITUDE_M), encoding="utf-8")
+        if command("campaign", "run", "campaign.toml", "--out", "results", "--serial", "--yes")[0]:
+            return row
+        row.reached.append("campaign")
+        if (folder / "results" / "pbox.parquet").is_file() and not command("campaign", "report", "results")[0]:
+            row.reached.append("p-box")
+    return row
+
+
+def _last(said: str, errors: str) -> str:
+    lines = [line.strip() for line in (said + "\n" + errors).splitlines() if line.strip()]
+    return (lines[-1] if lines else "no message").replace("|", "/")[:240]
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Print the table; the process's exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--aircraft", action="append", metavar="NAME", help="only this one; repeatable")
+    parser.add_argument("--untouched", metavar="NAME", help=argparse.SUPPRESS)
+    arguments = parser.parse_args(argv)
+    if arguments.untouched:
+        untouched(arguments.untouched)
+        return 0
+    root = engine.default_root() / "aircraft"
+    names = arguments.aircraft or sorted(path.name for path in root.iterdir() if path.is_dir())
+    print(f"| aircraft | m/s | {' | '.join(STEPS)} | reason |\n|---{'|---' * (len(STEPS) + 2)}|", flush=True)
+    rows = []
+    for name in names:
+        if name in OTHERS:
+            continue
+        V_mps, why = alone(name)
+        if not math.isfinite(V_mps):
+            print(f"| {name} |  |{'  |' * len(STEPS)} does not fly untouched: {why} |", flush=True)
+            continue
+        rows.append(study(name, V_mps))
+        print(rows[-1].line(), flush=True)
+    done = sum("p-box" in row.reached for row in rows)
+    print(f"\n{len(rows)} aeroplanes fly untouched in JSBSim; {done} of them come to a p-box.")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,62 @@
+"""The sentence about thrust, against a drag curve whose answer is known in closed form."""
+
+import math
+
+import pytest
+
+from uqharness.simulator.aircraft import find_aircraft
+from uqharness.simulator.thrust_limit import AtLimit, thrust_reason
+from uqharness.simulator.trim import SteadyCondition, find_trim
+
+G = 9.80665
+
+
+def flight(thrust_g):
+    """Drag over weight 0.1 (V/40)^2: level at 40 m/s with thrust 0.1 of the weight."""
+
+    def at(V):
+        sine = thrust_g - 0.1 * (V / 40.0) ** 2
+        return AtLimit(math.asin(sine), 1000.0 * thrust_g) if abs(sine) < 1.0 else None
+
+    return at
+
+
+def test_too_little_thrust_is_told_with_the_deceleration_and_the_speed_that_it_reaches():
+    said = thrust_reason(60.0, 0.0, flight(0.1), flight(0.0))
+    deceleration = G * (0.1 * 1.5**2 - 0.1)
+    assert said.startswith(f"deceleration {deceleration:.2g} m/s^2 at full throttle: 100 N of thrust at 60 m/s; try V <= ")
+    speed = float(said.split("<= ")[1].split()[0])
+    assert 36.0 <= speed <= 40.0
+
+
+def test_too_much_thrust_at_idle_is_told_as_well():
+    said = thrust_reason(30.0, 0.0, flight(0.3), flight(0.1))
+    assert said.startswith("acceleration")
+    speed = float(said.split(">= ")[1].split()[0])
+    assert 40.0 <= speed <= 46.0
+
+
+def test_thrust_that_fits_is_not_blamed():
+    assert thrust_reason(40.0, 0.0, flight(0.2), flight(0.0)) == ""
+
+
+def test_where_nothing_fits_the_path_is_told():
+    assert "no speed from" in thrust_reason(40.0, 0.0, lambda V: AtLimit(-0.2, math.nan), lambda V: None)
+
+
+def test_a_stock_aircraft_that_is_too_fast_is_told_and_flies_at_the_speed_advised():
+    said = find_trim(find_aircraft("OV10"), SteadyCondition(95.0, 200.0))
+    assert not said.converged
+    assert "deceleration" in said.reason
+    speed = float(said.reason.split("try V <= ")[1].split()[0])
+    assert find_trim(find_aircraft("OV10"), SteadyCondition(speed, 200.0)).converged
+
+
+@pytest.mark.parametrize("name", ["SGS", "Shuttle"])
+def test_a_glider_finds_its_own_path(name):
+    trim = find_trim(find_aircraft(name), SteadyCondition({"SGS": 25.0, "Shuttle": 160.0}[name], 1000.0))
+    assert trim.converged
+    assert trim.condition.climb_rad < 0.0
+    # Steady: drag over lift is the tangent of the path, and the path is that of the velocity.
+    north, east, down = trim.velocity_ned_mps
+    assert math.atan2(-down, math.hypot(north, east)) == pytest.approx(trim.condition.climb_rad, abs=1e-9)

@@ -1,0 +1,141 @@
+"""Engines brought to the steady state of their levers while the aircraft's state stands still.
+
+JSBSim's own way (FGPropulsion::GetSteadyState) steps engines by half a second. That is longer than a propeller takes to follow its
+engine, so the speed of many piston engines and turboprops oscillates instead of settling, and the engine stops. And a frame in
+which time stands still takes a turboprop's power away. Here frames of the whole model are run with the integrators of the motion
+switched off. A steady state is the same for every length of step, so steps begin long and get shorter while nothing settles.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+_OF_MOTION = ("rate/rotational", "rate/translational", "position/rotational", "position/translational")
+INTEGRATORS = tuple(f"simulation/integrator/{what}" for what in _OF_MOTION)
+STEPS_S = (0.1, 0.05, 0.02, 0.01)
+"""Lengths of step that are tried one after the other."""
+BLOCK_FRAMES, MOST_BLOCKS = 25, 40
+CRANK_S = 3.0
+SETTLED = 1e-9
+"""Change over a block, as a share of the largest thrust or speed, at which an engine has settled."""
+_BALANCED = 1e-3  # of the power that a propeller takes, at which JSBSim's own way has found its steady state
+_FTLBF_PER_S_HP = 550.0
+_WIND = tuple(f"atmosphere/wind-{axis}-fps" for axis in ("north", "east", "down"))
+_WATCHED = ("thrust-lbs", "propeller-rpm", "n1", "blade-angle")
+
+
+def settled(fdm: Any) -> bool:
+    """Whether each engine gives its propeller the power that it takes, after JSBSim's own way to the steady state.
+
+    False for a turboprop: its power is not known in a frame in which time stands still.
+    """
+    if has_turboprop(fdm):
+        return False
+    exists = fdm.get_property_manager().hasNode
+    for name in _engines(fdm):
+        if exists(f"{name}/propeller-power-ftlbps") and exists(f"{name}/power-hp"):
+            taken, given = fdm[f"{name}/propeller-power-ftlbps"], fdm[f"{name}/power-hp"] * _FTLBF_PER_S_HP
+            if not abs(given - taken) <= _BALANCED * max(abs(taken), _FTLBF_PER_S_HP):
+                return False
+            if not fdm[f"{name}/set-running"]:
+                return False
+    return True
+
+
+def settle(fdm: Any) -> str:
+    """Run frames, the motion frozen, until engines are steady: empty, or what still changes. Clock and fuel stay as they are."""
+    manager = fdm.get_property_manager()
+    before = {name: fdm[name] for name in INTEGRATORS}
+    time_s, dt_s, trimming = fdm.get_sim_time(), fdm.get_delta_t(), fdm.get_trim_status()
+    watched = {
+        (number, what): manager.get_node(f"{name}/{what}").get_double_value
+        for number, name in enumerate(_engines(fdm), start=1)
+        for what in _WATCHED
+        if manager.hasNode(f"{name}/{what}")
+    }
+    moved, number, what = 0.0, 1, ""
+    pistons = manager.hasNode("propulsion/magneto_cmd")
+    for name in INTEGRATORS:
+        fdm[name] = 0.0
+    # No engine draws fuel while JSBSim takes itself to be trimming.
+    fdm.set_trim_status(True)
+    try:
+        for step_s in STEPS_S:
+            fdm.set_dt(step_s)
+            if pistons:
+                _crank(fdm, time_s)
+            moved, number, what = _runs_out(fdm, watched, time_s)
+            if moved < SETTLED:
+                break
+    finally:
+        fdm.set_dt(dt_s)
+        fdm.set_trim_status(trimming)
+        fdm.set_sim_time(time_s)
+        for name, value in before.items():
+            fdm[name] = value
+        # The Earth has turned beneath a place that stood still, and distances count from the initial one. A turboprop would fall
+        # back to idle.
+        if not has_turboprop(fdm):
+            wind = {name: fdm[name] for name in _WIND}
+            fdm.run_ic()
+            for name, value in wind.items():
+                fdm[name] = value
+    if moved < _BALANCED:
+        return ""
+    return f"engine {number} does not settle: {what} still changes by {moved:.2g} of its value in {BLOCK_FRAMES} frames"
+
+
+def _crank(fdm: Any, time_s: float) -> None:
+    """Turn the starters until the engines run, for at most CRANK_S: a propeller that has come to rest stays so in the wind."""
+    running = [fdm.get_property_manager().get_node(f"{name}/set-running").get_double_value for name in _engines(fdm)]
+    if all(get() for get in running):
+        return
+    fdm["propulsion/starter_cmd"] = 1.0
+    for _ in range(round(CRANK_S / fdm.get_delta_t())):
+        fdm.set_sim_time(time_s)
+        fdm.run()
+        if all(get() for get in running):
+            break
+    fdm["propulsion/starter_cmd"] = 0.0
+
+
+def _runs_out(fdm: Any, watched: dict[tuple[int, str], Any], time_s: float) -> tuple[float, int, str]:
+    """The greatest change of what is watched over the last block, its engine and name: runs until that is below SETTLED, at most
+    MOST_BLOCKS, and gives up where ten blocks have brought it no nearer."""
+    last = {key: get() for key, get in watched.items()}
+    nearest, since, most = float("inf"), 0, (0.0, 1, "")
+    for _ in range(MOST_BLOCKS):
+        for _ in range(BLOCK_FRAMES):
+            # A script's events must not take these frames for flight.
+            fdm.set_sim_time(time_s)
+            fdm.run()
+        now = {key: get() for key, get in watched.items()}
+        most = max(((abs(now[key] - last[key]) / max(abs(now[key]), 1.0), *key) for key in watched), default=most)
+        if most[0] < SETTLED:
+            break
+        last = now
+        nearest, since = (most[0], 0) if most[0] < 0.5 * nearest else (nearest, since + 1)
+        if since == 10:
+            break
+    return most
+
+
+def stopped(fdm: Any) -> str:
+    """Which of the piston and turbine engines, all of them started, do not run; empty where all do."""
+    exists = fdm.get_property_manager().hasNode
+    burning = [f"{name}/set-running" if exists(f"{name}/map-inhg") or exists(f"{name}/n1") else "" for name in _engines(fdm)]
+    numbers = [str(k) for k, name in enumerate(burning, start=1) if name and not fdm[name]]
+    if not numbers:
+        return ""
+    many = len(numbers) > 1
+    return f"engine{'s' * many} {', '.join(numbers)} {'do' if many else 'does'} not keep running once started and left to settle"
+
+
+def has_turboprop(fdm: Any) -> bool:
+    """Whether an engine is a turboprop, whose power is gone after a frame in which time stands still."""
+    exists = fdm.get_property_manager().hasNode
+    return any(exists(f"{name}/itt-c") and exists(f"{name}/propeller-rpm") for name in _engines(fdm))
+
+
+def _engines(fdm: Any) -> list[str]:
+    return [f"propulsion/engine[{k}]" for k in range(fdm.get_propulsion().get_num_engines())]
