@@ -85,6 +85,15 @@ class Cell:
         worst = self.published_worst
         return self.best.beside(self.published_best), self.worst.beside(worst), self.worst_poisson.beside(worst)
 
+    @property
+    def words(self) -> str:
+        """A line for the terminal."""
+        said = f"[{self.best.rate:.3g}, {self.worst.rate:.3g}] per h, worst within [{self.worst.lower:.3g}, {self.worst.upper:.3g}]"
+        told = f"published [{self.published_best.rate:g}, {self.published_worst.rate:g}]"
+        _, worst, alone = self.verdicts
+        beside = worst if worst == alone else f"{worst}; {alone} if excursions do not cluster"
+        return f"{self.radius_m:g} m, {self.wind_mps:g} m/s {self.turbulence}: {said}; {told}: {beside}"
+
 
 def published(radius_m: float) -> pd.DataFrame:
     """The print's table for a radius. Raises BadInputError where there is none."""
@@ -102,13 +111,14 @@ def compare(folder: Path) -> list[Cell]:
     keys = ["condition", "radius_m", "distance"]
     poisson = counted.loc[counted["worst"] == 1, [*keys, "simultaneous_lower_per_h", "simultaneous_upper_per_h"]]
     rows = pd.read_csv(io.BytesIO(read_checked(folder, manifest, STATEMENTS))).merge(poisson, on=keys)
-    found = list(_cells(rows[rows["distance"] == "horizontal"], manifest["campaign"]["metrics"]["acceptable_per_h"]))
+    found = list(cells_of(rows[rows["distance"] == "horizontal"], manifest["campaign"]["metrics"]["acceptable_per_h"]))
     if not found:
         raise BadInputError(f"{folder}: no wind (0 to 7 m/s), turbulence and radius (15 or 25 m) of Tables 3.1 and 3.2")
     return found
 
 
-def _cells(rows: pd.DataFrame, acceptable: float) -> Iterator[Cell]:
+def cells_of(rows: pd.DataFrame, acceptable: float) -> Iterator[Cell]:
+    """Rows of statements, with Poisson limits of the worst corner, beside the print; what was not printed is left out."""
     tables = {radius: published(radius) for radius in PUBLISHED}
     for row in rows[rows["radius_m"].isin(PUBLISHED)].to_dict("records"):
         radius, wind, turbulence = row["radius_m"], row["wind_mps"], row["turbulence"]
@@ -177,11 +187,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(json.dumps({"cells": len(cells), "worst": counted, "best": {w: bests.count(w) for w in counted}}))
     else:
         for c in cells:
-            said = f"[{c.best.rate:.3g}, {c.worst.rate:.3g}] per h, worst within [{c.worst.lower:.3g}, {c.worst.upper:.3g}]"
-            told = f"published [{c.published_best.rate:g}, {c.published_worst.rate:g}]"
-            _, worst, alone = c.verdicts
-            beside = worst if worst == alone else f"{worst}; {alone} if excursions do not cluster"
-            print(f"{c.radius_m:g} m, {c.wind_mps:g} m/s {c.turbulence}: {said}; {told}: {beside}")
+            print(c.words)
         print(f"worst corner: {', '.join(f'{n} cells {word}' for word, n in counted.items())}")
         if singly != worsts:
             print(f"if excursions do not cluster: {', '.join(f'{singly.count(w)} cells {w}' for w in counted)}")

@@ -7,6 +7,7 @@ from .answers import lines as lines
 from .area import AREAS as AREAS
 from .area import compare as compare
 from .area import read_flights as read_flights
+from .carried import ENOUGH_EXCURSIONS as ENOUGH_EXCURSIONS
 from .cases import Case as Case
 from .cases import Mission as Mission
 from .cases import build_cases as build_cases

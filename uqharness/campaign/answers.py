@@ -26,6 +26,8 @@ class Answer:
     answer: str
     reason: str
     hours: float
+    flight_share_upper: float | None = None
+    """Upper limit of the share of flights with an excursion at the worst corner, where the number of flights was fixed."""
 
 
 def read_answers(folder: Path, manifest: Mapping[str, Any]) -> list[Answer]:
@@ -51,6 +53,7 @@ def _answer(row: dict[str, str]) -> Answer:
         row["answer"],
         row.get("reason", ""),
         float(row["hours"]),
+        float(row["flight_share_upper"]) if row.get("flight_share_upper") else None,
     )
 
 
@@ -68,5 +71,7 @@ def lines(answers: Sequence[Answer]) -> list[str]:
     found = [f"at most {first.acceptable_per_h:g} excursions per hour beyond {first.radius_m:g} m? {summary}"]
     for answer in answers:
         reason = f" ({answer.reason})" if answer.reason else ""
-        found.append(f"  {answer.condition}: {answer.answer}{reason}, {answer.hours:.4g} flight h")
+        share = answer.flight_share_upper
+        said = "" if share is None else f", an excursion in at most {100.0 * share:.2g} % of flights at the worst corner"
+        found.append(f"  {answer.condition}: {answer.answer}{reason}, {answer.hours:.4g} flight h{said}")
     return found

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.digests import sha256_hex
+from uqharness.campaign.columns import counted_radii
 from uqharness.campaign.execution.flying import BATCH, JSBSIM
 from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.campaign.spec.samples import Epistemic, epistemic_samples
@@ -79,22 +80,40 @@ def uq_properties(spec: CampaignSpec, sample: Epistemic) -> dict[str, float]:
     return properties
 
 
-def build_cases(spec: CampaignSpec, mission: Mission) -> tuple[Case, ...]:
-    """All cases of the campaign, in case order. Depends on nothing but its arguments. An engine not settled is JSBSim."""
-    return tuple(_cases(spec, mission))
+@dataclass(frozen=True)
+class Part:
+    """Part of a campaign: aleatory ids, conditions (wind [m/s], turbulence), and places of its epistemic samples (None: all)."""
+
+    aleatory_ids: range
+    conditions: tuple[tuple[float, str], ...]
+    samples: range | None = None
 
 
-def _cases(spec: CampaignSpec, mission: Mission) -> Iterator[Case]:
+def build_cases(spec: CampaignSpec, mission: Mission, part: Part | None = None) -> tuple[Case, ...]:
+    """All cases of the campaign, or of a part of it, in case order. Depends on nothing but its arguments.
+
+    An engine not settled is JSBSim.
+    """
+    air = spec.aleatory
+    whole = Part(range(air.flights), tuple(itertools.product(air.wind_mps, air.turbulence)))
+    return tuple(_cases(spec, mission, part or whole))
+
+
+def _cases(spec: CampaignSpec, mission: Mission, part: Part) -> Iterator[Case]:
     air, root_seed = spec.aleatory, spec.campaign.seed
     engine = BATCH if spec.campaign.engine == BATCH else JSBSIM
-    samples = [(sample, uq_properties(spec, sample) | dict(sample.parameters)) for sample in epistemic_samples(spec)]
+    radii = counted_radii(dict(spec.metrics))
+    wanted = epistemic_samples(spec)
+    if part.samples is not None:
+        wanted = wanted[part.samples.start : part.samples.stop]
+    samples = [(sample, uq_properties(spec, sample) | dict(sample.parameters)) for sample in wanted]
     _refuse_twice(samples[0][1], air.variables)
-    for aleatory_id in range(air.flights):
+    for aleatory_id in part.aleatory_ids:
         seed_turbulence = flight_seed(root_seed, aleatory_id, "turbulence")
         seed_noise = flight_seed(root_seed, aleatory_id, "noise")
         draws = {name: unit_draw(root_seed, aleatory_id, name, item) for name, item in air.variables.items()}
         transient = _transient(spec, aleatory_id)
-        for wind_mps, turbulence in itertools.product(air.wind_mps, air.turbulence):
+        for wind_mps, turbulence in part.conditions:
             for sample, properties in samples:
                 values = {name: item.value(draws[name], sample.means.get(name, 0.5)) for name, item in air.variables.items()}
                 flight = FlightSpec(
@@ -110,7 +129,7 @@ def _cases(spec: CampaignSpec, mission: Mission) -> Iterator[Case]:
                     seed_turbulence=seed_turbulence,
                     seed_noise=seed_noise,
                     properties=properties | values if values else properties,
-                    excursion_radius_m=tuple(map(float, spec.metrics.excursion_radius_m)),
+                    excursion_radius_m=radii,
                     rearm_m=float(spec.metrics.rearm_m),
                     levels=sample.driver,
                     transient=transient,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 ERROR_METRICS = tuple(
     f"{quantity}_{statistic}_{unit}{suffix}"
@@ -19,4 +20,14 @@ UNCOMMANDED_METRICS = ("heading_median_deg", "heading_mean_deg", "heading_max_de
 def excursion_columns(radii_m: Iterable[float]) -> tuple[str, ...]:
     """Names of the excursion counts: horizontal distance first, then the 3-D ones."""
     radii = tuple(radii_m)
-    return tuple(f"excursions_{radius:g}m" for radius in radii) + tuple(f"excursions_{radius:g}m_3d" for radius in radii)
+    return tuple(excursion_column(radius, distance) for distance in ("horizontal", "3d") for radius in radii)
+
+
+def excursion_column(radius_m: float, distance: str) -> str:
+    """Name of the excursion counts beyond one radius; ``distance``: horizontal or 3d."""
+    return f"excursions_{radius_m:g}m" + ("_3d" if distance == "3d" else "")
+
+
+def counted_radii(metrics: Mapping[str, Any]) -> tuple[float, ...]:
+    """Radii [m] at which a campaign counts excursions, from its section [metrics] as plain types: asked about, then the others."""
+    return (*map(float, metrics["excursion_radius_m"]), *map(float, metrics.get("dispersion_radius_m") or ()))

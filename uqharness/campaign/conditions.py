@@ -71,10 +71,13 @@ def samples(frame: pd.DataFrame, metric: str) -> list[Sample]:
     order = np.argsort(which, kind="stable")
     edges = np.searchsorted(which[order], np.arange(len(names) + 1))
     places = [order[begin:end] for begin, end in pairwise(edges)]
-    return [
-        Sample(str(name), values[rows][known[rows]], int(np.count_nonzero(~known[rows])))
-        for name, rows in zip(names, places, strict=True)
-    ]
+    airs = frame["aleatory_id"].to_numpy() if "aleatory_id" in frame else None
+    found = []
+    for name, rows in zip(names, places, strict=True):
+        good, bad = rows[known[rows]], rows[~known[rows]]
+        flown = None if airs is None else airs[np.concatenate([good, bad])]
+        found.append(Sample(str(name), values[good], bad.size, flown))
+    return found
 
 
 def pboxes(frame: pd.DataFrame, confidence: float = CONFIDENCE) -> Iterator[tuple[str, Condition, PBox]]:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from uqharness.campaign.aborted import aborted_flight
 from uqharness.campaign.cases import Case
 from uqharness.campaign.execution.worker import CaseOutcome
 from uqharness.campaign.folder.store import Store
@@ -52,12 +53,14 @@ class Rule:
     every_corner: bool
     look_every: int
     looks: int
+    acceptable_loss_per_h: float = float("inf")
 
     def question(self, duration_s: float) -> Question:
         """The rule's question in excursions per flight of ``duration_s``."""
         hours = duration_s / 3600.0
         zone = (self.zone_per_h[0] * hours, self.zone_per_h[1] * hours)
-        return Question(self.acceptable_per_h * hours, zone, self.dispersion, self.error_rate, self.every_corner)
+        acceptable, losses = self.acceptable_per_h * hours, self.acceptable_loss_per_h * hours
+        return Question(acceptable, zone, self.dispersion, self.error_rate, self.every_corner, losses)
 
 
 def rule_of(campaign: Mapping[str, Any], corners: int) -> Rule | None:
@@ -80,6 +83,7 @@ def rule_of(campaign: Mapping[str, Any], corners: int) -> Rule | None:
         every_corner=every_corner,
         look_every=look_every,
         looks=-(-flights // look_every),
+        acceptable_loss_per_h=float(metrics.get("acceptable_loss_per_h") or acceptable),
     )
 
 
@@ -164,12 +168,15 @@ class _Cell:
                 yield from (self._by_place[corner, number] for number in ids)
 
     def learn(self, ids: range, outcomes: Mapping[str, CaseOutcome]) -> None:
-        low, high = np.full((2, len(self._corners), len(ids)), np.nan)
+        low, high, lost, missing = np.full((4, len(self._corners), len(ids)), np.nan)
         for row in np.flatnonzero(self.evidence.open):
             for column, number in enumerate(ids):
-                outcome = outcomes[self._by_place[self._corners[row], number].case_id]
+                case = self._by_place[self._corners[row], number]
+                outcome = outcomes[case.case_id]
+                lost[row, column], missing[row, column] = aborted_flight(outcome, case.flight)
                 low[row, column], high[row, column] = _counts(outcome, self._column)
-        self.evidence = look(add(self.evidence, self._question, low, high), self._question)
+        high = np.fmax(high, np.where(lost > 0.0, 1.0, high))
+        self.evidence = look(add(self.evidence, self._question, low, high, lost, missing), self._question)
 
     def rows(self, rule: Rule) -> Iterator[list[Any]]:
         found, hours = self.evidence, self.first.flight.duration_s / 3600.0

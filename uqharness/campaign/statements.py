@@ -1,5 +1,7 @@
 """What a campaign lets one sign: per condition and radius the rates of the best and the worst corner, limits, and the answer.
 
+"yes" needs two upper limits at every corner, each at half the error: of excursions, and of aborted flights, both per hour flown. An
+aborted flight counts as one excursion, and the time it did not fly at the rate in question.
 Limits take the flight as the unit (``rate_limits``) and hold for the corner that was picked. The upper limit of the worst rate is
 the largest of the corners' upper limits: it fails only if that of the corner that is truly the worst fails, so no more is paid for
 64 corners than for one. The same goes for the lower limit of the best. The other two pay for all corners.
@@ -15,9 +17,25 @@ from typing import Any
 
 import numpy as np
 
+from uqharness.campaign.aborted import DIVERGED, GROUND_CONTACT, LOSS_OF_CONTROL, Aborted, aborted
+from uqharness.campaign.carried import BEYOND, TOLD, Carried, carried
+from uqharness.campaign.columns import counted_radii, excursion_column
 from uqharness.campaign.conditions import CONFIDENCE, ExcursionCell, excursion_cells, in_condition
 from uqharness.campaign.rounds import ALL_CORNERS, Rule, rule_of
-from uqharness.statistics import NO, OPEN, YES, Array, bet_logs, log_e_above, lower_limits, observed_dispersion, upper_limits
+from uqharness.statistics import (
+    NO,
+    OPEN,
+    YES,
+    Array,
+    bet_logs,
+    evidence_of_either,
+    log_e_above,
+    lower_limits,
+    observed_dispersion,
+    quiet_flights,
+    share_upper,
+    upper_limits,
+)
 
 STATEMENTS = "statements.csv"
 
@@ -25,12 +43,14 @@ _COLUMNS = (
     "condition", "wind_mps", "turbulence", "radius_m", "distance", "best_per_h", "best_lower_per_h", "best_upper_per_h",
     "worst_per_h", "worst_lower_per_h", "worst_upper_per_h", "best", "worst", "acceptable_per_h", "answer", "confidence",
     "dispersion_allowed", "dispersion_observed", "flights", "hours", "failed", "extrapolated_share",
+    "flight_share_upper", "acceptable_loss_per_h", "loss_upper_per_h", "aborted", "loss_of_control", "ground_contact", "diverged",
+    "reason", "dispersion_measured_at", "dispersion_radius_m", "quiet_hours_needed",
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class RateRange:
-    """A rate per scheduled flight hour with limits, and the corner it was seen at."""
+    """A rate per flight hour flown with limits, and the corner it was seen at."""
 
     rate: float
     lower: float
@@ -43,8 +63,14 @@ class Statement:
     """One condition, radius and way of measuring distance.
 
     ``corner_limits`` (c, 2) hold for all corners at once; ``dispersions`` (c,) are the observed ones, ``dispersion_observed`` the
-    largest over corners with at least ``MIN_EXCURSIONS`` excursions, NaN without one; ``extrapolated_share`` is the mean over all
-    flights that have one, NaN without.
+    largest over corners with at least ``TOLD`` excursions, NaN without one; ``extrapolated_share`` is the mean over all
+    flights that have one, NaN without. ``flight_share_upper`` bounds the share of flights with an excursion at the worst corner
+    (Clopper and Pearson 1934), which assumes nothing of how they cluster, for a number of flights fixed beforehand; NaN after
+    *decide*, which fixes none.
+    ``dispersion`` is what the limits carry, ``dispersion_allowed`` the largest of its corners; ``quiet_hours_needed`` with it are
+    flown at a corner without an excursion until it is a yes. ``reason`` says why flights that would be a yes are not.
+    ``loss_upper_per_h`` bounds aborted flights per hour flown at the worst corner, at half the error; ``aborted`` counts them by
+    kind.
     """
 
     cell: ExcursionCell
@@ -57,9 +83,20 @@ class Statement:
     extrapolated_share: float
     corner_limits: Array
     dispersions: Array
+    flight_share_upper: float
+    acceptable_loss_per_h: float
+    loss_upper_per_h: float
+    aborted: Mapping[str, int]
+    dispersion: Carried
+    quiet_hours_needed: float
+    reason: str = ""
 
-
-MIN_EXCURSIONS = 10
+    @property
+    def flight_share(self) -> str:
+        """How many flights may have an excursion, in words; empty where that is not known."""
+        if np.isnan(self.flight_share_upper):
+            return ""
+        return f"at most {100.0 * self.flight_share_upper:.2g} % of flights have one at the worst corner, however they cluster"
 
 
 def statements(frame: Any, campaign: Mapping[str, Any], decisions: Sequence[Mapping[str, str]] = ()) -> list[Statement]:
@@ -75,59 +112,96 @@ def statements(frame: Any, campaign: Mapping[str, Any], decisions: Sequence[Mapp
 
 def _statement(frame: Any, campaign: Mapping[str, Any], cell: ExcursionCell, rule: Rule | None, decided: str | None) -> Statement:
     rows = in_condition(frame, cell.condition)
-    column = f"excursions_{cell.radius_m:g}m" + ("_3d" if cell.distance == "3d" else "")
     groups = [group for _, group in rows.groupby("epistemic_id", sort=False)]
-    low, high = _counts(groups, column)
+    duration_s, metrics = float(campaign["aleatory"]["duration_s"]), campaign["metrics"]
+    hours = duration_s / 3600.0
+    losses = aborted(groups, duration_s)
+    low, high = _counts(groups, excursion_column(cell.radius_m, cell.distance), losses)
     flights, total = np.isfinite(high).sum(axis=1).astype(float), np.nansum(high, axis=1)
-    hours = float(campaign["aleatory"]["duration_s"]) / 3600.0
-    assumed = float(campaign["metrics"]["dispersion"])
-    observed = observed_dispersion(high)
-    allowed = np.maximum(observed, assumed)
+    flown_h = np.array([float(group["duration_s"].sum()) for group in groups]) / 3600.0
+    assumed = float(metrics["dispersion"])
     # After a rule that looked at the flights only limits that hold at any moment are limits.
     anytime = None if rule is None else assumed
     error, corners = 1.0 - CONFIDENCE, len(groups)
     side = error / 2.0
+    radii = [] if rule is not None else [radius for radius in counted_radii(metrics) if radius < cell.radius_m]
+    nearer = {radius: _counts(groups, excursion_column(radius, cell.distance), losses)[1] for radius in radii}
+    clusters = carried(nearer | {cell.radius_m: high}, cell.radius_m, flown_h, assumed, error)
+    observed = observed_dispersion(high)
+    allowed = np.maximum(observed, clusters.dispersion)
+    largest = float(clusters.dispersion.max())
+
+    def upper_per_h(wrong: float) -> Array:
+        return upper_limits(flights, total, allowed, wrong, anytime, losses.missing_shares) / hours
+
     lower, lower_all = lower_limits(low, side) / hours, lower_limits(low, side / corners) / hours
-    upper = upper_limits(flights, total, allowed, side, anytime) / hours
-    upper_all = upper_limits(flights, total, allowed, side / corners, anytime) / hours
-    counted, possible = np.nansum(low, axis=1) / flights / hours, total / flights / hours
-    at_best, at_worst = int(counted.argmin()), int(possible.argmax())
+    upper, upper_all = upper_per_h(side), upper_per_h(side / corners)
+    loss_upper = losses.upper(side, None if rule is None else 1.0) / hours
+    counted, possible = (_per_hour(np.nansum(counts, axis=1), flown_h) for counts in (low, high))
+    at_best, at_worst = int(np.where(np.isnan(counted), np.inf, counted).argmin()), int(possible.argmax())
     names = [rate.epistemic_id for rate in cell.rates]
-    acceptable = float(campaign["metrics"]["acceptable_per_h"])
-    told = observed[total >= MIN_EXCURSIONS]
-    share = rows["extrapolated_share"].mean()
+    acceptable = float(metrics["acceptable_per_h"])
+    acceptable_loss = float(metrics.get("acceptable_loss_per_h") or acceptable)
+    told = observed[total >= TOLD]
+    answer, reason = OPEN, ""
+    if np.all(upper <= acceptable) and np.all(loss_upper <= acceptable_loss):
+        answer, reason = (OPEN, BEYOND) if clusters.beyond else (YES, "")
+    elif _shown_above((low, losses.lost), losses.missing, (acceptable * hours, acceptable_loss * hours), error):
+        answer = NO
     return Statement(
         cell,
         RateRange(float(counted[at_best]), float(lower.min()), float(upper_all.min()), names[at_best]),
         RateRange(float(possible[at_worst]), float(lower_all.max()), float(upper.max()), names[at_worst]),
-        decided or _answer(low, upper_limits(flights, total, allowed, error, anytime), acceptable * hours, error),
+        decided or answer,
         acceptable,
-        assumed,
+        largest,
         float(told.max()) if told.size else float("nan"),
-        float(share),
+        float(rows["extrapolated_share"].mean()),
         np.column_stack([lower_all, upper_all]),
         observed,
+        float(share_upper((high > 0).sum(axis=1), flights, error).max()) if rule is None else float("nan"),
+        acceptable_loss,
+        float(loss_upper.max()),
+        losses.kinds,
+        clusters,
+        quiet_flights(acceptable * hours, largest, side, rule is not None) * hours,
+        "" if decided else reason,
     )
 
 
-def _answer(low: Array, upper: Array, acceptable: float, error: float) -> str:
-    """yes or no, each wrong with probability ``error`` at most (only one of them can be); in means per flight."""
-    if np.all(upper <= acceptable):
-        return YES
-    bets = np.where(np.isfinite(low)[..., None], bet_logs(np.nan_to_num(low), acceptable), 0.0).sum(axis=1)
-    evidence = np.logaddexp.reduce(log_e_above(bets)) - np.log(low.shape[0])
-    return NO if evidence >= -np.log(error) else OPEN
+def _per_hour(counts: Array, hours: Array) -> Array:
+    """Rates; where nothing was flown, infinite for a count and undefined without."""
+    nothing = np.where(counts > 0, np.inf, np.nan)
+    found: Array = np.where(hours > 0, counts / np.where(hours > 0, hours, 1.0), nothing)
+    return found
 
 
-def _counts(groups: Sequence[Any], column: str) -> tuple[Array, Array]:
-    """Least and most excursions of each flight, (corners, flights); NaN where a corner flew fewer."""
+def _shown_above(counts: tuple[Array, Array], missing: Array, acceptable: tuple[float, float], error: float) -> bool:
+    """Whether some corner has been shown to be above an acceptable mean per flight, wrongly with probability ``error`` at most.
+
+    The mean of evidence against "all are below", over corners and over what is counted, is such evidence, whatever the dependence.
+    What a flight did not fly is charged at the tested mean, so that it is one per flight's length flown.
+    """
+    excursions, losses = (
+        log_e_above(np.where(np.isfinite(count)[..., None], bet_logs(np.nan_to_num(count + mean * missing), mean), 0.0).sum(axis=1))
+        for count, mean in zip(counts, acceptable, strict=True)
+    )
+    evidence = evidence_of_either(excursions, losses)
+    return bool(np.logaddexp.reduce(evidence) - np.log(evidence.size) >= -np.log(error))
+
+
+def _counts(groups: Sequence[Any], column: str, losses: Aborted) -> tuple[Array, Array]:
+    """Least and most excursions of each flight, (corners, flights); NaN where a corner flew fewer.
+
+    A flight that failed may have had one more than was seen; one that lost control and flew on counts as one at least.
+    """
     low, high = np.full((2, len(groups), max(len(group) for group in groups)), np.nan)
     for row, group in enumerate(groups):
         counted = group[column].to_numpy(dtype=float, na_value=np.nan)
         uncertain = (group["status"] != "ok").to_numpy() | ~np.isfinite(counted)
         low[row, : counted.size] = np.nan_to_num(counted)
         high[row, : counted.size] = np.nan_to_num(counted) + uncertain
-    return low, high
+    return low, np.fmax(high, np.where(losses.lost > 0, 1.0, high))
 
 
 def statements_csv(found: Sequence[Statement]) -> bytes:
@@ -154,7 +228,10 @@ def statements_csv(found: Sequence[Statement]) -> bytes:
         ]
         row += [f"{item.dispersion_allowed:g}", number(item.dispersion_observed)]
         row += [str(sum(rate.flights for rate in rates)), f"{sum(rate.hours for rate in rates):.6f}"]
-        row += [str(sum(rate.failed for rate in rates)), number(item.extrapolated_share)]
+        row += [str(sum(rate.failed for rate in rates)), number(item.extrapolated_share), number(item.flight_share_upper)]
+        row += [f"{item.acceptable_loss_per_h:g}", number(item.loss_upper_per_h), str(sum(item.aborted.values()))]
+        row += [str(item.aborted[kind]) for kind in (LOSS_OF_CONTROL, GROUND_CONTACT, DIVERGED)]
+        row += [item.reason, str(item.dispersion.measured), number(item.dispersion.nearest_m), number(item.quiet_hours_needed)]
         writer.writerow(row)
     return buffer.getvalue().encode()
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from uqharness.campaign import CONFIDENCE, RateRange, Statement
+from uqharness.campaign import CONFIDENCE, ENOUGH_EXCURSIONS, RateRange, Statement
 from uqharness.statistics import NO, OPEN, YES
 
 _ANSWER_WORDS = {YES: "yes", NO: "no", OPEN: "open: the flights do not settle it"}
@@ -22,7 +22,10 @@ def sentence(item: Statement) -> str:
     text += f" ({CONFIDENCE:.0%} limits {_limits(item.best)} and {_limits(item.worst)}, flights as the unit, "
     hours = max(rate.hours for rate in cell.rates)
     text = text.replace("%", " %") + f"{hours:.3g} h per corner{' at most' if _uneven(item) else ''}). "
-    return text + f"At most {item.acceptable_per_h:g} per hour at every corner? {_ANSWER_WORDS[item.answer].capitalize()}."
+    answer = f"inconclusive: {item.reason}" if item.reason else _ANSWER_WORDS[item.answer]
+    text += f"At most {item.acceptable_per_h:g} per hour at every corner? {answer.capitalize()}."
+    share = item.flight_share
+    return text + (f" {share.capitalize()}." if share else "")
 
 
 def row(item: Statement) -> dict[str, str]:
@@ -38,6 +41,7 @@ def row(item: Statement) -> dict[str, str]:
         "answer": item.answer,
         "hours": f"{sum(rate.hours for rate in cell.rates):.4g}",
         "dispersion": "too few to say" if math.isnan(item.dispersion_observed) else f"{item.dispersion_observed:.2g}",
+        "carried": _carried(item),
         "outside": "not known" if math.isnan(share) else f"{100.0 * share:.2g} %",
     }
 
@@ -49,13 +53,30 @@ def assumptions(found: Sequence[Statement], campaign: Mapping[str, Any]) -> list
         f"Upper limits allow for a variance of the excursions per flight of {allowed:g} times their mean ([metrics] dispersion) "
         "and for more where the flights of a corner show more. Lower limits need no such assumption."
     )
+    if campaign["stop"]["rule"] != "decide":
+        allowance += (
+            f" Where the same air shows {ENOUGH_EXCURSIONS} excursions or more at less than one per hour at a smaller radius, "
+            f"the upper limit of the ratio there ({100 * CONFIDENCE:g} %) stands in place of the assumed one."
+        )
     lines = [
         "Flights are independent of each other; within a flight excursions may come in clusters.",
         allowance,
-        "A failed flight counts as one more excursion on the upper side. Rates are per scheduled flight hour.",
+        (
+            "An aborted flight counts as one excursion on the upper side. Rates are per hour flown, and yes needs an acceptable "
+            "rate of aborted flights as well ([metrics] acceptable_loss_per_h)."
+        ),
         "Corners are the epistemic samples flown: what is worse between or outside them, no statement covers.",
     ]
-    beyond = [item for item in found if item.dispersion_observed > allowed]
+    told = {(item.cell.condition.words, item.cell.radius_m): item for item in found if item.cell.distance == "horizontal"}
+    measured = [item for item in told.values() if item.dispersion.measured]
+    if measured:
+        least = min(measured, key=lambda item: item.quiet_hours_needed)
+        lines.append(
+            f"Clusters were measured for {len(measured)} of {len(told)} conditions and radii. With them a corner without an "
+            f"excursion needs {least.quiet_hours_needed:.3g} h to be a yes in {least.cell.condition.words} beyond "
+            f"{least.cell.radius_m:g} m."
+        )
+    beyond = [item for item in found if item.dispersion_observed > item.dispersion_allowed]
     if beyond:
         worst = max(beyond, key=lambda item: item.dispersion_observed)
         lines.append(
@@ -63,6 +84,17 @@ def assumptions(found: Sequence[Statement], campaign: Mapping[str, Any]) -> list
             f"{worst.cell.condition.words}. Raise [metrics] dispersion for conditions that have not shown an excursion yet."
         )
     return lines
+
+
+def _carried(item: Statement) -> str:
+    """What clusters the limits carry, where that comes from, and the hours a quiet corner needs with it."""
+    corners = len(item.cell.rates)
+    origin = "assumed"
+    if item.dispersion.measured:
+        origin = f"from {item.dispersion.nearest_m:g} m"
+        if item.dispersion.measured < corners:
+            origin += f" at {item.dispersion.measured} of {corners} corners"
+    return f"{item.dispersion_allowed:.3g} {origin}, {item.quiet_hours_needed:.3g} h"
 
 
 def _limits(side: RateRange) -> str:

@@ -10,6 +10,9 @@ import numpy as np
 
 from uqharness.sensitivity.problem import Array
 
+OUTSIDE_ALLOWED = 0.02
+"""Share of the corners' envelope's area by which an interior sample may leave it."""
+
 
 def box_area(y: Array) -> float:
     """Area of the p-box of n distribution functions; y (n, A)."""
@@ -44,6 +47,17 @@ def fixed_areas(ordered: Array, d: int) -> Array:
             rest = np.take(cube, end, axis=i).reshape(-1, ordered.shape[-1])
             found[i, end] = np.mean(rest.max(axis=0) - rest.min(axis=0))
     return found
+
+
+def beyond_corners(corners: Array, interior: Array, area: float) -> float:
+    """Area by which the worst of ``interior`` (n, A) leaves the envelope of ``corners`` (m, A), over ``area``.
+
+    inf where something leaves an envelope without area.
+    """
+    ordered, inside = np.sort(corners, axis=-1), np.sort(interior, axis=-1)
+    beyond = np.maximum(inside - ordered.max(axis=0), 0.0) + np.maximum(ordered.min(axis=0) - inside, 0.0)
+    worst = float(beyond.mean(axis=-1).max())
+    return worst / area if area > 0.0 else (float("inf") if worst > 0.0 else 0.0)
 
 
 def is_flat(area: float, *values: Array) -> bool:

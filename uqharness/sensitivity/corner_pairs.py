@@ -5,15 +5,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from uqharness.sensitivity.areas import box_area, is_flat
+from uqharness.sensitivity.areas import OUTSIDE_ALLOWED, beyond_corners, box_area, is_flat
 from uqharness.sensitivity.problem import Array
 from uqharness.sensitivity.resampling import MIN_DRAWS, RESAMPLES, pair_band
 from uqharness.sensitivity.result import Index, MethodResult, PairRange, all_undefined, missing_values
 from uqharness.sensitivity.study import Evaluations, Study
 
 METHOD = "proposed"
-OUTSIDE_ALLOWED = 0.02
-"""Share of the envelope's area by which an interior sample may leave it."""
 
 
 def corner_pairs(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True) -> MethodResult:
@@ -28,7 +26,7 @@ def corner_pairs(study: Study, runs: Evaluations, seed: int = 0, intervals: bool
     reason = missing_values(corners=y)
     if reason:
         return all_undefined(METHOD, study.names, reason, y.size)
-    interior = runs.interior if runs.interior is not None else runs.sampled
+    interior = runs.between
     area = box_area(y)
     if is_flat(area, y) or (interior is not None and is_flat(area, interior)):
         reason = "the corners' envelope has no width"
@@ -83,12 +81,9 @@ def _smoothness(corners: Array, interior: Array | None, area: float) -> tuple[bo
             f"{missing_values(interior=interior)}, so the corners do not bound what lies between them",
             float("nan"),
         )
-    ordered = np.sort(corners, axis=-1)
-    inside = np.sort(interior, axis=-1)
-    beyond = np.maximum(inside - ordered.max(axis=0), 0.0) + np.maximum(ordered.min(axis=0) - inside, 0.0)
-    worst = float(beyond.mean(axis=-1).max() / area)
+    worst = beyond_corners(corners, interior, area)
     holds = worst <= OUTSIDE_ALLOWED
-    text = f"of {len(inside)} interior samples the worst leaves the corners' envelope by {worst:.1%} of its area".replace("%", " %")
+    text = f"of {len(interior)} interior samples the worst leaves the corners' envelope by {100 * worst:.1f} % of its area"
     if not holds:
         text += ": the output is not monotone enough, the corners miss part of the p-box and these ranges are too small"
     return holds, text, worst

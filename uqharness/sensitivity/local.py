@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from uqharness.sensitivity.areas import box_area, is_flat, log_area
+from uqharness.sensitivity.areas import OUTSIDE_ALLOWED, beyond_corners, box_area, is_flat, log_area
+from uqharness.sensitivity.problem import Array
 from uqharness.sensitivity.resampling import Z, reach_of_box, std_by_draws
 from uqharness.sensitivity.result import Index, MethodResult, all_undefined, missing_values
 from uqharness.sensitivity.study import Evaluations, Study
@@ -46,14 +47,21 @@ def local(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
     }
     holds, statement = None, "linearity over the intervals is assumed and was not checked: the study has no corner runs"
     if runs.corners is not None and not missing_values(corners=runs.corners):
-        holds, statement = _linearity(float(np.sum(study.width * slope)), box_area(runs.corners), is_flat(area, runs.corners))
+        holds, statement = _linearity(float(np.sum(study.width * slope)), runs.corners, runs.between, is_flat(area, runs.corners))
     return MethodResult(METHOD, cost, indices, holds, statement, {"slope": slope, "area": area})
 
 
-def _linearity(predicted: float, corner_area: float, flat: bool) -> tuple[bool, str]:
-    """For a linear output the corners' p-box is as wide as the slopes' ranges together."""
+def _linearity(predicted: float, corners: Array, interior: Array | None, flat: bool) -> tuple[bool, str]:
+    """For a linear output the corners' p-box is as wide as the slopes' ranges together, and no interior sample leaves it."""
+    corner_area = box_area(corners)
     holds = not flat and corner_area > 0.0 and abs(predicted / corner_area - 1.0) <= LINEAR_WITHIN
+    beyond = 0.0
+    if interior is not None and not missing_values(interior=interior):
+        beyond = beyond_corners(corners, interior, corner_area)
+    holds = holds and beyond <= OUTSIDE_ALLOWED
     verdict = "linearity holds roughly" if holds else "not linear over the intervals, so do not rely on it"
+    if beyond > OUTSIDE_ALLOWED:
+        verdict = "samples between the corners leave it; " + verdict
     return holds, (
         f"the ranges that the slopes predict add up to {predicted:.4g}, the corners' p-box is {corner_area:.4g} wide (the same "
         f"for a linear output): {verdict}"

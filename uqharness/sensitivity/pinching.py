@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uqharness.sensitivity.areas import box_area, is_flat
+from uqharness.sensitivity.areas import OUTSIDE_ALLOWED, beyond_corners, box_area, is_flat
 from uqharness.sensitivity.resampling import reach_of_box
 from uqharness.sensitivity.result import Index, MethodResult, all_undefined, missing_values
 from uqharness.sensitivity.study import Evaluations, Study
@@ -41,10 +41,13 @@ def pinching(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = T
     holds, statement = None, "the nominal value is taken for the true one; not checked against the corners"
     if runs.corners is not None and not missing_values(corners=runs.corners):
         corner_area = box_area(runs.corners)
-        holds = area >= FILLED * corner_area
+        beyond = beyond_corners(runs.corners, free, corner_area)
+        filled, inside = area >= FILLED * corner_area, beyond <= OUTSIDE_ALLOWED
+        holds = filled and inside
         statement = (
             f"the sampled p-box is {area:.4g} wide, the corners' one {corner_area:.4g}"
-            + ("" if holds else ": samples seldom meet corners, so these shares depend on their number")
+            + ("" if filled else ": samples seldom meet corners, so these shares depend on their number")
+            + ("" if inside else ": samples between the corners leave it, so an extremum inside decides these shares")
             + "; the nominal value is taken for the true one"
         )
     return MethodResult(METHOD, cost, indices, holds, statement, {"area": area})

@@ -50,6 +50,11 @@ class Evaluations:
     corners: Array | None = None
     interior: Array | None = None
 
+    @property
+    def between(self) -> Array | None:
+        """Samples inside the box beside the corners: ``interior``, else ``sampled``; None where there are none."""
+        return self.interior if self.interior is not None else self.sampled
+
 
 @dataclass(frozen=True)
 class Study:

@@ -1,5 +1,7 @@
 from .area import AreaMetric as AreaMetric
 from .area import area_metric as area_metric
+from .clusters import dispersion_limits as dispersion_limits
+from .clusters import quiet_flights as quiet_flights
 from .convergence import Growth as Growth
 from .convergence import Repeats as Repeats
 from .convergence import growth as growth
@@ -12,6 +14,7 @@ from .decide import Question as Question
 from .decide import add as add
 from .decide import begin as begin
 from .decide import close as close
+from .decide import evidence_of_either as evidence_of_either
 from .decide import look as look
 from .pbox import ExcursionRate as ExcursionRate
 from .pbox import PBox as PBox
@@ -27,4 +30,5 @@ from .rates import bet_logs as bet_logs
 from .rates import log_e_above as log_e_above
 from .rates import lower_limits as lower_limits
 from .rates import observed_dispersion as observed_dispersion
+from .rates import share_upper as share_upper
 from .rates import upper_limits as upper_limits

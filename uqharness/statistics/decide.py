@@ -8,6 +8,10 @@ one of the two can be wrong in a given cell, so each may use the cell's whole er
 * "yes" asks for evidence from every corner. It is wrong only if the corner that is in truth above the threshold was let pass, so
   nothing is paid for their number either.
 
+The same is asked of aborted flights. "yes" needs both, each at half the error rate: of excursions and of aborted flights per hour
+flown, in which the time that an aborted flight did not fly is charged at the tested rate. "no" takes a weighted mean of the
+evidence of both.
+
 Corners share their air; the arguments need the flights of one corner to be independent of each other and a corner that has been
 settled never to fly again, no more. Pure: counts in, answers out.
 """
@@ -25,12 +29,15 @@ YES, NO, OPEN = "yes", "no", "open"
 WITHIN_ZONE, USED_UP = "within the indifference zone", "all flights flown"
 
 
+LOSS_WEIGHT = 0.1
+
+
 @dataclass(frozen=True)
 class Question:
     """What is to be settled, in mean excursions per flight (rate times duration).
 
-    ``error_rate`` is that of one cell, of each corner of it where ``every_corner`` is asked for. ``zone`` around the threshold: a
-    corner shown to lie within is not flown further, its answer stays open.
+    ``loss_threshold`` is that of aborted flights. ``error_rate`` is that of one cell, of each corner of it where ``every_corner``
+    is asked for. ``zone`` around the threshold: a corner shown to lie within is not flown further, its answer stays open.
     """
 
     threshold: float
@@ -38,6 +45,7 @@ class Question:
     dispersion: float
     error_rate: float
     every_corner: bool = False
+    loss_threshold: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -45,7 +53,9 @@ class Evidence:
     """What the flights of one cell say so far, per corner (c,).
 
     ``total`` excursions with failed flights bounded from above, ``squares`` of them; logarithms of the ``bets`` against the
-    threshold and of ``bets_zone`` against the zone's lower end, counted from below. ``answers``: of each corner, "" while it flies.
+    threshold and of ``bets_zone`` against the zone's lower end, counted from below. ``lost`` flights were aborted, ``bets_lost``
+    against their threshold, ``missing`` is the sum of the shares of their time they did not fly. ``answers``: of each corner, ""
+    while it flies.
     """
 
     flights: Array
@@ -53,6 +63,9 @@ class Evidence:
     squares: Array
     bets: Array
     bets_zone: Array
+    lost: Array
+    bets_lost: Array
+    missing: Array
     answers: tuple[str, ...]
     cell: str = ""
     reason: str = ""
@@ -74,17 +87,34 @@ class Evidence:
 def begin(corners: int) -> Evidence:
     """No flight flown."""
     none, bets = np.zeros(corners), bet_logs(np.zeros((corners, 1)), 1.0).sum(axis=1) * 0.0
-    return Evidence(none, none, none, bets, bets, ("",) * corners)
+    return Evidence(none, none, none, bets, bets, none, bets, none, ("",) * corners)
 
 
-def add(evidence: Evidence, question: Question, low: Array, high: Array) -> Evidence:
-    """Evidence with one round more: least and most excursions (c, k) of each flight of the open corners, NaN elsewhere."""
+def add(
+    evidence: Evidence, question: Question, low: Array, high: Array, lost: Array | None = None, missing: Array | None = None
+) -> Evidence:
+    """Evidence with one round more: least and most excursions (c, k) of each flight of the open corners, NaN elsewhere.
+
+    ``lost`` (c, k) is 1 where a flight was aborted, ``missing`` (c, k) the share of its time that it did not fly; none by default.
+    """
     flown = np.isfinite(high)
     counted, upper = np.where(flown, low, 0.0), np.where(flown, high, 0.0)
-    bets = np.where(flown[..., None], bet_logs(counted, question.threshold), 0.0).sum(axis=1)
-    zone = np.where(flown[..., None], bet_logs(counted, question.zone[0]), 0.0).sum(axis=1)
+    absent = np.where(flown, 0.0 if missing is None else missing, 0.0)
+
+    def earned(counts: Array, mean: float) -> Array:
+        found: Array = np.where(flown[..., None], bet_logs(counts + mean * absent, mean), 0.0).sum(axis=1)
+        return found
+
+    bets, zone = earned(counted, question.threshold), earned(counted, question.zone[0])
+    aborted = np.where(flown, 0.0 if lost is None else lost, 0.0)
+    bets_lost = np.zeros_like(bets)
+    if np.isfinite(question.loss_threshold):
+        bets_lost = earned(aborted, question.loss_threshold)
     return replace(
         evidence,
+        lost=evidence.lost + aborted.sum(axis=1),
+        bets_lost=evidence.bets_lost + bets_lost,
+        missing=evidence.missing + absent.sum(axis=1),
         flights=evidence.flights + flown.sum(axis=1),
         total=evidence.total + upper.sum(axis=1),
         squares=evidence.squares + (upper**2).sum(axis=1),
@@ -97,14 +127,19 @@ def look(evidence: Evidence, question: Question) -> Evidence:
     """Answer what the evidence settles: corners first, then the cell. A settled answer stays."""
     if evidence.cell:
         return evidence
-    wanted = -np.log(question.error_rate)
+    wanted, doubly = -np.log(question.error_rate), -np.log(question.error_rate / 2.0)
     dispersion = np.maximum(evidence.dispersion, question.dispersion)
 
     def below(mean: float) -> NDArray[np.bool_]:
-        return log_e_below(evidence.flights, evidence.total, mean, dispersion, question.dispersion) >= wanted
+        return log_e_below(evidence.flights, evidence.total, mean, dispersion, question.dispersion, evidence.missing) >= doubly
 
     above = log_e_above(evidence.bets)
     acceptable = below(question.threshold)
+    if np.isfinite(question.loss_threshold):
+        # A flight is aborted once: its count clusters no more than independent ones do.
+        least, limit = np.ones_like(evidence.lost), question.loss_threshold
+        acceptable &= log_e_below(evidence.flights, evidence.lost, limit, least, 1.0, evidence.missing) >= doubly
+        above = evidence_of_either(above, log_e_above(evidence.bets_lost))
     marginal = below(question.zone[1]) & (log_e_above(evidence.bets_zone) >= wanted)
     answers = list(evidence.answers)
     for corner in np.flatnonzero(evidence.open):
@@ -123,6 +158,15 @@ def look(evidence: Evidence, question: Question) -> Evidence:
     elif all(answers):
         cell, reason = OPEN, WITHIN_ZONE
     return replace(evidence, answers=tuple(answers), cell=cell, reason=reason)
+
+
+def evidence_of_either(excursions: Array, losses: Array) -> Array:
+    """Logarithm of the evidence that one of two means is too large: the weighted mean of that of each, for any weights.
+
+    Most of the weight lies on excursions, of which there are more.
+    """
+    found: Array = np.logaddexp(excursions + np.log(1.0 - LOSS_WEIGHT), losses + np.log(LOSS_WEIGHT))
+    return found
 
 
 def close(evidence: Evidence) -> Evidence:

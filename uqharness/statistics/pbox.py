@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from uqharness.arguments import number
+from uqharness.statistics.common_air import common_air_half_width, is_enough
 
 Array = NDArray[np.float64]
 
@@ -25,11 +26,15 @@ MAX_POINTS = 512
 
 @dataclass(frozen=True)
 class Sample:
-    """Flights of one epistemic sample in one condition: known ``values`` (n,) and the number that are not known."""
+    """Flights of one epistemic sample in one condition: known ``values`` (n,) and the number that are not known.
+
+    ``airs`` (n + unknown,) name the air of each flight, those of the unknown ones last; None where that is not said.
+    """
 
     epistemic_id: str
     values: Array
     unknown: int = 0
+    airs: NDArray[np.int64] | None = None
 
     @property
     def size(self) -> int:
@@ -126,6 +131,10 @@ def pbox(samples: Sequence[Sample], confidence: float = 0.95, max_points: int = 
     if pooled.size > max_points:
         pooled = pooled[np.unique(np.linspace(0, pooled.size - 1, max_points).round().astype(int))]
     width = {size: band_half_width(size, len(samples), confidence) for size in {sample.size for sample in samples}}
+    common = _on_common_air(samples, confidence)
+    if common is not None:
+        size = samples[0].size
+        width[size] = min(width[size], common_air_half_width(common, confidence))
     lower = np.empty((len(samples), pooled.size))
     upper = np.empty_like(lower)
     margin = np.empty((len(samples), 1))
@@ -144,6 +153,21 @@ def pbox(samples: Sequence[Sample], confidence: float = 0.95, max_points: int = 
         corner_lower=names[lower.argmin(axis=0)],
         corner_upper=names[upper.argmax(axis=0)],
     )
+
+
+def _on_common_air(samples: Sequence[Sample], confidence: float) -> Array | None:
+    """Values (c, n) of corners that all flew the same n airs, NaN where not known; None where they did not, or too few or many."""
+    size = samples[0].size
+    flights = sum(sample.size for sample in samples)
+    if len(samples) < 2 or samples[0].airs is None or not is_enough(size, flights, confidence):
+        return None
+    airs = np.unique(samples[0].airs)
+    found = np.full((len(samples), size), np.nan)
+    for row, sample in zip(found, samples, strict=True):
+        if sample.size != size or sample.airs is None or not np.array_equal(np.sort(sample.airs), airs):
+            return None
+        row[np.searchsorted(airs, sample.airs[: sample.values.size])] = sample.values
+    return found
 
 
 def envelope(samples: Sequence[Sample], at: Array) -> tuple[Array, Array]:

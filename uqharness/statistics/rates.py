@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
+from scipy.special import betaincinv, logsumexp
 
 Array = NDArray[np.float64]
 
@@ -54,49 +54,80 @@ def log_e_above(bets: Array) -> Array:
     return found
 
 
-def log_e_below(flights: Array, total: Array, mean: float | Array, dispersion: Array, assumed: float) -> Array:
+def log_e_below(
+    flights: Array, total: Array, mean: float | Array, dispersion: Array, assumed: float, missing: Array | None = None
+) -> Array:
     """Logarithm of the evidence that the mean is below ``mean``, after ``flights`` with ``total`` excursions (arrays alike).
 
     ``assumed`` dispersion chooses the tilts before anything is seen; ``dispersion`` >= assumed is the one allowed for, which may
-    come from the data: a larger one gives less evidence, never more.
+    come from the data: a larger one gives less evidence, never more. ``missing``: see `upper_limits`.
     """
-    mean, flights, total = np.asarray(mean, float)[..., None], flights[..., None], total[..., None]
-    s = _TILTS / (assumed + mean)
-    kappa = np.maximum(dispersion, assumed)[..., None] + mean
-    logs = -s * total - flights * np.log1p(mean * np.expm1(-s * kappa) / kappa)
+    mean = np.asarray(mean, float)
+    s = _TILTS / (assumed + mean[..., None])
+    total, kappa = _charged(total, mean, np.maximum(dispersion, assumed), missing)
+    kappa = kappa[..., None]
+    logs = -s * total[..., None] - flights[..., None] * np.log1p(mean[..., None] * np.expm1(-s * kappa) / kappa)
     found: Array = logsumexp(logs, axis=-1, b=_TILT_WEIGHTS)
     return found
 
 
-def upper_limits(flights: Array, total: Array, dispersion: Array, error: float, assumed: float | None = None) -> Array:
+def _charged(total: Array, mean: Array, dispersion: Array, missing: Array | None) -> tuple[Array, Array]:
+    """Counts in which time not flown is charged at the tested mean, and what bounds E[X^2] / E[X] of them."""
+    absent = np.zeros_like(total) if missing is None else missing
+    return total + mean * absent, (dispersion + mean) * np.where(absent > 0.0, (1.0 + mean) ** 2, 1.0)
+
+
+def upper_limits(
+    flights: Array, total: Array, dispersion: Array, error: float, assumed: float | None = None, missing: Array | None = None
+) -> Array:
     """Upper limits (c,) of the mean count per flight, each missed with probability ``error`` at most; inf without flights.
 
     For a number of flights fixed beforehand, by Chernoff's bound. With the dispersion ``assumed`` before the first flight: valid at
     whatever moment the flying was stopped, by the mixture over tilts.
+
+    ``missing`` (c,): sums over flights of the share of its time that a flight did not fly. Limits are then of the count per
+    flight's length *flown*: with X the count and M the missing share, E X / (1 - E M) <= m where E[X + m M] <= m, so X + m M is
+    tested at each m. Where a part is missing X is at least 1, so E[(X + m M)^2] <= (1 + m)^2 E[X^2]. inf where too little was
+    flown to say.
     """
     flights, total, dispersion = (np.asarray(item, float) for item in (flights, total, dispersion))
+    absent = np.zeros_like(total) if missing is None else np.asarray(missing, float)
 
     def log_error(mean: Array) -> Array:
         if assumed is not None:
-            return -log_e_below(flights, total, mean, dispersion, assumed)
-        kappa = dispersion[..., None] + mean[..., None]
+            return -log_e_below(flights, total, mean, dispersion, assumed, absent)
+        charged, kappa = _charged(total, mean, dispersion, absent)
+        kappa = kappa[..., None]
         s = _CHERNOFF_TILTS / kappa
-        logs = s * total[..., None] + flights[..., None] * np.log1p(-mean[..., None] * -np.expm1(-s * kappa) / kappa)
+        logs = s * charged[..., None] + flights[..., None] * np.log1p(-mean[..., None] * -np.expm1(-s * kappa) / kappa)
         return np.asarray(logs.min(axis=-1))
 
     high = np.maximum(total / np.maximum(flights, 1.0), 1.0 / np.maximum(flights, 1.0))
     wanted = np.log(error)
-    for _ in range(200):
+    for _ in range(40 if absent.any() else 200):
         short = (log_error(high) > wanted) & (flights > 0)
         if not short.any():
             break
         high = np.where(short, 2.0 * high, high)
+    never = (log_error(high) > wanted) | (flights <= 0)
     low = np.zeros_like(high)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         rejected = log_error(middle) <= wanted
         low, high = np.where(rejected, low, middle), np.where(rejected, middle, high)
-    return np.where(flights > 0, high, np.inf)
+    return np.where(never, np.inf, high)
+
+
+def share_upper(events: Array, flights: Array, error: float) -> Array:
+    """Upper limits (c,) of the share of flights with an event, each missed with probability ``error`` at most (Clopper and Pearson
+    1934): only that flights are independent is assumed. 1 without flights.
+    """
+    events, flights = np.asarray(events, float), np.asarray(flights, float)
+    some = events < flights
+    found: Array = np.where(
+        some, betaincinv(np.where(some, events + 1.0, 1.0), np.where(some, flights - events, 1.0), 1.0 - error), 1.0
+    )
+    return found
 
 
 def lower_limits(counts: Array, error: float) -> Array:

@@ -126,6 +126,10 @@ def _excursions(item: Statement, before: Statement | None) -> Sentence:
         f"In {cell.condition.words}: at most {item.acceptable_per_h:g} excursions beyond {cell.radius_m:g} m per flight hour "
         f"at every corner? {_ANSWERS[item.answer].capitalize()}: {_rates(item)}"
     )
+    if item.reason:
+        asked += f" ({item.reason})"
+    if item.flight_share:
+        asked += f"; {item.flight_share}"
     if before is None:
         return asked + ".", _LEVELS[item.answer]
     return f"{asked}. Before refinement: {_ANSWERS[before.answer].split(',')[0]}, {_rates(before)}.", _LEVELS[item.answer]

@@ -201,7 +201,7 @@ def test_a_campaign_of_fixed_hours_answers_too(tmp_path):
     """With the number of flights chosen beforehand; a quarter of the hours leaves both cells open."""
     planned = TOML.partition("[stop]")[0]
     stop = '[stop]\nrule = "hours"\nhours = {}\n'
-    for hours, calm, rough in ((8, "yes", "no"), (2, "open", "open")):
+    for hours, calm, rough in ((12, "yes", "no"), (2, "open", "open")):
         out = f"out-{hours}"
         run(tmp_path, out, text=planned.replace("flights = 40\n", "") + stop.format(hours))
         answers = {row["condition"]: row for row in rows(tmp_path / out, "statements.csv")

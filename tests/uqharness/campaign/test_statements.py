@@ -82,3 +82,97 @@ def test_the_table_has_a_row_a_statement_and_nothing_where_nothing_is_known():
     assert float(row["hours"]) == pytest.approx(60 * HOURS)
     assert number(float("nan")) == ""
     assert number(1.23456789) == "1.23457"
+
+
+def ended(frame: pd.DataFrame, share: float, flown: float = 0.1) -> pd.DataFrame:
+    """The same where that share of each corner's flights diverged after so much of their time."""
+    for _, group in frame.groupby("epistemic_id"):
+        rows = group.index[: round(share * len(group))]
+        frame.loc[rows, "status"], frame.loc[rows, "duration_s"] = "diverged", 3600.0 * HOURS * flown
+    return frame
+
+
+@pytest.mark.parametrize(("share", "answer"), [(0.0, "yes"), (1.0, "no"), (0.3, "no")])
+def test_flights_that_all_end_early_are_not_acceptable(share, answer):
+    """400 flights of half an hour without another excursion: as many as 0.6 are aborted per scheduled hour, and "at most 0.5?"."""
+    (found,) = statements(ended(flown((0.0, 0.0)), share), campaign(0.5))
+    assert found.answer == answer
+    assert found.aborted["diverged"] == 2 * 400 * share
+
+
+def test_two_excursions_an_hour_allowed_and_every_flight_diverging():
+    """One excursion a flight of an hour or more is below 2 per hour scheduled; per hour flown it is not."""
+    made = campaign(2.0)
+    made["aleatory"]["duration_s"] = 3600.0
+    frame = ended(flown((0.0, 0.0)).assign(duration_s=3600.0), 1.0, flown=0.2)
+    assert statements(frame, made)[0].answer != "yes"
+    assert statements(flown((0.0, 0.0)).assign(duration_s=3600.0), made)[0].answer == "yes"
+
+
+def test_aborted_flights_have_an_acceptable_rate_of_their_own():
+    frame = ended(flown((0.0, 0.0)), 0.02, flown=0.5)
+    strict, lax = campaign(0.5), campaign(0.5)
+    strict["metrics"]["acceptable_loss_per_h"] = 0.01
+    assert statements(frame, lax)[0].answer == "yes"
+    found = statements(frame, strict)[0]
+    assert found.answer != "yes"
+    assert found.acceptable_loss_per_h == 0.01
+    assert 0.04 < found.loss_upper_per_h < 0.5
+
+
+def test_control_lost_counts_as_one_excursion_at_least():
+    frame = flown((0.0, 0.0)).assign(loss_of_control=1)
+    (found,) = statements(frame, campaign(0.5))
+    assert found.worst.rate == pytest.approx(1.0 / HOURS)
+    assert found.best.rate == 0.0
+    assert found.aborted["loss_of_control"] == 800
+
+
+def test_a_silent_cell_says_how_many_flights_may_have_an_excursion():
+    """Clopper and Pearson: nothing in 400 flights leaves 1 - 0.05^(1/400)."""
+    assert statements(flown((0.0, 0.0)), campaign())[0].flight_share_upper == pytest.approx(1.0 - 0.05 ** (1.0 / 400.0))
+
+
+def with_nearer(frame: pd.DataFrame, cluster: int) -> tuple[pd.DataFrame, dict]:
+    """The same with excursions beyond 10 m, .4 per hour in clusters, counted for their dispersion alone."""
+    nearer = cluster * np.random.default_rng(3).poisson(0.4 * HOURS / cluster, len(frame))
+    made = campaign(0.02)
+    made["metrics"] |= {"dispersion": 2.0, "dispersion_radius_m": [10.0]}
+    return frame.assign(excursions_10m=nearer.astype(float), excursions_10m_3d=np.nan), made
+
+
+def test_clusters_are_measured_at_a_smaller_radius_and_shown():
+    found = statements(*with_nearer(flown((0.0, 0.0)), 1))
+    (item,) = found
+    assert [statement.cell.radius_m for statement in found] == [15.0]
+    assert item.dispersion.measured == 2
+    (row,) = csv.DictReader(io.StringIO(statements_csv(found).decode()))
+    assert (row["dispersion_measured_at"], row["dispersion_radius_m"]) == ("2", "10")
+    assert 1.0 <= float(row["dispersion_allowed"]) < 2.0
+    without = campaign(0.02)
+    without["metrics"]["dispersion"] = 2.0
+    (assumed,) = statements(flown((0.0, 0.0)), without)
+    assert item.quiet_hours_needed < assumed.quiet_hours_needed
+    assert item.worst.upper < assumed.worst.upper
+
+
+def test_clusters_that_a_smaller_radius_shows_forbid_a_yes():
+    """Nothing in 200 h: at most 0.04 per hour where excursions come alone, and nothing of the kind where they come by eights."""
+    answers = {}
+    for cluster in (1, 8):
+        frame, made = with_nearer(flown((0.0, 0.0)), cluster)
+        made["metrics"]["acceptable_per_h"] = 0.04
+        answers[cluster] = statements(frame, made)[0].answer
+    assert answers == {1: "yes", 8: "open"}
+
+
+def test_clusters_beyond_the_carried_limit_are_no_yes_and_say_so():
+    frame, made = with_nearer(flown((0.0, 0.0)), 1)
+    made["metrics"]["acceptable_per_h"] = 0.2
+    assert statements(frame, made)[0].answer == "yes"
+    frame["excursions_10m"] = 0.0
+    for _, group in frame.groupby("epistemic_id"):
+        frame.loc[group.index[:5], "excursions_10m"] = 5.0
+    (found,) = statements(frame, made)
+    assert (found.answer, found.reason) == ("open", "clusters beyond the carried limit")
+    assert "clusters beyond the carried limit" in statements_csv([found]).decode()

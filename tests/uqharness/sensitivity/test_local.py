@@ -48,3 +48,27 @@ def test_without_width_or_runs_there_is_no_share():
     assert "no runs about a nominal model" in local(made, runs).statement
     broken = study(lambda a, b, w: np.where(a > 1.5, np.nan, a + b + w))
     assert "gave no finite value" in local(broken, broken.outputs["output"]).statement
+
+
+UNIT = {"a": (0.0, 1.0), "b": (0.0, 1.0)}
+
+
+def test_a_maximum_between_the_corners_is_not_linear():
+    """4 a (1 - a) + b / 2: the ranges of the slopes add up to the corners' width, and the width is a's, inside."""
+
+    def said(model):
+        made = run_study(model, UNIT, samples=64, draws=1, methods=("local", "proposed"))
+        return local(made, made.outputs["output"])
+
+    found = said(lambda a, b: 4.0 * a * (1.0 - a) + b / 2.0)
+    assert found.holds is False
+    assert "between the corners leave it" in found.statement
+    assert said(lambda a, b: a + b / 2.0).holds is True
+
+
+def test_a_campaigns_interior_samples_check_too():
+    made = run_study(lambda a, b: 4.0 * a * (1.0 - a) + b / 2.0, UNIT, samples=64, draws=1, methods=("local", "proposed"))
+    runs = made.outputs["output"]
+    inside = replace(runs, sampled=None, interior=np.array([[1.0], [0.9]]))
+    assert local(made, inside).holds is False
+    assert local(made, replace(runs, sampled=None, interior=None)).holds is True

@@ -43,3 +43,15 @@ def test_a_parameter_without_effect_frees_nothing():
     assert found.indices["a"].value == 1.0
     flat, _ = pinched(lambda a, b: 0.0 * a)
     assert np.isnan(flat.indices["a"].value)
+
+
+def test_samples_that_leave_the_corners_are_said():
+    """4 a (1 - a) + b / 2 is widest between the corners, where the sampled p-box fills theirs three times over."""
+    unit = {"a": (0.0, 1.0), "b": (0.0, 1.0)}
+    found = {}
+    for name, model in (("curved", lambda a, b: 4.0 * a * (1.0 - a) + b / 2.0), ("straight", lambda a, b: a + b / 2.0)):
+        made = run_study(model, unit, samples=512, draws=1, methods=("pbox", "proposed"))
+        found[name] = pinching(made, made.outputs["output"])
+    assert found["straight"].holds is True
+    assert found["curved"].holds is False
+    assert "extremum inside" in found["curved"].statement

@@ -112,10 +112,10 @@ def test_it_needs_a_fifth_of_the_published_hours_at_most(dispersion, cells, savi
 
 
 def test_how_close_to_the_information_limit():
-    """Without an excursion independent flights need ln(1/error)/0.1 h at least: 30 h at 5 %."""
+    """Without an excursion independent flights need ln(2/error)/0.1 h at least, half the error being kept for aborted ones."""
     quiet = np.zeros((CORNERS, MOST))
     hours = [decide(quiet, question(error=error, dispersion=1.0), 1).flights.max() for error in (0.05, 0.05 / 24)]
-    limits = [np.log(1.0 / error) / 0.1 for error in (0.05, 0.05 / 24)]
+    limits = [np.log(2.0 / error) / 0.1 for error in (0.05, 0.05 / 24)]
     assert all(limit <= needed <= 1.25 * limit for needed, limit in zip(hours, limits, strict=True))
 
 

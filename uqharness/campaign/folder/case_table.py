@@ -10,7 +10,7 @@ from typing import Any
 import pyarrow as pa
 
 from uqharness.campaign.cases import Case
-from uqharness.campaign.columns import ERROR_METRICS, UNCOMMANDED_METRICS, excursion_columns
+from uqharness.campaign.columns import ERROR_METRICS, UNCOMMANDED_METRICS, counted_radii, excursion_columns
 from uqharness.campaign.execution.flying import BATCH, JSBSIM
 from uqharness.campaign.execution.worker import CaseOutcome
 from uqharness.errors import BadInputError
@@ -50,7 +50,7 @@ def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> p
     variables = campaign["aleatory"]["variables"]
     means = tuple(f"level_{name}" for name, item in variables.items() if isinstance(item.get("mean"), list))
     found = {field.name: field.type for field in table.schema}
-    for field in _schema(campaign["metrics"]["excursion_radius_m"], (), means):
+    for field in _schema(counted_radii(campaign["metrics"]), (), means):
         if field.name == _ENGINE and field.name not in found:
             continue  # a table from before there was another engine than JSBSim
         if field.name not in found or len(table.schema.get_all_field_indices(field.name)) != 1:

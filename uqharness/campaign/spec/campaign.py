@@ -61,19 +61,28 @@ class AleatorySection(Section):
 class MetricsSection(Section):
     """What is counted: excursions beyond each radius [m], re-armed ``rearm_m`` inside it, and how many of them are acceptable.
 
-    ``dispersion`` is the largest ratio of variance to mean of the excursions of a flight that limits allow for (1: independent).
+    ``acceptable_loss_per_h`` is that of aborted flights (default: as many as excursions).
+    ``dispersion`` is the largest ratio of variance to mean of the excursions of a flight that limits allow for (1: independent)
+    where the same air does not show one at a smaller radius; ``dispersion_radius_m`` are further radii counted for that alone.
     """
 
     excursion_radius_m: Annotated[tuple[Annotated[Number, Field(gt=0)], ...], BeforeValidator(listed)] = (15.0, 25.0)
     rearm_m: Number = Field(default=2.0, ge=0)
     acceptable_per_h: Number = Field(default=0.1, gt=0)
+    acceptable_loss_per_h: Number | None = Field(default=None, gt=0)
     dispersion: Number = Field(default=2.0, ge=1, le=1000)
+    dispersion_radius_m: Annotated[tuple[Annotated[Number, Field(gt=0)], ...] | None, BeforeValidator(listed)] = None
 
     @model_validator(mode="after")
     def _consistent(self) -> MetricsSection:
-        radii = self.excursion_radius_m
-        if not radii or len(set(radii)) != len(radii):
+        asked, further = self.excursion_radius_m, self.dispersion_radius_m or ()
+        radii = (*asked, *further)
+        if not asked or len(set(asked)) != len(asked):
             raise ValueError("excursion_radius_m must name at least one radius, and none twice")
+        if len(set(radii)) != len(radii) or max(further, default=0.0) > max(asked):
+            raise ValueError(
+                "dispersion_radius_m must name radii below the largest of excursion_radius_m, none twice and none of those again"
+            )
         if self.rearm_m >= min(radii):
             raise ValueError(f"rearm_m = {self.rearm_m:g} must be less than the smallest radius, {min(radii):g} m")
         return self

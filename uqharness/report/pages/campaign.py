@@ -46,15 +46,16 @@ def pbox_section(found: CampaignFound, prefix: str = "") -> Section:
         "The bold pair is their envelope, the p-box; its width is what is not known of the model, its slope is chance. The "
         "dashed band adds what a finite number of flights leaves open: it holds for all corners and all values together at "
         f"{_SURE}. At the cursor the figure names the sample behind either side: − for a coefficient at its lower bound, + "
-        "for one at its upper. The published flight was measured by its own sensors, so it is marked only where the curves "
-        "are measured too."
+        "for one at its upper."
     )
+    published = any(item.published is not None for item in found.findings)
+    if published:
+        intro += " The published flight was measured by its own sensors, so it is marked only where the curves are measured too."
     blocks: list[Block] = [Words(intro, note=True), Figures(figures, file="")]
     undrawn = len(conditions(found.frame)) - len(drawn)
     if undrawn > 0:
         text = f"Further conditions, not drawn: {undrawn}; they are in the tables below and in pbox.parquet."
         blocks.append(Words(text, note=True))
-    published = any(item.published is not None for item in found.findings)
     between = any(item.widened is not None for item in found.findings)
     head = ["Error", "Condition", "Middle of the p-box", f"With {_SURE} band", "Set by, best", "Set by, worst"]
     head += [*(["Widened by interior points"] if between else []), *(["Published flight"] if published else [])]
@@ -133,7 +134,7 @@ def rate_sections(found: CampaignFound) -> list[Section]:
     )
     head = (
         "Condition", "Beyond", "Best corner [1/h]", "Worst corner [1/h]", f"At most {acceptable} per hour?", "Flight hours",
-        "Variance over mean", "Time outside the data",
+        "Variance over mean", "Carried, and hours a quiet corner needs", "Time outside the data",
     )  # fmt: skip
     words = corner_words(found.frame)
     rows = tuple(_signed_row(item, words) for item in signed)
@@ -167,7 +168,17 @@ def _signed_row(item: Statement, words: dict[str, str]) -> tuple[str | Cell, ...
     row = report_statements.row(item)
     worst = Cell(row["worst"], small=words.get(row["worst_corner"], row["worst_corner"]))
     answer = Cell(item.answer, answer_level(item), mark=_MARKS[item.answer])
-    return (row["condition"], row["radius"], row["best"], worst, answer, row["hours"], row["dispersion"], row["outside"])
+    return (
+        row["condition"],
+        row["radius"],
+        row["best"],
+        worst,
+        answer,
+        row["hours"],
+        row["dispersion"],
+        row["carried"],
+        row["outside"],
+    )
 
 
 def _excursion_row(cell: ExcursionCell, words: dict[str, str]) -> tuple[str | Cell, ...]:

@@ -12,11 +12,6 @@ from uqharness.report.pages.model_form import COVERAGE, RESIDUALS, within_sectio
 from uqharness.report.parts import Cell, Level, Page, Say, Section, Table, Words, percent, provenance, remarks, shown
 from uqharness.result_documents import Coverage, read_document
 
-PUBLISHED = {
-    "CX": (99.4, 64.0), "CY": (94.7, 63.7), "CZ": (93.9, 63.5), "Cl": (92.8, 72.7), "Cm": (98.4, 89.0), "Cn": (99.4, 94.6),
-}  # fmt: skip
-"""Table 2.3 of Hale (2016): coverage of the E-SPAARO's third flight at 95 and 68 %."""
-
 
 def coverage_page(folder: Path, prefix: str = "") -> Page:
     """The page of the folder that ``uqharness validate-bounds --out`` wrote. Raises BadInputError."""
@@ -54,17 +49,15 @@ def _coverage_section(found: Mapping[str, Any]) -> Section:
         errors = found.get("errors", {}).get(c, {})
         first, second = (f"{100 * row[k]:.1f} ± {percent(errors.get(k), '.1f')}" for k in ("0.95", "0.68"))
         beyond = percent(found.get("outside_data", {}).get(c), ".1f")
-        published = f"{PUBLISHED[c][0]:g} / {PUBLISHED[c][1]:g}" if c in PUBLISHED else ""
-        size = (shown(row.get("n_effective"), ".0f"), shown(row.get("mean_width")), beyond, published)
+        size = (shown(row.get("n_effective"), ".0f"), shown(row.get("mean_width")), beyond)
         rows.append((c, Cell(first, level), second, *size))
     head = (
         "Coefficient", "Inside the 95 % bounds [%]", "Inside the 68 % bounds [%]", "Independent samples", "Mean width [-]",
-        "Outside the data [%]", "Table 2.3 [%]",
+        "Outside the data [%]",
     )  # fmt: skip
     text = (
         "Samples are measured: the noise of this flight's sensors is added to the bounds. Mean width is without it. The standard "
-        "error counts autocorrelation. Table 2.3 of Hale (2016) is another aeroplane's flight: for orientation, not "
-        "for comparison."
+        "error counts autocorrelation."
     )
     table = Table("Share of a new flight's samples inside the bounds, ± standard error.", head, tuple(rows), key=True)
     return Section("Coverage by coefficient", (Words(text, note=True), table))

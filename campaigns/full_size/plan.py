@@ -1,0 +1,109 @@
+"""How a campaign of many hours is cut into shards, each some minutes of one core, and in which order they are flown."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from uqharness.campaign.cases import Case, Mission, Part, build_cases
+from uqharness.campaign.conditions import Condition
+from uqharness.campaign.folder.digests import digest_of_rows
+from uqharness.campaign.run import find_mission
+from uqharness.campaign.spec.campaign import CampaignSpec
+from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.spec.samples import epistemic_samples
+from uqharness.errors import BadInputError
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Flights of one condition that are flown in one go: some aleatory ids, some or all epistemic samples."""
+
+    condition: Condition
+    number: int
+    part: Part
+
+    @property
+    def cell(self) -> str:
+        """Folder of its condition: ``severe-3``."""
+        return cell_name(self.condition)
+
+    @property
+    def file(self) -> str:
+        """Where it is kept within the folder of shards."""
+        return f"{self.cell}/{self.number:03d}.parquet"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A campaign, and the flights of a shard: ``airs`` aleatory ids, ``samples`` epistemic ones (0: all), ``lanes`` side by side.
+
+    Memory is bounded by the lanes: 256 flights of an hour at 100 Hz take some 2 GB.
+    """
+
+    spec: CampaignSpec
+    mission: Mission
+    airs: int
+    samples: int = 0
+    lanes: int = 256
+
+    @classmethod
+    def read(cls, campaign: Path, airs: int, samples: int = 0) -> Plan:
+        """The plan of a campaign file, in the batch engine. Raises BadInputError."""
+        spec = read_campaign(campaign).with_engine("batch")
+        return cls(spec, find_mission(spec), airs, samples)
+
+    @property
+    def conditions(self) -> list[Condition]:
+        """Every condition; the hardest air first, so that what decides has its hours first."""
+        air = self.spec.aleatory
+        return [Condition(float(wind), kind) for kind in reversed(air.turbulence) for wind in reversed(air.wind_mps)]
+
+    @property
+    def epistemic_ids(self) -> list[str]:
+        """Ids of the epistemic samples, in their order."""
+        return [sample.epistemic_id for sample in epistemic_samples(self.spec)]
+
+    def shards(self) -> Iterator[Shard]:
+        """Every shard: a first one of every condition before the second of any, so that all have hours at any time."""
+        flights, count = self.spec.aleatory.flights, len(self.epistemic_ids)
+        each = self.samples or count
+        blocks = list(itertools.product(range(0, flights, self.airs), range(0, count, each)))
+        for number, (air, sample) in enumerate(blocks):
+            ids = range(air, min(air + self.airs, flights))
+            some = range(sample, min(sample + each, count))
+            for condition in self.conditions:
+                yield Shard(condition, number, Part(ids, ((condition.wind_mps, condition.turbulence),), some))
+
+    def cases(self, shard: Shard) -> tuple[Case, ...]:
+        """The shard's flights, in case order."""
+        return build_cases(self.spec, self.mission, shard.part)
+
+    def condition(self, cell: str) -> Condition:
+        """The condition of a cell's folder. Raises BadInputError."""
+        known = {cell_name(condition): condition for condition in self.conditions}
+        if cell not in known:
+            raise BadInputError(f"--cell {cell}: not one of {', '.join(known)}")
+        return known[cell]
+
+    def only(self, cells: list[str]) -> Iterator[Shard]:
+        """The shards of some cells, of all where none is named. Raises BadInputError."""
+        wanted = {self.condition(cell) for cell in cells} or set(self.conditions)
+        return (shard for shard in self.shards() if shard.condition in wanted)
+
+    def with_flights(self, flights: int) -> Plan:
+        """The same plan with other flights per epistemic sample and condition."""
+        return dataclasses.replace(self, spec=self.spec.with_flights(flights))
+
+
+def cell_name(condition: Condition) -> str:
+    """Folder of a condition."""
+    return f"{condition.turbulence}-{condition.wind_mps:g}"
+
+
+def identity(cases: tuple[Case, ...]) -> str:
+    """One digest of everything that defines the flights: files' content, numbers, seeds, engine."""
+    return digest_of_rows(case.case_id for case in cases)

@@ -1,0 +1,28 @@
+"""Upper limits of statements against campaigns whose rates are known: 1,500 repeats each."""
+
+from __future__ import annotations
+
+import pytest
+
+from campaigns.levels.reproduce import ERROR, TRUTHS, kept, main, measured
+
+REPEATS = 1500
+
+
+@pytest.mark.parametrize("truth", TRUTHS, ids=lambda truth: truth.name)
+def test_limits_keep_their_level(truth):
+    assert kept(measured(truth, REPEATS), REPEATS)
+
+
+def test_limits_that_take_too_little_into_account_do_not():
+    """The check says no to a limit per scheduled hour, and to one that takes clusters for single excursions."""
+    by_name = {truth.name: measured(truth, REPEATS) for truth in TRUTHS}
+    assert by_name["every flight but one in ten aborted"].as_scheduled > 0.9
+    assert by_name["clusters at the carried limit of 4, rare"].unclustered > 5.0 * ERROR
+
+
+def test_it_writes_its_table(tmp_path, capsys):
+    assert main(["--out", str(tmp_path), "--repeats", "1000"]) == 0
+    assert len((tmp_path / "levels.csv").read_text().splitlines()) == 1 + len(TRUTHS)
+    assert main(["--out", str(tmp_path), "--repeats", "10"]) == 2
+    assert "1000 at least" in capsys.readouterr().err
