@@ -81,6 +81,9 @@ RATES = {
     "confidence": "of the limits",
     "dispersion_allowed": "variance over mean of the excursions per flight that upper limits allow for",
     "dispersion_observed": "largest ratio that corners with enough excursions show",
+    "dispersion_measured_at": "corners whose ratio was measured in the same air at a smaller radius",
+    "dispersion_radius_m": "the smallest radius it was measured at",
+    "quiet_hours_needed": "flight hours after which a corner without an excursion gives yes",
     "error_rate": "of a wrong yes or no",
 }
 SENSITIVITY = {

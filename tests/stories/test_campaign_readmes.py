@@ -7,6 +7,7 @@ import importlib
 import json
 import re
 import shlex
+import sys
 import tomllib
 from pathlib import Path
 
@@ -41,7 +42,9 @@ def test_every_command_of_a_readme_is_one_that_exists(path):
             assert isinstance(given, argparse.Namespace)
             continue
         module = importlib.import_module(words[2])
-        text = Path(str(module.__file__)).read_text(encoding="utf-8")
+        makers = {getattr(thing, "__module__", "") for thing in vars(module).values()} | {module.__name__}
+        sources = [Path(str(sys.modules[name].__file__)) for name in sorted(makers) if name.startswith("campaigns.")]
+        text = "".join(path.read_text(encoding="utf-8") for path in sources)
         for option in (w for w in words[3:] if w.startswith("--")):
             assert f'"{option}"' in text, f"{path}: {words[2]} has no {option}"
 

@@ -11,7 +11,7 @@ from sysid.errors import Finding, LogError
 from sysid.foreign.data_classes import find_class, own_class
 from sysid.record import FlightRecord
 
-FIELDS = ["code", "channel", "severity", "message", "numbers"]
+FIELDS = ["code", "channel", "severity", "message", "numbers", "spoils", "mend"]
 
 
 def test_a_class_is_found_by_its_name_and_made_without_running_it():
@@ -31,9 +31,9 @@ def test_a_class_is_found_by_its_name_and_made_without_running_it():
 
 def test_values_of_another_type_are_told():
     own = find_class("sysid.errors:Finding", FIELDS)
-    assert own.misfit(["a", "b", "info", "m", {}]) == ""
-    assert "message of sysid.errors:Finding holds a int" in own.misfit(["a", "b", "info", 3, {}])
-    assert own.misfit(["a"]) == "sysid.errors:Finding has 5 fields, not 1"
+    assert own.misfit(["a", "b", "info", "m", {}, "", ""]) == ""
+    assert "message of sysid.errors:Finding holds a int" in own.misfit(["a", "b", "info", 3, {}, "", ""])
+    assert own.misfit(["a"]) == "sysid.errors:Finding has 7 fields, not 1"
 
 
 @pytest.mark.parametrize(

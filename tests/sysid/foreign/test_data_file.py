@@ -243,13 +243,13 @@ def file_of(*nodes: Any, classes: Any = (), buffers: Any = (), content: bytes = 
     return sealed({"classes": list(classes), "buffers": list(buffers), "nodes": list(nodes)}, content)
 
 
-FINDING = ["sysid.errors:Finding", ["code", "channel", "severity", "message", "numbers"]]
+FINDING = ["sysid.errors:Finding", ["code", "channel", "severity", "message", "numbers", "spoils", "mend"]]
 LAUGHS = [["tuple", []], *(["tuple", [k, k]] for k in range(60))]
 
 
 def test_the_forger_can_make_a_good_file():
-    nodes = [["str", "c"], ["dict", [], []], ["object", 0, [0, 0, 0, 0, 1]]]
-    assert load(file_of(*nodes, classes=[FINDING])) == Finding("c", "c", "c", "c")
+    nodes = [["str", "c"], ["dict", [], []], ["object", 0, [0, 0, 0, 0, 1, 0, 0]]]
+    assert load(file_of(*nodes, classes=[FINDING])) == Finding("c", "c", "c", "c", {}, "c", "c")
     assert load(file_of(["array", [2], "C", True, "<i4", 0], buffers=[8], content=bytes(64))).tolist() == [0, 0]
 
 

@@ -11,7 +11,7 @@ import pytest
 from sysid.foreign.data_limits import DataFileError
 from sysid.foreign.data_reader import Reader
 
-FINDING = ["sysid.errors:Finding", ["code", "channel", "severity", "message", "numbers"]]
+FINDING = ["sysid.errors:Finding", ["code", "channel", "severity", "message", "numbers", "spoils", "mend"]]
 
 
 def read(*nodes, classes=(), buffers=()):
@@ -77,7 +77,7 @@ def test_mappings_and_slices():
         ([("array", [3], "C", True, "<f8", 0)], "bytes are not those of its shape and type"),
         ([("array", [1], "X", True, "<f8", 0)], "no order"),
         ([("array", [-1], "C", True, "<f8", 0)], "no shape"),
-        ([("str", "c"), ("object", 0, [0, 0, 0, 0, 0])], "numbers of sysid.errors:Finding holds a str"),
+        ([("str", "c"), ("object", 0, [0, 0, 0, 0, 0, 0, 0])], "numbers of sysid.errors:Finding holds a str"),
         ([("eval", "1")], "value 0"),
         ([("list", []), ("set", [0])], "unhashable"),
         ([("none",), *(("list", [k]) for k in range(150))], "nested more than 100 deep"),
