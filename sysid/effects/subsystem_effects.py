@@ -56,7 +56,7 @@ def subsystem_effects(
              1.0),
             (f"actuator.{s}", "deadband", f"{s} servo with a deadband", "small commands do not move the surface",
              f"small {s} commands", "deg", 1.0),
-            (f"actuator.{s}", "rate_limit", f"{s} servo slower than its steps", "the servo's speed is limited",
+            (f"actuator.{s}", "rate_limit", f"{s} servo's rate limit other than modelled", "the servo's speed is limited",
              f"large {s} steps", "s/deg", 1.0),
         ]  # fmt: skip
     for c in channels:
@@ -86,6 +86,15 @@ def subsystem_effects(
                     2.0,
                 )
             )
+    if {"ax_mps2", "ay_mps2", "az_mps2"} & set(channels):
+        rows += [
+            ("sensor.accelerometer", f"place_{axis}", f"accelerometers further {way}", "they feel the rotation about the CG",
+             "abrupt manoeuvres", "m", 1.5)
+            for axis, way in (("x", "forward"), ("y", "right"), ("z", "down"))
+        ]  # fmt: skip
+    if {"V_mps", "q_radps", "r_radps"} <= set(channels) and {"alpha_rad", "beta_rad"} & set(channels):
+        physics = "they move with pitch and yaw rate"
+        rows.append(("sensor.vane", "place_x", "wind vanes further forward", physics, "abrupt manoeuvres", "m", 1.5))
     rows += [
         (f"sensor.{c}", "delay", f"{c.split('_')[0]} sensor late", "filtering and transport of the signal",
          "fast manoeuvres", "s", 1.5)

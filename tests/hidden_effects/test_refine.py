@@ -164,6 +164,35 @@ def test_a_servos_lag_in_the_xml_may_be_wrong_either_way(tmp_path, lag):
 
 
 @pytest.mark.slow
+def test_a_rate_limit_in_the_xml_may_be_too_low(tmp_path):
+    """The servo is never asked for as much as the 240 deg/s it has: what is told is that the limit in the XML is not there."""
+    aircraft = another_servo(tmp_path, elevator=25.5)
+    path = aircraft / "espaaro.xml"
+    text = path.read_text(encoding="utf-8").replace("<lag>25.5</lag>", "<lag>25</lag>")
+    block = re.search(r'<actuator name="fcs/elevator-pos-deg">.*?</actuator>', text, re.DOTALL)[0]
+    path.write_text(text.replace(block, re.sub(r"<rate_limit>.*?</", "<rate_limit>40</", block)), encoding="utf-8")
+    found = refined(aircraft, CARDS, tmp_path)
+    (effect,) = found["effects"]
+    assert (effect["subsystem"], effect["term"], found["verdict"]) == ("actuator.elevator", "rate_limit", "effects-found")
+    assert effect["value"] > 90.0
+
+
+@pytest.mark.slow
+def test_accelerometers_elsewhere_than_the_card_says_are_found(tmp_path):
+    aircraft = shutil.copytree(ROOT / "aircraft" / "espaaro", tmp_path / "espaaro")
+    card_file = aircraft / "airframe.toml"
+    text = card_file.read_text(encoding="utf-8")
+    card_file.write_text(text.replace("accelerometer = [0, 0, 0]", "accelerometer = [0.15, 0, -0.08]"), encoding="utf-8")
+    found = refined(aircraft, CARDS, tmp_path)
+    effects = {(e["subsystem"], e["term"]): e for e in found["effects"]}
+    assert set(effects) == {("sensor.accelerometer", "place_x"), ("sensor.accelerometer", "place_z")}
+    for axis, truth in (("x", -0.15), ("z", 0.08)):
+        effect = effects["sensor.accelerometer", f"place_{axis}"]
+        assert effect["value"] == pytest.approx(truth, abs=3.0 * effect["std"])
+    assert found["verdict"] == "effects-found"
+
+
+@pytest.mark.slow
 def test_flights_to_test_on_never_choose(place, answer):
     """The test flight is spoilt in every channel; what was chosen, and every number of it, stays."""
     files = ROLL_RATE.files(place.parent / "flights")

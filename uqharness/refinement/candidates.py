@@ -60,6 +60,24 @@ def sensor_offset(channel: str, segment: Segment, point: Point) -> float:
     return own + point.sensed.get(f"effect/sensor.{channel}/bias", 0.0)
 
 
+def vane_place_m(point: Point) -> float:
+    """How much further forward [m] than the aircraft's card says the wind vanes are at a point."""
+    return point.sensed.get("effect/sensor.vane/place_x", 0.0)
+
+
+def at_vane(y: Array, outputs: Sequence[str]) -> Array:
+    """(n, m) change of the outputs (n, m) by each metre that the vanes stand further forward: alpha by -q/V, beta by r/V."""
+    out = np.zeros_like(y)
+    at = {c: k for k, c in enumerate(outputs)}
+    if not {"V_mps", "q_radps", "r_radps"} <= at.keys():
+        return out
+    V = np.maximum(y[:, at["V_mps"]], 1.0)
+    for angle, rate, sign in (("alpha_rad", "q_radps", -1.0), ("beta_rad", "r_radps", 1.0)):
+        if angle in at:
+            out[:, at[angle]] = sign * y[:, at[rate]] / V
+    return out
+
+
 def _subsystem(
     e: Effect, setup: Setup, segment: Segment, p: Probe, y: Array, found: Mapping[str, Array], point: Point
 ) -> tuple[Array | None, Array | None]:
@@ -103,17 +121,11 @@ def _subsystem(
         return C, None
     if part == "mass":
         # Inertia knows nothing of the air: rates and their changes are the body's own.
-        rates, dot = p.body[:, 3:6], p.rate[:, 3:6]
         if e.term == "cg_x":
             C[:, 4], C[:, 5] = p.coefficients[:, 2] / p.mass.c, -p.coefficients[:, 1] / p.mass.b
-            # The accelerometers stay behind: w' x r + w x (w x r).
-            behind = np.array([-1.0, 0.0, 0.0])
-            felt = np.cross(dot, behind) + np.cross(rates, np.cross(rates, behind))
-            out = np.zeros_like(y)
-            for name, value in zip(("ax_mps2", "ay_mps2", "az_mps2"), felt.T, strict=True):
-                if name in setup.outputs:
-                    out[:, setup.outputs.index(name)] = value
-            return C, out
+            # The accelerometers stay behind.
+            return C, _felt_at(p, setup.outputs, np.array([-1.0, 0.0, 0.0]))
+        rates, dot = p.body[:, 3:6], p.rate[:, 3:6]
         (pr, q, r), (pd, _, rd) = rates.T, dot.T
         # I w' + w x I w = M with I_xz raised by one: the moment that this takes, as if it were lost.
         C[:, 3:] = np.column_stack([rd + pr * q, r * r - pr * pr, pd - q * r]) / scale[:, 3:]
@@ -129,6 +141,10 @@ def _subsystem(
             return None, None
         return p.by_control[:, :, k] * moved[:, None], None
     if part == "sensor":
+        if e.term.startswith("place_"):
+            forward = what == "vane"
+            out = at_vane(y, setup.outputs) if forward else _felt_at(p, setup.outputs, np.eye(3)["xyz".index(e.term[-1])])
+            return None, out * [sensor_gain(c, point) for c in setup.outputs]
         out = np.zeros_like(y)
         for k, c in enumerate(setup.outputs):
             if e.term == "delay" and what in (c, SENSOR_OF.get(c)):
@@ -139,6 +155,17 @@ def _subsystem(
     if part == "record":
         return later_controls(p), None
     raise ValueError(f"no model of effect {e.key}")
+
+
+def _felt_at(p: Probe, outputs: Sequence[str], place_m: Array) -> Array:
+    """(n, m) what accelerometers at ``place_m`` (3,) from where they are feel besides: w' x r + w x (w x r)."""
+    rates, dot = p.body[:, 3:6], p.rate[:, 3:6]
+    felt = np.cross(dot, place_m) + np.cross(rates, np.cross(rates, place_m))
+    out = np.zeros((len(rates), len(outputs)))
+    for name, value in zip(("ax_mps2", "ay_mps2", "az_mps2"), felt.T, strict=True):
+        if name in outputs:
+            out[:, outputs.index(name)] = value
+    return out
 
 
 def later_controls(p: Probe) -> Array:

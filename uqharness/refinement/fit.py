@@ -22,7 +22,7 @@ from sysid.effects import Columns, Evidence, White, gather, whiten
 from sysid.parallel import ALONE, Processes
 from uqharness.refinement.candidates import effect_columns, later_controls, sensor_gain
 from uqharness.refinement.reference import Probe, ProbeJob, named_terms, probe, term_column
-from uqharness.refinement.sensed import as_sensed, late_rate, sensor_late_s
+from uqharness.refinement.sensed import as_sensed, late_rate, placed, sensor_late_s
 from uqharness.refinement.types import Flown, Point, Setup, in_dynamics, lateness, unseen
 from uqharness.replay import (
     CHANNELS,
@@ -50,7 +50,7 @@ def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flow
     jobs = [
         ReplayJob(
             model,
-            s,
+            placed(s, point),
             dict(point.values),
             start,
             point.nuisance.get(lateness(s.flight), 0.0),
@@ -92,7 +92,7 @@ def probes(
 ) -> list[Probe]:  # fmt: skip
     """Forces, slopes and so on along the flights flown."""
     jobs = [
-        ProbeJob(straight, s, x, u, dict(flown.point.values), tuple(differ), consistent, h)
+        ProbeJob(straight, placed(s, flown.point), x, u, dict(flown.point.values), tuple(differ), consistent, h)
         for s, x, u, h in zip(setup.segments, flown.x, controls, flown.height, strict=True)
     ]
     return list(map_(probe, jobs))

@@ -18,7 +18,7 @@ from sysid.aerodynamics import AIR, GustStates, Steps, rates, smooth, whole_stat
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.effects import Columns, Evidence, Gusts, White, gather, gust_intensity, minus_twice_log, noise_factors, whiten
 from sysid.parallel import Processes
-from uqharness.refinement.candidates import sensor_gain, sensor_offset
+from uqharness.refinement.candidates import at_vane, sensor_gain, sensor_offset, vane_place_m
 from uqharness.refinement.fit import PRIOR, Fit, jumps_unseen, parameter_columns, probes, stepped, steps_of
 from uqharness.refinement.reference import Predicted, Probe, along, named_terms
 from uqharness.refinement.sensed import as_sensed, moved_later, sensor_late_s
@@ -69,7 +69,8 @@ def measured_flight(setup: Setup, point: Point) -> Flown:
             value = smooth(value, segment.dt_s, _SMOOTH_HZ.get(name, 6.0))
             late = sensor_late_s(name, segment, point)
             columns.append(moved_later(value, -late / segment.dt_s) if late else value)
-        x.append(np.column_stack(columns))
+        felt = np.column_stack(columns)
+        x.append(felt - vane_place_m(point) * at_vane(felt, X_STATES))
     height = [np.array(c["h_m"], dtype=float) for c in setup.channels]
     return Flown(point, [np.zeros((len(s.time_s), len(setup.outputs))) for s in setup.segments], x, height, float("nan"))
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.effects import Columns, Effect, Evidence, scores
+from sysid.effects import Choice, Columns, Effect, Evidence, scores
 from uqharness.refinement.candidates import servo_change
 from uqharness.refinement.reference import Probe
 from uqharness.refinement.types import Setup
@@ -23,6 +23,8 @@ from uqharness.simulator import Actuator
 Array = NDArray[np.float64]
 SHARES = (0.98, 0.95, 0.9, 0.85, 0.75, 0.6, 0.45, 0.3)
 """Limits tried, of the fastest motion."""
+FASTER = (0.75, 0.5, 0.25, 0.0)
+"""Limits tried above the servo's own: its share in the travel time of a degree, the rest that of the fastest motion."""
 NEAR = 0.97
 
 
@@ -30,7 +32,7 @@ def limits_tried(
     setup: Setup, probes: Sequence[Probe], free: Sequence[str], evidence_of: Callable[[list[Columns]], Evidence]
 ) -> Setup:
     """The setup with the rate limits at which the flights say most of each servo. evidence_of: evidence with columns besides."""
-    tried = {surface: _below(_fastest(setup, surface, servo), servo.rate) for surface, servo in setup.servos.items()}
+    tried = {surface: _asked(setup, surface, servo) for surface, servo in setup.servos.items()}
     if not any(tried.values()):
         return setup
     columns = []
@@ -52,15 +54,24 @@ def limits_tried(
         servo = setup.servos[surface]
         found = scores(evidence, free, [_key(surface, limit) for limit in asked])
         speeds = np.array(asked)
-        best = just_so(speeds, found.estimate / (1.0 / speeds - 1.0 / servo.rate), found.t)
-        if best is not None:
+        wanted = found.estimate / (1.0 / speeds - 1.0 / servo.rate)
+        sides = [side for side in (speeds < servo.rate, speeds > servo.rate) if np.any(wanted[side] > 0.0)]
+        if sides:
+            side = max(sides, key=lambda s: float(np.nanmax(np.where(wanted[s] > 0.0, np.abs(found.t[s]), 0.0))))
+            best = just_so(speeds[side], wanted[side], found.t[side])
+            assert best is not None
             limits[surface] = (servo.rate, best)
     return replace(setup, limits=limits)
 
 
-def _below(fastest: float, own: float) -> list[float]:
-    """Limits to try [deg/s], falling: below the fastest motion and the servo's own."""
-    return [limit for share in SHARES if 1.0 < (limit := share * fastest) < own]
+def _asked(setup: Setup, surface: str, servo: Actuator) -> list[float]:
+    """Limits to try [deg/s]: below the fastest motion and the servo's own, falling; and above its own, up to the fastest motion
+    without a limit, rising."""
+    fastest, free = (_fastest(setup, surface, s) for s in (servo, replace(servo, rate=np.inf)))
+    slower = [limit for share in SHARES if 1.0 < (limit := share * min(fastest, servo.rate)) < servo.rate]
+    # A quarter of the way and so on, in travel time per degree; at the end the limit does nothing any more.
+    faster = [1.0 / (share / servo.rate + (1.0 - share) / free) for share in FASTER] if free > servo.rate / NEAR else []
+    return [*slower, *faster]
 
 
 def _key(surface: str, limit: float) -> str:
@@ -68,9 +79,10 @@ def _key(surface: str, limit: float) -> str:
 
 
 def just_so(limit: Array, wanted: Array, t: Array) -> float | None:
-    """The limit [deg/s] of which the flights want once what it does, wanted (n,) times at falling limits (n,).
+    """The limit [deg/s] of which the flights want once what it does, wanted (n,) times at limits (n,) further and further from the
+    servo's own.
 
-    Else the one of which they say most; None where all speaks against a slower servo.
+    Else the one of which they say most; None where all speaks against such a servo.
     """
     fine = np.isfinite(wanted) & (wanted > 0.0)
     if not fine.any():
@@ -79,7 +91,7 @@ def just_so(limit: Array, wanted: Array, t: Array) -> float | None:
     for k in range(len(limit) - 1):
         if share[k] >= 0.0 > share[k + 1]:
             return float(limit[k] + (limit[k + 1] - limit[k]) * share[k] / (share[k] - share[k + 1]))
-    return float(limit[int(np.argmax(t))])
+    return float(limit[int(np.argmax(np.abs(t)))])
 
 
 def _fastest(setup: Setup, surface: str, servo: Actuator) -> float:
@@ -99,6 +111,21 @@ def slower_servos(chosen: Sequence[Effect], value: Mapping[str, float], term: st
         for e in chosen
         if e.term == term and (e.subsystem or "").startswith("actuator.")
     }
+
+
+def felt(chosen: Sequence[Choice], setup: Setup) -> tuple[Choice, ...]:
+    """The choices, rate limits no higher than the fastest motion asked of their servo: above it any limit is the same."""
+
+    def within(c: Choice) -> Choice:
+        part, term = c.key.removeprefix("effect/").split("/", 1)
+        surface = part.removeprefix("actuator.")
+        servo = setup.servos.get(surface)
+        if term != "rate_limit" or servo is None or not np.isfinite(servo.rate):
+            return c
+        least = min(1.0 / _fastest(setup, surface, replace(servo, rate=np.inf)) - 1.0 / servo.rate, 0.0)
+        return c if c.value >= least else replace(c, value=least, t=least / c.std)
+
+    return tuple(within(c) for c in chosen)
 
 
 def around(servo: Actuator, value: float) -> tuple[float, float]:

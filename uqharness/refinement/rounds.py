@@ -14,7 +14,7 @@ from uqharness.refinement.begin import OVERWHELMING, About, joint_point
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.fit import PRIOR, Fit, best_flown, merged, positions, refit
 from uqharness.refinement.gusts import GustFit, gust_evidence, gust_refit, middles
-from uqharness.refinement.rates import around, slower_servos
+from uqharness.refinement.rates import around, felt, slower_servos
 from uqharness.refinement.rivals import at_values, companion, far_off, read_once_first, rival, without_weak
 from uqharness.refinement.round import Round, Start
 from uqharness.refinement.setup import Bench, with_sensors_of
@@ -145,6 +145,7 @@ def _predicted(start: Start, selection: Selection, about: About, folder: Path, a
     """One-step predictions with effects, parameters estimated with them, in air and with sensors' noise as `start` has them, or
     found anew."""
     assert start.gusts is not None
+    selection = replace(selection, chosen=felt(selection.chosen, start.setup))
     staged, setup, begin, names = _begun(start, selection, about, folder)
     with Bench(staged, start.measured, start.ideal) as bench:
         controls, bends = positions(bench.model, setup, start.map_), middles(bench.model, setup, start.map_)
@@ -155,6 +156,7 @@ def _predicted(start: Start, selection: Selection, about: About, folder: Path, a
 
 def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Round:
     by_key = {e.key: e for e in start.effects}
+    selection = replace(selection, chosen=felt(selection.chosen, start.setup))
     keys = [c.key for c in selection.chosen]
     staged, setup, begin, names = _begun(start, selection, about, folder)
     rest = [e for e in start.effects if e.key not in keys]
@@ -190,8 +192,9 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
         twins=TWINS,
         empirical=start.gusts is not None or bool(start.setup.late),
     )
+    again = replace(again, chosen=felt(again.chosen, start.setup))
     standing = {c.key for c in again.chosen} == set(keys)
-    own = again.chosen if standing else judged(evidence, free, keys, list(odds), start.confirming, TWINS)
+    own = again.chosen if standing else felt(judged(evidence, free, keys, list(odds), start.confirming, TWINS), start.setup)
     # What JSBSim reads once (mass, servos) has to be written anew until the number stands.
     held = [c for c in own if c.key not in setup.carriers and in_dynamics(by_key[c.key])]
     moving = [c for c in held if abs(c.value - written[c.key]) > 0.5 * c.std]
@@ -280,9 +283,11 @@ def eligible(effects: Sequence[Effect], setup: Setup, fit: Fit, evidence: Eviden
 
 
 def may_be_faster(effect: Effect, setup: Setup) -> bool:
-    """Whether the effect is the lag of a servo that has one in the XML, which the real one need not have."""
+    """Whether the effect is the lag or the rate limit of a servo that has one in the XML, which the real one need not have."""
     servo = setup.servos.get((effect.subsystem or "").removeprefix("actuator."))
-    return effect.term == "lag" and servo is not None and servo.lag is not None
+    if servo is None:
+        return False
+    return (effect.term == "lag" and servo.lag is not None) or (effect.term == "rate_limit" and np.isfinite(servo.rate))
 
 
 def largest_step(setup: Setup, effect: Effect) -> float:

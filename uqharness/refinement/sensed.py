@@ -1,14 +1,15 @@
-"""Outputs as the sensors give them: late, scaled, off by a constant."""
+"""Outputs as the sensors give them: elsewhere than the card says, late, scaled, off by a constant."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from uqharness.refinement.candidates import sensor_gain, sensor_offset
+from uqharness.refinement.candidates import at_vane, sensor_gain, sensor_offset, vane_place_m
 from uqharness.refinement.reference import Probe
 from uqharness.refinement.types import Point, Setup
 from uqharness.replay import SENSOR_OF, Segment, late_rows
@@ -20,11 +21,15 @@ def as_sensed(
     y: Array, setup: Setup, segment: Segment, point: Point, earlier: Mapping[str, int] | None = None,
     between: Array | None = None,
 ) -> Array:  # fmt: skip
-    """(n, m) outputs as the sensors give them: late, scaled, off by a constant. Changes ``y`` in place.
+    """(n, m) outputs as the sensors give them: elsewhere, late, scaled, off by a constant. Changes ``y`` in place.
 
     earlier: channel -> rows by which it is compared with what was measured that much later.
     between: the same outputs between the rows of a replay as well, for those that are late; without them along a cubic.
     """
+    forward = vane_place_m(point)
+    if forward:
+        y += forward * at_vane(y, setup.outputs)
+        between = None if between is None else between + forward * at_vane(between, setup.outputs)
     for k, c in enumerate(setup.outputs):
         late = sensor_late_s(c, segment, point) - (earlier or {}).get(c, 0) * segment.dt_s
         if late and np.isfinite(y[:, k]).all():
@@ -33,6 +38,15 @@ def as_sensed(
         y[:, k] *= sensor_gain(c, point)
         y[:, k] += sensor_offset(c, segment, point)
     return y
+
+
+def placed(segment: Segment, point: Point) -> Segment:
+    """The segment with the accelerometers where they are at a point."""
+    x, y, z = (
+        own + point.sensed.get(f"effect/sensor.accelerometer/place_{axis}", 0.0)
+        for axis, own in zip("xyz", segment.arm_m, strict=True)
+    )
+    return segment if (x, y, z) == tuple(segment.arm_m) else replace(segment, arm_m=(x, y, z))
 
 
 def sensor_late_s(channel: str, segment: Segment, point: Point) -> float:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from sysid.effects.subsystem_effects import subsystem_effects
-from uqharness.refinement.sensed import sensor_late_s
+from uqharness.refinement.candidates import at_vane
+from uqharness.refinement.sensed import placed, sensor_late_s
 from uqharness.refinement.setup import candidates_for
 from uqharness.refinement.types import Point
+from uqharness.replay import Segment
 
 RATES = ("p_radps", "q_radps", "r_radps")
 
@@ -43,3 +46,25 @@ def test_candidates_hold_each_channel_of_a_sensor_but_none_where_logs_estimate_d
 def test_a_channel_alone_must_explain_more_than_its_sensor():
     odds = {e.key: e.odds for e in subsystem_effects([], [], ["rates"], ["p_radps"])}
     assert odds["effect/sensor.p_radps/delay"] > odds["effect/sensor.rates/delay"]
+
+
+def test_vanes_ahead_of_the_centre_of_gravity_see_its_velocity_and_the_rotation():
+    """Against the velocity of the vanes' own place, v + w x r, in angles."""
+    outputs = ("V_mps", "alpha_rad", "beta_rad", "q_radps", "r_radps", "ax_mps2")
+    V, alpha, beta, q, r, x = 20.0, 0.05, 0.02, 0.4, -0.3, 0.2
+    u, v, w = V * np.cos(alpha) * np.cos(beta), V * np.sin(beta), V * np.sin(alpha) * np.cos(beta)
+    there = np.array([u, v, w]) + np.cross([0.0, q, r], [x, 0.0, 0.0])
+    seen = np.arctan2(there[2], there[0]) - alpha, np.arcsin(there[1] / np.linalg.norm(there)) - beta
+    y = np.array([[V, alpha, beta, q, r, 9.0]])
+    change = x * at_vane(y, outputs)[0]
+    assert change[[1, 2]] == pytest.approx(seen, rel=0.02)
+    assert not change[[0, 3, 4, 5]].any()
+    assert at_vane(-y, outputs)[0, 1] * at_vane(y, outputs)[0, 1] < 0.0
+    assert not at_vane(y[:, 1:], outputs[1:]).any()  # without airspeed nothing is known of it
+
+
+def test_accelerometers_are_where_a_point_says():
+    segment = Segment("a", "one", np.arange(3.0), np.zeros((3, 4)), np.zeros(9), 0.0, 0.0, arm_m=(0.1, 0.0, 0.0))
+    assert placed(segment, Point({}, {}, ())) is segment
+    moved = Point({}, {}, (), {"effect/sensor.accelerometer/place_x": 0.2, "effect/sensor.accelerometer/place_z": -0.05})
+    assert placed(segment, moved).arm_m == pytest.approx((0.3, 0.0, -0.05))
