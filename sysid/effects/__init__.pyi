@@ -1,3 +1,4 @@
+from .after_selection import conditional_interval as conditional_interval
 from .catalogue import TWINS as TWINS
 from .catalogue import Effect as Effect
 from .disagreement import Disagreement as Disagreement

@@ -26,6 +26,7 @@ from sysid.effects import (
     Refusal,
     Selection,
     chance_limit,
+    conditional_interval,
     corrected,
     scores,
     select,
@@ -320,9 +321,9 @@ def _parameters(evidence: Evidence, names: Sequence[str], fit: Fit, selection: S
     return out
 
 
-def remark(choice: Choice, effect: Effect, flights: Sequence[str], command: str) -> str:
-    """What stands beside the number in the XML."""
-    low, high = choice.value - 1.96 * choice.std, choice.value + 1.96 * choice.std
+def remark(choice: Choice, effect: Effect, flights: Sequence[str], command: str, limit: float) -> str:
+    """What stands beside the number in the XML; limit: |t| above which it was chosen."""
+    low, high = conditional_interval(choice.value, choice.std, limit)
     return f"{effect.name}: {choice.value:.5g} +/- {choice.std:.2g}, 95 % [{low:.5g}, {high:.5g}]; from {', '.join(flights)}" + (
         f"; {command}" if command else ""
     )

@@ -122,10 +122,22 @@ def felt(chosen: Sequence[Choice], setup: Setup) -> tuple[Choice, ...]:
         servo = setup.servos.get(surface)
         if term != "rate_limit" or servo is None or not np.isfinite(servo.rate):
             return c
-        least = min(1.0 / _fastest(setup, surface, replace(servo, rate=np.inf)) - 1.0 / servo.rate, 0.0)
+        least = _least(setup, surface, servo)
         return c if c.value >= least else replace(c, value=least, t=least / c.std)
 
     return tuple(within(c) for c in chosen)
+
+
+def _least(setup: Setup, surface: str, servo: Actuator) -> float:
+    """Value [s/deg] of a rate limit effect below which nothing changes any more."""
+    return min(1.0 / _fastest(setup, surface, replace(servo, rate=np.inf)) - 1.0 / servo.rate, 0.0)
+
+
+def is_fastest(choice: Choice, setup: Setup) -> bool:
+    """Whether a rate limit lies within its error of the fastest motion asked of the servo, so that it may be any number above."""
+    surface = choice.key.removeprefix("effect/actuator.").partition("/")[0]
+    servo = setup.servos.get(surface)
+    return servo is not None and np.isfinite(servo.rate) and choice.value - 2.0 * choice.std <= _least(setup, surface, servo)
 
 
 def around(servo: Actuator, value: float) -> tuple[float, float]:

@@ -214,7 +214,7 @@ def _write(request: Request, found: Found, folder: Path) -> Aircraft:
     estimates = estimates_of(found, names, {n: float(fdm[n]) for n in found.names})
     slopes, command = found.slopes or control_slopes(found.before), shlex.join(request.command)
     effects = [
-        Written(found.effects[c.key], c.value, remark(c, found.effects[c.key], names, command), slopes)
+        Written(found.effects[c.key], c.value, remark(c, found.effects[c.key], names, command, found.limit), slopes)
         for c in found.selection.chosen
     ]
     target = folder / "aircraft" / aircraft.folder.name
