@@ -20,6 +20,7 @@ from typing import Any
 
 from sysid.foreign.parsed_text import ParseError, parse_json
 from sysid.parallel import ONE_THREAD
+from uqharness.errors import BadInputError
 
 # Python puts the working folder before everything else where code is handed to it on the command line, as multiprocessing does: a
 # `socket.py` there would be imported.
@@ -77,15 +78,22 @@ class Ended:
     errors: str
 
 
-def run_module(module: str, *arguments: object, timeout_s: float) -> Ended:
-    """Run ``python -m module arguments`` and wait for its end, for at most ``timeout_s`` seconds."""
-    command = [sys.executable, "-m", module, *map(str, arguments)]
+def run_module(module: str, *arguments: object, timeout_s: float, python: Path | None = None) -> Ended:
+    """Run ``python -m module arguments`` and wait for its end, for at most ``timeout_s`` seconds.
+
+    python: interpreter of another environment, whose own libraries count; None: this one. Raises BadInputError where it cannot be
+    started.
+    """
+    command = [str(python or sys.executable), "-m", module, *map(str, arguments)]
+    environment = child_environment() if python is None else other_environment()
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, errors="replace", timeout=timeout_s, env=child_environment(), check=False
+            command, capture_output=True, text=True, errors="replace", timeout=timeout_s, env=environment, check=False
         )  # fmt: skip
     except subprocess.TimeoutExpired:
         return Ended(None, {}, "", "")
+    except OSError as error:
+        raise BadInputError(f"{command[0]}: cannot be started: {error.strerror or error}; a Python interpreter is needed") from None
     lines = done.stdout.splitlines()
     answers = [line.removeprefix(_ANSWER) for line in lines if line.startswith(_ANSWER)]
     said = " ".join(" ".join(line for line in lines if not line.startswith(_ANSWER)).split())
@@ -117,6 +125,15 @@ def ending(code: int | None) -> str:
         return f"signal {-code} ({signal.Signals(-code).name})"
     except ValueError:
         return f"signal {-code}"
+
+
+def other_environment() -> dict[str, str]:
+    """The same for an interpreter of another environment: this package, unless it is installed there, and none of our libraries."""
+    here = Path(__file__).resolve().parents[1]
+    ours = {"VIRTUAL_ENV", "PYTHONPATH", "PYTHONHOME"}
+    kept = {name: value for name, value in os.environ.items() if name not in ours}
+    installed = here.name in ("site-packages", "dist-packages")
+    return kept | CHILD_ENVIRONMENT | ({} if installed else {"PYTHONPATH": str(here)})
 
 
 def child_environment() -> dict[str, str]:

@@ -20,4 +20,4 @@ class BadInputError(Exception):
 
 
 class EnginesDifferError(Exception):
-    """The batch engine and JSBSim flew the same case otherwise, so that no result of the campaign is to be believed."""
+    """The batch engine and JSBSim flew the same case otherwise, so the campaign's results are not valid."""

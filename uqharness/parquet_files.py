@@ -53,13 +53,13 @@ def read_table(path: Path) -> pa.Table:
 def parse_table(content: bytes, path: Path, rows: int | None = None) -> pa.Table:
     """A parquet table from bytes that were read from ``path``. What it says of its size is looked at before memory is asked for.
 
-    ``rows``: how many the manifest speaks of. Raises BadInputError.
+    ``rows``: how many the manifest lists. Raises BadInputError.
     """
     try:
         with pq.ParquetFile(pa.BufferReader(content)) as file:
             found = file.metadata
             if rows is not None and found.num_rows != rows:
-                raise BadInputError(f"{path}: has {found.num_rows} flights, the manifest speaks of {rows}; run the campaign again")
+                raise BadInputError(f"{path}: has {found.num_rows} flights, the manifest lists {rows}; run the campaign again")
             groups = [found.row_group(number).total_byte_size for number in range(found.num_row_groups)]
             wanted = max(8 * found.num_rows * found.num_columns, sum(groups))
             if wanted > _MOST_MEMORY_BYTES:

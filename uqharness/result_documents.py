@@ -246,6 +246,25 @@ class Sentence(Part):
     level: str | None = None
 
 
+class StudyAnswer(Part):
+    """The answer of a study in lines, ``lacked`` empty without refinement."""
+
+    level: str
+    answer: str
+    why: str
+    lacked: str
+    next: str
+
+
+class Tracks(Part):
+    """The flights of tracks.parquet, or the reason why there are none."""
+
+    reason: str = ""
+    wind_mps: float | None = None
+    turbulence: str | None = None
+    radius_m: float | None = None
+
+
 class Study(Part):
     """study.json of `uqharness study`."""
 
@@ -253,6 +272,8 @@ class Study(Part):
     stages: list[Stage]
     before_after: Pair | Annotated[dict[str, Any], Field(max_length=0)] | None = None
     verdict: list[Sentence] | None = None
+    answer: StudyAnswer | None = None
+    tracks: Tracks | None = None
     state: str = "running"
     question: str | None = None
     command: str | None = None

@@ -1,4 +1,4 @@
-"""Every aircraft of JSBSim's own collection instrumented and flown beside its untouched self: the table of docs/instrument.md.
+"""Every aircraft of JSBSim's own collection instrumented and flown beside its untouched self: the table of README.md.
 
 python -m campaigns.instrument.reproduce [--aircraft NAME]... [--duration-s T]
 """

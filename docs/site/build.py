@@ -62,7 +62,7 @@ def linked(page: Path) -> set[Path]:
 
 
 def index() -> str:
-    """The first page; a page of docs/ that it does not place yet is listed under "Use"."""
+    """The first page; a page of docs/ that it does not place yet is listed under "Tasks"."""
     text = (HERE / "index.md").read_text(encoding="utf-8")
     placed = set(re.findall(r"^docs/([\w-]+)$", text, re.M))
     more = [f"docs/{path.stem}" for path in sorted((ROOT / "docs").glob("*.md")) if path.stem not in placed]

@@ -155,7 +155,7 @@ COMPARE = {
     "channels": "channel → rms, noise, ratio, delay, Theil's coefficient and its shares",
     "coefficients": "coefficient → rms, noise, mean",
     "manoeuvres": "the same by manoeuvre",
-    "moments": "worst moments: time_s, channel, manoeuvre, gap, noises",
+    "moments": "worst moments: time_s, channel, manoeuvre, gap, `noises` (the gap in sigma)",
     "biases": "estimated sensor biases",
     "notes": "what was done to the record",
     "command": "what repeats it",

@@ -201,7 +201,7 @@ _TERMS: dict[str, tuple[str, str, str]] = {
 _P2, _R2, _IXZ = "effect/Cm/p_hat^2", "effect/Cm/r_hat^2", "effect/mass/Ixz"
 _COUPLED = (_R2, "effect/Cl/p_hat*q_hat", "effect/Cn/q_hat*r_hat")
 TWINS: dict[tuple[str, str], tuple[str, ...]] = {(_P2, _IXZ): _COUPLED, (_IXZ, _P2): _COUPLED}
-"""(effect, rival) -> terms by which alone the two differ. A wrong Ixz is a pitching moment Ixz (r^2 - p^2), and moments with
+"""(effect, alternative) -> terms by which alone the two differ. A wrong Ixz is a pitching moment Ixz (r^2 - p^2), and moments with
 p q and q r; its linear part the rate derivatives take up (rigid body, e.g. Etkin and Reid eq 4.7,2)."""
 
 

@@ -27,7 +27,7 @@ EXCHANGE = 9.0
 LOOKED_AT = 12
 TURNS = 3
 UNLIKE = 0.3
-"""Likeness below which a candidate is asked although the best one was not confirmed."""
+"""Correlation below which a candidate is asked although the best one was not confirmed."""
 CONTRADICTING = 3.0
 """Standard errors between the estimates of the two parts of the flights beyond which they contradict each other."""
 STRONG = 2.0
@@ -38,14 +38,14 @@ is a little off leaves something behind, and some candidate looks like it."""
 INSEPARABLE_T = 3.0
 """A chosen effect whose t falls below this once another is free cannot be told from that other."""
 INSEPARABLE_SHARE = 0.1
-"""Beside a twin and its companions a chosen effect must keep this share of its information to be told from them. In theory nothing
-is left; replays and filters leave a little."""
+"""Beside a confounded effect and its companions a chosen effect must keep this share of its information to be told from them. In
+theory nothing is left; replays and filters leave a little."""
 MOST_ALTERNATIVES = 3
 
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another candidate for the same residual: its gain in the effect's place, the effect's t beside it, likeness of the two.
+    """Another candidate for the same residual: its gain in the effect's place, the effect's t beside it, correlation of the two.
 
     companions: terms left free beside it when the two were told apart
     """
@@ -131,7 +131,7 @@ def select(
     limit       |t| asked (default: chance_limit), of the strongest; the others must stand out beside it, too (TRACE)
     empirical   whether t must stand above the limit in units of the candidates' own spread, too (Efron, JASA 99, 2004), which is
                 one where nothing but noise is left
-    twins       (effect, rival) -> companions: causes that physics makes alike, but for terms that the companions stand for
+    ``twins``   (effect, alternative) -> companions: causes that physics makes alike, but for terms that the companions stand for
     """
     limit = chance_limit(evidence, free, list(candidates)) if limit is None else limit
     here: list[str] = list(chosen)
@@ -294,8 +294,8 @@ def _asked(limit: float, t: Sequence[float]) -> float:
 
 
 def _companions(evidence: Evidence, others: Sequence[str], named: Sequence[str]) -> list[str]:
-    """Terms to be left free beside a twin: those named, and for every effect in roll or yaw that stands the same one about the
-    other axis, because a wrong product of inertia turns the one into the other."""
+    """Terms to be left free beside a confounded effect: those named, and for every effect in roll or yaw that stands the same one
+    about the other axis, because a wrong product of inertia turns the one into the other."""
     if not named:
         return []
     swapped = [
@@ -335,7 +335,7 @@ def _with_alternatives(evidence: Evidence, others: Sequence[str], choice: Choice
 
 
 def _kin_first(key: str, alike: Sequence[Alternative], twins: Twins) -> list[Alternative]:
-    """Causes that physics makes alike before a third form of the same: a twin of the effect, or of the nearest alternative."""
+    """Causes that physics makes alike before a third form of the same: those of the effect, then of the nearest alternative."""
     own = [a for a in alike if (key, a.key) in twins]
     rest = [a for a in alike if a not in own]
     theirs = [a for a in rest[1:] if (rest[0].key, a.key) in twins]

@@ -82,7 +82,7 @@ def equation_error(
     Raises
     ------
     ValueError
-        For shapes and names that disagree, n <= k, NaN or infinity in a row (rows are not dropped in silence).
+        For shapes and names that disagree, n <= k, NaN or infinity in a row (rows are not dropped).
 
     References
     ----------

@@ -27,7 +27,7 @@ class Coverage:
 
     share, error   level -> share of samples within the bounds of that confidence; its standard error, autocorrelation counted
     n, n_effective samples, and independent ones they are worth (of the residual about the interval's middle)
-    mean_width     of the 95 % bounds, without the sensors' noise        outside  share of samples outside the data's hull
+    mean_width     of the 95 % bounds, without the sensors' noise        outside  share of samples outside the data
     manoeuvres     label -> level -> share
     speeds, incidences  shares at the 95 % level in thirds of the flight's airspeed and angle of attack
     conformal      factor by which the 95 % bounds must be widened, by what manoeuvres show

@@ -87,7 +87,7 @@ def fit_bounds(
 ) -> dict[str, FittedBounds]:
     """Intervals of the coefficients in ``designs`` (default: all six). Raises ValueError: a missing state, too short a flight.
 
-    Terms in a state that hardly varied are left out with a note; it stays in the hull. States are normalised by their
+    Terms in a state that hardly varied are left out with a note; it stays in the envelope box. States are normalised by their
     mean and deviation over all samples, the same for every coefficient, so that coefficients with the same states share one
     (X'X)^-1.
     """

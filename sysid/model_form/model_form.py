@@ -41,7 +41,7 @@ class Hull:
     """Where the data are: per state the smallest and largest value (k,), and the largest leverage x'(X'X)^-1 x of a sample.
 
     The box stops single states, the leverage their combinations: the ellipsoid-like set of leverages up to the data's largest
-    is the hull of a regression's regressors (Cook 1979; Montgomery, Peck and Vining, "Linear Regression Analysis", 3.8).
+    is the region that a regression's regressors cover (Cook 1979; Montgomery, Peck and Vining, "Linear Regression Analysis", 3.8).
     middle (k, 3): quartiles of each state, which say where inside the box the data are dense.
     """
 

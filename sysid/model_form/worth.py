@@ -45,7 +45,7 @@ class Information:
 
 @dataclass(frozen=True)
 class Width:
-    """Mean widths over states. total: of the bounds; parameter: 2 t sqrt(f s2 x'Cx), what not knowing the polynomial gives."""
+    """Mean widths over states. total: of the bounds; parameter: 2 t sqrt(f s2 x'Cx), from the uncertainty of the polynomial."""
 
     total: float
     parameter: float
@@ -66,7 +66,7 @@ def after(bounds: CoefficientBounds, more: Sequence[Information], scatter: float
     """The interval as it will be with ``more`` data, but for beta, which nobody knows yet.
 
     scatter: residual variance of the further data over that of the data behind ``bounds``; the pooled one is expected.
-    The hull's box grows with the data; its largest leverage is not known without the samples and stays.
+    The envelope box grows with the data; its largest leverage is not known without the samples and stays.
     """
     if not more:
         return bounds

@@ -14,8 +14,8 @@ LAYERS: Mapping[str, tuple[str, ...]] = {
     # Lowest first. "" is what lies in the package itself; BASE beside it.
     "sysid": ("", "logs", "aerodynamics", "estimation", "model_form", "effects"),
     "uqharness": (
-        "", "simulator", "xml", "flight", "batch", "plugin", "statistics", "replay", "identification", "sensitivity", "campaign",
-        "next_flight", "refinement", "study", "report", "api", "cli",
+        "", "simulator", "xml", "flight", "differences", "batch", "plugin", "statistics", "replay", "identification",
+        "sensitivity", "campaign", "next_flight", "refinement", "study", "dossier", "report", "api", "cli",
     ),
 }  # fmt: skip
 

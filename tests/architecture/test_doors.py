@@ -27,6 +27,7 @@ DOORS: Mapping[str, tuple[str, ...]] = {
     "subprocess": (
         "uqharness/child_process.py",
         "sysid/foreign/limited.py",  # the reader of foreign logs, below uqharness
+        "uqharness/differences/revisions.py",  # git
     ),
     "concurrent": (
         "uqharness/parallel.py",

@@ -1,4 +1,4 @@
-"""What a model's XML can reach outside itself in JSBSim 1.3.3: docs/jsbsim-traps.md, "Reaches beyond the model"."""
+"""What a model's XML can reach outside itself in JSBSim 1.3.3: docs/jsbsim-traps.md, "Access to files and network"."""
 
 from __future__ import annotations
 

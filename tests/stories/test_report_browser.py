@@ -128,6 +128,8 @@ def opened(browser, pages):
         page.on("pageerror", lambda error: page.wrong.append(f"error: {error}"))
         page.on("request", lambda request: request.url.startswith("file:") or page.wrong.append(f"fetched {request.url}"))
         page.goto((pages[kind] / "report.html").as_uri())
+        if script:
+            page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
         return page
 
     yield visit

@@ -92,7 +92,7 @@ def compare(folder: Path, flights: pd.DataFrame) -> list[Compared]:
     if not found:
         raise BadInputError(
             f"{folder}: the flights have no metric of this campaign in a condition it flew; columns are "
-            f"{', '.join(map(str, flights.columns))}, wanted is one of {', '.join(sorted(known))}"
+            f"{', '.join(map(str, flights.columns))}, needed is one of {', '.join(sorted(known))}"
         )
     return found
 

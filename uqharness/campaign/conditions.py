@@ -64,7 +64,7 @@ def in_condition(frame: pd.DataFrame, condition: Condition) -> pd.DataFrame:
 
 
 def samples(frame: pd.DataFrame, metric: str) -> list[Sample]:
-    """One sample per epistemic id from the rows of one condition; what is not known of a flight is counted, not dropped."""
+    """One sample per epistemic id from the rows of one condition; an unknown value of a flight is counted, not dropped."""
     values = frame[metric].to_numpy(dtype=float)
     known = np.isfinite(values) & (frame["status"] == "ok").to_numpy()
     which, names = pd.factorize(frame["epistemic_id"])

@@ -240,6 +240,6 @@ def refuse_difference(folder: Path, rows: Sequence[CheckRow]) -> None:
     raise EnginesDifferError(
         f"{folder}: the batch engine differs from JSBSim: case {worst.case_id} ({worst.condition}){when} has {worst.metric} "
         f"{worst.batch or 'undefined'} in the batch engine and {worst.jsbsim or 'undefined'} in JSBSim{apart}; "
-        f"{len(wrong)} such rows in {folder / ENGINE_CHECK}. No result of this folder is to be believed: fly the campaign with "
+        f"{len(wrong)} such rows in {folder / ENGINE_CHECK}. The results in this folder are not valid: fly the campaign with "
         "--engine jsbsim into another --out, and report the aircraft"
     )

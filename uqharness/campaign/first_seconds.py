@@ -84,7 +84,7 @@ def _apart(ours: CaseOutcome, theirs: CaseOutcome) -> str | None:
     """A sentence if two short flights differ; what cannot be flown by either is told by whoever flies first."""
     if theirs.bad_input or theirs.status != "ok":
         return None
-    said = f"in the first {START_S:g} s the batch engine flies otherwise than JSBSim"
+    said = f"in the first {START_S:g} s the batch engine differs from JSBSim"
     if ours.status != "ok":
         return f"{said}: {ours.status}, {ours.reason}"
     for name, value in theirs.metrics.items():

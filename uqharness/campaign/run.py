@@ -136,7 +136,7 @@ def run_campaign(
     A case counts once it is on the disk. A flight that fails is a counted row with its reason. Raises BadInputError for an
     unusable model or folder, a folder of another campaign, and a second run in the same folder; KeyboardInterrupt passes, with
     everything finished so far kept. Raises DamageError, and changes nothing, where the journal is not as it was written. Raises
-    EnginesDifferError where the batch engine flies otherwise than JSBSim.
+    EnginesDifferError where the batch engine differs from JSBSim.
     """
     engines = Engines.of(fly)
     given = mission is not None
@@ -207,7 +207,7 @@ def run_campaign(
 def check_campaign(spec: CampaignSpec, mission: Mission, scratch: Path) -> tuple[Settled, Pace | None]:
     """The engine that a campaign will fly in, and its pace on this machine; what is compared on the way lies in ``scratch``.
 
-    Raises BadInputError for what cannot be flown, EnginesDifferError where the batch engine flies otherwise than JSBSim.
+    Raises BadInputError for what cannot be flown, EnginesDifferError where the batch engine differs from JSBSim.
     """
     engines = Engines.of(None)
     settled = settled_by_flight(spec, mission, engines, None)

@@ -1,4 +1,4 @@
-"""What a campaign lets one sign: per condition and radius the rates of the best and the worst corner, limits, and the answer.
+"""Claims that a campaign supports: per condition and radius the rates of the best and the worst corner, limits, and the answer.
 
 "yes" needs two upper limits at every corner, each at half the error: of excursions, and of aborted flights, both per hour flown. An
 aborted flight counts as one excursion, and the time it did not fly at the rate in question.

@@ -66,7 +66,7 @@ def _identify(aircraft: Aircraft, flights: list[Flight], measured: tuple[str, ..
 def _whole(aircraft: Aircraft, flight: Flight, measured: tuple[str, ...]) -> Segment:
     rows = round(_FLIGHT_S / flight.record.dt_s) + 1
     if len(flight.record) < rows:
-        raise BadInputError(f"{flight.name}: {_FLIGHT_S:g} s of flight are wanted, it has {len(flight.record)} rows of {rows}")
+        raise BadInputError(f"{flight.name}: {_FLIGHT_S:g} s of flight are needed, it has {len(flight.record)} rows of {rows}")
     pieces = (Piece("whole", slice(0, rows), 0.0, _FLIGHT_S),)
     return segments(replace(flight, pieces=pieces), measured, aircraft.accelerometer_m)[0]
 

@@ -65,7 +65,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--order", type=int, choices=(0, 1, 2, 3), default=2, help="of full polynomials (default 2)")
     parser.add_argument("--roll-terms", action="store_true", help="roll rate among the states of Cm (Fig 2.10)")
     parser.add_argument(
-        "--select", choices=("full", "stepwise"), default="full", help="all terms, or those a partial F asks for (default full)"
+        "--select",
+        choices=("full", "stepwise"),
+        default="full",
+        help="all terms, or those that a partial F test keeps (default full)",
     )
     parser.add_argument(
         "--as-published", action="store_true",

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _LOG_HELP = "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, JSBSim's CSV, a flight record in Parquet or CSV"
 VERBS: Table = {
-    "info": ("log:add_info", "what a log holds and what it is good for"),
+    "info": ("log:add_info", "contents and findings of a log, and the purposes it serves"),
     "import": ("log:add_import", "turn a log into a flight record"),
 }
 
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_info(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``log info``."""
-    text, no = "Say what a log holds and, purpose by purpose, what it is good for.", "it is good for nothing"
+    text, no = "List the contents and findings of a log, and the purposes it serves.", "it serves no purpose"
     describe(parser, _info, text, "  uqharness log info flight1.bin --aircraft aircraft/espaaro", no=no)
     _add_log(parser)
 

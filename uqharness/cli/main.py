@@ -22,15 +22,16 @@ _EXAMPLE = """examples:
   uqharness modes espaaro --speed-mps 22.2
   uqharness campaign run campaigns/demo/campaign.toml --out results
 
-uqharness COMMAND --help tells the rest."""
+uqharness COMMAND --help gives the options."""
 
 COMMANDS: Table = {
     "fly": ("fly", "one flight, recorded"),
     "modes": ("modes", "trim, eigenvalues, MIL-F-8785C levels"),
     "margins": ("margins", "gain, phase and delay margins of the autopilot"),
-    "log": ("log", "flight logs: what is in them, records from them"),
+    "diff": ("diff", "two models flown side by side, and where they part"),
+    "log": ("log", "flight logs: contents and checks, conversion to records"),
     "identify": ("identify", "parameters from flights"),
-    "compare": ("compare", "a flight beside the model"),
+    "compare": ("compare", "compare a flight with the model"),
     "bounds": ("bounds", "model-form bounds from flights"),
     "validate-bounds": ("validate_bounds", "coverage of bounds on a new flight"),
     "instrument": ("instrument", "add the model-form plugin to any JSBSim aircraft"),
@@ -40,6 +41,7 @@ COMMANDS: Table = {
     "next-flight": ("next_flight", "what to fly to reduce the uncertainty that matters"),
     "study": ("study", "the whole chain: flights to p-boxes, before and after refinement"),
     "report": ("report", "write report.html of a folder of results"),
+    "dossier": ("dossier", "the evidence of a folder of results as one printable document"),
 }
 
 
@@ -47,7 +49,7 @@ def build_parser() -> argparse.ArgumentParser:
     """The parser of the whole command line."""
     parser = argparse.ArgumentParser(
         prog="uqharness",
-        description="How far can a flight model be trusted, and what does that do to the aircraft's performance?",
+        description="From flight logs and a JSBSim model to p-boxes of the aircraft's performance.",
         epilog=_EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -56,7 +56,7 @@ _EXAMPLE = """
   uqharness next-flight results --bounds bounds/model-form.json --redone both/model-form.json --out next
 
 DIR/next-flight.json, DIR/next-flight.xml (a run script), DIR/test-points.csv, DIR/report.html and DIR/figures/next-flight.svg.
-With --redone nothing is planned: it tells what a flight has brought, from the bounds before and after it."""
+With --redone nothing is planned: the bounds before and after a flight are compared."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "From a campaign's sensitivity to the test flight that narrows the winning coefficient's interval most where the mission "
         "flies (see docs/next-flight.md)."
     )
-    no = "no flight of that length narrows the interval by 5 % where the mission flies; the words say what would"
+    no = "no flight of that length narrows the interval by 5 % where the mission flies; the text says what would"
     describe(parser, _run, text, _EXAMPLE, no=no)
     parser.add_argument("folder", type=Path, metavar="CAMPAIGN", help="folder of a finished corner campaign")
     parser.add_argument(
@@ -87,7 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--cases", type=whole("--cases", 1), default=6, metavar="N",
-        help="flights of the campaign that tell where it flies (default %(default)s)",
+        help="flights of the campaign flown again for the mission's states (default %(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--occupancy", type=Path, nargs="+", metavar="FILE",
@@ -95,10 +95,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--flight", type=Path, nargs="+", default=[], metavar="FILE",
-        help="the flights behind the bounds: is what scatters a term that their polynomial lacks?",
+        help="the flights behind the bounds, searched for terms that their polynomial lacks",
     )  # fmt: skip
     parser.add_argument(
-        "--redone", type=Path, metavar="MODEL-FORM.json", help="bounds made again with the flight's data: what it brought"
+        "--redone",
+        type=Path,
+        metavar="MODEL-FORM.json",
+        help="bounds made with the flight's data as well: compare before and after",
     )
     add_seed(parser, "the simulated flights", default=1)
     add_no_figures(parser)

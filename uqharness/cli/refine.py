@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     describe(parser, _run, text, _EXAMPLE, done=done, no=no)
     add_aircraft(parser)
     add_flights(parser, "--train", "flights that choose")
-    add_flights(parser, "--test", "flights that only show what it did")
+    add_flights(parser, "--test", "hold-out flights, used for testing alone")
     add_out(parser)
     add_log_options(parser)
     parser.add_argument("--effects", type=Path, metavar="FILE.toml", help="effects of your own beside the catalogue")

@@ -25,7 +25,7 @@ The same command goes on after any stop; a stage whose inputs and options are as
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``study``."""
-    text = "Run a study file stage by stage, or go on with it."
+    text = "Run a study file stage by stage, or resume it."
     describe(parser, _run, text, _EXAMPLE, no="done and some stage's answer is no (which, is said)")
     parser.add_argument("study", type=Path, metavar="STUDY.toml", help="what to do with which flights")
     add_out(parser)
@@ -38,17 +38,17 @@ def _run(args: argparse.Namespace) -> int:
     try:
         document = run_chain(args.run_words, spec, args.out, args.workers, command, say_line)
     except KeyboardInterrupt:
-        print(f"{args.out}: stopped; what is done is kept, the same command goes on from here", file=sys.stderr)
+        print(f"{args.out}: stopped; finished stages are kept, the same command resumes", file=sys.stderr)
         raise
     report = write_report(args.out).path
     no = [row["name"] for row in document["stages"] if row["exit"] == 1]
     if args.json:
         print(json.dumps(document | {"report": str(report)}))
     else:
-        print(f"{document['study']}: {document['question']}")
-        for sentence in document["verdict"]:
-            print(f"  {sentence['text']}")
-        if no:
-            print(f"  answered no: {', '.join(no)}; what they said is in {args.out / 'log'}")
-        print(f"report: {report}")
+        answer = document["answer"]
+        print(f"{document['question']} {answer['answer']}")
+        for part in ("why", "lacked", "next"):
+            if answer[part]:
+                print(answer[part])
+        print(f"Report: {report}")
     return 1 if no else 0

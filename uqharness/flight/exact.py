@@ -18,7 +18,7 @@ _TERMS = 18
 def log(x: float) -> float:
     """Natural logarithm of a positive, finite number."""
     if not 0.0 < x < math.inf:
-        raise ValueError(f"log of {x}: a positive, finite number is wanted")
+        raise ValueError(f"log of {x}: a positive, finite number is needed")
     mantissa, exponent = math.frexp(x)
     if mantissa < 0.7:
         mantissa, exponent = 2.0 * mantissa, exponent - 1
@@ -35,7 +35,7 @@ def log(x: float) -> float:
 def exp(x: float) -> float:
     """e^x for x from -700 to 700; 0 below."""
     if not x <= 700.0:
-        raise ValueError(f"exp of {x}: a number up to 700 is wanted")
+        raise ValueError(f"exp of {x}: a number up to 700 is needed")
     if x < -700.0:
         return 0.0
     n = math.floor(x / (_LN2_HIGH + _LN2_LOW) + 0.5)
@@ -55,7 +55,7 @@ def power(x: float, y: float) -> float:
 def normal_quantile(p: float) -> float:
     """x that a standard normal is below with probability ``p``, to some 1e-15/(1 - p); p between 1e-9 and 1 - 1e-9."""
     if not 1e-9 <= p <= 1.0 - 1e-9:
-        raise ValueError(f"p = {p}: a probability from 1e-9 to 1 - 1e-9 is wanted")
+        raise ValueError(f"p = {p}: a probability from 1e-9 to 1 - 1e-9 is needed")
     x = 0.0
     for _ in range(100):
         # 1/2 + density (x + x^3/3 + x^5/15 + ...): Newton's steps from 0 never pass the root, for the distribution bends inwards.

@@ -307,7 +307,7 @@ def set_wind_without_air(fdm: Any, spec: FlightSpec) -> None:
 
 
 def _require_kept(fdm: Any, properties: Mapping[str, float]) -> None:
-    """BadInputError for a setting that initialising has overwritten: it would move nothing, in silence."""
+    """BadInputError for a setting that initialising has overwritten: it would have no effect and no message."""
     for name, value in properties.items():
         kept = fdm[name]
         if name not in CHANGEABLE and not name.startswith("ic/") and abs(kept - value) > 1e-9 * max(abs(value), 1.0):

@@ -1,6 +1,6 @@
 """Filters that make Dryden gusts of white noise, exact at any step, with the same bytes on every processor.
 
-Four noises drive them: u and p are of first order, v with r and w with q of third. A step moves the state x by the transition
+Four noise inputs drive them: u and p are of first order, v with r and w with q of third. A step moves the state x by the transition
 matrix and adds the noise gathered in it, x' = E x + R' n, where R'R is that noise's covariance; the first sample is drawn from
 the stationary distribution. All is done by IEEE operations in a fixed order: no call of a matrix library, no contraction.
 """
@@ -108,7 +108,7 @@ def discretised(A: Matrix, B: Sequence[float], dt: float) -> tuple[Matrix, Matri
 
 @dataclass(frozen=True)
 class GustFilters:
-    """The filters of the four noises; v gives r and w gives q as well."""
+    """The filters of the four noise inputs; v gives r and w gives q as well."""
 
     u: FirstOrder
     v: Lateral
@@ -140,7 +140,7 @@ Recur = Callable[[Array, Array, Array, float], Array]
 
 
 class UnitGusts:
-    """Gusts of unit intensity, a page of samples at a time; ``normals`` are the noises of u, v, w and p."""
+    """Gusts of unit intensity, a page of samples at a time; ``normals`` are the noise of u, v, w and p."""
 
     def __init__(self, filters: GustFilters, normals: Sequence[Source], recur: Recur = numpy_recursion) -> None:
         self._normals = tuple(normals)

@@ -22,7 +22,7 @@ _SHORT_PERIOD_DAMPING = {
     "B": ((0.30, 2.00), (0.20, 2.00), 0.15),
     "C": ((0.35, 1.30), (0.25, 2.00), 0.15),
 }
-# 3.2.2.1.1, Figs 1-3: wn^2/(n/alpha) in g rad^-1 s^-2 for Levels 1 and 2; the lower Level 2 bound is Level 3's too.
+# 3.2.2.1.1, Figs 1-3: CAP = wn^2/(n/alpha) in g rad^-1 s^-2 for Levels 1 and 2; the lower Level 2 bound is Level 3's too.
 _CAP = {"A": ((0.28, 3.6), (0.16, 10.0)), "B": ((0.085, 3.6), (0.038, 10.0)), "C": ((0.16, 3.6), (0.096, 10.0))}
 
 
@@ -77,7 +77,7 @@ def _short_period(pair: list[Mode], model: LinearModel, category: str) -> list[A
     control = 1 if _within(cap, one) else 2 if _within(cap, two) else 3 if cap >= two[0] else 4
     return [
         Assessment("short_period", "damping", zeta, "1", damping, "3.2.2.1.2"),
-        Assessment("short_period", "wn^2/(n/alpha)", cap, "1/(g s^2)", control, "3.2.2.1.1"),
+        Assessment("short_period", "CAP", cap, "1/(g s^2)", control, "3.2.2.1.1"),
     ]
 
 

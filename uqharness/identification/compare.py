@@ -268,7 +268,7 @@ def _starts(
     fitted = fit_replays(model, Observed(flown, tuple(judged), wanted, biases, late), (), [np.zeros(0)], (), spread)
     fit, inner = fitted.found, fitted.layout
     if not fit.converged:
-        notes.append("start states and biases did not settle: the gaps may be too large")
+        notes.append("start states and biases did not converge: the gaps may be too large")
     # Numbers of the segments flown back to numbers of all segments.
     number = [i for i, ok in enumerate(kept) if ok]
     theta = np.zeros(len(layout.names))

@@ -47,8 +47,8 @@ def validate(
     """Filter the flights as the form's own were, and count. Raises BadInputError for another aircraft's form and missing states."""
     if form.aircraft.name != aircraft.name:
         raise BadInputError(
-            f"the bounds belong to aircraft '{form.aircraft.name}', not to '{aircraft.name}': residuals of another model are "
-            "another thing; make bounds for this one (uqharness bounds)"
+            f"the bounds belong to aircraft '{form.aircraft.name}', not to '{aircraft.name}': residuals of one model "
+            "say nothing about another; make bounds for this one (uqharness bounds)"
         )
     cutoffs = Cutoffs(form.filtering.cutoff_hz, form.filtering.airspeed_cutoff_hz)
     arm = aircraft.accelerometer_m

@@ -101,11 +101,9 @@ def warnings_of(
     known = {f.sha256 for f in form.flights}
     others = [p.name for p in flights if file_sha256(p) not in known]
     if others:
-        out.append(
-            f"--flight {', '.join(others)}: not among the flights behind the bounds; what scatters there may be another thing"
-        )
+        out.append(f"--flight {', '.join(others)}: not among the flights behind the bounds; its scatter may differ")
     if campaign.failed and flown:
-        out.append(f"{campaign.failed} flights of the campaign did not end well and say nothing of where the mission flies")
+        out.append(f"{campaign.failed} flights of the campaign failed and do not count for the mission's states")
     if not flight.noise:
         out.append(f"aircraft '{aircraft.name}' has no sensors system: the flight was simulated without sensor noise")
     if not flight.has_autopilot:

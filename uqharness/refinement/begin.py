@@ -1,4 +1,4 @@
-"""Where a round of the refinement begins: everything moved to where the linearised flight wants it together with the effects.
+"""Where a round of the refinement begins: everything moved to its estimate on the linearised flight together with the effects.
 
 An effect that the parameters have made up for so far cannot be put in by itself: with a centre of gravity elsewhere and Cm_alpha
 as it was, the replay is worse than without, and no step leads down from there.

@@ -13,17 +13,17 @@ import numpy as np
 from sysid.effects import Choice, Evidence, likeness, scores
 
 NEAR = 0.8
-"""Share of the winner's gain that a rival must reach on the linearised flight."""
+"""Share of the winner's gain that an alternative must reach on the linearised flight."""
 ALIKE = 0.99
-"""Likeness from which two candidates are one and the same for this purpose."""
+"""Correlation from which two candidates are one and the same for this purpose."""
 OF_A_SERVO = 0.5
 """The same for another fault of the same servo: none of them is linear in its number, and lags and rate limits trade places."""
 MOST_RIVALS = 3
 MANY, BY_FAR = 3, 30.0
-"""Effects asked for beside what flew, and |t| of the strongest, from which that one's rivals fly beside it, too: where many are
+"""Effects asked for beside what flew, and |t| of the strongest, from which that one's alternatives fly beside it: where many are
 asked for, the strongest may be what several share."""
 BESIDE, MOST_BESIDE = 0.3, 6
-"""Share of the strongest's gain that a rival must then reach, and how many fly."""
+"""Share of the strongest's gain that an alternative must then reach, and how many fly."""
 
 
 def rivals(
@@ -60,9 +60,9 @@ def _one_servo(one: str, other: str) -> bool:
 def winner(
     names: Sequence[str], alone: Callable[[str], Choice], surprise: Callable[[Choice], float], to_beat: float, margin: float
 ) -> Choice | None:  # fmt: skip
-    """The rival that flies best, if its flight is likelier than what is to be beaten.
+    """The alternative that flies best, if its flight is likelier than what is to be beaten.
 
-    surprise: minus twice the log likelihood of the flights with one effect; margin: by how much it must be less.
+    ``surprise``: minus twice the log likelihood of the flights with one effect; margin: by how much it must be less.
     """
     found = [(surprise(choice), choice) for choice in map(alone, names)]
     least = min(found, key=lambda f: f[0], default=None)

@@ -256,7 +256,7 @@ class _Linear:
 
 
 def _tuned(setup: Setup, steps: _Linear, gusts: Gusts) -> tuple[Setup, Gusts]:
-    """With the sensors' noise that the flights want, and the gusts beside it."""
+    """With the sensors' noise as the flights show it, and the gusts beside it."""
     factors = _noise_factors(setup, steps, gusts)
     setup = replace(setup, noise=factors * setup.noise)
     if bool(np.any((factors < 1.0 / NOISE_FAR) | (factors > NOISE_FAR))):

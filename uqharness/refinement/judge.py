@@ -161,10 +161,12 @@ def _mean_square(shown: Shown) -> float:
     return shown.cost / sum(int(np.isfinite(w).sum()) for w in shown.white)
 
 
-def evidence_of(found: Found, air: Gusts | None) -> Evidence:
-    """Evidence of the train flights as it is with no effect in the model: columns of parameters, nuisance and chosen effects."""
+def evidence_of(found: Found, air: Gusts | None, also: Sequence[str] = ()) -> Evidence:
+    """Evidence of the train flights as it is with no effect in the model: columns of parameters, nuisance, chosen effects and the
+    candidates ``also``."""
     flown = {e.key for e in found.setup.active}
-    rest = [found.effects[c.key] for c in found.selection.chosen if c.key not in flown]
+    keys = dict.fromkeys([*(c.key for c in found.selection.chosen), *also])
+    rest = [found.effects[k] for k in keys if k not in flown]
     if found.gusty:
         assert air is not None
         fit = GustFit(found.after, air, [], found.setup)

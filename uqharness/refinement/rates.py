@@ -1,7 +1,7 @@
 """At which rate limit a servo's slowness shows: nothing happens down to the fastest motion asked of it, then more and more.
 
 One slope for all of that is right nowhere: a limit a little below the fastest motion would be estimated above it, where it does
-nothing. So some limits are tried, each against the servo's own, for the one of which the flights want just what it does; its
+nothing. So some limits are tried, each against the servo's own, for the one whose estimated change is the change it makes; its
 column stands for the effect. Once an effect is flown, its column is the slope at the limit that flies.
 """
 
@@ -79,7 +79,7 @@ def _key(surface: str, limit: float) -> str:
 
 
 def just_so(limit: Array, wanted: Array, t: Array) -> float | None:
-    """The limit [deg/s] of which the flights want once what it does, wanted (n,) times at limits (n,) further and further from the
+    """The limit [deg/s] whose estimated share is 1; ``wanted`` (n,): estimated shares at limits (n,) further and further from the
     servo's own.
 
     Else the one of which they say most; None where all speaks against such a servo.

@@ -141,14 +141,14 @@ def read_once_first(selection: Selection, effects: Sequence[Effect], folder: Pat
 
 
 def far_off(held: Sequence[Choice], written: Mapping[str, float]) -> dict[str, float]:
-    """key -> value flown, of numbers that JSBSim reads once and the flights want elsewhere."""
+    """key -> value flown, of numbers that JSBSim reads once and whose estimates lie elsewhere."""
     return {c.key: written[c.key] for c in held if abs(c.value - written[c.key]) > FAR_OFF * c.std}
 
 
 def at_values(now: Round, fly: Callable[[Selection, About, Path], Round | None], folder: Path) -> Round:
     """The round flown again, its effects the same, until the numbers that JSBSim reads once stand.
 
-    Until they do, what they leave looks like other effects. One that flights want changed as much as before it was changed, and no
+    Until they do, what they leave looks like other effects. One whose estimated change is as large as before it was changed, and no
     likelier for it, does not do what its column says, and is left out.
 
     fly: with effects, from where a round ended, in a folder of its own.
@@ -199,10 +199,10 @@ def without_weak(
 
 
 def ahead(last: tuple[float, float] | None, here: tuple[float, float]) -> float:
-    """How far to go from a value at which the flights want it changed by so much, (value, change), by the secant; at most to twice
+    """How far to go from a value at which the estimated change is so much, (value, change), by the secant; at most to twice
     the value.
 
-    A lag's slope falls off with the lag: what the flights want next is a small part of what they want in the end.
+    A lag's slope falls off with the lag: the next estimated change is a small part of the whole.
     """
     value, change = here
     if last is None or last[0] == value:

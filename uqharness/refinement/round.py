@@ -47,8 +47,8 @@ class Round:
     selection  the effects flown, judged there; again: what would be chosen there
     standing   whether that is the same, with the same numbers where JSBSim reads them once
     merit      cost, in gusts `surprise`, and what the effects must earn: less is better; gusts: the air, as estimated with them
-    about      where it ended; surprise: minus twice the log likelihood of one-step predictions; NaN for replays
-    held       key -> value flown, of numbers that JSBSim reads once; far: of those that the flights want elsewhere
+    about      where it ended; ``surprise``: minus twice the log likelihood of one-step predictions; NaN for replays
+    held       key -> value flown, of numbers that JSBSim reads once; far: of those whose estimates lie elsewhere
     """
 
     setup: Setup

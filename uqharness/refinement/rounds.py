@@ -116,8 +116,8 @@ def _tried(start: Start, selection: Selection, about: About, folder: Path) -> Ro
 
 
 def _contested(start: Start, now: Round, selection: Selection, about: About, work: Path, say: Say) -> tuple[Round, list[str]]:
-    """The first round and what is to be said of it: of an overwhelming effect, flown in gusts, that leaves others, or of the rival
-    that flies better in its place."""
+    """The first round and what is to be said of it: of an overwhelming effect, flown in gusts, that leaves others, or of the
+    alternative that flies better in its place."""
     key = selection.chosen[0].key
     if start.gusts is None or abs(selection.chosen[0].t) <= OVERWHELMING:
         return now, []
@@ -210,7 +210,7 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
 
 def first_at_values(again: Selection, own: Sequence[Choice], far: Mapping[str, float]) -> Selection:
     """What is to be flown next: of the effects flown, ``own``, nothing but these where a number that is held in flight was far from
-    what the flight wants. Until it flies at its value, what it leaves looks like others."""
+    its estimate. Until it flies at its value, what it leaves looks like others."""
     if not far:
         return again
     trail = (*again.trail, f"first at their values: {_listed([c.key for c in own])}")

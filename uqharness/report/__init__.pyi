@@ -11,5 +11,6 @@ from .rerun import draw_rerun as draw_rerun
 from .sensitivity import condition_sections as condition_sections
 from .write import write_campaign_report as write_campaign_report
 from .write import write_figures as write_figures
+from .write import write_html as write_html
 from .write import write_page as write_page
 from .write import write_report as write_report

@@ -161,7 +161,7 @@ def _asked(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> str:
     winds = ", ".join(f"{wind:g}" for wind in air["wind_mps"])
     noise = "noisy" if air["sensor_noise"] else "noise-free"
     return (
-        f"How far do the errors and excursions of this mission depend on what is not known of the model? "
+        f"How much do errors and excursions of this mission depend on the model's epistemic uncertainty? "
         f"{samples_text[0].upper()}{samples_text[1:]}; {air['flights']} flights each, of {air['duration_s']:g} s scored "
         f"after {air['burn_in_s']:g} s of burn-in; wind {winds} m/s from {air['wind_from_deg']:g} deg, "
         f"turbulence {', '.join(air['turbulence'])} ({air['turbulence_source']}), {noise} sensors."
@@ -183,7 +183,7 @@ def _verdict(
         if statement.cell.condition == hardest and statement.cell.distance == "horizontal":
             said.append(Say(called(report_statements.sentence(statement), kind), answer_level(statement)))
     if UNCOMMANDED_METRICS[0] in frame:
-        said.append(Say("Nothing was commanded: errors are deviations from the state in which scoring began."))
+        said.append(Say("No path was commanded: errors are deviations from the state in which scoring began."))
     for quantity, _, _ in _QUANTITIES:
         both = [item for item in findings if item.condition == hardest and item.quantity == quantity]
         if both:
@@ -192,7 +192,7 @@ def _verdict(
     counted = f"{failed} failed; they are bounded at the worst, not dropped" if failed else "all ended as planned"
     said.append(Say(f"Of {len(frame)} flights, {counted}.", "warn" if failed else "good"))
     losses = int(frame["loss_of_control"].fillna(0).sum())
-    lost = f"Control was lost in {losses} of them." if losses else "Control was lost in none that was scored."
+    lost = f"{losses} of them lost control." if losses else "No scored flight lost control."
     said.append(Say(lost, "bad" if losses else "good" if failed < len(frame) else "warn"))
     return said
 

@@ -112,7 +112,7 @@ def moment_rows(found: Comparison) -> list[dict[str, str]]:
             "channel": m.channel,
             "manoeuvre": m.manoeuvre,
             "gap": f"{m.gap:.4g}",
-            "in noises": f"{m.noises:.1f}",
+            "in sigma": f"{m.noises:.1f}",
         }
         for m in found.moments
     ]
@@ -153,6 +153,6 @@ def verdict(found: Comparison) -> str:
         return (
             f"The record is not aligned: its controls act {1e3 * abs(found.controls_late_s):.1f} ms {when}, and "
             f"{1e3 * found.late_limit_s:.1f} ms are allowed. A command belongs to the row whose acceleration has seen it first: "
-            "shift the command columns, or everything that is identified from this flight will have a lag too much."
+            "shift the command columns, otherwise a model identified from this flight gets this lag in addition."
         )
     return noise_floor(found.reached, {c: found.channels[c].ratio for c in found.above}, _RULE)

@@ -60,6 +60,21 @@ def history_section(
     return (Section(title, (Words(text, note=True),), parts),)
 
 
+def farthest_figure(
+    found: Sequence[History], noise: Mapping[str, float | None], models: Sequence[Model], name: str
+) -> Figure | None:  # fmt: skip
+    """The one channel in the one segment in which the first model is farthest from the log; None where nothing is judged."""
+    ratio, channel, history = max(
+        ((*_worst(h, noise, models[0]), h) for h in found), key=lambda item: item[0], default=(-math.inf, "", None)
+    )
+    if history is None or not math.isfinite(ratio):
+        return None
+    drawn = _channel(history, channel, noise[channel], models, f"{name}-", legend=True)
+    ratios = [(m.words, _ratio(history, channel, noise[channel], m)) for m in models]
+    told = ", ".join(f"{words} {value:.2f}" for words, value in ratios if value is not None)
+    return Figure(drawn.name, drawn.svg, f"{history.title}; rms of log minus model in sigma of the sensor: {told}.")
+
+
 def _segment(
     history: History, noise: Mapping[str, float | None], models: Sequence[Model], legend: tuple[tuple[str, str], ...], prefix: str,
     file: str | None,
@@ -76,7 +91,10 @@ def _segment(
     return Section(history.title, (*blocks, Figures(tuple(figures), legend, True, file)))
 
 
-def _channel(history: History, name: str, noise: float | None, models: Sequence[Model], prefix: str) -> Figure:
+def _channel(
+    history: History, name: str, noise: float | None, models: Sequence[Model], prefix: str, legend: bool = False
+) -> Figure:  # fmt: skip
+    """``legend``: the chart has its own."""
     quantity, unit, factor = shown_channel(name)
     measured = factor * history.columns[name]
     drawn = [(m, factor * history.columns[f"{name}{m.suffix}"]) for m in models if f"{name}{m.suffix}" in history.columns]
@@ -90,11 +108,11 @@ def _channel(history: History, name: str, noise: float | None, models: Sequence[
     chart = Chart(f"{prefix}history-{history.number}-{name}", label, _time(history), scale(axis_label(name), shown), height=180)
     if band is not None:
         last = drawn[-1][1]
-        chart.band(history.time_s, last - band, last + band, "fill1")
+        chart.band(history.time_s, last - band, last + band, "fill1", "95 % band of the noise" if legend else "")
     few = np.unique(np.linspace(0, measured.size - 1, min(measured.size, 250)).round().astype(int))
-    chart.dots(history.time_s[few], measured[few], "dot")
+    chart.dots(history.time_s[few], measured[few], "dot", "log" if legend else "")
     for model, y in drawn:
-        chart.line(history.time_s, y, model.kind)
+        chart.line(history.time_s, y, model.kind, f"simulation {model.words}" if legend else "")
     ratio = _ratio(history, name, noise, models[-1])
     caption = f"{quantity}: {'gap over noise undefined' if ratio is None else f'{ratio:.2f} times the noise'}"
     return Figure(chart.name, chart.svg(), caption)

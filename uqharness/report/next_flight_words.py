@@ -21,19 +21,19 @@ def words(found: NextFlight, winner: Winner, missing: Sequence[MissingTerm] | No
     out = [f"{c} has {low:.0f} to {high:.0f} % of the p-box of {winner.metric} ({winner.condition}; its lead is {sure})."]
     out.append(
         f"Where the mission flies its interval is {p.now.total:.3g} wide on average. {_percent(found.extrapolated)} of the mission "
-        f"lies outside the data. Not knowing the polynomial gives {p.now.parameter:.3g} by itself, the scatter about it the rest."
+        f"lies outside the data. The polynomial's uncertainty alone gives {p.now.parameter:.3g}, the scatter about it the rest."
     )
     flight = f"The flight of {found.end_s / 60.0:.1f} min narrows the interval by {_percent(p.narrowing)} (its parameter part by "
     flight += (
         f"{_percent(p.parameter_narrowing)}); as long a repetition of what was flown before, by "
-        f"{_percent(1.0 - p.naive.total / p.now.total)} ({_percent(1.0 - p.naive.parameter / p.now.parameter)}); endless data "
+        f"{_percent(1.0 - p.naive.total / p.now.total)} ({_percent(1.0 - p.naive.parameter / p.now.parameter)}); unlimited data "
         f"of the same kind, by {_percent(p.at_most)}."
     )
     shown = 1.0 - p.redone.total / p.now.total
     if abs(shown - p.narrowing) > 0.01:
         flight += (
             f" Bounds made again will come out {_percent(abs(shown))} {'narrower' if shown >= 0.0 else 'wider'}, because residuals "
-            "scatter differently at the speeds of these points; that difference is no knowledge."
+            "scatter differently at the speeds of these points; that difference is no information."
         )
     out.append(flight)
     out += _first_points(found)
@@ -74,7 +74,7 @@ def _why_not(found: NextFlight, p: Prospect) -> str:
     )
     ratio = found.scatter / found.simulated_scatter
     if not math.isfinite(ratio):
-        return text + "Whether that is noise or form, a longer --minutes would tell."
+        return text + "A longer flight (--minutes) would show whether that is noise or model form."
     if ratio > SENSORS:
         return (
             text + f"It is {ratio:.1f} times what the model's own sensors and air give ({found.simulated_scatter:.2g}): a term is "

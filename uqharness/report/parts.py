@@ -137,21 +137,26 @@ Block = Words | Bullets | Told | Table | Figures | Facts | Code
 
 @dataclass(frozen=True)
 class Section:
-    """A heading with what stands under it, and the sections within it."""
+    """A heading with what stands under it, and the sections within it; ``folded`` until the reader opens it."""
 
     title: str
     blocks: tuple[Block, ...]
     parts: tuple[Section, ...] = ()
+    folded: bool = False
 
 
 @dataclass(frozen=True)
 class Page:
-    """A whole report: the verdict is shown first, then what was asked, then the sections."""
+    """A whole report: the verdict is shown first, then ``first``, then what was asked (where that is not the title), then sections.
+
+    With ``first`` the verdict is the answer and its reasons, in larger letters, and page and ``first`` make one screen.
+    """
 
     title: str
     asked: str
     verdict: tuple[Say, ...]
     sections: tuple[Section, ...] = field(default=())
+    first: tuple[Block, ...] = ()
 
 
 def render(page: Page) -> str:
@@ -163,7 +168,7 @@ def render(page: Page) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    blocks = (block for section in every_section(page.sections) for block in section.blocks)
+    blocks = (*page.first, *(block for section in every_section(page.sections) for block in section.blocks))
     cursors = any(figure.cursor for block in blocks if isinstance(block, Figures) for figure in block.items)
     sheets = [_text(name) for name in ("figure.css", "page.css")]
     rendered = environment.get_template("page.html.j2").render(
@@ -217,5 +222,5 @@ def remarks(document: Mapping[str, Any], key: Iterable[str] = ("warnings", "note
 
 
 def provenance(*facts: tuple[str, str]) -> Section:
-    """Where a page came from: its last section."""
+    """The provenance of a page: its last section."""
     return Section("Provenance", (Facts(facts),))

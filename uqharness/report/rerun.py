@@ -13,6 +13,7 @@ from sysid.units import RAD_DEG
 from uqharness.campaign.folder import Rerun
 from uqharness.files import write_text
 from uqharness.flight import COEFFICIENTS, FlightSpec
+from uqharness.report.ground_track import equal_scales
 from uqharness.report.parts import Figure
 from uqharness.report.svg import Chart, Scale, scale, standalone
 
@@ -97,14 +98,8 @@ def _track(record: pd.DataFrame) -> Figure:
     else:
         step = np.diff(record["time_s"], append=record["time_s"].iloc[-1])
         east, north = (np.cumsum(record[n].to_numpy(dtype=float) * step) for n in ("ve_mps", "vn_mps"))
-    # One metre is as long to the east as to the north.
-    middle = [0.5 * float(np.nanmin(v) + np.nanmax(v)) for v in (east, north)]
-    blank = Chart("blank", "", Scale("", 0.0, 1.0), Scale("", middle[1] - 1e3, middle[1] + 1e3), 330)
-    _, _, width, height = blank.plot
-    metres = 1.1 * max(float(np.ptp(east)) / width, float(np.ptp(north)) / height, 1e-3)
-    ends = [(m - 0.5 * metres * size, m + 0.5 * metres * size) for m, size in zip(middle, (width, height), strict=True)]
-    y = Scale("north [m]", *ends[1])
-    chart = Chart("flight-track", "Track over the ground, north [m] over east [m].", Scale("east [m]", *ends[0]), y, 330)
+    x, y = equal_scales(east, north, 330)
+    chart = Chart("flight-track", "Track over the ground, north [m] over east [m].", x, y, 330)
     few = max(1, math.ceil(len(east) / 4000))
     chart.path(east[::few], north[::few], "first thin")
     chart.marker(float(east[0]), float(north[0]), "second", "disc")

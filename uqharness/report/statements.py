@@ -9,7 +9,7 @@ from typing import Any
 from uqharness.campaign import CONFIDENCE, ENOUGH_EXCURSIONS, RateRange, Statement
 from uqharness.statistics import NO, OPEN, YES
 
-_ANSWER_WORDS = {YES: "yes", NO: "no", OPEN: "open: the flights do not settle it"}
+_ANSWER_WORDS = {YES: "yes", NO: "no", OPEN: "inconclusive: too few flight hours"}
 
 
 def sentence(item: Statement) -> str:
@@ -65,7 +65,7 @@ def assumptions(found: Sequence[Statement], campaign: Mapping[str, Any]) -> list
             "An aborted flight counts as one excursion on the upper side. Rates are per hour flown, and yes needs an acceptable "
             "rate of aborted flights as well ([metrics] acceptable_loss_per_h)."
         ),
-        "Corners are the epistemic samples flown: what is worse between or outside them, no statement covers.",
+        "Corners are the epistemic samples flown. Statements do not cover models between or outside them.",
     ]
     told = {(item.cell.condition.words, item.cell.radius_m): item for item in found if item.cell.distance == "horizontal"}
     measured = [item for item in told.values() if item.dispersion.measured]

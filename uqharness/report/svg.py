@@ -118,9 +118,10 @@ class Chart:
             self.marks.append(f'<path class="line {kind}"{data} d="{path}"/>')
             self._entry(kind, words)
 
-    def path(self, x: Array, y: Array, kind: str) -> None:
+    def path(self, x: Array, y: Array, kind: str, words: str = "") -> None:
         """A line through points in any order, all of them drawn."""
         self.marks.append(f'<path class="line {kind}" d="{_path(*self.at(x, y))}"/>')
+        self._entry(kind, words)
 
     def band(self, x: Array, low: Array, high: Array, kind: str, words: str = "", steps: bool = False) -> None:
         """The area between two lines, where both are finite."""

@@ -60,6 +60,11 @@ def write_page(folder: Path, page: Page, drawn: Page | None = None) -> Report:
     return Report(path, () if drawn is None else tuple(write_figures(folder, drawn.sections, drawn.title)), page)
 
 
+def write_html(path: Path, page: Page) -> None:
+    """Write a page as a file of its own. Raises BadInputError."""
+    write_bytes(path, render(page).encode("utf-8", errors="replace"))
+
+
 def write_figures(folder: Path, sections: Iterable[Section], title: str) -> list[Path]:
     """Write the drawings of sections that name a file into ``folder``/figures; ``title`` heads those that share one."""
     place, paths = inner_folder(folder, "figures"), []

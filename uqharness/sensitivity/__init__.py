@@ -1,4 +1,4 @@
-"""Which uncertainty is worth buying down? Five methods over one stored study of any model.
+"""Which uncertainty widens a result most? Five methods over one stored study of any model.
 
     from scipy import stats
     from uqharness import sensitivity

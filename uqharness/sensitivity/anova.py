@@ -53,8 +53,8 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
     together = float(total.sum())
     above = [name for name, index in indices.items() if index.value > 1.0]
     statement = (
-        f"total effects add up to {together:.2f} (1 without interactions); they rest on uniform distributions that nobody has "
-        "measured, and speak of variance, not of width"
+        f"total effects add up to {together:.2f} (1 without interactions); they assume uniform distributions, which "
+        "were not measured, and divide variance, not width"
     )
     if above:
         statement += f"; {', '.join(above)} above 1 by sampling error, left as estimated: raise samples"

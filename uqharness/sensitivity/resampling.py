@@ -119,7 +119,7 @@ def pair_band(
 
 
 def _lead(index: Array, again: Array, draws: int, confidence: float) -> Array:
-    """(d, d) lower limits, one-sided, Bonferroni over the d - 1 rivals. The smallest of noisy shares is biased down and the largest
+    """(d, d) lower limits, one-sided, Bonferroni over the d - 1 others. The smallest of noisy shares is biased down and the largest
     up, so chance makes a lead look shorter, never longer."""
     d = index.shape[0]
     pairs, resampled = index[:, :-2], again[:, :, :-2]

@@ -68,5 +68,5 @@ def _words(r2_sum: float, of_means: float, holds: bool) -> str:
     if holds:
         return f"{text}: straight lines explain the output"
     if abs(of_means - 1.0) <= R2_NEAR_ONE:
-        return f"{text}: chance hides the lines, but the means follow them"
+        return f"{text}: scatter hides straight lines, but the means follow them"
     return f"{text}: far from 1, so straight lines do not explain the output and these shares are not to be relied on"

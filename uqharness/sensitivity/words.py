@@ -22,7 +22,7 @@ class Ranking:
 
 
 def rank(result: MethodResult, lost: int = 0) -> Ranking:
-    """The largest share by the middle of its range, and its rivals: whose largest share reaches its smallest."""
+    """The largest share by the middle of its range, and those that may exceed it: whose largest share reaches its smallest."""
     ranges = {name: index for name, index in result.indices.items() if isinstance(index, PairRange)}
     if not ranges or any(math.isnan(item.maximum.value) for item in ranges.values()):
         return Ranking("")
@@ -31,7 +31,7 @@ def rank(result: MethodResult, lost: int = 0) -> Ranking:
     by_ranges = tuple(name for name, item in others.items() if not item.maximum.value < mine.minimum.value)
     names = list(result.indices)
     lead = result.details["lead"][names.index(first)]
-    # Without an interval nothing is shown, so a comparison with NaN must leave the rival in.
+    # Without an interval nothing is shown, so a comparison with NaN must keep the other in.
     reach = tuple(name for name in others if not lead[names.index(name)] > 0.0)
     by_sampling = tuple(name for name in reach if name not in by_ranges)
     return Ranking(first, by_ranges, by_sampling, not reach and not lost)
@@ -53,7 +53,7 @@ def words(result: MethodResult, metric: str, ranking: Ranking, lost: int, flight
         text += " Certain: it holds at every corner of the other coefficients and for the sampling error (95 %)."
     if lost:
         text += f" {lost} of {flights} aleatory samples are left out, because a flight of theirs failed in some corner; "
-        text += "what is said holds for the others only."
+        text += "the result holds for the others only."
     return text
 
 

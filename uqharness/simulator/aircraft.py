@@ -110,7 +110,7 @@ def _read_aircraft(folder: Path) -> Aircraft:
             raise BadInputError(f"{folder}: no airframe.toml and no {folder.name}.xml, so this is not a JSBSim aircraft folder")
         card = standard_card(folder.name, xml.name)
     if Path(card.aircraft.xml).name != card.aircraft.xml or "\\" in card.aircraft.xml:
-        raise BadInputError(f'{card_file}: [aircraft] xml = "{card.aircraft.xml}": the name of a file in this folder is wanted')
+        raise BadInputError(f'{card_file}: [aircraft] xml = "{card.aircraft.xml}": the name of a file in this folder is needed')
     xml = folder / card.aircraft.xml
     if not xml.is_file():
         raise BadInputError(f'{card_file}: [aircraft] xml = "{card.aircraft.xml}", but {xml} does not exist')
@@ -166,8 +166,7 @@ def refuse_unknown_operations(path: Path) -> None:
                 near = difflib.get_close_matches(str(child.tag), sorted(_OPERATIONS), n=1)
                 hint = f"; did you mean <{near[0]}>?" if near else ""
                 raise BadInputError(
-                    f"{path}:{child.sourceline}: <{child.tag}> is no operation of a JSBSim function, and it would be left out "
-                    f"in silence{hint}"
+                    f"{path}:{child.sourceline}: <{child.tag}> is no operation of a JSBSim function; JSBSim would ignore it{hint}"
                 )
             if child.tag not in _TABLES:
                 walk(child)

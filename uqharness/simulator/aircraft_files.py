@@ -78,7 +78,7 @@ def walk(folder: Path) -> Iterator[tuple[str, Path]]:
     # By parts, as paths sort: the order is part of the identity.
     found = sorted(_below(folder, ""), key=lambda item: item[0].split("/"))
     if len(found) > MOST_FILES:
-        raise BadInputError(f"{folder}: has more than {MOST_FILES} files; an aircraft's folder is wanted")
+        raise BadInputError(f"{folder}: has more than {MOST_FILES} files; an aircraft's folder is needed")
     for _, path in found:
         if path.is_symlink():
             _refuse_link(path, allowed)
@@ -98,7 +98,7 @@ def _below(folder: Path, prefix: str) -> Iterator[tuple[str, Path]]:
         path = folder / entry.name
         if entry.is_symlink() and path.is_dir():
             raise BadInputError(
-                f"{path}: is a link to a folder ({_target(path)}); a copy of that folder is wanted in an aircraft's folder"
+                f"{path}: is a link to a folder ({_target(path)}); a copy of that folder is needed in an aircraft's folder"
             )
         if entry.is_dir(follow_symlinks=False):
             if entry.name not in _SKIPPED:

@@ -22,15 +22,15 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Sentence = tuple[str, str]
-"""Text and level: good, warn or bad."""
-GOOD, WARN, BAD = "good", "warn", "bad"
+"""Text and level: good where a claim was tested and held, warn, bad, or empty for a plain fact."""
+GOOD, WARN, BAD, PLAIN = "good", "warn", "bad", ""
 
 _QUANTITIES = (
     ("cross_track_median_m", "cross-track error", "m"), ("altitude_median_m", "altitude error", "m"),
     ("speed_median_mps", "speed error", "m/s"), ("heading_median_deg", "heading error", "deg"),
 )  # fmt: skip
 _LEVELS = {YES: GOOD, NO: BAD, OPEN: WARN}
-_ANSWERS = {YES: "yes", NO: "no", OPEN: "open, the flights do not settle it"}
+_ANSWERS = {YES: "yes", NO: "no", OPEN: "inconclusive (too few flight hours)"}
 CONDITIONS_TOLD = 4
 """Conditions that are told one by one; of more than that, the hardest, with all of them counted."""
 MUCH_OUTSIDE = 0.1
@@ -51,25 +51,31 @@ class Width:
 
 
 @dataclass(frozen=True)
-class _Flown:
-    """A finished campaign: its flights, its settings, its statements, the rows of its sensitivity.csv."""
+class Flown:
+    """A finished campaign: its folder, flights, settings, statements, and the rows of its sensitivity.csv."""
 
+    folder: Path
     frame: pd.DataFrame
     campaign: Mapping[str, Any]
     signed: list[Statement]
     shares: list[dict[str, str]]
 
 
-def _read(folder: Path) -> _Flown:
+def read_flown(out: Path, both: bool) -> dict[str, Flown]:
+    """The campaigns in a study's folder by when they were flown; ``both``: before and after refinement. Raises BadInputError."""
+    return {when: _read(out / f"campaign-{when}") for when in ((BEFORE, AFTER) if both else (BEFORE,))}
+
+
+def _read(folder: Path) -> Flown:
     manifest = read_complete(folder)
     frame, campaign = read_cases(folder, manifest), manifest["campaign"]
     signed = statements(frame, campaign, read_decisions(folder, manifest))
-    return _Flown(frame, campaign, signed, read_sensitivity(folder, manifest) or [])
+    return Flown(folder, frame, campaign, signed, read_sensitivity(folder, manifest) or [])
 
 
-def performance(out: Path, both: bool) -> Iterator[Sentence]:
-    """Sentences about the campaigns in a study's folder; ``both``: before and after refinement."""
-    flown = {when: _read(out / f"campaign-{when}") for when in ((BEFORE, AFTER) if both else (BEFORE,))}
+def performance(flown: Mapping[str, Flown]) -> Iterator[Sentence]:
+    """Sentences about the campaigns of a study, one or before and after refinement."""
+    both = AFTER in flown
     last = flown[AFTER if both else BEFORE]
     found = conditions(last.frame)
     if not any(_asked(last.signed, condition) for condition in found):
@@ -81,7 +87,7 @@ def performance(out: Path, both: bool) -> Iterator[Sentence]:
         for item in _asked(last.signed, condition):
             yield _excursions(item, _same(flown[BEFORE].signed, item) if both else None)
         for metric, words, unit in _QUANTITIES:
-            sides = {when: _width(in_condition(item.frame, condition), metric) for when, item in flown.items()}
+            sides = {when: width_of(in_condition(item.frame, condition), metric) for when, item in flown.items()}
             present = [side for side in sides.values() if side is not None]
             if len(present) == len(sides):
                 yield _pbox_sentence(words, unit, condition, float(last.campaign["aleatory"]["duration_s"]), present)
@@ -90,6 +96,11 @@ def performance(out: Path, both: bool) -> Iterator[Sentence]:
         if isinstance(last.campaign["epistemic"].get("bounds"), str):
             yield from _outside(in_condition(last.frame, condition), condition)
     yield _ended(flown)
+
+
+def asked_of(flown: Flown) -> list[Statement]:
+    """The statements about the smallest radius, one a condition; none where no distance from a path is known."""
+    return [item for condition in conditions(flown.frame) for item in _asked(flown.signed, condition)]
 
 
 def _asked(signed: Sequence[Statement], condition: Condition) -> list[Statement]:
@@ -105,15 +116,15 @@ def _same(signed: Sequence[Statement], wanted: Statement) -> Statement | None:
     return next((item for item in signed if key(item) == key(wanted)), None)
 
 
-def _tally(flown: _Flown) -> Sentence:
+def _tally(flown: Flown) -> Sentence:
     """The answers of all conditions, counted, for the smallest radius."""
-    asked = [item for condition in conditions(flown.frame) for item in _asked(flown.signed, condition)]
+    asked = asked_of(flown)
     radius = asked[0].cell.radius_m
     words = []
     for answer in (YES, NO, OPEN):
         named = [item.cell.condition.label for item in asked if item.answer == answer]
         if named:
-            words.append(f"{answer} in {len(named)} ({', '.join(named)})")
+            words.append(f"{_ANSWERS[answer].split(' (')[0]} in {len(named)} ({', '.join(named)})")
     text = f"At most {asked[0].acceptable_per_h:g} excursions beyond {radius:g} m per flight hour at every corner? "
     text += f"Of {len(asked)} conditions: "
     answers = {item.answer for item in asked}
@@ -132,22 +143,23 @@ def _excursions(item: Statement, before: Statement | None) -> Sentence:
         asked += f"; {item.flight_share}"
     if before is None:
         return asked + ".", _LEVELS[item.answer]
-    return f"{asked}. Before refinement: {_ANSWERS[before.answer].split(',')[0]}, {_rates(before)}.", _LEVELS[item.answer]
+    return f"{asked}. Before refinement: {_ANSWERS[before.answer].split(' (')[0]}, {_rates(before)}.", _LEVELS[item.answer]
 
 
 def _rates(item: Statement) -> str:
     hours = max((rate.hours for rate in item.cell.rates), default=0.0)
     if hours <= 0.0 or math.isnan(item.worst.rate):
         return "undefined, for no flight was scored"
-    upper = "any number" if math.isinf(item.worst.upper) else f"{item.worst.upper:.3g}"
+    sure = f"{100 * CONFIDENCE:g} % upper limit"
+    upper = f"no finite {sure}" if math.isinf(item.worst.upper) else f"{sure} {item.worst.upper:.3g}/h"
     return (
         f"{item.best.rate:.3g} (best corner) to {item.worst.rate:.3g} (worst) per hour in {hours:.3g} h per corner, "
-        f"which leave up to {upper} at the worst corner with {100 * CONFIDENCE:g} % confidence"
+        f"{upper} at the worst corner"
     )
 
 
-def _width(rows: pd.DataFrame, metric: str) -> Width | None:
-    """Of one condition's flights; None where no flight has the metric."""
+def width_of(rows: pd.DataFrame, metric: str) -> Width | None:
+    """Width of the p-box of one condition's flights; None where no flight has the metric."""
     if metric not in rows:
         return None
     found = samples(rows, metric)
@@ -170,19 +182,19 @@ def area(found: Sequence[Sample]) -> float:
 def _pbox_sentence(words: str, unit: str, condition: Condition, duration_s: float, sides: Sequence[Width]) -> Sentence:
     text = f"Median {words} of a typical {duration_s:g} s flight, best to worst corner: "
     if len(sides) == 1:
-        return f"{text}{_span(sides[0])} {unit} ({condition.label}).", GOOD if not sides[0].reason else WARN
+        return f"{text}{_span(sides[0])} {unit} ({condition.label}).", PLAIN if not sides[0].reason else WARN
     before, after = sides
     text += f"{_span(before)} {unit} before refinement, {_span(after)} {unit} after ({condition.label}); "
     if after.reason:
         return f"{text}the p-box after refinement has no finite width: {after.reason}.", WARN
     if before.reason:
-        return f"{text}the p-box became narrower: before, {before.reason}; after, none lacks it.", GOOD
+        return f"{text}the p-box became narrower: before, {before.reason}; after, none lacks it.", PLAIN
     if before.area == 0.0:
         return f"{text}the p-box had no width before.", WARN
     ratio = after.area / before.area
     sizes = f"mean width {before.area:.3g} {unit} before, {after.area:.3g} {unit} after"
     if ratio < 1.0 - SAME:
-        return f"{text}the p-box became narrower by {100 * (1 - ratio):.0f} % ({sizes}).", GOOD
+        return f"{text}the p-box became narrower by {100 * (1 - ratio):.0f} % ({sizes}).", PLAIN
     if ratio > 1.0 + SAME:
         return f"{text}the p-box did NOT become narrower, it is {100 * (ratio - 1):.0f} % wider ({sizes}).", WARN
     return f"{text}the p-box did NOT become narrower ({sizes}).", WARN
@@ -193,14 +205,14 @@ def _span(side: Width) -> str:
     return f"at least {low:.3g}" if math.isinf(high) else f"{low:.3g} to {high:.3g}"
 
 
-def _ended(flown: Mapping[str, _Flown]) -> Sentence:
+def _ended(flown: Mapping[str, Flown]) -> Sentence:
     parts, failed_any, lost_any = [], False, False
     for when, item in flown.items():
         frame = item.frame
         failed, lost = int((frame["status"] != "ok").sum()), int(frame["loss_of_control"].fillna(0).sum())
         parts.append(f"{len(frame)} {when if len(flown) > 1 else ''}".strip() + f" ({failed} failed, control lost in {lost})")
         failed_any, lost_any = failed_any or failed > 0, lost_any or lost > 0
-    level = BAD if lost_any else WARN if failed_any else GOOD
+    level = BAD if lost_any else WARN if failed_any else PLAIN
     return f"Flights: {', '.join(parts)}; a failed flight is bounded at the worst, never dropped.", level
 
 
@@ -208,7 +220,7 @@ def _outside(rows: pd.DataFrame, condition: Condition) -> Iterator[Sentence]:
     share = rows["extrapolated_share"].mean()
     if not math.isnan(share):
         text = f"{100 * share:.2g} % of the scored time in {condition.words} was flown outside the states that the bounds come from"
-        yield (text + (", where they are extrapolated." if share > 0 else ".")), WARN if share > MUCH_OUTSIDE else GOOD
+        yield (text + (", where they are extrapolated." if share > 0 else ".")), WARN if share > MUCH_OUTSIDE else PLAIN
 
 
 def _widest(shares: Sequence[Mapping[str, str]], condition: Condition) -> Iterator[Sentence]:
@@ -222,4 +234,4 @@ def _widest(shares: Sequence[Mapping[str, str]], condition: Condition) -> Iterat
             low, high = (100 * float(first[key]) for key in ("share_min", "share_max"))
             parts.append(f"{first['coefficient']} ({words}, {low:.0f} to {high:.0f} % of the width)")
     if parts:
-        yield f"What a next flight should reduce in {condition.words}: the bounds of {'; '.join(parts)}.", GOOD
+        yield f"What a next flight should reduce in {condition.words}: the bounds of {'; '.join(parts)}.", PLAIN

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import io
 import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -19,10 +20,14 @@ from uqharness.campaign import read_bounds
 from uqharness.campaign.folder import binding_versions, run_lock
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder, write_bytes
+from uqharness.result_documents import Part, read_document
+from uqharness.study.answer import answer_of
+from uqharness.study.performance import read_flown
 from uqharness.study.spec import ChainSpec
 from uqharness.study.stages import AFTER, BEFORE, Stage, plan
 from uqharness.study.state import begin, content, read_study, refuse_foreign, stage_key, write_study
-from uqharness.study.verdict import judge
+from uqharness.study.tracks import TRACKS, Asked, fly_tracks, hardest
+from uqharness.study.verdict import REFINEMENT, judge
 
 LOGS = "log"
 """Folder of what each stage printed."""
@@ -73,10 +78,34 @@ def run_chain(
         pair = {when: f"campaign-{when}" for when in (BEFORE, AFTER) if f"campaign-{when}" in {s.name for s in stages}}
         if len(pair) == 2:
             document["before_after"] = pair
-        document["verdict"] = [{"text": text, "level": level} for text, level in judge(spec, stages, document["stages"], out)]
+        _conclude(spec, stages, document, out, was, workers)
         document["state"] = "done"
         write_study(out, document)
     return document
+
+
+def _conclude(
+    spec: ChainSpec, stages: Sequence[Stage], document: dict[str, Any], out: Path, was: Mapping[str, Any], workers: int | None
+) -> None:
+    """The verdict, the answer and the ground tracks, from what all stages left."""
+    kinds, rows = {stage.kind for stage in stages}, document["stages"]
+    flown = read_flown(out, "refine" in kinds) if "campaign" in kinds else {}
+    said = judge(spec, stages, rows, out, flown)
+    refinement = read_document(out / REFINEMENT, Part) if "refine" in kinds else None
+    no = [row["name"] for row in rows if row["exit"] == 1]
+    answer = answer_of(flown, refinement, said, no)
+    document["verdict"] = [{"text": text, "level": level} for text, level in said]
+    document["answer"] = dataclasses.asdict(answer)
+    asked = {when: Asked(item.folder, item.frame, hardest(item.signed)) for when, item in flown.items()}
+    # They depend on nothing but the campaigns, whose tables tell whether they are the same.
+    key = stage_key(
+        "tracks", {}, {when: content(item.folder / "cases.parquet") for when, item in flown.items()}, uqharness.__version__
+    )
+    old = was.get("tracks") or {}
+    if old.get("key") == key and content(out / TRACKS) == old.get("sha256"):
+        document["tracks"] = old
+    elif asked:
+        document["tracks"] = fly_tracks(out, asked, workers) | {"key": key, "sha256": content(out / TRACKS)}
 
 
 def _row(stage: Stage, old: Mapping[str, Any] | None) -> dict[str, Any]:

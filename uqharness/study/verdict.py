@@ -10,22 +10,28 @@ from typing import Any
 from sysid.model_form import HOLDS_FROM
 from uqharness.errors import BadInputError
 from uqharness.result_documents import Coverage, Fit, Part, read_document
-from uqharness.study.performance import BAD, GOOD, SAME, WARN, Sentence, performance
+from uqharness.study.performance import BAD, GOOD, PLAIN, SAME, WARN, Flown, Sentence, performance
 from uqharness.study.spec import ChainSpec
 from uqharness.study.stages import AFTER, BEFORE, Stage
 
+REFINEMENT = Path("refine") / "refinement.json"
 _ABOVE_NOISE = 1.15  # as `compare` and `refine` have it
 
 
-def judge(spec: ChainSpec, stages: Sequence[Stage], rows: Sequence[Mapping[str, Any]], out: Path) -> list[Sentence]:
-    """Every sentence, from what the stages left in ``out``. Raises BadInputError for a document that is damaged."""
+def judge(
+    spec: ChainSpec, stages: Sequence[Stage], rows: Sequence[Mapping[str, Any]], out: Path, flown: Mapping[str, Flown]
+) -> list[Sentence]:  # fmt: skip
+    """Every sentence, from what the stages left in ``out`` and the campaigns ``flown``.
+
+    Raises BadInputError for a document that is damaged.
+    """
     kinds = {stage.kind for stage in stages}
     codes = {row["name"]: row["exit"] for row in rows}
     found: list[Sentence] = []
-    if "campaign" in kinds:
-        found += performance(out, "refine" in kinds)
+    if flown:
+        found += performance(flown)
     if "refine" in kinds:
-        found += _of_refinement(out / "refine" / "refinement.json")
+        found += _of_refinement(out / REFINEMENT)
     if "validate-bounds" in kinds:
         found += _coverage(out, spec.bounds.validate_on if spec.bounds else (), "refine" in kinds)
     if "identify" in kinds:
@@ -121,7 +127,7 @@ def _coverage(out: Path, flights: Sequence[str], both: bool) -> Iterator[Sentenc
         words = "; ".join(names + end for names, end in ends if names)
         text = f"Mean width of the bounds on {named}, after against before refinement: {words}"
         shrank = [c for c, x in change.items() if x < -SAME]
-        yield f"{text}{'' if shrank else '; none is narrower'}.", GOOD if shrank else WARN
+        yield f"{text}{'' if shrank else '; none is narrower'}.", PLAIN if shrank else WARN
 
 
 def _change(before: float | None, after: float | None) -> float:
@@ -139,4 +145,5 @@ def _identified(document: Mapping[str, Any], code: int) -> Sentence:
         text += f"; the largest residual is {ratios[worst]:.2f} times the noise ({worst})"
     if code:
         return f"{text}. The estimation did NOT converge, or nothing was identified.", BAD
-    return f"{text}.", GOOD if not worst or ratios[worst] <= _ABOVE_NOISE else WARN
+    tested = GOOD if worst else PLAIN
+    return f"{text}.", tested if not worst or ratios[worst] <= _ABOVE_NOISE else WARN

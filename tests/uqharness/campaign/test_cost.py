@@ -167,5 +167,5 @@ def test_check_flies_nothing_that_counts(tmp_path, capsys):
     assert 0.1 < found["expected_s"] < 3600.0
     assert sorted(tmp_path.rglob("*")) == before
     assert main(["campaign", "check", str(path), "--hours", "1000000"]) == 0
-    assert "wants --yes or --hours" in capsys.readouterr().out
+    assert "needs --yes or --hours" in capsys.readouterr().out
     assert main(["campaign", "check", str(path), "--workers", "0"]) == 2

@@ -208,7 +208,7 @@ def test_campaigns_that_are_no_corners_or_not_complete_are_refused(tmp_path, flo
     with pytest.raises(BadInputError, match="not complete; finish it first with: uqharness campaign run x"):
         read_corner_campaign(none)
     write_manifest(none, manifest | {"cases": 5})
-    with pytest.raises(BadInputError, match="the manifest speaks of 5"):
+    with pytest.raises(BadInputError, match="the manifest lists 5"):
         read_corner_campaign(none)
     with pytest.raises(BadInputError, match="metric cross_tracks: not in"):
         found_in(flown, "cross_tracks")

@@ -22,5 +22,5 @@ def test_replays_are_measured_and_said(tmp_path):
 def test_a_short_flight_is_refused(tmp_path):
     flight = tmp_path / "flight.parquet"
     main(["fly", "espaaro", "--script", "doublet-elevator", "--duration-s", "6", "--out", str(flight)])
-    with pytest.raises(BadInputError, match=r"90 s of flight are wanted, it has 301 rows of 4501"):
+    with pytest.raises(BadInputError, match=r"90 s of flight are needed, it has 301 rows of 4501"):
         measure_replays(find_aircraft("espaaro"), flight, 1, replays=1)

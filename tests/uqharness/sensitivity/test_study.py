@@ -196,7 +196,7 @@ def test_scatter_tells_chance_from_curvature():
     found = run(lambda a, m: a + 5.0 * m, {"a": (0.0, 1.0)}, NOISE)["scatter"]
     assert found.details["r2_sum"] < 0.2
     assert found.details["r2_sum_of_means"] == pytest.approx(1.0)
-    assert "chance hides the lines" in found.statement
+    assert "scatter hides straight lines" in found.statement
 
 
 def test_total_effects_above_one_are_left_and_named():

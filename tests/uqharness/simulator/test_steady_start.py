@@ -76,7 +76,7 @@ def test_a_stock_aircraft_goes_through_a_campaign_to_a_pbox(flown):
     assert {"heading_median_deg", "load_factor_max", "altitude_max_m", "cross_track_max_m"} <= metrics
     report = write_report(folder / "out")
     assert problems(report.path.read_text(encoding="utf-8")) == []
-    assert "Nothing was commanded: errors are deviations from the state in which scoring began." in report.verdict
+    assert "No path was commanded: errors are deviations from the state in which scoring began." in report.verdict
     assert any("heading" in path.name for path in report.figures)
 
 

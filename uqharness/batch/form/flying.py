@@ -72,7 +72,7 @@ def checked(program: Program, state: np.ndarray, first_frame: int, frames: int, 
     wanted = {stream.name for stream in program.streams}
     if set(streams) != wanted:
         raise ValueError(
-            f"streams {', '.join(sorted(wanted)) or 'none'} are wanted; received {', '.join(sorted(streams)) or 'none'}"
+            f"streams {', '.join(sorted(wanted)) or 'none'} are needed; received {', '.join(sorted(streams)) or 'none'}"
         )
     lanes, last = state.shape[0] * BLOCK, first_frame + frames - 1
     feeds = tuple(_checked_feed(s, Feed(*streams[s.name]), lanes, first_frame, last) for s in program.streams)
@@ -84,10 +84,10 @@ def _checked_feed(stream: Stream, feed: Feed, lanes: int, first: int, last: int)
     name, columns = stream.name, len(stream.columns)
     array = feed.array
     if array.ndim != 2 or array.shape[1] != columns or array.dtype != np.float64 or not array.flags.c_contiguous:
-        raise ValueError(f"stream {name}: doubles of shape (rows, {columns}) in one piece are wanted; received {array.shape}")
+        raise ValueError(f"stream {name}: doubles of shape (rows, {columns}) in one piece are needed; received {array.shape}")
     given = np.asarray(feed.offsets)
     if given.ndim != 1 or not 0 < len(given) <= lanes or given.dtype.kind not in "iu":
-        raise ValueError(f"stream {name}: a whole offset for each of up to {lanes} lanes is wanted; received {given.shape}")
+        raise ValueError(f"stream {name}: a whole offset for each of up to {lanes} lanes is needed; received {given.shape}")
     offsets = np.ascontiguousarray(np.concatenate([given, np.full(lanes - len(given), given[-1])]).astype(np.int64))
     rows = len(array) - int(offsets.max()) if feed.rows is None else feed.rows
     if offsets.min() < 0 or rows < 0 or int(offsets.max()) + rows > len(array):

@@ -124,7 +124,7 @@ class Course:
         stride = record_stride(spec, lanes.dt_s)
         goal = self.last if frame is None else frame
         if goal < self.frame or goal > self.last or goal % stride:
-            raise ValueError(f"a frame from {self.frame} to {self.last} that {stride} divides is wanted; received {goal}")
+            raise ValueError(f"a frame from {self.frame} to {self.last} that {stride} divides is needed; received {goal}")
         burn, _ = row_counts(spec, lanes.dt_s * stride)
         chunk = max(1, _CHUNK // stride) * stride
         columns = {name: k for k, name in enumerate(program.records)}

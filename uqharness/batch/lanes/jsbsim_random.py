@@ -39,7 +39,7 @@ class JsbsimNormals:
 
     def __init__(self, seed: int, tries: Tries | None = None) -> None:
         if not 0 <= seed < MODULUS:
-            raise ValueError(f"seed {seed}: an integer from 0 to {MODULUS - 1} is wanted")
+            raise ValueError(f"seed {seed}: an integer from 0 to {MODULUS - 1} is needed")
         self._state, self._tries = max(seed, 1), tries or numpy_tries
         self._left = np.empty(0)
 

@@ -1,4 +1,4 @@
-"""The recursion of the gust filters as machine code: the twin of ``flight.gust_filters.numpy_recursion``, with the same bits."""
+"""The recursion of the gust filters as machine code: the same as ``flight.gust_filters.numpy_recursion``, with the same bits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SIDE_BY_SIDE = 4
 
 @lru_cache(maxsize=8)
 def compiled_recursion(target: Target) -> gust_filters.Recur:
-    """The twin of ``flight.gust_filters.numpy_recursion``, for a multiple of four segments."""
+    """The same as ``flight.gust_filters.numpy_recursion``, for a multiple of four segments."""
     code = built(_text(target), "recur", target)
     pointer, integer = ctypes.c_void_p, ctypes.c_int64
     call = ctypes.CFUNCTYPE(None, *[pointer] * 3, integer, integer, ctypes.c_double, pointer)(code.address)

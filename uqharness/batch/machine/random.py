@@ -1,4 +1,4 @@
-"""Random normals as machine code: twins of ``flight.normals.numpy_pairs`` and of JSBSim's polar method, with the same bits."""
+"""Random normals as machine code: the same as ``flight.normals.numpy_pairs`` and of JSBSim's polar method, with the same bits."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Traced:
 
 @lru_cache(maxsize=8)
 def compiled_pairs(target: Target) -> normals.Pairs:
-    """The twin of ``flight.normals.numpy_pairs``."""
+    """The same as ``flight.normals.numpy_pairs``."""
     b = Builder()
     m = Traced(b)
     one, other = normals.normal_pair(m.bits(b.input("first")), m.bits(b.input("second")), m)

@@ -107,7 +107,7 @@ class _Worker:
 class ProcessExecutor:
     """Flies in ``workers`` processes; each case has a time limit, and a second chance if its worker dies or hangs.
 
-    A group whose worker dies or hangs is flown again in smaller groups, so that the guilty case is alone in the end.
+    A group whose worker dies or hangs is flown again in smaller groups, until the failing case is alone.
     ``start_method`` is spawn (default, safe everywhere), forkserver or fork. ``timeout_s`` maps a flight to seconds. With ``keep``
     the processes stay for the next call of run, which must be with the same flight function.
     """

@@ -25,10 +25,10 @@ def sealed(manifest: Mapping[str, Any], store: Store, tables: Mapping[str, bytes
 
 
 def refuse_if_not_whole(folder: Path, store: Store, manifest: Mapping[str, Any]) -> None:
-    """DamageError where the journal of a complete campaign is not the one that the manifest speaks of."""
+    """DamageError where the journal of a complete campaign is not the one that the manifest lists."""
     store.finished()
     if store.summary() != manifest["journal"]:
-        raise DamageError(folder / JOURNAL, "its flights are not those that the manifest speaks of", folder)
+        raise DamageError(folder / JOURNAL, "its flights are not those that the manifest lists", folder)
 
 
 def mend_tables(

@@ -74,7 +74,7 @@ def _counted(folder: Path, manifest: Mapping[str, Any]) -> Mapping[str, int]:
         found = store.statuses()
     if is_sealed(manifest) and found.total() != manifest["journal"]["rows"]:
         rows = manifest["journal"]["rows"]
-        raise DamageError(folder / JOURNAL, f"{found.total()} flights are in it, the manifest speaks of {rows}", folder)
+        raise DamageError(folder / JOURNAL, f"{found.total()} flights are in it, the manifest lists {rows}", folder)
     return found
 
 

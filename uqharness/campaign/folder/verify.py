@@ -114,7 +114,7 @@ def _journal_item(folder: Path, manifest: Mapping[str, Any] | None) -> Item:
 
 
 def look_at_journal(folder: Path, manifest: Mapping[str, Any] | None) -> JournalFound:
-    """Every row of a journal, damaged or not, and whether it is what the manifest of a complete campaign speaks of."""
+    """Every row of a journal, damaged or not, and whether it is what the manifest of a complete campaign lists."""
     with scratch_folder("verify") as scratch:
         try:
             if (folder / LEFTOVER).is_file() and not is_running(folder):
@@ -130,13 +130,13 @@ def look_at_journal(folder: Path, manifest: Mapping[str, Any] | None) -> Journal
     if manifest is not None and is_sealed(manifest):
         expected = int(manifest["journal"]["rows"])
         fits = digest_of_rows(digests[name] for name in sorted(digests)) == manifest["journal"]["digest"]
-        problem = problem or ("" if fits else "its flights are not those that the manifest speaks of")
+        problem = problem or ("" if fits else "its flights are not those that the manifest lists")
     missing = None if expected is None else max(expected - len(digests) - scan.damaged, 0)
     return JournalFound(len(digests), scan.damaged, missing, problem)
 
 
 def _opened(place: Path, folder: Path) -> tuple[str, int | None]:
-    """What is wrong with a journal as every command opens it, and how many flights its tally speaks of."""
+    """What is wrong with a journal as every command opens it, and how many flights its tally counts."""
     expected = None
     try:
         with closing(Store(place, read_only=True)) as store:

@@ -1,4 +1,4 @@
-"""[epistemic] of campaign.toml: what is not known of the model, and how it is sampled."""
+"""[epistemic] of campaign.toml: uncertainty of the model, and how it is sampled."""
 
 from __future__ import annotations
 

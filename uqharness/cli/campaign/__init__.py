@@ -9,19 +9,19 @@ from uqharness.cli.commands import Table, add_commands
 VERBS: Table = {
     "check": ("campaign.run:add_check", "what a campaign costs, before it is flown"),
     "run": ("campaign.run:add_run", "fly a campaign, or resume it"),
-    "status": ("campaign.folder:add_status", "how far a campaign is"),
+    "status": ("campaign.folder:add_status", "progress of a campaign"),
     "report": ("campaign.folder:add_report", "write report.html and the figures"),
-    "merge": ("campaign.folder:add_merge", "bring shards together and write the tables"),
+    "merge": ("campaign.folder:add_merge", "merge shards and write the tables"),
     "rerun": ("campaign.folder:add_rerun", "fly one case again with full output and a plot"),
-    "verify": ("campaign.whole:add_verify", "is everything as it was written"),
-    "salvage": ("campaign.whole:add_salvage", "keep what is sound of a damaged campaign and fly the rest again"),
-    "convergence": ("campaign.studies:add_convergence", "were there enough flights and epistemic samples"),
+    "verify": ("campaign.whole:add_verify", "check a folder against its digests"),
+    "salvage": ("campaign.whole:add_salvage", "repair a damaged campaign: keep sound flights, fly the rest again"),
+    "convergence": ("campaign.studies:add_convergence", "convergence over flights and epistemic samples"),
     "area": ("campaign.studies:add_area", "area metric of real flights against the p-boxes"),
 }
 _EXAMPLE = """example:
   uqharness campaign run campaigns/demo/campaign.toml --out campaigns/demo/results
 
-uqharness campaign VERB --help tells the rest."""
+uqharness campaign VERB --help gives the options."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

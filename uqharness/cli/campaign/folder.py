@@ -40,7 +40,7 @@ def add_folder(parser: argparse.ArgumentParser) -> None:
 
 def add_status(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``status``."""
-    describe(parser, _status, "Say how far a campaign is.", _STATUS_EXAMPLE, done="complete", no="not complete")
+    describe(parser, _status, "Print the progress of a campaign.", _STATUS_EXAMPLE, done="complete", no="not complete")
     add_folder(parser)
 
 
@@ -52,15 +52,15 @@ def add_report(parser: argparse.ArgumentParser) -> None:
 
 def add_merge(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``merge``."""
-    text, no = "Bring shards together and write the tables.", "flights are missing (which shards to run is said)"
+    text, no = "Merge shards and write the tables.", "flights are missing (the message lists the shards to run)"
     describe(parser, _merge, text, _MERGE_EXAMPLE, done="complete", no=no)
     add_folder(parser)
 
 
 def add_rerun(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``rerun``."""
-    text, done = "Fly one case again with full output and a plot.", "it came out as stored (or was not stored yet)"
-    describe(parser, _rerun, text, _RERUN_EXAMPLE, done=done, no="it came out otherwise")
+    text, done = "Fly one case again with full output and a plot.", "the result is as stored (or was not stored yet)"
+    describe(parser, _rerun, text, _RERUN_EXAMPLE, done=done, no="the result differs")
     add_folder(parser)
     parser.add_argument("--case", required=True, metavar="ID", help="case id, or the beginning of one")
 

@@ -56,7 +56,7 @@ and goes where the file has such a part (transient = false leaves it out); set =
 def add_check(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``check``."""
     text = "Say what a campaign costs before it is flown."
-    done, no = "done (a model that cannot be flown is bad input)", "the batch engine flies otherwise than JSBSim"
+    done, no = "done (a model that cannot be flown is bad input)", "the batch engine differs from JSBSim"
     describe(parser, _check, text, _CHECK_EXAMPLE, done=done, no=no)
     _add_campaign(parser)
 
@@ -64,7 +64,7 @@ def add_check(parser: argparse.ArgumentParser) -> None:
 def add_run(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``run``."""
     done = "all flights done (failed ones are counted and reported)"
-    no = "the batch engine flies otherwise than JSBSim"
+    no = "the batch engine differs from JSBSim"
     describe(parser, _run, "Fly a campaign, or resume it.", _RUN_EXAMPLE, done=done, no=no)
     _add_campaign(parser)
     add_out(parser)
@@ -82,7 +82,7 @@ def _add_campaign(parser: argparse.ArgumentParser) -> None:
     add_size(parser)
     parser.add_argument(
         "--engine", choices=("auto", "batch", "jsbsim"),
-        help="what flies, in place of [campaign] engine; auto: batch where it understands aircraft and mission, else jsbsim",
+        help="engine, in place of [campaign] engine; auto: batch where it understands aircraft and mission, else jsbsim",
     )  # fmt: skip
     add_workers(parser)
 
@@ -151,7 +151,7 @@ def _check(args: argparse.Namespace) -> int:
     cost = Cost(size_of(spec), 0, pace, args.workers or usable_cores(), settled.engine)
     described = describe_campaign(settled.spec, mission, cost.size.flights, "")
     joint = joint_words(described)
-    asked = "; more than a day of this machine: `campaign run` wants --yes or --hours" if cost.is_long else ""
+    asked = "; more than a day of this machine: `campaign run` needs --yes or --hours" if cost.is_long else ""
     if args.json:
         found = {"engine": settled.engine, "engine_why": list(settled.why), "joint_level": joint_level(described), "joint": joint}
         print(json.dumps(_cost_json(cost) | found))
@@ -200,7 +200,7 @@ def _run(args: argparse.Namespace) -> int:
                 before_flying=tell_cost(agreed, args.campaign),
             )  # fmt: skip
     except KeyboardInterrupt:
-        print(f"{args.out}: stopped; every finished flight is kept, the same command goes on from here", file=sys.stderr)
+        print(f"{args.out}: stopped; every finished flight is kept, the same command resumes", file=sys.stderr)
         raise
     say_rewritten(summary.folder, summary.rewritten)
     print(json.dumps(_summary_json(summary)) if args.json else _sentence(summary))

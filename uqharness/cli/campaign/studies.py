@@ -30,7 +30,7 @@ Writes DIR/area.csv: the area by which the flights lie outside the p-box, in the
 
 def add_convergence(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``convergence``."""
-    text = "Say whether there were enough flights and epistemic samples."
+    text = "Convergence over flights and epistemic samples."
     describe(parser, _convergence, text, _CONVERGENCE_EXAMPLE, done="done (too few flights or samples are bad input)")
     add_folder(parser)
     parser.add_argument(
@@ -41,7 +41,7 @@ def add_convergence(parser: argparse.ArgumentParser) -> None:
 
 def add_area(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``area``."""
-    text, no = "Area metric of real flights against the p-boxes.", "flights lie outside by more than chance explains"
+    text, no = "Area metric of real flights against the p-boxes.", "flights lie outside by more than sampling error"
     describe(parser, _area, text, _AREA_EXAMPLE, done="no contradiction", no=no)
     add_folder(parser)
     parser.add_argument("--flight", type=Path, metavar="FILE", help="table of flights, .csv or .parquet")

@@ -38,14 +38,14 @@ _REMADE = {"sensitivity": "sensitivity", "convergence": "campaign convergence", 
 def add_verify(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``verify``."""
     no = "something is damaged or has no digests (made by uqharness 0.1)"
-    describe(parser, _verify, "Say whether everything is as it was written.", _VERIFY_EXAMPLE, done="all whole", no=no)
+    describe(parser, _verify, "Check a folder against its digests.", _VERIFY_EXAMPLE, done="all whole", no=no)
     add_folder(parser)
 
 
 def add_salvage(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``salvage``."""
     text, no = (
-        "Keep what is sound of a damaged campaign and fly the rest again.",
+        "Repair a damaged campaign: keep sound flights, fly the rest again.",
         "flights of shards that were never flown are missing",
     )
     describe(parser, _salvage, text, _SALVAGE_EXAMPLE, no=no)
@@ -77,7 +77,7 @@ def _verified_json(found: Verified) -> dict[str, Any]:
 
 def _verified_lines(found: Verified) -> Iterator[str]:
     state = "whole" if found.whole else "NOT whole"
-    running = "" if found.complete in (True, None) else "; the campaign is not complete, what is there was looked at"
+    running = "" if found.complete in (True, None) else "; the campaign is not complete; existing files were checked"
     yield f"{found.folder}: {state}{running}"
     for item in found.items:
         said = "; ".join(text for text in (item.remark, item.digest and f"SHA-256 {item.digest}") if text)

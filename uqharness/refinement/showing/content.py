@@ -19,10 +19,20 @@ class Evidence(Part):
     held_out_estimate_differs_by_std: Number = None
 
 
+class InPlace(Part):
+    """What an alternative explains in the effect's place."""
+
+    twice_log_likelihood: Number = None
+
+
 class Alternative(Part):
     """What an effect may be taken for."""
 
     name: str
+    term: str = ""
+    coefficient: str | None = None
+    subsystem: str | None = None
+    evidence: InPlace = InPlace()
     separable: bool
     would_separate: str = ""
 
@@ -88,22 +98,71 @@ class State(Part):
 
 
 class Left(Part):
-    """A place where something is left: in words, or as a coefficient and what it depends on."""
+    """A place where something is left: in words, as a candidate that is asked for, or as a coefficient and what it depends on."""
 
     words: str = ""
     t: float = 0.0
+    term: str = ""
     coefficient: str = ""
+    subsystem: str = ""
     rms_over_noise: float = 0.0
     depends_on: list[State] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _told(self) -> Left:
-        if not self.model_fields_set & {"words"} and not self.model_fields_set >= {
-            "coefficient",
-            "rms_over_noise",
-            "depends_on",
-        }:
-            raise ValueError("needs words, or coefficient, rms_over_noise and depends_on")
+        told = ({"words"}, {"term", "t"}, {"coefficient", "rms_over_noise", "depends_on"})
+        if not any(self.model_fields_set >= keys for keys in told):
+            raise ValueError("needs words, or term and t, or coefficient, rms_over_noise and depends_on")
+        return self
+
+
+class GoesWith(Part):
+    """The state with which what is left goes."""
+
+    state: str
+    low: float
+    high: float
+    share: float
+    of: str
+
+
+class Near(Part):
+    """A candidate near to what is left, and what it leaves of the channel: rms over noise."""
+
+    name: str
+    term: str
+    coefficient: str = ""
+    subsystem: str = ""
+    t: float
+    leaves: float
+
+
+class Place(Part):
+    """Where the strongest of what is left sits; null fields have a reason."""
+
+    flights: str | None
+    flight: str | None
+    manoeuvre: str | None
+    channel: str | None
+    from_s: Number
+    to_s: Number
+    from_Hz: Number
+    to_Hz: Number
+    rms_over_noise: Number
+    share_of_excess: Number
+    state: GoesWith | None
+    channel_on_train: Number
+    candidates: list[Near]
+    would_tell: str | None
+    reason: str | None
+
+    @model_validator(mode="after")
+    def _told(self) -> Place:
+        timed = (self.flight, self.manoeuvre, self.from_s, self.to_s, self.from_Hz, self.to_Hz)
+        if self.reason is None and (self.channel is None or None in timed):
+            raise ValueError("a place without flight, manoeuvre, channel, stretch and band needs a reason")
+        if self.channel is not None and None in (self.flights, self.rms_over_noise, self.channel_on_train, self.would_tell):
+            raise ValueError("a channel needs flights, rms_over_noise, channel_on_train and would_tell")
         return self
 
 
@@ -114,6 +173,7 @@ class Remaining(Part):
     where: list[Left]
     channels_above_noise: dict[str, float]
     coloured_channels: list[str]
+    place: Place | None = None
 
 
 class BeforeAfter(Part):

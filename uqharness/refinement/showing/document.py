@@ -4,16 +4,29 @@ nothing."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
-from sysid.effects import STRONG, Alternative, Choice, Disagreement, Effect, Refusal, dependence, disagreements
+from sysid.effects import (
+    STRONG,
+    Alternative,
+    Choice,
+    Disagreement,
+    Effect,
+    Refusal,
+    conditional_interval,
+    dependence,
+    disagreements,
+)
 from sysid.estimation import NOISE_FLOOR
 from uqharness.refinement.beside import left_in
 from uqharness.refinement.find import Found
 from uqharness.refinement.judge import Judged, Verdict
+from uqharness.refinement.rates import is_fastest
+from uqharness.refinement.showing.remains import NOTHING, nowhere, place_of
 from uqharness.refinement.showing.show import Shown, gap_document, state_ranges
 from uqharness.refinement.showing.words import contradicted, separating_manoeuvre, still_asked, unnamed, why
 from uqharness.refinement.types import Setup
@@ -110,6 +123,7 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
     more = [(key, t) for key, t in chosen.left if key not in told]
     remaining["where"] += [_still_asked(chosen.effects[key], t, k) for k, (key, t) in enumerate(more)]
     remaining["unexplained"] |= (bool(asked) and not effects) or bool(more)
+    remaining["place"] = _place(chosen, judged, remaining, [key for key, _ in more], controls)
     verdict = "unexplained" if remaining["unexplained"] else "effects-found" if effects else "no-missing-effect"
     refused = found.selection.refused
     return {
@@ -137,6 +151,24 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
         "trail": list(found.trail),
         "notes": [*found.notes, *(n for f in setup.flights for n in f.notes)],
     }
+
+
+def _place(
+    chosen: Found, judged: Judged, remaining: Mapping[str, Any], more: Sequence[str], controls: Sequence[Any]
+) -> dict[str, Any]:
+    """Where the strongest of what is left sits: on train or hold-out flights, or where a candidate is asked for."""
+    other, _, fitted = judged.test
+    held_out = left_in(other, fitted, judged.found.gusty)
+    left = {
+        "train": [*remaining["channels_above_noise"], *remaining["coloured_channels"]],
+        "test": [*held_out.above, *held_out.coloured],
+    }
+    refused = judged.found.selection.refused
+    strong = [refused.key] if refused is not None and refused.strong else []
+    asked = [*more, *strong, *(c.key for c in chosen.unnamed), *(c.key for c in judged.withdrawn)]
+    if not any(left.values()) and not remaining["unexplained"]:
+        return nowhere(NOTHING)
+    return place_of(judged, left, asked, controls)
 
 
 def _contradicted(effect: Effect, choice: Choice) -> dict[str, Any]:
@@ -178,11 +210,19 @@ def _effect(found: Found, c: Choice, verdict: Verdict | None, switches: Mapping[
         "property": None if switch is None else switch[0],
         "evidence": {
             "t": c.t, "twice_log_likelihood": c.gain, "confirmed_on_held_out_manoeuvres": c.confirmed_gain,
-            "held_out_estimate_differs_by_std": c.difference, "interval_95": [value - 1.96 * std, value + 1.96 * std],
+            "held_out_estimate_differs_by_std": c.difference, "interval_95": _interval(found, e, c),
         },
         **test,
         "alternatives": [_alternative(found, e, a) for a in c.alternatives],
     }  # fmt: skip
+
+
+def _interval(found: Found, e: Effect, c: Choice) -> list[float | None]:
+    """95 % interval of the number as it stands in the XML, given that it was chosen; open above where a servo is never asked for
+    more than its rate limit."""
+    low, high = conditional_interval(c.value, c.std, found.limit)
+    ends = sorted(_as_written(found, e, replace(c, value=v))[0] for v in (low, high))
+    return [ends[0], None if e.term == "rate_limit" and is_fastest(c, found.setup) else ends[1]]
 
 
 def _as_written(found: Found, e: Effect, c: Choice) -> tuple[float, float, str]:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sysid.effects import Choice, Effect
+from uqharness.replay import shown_channel
 
 _EXCITES = {
     "alpha": "slow changes of angle of attack by speed (level flight from the slowest to the fastest)",
@@ -66,6 +67,55 @@ def separating_manoeuvre(one: Effect, other: Effect) -> str:
     if not apart:
         return f"the same manoeuvres at several amplitudes: {a.text} and {b.text} differ in how they grow"
     return "; ".join(dict.fromkeys(_EXCITES[v] for v in apart[:2]))
+
+
+_OF_STATE = {
+    "V_mps": "V_rel", "alpha_rad": "alpha", "beta_rad": "beta", "p_radps": "p_hat", "q_radps": "q_hat", "r_radps": "r_hat",
+    "elevator_deg": "de", "aileron_deg": "da", "rudder_deg": "dr", "throttle_pct": "dt",
+}  # fmt: skip
+
+
+def would_tell(state: str | None, nearest: Sequence[Effect], loudest: tuple[str, float]) -> str:
+    """The flight that would tell what is left.
+
+    state: with which the residual goes; nearest: candidates, the best first; loudest: kind of manoeuvre in which the channel's
+    residual is largest, and its rms over noise there
+    """
+    kind, ratio = loudest
+    said = [f"repeat {kind}, where the channel is at {ratio:.2f} times its noise, at other amplitudes and speeds"]
+    if state is not None:
+        said.insert(0, _EXCITES[_OF_STATE[state]])
+    if len(nearest) > 1:
+        first, second = nearest[:2]
+        said.append(f"to tell {first.name} from {second.name}: {separating_manoeuvre(first, second)}")
+    return "; ".join(said)
+
+
+def place_says(place: Mapping[str, Any]) -> list[str]:
+    """Where the strongest of what is left sits, in at most three lines; none where nothing is left."""
+    if place["channel"] is None:
+        return []
+    name, _, _ = shown_channel(place["channel"])
+    side = "hold-out" if place["flights"] == "test" else "train"
+    if place["from_s"] is None:
+        first = f"residual of {name}, {side} flights, {place['rms_over_noise']:.2f} times its noise: {place['reason']}"
+    else:
+        share = place["share_of_excess"]
+        held = "" if share is None else f", {100.0 * share:.0f} % of what is left of the channel"
+        when = f"{place['flight']}, {place['from_s']:.1f} to {place['to_s']:.1f} s ({place['manoeuvre']})"
+        band = f"{place['from_Hz']:.2g} to {place['to_Hz']:.2g} Hz"
+        first = f"residual of {name}, {side} flight {when}, {band}: {place['rms_over_noise']:.2f} times its noise{held}"
+    goes = place["state"]
+    if goes is not None:
+        state, unit, factor = shown_channel(goes["state"])
+        first += (
+            f"; its {goes['of']} goes with {state}, most at {factor * goes['low']:.3g} to {factor * goes['high']:.3g} {unit} "
+            f"({100.0 * goes['share']:.0f} % of its variance)"
+        )
+    near = ", ".join(f"{c['name']} {c['leaves']:.2f} (|t| {abs(c['t']):.1f})" for c in place["candidates"])
+    now = f"rms over noise of {name} on the train flights {place['channel_on_train']:.2f}"
+    second = f"{now}; with the nearest candidates it would be: {near}"
+    return [first, second, f"the flight that would tell: {place['would_tell']}"]
 
 
 def contradicted(effect: Effect, choice: Choice) -> str:

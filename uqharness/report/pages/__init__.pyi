@@ -1,4 +1,7 @@
 from .coverage import coverage_page_of as coverage_page_of
+from .difference import difference_page as difference_page
+from .dossier import Dossier as Dossier
+from .dossier import dossier_of as dossier_of
 from .index import kind_of as kind_of
 from .model_form import RESIDUALS as RESIDUALS
 from .model_form import slice_section as slice_section

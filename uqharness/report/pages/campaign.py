@@ -1,4 +1,4 @@
-"""A campaign's page: p-boxes, the grid of answers, rates, sensitivity, failures and where all of it came from."""
+"""A campaign's page: p-boxes, the grid of answers, rates, sensitivity, failures and provenance."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def pbox_section(found: CampaignFound, prefix: str = "") -> Section:
     words = corner_words(found.frame)
     figures = tuple(_figure(item, words, prefix) for condition in drawn for item in found.findings if item.condition == condition)
     intro = (
-        "Each thin curve is one epistemic sample: the share of its flights whose median error is at most the value below. "
-        "The bold pair is their envelope, the p-box; its width is what is not known of the model, its slope is chance. The "
-        "dashed band adds what a finite number of flights leaves open: it holds for all corners and all values together at "
+        "Each thin curve is one epistemic sample: the cumulative probability of its flights' median error. "
+        "The bold pair is their envelope, the p-box; its width is epistemic uncertainty, its slope aleatory. The "
+        "dashed band adds the sampling error of a finite number of flights: it holds for all corners and all values together at "
         f"{_SURE}. At the cursor the figure names the sample behind either side: − for a coefficient at its lower bound, + "
         "for one at its upper."
     )
@@ -86,12 +86,12 @@ def _median_row(item: Finding, words: dict[str, str], between: bool, published: 
     return tuple(row)
 
 
-def grid_section(signed: Sequence[Statement], title: str = "Where the answer is yes, no or open") -> Section:
+def grid_section(signed: Sequence[Statement], title: str = "Where the answer is yes, no or inconclusive") -> Section:
     """One grid a radius: wind across, turbulence down, each cell the answer and the worst corner's rate."""
     acceptable = f"{signed[0].acceptable_per_h:g}" if signed else ""
     text = (
         f"The question of each cell: at most {acceptable} excursions per flight hour at every corner? ✓ yes: every corner lies at "
-        "or below; ✕ no: some corner lies above; ? open: the flights do not settle it. Below the answer stands the rate at the "
+        "or below; ✕ no: some corner lies above; ? inconclusive: too few flight hours. Below the answer stands the rate at the "
         f"worst corner with its {_SURE} limits, in excursions per flight hour."
     )
     if not signed:
@@ -134,7 +134,7 @@ def rate_sections(found: CampaignFound) -> list[Section]:
     )
     head = (
         "Condition", "Beyond", "Best corner [1/h]", "Worst corner [1/h]", f"At most {acceptable} per hour?", "Flight hours",
-        "Variance over mean", "Carried, and hours a quiet corner needs", "Time outside the data",
+        "Variance over mean", "Allowed for, and hours needed without excursions", "Time outside the data",
     )  # fmt: skip
     words = corner_words(found.frame)
     rows = tuple(_signed_row(item, words) for item in signed)
@@ -142,7 +142,7 @@ def rate_sections(found: CampaignFound) -> list[Section]:
         "Supportable claims",
         (
             Words(text, note=True),
-            Table("Excursions per flight hour that can be signed, by condition and radius.", head, rows),
+            Table("Supportable claims: excursions per flight hour, by condition and radius.", head, rows),
             Bullets(tuple(report_statements.assumptions(signed, found.campaign))),
         ),
     )

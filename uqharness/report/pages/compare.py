@@ -111,7 +111,7 @@ def ratio_figure(
     x = Scale("rms of log minus model over noise [-]", 0.0, 1.08 * max(largest, 1.3))
     label = f"Gap over noise [-] of the {what}. {label}."
     chart = rows_chart(name, label, x, tuple(ratios))
-    chart.upright(1.0, "zero")
+    chart.upright(1.0, "zero", "the noise itself")
     chart.upright(LIMIT, "limit", f"limit {LIMIT:g}")
     for k, row in enumerate(ratios):
         values = [ratios[row][key] for key, _, _ in series if key in ratios[row]]

@@ -33,7 +33,7 @@ def identify_page(folder: Path, prefix: str = "", segments: int | None = MOST_SE
     )  # fmt: skip
     sections += [*remarks(fit), _provenance(fit)]
     flights = ", ".join(fit["flights"])
-    asked = f"Which values of {len(parameters)} parameters of {fit['aircraft']} agree with {flights}, and how surely?"
+    asked = f"Which values of {len(parameters)} parameters of {fit['aircraft']} agree with {flights}, and how accurately?"
     return Page(f"Identification of {fit['aircraft']}", asked, _verdict(fit), tuple(sections))
 
 
@@ -42,9 +42,9 @@ def _verdict(fit: Mapping[str, Any]) -> tuple[Say, ...]:
     known = [n for n, row in parameters.items() if row["status"] == _IDENTIFIED]
     missing = [n for n in parameters if n not in known]
     said = [
-        Say(f"The estimation settled ({fit.get('method', 'method not recorded')}).", "good")
+        Say(f"Estimation converged ({fit.get('method', 'method not recorded')}).", "good")
         if fit.get("converged")
-        else Say("The estimation did not settle: nothing below is an answer.", "bad")
+        else Say("Estimation did not converge: the estimates below are not valid.", "bad")
     ]
     if missing:
         text = f"{len(known)} of {len(parameters)} parameters are identified; not identified: {', '.join(missing)}."
@@ -56,7 +56,7 @@ def _verdict(fit: Mapping[str, Any]) -> tuple[Say, ...]:
     if above:
         worst = ", ".join(f"{shown_channel(c)[0]} {r:.2f}" for c, r in sorted(above.items(), key=lambda item: -item[1]))
         text = f"The model with the estimates does not reach the sensors' noise: rms over noise is {worst}."
-        text += " Something that no parameter can be is missing: compare, bounds and refine go on from here."
+        text += " A model term is missing: these parameters cannot remove the residual. Next: compare, bounds or refine."
         said.append(Say(text, "warn"))
     elif any(r is not None for r in ratios.values()):
         said.append(Say(f"Every channel with known noise is within {LIMIT:g} times its noise.", "good"))

@@ -67,7 +67,7 @@ def uncertainty_figures(
     now: CoefficientBounds, then: CoefficientBounds, mission: Mapping[str, Array], flown: Mapping[str, Array], outside: Outside,
     coefficient: str,
 ) -> list[Figure]:  # fmt: skip
-    """Half-width that not knowing the polynomial gives along each state, and occupancy times variance over two states.
+    """Half-width from the uncertainty of the polynomial along each state, and occupancy times variance over two states.
 
     mission: states (n,) of the mission; flown: of the planned flight.
     """

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
-from uqharness.refinement.showing import Refinement, carried_by, left_over, nowhere, test_says
+from uqharness.refinement.showing import Refinement, carried_by, left_over, nowhere, place_says, test_says
 from uqharness.replay import HISTORIES, History, have, read_histories, shown_channel
 from uqharness.report.history import Z95, Model, end_to_end, history_section
 from uqharness.report.pages.compare import ratio_figure
@@ -44,7 +44,8 @@ def refine_page(folder: Path, prefix: str = "") -> Page:
     done = read_document(folder / REFINEMENT, Refinement)
     histories = read_histories(folder / HISTORIES)
     gap = done["gap"]["test"]
-    sections = [effect_section(done, prefix), _where_section(done), gap_section(gap, prefix)]
+    diff = _diff(folder)
+    sections = [gap_section(gap, prefix), effect_section(done, diff, prefix), *_place_sections(done), _where_section(done)]
     touched = list(dict.fromkeys(e["coefficient"] for e in done["effects"] if "coefficient" in e)) or list(COEFFICIENTS)
     figures = _coefficient_figures(histories, touched, gap, prefix)
     if figures:
@@ -62,7 +63,7 @@ def refine_page(folder: Path, prefix: str = "") -> Page:
         lambda rank, _: "history" if rank == 0 and done["effects"] else None,
     )  # fmt: skip
     sections += [interval_section(gap, prefix), mission_section(folder, gap, prefix)]
-    sections += [_left_section(done), _parameter_section(done), _model_section(folder, done), *remarks(done)]
+    sections += [_left_section(done), _parameter_section(done), _model_section(done, diff), *remarks(done)]
     train, test = (", ".join(done.get(k, ())) or "flights not recorded" for k in ("train", "test"))
     facts = (
         ("Command", done.get("command") or "not recorded"), ("Chosen on", train), ("Shown on", test),
@@ -116,6 +117,25 @@ def _largest_fall(gap: Mapping[str, Any]) -> str:
     )
 
 
+def _diff(folder: Path) -> str:
+    path = folder / "model.diff"
+    return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+
+
+def _place_sections(done: Mapping[str, Any]) -> list[Section]:
+    """Where the strongest of what is left sits; none where nothing is left, or where the folder is older than that."""
+    place = done["remaining"].get("place")
+    if not place or place["channel"] is None:
+        return []
+    lines = tuple(f"{capital(line)}." for line in place_says(place))
+    name, _, _ = shown_channel(place["channel"])
+    rows = tuple((capital(c["name"]), shown(abs(c["t"]), ".1f"), shown(c["leaves"], ".3f")) for c in place["candidates"])
+    now = shown(place["channel_on_train"], ".3f")
+    caption = f"Nearest candidates: what each leaves of {name} on the train flights, {now} without any."
+    table = Table(caption, ("Candidate", "|t| [-]", "Rms over noise left [-]"), rows)
+    return [Section("Where something is left", (Bullets(lines, key=True), table))]
+
+
 def _where_section(done: Mapping[str, Any]) -> Section:
     rows = []
     for d in done["disagreement"]:
@@ -147,7 +167,8 @@ def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
             before, after, noise = (None if r.get(k) is None else factor * r[k] for k in ("rms_before", "rms_after", "noise_rms"))
             if before is not None and after is not None and noise:
                 ratios[quantity] = {"before": before / noise, "after": after / noise}
-                answer = Cell(shown(after), "good" if after <= before else "bad")
+                same = shown(after) == shown(before)
+                answer = Cell(shown(after), "" if same else "good" if after < before else "bad")
             else:
                 answer = Cell(shown(after))
             rows.append((f"{quantity} [{unit}]", shown(before), answer, shown(noise)))
@@ -159,7 +180,7 @@ def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
         rows.append(("Theil's U, mean [-]", shown(theil.get("before"), ".4f"), Cell(shown(theil.get("after"), ".4f")), ""))
     text = (
         "Before: the model with its parameters identified again, without the effects. After: with them. Start states and biases "
-        "are each flight's own. ✓: not larger than before."
+        "are each flight's own. ✓: smaller than before, ✕: larger, by what three figures show."
     )
     table = Table("Gap on the test flights: rms of log minus model.", ("Quantity", "Before", "After", "Noise"), tuple(rows), True)
     drawn = Figures(tuple(figures), file="gap")
@@ -200,14 +221,13 @@ def _parameter_section(done: Mapping[str, Any]) -> Section:
     return Section("Parameters, identified with the effects", (Table("Parameters of the refined model.", head, rows),))
 
 
-def _model_section(folder: Path, done: Mapping[str, Any]) -> Section:
+def _model_section(done: Mapping[str, Any], diff: str) -> Section:
     blocks: list[Block] = [Facts((("Refined model", str(done.get("model", "not recorded"))),))]
     switch = [f"{s['property']} = {s['off']:g} restores the model without it" for s in done.get("switch", ())]
     if switch:
         blocks.append(Bullets(tuple(switch)))
-    diff = folder / "model.diff"
-    if diff.is_file():
-        lines = diff.read_text(encoding="utf-8", errors="replace").splitlines()
+    lines = diff.splitlines()
+    if lines:
         more = [f"... {len(lines) - _DIFF_LINES} more lines in model.diff"] if len(lines) > _DIFF_LINES else []
         blocks.append(Code("What changed in the XML", "\n".join([*lines[:_DIFF_LINES], *more])))
     return Section("What changed in the XML", tuple(blocks))

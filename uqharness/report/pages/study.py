@@ -1,4 +1,4 @@
-"""The page of a whole study: its verdict, its stages, the p-boxes before and after, then what each stage found."""
+"""The page of a whole study: answer, ground track, p-box, effect and cells; folded, all findings and what each stage found."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from uqharness.report.pages.coverage import coverage_page
 from uqharness.report.pages.identify import identify_page
 from uqharness.report.pages.model_form import bounds_page
 from uqharness.report.pages.refinement import refine_page
-from uqharness.report.parts import Bullets, Cell, Code, Level, Page, Say, Section, Table, Told, Words, provenance, shown
+from uqharness.report.pages.study_answer import answer_says, cells_section, effect_section, first_figures, folded, read_side
+from uqharness.report.parts import Block, Bullets, Cell, Code, Level, Page, Say, Section, Table, Told, Words, provenance, shown
 from uqharness.result_documents import Study, read_document
 
 STUDY = "study.json"
@@ -31,7 +32,7 @@ _KEPT: Mapping[str, tuple[str, ...]] = {
     "bounds": ("How wide the bounds are", "Slices of the bounds"),
     "validate-bounds": ("Coverage by coefficient",),
     "campaign": (
-        "Where the answer is yes, no or open", "P-boxes of the median errors",
+        "Where the answer is yes, no or inconclusive", "P-boxes of the median errors",
         "Which uncertainty makes the width", "Failed flights",
     ),
     "refine": (
@@ -47,29 +48,54 @@ def study_page(folder: Path) -> Page:
     """The page of the folder that ``uqharness study`` wrote, finished or not. Raises BadInputError."""
     study = read_document(folder / STUDY, Study)
     missing: list[str] = []
-    sections: list[Section] = []
     both = study.get("before_after") or {}
     # Each campaign is read once, however often it is shown.
     read = cache(read_found)
-    pair = [_campaign(folder, both.get(side), missing, read) for side in ("before", "after")]
-    if pair[0] is not None and pair[1] is not None:
-        sections += [overlay_section(pair[0], pair[1], both)]
-        sections += [
-            grid_section(side.signed, f"Answers {when}") for side, when in zip(pair, ("before", "after"), strict=True) if side
-        ]
+    names = both or _one_campaign(study)
+    sides = {when: side for when, name in names.items() if (side := read_side(folder / name, missing, read)) is not None}
+    sections, first = _answered(folder, study, sides, missing)
+    rest: list[Section] = []
+    if first and study.get("verdict"):
+        rest.append(Section("All findings", (Told(_sentences(study)),)))
+    if len(sides) > 1:
+        rest += [overlay_section(sides["before"], sides["after"], both)]
+        rest += [grid_section(side.signed, f"Answers {when}") for when, side in sides.items()]
     for number, stage in enumerate(study["stages"]):
-        section = _stage_page(folder, stage, number, missing, [both.get("before"), both.get("after")], read)
-        sections += [] if section is None else [section]
-    sections.append(_stage_section(study))
+        section = _stage_page(folder, stage, number, missing, list(names.values()) if len(sides) > 1 else [], read)
+        rest += [] if section is None else [section]
+    rest.append(_stage_section(study))
     if missing:
         sections.append(Section("What could not be read", (Bullets(tuple(dict.fromkeys(missing))),)))
-    sections.append(_provenance(study))
+    rest.append(_provenance(study))
     asked = study.get("question") or "The study's file asks no question in words."
+    sections += folded(rest)
+    if first:
+        return Page(asked, "", _verdict(study), tuple(sections), first)
     return Page(f"Study: {study['study']}", asked, _verdict(study), tuple(sections))
 
 
+def _one_campaign(study: Mapping[str, Any]) -> dict[str, str]:
+    """Folder of the first campaign of a study without refinement, under no name; empty without one."""
+    done = [s["folder"] for s in study["stages"] if s["kind"] == "campaign" and s["state"] == "done" and s.get("folder")]
+    return dict.fromkeys([""], done[0]) if done else {}
+
+
+def _answered(
+    folder: Path, study: Mapping[str, Any], sides: Mapping[str, CampaignFound], missing: list[str]
+) -> tuple[list[Section], tuple[Block, ...]]:
+    """The sections that stand open, and the figures beside the answer; no figure for a study without an answer."""
+    sections: list[Section] = []
+    refined = [s["folder"] for s in study["stages"] if s["kind"] == "refine" and s["state"] == "done" and s.get("folder")]
+    try:
+        sections += [effect_section(folder / name) for name in refined[:1]]
+    except BadInputError as error:
+        missing.append(f"refine: {error}")
+    sections += [cells_section(sides)] if sides else []
+    return sections, first_figures(folder, study, sides, missing) if study.get("answer") else ()
+
+
 def _verdict(study: Mapping[str, Any]) -> tuple[Say, ...]:
-    said = [Say(item["text"], _level(item.get("level"))) for item in study.get("verdict") or ()]
+    said = [*answer_says(study["answer"])] if study.get("answer") else [*_sentences(study)]
     stages = study["stages"]
     done = sum(stage["state"] == "done" for stage in stages)
     state = study.get("state", "running")
@@ -79,8 +105,12 @@ def _verdict(study: Mapping[str, Any]) -> tuple[Say, ...]:
     elif state != "done":
         said.insert(0, Say(f"The study is not finished: {done} of {len(stages)} stages are done.", "warn"))
     elif not said:
-        said.append(Say(f"All {len(stages)} stages are done; the study draws no conclusion in words.", "good"))
+        said.append(Say(f"All {len(stages)} stages are done; the study draws no conclusion in words."))
     return tuple(said)
+
+
+def _sentences(study: Mapping[str, Any]) -> tuple[Say, ...]:
+    return tuple(Say(item["text"], _level(item.get("level"))) for item in study.get("verdict") or ())
 
 
 def _level(value: Any) -> Level:
@@ -98,16 +128,6 @@ def _stage_section(study: Mapping[str, Any]) -> Section:
     commands = "\n".join(stage["command"] for stage in study["stages"] if stage.get("command"))
     words = Words("The commands of the stages, each of which repeats its stage from a shell:", note=True)
     return Section("Stages", (table, *((words, Code("Commands of the stages", commands)) if commands else ())))
-
-
-def _campaign(folder: Path, name: str | None, missing: list[str], read: Callable[[Path], CampaignFound]) -> CampaignFound | None:
-    if not name:
-        return None
-    try:
-        return read(folder / name)
-    except BadInputError as error:
-        missing.append(str(error))
-        return None
 
 
 def _stage_page(

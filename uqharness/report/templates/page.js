@@ -6,6 +6,11 @@ for (const figure of document.querySelectorAll("figure")) {
   if (store) readOut(figure, figure.querySelector("svg"), JSON.parse(store.textContent));
 }
 
+// What the contents name is opened, and paper shows everything.
+for (const link of document.querySelectorAll('nav a[href^="#"]'))
+  link.addEventListener("click", () => { const part = document.getElementById(link.hash.slice(1)); if (part?.tagName === "DETAILS") part.open = true; });
+addEventListener("beforeprint", () => { for (const part of document.querySelectorAll("details")) part.open = true; });
+
 function readOut(figure, svg, data) {
   const [left, top, width, height] = svg.dataset.plot.split(",").map(Number);
   const [low, high] = svg.dataset.x.split(",").map(Number);

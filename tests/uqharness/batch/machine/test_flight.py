@@ -117,7 +117,7 @@ def test_calls_that_do_not_fit_are_refused(kernels: dict[str, FlightKernel]) -> 
         kernel.fly(state, 1, 4, {**given, "wind": given["wind"]._replace(offsets=np.array([70]))})
     with pytest.raises(ValueError, match="leave the 62 rows"):
         kernel.fly(state, 1, 4, {**given, "wind": given["wind"]._replace(offsets=np.array([-1]))})
-    with pytest.raises(ValueError, match="noise, wind are wanted; received wind"):
+    with pytest.raises(ValueError, match="noise, wind are needed; received wind"):
         kernel.fly(state, 1, 4, {"wind": given["wind"]})
     with pytest.raises(ValueError, match="whole offset"):
         kernel.fly(state, 1, 4, {**given, "wind": given["wind"]._replace(offsets=np.zeros(2 * 24, dtype=np.int64))})

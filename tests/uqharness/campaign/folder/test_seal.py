@@ -30,7 +30,7 @@ def test_a_sealed_manifest_holds_the_digest_of_every_table():
 
 def test_another_journal_is_refused(tmp_path: Path):
     refuse_if_not_whole(tmp_path, store(), {"journal": SUMMARY})
-    with pytest.raises(DamageError, match="not those that the manifest speaks of"):
+    with pytest.raises(DamageError, match="not those that the manifest lists"):
         refuse_if_not_whole(tmp_path, store(), {"journal": SUMMARY | {"rows": 3}})
 
 

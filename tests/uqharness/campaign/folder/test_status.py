@@ -53,7 +53,7 @@ def test_one_that_nobody_holds_was_interrupted(folder: Path) -> None:
 def test_a_journal_that_lost_flights_is_damaged(folder: Path) -> None:
     manifest = {key: value for key, value in read_manifest(folder).items() if key != "digest"}
     write_manifest(folder, manifest | {"journal": manifest["journal"] | {"rows": 7}})
-    with pytest.raises(DamageError, match="6 flights are in it, the manifest speaks of 7"):
+    with pytest.raises(DamageError, match="6 flights are in it, the manifest lists 7"):
         read_status(folder)
 
 

@@ -18,8 +18,10 @@ from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.refinement import judge as refine_judge
 from uqharness.refinement.run import Refinement, Request, _put, refine
+from uqharness.refinement.showing.content import Place
 from uqharness.refinement.showing.intervals import FlightSet, IntervalJob, fit_intervals, intervals_document
 from uqharness.refinement.showing.mission import MissionPBox, Model, campaign_for, fly_missions
+from uqharness.refinement.showing.remains import Nearest
 from uqharness.refinement.showing.words import left_over, nowhere
 from uqharness.replay.flights import read_flights
 from uqharness.report.refinement import write_results
@@ -288,3 +290,25 @@ def test_engines_beside_the_aircraft_go_with_it(tmp_path):
     assert put.folder == tmp_path / "out" / "aircraft" / "espaaro"
     assert put.engine_path == tmp_path / "out" / "engine"
     assert [path.name for path in put.engine_path.iterdir()] == ["own.xml"]
+
+
+def test_the_hidden_effect_is_among_the_nearest_and_leaves_the_noise(judged_flights):
+    """The axial force that the train flights hold, withdrawn: its candidate brings the channel to the noise, others do not."""
+    nearest = Nearest(judged_flights[1].judged.found)
+    channel, hidden = "ax_mps2", "effect/CX/beta^2"
+    candidates, now = nearest.leaving(channel, set())
+    leaves = {key: left for key, _, left in candidates}
+    t = {key: t for key, t, _ in candidates}
+    assert abs(t[hidden]) > 10.0
+    assert now > 1.1
+    assert leaves[hidden] == pytest.approx(1.0, abs=0.08)
+    assert all(left > 1.1 for key, left in leaves.items() if key != hidden)
+    assert hidden not in [key for key, _, _ in nearest.leaving(channel, {hidden})[0]]
+
+
+def test_what_is_left_has_a_place_where_the_force_acts(judged_flights):
+    place = judged_flights[1].document["remaining"]["place"]
+    assert place["channel"] is not None
+    assert place["would_tell"]
+    assert len(place["candidates"]) == 3
+    assert Place.model_validate(place).channel == place["channel"]

@@ -1,0 +1,195 @@
+"""Faults of ten kinds sown into an aircraft's XML, each with the channels in which an engineer would look for it first; and
+rewritings that change nothing."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from lxml import etree
+
+Edit = Callable[[Any], None]
+CHANNEL = {"DRAG": ("CX", "CZ"), "LIFT": ("CZ", "CX"), "SIDE": ("CY",), "X": ("CX",), "Y": ("CY",), "Z": ("CZ",),
+           "ROLL": ("Cl",), "PITCH": ("Cm",), "YAW": ("Cn",)}  # fmt: skip
+"""Wind axes turn with incidence, so that what is put into drag or lift shows in both."""
+
+
+_ONE_LATE = "2"
+"""JSBSim's own count: its ring of n values gives back the one of n - 1 frames before, so that 1 delays nothing."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A kind, what was done in words, the channels that may come first, and the edit of the parsed file."""
+
+    kind: str
+    words: str
+    first: tuple[str, ...]
+    edit: Edit
+
+
+def faults(root: Any, terms: dict[str, str], surface: str) -> Iterator[Fault]:
+    """Every fault of an aircraft. terms: axis -> name of a function, or of a property, that carries a coefficient there.
+
+    surface: ``<output>`` or actuator of the elevator's position.
+    """
+    kinds: tuple[tuple[str, float], ...] = (("sign", -1.0), ("scale", 1.05), ("missing term", 0.0))
+    for number, (axis, term) in enumerate(terms.items()):
+        kind, factor = kinds[number % 3]
+        yield Fault(kind, f"{term} times {factor:g}", CHANNEL[axis], _times(term, factor))
+    roll, pitch = (next(t for a, t in terms.items() if a == name) for name in ("ROLL", "PITCH"))
+    if root.find(".//axis//function") is not None and root.find(f".//axis/function[@name='{pitch}']") is not None:
+        yield Fault("frame", f"{pitch} about the roll axis", ("Cl", "Cm"), _to_axis(pitch, "ROLL"))
+        yield Fault("frame", f"{roll} about the yaw axis", ("Cn", "Cl"), _to_axis(roll, "YAW"))
+    else:
+        yield Fault("frame", "pitching moment about the yaw axis", ("Cm", "Cn"), _swap_axes("PITCH", "YAW"))
+    yield Fault("inertia product", "Ixz 2 % of Ixx more", ("Ixz",), _inertia("ixz", 0.02))
+    yield Fault("inertia", "Iyy 3 % more", ("Iyy",), _inertia("iyy", 0.03))
+    yield Fault("mass", "1 % more", ("mass",), _mass)
+    yield Fault("centre of gravity", "1 % of the chord aft", ("CG x",), _cg)
+    yield Fault("reference length", "chord 2 % longer", ("Cm",), _chord)
+    yield Fault("one frame late", "elevator's position", ("elevator position",), _late(surface))
+
+
+def _named(root: Any, name: str) -> Any:
+    found = root.find(f".//function[@name='{name}']")
+    if found is not None:
+        return found
+    return next(e for e in root.iter("property") if (e.text or "").strip() == name)
+
+
+def _times(name: str, factor: float) -> Edit:
+    def edit(root: Any) -> None:
+        node = _named(root, name)
+        if node.tag == "property":
+            node.set("value", repr(float(node.get("value")) * factor))
+            return
+        product = node.find("product")
+        assert product is not None, name
+        etree.SubElement(product, "value").text = repr(factor)
+
+    return edit
+
+
+def _to_axis(name: str, axis: str) -> Edit:
+    def edit(root: Any) -> None:
+        root.find(f".//axis[@name='{axis}']").append(_named(root, name))
+
+    return edit
+
+
+def _swap_axes(one: str, two: str) -> Edit:
+    def edit(root: Any) -> None:
+        first, second = (root.find(f".//axis[@name='{name}']") for name in (one, two))
+        first.set("name", two)
+        second.set("name", one)
+
+    return edit
+
+
+def _inertia(tag: str, share: float) -> Edit:
+    def edit(root: Any) -> None:
+        balance = root.find("mass_balance")
+        node = balance.find(tag)
+        more = share * float(balance.find("ixx" if tag == "ixz" else tag).text)
+        if node is None:
+            node = etree.SubElement(balance, tag, dict(balance.find("ixx").attrib))
+            node.text = "0"
+            balance.remove(node)
+            balance.insert(0, node)
+        node.text = repr(float(node.text) + more)
+
+    return edit
+
+
+def _mass(root: Any) -> None:
+    node = root.find("mass_balance/emptywt")
+    node.text = repr(1.01 * float(node.text))
+
+
+def _cg(root: Any) -> None:
+    chord = root.find("metrics/chord")
+    place = root.find("mass_balance/location[@name='CG']")
+    inches = {"FT": 12.0, "M": 39.37007874, "IN": 1.0}
+    moved = 0.01 * float(chord.text) * inches[chord.get("unit", "FT")] / inches[place.get("unit", "IN")]
+    place.find("x").text = repr(float(place.find("x").text) + moved)
+
+
+def _chord(root: Any) -> None:
+    chord = root.find("metrics/chord")
+    chord.text = repr(1.02 * float(chord.text))
+
+
+def _late(surface: str) -> Edit:
+    """The component that puts the surface where it stands answers a frame later."""
+
+    def edit(root: Any) -> None:
+        actuator = root.find(f".//actuator[@name='{surface}']")
+        if actuator is not None:
+            etree.SubElement(actuator, "delay", {"type": "frames"}).text = _ONE_LATE
+            return
+        output = next(e for e in root.iter("output") if (e.text or "").strip() == surface)
+        component = output.getparent()
+        output.text = "late/elevator-before"
+        late = etree.Element("actuator", name="late/elevator")
+        rows = (("input", "late/elevator-before", {}), ("delay", _ONE_LATE, {"type": "frames"}), ("output", surface, {}))
+        for tag, text, more in rows:
+            etree.SubElement(late, tag, more).text = text
+        component.addnext(late)
+
+    return edit
+
+
+def benign(root: Any, seed: int) -> str:
+    """Rewrite an aircraft so that nothing it computes changes but the last digits; what was done."""
+    rng = random.Random(seed)
+    done = rng.sample(("comments", "spaces", "numbers", "order of products", "order of sums", "names of functions"), 3)
+    for what in done:
+        _REWRITE[what](root, rng)
+    return ", ".join(sorted(done))
+
+
+def _comments(root: Any, rng: random.Random) -> None:
+    for node in rng.sample(list(root.iter("value", "property", "function")), 12):
+        node.addprevious(etree.Comment(f" note {rng.randint(0, 999)} "))
+
+
+def _spaces(root: Any, rng: random.Random) -> None:
+    for node in root.iter("value", "input", "output", "gain"):
+        if node.text and rng.random() < 0.5:
+            node.text = f"\n   {node.text.strip()}  "
+
+
+def _numbers(root: Any, rng: random.Random) -> None:
+    for node in root.iter("value"):
+        if node.text and rng.random() < 0.5:
+            node.text = f"{float(node.text):.17e}"
+
+
+def _order(tag: str) -> Callable[[Any, random.Random], None]:
+    def edit(root: Any, rng: random.Random) -> None:
+        for node in root.iter(tag):
+            children = [c for c in node if isinstance(c.tag, str)]
+            if len(children) > 1 and rng.random() < 0.5:
+                rng.shuffle(children)
+                for child in children:
+                    node.append(child)
+
+    return edit
+
+
+def _names(root: Any, rng: random.Random) -> None:
+    """Functions of an axis that nothing else reads."""
+    text = etree.tostring(root, encoding="unicode")
+    for node in root.iter("function"):
+        name = node.get("name", "")
+        if node.getparent().tag == "axis" and name and text.count(f">{name}<") == 0 and rng.random() < 0.5:
+            node.set("name", f"{name}-renamed")
+
+
+_REWRITE: dict[str, Callable[[Any, random.Random], None]] = {
+    "comments": _comments, "spaces": _spaces, "numbers": _numbers, "order of products": _order("product"),
+    "order of sums": _order("sum"), "names of functions": _names,
+}  # fmt: skip

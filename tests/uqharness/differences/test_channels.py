@@ -1,0 +1,36 @@
+"""Channels of any aircraft: what it has, in the order of cause and effect."""
+
+from __future__ import annotations
+
+import pytest
+
+from uqharness.differences import GROUPS
+from uqharness.differences.channels import channels_of
+from uqharness.simulator import find_aircraft, open_aircraft
+
+
+@pytest.mark.parametrize("name", ["espaaro", "c172p"])
+def test_every_aircraft_has_forces_moments_motion_and_surfaces(name):
+    aircraft = find_aircraft(name)
+    found = {c.name: c for c in channels_of(aircraft, open_aircraft(aircraft))}
+    assert {"mass", "Ixz", "CG x", "CX", "CY", "CZ", "Cl", "Cm", "Cn", "p_dot", "r", "V", "alpha", "height"} <= set(found)
+    assert {"elevator position", "rudder position"} <= set(found)
+    assert found["CZ"].rank < found["Cm"].rank < found["q_dot"].rank < found["alpha"].rank < len(GROUPS)
+
+
+def test_units_are_si():
+    aircraft = find_aircraft("c172p")
+    fdm = open_aircraft(aircraft)
+    fdm.run_ic()
+    found = {c.name: c for c in channels_of(aircraft, fdm)}
+    kg = found["mass"].source.factor * fdm[found["mass"].source.property]
+    assert kg == pytest.approx(fdm["inertia/weight-lbs"] * 0.45359237, rel=1e-3)
+    arm = found["CG x"].source.factor * fdm[found["CG x"].source.property]
+    assert arm == pytest.approx(fdm["inertia/cg-x-in"] * 0.0254)
+
+
+def test_a_property_of_ones_own_is_a_channel_and_one_that_is_not_there_is_not():
+    aircraft = find_aircraft("c172p")
+    names = [c.name for c in channels_of(aircraft, open_aircraft(aircraft), ("aero/qbar-psf", "no/such"))]
+    assert "aero/qbar-psf" in names
+    assert "no/such" not in names

@@ -1,0 +1,80 @@
+"""The same flights of two models: nothing differs between one and itself; a changed term shows where it acts."""
+
+from __future__ import annotations
+
+import re
+import shutil
+
+import numpy as np
+import pytest
+
+from tests.helpers.places import ROOT
+from uqharness.differences import Asked, by_channel, differences, differing_terms, fly_matched
+from uqharness.errors import BadInputError
+from uqharness.simulator import find_aircraft
+
+ASKED = Asked((22.0,), missions=("doublets",))
+
+
+@pytest.fixture(scope="module")
+def given():
+    return find_aircraft("espaaro")
+
+
+def changed(folder, old: str, new: str):
+    out = shutil.copytree(ROOT / "aircraft" / "espaaro", folder / "espaaro")
+    path = out / "espaaro.xml"
+    text = path.read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    return find_aircraft(out)
+
+
+def test_a_model_is_itself(given):
+    channels, flights = fly_matched(given, given, ASKED)
+    assert [f.name for f in flights] == ["doublets at 22 m/s"]
+    assert {"CX", "Cm", "q_dot", "Ixz", "elevator position"} <= {c.name for c in channels}
+    assert differences(channels, flights, ()) == []
+    # The start one unit in the last place away is another flight, and hardly.
+    apart = max(float(np.max(np.abs(flights[0].nudged[c] - flights[0].a[c]))) for c in ("q", "alpha"))
+    assert 0.0 < apart < 1e-10
+
+
+def test_a_wrong_sign_shows_in_its_coefficient_first(given, tmp_path):
+    other = _negated(tmp_path)
+    channels, flights = fly_matched(given, other, ASKED)
+    terms = differing_terms(given.folder, other.folder)
+    found = by_channel(differences(channels, flights, terms))
+    assert found[0].channel == "Cn"
+    assert found[0].terms[0].path.endswith("property aero/Cn_p")
+    assert found[0].from_s > 1.0  # the roll doublet, not before
+
+
+def _negated(folder):
+    text = (ROOT / "aircraft" / "espaaro" / "espaaro.xml").read_text(encoding="utf-8")
+    (own,) = re.findall(r'<property value="(-?[\d.e-]+)">aero/Cn_p</property>', text)
+    return changed(folder, f'<property value="{own}">aero/Cn_p</property>', f'<property value="{-float(own)}">aero/Cn_p</property>')
+
+
+def test_what_b_cannot_fly_is_said(given, tmp_path):
+    other = changed(tmp_path, "<input>fcs/elevator-selected-deg</input>", "<input>fcs/elevator-nowhere-deg</input>")
+    _, flights = fly_matched(given, other, ASKED)
+    assert all(f.reason or differences_of(f) for f in flights)
+
+
+def differences_of(flight) -> bool:
+    return any(np.any(flight.a[c] != flight.b[c]) for c in flight.b)
+
+
+def test_scripts_are_flown_too(given):
+    script = ROOT / "scripts" / "doublet-elevator.xml"
+    _, (flight,) = fly_matched(given, given, Asked(scripts=(script,), properties=("aero/qbar-psf",)))
+    assert flight.name == "doublet-elevator"
+    assert "aero/qbar-psf" in flight.a
+
+
+def test_nothing_to_fly_and_no_trim_are_refused(given):
+    with pytest.raises(BadInputError, match="nothing to fly"):
+        fly_matched(given, given, Asked())
+    with pytest.raises(BadInputError, match="no steady flight"):
+        fly_matched(given, given, Asked((300.0,)))

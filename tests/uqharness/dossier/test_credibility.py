@@ -1,0 +1,58 @@
+"""Factors of credibility: evidence where the folder has some, "not assessed" never replaced by a level."""
+
+import json
+
+from tests.helpers import report_folders as folders
+from uqharness.dossier.credibility import factors, flown_by_simulation
+from uqharness.dossier.evidence import read_evidence
+from uqharness.dossier.match import Match, prove
+
+NAMES = [
+    "Data pedigree", "Verification", "Validation", "Input pedigree", "Uncertainty characterisation", "Results robustness",
+    "Use history", "People",
+]  # fmt: skip
+
+
+def evidence_of(folder, match=None):
+    found = read_evidence(folder)
+    return {f.name: f.evidence for f in factors(found, match or Match((), {}))}
+
+
+def test_all_eight_and_none_made_up(tmp_path):
+    found = evidence_of(folders.refined(tmp_path / "r"))
+    assert list(found) == NAMES
+    assert found["Use history"] == found["People"] == found["Input pedigree"] == ()
+    assert found["Validation"] == ("refine: on the hold-out flights rms over noise is at most 0.97 (q_radps)",)
+    assert "level" not in str(found).lower()
+
+
+def test_an_identification(tmp_path):
+    found = evidence_of(folders.identified(tmp_path / "i"))
+    assert "identified from a<b>.parquet, recorded with SHA-256" in found["Data pedigree"][0]
+    assert "estimated for 1 of 2 channels" in found["Data pedigree"][1]
+    assert found["Verification"] == ("identify: the estimation converged",)
+    assert found["Uncertainty characterisation"] == ("identify: standard errors of 2 of 3 parameters; 1 are not identified",)
+
+
+def test_a_campaign(tmp_path):
+    folder = folders.campaigns(tmp_path) / "before"
+    found = evidence_of(folder)
+    assert any("SHA-256 recorded of" in line for line in found["Input pedigree"])
+    assert any("epistemic samples by corners" in line for line in found["Results robustness"])
+    (folder / "engine-check.csv").write_text("no table\n")
+    read = read_evidence(folder)
+    factors(read, Match((), {}))
+    assert any("engine-check.csv" in line for line in read.missing)
+
+
+def test_flights_of_a_simulation_are_called_that(tmp_path):
+    fly = folders.stage("fly", "fly", None, command="uqharness fly plane_truth --script s.xml")
+    real = folders.stage("import", "import", None)
+    for stages, expected in (([fly, real], ["plane_truth"]), ([real], [])):
+        (tmp_path / "study.json").write_text(json.dumps(folders.study(stages)))
+        assert flown_by_simulation(read_evidence(tmp_path)) == expected
+
+
+def test_the_proof_of_match_counts(tmp_path):
+    found = evidence_of(folders.refined(tmp_path / "r"), prove([], "_after", {}))
+    assert not any("proof of match" in line for line in found["Validation"])

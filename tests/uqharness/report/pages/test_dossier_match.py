@@ -1,0 +1,66 @@
+"""The proof of match on the page: which model is judged, and its figures."""
+
+import numpy as np
+
+from tests.helpers import report_folders as folders
+from uqharness.dossier import read_evidence
+from uqharness.replay.histories import write_pieces
+from uqharness.report.pages.dossier_match import compared, match_section
+from uqharness.report.parts import Figures, Section, Table, render
+from uqharness.report.parts import Page as WholePage
+
+T = np.arange(0.0, 6.0, 0.02)
+
+
+def with_rudder(folder, gap_radps, suffixes=("_after",)):
+    """Histories of a rudder doublet whose yaw rate differs by a constant."""
+    rudder = 4.0 * ((T >= 1.0) & (T < 1.5)) - 4.0 * ((T >= 1.5) & (T < 2.0))
+    still = np.zeros(T.size)
+    columns = {"rudder": [rudder], "elevator": [still], "r_radps": [still + gap_radps]} | {f"r_radps{s}": [still] for s in suffixes}
+    write_pieces(folder / "histories.parquet", [("b", "yaw <doublet>", T)], columns)
+    return folder
+
+
+def section_of(folder) -> Section:
+    return match_section("Proof of match", compared(read_evidence(folder)))
+
+
+def texts(section):
+    return render(WholePage("t", "a", (), (section,)))
+
+
+def test_the_refined_model_on_hold_out_flights_is_preferred(tmp_path):
+    with_rudder(folders.identified(tmp_path / "fit"), 0.0, ("_model",))
+    assert "no hold-out flight is here" in compared(read_evidence(tmp_path)).model
+    with_rudder(folders.refined(tmp_path / "refined"), 0.0)
+    source = compared(read_evidence(tmp_path))
+    assert (source.step.kind, source.suffix) == ("refine", "_after")
+    assert "hold-out" in source.model
+
+
+def test_pass_and_fail(tmp_path):
+    good = section_of(with_rudder(folders.refined(tmp_path / "good"), 0.01))
+    bad = section_of(with_rudder(folders.refined(tmp_path / "bad"), 0.05))
+    for section, word in ((good, "pass"), (bad, "fail")):
+        table = next(b for b in section.blocks if isinstance(b, Table))
+        answers = {row[0].split()[0]: row[3].text for row in table.rows}
+        assert answers["2.d.6"] == word
+        assert answers["2.c.10"] == "not in the data"
+    assert "yaw &lt;doublet&gt;" in texts(bad)
+
+
+def test_figures_have_measured_band_and_model_and_every_sample_outside(tmp_path):
+    section = section_of(with_rudder(folders.refined(tmp_path / "bad"), 0.05))
+    figures = next(b for b in section.blocks if isinstance(b, Figures)).items
+    assert [f.name for f in figures] == ["match-2-d-6-r_radps", "match-2-d-6-r_radps-gap"]
+    for kind in ("dots dot", "band fill1", "line first"):
+        assert kind in figures[0].svg
+    assert figures[1].svg.count("h0") >= T.size
+    inside = section_of(with_rudder(folders.refined(tmp_path / "good"), 0.01))
+    assert "dotout" not in next(b for b in inside.blocks if isinstance(b, Figures)).items[1].svg
+
+
+def test_without_histories(tmp_path):
+    folder = folders.refined(tmp_path / "r")
+    (folder / "histories.parquet").unlink()
+    assert "Not in the data" in texts(section_of(folder))

@@ -1,0 +1,128 @@
+"""A study's page before anything is unfolded: answer, track, p-box, effect, cells; a tick only where a claim was tested."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+from lxml import html
+
+from tests.helpers import report_folders as folders
+from tests.helpers.page_checks import page_of
+from tests.helpers.report_folders import stage, study, written
+
+ANSWER = {"level": "warn", "answer": "Yes in calm air.", "why": "Why: 0.1/h.", "lacked": "", "next": "Next: nothing."}
+TRACKS = {"wind_mps": 3.0, "turbulence": "moderate", "aleatory_id": 0, "radius_m": 15.0}
+
+
+@pytest.fixture(scope="module")
+def campaigns(tmp_path_factory):
+    return folders.campaigns(tmp_path_factory.mktemp("campaigns"))
+
+
+def tracks(folder):
+    time_s = np.arange(0.0, 60.0, 0.2)
+    rows = []
+    for when in ("before", "after"):
+        for model, away in (("nominal", 2.0), ("worst corner", 9.0)):
+            distance = away * np.sin(0.3 * time_s)
+            north, east = ((120.0 + distance) * f(0.2 * time_s) for f in (np.cos, np.sin))
+            columns = {"when": when, "model": model, "epistemic_id": "1", "time_s": time_s}
+            rows.append(pd.DataFrame(columns | {"north_m": north, "east_m": east, "distance_m": distance}))
+    pd.concat(rows).to_parquet(folder / "tracks.parquet", index=False)
+
+
+def page(tmp_path, campaigns, effect_test=None, **changes):
+    """The page of a study with two campaigns and a refinement, as a tree."""
+    folder = tmp_path / "study"
+    for name in ("before", "after"):
+        shutil.copytree(campaigns / name, folder / name)
+    done = folders.refinement()
+    done["effects"][0]["test"] = effect_test
+    folders.refined(folder / "refined")
+    (folder / "refined" / "refinement.json").write_text(json.dumps(done))
+    tracks(folder)
+    stages = [stage(name, "campaign", name) for name in ("before", "after")] + [stage("refine", "refine", "refined")]
+    document = study(stages, before_after={"before": "before", "after": "after"}, answer=ANSWER, tracks=TRACKS) | changes
+    return html.document_fromstring(page_of(written(folder, "study.json", document)))
+
+
+def shrank():
+    return {"gap": "shrank", "change_of_twice_log_likelihood": 40.0, "std": 5.0}
+
+
+def test_the_question_the_answer_and_two_figures_stand_first(tmp_path, campaigns):
+    tree = page(tmp_path, campaigns, shrank())
+    assert tree.findtext(".//h1") == "Is it good enough?"
+    said = [e.text_content().strip() for e in tree.findall(".//section[@class='verdict']//li")]
+    assert said == ["! Yes in calm air.", "Why: 0.1/h.", "Next: nothing."]
+    main = [e for e in tree.find(".//main") if isinstance(e.tag, str)]
+    assert [e.get("id") for e in main[2].iter("figure")] == ["ground-track", "answer-pbox"]
+    assert [e.text for e in tree.findall(".//main/h2")] == ["The effect found", "Cells of wind and turbulence"]
+
+
+def test_all_else_is_folded_and_in_the_contents(tmp_path, campaigns):
+    tree = page(tmp_path, campaigns, shrank())
+    folded = [e.findtext("summary/h2") for e in tree.findall(".//main/details")]
+    assert folded[:2] == ["All findings", "Before and after"]
+    assert folded[-2:] == ["Stages", "Provenance"]
+    assert all(e.get("open") is None for e in tree.iter("details"))
+    named = {e.get("href")[1:] for e in tree.findall(".//nav//a")}
+    assert {e.get("id") for e in tree.findall(".//main/details")} <= named
+
+
+@pytest.mark.parametrize(("test", "ticks"), [(shrank(), 1), (None, 0), ({**shrank(), "gap": "unclear"}, 0)])
+def test_an_effect_has_a_tick_only_where_the_held_out_flight_tested_it(tmp_path, campaigns, test, ticks):
+    tree = page(tmp_path, campaigns, test)
+    (table,) = [t for t in tree.iter("table") if t.findtext("caption") == "Effects that refinement added to the model."]
+    assert len(table.findall(".//td[@class='good']")) == ticks
+    assert ("✓" in table.text_content()) == bool(ticks)
+
+
+def test_inconclusive_cells_have_no_tick(tmp_path, campaigns):
+    """Two flights of 150 s settle nothing."""
+    tree = page(tmp_path, campaigns)
+    (table,) = [t for t in tree.iter("table") if t.findtext("caption") == "Answer by wind, turbulence and radius."]
+    text = table.text_content()
+    assert "inconclusive" in text
+    assert "✓" not in text
+    assert [e.text_content() for e in table.findall("thead//th")][2:4] == ["Answer before", "Answer after"]
+
+
+def test_lines_of_the_first_figures_have_a_legend(tmp_path, campaigns):
+    tree = page(tmp_path, campaigns)
+    for figure in ("ground-track", "answer-pbox", "effect-residuals"):
+        (svg,) = tree.xpath(f"//figure[@id='{figure}']/svg")
+        keyed = {path.get("class") for key in svg.xpath(".//g[@class='key']") for path in key.iter("path")}
+        drawn = {path.get("class") for path in svg.xpath("./g[@clip-path]/path") if (path.get("class") or "").startswith("line")}
+        assert drawn - {"line link"} <= keyed, figure
+
+
+def test_a_study_without_tracks_has_the_p_box_alone(tmp_path, campaigns):
+    tree = page(tmp_path, campaigns, tracks={"reason": "no flight tells"})
+    assert not tree.xpath("//figure[@id='ground-track']")
+    assert tree.xpath("//figure[@id='answer-pbox']")
+
+
+@pytest.mark.parametrize("content", [b"no parquet", None])
+def test_damaged_tracks_are_told_and_leave_the_p_box(tmp_path, campaigns, content, monkeypatch):
+    def damaged(folder):
+        pd.DataFrame({"when": ["before"]}).to_parquet(folder / "tracks.parquet")
+        if content is not None:
+            (folder / "tracks.parquet").write_bytes(content)
+
+    monkeypatch.setattr(f"{__name__}.tracks", damaged)
+    tree = page(tmp_path, campaigns)
+    assert not tree.xpath("//figure[@id='ground-track']")
+    assert tree.xpath("//figure[@id='answer-pbox']")
+    (heading,) = [e for e in tree.iter("h2") if e.text == "What could not be read"]
+    assert "tracks.parquet" in heading.getnext().text_content()
+
+
+def test_a_study_of_an_older_version_is_told_by_its_sentences(tmp_path, campaigns):
+    tree = page(tmp_path, campaigns, answer=None)
+    assert tree.findtext(".//h1") == "Study: small"
+    assert "It holds." in tree.find(".//section[@class='verdict']").text_content()

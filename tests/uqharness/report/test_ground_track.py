@@ -1,0 +1,104 @@
+"""The ground track: a circle is recognised from signed distances, one lap is cut out, each line has its legend."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from lxml import etree
+
+from uqharness.report.ground_track import circle_of, equal_scales, ground_track
+from uqharness.report.svg import Chart
+
+TIME = np.arange(0.0, 200.0, 0.2)
+
+
+def lap(away, period_s=40.0, radius=120.0):
+    """A flight around (10, 130) that is ``away`` from the circle."""
+    angle = 2.0 * np.pi * TIME / period_s
+    r = radius + away
+    return {"time_s": TIME, "north_m": 10.0 + r * np.cos(angle), "east_m": 130.0 + r * np.sin(angle), "distance_m": away}
+
+
+AWAY = 3.0 * np.sin(0.7 * TIME) + 20.0 * np.exp(-(((TIME - 120.0) / 4.0) ** 2))
+
+
+def table(**tracks):
+    rows = [
+        pd.DataFrame(columns | {"when": key.split("_")[0], "model": key.split("_")[1].replace("-", " ")})
+        for key, columns in tracks.items()
+    ]
+    return pd.concat(rows, ignore_index=True)
+
+
+def pair():
+    return table(
+        **{
+            "before_nominal": lap(0.5 * AWAY),
+            "before_worst-corner": lap(AWAY),
+            "after_nominal": lap(0.4 * AWAY),
+            "after_worst-corner": lap(0.9 * AWAY),
+        }
+    )
+
+
+def test_the_circle_is_found_from_where_the_distances_are_zero():
+    flown = lap(AWAY)
+    found = circle_of(flown["north_m"], flown["east_m"], flown["distance_m"])
+    assert (found.north_m, found.east_m, found.radius_m) == pytest.approx((10.0, 130.0, 120.0), abs=1e-6)
+
+
+def test_distances_from_something_else_are_no_circle():
+    flown = lap(AWAY)
+    assert circle_of(flown["north_m"], flown["east_m"], np.abs(flown["distance_m"])) is None
+    assert circle_of(flown["north_m"], flown["east_m"], flown["north_m"] - 4.0) is None
+    # Without a change of distance nothing tells the radius.
+    assert circle_of(flown["north_m"][:5], flown["east_m"][:5], flown["distance_m"][:5]) is None
+
+
+def test_one_lap_around_the_farthest_place_with_a_legend_for_every_line():
+    figure = ground_track("track", pair(), 15.0, "12 m/s wind")
+    svg = etree.fromstring(str(figure.svg))
+    words = {e.text for e in svg.iter("text")}
+    assert {
+        "commanded path",
+        "15 m from it",
+        "nominal, before",
+        "worst corner, before",
+        "nominal, after",
+        "worst corner, after",
+    } <= words
+    # The course turns a little faster or slower than the circle where the distance changes.
+    assert figure.caption.split(" in ")[0] in [f"One lap ({s} s)" for s in (39, 40, 41)]
+    largest = 0.9 * np.abs(AWAY).max()
+    assert f"worst corner, after: {largest:.3g} m" in figure.caption
+    # The tracks, the path and two limits, each drawn once beside its key.
+    assert len([e for e in svg.iter("path") if e.get("class", "").startswith("line")]) == 4 + 3 + 6
+
+
+def test_without_refinement_there_is_no_before():
+    figure = ground_track("track", table(**{"before_nominal": lap(0.5 * AWAY), "before_worst-corner": lap(AWAY)}), 15.0, "calm")
+    assert {"nominal", "worst corner"} <= {e.text for e in etree.fromstring(str(figure.svg)).iter("text")}
+
+
+def test_a_path_that_is_no_circle_is_not_drawn():
+    flown = lap(AWAY)
+    figure = ground_track("track", table(**{"before_worst-corner": flown | {"distance_m": np.abs(AWAY)}}), 15.0, "calm")
+    assert "commanded path" not in str(figure.svg)
+
+
+def test_a_straight_flight_is_cut_to_two_minutes():
+    straight = {"time_s": TIME, "north_m": 20.0 * TIME, "east_m": 0.0 * TIME, "distance_m": np.where(TIME == 100.0, 5.0, 0.0)}
+    assert "(120 s)" in ground_track("track", table(**{"before_worst-corner": straight}), 15.0, "calm").caption
+
+
+def test_flights_without_a_distance_are_no_track():
+    flown = lap(AWAY) | {"distance_m": np.nan * TIME}
+    assert ground_track("track", table(**{"before_worst-corner": flown}), 15.0, "calm") is None
+
+
+def test_a_metre_is_as_long_to_the_east_as_to_the_north():
+    x, y = equal_scales(np.array([0.0, 100.0]), np.array([0.0, 10.0]), 330)
+    (u, v) = Chart("c", "", x, y, 330).at(np.array([0.0, 10.0]), np.array([0.0, 10.0]))
+    assert abs(u[1] - u[0]) == pytest.approx(abs(v[1] - v[0]), rel=0.03)  # the ticks' width moves the axis
+    assert x.low < 0.0 < 100.0 < x.high

@@ -1,0 +1,147 @@
+"""The four lines of a study's answer, on campaigns made up so that the answer is known: yes, no, inconclusive, and what is next."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from tests.helpers import campaign_fakes as fakes
+from uqharness.campaign.cases import Mission
+from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.run import run_campaign
+from uqharness.campaign.spec.read import read_campaign
+from uqharness.study.answer import answer_of
+from uqharness.study.performance import read_flown
+
+TWO_CORNERS = (
+    fakes.CAMPAIGN[: fakes.CAMPAIGN.index("bounds")].replace("duration_s = 150", "duration_s = 900")
+    + 'coefficients = ["CX"]\nbounds = { CX = 0.008 }\n\n[metrics]\nacceptable_per_h = 2\nexcursion_radius_m = 15\n'
+)
+EFFECT = {"name": "rolling moment due to elevator", "value": 0.0003, "std": 1e-6, "unit": "1/deg", "withdrawn": False}
+GAP = {"p_radps": {"rms_before": 0.004, "rms_after": 0.001, "noise_rms": 0.001}, "V_mps": {"rms_before": None, "noise_rms": 0.5}}
+FOUND = {"verdict": "effects-found", "effects": [EFFECT], "gap": {"test": {"channels": GAP}}}
+
+
+def quiet(spec):
+    result = fakes.steady(spec)
+    return replace(result, metrics=result.metrics | {"excursions_15m": 0.0})
+
+
+def bad_corner(spec):
+    """Many excursions at the upper corner, none at the lower."""
+    result = quiet(spec)
+    return replace(result, metrics=result.metrics | {"excursions_15m": 9.0 if fakes.level_sum(spec) > 2.9 else 0.0})
+
+
+def everywhere(spec):
+    result = quiet(spec)
+    return replace(result, metrics=result.metrics | {"excursions_15m": 9.0})
+
+
+def windy(spec):
+    return everywhere(spec) if spec.wind_mps > 5.0 else quiet(spec)
+
+
+def some(spec):
+    """About the acceptable rate."""
+    result = quiet(spec)
+    return replace(result, metrics=result.metrics | {"excursions_15m": float(spec.seed_turbulence % 2)})
+
+
+def ends_early(spec):
+    """Flies half of its time and loses control, without an excursion."""
+    result = quiet(spec)
+    return replace(result, status="diverged", reason="the state was no longer finite", metrics={}, flown_s=spec.duration_s / 2.0)
+
+
+@pytest.fixture(autouse=True)
+def _no_check_flight(monkeypatch):
+    monkeypatch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)
+
+
+def answered(tmp_path, before, after=None, flights=40, winds="3", no=()):
+    text = TWO_CORNERS.replace("flights = 3", f"flights = {flights}").replace("wind_mps = 3", f"wind_mps = {winds}")
+    for name, fly in (("campaign-before", before), ("campaign-after", after)):
+        if fly is not None:
+            spec = read_campaign(fakes.campaign_file(tmp_path, text))
+            mission = Mission(tmp_path / "plane", "a" * 64, tmp_path / "loiter.xml", "b" * 64)
+            run_campaign(spec, tmp_path / name, executor=SerialExecutor(), fly=fly, mission=mission)
+    return answer_of(read_flown(tmp_path, after is not None), None if after is None else FOUND, [], no)
+
+
+def test_quiet_flights_are_a_yes_with_the_limit_that_says_so(tmp_path):
+    found = answered(tmp_path, quiet)
+    assert found.level == "good"
+    assert found.answer == (
+        "Yes in 3 m/s wind with moderate turbulence: at most 2 excursions beyond 15 m per flight hour at every corner, "
+        "95 % confidence."
+    )
+    # (1 - m/(D + m))^40 = 0.025 with 40 flights of 0.25 h and D = 2: m = 0.193 a flight.
+    assert "3 m/s moderate: 95 % upper limit 0.773/h at the worst corner; 20 h a condition, no flights aborted." in found.why
+    assert (found.lacked, found.next) == ("", "Next: nothing for this question.")
+
+
+def test_a_worse_model_is_a_no(tmp_path):
+    found = answered(tmp_path, bad_corner)
+    assert (found.level, found.answer[:9]) == ("bad", "No in 3 m")
+    assert "36/h at the worst corner, 95 % limits " in found.why
+    # The lower corner has none, so a better model may change it.
+    assert "a better model may change it" in found.next
+
+
+def test_a_no_at_every_corner_is_told_apart_from_one_that_a_better_model_may_change(tmp_path):
+    assert "fails at the best corner too" in answered(tmp_path, everywhere).next
+
+
+def test_too_few_hours_are_inconclusive_and_say_how_many_would_do(tmp_path):
+    found = answered(tmp_path, quiet, flights=4)
+    assert (found.level, found.answer[:40]) == ("warn", "Inconclusive (too few flight hours) in 3")
+    assert found.next == (
+        "Next: fly 4.25 h per corner in 3 m/s moderate ([aleatory] flights); that much without an excursion is a yes."
+    )
+    # That many hours are a yes indeed, and a flight less is not.
+    assert answered(tmp_path / "enough", quiet, flights=17).level == "good"
+    assert answered(tmp_path / "less", quiet, flights=16).level == "warn"
+
+
+def test_a_rate_near_the_acceptable_one_asks_for_hours_without_promising_a_number(tmp_path):
+    found = answered(tmp_path, some)
+    assert found.level == "warn"
+    assert found.next.startswith("Next: more flight hours in 3 m/s moderate")
+
+
+def test_aborted_flights_are_no_yes(tmp_path):
+    found = answered(tmp_path, ends_early)
+    assert found.level == "bad"
+    assert "80 flights aborted" in found.why
+
+
+def test_conditions_are_grouped_by_answer_and_compared_with_those_before(tmp_path):
+    found = answered(tmp_path, everywhere, windy, winds="[1, 3, 7]")
+    assert found.answer.startswith("Yes in 1 and 3 m/s wind with moderate turbulence; no in 7 m/s wind with moderate turbulence: ")
+    assert found.level == "warn"
+    assert found.answer.endswith(" Before refinement: no in 1 and 3 m/s wind with moderate turbulence.")
+    same = answered(tmp_path / "same", windy, windy, winds="[1, 3, 7]")
+    assert same.answer.endswith(" Before refinement: the same answers.")
+
+
+def test_what_the_model_lacked_and_what_adding_it_bought(tmp_path):
+    found = answered(tmp_path, quiet, quiet)
+    assert found.lacked == (
+        "The model lacked rolling moment due to elevator 0.0003 ± 1e-06 1/deg. Adding them: residual of p on the held-out flight "
+        "4 sigma before, 1 after; p-box of the cross-track error 0 % wider in 3 m/s moderate."
+    )
+
+
+def test_a_refinement_without_effect_and_stages_that_answered_no(tmp_path):
+    nothing = FOUND | {"verdict": "no-missing-effect", "effects": []}
+    assert answer_of({}, nothing, []).lacked == "The model lacked nothing that these flights show."
+    withdrawn = FOUND | {"verdict": "unexplained", "effects": [EFFECT | {"withdrawn": True}]}
+    assert "no effect of the catalogue explains" in answer_of({}, withdrawn, []).lacked
+    assert "These stages answered no: validate-before" in answered(tmp_path, quiet, no=["validate-before"]).next
+
+
+def test_without_a_campaign_there_is_no_rate_and_the_worst_finding_is_why():
+    found = answer_of({}, None, [("Fits.", "good"), ("Does not hold.", "bad"), ("Beware.", "warn")])
+    assert (found.level, found.answer, found.why) == ("warn", "No excursion rate: no campaign was flown.", "Does not hold.")

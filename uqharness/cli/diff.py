@@ -1,0 +1,193 @@
+"""``uqharness diff``: two models flown side by side, and where they part."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from uqharness.cli.options import add_seed, command_as_given, describe, number
+from uqharness.differences import (
+    ROUNDING,
+    Asked,
+    Difference,
+    Matched,
+    Term,
+    aircraft_at,
+    by_channel,
+    differences,
+    differing_terms,
+    fly_matched,
+)
+from uqharness.errors import BadInputError
+from uqharness.files import check_out
+from uqharness.flight import TURBULENCE_W20_KT
+from uqharness.report import write_html
+from uqharness.report.pages import difference_page
+from uqharness.scratch import scratch_folder
+from uqharness.simulator import find_script
+from uqharness.text_tables import text_table
+
+_EXAMPLE = """
+  uqharness diff espaaro espaaro_truth --speed-mps 22
+  uqharness diff HEAD~1:aircraft/espaaro aircraft/espaaro --speed-mps 22 --script loiter --out diff.html
+  uqharness diff c172p my/c172p --speed-mps 45 --speed-mps 60 --json
+  uqharness diff c172p c172p --speed-mps 50 --python-b other-jsbsim/bin/python"""
+_SHOWN = 12
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``diff``."""
+    text = (
+        "Fly the same manoeuvres with two models (same start, controls and air) and tell the outputs that differ beyond rounding, "
+        "the cause first, with the XML that differs."
+    )
+    describe(parser, _run, text, _EXAMPLE, no="the models differ")
+    for name in ("a", "b"):
+        parser.add_argument(name, metavar=name.upper(), help="aircraft: name, folder, or REVISION:FOLDER of a git repository")
+    speed = number("--speed-mps", above=0.0, most=1000.0)
+    parser.add_argument(
+        "--speed-mps", type=speed, action="append", default=[], metavar="V",
+        help="true airspeed at which A is trimmed and its manoeuvres are flown, m/s; repeatable",
+    )  # fmt: skip
+    parser.add_argument(
+        "--altitude-m", type=number("--altitude-m", above=0.0, most=30_000.0), default=200.0, metavar="H",
+        help="height of the manoeuvres above sea level, m (default %(default)g)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--script",
+        action="append",
+        default=[],
+        metavar="S",
+        help="run script flown by both as well, 60 s at most; repeatable",
+    )
+    parser.add_argument(
+        "--turbulence", choices=tuple(TURBULENCE_W20_KT), default="none", help="the same in both flights (default %(default)s)"
+    )
+    add_seed(parser, "turbulence")
+    parser.add_argument(
+        "--property",
+        action="append",
+        default=[],
+        metavar="PROP",
+        dest="properties",
+        help="compare this too; repeatable",
+    )
+    parser.add_argument(
+        "--tolerance", type=number("--tolerance", least=0.0, most=1.0), default=ROUNDING, metavar="R",
+        help="share of a channel's range that counts as equal (default %(default)g: rounding)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--python-b", type=Path, metavar="PYTHON",
+        help="interpreter that flies B, of an environment with another JSBSim (default: this one)",
+    )  # fmt: skip
+    parser.add_argument("--out", type=Path, metavar="FILE.html", help="write a page with the histories that differ")
+
+
+def _run(args: argparse.Namespace) -> int:
+    if args.out is not None:
+        if args.out.suffix != ".html":
+            raise BadInputError(f"--out {args.out}: a page, FILE.html, is written")
+        check_out(args.out)
+    if not args.speed_mps and not args.script:
+        raise BadInputError("give --speed-mps V, at which A trims (uqharness modes tells), or --script S")
+    asked = Asked(
+        speeds_mps=tuple(args.speed_mps), altitude_m=args.altitude_m, scripts=tuple(find_script(s) for s in args.script),
+        turbulence=args.turbulence, seed=args.seed, properties=tuple(args.properties), python_b=args.python_b,
+    )  # fmt: skip
+    with scratch_folder("revisions") as scratch:
+        a, b = (aircraft_at(text, scratch.path / side) for side, text in (("a", args.a), ("b", args.b)))
+        terms = differing_terms(a.folder, b.folder)
+        channels, flights = fly_matched(a, b, asked)
+    found = differences(channels, flights, terms, args.tolerance)
+    refused = [f for f in flights if f.reason]
+    first = by_channel(found)
+    if args.out is not None:
+        page = difference_page((args.a, args.b), channels, flights, first, terms, command_as_given(args))
+        write_html(args.out, page)
+    differ = bool(first or refused or any(f.only_a or f.only_b for f in flights))
+    if args.json:
+        print(json.dumps(_document(args, flights, found, terms, differ)))
+    else:
+        print(_text(flights, first, terms, differ))
+    return 1 if differ else 0
+
+
+def _text(flights: Sequence[Matched], first: Sequence[Difference], terms: Sequence[Term], differ: bool) -> str:
+    flown = f"{len(flights)} flights, {sum(float(f.time_s[-1]) for f in flights if len(f.time_s)):.0f} s"
+    if not differ:
+        if not terms:
+            return f"The models do not differ ({flown}; the XML says the same)."
+        return "\n".join(
+            [
+                f"No output differs ({flown}), but {len(terms)} elements of the XML do: these flights do not show them.",
+                *(f"  {line}" for line in _terms(terms)),
+            ]
+        )
+    out = []
+    for f in flights:
+        if f.reason:
+            out.append(f"{f.name}: {f.reason}")
+        for side, names in (("A", f.only_a), ("B", f.only_b)):
+            if names:
+                out.append(f"{f.name}: only {side} has {', '.join(names)}")
+    if first:
+        d = first[0]
+        where = d.terms[0] if d.terms else None
+        cause = f"; likeliest cause {_where(where)}" if where else ""
+        out.append(f"The models differ in {len(first)} channels, first in {d.channel} at {d.from_s:g} s of {d.flight}{cause}.")
+        rows = [
+            {
+                "Channel": x.channel, "Flight": x.flight, "From [s]": f"{x.from_s:g}",
+                "Largest difference": f"{x.size:.3g} {x.unit}".removesuffix(" -"), "Of its range [%]": f"{100 * x.share:.2g}",
+            }
+            for x in first[:_SHOWN]
+        ]  # fmt: skip
+        out += ["", *text_table(rows)]
+        if len(first) > _SHOWN:
+            out.append(f"and {len(first) - _SHOWN} more (--json lists all)")
+    if terms:
+        out += ["", f"XML that differs ({len(terms)}):", *(f"  {line}" for line in _terms(first[0].terms if first else terms))]
+    return "\n".join(out)
+
+
+def _terms(terms: Sequence[Term]) -> list[str]:
+    lines = [f"{_where(t)}: {t.path}: {t.a or 'nothing'} -> {t.b or 'nothing'}" for t in terms[:_SHOWN]]
+    return [*lines, f"and {len(terms) - _SHOWN} more"] if len(terms) > _SHOWN else lines
+
+
+def _where(term: Term) -> str:
+    return f"B {term.b_where}" if term.b_where else f"A {term.a_where}"
+
+
+def _document(
+    args: argparse.Namespace, flights: Sequence[Matched], found: Sequence[Difference], terms: Sequence[Term], differ: bool
+) -> dict[str, Any]:
+    def finite(value: float) -> float | None:
+        return value if math.isfinite(value) else None
+
+    return {
+        "a": args.a, "b": args.b, "differ": differ, "tolerance": args.tolerance,
+        "flights": [
+            {
+                "name": f.name, "frames": len(f.time_s), "reason": f.reason or None, "only_a": list(f.only_a),
+                "only_b": list(f.only_b), "jsbsim_b": f.jsbsim_b or None,
+            }
+            for f in flights
+        ],
+        "differences": [
+            {
+                "channel": d.channel, "unit": d.unit, "group": d.group, "flight": d.flight, "from_s": d.from_s,
+                "largest": finite(d.size), "at_s": d.at_s, "share_of_range": finite(d.share), "times_benign": finite(d.times),
+                "a": finite(d.a), "b": finite(d.b), "likeliest": [_where(t) for t in d.terms[:3]],
+            }
+            for d in found
+        ],
+        "terms": [
+            {"path": t.path, "a": t.a or None, "b": t.b or None, "a_where": t.a_where or None, "b_where": t.b_where or None}
+            for t in terms
+        ],
+    }  # fmt: skip

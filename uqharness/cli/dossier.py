@@ -1,0 +1,75 @@
+"""``uqharness dossier``: the evidence of a folder of results as one document."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from uqharness.cli.options import describe
+from uqharness.dossier import Judged, read_evidence
+from uqharness.errors import BadInputError
+from uqharness.files import finite
+from uqharness.report import first_lines, write_html
+from uqharness.report.pages import Dossier, dossier_of
+
+DOSSIER = "dossier.html"
+_EXAMPLE = """
+  uqharness dossier results
+  uqharness dossier refined --out evidence.html --json
+
+DIR is the --out of study, refine, campaign run, identify or compare, or a folder that holds several of them. Writes
+DIR/dossier.html, one file that can be printed. It lays out evidence and claims no compliance with any regulation or standard."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``dossier``."""
+    text = (
+        "Write what was flown and what the model rests on: provenance, proof of match, credibility, statements, validity envelope, "
+        "sources (see docs/dossier.md). Nothing is flown or fitted."
+    )
+    describe(parser, _run, text, _EXAMPLE, no="the folder is incomplete or damaged; the dossier says what is missing")
+    parser.add_argument("folder", type=Path, metavar="DIR", help="folder that another command wrote")
+    parser.add_argument("--out", type=Path, metavar="FILE.html", help=f"file to write (default: DIR/{DOSSIER})")
+
+
+def _run(args: argparse.Namespace) -> int:
+    path = args.folder / DOSSIER if args.out is None else args.out
+    if path.suffix not in (".html", ".htm"):
+        raise BadInputError(f"--out {path}: a file whose name ends with .html is needed")
+    evidence = read_evidence(args.folder)
+    dossier = dossier_of(evidence)
+    write_html(path, dossier.page)
+    if args.json:
+        sources = [{"file": s.file, "sha256": s.sha256, "command": s.command, "version": s.version} for s in evidence.sources]
+        print(json.dumps({"dossier": str(path), "missing": list(dossier.missing), **_match(dossier), "sources": sources}))
+    else:
+        print("\n".join([*first_lines(dossier.page), "", f"the dossier is in {path}"]))
+    return 1 if dossier.missing else 0
+
+
+def _match(dossier: Dossier) -> dict[str, Any]:
+    """Tests and segments, as a program reads them."""
+    if dossier.source is None:
+        return {"tests": [], "not_in_the_data": {}}
+    match = dossier.source.match
+    return {"tests": [_judged(j) for j in match.judged], "not_in_the_data": dict(match.missing)}
+
+
+def _judged(judged: Judged) -> dict[str, Any]:
+    rows = [
+        {
+            "quantity": r.quantity, "difference": r.worst, "tolerance": r.band, "time_s": r.at_s, "answer": r.answer,
+            "share_inside": None if math.isnan(r.share) else r.share,
+        }
+        for r in judged.rows
+    ]  # fmt: skip
+    segment = judged.segment
+    found = {
+        "test": judged.test.entry, "title": judged.test.title, "flight": segment.flight, "manoeuvre": segment.manoeuvre,
+        "from_s": float(segment.time_s[0]), "answer": judged.answer, "why": judged.why, "rows": rows,
+    }  # fmt: skip
+    out: dict[str, Any] = finite(found)
+    return out

@@ -1,0 +1,127 @@
+"""The same flights of two models: same start, same controls in time, same air, one frame after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness.differences.channels import Channel, channels_of
+from uqharness.differences.elsewhere import fly_elsewhere
+from uqharness.differences.flown import flown
+from uqharness.errors import BadInputError
+from uqharness.files import write_bytes
+from uqharness.scratch import scratch_folder
+from uqharness.simulator import (
+    MISSIONS,
+    Aircraft,
+    StartSection,
+    copy_beside,
+    copy_folder,
+    engine,
+    find_aircraft,
+    open_aircraft,
+    read_script,
+    write_own_mission,
+)
+
+Array = NDArray[np.float64]
+MOST_S = 60.0
+"""Longest flight of a script [s]; a mission of one's own ends by itself."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is flown: manoeuvres from a trim of A at each speed [m/s] and height [m], and run scripts of one's own.
+
+    properties: of the simulation, compared besides the channels that every aircraft has.
+    python_b: interpreter that flies B with the JSBSim of its own environment; None: this one.
+    """
+
+    speeds_mps: tuple[float, ...] = ()
+    altitude_m: float = 200.0
+    missions: tuple[str, ...] = MISSIONS
+    scripts: tuple[Path, ...] = ()
+    turbulence: str = "none"
+    seed: int = 1
+    properties: tuple[str, ...] = ()
+    python_b: Path | None = None
+
+
+@dataclass(frozen=True)
+class Matched:
+    """One flight of both models.
+
+    name       of the manoeuvre or script; time_s (n,); a, b, nudged: channel -> (n,), nudged being A from a start one unit in the
+               last place away, which tells how far rounding alone goes
+    only_a, only_b  channels that one model has alone; reason: why there is no flight of B, "" where there is one
+    jsbsim_b   version of JSBSim that flew B, "" for this process's own
+    """
+
+    name: str
+    time_s: Array
+    a: Mapping[str, Array]
+    b: Mapping[str, Array]
+    nudged: Mapping[str, Array]
+    only_a: tuple[str, ...] = ()
+    only_b: tuple[str, ...] = ()
+    reason: str = ""
+    jsbsim_b: str = ""
+
+
+def fly_matched(a: Aircraft, b: Aircraft, asked: Asked) -> tuple[list[Channel], list[Matched]]:
+    """Channels of A, and every flight asked for in both models. Raises BadInputError for what A itself cannot fly."""
+    if not asked.speeds_mps and not asked.scripts:
+        raise BadInputError("nothing to fly: give a speed at which the aircraft trims, or a script")
+    channels = channels_of(a, open_aircraft(a), asked.properties)
+    out = []
+    with scratch_folder("diff") as scratch:
+        one, two = _copy(a, scratch.path / "a"), _copy(b, scratch.path / "b")
+        for speed in asked.speeds_mps:
+            start = StartSection(V_mps=speed, altitude_m=asked.altitude_m)
+            for kind in asked.missions:
+                before = {p.name for p in one.folder.iterdir()}
+                path, _ = write_own_mission(one, start, kind)
+                for made in one.folder.iterdir():
+                    if made.name not in before or made == path or made.name == "steady-start.xml":
+                        write_bytes(two.folder / made.name, made.read_bytes())
+                out.append(_both(one, two, path, two.folder / path.name, f"{kind} at {speed:g} m/s", channels, asked, 1e9))
+        for script in asked.scripts:
+            initial = read_script(script).initialize
+            for source in (one.folder / initial, one.folder / f"{initial}.xml"):
+                if source.is_file():
+                    write_bytes(two.folder / source.name, source.read_bytes())
+            out.append(_both(one, two, script, script, script.stem, channels, asked, MOST_S))
+    return channels, out
+
+
+def _copy(aircraft: Aircraft, root: Path) -> Aircraft:
+    copy_folder(aircraft.folder, root / "aircraft" / aircraft.folder.name)
+    copy_beside(aircraft, root, engine.default_root())
+    found = find_aircraft(root / "aircraft" / aircraft.folder.name)
+    return replace(found, engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
+
+
+def _both(
+    one: Aircraft, two: Aircraft, path: Path, other: Path, name: str, channels: Sequence[Channel], asked: Asked, most_s: float
+) -> Matched:
+    said: dict[str, Any] = {"most_s": most_s, "dt_s": one.dt_s, "turbulence": asked.turbulence, "seed": asked.seed}
+    first, near = (flown(one, path, channels, **said, one_ulp_off=nudged) for nudged in (False, True))
+    version = ""
+    try:
+        if asked.python_b is None:
+            second = flown(two, other, channels, **said)
+        else:
+            second, version = fly_elsewhere(asked.python_b, two, other, channels, said)
+    except BadInputError as error:
+        return Matched(name, first["time_s"], first, {}, near, reason=str(error))
+    rows = min(len(x["time_s"]) for x in (first, near, second))
+    a, b, nudged = ({k: v[:rows] for k, v in x.items() if k != "time_s"} for x in (first, second, near))
+    only_a, only_b = tuple(sorted(a.keys() - b.keys())), tuple(sorted(b.keys() - a.keys()))
+    lengths = len(first["time_s"]), len(second["time_s"])
+    reason = "" if lengths[0] == lengths[1] else f"A flew {lengths[0]} frames and B {lengths[1]}"
+    return Matched(name, first["time_s"][:rows], a, b, nudged, only_a, only_b, reason, version)

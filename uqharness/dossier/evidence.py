@@ -1,0 +1,252 @@
+"""What a folder of results holds: its parts in the order in which they were made, the files they rest on, what is missing."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sysid.digests import file_sha256
+from uqharness.campaign.folder import read_complete
+from uqharness.errors import BadInputError
+from uqharness.refinement.showing import Refinement
+from uqharness.replay import HISTORIES, History, read_histories
+from uqharness.result_documents import Bounds, Compare, Coverage, Fit, Part, Study, read_document
+
+STUDY = "study"
+_MARKS: tuple[tuple[str, str, type[Part] | None], ...] = (
+    ("study.json", STUDY, Study), ("fit.json", "identify", Fit), ("compare.json", "compare", Compare),
+    ("refinement.json", "refine", Refinement), ("model-form.json", "bounds", None), ("coverage.json", "validate-bounds", Coverage),
+    ("manifest.json", "campaign", None),
+)  # fmt: skip
+"""File that marks a folder's results, the command that writes it, and what it has to look like."""
+_LEFTOVERS = (
+    ("model.diff", "refine", "refinement.json"), ("journal.sqlite", "campaign", "manifest.json"),
+    ("cases.parquet", "campaign", "manifest.json"), ("parameters.csv", "identify", "fit.json"),
+    ("channels.csv", "compare", "compare.json"), ("model-form.xml", "bounds", "model-form.json"),
+    ("campaign-before.toml", STUDY, "study.json"),
+)  # fmt: skip
+"""File that a command leaves beside its mark, from which a folder that has lost its mark is known."""
+_COMPANIONS: Mapping[str, tuple[str, ...]] = {
+    "identify": (HISTORIES, "aircraft"), "refine": (HISTORIES, "model.diff", "aircraft"), "compare": (HISTORIES,),
+    "bounds": ("bounds.json",), "campaign": ("cases.parquet", "statements.csv", "pbox.parquet"),
+}  # fmt: skip
+_NOT_LISTED = frozenset({"report.html", "dossier.html", "run.lock"})
+_NOT_ENTERED = frozenset({"figures", "aircraft", "log", "before", "intervals", "shards", "flights", "Systems", "systems"})
+_ORDER = ("identify", "compare", "bounds", "validate-bounds", "campaign", "refine", STUDY)
+_DEEPEST = 3
+
+
+@dataclass(frozen=True)
+class Step:
+    """One command's results.
+
+    kind      identify, refine, ...; place: its folder within the folder of results, "." for that itself
+    document  what its mark says; None where that cannot be read
+    """
+
+    kind: str
+    place: str
+    folder: Path
+    document: Mapping[str, Any] | None
+
+    @property
+    def command(self) -> str:
+        """The command line that made it, "" where it is not recorded."""
+        return str((self.document or {}).get("command") or "")
+
+    @property
+    def version(self) -> str:
+        """Version of the program that made it, "" where it is not recorded."""
+        found = self.document or {}
+        return str(found.get("version") or found.get("versions", {}).get("uqharness") or "")
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file that the dossier rests on; command and version are of the step that wrote it, "" where not recorded."""
+
+    file: str
+    sha256: str
+    command: str
+    version: str
+
+
+@dataclass
+class Evidence:
+    """A folder's content. missing: sentences, of what should be there and is not, or is not as it was written."""
+
+    folder: Path
+    steps: list[Step] = field(default_factory=list)
+    sources: list[Source] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+
+    def of(self, kind: str) -> list[Step]:
+        """Steps of a kind that can be read, in order."""
+        return [s for s in self.steps if s.kind == kind and s.document is not None]
+
+    def histories(self, step: Step) -> list[History]:
+        """Segments of a step, none where they cannot be read; that is then said among what is missing."""
+        try:
+            return read_histories(step.folder / HISTORIES)
+        except BadInputError as error:
+            self.say_error(error)
+            return []
+
+    def say_error(self, error: BadInputError) -> None:
+        """Add an error's words, without the place of the folder: a copy elsewhere gives the same dossier."""
+        self.say(str(error).replace(f"{self.folder}/", "").replace(str(self.folder), "DIR"))
+
+    def say(self, text: str) -> None:
+        """Add to what is missing, once."""
+        if text not in self.missing:
+            self.missing.append(text)
+
+
+def read_evidence(folder: Path) -> Evidence:
+    """Everything of a folder of results that can be read.
+
+    A folder that is incomplete or damaged is no error: what is wrong stands in ``missing``. Raises BadInputError for a folder that
+    no command of this program wrote.
+    """
+    if not folder.is_dir():
+        raise BadInputError(f"{folder}: is no folder; dossier takes the --out of study, refine, campaign run or identify")
+    found = Evidence(folder)
+    for place in _folders(folder):
+        _read_place(found, place)
+    if not found.steps:
+        looked = ", ".join(name for name, _, _ in _MARKS)
+        raise BadInputError(f"{folder}: no results of this program; looked for {looked}, also in the folders below")
+    _read_study(found)
+    found.steps = sorted(found.steps, key=lambda s: _place_in_order(found, s))
+    for step in found.steps:
+        _read_companions(found, step)
+    _list_sources(found)
+    return found
+
+
+def _folders(folder: Path) -> Iterator[Path]:
+    yield folder
+
+    def below(at: Path, depth: int) -> Iterator[Path]:
+        for path in sorted(p for p in at.iterdir() if p.is_dir() and not p.is_symlink() and p.name not in _NOT_ENTERED):
+            yield path
+            if depth < _DEEPEST:
+                yield from below(path, depth + 1)
+
+    yield from below(folder, 1)
+
+
+def _read_place(found: Evidence, place: Path) -> None:
+    here = place.relative_to(found.folder).as_posix()
+    marks = [mark for mark in _MARKS if (place / mark[0]).is_file()]
+    for name, kind, shape in marks:
+        try:
+            document = _document(place, name, kind, shape)
+        except BadInputError as error:
+            found.say_error(error)
+            document = None
+        found.steps.append(Step(kind, here, place, document))
+    known = {kind for _, kind, _ in marks}
+    for leftover, kind, mark in _LEFTOVERS:
+        if kind not in known and (place / leftover).is_file():
+            known.add(kind)
+            found.say(f"{_at(here, mark)} is not there, beside {leftover}: what {kind} found cannot be told")
+            found.steps.append(Step(kind, here, place, None))
+
+
+def _document(place: Path, name: str, kind: str, shape: type[Part] | None) -> Mapping[str, Any]:
+    if kind == "campaign":
+        return read_complete(place)
+    if kind == "bounds":
+        form = read_document(place / name, Part)
+        beside = place / "bounds.json"
+        made_for = form.get("aircraft")
+        digest = made_for.get("sha256", "") if isinstance(made_for, dict) else ""
+        return form | (read_document(beside, Bounds) if beside.is_file() else {}) | {"aircraft_sha256": str(digest)}
+    assert shape is not None
+    return read_document(place / name, shape)
+
+
+def _read_study(found: Evidence) -> None:
+    """What a study says of its own stages: their folders, and the digests of what they wrote."""
+    for study in found.of(STUDY):
+        assert study.document is not None
+        for stage in study.document["stages"]:
+            name = stage["name"]
+            if stage["state"] != "done":
+                found.say(f"stage {name} is {stage['state']}" + (f": {stage['error']}" if stage.get("error") else ""))
+                continue
+            if stage.get("folder") and not (study.folder / stage["folder"]).is_dir():
+                found.say(f"stage {name}: its folder {_at(study.place, stage['folder'])} is not there")
+            for file, digest in (stage.get("outputs") or {}).items():
+                _check(found, study.folder / file, str(digest), f"stage {name}")
+
+
+def _check(found: Evidence, path: Path, digest: str, who: str) -> None:
+    """Say it where a file is gone or has another content than its recorded digest."""
+    name = path.relative_to(found.folder).as_posix() if path.is_relative_to(found.folder) else path.name
+    if not re.fullmatch(r"[0-9a-f]{64}", digest) or path.is_dir():
+        return
+    if not path.is_file():
+        found.say(f"{who}: {name} is not there")
+    elif file_sha256(path) != digest:
+        found.say(f"{who}: {name} is not the file that was written (its SHA-256 differs)")
+
+
+def _read_companions(found: Evidence, step: Step) -> None:
+    tables = (step.document or {}).get("tables") or {} if step.kind == "campaign" else {}
+    for name in _COMPANIONS.get(step.kind, ()):
+        if name not in tables and not (step.folder / name).exists():
+            found.say(f"{_at(step.place, name)} is not there, which {step.kind} writes")
+    for name, digest in tables.items():
+        _check(found, step.folder / name, str(digest), "campaign")
+
+
+def _place_in_order(found: Evidence, step: Step) -> tuple[float, int, str]:
+    """Stages as a study orders them; else what a chain of commands would do first, refinements after what they began from."""
+    for study in found.of(STUDY):
+        assert study.document is not None
+        order = [stage.get("folder") for stage in study.document["stages"]]
+        if step.place in order:
+            return float(order.index(step.place)), 0, step.place
+    if step.kind == STUDY:
+        return 1e9, 0, step.place
+    return 1e6 + _ORDER.index(step.kind), _generation(found, step, frozenset()), step.place
+
+
+def _generation(found: Evidence, step: Step, seen: frozenset[str]) -> int:
+    """How many other steps of the folder stand between a step's aircraft and an aircraft from elsewhere."""
+    words = step.command.split()
+    for other in found.steps:
+        name = Path(other.place).name
+        if other is not step and other.place not in seen and name and any(name in Path(w).parts for w in words[2:3]):
+            return 1 + _generation(found, other, seen | {step.place})
+    return 0
+
+
+def _list_sources(found: Evidence) -> None:
+    """Every file of a step's own folder, and of the aircraft it wrote."""
+    listed: set[Path] = set()
+    for step in found.steps:
+        for path in _files(step.folder):
+            if path not in listed:
+                listed.add(path)
+                name = path.relative_to(found.folder).as_posix()
+                found.sources.append(Source(name, file_sha256(path), step.command, step.version))
+
+
+def _files(folder: Path) -> Sequence[Path]:
+    own = [p for p in folder.iterdir() if p.is_file() and not p.is_symlink() and p.name not in _NOT_LISTED]
+    beside = [
+        p for name in ("aircraft", "before", "flights") for p in (folder / name).rglob("*")
+        if p.is_file() and not p.is_symlink() and p.suffix in (".xml", ".toml", ".bin", ".parquet")
+    ]  # fmt: skip
+    # A database that is opened for reading may be tidied up: its bytes are no evidence.
+    return sorted(p for p in (*own, *beside) if p.suffix not in (".sqlite", ".lock") and not p.name.endswith(("-wal", "-shm")))
+
+
+def _at(place: str, name: str) -> str:
+    return name if place == "." else f"{place}/{name}"

@@ -1,0 +1,249 @@
+"""Proof of match: which objective tests the segments of a flight contain, and whether the model stays within their tolerances."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness.dossier.bands import TESTS, Band, Oscillation, Test
+from uqharness.dossier.oscillation import Mode, fit_mode
+from uqharness.replay import History
+
+Array = NDArray[np.float64]
+CONTROLS = ("elevator", "aileron", "rudder", "throttle")
+PASS, FAIL, ABSENT, UNSURE = "pass", "fail", "not in the data", "inconclusive"
+_MOVED = 0.3
+"""Of a control's largest travel in a segment, from which it counts as moved; the test's own control must move and no other."""
+_AT_REST = 0.05  # of its travel within the segment
+_NOISE_ROOM = 4.0  # a record of some hundred samples reaches this many standard deviations by noise alone
+_LEAST_CYCLES = 1.5
+_OTHER = "no segment in which"
+_SEEN = 3.0  # amplitude over what an oscillation leaves unexplained
+_SHARE_SEEN = 0.01  # amplitude over the whole response: less is rounding or drift
+
+
+@dataclass(frozen=True)
+class Row:
+    """One tolerance in one segment.
+
+    quantity   channel of a record, or ``period``, ``time to half amplitude``, ``damping ratio`` (``_s`` and no unit)
+    worst      largest difference of measured minus model, in the channel's unit, at at_s; band: half width there
+    share      of the samples inside; measured, model: of an oscillation; answer: one of PASS, FAIL, UNSURE; why: of the last
+    """
+
+    quantity: str
+    worst: float
+    band: float
+    at_s: float
+    share: float
+    answer: str
+    why: str = ""
+    measured: float = math.nan
+    model: float = math.nan
+
+    @property
+    def ratio(self) -> float:
+        """Largest difference over its tolerance."""
+        return abs(self.worst) / self.band if self.band else math.inf
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A test in a segment: its rows, the answer they give together, and the reason where that is neither pass nor fail."""
+
+    test: Test
+    segment: History
+    rows: tuple[Row, ...]
+    answer: str
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Match:
+    """All tests of all segments. missing: entry of a test -> why no segment contains it."""
+
+    judged: tuple[Judged, ...]
+    missing: Mapping[str, str]
+
+    def of(self, entry: str) -> tuple[Judged, ...]:
+        """Segments that contain a test."""
+        return tuple(j for j in self.judged if j.test.entry == entry)
+
+
+def prove(segments: Sequence[History], suffix: str, noise: Mapping[str, float | None]) -> Match:
+    """Every test of the table in every segment.
+
+    Parameters
+    ----------
+    segments
+        Channels as measured, controls by their names, and the model's channels with ``suffix`` behind their names.
+    noise
+        Channel -> standard deviation of its sensor's noise, in the channel's unit; None or absent where it is not known.
+    """
+    travel = {c: max((_travel(s.columns[c]) for s in segments if c in s.columns), default=0.0) for c in CONTROLS}
+    judged: list[Judged] = []
+    missing: dict[str, str] = {}
+    for test in TESTS:
+        outcomes = [_judge(test, segment, suffix, noise, travel) for segment in segments]
+        found = [x for x in outcomes if isinstance(x, Judged)]
+        judged += found
+        if not found:
+            missing[test.entry] = _commonest([x for x in outcomes if isinstance(x, str)])
+    return Match(tuple(judged), missing)
+
+
+def limits(band: Band, measured: Array) -> Array:
+    """Half width (n,) of a tolerance about what was measured: the less restrictive of its absolute value and its share."""
+    size = np.abs(measured)
+    if band.of_peak:
+        size = np.full(measured.size, np.max(size, initial=0.0, where=np.isfinite(size)))
+    return np.maximum(band.absolute, band.share * size)
+
+
+def _commonest(reasons: Sequence[str]) -> str:
+    """The reason that most segments give; where nothing but other manoeuvres was flown, that."""
+    if not reasons:
+        return "there is no segment of a flight"
+    own = [r for r in reasons if not r.startswith(_OTHER)] or list(reasons)
+    return max(dict.fromkeys(own), key=own.count)
+
+
+def _judge(
+    test: Test, segment: History, suffix: str, noise: Mapping[str, float | None], travel: Mapping[str, float]
+) -> Judged | str:
+    """The test in a segment, or why the segment does not contain it."""
+    moved = [c for c in CONTROLS if travel[c] > 0.0 and _travel(segment.columns.get(c)) >= _MOVED * travel[c]]
+    if test.control and test.control not in moved:
+        return f"{_OTHER} the {test.control} is moved"
+    if test.control and moved != [test.control]:
+        return f"{' and '.join(c for c in moved if c != test.control)} moved with the {test.control}"
+    start, end = _input(segment, moved)
+    before, after = start - float(segment.time_s[0]), float(segment.time_s[-1]) - end
+    if before < test.before_s or after < test.after_s:
+        needs = " and ".join(f"{x:g} s {w}" for x, w in ((test.before_s, "before"), (test.after_s, "after")) if x)
+        what = f"the {test.control} input" if test.control else "the last input"
+        return f"{needs} {what} are needed; the records have {max(before, 0.0):.1f} s before and {max(after, 0.0):.1f} s after"
+    if test.oscillation is not None:
+        return _mode_of(test, test.oscillation, segment, suffix, end)
+    lacking = [b.channel for b in test.bands if b.channel not in segment.columns or f"{b.channel}{suffix}" not in segment.columns]
+    if lacking:
+        return f"the results have no {lacking[0]} of log and model"
+    if test.peak_radps is not None:
+        values = segment.columns[test.bands[0].channel]
+        peak = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
+        if not test.peak_radps[0] <= peak <= test.peak_radps[1]:
+            low, high = (math.degrees(x) for x in test.peak_radps)
+            return f"inputs with a peak of {low:g} to {high:g} deg/s are needed; the peak is {math.degrees(peak):.3g} deg/s"
+    judged = segment if test.control else _from(segment, end)
+    rows = [_row(band, judged, suffix, noise.get(band.channel)) for band in test.bands]
+    if all(row is None for row in rows):
+        return "the records have no samples of its channels"
+    return Judged(test, segment, tuple(r for r in rows if r is not None), *_together(test, rows))
+
+
+def _from(segment: History, start_s: float) -> History:
+    """What follows after a time."""
+    rest = segment.time_s >= start_s
+    return replace(segment, time_s=segment.time_s[rest], columns={c: v[rest] for c, v in segment.columns.items()})
+
+
+def _row(band: Band, segment: History, suffix: str, noise: float | None) -> Row | None:
+    measured, model = segment.columns[band.channel], segment.columns[f"{band.channel}{suffix}"]
+    known = np.isfinite(measured) & np.isfinite(model)
+    if not known.any():
+        return None
+    gap, half = (measured - model)[known], limits(band, measured)[known]
+    worst = int(np.argmax(np.abs(gap) / half))
+    inside = float(np.mean(np.abs(gap) <= half))
+    answer, why = (PASS, "") if inside == 1.0 else (FAIL, "")
+    if answer == FAIL and noise and band.absolute < _NOISE_ROOM * noise and float(half.min()) < _NOISE_ROOM * noise:
+        answer, why = UNSURE, "the sensor's noise is too large for this tolerance"
+    return Row(band.channel, float(gap[worst]), float(half[worst]), float(segment.time_s[known][worst]), inside, answer, why)
+
+
+def _together(test: Test, rows: Sequence[Row | None]) -> tuple[str, str]:
+    """Answer and reason of a test from its rows: alternatives need one pass, the others all."""
+    groups: dict[str, list[Row | None]] = {}
+    for k, (band, row) in enumerate(zip(test.bands, rows, strict=True)):
+        groups.setdefault(band.one_of or str(k), []).append(row)
+    answers = [_best(group) for group in groups.values()]
+    for wanted in (FAIL, UNSURE):
+        found = next((why for answer, why in answers if answer == wanted), None)
+        if found is not None:
+            return wanted, found
+    return PASS, ""
+
+
+def _best(group: Sequence[Row | None]) -> tuple[str, str]:
+    known = [r for r in group if r is not None]
+    if not known:
+        return UNSURE, "a channel has no samples"
+    best = min(known, key=lambda r: (PASS, UNSURE, FAIL).index(r.answer))
+    return best.answer, best.why
+
+
+def _mode_of(test: Test, asked: Oscillation, segment: History, suffix: str, from_s: float) -> Judged | str:
+    """The free oscillation after the last input, of log and model."""
+    name = asked.channel
+    if name not in segment.columns or f"{name}{suffix}" not in segment.columns:
+        return f"the results have no {name} of log and model"
+    free = segment.time_s > from_s
+    t = segment.time_s[free]
+    if t.size < 12:
+        return "the records end with the last input"
+    log, model = (fit_mode(t, segment.columns[c][free], asked.shortest_s, asked.longest_s) for c in (name, f"{name}{suffix}"))
+    response = _travel(segment.columns[name])
+    if not response or log is None or log.cycles < _LEAST_CYCLES or log.amplitude <= max(_SEEN * log.left, _SHARE_SEEN * response):
+        return f"no oscillation of {_LEAST_CYCLES:g} cycles or more is seen after the input; the records have {t[-1] - t[0]:.1f} s"
+    if model is None:
+        return Judged(test, segment, (), FAIL, "the model does not oscillate there")
+    rows = _mode_rows(asked, log, model, float(t[0]))
+    needed = asked.cycles
+    if log.cycles < needed and not (asked.channel == "V_mps" and log.half_s <= t[-1] - t[0]):
+        said = f"{log.cycles:.1f} of the {needed:g} cycles that the test needs"
+        return Judged(test, segment, rows, UNSURE, said)
+    damping = min(rows[1:], key=lambda r: (PASS, UNSURE, FAIL).index(r.answer))
+    answers = [rows[0].answer, damping.answer]
+    answer = next((a for a in (FAIL, UNSURE) if a in answers), PASS)
+    return Judged(test, segment, rows, answer, "the record is too short or too noisy to tell" if answer == UNSURE else "")
+
+
+def _mode_rows(asked: Oscillation, log: Mode, model: Mode, at_s: float) -> tuple[Row, ...]:
+    half_std = log.half_s * log.damping_std / abs(log.damping) if log.damping else math.inf
+    found = (
+        ("period_s", log.period_s, model.period_s, max(asked.period_s, asked.period_share * log.period_s), log.period_std_s),
+        ("time to half or double amplitude_s", log.half_s, model.half_s, asked.half_share * log.half_s, half_std),
+        ("damping ratio", log.damping, model.damping, asked.damping, log.damping_std),
+    )
+    rows = []
+    for quantity, measured, flown, band, std in found:
+        gap = measured - flown
+        answer = PASS if abs(gap) <= band else FAIL
+        # A measurement less sure than the tolerance can neither hold nor break it.
+        unsure = not (math.isfinite(gap) and 2.0 * std <= band)
+        rows.append(Row(quantity, gap, band, at_s, math.nan, UNSURE if unsure else answer, "", measured, flown))
+    return tuple(rows)
+
+
+def _travel(values: Array | None) -> float:
+    known = np.empty(0) if values is None else values[np.isfinite(values)]
+    return float(np.ptp(known)) if known.size else 0.0
+
+
+def _input(segment: History, moved: Sequence[str]) -> tuple[float, float]:
+    """When the moved controls first leave where they stand and last come to rest [s]; both the first time where none moves."""
+    t = segment.time_s
+    first, last = float(t[-1]), float(t[0])
+    for control in moved:
+        values = segment.columns[control]
+        away = np.abs(np.diff(values)) > 0.0
+        near_start = np.abs(values - values[0]) > _AT_REST * _travel(values)
+        near_end = np.abs(values - values[-1]) > _AT_REST * _travel(values)
+        if away.any() and near_start.any():
+            first = min(first, float(t[int(np.argmax(near_start))]))
+            last = max(last, float(t[min(len(t) - 1, len(t) - int(np.argmax(near_end[::-1])))]))
+    return (first, last) if moved and last > first else (float(t[0]), float(t[0]))

@@ -1,0 +1,115 @@
+"""The ground track of one lap beside the path it was to keep: the model and its worst corner, before and after, in the same air."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from uqharness.report.parts import Figure
+from uqharness.report.svg import Chart, Scale
+
+Array = NDArray[np.float64]
+_HEIGHT = 330
+_LONGEST_S = 120.0
+"""Time shown of a track that does not turn through a whole circle."""
+_NEAR_M = 0.05
+_KINDS: Mapping[tuple[str, str], str] = {
+    ("before", "nominal"): "second thin", ("before", "worst corner"): "second",
+    ("after", "nominal"): "first thin", ("after", "worst corner"): "first",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Circle:
+    """A path on which a distance of 0 lies: its middle and radius [m]."""
+
+    north_m: float
+    east_m: float
+    radius_m: float
+
+
+def circle_of(north_m: Array, east_m: Array, distance_m: Array) -> Circle | None:
+    """The circle from which signed distances are measured (positive outside), by least squares; None where they are not.
+
+    With r the distance from the middle c and d = r - R: n² + e² - d² = 2 c·(n, e) + 2 R d + R² - c², linear in c, R and the rest.
+    """
+    known = np.isfinite(north_m) & np.isfinite(east_m) & np.isfinite(distance_m)
+    n, e, d = north_m[known], east_m[known], distance_m[known]
+    if n.size < 8:
+        return None
+    rows = np.column_stack([2.0 * n, 2.0 * e, 2.0 * d, np.ones(n.size)])
+    (cn, ce, radius, _), _, rank, _ = np.linalg.lstsq(rows, n**2 + e**2 - d**2, rcond=1e-10)
+    if rank < 4 or not radius > 0.0 or np.abs(np.hypot(n - cn, e - ce) - radius - d).max() > _NEAR_M:
+        return None
+    return Circle(float(cn), float(ce), float(radius))
+
+
+def equal_scales(east: Array, north: Array, height: int) -> tuple[Scale, Scale]:
+    """Axes east and north [m] of a chart that high around the points: one metre is as long to the east as to the north."""
+    middle = [0.5 * float(np.nanmin(v) + np.nanmax(v)) for v in (east, north)]
+    blank = Chart("blank", "", Scale("", 0.0, 1.0), Scale("", middle[1] - 1e3, middle[1] + 1e3), height)
+    _, _, across, down = blank.plot
+    metres = 1.1 * max(float(np.ptp(east)) / across, float(np.ptp(north)) / down, 1e-3)
+    ends = [(m - 0.5 * metres * size, m + 0.5 * metres * size) for m, size in zip(middle, (across, down), strict=True)]
+    return Scale("east [m]", *ends[0]), Scale("north [m]", *ends[1])
+
+
+def ground_track(name: str, flown: pd.DataFrame, radius_m: float, condition: str) -> Figure | None:
+    """One lap around the instant at which the last worst corner is farthest from its path; None without such a flight.
+
+    flown: tracks.parquet of a study; radius_m: the radius asked about. The path is drawn where it is a circle.
+    """
+    tracks = {(str(when), str(model)): rows for (when, model), rows in flown.groupby(["when", "model"], sort=False)}
+    judged = next((key for key in reversed(list(tracks)) if key[1] != "nominal" and tracks[key]["distance_m"].notna().any()), None)
+    if judged is None:
+        return None
+    begin, end, largest = _lap(tracks[judged])
+    shown = {key: rows[(rows["time_s"] >= begin) & (rows["time_s"] <= end)] for key, rows in tracks.items()}
+    circle = circle_of(*(tracks[judged][column].to_numpy(dtype=float) for column in ("north_m", "east_m", "distance_m")))
+    rings = list(_rings(circle, radius_m)) if circle else []
+    east = np.concatenate([*(rows["east_m"] for rows in shown.values()), *(ring[0] for ring in rings)])
+    north = np.concatenate([*(rows["north_m"] for rows in shown.values()), *(ring[1] for ring in rings)])
+    x, y = equal_scales(east, north, _HEIGHT)
+    label = f"Ground track of one lap, north [m] over east [m], {condition}; the worst corner is {largest:.3g} m from its path."
+    chart = Chart(name, label, x, y, _HEIGHT)
+    for (ring_east, ring_north, kind), words in zip(rings, ("commanded path", f"{radius_m:g} m from it", ""), strict=False):
+        chart.path(ring_east, ring_north, kind, words)
+    single = len({when for when, _ in shown}) == 1
+    for (when, model), rows in shown.items():
+        words = model if single else f"{model}, {when}"
+        chart.path(rows["east_m"].to_numpy(dtype=float), rows["north_m"].to_numpy(dtype=float), _KINDS[when, model], words)
+    farthest = [
+        f"{model}{'' if single else ', ' + when}: {np.nanmax(np.abs(rows['distance_m'])):.3g} m"
+        for (when, model), rows in shown.items()
+        if rows["distance_m"].notna().any()
+    ]
+    caption = (
+        f"One lap ({end - begin:.0f} s) in {condition}, every line in the same air, around the instant at which the worst corner"
+        f"{'' if single else ' ' + judged[0]} is farthest from its path. Largest distance from the path: {'; '.join(farthest)}."
+    )
+    return Figure(name, chart.svg(), caption)
+
+
+def _lap(rows: pd.DataFrame) -> tuple[float, float, float]:
+    """Begin and end [s] of one turn of the course around the instant of the largest distance, and that distance [m]."""
+    time_s, distance = (rows[column].to_numpy(dtype=float) for column in ("time_s", "distance_m"))
+    course = np.unwrap(np.arctan2(np.gradient(rows["east_m"].to_numpy()), np.gradient(rows["north_m"].to_numpy())))
+    at = int(np.nanargmax(np.abs(distance)))
+    near = np.abs(course - course[at]) <= math.pi
+    first = at - int(np.argmin(near[: at + 1][::-1])) + 1 if not near[: at + 1].all() else 0
+    last = at + int(np.argmin(near[at:])) - 1 if not near[at:].all() else len(near) - 1
+    begin, end = max(time_s[first], time_s[at] - 0.5 * _LONGEST_S), min(time_s[last], time_s[at] + 0.5 * _LONGEST_S)
+    return float(begin), float(end), float(abs(distance[at]))
+
+
+def _rings(circle: Circle, radius_m: float) -> Iterator[tuple[Array, Array, str]]:
+    """East and north of the path and of what lies ``radius_m`` outside and inside it."""
+    angle = np.linspace(0.0, 2.0 * math.pi, 181)
+    for size, kind in ((circle.radius_m, "third"), (circle.radius_m + radius_m, "limit"), (circle.radius_m - radius_m, "limit")):
+        if size > 0.0:
+            yield circle.east_m + size * np.sin(angle), circle.north_m + size * np.cos(angle), kind
