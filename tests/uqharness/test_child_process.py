@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.places import ROOT
+from uqharness import child_process
 from uqharness.child_process import CHILD_ENVIRONMENT, child_settings, ending, run_module
+from uqharness.errors import BadInputError
 
 HOSTILE = (
     "jsbsim.py",
@@ -139,3 +141,15 @@ def test_what_looks_like_an_answer_and_is_none_counts_as_none(tmp_path, monkeypa
     assert run_module(module(tmp_path, monkeypatch, code), timeout_s=60).answer == {}
     code = "print('uqharness-answer [1]')"
     assert run_module(module(tmp_path, monkeypatch, code), timeout_s=60).answer == {}
+
+
+def test_another_environment_gets_none_of_our_libraries(tmp_path, monkeypatch):
+    shown = tmp_path / "python"
+    shown.write_text('#!/bin/sh\necho "path=$PYTHONPATH venv=$VIRTUAL_ENV"\n')
+    shown.chmod(0o755)
+    monkeypatch.setenv("PYTHONPATH", "/somewhere/of/ours")
+    monkeypatch.setenv("VIRTUAL_ENV", "/ours")
+    ended = run_module("module", timeout_s=10, python=shown)
+    assert ended.said == f"path={Path(child_process.__file__).parents[1]} venv="
+    with pytest.raises(BadInputError, match="cannot be started"):
+        run_module("module", timeout_s=10, python=tmp_path / "none")

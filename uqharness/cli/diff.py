@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from uqharness.cli.options import add_seed, command_as_given, describe, number
+from uqharness.cli.options import add_seed, command_as_given, describe, number, whole
 from uqharness.differences import (
     ROUNDING,
     Asked,
@@ -81,6 +81,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="share of a channel's range that counts as equal (default %(default)g: rounding)",
     )  # fmt: skip
     parser.add_argument(
+        "--repeats", type=whole("--repeats", 0, 1000), default=0, metavar="N",
+        help="fly A N more times in other air; what varies as much counts as equal (default %(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--bounds", action="store_true", help="what varies as much between the bounds of A's model form counts as equal"
+    )
+    parser.add_argument(
         "--python-b", type=Path, metavar="PYTHON",
         help="interpreter that flies B, of an environment with another JSBSim (default: this one)",
     )  # fmt: skip
@@ -97,6 +104,7 @@ def _run(args: argparse.Namespace) -> int:
     asked = Asked(
         speeds_mps=tuple(args.speed_mps), altitude_m=args.altitude_m, scripts=tuple(find_script(s) for s in args.script),
         turbulence=args.turbulence, seed=args.seed, properties=tuple(args.properties), python_b=args.python_b,
+        repeats=args.repeats, bounds=args.bounds,
     )  # fmt: skip
     with scratch_folder("revisions") as scratch:
         a, b = (aircraft_at(text, scratch.path / side) for side, text in (("a", args.a), ("b", args.b)))
@@ -118,12 +126,13 @@ def _run(args: argparse.Namespace) -> int:
 
 def _text(flights: Sequence[Matched], first: Sequence[Difference], terms: Sequence[Term], differ: bool) -> str:
     flown = f"{len(flights)} flights, {sum(float(f.time_s[-1]) for f in flights if len(f.time_s)):.0f} s"
+    beyond = " beyond what A varies by itself" if any(f.varied for f in flights) else ""
     if not differ:
         if not terms:
-            return f"The models do not differ ({flown}; the XML says the same)."
+            return f"The models do not differ{beyond} ({flown}; the XML says the same)."
         return "\n".join(
             [
-                f"No output differs ({flown}), but {len(terms)} elements of the XML do: these flights do not show them.",
+                f"No output differs{beyond} ({flown}), but {len(terms)} elements of the XML do: these flights do not show them.",
                 *(f"  {line}" for line in _terms(terms)),
             ]
         )

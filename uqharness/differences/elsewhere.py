@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from uqharness.child_process import ending, give_answer, run_module
 from uqharness.differences.channels import Channel
-from uqharness.differences.flown import flown
+from uqharness.differences.flown import How, flown
 from uqharness.errors import BadInputError
 from uqharness.files import write_json
 from uqharness.scratch import scratch_folder
@@ -26,8 +26,12 @@ Array = NDArray[np.float64]
 LONGEST_S = 600.0
 
 
+class RefusedError(BadInputError):
+    """The other JSBSim runs, and does not fly the aircraft."""
+
+
 def fly_elsewhere(
-    python: Path, aircraft: Aircraft, script: Path, channels: Sequence[Channel], flight: dict[str, object]
+    python: Path, aircraft: Aircraft, script: Path, channels: Sequence[Channel], how: How
 ) -> tuple[dict[str, Array], str]:
     """Channels of a flight by name, ``time_s`` among them, flown by another interpreter, and the version of its JSBSim.
 
@@ -35,28 +39,28 @@ def fly_elsewhere(
     ----------
     python
         Interpreter of an environment that has JSBSim and what this package needs.
-    flight
-        What `uqharness.differences.flown.flown` takes besides: ``most_s``, ``dt_s``, ``turbulence``, ``seed``.
 
     Raises
     ------
+    RefusedError
+        Where its JSBSim does not fly the aircraft.
     BadInputError
-        Where the interpreter cannot be started, lacks a library, or its JSBSim does not fly the aircraft.
+        Where the interpreter cannot be started, or its environment lacks a library.
     """
     with scratch_folder("elsewhere") as scratch:
         job, out = scratch.path / "job.json", scratch.path / "out.npz"
         places = {"aircraft": aircraft.folder, "engine": aircraft.engine_path, "systems": aircraft.systems_path, "script": script}
         # A stock aircraft's engines are those of its own JSBSim: both sides fly the same files.
-        document = {k: str(v) for k, v in places.items()} | {"channels": [asdict(c) for c in channels], "flight": flight}
+        document = {k: str(v) for k, v in places.items()} | {"channels": [asdict(c) for c in channels], "how": asdict(how)}
         write_json(job, document)
         ended = run_module(__name__, job, out, timeout_s=LONGEST_S, python=python)
         if ended.answer.get("error"):
-            raise BadInputError(f"{python}: {ended.answer['error']}")
+            raise RefusedError(f"{python}: {ended.answer['error']}")
         if not out.is_file():
             said = ended.errors or ended.said or "nothing was said"
-            how = "took too long" if ended.code is None else f"ended with {ending(ended.code)}"
+            end = "took too long" if ended.code is None else f"ended with {ending(ended.code)}"
             raise BadInputError(
-                f"{python}: the flight {how}: {said}; an environment is needed that has JSBSim 1.3 and what uqharness needs "
+                f"{python}: the flight {end}: {said}; an environment is needed that has JSBSim 1.3 and what uqharness needs "
                 "(pip install uqharness, then pip install jsbsim==VERSION)"
             )
         with np.load(out) as found:
@@ -71,7 +75,7 @@ def _child(job: Path, out: Path) -> None:
         aircraft = replace(
             find_aircraft(asked["aircraft"]), engine_path=Path(asked["engine"]), systems_path=Path(asked["systems"])
         )  # fmt: skip
-        signals = flown(aircraft, Path(asked["script"]), channels, **asked["flight"])
+        signals = flown(aircraft, Path(asked["script"]), channels, How(**asked["how"]))
     except BadInputError as error:
         give_answer({"error": str(error)})
         return

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,20 +16,32 @@ from uqharness.simulator import Aircraft, StagedMission, read_script
 Array = NDArray[np.float64]
 
 
-def flown(
-    aircraft: Aircraft, path: Path, channels: Sequence[Channel], most_s: float, dt_s: float, turbulence: str, seed: int,
-    one_ulp_off: bool = False,
-) -> dict[str, Array]:  # fmt: skip
-    """time_s and channels of a flight of at most ``most_s`` in steps of ``dt_s`` [s], a row a frame."""
+@dataclass(frozen=True)
+class How:
+    """A flight of at most ``most_s`` in steps of ``dt_s`` [s], its air and its seed.
+
+    one_ulp_off: from a start that is one unit in the last place away; properties: set before the flight.
+    """
+
+    most_s: float
+    dt_s: float
+    turbulence: str = "none"
+    seed: int = 1
+    one_ulp_off: bool = False
+    properties: Mapping[str, float] = field(default_factory=dict)
+
+
+def flown(aircraft: Aircraft, path: Path, channels: Sequence[Channel], how: How) -> dict[str, Array]:
+    """time_s and channels of a flight, a row a frame."""
     script = read_script(path)
-    if dt_s != aircraft.dt_s:
-        section = aircraft.card.aircraft.model_copy(update={"dt_s": dt_s})
+    if how.dt_s != aircraft.dt_s:
+        section = aircraft.card.aircraft.model_copy(update={"dt_s": how.dt_s})
         aircraft = replace(aircraft, card=aircraft.card.model_copy(update={"aircraft": section}))
     spec = FlightSpec(
-        aircraft=aircraft.folder, script=path, duration_s=min(script.end_s, most_s), turbulence=turbulence,
-        record_rate_hz=1.0 / aircraft.dt_s,
+        aircraft=aircraft.folder, script=path, duration_s=min(script.end_s, how.most_s), turbulence=how.turbulence,
+        record_rate_hz=1.0 / aircraft.dt_s, properties=dict(how.properties),
     )  # fmt: skip
     with StagedMission(aircraft, path) as mission:
         optional = {c.name: c.source for c in channels}
-        recorded = record_mission(mission, as_asked(spec, seed), {}, optional, keep_burn_in=True, one_ulp_off=one_ulp_off)
+        recorded = record_mission(mission, as_asked(spec, how.seed), {}, optional, keep_burn_in=True, one_ulp_off=how.one_ulp_off)
     return recorded.signals

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uqharness.differences.channels import Channel, channels_of
-from uqharness.differences.elsewhere import fly_elsewhere
-from uqharness.differences.flown import flown
+from uqharness.differences.elsewhere import RefusedError, fly_elsewhere
+from uqharness.differences.flown import How, flown
+from uqharness.differences.variation import spread, varied
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.scratch import scratch_folder
@@ -39,6 +39,7 @@ class Asked:
     """What is flown: manoeuvres from a trim of A at each speed [m/s] and height [m], and run scripts of one's own.
 
     properties: of the simulation, compared besides the channels that every aircraft has.
+    repeats: flights of A in other air, bounds: flights of A at the ends of its bounds, both beside the one that is compared.
     python_b: interpreter that flies B with the JSBSim of its own environment; None: this one.
     """
 
@@ -50,6 +51,8 @@ class Asked:
     seed: int = 1
     properties: tuple[str, ...] = ()
     python_b: Path | None = None
+    repeats: int = 0
+    bounds: bool = False
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,7 @@ class Matched:
     name       of the manoeuvre or script; time_s (n,); a, b, nudged: channel -> (n,), nudged being A from a start one unit in the
                last place away, which tells how far rounding alone goes
     only_a, only_b  channels that one model has alone; reason: why there is no flight of B, "" where there is one
+    varied     channel -> how far A varies by itself, in other air and within its bounds; empty: not flown
     jsbsim_b   version of JSBSim that flew B, "" for this process's own
     """
 
@@ -71,6 +75,7 @@ class Matched:
     only_b: tuple[str, ...] = ()
     reason: str = ""
     jsbsim_b: str = ""
+    varied: Mapping[str, float] = field(default_factory=dict)
 
 
 def fly_matched(a: Aircraft, b: Aircraft, asked: Asked) -> tuple[list[Channel], list[Matched]]:
@@ -109,19 +114,26 @@ def _copy(aircraft: Aircraft, root: Path) -> Aircraft:
 def _both(
     one: Aircraft, two: Aircraft, path: Path, other: Path, name: str, channels: Sequence[Channel], asked: Asked, most_s: float
 ) -> Matched:
-    said: dict[str, Any] = {"most_s": most_s, "dt_s": one.dt_s, "turbulence": asked.turbulence, "seed": asked.seed}
-    first, near = (flown(one, path, channels, **said, one_ulp_off=nudged) for nudged in (False, True))
-    version = ""
+    how = How(most_s, one.dt_s, asked.turbulence, asked.seed)
+    first, near = (flown(one, path, channels, replace(how, one_ulp_off=nudged)) for nudged in (False, True))
     try:
-        if asked.python_b is None:
-            second = flown(two, other, channels, **said)
-        else:
-            second, version = fly_elsewhere(asked.python_b, two, other, channels, said)
-    except BadInputError as error:
+        second, version = _of_b(two, other, channels, how, asked.python_b)
+    except RefusedError as error:
         return Matched(name, first["time_s"], first, {}, near, reason=str(error))
+    others = varied(one, path, channels, how, asked.repeats, asked.bounds)
     rows = min(len(x["time_s"]) for x in (first, near, second))
     a, b, nudged = ({k: v[:rows] for k, v in x.items() if k != "time_s"} for x in (first, second, near))
     only_a, only_b = tuple(sorted(a.keys() - b.keys())), tuple(sorted(b.keys() - a.keys()))
     lengths = len(first["time_s"]), len(second["time_s"])
     reason = "" if lengths[0] == lengths[1] else f"A flew {lengths[0]} frames and B {lengths[1]}"
-    return Matched(name, first["time_s"][:rows], a, b, nudged, only_a, only_b, reason, version)
+    return Matched(name, first["time_s"][:rows], a, b, nudged, only_a, only_b, reason, version, spread(a, others) if others else {})
+
+
+def _of_b(two: Aircraft, script: Path, channels: Sequence[Channel], how: How, python: Path | None) -> tuple[dict[str, Array], str]:
+    """B's flight and the version of JSBSim, "" for this process's own. Raises RefusedError where B is not flown."""
+    if python is not None:
+        return fly_elsewhere(python, two, script, channels, how)
+    try:
+        return flown(two, script, channels, how), ""
+    except BadInputError as error:
+        raise RefusedError(str(error)) from None

@@ -82,6 +82,7 @@ def _difference(channel: Channel, flight: Matched, terms: Sequence[Term], tolera
     scale = scale_of(channel, a)
     # A start that is one unit off moves everything after it: what it has moved so far is what rounding may have.
     benign = np.maximum(NUDGES * np.maximum.accumulate(np.abs(flight.nudged[channel.name] - a)), tolerance * scale)
+    benign = np.maximum(benign, flight.varied.get(channel.name, 0.0))
     apart = np.where(np.isnan(a) & np.isnan(b), 0.0, np.abs(b - a))
     beyond = ~(apart <= benign)
     if not beyond.any():

@@ -62,3 +62,11 @@ def test_a_tolerance_is_ones_own_choice(other, capsys):
 def test_what_cannot_be_asked(words, said, capsys):
     assert main(["diff", *words]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_an_environment_that_cannot_fly_is_bad_input(tmp_path, capsys):
+    python = tmp_path / "python"
+    python.write_text("#!/bin/sh\necho no JSBSim here >&2\nexit 1\n")
+    python.chmod(0o755)
+    assert main(["diff", "espaaro", "espaaro", "--speed-mps", "22", "--python-b", str(python)]) == 2
+    assert "no JSBSim here" in capsys.readouterr().err

@@ -7,12 +7,13 @@ import pytest
 
 from uqharness.differences.channels import channels_of
 from uqharness.differences.elsewhere import fly_elsewhere
+from uqharness.differences.flown import How
 from uqharness.differences.matched import Asked, fly_matched
 from uqharness.differences.ranking import differences
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine, find_aircraft, open_aircraft
 
-FLIGHT = {"most_s": 1.0, "dt_s": 0.01, "turbulence": "none", "seed": 1}
+HOW = How(most_s=1.0, dt_s=0.01)
 
 
 def test_the_same_jsbsim_flies_the_same_bits():
@@ -44,10 +45,10 @@ def test_an_environment_that_cannot_fly(tmp_path, code, said):
     aircraft = find_aircraft("espaaro")
     channels = channels_of(aircraft, open_aircraft(aircraft))
     with pytest.raises(BadInputError, match=said):
-        fly_elsewhere(python, aircraft, Path("scripts/loiter.xml").resolve(), channels, dict(FLIGHT))
+        fly_elsewhere(python, aircraft, Path("scripts/loiter.xml").resolve(), channels, HOW)
 
 
 def test_no_interpreter(tmp_path):
     aircraft = find_aircraft("espaaro")
     with pytest.raises(BadInputError, match="cannot be started"):
-        fly_elsewhere(tmp_path / "none", aircraft, Path("scripts/loiter.xml").resolve(), [], dict(FLIGHT))
+        fly_elsewhere(tmp_path / "none", aircraft, Path("scripts/loiter.xml").resolve(), [], HOW)

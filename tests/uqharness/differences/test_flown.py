@@ -1,12 +1,13 @@
 """A flight of one model: a row a frame, at the step that is asked for."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from uqharness.differences.channels import channels_of
-from uqharness.differences.flown import flown
+from uqharness.differences.flown import How, flown
 from uqharness.simulator import find_aircraft, open_aircraft
 
 LOITER = Path("scripts/loiter.xml").resolve()
@@ -16,7 +17,7 @@ LOITER = Path("scripts/loiter.xml").resolve()
 def test_rows_are_frames(dt_s, frames):
     aircraft = find_aircraft("espaaro")
     channels = channels_of(aircraft, open_aircraft(aircraft))
-    found = flown(aircraft, LOITER, channels, most_s=1.0, dt_s=dt_s, turbulence="none", seed=1)
+    found = flown(aircraft, LOITER, channels, How(most_s=1.0, dt_s=dt_s))
     assert len(found["time_s"]) == frames
     assert np.diff(found["time_s"]) == pytest.approx(dt_s)
     assert {c.name for c in channels} <= found.keys()
@@ -25,10 +26,9 @@ def test_rows_are_frames(dt_s, frames):
 def test_an_ulp_moves_it_and_a_seed_of_the_air_does():
     aircraft = find_aircraft("espaaro")
     channels = channels_of(aircraft, open_aircraft(aircraft))
-    said = {"most_s": 1.0, "dt_s": 0.01, "seed": 1}
-    calm = flown(aircraft, LOITER, channels, turbulence="none", **said)
-    again, near = (flown(aircraft, LOITER, channels, turbulence="none", **said, one_ulp_off=u) for u in (False, True))
-    gusty = flown(aircraft, LOITER, channels, turbulence="light", **said)
+    how = How(most_s=1.0, dt_s=0.01)
+    changed = (how, how, replace(how, one_ulp_off=True), replace(how, turbulence="light"))
+    calm, again, near, gusty = (flown(aircraft, LOITER, channels, each) for each in changed)
     assert all(np.array_equal(calm[k], again[k]) for k in calm)
     assert 0.0 < np.max(np.abs(calm["V"] - near["V"])) < 1e-9
     assert np.max(np.abs(calm["V"] - gusty["V"])) > 1e-6

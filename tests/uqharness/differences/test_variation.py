@@ -1,0 +1,48 @@
+"""What one model varies by itself, in other air and within its bounds, counts as equal."""
+
+import numpy as np
+import pytest
+
+from uqharness.differences.matched import Asked, fly_matched
+from uqharness.differences.ranking import by_channel, differences
+from uqharness.differences.variation import spread
+from uqharness.errors import BadInputError
+from uqharness.simulator import find_aircraft
+
+
+def found(**asked):
+    one, two = find_aircraft("espaaro"), find_aircraft("espaaro_truth")
+    channels, flights = fly_matched(one, two, Asked(speeds_mps=(22.0,), missions=("doublets",), **asked))
+    return {d.channel: d for d in by_channel(differences(channels, flights, []))}, flights[0]
+
+
+def test_the_largest_over_all_others():
+    flight = {"q": np.array([0.0, 1.0, 2.0])}
+    others = [{"q": np.array([0.0, 1.5, 2.0])}, {"q": np.array([-0.25, 1.0])}]
+    assert spread(flight, others) == {"q": 0.5}
+    assert spread(flight, []) == {"q": 0.0}
+
+
+def test_other_air():
+    plain, alone = found(turbulence="moderate")
+    widened, repeated = found(turbulence="moderate", repeats=3)
+    assert alone.varied == {}
+    assert repeated.varied["w_dot"] > 0.1
+    assert set(widened) < set(plain)
+    # Air does not move the rounding that the mass has.
+    assert repeated.varied["mass"] == 0.0
+    assert all(d.size > repeated.varied[c] for c, d in widened.items())
+
+
+def test_bounds():
+    plain, _ = found()
+    widened, flight = found(bounds=True)
+    assert flight.varied["Cm"] > 1e-3
+    assert set(widened) < set(plain)
+
+
+def test_nothing_to_vary():
+    aircraft = find_aircraft("c172p")
+    for asked, said in (({"repeats": 2}, "still air has no other seed"), ({"bounds": True}, "has none")):
+        with pytest.raises(BadInputError, match=said):
+            fly_matched(aircraft, aircraft, Asked(speeds_mps=(50.0,), missions=("steady",), **asked))
