@@ -41,7 +41,6 @@ ELSEWHERE: Mapping[str, str] = {
     "uqharness.report.next_flight": "uqharness/report/pages/test_next_flight.py",
     "uqharness.report.next_flight_words": "uqharness/report/pages/test_next_flight.py",
     "uqharness.report.pages.campaign": "uqharness/report/test_campaign.py",
-    "uqharness.report.pages.refine_effects": "uqharness/report/pages/test_refinement.py",
     "uqharness.report.refinement": "uqharness/refinement/showing/test_show.py",
     "uqharness.report.statements": "uqharness/report/test_campaign.py",
     "uqharness.simulator.mid_envelope": "uqharness/plugin/test_instrument.py",
