@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from sysid.errors import LogError
-from sysid.logs.kinematics import check_kinematics
+from sysid.logs.physics import check_physics
 from sysid.logs.load import import_log
 from sysid.record import FlightRecord
 from tests.fuzz.formats import CORPUS
@@ -196,7 +196,7 @@ def test_numbers_larger_than_any_float_in_a_campaign(tmp_path):
 def test_a_record_too_slow_for_the_kinematic_checks(dt_s):
     n = 18
     columns = {name: np.sin(np.arange(n)) for name in ("phi_rad", "theta_rad", "psi_rad", "p_radps", "q_radps", "r_radps")}
-    assert check_kinematics(FlightRecord({"time_s": dt_s * np.arange(n), **columns})) == []
+    assert check_physics(FlightRecord({"time_s": dt_s * np.arange(n), **columns})) == []
 
 
 def test_a_script_that_names_manoeuvres_and_does_not_count_them(dart):
