@@ -21,6 +21,12 @@ SUBSYSTEMS: Mapping[str, tuple[str, ...]] = {
     # backlash and late (samples) are of no vocabulary: an answer can only come near them.
     **{f"actuator.{s}": ("lag", "deadband", "rate_limit", "backlash", "late") for s in SURFACES},
 }
+# Sensors elsewhere than the card says, and a record whose commands carry another clock's time.
+PLACES: Mapping[str, tuple[str, ...]] = {
+    "sensor.accelerometer": ("place_x", "place_y", "place_z"),
+    "sensor.vane": ("place_x",),
+    "record": ("delay",),
+}
 # lag of the aircraft as it is, 1/s; rate that the pilot's hand never exceeds, deg/s
 NEUTRAL = {"lag": 25.0, "rate_limit": 120.0}
 SENSOR_TERMS = ("bias", "scale", "delay")
@@ -44,6 +50,7 @@ class Effect:
     size     coefficient terms: the coefficient, in the term's own units. lag [1/s], rate_limit [deg/s], deadband and backlash
              [deg, whole width], late [samples]; thrust_scale and inflow as a fraction to add; Ixz [kg m2], cg_x and
              cg_in_airframe [m, forward] to add; sensor bias [unit of the channel], scale [fraction to add], delay [s];
+             place_x, place_y, place_z [m, forward, right, down] to add; record delay [s] by which commands act after their rows;
              stall: share of the separation's lift loss; ground: lift gained at zero height, as a fraction
     form     expression of the regressor where it is not the term itself (effects that no vocabulary knows); besides the
              vocabulary's variables it may use t_s and abs, tanh, sin, sqrt, maximum, where, interp
@@ -57,6 +64,9 @@ class Effect:
     def __post_init__(self) -> None:
         if self.subject in COEFFICIENTS:
             compiled(self.form or self.term)
+        elif self.subject in PLACES:
+            if self.term not in PLACES[self.subject]:
+                raise ValueError(f"{self.key}: {self.subject} has {PLACES[self.subject]}")
         elif self.subject.startswith("sensor."):
             if self.term not in SENSOR_TERMS:
                 raise ValueError(f"{self.key}: a sensor has {SENSOR_TERMS}")

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from sysid.record import FlightRecord, Metadata
 from tests.helpers.sixdof import Airframe
-from tests.hidden_effects.effects import Effect
+from tests.hidden_effects.effects import PLACES, Effect
 from tests.hidden_effects.gusts import NODE_S, turbulence
 from tests.hidden_effects.manoeuvres import Card, Pilot
-from tests.hidden_effects.motion import Gusts, History, Model, integrate, no_gusts, trim
+from tests.hidden_effects.motion import Drive, Gusts, History, Model, integrate, no_gusts, trim
 
 Array = NDArray[np.float64]
 STEP_S = 0.004
@@ -28,11 +28,12 @@ NOISE = {
 
 @dataclass(frozen=True)
 class Flight:
-    """One card flown by one airframe with its hidden effects."""
+    """One card flown by one airframe with its hidden effects and its servos (None: LAG and RATE)."""
 
     card: Card
     airframe: Airframe
     effects: tuple[Effect, ...] = ()
+    drive: Drive | None = None
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ def _together(flights: Sequence[Flight], step_s: float) -> list[Flown]:
     cards = [f.card for f in flights]
     dt = 1.0 / cards[0].rate_hz
     n = round(cards[0].seconds / dt)
-    model = Model([f.airframe for f in flights], [f.effects for f in flights])
+    model = Model([f.airframe for f in flights], [f.effects for f in flights], [f.drive for f in flights])
     x0, s0 = trim(model, np.array([c.V_mps for c in cards]), np.array([c.h_m for c in cards]))
     instruments = np.empty((n, 4, len(cards)))
     drawn = []
@@ -124,12 +125,14 @@ def _record(flight: Flight, history: History, lane: int, noise: dict[str, Array]
         "h_m": -x[:, 11] - (card.h_m if card.h_m > 20.0 else 0.0),
     }  # fmt: skip
     for effect in flight.effects:
-        if effect.subject.startswith("sensor."):
+        if effect.subject.startswith("sensor.") and effect.subject not in PLACES:
             name = effect.subject.removeprefix("sensor.")
             columns[name] = sensed(columns[name], effect, dt)
     columns = {name: values + noise.get(name, 0.0) for name, values in columns.items()}
     columns["psi_rad"] = np.mod(columns["psi_rad"], 2.0 * np.pi)
-    commands, positions = history.commands[:, :, lane], history.positions[:, :, lane]
+    rows = sum(round(e.size / dt) for e in flight.effects if e.subject == "record")
+    commands = earlier(history.commands[:, :, lane], rows)
+    positions = history.positions[:, :, lane]
     columns |= {
         "time_s": time,
         "elevator_deg": commands[:, 0], "aileron_deg": commands[:, 1], "rudder_deg": commands[:, 2],
@@ -141,6 +144,11 @@ def _record(flight: Flight, history: History, lane: int, noise: dict[str, Array]
     for m in card.manoeuvres:
         labels[(time >= m.at_s - 1e-9) & (time < m.at_s + m.length_s - 1e-9)] = m.label
     return FlightRecord({**columns, "manoeuvre": labels}, Metadata(source="flight", dialect="simulation", grid_hz=1.0 / dt))
+
+
+def earlier(values: Array, rows: int) -> Array:
+    """(n, ...) values as a clock gives them that is that many rows early (late, if negative); the ends are held."""
+    return np.asarray(values[np.clip(np.arange(len(values)) + rows, 0, len(values) - 1)])
 
 
 def sensed(values: Array, effect: Effect, dt: float) -> Array:

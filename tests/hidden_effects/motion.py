@@ -20,29 +20,48 @@ Array = NDArray[np.float64]
 LAG = (25.0, 25.0, 25.0, 6.0)  # 1/s, the aircraft's actuators
 RATE = (240.0, 240.0, 240.0, 1e9)  # deg/s
 STOPS = ((-25.0, 25.0),) * 3 + ((0.0, 100.0),)
+AT_ONCE = 1e6
+"""Lag [1/s] of a servo that acts at once."""
 V_REFERENCE = 22.2  # V_rel = V / 22.2
 _INERTIAS = ("m", "Ixx", "Iyy", "Izz", "Ixz", "S", "c", "b", "g")
 
 
+@dataclass(frozen=True)
+class Drive:
+    """Servos of elevator, aileron, rudder and the motor: lag [1/s] and rate limit [deg/s, percent/s]."""
+
+    lag: tuple[float, ...] = LAG
+    rate: tuple[float, ...] = RATE
+
+
+IDEAL = Drive((AT_ONCE,) * 4, (1e9,) * 4)
+"""Servos that act at once."""
+
+
 class Model:
-    """Parameters of B flights as arrays (B,), from their airframes and hidden effects.
+    """Parameters of B flights as arrays (B,), from their airframes, hidden effects and servos (without: LAG and RATE).
 
     k          coefficients by name          airframe quantities m Ixx Iyy Izz Ixz S c b g
     lag, rate, deadband, backlash (4, B), late (4, B) samples
+    place, vane_x  (3, B), (B,) where accelerometers and wind vanes are beyond the card [m]
     additions  (index of coefficient, expression, size (B,)) of every hidden coefficient term
     passes     evaluations of the forces, more than one where something depends on alphadot
     """
 
-    def __init__(self, airframes: Sequence[Airframe], effects: Sequence[Sequence[Effect]]) -> None:
+    def __init__(
+        self, airframes: Sequence[Airframe], effects: Sequence[Sequence[Effect]], drives: Sequence[Drive | None] = ()
+    ) -> None:
         self.size = len(airframes)
+        servos = [d or Drive(LAG, RATE) for d in drives or [None] * self.size]
         self.k = {n: np.array([a.coefficients[n] for a in airframes]) for n in TABLE_2_6}
         for name in _INERTIAS:
             setattr(self, name, np.array([getattr(a, name) for a in airframes], dtype=float))
         zero = np.zeros(self.size)
-        self.lag = np.repeat(np.array(LAG)[:, None], self.size, axis=1)
-        self.rate = np.repeat(np.array(RATE)[:, None], self.size, axis=1)
+        self.lag = np.array([d.lag for d in servos], dtype=float).T.copy()
+        self.rate = np.array([d.rate for d in servos], dtype=float).T.copy()
         self.deadband, self.backlash = np.zeros((4, self.size)), np.zeros((4, self.size))
         self.late = np.zeros((4, self.size), dtype=int)
+        self.place, self.vane_x = np.zeros((3, self.size)), zero.copy()
         self.thrust_scale, self.inflow, self.cg_x, self.cg_in_airframe = (zero.copy() for _ in range(4))
         self.stall, self.dynamic, self.ground = zero.copy(), zero.copy(), zero.copy()
         self._terms: dict[tuple[int, str], Array] = {}
@@ -80,7 +99,11 @@ class Model:
             self.dynamic[lane] = float(term == "dynamic")
         elif subject == "ground":
             self.ground[lane] = effect.size
-        elif not subject.startswith("sensor."):  # sensors are the record's business
+        elif subject == "sensor.accelerometer":
+            self.place["xyz".index(term[-1]), lane] += effect.size
+        elif subject == "sensor.vane":
+            self.vane_x[lane] += effect.size
+        elif subject != "record" and not subject.startswith("sensor."):  # sensors are the record's business
             getattr(self, term)[lane] += effect.size
 
 
@@ -191,7 +214,19 @@ def evaluate(model: Model, x: Array, s: Array, gust: Array | None, t_s: Array | 
         # The accelerometers stay that far behind it: w' x r + w x (w x r) with r = (-cg, 0, 0).
         back = M.cg_in_airframe
         felt = felt + back * np.stack([q * q + r * r, -dot[5] - p * q, dot[4] - p * r])
+    if M.place.any():
+        felt = felt + _felt_at(M.place, x[3:6], dot[3:6])
+    if M.vane_x.any():
+        # The air meets a vane at the velocity of the vane's own place.
+        there = va + ra * M.vane_x, wa - qa * M.vane_x
+        alpha, beta = np.arctan2(there[1], ua), np.arctan2(there[0], np.sqrt(ua * ua + there[1] ** 2))
     return Air(V, alpha, beta, rho, felt, dot)
+
+
+def _felt_at(place: Array, w: Array, wdot: Array) -> Array:
+    """(3, B) what accelerometers at ``place`` (3, B) feel besides: w' x r + w x (w x r)."""
+    r, spin, turned = place.T, w.T, wdot.T
+    return np.asarray(np.cross(turned, r) + np.cross(spin, np.cross(spin, r))).T
 
 
 def lift_share(alpha_deg: Array, lag_deg: Array) -> Array:

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from tests.hidden_effects.airframes import ROOT
@@ -52,3 +55,52 @@ def run(folder: Path, arguments: Sequence[str], timeout_s: float | None = None) 
     return subprocess.run(
         [sys.executable, *arguments], cwd=folder, env=environment, capture_output=True, text=True, timeout=timeout_s, check=False
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A process that ended: exit code (-1: not in time), what it printed, processor time [s] and largest resident memory [MB].
+
+    Both are of the process and of every child it waited for: times added up, memory of the largest.
+    """
+
+    returncode: int
+    stdout: str
+    stderr: str
+    cpu_s: float
+    peak_MB: float
+
+
+_MEASURE = """
+import os, subprocess, sys
+
+child = subprocess.Popen([sys.executable, *sys.argv[2:]])
+_, status, used = os.wait4(child.pid, 0)
+with open(sys.argv[1], "w") as handle:
+    handle.write(f"{used.ru_utime + used.ru_stime} {used.ru_maxrss}")
+sys.exit(os.waitstatus_to_exitcode(status))
+"""
+
+
+def run_measured(folder: Path, arguments: Sequence[str], timeout_s: float) -> Measured:
+    """python with the arguments, in the sealed folder, with what it cost.
+
+    A process of its own starts and measures it: Linux counts the memory of whoever starts a program as the program's own.
+    """
+    environment = {**os.environ, "PYTHONPATH": str(folder), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    with tempfile.TemporaryDirectory() as scratch:
+        cost = Path(scratch) / "cost"
+        child = subprocess.Popen(
+            [sys.executable, "-S", "-c", _MEASURE, str(cost), *arguments], cwd=folder, env=environment, text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True,
+        )  # fmt: skip
+        try:
+            out, err = child.communicate(timeout=timeout_s)
+        except BaseException as stopped:
+            os.killpg(child.pid, signal.SIGKILL)
+            child.communicate()
+            if not isinstance(stopped, subprocess.TimeoutExpired):
+                raise
+            return Measured(-1, "", f"not finished after {timeout_s:g} s", timeout_s, float("nan"))
+        cpu_s, peak_kB = map(float, cost.read_text(encoding="utf-8").split())
+    return Measured(child.returncode, out, err, cpu_s, peak_kB / 1024.0)

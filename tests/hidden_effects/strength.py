@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from sysid.estimation.coloured import coloured_information
 from tests.helpers.sixdof import TABLE_2_6
-from tests.hidden_effects.effects import Effect
+from tests.hidden_effects.effects import PLACES, Effect
 from tests.hidden_effects.flights import NOISE, Flight, Flown, sensed, substeps
 from tests.hidden_effects.manoeuvres import Manoeuvre
 from tests.hidden_effects.motion import History, Model, integrate
@@ -153,6 +153,7 @@ class _Piece:
         self.rows = slice(first, min(first + round(manoeuvre.length_s / self.dt), len(flown.x)))
         k = flight.airframe.coefficients
         every = flight.effects
+        self.drive = flight.drive
         self.lanes = [(flight.airframe, every)] * (1 + _STARTS)
         self.lanes += [(flight.airframe, hidden) for hidden in variants]
         self.variants = len(variants)
@@ -178,14 +179,14 @@ def _replayed(pieces: list[_Piece], step_s: float) -> list[tuple[Array, list[Arr
     dt = pieces[0].dt
     commands = np.concatenate([p.commands(n) for p in pieces], axis=2)
     lanes = [lane for p in pieces for lane in p.lanes]
-    model = Model([a for a, _ in lanes], [e for _, e in lanes])
+    model = Model([a for a, _ in lanes], [e for _, e in lanes], [p.drive for p in pieces for _ in p.lanes])
     x0 = np.concatenate([p.starts() for p in pieces], axis=1)
     begun = np.concatenate([np.full(len(p.lanes), p.rows.start * dt) for p in pieces])
     history = integrate(model, x0, commands[0], n, dt, substeps(dt, step_s), lambda j, air, x: commands[j], begun_s=begun)
     y = _outputs(history)
     for lane, (_, hidden) in enumerate(lanes):
         for e in hidden:
-            if e.subject.startswith("sensor."):
+            if e.subject.startswith("sensor.") and e.subject not in PLACES:
                 column = OUTPUTS.index(e.subject.removeprefix("sensor."))
                 y[:, column, lane] = sensed(y[:, column, lane], e, dt)
     out, at = [], 0

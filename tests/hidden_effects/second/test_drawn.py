@@ -1,0 +1,158 @@
+"""The second examination's questions: what a draw holds, wrong cards either way, flights and folders that are as said."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.helpers.sixdof import Airframe
+from tests.hidden_effects.effects import SURFACES, Effect
+from tests.hidden_effects.flights import Flight, earlier, fly, fly_and_tell
+from tests.hidden_effects.manoeuvres import card
+from tests.hidden_effects.motion import IDEAL, LAG, Model, evaluate, trim
+from tests.hidden_effects.second.drawn import DEVELOPMENT, DEVELOPMENT_SEED, SEEDS, THIRD, drawn, shortened, slots
+from tests.hidden_effects.second.folders import folder_of, state
+from tests.hidden_effects.second.weighing import question, sized
+from tests.hidden_effects.second.wrongs import KINDS, Stated, wrong
+from tests.hidden_effects.strength import strengths_alone
+from uqharness.simulator.actuators import actuators
+from uqharness.simulator.aircraft import find_aircraft
+
+NEEDED = {"clear": 60, "pair": 5, "marginal": 60, "weak": 10, "null": 50, "card": 40, "off-form": 12}
+
+
+@pytest.mark.parametrize("draw", sorted(SEEDS))
+def test_a_draw_holds_what_the_marks_count(draw):
+    found = slots(draw)
+    assert Counter(s.kind for s in found) == NEEDED
+    assert sum(1 for s in found if s.beside) + 60 + 2 * 5 == 80
+    assert Counter(s.card for s in found if s.card) == Counter(KINDS)
+    for kind in ("clear", "pair", "marginal", "null", "card", "off-form"):
+        light = sum(s.air == "light" for s in found if s.kind == kind)
+        assert 0.2 <= light / NEEDED[kind] <= 0.45, kind
+    assert found == slots(draw)
+
+
+def test_draws_differ_and_development_is_none_of_them():
+    assert len({*SEEDS.values(), DEVELOPMENT_SEED}) == 4
+    assert DEVELOPMENT not in SEEDS
+    assert [s.kind for s in slots(1)] != [s.kind for s in slots(2)]
+    assert len({drawn(d, n).id for d in (DEVELOPMENT, *SEEDS) for n in range(len(slots(d)))}) == 16 + 3 * 237
+
+
+def test_chance_spreads_over_aeroplanes_rates_air_and_servos():
+    some = [drawn(DEVELOPMENT, n, attempt) for n in range(16) for attempt in range(6)]
+    assert {q.aircraft for q in some} == {"espaaro", "second", "third"}
+    assert {q.train[0].rate_hz for q in some} == {25.0, 50.0, 100.0}
+    winds = [q.train[0].w20_kt for q in some if q.air == "light"]
+    assert min(winds) < 9.0 < 17.0 < max(winds)
+    assert any(q.drive is IDEAL for q in some if q.kind == "null")
+    assert not any(q.drive is IDEAL for q in some if q.wrong and q.wrong.key.startswith("actuator"))
+    assert {f.drive for q in some for f in q.flights("train")} >= {None, IDEAL}
+    aims = [t for q in some if q.kind == "marginal" for t in q.aimed]
+    assert all(4.0 <= t <= 10.0 for t in aims)
+    assert drawn(DEVELOPMENT, 3, 1) == drawn(DEVELOPMENT, 3, 1) != drawn(DEVELOPMENT, 3, 2)
+
+
+def test_cards_are_wrong_either_way():
+    rng = np.random.default_rng(1)
+    found = {kind: [wrong(kind, 50.0, rng) for _ in range(24)] for kind in set(KINDS)}
+    for kind in ("scale", "bias", "accelerometer", "vane", "thrust"):
+        assert {np.sign(w.value) for w in found[kind]} == {-1.0, 1.0}, kind
+    assert all(w.value > 0.0 for w in found["controls late"])
+    assert all(w.value < 0.0 for w in found["controls early"])
+    slower = found["lag slower"]
+    assert {bool(w.stated.lag) for w in slower} == {True, False}
+    assert all(w.value < LAG[0] for w in slower if not w.stated.lag)
+    assert all(v > LAG[0] for w in slower for v in w.stated.lag.values())
+    assert all(v < LAG[0] for w in found["lag faster"] for v in w.stated.lag.values())
+    assert {w.key.split(".")[1].split(":")[0] for w in slower} == set(SURFACES)
+    with pytest.raises(ValueError, match="known are"):
+        wrong("paint", 50.0, rng)
+
+
+def test_the_folder_says_what_is_stated(tmp_path):
+    asked = replace(
+        drawn(DEVELOPMENT, 8), stated=Stated({"rudder": 60.0, "elevator": None}, {"aileron": 40.0}, 0.9, (0.1, 0.0, -0.2))
+    )
+    folder = folder_of(asked, tmp_path)
+    aircraft = find_aircraft(str(folder))
+    servos = actuators(aircraft, SURFACES)
+    assert (servos["rudder"].lag, servos["elevator"].lag, servos["aileron"].lag) == (60.0, None, 25.0)
+    assert (servos["rudder"].rate, servos["aileron"].rate) == (240.0, 40.0)
+    assert aircraft.card.sensors.position_m["accelerometer"] == (0.1, 0.0, -0.2)
+    assert '<property value="0.9">propulsion/thrust-scale<' in (folder / f"{asked.aircraft}.xml").read_text(encoding="utf-8")
+    with pytest.raises(ValueError, match="stands 0 times"):
+        state(folder, Stated({"elevator": 30.0}))
+
+
+def test_accelerometers_and_vanes_feel_their_place():
+    """Acceleration of a point from d/dt (v + w x r) + w x (v + w x r) less gravity; the air's velocity at the vane."""
+    rng = np.random.default_rng(5)
+    x = 0.3 * rng.normal(size=(12, 3))
+    x[0] += 22.0
+    r = np.array([0.2, -0.1, 0.3])
+    moved = tuple(Effect("sensor.accelerometer", f"place_{a}", float(v)) for a, v in zip("xyz", r, strict=True))
+    plain, there = (
+        evaluate(Model([Airframe()] * 3, [e] * 3), x, np.full((4, 3), 1.0), None)
+        for e in ((), (*moved, Effect("sensor.vane", "place_x", 0.7)))
+    )
+    np.testing.assert_array_equal(plain.dot, there.dot)
+    for lane in range(3):
+        v, w, wdot = x[:3, lane], x[3:6, lane], plain.dot[3:6, lane]
+        own = plain.felt[:, lane] - plain.dot[:3, lane] - np.cross(w, v)  # less gravity
+        expected = plain.dot[:3, lane] + np.cross(wdot, r) + np.cross(w, v + np.cross(w, r)) + own
+        np.testing.assert_allclose(there.felt[:, lane], expected, rtol=1e-9, atol=1e-12)
+        at = v + np.cross(w, [0.7, 0.0, 0.0])
+        assert there.alpha[lane] == pytest.approx(np.arctan2(at[2], at[0]))
+        assert there.beta[lane] == pytest.approx(np.arcsin(at[1] / np.linalg.norm(at)))
+        assert abs(there.alpha[lane] - plain.alpha[lane]) > 1e-4
+    with pytest.raises(ValueError, match="place_x"):
+        Effect("sensor.vane", "place_z", 0.1)
+
+
+def test_servos_at_once_and_clocks_of_commands():
+    flown = replace(card(9, 22.0, seconds=11.0), noise=0.0, positions=True)
+    late = Effect("record", "delay", 0.02)
+    at_once, lagging, shifted = fly_and_tell([Flight(flown, Airframe(), (), IDEAL), Flight(flown, Airframe()),
+                                              Flight(flown, Airframe(), (late,), IDEAL)])  # fmt: skip
+    np.testing.assert_allclose(at_once.record["elevator_pos_deg"][1:], at_once.record["elevator_deg"][:-1], atol=1e-9)
+    assert np.abs(lagging.record["elevator_pos_deg"][1:] - lagging.record["elevator_deg"][:-1]).max() > 1.0
+    # A record whose commands act 20 ms late has them a row early.
+    np.testing.assert_array_equal(shifted.record["elevator_deg"][:-1], at_once.record["elevator_deg"][1:])
+    np.testing.assert_array_equal(shifted.record["q_radps"], at_once.record["q_radps"])
+    assert earlier(np.arange(4.0), -1).tolist() == [0.0, 0.0, 1.0, 2.0]
+
+
+def test_the_third_aeroplane_flies():
+    x, s = trim(Model([THIRD] * 3, [()] * 3), np.array([16.0, 22.0, 28.0]), np.full(3, 100.0))
+    assert (np.abs(s[:3]) < 6.0).all()
+    assert ((s[3] > 15.0) & (s[3] < 90.0)).all()
+    assert (np.degrees(x[7]) < 10.0).all()
+    record = fly([Flight(card(4, 23.0, seconds=30.0), THIRD)])[0]
+    assert np.abs(record["phi_rad"]).max() < 1.2
+    assert np.abs(record["alpha_rad"]).max() < 0.3
+
+
+@pytest.mark.slow
+def test_sizes_are_those_that_the_marks_ask_for(tmp_path):
+    asked = question(DEVELOPMENT, 9, tmp_path, 24.0)
+    assert len(asked.effects) == 1
+    plain = [Flight(f.card, f.airframe, (), f.drive) for f in asked.flights("train")]
+    t = strengths_alone(plain, fly_and_tell(plain), list(asked.effects))[0].t
+    assert t == pytest.approx(asked.t[0], rel=0.05)
+    kept = question(DEVELOPMENT, 9, tmp_path, 24.0)
+    assert (kept.effects, kept.t, kept.train) == (asked.effects, asked.t, asked.train)
+
+
+@pytest.mark.slow
+def test_a_wrong_card_that_nobody_could_see_is_drawn_again():
+    asked = shortened(drawn(DEVELOPMENT, 4), 24.0)
+    tiny = Effect("sensor.accelerometer", "place_y", 1e-4)
+    assert sized(replace(asked, wrong=replace(asked.wrong, trace=tiny))) is None
+    strong = Effect("sensor.accelerometer", "place_y", 0.6)
+    found = sized(replace(asked, wrong=replace(asked.wrong, trace=strong)))
+    assert found.t[0] > 12.0

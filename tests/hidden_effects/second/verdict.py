@@ -1,0 +1,139 @@
+"""What a refinement.json says of a question, against the truth. Reads dictionaries; runs nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from tests.hidden_effects.answers import LARGEST_SET, accepted, at_floor, canonical, contract_faults, stands_for, test_gap
+from tests.hidden_effects.catalogue import ENTRIES
+from tests.hidden_effects.second.drawn import Question
+
+NORMAL_95 = 1.959964
+STRONG_T = 10.0
+"""|t| above which nothing may be left out of `remaining.where`."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One answer judged.
+
+    named     of each hidden effect: whether it stands in a set of at most three       card: the same of the wrong card (None: none)
+    effects   how many effects were named       spurious: of them, those that stand for nothing hidden
+    z, inside (estimate - truth) / std of what was named by its own name, and whether interval_95 holds the truth
+    parameters  (estimate - truth) / std of the aircraft's own parameters, where the answer vouches for them
+    left_out  hidden causes and candidates above |t| 10 that the answer neither names nor lists
+    placed    of `unexplained`: whether channel, stretch, band and three candidates are told, or the reason why not
+    fair      off the catalogue: `unexplained`, or effects of the right coefficient that bring the test gap to the floor
+    """
+
+    verdict: str
+    answer: tuple[str, ...]
+    named: tuple[bool, ...]
+    card: bool | None
+    effects: int
+    spurious: int
+    z: tuple[float, ...]
+    inside: tuple[bool, ...]
+    parameters: tuple[float, ...]
+    left_out: int
+    placed: bool | None
+    fair: bool | None
+    gap: float
+    faults: tuple[str, ...]
+
+
+def judge(asked: Question, found: Mapping[str, Any], exit_code: int) -> Verdict:
+    """The verdict on an answer that ended with an exit code."""
+    effects: Sequence[Mapping[str, Any]] = found.get("effects") or []
+    late_s = (found.get("timing") or {}).get("controls_late_s") or 0.0
+    sets = [stands_for(e) for e in effects]
+    verdict = str(found.get("verdict"))
+    off = asked.kind == "off-form"
+    ways = [_ways(key) for key in asked.entries] if not off else []
+    card = set(asked.wrong.accepted) if asked.wrong else set()
+    allowed = set().union(card, *ways)
+    if off:
+        spurious = sum(not any(k.startswith(f"{asked.hidden[0].subject}:") for k in s) for s in sets)
+    else:
+        spurious = sum(not s & allowed for s in sets)
+    moved = asked.wrong is not None and asked.wrong.key == "record:delay"
+    spurious += bool(late_s) and not moved
+    named = tuple(_named(sets, way) for way in ways)
+    has_card = None if asked.wrong is None else _named(sets, card) or (moved and late_s * (asked.wrong.value or 0.0) > 0.0)
+    pairs = [] if off else _estimates(asked, effects, late_s if moved else 0.0)
+    vouched = verdict in ("effects-found", "no-missing-effect") and not off
+    return Verdict(
+        verdict, tuple(" | ".join(sorted(s)) for s in sets) + (("record:delay",) if late_s else ()), named, has_card,
+        len(sets) + bool(late_s), spurious, tuple(z for z, _ in pairs), tuple(held for _, held in pairs if held is not None),
+        _parameters(asked, found) if vouched else (), left_out(asked, found, named, has_card),
+        _placed(found) if verdict == "unexplained" else None,
+        (spurious == 0 and (verdict == "unexplained" or (bool(effects) and at_floor(found)))) if off else None,
+        test_gap(found), tuple(contract_faults(found, exit_code)),
+    )  # fmt: skip
+
+
+def _ways(key: str) -> set[str]:
+    return accepted(key) if key in ENTRIES else {key}
+
+
+def _named(sets: Sequence[set[str]], way: set[str]) -> bool:
+    return any(s & way and len(s) <= LARGEST_SET for s in sets)
+
+
+def _estimates(asked: Question, effects: Sequence[Mapping[str, Any]], late_s: float) -> list[tuple[float, bool | None]]:
+    """(z, inside) of what was named by its own name and has a number as truth."""
+    truths = {e.key: e.size for e in asked.effects if not e.form}
+    if asked.wrong is not None and asked.wrong.value is not None:
+        truths[asked.wrong.key] = asked.wrong.value
+    out: list[tuple[float, bool | None]] = []
+    for e in effects:
+        truth = truths.get(canonical(e))
+        if truth is None:
+            continue
+        value, std = e.get("value"), e.get("std")
+        good = isinstance(value, (int, float)) and isinstance(std, (int, float)) and std > 0.0
+        low, high = (e.get("evidence") or {}).get("interval_95") or (math.nan, math.nan)
+        low, high = -math.inf if low is None else low, math.inf if high is None else high
+        out.append(((value - truth) / std if good else math.inf, bool(low <= truth <= high)))
+    return out
+
+
+def _parameters(asked: Question, found: Mapping[str, Any]) -> tuple[float, ...]:
+    own = asked.airframe.coefficients
+    out = []
+    for name, row in (found.get("parameters") or {}).items():
+        truth = own.get(name.removeprefix("aero/"))
+        value, std = row.get("value"), row.get("std")
+        if truth is None or not isinstance(std, (int, float)) or not std > 0.0:
+            continue
+        out.append((value - truth) / std)
+    return tuple(out)
+
+
+def left_out(asked: Question, found: Mapping[str, Any], named: Sequence[bool], card: bool | None) -> int:
+    """Hidden causes above |t| 10 of which an answer says nothing, and candidates above it that its file shows but does not list."""
+    remaining = found.get("remaining") or {}
+    where = remaining.get("where") or []
+    listed = {canonical(w) for w in where} | {k for e in found.get("effects") or [] for k in stands_for(e)}
+    listed |= {canonical(a) for e in found.get("effects") or [] for a in e.get("alternatives") or []}
+    t = asked.t or asked.aimed
+    missed = [not n for n in named] + ([not card] if card is not None else [])
+    hidden = sum(m and s > STRONG_T for m, s in zip(missed, t, strict=False)) if not where else 0
+    shown = [(canonical(c), c.get("t")) for c in (remaining.get("place") or {}).get("candidates") or []]
+    shown += [(canonical(c), (c.get("evidence") or {}).get("t")) for c in found.get("withdrawn") or []]
+    refused = found.get("best_refused") or {}
+    if refused:
+        shown.append((str(refused.get("effect", "?")).replace("/", ":", 1), refused.get("t")))
+    return hidden + len({k for k, size in shown if size is not None and abs(size) > STRONG_T and k not in listed})
+
+
+def _placed(found: Mapping[str, Any]) -> bool:
+    """Whether `remaining.place` has channel, interval, band and three candidates with what each leaves; or channel and a reason."""
+    place = (found.get("remaining") or {}).get("place") or {}
+    candidates = place.get("candidates") or []
+    told = len(candidates) == 3 and all(c.get("leaves") is not None for c in candidates)
+    interval = all(place.get(k) is not None for k in ("from_s", "to_s", "from_Hz", "to_Hz"))
+    return bool(place.get("channel")) and told and (interval or bool(place.get("reason")))
