@@ -17,7 +17,7 @@ import numpy as np
 from sysid.aerodynamics import Piece
 from uqharness.errors import BadInputError
 from uqharness.identification.identify import identify
-from uqharness.replay import Flight, ReplayFolder, ReplayJob, Segment, fly_all, read_flights
+from uqharness.replay import Flight, ReplayFolder, ReplayJob, Segment, fly_all, forget_programs, read_flights
 from uqharness.replay.flights import segments
 from uqharness.simulator import Aircraft
 
@@ -43,7 +43,7 @@ def measure_replays(aircraft: Aircraft, flight: Path, rounds: int, replays: int 
 def _replays(aircraft: Aircraft, flight: Flight, measured: tuple[str, ...], count: int) -> dict[str, float]:
     whole = _whole(aircraft, flight, measured)
     rng = np.random.default_rng(1)
-    # A folder of its own each time: programs are remembered by it.
+    forget_programs()
     with ReplayFolder(aircraft, measured=measured) as model:
         fdm = model.open(aircraft.dt_s)
         values = {name: float(fdm[name]) for name in aircraft.card.parameters}
@@ -58,6 +58,7 @@ def _replays(aircraft: Aircraft, flight: Flight, measured: tuple[str, ...], coun
 
 
 def _identify(aircraft: Aircraft, flights: list[Flight], measured: tuple[str, ...]) -> dict[str, float]:
+    forget_programs()
     begun = time.process_time()
     identify(aircraft, flights, measured, workers=1)
     return {"h_s": time.process_time() - begun}

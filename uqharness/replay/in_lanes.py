@@ -84,6 +84,11 @@ _Timing = tuple[int, float, bool, float]
 _programs: OrderedDict[_Alike, _Program | None] = OrderedDict()
 
 
+def forget_programs() -> None:
+    """Translate, compile and check anew what is replayed next, for benchmarks."""
+    _programs.clear()
+
+
 def _alike(job: ReplayJob) -> _Alike:
     return job.model.identity, job.extra, shape_of(job.model, job.segment, job.between).stride
 

@@ -7,13 +7,18 @@ import pytest
 from uqharness.cli.benchmark_replays import measure_replays, said_of_replays
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
+from uqharness.replay import in_lanes
 from uqharness.simulator import find_aircraft
 
 
-def test_replays_are_measured_and_said(tmp_path):
+def test_replays_are_measured_and_said(tmp_path, monkeypatch):
+    compiled = []
+    made = in_lanes._made
+    monkeypatch.setattr(in_lanes, "_made", lambda job, names: compiled.append(job) or made(job, names))
     flight = tmp_path / "flight.parquet"
     main(["fly", "espaaro", "--script", "flight-ident", "--noise", "--out", str(flight)])
-    found = measure_replays(find_aircraft("espaaro"), flight, 1, replays=2)
+    found = measure_replays(find_aircraft("espaaro"), flight, 2, replays=2)
+    assert len(compiled) == 4  # in each round once for the replays and once for identify: nothing is remembered
     assert set(found) == {"f_replays_per_s", "g_compile_s", "h_identify_s"}
     assert all(value > 0.0 for value in found.values())
     assert len(said_of_replays(found)) == len(found)
