@@ -284,7 +284,7 @@ def outputs_of(raw: Array, segment: Segment, extra: int, n: int) -> Array:
     """(n, 13 + extra) CHANNELS and further properties from rows of RAW and those; NaN behind the last row."""
     c = len(CHANNELS)
     done = len(raw)
-    out = np.empty((n, c + extra))
+    out = np.empty((c + extra, n)).T
     out[done:] = np.nan
     np.multiply(raw[:, :c], _FACTORS, out=out[:done, :c])
     out[:done, _OVER_MASS] /= raw[:, c : c + 1]

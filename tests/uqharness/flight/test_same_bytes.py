@@ -48,7 +48,6 @@ def test_restricted_libraries_change_no_byte(name: str) -> None:
     assert in_a_child(RESTRICTED[name])[0] == DIGEST
 
 
-def test_numpys_own_functions_do_change() -> None:
-    if not RESTRICTED["numpy"]["NPY_DISABLE_CPU_FEATURES"]:
-        pytest.skip("numpy has nothing to leave out on this processor")
-    assert in_a_child(RESTRICTED["numpy"])[1] != librarys()
+def test_the_libraries_own_functions_do_change() -> None:
+    # Which of the two does depends on the processor: numpy's exp has a form of its own for AVX-512 alone.
+    assert any(in_a_child(RESTRICTED[name])[1] != librarys() for name in ("numpy", "C library"))

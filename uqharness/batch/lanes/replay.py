@@ -122,10 +122,13 @@ def fly_replays(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> Iterator[t
             part = places[k : k + lanes]
             begin = {name: value[part] for name, value in values.items()}
             records = _flown(replay, [jobs[p] for p in part], begin)
-            rows = np.empty((len(part), records.shape[2] + 1, len(records)))
-            rows[:, 0] = np.stack([begin[name] for name in replay.program.records], axis=1)
-            rows[:, 1:] = records[:, : len(part)].transpose(1, 2, 0)
-            yield from zip(part, rows, strict=True)
+            starts = np.stack([begin[name] for name in replay.program.records])
+            for lane, place in enumerate(part):
+                # Channel by channel in memory, as the records are.
+                rows = np.empty((len(records), records.shape[2] + 1))
+                rows[:, 0] = starts[:, lane]
+                rows[:, 1:] = records[:, lane]
+                yield place, rows.T
 
 
 def _begun(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[str, Array]:
