@@ -39,6 +39,7 @@ def main(study: Study, argv: Sequence[str] | None = None) -> int:
     flying = commands.add_parser("fly", help="fly the shards that are missing; the same command goes on after any interruption")
     flying.add_argument("--cell", action="append", default=[], metavar="AIR-WIND", help="severe-3, say; may be given again")
     flying.add_argument("--minutes", type=float, default=float("inf"), help="begin no shard after so many minutes")
+    flying.add_argument("--most", type=int, default=sys.maxsize, metavar="N", help="fly so many shards at most")
     flying.add_argument("--workers", type=int, default=1, help="processes (1)")
     state = commands.add_parser("status", help="hours flown, by condition")
     again = commands.add_parser("rerun", help="fly a cell's shards again and hold them against the digests")
@@ -69,17 +70,20 @@ def main(study: Study, argv: Sequence[str] | None = None) -> int:
 
 
 def _fly(plan: Plan, args: argparse.Namespace) -> int:
-    started = time.monotonic()
+    if args.most < 1:
+        raise BadInputError(f"--most {args.most}: must be at least 1; leave it out to fly all that are missing")
+    started, flown = time.monotonic(), 0
 
     def told(found: Told) -> bool:
-        line = found.line
+        nonlocal flown
+        line, flown = found.line, flown + 1
         cost = f"{line.hours:g} h in {line.core_s:.0f} s of a core, {line.failed} failed"
         print(f"{found.shard.file}: {cost}; {found.done} of {found.of} shards", file=sys.stderr, flush=True)
-        return time.monotonic() - started < 60.0 * args.minutes
+        return flown < args.most and time.monotonic() - started < 60.0 * args.minutes
 
     executor = ProcessExecutor(args.workers, keep=True)
     try:
-        fly(plan, args.shards, plan.only(args.cell), executor, on_shard=told)
+        fly(plan, args.shards, plan.only(args.cell), executor, fly_group, told)
     finally:
         executor.close()
     return 0

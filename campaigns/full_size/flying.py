@@ -187,7 +187,7 @@ def flown_shard(
     lanes = max(corners, plan.lanes - plan.lanes % corners) if corners < plan.lanes else plan.lanes
     flown = fly_cases(executor, fly_flights, BATCH, cases, lanes)
     found = check(folder, plan, shard, cases, flown, executor, fly_flights)
-    content = table_bytes(packed(cases, flown.outcomes))
+    content = table_bytes(packed(cases, flown.outcomes, plan.resolution))
     failed = sum(outcome.status != "ok" for outcome in flown.outcomes)
     line = Line(
         shard=shard.number,

@@ -108,7 +108,7 @@ def cell_table(plan: Plan, folder: Path, condition: Condition) -> tuple[pd.DataF
             raise BadInputError(f"{path}: missing, or not as {SHARDS} says; fly it again (the command fly does)")
         cases = plan.cases(shard)
         refuse_other_flights(line, cases, shard)
-        frames.append(unpacked(parse_table(path.read_bytes(), path, rows=len(cases)), cases))
+        frames.append(unpacked(parse_table(path.read_bytes(), path, rows=len(cases)), cases, plan.resolution))
         used.append(line)
     if not frames:
         raise BadInputError(f"{folder / cell_name(condition)}: nothing flown yet; run the command fly")

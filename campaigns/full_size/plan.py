@@ -8,12 +8,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from campaigns.full_size.sketch import RESOLUTION
 from uqharness.campaign.cases import Case, Mission, Part, build_cases
 from uqharness.campaign.conditions import Condition
 from uqharness.campaign.folder.digests import digest_of_rows
 from uqharness.campaign.run import find_mission
 from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.spec.read import read_campaign, with_samples
 from uqharness.campaign.spec.samples import epistemic_samples
 from uqharness.errors import BadInputError
 
@@ -41,7 +42,8 @@ class Shard:
 class Plan:
     """A campaign, and the flights of a shard: ``airs`` aleatory ids, ``samples`` epistemic ones (0: all), ``lanes`` side by side.
 
-    Memory is bounded by the lanes: 256 flights of an hour at 100 Hz take some 2 GB.
+    ``resolution`` is that of the grid on which medians and maxima are kept (campaigns/full_size/sketch.py). Memory is bounded by
+    the lanes: 256 flights of an hour at 100 Hz take some 2 GB.
     """
 
     spec: CampaignSpec
@@ -49,12 +51,13 @@ class Plan:
     airs: int
     samples: int = 0
     lanes: int = 256
+    resolution: float = RESOLUTION
 
     @classmethod
-    def read(cls, campaign: Path, airs: int, samples: int = 0) -> Plan:
+    def read(cls, campaign: Path, airs: int, samples: int = 0, resolution: float = RESOLUTION) -> Plan:
         """The plan of a campaign file, in the batch engine. Raises BadInputError."""
         spec = read_campaign(campaign).with_engine("batch")
-        return cls(spec, find_mission(spec), airs, samples)
+        return cls(spec, find_mission(spec), airs, samples, resolution=resolution)
 
     @property
     def conditions(self) -> list[Condition]:
@@ -97,6 +100,10 @@ class Plan:
     def with_flights(self, flights: int) -> Plan:
         """The same plan with other flights per epistemic sample and condition."""
         return dataclasses.replace(self, spec=self.spec.with_flights(flights))
+
+    def with_samples(self, samples: int) -> Plan:
+        """The same plan with another number of drawn epistemic samples. Raises BadInputError where none are drawn."""
+        return dataclasses.replace(self, spec=with_samples(self.spec, samples))
 
 
 def cell_name(condition: Condition) -> str:

@@ -1,14 +1,22 @@
-"""What every campaign of full size tells beside its own tables: hours, time of the machine, and what JSBSim said."""
+"""Tables that campaigns of full size share: hours and time of the machine with what JSBSim said, and rates beside each other."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
+import pandas as pd
+
+from campaigns.full_size.cells import hours_each
 from campaigns.full_size.folder import lines
 from campaigns.full_size.plan import Plan
+from uqharness.campaign.conditions import excursion_cells
+from uqharness.statistics import best_and_worst
 from uqharness.text_tables import csv_text
 
-COST = "cost.csv"
+COST, RATES = "cost.csv", "rates.csv"
+RADII_M = (15.0, 25.0)
+"""Of the print."""
 
 
 def cost_table(plan: Plan, shards: Path) -> bytes:
@@ -33,3 +41,25 @@ def cost_table(plan: Plan, shards: Path) -> bytes:
             }
         )
     return csv_text(rows).encode()
+
+
+def rate_rows(kind: str, frame: pd.DataFrame) -> Iterator[dict[str, str]]:
+    """Rows of rates.csv: excursions per hour of a case table's samples by radius (horizontal distance).
+
+    Limits of the worst sample hold over all samples at once, for excursions that do not cluster within a flight.
+    """
+    for cell in excursion_cells(frame, RADII_M):
+        if cell.distance != "horizontal":
+            continue
+        best, worst = best_and_worst(cell.rates)
+        yield {
+            "kind": kind,
+            "samples": str(len(cell.rates)),
+            "hours_each": f"{hours_each(frame):g}",
+            "radius_m": f"{cell.radius_m:g}",
+            "mean_per_h": f"{sum(item.rate for item in cell.rates) / len(cell.rates):.4g}",
+            "best_per_h": f"{best.rate:.4g}",
+            "worst_per_h": f"{worst.rate:.4g}",
+            "worst_lower_per_h": f"{worst.simultaneous[0]:.4g}",
+            "worst_upper_per_h": f"{worst.simultaneous[1]:.4g}",
+        }

@@ -54,7 +54,7 @@ def compare(corners: Path, walks: Path) -> list[Compared]:
     manifests = [read_complete(folder) for folder in (corners, walks)]
     _refuse_unlike(manifests, (corners, walks))
     frames = [read_cases(*pair) for pair in zip((corners, walks), manifests, strict=True)]
-    return list(_compared(frames[0], frames[1]))
+    return list(compared(frames[0], frames[1]))
 
 
 def _refuse_unlike(manifests: Sequence[dict[str, Any]], folders: tuple[Path, Path]) -> None:
@@ -70,11 +70,12 @@ def _refuse_unlike(manifests: Sequence[dict[str, Any]], folders: tuple[Path, Pat
         )
 
 
-def _compared(outer: pd.DataFrame, inner: pd.DataFrame) -> Iterator[Compared]:
+def compared(outer: pd.DataFrame, inner: pd.DataFrame) -> Iterator[Compared]:
+    """Metric by metric and condition by condition: corners ``outer`` and walks ``inner``, two case tables. Raises BadInputError."""
     common = [item for item in conditions(inner) if item in conditions(outer)]
     if not common:
         raise BadInputError("the two campaigns have no condition in common")
-    for metric in (*ERROR_METRICS, *(name for name in UNCOMMANDED_METRICS if name in outer and name in inner)):
+    for metric in (name for name in (*ERROR_METRICS, *UNCOMMANDED_METRICS) if name in outer and name in inner):
         for condition in common:
             rows = [in_condition(frame, condition) for frame in (outer, inner)]
             found = [samples(part, metric) for part in rows]
@@ -86,25 +87,18 @@ def _compared(outer: pd.DataFrame, inner: pd.DataFrame) -> Iterator[Compared]:
                 )  # fmt: skip
 
 
-def table(compared: Sequence[Compared]) -> bytes:
+def table(found: Sequence[Compared]) -> bytes:
     """containment.csv."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(_COLUMNS)
-    for item in compared:
-        found = item.found
-        numbers = [
-            found.area_ratio,
-            found.excess_lower,
-            found.at_lower,
-            found.excess_upper,
-            found.at_upper,
-            found.chance,
-        ]
+    for item in found:
+        box = item.found
+        numbers = [box.area_ratio, box.excess_lower, box.at_lower, box.excess_upper, box.at_upper, box.chance]
         writer.writerow(
             [item.metric, item.condition.label, *item.samples, *(f"{hours:g}" for hours in item.hours)]
             + [f"{number:.6g}" for number in numbers]
-            + [found.verdict]
+            + [box.verdict]
         )
     return buffer.getvalue().encode()
 
@@ -135,21 +129,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(argv)
     try:
-        compared = compare(args.corners, args.walks)
+        found = compare(args.corners, args.walks)
         args.out.mkdir(parents=True, exist_ok=True)
-        write_bytes(args.out / "containment.csv", table(compared))
-        for item in compared:
+        write_bytes(args.out / "containment.csv", table(found))
+        for item in found:
             if "_median_" in item.metric:
                 name = f"{item.metric.replace('_', '-')}-{item.condition.label.replace(' m/s ', 'mps-')}.svg"
                 write_text(args.out / name, drawing(item))
     except BadInputError as error:
         print(f"reproduce: error: {error}", file=sys.stderr)
         return 2
-    verdicts = {f"{item.metric}, {item.condition.label}": item.found.verdict for item in compared}
+    verdicts = {f"{item.metric}, {item.condition.label}": item.found.verdict for item in found}
     if args.json:
         print(json.dumps(verdicts))
     else:
-        for item in compared:
+        for item in found:
             if "_median_" in item.metric:
                 share = f"area {item.found.area_ratio:.2f} of the corners'"
                 print(f"{item.metric}, {item.condition.label}: {item.found.verdict}, {share}")

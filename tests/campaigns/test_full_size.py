@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from campaigns.full_size.command import Study, main
+from campaigns.full_size.figures import smoothed
 from campaigns.full_size.flying import fly
 from campaigns.full_size.folder import cell_table, is_whole, lines
 from campaigns.full_size.plan import Plan
-from campaigns.full_size.sketch import METRICS, RESOLUTION, coded, decoded
+from campaigns.full_size.sketch import FINE, METRICS, RESOLUTION, coded, decoded
 from campaigns.full_size.tables import cost_table
 from tests.helpers import campaign_fakes as fakes
 from uqharness.campaign.execution.flying import JUDGE
@@ -65,6 +66,21 @@ def test_the_grid_keeps_order_zero_and_what_is_not_defined():
     back = decoded(coded([0.0, np.nan, np.inf, 1.0]).astype(float).filled(np.nan))
     assert back[0] == 0.0
     assert np.isnan(back[1:3]).all()
+
+
+@pytest.mark.parametrize("resolution", [RESOLUTION, FINE])
+def test_curves_drawn_from_the_grid_are_exact_at_its_edges(resolution):
+    values = np.random.default_rng(8).normal(3.0, 0.03, 400)
+    kept = decoded(coded(values, resolution).astype(float).filled(np.nan), resolution)
+    drawn = smoothed(kept, resolution)
+    assert np.all(np.diff(drawn) > 0)
+    np.testing.assert_allclose(np.sort(drawn), np.sort(values), rtol=2.0 * resolution)
+    for edge in np.unique(kept) / (1.0 - resolution):
+        assert np.mean(drawn <= edge) == np.mean(values <= edge)
+    # Between the edges the steps of the grid are farther off.
+    inside = np.unique(kept)
+    off = [np.mean([abs(np.mean(found <= at) - np.mean(values <= at)) for at in inside]) for found in (drawn, kept)]
+    assert off[0] < 0.5 * off[1]
 
 
 def test_every_condition_has_hours_before_any_has_a_second_shard(plan):
@@ -148,6 +164,17 @@ def test_a_rerun_says_whether_a_cell_came_out_as_it_did(plan, tmp_path, monkeypa
     assert main(study, ["rerun", "--cell", "moderate-7", "--shard", "1"]) == 1
     assert "excursions_25m in 128" in capsys.readouterr().out
     assert main(study, ["rerun", "--cell", "severe-9"]) == 2
+
+
+def test_so_many_shards_are_flown_at_most(plan, tmp_path, monkeypatch):
+    study = Study("study", "what?", lambda: plan, tmp_path, lambda plan, shards, out: ["made"])
+    monkeypatch.setattr("campaigns.full_size.command.ProcessExecutor", lambda *a, **k: Serial())
+    monkeypatch.setattr("campaigns.full_size.command.fly_group", Engine())
+    assert main(study, ["fly", "--most", "2"]) == 0
+    assert sum(len(lines(tmp_path / "shards", condition)) for condition in plan.conditions) == 2
+    assert main(study, ["fly"]) == 0
+    assert sum(len(lines(tmp_path / "shards", condition)) for condition in plan.conditions) == 6
+    assert main(study, ["fly", "--most", "0"]) == 2
 
 
 class Serial(SerialExecutor):

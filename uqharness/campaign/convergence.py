@@ -59,7 +59,7 @@ def study(folder: Path, metrics: Sequence[str] = (), number: int = REPEATS) -> l
         raise BadInputError(f"--metric {unknown[0]}: not in {folder / CASES}; it has {', '.join(known)}")
     epistemic = manifest["campaign"]["epistemic"]
     drawn = epistemic["method"] in _INDEPENDENT or "parameters" in epistemic
-    found = [item for name in wanted for item in _of_metric(frame, name, number, drawn, int(manifest["seed"]))]
+    found = [item for name in wanted for item in converged(frame, name, number, drawn, int(manifest["seed"]))]
     if all(item.repeats is None and not item.growth for item in found):
         raise BadInputError(
             f"{folder}: nothing to compare: {number} repeats need at least {2 * number} flights of an epistemic sample, and "
@@ -69,7 +69,8 @@ def study(folder: Path, metrics: Sequence[str] = (), number: int = REPEATS) -> l
     return found
 
 
-def _of_metric(frame: pd.DataFrame, metric: str, number: int, drawn: bool, seed: int) -> Iterator[Converged]:
+def converged(frame: pd.DataFrame, metric: str, number: int, drawn: bool, seed: int) -> Iterator[Converged]:
+    """Convergence of one metric of a case table, condition by condition: ``number`` repeats; growth where samples are ``drawn``."""
     for condition in conditions(frame):
         groups = {
             str(name): _values(rows, metric) for name, rows in in_condition(frame, condition).groupby("epistemic_id", sort=False)
