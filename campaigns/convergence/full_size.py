@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,14 +33,14 @@ from uqharness.statistics.pbox import band_half_width
 from uqharness.text_tables import csv_text
 
 HOME = Path(__file__).parent
-FLIGHTS = 500
-"""Of a repeat, which is a shard."""
+FLIGHTS, LANES = 500, 250
+"""Flights of a repeat, which is a shard, and those flown side by side."""
 ENOUGH, CURVES = "flights-enough.csv", "curves.svg"
 
 
 def plan() -> Plan:
     """Ten repeats, kept on a grid of 0.1 %, for their curves lie close together."""
-    return Plan.read(HOME / "campaign.toml", FLIGHTS, resolution=FINE)
+    return replace(Plan.read(HOME / "campaign.toml", FLIGHTS, resolution=FINE), lanes=LANES)
 
 
 @dataclass(frozen=True)
