@@ -23,7 +23,7 @@ from uqharness.cli.options import (
     number,
     results_folder,
 )
-from uqharness.cli.progress import say_warnings, show_stage
+from uqharness.cli.progress import say_warnings, working
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder, write_bytes, write_json, write_text
 from uqharness.identification import BoundsOptions, MadeBounds, make_bounds, parse_designs
@@ -112,21 +112,22 @@ def _run(args: argparse.Namespace) -> int:
     aircraft = find_aircraft(args.aircraft)
     check_folder(args.out)
     options = _options(args)
-    flights, measured = read_bounds_flights(args.flight, aircraft, args.manoeuvres, args.map)
-    found = make_bounds(aircraft, flights, measured, [file_sha256(p) for p in args.flight], options, show_stage)
-    system = model_form_xml(found.form, aircraft)
-    out = results_folder(args.out)
-    document = bounds_document(found)
-    write_bytes(out / "model-form.xml", system)
-    kept = document | {"command": command_as_given(args), "version": __version__}
-    write_json(out / "bounds.json", kept)
-    write_residuals(found.form, found.residuals, ", ".join(f.name for f in flights), out)
-    write_text(out / "model-form.json", found.form.to_json())
-    show_stage("report")
-    report = write_report(out, not args.no_figures)
-    if not args.no_figures:
-        _more_figures(found, out)
-    show_stage("")
+    with working("bounds") as stage:
+        stage("reading the flights")
+        flights, measured = read_bounds_flights(args.flight, aircraft, args.manoeuvres, args.map)
+        found = make_bounds(aircraft, flights, measured, [file_sha256(p) for p in args.flight], options, stage)
+        system = model_form_xml(found.form, aircraft)
+        out = results_folder(args.out)
+        document = bounds_document(found)
+        write_bytes(out / "model-form.xml", system)
+        kept = document | {"command": command_as_given(args), "version": __version__}
+        write_json(out / "bounds.json", kept)
+        write_residuals(found.form, found.residuals, ", ".join(f.name for f in flights), out)
+        write_text(out / "model-form.json", found.form.to_json())
+        stage("report")
+        report = write_report(out, not args.no_figures)
+        if not args.no_figures:
+            _more_figures(found, out)
     say_warnings(found.warnings)
     print(json.dumps(document) if args.json else report.text)
     return 0

@@ -19,10 +19,11 @@ from uqharness.cli.options import (
     describe,
     results_folder,
 )
+from uqharness.cli.progress import working
 from uqharness.files import check_folder
 from uqharness.identification import BIASES, parse_channels
 from uqharness.identification.compare import compare
-from uqharness.replay import read_flights
+from uqharness.replay import counter, read_flights
 from uqharness.report import document_of, write_report, write_tables
 from uqharness.simulator import find_aircraft
 
@@ -52,19 +53,23 @@ def _run(args: argparse.Namespace) -> int:
     aircraft = find_aircraft(args.aircraft)
     biases, delays = (parse_channels(f"--{n}", getattr(args, n)) for n in ("biases", "delays"))
     check_folder(args.out)
-    flights, measured = read_flights([args.flight], aircraft, args.manoeuvres, args.map)
-    found = compare(
-        aircraft,
-        flights[0],
-        measured,
-        biases=BIASES if biases is None else biases,
-        delays=delays,
-        ideal_servos=args.servos == "ideal",
-        workers=args.workers,
-    )
-    out = results_folder(args.out)
-    document = document_of(found) | {"command": command_as_given(args)}
-    write_tables(found, document, out)
-    report = write_report(out, not args.no_figures)
+    with working("compare", lambda: counter["segments"]) as stage:
+        stage("reading the flight")
+        flights, measured = read_flights([args.flight], aircraft, args.manoeuvres, args.map)
+        found = compare(
+            aircraft,
+            flights[0],
+            measured,
+            biases=BIASES if biases is None else biases,
+            delays=delays,
+            ideal_servos=args.servos == "ideal",
+            workers=args.workers,
+            on_stage=stage,
+        )
+        stage("report")
+        out = results_folder(args.out)
+        document = document_of(found) | {"command": command_as_given(args)}
+        write_tables(found, document, out)
+        report = write_report(out, not args.no_figures)
     print(json.dumps(document) if args.json else report.text)
     return 0 if found.reached else 1

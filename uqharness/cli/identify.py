@@ -19,11 +19,12 @@ from uqharness.cli.options import (
     describe,
     results_folder,
 )
+from uqharness.cli.progress import working
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder
 from uqharness.identification import BIASES, parse_channels
 from uqharness.identification.identify import identify
-from uqharness.replay import read_flights
+from uqharness.replay import counter, read_flights
 from uqharness.report import write_report
 from uqharness.report.identify import write_results
 from uqharness.simulator import find_aircraft
@@ -65,15 +66,18 @@ def _run(args: argparse.Namespace) -> int:
         raise BadInputError("--params is empty; name properties such as aero/Cm_q,aero/Cm_de, or leave it out")
     biases, delays = (parse_channels(f"--{n}", getattr(args, n)) for n in ("biases", "delays"))
     check_folder(args.out)
-    flights, measured = read_flights(args.flight, aircraft, args.manoeuvres, args.map)
-    found = identify(
-        aircraft, flights, measured, parameters, start=args.start, biases=BIASES if biases is None else biases, delays=delays,
-        ideal_servos=args.servos == "ideal", method=args.method, workers=args.workers,
-    )  # fmt: skip
-    out = results_folder(args.out)
-    hashes = [file_sha256(p) for p in args.flight]
-    document = write_results(found, aircraft, [p.name for p in args.flight], command_words(args), out, hashes)
-    report = write_report(out, not args.no_figures)
+    with working("identify", lambda: counter["segments"]) as stage:
+        stage("reading the flights")
+        flights, measured = read_flights(args.flight, aircraft, args.manoeuvres, args.map)
+        found = identify(
+            aircraft, flights, measured, parameters, start=args.start, biases=BIASES if biases is None else biases, delays=delays,
+            ideal_servos=args.servos == "ideal", method=args.method, workers=args.workers, on_stage=stage,
+        )  # fmt: skip
+        stage("report")
+        out = results_folder(args.out)
+        hashes = [file_sha256(p) for p in args.flight]
+        document = write_results(found, aircraft, [p.name for p in args.flight], command_words(args), out, hashes)
+        report = write_report(out, not args.no_figures)
     if args.json:
         print(json.dumps(document))
     else:

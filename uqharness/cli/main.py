@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 
 from sysid.errors import LogError
-from sysid.terminal import clean_terminal
+from sysid.terminal import clean_terminal, drawing
 from uqharness import __version__
 from uqharness.cli.commands import Table, add_commands, commands_of
 from uqharness.errors import BadInputError, EnginesDifferError
@@ -42,6 +42,7 @@ COMMANDS: Table = {
     "study": ("study", "the whole chain: flights to p-boxes, before and after refinement"),
     "report": ("report", "write report.html of a folder of results"),
     "dossier": ("dossier", "the evidence of a folder of results as one printable document"),
+    "completion": ("completion", "a script for the completion of bash or zsh"),
 }
 
 
@@ -54,8 +55,8 @@ def build_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"uqharness {__version__}")
-    # A study runs other commands in its own process.
-    parser.set_defaults(run_words=run_words)
+    # A study runs other commands in its own process; completion asks for the arguments of all.
+    parser.set_defaults(run_words=run_words, complete_parser=complete_parser)
     add_commands(parser, COMMANDS, "command", "COMMAND")
     return parser
 
@@ -98,7 +99,9 @@ class _Notes(logging.Handler):
     """What the program has to say of its own accord, a line each on standard error."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print it."""
+        """Print it, in place of a line that moves."""
+        if sys.stderr.isatty():
+            print("\r\x1b[K", end="", file=drawing(sys.stderr))
         print(f"note: {record.getMessage()}", file=sys.stderr)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 from sysid.model_form import ModelForm
@@ -19,7 +20,7 @@ from uqharness.cli.options import (
     results_folder,
     whole,
 )
-from uqharness.cli.progress import say_warnings, show_stage
+from uqharness.cli.progress import say_warnings, working
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder, write_bytes, write_json
 from uqharness.flight import COEFFICIENTS, TURBULENCE_W20_KT
@@ -47,6 +48,7 @@ from uqharness.report import document, points_csv, write_page
 from uqharness.report.pages import next_flight_page, uncertainty_figures
 from uqharness.simulator import Aircraft
 
+Stage = Callable[[str], None]
 DOCUMENT, SCRIPT, TABLE = "next-flight.json", "next-flight.xml", "test-points.csv"
 
 _EXAMPLE = """
@@ -120,14 +122,22 @@ def _speeds(text: str) -> tuple[float, ...]:
 
 def _run(args: argparse.Namespace) -> int:
     check_folder(args.out)
-    show_stage("sensitivity")
+    with working("next-flight") as stage:
+        text, code = _answer(args, stage)
+    print(text)
+    return code
+
+
+def _answer(args: argparse.Namespace, stage: Stage) -> tuple[str, int]:
+    """What is printed, and the exit code."""
+    stage("sensitivity")
     winner = find_winner(args.folder, args.metric, args.coefficient)
     campaign = open_campaign(args.folder)
     path = args.bounds or bounds_of(campaign, args.folder, winner.coefficient)
     form = load_form(path)
     aircraft = aircraft_of(campaign)
     check_form(form, aircraft, winner.coefficient, str(path))
-    show_stage("where the mission flies")
+    stage("where the mission flies")
     mission = (
         recorded_mission(args.occupancy, aircraft, form.filtering.cutoff_hz)
         if args.occupancy
@@ -137,20 +147,20 @@ def _run(args: argparse.Namespace) -> int:
         after = load_form(args.redone)
         check_form(after, aircraft, winner.coefficient, str(args.redone))
         return _redone(args, form, after, mission, winner.coefficient)
-    return _plan(args, form, path, aircraft, campaign, mission, winner)
+    return _plan(args, form, path, aircraft, campaign, mission, winner, stage)
 
 
 def _plan(
     args: argparse.Namespace, form: ModelForm, path: Path, aircraft: Aircraft, campaign: CampaignMission, mission: Occupancy,
-    winner: Winner,
-) -> int:  # fmt: skip
+    winner: Winner, stage: Stage,
+) -> tuple[str, int]:  # fmt: skip
     flight = flight_of(campaign, aircraft, form, args.turbulence)
-    found = plan_flight(form, winner.coefficient, mission, flight, Options(args.minutes, args.speeds, args.seed), show_stage)
+    found = plan_flight(form, winner.coefficient, mission, flight, Options(args.minutes, args.speeds, args.seed), stage)
     missing = None
     if args.flight:
-        show_stage("missing terms")
+        stage("missing terms")
         missing = missing_in(form, aircraft, winner.coefficient, args.flight)
-    show_stage("")
+    stage("report")
     units = {c: card.unit for c, card in aircraft.card.inputs.items()}
     air = {
         "aircraft": {"name": aircraft.name, "sha256": form.aircraft.sha256},
@@ -176,13 +186,11 @@ def _plan(
     page = next_flight_page(found, doc, figures, command_as_given(args))
     report = write_page(out, page, page if figures else None)
     say_warnings(warnings)
-    print(json.dumps(doc) if args.json else report.text)
-    return 0 if found.worth_flying else 1
+    return json.dumps(doc) if args.json else report.text, 0 if found.worth_flying else 1
 
 
-def _redone(args: argparse.Namespace, before: ModelForm, after: ModelForm, mission: Occupancy, coefficient: str) -> int:
+def _redone(args: argparse.Namespace, before: ModelForm, after: ModelForm, mission: Occupancy, coefficient: str) -> tuple[str, int]:
     rows = achieved(before, after, mission, args.out / DOCUMENT)
-    show_stage("")
-    print(json.dumps({"coefficient": coefficient, "achieved": rows}) if args.json else as_text(rows))
+    text = json.dumps({"coefficient": coefficient, "achieved": rows}) if args.json else as_text(rows)
     narrowing = rows[coefficient]["narrowing"]
-    return 0 if narrowing is not None and narrowing >= WORTH else 1
+    return text, 0 if narrowing is not None and narrowing >= WORTH else 1

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn
+from rich.progress import BarColumn, MofNCompleteColumn, ProgressColumn, SpinnerColumn, Task, TaskID, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bar
+from rich.text import Text
 
 from sysid.terminal import drawing, visible
 
@@ -18,10 +21,71 @@ if TYPE_CHECKING:
     from uqharness.campaign import Progress
 
 
-def show_stage(text: str) -> None:
-    """What is being done, on the terminal's last line."""
-    if sys.stderr.isatty():
-        print(f"{visible(text):<40}", end="\r", file=drawing(sys.stderr), flush=True)
+class _Counted(ProgressColumn):
+    """How many of something are done since the line began, asked for at each drawing; empty before the first."""
+
+    def __init__(self, count: Callable[[], int], unit: str) -> None:
+        super().__init__()
+        self._count, self._unit, self._before = count, unit, count()
+
+    def render(self, task: Task) -> Text:
+        """The number and its unit."""
+        done = self._count() - self._before
+        return Text(f"{done:,} {self._unit}" if done else "")
+
+
+@contextmanager
+def working(
+    command: str,
+    count: Callable[[], int] | None = None,
+    unit: str = "segments flown",
+    *,
+    keep: bool = False,
+    console: Console | None = None,
+) -> Iterator[Callable[[str], None]]:
+    """A line that moves while a command works: its stage, the time since the command began, and a count.
+
+    Parameters
+    ----------
+    command
+        What the line begins with.
+    count, unit
+        Gives a number that grows with the work; None shows none.
+    keep
+        Whether each finished stage leaves a line with the time that it took.
+    console
+        Where to draw; by default standard error. Nothing is drawn where that is no terminal.
+
+    Yields a function that is told each stage.
+    """
+    shown = console or Console(stderr=True, file=drawing(sys.stderr))
+    if not shown.is_terminal:
+        yield lambda stage: None
+        return
+    columns = [SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()]
+    columns += [] if count is None else [_Counted(count, unit)]
+    # Other output is not drawn through the bar: it may hold a log's own words, and those pass the terminal's filter alone.
+    with Bar(*columns, console=shown, transient=True, redirect_stdout=False, redirect_stderr=False) as bar:
+        task = bar.add_task(command, total=None)
+        current, begun = "", time.monotonic()
+
+        def stage(text: str) -> None:
+            nonlocal current, begun
+            if _without_numbers(text) != _without_numbers(current):
+                if keep and current:
+                    line = f"{command}: {visible(current)} ({clock(time.monotonic() - begun)})"
+                    bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
+                begun = time.monotonic()
+            current = text
+            bar.update(task, description=f"{command}: {visible(text)}" if text else command, refresh=True)
+
+        yield stage
+        stage("")
+
+
+def _without_numbers(text: str) -> str:
+    """A stage that only counts on is the same stage."""
+    return re.sub(r"\d+", "", text)
 
 
 def say_line(text: object) -> None:
@@ -31,8 +95,10 @@ def say_line(text: object) -> None:
 
 
 def say_warnings(warnings: Iterable[str]) -> None:
-    """A line each on standard error, in a pipe too."""
+    """A line each on standard error, in a pipe too; on a terminal in place of a line that moves."""
     for text in warnings:
+        if sys.stderr.isatty():
+            print("\r\x1b[K", end="", file=drawing(sys.stderr))
         print(f"uqharness: warning: {text}", file=sys.stderr)
 
 

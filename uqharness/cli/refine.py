@@ -18,11 +18,12 @@ from uqharness.cli.options import (
     command_words,
     describe,
 )
-from uqharness.cli.progress import say_line
+from uqharness.cli.progress import working
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder
 from uqharness.refinement import Request
 from uqharness.refinement.run import refine
+from uqharness.replay import counter
 from uqharness.report import write_report
 from uqharness.report.refinement import write_results
 from uqharness.simulator import find_aircraft
@@ -84,8 +85,10 @@ def _run(args: argparse.Namespace) -> int:
         not args.no_pbox,
         args.campaign,
     )
-    done = refine(request, lambda text: say_line(f"refine: {text}"))
-    write_results(done, out)
-    report = write_report(out, not args.no_figures)
+    with working("refine", lambda: counter["segments"], keep=True) as stage:
+        done = refine(request, stage)
+        stage("report")
+        write_results(done, out)
+        report = write_report(out, not args.no_figures)
     print(json.dumps(done.document) if args.json else report.text)
     return 1 if done.document["verdict"] == "unexplained" else 0

@@ -17,7 +17,7 @@ from uqharness.cli.options import (
     describe,
     results_folder,
 )
-from uqharness.cli.progress import say_warnings
+from uqharness.cli.progress import say_warnings, working
 from uqharness.files import check_folder, write_json
 from uqharness.identification import load_form, validate, verdicts
 from uqharness.replay import read_bounds_flights
@@ -47,17 +47,21 @@ def _run(args: argparse.Namespace) -> int:
     if args.out is not None:
         check_folder(args.out)
     form = load_form(args.form)
-    flights, measured = read_bounds_flights(args.flight, aircraft, args.manoeuvres, args.map)
-    hashes = [file_sha256(p) for p in args.flight]
-    found = validate(aircraft, form, flights, measured, hashes, args.servos == "ideal")
-    document = validation_document(found)
-    text = "\n".join(first_lines(coverage_page_of(document)))
-    if args.out is not None:
-        out = results_folder(args.out)
-        kept = document | {"command": command_as_given(args), "version": __version__}
-        write_residuals(form, found.residuals, ", ".join(f.name for f in flights), out)
-        write_json(out / "coverage.json", kept)
-        text = write_report(out, figures=True).text
+    with working("validate-bounds") as stage:
+        stage("reading the flights")
+        flights, measured = read_bounds_flights(args.flight, aircraft, args.manoeuvres, args.map)
+        hashes = [file_sha256(p) for p in args.flight]
+        stage("residual coefficients")
+        found = validate(aircraft, form, flights, measured, hashes, args.servos == "ideal")
+        document = validation_document(found)
+        text = "\n".join(first_lines(coverage_page_of(document)))
+        if args.out is not None:
+            stage("report")
+            out = results_folder(args.out)
+            kept = document | {"command": command_as_given(args), "version": __version__}
+            write_residuals(form, found.residuals, ", ".join(f.name for f in flights), out)
+            write_json(out / "coverage.json", kept)
+            text = write_report(out, figures=True).text
     say_warnings(found.warnings)
     print(json.dumps(document) if args.json else text)
     return 0 if set(verdicts(found).values()) == {"holds"} else 1

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -62,6 +62,7 @@ def identify(
     ideal_servos: bool = False,
     method: str = "auto",
     workers: int | None = None,
+    on_stage: Callable[[str], None] = lambda stage: None,
 ) -> Identification:
     """Estimate JSBSim properties from flights.
 
@@ -72,6 +73,7 @@ def identify(
     delays      channels whose delay after the commands is estimated, one a flight; None: all, of flights that come from a log
     ideal_servos  surfaces and throttle follow their commands at once, whatever actuators the XML has
     method      "auto" | "output-error" | "filter-error"
+    on_stage    told what is being done
     Raises BadInputError for unknown parameters and for a model that cannot fly the segments.
     """
     names = _parameter_names(aircraft, parameters)
@@ -82,6 +84,7 @@ def identify(
         initial = _initial(aircraft, model, names, start)
         limits = _limits(aircraft, names, initial)
         begun = time.perf_counter()
+        on_stage("equation error")
         with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
             near, notes = equation_error_start(model, straight, flights, cut, names, initial, limits)
         outputs = tuple(c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights))
@@ -89,6 +92,7 @@ def identify(
         observed = Observed(cut, outputs, data, [b for b in biases if b in outputs], delayed(flights, outputs, delays))
         noise = channel_noise(data, outputs, aircraft.card.sensors.noise_std)
         bare, flown, started = bare_rate(model, cut[0]), counter["rows"], time.perf_counter()
+        on_stage("output error")
         with replay_pool(workers) as spread:
             fitted = fit_replays(model, observed, names, (near, initial), limits, spread)
         fit = fitted.found
@@ -102,6 +106,7 @@ def identify(
             return found
         from uqharness.identification.turbulence import filter_route
 
+        on_stage("filter error")
         with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
             return filter_route(found, model, straight, flights, limits, biases)
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import io
+import re
 import sys
 
 import pytest
 from rich.console import Console
 
 from uqharness.campaign.run import Progress
-from uqharness.cli.progress import ProgressView, clock, counting, describe, say_line, say_warnings, show_stage
+from uqharness.cli.progress import ProgressView, clock, counting, describe, say_line, say_warnings, working
 
 
 def test_progress_on_a_terminal_and_silence_elsewhere():
@@ -30,16 +31,41 @@ def test_stages_lines_and_counters_are_for_terminals_alone(monkeypatch, terminal
     told = io.StringIO()
     monkeypatch.setattr(told, "isatty", lambda: terminal)
     monkeypatch.setattr(sys, "stderr", told)
-    show_stage("fitting\x1b[2J")
     say_line("round 1")
     with counting("repeats") as update:
         update(1, 2)
     said = told.getvalue()
     assert (said != "") is terminal
-    assert "\x1b" not in said
     if terminal:
         assert "round 1\n" in said
         assert "repeats: 1 of 2" in said
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_working_command_shows_stage_time_and_count_on_a_terminal_alone(terminal):
+    drawn, flown = io.StringIO(), [100]
+    console = Console(file=drawn, force_terminal=terminal, width=100, legacy_windows=False)
+    with working("identify", lambda: flown[0], console=console) as stage:
+        stage("output [bold]error\x1b[2J")
+        flown[0] += 1234
+        stage("output [bold]error\x1b[2J")
+    said = drawn.getvalue()
+    assert bool(said) is terminal
+    if terminal:
+        # A log's own words neither steer the terminal nor become markup.
+        assert "identify: output [bold]error\\x1b[2J" in said
+        assert "0:00:00" in said
+        assert "1,234 segments flown" in said
+
+
+def test_finished_stages_stay_where_that_is_asked_for():
+    drawn = io.StringIO()
+    console = Console(file=drawn, force_terminal=True, width=100, legacy_windows=False)
+    with working("refine", keep=True, console=console) as stage:
+        for text in ("reading", "mission: 1 of 2 flights", "mission: 2 of 2 flights", "report"):
+            stage(text)
+    lines = re.findall(r"refine: ([^\n\r\x1b]*) \(0:00\)", drawn.getvalue())
+    assert lines == ["reading", "mission: 2 of 2 flights", "report"]
 
 
 def test_warnings_are_told_in_a_pipe_too(capsys):
