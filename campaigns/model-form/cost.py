@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.model_form.model_form import ModelForm, read_model_form
-from uqharness.cli.benchmark import without_plugin
+from uqharness.cli.benchmarks.loop import without_plugin
 from uqharness.flight.fly import set_conditions
 from uqharness.flight.spec import FlightSpec
 from uqharness.plugin.folder import write

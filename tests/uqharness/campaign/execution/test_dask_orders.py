@@ -135,7 +135,7 @@ def test_a_worker_imports_no_module_that_its_operator_did_not_name(tmp_path, mon
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     foreign = ("harm:fly", "os:system", "tests.helpers.campaign_fakes:steady", ":", "")
-    for name in (*foreign, "uqharness.flight.fly:Path", "uqharness.cli.benchmark:bare_flight"):
+    for name in (*foreign, "uqharness.flight.fly:Path", "uqharness.cli.benchmarks.loop:bare_flight"):
         with pytest.raises(BadInputError, match=r"flies with uqharness\.flight\.fly:fly alone"):
             flight_function(name)
         answer = fly_order(order_text(replace(ORDER, fly=name)))

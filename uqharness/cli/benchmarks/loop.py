@@ -1,4 +1,4 @@
-"""What the harness costs over JSBSim's bare loop, measured side by side: ``python -m uqharness.cli.benchmark``.
+"""What the harness costs over JSBSim's bare loop, measured side by side: ``python -m uqharness.cli.benchmarks.loop``.
 
 Three loops take turns in one process, each flying the same minutes of the loiter in wind, turbulence and sensor noise:
 
@@ -185,7 +185,7 @@ def _driver(levels: str) -> LevelDriver | None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure and print; the process's exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m uqharness.cli.benchmark", description="Cost of the harness over JSBSim's bare loop."
+        prog="python -m uqharness.cli.benchmarks.loop", description="Cost of the harness over JSBSim's bare loop."
     )
     parser.add_argument("--aircraft", default="espaaro")
     parser.add_argument("--duration-s", type=float, default=900.0, help="flight per round and loop (default 900)")

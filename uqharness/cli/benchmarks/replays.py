@@ -1,4 +1,4 @@
-"""How fast replays are, for ``uqharness.cli.benchmark_batch``: of a whole flight with many parameters, and in ``identify``.
+"""How fast replays are, for ``uqharness.cli.benchmarks.batch``: of a whole flight with many parameters, and in ``identify``.
 
 f  400 replays of the first 90 s of a flight, each with parameters of its own, by one core;
 g  an aircraft's replays translated, compiled and checked against JSBSim;

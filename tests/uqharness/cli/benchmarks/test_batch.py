@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 
 from uqharness.batch import VECTORS, target_names
-from uqharness.cli import benchmark_batch
-from uqharness.cli.benchmark_batch import measure_batch, said
+from uqharness.cli.benchmarks import batch as benchmark_batch
+from uqharness.cli.benchmarks.batch import measure_batch, said
 
 
 def test_every_loop_is_measured_and_said(monkeypatch):

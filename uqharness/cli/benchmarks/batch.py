@@ -1,4 +1,4 @@
-"""What the batch engine brings over JSBSim's bare loop, measured in turns: ``python -m uqharness.cli.benchmark_batch``.
+"""What the batch engine brings over JSBSim's bare loop, measured in turns: ``python -m uqharness.cli.benchmarks.batch``.
 
 One flight is the expensive case: loiter in wind, turbulence, sensor noise, autopilot, and with --model-form bounds that depend on
 the state. Loops take turns in one process, and the least processor time of all rounds counts:
@@ -8,7 +8,7 @@ c  the product through JSBSim: a campaign's default air, recorded, scored, one f
 d  the batch engine alone: 64 corners in two airs, streams included, recorded, not scored; for each width of vector there is here;
 e  a corner campaign from end to end, by the clock: engine check, flights, scores, journal, tables; in one process and in two.
 
-With --flight also f, g and h: replays of it (``benchmark_replays``).
+With --flight also f, g and h: replays of it (``replays``).
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from pathlib import Path
 from uqharness.batch import VECTORS, forget, record_many, target_names
 from uqharness.campaign import find_mission, run_campaign
 from uqharness.campaign.spec import campaign_from
-from uqharness.cli.benchmark import bare_loop, with_model_form
-from uqharness.cli.benchmark_replays import measure_replays, said_of_replays
+from uqharness.cli.benchmarks.loop import bare_loop, with_model_form
+from uqharness.cli.benchmarks.replays import measure_replays, said_of_replays
 from uqharness.flight import COEFFICIENTS, FlightSpec
 from uqharness.flight.fly import fly
 from uqharness.scratch import scratch_folder
@@ -151,7 +151,7 @@ def said(found: Mapping[str, float]) -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure and print; the process's exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m uqharness.cli.benchmark_batch", description="The batch engine beside JSBSim's bare loop."
+        prog="python -m uqharness.cli.benchmarks.batch", description="The batch engine beside JSBSim's bare loop."
     )
     parser.add_argument("--aircraft", default="espaaro")
     parser.add_argument("--duration-s", type=float, default=900.0, help="flight per round and loop (default 900)")
