@@ -9,6 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sysid.notebook_view import frame_table, view
 from uqharness.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -22,8 +23,13 @@ class Tabled:
         """The table."""
         raise NotImplementedError
 
+    def _facts(self) -> Mapping[str, object]:
+        """What stands above the table: name and value."""
+        return {}
+
     def _repr_html_(self) -> str:
-        return str(self.to_dataframe().to_html(max_rows=20, show_dimensions=True))
+        warnings = getattr(self, "warnings", ())
+        return view(repr(self), frame_table(self.to_dataframe()), facts=self._facts(), warnings=warnings)
 
 
 def text_table(rows: Sequence[Mapping[str, str]]) -> list[str]:

@@ -26,6 +26,7 @@ from sysid.aerodynamics.polynomial import STATES
 from sysid.errors import LogError
 from sysid.foreign.parsed_text import ParseError, parse_json
 from sysid.foreign.regular_files import read_regular
+from sysid.notebook_view import rows_table, view
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -258,6 +259,18 @@ class ModelForm:
 
     def __repr__(self) -> str:
         return f"ModelForm({', '.join(self.coefficients)}; {len(self.flights)} flights, confidence {self.confidence:g})"
+
+    def _repr_html_(self) -> str:
+        rows: list[dict[str, object]] = [
+            {
+                "coefficient": name, "n": b.n, "n effective": b.n_effective,
+                "half width in the data's middle [-]": b.t * math.sqrt(b.constant_variance),
+                "terms": ", ".join(term_name(t, b.states) for t in b.terms),
+            }
+            for name, b in self.coefficients.items()
+        ]  # fmt: skip
+        facts = {"aircraft": self.aircraft.name, "confidence [-]": self.confidence, "outside the data": self.outside}
+        return view(repr(self), rows_table(rows), facts=facts)
 
     def bounds(self, states: Mapping[str, FloatArray], confidence: float | None = None) -> dict[str, tuple[FloatArray, FloatArray]]:
         """Coefficient -> lower and upper (n,) at states (n,) each, lower <= 0 <= upper. Raises KeyError for a missing state."""

@@ -59,6 +59,8 @@ XML_TEXT = (
     "uqharness/refinement/writing/",
     # Messages say what is not understood.
     "uqharness/batch/translate/",
+    # HTML, whose tables have the name of JSBSim's.
+    "sysid/notebook_view.py",
     # A message shows what to write.
     "uqharness/campaign/aircraft.py",
     "uqharness/flight/fly.py",

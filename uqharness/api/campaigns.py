@@ -57,6 +57,12 @@ class CampaignResult:
     manifest: Mapping[str, Any] = field(repr=False)
     notes: tuple[str, ...] = ()
 
+    def _repr_html_(self) -> str:
+        # Imported here: a campaign that nobody looks at in a notebook needs no charts.
+        from uqharness.report import campaign_view
+
+        return campaign_view(self.folder, self.manifest, self.cases, self.statements())
+
     @cached_property
     def cases(self) -> pd.DataFrame:
         """One row a flight (docs/campaigns.md has the columns). Raises BadInputError where the table is not as it was written."""

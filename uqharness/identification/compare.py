@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +29,7 @@ from uqharness.replay import (
     CONTROLS,
     SENSOR_OF,
     Flight,
+    History,
     Replay,
     ReplayFolder,
     ReplayModel,
@@ -151,6 +152,9 @@ class Comparison(Tabled):
     def __repr__(self) -> str:
         return f"Comparison({self.aircraft!r}, {self.flight!r}, above: {', '.join(self.above) or 'none'})"
 
+    def _facts(self) -> Mapping[str, object]:
+        return {"reaches the noise floor": "yes" if self.reached else "no", "above it": ", ".join(self.above) or "none"}
+
     @property
     def aligned(self) -> bool:
         """The record's commands act when it says they do. A row of difference would otherwise pass for a lag in every servo."""
@@ -189,12 +193,29 @@ class Comparison(Tabled):
         }
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis("channel")
 
+    def histories(self) -> list[History]:
+        """Each segment's channels as measured and, ending in ``_model``, as replayed: what ``plot_overlay`` draws."""
+        return [
+            History(
+                number, segment.flight, segment.label, segment.time_s,
+                {
+                    **{c: z[:, k] for k, c in enumerate(self.outputs)},
+                    **{f"{c}_model": y[:, k] for k, c in enumerate(self.outputs)},
+                },
+            )
+            for number, (segment, z, y) in enumerate(zip(self.segments, self.measured, self.modelled, strict=True))
+        ]  # fmt: skip
+
 
 def compare(
     aircraft: Aircraft, flight: Flight, measured: Sequence[str], *, biases: Sequence[str] = BIASES,
     delays: Sequence[str] | None = None, ideal_servos: bool = False, workers: int | None = None,
+    on_stage: Callable[[str], None] = lambda stage: None,
 ) -> Comparison:  # fmt: skip
-    """Replay a flight and measure the gap. Raises BadInputError when the model cannot fly any segment."""
+    """Replay a flight and measure the gap; ``on_stage`` is told what is being done.
+
+    Raises BadInputError when the model cannot fly any segment.
+    """
     arm = aircraft.accelerometer_m
     cut = segments(flight, measured, arm)
     present = tuple(c for c in CHANNELS if c in flight.record and np.isfinite(flight.record[c]).any())
@@ -203,12 +224,14 @@ def compare(
     noise = channel_noise(data, present, aircraft.card.sensors.noise_std)
     ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
     with ReplayFolder(aircraft, measured=measured, ideal=ideal) as model:
+        on_stage("start states, biases and delays")
         with replay_pool(workers) as spread:
             wanted = [b for b in biases if b in judged]
             late = delayed([flight], judged, delays)
             theta, layout_names, kept, notes = _starts(model, cut, judged, data, present, wanted, late, spread)
         replay = Replay(model, cut, layout_names, present, uuid.uuid4().hex)
         modelled = replay(theta)
+        on_stage("coefficients")
         with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
             demand, said, floor = _coefficients(model, straight, flight, cut, noise)
     data = [d for d, ok in zip(data, kept, strict=True) if ok]

@@ -58,6 +58,9 @@ class Identification(Tabled):
     def __repr__(self) -> str:
         return f"Identification({self.aircraft!r}, {len(self.identified)} of {len(self.names)} identified by {self.method})"
 
+    def _facts(self) -> Mapping[str, object]:
+        return {"method": self.method, "converged": "yes" if self.converged else "no"}
+
     @property
     def identified(self) -> tuple[str, ...]:
         """Names of the parameters that the data determined."""

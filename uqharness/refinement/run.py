@@ -34,6 +34,7 @@ from uqharness.refinement.showing.intervals import (
 )
 from uqharness.refinement.showing.mission import FOLDER as PBOX
 from uqharness.refinement.showing.mission import MissionResult, Model, campaign_for, fly_missions, no_pbox
+from uqharness.refinement.showing.notebook import refinement_view
 from uqharness.refinement.showing.show import air_of, write_bytes_tree
 from uqharness.refinement.stages import FOLDER, Stages
 from uqharness.refinement.timing import later
@@ -79,6 +80,9 @@ class Refinement:
 
     def __repr__(self) -> str:
         return f"Refinement({self.document['verdict']}, {self.aircraft!r})"
+
+    def _repr_html_(self) -> str:
+        return refinement_view(repr(self), self.document)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from .model_form import validation_document as validation_document
 from .model_form import write_residuals as write_residuals
 from .next_flight import document as document
 from .next_flight import points_csv as points_csv
+from .notebook import campaign_view as campaign_view
 from .parts import first_lines as first_lines
 from .rerun import draw_rerun as draw_rerun
 from .sensitivity import condition_sections as condition_sections

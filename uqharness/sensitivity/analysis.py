@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from uqharness.arguments import flag, instance, whole
 from uqharness.errors import BadInputError
@@ -16,6 +16,10 @@ from uqharness.sensitivity.pinching import pinching
 from uqharness.sensitivity.result import Index, MethodResult, PairRange
 from uqharness.sensitivity.scatter import scatter
 from uqharness.sensitivity.study import METHODS, Evaluations, Study
+from uqharness.text_tables import Tabled
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _FUNCTIONS: Mapping[str, Callable[[Study, Evaluations, int, bool], MethodResult]] = {
     "local": local,
@@ -28,7 +32,7 @@ assert tuple(_FUNCTIONS) == METHODS
 
 
 @dataclass(frozen=True)
-class Sensitivity:
+class Sensitivity(Tabled):
     """Results by output, then by method."""
 
     results: Mapping[str, Mapping[str, MethodResult]]
@@ -44,6 +48,26 @@ class Sensitivity:
         return {
             output: {method: result.as_dict() for method, result in methods.items()} for output, methods in self.results.items()
         }
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row per output, parameter and method.
+
+        Columns: the index [-], from ``smallest`` to ``largest`` (equal unless the method gives a range over pairs of corners), the
+        ends ``low`` and ``high`` of its 95 % interval, and the ``reason`` where it is undefined (NaN).
+        """
+        import pandas as pd
+
+        rows = [
+            {
+                "output": output, "parameter": name, "method": method, "smallest": ends[0].value, "largest": ends[1].value,
+                "low": ends[0].low, "high": ends[1].high, "reason": index.reason,
+            }
+            for output, methods in self.results.items()
+            for method, result in methods.items()
+            for name, index in result.indices.items()
+            for ends in [(index.minimum, index.maximum) if isinstance(index, PairRange) else (index, index)]
+        ]  # fmt: skip
+        return pd.DataFrame(rows).set_index(["output", "parameter", "method"]).sort_index()
 
     def text(self) -> str:
         """Tables to read: one per output, each index with its interval, then what each method costs and assumes."""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from sysid.notebook_view import rows_table, view
 from uqharness.arguments import number
 from uqharness.statistics.common_air import common_air_half_width, is_enough
 
@@ -22,6 +23,8 @@ Array = NDArray[np.float64]
 
 MAX_POINTS = 512
 """Rows of a p-box; beyond that many distinct values the grid is thinned. The rows that remain are exact."""
+
+_SHOWN_QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,14 @@ class PBox:
 
     def __repr__(self) -> str:
         return f"PBox({self.value.size} values from {self.value[0]:g} to {self.value[-1]:g})"
+
+    def _repr_html_(self) -> str:
+        names = ("p-box, low", "p-box, high", "band, low", "band, high")
+        rows = []
+        for share in _SHOWN_QUANTILES:
+            ends = (*self.quantile(share), *self.band_quantile(share))
+            rows.append({"quantile [%]": 100.0 * share, **dict(zip(names, ends, strict=True))})
+        return view(repr(self), rows_table(rows))
 
     def quantile(self, probability: float) -> tuple[float, float]:
         """Interval of the p-box's quantile; the right end is inf where failures or chance leave it open.

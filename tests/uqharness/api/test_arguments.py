@@ -131,3 +131,5 @@ def test_results_are_shown_in_a_line_and_as_a_table(flight: Flight):
         assert "\n" not in repr(result)
     assert "<th>q_radps</th>" in gap._repr_html_()
     assert "151 rows" in flight._repr_html_()
+    assert "reaches the noise floor: yes" in gap._repr_html_()
+    assert "<td>50</td><td>1</td>" in uq.pbox([[1.0, 2.0]])._repr_html_()
