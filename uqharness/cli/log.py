@@ -14,6 +14,7 @@ from sysid.logs import default_cache
 from sysid.terminal import drawing, visible
 from uqharness.cli.commands import Table, add_commands
 from uqharness.cli.options import add_manoeuvres, add_map, describe
+from uqharness.files import finite
 from uqharness.simulator import find_aircraft
 
 if TYPE_CHECKING:
@@ -25,13 +26,14 @@ _LOG_HELP = "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, JSBSim's CSV, a fl
 VERBS: Table = {
     "info": ("log:add_info", "contents and findings of a log, and the purposes it serves"),
     "import": ("log:add_import", "turn a log into a flight record"),
+    "export": ("log_export:add_export", "write a flight for FlightGear"),
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Give ``log`` its verbs."""
-    parser.description = "Say what a flight log holds, or make a flight record from it."
-    add_commands(parser, VERBS, "log_command", "info|import")
+    parser.description = "Say what a flight log holds, make a flight record from it, or write it for FlightGear."
+    add_commands(parser, VERBS, "log_command", "info|import|export")
 
 
 def add_info(parser: argparse.ArgumentParser) -> None:
@@ -65,7 +67,7 @@ def _info(args: argparse.Namespace) -> int:
     from sysid.logs import log_info
 
     info = log_info(_read(args))
-    print(json.dumps(info.as_dict(), indent=2) if args.json else _info_text(info))
+    print(json.dumps(finite(info.as_dict()), indent=2) if args.json else _info_text(info))
     return 0 if info.serves else 1
 
 
@@ -95,7 +97,7 @@ def _import(args: argparse.Namespace) -> int:
         "columns": list(record.columns),
         "findings": [f.as_dict() for f in record.metadata.findings],
     }
-    print(json.dumps(report, indent=2) if args.json else _import_text(record, args.out, kept, whole))
+    print(json.dumps(finite(report), indent=2) if args.json else _import_text(record, args.out, kept, whole))
     return 0
 
 

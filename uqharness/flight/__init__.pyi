@@ -26,6 +26,7 @@ from .margins import CALM_STRAIGHT as CALM_STRAIGHT
 from .margins import LOOPS as LOOPS
 from .margins import LoopMargins as LoopMargins
 from .margins import measure_loop as measure_loop
+from .playback import playback_rows as playback_rows
 from .record_writer import FORMATS as FORMATS
 from .record_writer import write_record as write_record
 from .recorded import as_asked as as_asked

@@ -27,6 +27,8 @@ from .expressions import function_lines as function_lines
 from .expressions import horner as horner
 from .expressions import prop as prop
 from .expressions import value as value
+from .flightgear import FIELDS as FIELDS
+from .flightgear import protocol_xml as protocol_xml
 from .properties import computes as computes
 from .properties import declaration as declaration
 from .properties import declarations as declarations

@@ -1,0 +1,59 @@
+"""`uqharness log export`, and the CSV layout that PlotJuggler reads."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from uqharness.cli import main as cli
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("flown")
+    words = ["fly", "espaaro", "--script", "doublet-elevator", "--duration-s", "4", "--out"]
+    assert cli.main([*words, str(folder / "a.csv")]) == 0
+    assert cli.main([*words, str(folder / "a.bin")]) == 0
+    return folder
+
+
+def test_a_log_with_a_position_needs_no_more(flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    words = ["log", "export", str(flown / "a.bin"), "--aircraft", "espaaro", "--out", str(tmp_path / "shown"), "--json"]
+    assert cli.main(words) == 0
+    found = json.loads(capsys.readouterr().out)
+    rows = np.loadtxt(found["files"][0], delimiter=",")
+    assert rows.shape == (found["rows"], len(found["columns"]))
+    assert np.isfinite(rows).all()
+    assert Path(found["files"][1]).read_text().startswith('<?xml version="1.0"?>')
+
+
+def test_a_record_needs_a_start(flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    words = ["log", "export", str(flown / "a.csv"), "--aircraft", "espaaro", "--out", str(tmp_path / "shown")]
+    assert cli.main(words) == 2
+    assert "give --lat-deg and --lon-deg" in capsys.readouterr().err
+    assert not (tmp_path / "shown").exists()
+    assert cli.main([*words, "--lat-deg", "91"]) == 2
+    assert "--lat-deg 91: a latitude in degrees" in capsys.readouterr().err
+    assert cli.main([*words, "--lat-deg", "37.2", "--lon-deg", "-80.4", "--alt-m", "630"]) == 0
+    said = capsys.readouterr().out
+    assert "--generic=file,in,30," in said
+    first = np.loadtxt(tmp_path / "shown" / "playback.csv", delimiter=",")[0]
+    assert first[:2] == pytest.approx([37.2, -80.4], abs=1e-6)
+
+
+def test_a_record_in_csv_has_the_layout_that_plotjuggler_reads(flown: Path):
+    """One header line, a time column that grows, a number in each cell of a channel."""
+    with (flown / "a.csv").open(newline="") as file:
+        head, *rows = csv.reader(file)
+    assert head[0] == "time_s"
+    assert len(set(head)) == len(head)
+    assert {len(row) for row in rows} == {len(head)}
+    time_s = np.array([float(row[0]) for row in rows])
+    assert (np.diff(time_s) > 0.0).all()
+    for number, name in enumerate(head):
+        if name != "manoeuvre":
+            assert np.isfinite([float(row[number]) for row in rows]).all(), name

@@ -1,0 +1,76 @@
+"""``uqharness completion``: a script that makes a shell complete commands, options, files and aircraft."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import shtab
+
+from uqharness.cli.commands import commands_of
+from uqharness.cli.options import describe
+from uqharness.project_files import PROJECT_ROOT
+
+SHELLS = ("bash", "zsh")
+_EXAMPLE = """
+  uqharness completion bash > ~/.local/share/bash-completion/completions/uqharness
+  uqharness completion zsh > ~/.zfunc/_uqharness
+
+bash reads its file at the next start. zsh needs `fpath+=~/.zfunc; autoload -U compinit; compinit` in ~/.zshrc. Completing runs
+none of this program; write the file again after an update."""
+_AIRCRAFT: Mapping[str, str] = {
+    "bash": '_uqharness_aircraft() {{ compgen -W {names} -- "$1"; compgen -d -- "$1"; }}',
+    "zsh": "_uqharness_aircraft() {{ compadd -- {words}; _files -/; }}",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``completion``."""
+    describe(parser, _run, "Print a script that completes uqharness in a shell.", _EXAMPLE)
+    parser.add_argument("shell", choices=SHELLS, help="the shell")
+
+
+def _run(args: argparse.Namespace) -> int:
+    text = script(args.complete_parser(), args.shell)
+    print(json.dumps({"shell": args.shell, "script": text}) if args.json else text)
+    return 0
+
+
+def script(parser: argparse.ArgumentParser, shell: str) -> str:
+    """The script for ``bash`` or ``zsh`` from the parser of all commands."""
+    for action in _actions(parser):
+        found = _completer(action)
+        if found is not None:
+            action.complete = found  # type: ignore[attr-defined]
+    names = " ".join(shlex.quote(name) for name in known_aircraft())
+    preamble = _AIRCRAFT[shell].format(names=shlex.quote(names), words=names)
+    given: Any = {shell: preamble}  # the library's annotation knows texts alone
+    return str(shtab.complete(parser, shell, preamble=given)).rstrip("\n")
+
+
+def known_aircraft() -> list[str]:
+    """Names under aircraft/."""
+    folder = PROJECT_ROOT / "aircraft"
+    return sorted(path.name for path in folder.iterdir() if (path / f"{path.name}.xml").is_file())
+
+
+def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    for action in parser._actions:
+        if not isinstance(action, argparse._SubParsersAction):
+            yield action
+    for command in commands_of(parser).values():
+        yield from _actions(command)
+
+
+def _completer(action: argparse.Action) -> Mapping[str, str] | None:
+    """What the shell offers for an argument; None where that is nothing or the argument's choices."""
+    if action.metavar in ("AIRCRAFT", "A", "B"):
+        return dict.fromkeys(SHELLS, "_uqharness_aircraft")
+    if action.type is not Path:
+        return None
+    known = shtab.DIRECTORY if str(action.metavar).startswith("DIR") else shtab.FILE
+    return {shell: str(known[shell]) for shell in SHELLS}
