@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import venv
 import zipfile
 from pathlib import Path
@@ -56,6 +57,50 @@ def test_the_wheel_holds_every_file_that_commands_look_for(wheel: Path):
     # Nothing that another distribution could own, and nobody's results.
     assert {name.split("/")[0].split("-")[0] for name in names} == {"sysid", "uqharness"}
     assert not any("results" in name.split("/") or "__pycache__" in name for name in names)
+
+
+@pytest.fixture(scope="module")
+def sdist(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The source distribution, unpacked."""
+    pytest.importorskip("hatchling")
+    folder = tmp_path_factory.mktemp("sdist")
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", str(folder)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    (built,) = folder.glob("*.tar.gz")
+    with tarfile.open(built) as archive:
+        archive.extractall(folder, filter="data")
+    (unpacked,) = (path for path in folder.iterdir() if path.is_dir())
+    return unpacked
+
+
+def test_the_sdist_gives_the_same_wheel(sdist: Path, wheel: Path, tmp_path: Path):
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
+    subprocess.run(command, cwd=sdist, check=True, capture_output=True)
+    (again,) = tmp_path.glob("*.whl")
+    first, second = ({info.filename: info.CRC for info in zipfile.ZipFile(path).infolist()} for path in (wheel, again))
+    assert second == first
+    # What a packager needs to test it.
+    assert {"Makefile", "requirements.lock", "tests", "docs", "CHANGELOG.md"} <= {path.name for path in sdist.iterdir()}
+    assert not (sdist / ".venv").exists()
+
+
+def test_the_metadata_are_valid_and_name_the_versions_that_are_tested(wheel: Path):
+    metadata = pytest.importorskip("packaging.metadata")
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+        text = archive.read(name)
+    found = metadata.Metadata.from_email(text, validate=True)
+    assert found.description_content_type == "text/markdown"
+    assert found.license_expression == "MIT"
+    # Linux with Python 3.11 alone is tested; a classifier is a claim.
+    versions = {c for c in found.classifiers if c.startswith("Programming Language :: Python :: 3.")}
+    systems = {c for c in found.classifiers if c.startswith("Operating System")}
+    assert versions == {"Programming Language :: Python :: 3.11"}
+    assert systems == {"Operating System :: POSIX :: Linux"}
+    known = pytest.importorskip("trove_classifiers").classifiers
+    assert set(found.classifiers) <= known
+    with pytest.raises(metadata.ExceptionGroup):
+        metadata.Metadata.from_email(text.replace(b"Version: ", b"Version: not a "), validate=True)
 
 
 @pytest.fixture(scope="module")

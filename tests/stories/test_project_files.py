@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+import runpy
 import tomllib
 from typing import Any
 
@@ -43,6 +45,57 @@ def test_the_workflow_runs_the_readmes_command_on_every_system():
     assert matrix["python"] == ["3.11", "3.12", "3.13", "3.14"]
     assert job["steps"][-1]["run"].startswith("make test ")
     assert "    make test " in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_a_release_is_built_and_published_without_a_stored_secret():
+    text = (ROOT / ".github" / "workflows" / "release.yml").read_text(encoding="utf-8")
+    jobs = yaml.safe_load(text)["jobs"]
+    assert [jobs[name].get("needs") for name in ("build", "publish", "notes")] == [None, "build", "publish"]
+    assert jobs["publish"]["permissions"] == {"id-token": "write"}
+    assert "secrets." not in text
+    used = {step["uses"].partition("@")[0] for job in jobs.values() for step in job["steps"] if "uses" in step}
+    assert "pypa/gh-action-pypi-publish" in used
+    for step in (step["run"] for step in jobs["build"]["steps"] if "run" in step):
+        for place in re.findall(r"(?:\.ci|tests)/[\w./]+", step):
+            assert (ROOT / place).is_file()
+
+
+def test_release_notes_are_the_changelogs_section(capsys: pytest.CaptureFixture[str]):
+    notes = runpy.run_path(str(ROOT / ".ci" / "release_notes.py"))
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    assert notes["main"]([version]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("### ")
+    assert "\n## " not in said
+    assert said.strip() in CHANGELOG
+    assert notes["main"](["0.0.1"]) == 1
+    assert "pyproject.toml has" in capsys.readouterr().err
+    assert notes["section"]("## 1.0.0 (2026-01-01)\n\nnew\n\n## 0.9.0 (2025-01-01)\n\nold\n", "0.9.0") == "old"
+    assert notes["section"]("## Unreleased\n\nnew\n", "1.0.0") == ""
+
+
+def test_the_conda_recipe_asks_for_what_the_wheel_asks_for():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    recipe = loaded("recipe/recipe.yaml")
+    asked = {re.sub(r"\s|-base", "", line) for line in recipe["requirements"]["run"]}
+    assert asked == {f"python{project['requires-python']}", *project["dependencies"]}
+    assert recipe["context"]["version"] == project["version"]
+    (entry,) = recipe["build"]["python"]["entry_points"]
+    assert entry == f"uqharness = {project['scripts']['uqharness']}"
+
+
+def test_the_dev_container_sets_up_as_the_readme_does():
+    container = json.loads((ROOT / ".devcontainer" / "devcontainer.json").read_text(encoding="utf-8"))
+    assert container["postCreateCommand"] == "make setup"
+    assert container["image"].endswith(":3.11")
+
+
+def test_the_page_for_each_system_is_the_workflows_matrix():
+    page = (ROOT / "docs" / "development.md").read_text(encoding="utf-8").split("## Windows and macOS", 1)[1].split("\n## ", 1)[0]
+    matrix = loaded(".github/workflows/ci.yml")["jobs"]["test"]["strategy"]["matrix"]
+    assert {name for name in matrix["system"] if f"`{name}`" not in page} == set()
+    assert f"{matrix['python'][0]} to {matrix['python'][-1]}" in page
+    assert "No runner has run" in page
 
 
 @pytest.mark.parametrize("path", [form for form in FORMS if form.stem != "config"], ids=lambda path: path.stem)
