@@ -7,6 +7,7 @@ code at every build. A link without a target, or any other warning, fails the bu
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import shutil
 import sys
@@ -42,6 +43,10 @@ def stage(folder: Path) -> None:
         if not (folder / target).exists():
             (folder / target).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(ROOT / target, folder / target)
+    for path in (ROOT / "docs" / "notebooks").glob("*.ipynb"):
+        target = (folder / path.relative_to(ROOT)).with_suffix(".md")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(notebook_page(path), encoding="utf-8")
     (folder / "index.md").write_text(index(), encoding="utf-8")
     import reference
 
@@ -49,6 +54,16 @@ def stage(folder: Path) -> None:
         target = folder / "docs" / "reference" / name
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_text(text, encoding="utf-8")
+
+
+def notebook_page(path: Path) -> str:
+    """A notebook as a page: its text, and its code to read; it is committed without results."""
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    pieces = []
+    for cell in cells:
+        text = "".join(cell["source"]) if isinstance(cell["source"], list) else cell["source"]
+        pieces.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
+    return "\n\n".join([*pieces, f"The notebook is `{path.relative_to(ROOT).as_posix()}`; a test runs it."]) + "\n"
 
 
 def linked(page: Path) -> set[Path]:

@@ -61,6 +61,7 @@ class _Fetched(HTMLParser):
 def test_every_page_is_built_and_nothing_is_fetched_from_a_network(site: Path):
     pages = {path.relative_to(site).with_suffix("").as_posix() for path in site.rglob("*.html")}
     assert {f"docs/{path.stem}" for path in (ROOT / "docs").glob("*.md")} <= pages
+    assert {f"docs/notebooks/{path.stem}" for path in (ROOT / "docs" / "notebooks").glob("*.ipynb")} <= pages
     assert {f"campaigns/{path.parent.name}/README" for path in (ROOT / "campaigns").glob("*/README.md")} <= pages
     assert {"index", "README", "docs/reference/commands", "docs/reference/files"} <= pages
     for path in site.rglob("*.html"):
