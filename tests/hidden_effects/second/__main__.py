@@ -14,6 +14,7 @@ import argparse
 import json
 import math
 import shutil
+import signal
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -133,4 +134,6 @@ def _clear(folder: Path) -> None:
 
 
 if __name__ == "__main__":
+    # Whoever ends this process ends refine with it: the exit is an exception, at which the child's group is killed.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(130))
     sys.exit(main())

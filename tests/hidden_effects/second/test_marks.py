@@ -44,7 +44,11 @@ def test_a_named_effect_and_a_missed_one():
 def test_a_wrong_card_is_named_by_what_is_the_same():
     assert judge(CARD, refinement(named("propulsion:thrust_scale", 0.11, 0.02)), 0).card is True
     alias = judge(CARD, refinement(named("CX:CT", 0.11, 0.02)), 0)
-    assert (alias.card, alias.spurious, alias.z) == (True, 0, ())
+    assert (alias.card, alias.spurious, alias.inside) == (True, 0, (True,))
+    assert alias.z == (pytest.approx(0.5),)
+    place = replace(NULL, kind="card", wrong=Wrong("sensor.accelerometer:place_x", 0.2), t=(40.0,))
+    assert judge(place, refinement(named("mass:cg_x", -0.2, 0.02)), 0).z == (pytest.approx(0.0),)
+    assert judge(place, refinement(named("mass:cg_x", 0.2, 0.02)), 0).inside == (False,)
     missed = judge(CARD, refinement(named("propulsion:inflow", 0.11, 0.02)), 0)
     assert (missed.card, missed.spurious, missed.left_out) == (False, 1, 1)
     assert judge(NULL, refinement(), 0).card is None

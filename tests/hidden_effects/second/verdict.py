@@ -10,6 +10,7 @@ from typing import Any
 from tests.hidden_effects.answers import LARGEST_SET, accepted, at_floor, canonical, contract_faults, stands_for, test_gap
 from tests.hidden_effects.catalogue import ENTRIES
 from tests.hidden_effects.second.drawn import Question
+from tests.hidden_effects.second.wrongs import SAME_NUMBER
 
 NORMAL_95 = 1.959964
 STRONG_T = 10.0
@@ -63,7 +64,7 @@ def judge(asked: Question, found: Mapping[str, Any], exit_code: int) -> Verdict:
     spurious += bool(late_s) and not moved
     named = tuple(_named(sets, way) for way in ways)
     has_card = None if asked.wrong is None else _named(sets, card) or (moved and late_s * (asked.wrong.value or 0.0) > 0.0)
-    pairs = [] if off else _estimates(asked, effects, late_s if moved else 0.0)
+    pairs = [] if off else _estimates(asked, effects)
     vouched = verdict in ("effects-found", "no-missing-effect") and not off
     return Verdict(
         verdict, tuple(" | ".join(sorted(s)) for s in sets) + (("record:delay",) if late_s else ()), named, has_card,
@@ -83,11 +84,12 @@ def _named(sets: Sequence[set[str]], way: set[str]) -> bool:
     return any(s & way and len(s) <= LARGEST_SET for s in sets)
 
 
-def _estimates(asked: Question, effects: Sequence[Mapping[str, Any]], late_s: float) -> list[tuple[float, bool | None]]:
-    """(z, inside) of what was named by its own name and has a number as truth."""
+def _estimates(asked: Question, effects: Sequence[Mapping[str, Any]]) -> list[tuple[float, bool | None]]:
+    """(z, inside) of what was named by its own name, or one whose number is the same, and has a number as truth."""
     truths = {e.key: e.size for e in asked.effects if not e.form}
     if asked.wrong is not None and asked.wrong.value is not None:
         truths[asked.wrong.key] = asked.wrong.value
+    truths |= {SAME_NUMBER[k][0]: SAME_NUMBER[k][1] * v for k, v in truths.items() if k in SAME_NUMBER}
     out: list[tuple[float, bool | None]] = []
     for e in effects:
         truth = truths.get(canonical(e))

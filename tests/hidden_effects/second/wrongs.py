@@ -15,6 +15,10 @@ SAME: Mapping[str, tuple[str, ...]] = {
     # A centre of gravity elsewhere is accelerometers elsewhere and other linear coefficients.
     "sensor.accelerometer:place_x": ("mass:cg_x",),
 }
+SAME_NUMBER: Mapping[str, tuple[str, float]] = {
+    "propulsion:thrust_scale": ("CX:CT", 1.0), "sensor.accelerometer:place_x": ("mass:cg_x", -1.0),
+}  # fmt: skip
+"""Key -> its other name, and by what its number is to be multiplied there."""
 TRUE_LAG, TRUE_RATE = LAG[0], RATE[0]
 _BIASES = {"ax_mps2": (0.1, 0.4), "theta_rad": (0.01, 0.03), "phi_rad": (0.01, 0.03)}
 _SCALES = {"V_mps": (0.03, 0.10), "alpha_rad": (0.04, 0.20), "beta_rad": (0.04, 0.20), "r_radps": (0.02, 0.08)}
