@@ -16,6 +16,7 @@ from .prediction import whiten as whiten
 from .score import Evidence as Evidence
 from .score import agreement as agreement
 from .score import corrected as corrected
+from .score import corrected_each as corrected_each
 from .score import gather as gather
 from .score import likeness as likeness
 from .score import scores as scores

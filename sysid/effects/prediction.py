@@ -21,7 +21,8 @@ from sysid.aerodynamics import Steps
 from sysid.estimation import STARTS, Inputs, Lanes, Process, lanes_of, run
 
 FloatArray = NDArray[np.float64]
-_BLOCK_BYTES = 160_000_000
+_BLOCK_BYTES = 200_000_000
+"""What the columns of segments that are filtered side by side may take."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,9 @@ def whiten(
     mend: go on where rounding spoils a covariance; else LinAlgError is raised.
     """
     out: dict[int, White] = {}
-    each = 8 * (6 * (len(columns[0].names) + STARTS) + 8 * steps[0].phi.shape[1] ** 2)
+    # A sample's coefficients, channels (twice, once in single precision) and matrices.
+    wide = len(columns[0].names) + STARTS
+    each = 8 * (6 * wide + 8 * steps[0].phi.shape[1] ** 2) + 12 * len(noise) * wide
     group: list[int] = []
     for s in sorted(range(len(steps)), key=lambda s: -len(measured[s])):
         if group and (len(group) + 1) * len(measured[group[0]]) * each > _BLOCK_BYTES:

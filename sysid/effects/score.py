@@ -160,21 +160,30 @@ def corrected(evidence: Evidence, free: Sequence[str], candidate: str, scale: fl
 
     scale: residuals' standard deviation in units of the noise used (1 for the noise itself).
     """
-    names = [*free, candidate]
-    some = evidence.index(names)
-    G, _ = evidence.everything
+    return corrected_each(evidence, [*free, candidate], [candidate], scale)[candidate]
+
+
+def corrected_each(
+    evidence: Evidence, names: Sequence[str], wanted: Sequence[str], scale: float = 1.0
+) -> dict[str, tuple[float, float, float]]:
+    """`corrected` of each of the ``wanted`` among the columns ``names``, all estimated together: what the fit leaves, and so its
+    colour, is the same for all of them and computed once."""
+    names, some = list(names), evidence.index(names)
+    G = evidence.everything[0][np.ix_(some, some)]
     delta = evidence.fitted(some)
-    b, c = some[:-1], some[-1]
-    x = solve(G[np.ix_(b, b)], G[np.ix_(b, [c])])[:, 0]
-    g = float(G[c, c] - G[c, b] @ x)
-    own = [
-        (w.columns[:, :, [c]].astype(np.float64)[:, :, 0] - w.columns[:, :, b].astype(np.float64) @ x)[:, :, None]
-        for w in evidence.white
-    ]
-    left = [np.where(np.isnan(e), np.nan, e) for e in evidence.residual(delta)]
-    bracket = float(coloured_information(own, left)[0, 0])
+    # What the others leave of a column.
+    alone, g = np.zeros((len(some), len(wanted))), np.empty(len(wanted))
+    places = [names.index(name) for name in wanted]
+    for k, c in enumerate(places):
+        b = np.flatnonzero(np.arange(len(some)) != c)
+        x = solve(G[np.ix_(b, b)], G[np.ix_(b, [c])])[:, 0]
+        alone[b, k], alone[c, k] = -x, 1.0
+        g[k] = G[c, c] - G[c, b] @ x
+    own = [w.columns[:, :, some].astype(np.float64) @ alone for w in evidence.white]
+    bracket = np.diagonal(coloured_information(own, evidence.residual(delta)))
     plain = 1.0 / np.sqrt(g)
-    return float(delta[c]), float(max(np.sqrt(max(bracket, 0.0)) / g, scale * plain)), float(plain)
+    std = np.maximum(np.sqrt(np.maximum(bracket, 0.0)) / g, scale * plain)
+    return {n: (float(delta[some[c]]), float(std[k]), float(plain[k])) for k, (n, c) in enumerate(zip(wanted, places, strict=True))}
 
 
 def agreement(evidence: Evidence, free: Sequence[str], candidate: str, part: NDArray[np.bool_]) -> tuple[float, float]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from sysid.effects.score import DEPENDENT, Evidence, agreement, corrected, likeness, scores, solve
+from sysid.effects.score import DEPENDENT, Evidence, agreement, corrected, corrected_each, likeness, scores, solve
 
 FloatArray = NDArray[np.float64]
 Twins = Mapping[tuple[str, str], Sequence[str]]
@@ -281,11 +281,8 @@ def _pruned(
 
 def _corrected_t(evidence: Evidence, free: Sequence[str], here: Sequence[str]) -> list[float]:
     """|t| of each beside the others."""
-    t = []
-    for key in here:
-        value, std, _ = corrected(evidence, [*free, *[o for o in here if o != key]], key)
-        t.append(abs(value / std))
-    return t
+    found = corrected_each(evidence, [*free, *here], here)
+    return [abs(value / std) for value, std, _ in found.values()]
 
 
 def _asked(limit: float, t: Sequence[float]) -> float:

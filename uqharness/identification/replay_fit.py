@@ -31,6 +31,7 @@ class Observed:
 
     biases  channels with a constant bias, one a flight       late  flight -> sensors, or CONTROL_DELAY, whose delay is estimated
     late_s  channel -> time by which it is known to come late besides
+    properties  values of properties in all replays
     """
 
     cut: Sequence[Segment]
@@ -39,6 +40,7 @@ class Observed:
     biases: Sequence[str]
     late: Mapping[str, Sequence[str]]
     late_s: Mapping[str, float] = field(default_factory=dict)
+    properties: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ def fit_replays(
     """
     jumping = () if observed.late_s else jumping_in(model, observed.cut, observed.late)
     layout = nuisance_layout(names, limits, observed.cut, observed.biases, observed.outputs, observed.late, jumping)
-    replay = Replay(model, observed.cut, layout.names, observed.outputs, uuid.uuid4().hex, late_s=observed.late_s)
+    replay = Replay(model, observed.cut, layout.names, observed.outputs, uuid.uuid4().hex, observed.properties, observed.late_s)
 
     def fit_from(theta: Array, free: Sequence[str]) -> OutputErrorFit:
         return output_error(

@@ -78,13 +78,13 @@ def forced_at(
 
 def coefficient_gap(
     model: ReplayModel, straight: ReplayModel, segment: Segment, channels: Mapping[str, Array], noise_std: Mapping[str, float],
-    rng: np.random.Generator,
+    rng: np.random.Generator, properties: Mapping[str, float] | None = None,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """(n, 6) each: coefficients demanded, those said at the measured states, and how noise added once more changes the first
     less the second."""
 
     def asked(given: Mapping[str, Array]) -> tuple[Array, Array]:
-        forced, _ = forced_at(model, straight, segment, given, {})
+        forced, _ = forced_at(model, straight, segment, given, properties or {})
         return demand_of(given, forced, segment), smooth(forced.coefficients, segment.dt_s)
 
     demand, said = asked(channels)

@@ -76,6 +76,7 @@ def base_fit(
     tries, bounds = (near, current), [limits[n] for n in names]
     found = fit_replays(bench.model, observed(setup), names, tries, bounds, spread_over(map_))
     kept = tuple(n for n in names if n not in found.lost)
+    found.replay.forget()
     point = point_of(found, setup, names)
     flown = fly(bench.model, setup, point, map_)
     fit = Linear(bench.straight, setup, positions(bench.model, setup, map_), kept, map_).fit_at(flown)

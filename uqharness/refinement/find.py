@@ -27,7 +27,7 @@ from sysid.effects import (
     Selection,
     chance_limit,
     conditional_interval,
-    corrected,
+    corrected_each,
     scores,
     select,
     threshold,
@@ -295,8 +295,8 @@ def _moved_alone(evidence: Evidence, names: Sequence[str], fit: Fit) -> dict[str
 def in_one_step(evidence: Evidence, names: Sequence[str], fit: Fit, selection: Selection) -> dict[str, tuple[float, float]]:
     """(value, corrected standard error) of the parameters beside the effects, the last step taken."""
     free = [*(n for n in fit.columns[0].names if not n.startswith("effect/")), *(c.key for c in selection.chosen)]
-    delta = dict(zip(evidence.names, evidence.fitted(evidence.index(free)), strict=True))
-    return {n: (float(fit.flown.point.values[n] + delta[n]), corrected(evidence, [f for f in free if f != n], n)[1]) for n in names}
+    found = corrected_each(evidence, free, names)
+    return {n: (float(fit.flown.point.values[n] + delta), std) for n, (delta, std, _) in found.items()}
 
 
 def score_table(
@@ -314,11 +314,7 @@ def _short(e: Effect) -> str:
 
 def _parameters(evidence: Evidence, names: Sequence[str], fit: Fit, selection: Selection) -> dict[str, tuple[float, float]]:
     free = [*[n for n in fit.columns[0].names if not n.startswith("effect/")], *[c.key for c in selection.chosen]]
-    out = {}
-    for n in names:
-        _, std, _ = corrected(evidence, [f for f in free if f != n], n)
-        out[n] = (float(fit.flown.point.values[n]), std)
-    return out
+    return {n: (float(fit.flown.point.values[n]), std) for n, (_, std, _) in corrected_each(evidence, free, names).items()}
 
 
 def remark(choice: Choice, effect: Effect, flights: Sequence[str], command: str, limit: float) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid.effects import Choice, Evidence, Gusts, corrected
+from sysid.effects import Choice, Evidence, Gusts, corrected_each
 from sysid.parallel import Processes
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.find import Found, in_one_step, with_resolution
@@ -19,6 +19,7 @@ from uqharness.refinement.gusts import GustFit, gust_evidence
 from uqharness.refinement.rounds import candidate_evidence
 from uqharness.refinement.showing.show import Shown, show
 from uqharness.refinement.types import Setup, in_dynamics
+from uqharness.refinement.writing.effects import carrier
 from uqharness.simulator import Aircraft
 
 Write = Callable[[Found], Aircraft]
@@ -87,8 +88,13 @@ class Judged:
 def judge(found: Found, write: Write, train: Side, test: Side, map_: Processes) -> Judged:
     """Fly both sides before and after; withdraw effects one by one, the one that harms most first."""
 
+    whole = write(found)
+
     def flown(model: Found, side: Side) -> Shown:
-        return show(write(model), side.setup, side.measured, side.ideal, map_, sensed_by(model), side.air)
+        # One aircraft with every effect flies all models, its properties set: each XML of its own would be compiled anew.
+        values = property_values(model, found, whole)
+        aircraft = write(model) if values is None else whole
+        return show(aircraft, side.setup, side.measured, side.ideal, map_, sensed_by(model), side.air, values or {})
 
     pair = flown(bare(found), train)
     fitted = flown(found, train) if found.selection.chosen else pair
@@ -120,6 +126,22 @@ def judge(found: Found, write: Write, train: Side, test: Side, map_: Processes) 
         standing, after = without[worst.key]
     settled = fitted if not gone else flown(standing, train) if standing.selection.chosen else pair
     return Judged(standing, tuple(gone), verdicts, (train.setup, pair, settled), (test.setup, before, after))
+
+
+def property_values(model: Found, found: Found, written: Aircraft) -> dict[str, float] | None:
+    """Properties with which the aircraft ``written`` with the effects of ``found`` flies as ``model`` does, which has some of them;
+    None where a number stands in the XML alone."""
+    values = {name: value for name, (value, _) in model.parameters.items()}
+    own = {c.key: c.value for c in model.selection.chosen}
+    for c in found.selection.chosen:
+        if not in_dynamics(found.effects[c.key]):
+            continue
+        place = carrier(found.effects[c.key], written.folder)
+        if place is not None:
+            values[place[0]] = place[1] + own.get(c.key, 0.0)
+        elif own.get(c.key) != c.value:
+            return None
+    return values
 
 
 def sensed_by(found: Found) -> dict[str, float]:
@@ -185,9 +207,10 @@ def left_out(found: Found, evidence: Evidence, keys: Sequence[str]) -> Found:
     effects = {e.key for e in found.setup.active} | {c.key for c in found.selection.chosen}
     free = [n for n in evidence.names if n not in effects]
     some = [*free, *(c.key for c in kept)]
+    found_each = corrected_each(evidence, some, [c.key for c in kept])
     chosen = []
     for c in kept:
-        value, std, _ = corrected(evidence, [f for f in some if f != c.key], c.key)
+        value, std, _ = found_each[c.key]
         chosen.append(replace(c, value=value, std=std, t=value / std))
     selection = with_resolution(replace(found.selection, chosen=tuple(chosen)), found.effects, found.setup.segments[0].dt_s)
     parameters = in_one_step(evidence, found.names, found.after, selection)

@@ -136,6 +136,11 @@ class Replay:
     def _key(self, number: int, properties: Mapping[str, float], start: Array, late_s: float, unseen: float) -> _Key:
         return self.token, number, np.array(list(properties.values())).tobytes(), start.tobytes(), late_s, unseen
 
+    def forget(self) -> None:
+        """Let go of what is remembered of this replay and its copies: nothing more will be asked of it."""
+        for key in [k for k in _flown if k[0] == self.token]:
+            counter["bytes"] -= _flown.pop(key).nbytes
+
     def fetch(self, thetas: Sequence[Array], map_: Callable[..., Iterable[Any]]) -> None:
         """Fly whatever several theta need and nobody remembers, each piece once, by ``map_`` (a process pool's, say).
 

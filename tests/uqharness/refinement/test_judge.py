@@ -104,6 +104,7 @@ def judged(monkeypatch, harm: dict[str, float], together: float = 0.0) -> list[s
     effects = {k: Effect("Cm", None, k, k, k) for k in harm}
     found = Found(None, (), None, None, Selection(chosen), effects, {}, ())  # type: ignore[arg-type]
     monkeypatch.setattr(refine_judge, "show", flown)
+    monkeypatch.setattr(refine_judge, "property_values", lambda *_: None)
     monkeypatch.setattr(refine_judge, "evidence_of", lambda *_: None)
     monkeypatch.setattr(refine_judge, "left_out", lambda found, _, keys: without(found, keys))
     monkeypatch.setattr(refine_judge, "bare", lambda found: without(found, list(harm)))

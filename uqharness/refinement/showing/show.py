@@ -59,16 +59,17 @@ class Shown:
 
 def show(
     aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Processes, sensed: Mapping[str, float],
-    gusts: Gusts | None = None,
+    gusts: Gusts | None = None, values: Mapping[str, float] | None = None,
 ) -> Shown:  # fmt: skip
-    """Flights by an aircraft as its XML has it; only start states, biases and (of logs) delays are estimated.
+    """Flights by an aircraft as its XML has it, but for properties that have other ``values``; only start states, biases and (of
+    logs) delays are estimated.
 
     gusts: the air of the flights, with which one-step predictions take the place of replays.
     """
     with Bench(aircraft, measured, ideal) as bench:
         setup = with_sensors_of(setup, aircraft)
         plain = replace(setup, active=(), carriers={})
-        start = Point({}, {}, tuple(s.start for s in setup.segments), dict(sensed))
+        start = Point(dict(values or {}), {}, tuple(s.start for s in setup.segments), dict(sensed))
         controls = positions(bench.model, plain, map_)
         jobs = [
             (
@@ -77,6 +78,7 @@ def show(
                 _as_felt(s, f, ideal),
                 states(f, p),
                 dict(zip(setup.outputs, setup.noise.tolist(), strict=True)),
+                start.values,
             )
             for s, (f, p) in zip(setup.segments, [(f, p) for f in setup.flights for p in f.pieces], strict=True)
         ]
@@ -84,8 +86,10 @@ def show(
         if gusts is None:
             flown = fly(bench.model, plain, start, map_)
             if np.isfinite(flown.cost):
-                fit = fit_replays(bench.model, observed(plain, sensed), (), [np.zeros(0)], (), spread_over(map_), errors=False)
-                flown = fly(bench.model, plain, point_of(fit, plain, (), sensed), map_)
+                seen = replace(observed(plain, sensed), properties=start.values)
+                fit = fit_replays(bench.model, seen, (), [np.zeros(0)], (), spread_over(map_), errors=False)
+                fit.replay.forget()
+                flown = fly(bench.model, plain, replace(point_of(fit, plain, (), sensed), values=start.values), map_)
             residual = [z - y for z, y in zip(setup.measured, flown.outputs, strict=True)]
             white = [r / setup.noise for r in residual]
             noise, cost = setup.noise, flown.cost
@@ -148,10 +152,11 @@ def _as_felt(segment: Segment, flight: Flight, ideal: Sequence[str]) -> Segment:
 
 
 def _coefficient_gap(
-    job: tuple[ReplayModel, ReplayModel, Segment, Mapping[str, Array], Mapping[str, float]],
+    job: tuple[ReplayModel, ReplayModel, Segment, Mapping[str, Array], Mapping[str, float], Mapping[str, float]],
 ) -> tuple[Array, Array]:
     """(n, 6) demanded minus predicted at the measured states, and how noise added once more changes it."""
-    demand, said, change = coefficient_gap(*job, np.random.default_rng(1))
+    *given, properties = job
+    demand, said, change = coefficient_gap(*given, np.random.default_rng(1), properties)
     return demand - said, change
 
 
