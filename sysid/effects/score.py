@@ -176,7 +176,7 @@ def corrected_each(
     places = [names.index(name) for name in wanted]
     for k, c in enumerate(places):
         b = np.flatnonzero(np.arange(len(some)) != c)
-        x = solve(G[np.ix_(b, b)], G[np.ix_(b, [c])])[:, 0]
+        x = solve(G[np.ix_(b, b)], G[b, c][:, None])[:, 0]
         alone[b, k], alone[c, k] = -x, 1.0
         g[k] = G[c, c] - G[c, b] @ x
     own = [w.columns[:, :, some].astype(np.float64) @ alone for w in evidence.white]

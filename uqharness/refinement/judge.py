@@ -212,6 +212,7 @@ def left_out(found: Found, evidence: Evidence, keys: Sequence[str]) -> Found:
     for c in kept:
         value, std, _ = found_each[c.key]
         chosen.append(replace(c, value=value, std=std, t=value / std))
-    selection = with_resolution(replace(found.selection, chosen=tuple(chosen)), found.effects, found.setup.segments[0].dt_s)
+    estimated = replace(found.selection, chosen=tuple(chosen))
+    selection = with_resolution(estimated, found.effects, found.setup.segments[0].dt_s, found.gusty)
     parameters = in_one_step(evidence, found.names, found.after, selection)
     return replace(found, parameters=parameters, selection=selection)

@@ -7,7 +7,7 @@ import pytest
 
 from sysid.aerodynamics.rigid_body import NX, OUTPUTS, Steps
 from sysid.effects.prediction import Columns, White, whiten
-from sysid.effects.score import corrected, gather, scores
+from sysid.effects.score import corrected, corrected_each, gather, scores
 from sysid.effects.selection import select, threshold
 from sysid.effects.turbulence import noise_factors
 from sysid.estimation import kalman
@@ -140,6 +140,19 @@ def test_scores_of_nothing_are_standard_normal():
     evidence = flights({}, 41)
     _, std, white = corrected(evidence, ["a", "b"], "c2")
     assert std == pytest.approx(white, rel=0.1)
+
+
+def test_all_of_a_fit_at_once_are_as_each_alone():
+    """Errors were the residuals white: the diagonal of the information's inverse. Without another column they are smaller."""
+    evidence = flights({"c3": 0.2}, 42)
+    names = ["a", "b", "c3", "c5"]
+    found = corrected_each(evidence, names, ["c3", "a"])
+    for name, mine in found.items():
+        assert mine == pytest.approx(corrected(evidence, [n for n in names if n != name], name), rel=1e-9)
+    some = evidence.index(names)
+    expected = np.sqrt(np.diagonal(np.linalg.inv(evidence.everything[0][np.ix_(some, some)])))
+    assert [found["c3"][2], found["a"][2]] == pytest.approx([expected[2], expected[0]], rel=1e-6)
+    assert corrected_each(evidence, ["c3", "c5"], ["c3"])["c3"][2] < 0.999 * expected[2]
 
 
 def test_the_limit_grows_with_the_number_of_candidates():

@@ -6,7 +6,8 @@ import numpy as np
 
 from sysid.effects.catalogue import coefficient_effect
 from sysid.effects.score import Evidence
-from uqharness.refinement.find import LEFT_T, left_beside
+from sysid.effects.selection import Choice, Selection
+from uqharness.refinement.find import LEFT_T, RATES_IN_GUSTS, left_beside, with_resolution
 from uqharness.refinement.showing.words import still_asked
 
 
@@ -38,3 +39,13 @@ def test_what_only_resembles_the_chosen_is_not():
 def test_words_name_it_and_its_strength():
     effect = coefficient_effect("Cm", "p_hat^2")
     assert still_asked(effect, -12.34).startswith(f"{effect.name} is still asked for (|t| 12.3)")
+
+
+def test_in_turbulence_rates_of_the_wind_angles_have_wider_errors_and_nothing_else_has():
+    rate, other = coefficient_effect("Cl", "betadot_hat"), coefficient_effect("Cm", "p_hat^2")
+    chosen = tuple(Choice(e.key, 2.0, 0.1, 20.0, 400.0, 1.0, 0.0) for e in (rate, other))
+    effects = {e.key: e for e in (rate, other)}
+    calm, gusty = (with_resolution(Selection(chosen), effects, 0.02, gusty).chosen for gusty in (False, True))
+    assert [c.std for c in calm] == [0.1, 0.1]
+    assert [c.std for c in gusty] == [RATES_IN_GUSTS * 0.1, 0.1]
+    assert [c.t for c in gusty] == [20.0, 20.0]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from sysid.effects.catalogue import Effect
+from sysid.effects.catalogue import Effect, coefficient_effect
 from sysid.effects.selection import Choice, Selection
 from uqharness.refinement import judge as refine_judge
 from uqharness.refinement.find import Found
@@ -146,3 +147,23 @@ def test_flights_far_from_both_models_judge_neither():
     assert (sound.says, broken.says) == ("grew", "too far")
     assert broken.far == pytest.approx(6.0, rel=0.1)
     assert broken.z < -BEYOND_CHANCE
+
+
+def test_properties_fly_what_an_aircraft_of_its_own_would():
+    """Left-out terms are zero; a servo's number that stands in the XML alone needs an aircraft of its own once it is left out."""
+    term, lag = coefficient_effect("Cm", "p_hat^2"), Effect(None, "mass", "cg_x", "", "")
+    sensor = Effect(None, "sensor.alpha_rad", "scale", "", "")
+    chosen = tuple(Choice(e.key, value, 0.1, 10.0, 100.0, 1.0, 0.0) for e, value in ((term, 3.0), (lag, 0.01), (sensor, 0.1)))
+    found = Found(
+        None, ("aero/Cm_q",), None, None, Selection(chosen), {e.key: e for e in (term, lag, sensor)}, {"aero/Cm_q": (-9.0, 0.1)}, ()
+    )  # type: ignore[arg-type]
+    written = SimpleNamespace(folder=Path("none"))
+
+    def flown(*keys: str) -> dict[str, float] | None:
+        kept = tuple(c for c in chosen if c.key in keys)
+        model = replace(found, selection=Selection(kept), parameters={"aero/Cm_q": (-8.0, 0.1)})
+        return refine_judge.property_values(model, found, written)  # type: ignore[arg-type]
+
+    assert flown(term.key, lag.key, sensor.key) == {"aero/Cm_q": -8.0, "aero/Cm_p2": 3.0}
+    assert flown(lag.key) == {"aero/Cm_q": -8.0, "aero/Cm_p2": 0.0}
+    assert flown(term.key) is None

@@ -155,8 +155,8 @@ def _coefficient_gap(
     job: tuple[ReplayModel, ReplayModel, Segment, Mapping[str, Array], Mapping[str, float], Mapping[str, float]],
 ) -> tuple[Array, Array]:
     """(n, 6) demanded minus predicted at the measured states, and how noise added once more changes it."""
-    *given, properties = job
-    demand, said, change = coefficient_gap(*given, np.random.default_rng(1), properties)
+    model, straight, segment, channels, noise_std, properties = job
+    demand, said, change = coefficient_gap(model, straight, segment, channels, noise_std, np.random.default_rng(1), properties)
     return demand - said, change
 
 
