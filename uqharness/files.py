@@ -85,8 +85,8 @@ def inner_folder(folder: Path, *parts: str) -> Path:
     return place
 
 
-def check_out(path: Path) -> None:
-    """Refuse, before work is spent on it, an --out that no file or folder can be made at; missing folders are made later.
+def check_out(path: Path, option: str = "--out") -> None:
+    """Refuse, before work is spent on it, an ``option`` that no file or folder can be made at; missing folders are made later.
 
     Raises BadInputError where something on the way is no folder, or one that may not be written to.
     """
@@ -94,9 +94,18 @@ def check_out(path: Path) -> None:
     while not (there.exists() or there.is_symlink()):
         there = there.parent
     if there != path.absolute() and not there.is_dir():
-        raise BadInputError(f"--out {path}: {there} is no folder; choose another path")
+        raise BadInputError(f"{option} {path}: {there} is no folder; choose another path")
     if not os.access(there, os.W_OK):
-        raise BadInputError(f"--out {path}: {there} may not be written to; choose another path or change its rights")
+        raise BadInputError(f"{option} {path}: {there} may not be written to; choose another path or change its rights")
+
+
+def check_page(path: Path, option: str = "--out") -> None:
+    """The same for a page, a file whose name ends in .html. Raises BadInputError for another ending and for a folder."""
+    if path.suffix.lower() != ".html":
+        raise BadInputError(f"{option} {path}: a page, FILE.html, is written")
+    if path.is_dir():
+        raise BadInputError(f"{option} {path}: is a folder; a page, FILE.html, is written")
+    check_out(path, option)
 
 
 def check_folder(path: Path) -> None:

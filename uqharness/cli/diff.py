@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from uqharness.cli.options import add_seed, command_as_given, describe, number, whole
+from uqharness.cli.options import add_page, add_seed, command_as_given, describe, number, whole
 from uqharness.differences import (
     ROUNDING,
     Asked,
@@ -23,7 +23,7 @@ from uqharness.differences import (
     fly_matched,
 )
 from uqharness.errors import BadInputError
-from uqharness.files import check_out
+from uqharness.files import check_page
 from uqharness.flight import TURBULENCE_W20_KT
 from uqharness.report import write_html
 from uqharness.report.pages import difference_page
@@ -91,14 +91,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--python-b", type=Path, metavar="PYTHON",
         help="interpreter that flies B, of an environment with another JSBSim (default: this one)",
     )  # fmt: skip
-    parser.add_argument("--out", type=Path, metavar="FILE.html", help="write a page with the histories that differ")
+    add_page(parser, "the histories that differ")
 
 
 def _run(args: argparse.Namespace) -> int:
     if args.out is not None:
-        if args.out.suffix != ".html":
-            raise BadInputError(f"--out {args.out}: a page, FILE.html, is written")
-        check_out(args.out)
+        check_page(args.out)
     if not args.speed_mps and not args.script:
         raise BadInputError("give --speed-mps V, at which A trims (uqharness modes tells), or --script S")
     asked = Asked(

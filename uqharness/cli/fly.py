@@ -8,9 +8,9 @@ import math
 import sys
 from pathlib import Path
 
-from uqharness.cli.options import add_aircraft, add_seed, describe, number
+from uqharness.cli.options import add_aircraft, add_page, add_seed, command_as_given, describe, number
 from uqharness.errors import BadInputError
-from uqharness.files import check_out
+from uqharness.files import check_out, check_page
 from uqharness.flight import (
     DEFAULT_TURBULENCE_SOURCE,
     FORMATS,
@@ -21,6 +21,8 @@ from uqharness.flight import (
     start_of,
     write_record,
 )
+from uqharness.report import write_html
+from uqharness.report.pages import FlightAsked, flight_page
 from uqharness.scratch import scratch_folder
 from uqharness.simulator import (
     MISSIONS,
@@ -98,12 +100,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, required=True, metavar="FILE", help="flight record: .csv, .parquet or .bin (ArduPilot DataFlash)"
     )
+    add_page(parser, "the ground track and every channel over time", "--page")
 
 
 def _run(args: argparse.Namespace) -> int:
     if args.out.suffix not in FORMATS:
         raise BadInputError(f"--out {args.out}: the format follows the name's ending, {', '.join(FORMATS)}")
     check_out(args.out)
+    if args.page is not None:
+        check_page(args.page, "--page")
     aircraft = find_aircraft(args.aircraft)
     if args.mission is None and args.speed_mps is not None:
         raise BadInputError(f"--speed-mps: belongs to --mission, one of {', '.join(MISSIONS)}")
@@ -131,6 +136,10 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft, flown: Aircraft, path: Pa
             file=sys.stderr,
         )
     left_out = write_record(record, args.out, aircraft, start_of(recorded))
+    if args.page is not None:
+        asked = FlightAsked(aircraft.name, args.mission or path.stem, _conditions(args), args.out.name, command_as_given(args))
+        columns = {name: record[name].to_numpy() for name in record.columns}
+        write_html(args.page, flight_page(asked, columns, recorded.status, recorded.reason))
     summary = {
         "status": recorded.status,
         "reason": recorded.reason,
@@ -146,6 +155,14 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft, flown: Aircraft, path: Pa
         lost = f"; DataFlash has no message for {', '.join(left_out)}" if left_out else ""
         print(f"{args.out}: {len(record)} rows, {recorded.flown_s:.1f} s{end}{lost}")
     return 0 if recorded.status == "ok" else 1
+
+
+def _conditions(args: argparse.Namespace) -> str:
+    wind = f"Wind {args.wind_mps:g} m/s from {args.wind_from_deg:g} deg" if args.wind_mps else "No steady wind"
+    air = f"turbulence {args.turbulence} ({args.turbulence_source})" if args.turbulence != "none" else "no turbulence"
+    noise = "with sensor noise" if args.noise else "without sensor noise"
+    changed = f" Set: {', '.join(args.settings)}." if args.settings else ""
+    return f"{wind}, {air}, {noise}, seed {args.seed}.{changed}"
 
 
 def _spec(args: argparse.Namespace, aircraft: Aircraft, script: Script) -> FlightSpec:

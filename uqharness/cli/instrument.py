@@ -11,16 +11,18 @@ from typing import Any
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.model_form import read_model_form
-from uqharness.cli.options import add_aircraft, add_no_check, add_out, describe
+from uqharness.cli.options import add_aircraft, add_no_check, add_out, add_page, command_as_given, describe
 from uqharness.errors import BadInputError
-from uqharness.files import check_folder
+from uqharness.files import check_folder, check_page
 from uqharness.plugin import FILE_NAME, Bounds, Instrumented, instrument_aircraft, undo
+from uqharness.report import write_html
+from uqharness.report.pages import Instrumentation, instrument_page
 from uqharness.simulator import Aircraft, find_aircraft, find_folder
 
 _EXAMPLE = """
   uqharness instrument c172x --out aircraft/c172x
   uqharness instrument c172x --out aircraft/c172x --constant CX=0.01,CZ=-0.05:0.08,Cm=0.02
-  uqharness instrument identified/aircraft --bounds bounds/model-form.json --out bounded
+  uqharness instrument identified/aircraft --bounds bounds/model-form.json --out bounded --page bounds.html
   uqharness instrument c172x --out aircraft/c172x --undo
 
 DIR becomes a copy of the aircraft's folder with the plugin in it (DIR may be that folder itself), and a record
@@ -40,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source.add_argument("--undo", action="store_true", help="take the plugin out again, to the byte")
     parser.add_argument("--air", action="store_true", help="add this project's wind and turbulence (docs/air.md) too")
     parser.add_argument("--dry-run", action="store_true", help="say what would be done, write nothing")
+    add_page(parser, "the bounds over the envelope", "--page")
     add_no_check(parser, "the flight of the result beside the untouched aircraft")
 
 
@@ -64,6 +67,10 @@ def parse_constant(text: str) -> dict[str, tuple[float, float]]:
 
 
 def _run(args: argparse.Namespace) -> int:
+    if args.page is not None:
+        if args.undo or args.dry_run:
+            raise BadInputError(f"--page {args.page}: a page is of bounds that are written; leave out --undo and --dry-run")
+        check_page(args.page, "--page")
     if args.undo:
         return _undo(args)
     aircraft = find_aircraft(args.aircraft)
@@ -74,9 +81,22 @@ def _run(args: argparse.Namespace) -> int:
     report = _report(aircraft, done, args)
     if done.verdict is not None:
         report["check"] = {k: None if v != v else v for k, v in asdict(done.verdict).items()}
+    if args.page is not None:
+        _write_page(args, aircraft, done, bounds)
     code = 1 if done.verdict is not None and done.verdict.status == "wrong" else 0
     print(json.dumps(report, indent=1) if args.json else _text(report))
     return code
+
+
+def _write_page(args: argparse.Namespace, aircraft: Aircraft, done: Instrumented, bounds: Bounds) -> None:
+    check = None
+    if done.verdict is not None and done.verdict.status == "works":
+        text = f"Flown beside the untouched aircraft: {done.verdict.properties} properties bit-identical with uq/active 0."
+        check = (True, text)
+    elif done.verdict is not None:
+        check = (False, f"Flown beside the untouched aircraft, {done.verdict.status}: {done.verdict.reason}.")
+    what = Instrumentation(aircraft.name, done.planned.rows, tuple(done.notes), check, command_as_given(args))
+    write_html(args.page, instrument_page(what, bounds.form, bounds.constant))
 
 
 def _undo(args: argparse.Namespace) -> int:

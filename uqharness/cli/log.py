@@ -13,8 +13,9 @@ from sysid.errors import Finding, LogError
 from sysid.logs import default_cache
 from sysid.terminal import drawing, visible
 from uqharness.cli.commands import Table, add_commands
-from uqharness.cli.options import add_manoeuvres, add_map, describe
-from uqharness.files import finite
+from uqharness.cli.options import add_manoeuvres, add_map, add_page, command_as_given, describe
+from uqharness.errors import BadInputError
+from uqharness.files import check_page, finite
 from uqharness.simulator import find_aircraft
 
 if TYPE_CHECKING:
@@ -39,8 +40,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_info(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``log info``."""
     text, no = "List the contents and findings of a log, and the purposes it serves.", "it serves no purpose"
-    describe(parser, _info, text, "  uqharness log info flight1.bin --aircraft aircraft/espaaro", no=no)
+    examples = """
+  uqharness log info flight1.bin --aircraft aircraft/espaaro
+  uqharness log info flight1.bin --aircraft aircraft/espaaro --out flight1.html"""
+    describe(parser, _info, text, examples, no=no)
     _add_log(parser)
+    add_page(parser, "every channel over time, findings flagged, phases and manoeuvres shaded")
+    add_manoeuvres(parser)
 
 
 def add_import(parser: argparse.ArgumentParser) -> None:
@@ -66,9 +72,26 @@ def _info(args: argparse.Namespace) -> int:
     # Imported here, as below: `uqharness --help` should not wait for the numerical libraries.
     from sysid.logs import log_info
 
-    info = log_info(_read(args))
+    if args.out is not None:
+        check_page(args.out)
+    elif args.manoeuvres is not None:
+        raise BadInputError("--manoeuvres: belongs to the page; give --out FILE.html too")
+    record = _read(args)
+    info = log_info(record)
+    if args.out is not None:
+        _write_page(args, info, record)
     print(json.dumps(finite(info.as_dict()), indent=2) if args.json else _info_text(info))
     return 0 if info.serves else 1
+
+
+def _write_page(args: argparse.Namespace, info: LogInfo, record: FlightRecord) -> None:
+    from sysid.logs import label_manoeuvres
+    from uqharness.report import write_html
+    from uqharness.report.pages import log_page
+
+    if args.manoeuvres is not None:
+        record = label_manoeuvres(record, args.manoeuvres, args.log.stem)
+    write_html(args.out, log_page(info, record, command_as_given(args)))
 
 
 def _import(args: argparse.Namespace) -> int:

@@ -7,14 +7,19 @@ import json
 import math
 from typing import Any
 
-from uqharness.cli.options import add_aircraft, describe
+from uqharness.cli.options import add_aircraft, add_page, command_as_given, describe
+from uqharness.cli.progress import counting
 from uqharness.errors import BadInputError
+from uqharness.files import check_page
 from uqharness.flight import CALM_LOITER, CALM_STRAIGHT, LOOPS, LoopMargins, measure_loop
+from uqharness.report import write_html
+from uqharness.report.pages import margins_page
 from uqharness.simulator import StagedMission, engine, find_aircraft, find_script
 
 _EXAMPLE = """
   uqharness margins espaaro
-  uqharness margins espaaro --loop elevator --flight straight --json"""
+  uqharness margins espaaro --loop elevator --flight straight --json
+  uqharness margins espaaro --out margins.html"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,9 +34,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--flight", choices=("loiter", "straight"), default="loiter", help="on the circle or straight (default %(default)s)"
     )
+    add_page(parser, "Bode and Nichols charts of every loop, margins marked")
 
 
 def _run(args: argparse.Namespace) -> int:
+    if args.out is not None:
+        check_page(args.out)
     aircraft = find_aircraft(args.aircraft)
     condition = CALM_LOITER if args.flight == "loiter" else CALM_STRAIGHT
     names = args.loop or list(LOOPS)
@@ -44,9 +52,15 @@ def _run(args: argparse.Namespace) -> int:
             return fdm
 
         try:
-            measured = [measure_loop(make_fdm, LOOPS[name], condition=condition) for name in names]
+            measured = []
+            with counting("loops measured") as progress:
+                for name in names:
+                    measured.append(measure_loop(make_fdm, LOOPS[name], condition=condition))
+                    progress(len(measured), len(names))
         except ValueError as error:
             raise BadInputError(f"margins of {aircraft.name}: {error}") from None
+    if args.out is not None:
+        write_html(args.out, margins_page(aircraft.name, args.flight, measured, command_as_given(args)))
     if args.json:
         print(json.dumps({"flight": args.flight, "loops": {item.loop: _as_json(item) for item in measured}}))
     else:

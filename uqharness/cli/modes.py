@@ -6,14 +6,21 @@ import argparse
 import json
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
-from uqharness.cli.options import add_aircraft, describe, number
-from uqharness.flight import CATEGORIES, CLASSES, Assessment, assess
-from uqharness.simulator import Aircraft, Mode, SteadyCondition, Trim, find_aircraft, find_trim, linearise, modes
+from uqharness.cli.options import add_aircraft, add_page, command_as_given, describe, number
+from uqharness.cli.progress import counting
+from uqharness.errors import BadInputError
+from uqharness.files import check_page
+from uqharness.flight import CATEGORIES, CLASSES, Assessment, LocusPoint, point_at, root_locus, usual_speeds
+from uqharness.report import write_html
+from uqharness.report.pages import ModesAsked, modes_page
+from uqharness.simulator import Aircraft, Mode, SteadyCondition, Trim, find_aircraft, find_trim, linearise
 
 _EXAMPLE = """
   uqharness modes espaaro --speed-mps 22.2
-  uqharness modes espaaro --speed-mps 22.2 --bank-deg 25 --altitude-m 100 --json"""
+  uqharness modes espaaro --speed-mps 22.2 --bank-deg 25 --altitude-m 100 --json
+  uqharness modes espaaro --speed-mps 22.2 --out modes.html --speeds 16:30"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,13 +47,42 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(option, type=check, default=default, metavar=metavar, help=f"{text} (default {default:g})")
     parser.add_argument("--category", choices=CATEGORIES, default="B", help="flight-phase category (default B: cruise, loiter)")
     parser.add_argument("--class", dest="aircraft_class", choices=CLASSES, default="I", help="aircraft class (default I: light)")
+    add_page(parser, "the root locus over airspeed and the Levels")
+    parser.add_argument(
+        "--speeds", type=_speeds, metavar="LO:HI", help="speeds of the page's root locus, m/s (default 0.7 to 1.6 times V)"
+    )
 
 
 def _angle(option: str, below: float) -> Callable[[str], float]:
     return number(option, "an angle in degrees", above=-below, most=math.nextafter(below, 0.0))
 
 
+class Speeds(NamedTuple):
+    """Ends of a range of true airspeeds [m/s], written as they are given."""
+
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.low:g}:{self.high:g}"
+
+
+def _speeds(text: str) -> Speeds:
+    low, colon, high = text.partition(":")
+    speed = number("--speeds", "LO:HI, two true airspeeds in m/s,", above=0.0)
+    if not colon:
+        raise BadInputError(f"--speeds {text}: LO:HI, two true airspeeds in m/s, is needed, such as 16:30")
+    ends = Speeds(speed(low), speed(high))
+    if ends.low >= ends.high:
+        raise BadInputError(f"--speeds {text}: LO must be below HI")
+    return ends
+
+
 def _run(args: argparse.Namespace) -> int:
+    if args.out is not None:
+        check_page(args.out)
+    elif args.speeds is not None:
+        raise BadInputError("--speeds: belongs to the page; give --out FILE.html too")
     toward = math.radians(args.wind_from_deg + 180.0)
     wind = (args.wind_mps * math.cos(toward), args.wind_mps * math.sin(toward), 0.0)
     aircraft = find_aircraft(args.aircraft)
@@ -62,11 +98,25 @@ def _run(args: argparse.Namespace) -> int:
     if not trim.converged:
         print(json.dumps({"trim": None, "reason": trim.reason, "modes": []}) if args.json else f"no trim: {trim.reason}")
         return 1
-    model = linearise(aircraft, trim)
-    found = modes(model)
-    levels = assess(model, found, args.category, args.aircraft_class)
+    point = point_at(linearise(aircraft, trim), args.category, args.aircraft_class)
+    found, levels = list(point.modes), list(point.levels)
+    if args.out is not None:
+        _write(args, aircraft, trim, condition, point)
     print(json.dumps(_as_json(aircraft, trim, found, levels)) if args.json else _as_text(aircraft.name, trim, found, levels))
     return 0
+
+
+def _write(args: argparse.Namespace, aircraft: Aircraft, trim: Trim, condition: SteadyCondition, point: LocusPoint) -> None:
+    """Trim at the page's other speeds, and write it."""
+    speeds = usual_speeds(args.speed_mps, *(args.speeds or ()))
+    with counting("speeds trimmed") as progress:
+        locus = root_locus(aircraft, condition, speeds, args.category, args.aircraft_class, point, progress)
+    _, *said = [line.strip() for line in _trim_lines(aircraft.name, trim)]
+    altitude = f"{condition.altitude_m:g} m above sea level"
+    facts = [("Altitude", altitude), ("Attitude", said[0]), ("Controls", said[1])]
+    facts += [("Velocity" if "ground" in line else "Path", line) for line in said[2:]]
+    asked = ModesAsked(aircraft.name, args.category, args.aircraft_class, tuple(facts), command_as_given(args))
+    write_html(args.out, modes_page(asked, point, locus))
 
 
 def _as_json(aircraft: Aircraft, trim: Trim, found: list[Mode], levels: list[Assessment]) -> dict[str, object]:
@@ -114,13 +164,13 @@ def _measured(found: Assessment) -> str:
     return f"{found.criterion} {found.value:.3g} {'' if found.unit == '1' else found.unit}".rstrip()
 
 
-def _as_text(name: str, trim: Trim, found: list[Mode], levels: list[Assessment]) -> str:
+def _trim_lines(name: str, trim: Trim) -> list[str]:
     north, east, down = trim.velocity_ned_mps
     attitude = (
         f"  alpha {math.degrees(trim.alpha_rad):8.3f} deg   beta {math.degrees(trim.beta_rad):8.3f} deg"
         f"   pitch {math.degrees(trim.theta_rad):8.3f} deg   turn {math.degrees(trim.turn_rate_radps):.3f} deg/s"
     )
-    lines = [
+    return [
         f"{name}, {trim.condition.V_mps:g} m/s, {trim.condition.altitude_m:g} m",
         attitude,
         "  " + "   ".join(f"{key} {value:.3f}" for key, value in trim.controls.items())
@@ -128,9 +178,15 @@ def _as_text(name: str, trim: Trim, found: list[Mode], levels: list[Assessment])
         + (f"   {trim.rpm:.0f} rpm" if math.isfinite(trim.rpm) else ""),
         *([f"  path {math.degrees(trim.condition.climb_rad):.3f} deg"] if trim.condition.climb_rad else []),
         f"  over the ground: north {north:.3f}, east {east:.3f}, down {down:.3f} m/s",
+    ]  # fmt: skip
+
+
+def _as_text(name: str, trim: Trim, found: list[Mode], levels: list[Assessment]) -> str:
+    lines = [
+        *_trim_lines(name, trim),
         "",
         f"  {'mode':<14}{'real, 1/s':>11}{'imag, 1/s':>11}{'wn, rad/s':>11}{'zeta':>9}   MIL-F-8785C",
-    ]  # fmt: skip
+    ]
     for mode in found:
         remarks = [
             f"Level {a.level}" + (" (worse than 3)" if a.level == 4 else "") + f" {_measured(a)}"

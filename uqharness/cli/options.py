@@ -52,6 +52,12 @@ def add_out(parser: argparse.ArgumentParser, required: bool = True) -> None:
     parser.add_argument("--out", type=Path, required=required, metavar="DIR", help=text)
 
 
+def add_page(parser: argparse.ArgumentParser, what: str, option: str = "--out") -> None:
+    """A page as a file, by ``--out`` or, where that is the command's result, by another ``option``."""
+    text = f"write a page with {what} (default: no page)"
+    parser.add_argument(option, type=Path, metavar="FILE.html", help=text)
+
+
 def add_workers(parser: argparse.ArgumentParser, default: str = "one a core") -> None:
     """``--workers``; None where it is not given."""
     parser.add_argument("--workers", type=whole("--workers", 1), metavar="N", help=f"processes (default: {default})")
@@ -164,11 +170,11 @@ def results_folder(path: Path) -> Path:
 
 
 def command_words(args: argparse.Namespace) -> list[str]:
-    """The words that make a result again: files by name alone, no ``--out``, no ``--json``, no option at its default."""
+    """The words that make a result again: files by name alone, no option at its default, nor ``--out``, ``--page``, ``--json``."""
     words = args.parser.prog.split()
     for action in args.parser._actions:
         value = getattr(args, action.dest, None)
-        if action.dest in ("out", "json") or value is None or value == action.default:
+        if action.dest in ("out", "page", "json") or value is None or value == action.default:
             continue
         flag, values = action.option_strings[:1], value if isinstance(value, list) else [] if value is True else [value]
         texts = [v.name if isinstance(v, Path) else str(v) for v in values]

@@ -20,7 +20,16 @@ from .handling import CATEGORIES as CATEGORIES
 from .handling import CLASSES as CLASSES
 from .handling import Assessment as Assessment
 from .handling import assess as assess
+from .level_edges import OSCILLATORY as OSCILLATORY
+from .level_edges import cap_limits as cap_limits
+from .level_edges import level_edges as level_edges
+from .level_edges import root_limits as root_limits
 from .levels import Levels as Levels
+from .locus import Locus as Locus
+from .locus import LocusPoint as LocusPoint
+from .locus import point_at as point_at
+from .locus import root_locus as root_locus
+from .locus import usual_speeds as usual_speeds
 from .margins import CALM_LOITER as CALM_LOITER
 from .margins import CALM_STRAIGHT as CALM_STRAIGHT
 from .margins import LOOPS as LOOPS

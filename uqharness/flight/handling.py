@@ -7,7 +7,7 @@ for a small unmanned one they are a yardstick, not a requirement.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from sysid.units import G0_MPS2
@@ -17,13 +17,15 @@ CATEGORIES = ("A", "B", "C")
 CLASSES = ("I", "II-L", "II-C", "III", "IV")
 
 # 3.2.2.1.2, Table IV: short-period damping, (Level 1 low, high), (Level 2 low, high), Level 3 low.
-_SHORT_PERIOD_DAMPING = {
+SHORT_PERIOD_DAMPING = {
     "A": ((0.35, 1.30), (0.25, 2.00), 0.15),
     "B": ((0.30, 2.00), (0.20, 2.00), 0.15),
     "C": ((0.35, 1.30), (0.25, 2.00), 0.15),
 }
 # 3.2.2.1.1, Figs 1-3: CAP = wn^2/(n/alpha) in g rad^-1 s^-2 for Levels 1 and 2; the lower Level 2 bound is Level 3's too.
-_CAP = {"A": ((0.28, 3.6), (0.16, 10.0)), "B": ((0.085, 3.6), (0.038, 10.0)), "C": ((0.16, 3.6), (0.096, 10.0))}
+CAP = {"A": ((0.28, 3.6), (0.16, 10.0)), "B": ((0.085, 3.6), (0.038, 10.0)), "C": ((0.16, 3.6), (0.096, 10.0))}
+# 3.2.1.2: least damping at Levels 1 and 2, shortest time to double amplitude [s] at Level 3.
+PHUGOID_DAMPING, PHUGOID_DOUBLE_S = (0.04, 0.0), 55.0
 
 
 @dataclass(frozen=True)
@@ -70,10 +72,10 @@ def _short_period(pair: list[Mode], model: LinearModel, category: str) -> list[A
             return [Assessment("short_period", "damping", float("nan"), "1", 4, "3.2.2.1.2")]
         wn = math.sqrt(product)
         zeta = -(pair[0].real + pair[1].real) / (2 * wn)
-    first, second, third = _SHORT_PERIOD_DAMPING[category]
+    first, second, third = SHORT_PERIOD_DAMPING[category]
     damping = 1 if _within(zeta, first) else 2 if _within(zeta, second) else 3 if zeta >= third else 4
     cap = wn**2 / load_factor_per_alpha(model)
-    one, two = _CAP[category]
+    one, two = CAP[category]
     control = 1 if _within(cap, one) else 2 if _within(cap, two) else 3 if cap >= two[0] else 4
     return [
         Assessment("short_period", "damping", zeta, "1", damping, "3.2.2.1.2"),
@@ -82,16 +84,38 @@ def _short_period(pair: list[Mode], model: LinearModel, category: str) -> list[A
 
 
 def _phugoid(pair: list[Mode]) -> list[Assessment]:
-    # 3.2.1.2: Level 1 zeta >= 0.04, Level 2 zeta >= 0, Level 3 time to double >= 55 s.
     slowest = max(pair, key=lambda mode: mode.real)
     zeta = slowest.zeta if slowest.imag else (1.0 if slowest.real < 0 else -1.0)
-    if zeta >= 0.04:
+    if zeta >= PHUGOID_DAMPING[0]:
         level = 1
-    elif zeta >= 0.0:
+    elif zeta >= PHUGOID_DAMPING[1]:
         level = 2
     else:
-        level = 3 if math.log(2.0) / slowest.real >= 55.0 else 4
+        level = 3 if math.log(2.0) / slowest.real >= PHUGOID_DOUBLE_S else 4
     return [Assessment("phugoid", "damping", zeta, "1", level, "3.2.1.2")]
+
+
+def dutch_roll_limits(category: str, aircraft_class: str) -> tuple[tuple[float, float, float], ...]:
+    """Least zeta, zeta wn [rad/s] and wn [rad/s] at Levels 1, 2 and 3 (3.3.1.1, Table VI)."""
+    light = aircraft_class in ("I", "IV")
+    if category == "A":
+        one = (0.19, 0.35, 1.0 if light else 0.4)
+    elif category == "B":
+        one = (0.08, 0.15, 0.4)
+    else:
+        one = (0.08, 0.15, 1.0) if light or aircraft_class == "II-C" else (0.08, 0.10, 0.4)
+    return one, (0.02, 0.05, 0.4), (0.0, -math.inf, 0.4)
+
+
+def roll_limits_s(category: str, aircraft_class: str) -> tuple[float, float, float]:
+    """Longest roll time constant [s] at Levels 1, 2 and 3 (3.3.1.2, Table VII)."""
+    quick = aircraft_class in ("I", "IV") or (category == "C" and aircraft_class == "II-C")
+    return (1.0, 1.4, 10.0) if quick and category != "B" else (1.4, 3.0, 10.0)
+
+
+def spiral_limits_s(category: str) -> tuple[float, float, float]:
+    """Shortest time to double amplitude [s] at Levels 1, 2 and 3 (3.3.1.3, Table VIII)."""
+    return (20.0 if category == "B" else 12.0, 8.0, 4.0)
 
 
 def _dutch_roll(pair: list[Mode], category: str, aircraft_class: str) -> list[Assessment]:
@@ -99,17 +123,8 @@ def _dutch_roll(pair: list[Mode], category: str, aircraft_class: str) -> list[As
         level = 1 if max(mode.real for mode in pair) < 0 else 4
         return [Assessment("dutch_roll", "damping", 1.0 if level == 1 else float("nan"), "1", level, "3.3.1.1")]
     mode = pair[0]
-    light = aircraft_class in ("I", "IV")
-    # 3.3.1.1, Table VI: least zeta, zeta wn [rad/s], wn [rad/s] at Level 1.
-    if category == "A":
-        one = (0.19, 0.35, 1.0 if light else 0.4)
-    elif category == "B":
-        one = (0.08, 0.15, 0.4)
-    else:
-        one = (0.08, 0.15, 1.0) if light or aircraft_class == "II-C" else (0.08, 0.10, 0.4)
-    limits = (one, (0.02, 0.05, 0.4), (0.0, -math.inf, 0.4))
     level = 4
-    for index, (zeta, product, wn) in enumerate(limits, start=1):
+    for index, (zeta, product, wn) in enumerate(dutch_roll_limits(category, aircraft_class), start=1):
         if mode.zeta >= zeta and -mode.real >= product and mode.wn_radps >= wn:
             level = index
             break
@@ -117,26 +132,26 @@ def _dutch_roll(pair: list[Mode], category: str, aircraft_class: str) -> list[As
 
 
 def _roll(found: list[Mode], category: str, aircraft_class: str) -> list[Assessment]:
-    # 3.3.1.2, Table VII: longest roll time constant [s]; Level 3 is 10 s throughout.
-    quick = aircraft_class in ("I", "IV") or (category == "C" and aircraft_class == "II-C")
-    one, two = (1.0, 1.4) if quick and category != "B" else (1.4, 3.0)
     real = found[0].real
     if real >= 0 or found[0].imag:
         return [Assessment("roll", "time constant", float("nan"), "s", 4, "3.3.1.2")]
     constant = -1.0 / real
-    level = 1 if constant <= one else 2 if constant <= two else 3 if constant <= 10.0 else 4
+    level = _first(constant <= limit for limit in roll_limits_s(category, aircraft_class))
     return [Assessment("roll", "time constant", constant, "s", level, "3.3.1.2")]
 
 
 def _spiral(found: list[Mode], category: str) -> list[Assessment]:
-    # 3.3.1.3, Table VIII: least time to double amplitude [s].
-    one = 20.0 if category == "B" else 12.0
     real = found[0].real
     if real <= 0:
         return [Assessment("spiral", "time to double", math.inf, "s", 1, "3.3.1.3")]
     double = math.log(2.0) / real
-    level = 1 if double >= one else 2 if double >= 8.0 else 3 if double >= 4.0 else 4
+    level = _first(double >= limit for limit in spiral_limits_s(category))
     return [Assessment("spiral", "time to double", double, "s", level, "3.3.1.3")]
+
+
+def _first(met: Iterable[bool]) -> int:
+    """The best Level whose limit is met, 4 for none."""
+    return next((level for level, yes in enumerate(met, start=1) if yes), 4)
 
 
 def _within(value: float, limits: tuple[float, float]) -> bool:

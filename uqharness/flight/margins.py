@@ -107,6 +107,11 @@ class Margins:
     modulus: float  # closest approach of L to -1
     gain_crossovers_radps: tuple[float, ...]
     phase_crossovers_radps: tuple[float, ...]
+    # Where each margin was read [rad/s]: NaN where it is infinite.
+    gain_up_radps: float = math.nan
+    gain_down_radps: float = math.nan
+    phase_radps: float = math.nan
+    delay_radps: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -162,27 +167,31 @@ def margins_of(frequency_radps: Floats, response: Complexes) -> Margins:
     turns = range(math.floor((phase.min() / np.pi - 1) / 2), math.ceil((phase.max() / np.pi + 1) / 2) + 1)
     phase_crossings = sorted(x for k in turns for x in crossings(phase - np.pi * (2 * k + 1)))
 
-    up, down = math.inf, math.inf
+    # Each the smallest of (size, log frequency); NaN for a frequency that is none.
+    up = down = phase_margin = delay = (math.inf, math.nan)
     for x in phase_crossings:
         log_factor = -at(x)[0]  # gain factor that puts this crossing on -1
         if log_factor >= 0:
-            up = min(up, log_factor)
+            up = min(up, (log_factor, x))
         else:
-            down = min(down, -log_factor)
-    phase_margin, delay = math.inf, math.inf
+            down = min(down, (-log_factor, x))
     for x in gain_crossings:
         lag = (at(x)[1] + np.pi) % (2 * np.pi)  # how far it may lag before it meets -1
-        phase_margin = min(phase_margin, lag, 2 * np.pi - lag)
-        delay = min(delay, lag / math.exp(x))
+        phase_margin = min(phase_margin, (min(lag, 2 * np.pi - lag), x))
+        delay = min(delay, (lag / math.exp(x), x))
     decibel = 20 / math.log(10)
     return Margins(
-        gain_up_dB=up * decibel,
-        gain_down_dB=down * decibel,
-        phase_deg=math.degrees(phase_margin),
-        delay_s=delay,
+        gain_up_dB=up[0] * decibel,
+        gain_down_dB=down[0] * decibel,
+        phase_deg=math.degrees(phase_margin[0]),
+        delay_s=delay[0],
         modulus=float(np.abs(1 + response).min()),
         gain_crossovers_radps=tuple(math.exp(x) for x in gain_crossings),
         phase_crossovers_radps=tuple(math.exp(x) for x in phase_crossings),
+        gain_up_radps=math.exp(up[1]),
+        gain_down_radps=math.exp(down[1]),
+        phase_radps=math.exp(phase_margin[1]),
+        delay_radps=math.exp(delay[1]),
     )
 
 

@@ -18,6 +18,11 @@ _HEIGHT = 330
 _LONGEST_S = 120.0
 """Time shown of a track that does not turn through a whole circle."""
 _NEAR_M = 0.05
+_MOST_POINTS = 4000
+_LEAST_M = 1.0
+"""Shortest track that is drawn: less is a receiver that stands still."""
+_WIDEST = 3.0
+"""Largest radius of a circle that is drawn, in lengths of the track."""
 _KINDS: Mapping[tuple[str, str], str] = {
     ("before", "nominal"): "second thin", ("before", "worst corner"): "second",
     ("after", "nominal"): "first thin", ("after", "worst corner"): "first",
@@ -93,6 +98,59 @@ def ground_track(name: str, flown: pd.DataFrame, radius_m: float, condition: str
         f"{'' if single else ' ' + judged[0]} is farthest from its path. Largest distance from the path: {'; '.join(farthest)}."
     )
     return Figure(name, chart.svg(), caption)
+
+
+def flown_track(name: str, columns: Mapping[str, Array], words: str = "") -> Figure | None:
+    """The whole track of a flight with its start and end, and the circle it was to keep where its cross-track error tells one.
+
+    columns: name -> (n,), of which ``north_m`` and ``east_m`` [m], or ``vn_mps`` and ``ve_mps`` with ``time_s``, and
+    ``cross_track_m`` are used; None where the position is not known. words: what the caption says besides.
+    """
+    place = _places(columns)
+    if place is None:
+        return None
+    north, east = place
+    known = np.isfinite(north) & np.isfinite(east)
+    circle = _commanded(north, east, columns)
+    rings = [] if circle is None else [next(_rings(circle, 0.0))]
+    ends = [np.concatenate([v[known], *(ring[k] for ring in rings)]) for k, v in enumerate((east, north))]
+    x, y = equal_scales(ends[0], ends[1], _HEIGHT)
+    of = "" if circle is None else f", commanded circle of {circle.radius_m:.4g} m"
+    chart = Chart(name, f"Ground track, north [m] over east [m]{of}.", x, y, _HEIGHT)
+    for ring_east, ring_north, kind in rings:
+        chart.path(ring_east, ring_north, kind, f"commanded circle, radius {circle.radius_m:.4g} m" if circle else "")
+    few = max(1, math.ceil(len(east) / _MOST_POINTS))
+    chart.path(east[::few], north[::few], "first thin", "flown")
+    at = np.flatnonzero(known)
+    for k, shape, what in ((at[0], "disc", "start"), (at[-1], "square", "end")):
+        chart.marker(float(east[k]), float(north[k]), "second", shape, what)
+    return Figure(name, chart.svg(), " ".join(["Ground track; one metre is as long to the east as to the north.", words]).strip())
+
+
+def _places(columns: Mapping[str, Array]) -> tuple[Array, Array] | None:
+    """North and east [m], positions before integrated velocities; None where neither moves."""
+    if {"north_m", "east_m"} <= set(columns):
+        north, east = (np.asarray(columns[n], dtype=float) for n in ("north_m", "east_m"))
+    elif {"vn_mps", "ve_mps", "time_s"} <= set(columns):
+        time_s = np.asarray(columns["time_s"], dtype=float)
+        step = np.diff(time_s, append=time_s[-1])
+        north, east = (np.nancumsum(np.asarray(columns[n], dtype=float) * step) for n in ("vn_mps", "ve_mps"))
+    else:
+        return None
+    known = np.isfinite(north) & np.isfinite(east)
+    moved = known.any() and max(float(np.ptp(v[known])) for v in (north, east)) >= _LEAST_M
+    return (north, east) if moved else None
+
+
+def _commanded(north: Array, east: Array, columns: Mapping[str, Array]) -> Circle | None:
+    """The circle of the cross-track error, whichever side is positive."""
+    if "cross_track_m" not in columns:
+        return None
+    distance = np.asarray(columns["cross_track_m"], dtype=float)
+    circle = circle_of(north, east, distance) or circle_of(north, east, -distance)
+    # Of a circle much wider than the track nothing but a line would be seen, and the track not at all.
+    reach = max(float(np.nanmax(v) - np.nanmin(v)) for v in (north, east))
+    return circle if circle is not None and circle.radius_m <= _WIDEST * reach else None
 
 
 def _lap(rows: pd.DataFrame) -> tuple[float, float, float]:

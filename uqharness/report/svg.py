@@ -29,21 +29,32 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 34, 12, 24, 38
 _CHARACTER = 6.9
 """Width to reserve for a character of the 11-unit text, whichever font the reader has."""
 _MOST_POINTS = 400
+_MOST_LOG_TICKS = 9
 
 
 @dataclass(frozen=True)
 class Scale:
-    """Range of an axis, its label with the unit, and its ticks: numbers, or names at given places."""
+    """Range of an axis, its label with the unit, and its ticks: numbers, or names at given places. ``log``: logarithmic."""
 
     label: str
     low: float
     high: float
     names: tuple[tuple[float, str], ...] = ()
+    log: bool = False
+
+    def place(self, value: Array | float) -> Array:
+        """Share of the axis' length at which a value stands; NaN for one that a logarithmic axis does not have."""
+        value, low, high = np.asarray(value, dtype=float), self.low, self.high
+        if self.log:
+            value, low, high = np.log(np.where(value > 0.0, value, np.nan)), math.log(low), math.log(high)
+        return np.asarray((value - low) / ((high - low) or 1.0))
 
     def ticks(self) -> list[tuple[float, str]]:
         """Values and labels of the axis' ticks."""
         if self.names:
             return list(self.names)
+        if self.log:
+            return _log_ticks(self.low, self.high)
         if not self.high > self.low:
             return [(self.low, f"{self.low:.4g}")]
         step = _step((self.high - self.low) / 5.0)
@@ -60,6 +71,27 @@ def scale(label: str, values: Sequence[Array], margin: float = 0.06, least: floa
     room = margin * (high - low) or 0.1 * abs(high) or 1.0
     low, high = low - room, high + room
     return Scale(label, low if least is None else max(least, low), high)
+
+
+def log_scale(label: str, values: Sequence[Array], margin: float = 0.06) -> Scale:
+    """A logarithmic scale around all finite values above 0; 0.1 to 1 where there is none."""
+    known = np.concatenate([np.ravel(v) for v in values]) if values else np.empty(0)
+    known = known[np.isfinite(known) & (known > 0.0)]
+    if not known.size:
+        return Scale(label, 0.1, 1.0, log=True)
+    low, high = math.log(known.min()), math.log(known.max())
+    room = margin * (high - low) if high > low else 0.5
+    return Scale(label, math.exp(low - room), math.exp(high + room), log=True)
+
+
+def _log_ticks(low: float, high: float) -> list[tuple[float, str]]:
+    """At 1, 2 and 5 times the powers of ten, or at the powers alone where there are many."""
+    powers = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
+    for factors in ((1.0, 2.0, 5.0), (1.0, 3.0), (1.0,)):
+        found = [f * 10.0**k for k in powers for f in factors if low * (1 - 1e-9) <= f * 10.0**k <= high * (1 + 1e-9)]
+        if len(found) <= _MOST_LOG_TICKS:
+            break
+    return [(value, f"{value:g}") for value in found]
 
 
 def _step(rough: float) -> float:
@@ -102,8 +134,7 @@ class Chart:
     def at(self, x: Array | float, y: Array | float) -> tuple[Array, Array]:
         """Places of data in the drawing."""
         left, top, width, height = self.plot
-        u = left + width * (np.asarray(x, dtype=float) - self.x.low) / ((self.x.high - self.x.low) or 1.0)
-        v = top + height * (self.y.high - np.asarray(y, dtype=float)) / ((self.y.high - self.y.low) or 1.0)
+        u, v = left + width * self.x.place(x), top + height * (1.0 - self.y.place(y))
         # Far beyond the frame a browser's arithmetic fails before the clip does.
         u, v = (np.where(np.isfinite(w), np.clip(w, -5000.0, 5000.0), np.nan) for w in (u, v))
         return u, v
@@ -138,6 +169,11 @@ class Chart:
             self.marks.append(f'<path class="band {kind}" d="{outline}Z"/>')
             self._entry(kind, words)
 
+    def area(self, x: Array, y: Array, kind: str, words: str = "") -> None:
+        """The inside of a closed outline, all of whose points are finite."""
+        self.marks.append(f'<path class="band {kind}" d="{_path(*self.at(x, y))}Z"/>')
+        self._entry(kind, words)
+
     def dots(self, x: Array, y: Array, kind: str, words: str = "", radius: float = 1.3) -> None:
         """Small discs at finite points, one path for all of them."""
         u, v = self.at(x, y)
@@ -149,7 +185,7 @@ class Chart:
             self._entry(kind, words)
 
     def marker(self, x: float, y: float, kind: str, shape: str, words: str = "") -> None:
-        """One disc, ring, square or bar."""
+        """One disc, ring, square, bar or cross."""
         (u,), (v,) = (np.atleast_1d(w) for w in self.at(x, y))
         if not (math.isfinite(u) and math.isfinite(v)):
             return
@@ -158,9 +194,17 @@ class Chart:
             "ring": f'<circle class="mark hollow {kind}" cx="{u:.1f}" cy="{v:.1f}" r="4"/>',
             "square": f'<rect class="mark {kind}" x="{u - 3.5:.1f}" y="{v - 3.5:.1f}" width="7" height="7"/>',
             "bar": f'<path class="line {kind}" d="M{u:.1f} {v - 5:.1f}v10"/>',
+            "cross": f'<path class="line {kind}" d="M{u - 4:.1f} {v - 4:.1f}l8 8m0 -8l-8 8"/>',
         }
         self.marks.append(drawn[shape])
-        self._entry(kind, words)
+        self._entry(f"mark-{shape} {kind}", words)
+
+    def text(self, x: float, y: float, words: str, anchor: str = "start", shift: tuple[float, float] = (0.0, 0.0)) -> None:
+        """Words at a point, moved by ``shift`` units right and down; ``anchor``: which end of them, start, middle or end."""
+        (u,), (v,) = (np.atleast_1d(w) for w in self.at(x, y))
+        if math.isfinite(u) and math.isfinite(v):
+            place = f'x="{u + shift[0]:.1f}" y="{v + shift[1]:.1f}"'
+            self.marks.append(f'<text class="inside" text-anchor="{anchor}" {place}>{escape(words)}</text>')
 
     def cells(self, x: Array, y: Array, share: Array, kind: str) -> None:
         """A map: cells between the edges ``x`` (n + 1,) and ``y`` (m + 1,), as dense as ``share`` (n, m) of 0 to 1; none for 0."""
@@ -210,11 +254,12 @@ class Chart:
         left, top, width, height = self.plot
         out = []
         for value, words in self.x.ticks():
-            u, _ = self.at(value, 0.0)
+            u = left + width * float(self.x.place(value))
             out.append(f'<path class="grid" d="M{u:.1f} {top}v{height}"/>')
+            u = min(u, WIDTH - 2 - 0.5 * _CHARACTER * len(words))
             out.append(f'<text text-anchor="middle" x="{u:.1f}" y="{self.height - _BOTTOM + 14}">{escape(words)}</text>')
         for value, words in self.y.ticks():
-            _, v = self.at(0.0, value)
+            v = top + height * (1.0 - float(self.y.place(value)))
             if not self.y.names:
                 out.append(f'<path class="grid" d="M{left} {v:.1f}h{width}"/>')
             out.append(f'<text text-anchor="end" x="{left - 5}" y="{v + 3.5:.1f}">{escape(words)}</text>')
@@ -336,7 +381,15 @@ def _legend(items: Sequence[tuple[str, str]], width: float) -> tuple[list[tuple[
 
 
 def _swatch(kind: str, x: float, y: float) -> str:
-    shape = kind.split()[0]
+    shape, _, rest = kind.partition(" ")
+    if shape == "mark-disc":
+        return f'<circle class="mark {rest}" cx="{x + 11:g}" cy="{y:g}" r="4"/>'
+    if shape == "mark-ring":
+        return f'<circle class="mark hollow {rest}" cx="{x + 11:g}" cy="{y:g}" r="4"/>'
+    if shape == "mark-square":
+        return f'<rect class="mark {rest}" x="{x + 7.5:g}" y="{y - 3.5:g}" width="7" height="7"/>'
+    if shape == "mark-cross":
+        return f'<path class="line {rest}" d="M{x + 7:g} {y - 4:g}l8 8m0 -8l-8 8"/>'
     if shape.startswith("fill"):
         return f'<rect class="band {kind}" x="{x:g}" y="{y - 5:g}" width="22" height="10"/>'
     if shape.startswith("dot"):

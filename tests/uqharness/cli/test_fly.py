@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from tests.helpers.page_checks import problems, words_of
 from uqharness.cli.fly import parse_settings
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
@@ -31,3 +32,33 @@ def test_settings_are_properties_with_finite_numbers():
     for text in ("aero/Cm_q", "=1", "aero/Cm_q=", "aero/Cm_q=nan", "aero/Cm_q=ten"):
         with pytest.raises(BadInputError, match=f"--set {text}: PROP=VALUE"):
             parse_settings([text])
+
+
+def test_a_page_is_written_beside_the_record_when_asked(tmp_path, capsys):
+    page = tmp_path / "flight.html"
+    words = [
+        "fly",
+        "espaaro",
+        "--duration-s",
+        "60",
+        "--rate-hz",
+        "10",
+        "--wind-mps",
+        "3",
+        "--out",
+        str(tmp_path / "flight.parquet"),
+    ]
+    assert main([*words, "--page", str(page), "--json"]) == 0
+    assert set(json.loads(capsys.readouterr().out)) == {"status", "reason", "flown_s", "rows", "out", "left_out"}
+    text = page.read_text(encoding="utf-8")
+    assert problems(text) == []
+    said = words_of(text)
+    assert "Wind 3 m/s from 270 deg, no turbulence, without sensor noise, seed 0." in said
+    assert "commanded circle, radius 120 m" in said
+    assert "--page" not in said
+
+
+def test_a_page_of_another_ending_is_refused_before_a_flight(tmp_path, capsys):
+    assert main(["fly", "espaaro", "--out", str(tmp_path / "a.csv"), "--page", str(tmp_path / "a.htm")]) == 2
+    assert "a.htm: a page, FILE.html, is written" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

@@ -13,6 +13,7 @@ from sysid.logs.dataflash_writer import write_dataflash
 from sysid.logs.signal_map import shipped_map
 from sysid.record import FlightRecord
 from tests.helpers.log_writers import write_text_log, write_tlog
+from tests.helpers.page_checks import problems, words_of
 from tests.helpers.places import ROOT, TESTS
 from tests.helpers.synthetic import flight
 from uqharness.cli.main import main
@@ -123,3 +124,26 @@ def test_a_logs_vehicle_and_a_files_name_cannot_steer_the_terminal(tmp_path: Pat
     assert r"\x1b]0;owned\x07" in seen.out
     assert r"none\x1b[2J: " in seen.err
     assert "\x1b" not in seen.out + seen.err
+
+
+def test_info_writes_a_page_when_asked_and_says_the_same(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["log", "info", str(log), "--aircraft", str(CARD), "--json", "--no-cache"]
+    assert main(words) == 0
+    plain = capsys.readouterr().out
+    table = tmp_path / "manoeuvres.csv"
+    table.write_text("manoeuvre,start_s,end_s\npush-over,10,14\n", encoding="utf-8")
+    path = tmp_path / "page.html"
+    assert main([*words, "--out", str(path), "--manoeuvres", str(table)]) == 0
+    assert capsys.readouterr().out == plain
+    page = path.read_text(encoding="utf-8")
+    assert problems(page) == []
+    assert "push-over" in words_of(page)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [(["--out", "page.pdf"], "a page, FILE.html, is written"), (["--manoeuvres", "m.csv"], "--manoeuvres: belongs to the page")],
+)
+def test_info_refuses_what_is_no_page(log: Path, words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["log", "info", str(log), *words]) == 2
+    assert said in capsys.readouterr().err

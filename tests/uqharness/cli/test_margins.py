@@ -7,6 +7,7 @@ import math
 
 import pytest
 
+from tests.helpers.page_checks import problems, words_of
 from uqharness.cli.main import main
 
 
@@ -24,3 +25,21 @@ def test_one_loop_as_json(capsys: pytest.CaptureFixture[str]):
 def test_an_aircraft_that_is_not_there(capsys: pytest.CaptureFixture[str]):
     assert main(["margins", "nothing", "--loop", "aileron"]) == 2
     assert capsys.readouterr().err.startswith("uqharness: error: ")
+
+
+def test_a_page_is_written_when_asked(tmp_path, capsys: pytest.CaptureFixture[str]):
+    path = tmp_path / "margins.html"
+    assert main(["margins", "espaaro", "--loop", "aileron", "--out", str(path)]) == 0
+    page = path.read_text(encoding="utf-8")
+    assert problems(page) == []
+    words = words_of(page)
+    assert "uqharness margins espaaro --loop aileron" in words
+    told = capsys.readouterr().out.splitlines()[-1].split()
+    assert f"gain margin up {told[1]} dB, down {told[2]} dB; phase margin {told[3]} deg" in words
+
+
+def test_a_page_that_cannot_be_written_is_refused_before_the_flight(tmp_path, capsys: pytest.CaptureFixture[str]):
+    folder = tmp_path / "page.html"
+    folder.mkdir()
+    assert main(["margins", "espaaro", "--out", str(folder)]) == 2
+    assert "is a folder; a page, FILE.html, is written" in capsys.readouterr().err

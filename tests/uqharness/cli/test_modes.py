@@ -7,6 +7,7 @@ import math
 
 import pytest
 
+from tests.helpers.page_checks import problems, words_of
 from uqharness.cli.main import main
 from uqharness.cli.modes import _measured
 from uqharness.flight import Assessment
@@ -54,3 +55,32 @@ def test_no_trim_is_an_answer_and_not_an_error(capsys):
     assert captured.err == ""
     assert main(["modes", "espaaro", "--speed-mps", "5", "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["trim"] is None
+
+
+def test_a_page_is_written_when_asked_and_json_stays_as_it_is(tmp_path, capsys):
+    path = tmp_path / "new" / "modes.html"
+    assert main(["modes", "espaaro", "--speed-mps", "22.2", "--json"]) == 0
+    plain = capsys.readouterr().out
+    assert main(["modes", "espaaro", "--speed-mps", "22.2", "--json", "--out", str(path), "--speeds", "21:24"]) == 0
+    assert capsys.readouterr().out == plain
+    page = path.read_text(encoding="utf-8")
+    assert problems(page) == []
+    assert "uqharness modes espaaro --speed-mps 22.2 --speeds 21:24" in words_of(page)
+    assert [p.name for p in path.parent.iterdir()] == ["modes.html"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--out", "modes.txt"], "--out modes.txt: a page, FILE.html, is written"),
+        (["--speeds", "20:30"], "--speeds: belongs to the page; give --out FILE.html too"),
+        (["--out", "m.html", "--speeds", "30:20"], "--speeds 30:20: LO must be below HI"),
+        (["--out", "m.html", "--speeds", "30"], "--speeds 30: LO:HI, two true airspeeds in m/s, is needed"),
+        (["--out", "m.html", "--speeds", "0:30"], "--speeds 0: LO:HI, two true airspeeds in m/s, above 0 is needed"),
+    ],
+)
+def test_a_page_that_cannot_be_is_refused(tmp_path, monkeypatch, capsys, words, said):
+    monkeypatch.chdir(tmp_path)
+    assert main(["modes", "espaaro", "--speed-mps", "22.2", *words]) == 2
+    assert said in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from uqharness.flight.margins import Loop, Margins, choose_lines, margins_of, measure_loop, multisine
+from uqharness.flight.margins import Loop, choose_lines, margins_of, measure_loop, multisine
 
 DT = 0.01
 POLE, GAIN, DELAY = 0.98, 0.02, 3  # y[k+1] = POLE y[k] + GAIN u[k], controller output DELAY steps old
@@ -79,6 +79,10 @@ def test_margins_are_the_formula(measured):
     assert got.phase_deg == pytest.approx(phase, abs=0.5)
     assert got.delay_s == pytest.approx(delay, rel=0.02)
     assert got.gain_down_dB == math.inf
+    # Each was read where the formula's phase is -180 deg, or its gain is 1.
+    assert cmath.phase(-exact_loop(got.gain_up_radps, 8.0)) == pytest.approx(0.0, abs=0.01)
+    assert abs(exact_loop(got.phase_radps, 8.0)) == pytest.approx(1.0, abs=0.005)
+    assert got.delay_radps == got.phase_radps
 
 
 def test_gain_margin_is_where_the_loop_itself_goes_unstable(measured):
@@ -111,7 +115,9 @@ def test_no_crossover_means_no_phase_limit():
     w = np.geomspace(0.1, 10.0, 50)
     got = margins_of(w, 0.2 / (1 + 1j * w))
     infinite = math.inf
-    assert got == Margins(infinite, infinite, infinite, infinite, got.modulus, (), ())
+    assert got.gain_up_dB == got.gain_down_dB == got.phase_deg == got.delay_s == infinite
+    assert got.gain_crossovers_radps == got.phase_crossovers_radps == ()
+    assert all(math.isnan(w) for w in (got.gain_up_radps, got.gain_down_radps, got.phase_radps, got.delay_radps))
 
 
 def test_multisine_has_its_rms_only_at_its_lines_and_a_low_peak():

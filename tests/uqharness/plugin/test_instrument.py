@@ -15,6 +15,7 @@ import pytest
 from campaigns.instrument.reproduce import study
 from tests.helpers.jsbsim_schema import schema_errors
 from tests.helpers.model_forms import made_up_form
+from tests.helpers.page_checks import problems, words_of
 from tests.jsbsim_defects.small_models import SKELETON
 from uqharness.cli.instrument import parse_constant
 from uqharness.cli.main import main
@@ -377,3 +378,24 @@ def test_a_stock_aeroplane_is_replayed_with_its_engine_running_and_its_linkage_a
     # Without mixture CX was .08 off; with one factor for both ends of the elevator's travel Cm was .03, and .34 before.
     limits = {"V_mps": 0.05, "q_radps": 1e-3, "az_mps2": 0.05, "Cm": 0.002, "CZ": 0.005, "CX": 0.005}
     assert {name: found[name] for name, limit in limits.items() if not found[name] < limit} == {}
+
+
+def test_a_page_is_written_when_asked_and_json_stays_as_it_is(tmp_path, capsys):
+    words = ["instrument", "c172p", "--constant", "CX=0.01,Cm=-0.02:0.03", "--no-check", "--json", "--out", str(tmp_path / "made")]
+    assert main(words) == 0
+    plain = capsys.readouterr().out
+    shutil.rmtree(tmp_path / "made")
+    page = tmp_path / "bounds.html"
+    assert main([*words, "--page", str(page)]) == 0
+    assert capsys.readouterr().out == plain
+    text = page.read_text(encoding="utf-8")
+    assert problems(text) == []
+    assert "Constant bounds of 2 coefficients." in words_of(text)
+
+
+@pytest.mark.parametrize("words", [["--page", "b.txt"], ["--page", "b.html", "--dry-run"], ["--page", "b.html", "--undo"]])
+def test_a_page_that_cannot_be_is_refused(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["instrument", "c172p", "--out", "made", *words]) == 2
+    assert "--page b" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from lxml import etree
 
-from uqharness.report.ground_track import circle_of, equal_scales, ground_track
+from uqharness.report.ground_track import circle_of, equal_scales, flown_track, ground_track
 from uqharness.report.svg import Chart
 
 TIME = np.arange(0.0, 200.0, 0.2)
@@ -102,3 +102,30 @@ def test_a_metre_is_as_long_to_the_east_as_to_the_north():
     (u, v) = Chart("c", "", x, y, 330).at(np.array([0.0, 10.0]), np.array([0.0, 10.0]))
     assert abs(u[1] - u[0]) == pytest.approx(abs(v[1] - v[0]), rel=0.03)  # the ticks' width moves the axis
     assert x.low < 0.0 < 100.0 < x.high
+
+
+def columns_of(flown, sign=1.0):
+    return {"time_s": TIME, "north_m": flown["north_m"], "east_m": flown["east_m"], "cross_track_m": sign * flown["distance_m"]}
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_recorded_flight_has_its_track_and_the_commanded_circle(sign):
+    figure = flown_track("track", columns_of(lap(AWAY), sign))
+    words = {e.text for e in etree.fromstring(str(figure.svg)).iter("text")}
+    assert {"flown", "start", "end", "commanded circle, radius 120 m"} <= words
+
+
+def test_a_circle_that_the_errors_do_not_tell_is_not_drawn():
+    flown = columns_of(lap(AWAY)) | {"cross_track_m": np.abs(AWAY) + 1.0}
+    assert "commanded circle" not in str(flown_track("track", flown).svg)
+    wide = columns_of(lap(0.001 * AWAY, period_s=4e4, radius=2e4))
+    assert "commanded circle" not in str(flown_track("track", wide).svg)
+
+
+def test_positions_are_integrated_where_there_are_velocities_alone():
+    flown = {"time_s": TIME, "vn_mps": np.full(TIME.size, 20.0), "ve_mps": np.zeros(TIME.size)}
+    svg = etree.fromstring(str(flown_track("track", flown).svg))
+    ends = {e.get("class"): e for e in svg.iter("circle", "rect") if e.get("class") == "mark second"}
+    assert ends
+    assert flown_track("track", {"time_s": TIME}) is None
+    assert flown_track("track", {"time_s": TIME, "north_m": 0.0 * TIME, "east_m": 0.0 * TIME}) is None

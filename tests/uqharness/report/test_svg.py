@@ -11,7 +11,7 @@ import pytest
 from lxml import etree
 from markupsafe import Markup
 
-from uqharness.report.svg import Chart, Scale, scale, standalone, style, thinned
+from uqharness.report.svg import Chart, Scale, log_scale, scale, standalone, style, thinned
 
 
 def luminance(colour):
@@ -94,6 +94,29 @@ def test_ticks_are_round_inside_and_distinct(low, high):
     assert len({text for _, text in ticks}) == len(ticks)
     for value, text in ticks:
         assert float(text.replace("−", "-")) == pytest.approx(value, abs=0.01 * (high - low))
+
+
+def test_a_logarithmic_axis_has_decades_of_equal_length():
+    axis = log_scale("frequency [rad/s]", [np.array([0.0, 0.1, 10.0, math.nan])], margin=0.0)
+    assert (axis.low, axis.high) == pytest.approx((0.1, 10.0))
+    assert [float(axis.place(w)) for w in (0.1, 1.0, 10.0)] == pytest.approx([0.0, 0.5, 1.0])
+    assert math.isnan(float(axis.place(-1.0)))
+    assert [words for _, words in axis.ticks()] == ["0.1", "0.2", "0.5", "1", "2", "5", "10"]
+    assert len(log_scale("x [1]", [np.array([1e-6, 1e6])]).ticks()) > 5
+    assert log_scale("x [1]", [np.zeros(2)]).ticks()
+
+
+def test_markers_and_words_stand_where_they_are_put_and_the_legend_shows_their_shape():
+    drawn = Chart("a", "label", Scale("x [m]", 0.0, 2.0), Scale("y [m]", 0.0, 2.0))
+    drawn.marker(1.0, 1.0, "second", "cross", "the point")
+    drawn.text(1.0, 1.0, "a < b", "end", (-3.0, 5.0))
+    u, v = (float(w) for w in drawn.at(1.0, 1.0))
+    svg = etree.fromstring(drawn.svg())
+    (words,) = (e for e in svg.iter("text") if e.text == "a < b")
+    assert [float(words.get(k)) for k in ("x", "y")] == pytest.approx([u - 3.0, v + 5.0], abs=0.06)
+    assert sum("l8 8" in (e.get("d") or "") for e in svg.iter("path")) == 2
+    drawn.text(math.nan, 1.0, "nowhere")
+    assert "nowhere" not in drawn.svg()
 
 
 def test_a_scale_of_nothing_known_is_still_a_scale():

@@ -1,0 +1,64 @@
+"""The page of an instrumented aircraft: bounds as the model form has them, constants as they were given."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.helpers.model_forms import made_up_form
+from tests.helpers.page_checks import problems, words_of
+from uqharness.report.pages.instrument import Instrumentation, instrument_page, main_state
+from uqharness.report.parts import render
+
+DONE = Instrumentation("toy", (("CX", "AXIAL", "toy.xml:12"),), ("a note",), (True, "Flown beside it."), "uqharness instrument toy")
+
+
+def page(form=None, constant=None, done=DONE):
+    return render(instrument_page(done, form, constant or {}))
+
+
+def test_bounds_of_a_model_form_are_drawn_along_every_state():
+    form = made_up_form({"CX": ("V_mps", "alpha_rad"), "Cm": ("alpha_rad",)})
+    text = page(form)
+    assert problems(text) == []
+    for name in ("slice-CX-V_mps", "slice-CX-alpha_rad", "slice-Cm-alpha_rad"):
+        assert f'<figure id="{name}">' in text
+    words = words_of(text)
+    assert "Bounds of 2 coefficients over the flight state" in words
+    assert "No uncertainty in CY, CZ, Cl, Cn." in words
+    b = form.coefficients["Cm"]
+    low, high = b.bounds({"alpha_rad": np.array([b.hull.middle[0, 1]])}, form.confidence, form.outside)
+    assert f"Cm [-]{low[0]:.3g}{high[0]:.3g}" in words.replace(" ", "").replace("Cm[-]", "Cm [-]")
+
+
+def test_the_main_state_is_the_one_along_which_the_bounds_move_most():
+    form = made_up_form({"CX": ("V_mps", "alpha_rad")}, orders={"CX": 1})
+    b = form.coefficients["CX"]
+    for k, state in enumerate(b.states):
+        beta = np.zeros(len(b.terms))
+        beta[[t[k] == 1 and sum(t) == 1 for t in b.terms].index(True)] = 0.5
+        assert main_state(replace(b, beta_hat=beta), form) == state
+
+
+def test_constant_bounds():
+    text = page(constant={"CX": (-0.01, 0.02), "Cm": (0.0, 0.0)})
+    assert problems(text) == []
+    words = words_of(text)
+    assert "Constant bounds of 2 coefficients." in words
+    assert "CX -0.01 to 0.02" in text
+    assert "Slices" not in words
+
+
+@pytest.mark.parametrize(("check", "sign"), [((True, "It flies."), "good"), ((False, "It does not fly."), "bad")])
+def test_the_check_stands_in_the_verdict(check, sign):
+    assert f'<li class="{sign}">' in page(constant={"CX": (-0.01, 0.02)}, done=replace(DONE, check=check))
+
+
+def test_no_bounds_are_all_zero_and_said():
+    text = page(done=replace(DONE, rows=(), notes=(), check=None))
+    assert problems(text) == []
+    words = words_of(text)
+    assert "No bounds were given: every delta is 0." in words
+    assert "The aircraft carried the plugin already." in words

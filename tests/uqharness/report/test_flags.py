@@ -1,0 +1,63 @@
+"""Where findings apply: their channel, their message's channels, and the time that the record tells."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sysid.errors import Finding
+from sysid.record import FlightRecord, Metadata
+from uqharness.report.flags import MOST_SPANS, channels_of, flags_of, spans_of
+
+TIME = np.arange(0.0, 100.0, 0.1)
+SOURCES = {"V_mps": "ARSP.Airspeed x CTUN.E2T", "alpha_rad": "AOA.AOA", "beta_rad": "AOA.SSA"}
+
+
+def record(*findings, **columns):
+    usual = {"time_s": TIME, "V_mps": np.full(TIME.size, 20.0), "alpha_rad": 0.0 * TIME, "beta_rad": 0.0 * TIME, "vn_mps": TIME}
+    return FlightRecord({**usual, **columns}, Metadata(channels=SOURCES, findings=tuple(findings)))
+
+
+def finding(code, channel, severity="warning", **numbers):
+    return Finding(code, channel, severity, f"{code} in {channel}", numbers)
+
+
+@pytest.mark.parametrize(
+    ("channel", "names"),
+    [
+        ("V_mps", ("V_mps",)), ("AOA", ("alpha_rad", "beta_rad")), ("ground velocity", ("vn_mps",)), ("", ()), ("AO", ()),
+        ("GPS", ()),
+    ],
+)  # fmt: skip
+def test_channels(channel, names):
+    assert channels_of(finding("gap", channel), record()) == names
+
+
+def test_a_stretch_that_the_finding_names():
+    assert spans_of(finding("stuck", "V_mps", start_s=3.0, end_s=8.0), "V_mps", record()) == ((3.0, 8.0),)
+
+
+def test_stretches_that_the_record_shows():
+    speed = np.full(TIME.size, 20.0)
+    speed[100:111], speed[500] = np.nan, 900.0
+    found = record(V_mps=speed)
+    assert spans_of(finding("dropouts", "V_mps"), "V_mps", found) == ((pytest.approx(10.0), pytest.approx(11.0)),)
+    assert spans_of(finding("out-of-range", "V_mps"), "V_mps", found) == ((pytest.approx(50.0), pytest.approx(50.0)),)
+    assert spans_of(finding("negative-airspeed", "V_mps"), "V_mps", found) == ()
+    assert spans_of(finding("delay", "V_mps"), "V_mps", found) == ()
+
+
+def test_many_stretches_are_joined_and_none_is_lost():
+    mask = np.arange(TIME.size) % 5 == 0
+    speed = np.where(mask, np.nan, 20.0)
+    found = spans_of(finding("gap", "V_mps"), "V_mps", record(V_mps=speed))
+    assert 0 < len(found) <= MOST_SPANS
+    assert all(any(a <= t <= b for a, b in found) for t in TIME[mask])
+
+
+def test_flags_name_severity_and_code_once():
+    stuck = finding("stuck", "V_mps", "error", start_s=1.0, end_s=2.0)
+    found = flags_of(record(stuck, stuck, finding("estimate", "AOA"), finding("slower-than-grid", "V_mps", "info")))
+    assert {name: [f.words for f in flags] for name, flags in found.items()} == {
+        "V_mps": ["error stuck"], "alpha_rad": ["warning estimate"], "beta_rad": ["warning estimate"],
+    }  # fmt: skip

@@ -1,0 +1,124 @@
+"""The page of an instrumented aircraft: the bounds of each delta coefficient over the envelope, and where the deltas act."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sysid.aerodynamics import COEFFICIENTS
+from sysid.model_form import CoefficientBounds, ModelForm
+from uqharness.replay import shown_channel
+from uqharness.report.pages.model_form import slice_section, slice_states
+from uqharness.report.parts import Block, Bullets, Cell, Figure, Figures, Page, Say, Section, Table, Words, provenance, shown
+from uqharness.report.svg import rows_chart, scale
+
+_SLICE = 61
+Constant = Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Instrumentation:
+    """What was done: aircraft, (coefficient, axis, place) of each delta, notes, the check (None: not made), the command.
+
+    check: whether the result flies as it should, and that in a sentence.
+    """
+
+    aircraft: str
+    rows: Sequence[tuple[str, str, str]]
+    notes: tuple[str, ...]
+    check: tuple[bool, str] | None
+    command: str
+
+
+def instrument_page(done: Instrumentation, form: ModelForm | None, constant: Constant) -> Page:
+    """The page of bounds from a model form, or ``constant`` (lower, upper) by coefficient; of neither, where all are zero."""
+    asked = (
+        f"By how much may the coefficients of {done.aircraft} be off in a campaign? Each delta coefficient, dimensionless, in body "
+        "axes, stands between the lower and the upper bound: delta = lower + level (upper − lower), level 0 to 1."
+    )
+    sections = [_sizes(form, constant)]
+    if form is not None:
+        sections.append(slice_section(form, ()))
+    elif constant:
+        sections.append(_constant(constant))
+    rows = tuple((c, axis, Cell(Path(where).name or "-", code=True)) for c, axis, where in done.rows)
+    table = Table("Axis of the aircraft's own XML, and the place in its file.", ("Delta", "Axis", "Place"), rows)
+    sections.append(Section("Where the deltas act", (table if rows else Words("The aircraft carried the plugin already."),)))
+    if done.notes:
+        sections.append(Section("Notes", (Bullets(done.notes),)))
+    sections.append(provenance(("Command", done.command)))
+    return Page(f"Bounds of {done.aircraft}", asked, _verdict(done, form, constant), tuple(sections))
+
+
+def _verdict(done: Instrumentation, form: ModelForm | None, constant: Constant) -> tuple[Say, ...]:
+    if form is not None:
+        flights = ", ".join(f.name for f in form.flights) or "no flight named"
+        said = [Say(f"Bounds of {len(form.coefficients)} coefficients over the flight state, from {flights}.")]
+        zero = [c for c in COEFFICIENTS if c not in form.coefficients]
+    else:
+        kind = f"Constant bounds of {len(constant)} coefficients" if constant else "No bounds were given: every delta is 0"
+        said = [Say(f"{kind}.", "" if constant else "warn")]
+        zero = [c for c in COEFFICIENTS if c not in constant] if constant else []
+    if zero:
+        said.append(Say(f"No uncertainty in {', '.join(zero)}.", "warn"))
+    if done.check is not None:
+        said.append(Say(done.check[1], "good" if done.check[0] else "bad"))
+    return tuple(said)
+
+
+def main_state(b: CoefficientBounds, form: ModelForm) -> str:
+    """The state along whose range in the data the bounds move most, the other states at their medians."""
+
+    def moved(k: int) -> float:
+        at = np.linspace(float(b.hull.low[k]), float(b.hull.high[k]), _SLICE)
+        ends = b.bounds(slice_states(b, b.states[k], at), form.confidence, form.outside)
+        return sum(float(np.ptp(end)) for end in ends)
+
+    return b.states[max(range(len(b.states)), key=moved)]
+
+
+def _sizes(form: ModelForm | None, constant: Constant) -> Section:
+    if form is None:
+        rows = tuple((f"{c} [-]", *(shown(end) for end in constant.get(c, (0.0, 0.0)))) for c in COEFFICIENTS)
+        return Section(
+            "Sizes", (Table("Bounds, the same in every flight state.", ("Coefficient", "Lower", "Upper"), rows, key=True),)
+        )
+    found = []
+    for c, b in form.coefficients.items():
+        middle = {s: np.array([m]) for s, m in zip(b.states, b.hull.middle[:, 1], strict=True)}
+        low, high = b.bounds(middle, form.confidence, form.outside)
+        lows, highs = [], []
+        for k, state in enumerate(b.states):
+            at = np.linspace(float(b.hull.low[k]), float(b.hull.high[k]), _SLICE)
+            ends = b.bounds(slice_states(b, state, at), form.confidence, form.outside)
+            lows.append(float(ends[0].min()))
+            highs.append(float(ends[1].max()))
+        quantity, unit, _ = shown_channel(main_state(b, form))
+        sizes = (float(low[0]), float(high[0]), min(lows), max(highs))
+        found.append((f"{c} [-]", *(shown(v) for v in sizes), f"{quantity} [{unit}]"))
+    head = ("Coefficient", "Lower, at the medians", "Upper, at the medians", "Least lower", "Largest upper", "Main state")
+    text = (
+        "At the medians: every state at the median of the data. Least and largest: along the slices below, within the range of the "
+        "data. Main state: along which the bounds move most."
+    )
+    table = Table(f"{100.0 * form.confidence:g} % bounds.", head, tuple(found), key=True)
+    return Section("Sizes", (Words(text, note=True), table))
+
+
+def _constant(constant: Constant) -> Section:
+    names = [c for c in COEFFICIENTS if c in constant]
+    ends = np.array([constant[c] for c in names])
+    told = ", ".join(f"{c} {shown(low)} to {shown(high)}" for c, (low, high) in zip(names, ends, strict=True))
+    chart = rows_chart(
+        "bounds", f"Constant bounds [-]: {told}.", scale("delta coefficient [-]", [ends.ravel(), np.zeros(1)]), names
+    )
+    for k, (low, high) in enumerate(ends):
+        chart.across(low, high, float(k), "wide")
+        for end in (low, high):
+            chart.marker(end, float(k), "first", "bar")
+    chart.upright(0.0, "zero")
+    blocks: tuple[Block, ...] = (Figures((Figure("bounds", chart.svg(), "Lower to upper bound of each coefficient."),), file=""),)
+    return Section("Bounds", blocks)

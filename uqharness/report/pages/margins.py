@@ -1,0 +1,204 @@
+"""The page of an autopilot's stability margins: each loop's frequency response in Bode's and Nichols' charts, margins marked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness.flight import LoopMargins
+from uqharness.report.parts import Figure, Figures, Page, Say, Section, Table, Words, provenance, shown
+from uqharness.report.svg import Chart, Scale, log_scale, scale
+
+Array = NDArray[np.float64]
+_TURN = 360.0
+_SPACED_DEG = (30.0, 45.0, 90.0, 180.0, 360.0)
+_MOST_TICKS = 8
+
+
+def margins_page(aircraft: str, flight: str, measured: Sequence[LoopMargins], command: str) -> Page:
+    """The page of loops measured on the ``flight`` (loiter or straight) of an aircraft."""
+    asked = (
+        f"How far are the loops of {aircraft}'s autopilot from instability? Measured in flight ({flight}, calm air, no sensor "
+        "noise): each loop is opened at its actuator, the others stay closed."
+    )
+    verdict = tuple(Say(_sentence(item)) for item in measured)
+    sections = [_table(measured), *(_loop(item) for item in measured)]
+    text = (
+        "The response is L = -output/applied at the frequencies of an injected multisine, with servo, airframe, sensors, control "
+        "law, computing delay and hold in it. The flight was stable, so the nearest crossings of the negative real axis on either "
+        "side of -1 are the gain margins. Between the frequencies gain and phase are interpolated over the logarithm of "
+        "frequency. Grey dots are frequencies at which the two halves of the record differ by 10 % or more; no margin is read "
+        "there."
+    )
+    sections.append(Section("How it was measured", (Words(text),)))
+    return Page(f"Stability margins of {aircraft}, {flight}", asked, verdict, (*sections, provenance(("Command", command))))
+
+
+def _decibel(value: float) -> str:
+    return f"{value:.1f} dB" if math.isfinite(value) else "none in the measured band"
+
+
+def _sentence(item: LoopMargins) -> str:
+    m = item.margins
+    phase = f"{m.phase_deg:.1f} deg" if math.isfinite(m.phase_deg) else "none"
+    delay = f"{1000.0 * m.delay_s:.0f} ms" if math.isfinite(m.delay_s) else "none"
+    return (
+        f"{item.loop.capitalize()}: gain margin up {_decibel(m.gain_up_dB)}, down {_decibel(m.gain_down_dB)}; "
+        f"phase margin {phase}; delay margin {delay}; smallest |1+L| {m.modulus:.2f}."
+    )
+
+
+def _table(measured: Sequence[LoopMargins]) -> Section:
+    def at(value: float, form: str, radps: float) -> str:
+        return f"{value:{form}} at {radps:.3g}" if math.isfinite(value) else "none"
+
+    rows = []
+    for item in measured:
+        m = item.margins
+        rows.append(
+            (item.loop, at(m.gain_up_dB, ".1f", m.gain_up_radps), at(m.gain_down_dB, ".1f", m.gain_down_radps),
+             at(m.phase_deg, ".1f", m.phase_radps), at(1000.0 * m.delay_s, ".0f", m.delay_radps), f"{m.modulus:.2f}",
+             ", ".join(f"{w:.2f}" for w in m.gain_crossovers_radps) or "none")
+        )  # fmt: skip
+    head = (
+        "Loop", "Gain up [dB], at [rad/s]", "Gain down [dB], at [rad/s]", "Phase [deg], at [rad/s]", "Delay [ms], at [rad/s]",
+        "Smallest |1+L| [-]", "Gain crossovers [rad/s]",
+    )  # fmt: skip
+    return Section("Margins", (Table("Margins of each loop, and the frequency at which each is read.", head, tuple(rows)),))
+
+
+def _loop(item: LoopMargins) -> Section:
+    response = _Response(item)
+    figures = (_gain(response), _phase(response), _nichols(response))
+    return Section(f"{item.loop.capitalize()} loop", (Figures(figures, narrow=True, file=f"margins-{item.loop}"),))
+
+
+class _Response:
+    """A loop's gain [dB] and phase [deg] at its reliable frequencies, on the branch whose phase margin is read at -180 deg."""
+
+    def __init__(self, item: LoopMargins) -> None:
+        self.item, self.margins = item, item.margins
+        good = item.reliable
+        self.w = item.frequency_radps[good]
+        self.log_w = np.log(self.w)
+        self.gain = 20.0 * np.log10(np.abs(item.response[good]))
+        phase = np.degrees(np.unwrap(np.angle(item.response[good])))
+        at = self.margins.phase_radps
+        here = float(np.interp(math.log(at), self.log_w, phase)) if math.isfinite(at) else float(np.median(phase))
+        lag = (here + 180.0) % _TURN
+        self.phase = phase + ((lag if lag <= 180.0 else lag - _TURN) - 180.0 - here)
+        # Lines that were not read: their phase on the branch nearest to the curve.
+        self.bad_w = item.frequency_radps[~good]
+        self.bad_gain = 20.0 * np.log10(np.abs(item.response[~good]))
+        raw = np.degrees(np.angle(item.response[~good]))
+        near = np.interp(np.log(self.bad_w), self.log_w, self.phase)
+        self.bad_phase = raw + _TURN * np.round((near - raw) / _TURN)
+
+    def at(self, radps: float) -> tuple[float, float]:
+        """Gain [dB] and phase [deg] at a frequency."""
+        x = math.log(radps)
+        return float(np.interp(x, self.log_w, self.gain)), float(np.interp(x, self.log_w, self.phase))
+
+    @property
+    def delayed(self) -> Array | None:
+        """The phase [deg] with the delay margin added; None where there is no such margin."""
+        delay = self.margins.delay_s
+        return self.phase - np.degrees(self.w * delay) if math.isfinite(delay) else None
+
+    @property
+    def gain_margins(self) -> list[tuple[float, str, str]]:
+        """Frequency [rad/s], class and words of each gain margin that there is."""
+        m = self.margins
+        found = [
+            (m.gain_up_radps, "second", f"gain up {m.gain_up_dB:.1f} dB"),
+            (m.gain_down_radps, "mark", f"gain down {m.gain_down_dB:.1f} dB"),
+        ]
+        return [row for row in found if math.isfinite(row[0])]
+
+
+def _critical(low: float, high: float) -> list[float]:
+    """Phases [deg] of the point -1 within a range."""
+    return [_TURN * k - 180.0 for k in range(math.ceil((low + 180.0) / _TURN), math.floor((high + 180.0) / _TURN) + 1)]
+
+
+def _phase_scale(values: Sequence[Array]) -> Scale:
+    found = scale("phase of L [deg]", [*values, np.array([-180.0])])
+    step = next((s for s in _SPACED_DEG if (found.high - found.low) / s <= _MOST_TICKS), 720.0)
+    ticks = [step * k for k in range(math.ceil(found.low / step), math.floor(found.high / step) + 1)]
+    return Scale(found.label, found.low, found.high, tuple((t, f"{t:g}".replace("-", "−")) for t in ticks))
+
+
+def _gain_scale(r: _Response) -> Scale:
+    return scale("gain of L [dB]", [r.gain, r.bad_gain, np.zeros(1)])
+
+
+def _gain(r: _Response) -> Figure:
+    loop = r.item.loop
+    label = f"Gain of the {loop} loop [dB] over frequency [rad/s]; {_sentence(r.item)}"
+    chart = Chart(f"bode-gain-{loop}", label, log_scale("frequency [rad/s]", [r.w, r.bad_w]), _gain_scale(r))
+    chart.level(0.0, "limit")
+    chart.dots(r.bad_w, r.bad_gain, "dot", "not read", radius=1.8)
+    chart.line(r.w, r.gain, "first", "L, measured")
+    chart.dots(r.w, r.gain, "dotfirst", radius=1.6)
+    for w, kind, words in r.gain_margins:
+        chart.path(np.array([w, w]), np.array([r.at(w)[0], 0.0]), kind, words)
+    if math.isfinite(r.margins.phase_radps):
+        chart.marker(r.margins.phase_radps, 0.0, "second", "ring", "phase margin read here")
+    return Figure(chart.name, chart.svg(), f"{loop.capitalize()}, Bode: gain. Gain margins reach from the curve to 0 dB.")
+
+
+def _phase(r: _Response) -> Figure:
+    loop, m = r.item.loop, r.margins
+    delayed = r.delayed
+    y = _phase_scale([r.phase, r.bad_phase])
+    label = f"Phase of the {loop} loop [deg] over frequency [rad/s]; {_sentence(r.item)}"
+    chart = Chart(f"bode-phase-{loop}", label, log_scale("frequency [rad/s]", [r.w, r.bad_w]), y)
+    for tick in _critical(y.low, y.high):
+        chart.level(tick, "limit")
+    chart.dots(r.bad_w, r.bad_phase, "dot", "not read", radius=1.8)
+    if delayed is not None:
+        chart.line(r.w, delayed, "third", f"with {1000.0 * m.delay_s:.0f} ms more delay")
+    chart.line(r.w, r.phase, "first", "L, measured")
+    chart.dots(r.w, r.phase, "dotfirst", radius=1.6)
+    if math.isfinite(m.phase_deg):
+        _, here = r.at(m.phase_radps)
+        chart.path(np.array([m.phase_radps] * 2), np.array([here, -180.0]), "second", f"phase margin {m.phase_deg:.1f} deg")
+    for w, _, _ in r.gain_margins:
+        chart.marker(w, r.at(w)[1], "second", "square", "gain margin read here")
+    caption = f"{loop.capitalize()}, Bode: phase. Dashed levels: −180 deg and whole turns from it."
+    return Figure(chart.name, chart.svg(), caption)
+
+
+def _nichols(r: _Response) -> Figure:
+    loop, m = r.item.loop, r.margins
+    x = _phase_scale([r.phase])
+    y = _gain_scale(r)
+    label = f"Nichols chart of the {loop} loop, gain [dB] over phase [deg]; {_sentence(r.item)}"
+    chart = Chart(f"nichols-{loop}", label, x, y, 290)
+    chart.level(0.0, "zero")
+    angle = np.linspace(0.0, 2.0 * math.pi, 241)
+    circle = -1.0 + m.modulus * np.exp(1j * angle)
+    phase = np.degrees(np.unwrap(np.angle(circle)))
+    if m.modulus < 1.0:  # a larger circle holds the origin and is no closed line here
+        phase += -180.0 - 0.5 * (phase.min() + phase.max())
+        for k, turn in enumerate(_critical(x.low - 90.0, x.high + 90.0)):
+            words = f"|1+L| = {m.modulus:.2f}" if k == 0 else ""
+            chart.path(phase + turn + 180.0, 20.0 * np.log10(np.abs(circle)), "limit2", words)
+    delayed = r.delayed
+    if delayed is not None:
+        chart.path(delayed, r.gain, "third", f"with {1000.0 * m.delay_s:.0f} ms more delay")
+    chart.path(r.phase, r.gain, "first", "L, measured")
+    chart.dots(r.phase, r.gain, "dotfirst", radius=1.6)
+    for w, kind, words in r.gain_margins:
+        gain, here = r.at(w)
+        chart.path(np.array([here, here]), np.array([gain, 0.0]), kind, words)
+    if math.isfinite(m.phase_deg):
+        _, here = r.at(m.phase_radps)
+        chart.path(np.array([here, -180.0]), np.zeros(2), "second thin", f"phase margin {m.phase_deg:.1f} deg")
+    for turn in _critical(x.low, x.high):
+        chart.marker(turn, 0.0, "", "cross", "the point −1")
+    rising = f"{shown(float(r.w[0]))} to {shown(float(r.w[-1]))} rad/s"
+    return Figure(chart.name, chart.svg(), f"{loop.capitalize()}, Nichols, {rising}. Dots are the measured frequencies.")

@@ -1,0 +1,286 @@
+"""The page of an aircraft's modes: eigenvalues between the Levels of MIL-F-8785C, and how they move with airspeed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness.flight import OSCILLATORY, Assessment, Locus, LocusPoint, cap_limits, level_edges, root_limits
+from uqharness.report.parts import Block, Cell, Facts, Figure, Figures, Level, Page, Say, Section, Table, Words, provenance, shown
+from uqharness.report.svg import Chart, Scale, log_scale, scale
+
+Array = NDArray[np.float64]
+NAMES = {"short_period": "short period", "phugoid": "phugoid", "dutch_roll": "Dutch roll", "roll": "roll", "spiral": "spiral"}
+_LEVELS: Mapping[int, Level] = {1: "good", 2: "warn", 3: "warn", 4: "bad"}
+_EDGES = ("level1", "level2", "level3")
+_TALL = 250
+
+
+@dataclass(frozen=True)
+class ModesAsked:
+    """What the page is of: aircraft, category and class, facts of the trim (name, text), the command that makes it again."""
+
+    aircraft: str
+    category: str
+    aircraft_class: str
+    trim: tuple[tuple[str, str], ...]
+    command: str
+
+
+def modes_page(asked: ModesAsked, point: LocusPoint, locus: Locus) -> Page:
+    """The page of the modes at one speed and of ``locus``, which holds that ``point`` too."""
+    which = f"category {asked.category}, class {asked.aircraft_class}"
+    question = f"Which Levels of MIL-F-8785C do the modes of {asked.aircraft} reach ({which}), and how do they move with airspeed?"
+    sections = [_eigenvalues(point), _maps(asked, point, locus), _by_speed(locus), *_refused(locus)]
+    sections.append(Section("Trim", (Facts(asked.trim),)))
+    text = (
+        "Actuators are outside the linear model, and thrust follows its map at fixed throttle. MIL-F-8785C was written for piloted "
+        "aircraft; for a small unmanned one its Levels are a yardstick, not a requirement."
+    )
+    sections.append(Section("Assumptions", (Words(text),)))
+    title = f"Modes of {asked.aircraft} at {point.V_mps:g} m/s"
+    return Page(title, question, _verdict(asked, point, locus), (*sections, provenance(("Command", asked.command))))
+
+
+def _verdict(asked: ModesAsked, point: LocusPoint, locus: Locus) -> tuple[Say, ...]:
+    worst = max(a.level for a in point.levels)
+    reached = "a mode is worse than Level 3" if worst == 4 else f"all modes reach Level {worst}"
+    better = " or better" if 1 < worst < 4 else ""
+    said = [Say(f"At {point.V_mps:g} m/s {reached}{better}.", _LEVELS[worst])]
+    for mode, name in NAMES.items():
+        found = [a for a in point.levels if a.mode == mode]
+        told = "; ".join(f"{criterion_words(a)}, {_level_words(a.level)}" for a in found)
+        said.append(Say(f"{name[0].upper()}{name[1:]}: {told}.", _LEVELS[max(a.level for a in found)]))
+    speeds = [p.V_mps for p in locus.points]
+    text = f"Trimmed at {len(speeds)} speeds from {speeds[0]:.4g} to {speeds[-1]:.4g} m/s"
+    lacking = f"; {len(locus.refused)} further speeds have no trim, or were not tried." if locus.refused else "."
+    return (*said, Say(text + lacking))
+
+
+def criterion_words(found: Assessment) -> str:
+    """A criterion with its value and unit."""
+    if math.isinf(found.value):
+        return "stable"
+    if math.isnan(found.value):
+        return f"{found.criterion} undefined"
+    return f"{found.criterion} {found.value:.3g} {'' if found.unit == '1' else found.unit}".rstrip()
+
+
+def _level_words(level: int) -> str:
+    return "worse than Level 3" if level == 4 else f"Level {level}"
+
+
+def _eigenvalues(point: LocusPoint) -> Section:
+    rows = []
+    for m in point.modes:
+        period = 2.0 * math.pi / m.imag if m.imag else math.inf
+        # Time to half the amplitude, or to twice of it where the mode grows.
+        time = math.log(2.0) / abs(m.real) if m.real else math.inf
+        end = "doubles" if m.real > 0.0 else "halves"
+        rows.append(
+            (NAMES[m.name], f"{m.real:.4f}", f"{m.imag:.4f}", f"{m.wn_radps:.4f}", shown(m.zeta, ".3f"),
+             shown(period, ".3g") if m.imag else "none", f"{end} in {shown(time, '.3g')} s" if m.real else "neither")
+        )  # fmt: skip
+    head = ("Mode", "Real [1/s]", "Imaginary [rad/s]", "Natural frequency [rad/s]", "Damping [-]", "Period [s]", "Amplitude")
+    return Section("Eigenvalues", (Table(f"Eigenvalues at {point.V_mps:g} m/s.", head, tuple(rows), key=True),))
+
+
+def _maps(asked: ModesAsked, point: LocusPoint, locus: Locus) -> Section:
+    figures = [_all(point, locus), _cap(asked, point, locus)]
+    figures += [_pair(mode, asked, point, locus) for mode in OSCILLATORY]
+    figures += [_root(mode, asked, point, locus) for mode in ("roll", "spiral")]
+    text = (
+        "Each line joins the roots of one mode by rising speed, a dot at each speed. Areas and limits are those of the category "
+        "and class above; of two real roots in place of a pair both are drawn."
+    )
+    return Section("Root locus over airspeed", (Words(text, note=True), Figures(tuple(figures), file="root-locus")))
+
+
+def _branches(locus: Locus, mode: str) -> list[tuple[Array, Array, Array]]:
+    """Speed, real and imaginary part of a mode's roots along the speeds, NaN where there is no such root; one branch a root."""
+    found = [sorted((m for m in p.modes if m.name == mode), key=lambda m: m.real) for p in locus.points]
+    speeds = np.array([p.V_mps for p in locus.points])
+    out = []
+    for k in range(max(map(len, found), default=0)):
+        values = [(f[k].real, f[k].imag) if k < len(f) else (math.nan, math.nan) for f in found]
+        out.append((speeds, np.array([v[0] for v in values]), np.array([v[1] for v in values])))
+    return out
+
+
+def _ends(chart: Chart, point: LocusPoint, locus: Locus, place: Mapping[float, Sequence[tuple[float, float]]]) -> None:
+    """The markers of slowest, fastest and asked speed; ``place``: where each speed's roots are in the chart."""
+    slow, fast = locus.points[0].V_mps, locus.points[-1].V_mps
+    for V, shape, kind, words in (
+        (slow, "ring", "first", f"{slow:.4g} m/s"), (fast, "square", "first", f"{fast:.4g} m/s"),
+        (point.V_mps, "disc", "second", f"{point.V_mps:.4g} m/s"),
+    ):  # fmt: skip
+        if point.V_mps == V and shape != "disc":
+            continue
+        for x, y in place.get(V, ()):
+            chart.marker(x, y, kind, shape, words)
+
+
+def _roots(locus: Locus, mode: str) -> dict[float, list[tuple[float, float]]]:
+    return {p.V_mps: [(m.real, m.imag) for m in p.modes if m.name == mode] for p in locus.points}
+
+
+def _plane(name: str, label: str, roots: Sequence[tuple[float, float]], height: int = _TALL) -> Chart:
+    """A chart of the plane's upper half that holds these roots and the origin."""
+    real, imag = (np.array([r[k] for r in roots]) for k in (0, 1))
+    x = scale("real part [1/s]", [real, np.zeros(1)], margin=0.12)
+    top = 1.15 * max(float(imag.max()), 1e-3)
+    return Chart(name, label, x, Scale("imaginary part [rad/s]", -0.04 * top, top), height)
+
+
+def _all(point: LocusPoint, locus: Locus) -> Figure:
+    roots = [root for mode in NAMES for found in _roots(locus, mode).values() for root in found]
+    told = ", ".join(f"{NAMES[m.name]} {m.real:.3g} + {m.imag:.3g}i" for m in point.modes)
+    chart = _plane("locus-all", f"Eigenvalues in the complex plane, real [1/s] and imaginary part [rad/s]: {told}.", roots)
+    chart.upright(0.0, "zero")
+    for mode in NAMES:
+        for _, real, imag in _branches(locus, mode):
+            chart.line(real, imag, "first thin")
+            chart.dots(real, imag, "dotfirst")
+    for m in point.modes:
+        chart.marker(m.real, m.imag, "second", "disc", f"{point.V_mps:.4g} m/s")
+    for mode, (x, y), shift, anchor in _labels(chart, point):
+        chart.text(x, y, NAMES[mode], anchor, shift)
+    return Figure(chart.name, chart.svg(), f"All modes, upper half of the complex plane; at {point.V_mps:g} m/s named.")
+
+
+def _labels(chart: Chart, point: LocusPoint) -> list[tuple[str, tuple[float, float], tuple[float, float], str]]:
+    """Where the modes' names stand: beside their markers, inside the frame, none over another."""
+    left, top, width, height = chart.plot
+    taken: list[tuple[float, float, float, float]] = []
+    out: list[tuple[str, tuple[float, float], tuple[float, float], str]] = []
+    for m in sorted(point.modes, key=lambda m: -m.imag):
+        if any(mode == m.name for mode, *_ in out):
+            continue
+        (u,), (v,) = (np.atleast_1d(w) for w in chart.at(m.real, m.imag))
+        wide = 6.2 * len(NAMES[m.name])
+        sides = ((6.0, "start"), (-6.0, "end"), (0.0, "middle"))
+        for dx, dy, anchor in [(dx, dy, a) for dy in (-7.0, 14.0, -20.0, -33.0, -46.0) for dx, a in sides]:
+            x0 = u + dx - {"start": 0.0, "end": wide, "middle": 0.5 * wide}[anchor]
+            box = (x0, v + dy - 10.0, x0 + wide, v + dy + 2.0)
+            free = all(box[2] < t[0] or box[0] > t[2] or box[3] < t[1] or box[1] > t[3] for t in taken)
+            if free and box[0] >= left and box[2] <= left + width and box[1] >= top and box[3] <= top + height:
+                taken.append(box)
+                out.append((m.name, (m.real, m.imag), (dx, dy), anchor))
+                break
+    return out
+
+
+def _pair(mode: str, asked: ModesAsked, point: LocusPoint, locus: Locus) -> Figure:
+    place = _roots(locus, mode)
+    roots = [root for found in place.values() for root in found]
+    here = ", ".join(f"{a.criterion} {shown(a.value)}" for a in point.levels if a.mode == mode)
+    label = f"Root locus of the {NAMES[mode]}, real [1/s] and imaginary part [rad/s]; at {point.V_mps:g} m/s {here}."
+    chart = _plane(f"locus-{mode}", label, roots)
+    imag = np.linspace(0.0, chart.y.high, 121)
+    edges = level_edges(mode, asked.category, asked.aircraft_class, imag)
+    inside = np.clip(edges[0], chart.x.low, None)
+    outline = (np.concatenate([[chart.x.low], inside, [chart.x.low]]), np.concatenate([[0.0], imag, [chart.y.high]]))
+    chart.area(*outline, "fillgood", "Level 1")
+    chart.upright(0.0, "zero")
+    for k, (edge, kind) in enumerate(zip(edges, _EDGES, strict=True), start=1):
+        chart.path(edge, imag, kind, f"limit of Level {k}" if k > 1 else "")
+    for _, real, up in _branches(locus, mode):
+        chart.line(real, up, "first")
+        chart.dots(real, up, "dotfirst", radius=2.0)
+    _ends(chart, point, locus, place)
+    of = "damping alone; CAP has its own figure" if mode == "short_period" else "MIL-F-8785C " + _paragraph(point, mode)
+    return Figure(chart.name, chart.svg(), f"{NAMES[mode][0].upper()}{NAMES[mode][1:]}: Levels by {of}.")
+
+
+def _paragraph(point: LocusPoint, mode: str) -> str:
+    return next(a.paragraph for a in point.levels if a.mode == mode)
+
+
+def _cap(asked: ModesAsked, point: LocusPoint, locus: Locus) -> Figure:
+    """Natural frequency of the short period over n/alpha with lines of equal CAP, as in the specification's figures 1 to 3."""
+    place: dict[float, list[tuple[float, float]]] = {}
+    for p in locus.points:
+        cap = next((a.value for a in p.levels if a.criterion == "CAP"), math.nan)
+        if math.isfinite(cap) and cap > 0.0 and p.n_alpha > 0.0:
+            place[p.V_mps] = [(p.n_alpha, math.sqrt(cap * p.n_alpha))]
+    n, wn = (np.array([found[0][k] for found in place.values()]) for k in (0, 1))
+    (one_low, one_high), (two_low, two_high) = cap_limits(asked.category)
+    x = log_scale("n/alpha [g/rad]", [n], margin=0.25)
+    ends = np.array([x.low, x.high])
+    lines = [(two_low, "level2", 2), (two_high, "level2", 2), (one_low, "level1", 1), (one_high, "level1", 1)]
+    y = log_scale("short-period natural frequency [rad/s]", [wn, *(np.sqrt(cap * n) for cap, _, _ in lines)])
+    told = ", ".join(f"CAP {shown(a.value)}" for a in point.levels if a.criterion == "CAP")
+    chart = Chart(
+        "locus-cap",
+        f"Natural frequency of the short period [rad/s] over n/alpha [g/rad]; at {point.V_mps:g} m/s {told}.",
+        x,
+        y,
+        _TALL,
+    )
+    low, high = np.sqrt(one_low * ends), np.sqrt(one_high * ends)
+    chart.band(ends, low, high, "fillgood", "Level 1")
+    for cap, kind, level in lines:
+        chart.path(ends, np.sqrt(cap * ends), kind, f"limits of Level {level}" if level > 1 else "")
+    chart.line(n, wn, "first")
+    chart.dots(n, wn, "dotfirst", radius=2.0)
+    _ends(chart, point, locus, place)
+    caption = (
+        f"Control anticipation parameter: Level 1 from {one_low:g} to {one_high:g}, Level 2 from {two_low:g} to {two_high:g} "
+        "1/(g s²), MIL-F-8785C 3.2.2.1.1."
+    )
+    return Figure(chart.name, chart.svg(), caption)
+
+
+def _root(mode: str, asked: ModesAsked, point: LocusPoint, locus: Locus) -> Figure:
+    limits = root_limits(mode, asked.category, asked.aircraft_class)
+    branches = _branches(locus, mode)
+    speeds, values = np.array([p.V_mps for p in locus.points]), [real for _, real, _ in branches]
+    y = scale(f"real root of {mode} [1/s]", [*values, np.zeros(1), np.array(limits)], margin=0.1)
+    x = scale("true airspeed [m/s]", [speeds], margin=0.04)
+    told = ", ".join(criterion_words(a) for a in point.levels if a.mode == mode)
+    chart = Chart(
+        f"locus-{mode}", f"Real root of the {mode} mode [1/s] over airspeed [m/s]; at {point.V_mps:g} m/s {told}.", x, y, 220
+    )
+    ends = np.array([x.low, x.high])
+    chart.band(ends, np.full(2, y.low), np.full(2, limits[0]), "fillgood", "Level 1")
+    chart.level(0.0, "zero")
+    for k, (limit, kind) in enumerate(zip(limits, _EDGES, strict=True), start=1):
+        chart.level(limit, kind, f"limit of Level {k}" if k > 1 else "")
+    for real in values:
+        chart.line(speeds, real, "first")
+        chart.dots(speeds, real, "dotfirst", radius=2.0)
+    for m in point.modes:
+        if m.name == mode:
+            chart.marker(point.V_mps, m.real, "second", "disc", f"{point.V_mps:.4g} m/s")
+    what = "time constant, -1/root" if mode == "roll" else "time to double amplitude, ln 2/root"
+    oscillates = any(m.imag for p in locus.points for m in p.modes if m.name == mode)
+    note = " Where roll and spiral make an oscillation its real part is drawn." if oscillates else ""
+    return Figure(chart.name, chart.svg(), f"{mode.capitalize()}: Levels by {what}, MIL-F-8785C {_paragraph(point, mode)}.{note}")
+
+
+def _by_speed(locus: Locus) -> Section:
+    keys = [(a.mode, a.criterion) for a in locus.points[0].levels]
+    rows: list[tuple[str | Cell, ...]] = []
+    for p in locus.points:
+        found = {(a.mode, a.criterion): a for a in p.levels}
+        rows.append((f"{p.V_mps:.4g}", *(_cell(found[key]) if key in found else Cell("undefined") for key in keys)))
+    units = {(a.mode, a.criterion): "-" if a.unit == "1" else a.unit for a in locus.points[0].levels}
+    head = ("Speed [m/s]", *(f"{NAMES[m][0].upper()}{NAMES[m][1:]}, {c} [{units[m, c]}]" for m, c in keys))
+    return Section("Levels by airspeed", (Table("Criteria and Levels by true airspeed.", head, tuple(rows)),))
+
+
+def _cell(found: Assessment) -> Cell:
+    text = "stable" if math.isinf(found.value) else shown(found.value)
+    return Cell(text, _LEVELS[found.level], small=_level_words(found.level))
+
+
+def _refused(locus: Locus) -> tuple[Section, ...]:
+    if not locus.refused:
+        return ()
+    rows = tuple((f"{V:.4g}", reason) for V, reason in locus.refused)
+    blocks: tuple[Block, ...] = (Table("Speeds without a trim.", ("Speed [m/s]", "Reason"), rows),)
+    return (Section("Speeds without a trim", blocks),)
