@@ -48,8 +48,8 @@ def test_it_has_every_section_and_nothing_wrong(page):
     assert problems(page) == []
     tree = html.document_fromstring(page)
     assert [item.text for item in tree.iter("h2")] == [
-        "What was asked", "Where the answer is yes, no or inconclusive", "P-boxes of the median errors", "Supportable claims",
-        "Excursions per flight hour", "Failed flights", "Engine", "Provenance",
+        "What was asked", "Where the answer is yes, no or inconclusive", "P-boxes of the median errors", "Ground track",
+        "Supportable claims", "Excursions per flight hour", "Failed flights", "Engine", "Provenance",
     ]  # fmt: skip
     assert len(tree.findall(".//table")) == 6
 

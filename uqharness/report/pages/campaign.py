@@ -11,6 +11,7 @@ from uqharness.campaign import CONFIDENCE, Condition, ExcursionCell, Statement
 from uqharness.campaign.conditions import conditions
 from uqharness.report import statements as report_statements
 from uqharness.report.campaign import CampaignFound, Finding, answer_level, hardest_first, span
+from uqharness.report.campaign_track import track_section
 from uqharness.report.engine_check import engine_section
 from uqharness.report.parts import Block, Bullets, Cell, Figure, Figures, Level, Page, Section, Table, Words, provenance, shown
 from uqharness.report.pbox import DrawnBox, corner_words, pbox_figure
@@ -30,6 +31,7 @@ def campaign_page(found: CampaignFound, prefix: str = "") -> Page:
     """The page of one campaign; ``prefix`` keeps its figures' names apart from others' in one page."""
     kind = kind_of(found.campaign["epistemic"])
     sections = [called(part, kind) for part in (grid_section(found.signed), pbox_section(found, prefix))]
+    sections += track_section(found.folder, found.frame, prefix)
     sections += sensitivity_section(found.folder, found.manifest, prefix)
     sections += [*(called(s, kind) for s in rate_sections(found)), failure_section(found.frame)]
     sections += [engine_section(found.manifest, found.engine_check), _provenance(found)]

@@ -1,0 +1,66 @@
+"""Ground tracks of a campaign: of the flights flown again, worst first; without any, the command that flies the worst."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from uqharness.report.campaign_track import MOST_TRACKS, track_section, worst_case
+from uqharness.report.parts import Facts, Figures, Words
+
+TIME = np.arange(0.0, 40.0, 0.1)
+ANGLE = 2.0 * np.pi * TIME / 40.0
+FRAME = pd.DataFrame(
+    {
+        "case_id": ["a", "b", "c", "d"], "epistemic_id": ["CX-", "CX+", "CX-", "CX+"], "wind_mps": [3.0, 3.0, 7.0, 7.0],
+        "turbulence": ["moderate"] * 4, "cross_track_median_m": [9.0, 1.0, 2.0, 4.0],
+    }
+)  # fmt: skip
+
+
+def record(folder, case, radius=100.0):
+    path = folder / "rerun" / case / "record.parquet"
+    path.parent.mkdir(parents=True)
+    away = np.sin(TIME)
+    columns = {"time_s": TIME, "north_m": (radius + away) * np.cos(ANGLE), "east_m": (radius + away) * np.sin(ANGLE)}
+    pd.DataFrame(columns | {"error_cross_track": away}).to_parquet(path)
+
+
+def blocks(folder, frame=FRAME):
+    (section,) = track_section(folder, frame, "x-")
+    return section.blocks
+
+
+def test_without_records_the_worst_flight_of_the_hardest_condition_is_named(tmp_path):
+    assert worst_case(FRAME) == "d"
+    facts = next(b for b in blocks(tmp_path) if isinstance(b, Facts))
+    assert facts.items[0][1] == "uqharness campaign rerun DIR --case d"
+
+
+def test_records_are_drawn_the_farthest_first(tmp_path):
+    for case in ("b", "a", "elsewhere"):
+        record(tmp_path, case)
+    figures = next(b for b in blocks(tmp_path) if isinstance(b, Figures)).items
+    assert [f.name for f in figures] == ["x-track-a", "x-track-b"]
+    assert "Case a: CX-, 3 m/s moderate." in figures[0].caption
+    assert "commanded circle, radius 100 m" in str(figures[0].svg)
+
+
+def test_no_more_tracks_than_fit(tmp_path):
+    frame = pd.concat([FRAME.assign(case_id=[f"{c}{k}" for c in FRAME["case_id"]]) for k in range(3)])
+    for case in frame["case_id"]:
+        record(tmp_path, case)
+    assert len(next(b for b in blocks(tmp_path, frame) if isinstance(b, Figures)).items) == MOST_TRACKS
+
+
+def test_a_damaged_record_is_told_and_no_error(tmp_path):
+    record(tmp_path, "a")
+    path = tmp_path / "rerun" / "a" / "record.parquet"
+    path.write_bytes(path.read_bytes()[:100])
+    assert any(isinstance(b, Words) and "record.parquet" in b.text for b in blocks(tmp_path))
+
+
+@pytest.mark.parametrize("frame", [FRAME.drop(columns="cross_track_median_m"), FRAME.assign(cross_track_median_m=np.nan)])
+def test_a_mission_without_a_path_has_no_track(tmp_path, frame):
+    assert track_section(tmp_path, frame) == ()
