@@ -19,7 +19,6 @@ from .fly import staged_mission as staged_mission
 from .handling import CATEGORIES as CATEGORIES
 from .handling import CLASSES as CLASSES
 from .handling import Assessment as Assessment
-from .handling import assess as assess
 from .level_edges import OSCILLATORY as OSCILLATORY
 from .level_edges import cap_limits as cap_limits
 from .level_edges import level_edges as level_edges
