@@ -15,6 +15,9 @@ from sysid.estimation.noise import Noise, residual_noise
 from sysid.estimation.result import split
 from sysid.linalg.blocks import Blocks, Index, information, leverage
 
+RESOLVED = 1e-8
+"""Relative change of a parameter below which rounding is all that a difference of two simulations shows."""
+
 
 @dataclass(frozen=True)
 class Findings:
@@ -61,6 +64,25 @@ def unknown_noise(counts: NDArray[np.intp], spent: Array, reach: Array) -> list[
         )
         for k in np.flatnonzero(reach[a] > 0.0):
             out[k] = out[k] or text
+    return out
+
+
+def unresolved(theta: Array, reach: Array, spread: Array) -> list[str]:
+    """Reasons (k,) for parameters whose last digits decide the outputs, as in a simulation that diverges.
+
+    theta (k,); reach (m, k) largest sensitivities; spread (m,) each output's size. Where one part in 1e8 of a parameter, about the
+    square root of the rounding of its number, moves an output by its own size, no derivative of it can be computed, and a standard
+    error from one says nothing.
+    """
+    out = [""] * theta.size
+    with np.errstate(invalid="ignore", over="ignore"):
+        moved = RESOLVED * np.abs(theta) * reach
+        lost = ~(moved <= np.where(spread > 0.0, spread, np.inf)[:, None]) | ~np.isfinite(reach)
+    for a, k in zip(*np.nonzero(lost), strict=True):
+        out[k] = out[k] or (
+            f"a change of one part in {1.0 / RESOLVED:.0e} moves output {a} by its own size: the simulation diverges, and no "
+            "standard error can be computed; use shorter segments or filter error"
+        )
     return out
 
 
@@ -122,6 +144,11 @@ def judge(
             reason[index] = at_bound(theta[index], lower[index], upper[index])
         else:
             reason[index] = reason[index] or idle_bound(float(np.sqrt(cov[index, index])), upper[index] - lower[index])
+    with np.errstate(invalid="ignore"):
+        spread = np.nanmax(np.abs(np.where(there, residual + motion, np.nan)), axis=0)
+    diverges = unresolved(theta[inside], sensitivity.largest(), spread)
+    for position, index in enumerate(inside.tolist()):
+        reason[index] = diverges[position] or reason[index]
     unknown = unknown_noise(counts, spent, scaled.largest())
     for position, index in enumerate(inside.tolist()):
         reason[index] = reason[index] or unknown[position]

@@ -11,6 +11,7 @@ from .dataflash_writer import write_dataflash as write_dataflash
 from .dropouts import bridge as bridge
 from .info import LogInfo as LogInfo
 from .info import log_info as log_info
+from .info import no_aeroplane as no_aeroplane
 from .load import import_log as import_log
 from .manoeuvres import label_manoeuvres as label_manoeuvres
 from .spectra import Relation as Relation

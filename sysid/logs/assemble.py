@@ -42,7 +42,7 @@ def assemble(raw: RawLog, signal_map: SignalMap, card: AirframeCard | None, sour
     raw = replace(raw, messages=dict(raw.messages))  # ours to empty as the work proceeds
     start = _start(raw)
     times = Times(raw)
-    servos, findings = _servo_channels(raw, signal_map.servos, card, times)
+    servos, wanted, findings = _servo_channels(raw, signal_map.servos, card, times)
     sources: dict[str, Callable[[], Channel | None]] = {
         name: partial(resolve, raw, name, candidates, times) for name, candidates in signal_map.entries.items()
     }
@@ -68,6 +68,7 @@ def assemble(raw: RawLog, signal_map: SignalMap, card: AirframeCard | None, sour
         if name == "mode":
             columns[name] = _mode_names(columns[name], raw)
             mode_changes = channel.time_s[1:][np.diff(channel.values) != 0]
+    findings += _servo_tables(wanted, {n: label for n, (label, _, _) in about.items()})
     labels = _manoeuvres(raw, grid)
     if labels is not None:
         columns["manoeuvre"] = labels
@@ -180,17 +181,28 @@ def _interpolate_angle(name: str, c: Channel, grid: FloatArray) -> FloatArray:
 
 def _servo_channels(
     raw: RawLog, outputs: ServoOutputs | None, card: AirframeCard | None, times: Times
-) -> tuple[dict[str, Callable[[], Channel | None]], list[Finding]]:
+) -> tuple[dict[str, Callable[[], Channel | None]], dict[str, Control], list[Finding]]:
     if outputs is None or (outputs.message, outputs.instance) not in raw.messages:
-        return {}, []
+        return {}, {}, []
     key = (outputs.message, outputs.instance)
     if int(times.of(key).keep.sum()) < 2:
-        return {}, []
+        return {}, {}, []
     wanted, findings = controls(card, raw.parameters)
     if card is None:
         text = "servo outputs are logged but no card says what angles they mean: give --aircraft, or tables in --map"
         findings.append(Finding("no-card", outputs.message, "warning", text, {}))
-    return {n: partial(_servo_channel, raw, outputs, times, n, control) for n, control in wanted.items()}, findings
+    return {n: partial(_servo_channel, raw, outputs, times, n, control) for n, control in wanted.items()}, wanted, findings
+
+
+def _servo_tables(wanted: Mapping[str, Control], labels: Mapping[str, str]) -> list[Finding]:
+    """Which tables were used and where they are from, of the columns that were made from servo outputs."""
+    used = [c for n, c in wanted.items() if labels.get(n, "").endswith(c.label)]
+    told, against = ("; ".join(filter(None, parts)) for parts in ([c.told for c in used], [c.against for c in used]))
+    out = [Finding("servo-table", "", "info", told, {})] if told else []
+    if against:
+        text = f"card and log do not agree, the log's parameters were used: {against}"
+        out.append(Finding("servo-conflict", "", "warning", text, {}))
+    return out
 
 
 def _servo_channel(raw: RawLog, outputs: ServoOutputs, times: Times, name: str, control: Control) -> Channel | None:

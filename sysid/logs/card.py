@@ -39,6 +39,15 @@ class Servo:
 
 
 @dataclass(frozen=True)
+class Throw:
+    """Deflection [deg] at the low and the high end of a surface's travel, and the key of the card that says so."""
+
+    low: float
+    high: float
+    key: str
+
+
+@dataclass(frozen=True)
 class Mix:
     """A v-tail or elevons: two panels, each with its own servo; deflection + trailing edge down on both.
 
@@ -83,6 +92,7 @@ class AirframeCard:
     servos: Mapping[str, Servo] = field(default_factory=dict)
     mixes: tuple[Mix, ...] = ()
     sensors: Sensors = field(default_factory=Sensors)
+    throws: Mapping[str, Throw] = field(default_factory=dict)
     document: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
 
@@ -109,7 +119,7 @@ def parse_card(text: str, file: Path) -> AirframeCard:
     name = str(file)
     aircraft = _table(data.get("aircraft", {}), "[aircraft]", name)
     inputs = _table(data.get("inputs", {}), "[inputs]", name)
-    servos = {}
+    servos, throws = {}, {}
     for key, value in inputs.items():
         where = f"[inputs.{key}]"
         row = _table(value, where, name)
@@ -117,6 +127,9 @@ def parse_card(text: str, file: Path) -> AirframeCard:
         servo = _servo(row, where, name)
         if servo is not None:
             servos[key] = servo
+        throw = _throw(row, where, name)
+        if throw is not None:
+            throws[key] = throw
     mixing = _table(data.get("mixing", {}), "[mixing]", name)
     return AirframeCard(
         name=str(aircraft.get("name", file.parent.name)),
@@ -125,6 +138,7 @@ def parse_card(text: str, file: Path) -> AirframeCard:
         servos=servos,
         mixes=tuple(_mix(kind, row, name) for kind, row in mixing.items()),
         sensors=_sensors(data.get("sensors", {}), name),
+        throws=throws,
         document=data,
     )
 
@@ -181,6 +195,17 @@ def _number(value: Any, key: str, name: str, where: str) -> float:
     return float(value)
 
 
+def _throw(row: dict[str, Any], where: str, name: str) -> Throw | None:
+    """The deflections at both ends of a surface's travel: throw_deg, else limits in degrees; None where the card has neither."""
+    if "throw_deg" in row:
+        size = abs(_number(row["throw_deg"], "throw_deg", name, where))
+        return Throw(-size, size, "throw_deg")
+    if row.get("unit") == "deg" and "limits" in row:
+        low, high = map(float, row["limits"])
+        return Throw(low, high, "limits") if low < 0.0 < high else None
+    return None
+
+
 def _servo(row: dict[str, Any], where: str, name: str) -> Servo | None:
     """The servo of an input or a panel; None where it has no table."""
     limits = row.get("limits", [-math.inf, math.inf])
@@ -191,6 +216,8 @@ def _servo(row: dict[str, Any], where: str, name: str) -> Servo | None:
         raise LogError(f"channel must be a servo output from 1 to 32; received {channel!r}", name, where)
     if "servo_pwm" not in row:
         return None
+    if row.get("unit") in ("norm", "rad"):  # limits of the command are no degrees or percent
+        limits = [-math.inf, math.inf]
     return Servo(_servo_table(row["servo_pwm"], where, name), (float(limits[0]), float(limits[1])), channel)
 
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from sysid.errors import Finding
 from sysid.logs.channels import Channel
+from sysid.logs.estimates import check_estimates
 from sysid.logs.held import held, interpolated, stuck, wraps
 from sysid.logs.lever_arm import lever_arm_finding
 from sysid.logs.mending import spoils
@@ -118,13 +119,17 @@ def _kept(name: str, c: Channel) -> list[Finding]:
     return []
 
 
+_MAY_STAND = frozenset({"elevator_pos_deg", "aileron_pos_deg", "rudder_pos_deg", "rpm", "thrust_N", "rho_kgpm3", *_GUIDANCE})
+"""Channels that may stand still in flight; of them noise has to tell a sensor that has stopped."""
+
+
 def _stuck(record: FlightRecord) -> list[Finding]:
     """Channels that stood still for seconds while their noise moves them with every sample else."""
     out = []
     for name, values in record.columns.items():
         if name in LABELS or name in COMMANDS or name == "time_s":
             continue
-        found = stuck(values, record.dt_s)
+        found = stuck(values, record.dt_s, noisy=name in _MAY_STAND)
         if found is not None:
             begin, end = (float(record["time_s"][k]) for k in found)
             text = f"{name} stands at {values[found[0]]:.4g} from {begin:.2f} to {end:.2f} s, among samples that all differ"
@@ -140,7 +145,8 @@ def _wrap(name: str, c: Channel) -> list[Finding]:
     if found is None:
         return []
     text = f"{name} ({c.label}) jumps by {found[1]:g} {found[0]} times from one end of its range to the other: a {found[2]} wrap"
-    return [Finding("wraps", name, "error", text, {"jumps": float(found[0]), "span": found[1]}, spoils(name))]
+    numbers = {"jumps": float(found[0]), "span": found[1], "values": 256.0 if found[2].startswith("8-") else 65536.0}
+    return [Finding("wraps", name, "error", text, numbers, spoils(name))]
 
 
 def _range(name: str, label: str, values: FloatArray) -> list[Finding]:
@@ -194,7 +200,11 @@ def check_motion(flight: FlightRecord) -> list[Finding]:
         return []
     absurd = {n: np.where(np.abs(v) < _ABSURD, v, np.nan) for n, v in flight.columns.items() if n not in LABELS and n != "time_s"}
     flight = flight.with_columns({n: v for n, v in absurd.items() if not np.array_equal(v, flight[n], equal_nan=True)})
-    found = [*check_physics(flight), *check_surfaces(flight)]
+    found = check_physics(flight)
+    # A surface's effect shows in a rate: one that is reversed would reverse the surface.
+    slips = {f.channel: flight[f.channel] / f.numbers["slope"] for f in found if f.code in ("unit", "sign")}
+    mended = flight.with_columns(slips)
+    found += [*check_surfaces(mended), *check_estimates(mended)]
     # With a unit or a sign wrong, what is left over would pass for a lever arm.
     return found if any(f.severity == "error" for f in found) else [*found, *lever_arm_finding(flight)]
 
@@ -251,7 +261,8 @@ def check_again(record: FlightRecord) -> list[Finding]:
     """The findings of a record as they are known today: those of its log stay, all that it shows itself is new."""
     if len(record) < 3:
         return list(record.metadata.findings)
-    kept = [f for f in record.metadata.findings if f.code not in _AT_RECORD]
+    own = record.metadata.estimates
+    kept = [f for f in record.metadata.findings if f.code not in _AT_RECORD and (f.code != "estimate" or f.channel in own)]
     free = record.metadata.free_flight_s
     start, end = float(record["time_s"][0]), float(record["time_s"][-1])
     span = (max(start, free[0][0]), min(end, free[0][1])) if free else (start, end)

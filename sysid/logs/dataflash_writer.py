@@ -249,7 +249,10 @@ def _panels(mix: Mix, first: FloatArray, second: FloatArray, parameters: dict[st
 def _describe(channel: int, function: int, servo: Servo, parameters: dict[str, float]) -> None:
     pwm = [p for p, _ in servo.table]
     middle = float(pwm_of(np.zeros(1), servo)[0]) if function != _FUNCTION["throttle"] else pwm[0]
-    named = {"FUNCTION": function, "MIN": pwm[0], "MAX": pwm[-1], "TRIM": middle, "REVERSED": 0}
+    # The autopilot's positive elevator is nose up and its rudder nose right, a record's the other way round.
+    rising = servo.table[-1][1] > servo.table[0][1]
+    reversed_ = rising if function in (_FUNCTION["elevator"], _FUNCTION["rudder"]) else not rising
+    named = {"FUNCTION": function, "MIN": pwm[0], "MAX": pwm[-1], "TRIM": middle, "REVERSED": float(reversed_)}
     parameters.update({f"SERVO{channel}_{k}": float(v) for k, v in named.items()})
 
 

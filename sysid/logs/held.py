@@ -12,7 +12,12 @@ _LEAST = 60  # samples
 _LEAST_CHANGES = 20
 _STANDING = 50  # samples in a row after which a value stands still rather than is held
 _COMMON = 0.9  # share of changes on one beat
+_ALIKE = 1.5  # over the smallest corners, the usual one where all are of one size
 _STUCK_S = 2.0
+_STILL = 3e-3  # of the usual step
+_ALONE = 0.25  # of the longest stand-still that any other may last
+_BITS = (8, 16)
+_ON_LATTICE = 1e-3  # of a step, by which a logged number may miss a whole multiple
 _WRAPS = tuple(
     (span * unit, f"{bits}-bit" + ("" if unit == 1.0 else f", 1/{1 / unit:.0f}"))
     for bits, span in ((16, 65536.0), (8, 256.0))
@@ -47,7 +52,9 @@ def held(values: FloatArray) -> Held | None:
         return None
     sizes = steps[changes]
     quantum = float(np.quantile(sizes, 0.01))
-    gathered = float(np.mean(sizes > 1.5 * quantum)) > 0.3
+    # A coarse channel comes back to the values that it has; one that is held meets new ones, however its steps differ.
+    levels = len(np.unique(np.round(good / max(0.1 * quantum, np.finfo(np.float64).tiny))))
+    gathered = float(np.mean(sizes > 1.5 * quantum)) > 0.3 and levels > 0.5 * len(changes)
     beat = int(np.median(moving))
     on_beat = beat >= 2 and max(np.bincount(changes % beat)) > _COMMON * len(changes)
     return Held(float(moving.mean()), quantum, gathered or bool(on_beat))
@@ -66,17 +73,26 @@ def interpolated(values: FloatArray) -> float | None:
     starts = np.flatnonzero(kinks & ~np.concatenate([[False], kinks[:-1]]))
     if usual <= 4.0 * tolerance or len(starts) < _LEAST_CHANGES or float(np.median(bend[kinks])) < 20.0 * tolerance:
         return None
+    if float(np.median(bend[kinks])) < _ALIKE * float(np.quantile(bend[kinks], 0.05)):
+        return None  # corners of one size are those of a slow motion in coarse steps
     spacing = np.diff(starts)
     middle = float(np.median(spacing))
     regular = float(np.mean(np.abs(spacing - middle) <= 1.0)) > 0.8
     return float(spacing.mean()) if middle >= 2.0 and regular and float(kinks.mean()) < 2.2 / middle else None
 
 
-def stuck(values: FloatArray, step_s: float) -> tuple[int, int] | None:
-    """First and last sample of the longest stand-still of a channel whose noise moves it with every sample before and after."""
+def stuck(values: FloatArray, step_s: float, noisy: bool = True) -> tuple[int, int] | None:
+    """First and last sample of the longest stand-still of a channel that moves with nearly every sample else.
+
+    noisy  its noise has to move it: for channels that may stand still in flight
+    """
     if len(values) < _LEAST:
         return None
-    same = np.concatenate([[False], np.diff(values) == 0.0, [False]])
+    steps = np.abs(np.diff(values))
+    moving = steps[steps > 0.0]
+    # What stands still may yet be multiplied by a factor that drifts, such as the ratio of true to equivalent airspeed.
+    least = _STILL * float(np.median(moving)) if len(moving) else 0.0
+    same = np.concatenate([[False], steps <= least, [False]])
     edges = np.flatnonzero(np.diff(same.astype(np.int8)))
     if not len(edges):
         return None
@@ -85,8 +101,12 @@ def stuck(values: FloatArray, step_s: float) -> tuple[int, int] | None:
     first, last = int(begins[longest]), int(ends[longest])
     around = max(20, round(1.0 / step_s))
     before, after = values[max(0, first - around) : first + 1], values[last : last + around + 1]
-    lively = all(len(side) > 10 and np.mean(np.diff(side) != 0.0) > _COMMON and _noisy(side) for side in (before, after))
-    return (first, last) if lively and (last - first) * step_s > _STUCK_S else None
+    lively = all(len(side) > 10 and np.mean(np.abs(np.diff(side)) > least) > _COMMON for side in (before, after))
+    if noisy:
+        lively = lively and all(_noisy(side) for side in (before, after))
+    others = np.delete(ends - begins, longest)
+    alone = not len(others) or int(others.max()) < _ALONE * (last - first)
+    return (first, last) if lively and alone and (last - first) * step_s > _STUCK_S else None
 
 
 def _noisy(values: FloatArray) -> bool:
@@ -95,6 +115,17 @@ def _noisy(values: FloatArray) -> bool:
     steps = steps[np.isfinite(steps)]
     steps = steps - steps.mean() if len(steps) else steps
     return len(steps) > 10 and float(steps[1:] @ steps[:-1]) < -0.15 * float(steps @ steps)
+
+
+def _lattice(steps: FloatArray) -> list[tuple[float, str]]:
+    """Ranges of a number of 8 or 16 bits in the unit of the smallest step, where all steps are whole multiples of it."""
+    if not len(steps):
+        return []
+    unit = float(steps.min())
+    counts = steps / unit
+    if counts.max() > 2.0**16 or float(np.abs(counts - np.round(counts)).max()) > _ON_LATTICE * max(1.0, counts.max() / 2**8):
+        return []
+    return [(2.0**bits * unit, f"{bits}-bit, {unit:.3g}") for bits in _BITS]
 
 
 def wraps(raw: FloatArray) -> tuple[int, float, str] | None:
@@ -108,7 +139,7 @@ def wraps(raw: FloatArray) -> tuple[int, float, str] | None:
     steps = np.diff(values)
     moving = np.abs(steps[steps != 0.0])
     low, high = float(values.min()), float(values.max())
-    for span, what in _WRAPS:
+    for span, what in (*_WRAPS, *_lattice(moving)):
         jumps = np.flatnonzero(np.abs(np.abs(steps) - span) < 0.25 * span)
         if not len(jumps) or high - low > 1.02 * span or len(jumps) > 0.2 * len(steps):
             continue
@@ -117,6 +148,6 @@ def wraps(raw: FloatArray) -> tuple[int, float, str] | None:
         ends = np.minimum(values[jumps], values[jumps + 1]) - low < near
         ends &= high - np.maximum(values[jumps], values[jumps + 1]) < near
         back = np.abs(np.abs(steps[jumps]) - span) <= near
-        if usual < 0.2 * span and np.all(ends & back):
+        if usual < 0.2 * span and float(np.mean(ends & back)) > _COMMON:
             return len(jumps), span, what
     return None

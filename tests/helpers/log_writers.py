@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -11,15 +12,21 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sysid.record import FlightRecord
 
 
-def write_ulog(path: Path, topics: dict[str, tuple[np.ndarray, dict[str, np.ndarray]]], mav_type: int = 1) -> None:
+def write_ulog(
+    path: Path,
+    topics: dict[str, tuple[np.ndarray, dict[str, np.ndarray]]],
+    mav_type: int = 1,
+    parameters: dict[str, int] | None = None,
+) -> None:
     """topics: name -> (time_us (n,), field -> (n,) float). Fields named "q[0]"... are written as one array."""
 
     def message(kind: bytes, body: bytes) -> bytes:
         return struct.pack("<HB", len(body), kind[0]) + body
 
     out = [b"ULog\x01\x12\x35\x01", struct.pack("<Q", 0), message(b"B", bytes(40))]
-    key = b"int32_t MAV_TYPE"
-    out.append(message(b"P", bytes([len(key)]) + key + struct.pack("<i", mav_type)))
+    for name, value in {"MAV_TYPE": mav_type, **(parameters or {})}.items():
+        key = f"int32_t {name}".encode()
+        out.append(message(b"P", bytes([len(key)]) + key + struct.pack("<i", value)))
     arrays = {}
     for name, (time_us, fields) in topics.items():
         grouped: dict[str, list[str]] = {}
@@ -93,3 +100,37 @@ def write_text_log(path: Path, record: FlightRecord, vehicle: str = "ArduPlane V
         lines += [f"IMU, {us}, 0, {rates}", f"ATT, {us}, {angles}", f"ARSP, {us}, 0, {row['V_mps']!r}"]
         lines.append(f"RCOU, {us}, 1500, {1500 + round(20 * row['elevator_deg'])}, 1600, 1500")
     path.write_text("\n".join(lines) + "\n")
+
+
+def px4_topics(record: FlightRecord, servos: tuple[str, ...] = ("aileron", "elevator", "throttle", "rudder")) -> dict[str, Any]:
+    """What PX4 would log of a record's flight: each topic at its usual rate, outputs as 20 us a degree and 10 us a percent."""
+    time = record["time_s"]
+    rng = np.random.default_rng(4)
+
+    def at(rate_hz: float, names: dict[str, np.ndarray], noise: float = 0.0) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        t = np.arange(time[0], time[-1], 1.0 / rate_hz)
+        fields = {n: np.interp(t, time, v) + noise * rng.standard_normal(len(t)) for n, v in names.items()}
+        return np.round(1e6 * (t + 1.0)), fields
+
+    half = [0.5 * np.unwrap(record[n]) for n in ("phi_rad", "theta_rad", "psi_rad")]
+    (cr, cp, cy), (sr, sp, sy) = ([f(h) for h in half] for f in (np.cos, np.sin))
+    q = {
+        "q[0]": cr * cp * cy + sr * sp * sy, "q[1]": sr * cp * cy - cr * sp * sy,
+        "q[2]": cr * sp * cy + sr * cp * sy, "q[3]": cr * cp * sy - sr * sp * cy,
+    }  # fmt: skip
+    imu = {f"gyro_rad[{k}]": record[n] for k, n in enumerate(("p_radps", "q_radps", "r_radps"))}
+    imu |= {f"accelerometer_m_s2[{k}]": record[n] for k, n in enumerate(("ax_mps2", "ay_mps2", "az_mps2"))}
+    neutral = {n: (1000.0, 10.0) if n == "throttle" else (1500.0, 20.0) for n in servos}
+    columns = {n: "throttle_pct" if n == "throttle" else f"{n}_deg" for n in servos}
+    outputs = {f"output[{k}]": np.round(neutral[n][0] + neutral[n][1] * record[columns[n]]) for k, n in enumerate(servos)}
+    velocity = {"vel_n_m_s": record["vn_mps"], "vel_e_m_s": record["ve_mps"], "vel_d_m_s": record["vd_mps"]}
+    return {
+        "vehicle_attitude": at(50.0, q),
+        "sensor_combined": at(1.0 / record.dt_s, imu),
+        "airspeed": at(10.0, {"true_airspeed_m_s": record["V_mps"]}),
+        "airflow_aoa": at(20.0, {"aoa_rad": record["alpha_rad"]}),
+        "airflow_slip": at(20.0, {"slip_rad": record["beta_rad"]}),
+        "vehicle_local_position": at(10.0, {"x": record["north_m"], "y": record["east_m"], "z": -record["h_m"]}),
+        "vehicle_gps_position": at(10.0, velocity, 0.05),
+        "actuator_outputs": at(1.0 / record.dt_s, outputs),
+    }

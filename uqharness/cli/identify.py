@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 
 from sysid.digests import file_sha256
 from uqharness.cli.options import (
@@ -59,6 +60,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_no_figures(parser)
 
 
+def _tell(text: str) -> None:
+    print(f"uqharness: note: {text}", file=sys.stderr, flush=True)
+
+
 def _run(args: argparse.Namespace) -> int:
     aircraft = find_aircraft(args.aircraft)
     parameters = None if args.params is None else [p.strip() for p in args.params.split(",") if p.strip()]
@@ -72,6 +77,7 @@ def _run(args: argparse.Namespace) -> int:
         found = identify(
             aircraft, flights, measured, parameters, start=args.start, biases=BIASES if biases is None else biases, delays=delays,
             ideal_servos=args.servos == "ideal", method=args.method, workers=args.workers, on_stage=stage,
+            tell=_tell,
         )  # fmt: skip
         stage("report")
         out = results_folder(args.out)

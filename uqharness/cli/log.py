@@ -182,7 +182,8 @@ def _import_text(record: FlightRecord, out: Path, kept: tuple[float, float], who
         f"{out}: {len(record)} rows at {record.metadata.grid_hz:g} Hz, {span}",
         f"columns: {', '.join(record.columns)}",
     ]
-    return "\n".join(lines + _condensed([f for f in record.metadata.findings if f.severity != "info"]))
+    told = [f for f in record.metadata.findings if f.severity != "info" or f.code == "servo-table"]
+    return "\n".join(lines + _condensed(told))
 
 
 def _condensed(findings: Sequence[Finding]) -> list[str]:

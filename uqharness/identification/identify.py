@@ -63,6 +63,7 @@ def identify(
     method: str = "auto",
     workers: int | None = None,
     on_stage: Callable[[str], None] = lambda stage: None,
+    tell: Callable[[str], None] | None = None,
 ) -> Identification:
     """Estimate JSBSim properties from flights.
 
@@ -74,6 +75,7 @@ def identify(
     ideal_servos  surfaces and throttle follow their commands at once, whatever actuators the XML has
     method      "auto" | "output-error" | "filter-error"
     on_stage    told what is being done
+    tell        called with a sentence when filter error takes over: why, and how much there is to do
     Raises BadInputError for unknown parameters and for a model that cannot fly the segments.
     """
     names = _parameter_names(aircraft, parameters)
@@ -104,11 +106,33 @@ def identify(
         found = replace(found, warnings=(*misplaced(flights, cut, found.nuisance), *found.warnings))
         if method == "output-error" or (method == "auto" and not process_noise_shown(*_sensed(found))):
             return found
+        if tell is not None:
+            tell(_why_filter_error(found, method))
         from uqharness.identification.turbulence import filter_route
 
         on_stage("filter error")
         with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
             return filter_route(found, model, straight, flights, limits, biases)
+
+
+def _why_filter_error(found: Identification, method: str) -> str:
+    residual, _, noise = _sensed(found)
+    channels = [c for c in found.outputs if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = {c: rms(np.concatenate(residual)[:, k]) / noise[k] for k, c in enumerate(channels)}
+    left = ", ".join(f"{c} {r:.2f}" for c, r in ratio.items() if np.isfinite(r) and r > 1.0)
+    why = "asked for by --method"
+    if method != "filter-error":
+        why = (
+            "what output error leaves looks like process noise (turbulence): it is coloured, in quiet flight too; over the noise: "
+            + (left or "none")
+        )
+    rows = sum(len(r) for r in residual)
+    return (
+        f"filter error begins after {found.seconds:.0f} s of output error ({why}). {rows} samples, {len(found.names)} parameters: "
+        "each of its iterations runs a Kalman filter over all samples for every parameter, which takes minutes beyond some 10,000 "
+        "samples; --method output-error does without"
+    )
 
 
 def _sensed(found: Identification) -> tuple[list[Array], list[Array], Array]:

@@ -131,7 +131,7 @@ class _Walker:
             return list(fmt.columns)
         if fmt.name not in self.wanted:
             return []
-        fields = set(self.wanted[fmt.name]) | {fmt.instance_column, "TimeUS", "TimeMS"}
+        fields = set(self.wanted[fmt.name]) | {fmt.instance_column, (fmt.time_column or ("",))[0]}
         return [c for c in fmt.columns if c in fields]
 
     def tables(self) -> dict[str, Columns]:

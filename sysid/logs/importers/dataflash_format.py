@@ -68,7 +68,12 @@ class Format:
 
     @property
     def time_column(self) -> tuple[str, float] | None:
-        """(column, seconds per unit) of the time stamp, or None."""
+        """(column, seconds per unit) of the time stamp, or None.
+
+        In the GPS message of logs before version 3.4 TimeMS is the GPS time of week; T is the autopilot's clock.
+        """
+        if self.name.startswith("GPS") and "TimeUS" not in self.columns and "T" in self.columns:
+            return "T", 1e-3
         for name, scale in (("TimeUS", 1e-6), ("TimeMS", 1e-3)):
             if name in self.columns:
                 return name, scale

@@ -20,6 +20,8 @@ MOST_INSTANCES = 256  # of one kind of message
 ALWAYS = frozenset({"PARM", "MSG", "MODE", "VER", "ARM", "EV", "ORGN"})
 # VER.BU, the number of the firmware's build type.
 _BUILD = {1: "ArduRover", 2: "ArduCopter", 3: "ArduPlane", 4: "AntennaTracker", 7: "ArduSub", 12: "Blimp", 13: "Heli"}
+_ONLY_IN = {"ATC_RAT_RLL_P": "ArduCopter", "RATE_RLL_P": "ArduCopter", "WPNAV_SPEED": "ArduCopter", "ATC_STR_RAT_P": "ArduRover",
+            "RLL2SRV_TCONST": "ArduPlane", "ARSPD_FBW_MIN": "ArduPlane"}  # fmt: skip
 _VEHICLE = re.compile(r"^(Ardu|APM[: ]?)(Plane|Copter|Rover|Sub)|^(AntennaTracker|Blimp|Rover)", re.IGNORECASE)
 
 
@@ -47,14 +49,14 @@ def assemble(
             del columns[name]  # the messages hold what is needed; a big log must not be there twice
     if not messages:
         raise LogError("no message carries a time stamp (TimeUS or TimeMS); nothing can be placed in time", path)
-    texts = _texts(messages)
+    texts, parameters = _texts(messages), _parameters(columns)
     return RawLog(
         dialect=dialect,
         messages=messages,
         counts=dict(counts),
-        parameters=_parameters(columns),
+        parameters=parameters,
         texts=texts,
-        vehicle=_vehicle(texts, columns),
+        vehicle=_vehicle(texts, columns, parameters),
         findings=tuple(findings),
     )
 
@@ -84,7 +86,16 @@ def _parameters(columns: dict[str, Columns]) -> dict[str, float]:
     return {str(n): float(v) for n, v in zip(table["Name"], table["Value"], strict=True)}
 
 
-def _vehicle(texts: tuple[tuple[float, str], ...], columns: dict[str, Columns]) -> str:
+def _vehicle(texts: tuple[tuple[float, str], ...], columns: dict[str, Columns], parameters: Mapping[str, float]) -> str:
+    """What the log calls itself, else what its parameters are of; an aeroplane that takes off on rotors says VTOL."""
+    named = _named(texts, columns)
+    if not named:
+        # Parameters that one kind of vehicle alone has.
+        named = next((kind for name, kind in _ONLY_IN.items() if name in parameters), "")
+    return f"{named or 'ArduPlane'} VTOL" if parameters.get("Q_ENABLE", 0.0) > 0.0 and "VTOL" not in named else named
+
+
+def _named(texts: tuple[tuple[float, str], ...], columns: dict[str, Columns]) -> str:
     build = columns.get("VER", {}).get("BU")
     for _, message in texts:
         if _VEHICLE.match(message):

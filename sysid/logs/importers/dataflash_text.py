@@ -104,7 +104,7 @@ def _keep(fmt: Format, wanted: Wanted | None) -> list[str]:
         return [c for c, k in zip(fmt.columns, fmt.characters, strict=True) if k != "a"]
     if fmt.name not in wanted:
         return []
-    fields = set(wanted[fmt.name]) | {fmt.instance_column, "TimeUS", "TimeMS"}
+    fields = set(wanted[fmt.name]) | {fmt.instance_column, (fmt.time_column or ("",))[0]}
     return [c for c, k in zip(fmt.columns, fmt.characters, strict=True) if c in fields and k != "a"]
 
 

@@ -9,10 +9,12 @@ from __future__ import annotations
 import os
 from array import array
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sysid.errors import Finding, LogError
@@ -20,7 +22,9 @@ from sysid.foreign.raw import MessageTable, Progress, RawLog, Wanted
 from sysid.foreign.regular_files import open_regular
 from sysid.logs.importers.detect import frame_length, frame_time
 
+FloatArray = NDArray[np.float64]
 BLOCK_BYTES = 4 << 20
+_SAME_CLOCK_S = 60.0  # a stamp further from its receipt is another clock's
 _AUTOPILOT_TYPES = {1: "fixed wing", 2: "quadrotor", 3: "coaxial helicopter", 4: "helicopter", 10: "rover", 11: "boat",
                     12: "submarine", 13: "hexarotor", 14: "octorotor", 15: "tricopter", 16: "flapping wing",
                     19: "VTOL tail-sitter", 20: "VTOL tail-sitter", 21: "VTOL tiltrotor", 22: "VTOL"}  # fmt: skip
@@ -38,6 +42,8 @@ class _Tlog:
         self.all_names = {number: n for n, number in everything.items()}
         self.parser = mavlink.MAVLink(None)
         self.receipt: dict[str, array[float]] = defaultdict(lambda: array("d"))
+        self.place: dict[str, array[float]] = defaultdict(lambda: array("d"))
+        self.kept = 0
         self.boot: dict[str, array[float]] = defaultdict(lambda: array("d"))
         self.values: dict[str, dict[str, array[float]]] = defaultdict(lambda: defaultdict(lambda: array("d")))
         self.counts: dict[str, int] = defaultdict(int)
@@ -102,6 +108,8 @@ class _Tlog:
         if name == "HEARTBEAT" and message.type in _NOT_VEHICLES:
             return
         self.receipt[name].append(receipt_s)
+        self.kept += 1
+        self.place[name].append(self.kept)
         boot = next((getattr(message, f) * s for f, s in _BOOT_FIELDS if f in message.fieldnames), float("nan"))
         self.boot[name].append(boot)
         store = self.values[name]
@@ -112,8 +120,8 @@ class _Tlog:
 
 
 def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = None) -> RawLog:
-    """Read a .tlog; message times are the vehicle's own (time since boot) where a message carries one, otherwise
-    the time of receipt moved onto the vehicle's clock. Raises LogError when no packet can be read."""
+    """Read a .tlog; message times are the vehicle's own (time since boot) where a message carries one, otherwise between those of
+    the messages before and behind it in the file: radios deliver in bursts. Raises LogError when no packet can be read."""
     state = _Tlog(wanted)
     rest, done = b"", 0
     with open_regular(path) as handle:
@@ -134,13 +142,14 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
             path,
         )
     offset = _clock_offset(state)
+    clock = _vehicle_clock(state, offset)
     messages = {}
     for name, receipt in state.receipt.items():
         arrived = np.frombuffer(receipt, dtype=np.float64) - offset
         boot = np.frombuffer(state.boot[name], dtype=np.float64)
         # Some senders put the date into time_usec; it is then as good as the time of receipt.
         on_clock = np.isfinite(boot) & (np.abs(boot - arrived) < 3600.0)
-        time_s = np.where(on_clock, boot, arrived)
+        time_s = np.where(on_clock, boot, clock(np.frombuffer(state.place[name], dtype=np.float64), arrived))
         fields = {f: np.frombuffer(v, dtype=np.float64) for f, v in state.values[name].items()}
         messages[(name, 0)] = MessageTable(time_s, {f: v for f, v in fields.items() if len(v) == len(time_s)})
     kind = state.vehicle_type
@@ -154,6 +163,27 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
         facts={} if kind is None else {"mav_type": float(kind)},
         findings=tuple(_findings(state, size)),
     )
+
+
+def _vehicle_clock(state: _Tlog, offset: float) -> Callable[[FloatArray, FloatArray], FloatArray]:
+    """(places in the file, times of receipt on the vehicle's clock) -> times, by the stamped messages around."""
+    place, stamp = [], []
+    for name, receipt in state.receipt.items():
+        boot = np.frombuffer(state.boot[name], dtype=np.float64)
+        good = np.isfinite(boot) & (np.abs(boot - (np.frombuffer(receipt, dtype=np.float64) - offset)) < _SAME_CLOCK_S)
+        place.append(np.frombuffer(state.place[name], dtype=np.float64)[good])
+        stamp.append(boot[good])
+    at, when = np.concatenate(place), np.concatenate(stamp)
+    order = np.argsort(at, kind="stable")
+    at, when = at[order], np.maximum.accumulate(when[order]) if len(when) else when
+
+    def clock(places: FloatArray, arrived: FloatArray) -> FloatArray:
+        if len(at) < 2:
+            return arrived
+        between = (places >= at[0]) & (places <= at[-1])
+        return np.where(between, np.interp(places, at, when), arrived)
+
+    return clock
 
 
 def _clock_offset(state: _Tlog) -> float:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sysid import equation_error, filter_error, output_error
+from sysid.estimation.report import unresolved
 
 
 def two_outputs(theta):
@@ -21,6 +22,29 @@ def test_an_output_met_exactly_by_its_only_parameter_gives_no_bound():
     assert "output 1 has 1 samples, of which the parameters use up 1.0" in fit.reason["c"]
     measured[5, 1] = 3.1
     assert output_error(two_outputs, np.zeros(3), measured, names=["a", "b", "c"]).status["c"] == "identified"
+
+
+def test_a_simulation_that_diverges_has_no_standard_error():
+    """(b - 1) exp(g t), b = 1: at g = 12/s a difference of two such simulations is 1e18 times b's own rounding."""
+    rng, time = np.random.default_rng(3), np.linspace(0.0, 5.0, 100)
+    measured = 1.0 + 0.1 * rng.normal(size=(100, 1))
+
+    def fitted(growth_1ps):
+        def simulate(theta):
+            return (theta[0] - 1.0) * np.exp(growth_1ps * time)[:, None] + theta[1]
+
+        return output_error(simulate, [1.0, 1.0], measured, names=["b", "level"])
+
+    lost, kept = fitted(12.0), fitted(0.1)
+    assert lost.status == {"b": "not-identified", "level": "identified"}
+    assert np.isnan(lost.std[0])
+    assert "the simulation diverges" in lost.reason["b"]
+    assert set(kept.status.values()) == {"identified"}
+    reasons = unresolved(np.array([1.0, 1.0]), np.array([[3e9, 2.0]]), np.array([10.0]))
+    assert "moves output 0 by its own size" in reasons[0]
+    assert reasons[1] == ""
+    assert unresolved(np.array([1.0]), np.array([[np.inf]]), np.array([10.0]))[0]
+    assert unresolved(np.array([0.0]), np.array([[3e9]]), np.array([10.0])) == [""]
 
 
 def test_bounds_of_a_name_that_is_none_are_a_value_error():

@@ -144,7 +144,7 @@ def test_wrapped_integers() -> None:
     wrapped = np.mod(counter, 65536.0) - 32768.0
     channel = Channel("h_m", "X.Alt", t, wrapped * 0.01, clean(t), False, wrapped)
     found = [f for f in check_channel(channel, 0.1, set()) if f.code == "wraps"]
-    assert found[0].numbers == {"jumps": 2.0, "span": 65536.0}
+    assert found[0].numbers == {"jumps": 2.0, "span": 65536.0, "values": 65536.0}
 
 
 def test_negative_airspeed_and_frozen_channels() -> None:

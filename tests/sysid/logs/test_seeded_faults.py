@@ -110,12 +110,40 @@ def test_coarse_held_interpolated_stuck_and_wrapped() -> None:
     at = np.arange(len(smooth))
     assert interpolated(np.interp(at, at[::5], smooth[::5])) == pytest.approx(5.0, rel=0.05)
     assert interpolated(smooth) is None
+    assert interpolated(np.round(at * 0.0909) * 0.011 + 0.002 * at) is None  # a steady motion in steps of 11 mm
     still = smooth + rng.standard_normal(4000)
     assert stuck(still, 0.02) is None
     still[1000:1200] = still[1000]
     assert stuck(still, 0.02) == (1000, 1199)
     assert wraps(np.mod(np.cumsum(np.full(500, 3.0)), 256.0)) == (5, 256.0, "8-bit")
     assert wraps(np.where(at > 2000, 256.0, 0.0) + rng.standard_normal(4000)) is None
+
+
+def test_a_coarse_speed_through_a_factor_is_not_held() -> None:
+    """Knots in whole numbers, times a factor that changes slowly: steps of many sizes and yet no lag."""
+    rng = np.random.default_rng(8)
+    knots = np.round(43.0 + 2.0 * np.sin(np.arange(4000) * 0.01) + 0.5 * rng.standard_normal(4000))
+    found = held(knots * 0.5144)
+    assert found is None or not found.held
+    slow = held(np.round(np.cumsum(rng.standard_normal(4000)) / 3.0) * np.linspace(1.0, 1.000001, 4000))
+    assert slow is None or not slow.held
+    assert (kept := held(np.repeat(rng.standard_normal(800), 5))) is not None
+    assert kept.held
+
+
+def test_a_sensor_that_stops_in_a_manoeuvre_and_a_scaled_number_that_wraps() -> None:
+    rng, at = np.random.default_rng(9), np.arange(4000)
+    moving = 5.0 * np.sin(at * 0.05) + 0.02 * rng.standard_normal(4000)
+    stopped = np.where((at >= 1000) & (at < 1250), moving[1000], moving)
+    assert stuck(stopped, 0.02, noisy=False) == (1000, 1249)
+    assert stuck(moving, 0.02, noisy=False) is None
+    step = np.pi / 1800.0
+    counts = np.round(180.0 * np.sin(at * 0.01))
+    wrapped = wraps((np.mod(counts + 128.0, 256.0) - 128.0) * step)
+    assert wrapped is not None
+    assert wrapped[1] == pytest.approx(256.0 * step)
+    assert wraps(counts * step) is None
+    assert wraps(np.where(at % 500 < 250, -100.0, 100.0) * step) is None
 
 
 # --- pieces ---------------------------------------------------------------------------------------------------------

@@ -85,7 +85,7 @@ def test_round_trip_within_the_stated_quantisation(bin_log: Path, flown: FlightR
         np.testing.assert_allclose(back[name], flown[name], rtol=1e-6, atol=bounds.get(name, 1e-5), err_msg=name)
     assert back.metadata.vehicle == "ArduPlane V4.6.0"
     assert back.metadata.estimates == ()
-    assert back.metadata.channels["elevator_deg"] == "RCOU servo2 (SERVOn_FUNCTION)"
+    assert back.metadata.channels["elevator_deg"] == "RCOU servo2 (SERVO2_FUNCTION)"
 
 
 def test_estimated_angles_come_back_as_estimates(tmp_path: Path, flown: FlightRecord, card: AirframeCard) -> None:

@@ -57,3 +57,12 @@ def test_texts_end_at_their_first_zero() -> None:
     assert text(b"ab\0cd") == "ab"
     assert text(b"\xe4bc") == "äbc"
     assert scaled(np.array([b"ab\0c", b"xyz"]), "n").tolist() == ["ab", "xyz"]
+
+
+def test_the_clock_of_an_old_gps_message_is_not_its_time_of_week() -> None:
+    made = make_format(130, 11, "GPS", "II", "TimeMS,T")
+    assert made is not None
+    assert made.time_column == ("T", 1e-3)
+    new = make_format(130, 15, "GPS", "QI", "TimeUS,T")
+    assert new is not None
+    assert new.time_column == ("TimeUS", 1e-6)

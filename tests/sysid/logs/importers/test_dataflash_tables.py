@@ -11,6 +11,7 @@ import pytest
 from sysid.errors import LogError
 from sysid.logs.importers.dataflash_format import make_format
 from sysid.logs.importers.dataflash_tables import MOST_INSTANCES, assemble
+from sysid.logs.info import no_aeroplane
 from sysid.logs.load import import_log
 
 
@@ -105,3 +106,29 @@ def test_parameters_texts_and_vehicle() -> None:
 def test_without_a_time_nothing_can_be_placed() -> None:
     with pytest.raises(LogError, match="no message carries a time stamp"):
         assembled({"IMU": {"GyrX": np.ones(3)}}, {"IMU": (7, "f", "GyrX")})
+
+
+@pytest.mark.parametrize(
+    ("parameter", "vehicle"),
+    [("ATC_RAT_RLL_P", "ArduCopter"), ("RLL2SRV_TCONST", "ArduPlane"), ("Q_ENABLE", "ArduPlane VTOL"), ("X", "")],
+)
+def test_a_log_without_texts_is_known_by_its_parameters(tmp_path: Path, parameter: str, vehicle: str) -> None:
+    lines = ["FMT, 129, 31, PARM, QNf, TimeUS,Name,Value", "FMT, 130, 20, IMU, QBfff, TimeUS,I,GyrX,GyrY,GyrZ"]
+    lines += [f"PARM, 0, {parameter}, 1"] + [f"IMU, {20000 * k}, 0, 0.1, 0.2, 0.3" for k in range(50)]
+    (tmp_path / "a.log").write_text("\n".join(lines))
+    record = import_log(tmp_path / "a.log")
+    assert record.metadata.vehicle == vehicle
+    assert bool(no_aeroplane(record)) == (vehicle == "ArduCopter")
+
+
+def test_an_old_log_has_gps_on_the_autopilots_clock_and_its_airspeed_in_ntun(tmp_path: Path) -> None:
+    lines = ["FMT, 129, 40, GPS, IIff, TimeMS,T,Spd,GCrs", "FMT, 130, 20, IMU, Ifff, TimeMS,GyrX,GyrY,GyrZ",
+             "FMT, 131, 20, NTUN, If, TimeMS,Arspd"]  # fmt: skip
+    for k in range(200):
+        lines += [f"IMU, {1000 + 20 * k}, 0.1, 0.2, 0.3", f"NTUN, {1000 + 20 * k}, {20 + 0.01 * k}"]
+        lines += [f"GPS, {412345000 + 20 * k}, {1000 + 20 * k}, {15 + 0.01 * k}, 0"] if k % 10 == 0 else []
+    (tmp_path / "a.log").write_text("\n".join(lines))
+    record = import_log(tmp_path / "a.log")
+    assert (record["time_s"][0], record["time_s"][-1]) == pytest.approx((1.0, 4.98))
+    assert record["vn_mps"][100] == pytest.approx(16.0)
+    assert record["V_mps"][100] == pytest.approx(21.0)

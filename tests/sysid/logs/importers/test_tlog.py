@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sysid.errors import LogError
 from sysid.logs.importers import tlog
+from sysid.logs.importers.detect import frame_length, frame_time
 from sysid.logs.info import log_info
 from sysid.logs.load import import_log
 from tests.helpers.log_writers import write_tlog
@@ -82,3 +83,24 @@ def test_a_file_without_flight_data_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.tlog").write_bytes(b"\xfe" * 500)
     with pytest.raises(LogError, match="no MAVLink packet with flight data"):
         tlog.read(tmp_path / "a.tlog")
+
+
+def test_what_comes_in_bursts_is_placed_by_the_stamps_around_it(tmp_path: Path) -> None:
+    """A radio that hands over once a second: times of receipt are a second apart, and VFR_HUD has no other."""
+    record = flight(40.0, start_s=100.0)
+    write_tlog(tmp_path / "even.tlog", record, every=5)
+    data, pos, out = (tmp_path / "even.tlog").read_bytes(), 0, b""
+    while pos + 20 < len(data):
+        end = pos + 8 + frame_length(data, pos + 8)
+        late = np.ceil(frame_time(data, pos)) * 1e6
+        out += struct.pack(">Q", int(late)) + data[pos + 8 : end]
+        pos = end
+    (tmp_path / "bursts.tlog").write_bytes(out)
+    back = import_log(tmp_path / "bursts.tlog")
+    assert np.isfinite(back["V_mps"]).mean() > 0.95
+    np.testing.assert_allclose(back["V_mps"][5:-5], np.interp(back["time_s"], record["time_s"], record["V_mps"])[5:-5], atol=0.25)
+    # Placed by receipt, which is up to a second late, the speed would miss by more.
+    late = np.interp(np.floor(back["time_s"]), record["time_s"], record["V_mps"])
+    assert np.abs(late - np.interp(back["time_s"], record["time_s"], record["V_mps"])).max() > 1.0
+    start, end = back.metadata.free_flight_s[0]
+    assert end - start > 38.0

@@ -1,0 +1,117 @@
+"""Channels that pass for a sensor's and were computed from other channels. Pure numerics on a record.
+
+A sensor has noise that no other channel knows. Rates that equal the attitude's derivative have none; an airspeed whose change from
+sample to sample is what the accelerometers say, without the steps back that a sensor's white noise makes, has none; and angles of
+flow that share the attitude's noise were computed from attitude and ground velocity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.errors import Finding
+from sysid.logs.kinematics import ACCELERATIONS, AIR, ATTITUDE, GROUND, RATES, body_rates_of_attitude, speed_change, to_body
+from sysid.record import FlightRecord
+
+FloatArray = NDArray[np.float64]
+_SAME = 0.005  # of a rate's size, by which it may miss the attitude's derivative
+_OWN = 0.5  # of the fast part of an angle of flow, what attitude and ground velocity leave of it
+_STEPS_BACK = -0.25  # correlation of neighbouring steps: -0.5 for white noise, 0 or more without
+_NOISE = -0.55  # the same of third differences, which motion hardly enters: -0.75 for white noise
+_LEAST = 100
+_SPOILS = "standard errors; in gusts an estimate misses the gust, and derivatives from it are wrong"
+
+
+def check_estimates(flight: FlightRecord) -> list[Finding]:
+    """Rates, airspeed and angles of flow that no sensor measured. Nothing is said where no channel shows noise (a simulation)."""
+    told = set(flight.metadata.estimates)
+    if len(flight) < _LEAST or not any(_noisy(flight, n) for n in ACCELERATIONS):
+        return []
+    found = []
+    for name in _computed_rates(flight):
+        found.append((name, "equals the derivative of the logged attitude: no gyro's noise is in it"))
+    if "V_mps" not in told and _smooth_speed(flight):
+        found.append(("V_mps", "changes as the accelerometers say from sample to sample: no airspeed sensor's noise is in it"))
+    for name in _computed_angles(flight):
+        if name not in told:
+            found.append((name, "has the attitude's noise and none of its own: it was computed from attitude and ground velocity"))
+    return [
+        Finding("estimate", name, "warning", f"{name} {why}; it is an estimate (estimate = true in a map)", {}, _SPOILS)
+        for name, why in found
+    ]
+
+
+def _noisy(flight: FlightRecord, name: str) -> bool:
+    return name in flight and _steps_back(np.diff(flight[name][:: _stride(flight, name)], 2)) < _NOISE
+
+
+def _stride(flight: FlightRecord, name: str) -> int:
+    """Rows from one logged sample of a channel to the next."""
+    native = flight.metadata.native_hz.get(name, 1.0 / flight.dt_s)
+    return max(1, int(np.ceil(1.0 / (flight.dt_s * native) - 1e-3)))
+
+
+def _steps_back(values: FloatArray) -> float:
+    """Correlation of each step with the one before; NaN where there are too few."""
+    steps = np.diff(values)
+    pairs = np.isfinite(steps[1:]) & np.isfinite(steps[:-1])
+    a, b = steps[1:][pairs], steps[:-1][pairs]
+    if a.size < _LEAST:
+        return float("nan")
+    a, b = a - a.mean(), b - b.mean()
+    size = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / size if size > 0.0 else float("nan")
+
+
+def _has(flight: FlightRecord, names: Sequence[str]) -> bool:
+    return all(n in flight and np.isfinite(flight[n]).sum() > _LEAST for n in names)
+
+
+def _computed_rates(flight: FlightRecord) -> list[str]:
+    if not _has(flight, ATTITUDE):
+        return []
+    phi, theta, psi = (flight[n] for n in ATTITUDE)
+    derivative = body_rates_of_attitude(phi, theta, psi, flight.dt_s)
+    out = []
+    for name, made in zip(RATES, derivative, strict=True):
+        good = np.isfinite(made) & np.isfinite(flight[name]) if name in flight else np.zeros(0, dtype=bool)
+        if good.sum() > _LEAST:
+            size = float(np.std(flight[name][good]))
+            # The middle of the differences: ends of gaps and the heading's turns differ.
+            if size > 0.0 and float(np.median(np.abs(flight[name][good] - made[good]))) < _SAME * size:
+                out.append(name)
+    return out
+
+
+def _smooth_speed(flight: FlightRecord) -> bool:
+    names = (*AIR, *ATTITUDE[:2], *ACCELERATIONS)
+    if not _has(flight, names):
+        return False
+    change, _ = speed_change({n: flight[n] for n in names}, flight.dt_s)
+    felt = np.concatenate([[0.0], np.cumsum(0.5 * (change[1:] + change[:-1]) * flight.dt_s)])
+    return _steps_back((flight["V_mps"] - felt)[:: _stride(flight, "V_mps")]) > _STEPS_BACK
+
+
+def _computed_angles(flight: FlightRecord) -> list[str]:
+    if not _has(flight, (*AIR, *ATTITUDE, *GROUND)):
+        return []
+    c = {n: flight[n] for n in (*ATTITUDE, *GROUND)}
+    u, v, w = to_body(c, np.stack([c[n] for n in GROUND]))
+    speed = np.maximum(np.sqrt(u**2 + v**2 + w**2), 1.0)
+    out = []
+    for name, made in (("alpha_rad", np.arctan2(w, u)), ("beta_rad", np.arcsin(v / speed))):
+        rows = _stride(flight, name)
+        own, left = (_fast(x[::rows]) for x in (flight[name], flight[name] - made))
+        if left < _OWN * own:
+            out.append(name)
+    return out
+
+
+def _fast(values: FloatArray) -> float:
+    """Size of third differences, which motion hardly enters."""
+    steps = np.diff(values, 3)
+    steps = steps[np.isfinite(steps)]
+    return float(np.median(np.abs(steps))) if steps.size > _LEAST else float("nan")
