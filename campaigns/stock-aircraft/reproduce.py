@@ -11,6 +11,7 @@ import math
 import subprocess
 import sys
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from sysid.units import FT_M
 from uqharness.child_process import child_environment, give_answer
@@ -99,8 +100,12 @@ def untouched(name: str) -> None:
 
 def alone(name: str) -> tuple[float, str]:
     """The speed [m/s] at which an aircraft flies untouched, or NaN and why it does not."""
-    command = [sys.executable, __file__, "--untouched", name]
-    ended = subprocess.run(command, capture_output=True, text=True, errors="replace", env=child_environment(), check=False)
+    command = [sys.executable, str(Path(__file__).resolve()), "--untouched", name]
+    # Some aircraft write files where they are flown.
+    with scratch_folder() as scratch:
+        ended = subprocess.run(
+            command, cwd=scratch.path, capture_output=True, text=True, errors="replace", env=child_environment(), check=False
+        )
     for line in reversed(ended.stdout.splitlines()):
         if line.startswith("uqharness-answer "):
             said = json.loads(line.removeprefix("uqharness-answer "))
@@ -143,7 +148,8 @@ def study(name: str, V_mps: float) -> Row:
 
 
 def _last(said: str, errors: str) -> str:
-    lines = [line.strip() for line in (said + "\n" + errors).splitlines() if line.strip()]
+    found = [line.strip() for line in (said + "\n" + errors).splitlines() if line.strip()]
+    lines = [line for line in found if not line.startswith(("note:", "uqharness: note:"))]
     return (lines[-1] if lines else "no message").replace("|", "/")[:240]
 
 

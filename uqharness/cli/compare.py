@@ -15,6 +15,7 @@ from uqharness.cli.options import (
     add_out,
     add_replay_options,
     add_workers,
+    aircraft_with_card,
     command_as_given,
     describe,
     results_folder,
@@ -25,7 +26,6 @@ from uqharness.identification import BIASES, parse_channels
 from uqharness.identification.compare import compare
 from uqharness.replay import counter, read_flights
 from uqharness.report import document_of, write_report, write_tables
-from uqharness.simulator import find_aircraft
 
 _EXAMPLE = """
   uqharness compare espaaro --flight doublets.parquet --out gap
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    aircraft = find_aircraft(args.aircraft)
+    aircraft = aircraft_with_card(args.aircraft)
     biases, delays = (parse_channels(f"--{n}", getattr(args, n)) for n in ("biases", "delays"))
     check_folder(args.out)
     with working("compare", lambda: counter["segments"]) as stage:

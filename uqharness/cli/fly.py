@@ -8,7 +8,7 @@ import math
 import sys
 from pathlib import Path
 
-from uqharness.cli.options import add_aircraft, add_page, add_seed, command_as_given, describe, number
+from uqharness.cli.options import add_aircraft, add_page, add_seed, aircraft_with_card, command_as_given, describe, number
 from uqharness.errors import BadInputError
 from uqharness.files import check_out, check_page
 from uqharness.flight import (
@@ -109,7 +109,7 @@ def _run(args: argparse.Namespace) -> int:
     check_out(args.out)
     if args.page is not None:
         check_page(args.page, "--page")
-    aircraft = find_aircraft(args.aircraft)
+    aircraft = find_aircraft(args.aircraft) if args.mission is None else aircraft_with_card(args.aircraft)
     if args.mission is None and args.speed_mps is not None:
         raise BadInputError(f"--speed-mps: belongs to --mission, one of {', '.join(MISSIONS)}")
     if args.mission is None:

@@ -16,6 +16,7 @@ from uqharness.cli.options import (
     add_out,
     add_replay_options,
     add_workers,
+    aircraft_with_card,
     command_words,
     describe,
     results_folder,
@@ -28,7 +29,6 @@ from uqharness.identification.identify import identify
 from uqharness.replay import counter, read_flights
 from uqharness.report import write_report
 from uqharness.report.identify import write_results
-from uqharness.simulator import find_aircraft
 
 _EXAMPLE = """
   uqharness identify espaaro --flight doublets.parquet --out identified
@@ -65,7 +65,7 @@ def _tell(text: str) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    aircraft = find_aircraft(args.aircraft)
+    aircraft = aircraft_with_card(args.aircraft)
     parameters = None if args.params is None else [p.strip() for p in args.params.split(",") if p.strip()]
     if parameters == []:
         raise BadInputError("--params is empty; name properties such as aero/Cm_q,aero/Cm_de, or leave it out")

@@ -13,10 +13,9 @@ from sysid.errors import Finding, LogError
 from sysid.logs import default_cache
 from sysid.terminal import drawing, visible
 from uqharness.cli.commands import Table, add_commands
-from uqharness.cli.options import add_manoeuvres, add_map, add_page, command_as_given, describe
+from uqharness.cli.options import add_manoeuvres, add_map, add_page, aircraft_with_card, command_as_given, describe
 from uqharness.errors import BadInputError
 from uqharness.files import check_page, finite
-from uqharness.simulator import find_aircraft
 
 if TYPE_CHECKING:
     from sysid.foreign.raw import Progress
@@ -131,7 +130,7 @@ def _read(args: argparse.Namespace) -> FlightRecord:
     if args.aircraft is not None:
         card = Path(args.aircraft)
         if not card.is_file():
-            card = find_aircraft(args.aircraft).folder
+            card = aircraft_with_card(args.aircraft).folder
     cache = None if args.no_cache else (args.cache or default_cache())
     with _ProgressLine(args.log.name) as progress:
         return import_log(args.log, args.map, card, cache=cache, progress=progress)

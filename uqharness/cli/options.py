@@ -8,10 +8,15 @@ from __future__ import annotations
 import argparse
 import math
 import shlex
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from uqharness.errors import BadInputError
+
+if TYPE_CHECKING:
+    from uqharness.simulator import Aircraft
 
 Handler = Callable[[argparse.Namespace], int]
 MOST_WORKERS = "one a core, 8 at most"
@@ -44,6 +49,25 @@ def describe(
 def add_aircraft(parser: argparse.ArgumentParser) -> None:
     """The aircraft, first of a command's words."""
     parser.add_argument("aircraft", metavar="AIRCRAFT", help="name under aircraft/ or in JSBSim's collection, or a folder")
+
+
+def aircraft_with_card(name_or_folder: str) -> Aircraft:
+    """The aircraft of that name or folder; one without airframe.toml is instrumented for this run, and a note says so.
+
+    Raises BadInputError where there is none, and for one that does not fly or cannot be instrumented.
+    """
+    from uqharness.plugin import with_card
+    from uqharness.simulator import find_aircraft
+
+    found = find_aircraft(name_or_folder)
+    if found.has_card:
+        return found
+    print(
+        f"uqharness: note: {found.name} has no airframe.toml; its controls are measured in short flights. To see and keep the "
+        f"card: uqharness instrument {name_or_folder} --out DIR",
+        file=sys.stderr,
+    )
+    return with_card(found)
 
 
 def add_out(parser: argparse.ArgumentParser, required: bool = True) -> None:

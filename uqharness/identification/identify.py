@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from sysid.estimation import NOISE_FLOOR, channel_noise, process_noise_shown, rms
 from uqharness.errors import BadInputError
+from uqharness.identification.explained import withdrawn
 from uqharness.identification.replay_fit import Observed, ReplayFit, fit_replays
 from uqharness.identification.result import Identification
 from uqharness.identification.start import demand_of, equation_error_start, forced_at
@@ -105,14 +106,14 @@ def identify(
         found = _assemble(aircraft, names, initial, fitted, observed, noise, notes, seconds, speed)
         found = replace(found, warnings=(*misplaced(flights, cut, found.nuisance), *found.warnings))
         if method == "output-error" or (method == "auto" and not process_noise_shown(*_sensed(found))):
-            return found
+            return withdrawn(found)
         if tell is not None:
             tell(_why_filter_error(found, method))
         from uqharness.identification.turbulence import filter_route
 
         on_stage("filter error")
         with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
-            return filter_route(found, model, straight, flights, limits, biases)
+            return withdrawn(filter_route(found, model, straight, flights, limits, biases))
 
 
 def _why_filter_error(found: Identification, method: str) -> str:

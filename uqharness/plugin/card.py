@@ -65,6 +65,9 @@ def card_text(name: str, xml: str, facts: AircraftFacts, scaled: Sequence[Scaled
             'altitude = { true = "nav/altitude-error-m" }',
             'speed = { true = "nav/speed-error-mps" }',
             'distance_3d = { true = "nav/distance-3d-m" }',
+            "",
+            "[replay]                                      # nothing in the aircraft reads it",
+            f'without_systems = ["{ERRORS_SYSTEM}"]',
         ]
     if scaled:
         lines += [

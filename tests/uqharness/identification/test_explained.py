@@ -1,0 +1,85 @@
+"""A fit that leaves a third of a channel's motion identifies nothing; one that leaves noise, or a small term, does."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tests.helpers.flown import fly
+from uqharness.cli.main import main
+from uqharness.identification.explained import unexplained, withdrawn
+from uqharness.identification.result import Identification
+
+TIME = np.linspace(0.0, 8.0, 401)
+Q = 0.3 * np.sin(2.0 * TIME)
+RNG = np.random.default_rng(3)
+
+
+def column(values):
+    return [np.asarray(values)[:, None]]
+
+
+@pytest.mark.parametrize("left", [0.003 * RNG.standard_normal(401), 0.2 * Q, 0.02 * np.cos(9.0 * TIME)])
+def test_noise_and_small_terms_leave_a_channel_explained(left):
+    assert unexplained(column(left), column(Q), ["q_radps"], {"q_radps": 0.003}) == {}
+
+
+def test_half_of_the_motion_left_is_unexplained_by_its_sigma_and_share():
+    wrong = unexplained(column(0.5 * Q), column(Q), ["q_radps"], {"q_radps": 0.003})
+    sigma, share = wrong["q_radps"]
+    assert sigma == pytest.approx(0.5 * np.sqrt(np.mean(Q**2)) / 0.003)
+    assert share == pytest.approx(0.25 * np.mean(Q**2) / np.var(Q))
+
+
+def test_a_channel_that_hardly_moves_is_judged_by_a_sensor_s_noise_not_by_its_own_cleanness():
+    tiny = 1e-5 * np.sin(TIME)
+    assert unexplained(column(tiny), column(tiny), ["p_radps"], {"p_radps": 1e-8}) == {}
+
+
+def test_dropouts_and_channels_without_samples_are_left_out():
+    gaps = np.where(TIME < 4.0, np.nan, 0.5 * Q)
+    assert set(unexplained(column(gaps), column(Q), ["q_radps"], {"q_radps": 0.003})) == {"q_radps"}
+    nothing = np.full(401, np.nan)
+    assert unexplained(column(nothing), column(nothing), ["q_radps"], {"q_radps": float("nan")}) == {}
+
+
+def found(residual):
+    values = {f.name: None for f in dataclasses.fields(Identification)}
+    given = SimpleNamespace(
+        names=("aero/Cm_q", "aero/Cm_de"), initial=np.array([-9.7, -0.02]), theta=np.array([3.0, 1.0]), std=np.array([0.1, 0.1]),
+        std_crb=np.array([0.1, 0.1]), status={"aero/Cm_q": "identified", "aero/Cm_de": "not-identified"},
+        reason={"aero/Cm_q": "", "aero/Cm_de": "no effect"}, cov=np.eye(1), residual=column(residual), measured=column(Q),
+        outputs=("q_radps",), noise={"q_radps": 0.003}, warnings=("another",),
+    )  # fmt: skip
+    return Identification(**(values | vars(given)))
+
+
+def test_what_was_fitted_to_it_is_withdrawn_with_the_reason():
+    fitted = found(0.5 * Q)
+    kept = withdrawn(fitted)
+    assert kept.identified == ()
+    assert kept.theta.tolist() == [-9.7, -0.02]
+    assert np.isnan(kept.std).all()
+    assert kept.cov.shape == (0, 0)
+    assert "q_radps at 35 sigma" in kept.reason["aero/Cm_q"]
+    assert kept.reason["aero/Cm_de"] == "no effect"
+    assert "compare the flights" in kept.warnings[0]
+    assert kept.warnings[1:] == ("another",)
+    good = found(0.003 * RNG.standard_normal(401))
+    assert withdrawn(good) is good
+
+
+def test_a_flight_with_reversed_elevator_identifies_nothing(tmp_path, capsys):
+    flight = fly((("pitch-doublet", 22.0),), seed=4, seconds=6.5)
+    wrong = flight.with_columns({c: -flight[c] for c in ("elevator_deg", "elevator_pos_deg") if c in flight})
+    wrong.write(tmp_path / "flight.parquet")
+    words = ["identify", "espaaro", "--flight", str(tmp_path / "flight.parquet"), "--params", "aero/CZ_0,aero/CX_0"]
+    assert main([*words, "--out", str(tmp_path / "out"), "--workers", "1", "--no-figures"]) == 1
+    fit = json.loads((tmp_path / "out" / "fit.json").read_text())
+    assert fit["names"] == []
+    assert fit["parameters"]["aero/CZ_0"]["value"] == fit["parameters"]["aero/CZ_0"]["initial"]
+    assert "does not explain the flights" in fit["parameters"]["aero/CZ_0"]["reason"]

@@ -1,0 +1,45 @@
+"""An aircraft that comes without a card gets an instrumented copy."""
+
+from __future__ import annotations
+
+import pytest
+
+from uqharness.cli.main import main
+from uqharness.errors import BadInputError
+from uqharness.plugin import with_card
+from uqharness.simulator import find_aircraft
+
+
+def test_a_stock_aircraft_gets_a_card_once_and_its_own_folder_stays():
+    stock = find_aircraft("c172p")
+    mine = with_card(stock)
+    assert mine.has_card
+    assert not stock.has_card
+    assert mine.name == "c172p"
+    assert mine.card.inputs["elevator"].throw_deg == pytest.approx(25.5, abs=0.1)
+    assert mine.card.parameters
+    assert mine.card.replay.without_systems == ("path-errors",)
+    assert with_card(stock) is mine
+
+
+def test_an_aircraft_with_a_card_is_itself():
+    own = find_aircraft("espaaro")
+    assert with_card(own) is own
+
+
+def test_an_aircraft_that_does_not_load_is_refused_in_jsbsim_s_words(tmp_path):
+    folder = tmp_path / "broken"
+    folder.mkdir()
+    (folder / "broken.xml").write_text("<fdm_config name='broken' version='2.0'><metrics></metrics></fdm_config>")
+    with pytest.raises(BadInputError):
+        with_card(find_aircraft(folder))
+
+
+def test_a_stock_aircraft_flies_to_dataflash_and_meets_its_own_model(tmp_path, capsys):
+    log = tmp_path / "flight.bin"
+    assert main(["fly", "c172p", "--mission", "doublets", "--speed-mps", "50", "--noise", "--seed", "1", "--out", str(log)]) == 0
+    assert "uqharness instrument c172p" in capsys.readouterr().err
+    assert main(["log", "info", str(log), "--aircraft", "c172p", "--no-cache"]) == 0
+    assert "error" not in capsys.readouterr().out
+    words = ["compare", "c172p", "--flight", str(log), "--out", str(tmp_path / "gap"), "--workers", "1", "--no-figures"]
+    assert main(words) == 0

@@ -1,0 +1,72 @@
+"""Whether a fit explains its flights at all. One that does not gives the nearest values of a wrong model, and identifies none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness.identification.result import Identification
+from uqharness.simulator import MEMS_NOISE_STD
+
+Array = NDArray[np.float64]
+UNEXPLAINED_SIGMA = 10.0
+"""Residual in sigma above which a channel may count as unexplained: small missing terms, which `refine` names, leave some 4."""
+UNEXPLAINED_SHARE = 0.1
+"""Share of a channel's variance left over above which it does: a third of the motion's size."""
+
+
+def unexplained(
+    residual: Sequence[Array], measured: Sequence[Array], outputs: Sequence[str], noise: Mapping[str, float]
+) -> dict[str, tuple[float, float]]:
+    """Channels that a fit does not explain: rms of the residual in sigma, and its share of the channel's variance.
+
+    residual, measured  [(n, m)] by segment, NaN where nothing was logged; the variance is about each segment's mean
+    noise               by channel, its own unit; a record cleaner than a small MEMS unit is judged by that unit's noise
+    """
+    out = {}
+    for k, channel in enumerate(outputs):
+        left, moved, samples = 0.0, 0.0, 0
+        for r, z in zip(residual, measured, strict=True):
+            good = np.isfinite(r[:, k]) & np.isfinite(z[:, k])
+            if good.any():
+                left += float(np.sum(r[good, k] ** 2))
+                moved += float(np.sum((z[good, k] - z[good, k].mean()) ** 2))
+                samples += int(good.sum())
+        size = max(noise[channel], MEMS_NOISE_STD.get(channel, 0.0))
+        if not samples or not size > 0.0:
+            continue
+        sigma = float(np.sqrt(left / samples)) / size
+        share = left / moved if moved > 0.0 else np.inf
+        if sigma > UNEXPLAINED_SIGMA and share > UNEXPLAINED_SHARE:
+            out[channel] = (sigma, share)
+    return out
+
+
+def withdrawn(found: Identification) -> Identification:
+    """``found`` itself where it explains its flights; else the same with no parameter identified, each at its start, and why."""
+    wrong = unexplained(found.residual, found.measured, found.outputs, found.noise)
+    if not wrong or not found.identified:
+        return found
+    channel = max(wrong, key=lambda c: wrong[c][1])
+    sigma, share = wrong[channel]
+    others = f" ({', '.join(c for c in wrong if c != channel)} as well)" if len(wrong) > 1 else ""
+    why = (
+        f"the fit leaves {channel} at {sigma:.0f} sigma, {100.0 * share:.0f} % of its variance{others}: this model does not "
+        "explain the flights, and its nearest values are no estimates"
+    )
+    advice = (
+        "compare the flights and the model first (units, signs, mass and inertia, servos), or let refine look for what is missing"
+    )
+    return replace(
+        found,
+        theta=found.initial.copy(),
+        std=np.full(len(found.names), np.nan),
+        std_crb=np.full(len(found.names), np.nan),
+        status=dict.fromkeys(found.names, "not-identified"),
+        reason={n: why if found.status[n] == "identified" else found.reason[n] for n in found.names},
+        cov=np.zeros((0, 0)),
+        warnings=(f"no parameter is identified: {why}; {advice}", *found.warnings),
+    )

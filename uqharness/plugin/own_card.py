@@ -1,0 +1,27 @@
+"""An aircraft that comes without airframe.toml, given one: an instrumented copy that lasts as long as the process."""
+
+from __future__ import annotations
+
+from uqharness.plugin.apply import instrument_aircraft
+from uqharness.plugin.instrument import Bounds
+from uqharness.scratch import Scratch, scratch_folder
+from uqharness.simulator import Aircraft, content_hash, find_aircraft
+
+_made: dict[str, tuple[Scratch, Aircraft]] = {}
+
+
+def with_card(aircraft: Aircraft) -> Aircraft:
+    """``aircraft`` itself where it has a card, else a copy as ``instrument`` writes it, with bounds of zero: it flies the same.
+
+    Made once a process for the same files. Raises BadInputError for an aircraft that does not fly or cannot be instrumented.
+    """
+    if aircraft.has_card:
+        return aircraft
+    key = content_hash(aircraft)
+    if key not in _made:
+        scratch = scratch_folder("card")
+        folder = scratch.path / "aircraft" / aircraft.folder.name
+        folder.parent.mkdir()
+        instrument_aircraft(aircraft, Bounds(), folder, check=False)
+        _made[key] = scratch, find_aircraft(folder)
+    return _made[key][1]
