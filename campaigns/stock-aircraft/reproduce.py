@@ -122,7 +122,7 @@ def study(name: str, V_mps: float) -> Row:
         def command(*words: str) -> tuple[int, str]:
             done = subprocess.run(
                 [sys.executable, "-m", "uqharness", *words],
-                cwd=folder, capture_output=True, text=True, env=child_environment(), timeout=600, check=False,
+                cwd=folder, capture_output=True, text=True, env=child_environment(), check=False,
             )  # fmt: skip
             row.reason = "" if done.returncode == 0 else _last(done.stdout, done.stderr)
             return done.returncode, done.stdout
