@@ -1,7 +1,7 @@
 """The one vocabulary: every signal a flight record may hold, its unit, sign and plausible range.
 
 Where a signal comes from in each log dialect stands in `signal_maps/*.toml`; `sysid.logs.vocabulary_table`
-makes both the table of docs/logs.md.
+makes both the table of docs/log-reference.md.
 """
 
 from __future__ import annotations

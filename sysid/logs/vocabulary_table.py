@@ -1,4 +1,4 @@
-"""The vocabulary joined with the shipped signal maps as a Markdown table: that of docs/logs.md."""
+"""The vocabulary joined with the shipped signal maps as a Markdown table: that of docs/log-reference.md."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ class Flight(Tabled):
     name : str
         What reports call it.
     record : FlightRecord
-        Channels by name, (n,) each, SI units and body axes (docs/logs.md lists them). ``flight["q_radps"]`` reads one.
+        Channels by name, (n,) each, SI units and body axes (docs/log-reference.md lists them). ``flight["q_radps"]`` reads one.
     sha256 : str
         Identity of its content, which model forms remember.
     status, reason : str

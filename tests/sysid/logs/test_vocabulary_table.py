@@ -17,6 +17,6 @@ def test_every_signal_has_a_row_and_every_dialect_a_column() -> None:
 
 
 def test_the_documentation_holds_the_vocabulary() -> None:
-    page = (ROOT / "docs" / "logs.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "log-reference.md").read_text(encoding="utf-8")
     for line in markdown_table().splitlines():
         assert line in page
