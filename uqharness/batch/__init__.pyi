@@ -1,6 +1,9 @@
 from .installation import available as available
+from .lanes.course import Branch as Branch
+from .lanes.course import Course as Course
 from .lanes.fly import fly_many as fly_many
 from .lanes.fly import forget as forget
+from .lanes.fly import ready as ready
 from .lanes.fly import record_many as record_many
 from .lanes.replay import ReplayLane as ReplayLane
 from .lanes.replay import ReplayProgram as ReplayProgram

@@ -52,10 +52,11 @@ class Spliced:
     """The numbers of one source up to a step, of another from there.
 
     per_step: numbers of a step. Calls take whole steps, and the numbers of one call stand in so many rows of a number a step.
+    done: steps that ``before`` has given already.
     """
 
-    def __init__(self, before: Source, behind: Source, step: int, per_step: int = 1) -> None:
-        self._before, self._behind, self._step, self._per_step, self._done = before, behind, step, per_step, 0
+    def __init__(self, before: Source, behind: Source, step: int, per_step: int = 1, done: int = 0) -> None:
+        self._before, self._behind, self._step, self._per_step, self._done = before, behind, step, per_step, done
 
     def take(self, n: int) -> Array:
         """The next ``n`` numbers, (n,)."""
@@ -66,15 +67,18 @@ class Spliced:
         new = self._done - max(first, self._step)
         behind = self._behind.take(new * self._per_step)
         if new == steps:
+            # Nobody asks for the source before any more: a copy of this one need not carry it.
+            self._before = self._behind
             return behind
         before = self._before.take(n).reshape(self._per_step, steps)
         return np.hstack([before[:, :-new], behind.reshape(self._per_step, new)]).reshape(-1)
 
 
 def spliced(
-    first: Source, splits: Sequence[Split], kind: str, number: int, made: Callable[[np.random.PCG64], Source], per_step: int = 1
-) -> Source:
-    """A source that goes on behind each split with the normals of its branch."""
+    first: Source, splits: Sequence[Split], kind: str, number: int, made: Callable[[np.random.PCG64], Source], per_step: int = 1,
+    done: int = 0,
+) -> Source:  # fmt: skip
+    """A source that goes on behind each split with the normals of its branch; ``first`` has given ``done`` steps already."""
     for split in splits:
-        first = Spliced(first, made(np.random.PCG64(split.stream(kind, number))), split.frame, per_step)
+        first = Spliced(first, made(np.random.PCG64(split.stream(kind, number))), split.frame, per_step, done)
     return first

@@ -10,6 +10,7 @@ of v, so that they belong together. The samples are the same bytes on every proc
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -30,6 +31,7 @@ Component = Literal["u", "v", "w", "p", "q", "r"]
 COMPONENTS: tuple[Component, ...] = ("u", "v", "w", "p", "q", "r")
 
 _STREAMS = {"u": 0, "v": 1, "w": 2, "p": 3}
+_PER_STEP = {"u": 1, "v": 3, "w": 3, "p": 1}
 
 
 @dataclass(frozen=True)
@@ -198,17 +200,31 @@ class DrydenGusts:
         )
         self._scales = np.array([par.sigma_u_mps, par.sigma_u_mps, par.sigma_w_mps, par.sigma_p_radps, *slopes])[:, None]
 
-        def noise(name: str, per_step: int) -> Source:
-            first = Normals(_generator(seed, name), pairs)
-            return spliced(first, splits, "turbulence", _STREAMS[name], lambda g: Normals(g, pairs), per_step)
-
-        self._unit = UnitGusts(filters, [noise(*each) for each in (("u", 1), ("v", 3), ("w", 3), ("p", 1))], recur)
+        self._pairs, self._steps = pairs, 0
+        self._unit = UnitGusts(filters, [Normals(_generator(seed, name), pairs) for name in _STREAMS], recur)
+        self.branch(*splits)
 
     def page(self) -> Array:
         """The next samples, (6, PAGE_STEPS) with the rows of COMPONENTS [m/s, rad/s]."""
         page = self._unit.page()
         page *= self._scales
+        self._steps += PAGE_STEPS
         return page
+
+    def __deepcopy__(self, memo: object) -> DrydenGusts:
+        other = copy.copy(self)
+        other._unit = copy.deepcopy(self._unit)
+        return other
+
+    def branch(self, *splits: Split) -> None:
+        """Other noise behind each of these splits, which lie in pages to come."""
+        pairs, numbers = self._pairs, list(_PER_STEP.items())
+
+        def noise(place: int, source: Source) -> Source:
+            name, per_step = numbers[place]
+            return spliced(source, splits, "turbulence", _STREAMS[name], lambda g: Normals(g, pairs), per_step, self._steps)
+
+        self._unit.exchange(noise)
 
 
 def _lateral_psd(omega: Array, sigma: float, T: float) -> Array:

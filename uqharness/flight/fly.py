@@ -5,7 +5,7 @@ from __future__ import annotations
 import atexit
 import math
 from array import array
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sysid.units import FT_M
 from uqharness.errors import BadInputError
+from uqharness.flight.branching import Split
 from uqharness.flight.contact import GroundWatch
 from uqharness.flight.scoring import Recorded, commanded_signals, from_start_signals, score_commanded, score_from_start
 from uqharness.flight.spec import COEFFICIENTS, TURBULENCE_W20_KT, FlightResult, FlightSpec
@@ -125,11 +126,13 @@ def record_mission(
     optional: Mapping[str, Source] | None = None,
     keep_burn_in: bool = False,
     one_ulp_off: bool = False,
+    splits: Sequence[Split] = (),
 ) -> Recorded:
     """Fly ``spec`` and record ``signals`` (and those of ``optional`` that exist) at ``spec.record_rate_hz``.
 
     Rows are taken after a step, so the accelerations of a row have seen the command of that row. ``one_ulp_off``: from a velocity
-    over the ground that is one unit in the last place larger. Raises BadInputError.
+    over the ground that is one unit in the last place larger. ``splits``: where the flight branches; ValueError unless its gusts
+    are the host's and nothing transient moves. Raises BadInputError.
     """
     changed = {name: value for name, value in spec.properties.items() if name in CHANGEABLE}
     fdm = mission.open(changed=changed)
@@ -150,7 +153,7 @@ def record_mission(
     table = {"time_s": Source("simulation/sim-time-sec"), **signals, **present}
     getters = _getters(fdm, table)
     burn, wanted = row_counts(spec, dt_s * stride, keep_burn_in)
-    advance = stepper(fdm, spec, dt_s, (burn + wanted) * stride)
+    advance = stepper(fdm, spec, dt_s, (burn + wanted) * stride, splits)
     read = array("d")
     height = engine.handle(fdm, "position/h-agl-ft").get_double_value
     speed = engine.handle(fdm, "velocities/vt-fps").get_double_value

@@ -7,6 +7,7 @@ the stationary distribution. All is done by IEEE operations in a fixed order: no
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -147,6 +148,17 @@ class UnitGusts:
         self._u, self._p = _FirstOrderGusts(filters.u, recur), _FirstOrderGusts(filters.p, recur)
         self._v, self._w = _LateralGusts(filters.v, recur), _LateralGusts(filters.w, recur)
 
+    def __deepcopy__(self, memo: object) -> UnitGusts:
+        """Gusts that go on from here: what does not change is shared."""
+        other = copy.copy(self)
+        other._normals = tuple(copy.deepcopy(source) for source in self._normals)
+        other._u, other._p, other._v, other._w = self._u.copy(), self._p.copy(), self._v.copy(), self._w.copy()
+        return other
+
+    def exchange(self, other: Callable[[int, Source], Source]) -> None:
+        """Go on with other noise: ``other`` of the place of u, v, w, p (0 to 3) and its present source."""
+        self._normals = tuple(other(place, source) for place, source in enumerate(self._normals))
+
     def page(self) -> Array:
         """The next samples (6, PAGE_STEPS): u, v, w, p, slope of w, slope of v."""
         u, v, w, p = self._normals
@@ -186,6 +198,12 @@ class _FirstOrderGusts:
     def __init__(self, filter_: FirstOrder, recur: Recur) -> None:
         self._spread, self._begun, self._x = filter_.spread, False, _Recursion(filter_.keep, recur)
 
+    def copy(self) -> _FirstOrderGusts:
+        """Another that goes on from here."""
+        other = copy.copy(self)
+        other._x = copy.copy(self._x)
+        return other
+
     def page(self, noise: Array) -> Array:
         """(PAGE_STEPS,) of as many normals; the first of all is drawn from the stationary distribution."""
         drive = self._spread * noise
@@ -199,6 +217,12 @@ class _LateralGusts:
     def __init__(self, filter_: Lateral, recur: Recur) -> None:
         self._filter, self._begun = filter_, False
         self._states = [_Recursion(filter_.step[i][i], recur) for i in range(3)]
+
+    def copy(self) -> _LateralGusts:
+        """Another that goes on from here."""
+        other = copy.copy(self)
+        other._states = [copy.copy(state) for state in self._states]
+        return other
 
     def page(self, noise: Array) -> tuple[Array, Array]:
         """w and its slope, both (PAGE_STEPS,), of normals (3, PAGE_STEPS); the first are drawn from the stationary distribution."""

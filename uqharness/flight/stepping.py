@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.units import FT_M
-from uqharness.flight.dryden import gust_blocks
+from uqharness.flight.branching import Split
+from uqharness.flight.dryden import DrydenGusts, dryden_parameters, gust_blocks
+from uqharness.flight.gust_filters import PAGE_STEPS
 from uqharness.flight.levels import BLOCK_STEPS, level_blocks
 from uqharness.flight.spec import COEFFICIENTS, TURBULENCE_W20_KT, FlightSpec, LevelDriver, TransientDriver
 from uqharness.simulator import engine
@@ -27,17 +29,45 @@ _LEVELS = tuple(f"uq/{name}/level" for name in COEFFICIENTS)
 _TRANSIENTS = tuple(f"uq/{name}/transient-level" for name in COEFFICIENTS)
 
 
-def stepper(fdm: Any, spec: FlightSpec, dt_s: float, steps: int) -> Callable[[int], None]:
-    """A function that runs n steps, at most ``steps`` in all, feeding gusts and levels before each. Call it after initialising."""
+def stepper(fdm: Any, spec: FlightSpec, dt_s: float, steps: int, splits: Sequence[Split] = ()) -> Callable[[int], None]:
+    """A function that runs n steps, at most ``steps`` in all, feeding gusts and levels before each. Call it after initialising.
+
+    Behind each of ``splits``, in their order, gusts and noise are those of a branch. Raises ValueError where JSBSim's own
+    turbulence or a transient model error would have to branch.
+    """
+    if not splits:
+        return _straight(fdm, spec, dt_s, steps)
+    if spec.transient is not None or (spec.turbulence != "none" and spec.turbulence_source != "spec"):
+        raise ValueError("a branch is flown in JSBSim with the host's gusts alone, without transient model error")
+    return _branching(fdm, _straight(fdm, spec, dt_s, steps, splits), splits)
+
+
+def _branching(fdm: Any, advance: Callable[[int], None], splits: Sequence[Split]) -> Callable[[int], None]:
+    """The same steps, with the sensors' generator seeded anew behind each split."""
+    left, done = list(splits), 0
+
+    def stepped(count: int) -> None:
+        nonlocal done
+        while count:
+            while left and left[0].frame == done:
+                fdm["simulation/randomseed"] = left.pop(0).seed("noise")
+            part = min(count, left[0].frame - done) if left else count
+            advance(part)
+            done, count = done + part, count - part
+
+    return stepped
+
+
+def _straight(fdm: Any, spec: FlightSpec, dt_s: float, steps: int, splits: Sequence[Split] = ()) -> Callable[[int], None]:
     run = fdm.run
     gusty = spec.turbulence != "none" and spec.turbulence_source == "spec"
     moving = [level_blocks(driver, steps, dt_s) for driver, _ in _drivers(spec)]
     names = [columns for _, columns in _drivers(spec)]
     if gusty and not has_air(fdm):
-        gusts = _rows(_gust_blocks(fdm, spec, dt_s, steps))
+        gusts = _rows(_gust_blocks(fdm, spec, dt_s, steps, splits))
         return _with_turned_gusts(fdm, gusts, tuple(chain(*names)), _rows(*moving) if moving else repeat(()))
     if gusty:
-        moving.insert(0, _gust_blocks(fdm, spec, dt_s, steps))
+        moving.insert(0, _gust_blocks(fdm, spec, dt_s, steps, splits))
         names.insert(0, _GUSTS)
     if moving:
         with_them = (_with_six, _with_twelve, _with_many)[len(moving) - 1]
@@ -160,17 +190,17 @@ def _with_turned_gusts(fdm: Any, gusts: Rows, names: Sequence[str], levels: Iter
     return fed
 
 
-def _gust_blocks(fdm: Any, spec: FlightSpec, dt_s: float, steps: int) -> Iterator[Array]:
-    blocks = gust_blocks(
-        steps,
-        dt_s,
-        V_mps=max(_airspeed_mps(fdm, spec), 1.0),
-        h_m=max(float(fdm["position/h-agl-ft"]) * FT_M, 3.048),
-        W20_kt=TURBULENCE_W20_KT[spec.turbulence],
-        b_m=float(fdm["metrics/bw-ft"]) * FT_M,
-        seed=spec.seed_turbulence,
-        block=BLOCK_STEPS,
+def _gust_blocks(fdm: Any, spec: FlightSpec, dt_s: float, steps: int, splits: Sequence[Split]) -> Iterator[Array]:
+    air = (
+        max(_airspeed_mps(fdm, spec), 1.0),
+        max(float(fdm["position/h-agl-ft"]) * FT_M, 3.048),
+        TURBULENCE_W20_KT[spec.turbulence],
+        float(fdm["metrics/bw-ft"]) * FT_M,
     )
+    if splits:
+        branching = DrydenGusts(dryden_parameters(*air), dt_s, spec.seed_turbulence, splits=splits)
+        return (branching.page().T[: steps - first] for first in range(0, steps, PAGE_STEPS))
+    blocks = gust_blocks(steps, dt_s, *air, seed=spec.seed_turbulence, block=BLOCK_STEPS)
     return (
         np.column_stack([gusts.u_mps, gusts.v_mps, gusts.w_mps, gusts.p_radps, gusts.q_radps, gusts.r_radps]) for gusts in blocks
     )

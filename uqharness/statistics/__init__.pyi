@@ -32,3 +32,8 @@ from .rates import lower_limits as lower_limits
 from .rates import observed_dispersion as observed_dispersion
 from .rates import share_upper as share_upper
 from .rates import upper_limits as upper_limits
+from .splitting import Levels as Levels
+from .splitting import Seen as Seen
+from .splitting import interval as interval
+from .splitting import pilot as pilot
+from .splitting import run as run

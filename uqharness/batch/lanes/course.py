@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,15 @@ class End:
     status: str = "ok"
     reason: str = ""
     flown_s: float = 0.0
+
+
+class Branch(NamedTuple):
+    """Key of a branch's streams, to which each stream's kind is added."""
+
+    root: int
+    aleatory_id: int
+    level: int
+    branch: int
 
 
 @dataclass(frozen=True)
@@ -134,10 +144,11 @@ class Course:
             records = lanes.flyer.fly(self._state, self.frame + 1, frames, feeds, stride)
             rows = records.shape[2]
             skip = max(0, burn - self.frame // stride)
+            ending = np.any(_over(records, columns, lanes.points), axis=1)
             going = []
             for place, lane in enumerate(self._alive):
                 here = records[:, place, :]
-                end, self._ends[lane] = _ended(here, columns, lanes.points)
+                end, self._ends[lane] = _ended(here, columns, lanes.points) if ending[place] else (None, _going(here, columns))
                 self._parts[lane].append(here[:, skip : rows if end is None else max(skip, end)].copy())
                 if end is None:
                     going.append(place)
@@ -146,6 +157,46 @@ class Course:
             self._alive = self._alive[going]
             self.frame += frames
         self.frame = goal
+
+    def follow(self, lanes: Sequence[int], branches: Sequence[Branch | None]) -> None:
+        """Go on with those lanes alone, in that order; one may come several times, and with a key it branches here.
+
+        The bytes are those of ``held``, ``branched`` and another course, but streams go on where they stand and are not made anew.
+        What was recorded so far is dropped. Raises ValueError for a lane that has ended, and for none at all.
+        """
+        if not lanes:
+            raise ValueError("a course follows one lane at least; received none")
+        place = {int(lane): k for k, lane in enumerate(self._alive)}
+        ended = [lane for lane in lanes if lane not in place]
+        if ended:
+            raise ValueError(f"lane {ended[0]} has ended ({self._ends[ended[0]].status}): it cannot be followed")
+        program = self._made.lanes.program
+        rows = np.zeros(len(self._alive)) if COUNTER not in program.slots else self.watched(COUNTER)[self._alive]
+        held = []
+        for lane, key in zip(lanes, branches, strict=True):
+            split = () if key is None else (Split(self.frame, *key, turbulence_row=int(rows[place[lane]])),)
+            held.append(replace(self._held[lane], splits=(*self._held[lane].splits, *split)))
+        self._feeder = self._feeder.followed(lanes, self.frame, [one.splits for one in held])
+        self._state = chosen(self._state, [place[lane] for lane in lanes])
+        self._ends, self._held = [self._ends[lane] for lane in lanes], held
+        self._alive = np.arange(len(held), dtype=np.intp)
+        self._parts = [[one.records[:, :0]] for one in held]
+
+    def taken(self) -> list[Array]:
+        """Each lane's rows (channels, rows) since the last call, in the order of the program's records; they are dropped here."""
+        found = [np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0] for parts in self._parts]
+        self._parts = [[part[:, :0]] for part in found]
+        return found
+
+    @property
+    def ends(self) -> list[End]:
+        """How each lane's flight stands."""
+        return list(self._ends)
+
+    @property
+    def splits(self) -> list[Splits]:
+        """Where each lane's flight branched so far."""
+        return [one.splits for one in self._held]
 
     def watched(self, name: str) -> Array:
         """(lanes,) a slot's value in each lane that is flying, NaN elsewhere. Raises ValueError for what is no slot."""
@@ -173,14 +224,25 @@ class Course:
         return [_recorded(self._made, end, np.concatenate(parts, axis=1)) for end, parts in found]
 
 
+def _over(records: Array, columns: dict[str, int], points: Sequence[ContactPoint]) -> NDArray[np.bool_]:
+    """Rows (..., rows) of records (channels, ..., rows) in which a flight is over."""
+    height, speed = records[columns[HEIGHT]], records[columns[SPEED]]
+    over = np.asarray(~np.isfinite(height + speed) | (height <= 0.0))
+    return np.asarray(over | (records[columns[TOUCHED]] >= 0.0)) if points else over
+
+
+def _going(records: Array, columns: dict[str, int]) -> End:
+    return End(flown_s=float(records[columns[TIME], -1]))
+
+
 def _ended(records: Array, columns: dict[str, int], points: Sequence[ContactPoint]) -> tuple[int | None, End]:
     """The row in which a lane's flight ended, None while it goes on, and how."""
     height, speed, time = (records[columns[name]] for name in (HEIGHT, SPEED, TIME))
     bad = ~np.isfinite(height + speed)
     touched = records[columns[TOUCHED]] if points else np.full(height.size, -1.0)
-    over = bad | (height <= 0.0) | (touched >= 0.0)
+    over = _over(records, columns, points)
     if not over.any():
-        return None, End(flown_s=float(time[-1]))
+        return None, _going(records, columns)
     row = int(np.argmax(over))
     flown_s = float(time[row])
     if bad[row] and not touched[row] >= 0.0:

@@ -23,6 +23,7 @@ from uqharness.batch.lanes.streams import (
     Turbulence,
     noise_streams,
 )
+from uqharness.batch.machine.target import Target, chosen_target
 from uqharness.batch.models.start import rounded
 from uqharness.batch.models.winds import COUNTER, NORMALS
 from uqharness.flight import TURBULENCE_W20_KT, FlightSpec, LevelDriver, Split, TransientDriver, dryden_parameters
@@ -44,8 +45,9 @@ class Feeder:
 
     def __init__(
         self, lanes: LaneMission, specs: Sequence[FlightSpec], airs: Sequence[Air], begun: Mapping[int, Noise] | None = None,
-        frame: int = 0, splits: Sequence[Splits] | None = None,
+        frame: int = 0, splits: Sequence[Splits] | None = None, target: Target | None = None,
     ) -> None:  # fmt: skip
+        self._branching, self._target = False, target or chosen_target()
         self._lanes, self._specs, self._airs, self._frame = lanes, specs, airs, frame
         self._splits = [()] * len(specs) if splits is None else splits
         self._program = lanes.program
@@ -54,6 +56,38 @@ class Feeder:
         self._noises: dict[tuple[int, Splits], Noise] = {(seed, ()): noise for seed, noise in (begun or {}).items()}
         self._series: dict[tuple[str, Hashable], Series] = {}
         self._windows: dict[Hashable, _Window] = {}
+
+    def followed(self, lanes: Sequence[int], frame: int, splits: Sequence[Splits]) -> Feeder:
+        """A feeder behind ``frame`` frames whose lane k goes on with lane ``lanes[k]`` of this one, which is given up: streams that
+        are known go on where they stand, those of a new last split leave them there."""
+        specs, airs = [self._specs[k] for k in lanes], [self._airs[k] for k in lanes]
+        other = Feeder(self._lanes, specs, airs, None, frame, splits, self._target)
+        other._branching = True
+        for place, spec in enumerate(other._specs):
+            key = (spec.seed_noise, splits[place])
+            if key in self._noises:
+                other._noises[key] = self._noises[key]
+            air = (spec.seed_turbulence, splits[place])
+            if air in self._windows:
+                other._windows[air] = self._windows[air]
+            moving = ((LEVELS.name, (spec.levels, ())), (TRANSIENTS.name, (spec.transient, splits[place])))
+            for name in ((GUSTS.name, other._air(place)), *moving):
+                if name in self._series:
+                    found = other._series[name] = self._series[name]
+                    if isinstance(found, HostGusts):
+                        found.branching = True
+            other._branch(self, place)
+        return other
+
+    def _branch(self, parent: Feeder, place: int) -> None:
+        """Gusts of a lane that has just left its parent's."""
+        key = self._air(place)
+        seed, air, splits = key
+        if splits and (GUSTS.name, key) not in self._series:
+            source = parent._series.get((GUSTS.name, (seed, air, splits[:-1])))
+            found = source.branched(splits[-1]) if isinstance(source, HostGusts) else None
+            if found is not None:
+                self._series[GUSTS.name, key] = found
 
     def feeds(self, alive: NDArray[np.intp], frames: int, state: Array) -> dict[str, Feed]:
         """For ``frames`` frames on."""
@@ -86,10 +120,10 @@ class Feeder:
             flight, initialising = self._lanes.flight, 3 if self._lanes.steady else 2
             if splits:
                 # Noise has no memory: that of the last split is all that is heard.
-                made = Noise(splits[-1].seed("noise"), flight.draws, 0, frame=splits[-1].frame)
+                made = Noise(splits[-1].seed("noise"), flight.draws, 0, self._target, frame=splits[-1].frame)
                 made.frames(self._frame - splits[-1].frame)
             else:
-                made = Noise(seed, flight.draws, flight.first_draws, initialising=initialising)
+                made = Noise(seed, flight.draws, flight.first_draws, self._target, initialising)
                 made.frames(self._frame)
             self._noises[seed, splits] = made
         return self._noises[seed, splits]
@@ -114,7 +148,9 @@ class Feeder:
     def _gusts(self, key: tuple[int, Air, Splits]) -> HostGusts:
         seed, (speed, height, span), splits = key
         w20 = TURBULENCE_W20_KT[self._specs[0].turbulence]
-        return HostGusts(dryden_parameters(speed, height, w20, span), self._lanes.dt_s, seed, splits=splits)
+        made = HostGusts(dryden_parameters(speed, height, w20, span), self._lanes.dt_s, seed, self._target, splits)
+        made.branching = self._branching
+        return made
 
     def _turbulence(self, alive: NDArray[np.intp], frames: int, state: Array) -> Feed:
         """Lanes of one air may stand at different rows: each air keeps those that any of its lanes may still need."""
@@ -124,7 +160,7 @@ class Feeder:
         low = int(counters.min())
         for seed in dict.fromkeys(seeds):
             if seed not in self._windows:
-                self._windows[seed] = _Window(_turbulence_of(*seed))
+                self._windows[seed] = _Window(_turbulence_of(*seed, self._target))
             window = self._windows[seed]
             pieces[seed] = window.from_to(low, int(counters.max()) + frames)
         return shared(pieces, seeds, low)
@@ -149,11 +185,11 @@ def _air_of(lanes: LaneMission, spec: FlightSpec, values: Mapping[str, Array], l
     return rounded(max(speed, 1.0)), rounded(max(height, 3.048)), span
 
 
-def _turbulence_of(seed: int, splits: Splits) -> Series:
+def _turbulence_of(seed: int, splits: Splits, target: Target) -> Series:
     """Normals alone: the filters are the aircraft's, so that the last split's are all that is heard."""
     if splits:
-        return _Behind(Turbulence(splits[-1].seed("turbulence"), row=splits[-1].turbulence_row), splits[-1].turbulence_row)
-    return Turbulence(seed)
+        return _Behind(Turbulence(splits[-1].seed("turbulence"), target, splits[-1].turbulence_row), splits[-1].turbulence_row)
+    return Turbulence(seed, target)
 
 
 class _Behind:

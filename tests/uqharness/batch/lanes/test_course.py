@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_whole import EXPENSIVE, TRANSIENT, WALK, spec, with_bounds
-from uqharness.batch.lanes.course import Course
+from uqharness.batch.lanes.course import Branch, Course
 from uqharness.batch.lanes.fly import ready
 
 ACTIVE = {"uq/active": 1.0}
@@ -163,3 +163,65 @@ def test_calls_that_make_no_sense(moving):
     for frame in (90, 105, course.last + 10):
         with pytest.raises(ValueError, match="a frame from 100"):
             course.fly(frame)
+
+
+@pytest.fixture(scope="module")
+def gusty():
+    """An aircraft in host gusts, long enough for several pages of them."""
+    one = spec(duration_s=200.0, burn_in_s=8.0, **EXPENSIVE)
+    return flown([one, replace(one, seed_noise=8, seed_turbulence=9)])
+
+
+STEPS = (1000, 8200, 8400, 16380, 17000)
+"""Frames at which the flights below branch: within pages of gusts and shortly before and behind their ends."""
+
+
+def followed(made, specs):
+    """Lanes that branch at STEPS, each time the last from the first; how they branched, and their last rows."""
+    course = begun(made, specs, 800)
+    course.follow([0, 1], [None, None])
+    for number, frame in enumerate(STEPS):
+        course.fly(frame)
+        count = len(course.ends)
+        course.follow([*range(count), 0, count - 1], [*[None] * count, Branch(7, 3, 1, number), Branch(7, 4, 2, number)])
+    course.taken()
+    course.fly(course.last)
+    return course, course.splits, course.taken()
+
+
+def restored(made, spec, splits):
+    """The same path, held and made anew at each of its splits."""
+    course = begun(made, [spec], splits[0].frame)
+    for k, split in enumerate(splits):
+        course.fly(split.frame)
+        course = Course(made, [course.held()[0].branched(made, split.root, split.aleatory_id, split.level, split.branch)])
+        assert course.splits == [splits[: k + 1]]
+    course.fly()
+    return course
+
+
+@pytest.mark.parametrize("which", ["gusty", "moving", "own_turbulence"])
+def test_branches_that_are_followed_have_the_bytes_of_branches_that_are_held(which, request, monkeypatch):
+    made, specs, _ = request.getfixturevalue(which)
+    if which != "gusty":
+        monkeypatch.setitem(globals(), "STEPS", (1000, 1600, 2000))
+    _, splits, rows = followed(made, specs)
+    assert len(rows) == 2 + 2 * len(STEPS)
+    assert max(map(len, splits)) == len(STEPS)
+    for lane in (2, 3, len(rows) - 2, len(rows) - 1):
+        origin = specs[1 if splits[lane][0].aleatory_id == 4 else 0]
+        known = restored(made, origin, splits[lane]).held()[0].records
+        assert known[:, -rows[lane].shape[1] :].tobytes() == rows[lane].tobytes(), (which, lane)
+    assert rows[2].tobytes() != rows[0].tobytes()
+
+
+def test_following_what_cannot_be_followed():
+    one = spec(duration_s=60.0, properties={"ap/altitude-cmd-m": -50.0})
+    made, specs, _ = flown([one, replace(one, properties={"ap/altitude-cmd-m": 100.0})])
+    course = begun(made, specs, 5900)
+    with pytest.raises(ValueError, match="lane 0 has ended"):
+        course.follow([0, 1], [None, None])
+    with pytest.raises(ValueError, match="one lane at least"):
+        course.follow([], [])
+    course.follow([1], [None])
+    assert [end.status for end in course.ends] == ["ok"]

@@ -11,7 +11,7 @@ from tests.helpers import batch_oracle
 from uqharness.batch.lanes.jsbsim_random import JsbsimNormals
 from uqharness.batch.lanes.streams import GUSTS, LEVELS, TRANSIENTS, HostGusts, MovingLevels, Noise, Turbulence, noise_streams
 from uqharness.batch.models.winds import NORMALS
-from uqharness.flight import stepping
+from uqharness.flight import Split, stepping
 from uqharness.flight.dryden import COMPONENTS, dryden_gusts, dryden_parameters
 from uqharness.flight.levels import level_blocks
 from uqharness.flight.spec import COEFFICIENTS, LevelDriver, TransientDriver
@@ -124,3 +124,30 @@ def test_streams_of_one_seed_are_independent() -> None:
     }
     correlation = np.corrcoef(list(series.values())) - np.eye(len(series))
     assert np.abs(correlation).max() < 4.5 / np.sqrt(n)
+
+
+def test_gusts_that_branch_where_they_stand_are_those_with_the_split_from_the_start() -> None:
+    """Within a page, at its end, and twice; without memory of the page there is none."""
+    parameters = dryden_parameters(*AIR)
+    for frame in (300, 8192, 9000):
+        own = HostGusts(parameters, 0.01, 5)
+        own.branching = True
+        own.rows(frame)
+        first = Split(frame, 1, 2, 3, 4)
+        branch = own.branched(first)
+        assert branch is not None
+        np.testing.assert_array_equal(branch.rows(700).array, gusts_with((first,), frame + 700)[frame:])
+        second = Split(frame + 700, 1, 2, 3, 5)
+        again = branch.branched(second)
+        assert again is not None
+        np.testing.assert_array_equal(again.rows(9000).array, gusts_with((first, second), frame + 9700)[frame + 700 :])
+        np.testing.assert_array_equal(own.rows(500).array, gusts_with((), frame + 500)[frame:])
+    with pytest.raises(ValueError, match="stand at row"):
+        own.branched(Split(3, 1, 2, 3, 4))
+    forgetful = HostGusts(parameters, 0.01, 5)
+    forgetful.rows(300)
+    assert forgetful.branched(Split(300, 1, 2, 3, 4)) is None
+
+
+def gusts_with(splits: tuple[Split, ...], rows: int) -> np.ndarray:
+    return HostGusts(dryden_parameters(*AIR), 0.01, 5, splits=splits).rows(rows).array

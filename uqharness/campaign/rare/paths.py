@@ -1,0 +1,126 @@
+"""Flights of the batch engine as paths of a multilevel splitting: side by side, scored by distance and closing rate, and copied.
+
+Flights begin with the campaign's own burn-in, so that a path starts from a state of the loiter itself. At each checkpoint a path
+has the score |d| + lookahead d|d|/dt: the distance from the commanded path that it will have if it goes on so. A copy is the same
+flight to the checkpoint; from there its gusts and noise come from streams of (root seed, aleatory id, level, branch, kind).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness.batch import Branch, Course, ready
+from uqharness.errors import BadInputError
+from uqharness.flight import FlightSpec, Split, record_stride, row_counts
+from uqharness.statistics import Seen
+
+Array = NDArray[np.float64]
+
+DISTANCE = "cross_track"
+
+
+@dataclass(frozen=True)
+class Hit:
+    """A path's first excursion beyond the radius of that place: which flight, where it branched, in which frame, how far out."""
+
+    aleatory_id: int
+    kind: int
+    frame: int
+    distance_m: float
+    splits: tuple[Split, ...]
+
+
+@dataclass(frozen=True)
+class Watch:
+    """How paths are looked at: a checkpoint every ``step_s`` seconds, score with ``lookahead_s``; so many first excursions beyond
+    each radius are noted with their path."""
+
+    step_s: float
+    lookahead_s: float
+    noted: int = 0
+
+
+class LoiterPaths:
+    """Flights that differ in their air alone. ``specs`` and ``aleatory_ids`` belong together; ``root`` is the campaign's seed.
+
+    Excursions are those of the campaign's tables, from the recorded rows between two checkpoints.
+    """
+
+    def __init__(self, specs: Sequence[FlightSpec], aleatory_ids: Sequence[int], root: int, watch: Watch) -> None:
+        """Raises BadInputError for what the batch engine cannot fly, an aircraft without a commanded path, and a step that is no
+        whole number of recorded rows."""
+        first = specs[0]
+        made = ready(first)
+        if DISTANCE not in made.table:
+            raise BadInputError(f"the card of {first.aircraft.name} names no {DISTANCE} under [metrics]: nothing to leave")
+        source, dt_s = made.table[DISTANCE], made.lanes.dt_s
+        self._stride = record_stride(first, dt_s)
+        self._row_s = self._stride * dt_s
+        rows = round(watch.step_s / self._row_s)
+        if rows < 2 or abs(rows * self._row_s - watch.step_s) > 1e-9:
+            raise BadInputError(f"step_s = {watch.step_s:g}: a multiple of the recorded {self._row_s:g} s, two of them at least")
+        self._step, self._watch, self._root = rows * self._stride, watch, root
+        self._channel, self._factor = list(made.lanes.program.records).index(source.property), source.factor
+        self._course = Course.begun(made, specs)
+        self._course.fly(row_counts(first, self._row_s)[0] * self._stride)
+        self._course.taken()
+        self._ids = np.asarray(aleatory_ids)
+        self._radii, self._rearm = np.asarray(first.excursion_radius_m, dtype=float), first.rearm_m
+        self._outside = np.zeros((len(specs), self._radii.size), dtype=bool)
+        self._had = np.zeros_like(self._outside)
+        self._numbers: dict[tuple[int, int], int] = {}
+        self.hits: list[Hit] = []
+
+    def advance(self) -> Seen | None:
+        """Fly to the next checkpoint; None behind the last."""
+        course = self._course
+        if course.frame >= course.last:
+            return None
+        begun = course.frame
+        course.fly(min(begun + self._step, course.last))
+        ended = np.array([end.status != "ok" for end in course.ends])
+        distance = self._distances(course.taken())
+        events = np.zeros(self._outside.shape, dtype=np.int64)
+        for row in range(distance.shape[1]):
+            here = distance[:, row, None]
+            beyond = here > self._radii
+            events += beyond & ~self._outside
+            self._note(beyond & ~self._had, begun + (row + 1) * self._stride, distance[:, row])
+            self._had |= beyond
+            self._outside = beyond | (self._outside & ~(here < self._radii - self._rearm))
+        closing = (distance[:, -1] - distance[:, -2]) / self._row_s
+        score = np.where(ended, -np.inf, distance[:, -1] + self._watch.lookahead_s * closing)
+        return Seen(score, events, ended)
+
+    def follow(self, parents: Sequence[int], levels: Sequence[int]) -> None:
+        """Go on with these paths in that order; those with a level branch here."""
+        keys = [
+            None if level == 0 else self._key(int(self._ids[parent]), level) for parent, level in zip(parents, levels, strict=True)
+        ]
+        self._course.follow(parents, keys)
+        chosen = list(parents)
+        self._ids, self._outside, self._had = self._ids[chosen], self._outside[chosen], self._had[chosen]
+
+    def _key(self, aleatory_id: int, level: int) -> Branch:
+        number = self._numbers.get((aleatory_id, level), 0)
+        self._numbers[aleatory_id, level] = number + 1
+        return Branch(self._root, aleatory_id, level, number)
+
+    def _distances(self, rows: Sequence[Array]) -> Array:
+        """(paths, rows) [m] without sign; NaN behind a flight's end."""
+        found = np.full((len(rows), max(2, *(each.shape[1] for each in rows))), np.nan)
+        for place, each in enumerate(rows):
+            found[place, : each.shape[1]] = each[self._channel]
+        return np.abs(found * self._factor)
+
+    def _note(self, first: NDArray[np.bool_], frame: int, distance: Array) -> None:
+        if not self._watch.noted:
+            return
+        for path, kind in np.argwhere(first):
+            if sum(hit.kind == kind for hit in self.hits) < self._watch.noted:
+                splits = self._course.splits[path]
+                self.hits.append(Hit(int(self._ids[path]), int(kind), frame, float(distance[path]), splits))

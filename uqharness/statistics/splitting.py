@@ -1,0 +1,234 @@
+"""Multilevel splitting: the probability of a rare event from paths that are copied where they come near to it.
+
+All paths go from one checkpoint to the next together. A score says how near a path is; levels are scores s1 < s2 < ... A path that
+rises to level k goes on as ``copies`` paths for each level that it has risen, each of weight copies^-k; those that were made at a
+level end when they fall below it, and the one that was copied goes on with the weight of the level to which it falls. A weighted
+count of events is unbiased whatever the levels and the score (RESTART: Villen-Altamirano 1991; Garvels 2000, chapter 2): they
+decide its spread alone. Levels come from a pilot, whose paths are not counted. A path keeps its level until it falls below the one
+beneath, so that one that moves about a level is not copied again and again.
+
+An event is a first excursion, and each that follows it on the same path. Both are counted: P is the probability that a path of
+fixed length has one, N the mean number of events of a path, N/P the events of a path that has one. Intervals come from independent
+replicates: t on the logarithm of their mean, whose standard error is that of the mean over the mean. Pure: no file, no clock.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+Array = NDArray[np.float64]
+
+COPIES = 3
+"""Paths that go on for one that rises a level: between 2 and 4 the cost differs by some per cent."""
+SHARE = 0.1
+"""Share of its time that a path spends above the first level: the time above a level is then flown ``COPIES * SHARE`` times."""
+LEAST_SEEN = 200
+"""Checkpoints of paths above a score from which the pilot takes a level: fewer are too few clusters."""
+MOST_PATHS = 50_000
+_ROUNDS, _PATIENCE = 30, 4
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Scores of the levels (k,), each above the one before; a path at level k has the weight ``copies``^-k."""
+
+    scores: tuple[float, ...]
+    copies: int = COPIES
+
+    @property
+    def floors(self) -> tuple[float, ...]:
+        """The score of each level (k,) below which a path loses it: the level beneath, for the first one as far below as the second
+        is above."""
+        if len(self.scores) < 2:
+            return self.scores
+        return (2.0 * self.scores[0] - self.scores[1], *self.scores[:-1])
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for scores that do not rise, and for less than 2 copies."""
+        if self.copies < 2 or any(not a < b for a, b in itertools.pairwise(self.scores)):
+            raise ValueError(f"levels rise and have 2 copies or more; received {self.scores} and {self.copies}")
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Paths at a checkpoint: score (n,), events since the last one (n, kinds), and which have ended (n,)."""
+
+    score: Array
+    events: NDArray[np.int64]
+    ended: NDArray[np.bool_]
+
+
+class Paths(Protocol):
+    """Paths that go on together, and can be copied where they stand."""
+
+    def advance(self) -> Seen | None:
+        """Go on to the next checkpoint; None behind the last."""
+
+    def follow(self, parents: Sequence[int], levels: Sequence[int]) -> None:
+        """Go on with copies of these paths, in that order. Level 0: the path itself; else a branch made at that level."""
+
+
+@dataclass(frozen=True)
+class Occupancy:
+    """Of each score of a grid (g,): the share of time above it, by weights, and how many checkpoints of paths were seen there."""
+
+    grid: Array
+    share: Array
+    seen: Array
+
+
+@dataclass(frozen=True)
+class Replicate:
+    """One run of ``roots`` paths. probability, events: of each kind (kinds,), per path, weighted; ended: weighted share of paths
+    that ended early; steps: checkpoints of paths that were flown; most: paths side by side at most; highest: level reached."""
+
+    roots: int
+    probability: Array
+    events: Array
+    ended: float
+    steps: int
+    most: int
+    highest: int
+    occupancy: Occupancy
+
+
+def run(paths: Paths, roots: int, levels: Levels, kinds: int, grid: Array | None = None) -> Replicate:
+    """Fly ``roots`` paths to their end. An ended path counts one event of each kind that it has not had.
+
+    Raises ValueError where more than MOST_PATHS would go on side by side: the levels lie too close.
+    """
+    grid = np.zeros(0) if grid is None else grid
+    thresholds, floors = np.array(levels.scores), np.array(levels.floors)
+    weights = float(levels.copies) ** -np.arange(len(levels.scores) + 1)
+    level, born, had = np.zeros(roots, np.intp), np.zeros(roots, np.intp), np.zeros((roots, kinds), bool)
+    probability, events, ended = np.zeros(kinds), np.zeros(kinds), 0.0
+    share, seen_above, checkpoints = np.zeros(grid.size), np.zeros(grid.size), 0
+    steps, most, highest = 0, roots, 0
+    while (seen := paths.advance()) is not None:
+        weight = weights[level]
+        counts = np.where(seen.ended[:, None] & ~had & (seen.events == 0), 1, seen.events)
+        first = ~had & (counts > 0)
+        probability += weight @ first
+        events += weight @ counts
+        ended += float(weight @ seen.ended)
+        had |= first
+        steps, checkpoints = steps + level.size, checkpoints + 1
+        if grid.size:
+            above = seen.score[:, None] >= grid
+            share += weight @ above
+            seen_above += above.sum(axis=0)
+        reached = np.searchsorted(thresholds, seen.score, side="right")
+        now = np.maximum(reached, np.minimum(level, np.searchsorted(floors, seen.score, side="right")))
+        goes_on = ~seen.ended & (now >= born)
+        parents, made_at = _descendants(level, now, goes_on, levels.copies)
+        if parents.size > MOST_PATHS:
+            raise ValueError(f"{parents.size} paths would go on side by side, {MOST_PATHS} at most can: the levels lie too close")
+        level, had = now[parents], had[parents]
+        born = np.where(made_at > 0, made_at, born[parents])
+        most, highest = max(most, parents.size), max(highest, int(now.max()))
+        if not parents.size:
+            break
+        paths.follow(parents.tolist(), made_at.tolist())
+    occupancy = Occupancy(grid, share / max(roots * checkpoints, 1), seen_above)
+    return Replicate(roots, probability / roots, events / roots, ended / roots, steps, most, highest, occupancy)
+
+
+def _descendants(
+    level: NDArray[np.intp], now: NDArray[np.intp], goes_on: NDArray[np.bool_], copies: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Parents of the paths that go on, and the level at which each was made (0: the parent itself)."""
+    parents, made_at = [np.flatnonzero(goes_on)], [np.zeros(int(goes_on.sum()), np.intp)]
+    for path in np.flatnonzero(goes_on & (now > level)):
+        number = copies - 1
+        for step in range(level[path] + 1, now[path] + 1):
+            parents.append(np.full(number, path))
+            made_at.append(np.full(number, step))
+            number *= copies
+    return np.concatenate(parents), np.concatenate(made_at)
+
+
+def pilot(start: Callable[[int], Paths], roots: int, kinds: int, grid: Array, top: float) -> Levels:
+    """Levels up to the score ``top``, such that a path is above level k + 1 a ``COPIES``-th of the time that it is above level k.
+
+    ``start`` gives the paths of each round; rounds with the same levels are pooled and add levels as far as enough was seen. Raises
+    ValueError where four rounds add none short of ``top``: longer or more paths are needed.
+    """
+    levels, known = Levels(()), list[Occupancy]()
+    for number in range(_ROUNDS):
+        known.append(run(start(number), roots, levels, kinds, grid).occupancy)
+        pooled = Occupancy(grid, np.mean([one.share for one in known], axis=0), np.sum([one.seen for one in known], axis=0))
+        found, whole = more_levels(pooled, levels, top)
+        if whole:
+            return found
+        if len(found.scores) > len(levels.scores):
+            levels, known = found, []
+        elif len(known) == _PATIENCE:
+            raise ValueError(
+                f"{_PATIENCE} rounds of the pilot found no level above {levels.scores[-1] if levels.scores else 0:g}, {top:g} is "
+                f"asked for: fly more or longer paths than {roots} in the pilot"
+            )
+    raise ValueError(f"the pilot has not reached the score {top:g} in {_ROUNDS} rounds: fly more paths than {roots} in it")
+
+
+def more_levels(occupancy: Occupancy, known: Levels, top: float) -> tuple[Levels, bool]:
+    """``known`` levels and those that follow them as far as LEAST_SEEN checkpoints were seen; whether the next is above ``top``.
+
+    A path is above the first level a SHARE of its time, above each further one a COPIES-th of that.
+    """
+    enough = (occupancy.seen >= LEAST_SEEN) & (occupancy.share > 0.0)
+    grid, logs = occupancy.grid[enough], -np.log(occupancy.share[enough])
+    # Where neighbouring scores have equal shares, the last of them.
+    rising = np.append(np.diff(logs) > 0.0, True)[: grid.size]
+    grid, logs = grid[rising], logs[rising]
+    scores = list(known.scores)
+    while grid.size > 1:
+        target = float(np.interp(scores[-1], grid, logs)) + math.log(COPIES) if scores else -math.log(SHARE)
+        if not target <= logs[-1]:
+            break
+        score = float(np.interp(target, logs, grid))
+        if score > top:
+            return Levels(tuple(scores)), True
+        scores.append(score)
+    # The next level lies above the top where a path is above that more than a COPIES-th of its time above the last level.
+    place = int(np.searchsorted(occupancy.grid, top - 1e-9))
+    near = bool(scores) and occupancy.seen[place] * COPIES >= LEAST_SEEN and grid.size > 1
+    within = near and -math.log(occupancy.share[place]) < float(np.interp(scores[-1], grid, logs)) + math.log(COPIES)
+    return Levels(tuple(scores)), within
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Mean of independent replicates with limits; NaN where it is not defined, and why."""
+
+    estimate: float
+    lower: float
+    upper: float
+    replicates: int
+    reason: str = ""
+
+
+def interval(values: Sequence[float] | Array, confidence: float = 0.95) -> Interval:
+    """Mean of positive replicates (n,) and its limits: mean times exp(+-t s / (mean sqrt(n))), t with n - 1 degrees of freedom.
+
+    NaN with a reason where a replicate reached nothing, or where there are fewer than two.
+    """
+    values = np.asarray(values, dtype=float)
+    nothing, nan = int((values <= 0.0).sum()), math.nan
+    if values.size < 2:
+        known = float(values[0]) if values.size else nan
+        return Interval(known, nan, nan, values.size, f"{values.size} replicates: 2 at least are needed")
+    mean = float(values.mean())
+    if nothing:
+        reason = f"{nothing} of {values.size} replicates have no event: fly more paths in each"
+        return Interval(mean if nothing < values.size else nan, nan, nan, values.size, reason)
+    error = float(values.std(ddof=1)) / math.sqrt(values.size) / mean
+    factor = math.exp(float(stats.t.ppf(0.5 + 0.5 * confidence, values.size - 1)) * error)
+    return Interval(mean, mean / factor, mean * factor, values.size)
