@@ -31,6 +31,7 @@ from .rigid_body import Reference as Reference
 from .rigid_body import Steps as Steps
 from .rigid_body import linearise as linearise
 from .rigid_body import rates as rates
+from .rigid_body import unforced as unforced
 from .rigid_body import whole_states as whole_states
 from .segmentation import MAX_S as MAX_S
 from .segmentation import MIN_S as MIN_S

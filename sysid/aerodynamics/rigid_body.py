@@ -40,6 +40,8 @@ class Reference:
     at its end, just before the next row, from those of that row: surfaces do not move in straight lines, and one without a lag
     jumps at a row. arm_m (3,): accelerometers from the CG.
     consistent: the reference is itself a flight of the model (a simulation), so that it has no defects.
+    by_flow (n, 6, 2): d(force, moment) by what else than forces changes the rates of alpha and beta [N, N m per rad/s]; None where
+    nothing depends on them.
     """
 
     dt_s: float
@@ -51,6 +53,7 @@ class Reference:
     arm_m: FloatArray
     consistent: bool
     bend: FloatArray | None = None
+    by_flow: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -126,6 +129,18 @@ def rates(
     return rate
 
 
+def unforced(x: NDArray[Any], gravity: float = G0_MPS2) -> NDArray[Any]:
+    """(n, 2) rates of alpha and beta [rad/s] at states x (n, 8 or more) without any force but weight."""
+    V, alpha, beta, p, q, r, phi, theta = (x[:, i] for i in range(8))
+    ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
+    ub, vb, wb = V * ca * cb, V * sb, V * sa * cb
+    ud = r * vb - q * wb - gravity * np.sin(theta)
+    vd = p * wb - r * ub + gravity * np.cos(theta) * np.sin(phi)
+    wd = q * ub - p * vb + gravity * np.cos(theta) * np.cos(phi)
+    Vd = (ub * ud + vb * vd + wb * wd) / V
+    return np.stack([(ub * wd - wb * ud) / (ub * ub + wb * wb), (V * vd - vb * Vd) / (V * V * cb)], axis=1)
+
+
 def _series(A: FloatArray, h: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """exp(A h), and the weights of an input at a step's start and end, linear in between; (n, nx, nx) each."""
     eye = np.broadcast_to(np.eye(A.shape[1]), A.shape)
@@ -165,6 +180,10 @@ class _Rigid:
             air[:, 3:6] = air[:, 3:6] - np.column_stack(self.gusts.rotation(states, trig))
         away = air - at(r.x[:, :6])
         load = np.hstack([at(r.force), at(r.moment)]) + np.einsum("nij,nj->ni", at(r.slopes), away)
+        if self.gusts is not None and r.by_flow is not None:
+            # Rates of alpha and beta are the motion's own: air that rotates, and attitudes, are not in the slopes as they act.
+            before = np.concatenate([air, at(r.x[:, 6:8])], axis=1)
+            load = load + np.einsum("nij,nj->ni", at(r.by_flow), unforced(x, self.gravity) - unforced(before, self.gravity))
         if extra is not None:
             load = load + extra
         V, alpha, beta, p, q, rr = (x[:, i] for i in range(6))

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics import AIR, Reference, split_name
+from sysid.aerodynamics import AIR, Reference, split_name, unforced
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.aerodynamics.rigid_body import STATES
 from sysid.effects import V_REFERENCE_MPS
@@ -24,6 +24,8 @@ _STEPS = {
     "V_mps": 0.1, "alpha_rad": 1e-3, "beta_rad": 1e-3, "p_radps": 0.01, "q_radps": 0.01, "r_radps": 0.01,
 }  # fmt: skip
 _CONTROL_STEP = 0.1
+_BANKED = (0.5 * np.pi, np.pi)
+"""Banks [rad] besides the flight's own at which forces show what the rates of alpha and beta do to them."""
 
 
 @dataclass(frozen=True)
@@ -156,6 +158,13 @@ def probe(job: ProbeJob) -> Probe:
         turned[:, c] += np.where(turned[:, c] > 0.0, -_CONTROL_STEP, _CONTROL_STEP)
         states.append(job.x[coarse])
         controls.append(turned)
+    by_rates = job.straight.by_rates and not job.consistent
+    for angle in _BANKED if by_rates else ():
+        # Nothing but weight turns with the bank, and weight changes the rates of alpha and beta.
+        banked = job.x[coarse].copy()
+        banked[:, STATES.index("phi_rad")] += angle
+        states.append(banked)
+        controls.append(job.controls[coarse])
     parts_of = [base, *[coarse] * (len(states) - 1)]
     found = _forced(job, np.concatenate(states), np.concatenate(controls), job.properties, np.concatenate(parts_of))
     mass = found.mass
@@ -166,6 +175,12 @@ def probe(job: ProbeJob) -> Probe:
     at_coarse = parts[0] if job.consistent else parts[0][coarse]
     slopes = np.stack([(parts[1 + k] - at_coarse) / _STEPS[name] for k, name in enumerate(AIR)], axis=2)
     full = np.arange(n)
+    by_flow = None
+    if by_rates:
+        level = unforced(states[-3])
+        moved = np.stack([unforced(s) - level for s in states[-2:]], axis=1)
+        answer = np.stack([p - at_coarse for p in parts[-2:]], axis=1)
+        by_flow = np.linalg.solve(moved, answer).swapaxes(1, 2)
 
     def spread(values: Array) -> Array:
         flat = values.reshape(len(coarse), -1)
@@ -204,6 +219,7 @@ def probe(job: ProbeJob) -> Probe:
         qbar,
         np.array(job.segment.arm_m),
         job.consistent,
+        by_flow=None if by_flow is None else spread(by_flow),
     )
     return Probe(
         reference, mass, coefficients, other[:, :3], other[:, 3:], slope, job.controls,

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.aerodynamics.equations import OpenEquations
 from sysid.aerodynamics.gust_states import GustStates
-from sysid.aerodynamics.rigid_body import AIR, NX, Reference, Steps, linearise, rates, whole_states
+from sysid.aerodynamics.rigid_body import AIR, NX, Reference, Steps, linearise, rates, unforced, whole_states
 from sysid.effects.turbulence import Gusts, gust_intensity, process_of
 
 MASS = MassProperties(mass=21.0, inertia=np.array([[11.1, 0.0, -0.5], [0.0, 7.7, 0.0], [-0.5, 0.0, 18.4]]), S=1.38, b=3.66, c=0.38)
@@ -101,6 +103,32 @@ def test_rates_of_change_are_those_of_the_open_equations(turning, monkeypatch):
     at = whole_states(x, gusts)
     exact = np.array([equations.f(row, INPUTS, VALUES) for row in at], dtype=float)
     np.testing.assert_allclose(rates(reference(x, equations), MASS, at, gusts=gusts), exact, atol=1e-9)
+
+
+def test_without_forces_the_wind_angles_turn_with_the_body_and_weight():
+    x = flight(5)
+    free = Reference(DT, x, np.zeros((5, 3)), np.zeros((5, 3)), np.zeros((5, 6, 6)), np.ones(5), np.zeros(3), False)
+    np.testing.assert_allclose(unforced(x), rates(free, MASS, x)[:, 1:3], atol=1e-12)
+
+
+def test_a_moment_by_alphadot_follows_the_motion_and_not_the_air_that_rotates():
+    """M = L alphadot of a body without other forces: where the air rotates, slopes by rates relative to it are not all of it."""
+    x, L, gusts = flight(4), -30.0, GustStates(MASS.b, turning_with=False)
+    state = whole_states(x, gusts) + np.array([0.1, 0.002, -0.001, 0.01, -0.01, 0.01, 0.01, 0.01, 0.05, 0.02, -0.01, 0.5, 0.01])
+    moment = np.zeros((4, 3))
+    moment[:, 1] = L * unforced(x)[:, 0]
+    slopes = np.zeros((4, 6, 6))
+    for k in range(len(AIR)):
+        step = 1e-5 * (np.arange(8) == k)
+        slopes[:, 4, k] = L * (unforced(x + step) - unforced(x - step))[:, 0] / 2e-5
+    by_flow = np.zeros((4, 6, 2))
+    by_flow[:, 4, 0] = L
+    free = Reference(DT, x, np.zeros((4, 3)), np.zeros((4, 3)), np.zeros((4, 6, 6)), np.ones(4), np.zeros(3), False)
+    mine = replace(free, moment=moment, slopes=slopes)
+    without = rates(free, MASS, state, gusts=gusts)[:, 4]
+    expected = without + L * unforced(state)[:, 0] / MASS.inertia[1, 1]
+    np.testing.assert_allclose(rates(replace(mine, by_flow=by_flow), MASS, state, gusts=gusts)[:, 4], expected, atol=0.01)
+    assert np.abs(rates(mine, MASS, state, gusts=gusts)[:, 4] - expected).min() > 0.05
 
 
 def test_still_air_stays_still_wherever_the_flight_begins():
