@@ -9,7 +9,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from uqharness.cli.options import add_aircraft, add_page, command_as_given, describe, number
-from uqharness.cli.progress import counting
 from uqharness.errors import BadInputError
 from uqharness.files import check_page
 from uqharness.flight import CATEGORIES, CLASSES, Assessment, LocusPoint, point_at, root_locus, usual_speeds
@@ -109,6 +108,9 @@ def _run(args: argparse.Namespace) -> int:
 def _write(args: argparse.Namespace, aircraft: Aircraft, trim: Trim, condition: SteadyCondition, point: LocusPoint) -> None:
     """Trim at the page's other speeds, and write it."""
     speeds = usual_speeds(args.speed_mps, *(args.speeds or ()))
+    # Only a page takes time enough for a line that moves, and its library is slow to load.
+    from uqharness.cli.progress import counting
+
     with counting("speeds trimmed") as progress:
         locus = root_locus(aircraft, condition, speeds, args.category, args.aircraft_class, point, progress)
     _, *said = [line.strip() for line in _trim_lines(aircraft.name, trim)]
