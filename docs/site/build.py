@@ -27,7 +27,7 @@ def stage(folder: Path) -> None:
         ROOT / "SECURITY.md",
         ROOT / "CONTRIBUTING.md",
         *(ROOT / "docs").glob("*.md"),
-        *(ROOT / "campaigns").glob("*/*.md"),
+        *(ROOT / "campaigns").glob("*/README.md"),
     ]
     figures = [
         path
