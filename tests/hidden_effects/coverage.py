@@ -1,6 +1,6 @@
 """What the intervals of `identify` and `refine` cover, and whether they and `compare` say the same of the same flights.
 
-python -m tests.hidden_effects.coverage --draws 40 --out FOLDER [--identify-only]
+python -m tests.hidden_effects.coverage --draws 40 --out FOLDER [--identify-only] [--rate-hz 100]
 
 A draw is four calm flights of the nominal form, of the independent equations, every coefficient drawn anew, commands held between
 rows; in every second one the servos act at once. Three flights are for the estimates, the fourth is compared with. coverage.csv: a
@@ -42,7 +42,7 @@ COLUMNS = ("draw", "parameter", "identify", "refine", "apart")
 Row = Mapping[str, Any]
 
 
-def draw(number: int, folder: Path) -> tuple[Airframe, Path, list[Path]]:
+def draw(number: int, folder: Path, rate_hz: float = 50.0) -> tuple[Airframe, Path, list[Path]]:
     """The truth of a draw, its aircraft folder, and records of its flights: three to train on, one to test on."""
     airframe = perturbed(Airframe(), np.random.default_rng([24, number]))
     folder = folder / f"draw-{number}"
@@ -52,7 +52,8 @@ def draw(number: int, folder: Path) -> tuple[Airframe, Path, list[Path]]:
     if at_once:
         state(aircraft, IDEAL_SERVOS)
     paths = []
-    for k, record in enumerate(fly([Flight(c, airframe, (), IDEAL if at_once else None) for c in cards(f"coverage {number}")])):
+    given = cards(f"coverage {number}", rate_hz=rate_hz)
+    for k, record in enumerate(fly([Flight(c, airframe, (), IDEAL if at_once else None) for c in given])):
         paths.append(folder / f"flight-{k + 1}.parquet")
         record.write(paths[-1])
     return airframe, aircraft, paths
@@ -122,6 +123,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--draws", type=int, default=40)
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--rate-hz", type=float, default=50.0, help="rows a second of the records (default 50)")
     parser.add_argument("--identify-only", action="store_true", help="leave refine and compare out")
     given = parser.parse_args(argv)
     given.out.mkdir(parents=True, exist_ok=True)
@@ -132,7 +134,7 @@ def main(argv: list[str] | None = None) -> int:
             rows = list(csv.DictReader(handle))
     done = {int(r["draw"]) for r in rows}
     for number in (n for n in range(given.first, given.first + given.draws) if n not in done):
-        airframe, aircraft, paths = draw(number, given.out)
+        airframe, aircraft, paths = draw(number, given.out, given.rate_hz)
         one = identified(aircraft, paths[:3])
         two, apart = ({}, math.inf) if given.identify_only else refined(
             aircraft, paths[:3], paths[3], given.out / f"draw-{number}" / "refined"

@@ -46,7 +46,9 @@ def test_every_second_draw_has_servos_that_act_at_once(tmp_path, monkeypatch):
     from tests.hidden_effects import coverage
     from tests.hidden_effects.manoeuvres import card
 
-    monkeypatch.setattr(coverage, "cards", lambda name: tuple(card(k, 22.0, seconds=11.0) for k in range(4)))
+    monkeypatch.setattr(
+        coverage, "cards", lambda name, rate_hz: tuple(card(k, 22.0, seconds=11.0, rate_hz=rate_hz) for k in range(4))
+    )
     truths = []
     for number, lags in ((1, 4), (2, 0)):
         airframe, aircraft, paths = draw(number, tmp_path)

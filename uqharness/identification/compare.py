@@ -263,7 +263,7 @@ def compare(
         modelled=modelled, demanded=demand, predicted=said, nuisance=dict(zip(layout_names, theta.tolist(), strict=True)),
         notes=(*flight.notes, *notes),
         controls_late_s=float(sum(v for n, v in zip(layout_names, theta, strict=True) if n.endswith(f"/{CONTROL_DELAY}"))),
-        late_limit_s=late_limit_s(flight, cut[0].dt_s),
+        late_limit_s=late_limit_s(flight, cut[0].command_s),
     )  # fmt: skip
 
 

@@ -83,7 +83,7 @@ def _subsystem(
 ) -> tuple[Array | None, Array | None]:
     """(n, 6) extra coefficients and (n, m) extra outputs per unit of a subsystem's effect; None for none."""
     part, _, what = (e.subsystem or "").partition(".")
-    n, h = len(y), segment.dt_s
+    n = len(y)
     scale = p.reference.qbar[:, None] * p.mass.S * np.array([1.0, 1.0, 1.0, p.mass.b, p.mass.c, p.mass.b])
     C = np.zeros((n, 6))
     if part == "stall":
@@ -136,7 +136,7 @@ def _subsystem(
         if servo is not None and e.term == "lag" and what in setup.lagging:
             # The slope where it flies: a slow servo made slower by a little does less than a fast one.
             servo = replace(servo, lag=servo.lag_with(setup.lagging[what]))
-        moved = servo_change(e.term, servo, segment.controls[:, k], p.controls[:, k], h, setup.limits.get(what))
+        moved = surface_change(e.term, servo, segment, k, p.controls[:, k], setup.limits.get(what))
         if not np.any(moved):
             return None, None
         return p.by_control[:, :, k] * moved[:, None], None
@@ -185,6 +185,17 @@ def _attached(alpha_deg: Array) -> Array:
     a1, up, down = STALL["a1_per_deg"], STALL["alpha1_deg"], STALL["alpha2_deg"]
     X = 0.25 * (1.0 - np.tanh(a1 * (alpha_deg - up))) * (1.0 - np.tanh(a1 * (down - alpha_deg)))
     return np.asarray((0.5 * (1.0 + np.sqrt(X))) ** 2)
+
+
+def surface_change(
+    kind: str, servo: Actuator | None, segment: Segment, k: int, u: Array, limits: tuple[float, float] | None = None
+) -> Array:
+    """(n,) `servo_change` of control ``k`` at a segment's rows; u (n,): where it stands."""
+    if kind == "deadband":
+        return servo_change(kind, servo, u, u, segment.dt_s)
+    own = segment.at_commands()
+    command = own.controls[:, k]
+    return segment.on_rows(servo_change(kind, servo, command, command, own.dt_s, limits))
 
 
 def servo_change(

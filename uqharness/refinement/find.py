@@ -156,7 +156,7 @@ def find_effects(
         setup = limits_tried(setup, before.probes, before.columns[0].names, lambda extra: column_evidence(setup, before, extra))
         timed = () if setup.late else (CONTROLS_LATE,)
         evidence = candidate_evidence(setup, before, [*effects, *timed])
-        odds, dt = eligible(effects, setup, before, evidence), setup.segments[0].dt_s
+        odds, dt = eligible(effects, setup, before, evidence), setup.segments[0].command_s
         late = _of_the_clock(setup, before, evidence, effects, confirming) if timed and len(put_right) < MOST_CORRECTIONS else None
     if late is not None:
         say(f"all controls act {1e3 * late[0]:.1f} ms after their rows; putting the records right")
@@ -198,7 +198,7 @@ def _of_the_clock(
 ) -> tuple[float, float] | None:
     """`controls_late` of the flights as they are with the controls at their rows, beside the effects that compete with it there."""
     held = {lateness(f): before.flown.point.nuisance[lateness(f)] for f in setup.timed}
-    at_rows, dt = evidence.taken_out(held), setup.segments[0].dt_s
+    at_rows, dt = evidence.taken_out(held), setup.segments[0].command_s
     columns = [replace(c, names=tuple(n for n in c.names if n not in held)) for c in before.columns]
     free = columns[0].names
     odds = eligible(effects, setup, replace(before, columns=columns), at_rows)

@@ -103,13 +103,15 @@ def moved(values: Array, rows: int) -> Array:
 def middles(model: ReplayModel, setup: Setup, map_: Processes) -> list[Array]:
     """[(2, n - 1, c)] how far the controls stand from the mean of a step's ends at its middle, and at its end from the next row's.
 
-    A servo's path is no straight line, and a surface without a lag jumps at a row: until then it stands where it stood.
+    A servo's path is no straight line, and a surface without a lag jumps at a row: until then it stands where it stood. Where
+    commands act between rows, the middle is such that Simpson's rule has the path's own area.
     """
     return list(map_(_middles, [(model, s) for s in setup.segments]))
 
 
 def _middles(job: tuple[ReplayModel, Segment]) -> Array:
-    model, segment = job
+    model, every = job
+    segment, k = every.at_commands(), every.per_row
     held = np.array([c not in model.measured for c in model.controls])
     ends = surface_positions(model, segment, CONTROLS)
     middle = np.where(held, ends[:-1], by_run(segment, 2, [not h for h in held], [False] * len(held))[1::2])
@@ -122,6 +124,10 @@ def _middles(job: tuple[ReplayModel, Segment]) -> Array:
         middle[:, held] = half[1::2][:, held]
     jumps = np.array([c in model.jumping for c in model.controls])
     last = np.where(jumps, middle, ends[1:])
+    if k > 1:
+        mean = ((ends[:-1] + 4.0 * middle + last) / 6.0).reshape(-1, k, len(held)).mean(axis=1)
+        ends, last = ends[::k], last[k - 1 :: k]
+        middle = (6.0 * mean - ends[:-1] - last) / 4.0
     return np.stack([middle - 0.5 * (ends[:-1] + ends[1:]), last - ends[1:]])
 
 

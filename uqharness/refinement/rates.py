@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.effects import Choice, Columns, Effect, Evidence, scores
-from uqharness.refinement.candidates import servo_change
+from uqharness.refinement.candidates import surface_change
 from uqharness.refinement.reference import Probe
 from uqharness.refinement.types import Setup
 from uqharness.replay import CONTROLS, runs_per_row
@@ -41,9 +41,7 @@ def limits_tried(
         for surface, asked in tried.items():
             k, servo = CONTROLS.index(surface), setup.servos[surface]
             for limit in asked:
-                moved = servo_change(
-                    "rate_limit", servo, segment.controls[:, k], p.controls[:, k], segment.dt_s, (servo.rate, limit)
-                )
+                moved = surface_change("rate_limit", servo, segment, k, p.controls[:, k], (servo.rate, limit))
                 inputs[_key(surface, limit)] = (-1, p.by_control[:, :, k] * moved[:, None])
         columns.append(Columns(tuple(inputs), inputs, {}))
     evidence = evidence_of(columns)
@@ -99,7 +97,7 @@ def _fastest(setup: Setup, surface: str, servo: Actuator) -> float:
     k = CONTROLS.index(surface)
     found = [
         np.abs(np.diff(servo.follow(s.controls[:, k], s.dt_s, s.dt_s / runs_per_row(s.dt_s)))).max(initial=0.0) / s.dt_s
-        for s in setup.segments
+        for s in (segment.at_commands() for segment in setup.segments)
     ]
     return float(max(found, default=0.0))
 

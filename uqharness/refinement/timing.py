@@ -7,13 +7,12 @@ much as the best of them, and as all servos' lags together, the records are put 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sysid.effects import EXCHANGE, Effect, Evidence, agreement, corrected, scores, solve
-from uqharness.replay import CONTROLS, Flight, command_later, control_columns
+from uqharness.replay import Flight
 
 CONTROLS_LATE = Effect(
     None, "record", "delay", "controls recorded early or late", "all commands act one time later than the record says", unit="s"
@@ -61,13 +60,7 @@ def joint_gain(evidence: Evidence, free: Sequence[str], keys: Sequence[str]) -> 
 
 def later(flights: Sequence[Flight], late_s: float) -> list[Flight]:
     """The flights with every command and position ``late_s`` seconds later; before the first row its value is held."""
-    return [replace(f, record=f.record.with_columns(_moved(f, late_s))) for f in flights] if late_s else list(flights)
-
-
-def _moved(flight: Flight, late_s: float) -> dict[str, NDArray[np.float64]]:
-    time = flight.record["time_s"]
-    names = [c for c in dict.fromkeys((*control_columns(()), *control_columns(CONTROLS[:3]))) if c in flight.record]
-    return {c: command_later(flight.record[c], time, late_s) for c in names}
+    return [f.with_commands_later(late_s) for f in flights] if late_s else list(flights)
 
 
 def words(late_s: float, std_s: float, dt_s: float) -> str:

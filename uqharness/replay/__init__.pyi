@@ -1,7 +1,6 @@
 from .channel_units import axis_label as axis_label
 from .channel_units import shown_channel as shown_channel
 from .flights import Flight as Flight
-from .flights import control_columns as control_columns
 from .flights import in_free_flight as in_free_flight
 from .flights import measured_outputs as measured_outputs
 from .flights import read_flight as read_flight

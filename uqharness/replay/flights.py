@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +20,14 @@ from uqharness.replay.ground import height_known
 from uqharness.replay.logged_commands import command_later, mean_ahead, with_steps_placed
 from uqharness.replay.model import CONTROLS
 from uqharness.replay.replay import CHANNELS, STATES
-from uqharness.replay.segments import Segment
+from uqharness.replay.segments import Commands, Segment
 from uqharness.simulator import Aircraft, with_start_altitude
 
 Array = NDArray[np.float64]
 MAX_RATE_HZ = 60.0
+"""Most rows a second at which outputs are compared; controls act at the record's own."""
+LEAST_COMMAND_S = 0.005
+"""Shortest time that a command is held in a replay, MAX_STEP_S of a run: those of faster records are averaged over it."""
 _NEEDED = ("V_mps", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
 _COLUMN = {"elevator": "elevator_deg", "aileron": "aileron_deg", "rudder": "rudder_deg", "throttle": "throttle_pct"}
 _POSITION = {name: f"{name}_pos_deg" for name in ("elevator", "aileron", "rudder")}
@@ -40,6 +43,8 @@ class Flight:
     """A record ready for replay: at most 60 Hz, channels moved to the time at which they were true. ``notes`` say what was done.
 
     gyro_late_s: by how much the rates turn after slowly logged commands stepped.
+    commands: column -> controls with ``per_row`` values from row to row, where the record had more rows; none where it had not.
+    In ``record`` they are means from row to row.
     """
 
     name: str
@@ -47,6 +52,8 @@ class Flight:
     pieces: tuple[Piece, ...]
     notes: tuple[str, ...]
     gyro_late_s: float = 0.0
+    commands: Mapping[str, Array] = field(default_factory=dict)
+    per_row: int = 1
 
     def felt_late_s(self) -> float:
         """By how much a jumping surface's command comes late for what compares it with smoothed rates row by row: as late as the
@@ -57,7 +64,23 @@ class Flight:
         """The flight with its commands `felt_late_s` later."""
         record, late_s = self.record, self.felt_late_s()
         moved = {c: command_later(record[c], record["time_s"], late_s) for c in _COLUMN.values() if c in record}
-        return replace(self, record=record.with_columns(moved))
+        return replace(self, record=record.with_columns(moved), commands={}, per_row=1)
+
+    def with_commands_later(self, late_s: float) -> Flight:
+        """The flight with every command and position so much later [s]; before the first row its value is held."""
+        time_s, names = self.record["time_s"], [*_COLUMN.values(), *_POSITION.values()]
+        moved = {c: command_later(self.record[c], time_s, late_s) for c in names if c in self.record}
+        step_s = float(self.record.dt_s) / self.per_row
+        between = {c: command_later(v, np.arange(0.0, len(v)) * step_s, late_s) for c, v in self.commands.items()}
+        return replace(self, record=self.record.with_columns(moved), commands=between)
+
+    def commands_in(self, rows: slice, columns: Sequence[str]) -> Array | None:
+        """(N, c) controls at some rows and between them, NaN of columns that it has not; None where the record had no more rows."""
+        if self.per_row == 1:
+            return None
+        fine = slice(rows.start * self.per_row, (rows.stop - 1) * self.per_row + 1)
+        unknown = np.full(fine.stop - fine.start, np.nan)
+        return np.column_stack([self.commands[c][fine] if c in self.commands else unknown for c in columns])
 
 
 def read_flight(path: Path, aircraft: Aircraft, manoeuvres: Path | None = None, map_path: Path | None = None) -> FlightRecord:
@@ -121,13 +144,12 @@ def prepare(name: str, record: FlightRecord, measured: Sequence[str], min_s: flo
     record, bridged = bridge(record, (*_NEEDED, "alpha_rad", "beta_rad", *columns), commands)
     record, placed, gyro_late_s = with_steps_placed(record, columns)
     notes = [f"{name}: {text}" for text in (*bridged, *placed)]
-    step = max(1, int(np.ceil(1.0 / (record.dt_s * MAX_RATE_HZ) - 1e-6)))
-    if step > 1:
-        notes.append(f"{name}: {1 / record.dt_s:.0f} Hz, of which every {step}. row was used")
-        mask = np.zeros(len(record), dtype=bool)
-        mask[::step] = True
-        held = {c: mean_ahead(record[c], step) for c in _COLUMN.values() if c in record}
-        record = record.with_columns(held).rows(mask)
+    together = max(1, int(LEAST_COMMAND_S / record.dt_s + 1e-6))
+    per_row = max(1, math.ceil(1.0 / (record.dt_s * together * MAX_RATE_HZ) - 1e-6))
+    between: dict[str, Array] = {}
+    if (step := together * per_row) > 1:
+        notes.append(f"{name}: {1 / record.dt_s:.0f} Hz, of which every {step}. row was used; controls act at all rows")
+        record, between = _thinned(record, together, per_row)
     if 1.0 / record.dt_s < 9.5:
         raise BadInputError(
             f"{name}: {1 / record.dt_s:.1f} rows a second; a replay needs at least 10, or it sees neither short period nor roll"
@@ -141,7 +163,25 @@ def prepare(name: str, record: FlightRecord, measured: Sequence[str], min_s: flo
             f"{_lost(record, columns)}; nothing can be replayed"
         )
     notes.append(f"{name}: {len(pieces)} segments, {sum(p.end_s - p.start_s for p in pieces):.0f} s; {how}")
-    return Flight(name, record, tuple(pieces), tuple(notes), gyro_late_s)
+    return Flight(name, record, tuple(pieces), tuple(notes), gyro_late_s, between, per_row)
+
+
+def _thinned(record: FlightRecord, together: int, per_row: int) -> tuple[FlightRecord, dict[str, Array]]:
+    """Rows at which outputs are compared, and the controls with ``per_row`` values from one to the next, each the mean of
+    ``together`` of the record's own (a position: its value)."""
+    mask = np.zeros(len(record), dtype=bool)
+    mask[:: together * per_row] = True
+    commands = [c for c in _COLUMN.values() if c in record]
+    between = {c: _filled(mean_ahead(record[c], together)[::together]) for c in commands}
+    between |= {c: _filled(record[c][::together]) for c in _POSITION.values() if c in record}
+    held = {c: mean_ahead(record[c], together * per_row) for c in commands}
+    return record.with_columns(held).rows(mask), between
+
+
+def _filled(values: Array) -> Array:
+    """(n,) values, gaps held from before: a piece has none at its rows."""
+    last = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), 0))
+    return np.asarray(values[last], dtype=np.float64)
 
 
 def _lost(record: FlightRecord, columns: Sequence[str]) -> str:
@@ -179,11 +219,14 @@ def segments(flight: Flight, measured: Sequence[str], arm_m: tuple[float, float,
         start = np.array([_start(record, name, rows) for name in STATES])
         height = record["h_m"][rows] if "h_m" in record else np.zeros(len(time))
         h = float(np.nanmedian(height[: max(1, round(2.0 / record.dt_s))])) if np.isfinite(height).any() else 0.0
+        between = flight.commands_in(rows, control_columns(measured))
+        asked = flight.commands_in(rows, [_COLUMN[c] for c in CONTROLS])
+        commands = None if between is None else Commands(flight.per_row, between, asked)
         out.append(
             Segment(
                 piece.label, flight.name, grid, np.column_stack([record[c][rows] for c in control_columns(measured)]),
                 start, _altitude(record, rows, h), h, arm_m, np.column_stack([_command(record, c, rows) for c in CONTROLS]),
-                height_known(record),
+                height_known(record), commands,
             )
         )  # fmt: skip
     return out

@@ -142,7 +142,7 @@ def surface_positions(model: ReplayModel, segment: Segment, names: Sequence[str]
 
     What was asked before is remembered: residuals ask for the same stretch under many states.
     """
-    asked = (segment.controls, segment.time_s, segment.start, np.array([segment.altitude_m, segment.h_m]))
+    asked = (segment.at_commands().controls, segment.time_s, segment.start, np.array([segment.altitude_m, segment.h_m]))
     key = (model.identity, *(a.tobytes() for a in asked), *names)
     if key in _stood:
         _stood.move_to_end(key)
@@ -156,7 +156,7 @@ def surface_positions(model: ReplayModel, segment: Segment, names: Sequence[str]
 def _positions(model: ReplayModel, segment: Segment, names: Sequence[str]) -> Array:
     from uqharness.replay.replay import CHANNELS, fly_segment
 
-    out = segment.controls.copy()
+    out = segment.at_commands().controls[:: segment.per_row].copy()
     known = {c: p for c, p in model.positions().items() if c in names and c not in model.measured}
     if known:
         flown = fly_segment(model, segment, {}, extra=tuple(known.values()))[:, len(CHANNELS) :]

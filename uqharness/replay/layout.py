@@ -78,7 +78,8 @@ _LEAST_LATE_S = 0.0075  # JSBSim's own flights act half a run early (see replay.
 
 
 def late_limit_s(flight: Flight, dt_s: float) -> float:
-    """How late the controls of a flight may act: half a row; without limit for a log, whose channels are stamped when written."""
+    """How late the controls of a flight may act: half a row of commands, ``dt_s`` long; without limit for a log, whose channels are
+    stamped when written."""
     return math.inf if flight.record.metadata.native_hz else max(LATE_ROWS * dt_s, _LEAST_LATE_S)
 
 
@@ -87,7 +88,7 @@ def misplaced(flights: Sequence[Flight], cut: Sequence[Segment], nuisance: Mappi
     said = []
     for flight in flights:
         late, _ = nuisance.get(f"delay/{flight.name}/{CONTROL_DELAY}", (0.0, 0.0))
-        limit = late_limit_s(flight, next(s.dt_s for s in cut if s.flight == flight.name))
+        limit = late_limit_s(flight, next(s.command_s for s in cut if s.flight == flight.name))
         if abs(late) > limit:
             said.append(
                 f"{flight.name}: its controls act {1e3 * abs(late):.1f} ms {'late' if late > 0.0 else 'early'}, and "

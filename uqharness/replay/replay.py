@@ -1,6 +1,7 @@
 """Replay of recorded flight by JSBSim: the record's controls in, the model's channels at the record's sample times out.
 
-Timing. A record's command k acts from sample k on: the acceleration of sample k has seen it, the rates only later. So the command
+Timing. Controls act at the times at which the record has them, also between rows where outputs are compared at fewer. A record's
+command k acts from sample k on: the acceleration of sample k has seen it, the rates only later. So the command
 is set before the run that arrives at sample k, and never earlier: one run too early or late is a lag in every servo.
 JSBSim's Adams-Bashforth integrators and its actuators (Tustin) take a step for a ramp that began a run before, half a run early in
 the mean; the values of the runs around a step make up for that, to the square of a run (`by_run`). Any flight has its own way
@@ -80,10 +81,12 @@ class Shape:
 
 def shape_of(model: ReplayModel, segment: Segment, between: bool = False) -> Shape:
     """How a segment is flown; ``between``: with outputs between its rows."""
-    outputs = math.ceil(segment.dt_s / BETWEEN_S - 1e-6) if between else 1
-    runs = outputs * math.ceil(
-        runs_per_row(segment.dt_s, SHORT_STEP_S if model.by_rates or model.jumping else MAX_STEP_S) / outputs
-    )
+    per_row = segment.per_row
+    command_s = segment.dt_s / per_row
+    longest_s = SHORT_STEP_S if model.by_rates or model.jumping else MAX_STEP_S
+    runs = per_row * runs_per_row(command_s, longest_s)
+    outputs = per_row * math.ceil(command_s / BETWEEN_S - 1e-6) if between else 1
+    runs = outputs * math.ceil(runs / outputs)
     return Shape(segment.dt_s / runs, runs, runs // outputs, (len(segment.time_s) - 1) * outputs + 1)
 
 
@@ -96,7 +99,8 @@ def run_controls(model: ReplayModel, segment: Segment, shape: Shape, late_s: flo
         tuple(limit / factor for limit in model.card.inputs[c].limits)
         for c, factor in zip(model.controls, model.factor, strict=True)
     ]
-    return model.to_property(by_run(segment, shape.runs, measured, lagging, late, seen, np.sort(limits)))
+    runs = shape.runs // segment.per_row
+    return model.to_property(by_run(segment.at_commands(), runs, measured, lagging, late, seen, np.sort(limits)))
 
 
 def runs_per_row(dt_s: float, longest_s: float | None = None) -> int:
@@ -150,7 +154,7 @@ def late_rows(between: Array, n: int, late: float) -> Array:
 
 
 def _initialise(fdm: Any, segment: Segment, start: Array, setters: list[list[Any]], model: ReplayModel) -> None:
-    first = model.to_property(segment.controls[0]).tolist()
+    first = model.to_property(segment.at_commands().controls[0]).tolist()
     _put(setters, first)
     V, alpha, beta, phi, theta, psi, p, q, r = (float(x) for x in start)
     u, v, w = body_velocity(V, alpha, beta)

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Commands:
+    """Controls at a record's own rate where its rows were thinned, ``per_row`` of them from row to row.
+
+    controls, targets ((n - 1) per_row + 1, c): as those of a Segment.
+    """
+
+    per_row: int
+    controls: Array
+    targets: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -17,6 +29,7 @@ class Segment:
     time_s (n,) equidistant; controls (n, c) in the record's units, in the model's order of controls; start (9,) as STATES;
     altitude_m above sea level at the start; h_m what the record calls its height there; arm_m place of the accelerometers
     from the CG; targets (n, c) the commands behind measured positions, NaN where there are none. above_ground: whether h_m is that.
+    commands: the same controls between the rows as well, where the record had more rows; None: it had no more.
     """
 
     label: str
@@ -29,8 +42,34 @@ class Segment:
     arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     targets: Array | None = None
     above_ground: bool = False
+    commands: Commands | None = None
 
     @property
     def dt_s(self) -> float:
         """Mean time between rows [s]."""
         return float(self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1)
+
+    @property
+    def per_row(self) -> int:
+        """Commands from one row to the next."""
+        return 1 if self.commands is None else self.commands.per_row
+
+    @property
+    def command_s(self) -> float:
+        """Time between two commands [s]."""
+        return self.dt_s / self.per_row
+
+    def at_commands(self) -> Segment:
+        """The same piece with a row for each command."""
+        if self.commands is None:
+            return self
+        own = self.commands
+        time_s = np.linspace(self.time_s[0], self.time_s[-1], len(own.controls))
+        return replace(self, time_s=time_s, controls=own.controls, targets=own.targets, commands=None)
+
+    def on_rows(self, values: Array) -> Array:
+        """(n,) values at the rows of what is known at each command (N,): their straight lines have the same area."""
+        k = self.per_row
+        hat = np.append(np.arange(1, k + 1), np.arange(k - 1, 0, -1)) / k**2
+        padded = np.concatenate([np.repeat(values[:1], k - 1), values, np.repeat(values[-1:], k - 1)])
+        return np.asarray(np.convolve(padded, hat, mode="valid")[::k])

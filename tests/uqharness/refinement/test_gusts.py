@@ -26,7 +26,7 @@ from uqharness.refinement.sensed import as_sensed
 from uqharness.refinement.showing import show as refine_show
 from uqharness.refinement.types import Point
 from uqharness.replay.model import ReplayFolder
-from uqharness.replay.segments import Segment
+from uqharness.replay.segments import Commands, Segment
 from uqharness.simulator.aircraft import find_aircraft
 
 OUTPUTS = ("V_mps", "alpha_rad", "ax_mps2")
@@ -278,6 +278,25 @@ def test_a_surface_without_a_lag_stands_where_it_stood_until_the_next_row():
     # A servo is nowhere in two places: at a step's end it is where the next row has it.
     assert not end[:, 1:].any()
     assert np.abs(middle[6:, 1]).max() > 0.01
+
+
+def test_commands_between_rows_leave_the_middle_the_area_of_their_path():
+    """The elevator jumps a third of the way through a row: Simpson's rule over start, middle and end has two thirds of the jump."""
+    aircraft = find_aircraft("espaaro")
+    fine = np.tile([1.0, 0.0, 0.0, 55.0], (31, 1))
+    fine[16:, 0] += 4.0
+    segment = Segment("step", "f", 0.03 * np.arange(11), fine[::3], np.array([22.0, 0.03, *np.zeros(7)]), 100.0, 100.0)
+    with ReplayFolder(aircraft, ideal=("elevator",)) as model:
+        (between,) = refine_gusts.middles(model, SimpleNamespace(segments=[replace(segment, commands=Commands(3, fine))]), ALONE)
+        (averaged,) = refine_gusts.middles(model, SimpleNamespace(segments=[segment]), ALONE)
+    rows = fine[::3, 0]
+
+    def area(away):
+        middle, end = away[0][:, 0] + 0.5 * (rows[:-1] + rows[1:]), away[1][:, 0] + rows[1:]
+        return (rows[:-1] + 4.0 * middle + end) / 6.0
+
+    assert area(between)[5] == pytest.approx(1.0 + 4.0 * 2.0 / 3.0)
+    assert area(averaged)[5] == pytest.approx(1.0)
 
 
 def test_what_accelerometers_feel_of_a_jump_is_force_over_mass_and_the_turn_at_their_arm():

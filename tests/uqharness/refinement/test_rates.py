@@ -10,7 +10,7 @@ import pytest
 from sysid.effects import Choice
 from uqharness.refinement.candidates import servo_change
 from uqharness.refinement.rates import _asked, felt, just_so
-from uqharness.replay import runs_per_row
+from uqharness.replay import Segment, runs_per_row
 from uqharness.simulator import Actuator
 
 DT = 0.02
@@ -21,7 +21,7 @@ def setup_with(rate: float):
     """Doublets of 10 deg of an elevator whose lag makes its fastest motion some 110 deg/s."""
     controls = np.zeros((200, 4))
     controls[20:60, 0], controls[60:100, 0] = 10.0, -10.0
-    segment = SimpleNamespace(dt_s=DT, controls=controls)
+    segment = Segment("m", "f", DT * np.arange(200), controls, np.zeros(9), 100.0, 0.0)
     return SimpleNamespace(segments=[segment], servos={"elevator": Actuator(25.0, rate)})
 
 

@@ -1,11 +1,13 @@
-"""Records above 60 Hz are thinned; commands keep the time for which they acted."""
+"""Records above 60 Hz are thinned; commands act at their own times."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from tests.helpers.flown import fly
-from uqharness.replay.flights import prepare
+from uqharness.replay.flights import prepare, segments
+from uqharness.replay.model import CONTROLS
 
 
 def test_a_command_between_two_kept_rows_acts_as_long_as_it_did():
@@ -17,3 +19,41 @@ def test_a_command_between_two_kept_rows_acts_as_long_as_it_did():
     assert abs(thin.dt_s - 0.02) < 1e-12
     np.testing.assert_allclose(thin["elevator_deg"][49:52], [0.0, 1.0, 2.0])
     np.testing.assert_array_equal(thin["q_radps"], fast["q_radps"][::2])
+
+
+def test_segments_of_a_thinned_record_hold_its_commands_between_their_rows():
+    record = fly((("pitch-doublet", 22.0),), seed=1, rate_hz=100.0)
+    flight = prepare("fast", record, ())
+    for segment in segments(flight, ()):
+        own = segment.at_commands()
+        assert segment.per_row == 2
+        assert own.command_s == pytest.approx(0.01)
+        rows = record.between(segment.time_s[0] - 1e-6, segment.time_s[-1] + 1e-6)
+        column = own.controls[:, CONTROLS.index("elevator")]
+        np.testing.assert_array_equal(column, rows["elevator_deg"])
+
+
+def test_commands_of_a_very_fast_record_are_averaged_over_five_milliseconds():
+    n = 4000
+    record = fly((("pitch-doublet", 22.0),), seed=1, seconds=6.0)
+    column = np.where(np.arange(n) >= 1001, 2.0, 0.0)
+    slow = record.rows(np.arange(len(record)) < 1)
+    fast = type(record)(
+        {c: np.repeat(slow[c], n) for c in slow.columns} | {"time_s": 1e-3 * np.arange(n), "elevator_deg": column}, record.metadata
+    )
+    flight = prepare("fast", fast, ())
+    assert flight.per_row == 4
+    assert flight.record.dt_s == pytest.approx(0.02)
+    np.testing.assert_allclose(flight.commands["elevator_deg"][199:203], [0.0, 1.6, 2.0, 2.0])
+
+
+def test_a_clock_that_is_one_row_late_is_one_command_late_and_nothing_else():
+    record = fly((("pitch-doublet", 22.0),), seed=1, rate_hz=100.0)
+    flight = prepare("fast", record, ())
+    moved = flight.with_commands_later(0.01)
+    for column, values in flight.commands.items():
+        np.testing.assert_allclose(moved.commands[column][1:], values[:-1], atol=1e-9)
+        assert moved.commands[column][0] == values[0]
+    felt = flight.with_commands_as_felt()
+    assert felt.per_row == 1
+    assert segments(felt, ())[0].commands is None

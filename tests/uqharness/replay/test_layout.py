@@ -10,7 +10,7 @@ import pytest
 
 from uqharness.replay.layout import delayed, late_limit_s, misplaced, nuisance_layout
 from uqharness.replay.replay import CONTROL_DELAY, SENSOR_OF
-from uqharness.replay.segments import Segment
+from uqharness.replay.segments import Commands, Segment
 
 TIME = np.arange(5) * 0.02
 PIECE = Segment("s", "f", TIME, np.zeros((5, 4)), np.zeros(9), 100.0, 0.0)
@@ -26,6 +26,14 @@ def test_half_a_row_is_allowed_and_a_row_is_not():
     (said,) = misplaced([record], [PIECE], {"delay/f/controls": (-0.02, 0.001)})
     assert "20.0 ms early" in said
     assert "10.0 ms are allowed" in said
+
+
+def test_a_row_of_commands_counts_where_rows_were_thinned():
+    """A clock 10 ms late is one row of a record at 100 Hz, and half a row of those compared."""
+    fine = replace(PIECE, commands=Commands(2, np.zeros((9, 4))))
+    (said,) = misplaced([flight({})], [fine], {"delay/f/controls": (0.01, 0.001)})
+    assert "7.5 ms are allowed" in said
+    assert misplaced([flight({})], [PIECE], {"delay/f/controls": (0.01, 0.001)}) == []
 
 
 def test_logs_are_stamped_when_written_and_may_be_late():

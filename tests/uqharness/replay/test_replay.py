@@ -44,13 +44,18 @@ def exact(segment, record):
     return replace(segment, start=np.array([record[c][at] for c in STATES]), altitude_m=100.0, h_m=100.0)
 
 
-def misses(aircraft, record, measured, late=0):
-    """Largest rms of replay minus record by channel over the record's segments, in units of Table 2.1's noise."""
+def misses(aircraft, record, measured, late=0, averaged=False):
+    """Largest rms of replay minus record by channel over the record's segments, in units of Table 2.1's noise.
+
+    averaged: with the commands between two rows replaced by their mean.
+    """
     flight = prepare("f", record, measured)
     worst_of = dict.fromkeys(CHANNELS, 0.0)
     with ReplayFolder(aircraft, measured=measured) as model:
         for segment in segments(flight, measured):
             segment = exact(segment, record)
+            if averaged:
+                segment = replace(segment, commands=None)
             if late:
                 shifted = np.vstack([segment.controls[:1]] * late + [segment.controls[:-late]])
                 targets = np.vstack([segment.targets[:1]] * late + [segment.targets[:-late]])
@@ -102,6 +107,18 @@ def test_sample_times_are_met_at_any_record_rate(aircraft):
         gaps = misses(aircraft, record, SURFACES)
         assert max(gaps.values()) < 1.0, (rate, gaps)
     assert [runs_per_row(dt) for dt in (0.004, 0.01, 0.015, 0.02, 0.1)] == [2, 4, 4, 4, 20]
+
+
+def test_commands_act_between_the_rows_of_a_thinned_record(aircraft):
+    """At 100 Hz every second row is compared; steps that fall between two of those keep their time, their mean does not."""
+    record = fly((("roll-yaw", 22.0),), seed=None, rate_hz=100.0)
+    (steps,) = np.flatnonzero(np.abs(np.diff(record["aileron_deg"])) > 5.0)[:1] + 1
+    if steps % 2 == 0:
+        record = record.rows(np.arange(len(record)) > 0)
+    for measured in ((), SURFACES):
+        gaps = misses(aircraft, record, measured)
+        assert gaps["p_radps"] < 0.07, (measured, gaps)
+        assert misses(aircraft, record, measured, averaged=True)["p_radps"] > 0.14
 
 
 def controls_of(rows, **more):

@@ -148,7 +148,7 @@ def _as_felt(segment: Segment, flight: Flight, ideal: Sequence[str]) -> Segment:
     controls = segment.controls.copy()
     for k in (k for k, c in enumerate(CONTROLS) if c in ideal):
         controls[:, k] = command_later(controls[:, k], segment.time_s, flight.felt_late_s())
-    return replace(segment, controls=controls)
+    return replace(segment, controls=controls, commands=None)
 
 
 def _coefficient_gap(
