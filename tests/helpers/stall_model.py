@@ -6,12 +6,13 @@ every evaluation, where JSBSim takes the alphadot of the frame before.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
+from scipy.optimize import newton
 
 from tests.helpers import sixdof
 
@@ -40,13 +41,13 @@ class Separation:
 
     def attached(self, alpha_deg: float, lag_deg: float) -> float:
         """X (eq 2.40) at the angle of attack and tau2 c/V alphadot, both in degrees: 1 attached, 0 separated."""
-        upper = 1.0 - np.tanh(self.a1 * (alpha_deg - lag_deg - self.alpha1))
-        lower = 1.0 - np.tanh(self.a1 * (self.alpha2 - alpha_deg + self.second * lag_deg))
-        return float(0.25 * upper * lower)
+        upper = 1.0 - math.tanh(self.a1 * (alpha_deg - lag_deg - self.alpha1))
+        lower = 1.0 - math.tanh(self.a1 * (self.alpha2 - alpha_deg + self.second * lag_deg))
+        return 0.25 * upper * lower
 
     def lift_share(self, alpha_deg: float, lag_deg: float) -> float:
         """What is left of CL_alpha alpha (eq 2.34)."""
-        return float(((1.0 + np.sqrt(self.attached(alpha_deg, lag_deg))) / 2.0) ** 2) if self.on else 1.0
+        return ((1.0 + math.sqrt(self.attached(alpha_deg, lag_deg))) / 2.0) ** 2 if self.on else 1.0
 
 
 @dataclass(frozen=True)
@@ -103,17 +104,18 @@ def derivative(a: StallingAirframe, x: Array, u: Array) -> Array:
     to_body = sixdof.rotation_to_body(phi, theta, psi)
     steady = np.array([pull, 0.0, 0.0]) + to_body @ np.array([0.0, 0.0, a.m * a.g])
     in_plane = velocity[0] ** 2 + velocity[2] ** 2
+    turned = np.cross(rates, velocity)
 
     def at(alphadot: float) -> tuple[Array, Array]:
         lag_deg = a.separation.tau2 * a.c / V * np.degrees(alphadot)
         C = body_coefficients(a, alpha, beta, hat, lag_deg, u[:3])
-        return C, (qS * C[:3] + steady) / a.m - np.cross(rates, velocity)
+        return C, (qS * C[:3] + steady) / a.m - turned
 
     def surplus(alphadot: float) -> float:
         dot = at(alphadot)[1]
         return float((velocity[0] * dot[2] - velocity[2] * dot[0]) / in_plane - alphadot)
 
-    alphadot = brentq(surplus, -50.0, 50.0, xtol=1e-12)
+    alphadot = newton(surplus, 0.0, tol=1e-12)
     C, velocity_dot = at(alphadot)
     moment = qS * C[3:] * np.array([a.b, a.c, a.b])
     inertia = np.array([[a.Ixx, 0, -a.Ixz], [0, a.Iyy, 0], [-a.Ixz, 0, a.Izz]])

@@ -78,7 +78,9 @@ def test_every_campaign_file_flies_at_small_size(path, tmp_path):
     data = small(path)
     (tmp_path / "small.toml").write_text(tomlkit.dumps(data))
     out = tmp_path / "out"
-    assert main(["campaign", "run", str(tmp_path / "small.toml"), "--out", str(out), "--serial"]) == 0
+    # JSBSim flies 6 s sooner than the batch engine compiles; the demo's own campaign goes through the engine that its file asks for.
+    engine = [] if path.parent.name == "demo" else ["--engine", "jsbsim"]
+    assert main(["campaign", "run", str(tmp_path / "small.toml"), "--out", str(out), "--serial", *engine]) == 0
     frame = pd.read_parquet(out / CASES)
     samples = data["epistemic"].get("samples")  # type: ignore[attr-defined]
     expected = {"corners": 4, "none": 1}.get(data["epistemic"]["method"], samples)  # type: ignore[index]

@@ -176,7 +176,7 @@ def test_a_campaign_that_decides_is_killed_between_its_looks(tmp_path):
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
 def test_the_batch_engine_is_killed_in_the_middle_of_groups(tmp_path):
     fakes.campaign_file(tmp_path)
-    kills = ["parent", "journal", "worker", "table", "worker", "parent"]
+    kills = ["parent", "journal", "worker", "parent"]
     hit = torture(tmp_path, None, 8, kills, seed=20261123, fake="batch_slowly")
     assert {"parent", "worker"} <= set(hit), hit
     spec = fakes.small_spec(tmp_path, 8)
