@@ -5,6 +5,9 @@ from .lanes.fly import fly_many as fly_many
 from .lanes.fly import forget as forget
 from .lanes.fly import ready as ready
 from .lanes.fly import record_many as record_many
+from .lanes.forced import StateProgram as StateProgram
+from .lanes.forced import at_states as at_states
+from .lanes.forced import make_states as make_states
 from .lanes.replay import ReplayLane as ReplayLane
 from .lanes.replay import ReplayProgram as ReplayProgram
 from .lanes.replay import fly_replays as fly_replays
@@ -13,4 +16,5 @@ from .lanes.understood import refusals as refusals
 from .machine.target import VECTORS as VECTORS
 from .machine.target import target_names as target_names
 from .translate.sources import Files as Files
+from .translate.sources import Sources as Sources
 from .translate.sources import read_sources as read_sources

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.units import FT_M, LBF_FT_NM, LBF_N, PSF_PA, SLUG_KG
+from uqharness.replay.forced import States, by_batch
 from uqharness.replay.ground import terrain_m
 from uqharness.replay.model import ReplayModel, control_setters
 from uqharness.replay.segments import Segment
@@ -20,8 +21,10 @@ from uqharness.simulator import TRIM_LATITUDE_DEG, body_velocity, engine, positi
 Array = NDArray[np.float64]
 _FORCES = tuple(f"forces/fb{a}-{kind}-lbs" for kind in ("total", "aero") for a in "xyz")
 _MOMENTS = tuple(f"moments/{a}-{kind}-lbsft" for kind in ("total", "aero") for a in "lmn")
-_STOOD_BYTES = 50_000_000
+_RECORDS = (*_FORCES, *_MOMENTS, "aero/qbar-psf")
+_STOOD_BYTES, _WEIGHED = 50_000_000, 8
 _stood: OrderedDict[tuple[object, ...], Array] = OrderedDict()
+_weighed: OrderedDict[tuple[object, ...], MassProperties] = OrderedDict()
 SETTLED_RADPS, MOST_FRAMES = 1e-6, 25
 """Change of alphadot and betadot from frame to frame at which a forced state has settled, and the frames that it may take."""
 
@@ -56,16 +59,48 @@ def force_states(
     ``model`` must pass its controls straight through (`ReplayFolder` with every control ideal): a lag would remember the state
     before. altitude_m (n,) above sea level, default the segment's throughout. Raises BadInputError.
     """
-    fdm = model.open(segment.dt_s)
+    height = np.full(len(controls), segment.altitude_m) if altitude_m is None else altitude_m
+    terrain = min(terrain_m(model, segment), float(height.min()))
+    asked = States(states, model.to_property(controls), height, terrain)
+
+    def by_jsbsim(some: States) -> Array:
+        return _forced(_opened(model, segment.dt_s, properties), model, some)
+
+    raw = by_batch(model, asked, segment.dt_s, properties, _RECORDS, by_jsbsim)
+    raw = by_jsbsim(asked) if raw is None else raw
+    total, aero = raw[:, 0:3] * LBF_N, raw[:, 3:6] * LBF_N
+    total_moment, aero_moment = raw[:, 6:9] * LBF_FT_NM, raw[:, 9:12] * LBF_FT_NM
+    mass = _mass_of(model, segment.dt_s, properties)
+    return ForcedModel(aero, total - aero, aero_moment, total_moment - aero_moment, raw[:, 12] * PSF_PA, mass)
+
+
+def _opened(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) -> Any:
+    fdm = model.open(dt_s)
     for name, value in properties.items():
         engine.set_property(fdm, name, value)
+    return fdm
+
+
+def _mass_of(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) -> MassProperties:
+    """Mass properties of a model; those asked for last are remembered."""
+    key = (model.identity, *sorted(properties.items()))
+    if key not in _weighed:
+        fdm = _opened(model, dt_s, properties)
+        engine.run_ic(fdm)
+        _weighed[key] = mass_properties(fdm, model)
+        while len(_weighed) > _WEIGHED:
+            _weighed.popitem(last=False)
+    return _weighed[key]
+
+
+def _forced(fdm: Any, model: ReplayModel, asked: States) -> Array:
+    """(n, records) at n states, one after the other."""
     engines = fdm.get_propulsion().get_num_engines()
     if engines:
         engine.start_engines(fdm)
     setters = control_setters(fdm, model)
-    height = np.full(len(controls), segment.altitude_m) if altitude_m is None else altitude_m
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
-    fdm["ic/terrain-elevation-ft"] = min(terrain_m(model, segment), float(height.min())) / FT_M
+    fdm["ic/terrain-elevation-ft"] = asked.terrain_m / FT_M
     names = (
         "h-sl-ft",
         "phi-rad",
@@ -79,17 +114,16 @@ def force_states(
         "r-rad_sec",
     )
     put = [engine.handle(fdm, f"ic/{name}").set_double_value for name in names]
-    get = [engine.handle(fdm, name).get_double_value for name in (*_FORCES, *_MOMENTS, "aero/qbar-psf")]
+    get = [engine.handle(fdm, name).get_double_value for name in _RECORDS]
     rates = [engine.handle(fdm, f"aero/{name}dot-rad_sec").get_double_value for name in ("alpha", "beta")]
-    raw = np.empty((len(controls), len(get)))
-    scaled = model.to_property(controls)
-    for k in range(len(controls)):
-        for handles, value in zip(setters, scaled[k], strict=True):
+    raw, states = np.empty((len(asked.controls), len(get))), asked.motion
+    for k in range(len(raw)):
+        for handles, value in zip(setters, asked.controls[k], strict=True):
             for setter in handles:
                 setter(float(value))
         u, v, w = body_velocity(float(states["V_mps"][k]), float(states["alpha_rad"][k]), float(states["beta_rad"][k]))
         state = (
-            height[k] / FT_M, states["phi_rad"][k], states["theta_rad"][k], 0.0, u / FT_M, v / FT_M, w / FT_M,
+            asked.altitude_m[k] / FT_M, states["phi_rad"][k], states["theta_rad"][k], 0.0, u / FT_M, v / FT_M, w / FT_M,
             states["p_radps"][k], states["q_radps"][k], states["r_radps"][k],
         )  # fmt: skip
         for setter, value in zip(put, state, strict=True):
@@ -101,11 +135,7 @@ def force_states(
         if model.by_rates:
             _settle_rates(fdm, *rates)
         raw[k] = [g() for g in get]
-    total, aero = raw[:, 0:3] * LBF_N, raw[:, 3:6] * LBF_N
-    total_moment, aero_moment = raw[:, 6:9] * LBF_FT_NM, raw[:, 9:12] * LBF_FT_NM
-    return ForcedModel(
-        aero, total - aero, aero_moment, total_moment - aero_moment, raw[:, 12] * PSF_PA, mass_properties(fdm, model)
-    )
+    return raw
 
 
 def _settle_rates(fdm: Any, alphadot: Callable[[], float], betadot: Callable[[], float]) -> None:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 _LOG = logging.getLogger("uqharness")
-_KEPT = 8
+_KEPT, _LEVELS = 8, 512
 _AGREES = 1e-6
 """Largest difference of a channel between the engines, in units of its largest size in the replay."""
 
@@ -74,7 +74,6 @@ def fly_all(jobs: Sequence[ReplayJob], map_: Map = map) -> list[Array]:
 class _Program:
     replay: ReplayProgram
     names: frozenset[str]
-    levels: dict[float, tuple[float, float]]
 
 
 _Alike = tuple[str, tuple[str, ...], int]
@@ -82,6 +81,7 @@ _Alike = tuple[str, tuple[str, ...], int]
 _Timing = tuple[int, float, bool, float]
 """Segment, lateness, outputs between rows, share unseen: what makes the controls of a replay."""
 _programs: OrderedDict[_Alike, _Program | None] = OrderedDict()
+_levels: OrderedDict[tuple[str, float], tuple[float, float]] = OrderedDict()
 
 
 def forget_programs() -> None:
@@ -114,12 +114,11 @@ def _made(job: ReplayJob, names: frozenset[str]) -> _Program | None:
     if batch.available() is not None:
         return None
     model = job.model
-    root = model.staging.root
     # All coefficients of the card: estimators free them in turns, and one program serves all.
     names |= {name for name in model.card.parameters if name.startswith("aero/")}
     properties = [model.card.inputs[name].property for name in model.controls]
     try:
-        sources = batch.read_sources(batch.Files(model.staging.folder, model.staging.xml, root / "engine", root / "systems"), None)
+        sources = sources_of(model)
         shape = shape_of(job.model, job.segment, job.between)
         records = [*RAW, *job.extra]
         made = batch.make_replay(
@@ -128,7 +127,7 @@ def _made(job: ReplayJob, names: frozenset[str]) -> _Program | None:
     except BadInputError as error:
         _LOG.info("replays are flown by JSBSim: %s", error)
         return None
-    return _Program(made, names, {})
+    return _Program(made, names)
 
 
 def _judged(job: ReplayJob, program: _Program | None) -> _Program | None:
@@ -157,7 +156,7 @@ def _lane(program: _Program, job: ReplayJob, shape: Shape, controls: dict[_Timin
     key = (id(job.segment), job.late_s, job.between, job.unseen)
     if key not in controls:
         controls[key] = run_controls(job.model, job.segment, shape, job.late_s, job.unseen)
-    latitude, height = _level(program, job)
+    latitude, height = level_of(job.model, job.segment.altitude_m)
     V, alpha, beta, phi, theta, psi, p, q, r = (float(x) for x in job.start)
     u, v, w = body_velocity(V, alpha, beta)
     conditions = {
@@ -170,15 +169,23 @@ def _lane(program: _Program, job: ReplayJob, shape: Shape, controls: dict[_Timin
     return batch.ReplayLane(job.properties, conditions, terrain, controls[key], shape.dt_s)
 
 
-def _level(program: _Program, job: ReplayJob) -> tuple[float, float]:
-    """Geodetic latitude [rad] and height [ft] of a start, as JSBSim has them."""
-    altitude = job.segment.altitude_m
-    if altitude not in program.levels:
-        fdm = job.model.open(0.01)
+def sources_of(model: ReplayModel) -> batch.Sources:
+    """The aircraft's XML as the batch engine reads it. Raises BadInputError."""
+    root = model.staging.root
+    return batch.read_sources(batch.Files(model.staging.folder, model.staging.xml, root / "engine", root / "systems"), None)
+
+
+def level_of(model: ReplayModel, altitude_m: float) -> tuple[float, float]:
+    """Geodetic latitude [rad] and height [ft] of a start at an altitude above sea level, as JSBSim has them."""
+    key = model.identity, altitude_m
+    if key not in _levels:
+        fdm = model.open(0.01)
         fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
-        fdm["ic/h-sl-ft"] = altitude / FT_M
-        program.levels[altitude] = (float(fdm["ic/lat-geod-rad"]), float(fdm["ic/geod-alt-ft"]))
-    return program.levels[altitude]
+        fdm["ic/h-sl-ft"] = altitude_m / FT_M
+        _levels[key] = (float(fdm["ic/lat-geod-rad"]), float(fdm["ic/geod-alt-ft"]))
+        while len(_levels) > _LEVELS:
+            _levels.popitem(last=False)
+    return _levels[key]
 
 
 def _outputs(rows: Array, job: ReplayJob, shape: Shape) -> Array:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import Aircraft, open_aircraft, parse_xml
@@ -48,32 +49,40 @@ class Actuator:
     def follow_finely(self, commands: Array, dt_s: float, step_s: float) -> tuple[Array, Array]:
         """(n,) positions at rows as `follow` has them, and (n-1,) half-way between, in straight lines from step to step."""
         runs = max(1, round(dt_s / step_s))
-        gain, keep = 1.0, 0.0
+        # A row's command is there from the run on that arrives at the row.
+        asked = np.repeat(commands, runs)[: (len(commands) - 1) * runs + 1].astype(float)
+        out = asked
         if self.lag is not None:
-            gain, keep = (
-                step_s * self.lag / (2.0 + step_s * self.lag),
-                (2.0 - step_s * self.lag) / (2.0 + step_s * self.lag),
-            )
-        before = held = lagged = position = float(commands[0])
-        reach = self.rate * step_s
-        out = np.empty((len(commands) - 1) * runs + 1)
-        at = 0
-        for row, command in enumerate(commands.tolist()):
-            for run in range(runs if row else 1):
-                now = command if run == runs - 1 or not row else held
-                lagged = now if self.lag is None else gain * (now + before) + keep * lagged
-                before = now
-                position = min(max(lagged, position - reach), position + reach)
-                # The lag remembers its own output, the rate limit what it let through.
-                out[at] = position
-                at += 1
-            held = command
+            half = step_s * self.lag
+            gain, keep = half / (2.0 + half), (2.0 - half) / (2.0 + half)
+            out = lfilter([gain, gain], [1.0, -keep], asked, zi=[(gain + keep) * asked[0]])[0]
+        out = _limited(out, self.rate * step_s)
+        # The lag remembers its own output, the rate limit what it let through.
         np.clip(out, self.low, self.high, out=out)
         early, late = (
             runs // 2,
             -(-runs // 2),
         )  # the steps on either side of the middle, one and the same if runs is even
         return out[::runs], 0.5 * (out[early : len(out) - late : runs] + out[late : len(out) - early : runs])
+
+
+def _limited(asked: Array, reach: float) -> Array:
+    """(n,) positions that follow what is asked, by ``reach`` from one to the next at most; the first is what is asked."""
+    out = asked.copy()
+    begun = np.flatnonzero(np.abs(np.diff(asked)) > reach) + 1
+    wanted, caught = asked.tolist() if len(begun) else [], 0
+    for first in begun.tolist():
+        if first < caught:
+            continue
+        position, k = float(out[first - 1]), first
+        while k < len(wanted):
+            position = min(max(wanted[k], position - reach), position + reach)
+            out[k] = position
+            k += 1
+            if position == wanted[k - 1]:
+                break
+        caught = k
+    return out
 
 
 def actuators(aircraft: Aircraft, controls: Sequence[str]) -> dict[str, Actuator]:

@@ -90,14 +90,7 @@ def make_replay(
 
     Raises BadInputError with file and line for what is not understood.
     """
-    values = Values(initial_values(open_fdm), constant_properties(sources))
-    fed = Stream("controls", tuple(canonical(name) for name in controls))
-    names = (*(canonical(name) for name in inputs), TERRAIN)
-    flight = trace_flight(sources, dt_s, values, Asked(names, [fed], records, any_step=True))
-    if flight.propulsion.engines:
-        raise BadInputError("the aircraft has engines in <propulsion>, which replays in lanes do not start")
-    if flight.draws:
-        raise BadInputError("the aircraft draws random numbers, which a replay does without")
+    flight, fed, names = traced(sources, open_fdm, dt_s, controls, inputs, records)
     varying = (STEP, *names, *fed.columns, *(f"#{name}" for part in WEIGHTS_PARTS for name in slots(part)))
     program = optimised(settled((flight.first, flight.second), flight.frame, varying), stride=stride)
     # What a stream feeds may be folded away with the section that read it.
@@ -106,6 +99,23 @@ def make_replay(
         raise BadInputError("the aircraft has turbulence of its own, which a replay does without")
     program = replace(program, streams=(fed,))
     return ReplayProgram(flight, program, fed.columns, names, stride)
+
+
+def traced(
+    sources: Sources, open_fdm: Callable[[], Any], dt_s: float, controls: Sequence[str], inputs: Collection[str],
+    records: Sequence[str],
+) -> tuple[Flight, Stream, tuple[str, ...]]:  # fmt: skip
+    """The frames of an aircraft of any step, the stream of its controls, and the names of what may differ between lanes; arguments
+    of `make_replay`. Raises BadInputError for what cannot be replayed."""
+    values = Values(initial_values(open_fdm), constant_properties(sources))
+    fed = Stream("controls", tuple(canonical(name) for name in controls))
+    names = (*(canonical(name) for name in inputs), TERRAIN)
+    flight = trace_flight(sources, dt_s, values, Asked(names, [fed], records, any_step=True))
+    if flight.propulsion.engines:
+        raise BadInputError("the aircraft has engines in <propulsion>, which replays in lanes do not start")
+    if flight.draws:
+        raise BadInputError("the aircraft draws random numbers, which a replay does without")
+    return flight, fed, names
 
 
 def fly_replays(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> Iterator[tuple[int, Array]]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uqharness.batch.form.ir import Builder, Function, Value, evaluate
 from uqharness.batch.form.maths import lower
+from uqharness.batch.form.program import Section
 from uqharness.batch.models import earth
 from uqharness.batch.models.motion import slots
 from uqharness.batch.models.vectors import Quaternion, Vector, applied, cross, plus, rotation, times, transposed
@@ -38,14 +39,30 @@ def _rounded(values: Array) -> Array:
 
 def start_state(conditions: Mapping[str, Array]) -> dict[str, Array]:
     """Slots of the motion from CONDITIONS, arrays over lanes."""
-    inputs = {name: _rounded(np.atleast_1d(np.asarray(conditions[name], dtype=float))) for name in CONDITIONS}
-    found, _ = evaluate(_FUNCTION, inputs)
+    found, _ = evaluate(_FUNCTION, start_conditions(conditions))
     return found
 
 
-def _start() -> Function:
+def start_conditions(conditions: Mapping[str, Array]) -> dict[str, Array]:
+    """CONDITIONS as a start is made of them, arrays over lanes."""
+    return {name: _rounded(np.atleast_1d(np.asarray(conditions[name], dtype=float))) for name in CONDITIONS}
+
+
+def start_section() -> Section:
+    """`start_state` as a part of a frame: it loads the slots CONDITIONS."""
     b = Builder()
-    lat, lon, height, phi, theta, psi, u, v, w, p, q, r = (b.input(name) for name in CONDITIONS)
+    for name, value in _start(b, b.load).items():
+        b.store(name, value)
+    return Section("start", b.finish({}))
+
+
+def _outputs() -> Function:
+    b = Builder()
+    return lower(b.finish(_start(b, b.input), {}))
+
+
+def _start(b: Builder, read: Callable[[str], Value]) -> dict[str, Value]:
+    lat, lon, height, phi, theta, psi, u, v, w, p, q, r = (read(name) for name in CONDITIONS)
     sin_lat, cos_lat, sin_lon, cos_lon = b.op("sin", lat), b.op("cos", lat), b.op("sin", lon), b.op("cos", lon)
     squeeze = (earth.B_FT / earth.A_FT) ** 2
     normal = earth.A_FT / b.op("sqrt", 1.0 - (1.0 - squeeze) * (sin_lat * sin_lat))
@@ -58,8 +75,7 @@ def _start() -> Function:
     velocity = plus(applied(transposed(to_body), (u, v, w)), cross(spin, position))
     rates = plus((p, q, r), times((to_body[0][2], to_body[1][2], to_body[2][2]), earth.RATE_RADPS))
     values = {"attitude": attitude, "position": position, "velocity": velocity, "rates": rates}
-    named = {f"#{name}": b.value(c) for part, vector in values.items() for name, c in zip(slots(part), vector, strict=True)}
-    return lower(b.finish(named, {}))
+    return {f"#{name}": b.value(c) for part, vector in values.items() for name, c in zip(slots(part), vector, strict=True)}
 
 
 def _half(angle: Value) -> tuple[Value, Value]:
@@ -97,4 +113,4 @@ def _after(a: Quaternion, b: Quaternion) -> Quaternion:
     )
 
 
-_FUNCTION = _start()
+_FUNCTION = _outputs()
