@@ -122,9 +122,15 @@ def _errors(case: Case, effects: Sequence[Mapping[str, Any]]) -> tuple[float, ..
     return tuple(out)
 
 
+def _judging(found: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Rows of the test flights by which refine judged: of predictions where it made them, else of replays."""
+    test = (found.get("gap") or {}).get("test") or {}
+    return test.get("predictions") or test.get("channels") or {}
+
+
 def test_gap(found: Mapping[str, Any]) -> float:
     """Root mean square over channels of rms_after / noise_rms on the test flights; NaN where the file does not say."""
-    channels = (((found.get("gap") or {}).get("test") or {}).get("channels")) or {}
+    channels = _judging(found)
     ratios = [
         c["rms_after"] / c["noise_rms"]
         for c in channels.values()
@@ -135,7 +141,7 @@ def test_gap(found: Mapping[str, Any]) -> float:
 
 def at_floor(found: Mapping[str, Any]) -> bool:
     """Every channel of the test flights within FLOOR of its noise after refinement."""
-    channels = (((found.get("gap") or {}).get("test") or {}).get("channels")) or {}
+    channels = _judging(found)
     return bool(channels) and all(
         _positive(c.get("rms_after")) and _positive(c.get("noise_rms")) and c["rms_after"] <= FLOOR * c["noise_rms"]
         for c in channels.values()

@@ -17,7 +17,7 @@ from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.find import Found, in_one_step, with_resolution
 from uqharness.refinement.gusts import GustFit, gust_evidence
 from uqharness.refinement.rounds import candidate_evidence
-from uqharness.refinement.showing.show import Shown, show
+from uqharness.refinement.showing.show import Shown, show, with_replays
 from uqharness.refinement.types import Setup, in_dynamics
 from uqharness.refinement.writing.effects import carrier
 from uqharness.simulator import Aircraft
@@ -90,11 +90,20 @@ def judge(found: Found, write: Write, train: Side, test: Side, map_: Processes) 
 
     whole = write(found)
 
-    def flown(model: Found, side: Side) -> Shown:
+    def written(model: Found) -> tuple[Aircraft, dict[str, float]]:
         # One aircraft with every effect flies all models, its properties set: each XML of its own would be compiled anew.
         values = property_values(model, found, whole)
-        aircraft = write(model) if values is None else whole
-        return show(aircraft, side.setup, side.measured, side.ideal, map_, sensed_by(model), side.air, values or {})
+        return (write(model), {}) if values is None else (whole, values)
+
+    def flown(model: Found, side: Side) -> Shown:
+        aircraft, values = written(model)
+        return show(aircraft, side.setup, side.measured, side.ideal, map_, sensed_by(model), side.air, values)
+
+    def replayed(shown: Shown, model: Found, side: Side) -> Shown:
+        if side.air is None:
+            return shown
+        aircraft, values = written(model)
+        return with_replays(shown, aircraft, side.setup, side.measured, side.ideal, map_, sensed_by(model), values)
 
     pair = flown(bare(found), train)
     fitted = flown(found, train) if found.selection.chosen else pair
@@ -125,6 +134,10 @@ def judge(found: Found, write: Write, train: Side, test: Side, map_: Processes) 
         gone.append(next(c for c in found.selection.chosen if c.key == worst.key))
         standing, after = without[worst.key]
     settled = fitted if not gone else flown(standing, train) if standing.selection.chosen else pair
+    pair, before = (replayed(shown, bare(found), side) for shown, side in ((pair, train), (before, test)))
+    if not standing.selection.chosen:
+        return Judged(standing, tuple(gone), verdicts, (train.setup, pair, pair), (test.setup, before, before))
+    settled, after = (replayed(shown, standing, side) for shown, side in ((settled, train), (after, test)))
     return Judged(standing, tuple(gone), verdicts, (train.setup, pair, settled), (test.setup, before, after))
 
 

@@ -64,13 +64,17 @@ def _refined(document: Mapping[str, Any]) -> Iterator[Sentence]:
         yield f"Refinement found nothing missing {flights}.", GOOD
     if document["verdict"] == "unexplained":
         yield "Refinement leaves something unexplained: " + _unexplained(document) + ".", BAD
-    gap = document["gap"]["test"]["channels"]
+    test = document["gap"]["test"]
+    # In turbulence replays hold what the gusts did, and predictions judge.
+    predictions = test.get("predictions") or {}
+    gap = predictions or test["channels"]
     ratios = {
         c: (g["rms_before"] / g["noise_rms"], g["rms_after"] / g["noise_rms"])
         for c, g in gap.items()
         if all(g[k] is not None for k in g) and g["noise_rms"] > 0.0
     }
-    flown = f"On the hold-out flights ({', '.join(_stems(document['test']))}) rms over noise"
+    whose = "rms of one-step predictions" if predictions else "rms"
+    flown = f"On the hold-out flights ({', '.join(_stems(document['test']))}) {whose} over noise"
     above = {c: r for c, r in ratios.items() if max(r) > _ABOVE_NOISE}
     if not above:
         most = max((max(r) for r in ratios.values()), default=math.nan)

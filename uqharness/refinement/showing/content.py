@@ -243,9 +243,10 @@ class Theil(Part):
 
 
 class GapShown(Part):
-    """The gap on the test flights."""
+    """The gap on the test flights; predictions: errors one sample ahead, where those judged."""
 
     channels: dict[str, BeforeAfter]
+    predictions: dict[str, BeforeAfter] = Field(default_factory=dict)
     coefficients: dict[str, BeforeAfter]
     theil: Theil = Theil()
     intervals: Intervals | None = None

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.effects import Gusts
-from sysid.estimation import ljung_box, rms, theil
+from sysid.estimation import channel_noise, ljung_box, rms, theil
 from sysid.model_form import floor_of
 from sysid.parallel import Processes
 from uqharness.identification import coefficient_gap, fit_replays
@@ -29,10 +29,19 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class Replays:
+    """Replays [(n, m)] of flights that predictions judged, and the noise (m,) of their channels: what `compare` shows of them."""
+
+    outputs: list[Array]
+    noise: Array
+
+
+@dataclass(frozen=True)
 class Shown:
     """One model over some flights: replay or one-step predictions, residuals [(n, m)] and their noise (m,), coefficient residuals
     [(n, 6)] and their noise (6,), white [(n, m)] residuals over their noise, cost: sum of their squares; logdet (S,): of each
-    segment, the logarithms of that noise, summed, where the model has a say in it (predictions; 0 for replays)."""
+    segment, the logarithms of that noise, summed, where the model has a say in it (predictions; 0 for replays).
+    replays: of flights shown by predictions, the same model's replays, where they were asked for."""
 
     flown: Flown
     residual: list[Array]
@@ -42,6 +51,7 @@ class Shown:
     white: list[Array]
     cost: float
     logdet: tuple[float, ...]
+    replays: Replays | None = None
 
     @property
     def surprise(self) -> float:
@@ -84,12 +94,7 @@ def show(
         ]
         found = list(map_(_coefficient_gap, jobs))
         if gusts is None:
-            flown = fly(bench.model, plain, start, map_)
-            if np.isfinite(flown.cost):
-                seen = replace(observed(plain, sensed), properties=start.values)
-                fit = fit_replays(bench.model, seen, (), [np.zeros(0)], (), spread_over(map_), errors=False)
-                fit.replay.forget()
-                flown = fly(bench.model, plain, replace(point_of(fit, plain, (), sensed), values=start.values), map_)
+            flown = _replayed(bench.model, plain, start, map_)
             residual = [z - y for z, y in zip(setup.measured, flown.outputs, strict=True)]
             white = [r / setup.noise for r in residual]
             noise, cost = setup.noise, flown.cost
@@ -114,6 +119,31 @@ def show(
             flown = replace(at, outputs=outputs, cost=cost)
     floor = floor_of([np.concatenate([f[1] for f in found])])
     return Shown(flown, residual, noise, [f[0] for f in found], floor, white, cost, tuple(logdet))
+
+
+def _replayed(model: ReplayModel, setup: Setup, start: Point, map_: Processes) -> Flown:
+    """Replays from the start states, biases and delays that fit best, as `compare` has them."""
+    flown = fly(model, setup, start, map_)
+    if not np.isfinite(flown.cost):
+        return flown
+    seen = replace(observed(setup, start.sensed), properties=start.values)
+    fit = fit_replays(model, seen, (), [np.zeros(0)], (), spread_over(map_), errors=False)
+    fit.replay.forget()
+    return fly(model, setup, replace(point_of(fit, setup, (), start.sensed), values=start.values), map_)
+
+
+def with_replays(
+    shown: Shown, aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Processes,
+    sensed: Mapping[str, float], values: Mapping[str, float] | None = None,
+) -> Shown:  # fmt: skip
+    """Flights shown by predictions with their replays besides; arguments of `show`. Noise and delays are those of `compare`."""
+    with Bench(aircraft, measured, ideal) as bench:
+        known = channel_noise(list(setup.measured), setup.outputs, aircraft.card.sensors.noise_std)
+        noise = np.array([known[c] for c in setup.outputs])
+        timed = tuple(f.name for f in setup.flights if f.name not in setup.late)
+        plain = replace(with_sensors_of(setup, aircraft), active=(), carriers={}, jumping=(), timed=timed, noise=noise)
+        start = Point(dict(values or {}), {}, tuple(s.start for s in setup.segments), dict(sensed))
+        return replace(shown, replays=Replays(_replayed(bench.model, plain, start, map_).outputs, noise))
 
 
 def _as_recorded(setup: Setup, point: Point, rows: Sequence[Array]) -> list[Array]:
@@ -161,25 +191,32 @@ def _coefficient_gap(
 
 
 def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]:
-    """G of refinement.json."""
+    """G of refinement.json: channels of replays, as `compare` has them; predictions: where those judged, their errors."""
 
     def row(b: float, a: float, n: float) -> dict[str, float]:
         return {"rms_before": b, "rms_after": a, "noise_rms": n}
 
+    def rows(b: Sequence[Array], a: Sequence[Array], noise: Array) -> dict[str, dict[str, float]]:
+        both = (np.concatenate(b), np.concatenate(a))
+        return {c: row(rms(both[0][:, k]), rms(both[1][:, k]), float(noise[k])) for k, c in enumerate(setup.outputs)}
+
+    def left(shown: Shown) -> list[Array]:
+        if shown.replays is None:
+            return shown.residual
+        return [z - y for z, y in zip(setup.measured, shown.replays.outputs, strict=True)]
+
     def coefficient(shown: Shown) -> float:
+        outputs = shown.flown.outputs if shown.replays is None else shown.replays.outputs
         found = [
-            theil(
-                np.concatenate([z[:, k] for z in setup.measured]),
-                np.concatenate([y[:, k] for y in shown.flown.outputs]),
-            ).u
+            theil(np.concatenate([z[:, k] for z in setup.measured]), np.concatenate([y[:, k] for y in outputs])).u
             for k in range(len(setup.outputs))
         ]
         return float(np.nanmean(found))
 
+    noise = after.noise if after.replays is None else after.replays.noise
     return {
-        "channels": {
-            c: row(before.channel_rms(k), after.channel_rms(k), float(after.noise[k])) for k, c in enumerate(setup.outputs)
-        },
+        "channels": rows(left(before), left(after), noise),
+        "predictions": {} if after.replays is None else rows(before.residual, after.residual, after.noise),
         "coefficients": {
             c: row(before.coefficient_rms(k), after.coefficient_rms(k), float(after.floor[k])) for k, c in enumerate(COEFFICIENTS)
         },

@@ -184,7 +184,26 @@ def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
     )
     table = Table("Gap on the test flights: rms of log minus model.", ("Quantity", "Before", "After", "Noise"), tuple(rows), True)
     drawn = Figures(tuple(figures), file="gap")
-    return Section("Gap on the test flights, before and after", (Words(text, note=True), drawn, table))
+    blocks: list[Block] = [Words(text, note=True), drawn, table]
+    if gap.get("predictions"):
+        blocks += [Words(_TURBULENT), _prediction_table(gap["predictions"])]
+    return Section("Gap on the test flights, before and after", tuple(blocks))
+
+
+_TURBULENT = (
+    "The flights were turbulent. The gap above is of replays, as compare has it, and holds what the gusts did; effects are judged "
+    "by the errors of predictions one sample ahead."
+)
+
+
+def _prediction_table(predictions: Mapping[str, Any]) -> Table:
+    rows = []
+    for name, r in predictions.items():
+        quantity, unit, factor = shown_channel(name)
+        values = (None if r.get(k) is None else factor * r[k] for k in ("rms_before", "rms_after", "noise_rms"))
+        rows.append((f"{quantity} [{unit}]", *(shown(v) for v in values)))
+    head = ("Quantity", "Before", "After", "Expected")
+    return Table("Errors of predictions one sample ahead on the test flights, rms.", head, tuple(rows), True)
 
 
 def _coefficient_figures(

@@ -11,19 +11,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sysid.parallel import ALONE
 from tests.helpers.flown import fly
 from tests.helpers.sixdof import Airframe
+from tests.hidden_effects.flights import Flight as HiddenFlight
+from tests.hidden_effects.flights import fly as fly_hidden
+from tests.hidden_effects.manoeuvres import card
 from tests.uqharness.refinement.test_refine import TEST, TRAIN, document, with_p2
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
+from uqharness.identification.compare import compare
 from uqharness.refinement import judge as refine_judge
 from uqharness.refinement.run import Refinement, Request, _put, refine
+from uqharness.refinement.setup import make_setup, setup_in_gusts
 from uqharness.refinement.showing.content import Place
 from uqharness.refinement.showing.intervals import FlightSet, IntervalJob, fit_intervals, intervals_document
 from uqharness.refinement.showing.mission import MissionPBox, Model, campaign_for, fly_missions
 from uqharness.refinement.showing.remains import Nearest
+from uqharness.refinement.showing.show import Shown, gap_document, with_replays
 from uqharness.refinement.showing.words import left_over, nowhere
-from uqharness.replay.flights import read_flights
+from uqharness.replay.flights import prepare, read_flights
 from uqharness.report.refinement import write_results
 from uqharness.report.write import write_report
 from uqharness.simulator.aircraft import find_aircraft
@@ -312,3 +319,33 @@ def test_what_is_left_has_a_place_where_the_force_acts(judged_flights):
     assert place["would_tell"]
     assert len(place["candidates"]) == 3
     assert Place.model_validate(place).channel == place["channel"]
+
+
+@pytest.fixture(scope="module")
+def gusty():
+    """A manoeuvre of 11 s in turbulence, ready for replay."""
+    (record,) = fly_hidden([HiddenFlight(card(3, 22.0, seconds=11.0, w20_kt=12.0), Airframe())])
+    return prepare("f", record, ())
+
+
+def test_in_turbulence_the_table_is_that_of_compare(gusty):
+    """The same replays from the same start states: far above the noise, and the same multiple of it in each channel."""
+    aircraft = find_aircraft("espaaro")
+    setup = setup_in_gusts(aircraft, make_setup(aircraft, [gusty], ()))
+    zeros = [np.zeros_like(z) for z in setup.measured]
+    predicted = Shown(None, zeros, setup.noise, [np.ones((9, 6))], np.ones(6), zeros, 0.0, (0.0,))  # type: ignore[arg-type]
+    shown = with_replays(predicted, aircraft, setup, (), (), ALONE, {})
+    found = gap_document(setup, shown, shown)
+    other = compare(aircraft, gusty, (), workers=1)
+    ratios = {c: row["rms_after"] / row["noise_rms"] for c, row in found["channels"].items()}
+    assert max(ratios.values()) > 1.5
+    for channel, ratio in ratios.items():
+        assert ratio == pytest.approx(other.channels[channel].ratio, rel=0.02), channel
+    assert found["predictions"].keys() == found["channels"].keys()
+    assert all(row["rms_after"] == 0.0 for row in found["predictions"].values())
+    assert shown.residual is predicted.residual
+
+
+def test_in_calm_air_replays_are_the_table_and_nothing_else(contradicted):
+    gap = document(contradicted)["gap"]
+    assert gap["test"]["predictions"] == gap["train"]["predictions"] == {}
