@@ -58,3 +58,14 @@ def test_effects_with_something_left_beside_them_are_said_together(tmp_path):
     assert "Something is missing" not in words
     assert "Pitching moment due to roll rate squared is confounded with: aileron squared." in words
     assert "Axial force due to pitch rate is confounded with: product of inertia Ixz." in words
+
+
+def test_errors_of_predictions_stand_under_their_own_name(tmp_path):
+    done = refinement()
+    assert "one sample ahead" not in words_of(page_of(written(tmp_path / "calm", "refinement.json", done)))
+    done["gap"]["test"]["predictions"] = {"q_radps": {"rms_before": 0.0041, "rms_after": 0.0037, "noise_rms": 0.0036}}
+    words = words_of(page_of(written(tmp_path / "turbulent", "refinement.json", done)))
+    assert "The flights were turbulent." in words
+    assert "Errors of predictions one sample ahead on the test flights, rms." in words
+    assert "0.235" in words
+    assert "0.212" in words
