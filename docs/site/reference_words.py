@@ -269,7 +269,7 @@ BOUNDS = {
     "parts": "persistent and transient model error and noise; see model-form.md",
 }
 PROPERTIES = {
-    r"uq/active": "0: the aircraft as if without the plugin, to the last bit; 1: deltas act",
+    r"uq/active": "0: bit for bit the aircraft without the plugin; 1: deltas act",
     r"uq/extrapolated": "1 while the state lies outside the data that the bounds came from",
     r"uq/<C>/lower": "lower bound of the delta at the present state, never above 0",
     r"uq/<C>/upper": "upper bound, never below 0",

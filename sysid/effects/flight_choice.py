@@ -1,4 +1,4 @@
-"""Which manoeuvres to fly: greedily those that narrow an interval most, for each second, where the mission flies.
+"""Which manoeuvres to fly: greedily those that narrow an interval most, for each second, in the mission's flight states.
 
 The measure is the mean half-width of the prediction interval over the states of the mission: a design for prediction where it is
 needed (I-optimality; Studden, Ann. Math. Stat. 42 (1971) 1613), not for parameters as such. Greedy: the best manoeuvre, then the

@@ -1,4 +1,4 @@
-"""Score tests of candidate effects on whitened innovations: who explains what is left, and can the data tell them apart.
+"""Score tests of candidate effects on whitened innovations: who explains what is left, and can the data separate them.
 
 With columns b of the parameters already free and one column c per candidate (start states projected out of all of them),
 

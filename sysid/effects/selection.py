@@ -36,10 +36,10 @@ TRACE, MOST_TRACE = 0.1, 8.0
 """Share of the strongest effect's |t| that another must reach, and |t| with which it stands in any case: a strong effect whose form
 is a little off leaves something behind, and some candidate looks like it."""
 INSEPARABLE_T = 3.0
-"""A chosen effect whose t falls below this once another is free cannot be told from that other."""
+"""A chosen effect whose t falls below this once another is free cannot be distinguished from that other."""
 INSEPARABLE_SHARE = 0.1
-"""Beside a confounded effect and its companions a chosen effect must keep this share of its information to be told from them. In
-theory nothing is left; replays and filters leave a little."""
+"""Beside a confounded effect and its companions a chosen effect must keep this share of its information to be separable.
+In theory nothing is left; replays and filters leave a little."""
 MOST_ALTERNATIVES = 3
 
 
@@ -47,7 +47,7 @@ MOST_ALTERNATIVES = 3
 class Alternative:
     """Another candidate for the same residual: its gain in the effect's place, the effect's t beside it, correlation of the two.
 
-    companions: terms left free beside it when the two were told apart
+    companions: terms left free beside it when the two were distinguished
     """
 
     key: str

@@ -33,8 +33,8 @@ at V_REFERENCE. Light air, to begin with."""
 _MEMORY_S = 10.0
 """How long gusts along and across the path last: L/V of MIL-F-8785C at the heights of model aircraft."""
 AIR_SHARE = 0.03
-"""Share of the gain that comes of V, alpha and beta in air. In light Dryden turbulence it is a fifth; where a moment unknown to the
-model comes and goes, nothing."""
+"""Share of the gain that comes of V, alpha and beta in air. In light Dryden turbulence it is a fifth; where a moment that the
+model lacks acts now and then, nothing."""
 _STILL = np.array([1e-6, 1e-6, 1e-6, 1.0, 1.0])
 _FACTORS = (1e-4, 1e-2, 0.1, 0.5, 1.0, 2.0, 5.0)
 _COARSE = ((0.03, 0.2, 5.0, 30.0), (0.4, 0.7, 1.4, 2.5))

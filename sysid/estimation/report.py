@@ -108,7 +108,7 @@ def judge(
     method: str,
 ) -> Findings:
     """Bounds and warnings at the optimum theta (k,): sensitivity (N, m, k) by segments, residual and motion (N, m), their edges,
-    gradient (k,) of minus the cost, by which an active bound is told from one merely touched."""
+    gradient (k,) of minus the cost, which distinguishes an active bound from one merely touched."""
     lower, upper = bounds
     held = outward(theta, gradient, lower, upper)
     inside = np.flatnonzero(~held)

@@ -15,7 +15,7 @@ from sysid.foreign.data_classes import find_class
 from sysid.foreign.data_dtypes import dtype_from
 from sysid.foreign.data_limits import MALFORMED, DataFileError, Sizes
 
-# Keys of one hash are told apart one by one.
+# Keys of one hash are compared one by one.
 _ALIKE_HASHES = 64
 
 

@@ -14,5 +14,6 @@ from .info import log_info as log_info
 from .info import no_aeroplane as no_aeroplane
 from .load import import_log as import_log
 from .manoeuvres import label_manoeuvres as label_manoeuvres
+from .servo_parameters import parse_parameters as parse_parameters
 from .spectra import Relation as Relation
 from .spectra import relate as relate

@@ -1,7 +1,7 @@
 """From residual coefficients to intervals: regression on polynomials of flight states (dissertation eqs 2.17, 2.18).
 
 Where the pieces know their sensor noise, model error is taken apart from it (components.py): what persists through a manoeuvre or
-a flight, what comes and goes within one, and noise, which belongs to the sensors and to no bounds. ``noise = "inside"`` keeps the
+a flight, what changes within one, and noise, which belongs to the sensors and to no bounds. ``noise = "inside"`` keeps the
 published interval, of measured samples, noise and all.
 
 The published interval counts every sample as news. Residuals sampled at 50 Hz and filtered at some hertz are not: n samples are
@@ -231,7 +231,7 @@ def _chosen(
     notes = []
     lost = [term_name(terms[k], design.states) for k in range(len(terms)) if k not in independent]
     if lost:
-        notes.append(f"{coefficient}: the flights do not tell {', '.join(lost)} apart from other terms; left out")
+        notes.append(f"{coefficient}: the flights do not separate {', '.join(lost)} from other terms; left out")
     if options.select == "stepwise":
         constant = [i for i, k in enumerate(independent) if not any(terms[k])]
         y = np.concatenate(residuals.columns(coefficient))

@@ -56,7 +56,7 @@ class Hull:
 class Parts:
     """What the difference between flight and model consists of beside the polynomial; standard deviations [-].
 
-    persistent        constant through a manoeuvre, of all flights       transient    comes and goes within a manoeuvre
+    persistent        constant through a manoeuvre, of all flights       transient    changes within a manoeuvre
     flight            part of ``persistent`` that is common to a flight; NaN: not estimable, there was one flight
     transient_time_s  correlation time of the transient part; NaN where there is none
     noise             of the sensors, in the data's samples (rms)        noise_scale  their size over what was presumed

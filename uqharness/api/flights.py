@@ -196,11 +196,11 @@ def read_flights(
     Parameters
     ----------
     paths : str, Path or sequence of them
-        Records (.parquet, .csv) or logs (ArduPilot .bin, .log, .tlog; PX4 .ulg), told apart by their content.
+        Records (.parquet, .csv) or logs (ArduPilot .bin, .log, .tlog; PX4 .ulg), recognised by their content.
     aircraft : str, Path or Aircraft
         Whose airframe.toml turns servo outputs into angles.
     manoeuvres : str or Path, optional
-        CSV table manoeuvre, start_s, end_s (and flight) that labels the flights.
+        CSV table that labels the flights: columns manoeuvre, start_s, end_s (and flight).
     signal_map : str or Path, optional
         Signal map of your own, TOML (docs/logs.md).
 

@@ -14,6 +14,7 @@ from uqharness.campaign.statements import STATEMENTS
 from uqharness.text_tables import csv_rows
 
 _ORDER = ("yes", "no", "open", "flying")
+_WORDS = {"open": "inconclusive"}
 
 
 @dataclass(frozen=True)
@@ -67,11 +68,16 @@ def lines(answers: Sequence[Answer]) -> list[str]:
     if not answers:
         return []
     first, counted = answers[0], Counter(answer.answer for answer in answers)
-    summary = ", ".join(f"{counted[word]} {word}" for word in _ORDER if counted[word])
+    summary = ", ".join(f"{counted[word]} {_WORDS.get(word, word)}" for word in _ORDER if counted[word])
     found = [f"at most {first.acceptable_per_h:g} excursions per hour beyond {first.radius_m:g} m? {summary}"]
     for answer in answers:
         reason = f" ({answer.reason})" if answer.reason else ""
         share = answer.flight_share_upper
-        said = "" if share is None else f", an excursion in at most {100.0 * share:.2g} % of flights at the worst corner"
-        found.append(f"  {answer.condition}: {answer.answer}{reason}, {answer.hours:.4g} flight h{said}")
+        said = (
+            ""
+            if share is None
+            else f", at most {100.0 * share:.2g} % of flights with an excursion at the worst corner (95 % limit)"
+        )
+        word = _WORDS.get(answer.answer, answer.answer)
+        found.append(f"  {answer.condition}: {word}{reason}, {answer.hours:.4g} flight h{said}")
     return found

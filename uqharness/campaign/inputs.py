@@ -42,8 +42,8 @@ class Estimates:
 class CampaignInputs:
     """What the named files hold: the path of the model form, the coefficients it bounds, walk rates in 1/sqrt(s), the fit.
 
-    ``confidence`` is that of the model form's intervals; ``has_parts``: it tells model error that comes and goes from what
-    persists; ``transient_rates``, in 1/sqrt(s), are of the coefficients whose transient part is flown. ``hashes`` are SHA-256 of
+    ``confidence`` is that of the model form's intervals; ``has_parts``: it separates transient from persistent model
+    error; ``transient_rates``, in 1/sqrt(s), are of the coefficients whose transient part is flown. ``hashes`` are SHA-256 of
     the files by what they are named as: bounds, fit.
     """
 

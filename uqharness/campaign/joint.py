@@ -1,4 +1,4 @@
-"""What the intervals flown say together: the joint level of a campaign's epistemic set, and the part that comes and goes."""
+"""What the intervals flown say together: the joint level of a campaign's epistemic set, and the transient part."""
 
 from __future__ import annotations
 

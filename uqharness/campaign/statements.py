@@ -96,7 +96,9 @@ class Statement:
         """How many flights may have an excursion, in words; empty where that is not known."""
         if np.isnan(self.flight_share_upper):
             return ""
-        return f"at most {100.0 * self.flight_share_upper:.2g} % of flights have one at the worst corner, however they cluster"
+        return (
+            f"at most {100.0 * self.flight_share_upper:.2g} % of flights have one at the worst corner (95 % limit, any clustering)"
+        )
 
 
 def statements(frame: Any, campaign: Mapping[str, Any], decisions: Sequence[Mapping[str, str]] = ()) -> list[Statement]:

@@ -40,30 +40,30 @@ _EXAMPLE = """
 
 DIR/model-form.json (read by validate-bounds, instrument and campaigns), DIR/model-form.xml (the same as a JSBSim system),
 DIR/report.html and DIR/figures/*.svg, drawn from DIR/bounds.json and DIR/residuals.parquet.
---as-published keeps noise and model error together, for comparison with the print.
+--as-published keeps noise and model error together, for comparison with the dissertation.
 States: V alpha beta phi theta p q r, de da dr (surface positions), dt (throttle)."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``bounds``."""
-    text = (
-        "Intervals of the model's error as functions of the flight state, apart from the sensors' noise (see docs/model-form.md)."
-    )
+    text = "Fit intervals of the model's error as functions of the flight state, sensor noise removed (see docs/model-form.md)."
     describe(parser, _run, text, _EXAMPLE)
     add_aircraft(parser)
     add_flights(parser)
     add_out(parser)
     add_log_options(parser)
     confidence = number("--confidence", "a probability such as 0.95", above=0.0, most=math.nextafter(1.0, 0.0))
-    parser.add_argument("--confidence", type=confidence, default=0.95, metavar="P", help="of the intervals (default 0.95)")
+    parser.add_argument(
+        "--confidence", type=confidence, default=0.95, metavar="P", help="confidence of the intervals (default 0.95)"
+    )
     parser.add_argument(
         "--states", action="append", default=[], metavar="C=S,S", help="states of a coefficient's polynomial; repeatable"
     )
     parser.add_argument(
         "--terms", action="append", default=[], metavar="C=T,T", help="terms of a coefficient, 1,V,alpha^2,alpha*q; repeatable"
     )
-    parser.add_argument("--order", type=int, choices=(0, 1, 2, 3), default=2, help="of full polynomials (default 2)")
-    parser.add_argument("--roll-terms", action="store_true", help="roll rate among the states of Cm (Fig 2.10)")
+    parser.add_argument("--order", type=int, choices=(0, 1, 2, 3), default=2, help="order of the full polynomials (default 2)")
+    parser.add_argument("--roll-terms", action="store_true", help="roll rate among the states of Cm (dissertation, Fig 2.10)")
     parser.add_argument(
         "--select",
         choices=("full", "stepwise"),
@@ -72,14 +72,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--as-published", action="store_true",
-        help="the dissertation's interval of a measured sample, the sensors' noise inside; default: of the model's error alone",
+        help="the dissertation's interval of a measured sample, sensor noise included (default: the model's error alone)",
     )  # fmt: skip
     parser.add_argument(
         "--sample-size", choices=("effective", "all"),
-        help="with --as-published; all: every sample counts (default); effective: allow for autocorrelation",
+        help="with --as-published: count all samples (default), or the effective sample size, which allows for autocorrelation",
     )  # fmt: skip
     parser.add_argument(
-        "--outside", choices=("grow", "clamp"), default="grow", help="beyond the data: grow as published (default), or clamp"
+        "--outside",
+        choices=("grow", "clamp"),
+        default="grow",
+        help="outside the envelope box: grow as in the dissertation (default), or stay constant",
     )
     for option, default, text, limits in (
         ("--cutoff-hz", 6.0, "differentiator and smoother, Hz (default 6)", {"above": 0.0}),
@@ -87,7 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("--walk-cutoff-hz", 0.5, "low-pass for the rate of variation, Hz (default 0.5)", {"above": 0.0}),
     ):
         parser.add_argument(option, type=number(option, "a frequency", **limits), default=default, metavar="F", help=text)
-    add_no_check(parser, "leave-one-out and other filters")
+    add_no_check(parser, "the leave-one-out check and the check with other filters")
     add_no_figures(parser)
 
 

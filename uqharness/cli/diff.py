@@ -1,4 +1,4 @@
-"""``uqharness diff``: two models flown side by side, and where they part."""
+"""``uqharness diff``: fly two models side by side and list their differences."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ _SHOWN = 12
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``diff``."""
     text = (
-        "Fly the same manoeuvres with two models (same start, controls and air) and tell the outputs that differ beyond rounding, "
-        "the cause first, with the XML that differs."
+        "Fly the same manoeuvres with two models (same start, controls and air) and list the outputs that differ by more than "
+        "rounding, the likeliest cause first, with the XML that differs."
     )
     describe(parser, _run, text, _EXAMPLE, no="the models differ")
     for name in ("a", "b"):
@@ -62,10 +62,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="S",
-        help="run script flown by both as well, 60 s at most; repeatable",
+        help="run script that both models fly too, 60 s at most; repeatable",
     )
     parser.add_argument(
-        "--turbulence", choices=tuple(TURBULENCE_W20_KT), default="none", help="the same in both flights (default %(default)s)"
+        "--turbulence",
+        choices=tuple(TURBULENCE_W20_KT),
+        default="none",
+        help="turbulence, the same for both models (default %(default)s)",
     )
     add_seed(parser, "turbulence")
     parser.add_argument(
@@ -74,19 +77,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="PROP",
         dest="properties",
-        help="compare this too; repeatable",
+        help="compare this JSBSim property too; repeatable",
     )
     parser.add_argument(
         "--tolerance", type=number("--tolerance", least=0.0, most=1.0), default=ROUNDING, metavar="R",
-        help="share of a channel's range that counts as equal (default %(default)g: rounding)",
+        help="differences up to this share of a channel's range count as equal (default %(default)g: rounding)",
     )  # fmt: skip
     parser.add_argument(
         "--repeats", type=whole("--repeats", 0, 1000), default=0, metavar="N",
-        help="fly A N more times in other air; what varies as much counts as equal (default %(default)s)",
+        help="fly A N more times in other turbulence; differences of that size count as equal (default %(default)s)",
     )  # fmt: skip
-    parser.add_argument(
-        "--bounds", action="store_true", help="what varies as much between the bounds of A's model form counts as equal"
-    )
+    parser.add_argument("--bounds", action="store_true", help="differences within A's model-form bounds count as equal")
     parser.add_argument(
         "--python-b", type=Path, metavar="PYTHON",
         help="interpreter that flies B, of an environment with another JSBSim (default: this one)",
@@ -149,7 +150,7 @@ def _text(flights: Sequence[Matched], first: Sequence[Difference], terms: Sequen
         rows = [
             {
                 "Channel": x.channel, "Flight": x.flight, "From [s]": f"{x.from_s:g}",
-                "Largest difference": f"{x.size:.3g} {x.unit}".removesuffix(" -"), "Of its range [%]": f"{100 * x.share:.2g}",
+                "Largest difference": f"{x.size:.3g} {x.unit}".removesuffix(" -"), "Share of range [%]": f"{100 * x.share:.2g}",
             }
             for x in first[:_SHOWN]
         ]  # fmt: skip

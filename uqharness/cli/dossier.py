@@ -27,7 +27,7 @@ DIR/dossier.html, one file that can be printed. It lays out evidence and claims 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``dossier``."""
     text = (
-        "Write what was flown and what the model rests on: provenance, proof of match, credibility, statements, validity envelope, "
+        "Write the evidence for a model as one document: provenance, proof of match, credibility, claims, validity envelope, "
         "sources (see docs/dossier.md). Nothing is flown or fitted."
     )
     describe(parser, _run, text, _EXAMPLE, no="the folder is incomplete or damaged; the dossier says what is missing")

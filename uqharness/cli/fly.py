@@ -6,8 +6,10 @@ import argparse
 import json
 import math
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
+from uqharness.cli.autopilot import add_autopilot, as_data, gains_of, tell_gains
 from uqharness.cli.options import add_aircraft, add_page, add_seed, aircraft_with_card, command_as_given, describe, number
 from uqharness.errors import BadInputError
 from uqharness.files import check_out, check_page
@@ -43,13 +45,14 @@ _EXAMPLE = """
   uqharness fly espaaro --script scripts/doublet-elevator.xml --out doublet.csv
   uqharness fly espaaro --duration-s 600 --wind-mps 3 --wind-from-deg 270 --turbulence moderate --seed 7 --noise --out x.parquet
   uqharness fly c172p --mission doublets --speed-mps 50 --noise --seed 1 --out doublets.parquet
+  uqharness fly espaaro --autopilot my-plane.param --duration-s 300 --wind-mps 3 --turbulence moderate --out mine.csv
   uqharness fly espaaro --set aero/Cm_q=-10 --set uq/active=1 --set uq/CX/level=1 --out changed.csv"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``fly``."""
     text = "Fly a run script once and write the flight record (SI, body axes; see docs/commands.md)."
-    describe(parser, _run, text, _EXAMPLE, no="the flight ended early; what was flown is written")
+    describe(parser, _run, text, _EXAMPLE, no="the flight ended early; the record holds what was flown")
     add_aircraft(parser)
     parser.add_argument(
         "--script", default="loiter", metavar="S", help="run script, a path or a name under scripts/ (default %(default)s)"
@@ -57,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mission",
         choices=MISSIONS,
-        help="instead of a script, for any aircraft: from trim at --speed-mps",
+        help="manoeuvres from trim at --speed-mps in place of a script, for any aircraft",
     )
     parser.add_argument(
         "--speed-mps", type=number("--speed-mps", above=0.0, most=1000.0), metavar="V", help="true airspeed of --mission, m/s"
@@ -79,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--wind-from-deg", type=number("--wind-from-deg", "an angle in degrees"), default=270.0, metavar="D",
-        help="true direction it blows from, deg (default 270)",
+        help="true direction the wind blows from, deg (default 270)",
     )  # fmt: skip
     parser.add_argument(
         "--turbulence", choices=tuple(TURBULENCE_W20_KT), default="none", help="MIL-F-8785C intensity (default %(default)s)"
@@ -89,11 +92,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="which Dryden model (default %(default)s)",
     )  # fmt: skip
     add_seed(parser, "turbulence and noise")
-    parser.add_argument("--noise", action="store_true", help="sensor noise, in what the autopilot is told and in the record")
+    parser.add_argument("--noise", action="store_true", help="add sensor noise to the autopilot's inputs and to the record")
     parser.add_argument(
         "--set", action="append", default=[], metavar="PROP=VALUE", dest="settings",
         help="set a property before the flight; repeatable",
     )  # fmt: skip
+    add_autopilot(parser)
     parser.add_argument(
         "--rate-hz", type=number("--rate-hz", above=0.0, most=1e5), default=50.0, metavar="R", help="rows per second (default 50)"
     )
@@ -129,7 +133,8 @@ def _run(args: argparse.Namespace) -> int:
 def _fly(args: argparse.Namespace, aircraft: Aircraft, flown: Aircraft, path: Path) -> int:
     """Fly ``flown``, which is ``aircraft`` or its copy with initial conditions, and write the record."""
     script = read_script(path)
-    record, recorded = recorded_flight(flown, script, _spec(args, flown, script))
+    gains = gains_of(args.autopilot, flown, path)
+    record, recorded = recorded_flight(flown, script, _spec(args, flown, script, gains.properties if gains else {}))
     if not aircraft.has_card:
         print(
             f"uqharness: note: {aircraft.folder} has no airframe.toml, so the record's commands are JSBSim's fcs/...-cmd-norm",
@@ -147,10 +152,12 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft, flown: Aircraft, path: Pa
         "rows": len(record),
         "out": str(args.out),
         "left_out": list(left_out),
+        "autopilot": as_data(gains),
     }
     if args.json:
         print(json.dumps(summary))
     else:
+        tell_gains(args.autopilot, gains)
         end = "" if recorded.status == "ok" else f", {recorded.status}: {recorded.reason}"
         lost = f"; DataFlash has no message for {', '.join(left_out)}" if left_out else ""
         print(f"{args.out}: {len(record)} rows, {recorded.flown_s:.1f} s{end}{lost}")
@@ -161,11 +168,12 @@ def _conditions(args: argparse.Namespace) -> str:
     wind = f"Wind {args.wind_mps:g} m/s from {args.wind_from_deg:g} deg" if args.wind_mps else "No steady wind"
     air = f"turbulence {args.turbulence} ({args.turbulence_source})" if args.turbulence != "none" else "no turbulence"
     noise = "with sensor noise" if args.noise else "without sensor noise"
-    changed = f" Set: {', '.join(args.settings)}." if args.settings else ""
+    changed = f" Autopilot's gains: {args.autopilot.name}." if args.autopilot else ""
+    changed += f" Set: {', '.join(args.settings)}." if args.settings else ""
     return f"{wind}, {air}, {noise}, seed {args.seed}.{changed}"
 
 
-def _spec(args: argparse.Namespace, aircraft: Aircraft, script: Script) -> FlightSpec:
+def _spec(args: argparse.Namespace, aircraft: Aircraft, script: Script, gains: Mapping[str, float]) -> FlightSpec:
     spec = FlightSpec(
         aircraft=aircraft.folder,
         script=script.path,
@@ -175,7 +183,7 @@ def _spec(args: argparse.Namespace, aircraft: Aircraft, script: Script) -> Fligh
         turbulence=args.turbulence,
         turbulence_source=args.turbulence_source,
         sensor_noise=args.noise,
-        properties=parse_settings(args.settings),
+        properties={**gains, **parse_settings(args.settings)},
         record_rate_hz=args.rate_hz,
     )
     return as_asked(spec, args.seed)

@@ -35,7 +35,7 @@ _EXAMPLE = """
   uqharness identify espaaro --flight flight1.bin --manoeuvres manoeuvres.csv --servos ideal --out identified
   uqharness identify espaaro --flight a.csv b.csv --params aero/Cm_q,aero/Cm_de --start initial --out identified
 
-DIR/fit.json, DIR/report.html, DIR/parameters.csv, DIR/figures/*.svg, and DIR/aircraft, which every command takes as AIRCRAFT."""
+Writes DIR/fit.json, DIR/report.html, DIR/parameters.csv, DIR/figures/*.svg, and DIR/aircraft, an AIRCRAFT with the estimates."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--params", metavar="P,P", help="JSBSim properties to estimate (default: the card's [parameters])")
     parser.add_argument(
         "--start", choices=("initial", "current"), default="current",
-        help="start from the card's first guesses or the XML's values (default %(default)s)",
+        help="start from the card's initial values or from the XML's (default %(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--method", choices=("auto", "output-error", "filter-error"), default="auto",

@@ -31,19 +31,19 @@ that --undo goes by."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``instrument``."""
-    text = "Give an aircraft delta coefficients between bounds (uq/...), whatever its axes; see docs/instrument.md."
-    no = "the result does not fly bit by bit like the untouched aircraft, or its deltas are not what they should be"
+    text = "Add bounded increments (uq/...) of the six coefficients to an aircraft of any axes; see docs/instrument.md."
+    no = "the check failed: with uq/active 0 the result does not fly bit for bit like the original, or its increments are wrong"
     describe(parser, _run, text, _EXAMPLE, no=no)
     add_aircraft(parser)
     add_out(parser)
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--bounds", type=Path, metavar="FILE", help="model-form.json of `uqharness bounds`")
     source.add_argument("--constant", metavar="C=B,...", help="constant bounds: half width B or LOWER:UPPER per coefficient")
-    source.add_argument("--undo", action="store_true", help="take the plugin out again, to the byte")
+    source.add_argument("--undo", action="store_true", help="remove the plugin; the files are restored byte for byte")
     parser.add_argument("--air", action="store_true", help="add this project's wind and turbulence (docs/air.md) too")
-    parser.add_argument("--dry-run", action="store_true", help="say what would be done, write nothing")
+    parser.add_argument("--dry-run", action="store_true", help="print what would be done, write nothing")
     add_page(parser, "the bounds over the envelope", "--page")
-    add_no_check(parser, "the flight of the result beside the untouched aircraft")
+    add_no_check(parser, "the check flights of the result and the original")
 
 
 def parse_constant(text: str) -> dict[str, tuple[float, float]]:

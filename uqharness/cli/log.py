@@ -32,13 +32,13 @@ VERBS: Table = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Give ``log`` its verbs."""
-    parser.description = "Say what a flight log holds, make a flight record from it, or write it for FlightGear."
+    parser.description = "Check a flight log, convert it to a flight record, or export it to FlightGear."
     add_commands(parser, VERBS, "log_command", "info|import|export")
 
 
 def add_info(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``log info``."""
-    text, no = "List the contents and findings of a log, and the purposes it serves.", "it serves no purpose"
+    text, no = "List the contents and findings of a log, and the purposes it serves.", "the log serves no purpose"
     examples = """
   uqharness log info flight1.bin --aircraft aircraft/espaaro
   uqharness log info flight1.bin --aircraft aircraft/espaaro --out flight1.html"""
@@ -54,7 +54,7 @@ def add_import(parser: argparse.ArgumentParser) -> None:
     describe(parser, _import, text, "  uqharness log import flight1.bin --aircraft aircraft/espaaro --out flight1.parquet")
     _add_log(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="FILE.parquet or FILE.csv")
-    parser.add_argument("--whole", action="store_true", help="keep ground and tow; without it free flight alone is kept")
+    parser.add_argument("--whole", action="store_true", help="keep ground and tow too (default: free flight alone)")
     add_manoeuvres(parser)
 
 

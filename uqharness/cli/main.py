@@ -28,17 +28,17 @@ COMMANDS: Table = {
     "fly": ("fly", "one flight, recorded"),
     "modes": ("modes", "trim, eigenvalues, MIL-F-8785C levels"),
     "margins": ("margins", "gain, phase and delay margins of the autopilot"),
-    "diff": ("diff", "two models flown side by side, and where they part"),
+    "diff": ("diff", "fly two models side by side and list their differences"),
     "log": ("log", "flight logs: contents and checks, conversion to records"),
     "identify": ("identify", "parameters from flights"),
     "compare": ("compare", "compare a flight with the model"),
     "bounds": ("bounds", "model-form bounds from flights"),
     "validate-bounds": ("validate_bounds", "coverage of bounds on a new flight"),
     "instrument": ("instrument", "add the model-form plugin to any JSBSim aircraft"),
-    "refine": ("refine", "find, name and add a missing effect"),
+    "refine": ("refine", "find, name and add missing effects"),
     "campaign": ("campaign", "nested Monte Carlo campaigns: check, run, status, report, merge, rerun, verify, salvage"),
     "sensitivity": ("sensitivity", "which uncertainty to reduce first"),
-    "next-flight": ("next_flight", "what to fly to reduce the uncertainty that matters"),
+    "next-flight": ("next_flight", "plan the test flight that narrows the p-box most"),
     "study": ("study", "the whole chain: flights to p-boxes, before and after refinement"),
     "report": ("report", "write report.html of a folder of results"),
     "dossier": ("dossier", "the evidence of a folder of results as one printable document"),
@@ -96,7 +96,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 class _Notes(logging.Handler):
-    """What the program has to say of its own accord, a line each on standard error."""
+    """Notes of the program, a line each on standard error."""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print it, in place of a line that moves."""

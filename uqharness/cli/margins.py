@@ -7,6 +7,7 @@ import json
 import math
 from typing import Any
 
+from uqharness.cli.autopilot import add_autopilot, as_data, gains_of, tell_gains
 from uqharness.cli.options import add_aircraft, add_page, command_as_given, describe
 from uqharness.cli.progress import counting
 from uqharness.errors import BadInputError
@@ -19,6 +20,7 @@ from uqharness.simulator import StagedMission, engine, find_aircraft, find_scrip
 _EXAMPLE = """
   uqharness margins espaaro
   uqharness margins espaaro --loop elevator --flight straight --json
+  uqharness margins espaaro --autopilot my-plane.param --loop aileron
   uqharness margins espaaro --out margins.html"""
 
 
@@ -34,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--flight", choices=("loiter", "straight"), default="loiter", help="on the circle or straight (default %(default)s)"
     )
+    add_autopilot(parser)
     add_page(parser, "Bode and Nichols charts of every loop, margins marked")
 
 
@@ -43,7 +46,10 @@ def _run(args: argparse.Namespace) -> int:
     aircraft = find_aircraft(args.aircraft)
     condition = CALM_LOITER if args.flight == "loiter" else CALM_STRAIGHT
     names = args.loop or list(LOOPS)
-    with StagedMission(aircraft, find_script(args.script)) as mission:
+    script = find_script(args.script)
+    gains = gains_of(args.autopilot, aircraft, script)
+    condition = {**condition, **(gains.properties if gains else {})}
+    with StagedMission(aircraft, script) as mission:
 
         def make_fdm() -> Any:
             fdm = mission.open()
@@ -62,8 +68,13 @@ def _run(args: argparse.Namespace) -> int:
     if args.out is not None:
         write_html(args.out, margins_page(aircraft.name, args.flight, measured, command_as_given(args)))
     if args.json:
-        print(json.dumps({"flight": args.flight, "loops": {item.loop: _as_json(item) for item in measured}}))
+        print(
+            json.dumps(
+                {"flight": args.flight, "loops": {item.loop: _as_json(item) for item in measured}, "autopilot": as_data(gains)}
+            )
+        )
     else:
+        tell_gains(args.autopilot, gains)
         print(_as_text(aircraft.name, args.flight, measured))
     return 0
 
@@ -89,9 +100,10 @@ def _as_text(name: str, flight: str, measured: list[LoopMargins]) -> str:
     def show(value: float, digits: int = 1) -> str:
         return f"{value:.{digits}f}" if math.isfinite(value) else "none"
 
+    head = f"  {'loop':<10}{'gain up, dB':>12}{'gain down, dB':>15}{'phase, deg':>12}{'delay, ms':>11}{'min |1+L|':>11}"
     lines = [
-        f"{name}, {flight}, calm air; a loop is opened at its actuator, the others stay closed",
-        f"  {'loop':<10}{'gain up, dB':>12}{'down, dB':>15}{'phase, deg':>12}{'delay, ms':>11}{'|1+L|':>11}   crossover rad/s",
+        f"{name}, {flight}, calm air; each loop opened at its actuator, the others closed",
+        f"{head}   crossover, rad/s",
     ]
     for item in measured:
         m = item.margins

@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ),
         ("--bank-deg", "B", 0.0, "bank of a coordinated turn, deg", _angle("--bank-deg", 85.0)),
         ("--wind-mps", "W", 0.0, "steady wind, m/s; moves the path only", number("--wind-mps", least=0.0)),
-        ("--wind-from-deg", "D", 270.0, "true direction it blows from, deg", number("--wind-from-deg")),
+        ("--wind-from-deg", "D", 270.0, "true direction the wind blows from, deg", number("--wind-from-deg")),
         ("--heading-deg", "P", 0.0, "true heading, deg", number("--heading-deg")),
     ):
         parser.add_argument(option, type=check, default=default, metavar=metavar, help=f"{text} (default {default:g})")
@@ -173,13 +173,13 @@ def _trim_lines(name: str, trim: Trim) -> list[str]:
         f"   pitch {math.degrees(trim.theta_rad):8.3f} deg   turn {math.degrees(trim.turn_rate_radps):.3f} deg/s"
     )
     return [
-        f"{name}, {trim.condition.V_mps:g} m/s, {trim.condition.altitude_m:g} m",
+        f"{name}, {trim.condition.V_mps:g} m/s true airspeed, {trim.condition.altitude_m:g} m above sea level",
         attitude,
         "  " + "   ".join(f"{key} {value:.3f}" for key, value in trim.controls.items())
         + (f"   thrust {trim.thrust_N:.3f} N" if math.isfinite(trim.thrust_N) else "")
         + (f"   {trim.rpm:.0f} rpm" if math.isfinite(trim.rpm) else ""),
-        *([f"  path {math.degrees(trim.condition.climb_rad):.3f} deg"] if trim.condition.climb_rad else []),
-        f"  over the ground: north {north:.3f}, east {east:.3f}, down {down:.3f} m/s",
+        *([f"  flight-path angle {math.degrees(trim.condition.climb_rad):.3f} deg"] if trim.condition.climb_rad else []),
+        f"  ground velocity: north {north:.3f}, east {east:.3f}, down {down:.3f} m/s",
     ]  # fmt: skip
 
 

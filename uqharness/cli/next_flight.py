@@ -64,46 +64,51 @@ With --redone nothing is planned: the bounds before and after a flight are compa
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``next-flight``."""
     text = (
-        "From a campaign's sensitivity to the test flight that narrows the winning coefficient's interval most where the mission "
-        "flies (see docs/next-flight.md)."
+        "Plan the test flight that most narrows the interval of the coefficient to which the mission is most sensitive, in the "
+        "flight states of the mission (see docs/next-flight.md)."
     )
-    no = "no flight of that length narrows the interval by 5 % where the mission flies; the text says what would"
+    no = "no flight of that length narrows the interval by 5 % in the mission's flight states; the text says what would"
     describe(parser, _run, text, _EXAMPLE, no=no)
     parser.add_argument("folder", type=Path, metavar="CAMPAIGN", help="folder of a finished corner campaign")
     parser.add_argument(
-        "--bounds", type=Path, metavar="MODEL-FORM.json", help="what `uqharness bounds` wrote (default: what the campaign flew)"
+        "--bounds",
+        type=Path,
+        metavar="MODEL-FORM.json",
+        help="model-form.json of `uqharness bounds` (default: the bounds that the campaign flew)",
     )
-    parser.add_argument("--metric", metavar="NAME", help="of the campaign's table (default cross_track_median_m)")
-    parser.add_argument("--coefficient", choices=COEFFICIENTS, help="instead of the one that the metric depends on most")
+    parser.add_argument("--metric", metavar="NAME", help="metric, a column of the campaign's table (default cross_track_median_m)")
+    parser.add_argument(
+        "--coefficient", choices=COEFFICIENTS, help="coefficient (default: the one to which the metric is most sensitive)"
+    )
     parser.add_argument(
         "--minutes", type=number("--minutes", "a time in minutes", above=0.0, most=120.0), default=5.0, metavar="N",
         help="length of the flight at most, min (default 5)",
     )  # fmt: skip
     parser.add_argument(
         "--speeds", type=_speeds, default=(), metavar="V,V",
-        help="true airspeeds of the test points, m/s (default: where the mission flies)",
+        help="true airspeeds of the test points, m/s (default: those of the mission)",
     )  # fmt: skip
     parser.add_argument(
         "--turbulence", choices=tuple(TURBULENCE_W20_KT), default="none",
-        help="air in which the flight is simulated (default %(default)s)",
+        help="turbulence of the simulated test flight (default %(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--cases", type=whole("--cases", 1), default=6, metavar="N",
-        help="flights of the campaign flown again for the mission's states (default %(default)s)",
+        help="campaign flights that are repeated to record the mission's flight states (default %(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--occupancy", type=Path, nargs="+", metavar="FILE",
-        help="flight records or logs of the mission instead of the campaign's flights",
+        help="flight records or logs of the mission, in place of campaign flights",
     )  # fmt: skip
     parser.add_argument(
         "--flight", type=Path, nargs="+", default=[], metavar="FILE",
-        help="the flights behind the bounds, searched for terms that their polynomial lacks",
+        help="flights from which the bounds were made; searched for terms that the polynomial lacks",
     )  # fmt: skip
     parser.add_argument(
         "--redone",
         type=Path,
         metavar="MODEL-FORM.json",
-        help="bounds made with the flight's data as well: compare before and after",
+        help="bounds that include the new flight: compares them with the old ones and plans nothing",
     )
     add_seed(parser, "the simulated flights", default=1)
     add_no_figures(parser)
@@ -137,7 +142,7 @@ def _answer(args: argparse.Namespace, stage: Stage) -> tuple[str, int]:
     form = load_form(path)
     aircraft = aircraft_of(campaign)
     check_form(form, aircraft, winner.coefficient, str(path))
-    stage("where the mission flies")
+    stage("the mission's flight states")
     mission = (
         recorded_mission(args.occupancy, aircraft, form.filtering.cutoff_hz)
         if args.occupancy

@@ -118,27 +118,29 @@ def add_log_options(parser: argparse.ArgumentParser) -> None:
 
 def add_map(parser: argparse.ArgumentParser) -> None:
     """``--map``."""
-    parser.add_argument("--map", type=Path, metavar="MAP.toml", help="signal map of your own, laid over that of the log's format")
+    parser.add_argument(
+        "--map", type=Path, metavar="MAP.toml", help="signal map of your own; its lines replace those of the log's format"
+    )
 
 
 def add_manoeuvres(parser: argparse.ArgumentParser) -> None:
     """``--manoeuvres``."""
-    text = "table manoeuvre, start_s, end_s (and flight) that labels the flights"
+    text = "table that labels the flights: columns manoeuvre, start_s, end_s (and flight)"
     parser.add_argument("--manoeuvres", type=Path, metavar="FILE.csv", help=text)
 
 
 def add_replay_options(parser: argparse.ArgumentParser) -> None:
     """What is estimated beside the parameters when a flight is replayed: ``--biases``, ``--delays``."""
-    parser.add_argument("--biases", metavar="C,C", help="channels with a constant sensor bias to estimate, or none (default p,q,r)")
+    parser.add_argument("--biases", metavar="C,C", help="channels whose constant bias is estimated, or none (default p,q,r)")
     parser.add_argument(
         "--delays", metavar="C,C",
-        help="what is late by a delay to be estimated: channels, controls, or none (default: controls, and all of a log)",
+        help="signals whose delay is estimated: channels, controls, or none (default: controls; of a log, all)",
     )  # fmt: skip
 
 
 def add_no_check(parser: argparse.ArgumentParser, text: str) -> None:
     """``--no-check``: leave out what a command does beyond its result to show that it is sound."""
-    parser.add_argument("--no-check", action="store_true", help=f"leave out {text}")
+    parser.add_argument("--no-check", action="store_true", help=f"skip {text}")
 
 
 def whole(option: str, least: int, most: int | None = None) -> Callable[[str], int]:

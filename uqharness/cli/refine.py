@@ -43,23 +43,23 @@ An effect's property set to 0 restores the model without it, bit for bit."""
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``refine``."""
     text = (
-        "Find where a model and flights disagree, name the missing effect, put it into the model and show on flights that were "
-        "not used that the gap shrinks (see docs/refine.md)."
+        "Find the effects that a model lacks, name them, add them to its XML, and test the result on hold-out flights "
+        "(see docs/refine.md)."
     )
-    done = "effects found and nothing left beside them, or nothing is missing"
-    no = "something is left that no effect of the catalogue explains, whether effects were found beside it or not"
+    done = "effects found and no residual left, or no effect is missing"
+    no = "a residual remains that no effect of the catalogue explains, also beside effects that were found"
     describe(parser, _run, text, _EXAMPLE, done=done, no=no)
     add_aircraft(parser)
-    add_flights(parser, "--train", "flights that choose")
+    add_flights(parser, "--train", "flights for choosing and fitting effects")
     add_flights(parser, "--test", "hold-out flights, used for testing alone")
     add_out(parser)
     add_log_options(parser)
     parser.add_argument("--effects", type=Path, metavar="FILE.toml", help="effects of your own beside the catalogue")
     parser.add_argument(
         "--campaign", type=Path, metavar="FILE.toml",
-        help="mission that both models fly within their intervals (default: the aircraft's loiter, if it has one)",
+        help="campaign flown with both models (default: the aircraft's loiter, if it has one)",
     )  # fmt: skip
-    parser.add_argument("--no-pbox", action="store_true", help="leave out the mission's p-box before and after")
+    parser.add_argument("--no-pbox", action="store_true", help="do not fly the mission, no p-boxes")
     add_workers(parser, MOST_WORKERS)
     add_no_figures(parser)
 

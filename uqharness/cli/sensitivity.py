@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text, no = "Rank uncertain coefficients by the width they give to the p-box.", "nothing could be compared"
     describe(parser, _run, text, _EXAMPLE, no=f"{no} (too many flights failed, or no metric differs)")
     parser.add_argument("folder", type=Path, nargs="?", metavar="DIR", help="folder of a finished corner campaign")
-    parser.add_argument("--interior", type=Path, metavar="DIR2", help="a campaign of levels inside the bounds, as a check")
+    parser.add_argument("--interior", type=Path, metavar="DIR2", help="check: a campaign of levels between the bounds")
     parser.add_argument("--modal", choices=READINGS, help="the dissertation's modal example, in one of two readings")
     parser.add_argument(
         "--repeats", type=whole("--repeats", 2, 1000), default=10, metavar="R",

@@ -19,15 +19,15 @@ _EXAMPLE = """
   uqharness study mine.toml --out results --workers 8
 
 Flights (flown, or logs of your own), identification, model-form bounds, a campaign over their corners, refinement, and the
-same again with the refined model; DIR/study.json says what was done, DIR/report.html shows it. See docs/study.md.
-The same command goes on after any stop; a stage whose inputs and options are as they were is not run again."""
+same again with the refined model; DIR/study.json lists the stages, DIR/report.html shows the results. See docs/study.md.
+The same command resumes after an interruption; a stage with unchanged inputs and options is not repeated."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``study``."""
     text = "Run a study file stage by stage, or resume it."
-    describe(parser, _run, text, _EXAMPLE, no="done and some stage's answer is no (which, is said)")
-    parser.add_argument("study", type=Path, metavar="STUDY.toml", help="what to do with which flights")
+    describe(parser, _run, text, _EXAMPLE, no="done, and a stage that is named answered no")
+    parser.add_argument("study", type=Path, metavar="STUDY.toml", help="the study file: flights and stages")
     add_out(parser)
     add_workers(parser)
 

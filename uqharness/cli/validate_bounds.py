@@ -32,11 +32,11 @@ _EXAMPLE = """
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``validate-bounds``."""
-    text = "Share of a flight's residuals, its sensors' noise allowed for, inside bounds that were made from other flights."
+    text = "Count the residuals of a flight that lie within bounds made from other flights, sensor noise allowed for."
     no = "some coefficient's 95 % bounds do not hold, or the flight is too short to tell"
     describe(parser, _run, text, _EXAMPLE, done="the bounds hold", no=no)
     add_aircraft(parser)
-    parser.add_argument("form", type=Path, metavar="MODEL-FORM.json", help="what `uqharness bounds` wrote")
+    parser.add_argument("form", type=Path, metavar="MODEL-FORM.json", help="model-form.json of `uqharness bounds`")
     add_flights(parser)
     add_out(parser, required=False)
     add_log_options(parser)

@@ -1,3 +1,5 @@
+from .autopilot_file import read_gains as read_gains
+from .autopilot_gains import AutopilotGains as AutopilotGains
 from .branching import Split as Split
 from .contact import ContactPoint as ContactPoint
 from .contact import contact_points as contact_points

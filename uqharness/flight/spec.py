@@ -41,7 +41,7 @@ class LevelDriver:
 
 @dataclass(frozen=True)
 class TransientDriver:
-    """How what comes and goes within a manoeuvre moves in flight: reflecting random walks of uq/<C>/transient-level in -1..1.
+    """How the transient model error moves in flight: reflecting random walks of uq/<C>/transient-level in -1..1.
 
     Each of ``coefficients`` walks in the stream (root seed, aleatory id, coefficient): chance, the same at every corner of one air.
     ``rates_per_sqrt_s`` (1/sqrt(s), one per coefficient) are of the walk's width, as those of a LevelDriver.

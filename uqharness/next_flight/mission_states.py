@@ -106,8 +106,8 @@ def fly_mission(campaign: CampaignMission, count: int) -> Occupancy:
             failed += 1
     if not parts:
         raise BadInputError(
-            f"{campaign.folder}: no flight of it ended well, so where the mission flies is not known; give records of flights "
-            "that did with --occupancy FILE..."
+            f"{campaign.folder}: all its flights failed, so the mission's flight states are not known; give records of complete "
+            "flights with --occupancy FILE..."
         )
     names = [n for n in parts[0] if all(n in p for p in parts)]
     merged = {n: np.concatenate([p[n] for p in parts]) for n in names}

@@ -45,7 +45,7 @@ from uqharness.simulator import Aircraft
 
 Array = NDArray[np.float64]
 WORTH = 0.05
-"""Share by which a flight must narrow the interval where the mission flies to be worth flying for it."""
+"""Share by which a flight must narrow the interval in the mission's flight states to be worth flying."""
 SENSORS = 1.3
 """Up to this ratio of the scatter's standard deviation to that of the model's own simulated flight it is noise and air."""
 _TURN_RAD = math.radians(8.0)
@@ -63,7 +63,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Where:
-    """Quartiles (3,) of one state: in the data behind the bounds, where the mission flies, and of its uncertainty there, which is
+    """Quartiles (3,) of one state: in the data behind the bounds, on the mission, and of the uncertainty there, which is
     occupancy times prediction variance."""
 
     state: str

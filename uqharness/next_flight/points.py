@@ -116,7 +116,7 @@ def _kinds(aircraft: Aircraft, unit_s: Mapping[str, float]) -> Iterator[TestPoin
             for control in surfaces:
                 size = _rounded((0.6 if control == "elevator" else 1.0) * share * half_travel(inputs[control]))
                 steps_of.append(Steps(control, size, unit_s[control], start_s=start))
-                # The next axis begins while this one still moves: that is what tells products of states apart.
+                # The next axis begins while this one still moves: this separates products of states.
                 start += 1.5 * unit_s[control]
             yield TestPoint(f"doublets of {', '.join(surfaces)} {share:.0%}", tuple(steps_of), nowhere)
 

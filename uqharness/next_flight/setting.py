@@ -84,7 +84,7 @@ def warnings_of(
     flights
         Files that are said to be those behind the bounds.
     flown
-        Whether the campaign's own flights told where the mission flies.
+        Whether the mission's flight states come from the campaign's own flights.
     """
     aircraft, out = flight.aircraft, []
     if form.aircraft.sha256 != content_hash(aircraft) and campaign.spec.start is None:

@@ -282,7 +282,7 @@ _GENERAL = """Model-form uncertainty: delta coefficients in body axes, between b
   uq/active                 0: nominal, bit-identical to the aircraft without this system;   1: deltas applied
   uq/<C>/lower, upper       bounds at the present flight state, lower <= 0 <= upper; <C> is CX CY CZ Cl Cm Cn
   uq/<C>/level              0..1, driven by the host or a script
-  uq/<C>/transient          half-width of what comes and goes within a manoeuvre; 0: no such part
+  uq/<C>/transient          half-width of the transient model error; 0: no such part
   uq/<C>/transient-level    -1..1, driven by the host or a script
   uq/<C>/active             1; 0 takes this coefficient out, whatever its bounds
   uq/<C>/delta              what the aerodynamics add: uq/active uq/<C>/active

@@ -2,7 +2,7 @@
 
 The author's functions stay as they are. Behind them in each axis comes one function that adds what scales other than 1 and biases
 other than 0 change: (scale - 1) times each function's value of this frame, and q S (b, c) times the biases, which are coefficients
-in the author's own axes. At scale 1 and bias 0 it adds zero, so the flight is the same to the last bit.
+in the author's own axes. At scale 1 and bias 0 it adds zero, so the flight is bit-identical.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def _names(edit: SectionEdit) -> tuple[dict[int, str], SectionEdit]:
 
 
 def _short_names(section: AeroSection, named: dict[int, str]) -> dict[int, str]:
-    """The last part of each function's name where that is enough to tell them apart, else all of it with hyphens."""
+    """The last part of each function's name where that is enough to distinguish them, else all of it with hyphens."""
     nodes: list[tuple[Axis, Node]] = [(axis, node) for axis in section.axes.values() for node in axis.functions]
     count = Counter(_leaf(named[id(node)]) for _, node in nodes)
     out = {}

@@ -70,8 +70,8 @@ the examination's three such cases (docs/hidden-effects.md)."""
 RESOLVED_ROWS = 0.03
 """Standard error, in rows, of a time told by replay."""
 NO_AIR = (
-    "the residuals of replays looked like turbulence, but of air that rotates and does not move: something in the aircraft "
-    "comes and goes, and the flights were judged by replays"
+    "the residuals of replays looked like turbulence, but of air that rotates without moving: an effect in the "
+    "aircraft acts intermittently, and the flights were judged by replays"
 )
 Say = Callable[[str], None]
 

@@ -299,7 +299,7 @@ def states(flight: Flight, piece: Piece) -> Mapping[str, Array]:
 
 
 def renamed(names: Sequence[str]) -> list[str]:
-    """File stems made unique, so that every flight can be told apart in reports."""
+    """File stems made unique, so that reports distinguish every flight."""
     out: list[str] = []
     for name in names:
         stem, number = name, 2

@@ -27,8 +27,8 @@ class Speed:
     def text(self) -> str:
         """One line for a report."""
         return (
-            f"{self.simulations_per_s:.1f} simulations or {self.flight_s_per_s:.0f} flight seconds a second in {self.processes} "
-            f"process(es); bare JSBSim loop {self.bare_flight_s_per_s:.0f} in one"
+            f"{self.simulations_per_s:.1f} simulations or {self.flight_s_per_s:.0f} flight seconds per second in {self.processes} "
+            f"process{'' if self.processes == 1 else 'es'}; JSBSim's bare loop: {self.bare_flight_s_per_s:.0f}"
         )
 
 

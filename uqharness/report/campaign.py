@@ -222,7 +222,7 @@ def _median_sentence(both: Sequence[Finding], duration_s: float) -> str:
         if item.published is not None:
             low, high = item.box.value[0], item.box.value[-1]
             where = "within" if low <= item.published <= high else "below" if item.published < low else "above"
-            text += f"; the published flight's {item.published:g} {item.unit} lies {where} what single flights measured, "
+            text += f"; the published flight's {item.published:g} {item.unit} lies {where} the range measured by single flights, "
             text += f"{low:.3g} to {high:.3g} {item.unit}"
     return text + "."
 

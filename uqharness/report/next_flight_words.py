@@ -20,8 +20,9 @@ def words(found: NextFlight, winner: Winner, missing: Sequence[MissingTerm] | No
     sure = "certain" if winner.certain else "not certain"
     out = [f"{c} has {low:.0f} to {high:.0f} % of the p-box of {winner.metric} ({winner.condition}; its lead is {sure})."]
     out.append(
-        f"Where the mission flies its interval is {p.now.total:.3g} wide on average. {_percent(found.extrapolated)} of the mission "
-        f"lies outside the data. The polynomial's uncertainty alone gives {p.now.parameter:.3g}, the scatter about it the rest."
+        f"In the mission's flight states its interval is {p.now.total:.3g} wide on average. "
+        f"{_percent(found.extrapolated)} of the mission lies outside the data. The "
+        f"polynomial's uncertainty alone gives {p.now.parameter:.3g}, the scatter about it the rest."
     )
     flight = f"The flight of {found.end_s / 60.0:.1f} min narrows the interval by {_percent(p.narrowing)} (its parameter part by "
     flight += (

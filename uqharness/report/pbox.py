@@ -22,7 +22,7 @@ _DRAWN = ("first", "fill1"), ("second", "fill2")
 
 @dataclass(frozen=True)
 class DrawnBox:
-    """One p-box of a figure. ``title`` tells it from the others, empty where it is alone; ``words``: corner id -> levels."""
+    """One p-box of a figure. ``title`` names it among several, empty where it is alone; ``words``: corner id -> levels."""
 
     title: str
     box: PBox

@@ -74,7 +74,7 @@ def _no_interval(draws: int, wanted: bool) -> str:
 def _smoothness(corners: Array, interior: Array | None, area: float) -> tuple[bool | None, str, float]:
     """Whether interior samples stay within the corners' envelope: the area by which the worst leaves it, over the envelope's."""
     if interior is None:
-        return None, "whether levels between the bounds stay inside the corners' envelope was not checked", float("nan")
+        return None, "not checked: whether levels between the bounds stay inside the corners' envelope", float("nan")
     if missing_values(interior=interior):
         return (
             False,

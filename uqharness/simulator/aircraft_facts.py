@@ -113,7 +113,7 @@ def _run(fdm: Any, frames: float) -> None:
 def _facts(control: str, rows: list[dict[str, float]]) -> ControlFacts:
     rate, sign = _ANSWER[control]
     low, _, high = (row[rate] for row in rows)
-    # A control that moves nothing leaves the flight the same to the last bit.
+    # A control that moves nothing leaves the flight bit-identical.
     if not abs(high - low) > 1e-9:
         return ControlFacts(0)
     sense = sign if high > low else -sign

@@ -47,7 +47,7 @@ def fly_tracks(out: Path, asked: Mapping[str, Asked], workers: int | None = None
     *_, last = asked.values()
     air = None if any(item.statement is None for item in asked.values()) else _air(last)
     if air is None or last.statement is None:
-        return {"reason": "no flight of the hardest condition tells how far it went from its path"}
+        return {"reason": "no flight of the hardest condition has a distance from its path"}
     condition = last.statement.cell.condition
     try:
         flights = {(when, model, name): spec for when, item in asked.items() for model, name, spec in _flights(item, air)}

@@ -18,9 +18,9 @@ ANSWERS = [Answer("3 m/s none", 15.0, 2.0, "yes", "", 12.3456), Answer("5 m/s no
 
 def test_a_summary_and_a_line_a_condition():
     assert lines(ANSWERS) == [
-        "at most 2 excursions per hour beyond 15 m? 2 yes, 1 open",
+        "at most 2 excursions per hour beyond 15 m? 2 yes, 1 inconclusive",
         "  3 m/s none: yes, 12.35 flight h",
-        "  5 m/s none: open (too few flights), 4 flight h",
+        "  5 m/s none: inconclusive (too few flights), 4 flight h",
         "  7 m/s none: yes, 1 flight h",
     ]
     assert lines([]) == []
@@ -51,6 +51,6 @@ def test_a_statement_tells_how_many_flights_may_have_an_excursion(tmp_path: Path
     rows = "a,,15,2,yes,,1,horizontal,0.00746\nb,,15,2,open,clusters beyond the carried limit,1,horizontal,\n"
     (tmp_path / "statements.csv").write_text(head + rows)
     assert lines(read_answers(tmp_path, MANIFEST))[1:] == [
-        "  a: yes, 1 flight h, an excursion in at most 0.75 % of flights at the worst corner",
-        "  b: open (clusters beyond the carried limit), 1 flight h",
+        "  a: yes, 1 flight h, at most 0.75 % of flights with an excursion at the worst corner (95 % limit)",
+        "  b: inconclusive (clusters beyond the carried limit), 1 flight h",
     ]

@@ -22,6 +22,21 @@ def test_one_loop_as_json(capsys: pytest.CaptureFixture[str]):
     assert loop["delay_s"] == pytest.approx(math.radians(loop["phase_deg"]) / crossover, rel=0.01)
 
 
+def test_gains_of_a_file_twice_as_large_halve_the_gain_margin(tmp_path, capsys):
+    # The rate controller is linear in its three gains together, so L doubles at every frequency: 20 log10(2) dB.
+    own = {"RLL_RATE_P": 0.22, "RLL_RATE_I": 0.20, "RLL_RATE_FF": 0.40}
+    found = []
+    for factor in (1.0, 2.0):
+        path = tmp_path / f"{factor:g}.param"
+        path.write_text("".join(f"{name} {factor * value}\n" for name, value in own.items()) + "RLL_RATE_SMAX 150\n")
+        assert main(["margins", "espaaro", "--flight", "straight", "--loop", "aileron", "--autopilot", str(path), "--json"]) == 0
+        document = json.loads(capsys.readouterr().out)
+        found.append(document["loops"]["aileron"])
+        assert document["autopilot"]["taken"]["ap/RLL_RATE_P"] == factor * 0.22
+        assert document["autopilot"]["ignored"] == {"RLL_RATE_SMAX": "the autopilot has no such term"}
+    assert found[0]["gain_up_dB"] - found[1]["gain_up_dB"] == pytest.approx(6.02, abs=0.1)
+
+
 def test_an_aircraft_that_is_not_there(capsys: pytest.CaptureFixture[str]):
     assert main(["margins", "nothing", "--loop", "aileron"]) == 2
     assert capsys.readouterr().err.startswith("uqharness: error: ")

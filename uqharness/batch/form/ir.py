@@ -139,7 +139,7 @@ class Builder:
         self._known: dict[tuple[Any, ...], int] = {}
 
     def constant(self, value: Constant, kind: str = F64) -> Value:
-        """A number: doubles are told apart by their bits, so 0.0 is not -0.0."""
+        """A number: doubles are distinguished by their bits, so 0.0 is not -0.0."""
         if kind == F64:
             value = float(value)
             key: Any = struct.pack("<d", value) if value == value else "nan"

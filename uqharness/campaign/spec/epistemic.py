@@ -54,8 +54,8 @@ class EpistemicSection(Section):
     """Ignorance: how the deltas move between their bounds.
 
     ``bounds`` per coefficient, or the name of a model-form.json; absent = the aircraft's own. ``set``: the intervals' box, or the
-    ellipsoid of their joint confidence. ``transient``: what a model form says to come and go within a manoeuvre flies as well;
-    absent = where there is such a part. ``interior``: points of a Latin hypercube beside the corners.
+    ellipsoid of their joint confidence. ``transient``: the model form's transient error flies as well; absent = where there
+    is such a part. ``interior``: points of a Latin hypercube beside the corners.
     """
 
     method: Literal["none", "corners", "levels", "lhs", "white", "walk"]

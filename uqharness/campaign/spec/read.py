@@ -84,7 +84,7 @@ def _agree_with_metrics(spec: CampaignSpec) -> None:
 def _agree_with_form(spec: CampaignSpec) -> None:
     section, form = spec.epistemic, spec.inputs.model_form
     if section.transient and not spec.inputs.has_parts:
-        lacks = "bounds are no model-form.json" if form is None else f"{form} does not tell transient model error from the rest"
+        lacks = "bounds are no model-form.json" if form is None else f"{form} has no transient part"
         raise BadInputError(
             f"{spec.path}:{line_of(spec.source, ('epistemic', 'transient'))}: [epistemic] transient = true: {lacks}; make a "
             "model-form.json with `uqharness bounds`, or leave transient out"

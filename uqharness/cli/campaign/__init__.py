@@ -7,7 +7,7 @@ import argparse
 from uqharness.cli.commands import Table, add_commands
 
 VERBS: Table = {
-    "check": ("campaign.run:add_check", "what a campaign costs, before it is flown"),
+    "check": ("campaign.run:add_check", "cost of a campaign before it is flown"),
     "run": ("campaign.run:add_run", "fly a campaign, or resume it"),
     "status": ("campaign.folder:add_status", "progress of a campaign"),
     "report": ("campaign.folder:add_report", "write report.html and the figures"),

@@ -37,9 +37,8 @@ from uqharness.scratch import scratch_folder
 _CHECK_EXAMPLE = """
   uqharness campaign check campaigns/demo/campaign.toml
 
-Flights, flight hours, expected time on this machine and disk, the engine that flies them (batch, or jsbsim and why, with
-file and line), and the level at which the intervals of a model-form.json hold together. Flies the check flights alone, and
-keeps nothing of them."""
+Prints flights, flight hours, expected time and disk space, the engine (batch, or jsbsim with the reason, file and line), and
+the joint confidence of the intervals of a model-form.json. Flies check flights alone; no result is stored."""
 _RUN_EXAMPLE = """
   uqharness campaign run campaigns/demo/campaign.toml --out campaigns/demo/results
   uqharness campaign run campaigns/demo/campaign.toml --out big --hours 10 --workers 8
@@ -49,13 +48,13 @@ _RUN_EXAMPLE = """
 
 The same command resumes a run that was interrupted, killed or cut off: only missing flights are flown.
 
-With bounds = "model-form.json" 16 points between the corners fly as well ([epistemic] interior = N), and model error that comes
-and goes where the file has such a part (transient = false leaves it out); set = "ellipsoid" flies the joint confidence set."""
+With bounds = "model-form.json" 16 points between the corners fly as well ([epistemic] interior = N), and transient model error
+if the file has such a part (transient = false leaves it out); set = "ellipsoid" flies the joint confidence set."""
 
 
 def add_check(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``check``."""
-    text = "Say what a campaign costs before it is flown."
+    text = "Print the cost of a campaign before it is flown."
     done, no = "done (a model that cannot be flown is bad input)", "the batch engine differs from JSBSim"
     describe(parser, _check, text, _CHECK_EXAMPLE, done=done, no=no)
     _add_campaign(parser)
@@ -96,7 +95,7 @@ def add_size(parser: argparse.ArgumentParser) -> None:
 
 def add_yes(parser: argparse.ArgumentParser) -> None:
     """``--yes``."""
-    parser.add_argument("--yes", action="store_true", help="fly even if it takes more than a day of this machine")
+    parser.add_argument("--yes", action="store_true", help="fly even if it takes more than a day on this machine")
 
 
 def asked_campaign(args: argparse.Namespace) -> CampaignSpec:

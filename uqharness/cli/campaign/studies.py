@@ -20,7 +20,7 @@ _CONVERGENCE_EXAMPLE = """
   uqharness campaign convergence campaigns/demo/results --repeats 4
   uqharness campaign run campaigns/convergence/campaign.toml --out fig35; uqharness campaign convergence fig35
 
-Writes DIR/convergence.csv and DIR/figures/convergence-*.svg from the flights that were flown; flies nothing."""
+Writes DIR/convergence.csv and DIR/figures/convergence-*.svg from the stored flights; nothing is flown."""
 _AREA_EXAMPLE = """
   uqharness campaign area campaigns/demo/results --value cross_track_median_m_measured=9.41
   uqharness campaign area results --flight flights.csv       one row per flight, columns as in cases.parquet
@@ -34,7 +34,11 @@ def add_convergence(parser: argparse.ArgumentParser) -> None:
     describe(parser, _convergence, text, _CONVERGENCE_EXAMPLE, done="done (too few flights or samples are bad input)")
     add_folder(parser)
     parser.add_argument(
-        "--repeats", type=whole("--repeats", 2), default=10, metavar="N", help="parts of the flights (default %(default)s)"
+        "--repeats",
+        type=whole("--repeats", 2),
+        default=10,
+        metavar="N",
+        help="number of parts into which the flights are divided (default %(default)s)",
     )
     parser.add_argument("--metric", action="append", default=[], metavar="NAME", help="column of cases.parquet; repeatable")
 

@@ -23,14 +23,14 @@ from uqharness.parallel import usable_cores
 _VERIFY_EXAMPLE = """
   uqharness campaign verify campaigns/demo/results
 
-Holds manifest, journal and tables, those of shards too, against the digests they were written with. Changes nothing."""
+Compares manifest, journal and tables, also of shards, with their stored digests. Changes nothing."""
 _SALVAGE_EXAMPLE = """
   uqharness campaign salvage campaigns/demo/results
   uqharness campaign salvage results --campaign campaigns/demo/campaign.toml      where manifest.json is damaged too
 
 Keeps every flight that fits its digest, gives damaged files another name (journal.damaged-1.sqlite), flies the rest again and
-writes the tables: the bytes of an undamaged run. Nothing is deleted; after a stop the same command goes on. --hours and
---samples belong to --campaign, as it was flown with."""
+writes the tables: the bytes of an undamaged run. Nothing is deleted; the same command resumes after an interruption.
+Give --hours and --samples with --campaign if the campaign was flown with them."""
 _REMADE = {"sensitivity": "sensitivity", "convergence": "campaign convergence", "area": "campaign area"}
 """Tables that other commands write: the command by the table's name."""
 
@@ -51,7 +51,7 @@ def add_salvage(parser: argparse.ArgumentParser) -> None:
     describe(parser, _salvage, text, _SALVAGE_EXAMPLE, no=no)
     parser.add_argument("folder", type=Path, metavar="DIR", help="campaign folder, or that of a shard")
     parser.add_argument(
-        "--campaign", type=Path, metavar="CAMPAIGN.toml", help="what was flown, where manifest.json is damaged or gone"
+        "--campaign", type=Path, metavar="CAMPAIGN.toml", help="the campaign file, where manifest.json is damaged or missing"
     )
     add_size(parser)
     add_workers(parser)

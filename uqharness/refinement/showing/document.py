@@ -85,7 +85,7 @@ def _remaining(found: Found, setup: Setup, shown: Shown, left: Sequence[Disagree
 
 
 def _unconfirmed(effect: Effect, refused: Refusal) -> dict[str, Any]:
-    """Where the residual is and on what it depends, told from the candidate that came nearest without being right."""
+    """Where the residual is and on what it depends, from the nearest candidate that was not confirmed."""
     term = effect.parsed
     depends = [] if term is None else [{"state": v} for v in term.variables]
     words = (

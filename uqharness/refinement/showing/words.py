@@ -1,4 +1,4 @@
-"""Sentences about effects: why one was named, and which manoeuvre would tell two of them apart."""
+"""Sentences about effects: why one was named, and which manoeuvre would separate two of them."""
 
 from __future__ import annotations
 
@@ -49,13 +49,13 @@ def why(effect: Effect, choice: Choice) -> str:
 
 
 def separating_manoeuvre(one: Effect, other: Effect) -> str:
-    """What would tell two effects apart that these flights do not."""
+    """The manoeuvre that would separate two effects that these flights do not."""
     for effect in (one, other):
         part = (effect.subsystem or "").partition(".")[0]
         if part == "mass" and effect.term == "Ixz":
             return (
                 "measure Ixz on the ground (swing test); in the air a wrong Ixz is pitching moment from roll rate squared "
-                "and, with the other sign, from yaw rate squared: rudder doublets tell them apart only as long as the "
+                "and, with the other sign, from yaw rate squared: rudder doublets separate them only as long as the "
                 "aircraft has no moment from yaw rate squared of its own"
             )
         if part in _SUBSYSTEM:
@@ -87,7 +87,7 @@ def would_tell(state: str | None, nearest: Sequence[Effect], loudest: tuple[str,
         said.insert(0, _EXCITES[_OF_STATE[state]])
     if len(nearest) > 1:
         first, second = nearest[:2]
-        said.append(f"to tell {first.name} from {second.name}: {separating_manoeuvre(first, second)}")
+        said.append(f"to separate {first.name} from {second.name}: {separating_manoeuvre(first, second)}")
     return "; ".join(said)
 
 

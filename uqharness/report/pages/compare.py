@@ -68,7 +68,7 @@ def _verdict(found: Mapping[str, Any]) -> tuple[Say, ...]:
     known = {c: r["rms"] / r["noise"] for c, r in found["coefficients"].items() if r.get("rms") is not None and r.get("noise")}
     if known:
         worst = max(known, key=lambda c: known[c])
-        said.append(Say(f"Of the coefficients {worst} is farthest from the flight: {known[worst]:.2f} times what noise gives."))
+        said.append(Say(f"Largest gap of a coefficient: {worst}, {known[worst]:.2f} times the rms that noise alone gives."))
     return tuple(said)
 
 
@@ -130,7 +130,7 @@ def _coefficient_section(rows: Mapping[str, Mapping[str, Any]], histories: Seque
         ratio = row["rms"] / row["noise"] if row.get("rms") is not None and row.get("noise") else None
         measured = shown(row.get("rms")), shown(row.get("noise"))
         cells.append((f"{name} [-]", *measured, shown(ratio, ".2f"), shown(row.get("mean"), ".2g")))
-    head = ("Coefficient", "rms of flight minus model", "What noise gives", "Ratio", "Mean")
+    head = ("Coefficient", "rms of flight minus model", "rms of noise alone", "Ratio", "Mean")
     table = Table("Gap between demanded and modelled coefficients (dimensionless, body axes).", head, tuple(cells), key=True)
     figures = []
     series = [("{}_flight", "second thin", ""), ("{}_model", "first thin", "")]
@@ -164,5 +164,5 @@ def _manoeuvre_section(found: Mapping[str, Any]) -> Section:
     ]
     if moments:
         head = ("Time [s]", "Channel", "Manoeuvre", "Gap in sigma [-]")
-        blocks.append(Table("The worst moments.", head, tuple(moments), key=True))
+        blocks.append(Table("The largest deviations.", head, tuple(moments), key=True))
     return Section("Where the gap is", tuple(blocks) or (Words("Not recorded."),))

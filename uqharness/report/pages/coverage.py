@@ -28,7 +28,7 @@ def coverage_page_of(found: Mapping[str, Any], pieces: Sequence[History] = (), p
     bad, unsure = ([c for c, v in said.items() if v == kind] for kind in ("fails", "inconclusive"))
     if bad:
         shares = ", ".join(f"{c} {100 * found['coverage'][c]['0.95']:.1f} %" for c in bad)
-        verdict = Say(f"The bounds do not hold: inside the 95 % bounds are only {shares}.", "bad")
+        verdict = Say(f"The 95 % bounds do not hold: they contain only {shares} of the samples.", "bad")
     elif unsure:
         verdict = Say(f"Inconclusive: the flight is too short to tell whether the bounds of {', '.join(unsure)} hold.", "warn")
     else:

@@ -51,7 +51,7 @@ def _channels(found: Sequence[Difference]) -> Section:
     rows = tuple(
         (d.channel, d.group, d.flight, f"{d.from_s:g}", _with_unit(d), f"{100.0 * d.share:.2g}", f"{d.times:.1g}") for d in found
     )
-    head = ("Channel", "Group", "Flight", "Differs from [s]", "Largest difference", "Of its range [%]", "Times rounding")
+    head = ("Channel", "Group", "Flight", "Differs from [s]", "Largest difference", "Share of range [%]", "Times rounding")
     note = Words(
         "Ranked by time, then cause before effect: a surface moves a coefficient, a coefficient an acceleration.", note=True
     )

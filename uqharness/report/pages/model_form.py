@@ -78,8 +78,10 @@ def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Say, ...]:
         text = f"Bounds made without a manoeuvre hold {100 * kept[worst]:.0f} % of its samples or more ({worst} least)."
         said.append(Say(text, level))
     most, name = max((len(b.states), c) for c, b in form.coefficients.items())
-    far = "grow" if form.outside == "grow" else "stand at the edge of the data"
-    said.append(Say(f"{len(form.coefficients)} coefficients, of at most {most} states ({name}); beyond the data the bounds {far}."))
+    far = "grow" if form.outside == "grow" else "keep their values at the edge"
+    text = f"Bounds of {len(form.coefficients)} coefficients as functions of up to {most} states ({name}); outside the data "
+    text += f"they {far}."
+    said.append(Say(text))
     return tuple(said)
 
 
@@ -103,13 +105,13 @@ def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Se
              shown(r.get("noise_std")), shown(walk, ".2g"))
         )  # fmt: skip
     head = (
-        "Coefficient", "Terms", "Independent samples", "Mean width", "Persistent", "Transient (time)", "Error not above ±", "Found",
+        "Coefficient", "Terms", "Independent samples", "Mean width", "Persistent", "Transient (time)", "95 % limit ±", "Found",
         "Sensor noise", "Walk [%/√s]",
     )  # fmt: skip
     text = (
         "Mean width: of the bounds that a campaign holds through a flight; they know the polynomial and what persists through a "
-        "manoeuvre. Persistent, transient, sensor noise: standard deviations; the transient part comes and goes within seconds, "
-        "noise is in no bounds. Error not above: 95 % limit of the whole model error in the data."
+        "manoeuvre. Persistent, transient, sensor noise: standard deviations; the transient part changes within seconds, "
+        "noise is in no bounds. 95 % limit: upper limit of the rms of the whole model error in the data."
     )
     wide = Table("Bounds by coefficient.", head, tuple(table), key=True)
     flights = [c for c, b in form.coefficients.items() if b.parts is not None and not np.isfinite(b.parts.flight)]

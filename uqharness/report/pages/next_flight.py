@@ -41,7 +41,7 @@ def next_flight_page(found: NextFlight, document: Mapping[str, Any], figures: Se
         *remarks(document, key=()),
         provenance(("Command", command), ("Files", "next-flight.json, next-flight.xml, test-points.csv, beside this page")),
     )
-    asked = f"What test flight narrows the interval of {found.coefficient} most where the mission flies?"
+    asked = f"What test flight narrows the interval of {found.coefficient} most in the mission's flight states?"
     verdict = tuple(Say(text) for text in document["words"])
     return Page(f"Next test flight for {found.coefficient} of {name}", asked, verdict, sections)
 

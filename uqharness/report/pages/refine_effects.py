@@ -83,7 +83,7 @@ def lines_naming(diff: str, words: Sequence[str], around: int = 2) -> str:
 
 
 def _others(e: Mapping[str, Any]) -> list[Block]:
-    """What the effect is confounded with, and what it is told from."""
+    """What the effect is confounded with, and which alternatives the flights exclude."""
     told = [
         f"Distinguished from {a['name']}."
         if a["separable"]

@@ -35,7 +35,7 @@ def test_bounds_from_the_form_alone(bounded):
 def test_a_validation(tmp_path):
     page = page_of(folders.covered(tmp_path / "check"))
     words = words_of(page)
-    assert "The bounds do not hold: inside the 95 % bounds are only Cm 40.0 %." in words
+    assert "The 95 % bounds do not hold: they contain only Cm 40.0 % of the samples." in words
     assert "97.0 ± 1.0" in words
     assert "40.0 ± undefined" in words
     # 0.8 bounds two pieces of a sine and a cosine: what lies outside is counted by hand.
@@ -98,7 +98,7 @@ def test_a_validation_tells_its_manoeuvres(tmp_path):
     assert "Hale" not in words
     assert "The bounds hold: every coefficient's share of this flight agrees with the 95 % that its bounds state." in words
     for said, sentence in (
-        ("fails", "The bounds do not hold: inside the 95 % bounds are only CX 97.0 %."),
+        ("fails", "The 95 % bounds do not hold: they contain only CX 97.0 % of the samples."),
         ("inconclusive", "Inconclusive: the flight is too short to tell whether the bounds of CX hold."),
     ):
         assert sentence in words_of(render(coverage_page_of(document | {"verdicts": {"CX": said}})))
