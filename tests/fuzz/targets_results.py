@@ -20,7 +20,7 @@ from tests.fuzz.outcome import Refused, call, command
 Target = Callable[[Path, int], None]
 _QUESTIONS = (
     ("campaign", "status"), ("campaign", "status", "--json"), ("campaign", "verify"), ("campaign", "verify", "--json"),
-    ("campaign", "report"), ("report",), ("sensitivity",), ("campaign", "convergence", "--repeats", "2"),
+    ("campaign", "report", "--no-tracks"), ("report",), ("sensitivity",), ("campaign", "convergence", "--repeats", "2"),
     ("campaign", "area", "--value", "cross_track_median_m=9.4"),
 )  # fmt: skip
 

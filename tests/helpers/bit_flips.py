@@ -138,10 +138,10 @@ def look(folder: Folder, place: Path, with_report: bool = True) -> Seen:
     words: dict[str, Callable[[], list[object]]] = {
         "verify": lambda: ["campaign", "verify", place],
         "status": lambda: ["campaign", "status", place, "--json"],
-        "report": lambda: ["campaign", "report", place],
+        "report": lambda: ["campaign", "report", place, "--no-tracks"],
         "run": lambda: ["campaign", "run", folder.campaign, "--out", place, "--serial"],
         "status after": lambda: ["campaign", "status", place, "--json"],
-        "report after": lambda: ["campaign", "report", place],
+        "report after": lambda: ["campaign", "report", place, "--no-tracks"],
     }
     for name, command in words.items():
         if name.startswith("report") and not (with_report and (folder.path / "cases.parquet").exists()):

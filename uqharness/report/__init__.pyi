@@ -1,3 +1,4 @@
+from .campaign_track import shown_cases as shown_cases
 from .compare import document_of as document_of
 from .compare import write_tables as write_tables
 from .convergence import convergence_section as convergence_section

@@ -52,6 +52,16 @@ def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[
     return (Section("Ground track", (*said, Words(text, note=True), Facts(commands))),)
 
 
+def shown_cases(frame: pd.DataFrame) -> tuple[str, ...]:
+    """Cases whose tracks a page should show: of the flights of the hardest condition with a known median cross-track error the one
+    with the largest and the one in the middle; fewer where there are fewer, none for a mission without a path."""
+    if _WORST not in frame or not frame[_WORST].notna().any():
+        return ()
+    rows = in_condition(frame, hardest_of(conditions(frame)))
+    known = rows[rows[_WORST].notna()].sort_values([_WORST, "case_id"], ascending=[False, True])
+    return tuple(str(case) for case in dict.fromkeys(known["case_id"].iloc[[0, len(known) // 2]])) if len(known) else ()
+
+
 def worst_case(frame: pd.DataFrame) -> str:
     """Case with the largest median cross-track error that is known in the hardest condition, the first by its id among equals."""
     rows = in_condition(frame, hardest_of(conditions(frame)))

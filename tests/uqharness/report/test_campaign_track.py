@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uqharness.report.campaign_track import MOST_TRACKS, track_section, worst_case
+from uqharness.report.campaign_track import MOST_TRACKS, shown_cases, track_section, worst_case
 from uqharness.report.parts import Facts, Figures, Words
 
 TIME = np.arange(0.0, 40.0, 0.1)
@@ -36,6 +36,17 @@ def test_without_records_the_worst_flight_of_the_hardest_condition_is_named(tmp_
     assert worst_case(FRAME) == "d"
     facts = next(b for b in blocks(tmp_path) if isinstance(b, Facts))
     assert facts.items[0][1] == "uqharness campaign rerun DIR --case d"
+
+
+def test_the_worst_and_the_median_flight_of_the_hardest_condition_are_shown():
+    assert shown_cases(FRAME) == ("d", "c")
+    five = pd.DataFrame(
+        {"case_id": list("abcde"), "wind_mps": 3.0, "turbulence": "light", "cross_track_median_m": [5, 1, 4, 2, 3.0]}
+    )
+    assert shown_cases(five) == ("a", "e")
+    assert shown_cases(five.assign(cross_track_median_m=[np.nan, 1.0, np.nan, np.nan, np.nan])) == ("b",)
+    assert shown_cases(five.assign(cross_track_median_m=np.nan)) == ()
+    assert shown_cases(five.drop(columns="cross_track_median_m")) == ()
 
 
 def test_records_are_drawn_the_farthest_first(tmp_path):

@@ -10,10 +10,12 @@ from typing import Any
 
 from uqharness.campaign import engine_words, lines
 from uqharness.campaign.answers import as_json
-from uqharness.campaign.folder import merge, read_status, rerun_case
+from uqharness.campaign.folder import merge, read_cases, read_manifest, read_status, rerun_case
+from uqharness.campaign.folder.rerun import FOLDER as RERUN
 from uqharness.cli.campaign.run import failures, say_rewritten
 from uqharness.cli.options import describe
-from uqharness.report import draw_rerun, write_campaign_report
+from uqharness.errors import BadInputError
+from uqharness.report import draw_rerun, shown_cases, write_campaign_report
 
 _STATUS_EXAMPLE = """
   uqharness campaign status campaigns/demo/results
@@ -22,7 +24,8 @@ Works from another terminal while the campaign runs."""
 _REPORT_EXAMPLE = """
   uqharness campaign report campaigns/demo/results
 
-Writes DIR/report.html (one file, no network needed) and DIR/figures/*.svg."""
+Writes DIR/report.html (one file, no network needed) and DIR/figures/*.svg. Of a complete campaign of short flights the worst and
+the median flight are flown again into DIR/rerun/ID for the ground track, unless records of flights are there."""
 _MERGE_EXAMPLE = """
   uqharness campaign merge big
 
@@ -31,6 +34,11 @@ _RERUN_EXAMPLE = """
   uqharness campaign rerun campaigns/demo/results --case 4c4000eebc386034
 
 Writes DIR/rerun/ID/: record.parquet (all signals at 50 Hz, burn-in included), flight.svg and result.json."""
+
+
+MOST_SHOWN_S = 600.0
+"""Flight time that a report flies again without being asked [s]. 1800 s of the E-SPAARO take 15 s of a core, recording and
+drawing included, so these take some 5 s."""
 
 
 def add_folder(parser: argparse.ArgumentParser) -> None:
@@ -48,6 +56,7 @@ def add_report(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``report``."""
     describe(parser, _report, "Write report.html and the figures.", _REPORT_EXAMPLE)
     add_folder(parser)
+    parser.add_argument("--no-tracks", action="store_true", help="do not fly two flights again for the ground track")
 
 
 def add_merge(parser: argparse.ArgumentParser) -> None:
@@ -83,15 +92,38 @@ def _status(args: argparse.Namespace) -> int:
 
 
 def _report(args: argparse.Namespace) -> int:
+    flown = [] if args.no_tracks else _fly_shown(args.folder)
     report = write_campaign_report(args.folder)
     if args.json:
         found = {"report": str(report.path), "figures": [str(path) for path in report.figures]}
-        print(json.dumps(found | {"verdict": report.verdict}))
+        print(json.dumps(found | {"verdict": report.verdict, "flown_again": flown}))
     else:
         print(f"{report.path}: written, with {len(report.figures)} figures")
+        if flown:
+            print(f"  Flown again for the ground track: {', '.join(flown)}.")
         for sentence in report.verdict:
             print(f"  {sentence}")
     return 0
+
+
+def _fly_shown(folder: Path) -> list[str]:
+    """Fly the worst and the median flight again for the page's ground track; nothing where records of flights are there, and with
+    a note where that takes too long or is not possible any more. Returns the ids of the cases."""
+    manifest = read_manifest(folder)
+    if manifest.get("state") != "complete" or any((folder / RERUN).glob("*/record.parquet")):
+        return []
+    cases = shown_cases(read_cases(folder, manifest))
+    seconds = len(cases) * sum(float(manifest["campaign"]["aleatory"][key]) for key in ("duration_s", "burn_in_s"))
+    if seconds > MOST_SHOWN_S:
+        return []
+    flown: list[str] = []
+    try:
+        for case in cases:
+            draw_rerun(rerun_case(folder, case))
+            flown.append(case)
+    except BadInputError as error:
+        print(f"uqharness: note: the page has no new ground track: {error}", file=sys.stderr)
+    return flown
 
 
 def _merge(args: argparse.Namespace) -> int:

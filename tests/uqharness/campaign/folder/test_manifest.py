@@ -24,8 +24,8 @@ from uqharness.cli.main import main
 from uqharness.next_flight.mission_states import open_campaign
 
 OLD = TESTS / "format_1"
-READING = (["campaign", "status"], ["campaign", "report"], ["sensitivity"], ["campaign", "convergence", "--repeats", "2"],
-           ["campaign", "area", "--value", "altitude_median_m=3"])  # fmt: skip
+READING = (["campaign", "status"], ["campaign", "report", "--no-tracks"], ["sensitivity"],
+           ["campaign", "convergence", "--repeats", "2"], ["campaign", "area", "--value", "altitude_median_m=3"])  # fmt: skip
 FLYING = (["campaign", "rerun", "--case", "0"], ["campaign", "merge"], ["campaign", "salvage"])
 
 

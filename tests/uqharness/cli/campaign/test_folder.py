@@ -6,8 +6,10 @@ import json
 
 import pytest
 
+from uqharness.campaign.folder.files import read_cases
 from uqharness.campaign.folder.manifest import read_manifest, write_manifest
 from uqharness.campaign.folder.store import run_lock
+from uqharness.cli.campaign import folder as verbs
 from uqharness.cli.main import run_words
 from uqharness.errors import BadInputError
 
@@ -41,10 +43,44 @@ def test_status_of_complete_running_and_interrupted(flown, capsys):
 
 def test_report(flown, capsys):
     capsys.readouterr()
-    assert call("report", flown / "out") == 0
+    assert call("report", flown / "out", "--no-tracks") == 0
     assert "report.html: written, with 6 figures" in capsys.readouterr().out
-    assert call("report", flown / "out", "--json") == 0
-    assert len(json.loads(capsys.readouterr().out)["figures"]) == 6
+    assert call("report", flown / "out", "--json", "--no-tracks") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (len(found["figures"]), found["flown_again"]) == (6, [])
+
+
+def test_a_report_flies_the_worst_and_the_median_flight_again_where_that_is_cheap(flown, capsys, monkeypatch):
+    asked = []
+
+    def again(folder, case):
+        if case == "refused":
+            raise BadInputError("the aircraft has changed")
+        asked.append(case)
+        return case
+
+    monkeypatch.setattr(verbs, "rerun_case", again)
+    monkeypatch.setattr(verbs, "draw_rerun", lambda found: ())
+    out = flown / "out"
+    capsys.readouterr()
+    # 64 corners fly the same three flights, so that the ends of the table are the answer.
+    rows = read_cases(out, read_manifest(out)).sort_values(["cross_track_median_m", "case_id"], ascending=[False, True])
+    cases = rows["case_id"].tolist()
+    monkeypatch.setattr(verbs, "MOST_SHOWN_S", 1e6)
+    assert call("report", out, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["flown_again"] == asked == [cases[0], cases[len(cases) // 2]]
+    monkeypatch.setattr(verbs, "shown_cases", lambda frame: ("refused",))
+    assert call("report", out) == 0
+    assert "the page has no new ground track: the aircraft has changed" in capsys.readouterr().err
+    asked.clear()
+    monkeypatch.setattr(verbs, "shown_cases", lambda frame: tuple(cases[:2]))
+    monkeypatch.setattr(verbs, "MOST_SHOWN_S", 1.0)
+    assert call("report", out) == 0
+    monkeypatch.setattr(verbs, "MOST_SHOWN_S", 1e6)
+    (out / "rerun" / "x").mkdir(parents=True)
+    (out / "rerun" / "x" / "record.parquet").touch()
+    assert call("report", out) == 0
+    assert asked == []
 
 
 @pytest.mark.parametrize("verb", ["status", "report", "merge"])
