@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 
 import pytest
 
@@ -22,26 +21,6 @@ def test_the_summary_is_one_line_or_json(tmp_path, capsys):
     assert set(found) == {"status", "reason", "flown_s", "rows", "out", "left_out", "autopilot"}
     assert found["autopilot"] is None
     assert (found["status"], found["rows"]) == ("ok", 11)
-
-
-def test_gains_of_a_parameter_file_are_flown_and_told(tmp_path, capsys):
-    file, out = tmp_path / "plane.param", tmp_path / "flight.csv"
-    file.write_text("ROLL_LIMIT_DEG 5\nRLL_RATE_SMAX 150\nBATT_CAPACITY 5000\n")
-    words = ["fly", "espaaro", "--duration-s", "10", "--out", str(out)]
-    assert main(words) == 0
-    own = max(abs(float(line.split(",")[4])) for line in out.read_text().splitlines()[1:])
-    capsys.readouterr()
-    assert main([*words, "--autopilot", str(file)]) == 0
-    told = capsys.readouterr().out
-    assert f"{file}:\n  1 gains taken: ROLL_LIMIT_DEG 5" in told
-    assert "RLL_RATE_SMAX (the autopilot has no such term)" in told
-    assert "1 parameters of other functions" in told
-    assert out.read_text().splitlines()[0].split(",")[4] == "phi_rad"
-    limited = max(abs(float(line.split(",")[4])) for line in out.read_text().splitlines()[1:])
-    assert limited < math.radians(8.0) < own
-    file.write_text("RLL2SRV_TCONST 0\n")
-    assert main([*words, "--autopilot", str(file)]) == 2
-    assert f"{file}: line 1: RLL2SRV_TCONST 0" in capsys.readouterr().err
 
 
 def test_an_ending_without_a_format_is_refused_before_a_flight(tmp_path, capsys):
