@@ -50,7 +50,7 @@ def test_a_page_is_written_beside_the_record_when_asked(tmp_path, capsys):
         str(tmp_path / "flight.parquet"),
     ]
     assert main([*words, "--page", str(page), "--json"]) == 0
-    assert set(json.loads(capsys.readouterr().out)) == {"status", "reason", "flown_s", "rows", "out", "left_out"}
+    assert json.loads(capsys.readouterr().out)["status"] == "ok"
     text = page.read_text(encoding="utf-8")
     assert problems(text) == []
     said = words_of(text)
