@@ -10,6 +10,7 @@ Identification" (2006), ch. 5; dissertation eqs 2.17 ff).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,19 +52,30 @@ def smooth(values: FloatArray, dt_s: float, cutoff_hz: float = CUTOFF_HZ, deriva
     can be compared, even across a step of a surface.
     """
     n, widest = len(values), half_width(dt_s, cutoff_hz)
-    out = np.empty(np.shape(values))
-    inner = [kernel(m, dt_s, derivative) for m in range(widest + 1)]
-    if n > 2 * widest:
-        windows = np.lib.stride_tricks.sliding_window_view(values, 2 * widest + 1, axis=0)
-        out[widest : n - widest] = windows @ inner[widest]
-    edges = [*range(min(widest, n)), *range(max(widest, n - widest), n)] if n > 2 * widest else range(n)
-    for k in edges:
+    flat = np.reshape(values, (n, -1))
+    if n <= 2 * widest:
+        return np.asarray(_narrowing(n, widest, dt_s, derivative) @ flat).reshape(np.shape(values))
+    out, inner = np.empty(flat.shape), n - 2 * widest
+    out[widest : n - widest] = sum(w * flat[k : k + inner] for k, w in enumerate(kernel(widest, dt_s, derivative).tolist()))
+    # What is nearer to an end than the fit is wide: as in a stretch of which the fits narrow from both ends.
+    ends = _narrowing(2 * widest, widest, dt_s, derivative)
+    out[:widest] = ends[:widest] @ flat[: 2 * widest]
+    out[n - widest :] = ends[widest:] @ flat[inner:]
+    return out.reshape(np.shape(values))
+
+
+@lru_cache(64)
+def _narrowing(n: int, widest: int, dt_s: float, derivative: int) -> FloatArray:
+    """(n, n) weights of fits that narrow towards both ends of n samples."""
+    out = np.zeros((n, n))
+    for k in range(n):
         m = min(widest, k, n - 1 - k)
         if m == 0 and derivative:
-            a, b = (0, 1) if k == 0 else (n - 2, n - 1)
-            out[k] = (values[b] - values[a]) / dt_s if n > 1 else 0.0
+            if n > 1:
+                a = 0 if k == 0 else n - 2
+                out[k, a : a + 2] = -1.0 / dt_s, 1.0 / dt_s
         else:
-            out[k] = np.tensordot(inner[m], values[k - m : k + m + 1], axes=1)
+            out[k, k - m : k + m + 1] = kernel(m, dt_s, derivative)
     return out
 
 

@@ -11,7 +11,7 @@ The start state is estimated, one a segment: its columns are projected out of ev
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,8 +21,10 @@ from sysid.aerodynamics import Steps
 from sysid.estimation import STARTS, Inputs, Lanes, Process, lanes_of, run
 
 FloatArray = NDArray[np.float64]
-_BLOCK_BYTES = 200_000_000
+_BLOCK_BYTES = 120_000_000
 """What the columns of segments that are filtered side by side may take."""
+_AT_ONCE = 64
+"""Columns that are made orthogonal to the start states together, in double precision."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,29 @@ class Columns:
     names: tuple[str, ...]
     inputs: Mapping[str, tuple[int, FloatArray]]
     outputs: Mapping[str, FloatArray]
+
+
+class MadeColumns(Sequence[Columns]):
+    """Columns of segments that are made as often as they are asked for, all by the same ``names``: those of a flight's candidates
+    take as much memory as what is computed from them."""
+
+    def __init__(self, names: Sequence[str], make: Callable[[int], Columns], count: int) -> None:
+        self.names, self._make, self._count = tuple(names), make, count
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, k):  # type: ignore[no-untyped-def]
+        if isinstance(k, slice):
+            return [self[i] for i in range(*k.indices(self._count))]
+        if not -self._count <= k < self._count:
+            raise IndexError(k)
+        return self._make(k % self._count)
+
+
+def names_of(columns: Sequence[Columns]) -> tuple[str, ...]:
+    """What the columns of all segments are called."""
+    return columns.names if isinstance(columns, MadeColumns) else columns[0].names
 
 
 @dataclass(frozen=True)
@@ -67,9 +92,9 @@ def whiten(
     mend: go on where rounding spoils a covariance; else LinAlgError is raised.
     """
     out: dict[int, White] = {}
-    # A sample's coefficients, channels (twice, once in single precision) and matrices.
-    wide = len(columns[0].names) + STARTS
-    each = 8 * (6 * wide + 8 * steps[0].phi.shape[1] ** 2) + 12 * len(noise) * wide
+    # A sample's coefficients, channels in single precision, and matrices.
+    wide = len(names_of(columns)) + STARTS
+    each = 8 * (6 * wide + 8 * steps[0].phi.shape[1] ** 2) + 4 * len(noise) * wide
     group: list[int] = []
     for s in sorted(range(len(steps)), key=lambda s: -len(measured[s])):
         if group and (len(group) + 1) * len(measured[group[0]]) * each > _BLOCK_BYTES:
@@ -110,18 +135,20 @@ def _inputs(lanes: Lanes, steps: Sequence[Steps], columns: Sequence[Columns], wh
     names, size, rows = columns[0].names, lanes.phi.shape[2], list(which)
     U, D = np.zeros((n, S, 6, len(names))), np.zeros((n, S, m, 6))
     g0, g1 = np.zeros((n - 1, S, size, 6)), np.zeros((n - 1, S, size, 6))
-    E = np.zeros((n, S, m, len(names))) if any(c.outputs for c in columns) else None
+    place = {name: k for k, name in enumerate(names)}
+    direct = [name for name in names if any(name in c.outputs for c in columns)]
+    E = np.zeros((n, S, m, len(direct))) if direct else None
     for i, (step, column) in enumerate(zip(steps, columns, strict=True)):
         own = slice(len(step.y_ref)), i
         seen = lanes.there[own][:, :, None]
         D[own] = np.where(seen, step.D[:, rows], 0.0)
         g0[: len(step.g0), i], g1[: len(step.g1), i] = step.g0, step.g1
         for name, (index, values) in column.inputs.items():
-            U[own][:, slice(None) if index < 0 else index, names.index(name)] = values
+            U[own][:, slice(None) if index < 0 else index, place[name]] = values
         for name, values in column.outputs.items():
             assert E is not None
-            E[own][:, :, names.index(name)] = np.where(seen[:, :, 0], values, 0.0)
-    return Inputs(U, D, g0, g1, E)
+            E[own][:, :, direct.index(name)] = np.where(seen[:, :, 0], values, 0.0)
+    return Inputs(U, D, g0, g1, E, [place[name] for name in direct])
 
 
 def minus_twice_log(white: Sequence[White]) -> float:
@@ -152,17 +179,22 @@ def _projected(
     scale = np.sqrt(np.sum(starts**2, axis=0))
     scale[scale == 0.0] = 1.0
     q, r = np.linalg.qr(starts / scale)
-    right = np.column_stack([white.ravel(), flat[:, : wide - STARTS]])
-    inside = q.T @ right
-    left = right - q @ inside
+    K = wide - STARTS
+    inside, left = np.empty((STARTS, 1 + K)), np.empty((n * m, K), dtype=np.float32)
+    inside[:, 0] = q.T @ white.ravel()
+    for first in range(0, K, _AT_ONCE):
+        part = slice(first, min(first + _AT_ONCE, K))
+        right = flat[:, part].astype(np.float64)
+        inside[:, 1 + part.start : 1 + part.stop] = found = q.T @ right
+        left[:, part] = right - q @ found
     try:
         fitted = np.linalg.solve(r, inside) / scale[:, None]
     except np.linalg.LinAlgError:
         fitted = np.linalg.lstsq(r, inside, rcond=None)[0] / scale[:, None]
     fitted[:, 1:] *= -1.0
     return White(
-        left[:, 0].reshape(n, m),
-        left[:, 1:].reshape(n, m, -1).astype(np.float32),
+        white - (q @ inside[:, 0]).reshape(n, m),
+        left.reshape(n, m, K),
         logdet,
         fitted,
         there,

@@ -13,7 +13,7 @@ asked whether it agrees.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -34,6 +34,7 @@ class Evidence:
     """Sums over segments of whitened columns and innovations.
 
     gram (S, K, K), score (S, K), square (S,): Y'Y, Y'e, e'e; samples (S,): values measured; prior (K,): information held besides
+    held   names of the columns that ``white`` still has, in its order; None: all
     """
 
     names: tuple[str, ...]
@@ -44,6 +45,7 @@ class Evidence:
     prior: FloatArray
     white: Sequence[White]
     flights: tuple[str, ...]
+    held: tuple[str, ...] | None = None
 
     def index(self, names: Sequence[str]) -> Index:
         """Positions (n,) of those unknowns in ``gram`` and ``score``. Raises KeyError for a name that is not there."""
@@ -64,6 +66,23 @@ class Evidence:
         if segments is None:
             return self.everything
         return self.gram[segments].sum(axis=0) + np.diag(self.prior), self.score[segments].sum(axis=0)
+
+    def narrowed(self, names: Collection[str]) -> Evidence:
+        """The same without the columns of ``white`` but those ``names``: sums stay whole, the colour of residuals can be asked for
+        by these columns alone. A candidate's columns are most of the memory that evidence takes."""
+        kept = tuple(n for n in self.names if n in names)
+        white = [replace(w, columns=self._series(w, self.index(kept))) for w in self.white]
+        return replace(self, white=white, held=kept)
+
+    def series(self, w: White, some: Index) -> FloatArray:
+        """(n, m, C) columns of a segment. Raises KeyError for one that is no longer held."""
+        return self._series(w, some).astype(np.float64)
+
+    def _series(self, w: White, some: Index) -> NDArray[np.float32]:
+        if self.held is not None:
+            at = {name: k for k, name in enumerate(self.held)}
+            some = np.array([at[self.names[k]] for k in some], dtype=np.intp)
+        return np.asarray(w.columns[:, :, some])
 
     def step(self, held: Sequence[str] = ()) -> tuple[FloatArray, float]:
         """Gauss-Newton step of all columns but those held (K,), and its length in standard errors."""
@@ -87,14 +106,14 @@ class Evidence:
         for name, value in values.items():
             v[self._where[name]] = value
         used = np.flatnonzero(v)
-        white = [replace(w, residual=w.residual + w.columns[:, :, used].astype(np.float64) @ v[used]) for w in self.white]
+        white = [replace(w, residual=w.residual + self.series(w, used) @ v[used]) for w in self.white]
         square = np.array([float(np.sum(w.residual**2)) for w in white])
         return replace(self, score=self.score + self.gram @ v, square=square, white=white)
 
     def residual(self, delta: FloatArray) -> list[FloatArray]:
         """[(n, m)] whitened innovations after a change of the columns, NaN where nothing was measured."""
         used = np.flatnonzero(delta)
-        return [np.where(w.there, w.residual - w.columns[:, :, used].astype(np.float64) @ delta[used], np.nan) for w in self.white]
+        return [np.where(w.there, w.residual - self.series(w, used) @ delta[used], np.nan) for w in self.white]
 
 
 def gather(white: Sequence[White], names: Sequence[str], flights: Sequence[str], prior: Mapping[str, float]) -> Evidence:
@@ -179,7 +198,7 @@ def corrected_each(
         x = solve(G[np.ix_(b, b)], G[b, c][:, None])[:, 0]
         alone[b, k], alone[c, k] = -x, 1.0
         g[k] = G[c, c] - G[c, b] @ x
-    own = [w.columns[:, :, some].astype(np.float64) @ alone for w in evidence.white]
+    own = [evidence.series(w, some) @ alone for w in evidence.white]
     bracket = np.diagonal(coloured_information(own, evidence.residual(delta)))
     plain = 1.0 / np.sqrt(g)
     std = np.maximum(np.sqrt(np.maximum(bracket, 0.0)) / g, scale * plain)

@@ -21,7 +21,7 @@ FloatArray = NDArray[np.float64]
 Twins = Mapping[tuple[str, str], Sequence[str]]
 FAMILY = 0.02
 """Chance that the best of all candidates passes when nothing is missing; the part that confirms is asked besides."""
-DRAWS = 40_000
+DRAWS, DRAWN_IN = 40_000, 8
 EXCHANGE = 9.0
 """Gain by which another candidate must beat a chosen one to take its place."""
 LOOKED_AT = 12
@@ -116,7 +116,8 @@ def chance_limit(evidence: Evidence, free: Sequence[str], candidates: Sequence[s
     values, vectors = np.linalg.eigh(left / np.outer(size, size))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     rng = np.random.default_rng(len(known))
-    largest = np.abs(rng.standard_normal((DRAWS, len(known))) @ root.T).max(axis=1)
+    parts = (rng.standard_normal((DRAWS // DRAWN_IN, len(known))) @ root.T for _ in range(DRAWN_IN))
+    largest = np.concatenate([np.abs(part).max(axis=1) for part in parts])
     return min(threshold(len(known), family), float(np.quantile(largest, 1.0 - family)))
 
 

@@ -79,18 +79,22 @@ class Lanes:
 @dataclass(frozen=True)
 class Inputs:
     """What K coefficients do along lanes: U (n, S, 6, K) extra CX ... Cn per unit of each, through D (n, S, m, 6) and g0, g1
-    (n - 1, S, x, 6); E (n, S, m, K) added to the channels, None: nothing. D and E are zero where nothing was measured."""
+    (n - 1, S, x, 6); E (n, S, m, J) added to the channels by the J columns ``direct``. D and E are zero where nothing was
+    measured."""
 
     U: FloatArray
     D: FloatArray
     g0: FloatArray
     g1: FloatArray
     E: FloatArray | None = None
+    direct: Sequence[int] = ()
 
     def seen(self, k: int, on: int) -> FloatArray:
         """(on, m, K) in the channels of sample k."""
         found = self.D[k, :on] @ self.U[k, :on]
-        return found if self.E is None else found + self.E[k, :on]
+        if self.E is not None:
+            found[:, :, self.direct] += self.E[k, :on]
+        return np.asarray(found)
 
     def moved(self, k: int, on: int) -> FloatArray:
         """(on, x, K) of the states from sample k to the next."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from scipy.special import logsumexp
 FloatArray = NDArray[np.float64]
 PRIOR_SPREAD = float(np.log(2.0))
 """Standard deviation of the logarithm of a noise's size about the card's figure: data sheets are wrong by a factor of two."""
+_KEPT = 64  # channels of flights whose sizes are remembered
 _LEAST = 16  # frequencies below which a channel shows nothing of its noise
 _SIZES = np.concatenate([np.linspace(-5.0, -1.0, 41)[:-1], np.linspace(-1.0, 0.6, 81)])  # logarithm, about what is shown
 _SIGNALS = np.exp(np.linspace(-12.0, 1.0, 41))  # of a piece's mean power, equally likely in the logarithm
@@ -42,7 +44,13 @@ def noise_size(pieces: Sequence[FloatArray], dt_s: float, from_hz: float, stated
     stated   what the card says of the sensor, a prior; None: nothing
     None where neither card nor samples tell: fewer than 16 frequencies above ``from_hz``, or a channel without any noise.
     """
-    spectra = [found for x in pieces if (found := _periodogram(x, dt_s, from_hz)) is not None]
+    return _size(tuple(np.asarray(x, dtype=float).tobytes() for x in pieces), dt_s, from_hz, stated)
+
+
+@lru_cache(_KEPT)
+def _size(pieces: tuple[bytes, ...], dt_s: float, from_hz: float, stated: float | None) -> NoiseSize | None:
+    """`noise_size` of the pieces' bytes: several models are held against the same flights."""
+    spectra = [found for x in pieces if (found := _periodogram(np.frombuffer(x), dt_s, from_hz)) is not None]
     known = stated is not None and np.isfinite(stated) and stated > 0.0
     if sum(len(power) for power, _ in spectra) < _LEAST or not any(np.any(power > 0.0) for power, _ in spectra):
         return NoiseSize(float(stated), PRIOR_SPREAD) if known and stated is not None else None

@@ -10,7 +10,18 @@ from pathlib import Path
 
 from uqharness.errors import BadInputError
 from uqharness.simulator import Aircraft, copy_folder
-from uqharness.xml import Document, Insertion, apply, comment, declaration, folder_documents, parse_document, with_attribute
+from uqharness.xml import (
+    Document,
+    Insertion,
+    Node,
+    apply,
+    comment,
+    declaration,
+    declarations,
+    folder_documents,
+    parse_document,
+    with_attribute,
+)
 
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 _REMARK = re.compile(rb"[ \t]*<!-- identified [^>]*?-->")
@@ -48,8 +59,10 @@ def with_value(document: Document, name: str, estimate: Estimate) -> bytes | Non
     An earlier remark of ours is replaced as well; the author's comments are not.
     """
     node = declaration(document, name)
-    if node is None:
-        return None
+    return None if node is None else apply(document, _edits(document, node, estimate))
+
+
+def _edits(document: Document, node: Node, estimate: Estimate) -> list[Insertion]:
     end = document.raw.find(b"\n", node.end)
     old = document.raw[node.end : None if end < 0 else end].removesuffix(b"\r")
     rest = _REMARK.sub(b"", old).rstrip(b" \t")
@@ -57,7 +70,7 @@ def with_value(document: Document, name: str, estimate: Estimate) -> bytes | Non
     runs_on = b"<!--" in _COMMENT.sub(b"", rest)
     remark = b"" if runs_on else document.encoded(f"  {comment(f'identified {estimate.remark}')}")
     number = with_attribute(document, node, "value", f"{estimate.value:.8g}")
-    return apply(document, [number, Insertion(node.end, rest + remark, old)])
+    return [number, Insertion(node.end, rest + remark, old)]
 
 
 def put_values(folder: Path, values: Mapping[str, Estimate]) -> list[str]:
@@ -65,11 +78,20 @@ def put_values(folder: Path, values: Mapping[str, Estimate]) -> list[str]:
     left = dict(values)
     for document in folder_documents(folder):
         edited = document
-        for name in list(left):
-            content = with_value(edited, name, left[name])
-            if content is not None:
-                edited = parse_document(document.path, content)
-                del left[name]
+        while edits := _together(edited, left):
+            edited = parse_document(document.path, apply(edited, edits))
         if edited is not document:
             document.path.write_bytes(edited.raw)
     return list(left)
+
+
+def _together(document: Document, left: dict[str, Estimate]) -> list[Insertion]:
+    """Edits of the declarations of a file's properties ``left``, one to a line; the properties are taken out of ``left``."""
+    edits: list[Insertion] = []
+    until = -1
+    for name, node in declarations(document):
+        if name in left and node.start > until:
+            edits += _edits(document, node, left.pop(name))
+            end = document.raw.find(b"\n", node.end)
+            until = len(document.raw) if end < 0 else end
+    return edits

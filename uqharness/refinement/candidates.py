@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics import COEFFICIENTS
-from sysid.effects import Columns, Effect
+from sysid.effects import Columns, Effect, MadeColumns
 from uqharness.refinement.reference import Probe
 from uqharness.refinement.types import Flown, Point, Setup
 from uqharness.refinement.writing.terms import STALL
@@ -26,27 +26,28 @@ _DEADBAND_DEG = 0.5
 _LAG_S = 0.002
 
 
-def effect_columns(setup: Setup, probes: Sequence[Probe], flown: Flown, effects: Sequence[Effect]) -> list[Columns]:
+def effect_columns(setup: Setup, probes: Sequence[Probe], flown: Flown, effects: Sequence[Effect]) -> MadeColumns:
     """Columns of the candidates by their keys, one set a segment; a candidate that does nothing there has none."""
     names = tuple(e.key for e in effects)
-    out = []
-    for segment, p, y in zip(setup.segments, probes, flown.outputs, strict=True):
-        found = p.variables()
-        inputs: dict[str, tuple[int, Array]] = {}
-        outputs: dict[str, Array] = {}
-        for e in effects:
-            if e.coefficient is not None:
-                term = e.parsed
-                assert term is not None
-                inputs[e.key] = (COEFFICIENTS.index(e.coefficient), term.values(found))
-                continue
-            block, channel = _subsystem(e, setup, segment, p, y, found, flown.point)
-            if block is not None:
-                inputs[e.key] = (-1, block)
-            if channel is not None:
-                outputs[e.key] = channel
-        out.append(Columns(names, inputs, outputs))
-    return out
+    return MadeColumns(names, lambda k: _of_segment(setup, k, probes[k], flown, effects, names), len(setup.segments))
+
+
+def _of_segment(setup: Setup, k: int, p: Probe, flown: Flown, effects: Sequence[Effect], names: tuple[str, ...]) -> Columns:
+    segment, y, found = setup.segments[k], flown.outputs[k], p.variables()
+    inputs: dict[str, tuple[int, Array]] = {}
+    outputs: dict[str, Array] = {}
+    for e in effects:
+        if e.coefficient is not None:
+            term = e.parsed
+            assert term is not None
+            inputs[e.key] = (COEFFICIENTS.index(e.coefficient), term.values(found))
+            continue
+        block, channel = _subsystem(e, setup, segment, p, y, found, flown.point)
+        if block is not None:
+            inputs[e.key] = (-1, block)
+        if channel is not None:
+            outputs[e.key] = channel
+    return Columns(names, inputs, outputs)
 
 
 def sensor_gain(channel: str, point: Point) -> float:

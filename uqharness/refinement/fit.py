@@ -18,7 +18,7 @@ from sysid.aerodynamics import GustStates, Reference, Steps, linearise
 from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.aerodynamics.rigid_body import MassProperties
-from sysid.effects import Columns, Evidence, White, gather, whiten
+from sysid.effects import Columns, Evidence, MadeColumns, White, gather, names_of, whiten
 from sysid.parallel import ALONE, Processes
 from uqharness.refinement.candidates import effect_columns, later_controls, sensor_gain
 from uqharness.refinement.reference import Probe, ProbeJob, named_terms, probe, term_column
@@ -173,12 +173,15 @@ def jumps_unseen(setup: Setup, found: Sequence[Probe], point: Point) -> list[Arr
     return out
 
 
-def merged(first: Sequence[Columns], second: Sequence[Columns]) -> list[Columns]:
+def merged(first: Sequence[Columns], second: Sequence[Columns]) -> MadeColumns:
     """Two sets of columns side by side."""
-    return [
-        Columns((*a.names, *b.names), {**a.inputs, **b.inputs}, {**a.outputs, **b.outputs})
-        for a, b in zip(first, second, strict=True)
-    ]
+    names = (*names_of(first), *names_of(second))
+
+    def both(k: int) -> Columns:
+        a, b = first[k], second[k]
+        return Columns(names, {**a.inputs, **b.inputs}, {**a.outputs, **b.outputs})
+
+    return MadeColumns(names, both, len(first))
 
 
 @dataclass(frozen=True)

@@ -324,4 +324,4 @@ def gust_evidence(setup: Setup, fitted: GustFit, extra: Sequence[Columns]) -> Ev
     columns = merged(fitted.fit.columns, extra)
     measured = in_step(setup, fitted.fit.flown.point)
     white = whiten(fitted.fit.steps, measured, columns, setup.which, setup.noise, fitted.gusts.process)
-    return gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)
+    return gather(white, columns.names, [s.flight for s in setup.segments], PRIOR)

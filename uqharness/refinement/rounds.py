@@ -12,6 +12,7 @@ import numpy as np
 from sysid.effects import TWINS, Choice, Columns, Effect, Evidence, Selection, gather, judged, scores, select, whiten
 from uqharness.refinement.begin import OVERWHELMING, About, joint_point
 from uqharness.refinement.candidates import effect_columns
+from uqharness.refinement.contest import many_asked
 from uqharness.refinement.fit import PRIOR, Fit, best_flown, merged, positions, refit
 from uqharness.refinement.gusts import GustFit, gust_evidence, gust_refit, middles
 from uqharness.refinement.rates import around, felt, slower_servos
@@ -202,6 +203,9 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     again = again if start.gusts is None else first_at_values(again, own, far)
     cost = fit.flown.cost if gusts is None else surprise
     merit = cost + sum(by_key[k].odds + EARNED * start.limit**2 for k in keys)
+    if gusts is None or many_asked(keys, again.chosen) is None:
+        # No other candidate flies beside these: the rest of the columns is not looked at again.
+        evidence = evidence.narrowed([*free, *keys, *(c.key for c in again.chosen)])
     return Round(
         setup, fit, evidence, Selection(own, again.refused, again.trail), again, standing and not moving, merit, gusts,
         About(fit.flown.point, evidence, values), surprise, {c.key: written[c.key] for c in held}, far,
@@ -226,7 +230,7 @@ def column_evidence(setup: Setup, fit: Fit, extra: Sequence[Columns]) -> Evidenc
     """Evidence of a fit's own columns beside others."""
     columns = merged(fit.columns, extra)
     white = whiten(fit.steps, setup.measured, columns, setup.which, setup.noise)
-    return gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)
+    return gather(white, columns.names, [s.flight for s in setup.segments], PRIOR)
 
 
 def resolved(start: Start, found: Round) -> Selection:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid.aerodynamics.rigid_body import NX, OUTPUTS, Steps
-from sysid.effects.prediction import Columns, White, whiten
+from sysid.effects.prediction import Columns, MadeColumns, White, names_of, whiten
 from sysid.effects.score import corrected, corrected_each, gather, scores
 from sysid.effects.selection import select, threshold
 from sysid.effects.turbulence import noise_factors
@@ -216,3 +216,40 @@ def test_both_forms_of_the_update_are_one_filter(monkeypatch):
     np.testing.assert_allclose(other.residual, plain.residual, atol=1e-8)
     np.testing.assert_allclose(other.columns, plain.columns, atol=1e-4)
     assert other.logdet == pytest.approx(plain.logdet, rel=1e-10)
+
+
+def test_columns_made_when_they_are_asked_for_are_those_that_were_there():
+    rng = np.random.default_rng(4)
+    n, names = 30, ("p", "off", "effect")
+    steps = [system(n, k) for k in range(3)]
+    z = [rng.standard_normal((n, M)) for _ in steps]
+    columns = [
+        Columns(names, {"p": (4, rng.standard_normal(n)), "effect": (-1, rng.standard_normal((n, 6)))}, {"off": np.ones((n, M))})
+        for _ in steps
+    ]
+    made: list[int] = []
+
+    def make(k: int) -> Columns:
+        made.append(k)
+        return columns[k]
+
+    later = MadeColumns(names, make, len(columns))
+    there, then = (whiten(steps, z, c, range(M), np.ones(M)) for c in (columns, later))
+    for a, b in zip(there, then, strict=True):
+        np.testing.assert_array_equal(a.columns, b.columns)
+    assert sorted(made) == [0, 1, 2]
+    assert names_of(later) == names_of(columns) == names
+    with pytest.raises(IndexError):
+        later[3]
+
+
+def test_evidence_that_let_columns_go_says_the_same_of_those_it_held():
+    whole = flights({"c3": 0.6}, 5)
+    free, some = ["a", "b"], ["c1", "c2", "c3", "c4"]
+    held = whole.narrowed([*free, "c3"])
+    assert corrected(held, free, "c3") == corrected(whole, free, "c3")
+    np.testing.assert_array_equal(scores(held, free, some).t, scores(whole, free, some).t)
+    taken, other = held.taken_out({"c3": 0.3}), whole.taken_out({"c3": 0.3})
+    np.testing.assert_array_equal(taken.white[0].residual, other.white[0].residual)
+    with pytest.raises(KeyError):
+        corrected(held, free, "c1")

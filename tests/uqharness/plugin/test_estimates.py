@@ -55,6 +55,15 @@ def test_names_without_a_place_come_back_and_other_files_stay(tmp_path: Path):
     assert text.endswith('\r\n<property value="6">a/bc</property></a>  <!-- identified y -->')
 
 
+def test_two_values_on_one_line_are_both_written(tmp_path: Path):
+    line = '<a><property value="1">a/b</property> <property value="2">a/c</property>\n<property value="3">a/d</property></a>'
+    (tmp_path / "a.xml").write_text(line)
+    assert put_values(tmp_path, {"a/c": Estimate(5, "x"), "a/b": Estimate(4, "y"), "a/d": Estimate(6, "z")}) == []
+    text = (tmp_path / "a.xml").read_text()
+    assert [part.partition('"')[0] for part in text.split('value="')[1:]] == ["4", "5", "6"]
+    assert text.count("identified z") == 1
+
+
 def test_a_folder_that_is_no_aircraft_is_not_replaced(tmp_path: Path):
     out = tmp_path / "out"
     out.mkdir()
