@@ -1,6 +1,9 @@
 """Every aeroplane of JSBSim's own collection from nothing to a p-box: the table of docs/aircraft.md.
 
 python campaigns/stock-aircraft/reproduce.py [--aircraft NAME]...
+
+Each aeroplane is asked for level flight at the speed at which 4 deg of incidence carry its weight. A speed or a path that `modes`
+advises in its refusal is tried next, then other speeds.
 """
 
 from __future__ import annotations
@@ -8,8 +11,10 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import re
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,6 +26,8 @@ from uqharness.simulator import engine
 ALTITUDE_M = 200.0
 SPEEDS = (1.0, 1.15, 1.35, 0.9)
 """Shares of the speed at which 4 deg of incidence carry the weight; the first at which the aircraft trims is flown."""
+_SPEED = re.compile(r"try V [<>]= ([\d.]+) m/s")
+_PATH = re.compile(r"try a path of [<>]= (-?[\d.]+) deg")
 BOUNDS = "CX=0.01,CY=0.01,CZ=0.05,Cl=0.001,Cm=0.01,Cn=0.001"
 STEPS = ("trim", "modes", "instrument", "campaign", "p-box")
 _CAMPAIGN = """[campaign]
@@ -30,6 +37,7 @@ seed = 1
 [start]
 V_mps = {V:.1f}
 altitude_m = {h:g}
+climb_deg = {climb:g}
 [aleatory]
 flights = 1
 duration_s = 4
@@ -49,10 +57,11 @@ OTHERS = {
 
 @dataclass
 class Row:
-    """One aeroplane: the speed it was flown at [m/s], what was reached of STEPS, and why not more."""
+    """One aeroplane: the speed [m/s] and path [deg] it was flown at, what was reached of STEPS, and why not more."""
 
     name: str
     V_mps: float = math.nan
+    climb_deg: float = 0.0
     reached: list[str] = field(default_factory=list)
     reason: str = ""
 
@@ -60,7 +69,7 @@ class Row:
         """As a row of the table."""
         cells = " | ".join("yes" if step in self.reached else "" for step in STEPS)
         speed = f"{self.V_mps:.1f}" if math.isfinite(self.V_mps) else ""
-        return f"| {self.name} | {speed} | {cells} | {self.reason} |"
+        return f"| {self.name} | {speed} | {self.climb_deg:g} | {cells} | {self.reason} |"
 
 
 def untouched(name: str) -> None:
@@ -127,18 +136,13 @@ def study(name: str, V_mps: float) -> Row:
             row.reason = "" if done.returncode == 0 else _last(done.stdout, done.stderr)
             return done.returncode, done.stdout
 
-        for share in SPEEDS:
-            row.V_mps = round(share * V_mps, 1)
-            code, _ = command("modes", name, "--speed-mps", f"{row.V_mps:.1f}", "--altitude-m", f"{ALTITUDE_M:g}")
-            if code == 0:
-                break
-        else:
+        if not _trims(row, V_mps, command):
             return row
         row.reached += ["trim", "modes"]
         if command("instrument", name, "--out", "mine", "--constant", BOUNDS)[0]:
             return row
         row.reached.append("instrument")
-        (folder / "campaign.toml").write_text(_CAMPAIGN.format(V=row.V_mps, h=ALTITUDE_M), encoding="utf-8")
+        (folder / "campaign.toml").write_text(_CAMPAIGN.format(V=row.V_mps, h=ALTITUDE_M, climb=row.climb_deg), encoding="utf-8")
         if command("campaign", "run", "campaign.toml", "--out", "results", "--serial", "--yes")[0]:
             return row
         row.reached.append("campaign")
@@ -147,10 +151,33 @@ def study(name: str, V_mps: float) -> Row:
     return row
 
 
+def _trims(row: Row, V_mps: float, command: Callable[..., tuple[int, str]]) -> bool:
+    """Whether `modes` finds a trim, at the speed and on the path then left in ``row``."""
+    asked = [(round(share * V_mps, 1), 0.0) for share in SPEEDS]
+    tried = set()
+    while asked:
+        row.V_mps, row.climb_deg = asked.pop(0)
+        if (row.V_mps, row.climb_deg) in tried:
+            continue
+        tried.add((row.V_mps, row.climb_deg))
+        speed, climb = f"{row.V_mps:.1f}", f"{row.climb_deg:g}"
+        code, said = command("modes", row.name, "--speed-mps", speed, f"--climb-deg={climb}", "--altitude-m", f"{ALTITUDE_M:g}")
+        if code == 0:
+            return True
+        if "does not change the thrust" in said:
+            return False
+        # What the refusal advises comes first.
+        if found := _SPEED.search(said):
+            asked.insert(0, (float(found[1]), row.climb_deg))
+        elif found := _PATH.search(said):
+            asked.insert(0, (row.V_mps, float(found[1])))
+    return False
+
+
 def _last(said: str, errors: str) -> str:
     found = [line.strip() for line in (said + "\n" + errors).splitlines() if line.strip()]
     lines = [line for line in found if not line.startswith(("note:", "uqharness: note:"))]
-    return (lines[-1] if lines else "no message").replace("|", "/")[:240]
+    return (lines[-1] if lines else "no message").replace("|", "/")[:400]
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -164,14 +191,14 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     root = engine.default_root() / "aircraft"
     names = arguments.aircraft or sorted(path.name for path in root.iterdir() if path.is_dir())
-    print(f"| aircraft | m/s | {' | '.join(STEPS)} | reason |\n|---{'|---' * (len(STEPS) + 2)}|", flush=True)
+    print(f"| aircraft | m/s | path, deg | {' | '.join(STEPS)} | reason |\n|---{'|---' * (len(STEPS) + 3)}|", flush=True)
     rows = []
     for name in names:
         if name in OTHERS:
             continue
         V_mps, why = alone(name)
         if not math.isfinite(V_mps):
-            print(f"| {name} |  |{'  |' * len(STEPS)} does not fly untouched: {why} |", flush=True)
+            print(f"| {name} |  |  |{'  |' * len(STEPS)} does not fly untouched: {why} |", flush=True)
             continue
         rows.append(study(name, V_mps))
         print(rows[-1].line(), flush=True)

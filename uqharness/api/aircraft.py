@@ -14,7 +14,7 @@ from uqharness.arguments import properties as settings
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder
 from uqharness.identification import MadeBounds
-from uqharness.plugin import Bounds, Instrumented, instrument_aircraft
+from uqharness.plugin import Bounds, Instrumented, MassProperties, instrument_aircraft
 from uqharness.simulator import LinearModel, SteadyCondition, Trim, linear, trim
 
 
@@ -119,6 +119,7 @@ def instrument(
     constant: Mapping[str, float | tuple[float, float]] | None = None,
     air: bool = False,
     check: bool = True,
+    mass: Mapping[str, float] | None = None,
 ) -> Instrumented:
     """Give a copy of an aircraft the model-form plugin, as ``uqharness instrument`` does.
 
@@ -136,6 +137,9 @@ def instrument(
         Whether this project's wind and turbulence are added (docs/air.md).
     check : bool
         Whether the copy is flown beside the untouched aircraft.
+    mass : Mapping, optional
+        Mass properties of the aircraft as it flew, in place of the XML's: ``mass_kg``, ``ixx_kgm2``, ``iyy_kgm2``, ``izz_kgm2``,
+        ``ixz_kgm2`` (the product of inertia), ``cg_x_m``, ``cg_y_m``, ``cg_z_m`` (the XML's structural frame).
 
     Returns
     -------
@@ -173,7 +177,15 @@ def instrument(
     bounds = Bounds(form, {name: _pair(name, value) for name, value in given.items()})
     model = given_aircraft(aircraft)
     check_folder(folder)
-    return instrument_aircraft(model, bounds, folder, air=flag("air", air), check=flag("check", check))
+    return instrument_aircraft(model, bounds, folder, air=flag("air", air), check=flag("check", check), mass=_mass(mass))
+
+
+def _mass(given: Mapping[str, float] | None) -> MassProperties:
+    allowed = tuple(MassProperties.__dataclass_fields__)
+    numbers = instance("mass", {} if given is None else given, Mapping, 'a mapping such as {"mass_kg": 900.0}')
+    if unknown := [name for name in numbers if name not in allowed]:
+        raise BadInputError(f"mass: {unknown[0]!r} is unknown; allowed are {', '.join(allowed)}")
+    return MassProperties(**{name: number(name, value) for name, value in numbers.items()})
 
 
 def _pair(name: str, value: float | tuple[float, float]) -> tuple[float, float]:

@@ -11,10 +11,10 @@ from typing import Any
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.model_form import read_model_form
-from uqharness.cli.options import add_aircraft, add_no_check, add_out, add_page, command_as_given, describe
+from uqharness.cli.options import add_aircraft, add_no_check, add_out, add_page, command_as_given, describe, number
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder, check_page
-from uqharness.plugin import FILE_NAME, Bounds, Instrumented, instrument_aircraft, undo
+from uqharness.plugin import FILE_NAME, Bounds, Instrumented, MassProperties, instrument_aircraft, undo
 from uqharness.report import write_html
 from uqharness.report.pages import Instrumentation, instrument_page
 from uqharness.simulator import Aircraft, find_aircraft, find_folder
@@ -23,6 +23,7 @@ _EXAMPLE = """
   uqharness instrument c172x --out aircraft/c172x
   uqharness instrument c172x --out aircraft/c172x --constant CX=0.01,CZ=-0.05:0.08,Cm=0.02
   uqharness instrument identified/aircraft --bounds bounds/model-form.json --out bounded --page bounds.html
+  uqharness instrument c172x --out mine --mass-kg 998 --iyy-kgm2 1700 --cg-x-m 1.03
   uqharness instrument c172x --out aircraft/c172x --undo
 
 DIR becomes a copy of the aircraft's folder with the plugin in it (DIR may be that folder itself), and a record
@@ -41,9 +42,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source.add_argument("--constant", metavar="C=B,...", help="constant bounds: half width B or LOWER:UPPER per coefficient")
     source.add_argument("--undo", action="store_true", help="remove the plugin; the files are restored byte for byte")
     parser.add_argument("--air", action="store_true", help="add this project's wind and turbulence (docs/air.md) too")
+    _add_mass(parser)
     parser.add_argument("--dry-run", action="store_true", help="print what would be done, write nothing")
     add_page(parser, "the bounds over the envelope", "--page")
     add_no_check(parser, "the check flights of the result and the original")
+
+
+_MASS = {
+    "mass_kg": "mass of the aircraft as it flew, fuel and loads included, kg",
+    "ixx_kgm2": "moment of inertia about x, body axes at the centre of gravity, kg m2",
+    "iyy_kgm2": "about y",
+    "izz_kgm2": "about z",
+    "ixz_kgm2": "product of inertia, the integral of x z over the mass; JSBSim's inertia/ixz-slugs_ft2 is minus this",
+    "cg_x_m": "centre of gravity in the XML's structural frame, aft, m",
+    "cg_y_m": "to the right",
+    "cg_z_m": "up",
+}
+
+
+def _add_mass(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("mass properties, in place of the XML's")
+    for name, text in _MASS.items():
+        option, unit = f"--{name.replace('_', '-')}", name.rpartition("_")[2]
+        above = 0.0 if name in ("mass_kg", "ixx_kgm2", "iyy_kgm2", "izz_kgm2") else None
+        reader = number(option, f"a number of {'kg m2' if unit == 'kgm2' else unit}", above=above)
+        group.add_argument(option, type=reader, metavar=unit.upper(), help=text)
 
 
 def parse_constant(text: str) -> dict[str, tuple[float, float]]:
@@ -71,13 +94,16 @@ def _run(args: argparse.Namespace) -> int:
         if args.undo or args.dry_run:
             raise BadInputError(f"--page {args.page}: a page is of bounds that are written; leave out --undo and --dry-run")
         check_page(args.page, "--page")
+    mass = MassProperties(**{name: getattr(args, name) for name in _MASS})
     if args.undo:
+        if mass.given():
+            raise BadInputError("--undo: takes everything back; leave the mass properties out")
         return _undo(args)
     aircraft = find_aircraft(args.aircraft)
     check_folder(args.out)
     form = None if args.bounds is None else read_model_form(args.bounds)
     bounds = Bounds(form, {} if args.constant is None else parse_constant(args.constant))
-    done = instrument_aircraft(aircraft, bounds, args.out, air=args.air, check=not args.no_check, dry_run=args.dry_run)
+    done = instrument_aircraft(aircraft, bounds, args.out, air=args.air, check=not args.no_check, dry_run=args.dry_run, mass=mass)
     report = _report(aircraft, done, args)
     if done.verdict is not None:
         report["check"] = {k: None if v != v else v for k, v in asdict(done.verdict).items()}

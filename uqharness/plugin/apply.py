@@ -9,7 +9,10 @@ from uqharness.errors import BadInputError
 from uqharness.plugin.check import Verdict, check_in_child
 from uqharness.plugin.folder import write
 from uqharness.plugin.instrument import Bounds, Plan, metrics_of, plan
-from uqharness.simulator import Aircraft, aircraft_facts, check_loadable, find_aircraft
+from uqharness.plugin.mass import MassProperties, mass_insertions
+from uqharness.scratch import scratch_folder
+from uqharness.simulator import Aircraft, aircraft_facts, check_loadable, copy_beside, copy_folder, engine, find_aircraft
+from uqharness.xml import Insertion, apply, read_document
 
 CHECK_S = 1.0
 """Flight time [s] of the comparison with the untouched aircraft."""
@@ -33,9 +36,17 @@ class Instrumented:
 
 
 def instrument_aircraft(
-    aircraft: Aircraft, bounds: Bounds, out: Path, *, air: bool = False, check: bool = True, dry_run: bool = False
+    aircraft: Aircraft,
+    bounds: Bounds,
+    out: Path,
+    *,
+    air: bool = False,
+    check: bool = True,
+    dry_run: bool = False,
+    mass: MassProperties | None = None,
 ) -> Instrumented:
-    """Copy the aircraft to ``out`` with the plugin in it. ``check``: fly it beside the untouched one; ``dry_run``: write nothing.
+    """Copy the aircraft to ``out`` with the plugin in it. ``check``: fly it beside the untouched one; ``dry_run``: write nothing;
+    ``mass``: properties that the copy is to have, and with which it is then flown beside the untouched one.
 
     Raises BadInputError for an aircraft that cannot be instrumented and for a folder that cannot be written.
     """
@@ -50,12 +61,26 @@ def instrument_aircraft(
                 raise BadInputError(f"{error}; --no-check instruments it unflown, for a host that knows better") from None
             facts = aircraft_facts.assumed(*metrics_of(aircraft))
             notes.append(f"unflown, so the card is a guess: {error}")
-    planned = plan(aircraft, bounds, facts, air)
+    edits = mass_insertions(aircraft, read_document(aircraft.xml), mass or MassProperties())
+    planned = plan(aircraft, bounds, facts, air, edits)
     verdict = None
     if not dry_run:
-        untouched = aircraft.folder if out.resolve() != aircraft.folder else None
+        other = out.resolve() != aircraft.folder
         write(aircraft, planned, out)
         check_loadable(find_aircraft(out))
-        if check and untouched is not None and not planned.had_plugin:
-            verdict = check_in_child(untouched, out, CHECK_S)
+        if check and other and not planned.had_plugin:
+            verdict = _checked(aircraft, out, edits)
     return Instrumented(out, planned, (*planned.notes, *notes), verdict)
+
+
+def _checked(aircraft: Aircraft, out: Path, edits: tuple[Insertion, ...]) -> Verdict:
+    """The comparison with the aircraft that differs from its author's by ``edits`` alone."""
+    if not edits:
+        return check_in_child(aircraft.folder, out, CHECK_S)
+    with scratch_folder("mass") as scratch:
+        folder = scratch.path / "aircraft" / aircraft.folder.name
+        copy_folder(aircraft.folder, folder)
+        copy_beside(aircraft, scratch.path, engine.default_root())
+        document = read_document(folder / aircraft.xml.name)
+        document.path.write_bytes(apply(document, list(edits)))
+        return check_in_child(folder, out, CHECK_S)

@@ -7,7 +7,7 @@ aircraft that carries the plugin already (E-SPAARO, or an earlier copy) gets new
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -70,11 +70,17 @@ class Plan:
     rows: tuple[tuple[str, str, str], ...]
 
 
-def plan(aircraft: Aircraft, bounds: Bounds, facts: AircraftFacts | None = None, air: bool = False) -> Plan:
+def plan(
+    aircraft: Aircraft,
+    bounds: Bounds,
+    facts: AircraftFacts | None = None,
+    air: bool = False,
+    mass: Sequence[Insertion] = (),
+) -> Plan:
     """What instrumenting the aircraft's folder would write. Nothing is touched.
 
     ``facts`` of an aircraft without a card: it is given one, and the errors that a mission is scored by. ``air``: it is given this
-    project's wind and turbulence as well (Systems/air.xml), unless it has them.
+    project's wind and turbulence as well (Systems/air.xml), unless it has them. ``mass``: edits of its XML (see mass_insertions).
 
     Raises BadInputError with file and line for what cannot be done: mixed axes, no reference, names that are taken, bounds on a
     control that the card does not give.
@@ -87,6 +93,8 @@ def plan(aircraft: Aircraft, bounds: Bounds, facts: AircraftFacts | None = None,
     notes = _notes(section)
     had = _has_plugin(section)
     edit = SectionEdit(section)
+    for insertion in mass:
+        edit = edit.plus(section.main, insertion)
     scaled: list[Scaled] = []
     files: dict[str, bytes] = {}
     if had:

@@ -29,6 +29,7 @@ from .linear import modes as modes
 from .manoeuvre_script import PLANS as PLANS
 from .manoeuvre_script import script as script
 from .mass_change import CHANGEABLE as CHANGEABLE
+from .mass_change import numbers_for as numbers_for
 from .mid_envelope import open_mid_envelope as open_mid_envelope
 from .mission import MANOEUVRE_PROPERTY as MANOEUVRE_PROPERTY
 from .mission import Script as Script

@@ -17,15 +17,16 @@ from lxml import etree
 
 from sysid.units import FT_M, IN_M, LB_KG, SLUG_FT2_KGM2, SLUG_LB
 from uqharness.errors import BadInputError
+from uqharness.scratch import scratch_folder
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import Aircraft, parse_xml
-from uqharness.simulator.staging import Staging, copied
+from uqharness.simulator.staging import Staging, copied, stage
 
 _WEIGHT = {"LBS": 1.0, "KG": LB_KG}
 _INERTIA = {"SLUG*FT2": 1.0, "KG*M2": SLUG_FT2_KGM2}
 _LENGTH_FT = {"FT": 1.0, "M": FT_M, "IN": 12.0}
 _LENGTH_IN = {"IN": 1.0, "FT": 1.0 / 12.0, "M": IN_M}
-_TRIES, _TOLERANCE = 12, 1e-9
+_TRIES, _TOLERANCE = 60, 1e-9  # the centre of gravity nears what is asked by the share of fuel and loads at each try
 
 
 @dataclass(frozen=True)
@@ -135,6 +136,22 @@ class MassChange:
         fdm = self._open_copy(self._changed)
         engine.run_ic(fdm)
         return {name: float(fdm[name]) for name in names}
+
+
+def numbers_for(aircraft: Aircraft, wanted: Mapping[str, float]) -> dict[str, str]:
+    """The numbers with which the properties ``wanted`` (of CHANGEABLE) stand at their values.
+
+    Keys are elements of the aircraft's XML, as paths below its root such as ``mass_balance/location[@name='CG']/x``.
+
+    Raises BadInputError as MassChange.realise does.
+    """
+    with scratch_folder("mass") as scratch:
+        change = MassChange(
+            aircraft, stage(aircraft, scratch.path / "root"), lambda staging: engine.open_fdm(staging, aircraft.dt_s)
+        )
+        root = parse_xml(change.realise(wanted).xml).getroot()
+        paths = [_PLACES[name].path for name in wanted]
+        return {path: (root.findtext(path) or "").strip() for path in paths}
 
 
 def _near(found: float, wanted: float, nominal: float) -> bool:

@@ -27,13 +27,16 @@ _WATCHED = ("thrust-lbs", "propeller-rpm", "n1", "blade-angle")
 def settled(fdm: Any) -> bool:
     """Whether each engine gives its propeller the power that it takes, after JSBSim's own way to the steady state.
 
-    False for a turboprop: its power is not known in a frame in which time stands still.
+    False for a turboprop, whose power is not known in a frame in which time stands still, and for a turbine that turns a propeller,
+    which tells no power.
     """
     if has_turboprop(fdm):
         return False
     exists = fdm.get_property_manager().hasNode
     for name in _engines(fdm):
-        if exists(f"{name}/propeller-power-ftlbps") and exists(f"{name}/power-hp"):
+        if exists(f"{name}/propeller-power-ftlbps"):
+            if not exists(f"{name}/power-hp"):
+                return False
             taken, given = fdm[f"{name}/propeller-power-ftlbps"], fdm[f"{name}/power-hp"] * _FTLBF_PER_S_HP
             if not abs(given - taken) <= _BALANCED * max(abs(taken), _FTLBF_PER_S_HP):
                 return False

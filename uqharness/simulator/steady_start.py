@@ -28,7 +28,12 @@ def write_steady_start(aircraft: Aircraft, start: StartSection, script: Path, so
 
     Numbers carry nine digits: what a solver leaves in the last ones would be another file on another machine.
     """
-    condition = SteadyCondition(start.V_mps, start.altitude_m, heading_rad=math.radians(start.heading_deg))
+    condition = SteadyCondition(
+        start.V_mps,
+        start.altitude_m,
+        math.radians(start.climb_deg or 0.0),
+        heading_rad=math.radians(start.heading_deg),
+    )
     key = (content_hash(aircraft), start)
     if key not in _trims:
         _trims[key] = find_trim(aircraft, condition)
@@ -36,7 +41,7 @@ def write_steady_start(aircraft: Aircraft, start: StartSection, script: Path, so
     if not trim.converged:
         raise BadInputError(
             f"{source}: [start] aircraft '{aircraft.name}' has {trim.reason}; "
-            f"try another V_mps or altitude_m (uqharness modes {aircraft.name} --speed-mps V --altitude-m H tells)"
+            f"try another V_mps, altitude_m or climb_deg (uqharness modes {aircraft.name} --speed-mps V --altitude-m H tells)"
         )
     write_bytes(aircraft.folder / f"{INITIALIZE}.xml", _initialize(trim).encode())
     write_bytes(script, _script(aircraft, trim).encode())

@@ -72,4 +72,7 @@ def _advice(V_mps: float, wanted_rad: float, fly: Callable[[float], AtLimit | No
             whole = math.floor(10.0 * inside) if slower else math.ceil(10.0 * inside)
             return f"try V {sign} {whole / 10.0:g} m/s"
     tried = f"{min(SPEEDS) * V_mps:.3g} to {max(SPEEDS) * V_mps:.3g} m/s"
-    return f"no speed from {tried} fits; the path is {math.degrees(found.climb_rad):.2f} deg"
+    # Rounded to the side that flies.
+    hundredths = 100.0 * math.degrees(found.climb_rad)
+    path, sign = (math.floor(hundredths), "<=") if way < 0.0 else (math.ceil(hundredths), ">=")
+    return f"no speed from {tried} fits; try a path of {sign} {path / 100.0:g} deg (--climb-deg, climb_deg of [start])"

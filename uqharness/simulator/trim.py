@@ -39,6 +39,7 @@ _LATERAL_FELT = "accelerations/Ny"
 _G_MPS2 = 9.806
 _MOVES = 1e-9  # m/s2, rad/s2
 _STEEPEST_RAD = 0.9
+_NEARLY = 1e-3  # m/s2, rad/s2: steady to the digits that a sentence has
 _OPEN = 0.9  # of the throttle's travel, from where a second search begins
 
 
@@ -242,7 +243,9 @@ def _thrust_reason(aircraft: Aircraft, condition: SteadyCondition, names: list[s
     def at(end: float, V: float) -> AtLimit | None:
         problem = _Problem(aircraft, replace(condition, V_mps=V), free, {"throttle": end}, free_climb=True)
         found = _result(problem, problem.solve())
-        return AtLimit(found.condition.climb_rad, found.thrust_N) if found.converged else None
+        # A governor hunts within its last digits; what is said of the thrust needs two.
+        there = found.converged or float(np.max(np.abs(found.residual))) < _NEARLY
+        return AtLimit(found.condition.climb_rad, found.thrust_N) if there else None
 
     return thrust_reason(condition.V_mps, condition.climb_rad, lambda V: at(high, V), lambda V: at(low, V))
 

@@ -40,8 +40,21 @@ def test_thrust_that_fits_is_not_blamed():
     assert thrust_reason(40.0, 0.0, flight(0.2), flight(0.0)) == ""
 
 
-def test_where_nothing_fits_the_path_is_told():
-    assert "no speed from" in thrust_reason(40.0, 0.0, lambda V: AtLimit(-0.2, math.nan), lambda V: None)
+def test_where_nothing_fits_the_path_that_does_is_told():
+    said = thrust_reason(40.0, 0.0, lambda V: AtLimit(-0.2, math.nan), lambda V: None)
+    assert "no speed from" in said
+    assert "try a path of <= -11.46 deg" in said  # 0.2 rad are 11.459 deg
+    assert "try a path of >= 11.46 deg" in thrust_reason(40.0, 0.0, lambda V: None, lambda V: AtLimit(0.2, math.nan))
+
+
+def test_a_stock_aircraft_whose_engines_are_too_weak_flies_on_the_path_advised():
+    # The engines of JSBSim's C130 give their propellers a power of some horsepower.
+    aircraft = find_aircraft("C130")
+    said = find_trim(aircraft, SteadyCondition(70.0, 200.0))
+    assert not said.converged
+    assert "deceleration" in said.reason
+    path = float(said.reason.split("try a path of <= ")[1].split()[0])
+    assert find_trim(aircraft, SteadyCondition(70.0, 200.0, math.radians(path))).converged
 
 
 def test_a_stock_aircraft_that_is_too_fast_is_told_and_flies_at_the_speed_advised():
