@@ -27,6 +27,7 @@ from uqharness.flight import (
     start_of,
     write_record,
 )
+from uqharness.plugin import with_card
 from uqharness.replay import in_free_flight, read_flight, refuse_twice
 from uqharness.simulator import Aircraft, find_aircraft, find_script, read_script
 from uqharness.text_tables import Tabled
@@ -222,7 +223,7 @@ def read_flights(
     >>> flight.name, len(flight), "elevator_deg" in flight.record
     ('doublet', 251, True)
     """
-    model = given_aircraft(aircraft)
+    model = carded_aircraft(aircraft)
     several = [paths] if isinstance(paths, str | PathLike) else paths
     files = [argument_path("paths", p) for p in instance("paths", several, Iterable, "a path or several")]
     table = None if manoeuvres is None else argument_path("manoeuvres", manoeuvres)
@@ -236,6 +237,11 @@ def read_flights(
 def given_aircraft(aircraft: AnyAircraft) -> Aircraft:
     """The aircraft of that name or folder, or the one given. Raises BadInputError."""
     return aircraft if isinstance(aircraft, Aircraft) else find_aircraft(argument_path("aircraft", aircraft))
+
+
+def carded_aircraft(aircraft: AnyAircraft) -> Aircraft:
+    """The same; one without airframe.toml is instrumented for as long as the process lasts. Raises BadInputError."""
+    return with_card(given_aircraft(aircraft))
 
 
 def given_flights(flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft) -> list[Flight]:

@@ -7,7 +7,7 @@ from typing import Literal
 
 from sysid.aerodynamics import Cutoffs
 from sysid.model_form import FitOptions, Outside
-from uqharness.api.flights import AnyAircraft, AnyFlight, Flight, given_aircraft, given_flights
+from uqharness.api.flights import AnyAircraft, AnyFlight, Flight, carded_aircraft, given_flights
 from uqharness.arguments import flag, instance, one_of, share, whole
 from uqharness.arguments import workers as given_workers
 from uqharness.errors import BadInputError
@@ -82,7 +82,7 @@ def identify(
     >>> fit.converged, fit.identified
     (True, ('aero/Cm_q', 'aero/Cm_de'))
     """
-    model, workers = given_aircraft(aircraft), given_workers(workers)
+    model, workers = carded_aircraft(aircraft), given_workers(workers)
     asked = None if parameters is None else _names("parameters", parameters)
     if asked == []:
         raise BadInputError("parameters is empty; name properties such as aero/Cm_q, or leave it out")
@@ -146,7 +146,7 @@ def compare(
     >>> gap.reached, gap.above
     (True, ())
     """
-    model, workers = given_aircraft(aircraft), given_workers(workers)
+    model, workers = carded_aircraft(aircraft), given_workers(workers)
     late, biased = _channels("delays", delays), _channels("biases", biases)
     found = given_flights(flight, model)
     if len(found) != 1:
@@ -223,7 +223,7 @@ def fit_model_form(
     >>> sorted(made.form.coefficients)
     ['CX', 'CY', 'CZ', 'Cl', 'Cm', 'Cn']
     """
-    model = given_aircraft(aircraft)
+    model = carded_aircraft(aircraft)
     chosen, named = _designs("states", states), _designs("terms", terms)
     options = BoundsOptions(
         designs=parse_designs(chosen, named, one_of("order", whole("order", order), (0, 1, 2, 3)), False),

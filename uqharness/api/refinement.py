@@ -9,7 +9,7 @@ from typing import Literal
 
 from sysid.effects import read_effects
 from sysid.record import FlightRecord
-from uqharness.api.flights import AnyAircraft, AnyFlight, AnyPath, Flight, given_aircraft, given_flights
+from uqharness.api.flights import AnyAircraft, AnyFlight, AnyPath, Flight, carded_aircraft, given_flights
 from uqharness.arguments import flag, instance, one_of, path, require
 from uqharness.arguments import workers as given_workers
 from uqharness.errors import BadInputError
@@ -89,7 +89,7 @@ def refine(
     >>> found.document["verdict"]
     'effects-found'
     """
-    model, folder, workers = given_aircraft(aircraft), path("out", out), given_workers(workers)
+    model, folder, workers = carded_aircraft(aircraft), path("out", out), given_workers(workers)
     one_of("servos", servos, ("card", "ideal"))
     flag("figures", figures)
     require("on_stage", on_stage, callable(on_stage), "a function of a text")

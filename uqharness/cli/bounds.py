@@ -18,6 +18,7 @@ from uqharness.cli.options import (
     add_no_check,
     add_no_figures,
     add_out,
+    aircraft_with_card,
     command_as_given,
     describe,
     number,
@@ -31,7 +32,6 @@ from uqharness.plugin.model_form_xml import model_form_xml
 from uqharness.replay import read_bounds_flights, read_histories
 from uqharness.report import bounds_document, write_figures, write_report, write_residuals
 from uqharness.report.pages import RESIDUALS, slice_section, variation_section
-from uqharness.simulator import find_aircraft
 
 _EXAMPLE = """
   uqharness bounds espaaro --flight flight2.parquet --out bounds
@@ -112,7 +112,7 @@ def _options(args: argparse.Namespace) -> BoundsOptions:
 
 
 def _run(args: argparse.Namespace) -> int:
-    aircraft = find_aircraft(args.aircraft)
+    aircraft = aircraft_with_card(args.aircraft)
     check_folder(args.out)
     options = _options(args)
     with working("bounds") as stage:

@@ -15,6 +15,7 @@ from uqharness.cli.options import (
     add_no_figures,
     add_out,
     add_workers,
+    aircraft_with_card,
     command_words,
     describe,
 )
@@ -26,7 +27,6 @@ from uqharness.refinement.run import refine
 from uqharness.replay import counter
 from uqharness.report import write_report
 from uqharness.report.refinement import write_results
-from uqharness.simulator import find_aircraft
 
 _EXAMPLE = """
   uqharness refine espaaro --train flight1.parquet flight2.parquet --test flight3.parquet --out refined
@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    aircraft = find_aircraft(args.aircraft)
+    aircraft = aircraft_with_card(args.aircraft)
     if args.campaign is not None and args.no_pbox:
         raise BadInputError("--campaign and --no-pbox: a campaign is flown for its p-box; leave out one of them")
     check_folder(args.out)

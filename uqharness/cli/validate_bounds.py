@@ -13,6 +13,7 @@ from uqharness.cli.options import (
     add_flights,
     add_log_options,
     add_out,
+    aircraft_with_card,
     command_as_given,
     describe,
     results_folder,
@@ -23,7 +24,6 @@ from uqharness.identification import load_form, validate, verdicts
 from uqharness.replay import read_bounds_flights
 from uqharness.report import first_lines, validation_document, write_report, write_residuals
 from uqharness.report.pages import coverage_page_of
-from uqharness.simulator import find_aircraft
 
 _EXAMPLE = """
   uqharness validate-bounds espaaro bounds/model-form.json --flight flight3.parquet
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    aircraft = find_aircraft(args.aircraft)
+    aircraft = aircraft_with_card(args.aircraft)
     if args.out is not None:
         check_folder(args.out)
     form = load_form(args.form)

@@ -53,3 +53,16 @@ def test_a_stock_aircraft_meets_its_own_model(tmp_path):
     fly(record)
     words = ["compare", "c172p", "--flight", str(record), "--out", str(tmp_path / "gap"), "--workers", "1", "--no-figures"]
     assert main(words) == 0
+
+
+@pytest.mark.slow
+def test_bounds_of_a_stock_aircraft_are_made_and_validated_without_a_card_of_one_s_own(tmp_path, capsys):
+    records = [tmp_path / f"{name}.parquet" for name in ("one", "two")]
+    for record in records:
+        fly(record)
+    made = tmp_path / "bounds"
+    assert main(["bounds", "c172p", "--flight", str(records[0]), "--out", str(made), "--no-check", "--no-figures"]) == 0
+    assert "c172p has no airframe.toml" in capsys.readouterr().err
+    form = made / "model-form.json"
+    assert main(["validate-bounds", "c172p", str(form), "--flight", str(records[1]), "--json"]) in (0, 1)
+    assert '"coverage"' in capsys.readouterr().out
