@@ -134,6 +134,13 @@ def stopped(fdm: Any) -> str:
     return f"engine{'s' * many} {', '.join(numbers)} {'do' if many else 'does'} not keep running once started and left to settle"
 
 
+def spent_rockets(fdm: Any) -> bool:
+    """Whether every engine is a rocket and none gives thrust, as with empty tanks: the aircraft is a glider."""
+    exists = fdm.get_property_manager().hasNode
+    turning = ("n1", "propeller-rpm", "power-hp")
+    return all(not any(exists(f"{name}/{part}") for part in turning) and fdm[f"{name}/thrust-lbs"] == 0.0 for name in _engines(fdm))
+
+
 def has_turboprop(fdm: Any) -> bool:
     """Whether an engine is a turboprop, whose power is gone after a frame in which time stands still."""
     exists = fdm.get_property_manager().hasNode

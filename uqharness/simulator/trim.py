@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from sysid.units import FT_M, LBF_N
-from uqharness.simulator import engine
+from uqharness.simulator import engine, settling
 from uqharness.simulator.aircraft import Aircraft, open_aircraft
 from uqharness.simulator.thrust_limit import AtLimit, dead_throttle, thrust_reason
 
@@ -183,9 +183,10 @@ def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
     """Trim by bounded least squares on (alpha, beta, controls[, turn rate]); never raises for a condition that has no trim.
 
     Unknowns: alpha, beta, elevator, aileron, rudder, throttle, and in a turn its rate; equations: the six accelerations and, in a
-    turn, no lateral specific force. Of an aircraft without thrust to set (a glider) the flight-path angle is unknown in place of
-    the throttle, and stands in the trim's ``condition``. Engines that the throttle does not move make no glider: that is not
-    converged, with the reason, as are engines that never settle. Raises BadInputError for a model that does not load.
+    turn, no lateral specific force. Of an aircraft without thrust to set (a glider, or rockets whose tanks are empty) the
+    flight-path angle is unknown in place of the throttle, and stands in the trim's ``condition``. Other engines that the throttle
+    does not move make no glider: that is not converged, with the reason, as are engines that never settle. Raises BadInputError
+    for a model that does not load.
     """
     cards = aircraft.card.inputs
     exists = open_aircraft(aircraft).get_property_manager().hasNode
@@ -221,7 +222,7 @@ def _throttle_acts(aircraft: Aircraft, condition: SteadyCondition, names: list[s
         unsettled = unsettled or why
     if float(np.max(np.abs(said[1] - said[0]))) > _MOVES:
         return True, ""
-    if not fdm.get_propulsion().get_num_engines():
+    if not fdm.get_propulsion().get_num_engines() or settling.spent_rockets(fdm):
         return False, ""
     exists = fdm.get_property_manager().hasNode
     return False, dead_throttle(card.property, LBF_N * sum(fdm[name] for name in _ENGINE_THRUSTS if exists(name)), unsettled)
