@@ -92,9 +92,7 @@ def plan(
         require_reference(section)
     notes = _notes(section)
     had = _has_plugin(section)
-    edit = SectionEdit(section)
-    for insertion in mass:
-        edit = edit.plus(section.main, insertion)
+    edit = SectionEdit(section, tuple((section.main, insertion) for insertion in mass))
     scaled: list[Scaled] = []
     files: dict[str, bytes] = {}
     if had:
