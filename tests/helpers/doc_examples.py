@@ -47,7 +47,7 @@ from uqharness.cli import main as cli
 from uqharness.simulator.start import StartSection
 
 PROGRAMS = {"uqharness", "make", "python", "jsbsim", "pip", "dask", "cd", "mkdir", "cp"}
-OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
+OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 CAMPAIGN_SECTIONS = {
     "campaign": CampaignSection,
     "aleatory": AleatorySection,
