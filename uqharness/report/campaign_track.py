@@ -42,7 +42,7 @@ def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[
         if figure is not None:
             found.append(figure)
     if found:
-        text = "Flights that uqharness campaign rerun flew again, the one with the largest median cross-track error first."
+        text = "Flights of the campaign that were flown again, the largest median cross-track error first."
         return (Section("Ground track", (Words(text, note=True), *said, Figures(tuple(found), file=""))),)
     worst = worst_case(frame)
     text = (

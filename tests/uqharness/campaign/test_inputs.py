@@ -160,7 +160,7 @@ def test_a_form_without_such_a_part_flies_none(tmp_path):
 
 def test_what_the_bounds_do_not_hold_is_refused_with_its_line(tmp_path):
     model_form(tmp_path / "model-form.json")
-    with pytest.raises(BadInputError, match=r"campaign.toml:\d+: \[epistemic\] transient = true: .*does not tell transient"):
+    with pytest.raises(BadInputError, match=r"campaign.toml:\d+: \[epistemic\] transient = true: .*has no transient part"):
         campaign(tmp_path, CORNERS + "transient = true\n")
     with pytest.raises(BadInputError, match=r"campaign.toml:\d+: \[epistemic\] transient = true: bounds are no model-form.json"):
         campaign(tmp_path, f'method = "corners"\n{BOUNDS}transient = true\n')
