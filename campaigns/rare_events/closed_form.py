@@ -25,6 +25,8 @@ KEEP = 0.9
 STEPS, THRESHOLD, REARM = 200, 4.0, 0.5
 """A path exceeds the threshold with a probability of some 0.0038: one in 260 plain paths would."""
 ROOTS, REPLICATES, SEED = 100, 8, 20161226
+EACH = 2
+"""Steps between checkpoints: four jump over levels, and 90 of 100 intervals hold the probability instead of 96."""
 GRID = np.arange(-1.0, THRESHOLD + 0.05, 0.05)
 
 
@@ -32,7 +34,7 @@ class Crossings:
     """Paths from the stationary distribution; an event of a kind: x exceeds its threshold, re-armed ``rearm`` below."""
 
     def __init__(
-        self, rng: np.random.Generator, roots: int, steps: int, thresholds: Sequence[float], rearm: float, each: int = 4
+        self, rng: np.random.Generator, roots: int, steps: int, thresholds: Sequence[float], rearm: float, each: int = EACH
     ) -> None:  # fmt: skip
         self._rng, self._left, self._each = rng, steps // each, each
         self._thresholds, self._rearm = np.asarray(thresholds), rearm

@@ -174,7 +174,7 @@ class DrydenGusts:
 
     ``seed`` as of ``dryden_gusts``; behind each of ``splits`` the noise is another. ``pairs`` and ``recur`` may be compiled forms
     of ``numpy_pairs`` and ``numpy_recursion``.
-    ``copy.deepcopy`` gives gusts that go on from where these stand.
+    ``copy.deepcopy`` gives gusts that go on from where these stand; ``branched`` those that left within the last page.
     """
 
     def __init__(
@@ -215,6 +215,27 @@ class DrydenGusts:
         other = copy.copy(self)
         other._unit = copy.deepcopy(self._unit)
         return other
+
+    def keep_noise(self) -> None:
+        """Keep the noise of the pages to come, each until the next: what ``branched`` needs."""
+        self._unit.keeps_noise = True
+
+    def branched(self, split: Split) -> tuple[DrydenGusts, Array] | None:
+        """Gusts that left these at a split within the last page, and that page (6, PAGE_STEPS); they go on behind it.
+
+        None where the page's noise was not kept. Raises ValueError for a split elsewhere.
+        """
+        step = split.frame - (self._steps - PAGE_STEPS)
+        if not 0 <= step < PAGE_STEPS:
+            raise ValueError(f"the last page ends at step {self._steps}; received a split at {split.frame}")
+        normals = [Normals(np.random.PCG64(split.stream("turbulence", number)), self._pairs) for number in _STREAMS.values()]
+        found = self._unit.branched(step, normals)
+        if found is None:
+            return None
+        other = copy.copy(self)
+        other._unit, page = found
+        page *= self._scales
+        return other, page
 
     def branch(self, *splits: Split) -> None:
         """Other noise behind each of these splits, which lie in pages to come."""

@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 Matrix = tuple[tuple[float, ...], ...]
 
 PAGE_STEPS = 8192
+_PER_STEP = (1, 3, 3, 1)
+"""Normals of u, v, w and p in a step."""
 """Steps that are made at once."""
 
 _SEGMENT_STEPS = 64
@@ -147,11 +149,17 @@ class UnitGusts:
         self._normals = tuple(normals)
         self._u, self._p = _FirstOrderGusts(filters.u, recur), _FirstOrderGusts(filters.p, recur)
         self._v, self._w = _LateralGusts(filters.v, recur), _LateralGusts(filters.w, recur)
+        self.keeps_noise = False
+        self._begun: tuple[UnitGusts, list[Array]] | None = None
 
     def __deepcopy__(self, memo: object) -> UnitGusts:
         """Gusts that go on from here: what does not change is shared."""
-        other = copy.copy(self)
+        other = self._copied()
         other._normals = tuple(copy.deepcopy(source) for source in self._normals)
+        return other
+
+    def _copied(self) -> UnitGusts:
+        other = copy.copy(self)
         other._u, other._p, other._v, other._w = self._u.copy(), self._p.copy(), self._v.copy(), self._w.copy()
         return other
 
@@ -161,12 +169,37 @@ class UnitGusts:
 
     def page(self) -> Array:
         """The next samples (6, PAGE_STEPS): u, v, w, p, slope of w, slope of v."""
-        u, v, w, p = self._normals
+        noise = [
+            source.take(rows * PAGE_STEPS).reshape(rows, PAGE_STEPS) for source, rows in zip(self._normals, _PER_STEP, strict=True)
+        ]
+        return self._filtered(noise)
+
+    def branched(self, step: int, normals: Sequence[Source]) -> tuple[UnitGusts, Array] | None:
+        """Gusts whose noise is ``normals`` from that step of the last page on, and that page (6, PAGE_STEPS); they go on behind it.
+
+        None where ``keeps_noise`` was not set when the page was made.
+        """
+        if self._begun is None:
+            return None
+        before, kept = self._begun
+        other, noise = before._copied(), []
+        other._normals, other.keeps_noise = tuple(normals), True
+        for source, known in zip(normals, kept, strict=True):
+            rows = known.copy()
+            rows[:, step:] = source.take(len(rows) * (PAGE_STEPS - step)).reshape(len(rows), -1)
+            noise.append(rows)
+        return other, other._filtered(noise)
+
+    def _filtered(self, noise: list[Array]) -> Array:
+        self._begun = (self._copied(), noise) if self.keeps_noise else None
+        if self._begun is not None:
+            self._begun[0]._begun = None
+        u, v, w, p = noise
         out = np.empty((6, PAGE_STEPS))
-        out[0] = self._u.page(u.take(PAGE_STEPS))
-        out[1], out[5] = self._v.page(v.take(3 * PAGE_STEPS).reshape(3, PAGE_STEPS))
-        out[2], out[4] = self._w.page(w.take(3 * PAGE_STEPS).reshape(3, PAGE_STEPS))
-        out[3] = self._p.page(p.take(PAGE_STEPS))
+        out[0] = self._u.page(u[0])
+        out[1], out[5] = self._v.page(v)
+        out[2], out[4] = self._w.page(w)
+        out[3] = self._p.page(p[0])
         return out
 
 

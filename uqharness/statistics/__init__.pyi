@@ -33,7 +33,9 @@ from .rates import observed_dispersion as observed_dispersion
 from .rates import share_upper as share_upper
 from .rates import upper_limits as upper_limits
 from .splitting import Levels as Levels
+from .splitting import Occupancy as Occupancy
 from .splitting import Seen as Seen
 from .splitting import interval as interval
+from .splitting import more_levels as more_levels
 from .splitting import pilot as pilot
 from .splitting import run as run

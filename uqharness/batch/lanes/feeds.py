@@ -75,7 +75,7 @@ class Feeder:
                 if name in self._series:
                     found = other._series[name] = self._series[name]
                     if isinstance(found, HostGusts):
-                        found.branching = True
+                        found.branch_from_now_on()
             other._branch(self, place)
         return other
 
@@ -149,7 +149,8 @@ class Feeder:
         seed, (speed, height, span), splits = key
         w20 = TURBULENCE_W20_KT[self._specs[0].turbulence]
         made = HostGusts(dryden_parameters(speed, height, w20, span), self._lanes.dt_s, seed, self._target, splits)
-        made.branching = self._branching
+        if self._branching:
+            made.branch_from_now_on()
         return made
 
     def _turbulence(self, alive: NDArray[np.intp], frames: int, state: Array) -> Feed:

@@ -139,15 +139,11 @@ class HostGusts:
         target = target or _widest()
         self._gusts = DrydenGusts(parameters, dt_s, seed, compiled_pairs(target), compiled_recursion(target), splits)
         self._held, self._row = np.empty((0, len(GUSTS.columns))), 0
-        self.branching = False
-        self._page: tuple[DrydenGusts, int] | None = None
 
     def rows(self, n: int) -> Rows:
         """The next ``n`` rows (n, 6) [m/s, rad/s]."""
         parts, known = [self._held], len(self._held)
         while known < n:
-            # What made the page in hand, for a branch that leaves within it.
-            self._page = (copy.deepcopy(self._gusts), self._row + known) if self.branching else None
             parts.append(self._gusts.page().T)
             known += len(parts[-1])
         joined = np.concatenate(parts) if len(parts) > 1 else self._held
@@ -155,18 +151,25 @@ class HostGusts:
         self._held = joined[n:]
         return Rows(np.ascontiguousarray(joined[:n]), first)
 
+    def branch_from_now_on(self) -> None:
+        """Keep what ``branched`` needs of the pages to come."""
+        self._gusts.keep_noise()
+
     def branched(self, split: Split) -> HostGusts | None:
-        """Gusts that leave these at the row where they stand, at the cost of a page; None where ``branching`` was not set when the
-        page was made. Raises ValueError for a split at another row."""
+        """Gusts that leave these at the row where they stand, at the cost of a page; None where ``branch_from_now_on`` was not
+        called before the page was made. Raises ValueError for a split at another row."""
         if split.frame != self._row:
             raise ValueError(f"the gusts stand at row {self._row}; received a split at {split.frame}")
-        source, first = (self._gusts, self._row) if not len(self._held) else self._page or (None, 0)
-        if source is None:
-            return None
         other = copy.copy(self)
-        other._gusts, other._row, other._held = copy.deepcopy(source), first, self._held[:0]
-        other._gusts.branch(split)
-        other.rows(self._row - first)
+        if not len(self._held):
+            other._gusts = copy.deepcopy(self._gusts)
+            other._gusts.branch(split)
+            return other
+        found = self._gusts.branched(split)
+        if found is None:
+            return None
+        other._gusts, page = found
+        other._held = page.T[-len(self._held) :]
         return other
 
 

@@ -1,0 +1,129 @@
+"""Rates of a study by radius: from replicates of splitting, from flights that are not split, and one beside the other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from campaigns.rare_events.study import Counted
+from uqharness.statistics import interval
+
+CONFIDENCE = 0.95
+POOLED = 2
+"""Replicates whose mean is one observation: the logarithm of a mean is nearer to normal, and fewer have no event at all."""
+LEAST_FLIGHTS = 10
+"""Plain flights with an excursion from which a ratio to them is given: a logarithm of fewer is far from normal."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """An estimate with limits; NaN where they are not defined."""
+
+    estimate: float
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
+class Rate:
+    """Excursions of one radius. ``split``, ``plain``: probability of a first one in a flight; ``split_per_h``, ``plain_per_h``: all
+    of them per hour; ``cluster``: events of a flight that has one; ``observations``: means of POOLED replicates; ``ratio``: split
+    probability over plain; ``reason``: why limits of ``split`` are not defined."""
+
+    radius_m: float
+    split: Limits
+    split_per_h: Limits
+    cluster: float
+    observations: int
+    plain: Limits
+    plain_per_h: Limits
+    plain_flights: int
+    plain_hit: int
+    ratio: Limits
+    reason: str
+
+    @property
+    def agree(self) -> bool | None:
+        """Whether the ratio's limits hold 1; None where it is not defined."""
+        return None if math.isnan(self.ratio.estimate) else self.ratio.lower <= 1.0 <= self.ratio.upper
+
+
+def rates(radii_m: Sequence[float], hours: float, split: Sequence[Counted], plain: Sequence[Counted]) -> list[Rate]:
+    """One rate a radius, of flights of ``hours``.
+
+    Split: t on the logarithm of the mean of observations, each of POOLED replicates. Plain: Clopper and Pearson for the
+    probability; for the rate the normal on its logarithm, whose error is that of the flights' counts, so that clusters are in it.
+    """
+    observed = pooled(split)
+    return [_rate(place, radius, hours, observed, plain) for place, radius in enumerate(radii_m)]
+
+
+def pooled(split: Sequence[Counted]) -> list[Counted]:
+    """Means of POOLED replicates each, in their order; what is left over at the end goes without."""
+    whole = len(split) // POOLED * POOLED
+    groups = [split[first : first + POOLED] for first in range(0, whole, POOLED)]
+    return [
+        replace(
+            group[0], flights=sum(one.flights for one in group),
+            probability=_mean([one.probability for one in group]), events=_mean([one.events for one in group]),
+        )
+        for group in groups
+    ]  # fmt: skip
+
+
+def _mean(values: Sequence[Sequence[float]]) -> tuple[float, ...]:
+    return tuple(map(float, np.mean(values, axis=0)))
+
+
+def _rate(place: int, radius_m: float, hours: float, split: Sequence[Counted], plain: Sequence[Counted]) -> Rate:
+    probability = interval([one.probability[place] for one in split], CONFIDENCE)
+    events = interval([one.events[place] for one in split], CONFIDENCE)
+    flights = sum(one.flights for one in plain)
+    hit = round(sum(one.flights * one.probability[place] for one in plain))
+    known = Limits(probability.estimate, probability.lower, probability.upper)
+    shares = _share(hit, flights)
+    return Rate(
+        radius_m=radius_m,
+        split=known,
+        split_per_h=Limits(events.estimate / hours, events.lower / hours, events.upper / hours),
+        cluster=events.estimate / probability.estimate if probability.estimate > 0.0 else math.nan,
+        observations=len(split),
+        plain=shares,
+        plain_per_h=_plain_per_h(place, hours, plain) if hit else Limits(*(math.nan,) * 3),
+        plain_flights=flights,
+        plain_hit=hit,
+        ratio=_ratio(known, shares, hit),
+        reason=probability.reason,
+    )
+
+
+def _share(hit: int, flights: int) -> Limits:
+    if not flights:
+        return Limits(*(math.nan,) * 3)
+    error = 0.5 * (1.0 - CONFIDENCE)
+    lower = float(stats.beta.ppf(error, hit, flights - hit + 1)) if hit else 0.0
+    upper = float(stats.beta.ppf(1.0 - error, hit + 1, flights - hit)) if hit < flights else 1.0
+    return Limits(hit / flights, lower, upper)
+
+
+def _plain_per_h(place: int, hours: float, plain: Sequence[Counted]) -> Limits:
+    weights = np.array([one.flights for one in plain], dtype=float)
+    mean = float(weights @ [one.events[place] for one in plain] / weights.sum())
+    square = float(weights @ [one.squares[place] for one in plain] / weights.sum())
+    error = math.sqrt(max(square - mean**2, 0.0) / weights.sum()) / mean
+    factor = math.exp(float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)) * error)
+    return Limits(mean / hours, mean / factor / hours, mean * factor / hours)
+
+
+def _ratio(split: Limits, plain: Limits, hit: int) -> Limits:
+    if hit < LEAST_FLIGHTS or not split.lower > 0.0:
+        return Limits(*(math.nan,) * 3)
+    ratio = split.estimate / plain.estimate
+    mine = math.log(split.upper / split.estimate)
+    theirs = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)) * math.sqrt((1.0 - plain.estimate) / hit)
+    factor = math.exp(math.hypot(mine, theirs))
+    return Limits(ratio, ratio / factor, ratio * factor)

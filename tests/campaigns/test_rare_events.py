@@ -1,0 +1,191 @@
+"""Studies of rare excursions: rates of replicates and plain flights, paths in JSBSim, and what a kill costs."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from campaigns.full_size.plan import Plan
+from campaigns.rare_events import reproduce
+from campaigns.rare_events.folder import JSBSIM, LEVELS, PLAIN, REPLICATES, Folder
+from campaigns.rare_events.rates import rates
+from campaigns.rare_events.study import Counted, Size, Study, Tuned, chosen_hits, levels_to
+from uqharness.campaign.rare.paths import Hit
+from uqharness.errors import BadInputError
+from uqharness.flight import Split
+from uqharness.statistics import Levels, Occupancy
+from uqharness.statistics.splitting import SHARE
+
+SHORT = """
+[campaign]
+aircraft = "espaaro"
+mission = "scripts/loiter.xml"
+seed = 3
+
+[aleatory]
+flights = 1
+duration_s = 40
+burn_in_s = 20
+wind_mps = 4
+turbulence = "moderate"
+sensor_noise = true
+
+[epistemic]
+method = "corners"
+bounds = { CX = 0.008, CY = 0.010, CZ = 0.05, Cl = 0.0015, Cm = 0.012, Cn = 0.0015 }
+
+[metrics]
+excursion_radius_m = [8, 10]
+rearm_m = 1
+"""
+SIZE = Size(roots=3, plain=4, noted=2)
+TUNED = Tuned(Levels((6.0, 8.0), 2), 1.0, 0.5)
+
+
+def study_of(folder: Path, text: str = SHORT) -> Study:
+    path = folder / "campaign.toml"
+    path.write_text(text)
+    plan = Plan.read(path, 1)
+    return Study(plan, plan.condition("moderate-4"), "100100", SIZE)
+
+
+def flown(study: Study, folder: Folder) -> None:
+    folder.keep_tuned(TUNED)
+    reproduce.fly(study, folder, 2)
+    reproduce.fly_plain(study, folder, 1)
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Study, Folder]:
+    folder = tmp_path_factory.mktemp("rare")
+    study = study_of(folder)
+    kept = Folder(folder / study.name, study.radii_m)
+    flown(study, kept)
+    return study, kept
+
+
+def test_a_kill_costs_the_piece_in_the_air(done, tmp_path, monkeypatch):
+    study, kept = done
+    other = Folder(tmp_path / "other", study.radii_m)
+    other.keep_tuned(TUNED)
+    whole, begun = Study.replicate, []
+
+    def killed(self, number, tuned):
+        begun.append(number)
+        if begun == [0, 1]:
+            raise KeyboardInterrupt
+        return whole(self, number, tuned)
+
+    monkeypatch.setattr(Study, "replicate", killed)
+    with pytest.raises(KeyboardInterrupt):
+        reproduce.fly(study, other, 2)
+    assert list(other.lines(REPLICATES)) == [0]
+    reproduce.fly(study, other, 2)
+    assert begun == [0, 1, 1]
+    timeless = [
+        {
+            number: replace(line, counted=replace(line.counted, core_s=0.0, squares=()))
+            for number, line in each.lines(REPLICATES).items()
+        }
+        for each in (kept, other)
+    ]
+    assert timeless[0] == timeless[1]
+    assert kept.hits() == other.hits() != []
+
+
+def test_jsbsim_flies_the_paths_and_sees_another(done):
+    study, kept = done
+    assert reproduce.jsbsim(study, kept, 2) == 0
+    rows = (kept.path / JSBSIM).read_text().splitlines()
+    assert len(rows) == 3
+    assert all(row.endswith(",same") for row in rows[1:])
+    (hit,) = chosen_hits(kept.hits(), 1)
+    distance, _ = study.reflown(replace(hit, splits=()))
+    assert abs(distance - hit.distance_m) > 1e-3
+
+
+def test_tables_refuse_what_other_flights_left(done, tmp_path, capsys):
+    study, kept = done
+    assert reproduce.tables(study, kept) == 0
+    assert "8 m: " in capsys.readouterr().out
+    other = study_of(tmp_path, SHORT.replace("seed = 3", "seed = 4"))
+    with pytest.raises(BadInputError, match="was flown with another aircraft"):
+        reproduce.tables(other, kept)
+    levels = kept.path / LEVELS
+    before = levels.read_bytes()
+    levels.write_text(json.dumps({**json.loads(before), "scores": [6.0, 8.5]}))
+    with pytest.raises(BadInputError, match="other levels"):
+        reproduce.tables(study, kept)
+    levels.write_text("{}")
+    with pytest.raises(BadInputError, match="no levels of a pilot"):
+        kept.tuned()
+    levels.write_bytes(before)
+
+
+def test_bad_input_is_told(tmp_path, capsys):
+    with pytest.raises(BadInputError, match="--corner 1: not one of 000000 to 111111"):
+        replace(study_of(tmp_path), corner="1")
+    assert reproduce.main(["tables", "--cell", "calm-3"]) == 2
+    assert reproduce.main(["tables", "--shards", str(tmp_path)]) == 2
+    assert "run the command fly" in capsys.readouterr().err
+
+
+def counted(share: float, mean: float, flights: int = 6, square: float = math.nan) -> Counted:
+    return Counted(flights, (share,), (mean,), (square,), 0.0, 1.0, 1, 1.0)
+
+
+def test_rates_agree_with_plain_flights_or_do_not():
+    rng = np.random.default_rng(5)
+    split = [counted(share, 1.2 * share) for share in 0.1 * np.exp(0.3 * rng.standard_normal(16))]
+    plain = counted(0.11, 0.13, 1000, 0.18)
+    (alike,) = rates([15.0], 0.5, split, [plain])
+    assert alike.agree is True
+    assert alike.cluster == pytest.approx(1.2)
+    assert alike.split_per_h.estimate == pytest.approx(2.4 * alike.split.estimate)
+    assert (alike.plain_hit, alike.plain_flights) == (110, 1000)
+    assert alike.plain.lower == pytest.approx(0.0913, abs=1e-3)
+    assert alike.plain_per_h.estimate == pytest.approx(0.26)
+    assert alike.plain_per_h.upper / 0.26 == pytest.approx(math.exp(1.96 * math.sqrt((0.18 - 0.13**2) / 1000) / 0.13), rel=1e-4)
+    assert alike.observations == 8
+    assert alike.split.estimate == pytest.approx(np.mean([one.probability for one in split]))
+    (other,) = rates([15.0], 0.5, split, [counted(0.3, 0.33, 1000, 0.4)])
+    assert other.agree is False
+    (few,) = rates([15.0], 0.5, split, [counted(0.005, 0.005, 1000, 0.005)])
+    assert few.agree is None
+    (none,) = rates([15.0], 0.5, [counted(0.0, 0.0)] * 2 + split[:7], [])
+    assert math.isnan(none.split.lower)
+    assert "1 of 4 replicates have no event" in none.reason
+
+
+def test_levels_go_on_as_far_apart_as_the_last():
+    grid = np.arange(0.0, 10.1, 0.1)
+    seen = np.where(grid < 4.05, 1000.0, 0.0)
+    levels = levels_to(Occupancy(grid, np.exp(-grid), seen), 7.5)
+    steps = np.diff(levels.scores)
+    assert levels.scores[0] == pytest.approx(-math.log(SHARE), abs=0.01)
+    assert steps == pytest.approx(math.log(3.0), abs=0.01)
+    assert 7.5 - steps[-1] < levels.scores[-1] <= 7.5
+    with pytest.raises(BadInputError, match="found 0 levels"):
+        levels_to(Occupancy(grid, np.exp(-grid), 0.0 * seen), 7.5)
+
+
+def test_paths_of_many_roots_are_chosen_first():
+    def hit(root, kind, frame, splits=1):
+        return Hit(root, kind, frame, 9.0, (Split(1, 1, root, 1, frame),) * splits)
+
+    hits = [hit(1, 1, 5), hit(1, 1, 6), hit(2, 0, 7), hit(3, 1, 8, 0)]
+    assert [(one.aleatory_id, one.frame) for one in chosen_hits(hits, 3)] == [(1, 5), (2, 7), (1, 6)]
+
+
+def test_a_pilot_that_has_replicates_and_no_levels_is_refused(done, tmp_path):
+    study, kept = done
+    folder = Folder(tmp_path / "torn", study.radii_m)
+    folder.add(REPLICATES, kept.lines(REPLICATES)[0])
+    with pytest.raises(BadInputError, match="has replicates and no levels"):
+        reproduce.fly(study, folder, 1)
+    assert folder.lines(PLAIN) == {}
