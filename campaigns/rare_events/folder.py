@@ -106,6 +106,11 @@ class Folder:
         """Write those of one replicate."""
         self._write(f"hits/{number:03d}.json", [asdict(hit) for hit in hits])
 
+    def reflown(self) -> list[dict[str, str]]:
+        """Rows of jsbsim.csv. Raises BadInputError for a damaged table."""
+        file = self.path / JSBSIM
+        return csv_rows(file.read_bytes(), file, ["difference_m", "distance_m"], ["first_row_beyond"]) if file.exists() else []
+
     def keep_reflown(self, rows: Sequence[Mapping[str, str]]) -> None:
         """Write jsbsim.csv."""
         self._table(JSBSIM, rows)

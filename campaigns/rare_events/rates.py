@@ -13,8 +13,8 @@ from campaigns.rare_events.study import Counted
 from uqharness.statistics import interval
 
 CONFIDENCE = 0.95
-POOLED = 2
-"""Replicates whose mean is one observation: the logarithm of a mean is nearer to normal, and fewer have no event at all."""
+OBSERVATIONS = 8
+"""Replicates are pooled as far as so many observations stand: the logarithm of a mean is nearer to normal, fewer have no event."""
 LEAST_FLIGHTS = 10
 """Plain flights with an excursion from which a ratio to them is given: a logarithm of fewer is far from normal."""
 
@@ -31,7 +31,7 @@ class Limits:
 @dataclass(frozen=True)
 class Rate:
     """Excursions of one radius. ``split``, ``plain``: probability of a first one in a flight; ``split_per_h``, ``plain_per_h``: all
-    of them per hour; ``cluster``: events of a flight that has one; ``observations``: means of POOLED replicates; ``ratio``: split
+    of them per hour; ``cluster``: events of a flight that has one; ``observations``: means of replicates; ``ratio``: split
     probability over plain; ``reason``: why limits of ``split`` are not defined."""
 
     radius_m: float
@@ -55,7 +55,7 @@ class Rate:
 def rates(radii_m: Sequence[float], hours: float, split: Sequence[Counted], plain: Sequence[Counted]) -> list[Rate]:
     """One rate a radius, of flights of ``hours``.
 
-    Split: t on the logarithm of the mean of observations, each of POOLED replicates. Plain: Clopper and Pearson for the
+    Split: t on the logarithm of the mean of observations, each of one replicate or more. Plain: Clopper and Pearson for the
     probability; for the rate the normal on its logarithm, whose error is that of the flights' counts, so that clusters are in it.
     """
     observed = pooled(split)
@@ -63,9 +63,9 @@ def rates(radii_m: Sequence[float], hours: float, split: Sequence[Counted], plai
 
 
 def pooled(split: Sequence[Counted]) -> list[Counted]:
-    """Means of POOLED replicates each, in their order; what is left over at the end goes without."""
-    whole = len(split) // POOLED * POOLED
-    groups = [split[first : first + POOLED] for first in range(0, whole, POOLED)]
+    """Means of equally many replicates, in their order; those left over at the end go without."""
+    size = max(1, len(split) // OBSERVATIONS)
+    groups = [split[first : first + size] for first in range(0, len(split) - size + 1, size)]
     return [
         replace(
             group[0], flights=sum(one.flights for one in group),

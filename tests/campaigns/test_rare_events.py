@@ -98,12 +98,17 @@ def test_a_kill_costs_the_piece_in_the_air(done, tmp_path, monkeypatch):
     assert kept.hits() == other.hits() != []
 
 
-def test_jsbsim_flies_the_paths_and_sees_another(done):
+def test_jsbsim_flies_the_paths_and_sees_another(done, monkeypatch):
     study, kept = done
     assert reproduce.jsbsim(study, kept, 2) == 0
     rows = (kept.path / JSBSIM).read_text().splitlines()
     assert len(rows) == 3
     assert all(row.endswith(",same") for row in rows[1:])
+    monkeypatch.setattr(Study, "reflown", None)
+    assert reproduce.jsbsim(study, kept, 2) == 0, "paths that are there are not flown again"
+    (kept.path / JSBSIM).write_text("\n".join(rows).replace(",same", ",other", 1) + "\n")
+    assert reproduce.jsbsim(study, kept, 2) == 1
+    monkeypatch.undo()
     (hit,) = chosen_hits(kept.hits(), 1)
     distance, _ = study.reflown(replace(hit, splits=()))
     assert abs(distance - hit.distance_m) > 1e-3
@@ -157,7 +162,7 @@ def test_rates_agree_with_plain_flights_or_do_not():
     assert other.agree is False
     (few,) = rates([15.0], 0.5, split, [counted(0.005, 0.005, 1000, 0.005)])
     assert few.agree is None
-    (none,) = rates([15.0], 0.5, [counted(0.0, 0.0)] * 2 + split[:7], [])
+    (none,) = rates([15.0], 0.5, [counted(0.0, 0.0), *split[:3]], [])
     assert math.isnan(none.split.lower)
     assert "1 of 4 replicates have no event" in none.reason
 
