@@ -170,7 +170,7 @@ def gust_refit(
     """
     point, analytic, gusts = start, None, near
     length, share = float("inf"), 1.0
-    searched, again = False, False
+    searched, again, far = False, False, False
     keys = {e.key for e in setup.active}
     own = [n for n in names if n not in keys]
     jumping = {} if setup.late else dict.fromkeys(s.flight for s, b in zip(setup.segments, bends, strict=True) if b[1].any())
@@ -190,8 +190,11 @@ def gust_refit(
             # What is strong and was unknown passed for gusts of another kind, from which no short search leads back.
             anew, last_air = tune and not searched, gusts
             gusts = _intensity(setup, steps, None if anew else gusts)
-            if (anew or (tune and again)) and not setup.late:
+            if tune and (anew or again or far) and not setup.late:
+                stated = setup.noise
                 setup, gusts = _tuned(setup, steps, gusts)
+                # Beside parameters that are still off, what they will explain passes for noise of the sensors.
+                far = near is None and not far and _far(setup.noise / stated)
             # Far from where the parameters want the flight, what they will explain is in the gusts; and a search goes only so far.
             again = near is not None and (anew or not length < SETTLED or _other_air(last_air, gusts))
             searched, length = True, float("inf")
@@ -265,12 +268,17 @@ def _tuned(setup: Setup, steps: _Linear, gusts: Gusts) -> tuple[Setup, Gusts]:
     """With the sensors' noise as the flights show it, and the gusts beside it."""
     factors = _noise_factors(setup, steps, gusts)
     setup = replace(setup, noise=factors * setup.noise)
-    if bool(np.any((factors < 1.0 / NOISE_FAR) | (factors > NOISE_FAR))):
+    if _far(factors):
         # Beside sensors taken for half as noisy as they are, noise passed for gusts of 35 times their strength that do not turn:
         # from there no search leads back.
         gusts = _intensity(setup, steps, None)
         setup = replace(setup, noise=_noise_factors(setup, steps, gusts) * setup.noise)
     return setup, _intensity(setup, steps, gusts)
+
+
+def _far(factors: Array) -> bool:
+    """Whether some noise is far from what was stated."""
+    return bool(np.any((factors < 1.0 / NOISE_FAR) | (factors > NOISE_FAR)))
 
 
 def _noise_factors(setup: Setup, steps: _Linear, gusts: Gusts) -> Array:

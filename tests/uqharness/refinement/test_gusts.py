@@ -188,10 +188,19 @@ def some_air(strength=1.0):
     return SimpleNamespace(states=None, process=None, values=np.array([strength]))
 
 
-def iterated(monkeypatch, steps, strengths=(1.0,), **asked):
+def iterated(monkeypatch, steps, strengths=(1.0,), tuned=None, quieter=1.0, **asked):
     """`gust_refit` on steps (delta, length) that are given, whose searches find gusts of given strengths, the last of them again
-    and again: the strengths that the air was sought from, None for from the beginning, and the steps taken."""
+    and again: the strengths that the air was sought from, None for from the beginning, and the steps taken.
+
+    tuned: list that gets the number of searches made before each estimate of the sensors' noise; quieter: factor on that noise
+    which is found each time.
+    """
     queue, sought, taken = iter(steps), [], []
+    tuned = [] if tuned is None else tuned
+
+    def tune(setup, steps, gusts):
+        tuned.append(len(sought))
+        return SimpleNamespace(**{**vars(setup), "noise": quieter * setup.noise}), gusts
 
     def search(setup, steps, near):
         sought.append(None if near is None else float(near.values[0]))
@@ -205,7 +214,7 @@ def iterated(monkeypatch, steps, strengths=(1.0,), **asked):
         "_Linear": lambda *a: linear, "predicted": lambda *a: (a[1], a[2]), "parameter_columns": lambda *a: columns,
         "whiten": lambda *a: [], "gather": lambda *a: evidence, "replace": lambda x, **_: x,
         "_intensity": search,
-        "_tuned": lambda setup, steps, gusts: (setup, gusts),
+        "_tuned": tune,
         "stepped": lambda setup, point, step, limits: taken.append(step["aero/Cm_q"]) or point,
         "Fit": lambda *a: SimpleNamespace(iterations=a[6]),
     }.items():  # fmt: skip
@@ -222,6 +231,14 @@ def test_beside_a_strong_effect_the_air_is_sought_from_the_beginning_and_once_mo
     assert iterated(monkeypatch, steps, near=some_air(), tune=False)[0] == [1.0]
     assert iterated(monkeypatch, steps, near=some_air(), known=True)[0] == []
     assert iterated(monkeypatch, steps)[0][0] is None
+
+
+def test_noise_far_from_what_is_stated_is_estimated_again_beside_parameters_that_have_moved(monkeypatch):
+    steps = [(1.0, 9.0), (1.0, 4.0), (1.0, 0.1)]
+    for quieter, tune, expected in ((0.6, True, [1, 2]), (0.95, True, [1]), (0.6, False, [])):
+        tuned: list[int] = []
+        iterated(monkeypatch, steps, tuned=tuned, quieter=quieter, tune=tune)
+        assert tuned == expected
 
 
 def test_a_search_that_went_as_far_as_it_could_goes_on(monkeypatch):
