@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
@@ -36,13 +36,16 @@ def modules() -> Mapping[str, Path]:
     return found
 
 
-def imported_by(source: str) -> Iterator[tuple[str, ...]]:
+@cache
+def imported_by(source: str) -> tuple[tuple[str, ...], ...]:
     """What a source imports, at any depth of nesting: for each name, the dotted names that it may stand for, longest first."""
+    found: list[tuple[str, ...]] = []
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
-            yield from ((alias.name,) for alias in node.names)
+            found += [(alias.name,) for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
-            yield from ((f"{node.module}.{alias.name}", node.module) for alias in node.names)
+            found += [(f"{node.module}.{alias.name}", node.module) for alias in node.names]
+    return tuple(found)
 
 
 def imports(name: str) -> set[str]:
