@@ -15,6 +15,7 @@ from .manifest import read_complete as read_complete
 from .manifest import read_manifest as read_manifest
 from .manifest import refuse_if_different as refuse_if_different
 from .manifest import spec_of as spec_of
+from .rerun import RERUN as RERUN
 from .rerun import Rerun as Rerun
 from .rerun import rerun_case as rerun_case
 from .salvage import Flying as Flying

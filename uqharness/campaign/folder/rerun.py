@@ -24,7 +24,7 @@ from uqharness.flight import COEFFICIENTS, FlightResult, FlightSpec, record_miss
 from uqharness.simulator import Source
 from uqharness.simulator import signals as properties
 
-FOLDER = "rerun"
+RERUN = "rerun"
 RECORD_HZ = 50.0
 
 
@@ -83,7 +83,7 @@ def rerun_case(folder: Path, case_id: str) -> Rerun:
     if needs_copy(spec):
         make_copy(spec, mission, folder)
     stored = _stored(folder, case.case_id)
-    target = inner_folder(folder, FOLDER, case.case_id)
+    target = inner_folder(folder, RERUN, case.case_id)
     record = target / "record.parquet"
     record.unlink(missing_ok=True)
     # A case that ends the interpreter must end another one than ours.

@@ -10,8 +10,7 @@ from typing import Any
 
 from uqharness.campaign import engine_words, lines
 from uqharness.campaign.answers import as_json
-from uqharness.campaign.folder import merge, read_cases, read_manifest, read_status, rerun_case
-from uqharness.campaign.folder.rerun import FOLDER as RERUN
+from uqharness.campaign.folder import RERUN, merge, read_cases, read_manifest, read_status, rerun_case
 from uqharness.cli.campaign.run import failures, say_rewritten
 from uqharness.cli.options import describe
 from uqharness.errors import BadInputError
