@@ -1,6 +1,7 @@
-"""Forces at measured states by the batch engine, where it understands the aircraft and enough states are asked for.
+"""Forces at measured states by the batch engine, where it understands the aircraft and enough states are asked for at once.
 
-A model's first states are answered by both engines, and JSBSim answers all others too where they differ.
+A model's first states are answered by both engines, and JSBSim answers all others too where they differ. What was asked before does
+not decide who answers: a run that goes on after an interruption gets the same digits.
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ from uqharness.replay.model import ReplayModel
 
 Array = NDArray[np.float64]
 _LOG = logging.getLogger("uqharness")
-WORTH_ROWS = 10_000
-"""States of one aircraft that JSBSim answers in the time in which the aircraft is translated and compiled."""
+WORTH_ROWS = 2_000
+"""States asked for at once from which on the aircraft is translated and compiled, for which JSBSim answers some 12,000. Who asks for
+the states of a whole flight asks several times; tests, trims and start states ask for fewer."""
 AGREES = 1e-6
 """Largest difference of a force or moment between the engines, in units of its largest size among the states compared."""
 _COMPARED, _KEPT, _LEVEL_M = 9, 8, 1000.0
@@ -47,9 +49,8 @@ class States:
 
 @dataclass
 class _Known:
-    """rows asked for so far; program: None until it is worth one, and where JSBSim is to answer (``refused``)."""
+    """program: None until it is worth one, and where JSBSim is to answer (``refused``)."""
 
-    rows: int = 0
     program: StateProgram | None = None
     refused: bool = False
 
@@ -66,9 +67,8 @@ def by_batch(
     _known.move_to_end(model.identity)
     while len(_known) > _KEPT:
         _known.popitem(last=False)
-    known.rows += len(asked.controls)
     # The rates of alpha and beta that JSBSim takes from the frame before have to settle first.
-    if known.refused or model.by_rates or known.rows < WORTH_ROWS:
+    if known.refused or model.by_rates or len(asked.controls) < WORTH_ROWS:
         return None
     names = {*properties, *(known.program.given if known.program is not None else ())}
     if known.program is None or not names <= set(known.program.given):
