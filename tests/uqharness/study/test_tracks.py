@@ -74,6 +74,6 @@ def test_the_worst_corner_is_flown_as_in_the_campaign_and_the_nominal_model_with
 
 def test_flights_that_cannot_be_drawn_are_told_with_their_reason(tmp_path, asked):
     nothing = Asked(asked.folder, asked.frame.drop(columns="cross_track_max_m"), asked.statement)
-    assert "how far it went from its path" in fly_tracks(tmp_path, {"before": nothing}, workers=1)["reason"]
-    assert "how far" in fly_tracks(tmp_path, {"before": Asked(asked.folder, asked.frame, None)}, workers=1)["reason"]
+    assert "has a distance from its path" in fly_tracks(tmp_path, {"before": nothing}, workers=1)["reason"]
+    assert "has a distance" in fly_tracks(tmp_path, {"before": Asked(asked.folder, asked.frame, None)}, workers=1)["reason"]
     assert not (tmp_path / TRACKS).exists()
