@@ -24,7 +24,7 @@ from uqharness.replay.model import ReplayModel
 Array = NDArray[np.float64]
 _LOG = logging.getLogger("uqharness")
 WORTH_ROWS = 2_000
-"""States asked for at once from which on the aircraft is translated and compiled, for which JSBSim answers some 12,000. Whoever asks
+"""States asked for at once from which on the aircraft is translated and compiled, for which JSBSim answers some 12,000. Who asks
 for the states of a whole flight asks several times; tests, trims and start states ask for fewer."""
 AGREES = 1e-6
 """Largest difference of a force or moment between the engines, in units of its largest size among the states compared."""
