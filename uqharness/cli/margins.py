@@ -12,7 +12,7 @@ from uqharness.cli.options import add_aircraft, add_page, command_as_given, desc
 from uqharness.cli.progress import counting
 from uqharness.errors import BadInputError
 from uqharness.files import check_page
-from uqharness.flight import CALM_LOITER, CALM_STRAIGHT, LOOPS, LoopMargins, measure_loop
+from uqharness.flight import CALM_LOITER, CALM_STRAIGHT, LOOPS, MAX_SCATTER, LoopMargins, measure_loop
 from uqharness.report import write_html
 from uqharness.report.pages import margins_page
 from uqharness.simulator import StagedMission, engine, find_aircraft, find_script
@@ -26,7 +26,9 @@ _EXAMPLE = """
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``margins``."""
-    text = "Measure the autopilot's stability margins in flight, loop by loop, by injecting a multisine at each actuator."
+    text = (
+        "Measure the autopilot's stability margins in flight, loop by loop, by injecting a multisine at each controller's output."
+    )
     describe(parser, _run, text, _EXAMPLE)
     add_aircraft(parser)
     parser.add_argument(
@@ -53,16 +55,19 @@ def _run(args: argparse.Namespace) -> int:
 
         def make_fdm() -> Any:
             fdm = mission.open()
-            needed = [name for loop in LOOPS.values() for name in (loop.inject, loop.output, loop.applied)]
+            needed = [name for loop in LOOPS.values() for name in loop.properties]
             engine.require(fdm, [*condition, *needed])
             return fdm
 
         try:
-            measured = []
+            measured: list[LoopMargins] = []
             with counting("loops measured") as progress:
+
+                def tell(share: float) -> None:
+                    progress(len(measured) + share, len(names))
+
                 for name in names:
-                    measured.append(measure_loop(make_fdm, LOOPS[name], condition=condition))
-                    progress(len(measured), len(names))
+                    measured.append(measure_loop(make_fdm, LOOPS[name], condition=condition, on_progress=tell))
         except ValueError as error:
             raise BadInputError(f"margins of {aircraft.name}: {error}") from None
     if args.out is not None:
@@ -93,6 +98,7 @@ def _as_json(item: LoopMargins) -> dict[str, object]:
         "modulus": m.modulus,
         "gain_crossovers_radps": list(m.gain_crossovers_radps),
         "phase_crossovers_radps": list(m.phase_crossovers_radps),
+        "not_read_radps": [float(w) for w in item.frequency_radps[~item.reliable]],
     }
 
 
@@ -102,8 +108,8 @@ def _as_text(name: str, flight: str, measured: list[LoopMargins]) -> str:
 
     head = f"  {'loop':<10}{'gain up, dB':>12}{'gain down, dB':>15}{'phase, deg':>12}{'delay, ms':>11}{'min |1+L|':>11}"
     lines = [
-        f"{name}, {flight}, calm air; each loop opened at its actuator, the others closed",
-        f"{head}   crossover, rad/s",
+        f"Stability margins of {name}'s autopilot ({flight}, calm air). Each loop is opened at its controller's output.",
+        f"{head}   gain crossover, rad/s",
     ]
     for item in measured:
         m = item.margins
@@ -112,4 +118,16 @@ def _as_text(name: str, flight: str, measured: list[LoopMargins]) -> str:
             f"  {item.loop:<10}{show(m.gain_up_dB):>12}{show(m.gain_down_dB):>15}{show(m.phase_deg):>12}"
             f"{show(1000 * m.delay_s, 0):>11}{m.modulus:>11.2f}   {crossover}"
         )
+    lines += [text for item in measured if (text := _not_read(item))]
     return "\n".join(lines)
+
+
+def _not_read(item: LoopMargins) -> str:
+    dropped = item.frequency_radps[~item.reliable]
+    if not dropped.size:
+        return ""
+    share = f"{100 * MAX_SCATTER:.0f} %"
+    return (
+        f"  {item.loop}: {dropped.size} of {item.reliable.size} frequencies, {dropped.min():.2g} to {dropped.max():.2g} rad/s, are "
+        f"not used: the loop's response there differs by more than {share} between the two signs of the injection"
+    )

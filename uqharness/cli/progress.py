@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 import time
@@ -103,17 +104,25 @@ def say_warnings(warnings: Iterable[str]) -> None:
 
 
 @contextmanager
-def counting(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A counter: call it with how many are done and how many there are."""
+def counting(what: str) -> Iterator[Callable[[float, int], None]]:
+    """A counter with an estimate of the time to go: call it with how many are done, parts included, and how many there are."""
     terminal = sys.stderr.isatty()
+    begun = time.monotonic()
 
-    def update(done: int, total: int) -> None:
+    def update(done: float, total: int) -> None:
         if terminal:
-            print(f"\r{visible(what)}: {done} of {total}", end="", file=drawing(sys.stderr), flush=True)
+            left = time_left(time.monotonic() - begun, done, total)
+            text = f"\r\x1b[K{visible(what)}: {math.floor(done)} of {total}" + (f", {left}" if left else "")
+            print(text, end="", file=drawing(sys.stderr), flush=True)
 
     yield update
     if terminal:
         print(file=sys.stderr)
+
+
+def time_left(elapsed_s: float, done: float, total: int) -> str:
+    """``0:12 to go`` if the rest goes as fast as what is done; empty before anything and after everything is done."""
+    return f"{clock(elapsed_s * (total - done) / done)} to go" if 0.0 < done < total else ""
 
 
 class ProgressView:

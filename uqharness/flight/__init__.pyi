@@ -34,6 +34,7 @@ from .locus import usual_speeds as usual_speeds
 from .margins import CALM_LOITER as CALM_LOITER
 from .margins import CALM_STRAIGHT as CALM_STRAIGHT
 from .margins import LOOPS as LOOPS
+from .margins import MAX_SCATTER as MAX_SCATTER
 from .margins import LoopMargins as LoopMargins
 from .margins import measure_loop as measure_loop
 from .playback import playback_rows as playback_rows

@@ -1,14 +1,20 @@
 """Gain, phase and delay margins of a control loop, measured in flight.
 
-A multisine is added to one actuator's command while every loop stays closed, in calm air and without sensor noise. What
+A multisine is added to one controller's output while every loop stays closed, in calm air and without sensor noise. What
 the controller puts out and what is applied (output + injection) are recorded; at the injected frequencies
 
     L(jw) = - output / applied
 
-is the loop opened at that actuator with all the others closed: servo, airframe, sensors, control law, computing delay
-and hold included, nothing modelled. Margins follow from L and from the fact that the flight was stable: growing or
-shrinking the gain first loses stability where k L(jw) = -1, so the nearest crossings of the negative real axis on
-either side of -1 are the margins, for conditionally stable loops too.
+is the loop opened at that output with all the others closed: servo, airframe, sensors, control law, computing delay
+and hold included, nothing modelled. Where the autopilot mixes the output into a second actuator, the injection is mixed in
+too: the loop is open on both paths, and L is proportional to the gains of its controller.
+
+The multisine is flown with both signs, and the difference is read: what does not change sign with it, such as the turn of the
+loiter and the loss of speed that follows any deflection, cancels out.
+
+Margins follow from L and from the fact that the flight was stable: growing or shrinking the gain first loses stability where
+k L(jw) = -1, so the nearest crossings of the negative real axis on either side of -1 are the margins, for conditionally
+stable loops too.
 
 The simulator is handed in (`make_fdm`); nothing here knows JSBSim.
 """
@@ -42,8 +48,17 @@ class Simulator(Protocol):
 
 
 @dataclass(frozen=True)
+class Mixed:
+    """A second actuator that the autopilot moves by the same output: by ``sign`` times the property ``gain``."""
+
+    inject: str
+    gain: str
+    sign: float
+
+
+@dataclass(frozen=True)
 class Loop:
-    """One actuator loop: where to inject and what to record, and a multisine that suits its bandwidth."""
+    """One control loop: where to inject and what to record, and a multisine that suits its bandwidth."""
 
     name: str
     inject: str
@@ -53,9 +68,15 @@ class Loop:
     lowest_radps: float
     highest_radps: float
     period_s: float  # of the multisine; sets the spacing of the lines
+    mixed: tuple[Mixed, ...] = ()
+
+    @property
+    def properties(self) -> tuple[str, ...]:
+        """Properties that the aircraft must have for the loop to be measured."""
+        return (self.inject, self.output, self.applied, *(name for item in self.mixed for name in (item.inject, item.gain)))
 
 
-def _loop(surface: str, unit: str, rms: float, lowest: float, highest: float, period_s: float) -> Loop:
+def _loop(surface: str, unit: str, rms: float, lowest: float, highest: float, period_s: float, *mixed: Mixed) -> Loop:
     return Loop(
         name=surface,
         inject=f"ap/inject-{surface}-{unit}",
@@ -65,15 +86,19 @@ def _loop(surface: str, unit: str, rms: float, lowest: float, highest: float, pe
         lowest_radps=lowest,
         highest_radps=highest,
         period_s=period_s,
+        mixed=mixed,
     )
 
 
 MAX_SCATTER = 0.1
+"""Largest difference between the records of either sign, as a share of |L|, at a line that margins are read from."""
+_FEWEST_LINES = 10
 
 # Amplitudes: large against the rounding of the log, small against servo rate (240 deg/s), throttle slew and the throws.
 LOOPS: Mapping[str, Loop] = {
     "elevator": _loop("elevator", "deg", 0.3, 0.2, 60.0, 100.0),
-    "aileron": _loop("aileron", "deg", 0.5, 0.2, 60.0, 100.0),
+    # +aileron is right wing down and +rudder nose left: the mixing moves the rudder the other way.
+    "aileron": _loop("aileron", "deg", 0.5, 0.2, 60.0, 100.0, Mixed("ap/inject-rudder-deg", "ap/KFF_RDDRMIX", -1.0)),
     "rudder": _loop("rudder", "deg", 0.5, 0.2, 60.0, 100.0),
     "throttle": _loop("throttle", "pct", 1.5, 0.05, 12.0, 250.0),
 }
@@ -122,7 +147,7 @@ class LoopMargins:
     margins: Margins
     frequency_radps: Floats = field(repr=False)
     response: Complexes = field(repr=False)
-    scatter: Floats = field(repr=False)  # |difference between the two halves of the record| / |L|, per line
+    scatter: Floats = field(repr=False)  # |difference between the records of either sign| / |L|, per line
 
     @property
     def reliable(self) -> NDArray[np.bool_]:
@@ -201,15 +226,18 @@ def measure_loop(
     *,
     condition: Mapping[str, float] = CALM_LOITER,
     settle_s: float = 120.0,
-    periods: int = 2,
+    periods: int = 1,
+    on_progress: Callable[[float], None] | None = None,
 ) -> LoopMargins:
     """Fly, inject, and read the margins of one loop.
 
     `make_fdm` returns a simulator with the aircraft loaded and its initial conditions set; `condition` is set before
-    initialising. One period of injection is flown to let the transient die and is not used; `periods` (even) are.
+    initialising. `periods` are read with either sign of the injection, after one that lets the transient die.
+    `on_progress` is told the share of the flight that is flown, 0..1. Raises ValueError where the flight does not stay finite
+    or does not repeat itself.
     """
-    if periods < 2 or periods % 2:
-        raise ValueError("periods must be even and at least 2: the halves are compared")
+    if periods < 1:
+        raise ValueError(f"periods {periods}: at least 1 is read")
     fdm = make_fdm()
     for name, value in condition.items():
         fdm[name] = value
@@ -219,33 +247,33 @@ def measure_loop(
     samples = round(loop.period_s / dt)
     lines = choose_lines(loop.lowest_radps, loop.highest_radps, loop.period_s)
     excitation = multisine(lines, samples, loop.rms)
+    settling = round(settle_s / dt)
+    every = settling + 2 * (periods + 1) * samples
+    tell = on_progress or (lambda _share: None)
 
-    for _ in range(round(settle_s / dt)):
+    for _ in range(settling):
         fdm.run()
-    output = np.empty((periods, samples))
-    applied = np.empty((periods, samples))
-    for period in range(-1, periods):
-        for i in range(samples):
-            fdm[loop.inject] = float(excitation[i])
-            fdm.run()
-            if period >= 0:
-                output[period, i] = fdm[loop.output]
-                applied[period, i] = fdm[loop.applied]
-    fdm[loop.inject] = 0.0
+    tell(settling / every)
+    output, applied = [], []  # at the lines, of the injection as it is and with the other sign
+    for k, sign in enumerate((1.0, -1.0)):
+        records = []
+        for period in range(1 + periods):
+            records.append(_fly_period(fdm, loop, sign * excitation))
+            tell((settling + (k * (periods + 1) + period + 1) * samples) / every)
+        out, on = (sign * np.fft.rfft(np.sum(signal, axis=0))[lines] for signal in zip(*records[1:], strict=True))
+        output.append(out)
+        applied.append(on)
+    for name in (loop.inject, *(item.inject for item in loop.mixed)):
+        fdm[name] = 0.0
 
-    out_lines = np.fft.rfft(output, axis=1)[:, lines]
-    applied_lines = np.fft.rfft(applied, axis=1)[:, lines]
-    if not np.all(np.isfinite(out_lines)):
+    if not np.all(np.isfinite(output)):
         raise ValueError(f"{loop.name}: the flight did not stay finite")
-    response = -out_lines.sum(axis=0) / applied_lines.sum(axis=0)
-    half = periods // 2
-    first = -out_lines[:half].sum(axis=0) / applied_lines[:half].sum(axis=0)
-    second = -out_lines[half:].sum(axis=0) / applied_lines[half:].sum(axis=0)
-    scatter = np.abs(first - second) / np.abs(response)
+    response = -(output[0] + output[1]) / (applied[0] + applied[1])
+    scatter = np.abs(output[0] / applied[0] - output[1] / applied[1]) / np.abs(response)
     frequency = np.asarray(2 * np.pi * lines / (samples * dt), dtype=np.float64)
     good = scatter < MAX_SCATTER
-    if np.count_nonzero(good) < 10:
-        raise ValueError(f"{loop.name}: the two halves of the record disagree, the flight was not steady")
+    if np.count_nonzero(good) < _FEWEST_LINES:
+        raise ValueError(f"{loop.name}: the records of either sign of the injection disagree, the flight was not steady")
     return LoopMargins(
         loop=loop.name,
         margins=margins_of(frequency[good], response[good]),
@@ -253,3 +281,17 @@ def measure_loop(
         response=response,
         scatter=scatter,
     )
+
+
+def _fly_period(fdm: Simulator, loop: Loop, excitation: Floats) -> tuple[Floats, Floats]:
+    """Controller's output and what is applied, (samples,) each, over one period of the injection."""
+    output, applied = np.empty(excitation.size), np.empty(excitation.size)
+    mixed = [(item.inject, item.sign * fdm[item.gain]) for item in loop.mixed]
+    for i, value in enumerate(excitation.tolist()):
+        fdm[loop.inject] = value
+        for name, share in mixed:
+            fdm[name] = share * value
+        fdm.run()
+        output[i] = fdm[loop.output]
+        applied[i] = fdm[loop.applied]
+    return output, applied

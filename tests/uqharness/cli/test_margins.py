@@ -22,19 +22,20 @@ def test_one_loop_as_json(capsys: pytest.CaptureFixture[str]):
     assert loop["delay_s"] == pytest.approx(math.radians(loop["phase_deg"]) / crossover, rel=0.01)
 
 
-def test_gains_of_a_file_twice_as_large_halve_the_gain_margin(tmp_path, capsys):
+def test_gains_of_a_file_twice_as_large_move_both_gain_margins_by_6_dB(tmp_path, capsys):
     # The rate controller is linear in its three gains together, so L doubles at every frequency: 20 log10(2) dB.
     own = {"RLL_RATE_P": 0.22, "RLL_RATE_I": 0.20, "RLL_RATE_FF": 0.40}
     found = []
     for factor in (1.0, 2.0):
         path = tmp_path / f"{factor:g}.param"
         path.write_text("".join(f"{name} {factor * value}\n" for name, value in own.items()) + "RLL_RATE_SMAX 150\n")
-        assert main(["margins", "espaaro", "--flight", "straight", "--loop", "aileron", "--autopilot", str(path), "--json"]) == 0
+        assert main(["margins", "espaaro", "--loop", "aileron", "--autopilot", str(path), "--json"]) == 0
         document = json.loads(capsys.readouterr().out)
         found.append(document["loops"]["aileron"])
         assert document["autopilot"]["taken"]["ap/RLL_RATE_P"] == factor * 0.22
         assert document["autopilot"]["ignored"] == {"RLL_RATE_SMAX": "the autopilot has no such term"}
-    assert found[0]["gain_up_dB"] - found[1]["gain_up_dB"] == pytest.approx(6.02, abs=0.1)
+    assert found[0]["gain_up_dB"] - found[1]["gain_up_dB"] == pytest.approx(6.0206, abs=0.01)
+    assert found[1]["gain_down_dB"] - found[0]["gain_down_dB"] == pytest.approx(6.0206, abs=0.01)
 
 
 def test_an_aircraft_that_is_not_there(capsys: pytest.CaptureFixture[str]):
@@ -49,7 +50,9 @@ def test_a_page_is_written_when_asked(tmp_path, capsys: pytest.CaptureFixture[st
     assert problems(page) == []
     words = words_of(page)
     assert "uqharness margins espaaro --loop aileron" in words
-    told = capsys.readouterr().out.splitlines()[-1].split()
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[3].startswith("  aileron: 3 of 55 frequencies, 0.19 to 0.31 rad/s, are not used")
+    told = lines[2].split()
     assert f"gain margin up {told[1]} dB, down {told[2]} dB; phase margin {told[3]} deg" in words
 
 

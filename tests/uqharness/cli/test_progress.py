@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from uqharness.campaign.run import Progress
-from uqharness.cli.progress import ProgressView, clock, counting, describe, say_line, say_warnings, working
+from uqharness.cli.progress import ProgressView, clock, counting, describe, say_line, say_warnings, time_left, working
 
 
 def test_progress_on_a_terminal_and_silence_elsewhere():
@@ -39,6 +39,11 @@ def test_stages_lines_and_counters_are_for_terminals_alone(monkeypatch, terminal
     if terminal:
         assert "round 1\n" in said
         assert "repeats: 1 of 2" in said
+
+
+def test_the_time_to_go_is_in_proportion_to_what_is_left():
+    assert time_left(30.0, 1.5, 4) == "0:50 to go"
+    assert time_left(30.0, 0.0, 4) == time_left(30.0, 4.0, 4) == ""
 
 
 @pytest.mark.parametrize("terminal", [True, False])

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import cmath
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from uqharness.flight.margins import Loop, choose_lines, margins_of, measure_loop, multisine
+from uqharness.flight.margins import Loop, Mixed, choose_lines, margins_of, measure_loop, multisine
 
 DT = 0.01
 POLE, GAIN, DELAY = 0.98, 0.02, 3  # y[k+1] = POLE y[k] + GAIN u[k], controller output DELAY steps old
@@ -129,6 +130,52 @@ def test_multisine_has_its_rms_only_at_its_lines_and_a_low_peak():
     assert np.delete(spectrum, lines).max() < 1e-8 * spectrum.max()
 
 
-def test_an_odd_number_of_periods_is_refused():
-    with pytest.raises(ValueError, match="even"):
-        measure_loop(lambda: ToyLoop(8.0), LOOP, condition={}, periods=3)
+class MixedToy(ToyLoop):
+    """The same output moves a second actuator too, by ``mix`` times: the plant gets both, and a square of the injection."""
+
+    def __init__(self, controller_gain: float, mix: float, bend: float = 0.0) -> None:
+        super().__init__(controller_gain)
+        self.values |= {"inject-second": 0.0, "mix": mix}
+        self.bend = bend
+
+    def run(self) -> bool:
+        self.history.append(-self.k * (self.plant - self.offset))
+        self.values["output"] = self.history.pop(0)
+        self.values["applied"] = self.values["output"] + self.values["inject"]
+        second = self.values["mix"] * self.values["output"] + self.values["inject-second"]
+        self.plant = POLE * self.plant + GAIN * (self.values["applied"] + second) + self.bend * self.values["inject"] ** 2
+        return True
+
+
+MIXED = replace(LOOP, mixed=(Mixed("inject-second", "mix", 1.0),))
+
+
+def test_twice_the_gain_of_a_mixed_loop_halves_its_gain_margin():
+    """L(z) = k (1 + mix) GAIN z^-DELAY / (z - POLE): the gain margin is that of a plain loop with k (1 + mix)."""
+    found = [measure_loop(lambda k=k: MixedToy(k, 0.5), MIXED, condition={}, settle_s=5.0).margins.gain_up_dB for k in (4.0, 8.0)]
+    assert found[0] - found[1] == pytest.approx(20 * math.log10(2), abs=1e-3)
+    assert found[1] == pytest.approx(exact_margins(12.0)[0], abs=0.1)
+    # Open on one path alone, the second keeps its own feedback, which grows with k too: the difference is another.
+    one = [measure_loop(lambda k=k: MixedToy(k, 0.5), LOOP, condition={}, settle_s=5.0).margins.gain_up_dB for k in (4.0, 8.0)]
+    assert abs(one[0] - one[1] - 20 * math.log10(2)) > 0.5
+
+
+def test_what_does_not_change_sign_with_the_injection_cancels():
+    exact = np.array([exact_loop(w, 8.0) for w in measure_loop(lambda: ToyLoop(8.0), LOOP, condition={}).frequency_radps])
+    bent = measure_loop(lambda: MixedToy(8.0, 0.0, bend=1e-3), LOOP, condition={}, settle_s=5.0)
+    error = np.abs(bent.response / exact - 1)
+    # The response of one sign is off by about half of the scatter between the two.
+    assert bent.scatter.max() > 0.01
+    assert error.max() < 0.1 * bent.scatter.max()
+
+
+def test_the_share_flown_is_told_up_to_the_end():
+    told: list[float] = []
+    measure_loop(lambda: ToyLoop(8.0), LOOP, condition={}, settle_s=5.0, on_progress=told.append)
+    assert told == sorted(told)
+    assert told[-1] == pytest.approx(1.0)
+
+
+def test_no_period_is_refused():
+    with pytest.raises(ValueError, match="periods 0: at least 1"):
+        measure_loop(lambda: ToyLoop(8.0), LOOP, condition={}, periods=0)

@@ -22,16 +22,17 @@ def margins_page(aircraft: str, flight: str, measured: Sequence[LoopMargins], co
     """The page of loops measured on the ``flight`` (loiter or straight) of an aircraft."""
     asked = (
         f"How far are the loops of {aircraft}'s autopilot from instability? Measured in flight ({flight}, calm air, no sensor "
-        "noise): each loop is opened at its actuator, the others stay closed."
+        "noise): each loop is opened at its controller's output, the others stay closed."
     )
     verdict = tuple(Say(_sentence(item)) for item in measured)
     sections = [_table(measured), *(_loop(item) for item in measured)]
     text = (
         "The response is L = -output/applied at the frequencies of an injected multisine, with servo, airframe, sensors, control "
-        "law, computing delay and hold in it. The flight was stable, so the nearest crossings of the negative real axis on either "
-        "side of -1 are the gain margins. Between the frequencies gain and phase are interpolated over the logarithm of "
-        "frequency. Grey dots are frequencies at which the two halves of the record differ by 10 % or more; no margin is read "
-        "there."
+        "law, computing delay and hold in it. Where the autopilot mixes the output into a second actuator, the injection is mixed "
+        "in too. The multisine is flown with both signs, and the difference is read. The flight was stable, so the nearest "
+        "crossings of the negative real axis on either side of -1 are the gain margins. Between the frequencies gain and phase "
+        "are interpolated over the logarithm of frequency. Grey dots are frequencies at which the responses of the two signs "
+        "differ by 10 % or more; no margin is read there."
     )
     sections.append(Section("How it was measured", (Words(text),)))
     return Page(f"Stability margins of {aircraft}, {flight}", asked, verdict, (*sections, provenance(("Command", command))))
