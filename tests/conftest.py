@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.helpers.flying_here import flying_here
 from tests.helpers.places import TESTS
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
@@ -40,3 +41,10 @@ def flight_data() -> Path:
     if not folder or not Path(folder).is_dir():
         pytest.skip("set UQ_FLIGHT_DATA to the folder with espaaro-ardupilot/ and pyulog/ to run on genuine logs")
     return Path(folder)
+
+
+@pytest.fixture(scope="module")
+def flights_here() -> Iterator[None]:
+    """A module's campaigns fly in the test's own process."""
+    with flying_here():
+        yield

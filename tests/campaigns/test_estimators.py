@@ -22,6 +22,7 @@ def test_calm_air_is_covered(plane):
     assert pooled["not_converged"] == 0
 
 
+@pytest.mark.slow
 def test_turbulence_is_covered_by_filter_error_and_not_by_cramer_rao_output_error():
     plain = run_case(BY_NAME["longitudinal, light turbulence, output_error"], 5, [300] * 3).iloc[-1]
     assert plain["crb_coverage_pct"] < 70.0

@@ -176,6 +176,7 @@ def gusty(tmp_path_factory):
     return read_data(fly_flights("synthetic_stall", tmp_path_factory.mktemp("gusty"), 1, fine=True)[0], "synthetic_stall")
 
 
+@pytest.mark.slow
 def test_roll_parameters_in_turbulence(gusty):
     # Without the air's own rotation in the equations Cl_p comes out at -0.20, ten of its standard errors off.
     rolls = [k for k, u in enumerate(gusty.u) if np.ptp(u[:, 1]) > 10.0]

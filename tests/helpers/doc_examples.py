@@ -25,12 +25,14 @@ import contextlib
 import io
 import os
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
 import sys
 import time
 import tomllib
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache
@@ -70,6 +72,8 @@ MAKE_LEFT_OUT = {
     "docs": "builds these pages, which a test of its own does",
 }
 MAKE_SLOW = {"demo"}
+OURS = ("uqharness", "sysid", "tests", "campaigns")
+"""Packages whose programs are asked for their help in this process."""
 # The console program of JSBSim's wheel, by its entry point: it need not lie beside the interpreter.
 JSBSIM = "import sys; from importlib.metadata import entry_points as e; sys.exit(next(iter(e(name='jsbsim'))).load()())"
 # Fences that are no example: equations and directives of the built site.
@@ -351,10 +355,27 @@ def differs(page: Path) -> bool:
 @cache
 def help_of(module: str, verb: str | None) -> str:
     """What `python -m module [verb] --help` prints. AssertionError where there is no such program."""
-    words = [sys.executable, "-m", module, *([verb] if verb else []), "--help"]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, f"{shlex.join(words[1:])}: {done.stderr}"
-    return done.stdout
+    words = [module, *([verb] if verb else []), "--help"]
+    if module.split(".")[0] not in OURS:
+        done = subprocess.run([sys.executable, "-m", *words], cwd=ROOT, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{shlex.join(words)}: {done.stderr}"
+        return done.stdout
+    said, before = io.StringIO(), sys.argv
+    sys.argv = list(words)
+    # What runs here is imported already, of which runpy warns; starting Python takes two seconds.
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            runpy.run_module(module, run_name="__main__")
+            code: object = 0
+        except SystemExit as end:
+            code = end.code or 0
+        except ImportError as error:
+            code = error
+        finally:
+            sys.argv = before
+    assert code == 0, f"{shlex.join(words)}: {code} {said.getvalue()}"
+    return said.getvalue()
 
 
 def run_page(page: Path, folder: Path, slow: bool) -> list[tuple[Example, float]]:

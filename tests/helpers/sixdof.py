@@ -6,7 +6,8 @@ imported here.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -60,7 +61,9 @@ def thrust(throttle_pct: float, V: float, rho: float) -> float:
     return 0.07806 * rho * np.pi * (exit_speed**2 - exit_speed * V) * 0.415
 
 
-def coefficients(k: Mapping[str, float], alpha: float, beta: float, p: float, q: float, r: float, u: Array) -> Array:
+def coefficients(
+    k: Mapping[str, float], alpha: float, beta: float, p: float, q: float, r: float, u: Sequence[float] | Array
+) -> Array:
     """CX CY CZ Cl Cm Cn at dimensionless rates p, q, r and deflections u = (de, da, dr) [deg]."""
     de, da, dr = u
     return np.array(
@@ -89,24 +92,45 @@ def rotation_to_body(phi: float, theta: float, psi: float) -> Array:
 
 def derivative(airframe: Airframe, x: Array, u: Array) -> Array:
     """d/dt of x = (u v w, p q r, phi theta psi, north east down) for u = (de, da, dr [deg], throttle [pct]), still air."""
-    velocity, rates = x[0:3], x[3:6]
-    phi, theta, psi = x[6:9]
-    V = float(np.sqrt(velocity @ velocity))
-    alpha, beta = np.arctan2(velocity[2], velocity[0]), np.arcsin(velocity[1] / V)
-    rho = isa_density(-x[11])
-    qS = 0.5 * rho * V**2 * airframe.S
-    b2V, c2V = airframe.b / (2 * V), airframe.c / (2 * V)
-    C = coefficients(airframe.coefficients, alpha, beta, rates[0] * b2V, rates[1] * c2V, rates[2] * b2V, u[:3])
-    to_body = rotation_to_body(phi, theta, psi)
-    force = qS * C[:3] + np.array([thrust(u[3], V, rho), 0.0, 0.0]) + to_body @ np.array([0.0, 0.0, airframe.m * airframe.g])
-    moment = qS * C[3:] * np.array([airframe.b, airframe.c, airframe.b])
-    inertia = np.array([[airframe.Ixx, 0, -airframe.Ixz], [0, airframe.Iyy, 0], [-airframe.Ixz, 0, airframe.Izz]])
-    velocity_dot = force / airframe.m - np.cross(rates, velocity)
-    rates_dot = np.linalg.solve(inertia, moment - np.cross(rates, inertia @ rates))
-    p, q, r = rates
-    turning = q * np.sin(phi) + r * np.cos(phi)
-    angles_dot = np.array([p + np.tan(theta) * turning, q * np.cos(phi) - r * np.sin(phi), turning / np.cos(theta)])
-    return np.concatenate([velocity_dot, rates_dot, angles_dot, to_body.T @ velocity])
+    a = airframe
+    ub, vb, wb, p, q, r = x[:6].tolist()
+    de, da, dr, throttle = np.asarray(u).tolist()
+    V = math.sqrt(ub * ub + vb * vb + wb * wb)
+    rho = isa_density(-float(x[11]))
+    b2V, c2V = a.b / (2 * V), a.c / (2 * V)
+    C = coefficients(a.coefficients, math.atan2(wb, ub), math.asin(vb / V), p * b2V, q * c2V, r * b2V, (de, da, dr))
+    qS = 0.5 * rho * V**2 * a.S
+    force = (qS * C[0] + thrust(throttle, V, rho), qS * C[1], qS * C[2])
+    return motion(a, x, force, (qS * a.b * C[3], qS * a.c * C[4], qS * a.b * C[5]))
+
+
+def motion(airframe: Airframe, x: Array, force: Sequence[float], moment: Sequence[float]) -> Array:
+    """d/dt of x for force [N] and moment [N m] in body axes, without weight."""
+    # Plain numbers: arrays of three cost ten times as much.
+    a = airframe
+    ub, vb, wb, p, q, r, phi, theta, psi = x[:9].tolist()
+    cf, sf, ct, st, cp, sp = math.cos(phi), math.sin(phi), math.cos(theta), math.sin(theta), math.cos(psi), math.sin(psi)
+    X, Y, Z = force
+    hx, hy, hz = a.Ixx * p - a.Ixz * r, a.Iyy * q, a.Izz * r - a.Ixz * p
+    L, M, N = moment[0] - (q * hz - r * hy), moment[1] - (r * hx - p * hz), moment[2] - (p * hy - q * hx)
+    det = a.Ixx * a.Izz - a.Ixz * a.Ixz
+    turning = q * sf + r * cf
+    return np.array(
+        [
+            X / a.m - a.g * st - (q * wb - r * vb),
+            Y / a.m + a.g * sf * ct - (r * ub - p * wb),
+            Z / a.m + a.g * cf * ct - (p * vb - q * ub),
+            (a.Izz * L + a.Ixz * N) / det,
+            M / a.Iyy,
+            (a.Ixz * L + a.Ixx * N) / det,
+            p + st / ct * turning,
+            q * cf - r * sf,
+            turning / ct,
+            ct * cp * ub + (sf * st * cp - cf * sp) * vb + (cf * st * cp + sf * sp) * wb,
+            ct * sp * ub + (sf * st * sp + cf * cp) * vb + (cf * st * sp - sf * cp) * wb,
+            -st * ub + sf * ct * vb + cf * ct * wb,
+        ]
+    )
 
 
 def simulate(

@@ -7,12 +7,11 @@ every evaluation, where JSBSim takes the alphadot of the frame before.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import newton
 
 from tests.helpers import sixdof
 
@@ -68,19 +67,23 @@ def truth(**changes: float) -> StallingAirframe:
     return StallingAirframe(coefficients={**sixdof.TABLE_2_6, **four, **changes}, wind_axes=False)
 
 
-def body_coefficients(a: StallingAirframe, alpha: float, beta: float, rates: Array, lag_deg: float, u: Array) -> Array:
+def body_coefficients(
+    a: StallingAirframe, alpha: float, beta: float, rates: Sequence[float], lag_deg: float, u: Sequence[float]
+) -> Sequence[float]:
     """CX CY CZ Cl Cm Cn at dimensionless rates and u = (de, da, dr) [deg]."""
     k = a.coefficients
     p, q, r = rates
     de, da, dr = u
-    share = a.separation.lift_share(np.degrees(alpha), lag_deg)
+    share = a.separation.lift_share(math.degrees(alpha), lag_deg)
     if not a.wind_axes:
-        found = sixdof.coefficients(k, alpha, beta, p, q, r, u)
-        lost = k["CZ_alpha"] * alpha * (share - 1.0)
-        return found + np.array([k["CX_q"] * q, 0.0, lost, 0.0, k["Cm_p2"] * p**2, 0.0])
+        found = sixdof.coefficients(k, alpha, beta, p, q, r, u).tolist()
+        found[0] += k["CX_q"] * q
+        found[2] += k["CZ_alpha"] * alpha * (share - 1.0)
+        found[4] += k["Cm_p2"] * p**2
+        return found
     lift = k["CL_0"] + k["CL_alpha"] * alpha * share + k["CL_de"] * de
-    drag = k["CD_0"] + lift**2 / (np.pi * a.oswald * a.b**2 / a.S)
-    s, c = np.sin(alpha), np.cos(alpha)
+    drag = k["CD_0"] + lift**2 / (math.pi * a.oswald * a.b**2 / a.S)
+    s, c = math.sin(alpha), math.cos(alpha)
     lateral = (beta, p, r, dr, da)
     side, roll, yaw = (
         k[f"{name}_0"]
@@ -88,39 +91,47 @@ def body_coefficients(a: StallingAirframe, alpha: float, beta: float, rates: Arr
         for name in ("CY", "Cl", "Cn")
     )
     pitch = k["Cm_0"] + k["Cm_alpha"] * alpha + k["Cm_q"] * q + k["Cm_de"] * de
-    return np.array([lift * s - drag * c, side, -lift * c - drag * s, roll, pitch, yaw])
+    return lift * s - drag * c, side, -lift * c - drag * s, roll, pitch, yaw
+
+
+def _root(f: Callable[[float], float]) -> float:
+    """Where f is 0, by secants from 0. Raises ArithmeticError where they do not close in."""
+    before, here = 0.0, 1e-4
+    f_before, f_here = f(before), f(here)
+    for _ in range(50):
+        if f_here == f_before:
+            return here
+        before, here = here, here - f_here * (here - before) / (f_here - f_before)
+        if abs(here - before) < 1e-12:
+            return here
+        f_before, f_here = f_here, f(here)
+    raise ArithmeticError(f"no alphadot after 50 secants; the last was {here}")
 
 
 def derivative(a: StallingAirframe, x: Array, u: Array) -> Array:
     """d/dt of sixdof's state for u = (de, da, dr [deg], throttle [pct]), still air; alphadot solved for."""
-    velocity, rates = x[0:3], x[3:6]
-    phi, theta, psi = x[6:9]
-    V = float(np.sqrt(velocity @ velocity))
-    alpha, beta = float(np.arctan2(velocity[2], velocity[0])), float(np.arcsin(velocity[1] / V))
-    rho = sixdof.isa_density(-x[11])
+    ub, vb, wb, p, q, r, phi, theta, _, _, _, down = x.tolist()
+    de, da, dr, throttle = np.asarray(u).tolist()
+    V = math.sqrt(ub * ub + vb * vb + wb * wb)
+    alpha, beta = math.atan2(wb, ub), math.asin(vb / V)
+    rho = sixdof.isa_density(-down)
     qS = 0.5 * rho * V**2 * a.S
-    hat = rates * np.array([a.b, a.c, a.b]) / (2.0 * V)
-    pull = 0.01 * u[3] * a.coefficients["CT_dt"] if a.wind_axes else sixdof.thrust(u[3], V, rho)
-    to_body = sixdof.rotation_to_body(phi, theta, psi)
-    steady = np.array([pull, 0.0, 0.0]) + to_body @ np.array([0.0, 0.0, a.m * a.g])
-    in_plane = velocity[0] ** 2 + velocity[2] ** 2
-    turned = np.cross(rates, velocity)
+    hat = (p * a.b / (2.0 * V), q * a.c / (2.0 * V), r * a.b / (2.0 * V))
+    pull = 0.01 * throttle * a.coefficients["CT_dt"] if a.wind_axes else sixdof.thrust(throttle, V, rho)
+    in_plane = ub**2 + wb**2
+    # Weight and turning, which do not depend on alphadot.
+    along = -a.g * math.sin(theta) - (q * wb - r * vb)
+    below = a.g * math.cos(phi) * math.cos(theta) - (p * vb - q * ub)
 
-    def at(alphadot: float) -> tuple[Array, Array]:
-        lag_deg = a.separation.tau2 * a.c / V * np.degrees(alphadot)
-        C = body_coefficients(a, alpha, beta, hat, lag_deg, u[:3])
-        return C, (qS * C[:3] + steady) / a.m - turned
+    def at(alphadot: float) -> Sequence[float]:
+        lag_deg = a.separation.tau2 * a.c / V * math.degrees(alphadot)
+        return body_coefficients(a, alpha, beta, hat, lag_deg, (de, da, dr))
 
     def surplus(alphadot: float) -> float:
-        dot = at(alphadot)[1]
-        return float((velocity[0] * dot[2] - velocity[2] * dot[0]) / in_plane - alphadot)
+        C = at(alphadot)
+        u_dot, w_dot = (qS * C[0] + pull) / a.m + along, qS * C[2] / a.m + below
+        return (ub * w_dot - wb * u_dot) / in_plane - alphadot
 
-    alphadot = newton(surplus, 0.0, tol=1e-12)
-    C, velocity_dot = at(alphadot)
-    moment = qS * C[3:] * np.array([a.b, a.c, a.b])
-    inertia = np.array([[a.Ixx, 0, -a.Ixz], [0, a.Iyy, 0], [-a.Ixz, 0, a.Izz]])
-    rates_dot = np.linalg.solve(inertia, moment - np.cross(rates, inertia @ rates))
-    p, q, r = rates
-    turning = q * np.sin(phi) + r * np.cos(phi)
-    angles_dot = np.array([p + np.tan(theta) * turning, q * np.cos(phi) - r * np.sin(phi), turning / np.cos(theta)])
-    return np.concatenate([velocity_dot, rates_dot, angles_dot, to_body.T @ velocity])
+    C = at(_root(surplus))
+    force = (qS * C[0] + pull, qS * C[1], qS * C[2])
+    return sixdof.motion(a, x, force, (qS * a.b * C[3], qS * a.c * C[4], qS * a.b * C[5]))

@@ -12,6 +12,8 @@ from tests.helpers import bit_flips
 from uqharness.campaign.execution.worker import CaseOutcome
 from uqharness.campaign.folder.store import Store
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory):

@@ -19,6 +19,8 @@ from uqharness.campaign.folder.case_table import CASES
 from uqharness.cli.main import build_parser, main
 from uqharness.simulator.aircraft import PROJECT_ROOT
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 FOLDER = PROJECT_ROOT / "campaigns"
 READMES = sorted(FOLDER.glob("*/README.md"))
 # The study has tests of its own (test_chain_*); the c172's aircraft is made by the command before it (the examples of

@@ -31,6 +31,8 @@ from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.report.write import write_report
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 SMALL = (
     fakes.CAMPAIGN.replace("flights = 3", "flights = 8").partition("[epistemic]")[0]
     + """

@@ -10,13 +10,15 @@ import pytest
 
 from tests.helpers import doc_examples as de
 from tests.helpers.doc_outputs import check_outputs
+from tests.helpers.flying_here import flying_here
 
 PAGES = {page.name: page for page in de.pages()}
 
 
 @pytest.mark.parametrize("name", PAGES)
 def test_examples_run(name: str, tmp_path: Path):
-    de.run_page(PAGES[name], tmp_path, slow=False)
+    with flying_here():
+        de.run_page(PAGES[name], tmp_path, slow=False)
     if name == "README.md":
         # What the examples have written is at hand: the reference is held against it.
         assert check_outputs(tmp_path) >= 6

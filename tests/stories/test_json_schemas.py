@@ -14,6 +14,8 @@ import pytest
 from tests.helpers.places import ROOT
 from uqharness.cli import main as cli
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 jsonschema = pytest.importorskip("jsonschema")
 
 FOLDER = ROOT / "docs" / "schemas"

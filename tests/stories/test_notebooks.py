@@ -14,7 +14,10 @@ nbclient = pytest.importorskip("nbclient")
 pytest.importorskip("ipykernel")
 
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
-SLOW = {"hidden-effect": "refines: a minute on two quiet cores"}
+SLOW = {
+    "hidden-effect": "refines: a minute on two quiet cores",
+    "own-aircraft": "flies a campaign in processes: 18 s of processor time",
+}
 FIGURES = {"own-aircraft": 1, "log-beside-simulation": 1, "hidden-effect": 1, "sensitivity": 1}
 WORDS = {
     "own-aircraft": ("<th>quantile [%]</th>", "PBox("),

@@ -89,7 +89,7 @@ def test_the_command_flies_a_campaign_in_such_a_folder(place):
         '[campaign]\naircraft = "espaaro"\nmission = "loiter"\nseed = 7\n[aleatory]\nflights = 2\nduration_s = 2\n'
         '[epistemic]\nmethod = "none"\n'
     )
-    done, marks = run(place, str(command), "campaign", "run", "campaign.toml", "--out", "out", "--workers", "2")
+    done, marks = run(place, str(command), "campaign", "run", "campaign.toml", "--out", "out", "--workers", "1")
     assert (done.returncode, marks) == (0, ""), done.stderr
     assert "2 flights done" in done.stdout
 

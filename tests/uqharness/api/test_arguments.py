@@ -13,6 +13,8 @@ import pytest
 import uqharness as uq
 from uqharness.api.flights import Flight
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 CAMPAIGN = {
     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
     "aleatory": {"flights": 2, "duration_s": 2, "burn_in_s": 0},

@@ -17,6 +17,8 @@ from uqharness.campaign.spec.read import read_campaign as read_file
 from uqharness.cli.main import main
 from uqharness.statistics.pbox import Sample
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 CAMPAIGN = TESTS / "doc_campaign.toml"
 TABLES = ("cases.parquet", "pbox.parquet", "excursions.csv", "statements.csv")
 

@@ -10,6 +10,8 @@ import pytest
 
 from tests.helpers.docstrings import example_of, public_functions
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 SLOW = {"refine"}
 """Examples that take minutes."""
 

@@ -55,8 +55,8 @@ def run(how: str, code: str, folder: Path) -> subprocess.CompletedProcess:
 @pytest.mark.parametrize(
     ("how", "code", "said"),
     [
-        ("script", CAMPAIGN, "2 ['ok']"),
-        ("pipe", CAMPAIGN, "2 ['ok']"),
+        pytest.param("script", CAMPAIGN, "2 ['ok']", marks=pytest.mark.slow),
+        pytest.param("pipe", CAMPAIGN, "2 ['ok']", marks=pytest.mark.slow),
         ("notebook", CAMPAIGN, "2 ['ok']"),
         ("script", IDENTIFY, "True"),
         ("pipe", IDENTIFY, "True"),

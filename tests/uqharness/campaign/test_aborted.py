@@ -14,6 +14,8 @@ from uqharness.campaign.cases import build_cases
 from uqharness.campaign.execution import CaseOutcome
 from uqharness.campaign.run import find_mission
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 
 def corner(*flights):
     """(status, share flown, loss of control) of each flight."""

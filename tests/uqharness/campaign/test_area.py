@@ -14,6 +14,8 @@ from uqharness.campaign.run import run_campaign
 from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import main
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):

@@ -91,12 +91,12 @@ def false_yes(cluster: int, nearer_per_h: float | None, repeats: int = 1500, hou
 
 @pytest.mark.parametrize(
     ("cluster", "nearer_per_h"),
-    [(4, 0.8), (8, 0.5), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((2, 0.5), (2, 0.8), (4, 0.5), (8, 0.8)))],
+    [(4, 0.8), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((2, 0.5), (2, 0.8), (4, 0.5), (8, 0.5), (8, 0.8)))],
 )
 def test_a_yes_is_rarely_false_where_a_smaller_radius_shows_the_clusters(cluster, nearer_per_h):
-    assert false_yes(cluster, nearer_per_h) <= 0.05
+    assert false_yes(cluster, nearer_per_h, repeats=500) <= 0.05
 
 
 def test_what_is_assumed_alone_does_not_keep_the_level():
-    assert false_yes(4, None) > 0.1
-    assert false_yes(8, None) > 0.3
+    assert false_yes(4, None, repeats=300) > 0.1
+    assert false_yes(8, None, repeats=300) > 0.3

@@ -22,6 +22,8 @@ from uqharness.campaign.spec.samples import epistemic_samples
 from uqharness.cli.main import main
 from uqharness.flight.spec import FlightSpec
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 MEAN = '\n[aleatory.variables."inertia/mass-slugs"]\ndistribution = "normal"\nmean = [1.4, 1.5]\nstd = 0.02\n'
 CORNERS = 'method = "corners"'
 

@@ -22,6 +22,8 @@ from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 ALIKE = engines(Flown())
 WITHOUT = engines(Flown(), Understanding("llvmlite is not installed"))
 PUZZLED = engines(Flown(), Understanding(None, ("plane.xml:7: <rocket_engine> is not understood",)))

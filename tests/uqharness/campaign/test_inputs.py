@@ -34,6 +34,8 @@ from uqharness.simulator.aircraft import PROJECT_ROOT, content_hash, find_aircra
 from uqharness.simulator.mission import StagedMission
 from uqharness.simulator.signals import Source
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 HEAD = CAMPAIGN.partition("[epistemic]")[0]
 BOUNDS = "bounds = { CX = 0.008, CY = 0.010, CZ = 0.05, Cl = 0.0015, Cm = 0.012, Cn = 0.0015 }\n"
 FIT = {

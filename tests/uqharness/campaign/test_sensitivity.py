@@ -23,6 +23,8 @@ from uqharness.flight.spec import FlightResult
 from uqharness.sensitivity import Index, MethodResult, PairRange
 from uqharness.sensitivity.words import rank
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 SLOPES = {"CX": 4.0, "CY": 2.0, "CZ": 1.0, "Cl": 0.5, "Cm": 0.25, "Cn": 0.0}
 SHARES = {name: slope / 7.75 for name, slope in SLOPES.items()}
 FLIGHTS = 12

@@ -11,6 +11,8 @@ from tests.helpers import report_folders as folders
 from uqharness.dossier.evidence import read_evidence
 from uqharness.errors import BadInputError
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 
 @pytest.fixture
 def chain(tmp_path):

@@ -31,6 +31,8 @@ from uqharness.next_flight.trials import TestFlight, fly_points, try_points, uni
 from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
 from uqharness.simulator.mission import find_script
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 CAMPAIGN = """
 [campaign]
 aircraft = "espaaro"

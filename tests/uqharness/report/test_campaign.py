@@ -20,6 +20,8 @@ from uqharness.campaign.spec.read import read_campaign
 from uqharness.errors import BadInputError
 from uqharness.report.write import write_campaign_report, write_report
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 FIGURES = 6
 
 

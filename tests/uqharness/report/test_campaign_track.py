@@ -9,6 +9,8 @@ import pytest
 from uqharness.report.campaign_track import MOST_TRACKS, shown_cases, track_section, worst_case
 from uqharness.report.parts import Facts, Figures, Words
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 TIME = np.arange(0.0, 40.0, 0.1)
 ANGLE = 2.0 * np.pi * TIME / 40.0
 FRAME = pd.DataFrame(

@@ -12,6 +12,8 @@ from lxml import etree
 import uqharness as uq
 from uqharness.api.campaigns import CampaignResult
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 CAMPAIGN = {
     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
     "aleatory": {"flights": 2, "duration_s": 5, "burn_in_s": 0, "wind_mps": [0, 3]},

@@ -11,6 +11,8 @@ from uqharness.report.campaign import read_found
 from uqharness.report.overlay import overlay_section
 from uqharness.report.parts import Figures, Table, Words
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 NAMES = {"before": "one", "after": "two"}
 
 

@@ -13,6 +13,8 @@ from tests.helpers.page_checks import page_of
 from uqharness.cli.main import main
 from uqharness.report.sensitivity import condition_sections
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 
 @pytest.fixture(scope="module")
 def campaigns(tmp_path_factory):

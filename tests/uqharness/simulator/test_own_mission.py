@@ -12,7 +12,10 @@ from uqharness.simulator import StartSection, copy_folder, find_aircraft, write_
 from uqharness.simulator.own_mission import EXCURSION_DEG
 
 
-@pytest.mark.parametrize(("name", "speed"), [("c172p", 50), ("c310", 60), ("SGS", 25), ("737", 140)])
+@pytest.mark.parametrize(
+    ("name", "speed"),
+    [("c172p", 50), ("SGS", 25), *(pytest.param(*case, marks=pytest.mark.slow) for case in (("c310", 60), ("737", 140)))],
+)
 def test_any_aircraft_flies_doublets_of_a_few_degrees(name, speed, tmp_path, capsys):
     out = tmp_path / "flight.parquet"
     words = ["fly", name, "--mission", "doublets", "--speed-mps", str(speed), "--out", str(out), "--json"]

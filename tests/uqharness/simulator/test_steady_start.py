@@ -24,6 +24,8 @@ from uqharness.flight.fly import fly
 from uqharness.parquet_files import read_table
 from uqharness.report.write import write_report
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 CAMPAIGN = """
 [campaign]
 aircraft = "c172p"

@@ -47,6 +47,7 @@ def test_where_nothing_fits_the_path_that_does_is_told():
     assert "try a path of >= 11.46 deg" in thrust_reason(40.0, 0.0, lambda V: None, lambda V: AtLimit(0.2, math.nan))
 
 
+@pytest.mark.slow
 def test_a_stock_aircraft_whose_engines_are_too_weak_flies_on_the_path_advised():
     # The engines of JSBSim's C130 give their propellers a power of some horsepower.
     aircraft = find_aircraft("C130")

@@ -14,6 +14,8 @@ from uqharness.campaign.spec.read import read_campaign
 from uqharness.study.answer import answer_of
 from uqharness.study.performance import read_flown
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 TWO_CORNERS = (
     fakes.CAMPAIGN[: fakes.CAMPAIGN.index("bounds")].replace("duration_s = 150", "duration_s = 900")
     + 'coefficients = ["CX"]\nbounds = { CX = 0.008 }\n\n[metrics]\nacceptable_per_h = 2\nexcursion_radius_m = 15\n'

@@ -11,6 +11,8 @@ from uqharness.campaign.spec.read import read_campaign
 from uqharness.campaign.statements import statements
 from uqharness.study.tracks import TRACKS, Asked, fly_tracks, hardest
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 CAMPAIGN = """
 [campaign]
 aircraft = "espaaro"

@@ -21,6 +21,8 @@ from uqharness.statistics.pbox import Sample
 from uqharness.study import performance as chain_performance
 from uqharness.study import verdict as chain_verdict
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 FOUR_CORNERS = fakes.CAMPAIGN[: fakes.CAMPAIGN.index("bounds")] + (
     'coefficients = ["CX", "CY"]\nbounds = { CX = 0.008, CY = 0.010 }\n'
 )

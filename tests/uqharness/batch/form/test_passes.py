@@ -39,7 +39,7 @@ def _mixed(seed: int) -> tuple[Program, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", PASSES)
-@pytest.mark.parametrize("seed", [0, 1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_every_pass_keeps_the_bits_of_what_is_recorded(name: str, seed: int) -> None:
     program, wanted = _mixed(seed)
     changed = PASSES[name](program)

@@ -65,8 +65,7 @@ FLIGHTS = {
 }
 
 
-QUICK = ("jsbsim's turbulence", "all", "corner", "walking levels", "mass and inertia", "another start", "burn-in", "truth", "stall",
-         "elevator doublet")  # fmt: skip
+QUICK = ("jsbsim's turbulence", "all", "walking levels", "mass and inertia", "another start", "stall")
 
 
 @pytest.mark.parametrize("name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in FLIGHTS])

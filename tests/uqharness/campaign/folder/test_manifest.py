@@ -23,6 +23,8 @@ from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import main
 from uqharness.next_flight.mission_states import open_campaign
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 OLD = TESTS / "format_1"
 READING = (["campaign", "status"], ["campaign", "report", "--no-tracks"], ["sensitivity"],
            ["campaign", "convergence", "--repeats", "2"], ["campaign", "area", "--value", "altitude_median_m=3"])  # fmt: skip

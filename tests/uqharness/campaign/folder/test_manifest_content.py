@@ -9,6 +9,8 @@ import pytest
 from tests.helpers.campaign_fakes import CAMPAIGN
 from uqharness.campaign.folder.manifest_content import checked_content
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 GOOD = {
     "format": 2, "state": "running", "command": "uqharness campaign run", "seed": 7, "cases": 192, "versions": {"numpy": "2"},
     "campaign": tomllib.loads(CAMPAIGN), "hashes": {"aircraft": "a" * 64, "script": "b" * 64},

@@ -24,6 +24,8 @@ from uqharness.report.write import write_report
 from uqharness.simulator.aircraft import PROJECT_ROOT
 from uqharness.study.spec import read_chain
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 TABLES = (CASES, "pbox.parquet", "excursions.csv")
 
 

@@ -18,6 +18,8 @@ from uqharness.campaign.run import run_campaign
 from uqharness.campaign.spec.read import read_campaign
 from uqharness.errors import BadInputError
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:

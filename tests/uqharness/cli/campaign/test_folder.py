@@ -13,6 +13,8 @@ from uqharness.cli.campaign import folder as verbs
 from uqharness.cli.main import run_words
 from uqharness.errors import BadInputError
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 
 def call(*words):
     return run_words(["campaign", *map(str, words)])

@@ -11,6 +11,8 @@ from uqharness.campaign.folder.manifest import read_manifest
 from uqharness.cli.main import run_words
 from uqharness.errors import BadInputError
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 
 def call(*words):
     return run_words(["campaign", *map(str, words)])

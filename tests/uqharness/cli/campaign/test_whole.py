@@ -10,6 +10,8 @@ from uqharness.cli.campaign.run import flying_command
 from uqharness.cli.main import build_parser, run_words
 from uqharness.errors import BadInputError
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 
 def call(*words):
     return run_words(["campaign", *map(str, words)])

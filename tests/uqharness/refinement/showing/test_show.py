@@ -36,6 +36,8 @@ from uqharness.report.write import write_report
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.statistics.pbox import Sample
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 CX_BETA2 = -1.5
 MORE = (*TRAIN, ("yaw-roll", 21.5), ("yaw-roll", 19.0), ("roll-yaw", 20.5))
 CAMPAIGN = """

@@ -9,6 +9,8 @@ from uqharness.dossier import read_evidence
 from uqharness.report.pages.dossier import dossier_of
 from uqharness.report.parts import render
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 
 def page_of(folder):
     return dossier_of(read_evidence(folder))

@@ -12,6 +12,8 @@ from tests.helpers import report_folders as folders
 from tests.helpers.page_checks import page_of, words_of
 from tests.helpers.report_folders import stage, study, written
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 
 @pytest.fixture
 def refined(tmp_path):

@@ -14,6 +14,8 @@ from tests.helpers import report_folders as folders
 from tests.helpers.page_checks import page_of
 from tests.helpers.report_folders import stage, study, written
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 ANSWER = {"level": "warn", "answer": "Yes in calm air.", "why": "Why: 0.1/h.", "lacked": "", "next": "Next: nothing."}
 TRACKS = {"wind_mps": 3.0, "turbulence": "moderate", "aleatory_id": 0, "radius_m": 15.0}
 

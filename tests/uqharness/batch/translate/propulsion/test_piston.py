@@ -65,11 +65,12 @@ def test_the_engine_runs_as_in_jsbsim(motor: str, events: str) -> None:
     assert 0.1 < runs < 0.9 if events else runs == 0.0
 
 
+QUICK = ("minmp", "displacement", "bsfc", "man-press-lag", "static-friction", "oil-viscosity-index")
 TAGS = """minmp maxmp displacement maxrpm idlerpm stroke bsfc cylinders compression-ratio volumetric-efficiency man-press-lag
 ram-air-factor static-friction cooling-factor dynamic-fmep static-fmep cylinder-head-mass oil-viscosity-index"""
 
 
-@pytest.mark.parametrize("tag", TAGS.split())
+@pytest.mark.parametrize("tag", [tag if tag in QUICK else pytest.param(tag, marks=pytest.mark.slow) for tag in TAGS.split()])
 def test_each_number_matters(tag: str) -> None:
     made = case("own", frames=300)
     head, _, tail = OWN.partition(f"</{tag}>")
