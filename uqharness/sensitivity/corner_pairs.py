@@ -18,7 +18,7 @@ def corner_pairs(study: Study, runs: Evaluations, seed: int = 0, intervals: bool
     """[min, max] share of the envelope's area. Intervals hold for all parameters and pairs at once (see ``pair_band``).
 
     ``details`` tell by which share the envelope shrinks with a parameter fixed at either bound (``shrink_min``, ``shrink_max``,
-    (d,), and their band), which is what buying the knowledge would bring, and ``lead`` (d, d) who surely comes before whom.
+    (d,), and their band), and ``lead`` (d, d) which parameter certainly comes before which.
     """
     if runs.corners is None:
         return all_undefined(METHOD, study.names, "the study has no corner runs")

@@ -61,7 +61,8 @@ class PairBand:
     ``index``, ``low``, ``high`` (d, 2^(d-1) + 2): the pairs' shares of the envelope's area, then, in the last two columns, the
     share by which the envelope shrinks with the parameter fixed at its lower and at its upper bound. All lie in 0..1.
     ``lead`` (d, d): the lower limit of (smallest share of row - largest share of column); above 0 where the row's parameter comes
-    first whatever the others are. It compares the same flights, so it knows more than two bands side by side.
+    first whatever the others are. It compares the same flights, so it knows more than two bands side by side, and it reaches as
+    many standard deviations as the band does.
     """
 
     index: Array
@@ -114,18 +115,20 @@ def pair_band(
     high = np.minimum(1.0, flat - np.minimum(bias, 0.0) + reach * std)
     spread = small * float(stats.norm.ppf(point)) * float(areas.std(ddof=1))
     area_low = area - max(0.0, _BIAS_SEEN * (float(areas.mean()) - area)) - spread
-    lead = _lead(index, again.reshape(resamples, *index.shape), draws, confidence)
+    lead = _lead(index, again.reshape(resamples, *index.shape), reach)
     return PairBand(index, low, high.reshape(index.shape), area, area_low, area + spread, lead)
 
 
-def _lead(index: Array, again: Array, draws: int, confidence: float) -> Array:
-    """(d, d) lower limits, one-sided, Bonferroni over the d - 1 others. The smallest of noisy shares is biased down and the largest
-    up, so chance makes a lead look shorter, never longer."""
-    d = index.shape[0]
+def _lead(index: Array, again: Array, reach: float) -> Array:
+    """(d, d) lower limits, ``reach`` standard deviations of the difference below it.
+
+    The band's ``reach`` grows with what the draws show of skewness and outliers. Student's quantile does not: of ties between a
+    constant and a log-normal gust (unit log variance, 8 draws, 300 repeats) it called 15 % certain, this one 7 %. The smallest of
+    noisy shares is biased down and the largest up, so chance makes a lead look shorter, never longer.
+    """
     pairs, resampled = index[:, :-2], again[:, :, :-2]
     lead = pairs.min(axis=1)[:, None] - pairs.max(axis=1)[None, :]
     spread = (resampled.min(axis=2)[:, :, None] - resampled.max(axis=2)[:, None, :]).std(axis=0, ddof=1)
-    reach = float(np.sqrt(draws / (draws - 1.0)) * stats.t.isf((1.0 - confidence) / max(1, d - 1), draws - 1))
     return np.asarray(lead - reach * spread)
 
 

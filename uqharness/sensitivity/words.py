@@ -12,13 +12,15 @@ from uqharness.sensitivity import MethodResult, PairRange
 @dataclass(frozen=True)
 class Ranking:
     """``first`` is what to reduce first (empty if undefined), ``rivals`` what may come before it: by the values of the other
-    coefficients (``by_ranges``) or by sampling error alone (``by_sampling``). ``certain`` if there is none and no flight was lost.
+    coefficients (``by_ranges``) or by sampling error alone (``by_sampling``). ``certain`` if there is none, no flight was lost, and
+    the interval of the shrinkage that ``first`` would bring lies above zero (``shown``).
     """
 
     first: str
     by_ranges: tuple[str, ...] = ()
     by_sampling: tuple[str, ...] = ()
     certain: bool = False
+    shown: bool = True
 
 
 def rank(result: MethodResult, lost: int = 0) -> Ranking:
@@ -34,7 +36,8 @@ def rank(result: MethodResult, lost: int = 0) -> Ranking:
     # Without an interval nothing is shown, so a comparison with NaN must keep the other in.
     reach = tuple(name for name in others if not lead[names.index(name)] > 0.0)
     by_sampling = tuple(name for name in reach if name not in by_ranges)
-    return Ranking(first, by_ranges, by_sampling, not reach and not lost)
+    shown = bool(result.details["shrink_low"][names.index(first)] > 0.0)
+    return Ranking(first, by_ranges, by_sampling, shown and not reach and not lost, shown)
 
 
 def words(result: MethodResult, metric: str, ranking: Ranking, lost: int, flights: int) -> str:
@@ -47,10 +50,14 @@ def words(result: MethodResult, metric: str, ranking: Ranking, lost: int, flight
         doubts.append(f"at some values of the other coefficients {_listed(ranking.by_ranges)} may matter as much")
     if ranking.by_sampling:
         doubts.append(f"by the sampling error of {flights - lost} flights {_listed(ranking.by_sampling)} may come first")
+    elif not ranking.shown:
+        doubts.append(f"by the sampling error of {flights - lost} flights {ranking.first} may have no effect")
     if doubts:
         text += f" Not certain: {'; '.join(doubts)}."
     if ranking.certain:
-        text += " Certain: it holds at every corner of the other coefficients and for the sampling error (95 %)."
+        text += (
+            " Certain: it holds at every corner of the other coefficients and for the sampling error (95 %, same flights compared)."
+        )
     if lost:
         text += f" {lost} of {flights} aleatory samples are left out, because a flight of theirs failed in some corner; "
         text += "the result holds for the others only."

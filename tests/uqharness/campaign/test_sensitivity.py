@@ -259,7 +259,8 @@ def test_ranking_needs_a_lead_to_be_certain():
 
     def ranked(lead, lost=0):
         indices = {"a": share(0.5, 0.6), "b": share(0.2, 0.3)}
-        return rank(MethodResult("proposed", 8, indices, True, "", {"lead": np.array([[0.0, lead], [-0.4, 0.0]])}), lost)
+        details = {"lead": np.array([[0.0, lead], [-0.4, 0.0]]), "shrink_low": np.array([0.3, 0.1])}
+        return rank(MethodResult("proposed", 8, indices, True, "", details), lost)
 
     assert ranked(0.05).certain
     assert not ranked(0.05, lost=1).certain

@@ -11,10 +11,10 @@ from uqharness.sensitivity.result import Index, MethodResult, PairRange, all_und
 from uqharness.sensitivity.words import Ranking, rank, unit_of, words
 
 
-def result(ranges, lead) -> MethodResult:
+def result(ranges, lead, shrink_low=0.4) -> MethodResult:
     indices = {n: PairRange(Index(a, a, a), Index(b, b, b)) for n, (a, b) in ranges.items()}
     d = len(ranges)
-    ends = {"shrink_min": 0.5, "shrink_max": 0.6, "shrink_low": 0.4, "shrink_high": 0.7}
+    ends = {"shrink_min": 0.5, "shrink_max": 0.6, "shrink_low": shrink_low, "shrink_high": 0.7}
     return MethodResult("proposed", 1, indices, True, "s", {
         "lead": np.array(lead), "area": 12.345, **{k: np.full(d, v) for k, v in ends.items()},
     })  # fmt: skip
@@ -27,7 +27,7 @@ def test_a_clear_lead_is_certain():
     text = words(clear, "cross_track_m", rank(clear), 0, 20)
     assert text.startswith("cross_track_m: reduce b first. The p-box is 12.3 m wide")
     assert "shrink by 50 to 60 % (40 to 70 % with sampling error)" in text
-    assert "Certain" in text
+    assert "Certain: it holds at every corner of the other coefficients" in text
     assert "3 of 20 aleatory samples are left out" in words(clear, "cross_track_m", rank(clear, 3), 3, 20)
 
 
@@ -44,6 +44,16 @@ def test_rivals_by_ranges_and_by_sampling(ranges, lead, by_ranges, by_sampling):
     found = rank(made)
     assert (found.first, found.by_ranges, found.by_sampling, found.certain) == ("b", by_ranges, by_sampling, False)
     assert "Not certain: " in words(made, "m", found, 0, 20)
+
+
+@pytest.mark.parametrize("low", [0.0, math.nan])
+def test_a_shrinkage_that_may_be_nothing_is_never_certain(low):
+    made = result({"a": (0.1, 0.2), "b": (0.6, 0.7)}, [[0.0, -0.5], [0.3, 0.0]], shrink_low=low)
+    found = rank(made)
+    assert (found.first, found.by_ranges, found.by_sampling, found.certain) == ("b", (), (), False)
+    text = words(made, "m", found, 0, 8)
+    assert "Not certain: by the sampling error of 8 flights b may have no effect." in text
+    assert "Certain" not in text
 
 
 def test_an_undefined_result_ranks_nothing():
