@@ -24,6 +24,7 @@ from .residuals import Prediction as Prediction
 from .residuals import ResidualPiece as ResidualPiece
 from .residuals import Residuals as Residuals
 from .residuals import residual_coefficients as residual_coefficients
+from .residuals import steady_airspeed as steady_airspeed
 from .residuals import together as together
 from .rigid_body import AIR as AIR
 from .rigid_body import NX as NX
@@ -42,6 +43,7 @@ from .sensor_noise import autocorrelation as autocorrelation
 from .sensor_noise import cosine_variance as cosine_variance
 from .sensor_noise import noise_cosines as noise_cosines
 from .sensor_noise import noise_variance as noise_variance
+from .sensor_noise import offset_records as offset_records
 from .sensor_noise import with_noise_of as with_noise_of
 from .sensor_noise import with_sensor_noise as with_sensor_noise
 from .terms import COEFFICIENTS as COEFFICIENTS

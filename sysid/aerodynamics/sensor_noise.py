@@ -83,6 +83,16 @@ def with_sensor_noise(
     return replace(residuals, pieces=with_noise)
 
 
+def offset_records(record: FlightRecord, cutoffs: Cutoffs) -> list[FlightRecord]:
+    """The records at whose states `with_sensor_noise` asks the model, one for each channel that forces depend on."""
+    steady = steady_airspeed(record, cutoffs.airspeed_hz)
+    return [_offset(steady, c) for c in FORCED]
+
+
+def _offset(record: FlightRecord, channel: str) -> FlightRecord:
+    return record.with_columns({channel: record[channel] + _OFFSETS.get(channel, _OFFSET)})
+
+
 def _of_piece(
     record: FlightRecord, piece: Piece, model: Model, arm: Sequence[float], cutoffs: Cutoffs,
     std: Mapping[str, float], spread: Mapping[str, float],
@@ -95,8 +105,7 @@ def _of_piece(
     filters = _Filters(record.dt_s, m, cutoffs.airspeed_hz)
     passages = []
     for channel in (c for c in REACHING if c in std):
-        offset = _OFFSETS.get(channel, _OFFSET)
-        moved = record.with_columns({channel: record[channel] + offset})
+        offset, moved = _OFFSETS.get(channel, _OFFSET), _offset(record, channel)
         said = model(moved, piece) if channel in FORCED else prediction
         other = residual_piece(moved, piece, said, arm, cutoffs.all_hz)
         assert other is not None

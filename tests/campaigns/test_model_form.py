@@ -43,8 +43,8 @@ def test_the_model_has_no_error_against_itself_and_the_truth_has_its_four():
     left = delta[calm, 0] - expected[calm]
     assert np.sqrt(np.mean(left**2)) < 0.05 * np.sqrt(np.mean(expected[calm] ** 2))
     assert np.sqrt(np.mean((left - expected[calm]) ** 2)) > 0.5 * np.sqrt(np.mean(expected[calm] ** 2))
-    assert not delta[:, 1].any()  # CY and Cn lack nothing
-    assert not delta[:, 5].any()
+    # CY and Cn lack nothing but what two orders of a sum differ by.
+    assert np.abs(delta[:, [1, 5]]).max() < 1e-12
 
 
 def test_gains_of_the_noise_free_flight_serve_the_noisy_one():

@@ -13,7 +13,7 @@ from .replay_fit import Observed as Observed
 from .replay_fit import ReplayFit as ReplayFit
 from .replay_fit import fit_replays as fit_replays
 from .result import Identification as Identification
-from .start import coefficient_gap as coefficient_gap
+from .start import coefficient_gaps as coefficient_gaps
 from .start import equation_error_start as equation_error_start
 from .validation import Validation as Validation
 from .validation import failed as failed

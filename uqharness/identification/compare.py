@@ -22,7 +22,7 @@ from sysid.model_form import floor_of
 from uqharness.errors import BadInputError
 from uqharness.identification.identify import BIASES, OUTPUTS
 from uqharness.identification.replay_fit import Observed, fit_replays, jumping_in
-from uqharness.identification.start import coefficient_gap
+from uqharness.identification.start import coefficient_gaps
 from uqharness.replay import (
     CHANNELS,
     CONTROL_DELAY,
@@ -311,10 +311,8 @@ def _coefficients(
     The latter by experiment: noise is added once more, to what the flight demanded and to the states the model was asked at.
     """
     rng = np.random.default_rng(1)
-    found = [
-        coefficient_gap(model, straight, segment, states(flight, piece), noise, rng)
-        for segment, piece in zip(cut, flight.pieces, strict=True)
-    ]
+    every = [states(flight, piece) for piece in flight.pieces]
+    found = coefficient_gaps(model, straight, cut, every, noise, rng)
     demand, said, change = (list(part) for part in zip(*found, strict=True))
     return demand, said, floor_of([np.concatenate(change)])
 

@@ -55,7 +55,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BoundsOptions:
-    """How bounds are made. outside: what the intervals do beyond the data; checks: noise floor, leave-one-out, other cut-offs."""
+    """How bounds are made. outside: what the intervals do beyond the data; checks: noise floor, leave-one-out, other cut-offs.
+    values: of properties that are not to be as in the aircraft's XML."""
 
     designs: Mapping[str, Design] = field(default_factory=default_designs)
     fit: FitOptions = field(default_factory=FitOptions)
@@ -64,6 +65,7 @@ class BoundsOptions:
     outside: Outside = "grow"
     ideal_servos: bool = False
     checks: bool = True
+    values: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -137,7 +139,7 @@ def make_bounds(
     """
     arm = aircraft.accelerometer_m
     flights = [f.with_commands_as_felt() for f in flights] if options.ideal_servos else flights
-    with prediction_of(aircraft, measured, options.ideal_servos) as pair:
+    with prediction_of(aircraft, measured, options.ideal_servos, options.values) as pair:
         say("residual coefficients")
         parts = [flight_residuals(pair, f, arm, options.cutoffs) for f in flights]
         say("sensor noise")

@@ -13,6 +13,7 @@ from sysid.aerodynamics import (
     Cutoffs,
     Residuals,
     air_pieces,
+    offset_records,
     with_sensor_noise,
     without_air_rotation,
 )
@@ -60,6 +61,7 @@ class NoisyFlight:
         std = {c: found.std for c, found in sizes.items()}
         # Rates moved by noise's probe and by rotation's are the same states: asked once.
         model, arm = pair.around(flight), tuple(aircraft.accelerometer_m)
+        pair.ahead_near(flight, offset_records(flight.record, residuals.cutoffs), flight.pieces)
         noisy = with_sensor_noise(
             residuals, flight.record, flight.pieces, model, arm, std, {c: found.spread for c, found in sizes.items()}
         )

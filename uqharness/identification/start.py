@@ -10,7 +10,18 @@ from numpy.typing import NDArray
 from sysid.aerodynamics import demanded, regressor, smooth, split_name, variables
 from sysid.estimation import assess
 from sysid.model_form import with_noise
-from uqharness.replay import CONTROLS, Flight, ForcedModel, ReplayModel, Segment, altitudes, force_states, states, surface_positions
+from uqharness.replay import (
+    CONTROLS,
+    Flight,
+    ForcedModel,
+    ReplayModel,
+    Segment,
+    StatesOf,
+    altitudes,
+    force_all,
+    states,
+    surface_positions,
+)
 
 Array = NDArray[np.float64]
 
@@ -33,9 +44,9 @@ def equation_error_start(
         return theta, ["equation error was left out: no parameter is a coefficient term by name"]
     notes: list[str] = []
     demand, said, base = [], [], []
-    for segment, (flight, piece) in zip(cut, [(f, p) for f in flights for p in f.pieces], strict=True):
-        channels = states(flight, piece)
-        forced = forced_at(model, straight, segment, channels, dict(zip(names, initial, strict=True)))
+    every = [states(flight, piece) for flight in flights for piece in flight.pieces]
+    found = forced_at(model, straight, cut, every, dict(zip(names, initial, strict=True)))
+    for segment, channels, forced in zip(cut, every, found, strict=True):
         demand.append(demand_of(channels, forced[0], segment))
         said.append(smooth(forced[0].coefficients, segment.dt_s))
         base.append({k: smooth(v, segment.dt_s) for k, v in forced[1].items()})
@@ -58,38 +69,38 @@ def equation_error_start(
 
 
 def forced_at(
-    model: ReplayModel,
-    straight: ReplayModel,
-    segment: Segment,
-    channels: Mapping[str, Array],
+    model: ReplayModel, straight: ReplayModel, cut: Sequence[Segment], every: Sequence[Mapping[str, Array]],
     properties: Mapping[str, float],
-) -> tuple[ForcedModel, dict[str, Array]]:
-    """The model forced to a piece's measured states, and the variables of its coefficient terms there."""
-    controls = surface_positions(model, segment, CONTROLS)
-    altitude = altitudes(model, segment, channels["h_m"])
-    forced = force_states(straight, segment, channels, controls, properties, altitude)
-    de, da, dr = (controls[:, model.controls.index(c)] for c in ("elevator", "aileron", "rudder"))
-    found = variables(
-        channels["V_mps"], channels["alpha_rad"], channels["beta_rad"], channels["p_radps"], channels["q_radps"],
-        channels["r_radps"], de, da, dr, forced.mass.b, forced.mass.c,
-    )  # fmt: skip
-    return forced, found
+) -> list[tuple[ForcedModel, dict[str, Array]]]:  # fmt: skip
+    """Of each segment the model forced to its measured channels, and the variables of its coefficient terms there."""
+    stood = surface_positions(model, cut, CONTROLS)
+    parts = [
+        StatesOf(segment, channels, controls, altitudes(model, segment, channels["h_m"]))
+        for segment, channels, controls in zip(cut, every, stood, strict=True)
+    ]
+    out = []
+    for part, forced in zip(parts, force_all(straight, parts, properties), strict=True):
+        de, da, dr = (part.controls[:, model.controls.index(c)] for c in ("elevator", "aileron", "rudder"))
+        V, alpha, beta, p, q, r = (part.states[c] for c in ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps"))
+        out.append((forced, variables(V, alpha, beta, p, q, r, de, da, dr, forced.mass.b, forced.mass.c)))
+    return out
 
 
-def coefficient_gap(
-    model: ReplayModel, straight: ReplayModel, segment: Segment, channels: Mapping[str, Array], noise_std: Mapping[str, float],
-    rng: np.random.Generator, properties: Mapping[str, float] | None = None,
-) -> tuple[Array, Array, Array]:  # fmt: skip
-    """(n, 6) each: coefficients demanded, those said at the measured states, and how noise added once more changes the first
-    less the second."""
-
-    def asked(given: Mapping[str, Array]) -> tuple[Array, Array]:
-        forced, _ = forced_at(model, straight, segment, given, properties or {})
-        return demand_of(given, forced, segment), smooth(forced.coefficients, segment.dt_s)
-
-    demand, said = asked(channels)
-    noisy_demand, noisy_said = asked(with_noise(channels, noise_std, rng))
-    return demand, said, (noisy_demand - noisy_said) - (demand - said)
+def coefficient_gaps(
+    model: ReplayModel, straight: ReplayModel, cut: Sequence[Segment], every: Sequence[Mapping[str, Array]],
+    noise_std: Mapping[str, float], rng: np.random.Generator, properties: Mapping[str, float] | None = None,
+) -> list[tuple[Array, Array, Array]]:  # fmt: skip
+    """Of each segment, (n, 6) each: coefficients demanded, those said at the measured states, and how noise added once more
+    changes the first less the second."""
+    noisy = [with_noise(channels, noise_std, rng) for channels in every]
+    given = [*zip(cut, every, strict=True), *zip(cut, noisy, strict=True)]
+    forced = forced_at(model, straight, [s for s, _ in given], [c for _, c in given], properties or {})
+    found = [
+        (demand_of(channels, said, segment), smooth(said.coefficients, segment.dt_s))
+        for (segment, channels), (said, _) in zip(given, forced, strict=True)
+    ]
+    both = zip(found[: len(cut)], found[len(cut) :], strict=True)
+    return [(demand, said, (demand_again - said_again) - (demand - said)) for (demand, said), (demand_again, said_again) in both]
 
 
 def demand_of(channels: Mapping[str, Array], forced: ForcedModel, segment: Segment) -> Array:

@@ -50,9 +50,9 @@ def filter_route(
     equations: OpenEquations | None = None
     u, z, t, x0 = [], [], [], []
     pieces = [(f, p) for f in flights for p in f.pieces]
-    for segment, (flight, piece) in zip(found.segments, pieces, strict=True):
-        channels = states(flight, piece)
-        forced, variables = forced_at(model, straight, segment, channels, dict(zip(terms, values, strict=True)))
+    measured = [states(flight, piece) for flight, piece in pieces]
+    there = forced_at(model, straight, found.segments, measured, dict(zip(terms, values, strict=True)))
+    for segment, (flight, piece), channels, (forced, variables) in zip(found.segments, pieces, measured, there, strict=True):
         equations = equations or OpenEquations(terms, biased, outputs, forced.mass)
         rest = equations.rest(forced.coefficients, variables, values)
         rho = 2.0 * forced.qbar / channels["V_mps"] ** 2

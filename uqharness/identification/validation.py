@@ -42,9 +42,12 @@ def load_form(path: Path) -> ModelForm:
 
 def validate(
     aircraft: Aircraft, form: ModelForm, flights: Sequence[Flight], measured: Sequence[str], hashes: Sequence[str],
-    ideal_servos: bool = False,
+    ideal_servos: bool = False, values: Mapping[str, float] | None = None,
 ) -> Validation:  # fmt: skip
-    """Filter the flights as the form's own were, and count. Raises BadInputError for another aircraft's form and missing states."""
+    """Filter the flights as the form's own were, and count. Raises BadInputError for another aircraft's form and missing states.
+
+    values: of properties that are not to be as in the aircraft's XML.
+    """
     if form.aircraft.name != aircraft.name:
         raise BadInputError(
             f"the bounds belong to aircraft '{form.aircraft.name}', not to '{aircraft.name}': residuals of one model "
@@ -53,7 +56,7 @@ def validate(
     cutoffs = Cutoffs(form.filtering.cutoff_hz, form.filtering.airspeed_cutoff_hz)
     arm = aircraft.accelerometer_m
     flights = [f.with_commands_as_felt() for f in flights] if ideal_servos else flights
-    with prediction_of(aircraft, measured, ideal_servos) as pair:
+    with prediction_of(aircraft, measured, ideal_servos, values) as pair:
         parts = [flight_residuals(pair, f, arm, cutoffs) for f in flights]
         residuals = together([noisy_residuals(pair, f, r, aircraft) for f, r in zip(flights, parts, strict=True)])
     missing = [s for s in form.states if s not in residuals.states]

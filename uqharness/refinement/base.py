@@ -33,7 +33,7 @@ def base_fit_and_noise(
     guessed = estimated_channels(setup)
     if not guessed:
         return fit, kept, notes, setup.noise
-    controls = positions(bench.model, setup, map_)
+    controls = positions(bench.model, setup)
     for _ in range(ESTIMATOR_ROUNDS):
         setup = replace(setup, noise=noise_left(setup, fit.flown, guessed))
         fit = refit(bench.model, bench.straight, setup, controls, fit.flown.point, kept, limits, map_)
@@ -79,7 +79,7 @@ def base_fit(
     found.replay.forget()
     point = point_of(found, setup, names)
     flown = fly(bench.model, setup, point, map_)
-    fit = Linear(bench.straight, setup, positions(bench.model, setup, map_), kept, map_).fit_at(flown)
+    fit = Linear(bench.straight, setup, positions(bench.model, setup), kept, map_).fit_at(flown)
     if found.lost:
         notes = [*notes, f"not determined by these flights and left as they are: {', '.join(found.lost)}"]
     return replace(fit, converged=found.found.converged), kept, notes

@@ -143,7 +143,7 @@ def find_effects(
         if turbulent(setup, before.flown):
             say(f"the air was turbulent: predicting one sample ahead, scoring {len(effects)} candidate effects")
             gusty, at = setup_in_gusts(aircraft, setup), before.flown.point
-            controls, bends = positions(bench.model, gusty, map_), middles(bench.model, gusty, map_)
+            controls, bends = positions(bench.model, gusty), middles(bench.model, gusty)
             air = keep(
                 f"air{len(put_right) or ''}",
                 GustFit,

@@ -33,7 +33,6 @@ from uqharness.replay import (
     Flight,
     ReplayJob,
     ReplayModel,
-    Segment,
     at_rows,
     fly_all,
     states,
@@ -77,13 +76,9 @@ def best_flown(model: ReplayModel, setup: Setup, points: Sequence[Point], map_: 
     return min((fly(model, setup, p, map_) for p in points), key=lambda f: f.cost)
 
 
-def positions(model: ReplayModel, setup: Setup, map_: Processes) -> list[Array]:
+def positions(model: ReplayModel, setup: Setup) -> list[Array]:
     """(n, c) where the controls stood in every segment."""
-    return list(map_(_positions, [(model, s) for s in setup.segments]))
-
-
-def _positions(job: tuple[ReplayModel, Segment]) -> Array:
-    return surface_positions(job[0], job[1], CONTROLS)
+    return surface_positions(model, setup.segments, CONTROLS)
 
 
 def probes(

@@ -100,29 +100,35 @@ def moved(values: Array, rows: int) -> Array:
     return out
 
 
-def middles(model: ReplayModel, setup: Setup, map_: Processes) -> list[Array]:
+def middles(model: ReplayModel, setup: Setup) -> list[Array]:
     """[(2, n - 1, c)] how far the controls stand from the mean of a step's ends at its middle, and at its end from the next row's.
 
     A servo's path is no straight line, and a surface without a lag jumps at a row: until then it stands where it stood. Where
     commands act between rows, the middle is such that Simpson's rule has the path's own area.
     """
-    return list(map_(_middles, [(model, s) for s in setup.segments]))
-
-
-def _middles(job: tuple[ReplayModel, Segment]) -> Array:
-    model, every = job
-    segment, k = every.at_commands(), every.per_row
+    cut = [segment.at_commands() for segment in setup.segments]
     held = np.array([c not in model.measured for c in model.controls])
-    ends = surface_positions(model, segment, CONTROLS)
-    middle = np.where(held, ends[:-1], by_run(segment, 2, [not h for h in held], [False] * len(held))[1::2])
-    if held.any():
-        # The same flight with rows half as far apart; a command is held over both halves.
-        fine = np.repeat(segment.controls, 2, axis=0)[:-1]
-        time_s = np.linspace(segment.time_s[0], segment.time_s[-1], len(fine))
-        targets = None if segment.targets is None else np.repeat(segment.targets, 2, axis=0)[:-1]
-        half = surface_positions(model, replace(segment, time_s=time_s, controls=fine, targets=targets), CONTROLS)
-        middle[:, held] = half[1::2][:, held]
+    ends = surface_positions(model, cut, CONTROLS)
+    halves = surface_positions(model, [_halved(s) for s in cut], CONTROLS) if held.any() else [None] * len(cut)
     jumps = np.array([c in model.jumping for c in model.controls])
+    made = zip(cut, ends, halves, setup.segments, strict=True)
+    return [_middle(own, at, half, held, jumps, segment.per_row) for own, at, half, segment in made]
+
+
+def _halved(segment: Segment) -> Segment:
+    """The same flight with rows half as far apart; a command is held over both halves."""
+    fine = np.repeat(segment.controls, 2, axis=0)[:-1]
+    time_s = np.linspace(segment.time_s[0], segment.time_s[-1], len(fine))
+    targets = None if segment.targets is None else np.repeat(segment.targets, 2, axis=0)[:-1]
+    return replace(segment, time_s=time_s, controls=fine, targets=targets)
+
+
+def _middle(
+    segment: Segment, ends: Array, half: Array | None, held: NDArray[np.bool_], jumps: NDArray[np.bool_], k: int
+) -> Array:  # fmt: skip
+    middle = np.where(held, ends[:-1], by_run(segment, 2, [not h for h in held], [False] * len(held))[1::2])
+    if half is not None:
+        middle[:, held] = half[1::2][:, held]
     last = np.where(jumps, middle, ends[1:])
     if k > 1:
         mean = ((ends[:-1] + 4.0 * middle + last) / 6.0).reshape(-1, k, len(held)).mean(axis=1)

@@ -85,15 +85,14 @@ class Judged:
     test: tuple[Setup, Shown, Shown]
 
 
-def judge(found: Found, write: Write, train: Side, test: Side, map_: Processes) -> Judged:
-    """Fly both sides before and after; withdraw effects one by one, the one that harms most first."""
+def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, map_: Processes) -> Judged:
+    """Fly both sides before and after; withdraw effects one by one, the one that harms most first.
 
-    whole = write(found)
+    whole: the aircraft with every effect of ``found``; write: one of a model's own
+    """
 
     def written(model: Found) -> tuple[Aircraft, dict[str, float]]:
-        # One aircraft with every effect flies all models, its properties set: each XML of its own would be compiled anew.
-        values = property_values(model, found, whole)
-        return (write(model), {}) if values is None else (whole, values)
+        return flown_as(model, found, whole) or (write(model), {})
 
     def flown(model: Found, side: Side) -> Shown:
         aircraft, values = written(model)
@@ -139,6 +138,13 @@ def judge(found: Found, write: Write, train: Side, test: Side, map_: Processes) 
         return Judged(standing, tuple(gone), verdicts, (train.setup, pair, pair), (test.setup, before, before))
     settled, after = (replayed(shown, standing, side) for shown, side in ((settled, train), (after, test)))
     return Judged(standing, tuple(gone), verdicts, (train.setup, pair, settled), (test.setup, before, after))
+
+
+def flown_as(model: Found, found: Found, whole: Aircraft) -> tuple[Aircraft, dict[str, float]] | None:
+    """The aircraft with every effect of ``found`` and the properties with which it flies as ``model``: each XML of its own would be
+    compiled anew. None where a number of the model stands in the XML alone."""
+    values = property_values(model, found, whole)
+    return None if values is None else (whole, values)
 
 
 def property_values(model: Found, found: Found, written: Aircraft) -> dict[str, float] | None:

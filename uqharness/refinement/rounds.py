@@ -149,7 +149,7 @@ def _predicted(start: Start, selection: Selection, about: About, folder: Path, a
     selection = replace(selection, chosen=felt(selection.chosen, start.setup))
     staged, setup, begin, names = _begun(start, selection, about, folder)
     with Bench(staged, start.measured, start.ideal) as bench:
-        controls, bends = positions(bench.model, setup, start.map_), middles(bench.model, setup, start.map_)
+        controls, bends = positions(bench.model, setup), middles(bench.model, setup)
         return gust_refit(
             bench.straight, setup, controls, bends, begin, names, start.limits, start.map_, start.gusts, tune=anew, known=not anew
         )  # fmt: skip
@@ -162,10 +162,10 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     staged, setup, begin, names = _begun(start, selection, about, folder)
     rest = [e for e in start.effects if e.key not in keys]
     with Bench(staged, start.measured, start.ideal) as bench:
-        controls = positions(bench.model, setup, start.map_)
+        controls = positions(bench.model, setup)
         gusts, surprise = start.gusts, float("nan")
         if gusts is not None:
-            bends = middles(bench.model, setup, start.map_)
+            bends = middles(bench.model, setup)
             # What a strong effect did was noise to the sensors' estimate: vanes came out twice as noisy as they are, and a filter
             # that follows them late finds their scales and rates.
             tune = any(abs(c.t) > OVERWHELMING for c in selection.chosen)
@@ -305,19 +305,24 @@ def stage(
 ) -> tuple[Aircraft, Setup]:
     """A copy of the aircraft that carries the effects, and the setup that knows of them."""
     value = {c.key: c.value for c in selection.chosen}
-    target = folder / "aircraft" / aircraft.folder.name
-    target.parent.mkdir(parents=True)
     slopes = control_slopes(fit)
-    written = [Written(e, value[e.key], "", slopes) for e in chosen]
-    write_effects(aircraft, written, {}, target)
-    staged = find_aircraft(target)
-    staged = replace(staged, engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
+    staged = write_staged(aircraft, [Written(e, value[e.key], "", slopes) for e in chosen], folder)
     carriers = {e.key: found[0] for e in chosen if (found := carrier(e, aircraft.folder)) is not None}
     limits = {**setup.limits, **{s: around(setup.servos[s], v) for s, v in slower_servos(chosen, value).items()}}
     lagging = slower_servos(chosen, value, "lag")
     return staged, replace(
         with_sensors_of(setup, staged), active=tuple(chosen), carriers=carriers, limits=limits, lagging=lagging, slopes=slopes
     )  # fmt: skip
+
+
+def write_staged(aircraft: Aircraft, effects: Sequence[Written], folder: Path) -> Aircraft:
+    """A copy of the aircraft in ``folder`` with effects that have a property of their own at none: whoever flies it sets them, and
+    the same effects give the same file, compiled once."""
+    target = folder / "aircraft" / aircraft.folder.name
+    target.parent.mkdir(parents=True)
+    still = [w if carrier(w.effect, aircraft.folder) is None else replace(w, value=0.0) for w in effects]
+    write_effects(aircraft, still, {}, target)
+    return replace(find_aircraft(target), engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
 
 
 def with_effects(point: Point, setup: Setup, selection: Selection, staged: Aircraft) -> Point:

@@ -19,8 +19,9 @@ from uqharness.parallel import worker_map
 from uqharness.refinement.beside import named_beside
 from uqharness.refinement.find import Found, estimates_of, find_effects, remark
 from uqharness.refinement.fit import positions
-from uqharness.refinement.judge import Judged, Side, bare, judge, sensed_by
+from uqharness.refinement.judge import Judged, Side, bare, flown_as, judge, sensed_by
 from uqharness.refinement.lone import believed
+from uqharness.refinement.rounds import write_staged
 from uqharness.refinement.setup import Bench, estimated_channels, file_hash, make_setup, refuse_shared, setup_in_gusts
 from uqharness.refinement.showing.document import document_of
 from uqharness.refinement.showing.intervals import FOLDER as INTERVALS
@@ -143,21 +144,26 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
         chosen = stages("named", Found, lambda: _named(request, chosen, train, work, map_))
         say("flying the test flights with both models")
         shown = Stages(request.out / FOLDER, [*identity, *test.hashes])
-        judged = shown("judged", Judged, lambda: _judged(request, chosen, train, test, work, map_))
+        whole = _whole(request, chosen, work / "whole")
+        judged = shown("judged", Judged, lambda: _judged(request, chosen, whole, train, test, work, map_))
         say("writing the aircraft")
         target = _put(_write(request, judged.found, work / "refined"), aircraft, request.out)
-        models = {"before": target}
+        models, flown = {"before": target}, {"before": judged.found}
         if judged.found.selection.chosen:
             models = {
                 "before": _put(_write(request, bare(chosen), work / "plain"), aircraft, request.out / "before"),
                 "after": target,
             }
+            flown = {"before": bare(chosen), "after": judged.found}
         else:
             _remove_stale(request.out, aircraft)
         say("intervals of both models")
-        jobs = [IntervalJob(m, train.set(), test.set(), request.ideal_servos) for m in models.values()]
+        jobs = [
+            IntervalJob(m, *(flown_as(flown[name], chosen, whole) or (m, {})), train.set(), test.set(), request.ideal_servos)
+            for name, m in models.items()
+        ]
         intervals = shown("intervals", tuple[Intervals, Intervals], lambda: before_and_after(jobs, map_))
-        controls = _controls(models["before"], train, aircraft, map_)
+        controls = _controls(aircraft, train)
     forms = write_forms(dict(zip(models, intervals, strict=False)), request.out)
     mission = _mission(request, models, forms, say)
     document = _document(request, document_of(chosen, judged, aircraft, controls), intervals, mission)
@@ -197,7 +203,16 @@ def _named(request: Request, chosen: Found, train: _Flights, work: Path, map_: P
     return named_beside(chosen, side, lambda found: _write(request, found, work / "all"), map_)
 
 
-def _judged(request: Request, chosen: Found, train: _Flights, test: _Flights, work: Path, map_: Processes) -> Judged:
+def _whole(request: Request, chosen: Found, folder: Path) -> Aircraft:
+    """The aircraft with every chosen effect, as the last round flew it."""
+    slopes = chosen.slopes or control_slopes(chosen.before)
+    effects = [Written(chosen.effects[c.key], c.value, "", slopes) for c in chosen.selection.chosen]
+    return write_staged(request.aircraft, effects, folder)
+
+
+def _judged(
+    request: Request, chosen: Found, whole: Aircraft, train: _Flights, test: _Flights, work: Path, map_: Processes
+) -> Judged:  # fmt: skip
     other = _side(request, chosen, test)
     if chosen.gusts is not None:
         model = _write(request, chosen, work / "air")
@@ -208,7 +223,7 @@ def _judged(request: Request, chosen: Found, train: _Flights, test: _Flights, wo
     def write(found: Found) -> Aircraft:
         return _write(request, found, work / f"model{next(number)}")
 
-    return judge(chosen, write, _side(request, chosen, train), other, map_)
+    return judge(chosen, whole, write, _side(request, chosen, train), other, map_)
 
 
 def _write(request: Request, found: Found, folder: Path) -> Aircraft:
@@ -245,9 +260,9 @@ def _remove_stale(out: Path, aircraft: Aircraft) -> None:
     (out / INTERVALS / "after.json").unlink(missing_ok=True)
 
 
-def _controls(aircraft: Aircraft, train: _Flights, given: Aircraft, map_: Processes) -> list[Any]:
+def _controls(aircraft: Aircraft, train: _Flights) -> list[Any]:
     with Bench(aircraft, train.measured, train.ideal) as bench:
-        return positions(bench.model, train.setup(given), map_)
+        return positions(bench.model, train.setup(aircraft))
 
 
 def _mission(

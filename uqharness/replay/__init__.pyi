@@ -9,6 +9,8 @@ from .flights import refuse_twice as refuse_twice
 from .flights import renamed as renamed
 from .flights import states as states
 from .force import ForcedModel as ForcedModel
+from .force import StatesOf as StatesOf
+from .force import force_all as force_all
 from .force import force_states as force_states
 from .force import surface_positions as surface_positions
 from .ground import altitudes as altitudes

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ _RECORDS = (*_FORCES, *_MOMENTS, "aero/qbar-psf")
 _STOOD_BYTES, _WEIGHED = 50_000_000, 8
 _stood: OrderedDict[tuple[object, ...], Array] = OrderedDict()
 _weighed: OrderedDict[tuple[object, ...], MassProperties] = OrderedDict()
+WORTH_S = 60.0
+"""Seconds of flight from which on positions are flown by the batch engine: for as much JSBSim takes as long as a compiler."""
 SETTLED_RADPS, MOST_FRAMES = 1e-6, 25
 """Change of alphadot and betadot from frame to frame at which a forced state has settled, and the frames that it may take."""
 
@@ -50,27 +53,54 @@ class ForcedModel:
         return np.hstack([self.aero_force / pressure, self.aero_moment / (pressure * self.mass.lengths)])
 
 
+@dataclass(frozen=True)
+class StatesOf:
+    """States of one segment to be forced: V, alpha, beta, phi, theta, p, q, r (n,) each; controls (n, c) [record units];
+    altitude_m (n,) above sea level, default the segment's throughout."""
+
+    segment: Segment
+    states: Mapping[str, Array]
+    controls: Array
+    altitude_m: Array | None = None
+
+    def asked(self, model: ReplayModel) -> States:
+        """With controls in their properties' units, over ground that none of the states is below."""
+        n = len(self.controls)
+        height = np.full(n, self.segment.altitude_m) if self.altitude_m is None else self.altitude_m
+        terrain = min(terrain_m(model, self.segment), float(height.min()))
+        return States(self.states, model.to_property(self.controls), height, np.full(n, terrain))
+
+
 def force_states(
     model: ReplayModel, segment: Segment, states: Mapping[str, Array], controls: Array, properties: Mapping[str, float],
     altitude_m: Array | None = None,
 ) -> ForcedModel:  # fmt: skip
-    """Force V, alpha, beta, phi, theta, p, q, r (each (n,)) and controls (n, c) [record units] one after the other.
+    """`force_all` of one segment's states."""
+    return force_all(model, [StatesOf(segment, states, controls, altitude_m)], properties)[0]
+
+
+def force_all(model: ReplayModel, parts: Sequence[StatesOf], properties: Mapping[str, float]) -> list[ForcedModel]:
+    """What the model says of several sets of states, asked for at once: segments of one time step.
 
     ``model`` must pass its controls straight through (`ReplayFolder` with every control ideal): a lag would remember the state
-    before. altitude_m (n,) above sea level, default the segment's throughout. Raises BadInputError.
+    before. Raises BadInputError.
     """
-    height = np.full(len(controls), segment.altitude_m) if altitude_m is None else altitude_m
-    terrain = min(terrain_m(model, segment), float(height.min()))
-    asked = States(states, model.to_property(controls), height, terrain)
+    every = [part.asked(model) for part in parts]
+    asked, dt_s = States.of(every), parts[0].segment.dt_s
 
     def by_jsbsim(some: States) -> Array:
-        return _forced(_opened(model, segment.dt_s, properties), model, some)
+        return _forced(_opened(model, dt_s, properties), model, some)
 
-    raw = by_batch(model, asked, segment.dt_s, properties, _RECORDS, by_jsbsim)
+    raw = by_batch(model, asked, dt_s, properties, _RECORDS, by_jsbsim)
     raw = by_jsbsim(asked) if raw is None else raw
+    mass = _mass_of(model, dt_s, properties)
+    edges = np.cumsum([0, *(len(part.controls) for part in every)])
+    return [_said(raw[a:b], mass) for a, b in pairwise(edges.tolist())]
+
+
+def _said(raw: Array, mass: MassProperties) -> ForcedModel:
     total, aero = raw[:, 0:3] * LBF_N, raw[:, 3:6] * LBF_N
     total_moment, aero_moment = raw[:, 6:9] * LBF_FT_NM, raw[:, 9:12] * LBF_FT_NM
-    mass = _mass_of(model, segment.dt_s, properties)
     return ForcedModel(aero, total - aero, aero_moment, total_moment - aero_moment, raw[:, 12] * PSF_PA, mass)
 
 
@@ -100,7 +130,7 @@ def _forced(fdm: Any, model: ReplayModel, asked: States) -> Array:
         engine.start_engines(fdm)
     setters = control_setters(fdm, model)
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
-    fdm["ic/terrain-elevation-ft"] = asked.terrain_m / FT_M
+    terrain = engine.handle(fdm, "ic/terrain-elevation-ft").set_double_value
     names = (
         "h-sl-ft",
         "phi-rad",
@@ -126,6 +156,7 @@ def _forced(fdm: Any, model: ReplayModel, asked: States) -> Array:
             asked.altitude_m[k] / FT_M, states["phi_rad"][k], states["theta_rad"][k], 0.0, u / FT_M, v / FT_M, w / FT_M,
             states["p_radps"][k], states["q_radps"][k], states["r_radps"][k],
         )  # fmt: skip
+        terrain(float(asked.terrain_m[k]) / FT_M)
         for setter, value in zip(put, state, strict=True):
             setter(float(value))
         if not fdm.run_ic():
@@ -167,33 +198,44 @@ def mass_properties(fdm: Any, model: ReplayModel) -> MassProperties:
     )  # fmt: skip
 
 
-def surface_positions(model: ReplayModel, segment: Segment, names: Sequence[str]) -> Array:
-    """(n, c) where the controls stood: the record's own values where measured, else what the model's actuators make of them.
+def surface_positions(model: ReplayModel, cut: Sequence[Segment], names: Sequence[str]) -> list[Array]:
+    """Of each segment (n, c) where the controls stood: the record's own values where measured, else what the model's actuators make
+    of them.
 
     What was asked before is remembered: residuals ask for the same stretch under many states.
     """
-    asked = (segment.at_commands().controls, segment.time_s, segment.start, np.array([segment.altitude_m, segment.h_m]))
-    key = (model.identity, *(a.tobytes() for a in asked), *names)
-    if key in _stood:
+    keys = [_key(model, segment, names) for segment in cut]
+    missing = {key: segment for key, segment in zip(keys, cut, strict=True) if key not in _stood}
+    _stood.update(zip(missing, _positions(model, list(missing.values()), names), strict=True))
+    out = []
+    for key in keys:
         _stood.move_to_end(key)
-    else:
-        _stood[key] = _positions(model, segment, names)
-        while sum(value.nbytes for value in _stood.values()) > _STOOD_BYTES:
-            _stood.popitem(last=False)
-    return _stood[key].copy()
+        out.append(_stood[key].copy())
+    while sum(value.nbytes for value in _stood.values()) > _STOOD_BYTES:
+        _stood.popitem(last=False)
+    return out
 
 
-def _positions(model: ReplayModel, segment: Segment, names: Sequence[str]) -> Array:
-    from uqharness.replay.replay import CHANNELS, fly_segment
+def _key(model: ReplayModel, segment: Segment, names: Sequence[str]) -> tuple[object, ...]:
+    asked = (segment.at_commands().controls, segment.time_s, segment.start, np.array([segment.altitude_m, segment.h_m]))
+    return (model.identity, *(a.tobytes() for a in asked), *names)
 
-    out = segment.at_commands().controls[:: segment.per_row].copy()
+
+def _positions(model: ReplayModel, cut: Sequence[Segment], names: Sequence[str]) -> list[Array]:
+    from uqharness.replay.in_lanes import ReplayJob, by_jsbsim, fly_all
+    from uqharness.replay.replay import CHANNELS
+
+    out = [segment.at_commands().controls[:: segment.per_row].copy() for segment in cut]
     known = {c: p for c, p in model.positions().items() if c in names and c not in model.measured}
-    if known:
-        flown = fly_segment(model, segment, {}, extra=tuple(known.values()))[:, len(CHANNELS) :]
-        for k, control in enumerate(known):
+    if not known or not cut:
+        return out
+    jobs = [ReplayJob(model, segment, {}, segment.start, extra=tuple(known.values())) for segment in cut]
+    flown = fly_all(jobs) if sum(s.time_s[-1] - s.time_s[0] for s in cut) > WORTH_S else map(by_jsbsim, jobs)
+    for stood, rows in zip(out, flown, strict=True):
+        for k, control in enumerate(known, len(CHANNELS)):
             column = model.controls.index(control)
-            good = np.isfinite(flown[:, k])
+            good = np.isfinite(rows[:, k])
             # A surface's position may be in another unit than its command; a throttle's is in the command's.
             unit = 1.0 / model.factor[column] if control == "throttle" else position_factor(model.card.inputs[control])
-            out[good, column] = flown[good, k] * unit
+            stood[good, column] = rows[good, k] * unit
     return out

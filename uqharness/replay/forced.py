@@ -34,17 +34,26 @@ _COMPARED, _KEPT, _LEVEL_M = 9, 8, 1000.0
 @dataclass(frozen=True)
 class States:
     """n states: motion by names of `replay.STATES` without the heading, each (n,); controls (n, c) in their properties' units;
-    altitude_m (n,) above sea level; terrain_m of the ground."""
+    altitude_m (n,) above sea level; terrain_m (n,) of the ground."""
 
     motion: Mapping[str, Array]
     controls: Array
     altitude_m: Array
-    terrain_m: float
+    terrain_m: Array
 
     def some(self, rows: Array) -> States:
         """Those of some rows."""
         motion = {name: np.asarray(value)[rows] for name, value in self.motion.items()}
-        return States(motion, self.controls[rows], self.altitude_m[rows], self.terrain_m)
+        return States(motion, self.controls[rows], self.altitude_m[rows], self.terrain_m[rows])
+
+    @staticmethod
+    def of(parts: Sequence[States]) -> States:
+        """Several sets of states as one."""
+        if len(parts) == 1:
+            return parts[0]
+        motion = {name: np.concatenate([np.asarray(p.motion[name], dtype=float) for p in parts]) for name in parts[0].motion}
+        controls, altitude, terrain = ([getattr(p, name) for p in parts] for name in ("controls", "altitude_m", "terrain_m"))
+        return States(motion, np.concatenate(controls), np.concatenate(altitude), np.concatenate(terrain))
 
 
 @dataclass
@@ -81,7 +90,7 @@ def _made(model: ReplayModel, dt_s: float, names: set[str], records: Sequence[st
     if batch.available() is not None:
         return None
     controls = [model.card.inputs[name].property for name in model.controls]
-    inputs = sorted(names | {name for name in model.card.parameters if name.startswith("aero/")})
+    inputs = sorted(names | set(model.varied))
     try:
         return batch.make_states(sources_of(model), lambda: model.open(dt_s), dt_s, controls, inputs, records)
     except BadInputError as error:

@@ -74,6 +74,7 @@ def fly_all(jobs: Sequence[ReplayJob], map_: Map = map) -> list[Array]:
 class _Program:
     replay: ReplayProgram
     names: frozenset[str]
+    extra: tuple[str, ...]
 
 
 _Alike = tuple[str, tuple[str, ...], int]
@@ -90,7 +91,13 @@ def forget_programs() -> None:
 
 
 def _alike(job: ReplayJob) -> _Alike:
-    return job.model.identity, job.extra, shape_of(job.model, job.segment, job.between).stride
+    extra = () if set(job.extra) <= set(_stood(job)) else job.extra
+    return job.model.identity, extra, shape_of(job.model, job.segment, job.between).stride
+
+
+def _stood(job: ReplayJob) -> tuple[str, ...]:
+    """Properties of positions, which every program records: who asks for them needs no program of his own."""
+    return tuple(job.model.positions().values())
 
 
 def _program(jobs: Sequence[ReplayJob]) -> _Program | None:
@@ -114,20 +121,21 @@ def _made(job: ReplayJob, names: frozenset[str]) -> _Program | None:
     if batch.available() is not None:
         return None
     model = job.model
-    # All coefficients of the card: estimators free them in turns, and one program serves all.
-    names |= {name for name in model.card.parameters if name.startswith("aero/")}
+    # All coefficients: estimators free them in turns, and one program serves all.
+    names |= set(model.varied)
     properties = [model.card.inputs[name].property for name in model.controls]
     try:
         sources = sources_of(model)
         shape = shape_of(job.model, job.segment, job.between)
-        records = [*RAW, *job.extra]
+        extra = tuple(dict.fromkeys((*_stood(job), *job.extra)))
+        records = [*RAW, *extra]
         made = batch.make_replay(
             sources, lambda: model.open(shape.dt_s), shape.dt_s, properties, sorted(names), records, shape.stride
         )
     except BadInputError as error:
         _LOG.info("replays are flown by JSBSim: %s", error)
         return None
-    return _Program(made, names)
+    return _Program(made, names, extra)
 
 
 def _judged(job: ReplayJob, program: _Program | None) -> _Program | None:
@@ -148,7 +156,7 @@ def _in_lanes(program: _Program, jobs: Sequence[ReplayJob]) -> list[Array]:
     shapes = [shape_of(job.model, job.segment, job.between) for job in jobs]
     controls: dict[_Timing, Array] = {}
     lanes = [_lane(program, job, shape, controls) for job, shape in zip(jobs, shapes, strict=True)]
-    found = {k: _outputs(rows, jobs[k], shapes[k]) for k, rows in batch.fly_replays(program.replay, lanes)}
+    found = {k: _outputs(program, rows, jobs[k], shapes[k]) for k, rows in batch.fly_replays(program.replay, lanes)}
     return [found[k] for k in range(len(jobs))]
 
 
@@ -188,8 +196,10 @@ def level_of(model: ReplayModel, altitude_m: float) -> tuple[float, float]:
     return _levels[key]
 
 
-def _outputs(rows: Array, job: ReplayJob, shape: Shape) -> Array:
+def _outputs(program: _Program, rows: Array, job: ReplayJob, shape: Shape) -> Array:
     """As ``fly_segment`` has it: rows behind a failure are NaN."""
+    asked = [len(RAW) + program.extra.index(name) for name in job.extra]
+    rows = rows[:, [*range(len(RAW)), *asked]] if asked else rows[:, : len(RAW)]
     good = np.isfinite(rows[:, 0]) & (np.abs(rows[:, 0]) < 1e5)
     good[0] = True
     done = len(good) if good.all() else int(np.argmin(good))

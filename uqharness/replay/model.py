@@ -21,6 +21,7 @@ from sysid.units import DEG_RAD
 from uqharness.errors import BadInputError
 from uqharness.scratch import scratch_folder
 from uqharness.simulator import Aircraft, Card, Staging, check_loadable, content_hash, engine, parse_xml, position_factor, stage
+from uqharness.xml import declared_in
 
 CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 Array = NDArray[np.float64]
@@ -47,6 +48,7 @@ class ReplayModel:
     positions: both ends of a travel seldom have one factor.
     ``identity`` of what flies: two copies of one aircraft, opened alike, have the same.
     ``near_ground`` whether its XML reads the height above the ground, ``by_rates`` whether it reads the rates of alpha or beta.
+    ``varied`` coefficients that its XML declares: programs compiled from it take each of them at any value.
     """
 
     staging: Staging
@@ -60,6 +62,7 @@ class ReplayModel:
     near_ground: bool = False
     by_rates: bool = False
     identity: str = ""
+    varied: tuple[str, ...] = ()
 
     @property
     def jumping(self) -> tuple[str, ...]:
@@ -121,6 +124,7 @@ class ReplayFolder:
             tuple(_factor(card, name) for name in controls), tuple(c for c in controls if card.inputs[c].position in lagging),
             dict(settings or {}), near_ground=_asks_for(_HEIGHT, copy), by_rates=_asks_for(_RATES, copy),
             identity=repr((content_hash(aircraft), tuple(controls), tuple(measured), tuple(ideal), dict(settings or {}))),
+            varied=declared_in(copy, "aero/"),
         )  # fmt: skip
         _declare_orphans(self.model, staging.xml, aircraft.dt_s)
         self.model = replace(self.model, throws=_throws(self.model, (*measured, *ideal), aircraft.dt_s))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics import Cutoffs, Model, Piece, Prediction, Residuals, cut, residual_coefficients
+from sysid.aerodynamics import Cutoffs, Model, Piece, Prediction, Residuals, cut, residual_coefficients, steady_airspeed
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
 from uqharness.replay.flights import Flight, control_columns, read_flights, segments
-from uqharness.replay.force import force_states, surface_positions
+from uqharness.replay.force import StatesOf, force_all, surface_positions
 from uqharness.replay.model import CONTROLS, ReplayFolder, ReplayModel
+from uqharness.replay.segments import Segment
 from uqharness.simulator import Aircraft
 
 Array = NDArray[np.float64]
@@ -39,34 +40,57 @@ class JsbsimPrediction:
     straight: ReplayModel
     flight: Flight
     measured: tuple[str, ...]
+    values: Mapping[str, float] = field(default_factory=dict)
+    segments: dict[tuple[int, int], Segment] = field(default_factory=dict)
+    positions: dict[tuple[int, int], Array] = field(default_factory=dict)
 
     def __call__(self, record: FlightRecord, piece: Piece, every: int = 1) -> Prediction:
-        """Force the state of every so many rows, and of the last, upon JSBSim and read what it says. Raises BadInputError."""
-        controls = self._controls(record, piece)
-        segment = segments(replace(self.flight, pieces=(piece,)), self.measured)[0]
+        """Force the state of every so many rows, and of the last, upon the model and read what it says. Raises BadInputError."""
+        return self.all([(record, piece, every)])[0]
+
+    def all(self, asked: Sequence[tuple[FlightRecord, Piece, int]]) -> list[Prediction]:
+        """The same of many records and pieces, asked for at once. Raises BadInputError."""
+        self._prepare([piece for _, piece, _ in asked])
+        parts = [self._states(*one) for one in asked]
+        names = [f"{c}_pos_deg" if c != "throttle" else "throttle_pct" for c in CONTROLS]
+        columns = [self.model.controls.index(c) for c in CONTROLS]
+        out = []
+        for part, said in zip(parts, force_all(self.straight, parts, self.values), strict=True):
+            positions = {n: part.controls[:, k] for n, k in zip(names, columns, strict=True)}
+            out.append(Prediction(said.coefficients, said.other_force, said.other_moment, said.qbar, said.mass, positions))
+        return out
+
+    def _states(self, record: FlightRecord, piece: Piece, every: int) -> StatesOf:
         rows = piece.rows
+        segment, controls = self.segments[rows.start, rows.stop], self.positions[rows.start, rows.stop]
         altitude = np.full(rows.stop - rows.start, segment.altitude_m)
         if "h_m" in record and np.isfinite(record["h_m"][rows]).all():
             # Below the ground's reach its height must be what the terrain was laid for.
             above = segment.h_m if self.model.near_ground else np.median(record["h_m"][rows])
             altitude += record["h_m"][rows] - above
-        asked = asked_rows(len(controls), every)
-        channels = {c: np.asarray(record[c][rows], dtype=float)[asked] for c in NEEDED}
-        controls = controls[asked]
-        said = force_states(self.straight, segment, channels, controls, {}, altitude[asked])
-        names = [f"{c}_pos_deg" if c != "throttle" else "throttle_pct" for c in CONTROLS]
-        positions = {n: controls[:, self.model.controls.index(c)] for n, c in zip(names, CONTROLS, strict=True)}
-        return Prediction(said.coefficients, said.other_force, said.other_moment, said.qbar, said.mass, positions)
+        some = asked_rows(len(controls), every)
+        return StatesOf(
+            segment, {c: np.asarray(record[c][rows], dtype=float)[some] for c in NEEDED}, controls[some], altitude[some]
+        )
 
-    def _controls(self, record: FlightRecord, piece: Piece) -> Array:
-        """(n, c) where the controls stood. Actuators run up before the piece: where one stands at its start follows from before."""
-        run_up = round(_PRE_ROLL_S / record.dt_s)
+    def _prepare(self, pieces: Sequence[Piece]) -> None:
+        """Segments, and where the controls stood. Actuators run up before the piece: where one stands at its start follows from
+        before."""
+        missing = {(p.rows.start, p.rows.stop): p for p in pieces if (p.rows.start, p.rows.stop) not in self.positions}
+        if not missing:
+            return
+        record = self.flight.record
         needed = (*NEEDED, *control_columns(self.measured))
-        whole = next(s for s in record.segments(needed) if s.start <= piece.rows.start < s.stop)
-        first = max(whole.start, piece.rows.start - run_up)
-        longer = replace(piece, rows=slice(first, piece.rows.stop), start_s=float(record["time_s"][first]))
-        segment = segments(replace(self.flight, pieces=(longer,)), self.measured)[0]
-        return surface_positions(self.model, segment, CONTROLS)[piece.rows.start - first :]
+        run_up = round(_PRE_ROLL_S / record.dt_s)
+        longer = []
+        for (start, stop), piece in missing.items():
+            whole = next(s for s in record.segments(needed) if s.start <= start < s.stop)
+            first = max(whole.start, start - run_up)
+            longer.append(replace(piece, rows=slice(first, stop), start_s=float(record["time_s"][first])))
+        own, before = (segments(replace(self.flight, pieces=tuple(some)), self.measured) for some in (missing.values(), longer))
+        self.segments.update(zip(missing, own, strict=True))
+        for rows, piece, stood in zip(missing, longer, surface_positions(self.model, before, CONTROLS), strict=True):
+            self.positions[rows] = stood[rows[0] - piece.rows.start :]
 
 
 def asked_rows(n: int, every: int) -> NDArray[np.intp]:
@@ -90,18 +114,17 @@ def changed(near: Prediction, said: Prediction, every: int) -> Prediction:
 
 
 @contextmanager
-def prediction_of(aircraft: Aircraft, measured: Sequence[str], ideal_servos: bool = False) -> Iterator[ReplayPair]:
-    """The aircraft opened twice: with its actuators, and with controls passed straight through."""
+def prediction_of(
+    aircraft: Aircraft, measured: Sequence[str], ideal_servos: bool = False, values: Mapping[str, float] | None = None
+) -> Iterator[ReplayPair]:
+    """The aircraft opened twice: with its actuators, and with controls passed straight through. values: of properties that are
+    not to be as in its XML."""
     ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
     with (
         ReplayFolder(aircraft, measured=measured, ideal=ideal) as model,
         ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight,
     ):
-        yield ReplayPair(model, straight, tuple(measured))
-
-
-def _states(record: FlightRecord, piece: Piece) -> int:
-    return hash(tuple(record[c][piece.rows].tobytes() for c in NEEDED))
+        yield ReplayPair(model, straight, tuple(measured), dict(values or {}))
 
 
 @dataclass(frozen=True)
@@ -111,36 +134,57 @@ class ReplayPair:
     model: ReplayModel
     straight: ReplayModel
     measured: tuple[str, ...]
+    values: Mapping[str, float] = field(default_factory=dict)
     said: dict[tuple[object, ...], Prediction] = field(default_factory=dict)
+    models: dict[int, JsbsimPrediction] = field(default_factory=dict)
 
     def of(self, flight: Flight) -> Model:
         """The callable that `residual_coefficients` takes."""
-        model = JsbsimPrediction(self.model, self.straight, flight, self.measured)
-
-        def ask(record: FlightRecord, piece: Piece) -> Prediction:
-            key = (flight.name, piece.rows.start, piece.rows.stop, _states(record, piece))
-            if key not in self.said:
-                self.said[key] = model(record, piece)
-            return self.said[key]
-
-        return ask
+        return lambda record, piece: self._every_row(flight, record, piece)
 
     def around(self, flight: Flight) -> Model:
         """The same for one who asks for a piece's own states first and then for states near them."""
-        model = JsbsimPrediction(self.model, self.straight, flight, self.measured)
-        ask, own = self.of(flight), dict[tuple[int, int], Prediction]()
+        own = dict[tuple[int, int], Prediction]()
 
         def near(record: FlightRecord, piece: Piece) -> Prediction:
             rows = (piece.rows.start, piece.rows.stop)
             if rows not in own:
-                own[rows] = ask(record, piece)
+                own[rows] = self._every_row(flight, record, piece)
                 return own[rows]
-            key = (flight.name, *rows, _EVERY, _states(record, piece))
+            key = self._key(flight, record, piece, _EVERY)
             if key not in self.said:
-                self.said[key] = changed(own[rows], model(record, piece, _EVERY), _EVERY)
-            return self.said[key]
+                self.ahead(flight, [record], [piece], _EVERY)
+            return changed(own[rows], self.said[key], _EVERY)
 
         return near
+
+    def ahead(self, flight: Flight, records: Sequence[FlightRecord], pieces: Sequence[Piece], every: int = 1) -> None:
+        """Ask for all states of some records at once, at every so many rows: piece by piece an answer takes many times as long."""
+        asked = {self._key(flight, r, p, every): (r, p, every) for r in records for p in pieces}
+        missing = {key: one for key, one in asked.items() if key not in self.said}
+        if missing:
+            self.said.update(zip(missing, self._model(flight).all(list(missing.values())), strict=True))
+
+    def ahead_near(self, flight: Flight, records: Sequence[FlightRecord], pieces: Sequence[Piece]) -> None:
+        """The same for states near a piece's own, which `around` is asked for."""
+        self.ahead(flight, records, pieces, _EVERY)
+
+    def _every_row(self, flight: Flight, record: FlightRecord, piece: Piece) -> Prediction:
+        key = self._key(flight, record, piece, 1)
+        if key not in self.said:
+            self.ahead(flight, [record], [piece])
+        return self.said[key]
+
+    def _model(self, flight: Flight) -> JsbsimPrediction:
+        found = self.models.get(id(flight))
+        if found is None or found.flight is not flight:
+            found = self.models[id(flight)] = JsbsimPrediction(self.model, self.straight, flight, self.measured, self.values)
+        return found
+
+    @staticmethod
+    def _key(flight: Flight, record: FlightRecord, piece: Piece, every: int) -> tuple[object, ...]:
+        states = hash(tuple(record[c][piece.rows].tobytes() for c in NEEDED))
+        return (flight.name, piece.rows.start, piece.rows.stop, every, states)
 
 
 def read_bounds_flights(
@@ -172,6 +216,7 @@ def recut(flight: Flight, measured: Sequence[str]) -> Flight:
 def flight_residuals(pair: ReplayPair, flight: Flight, arm_m: Sequence[float], cutoffs: Cutoffs) -> Residuals:
     """A flight's residual coefficients. Raises BadInputError."""
     try:
+        pair.ahead(flight, [steady_airspeed(flight.record, cutoffs.airspeed_hz)], flight.pieces)
         return residual_coefficients(flight.record, flight.pieces, pair.of(flight), arm_m, cutoffs)
     except ValueError as error:
         raise BadInputError(f"{flight.name}: {error}") from None

@@ -33,6 +33,7 @@ from .properties import computes as computes
 from .properties import declaration as declaration
 from .properties import declarations as declarations
 from .properties import declare as declare
+from .properties import declared_in as declared_in
 from .properties import folder_declares as folder_declares
 from .properties import folder_documents as folder_documents
 from .properties import folder_names as folder_names

@@ -40,6 +40,11 @@ def folder_declares(folder: Path, name: str) -> bool:
     return any(declaration(document, name) is not None for document in folder_documents(folder))
 
 
+def declared_in(folder: Path, prefix: str) -> tuple[str, ...]:
+    """Properties beginning so that files of the aircraft's folder declare, sorted."""
+    return tuple(sorted({n for document in folder_documents(folder) for n, _ in declarations(document) if n.startswith(prefix)}))
+
+
 def folder_names(folder: Path, prefix: str) -> bool:
     """Whether a file of the aircraft's folder has a property that begins so, as an element's text or as an attribute."""
     return any(

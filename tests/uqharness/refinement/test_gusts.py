@@ -15,7 +15,6 @@ from sysid.effects.selection import Choice
 from sysid.effects.subsystem_effects import subsystem_effects
 from sysid.effects.turbulence import noise_factors
 from sysid.estimation.kalman import Process
-from sysid.parallel import ALONE
 from uqharness.refinement import gusts as refine_gusts
 from uqharness.refinement import rounds as refine_rounds
 from uqharness.refinement.candidates import effect_columns
@@ -286,7 +285,7 @@ def test_a_surface_without_a_lag_stands_where_it_stood_until_the_next_row():
     controls[6:, :2] += 4.0
     segment = Segment("step", "f", 0.02 * np.arange(12), controls, np.array([22.0, 0.03, *np.zeros(7)]), 100.0, 100.0)
     with ReplayFolder(aircraft, ideal=("elevator",)) as model:
-        (away,) = refine_gusts.middles(model, SimpleNamespace(segments=[segment]), ALONE)
+        (away,) = refine_gusts.middles(model, SimpleNamespace(segments=[segment]))
     middle, end = away
     expected = np.zeros(11)
     expected[5] = -4.0
@@ -304,8 +303,8 @@ def test_commands_between_rows_leave_the_middle_the_area_of_their_path():
     fine[16:, 0] += 4.0
     segment = Segment("step", "f", 0.03 * np.arange(11), fine[::3], np.array([22.0, 0.03, *np.zeros(7)]), 100.0, 100.0)
     with ReplayFolder(aircraft, ideal=("elevator",)) as model:
-        (between,) = refine_gusts.middles(model, SimpleNamespace(segments=[replace(segment, commands=Commands(3, fine))]), ALONE)
-        (averaged,) = refine_gusts.middles(model, SimpleNamespace(segments=[segment]), ALONE)
+        (between,) = refine_gusts.middles(model, SimpleNamespace(segments=[replace(segment, commands=Commands(3, fine))]))
+        (averaged,) = refine_gusts.middles(model, SimpleNamespace(segments=[segment]))
     rows = fine[::3, 0]
 
     def area(away):

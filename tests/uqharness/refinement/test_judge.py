@@ -110,7 +110,7 @@ def judged(monkeypatch, harm: dict[str, float], together: float = 0.0) -> list[s
     monkeypatch.setattr(refine_judge, "left_out", lambda found, _, keys: without(found, keys))
     monkeypatch.setattr(refine_judge, "bare", lambda found: without(found, list(harm)))
     side = refine_judge.Side(SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)]), (), ())  # type: ignore[arg-type]
-    done = refine_judge.judge(found, lambda f: [c.key for c in f.selection.chosen], side, side, map)  # type: ignore
+    done = refine_judge.judge(found, None, lambda f: [c.key for c in f.selection.chosen], side, side, map)  # type: ignore
     return [*(c.key for c in done.withdrawn), "|", *(c.key for c in done.found.selection.chosen)]
 
 
@@ -167,3 +167,12 @@ def test_properties_fly_what_an_aircraft_of_its_own_would():
     assert flown(term.key, lag.key, sensor.key) == {"aero/Cm_q": -8.0, "aero/Cm_p2": 3.0}
     assert flown(lag.key) == {"aero/Cm_q": -8.0, "aero/Cm_p2": 0.0}
     assert flown(term.key) is None
+
+
+def test_a_model_flies_as_the_aircraft_with_every_effect_does_at_its_values(monkeypatch):
+    whole = object()
+    monkeypatch.setattr(refine_judge, "property_values", lambda model, found, written: {"aero/Cm_q": -14.0})
+    assert refine_judge.flown_as(None, None, whole) == (whole, {"aero/Cm_q": -14.0})  # type: ignore[arg-type]
+    # A number of the model that stands in the XML alone: it flies by itself.
+    monkeypatch.setattr(refine_judge, "property_values", lambda *_: None)
+    assert refine_judge.flown_as(None, None, whole) is None  # type: ignore[arg-type]

@@ -299,9 +299,8 @@ def test_forced_states_give_the_flights_coefficients_back(aircraft, clean):
         ReplayFolder(aircraft, measured=SURFACES) as model,
         ReplayFolder(aircraft, measured=SURFACES, ideal=CONTROLS) as straight,
     ):
-        for segment, piece in zip(segments(flight, SURFACES), flight.pieces, strict=True):
-            channels = states(flight, piece)
-            forced, found = forced_at(model, straight, segment, channels, {})
+        cut, every = segments(flight, SURFACES), [states(flight, piece) for piece in flight.pieces]
+        for segment, channels, (forced, found) in zip(cut, every, forced_at(model, straight, cut, every, {}), strict=True):
             demand, said = demand_of(channels, forced, segment), smooth(forced.coefficients, 0.02)
             np.testing.assert_allclose(demand[5:-5, :3], said[5:-5, :3], atol=6e-4)
             np.testing.assert_allclose(demand[5:-5, 3:], said[5:-5, 3:], atol=1.5e-3)

@@ -25,7 +25,7 @@ def made(record=RECORD) -> Flight:
 
 def test_the_same_states_are_asked_for_once(monkeypatch):
     asked = []
-    monkeypatch.setattr(residuals.JsbsimPrediction, "__call__", lambda self, record, piece: asked.append(piece) or len(asked))
+    monkeypatch.setattr(residuals.JsbsimPrediction, "all", lambda self, some: [asked.append(one) or len(asked) for one in some])
     pair = ReplayPair(None, None, ())
     piece = made().pieces[0]
     ask = pair.of(made())
@@ -58,16 +58,50 @@ def test_what_is_missing_is_named():
 
 
 def test_a_refusal_bears_the_flights_name(monkeypatch):
-    def refuse(self, record, piece):
+    def refuse(self, asked):
         raise ValueError("too short")
 
-    monkeypatch.setattr(residuals.JsbsimPrediction, "__call__", refuse)
+    monkeypatch.setattr(residuals.JsbsimPrediction, "all", refuse)
     with pytest.raises(BadInputError, match=r"^f: too short$"):
         flight_residuals(ReplayPair(None, None, ()), made(), (0.0, 0.0, 0.0), Cutoffs())
 
 
+def with_positions() -> Flight:
+    still = np.zeros(len(RECORD["V_mps"]))
+    return made(RECORD.with_columns({f"{c}_pos_deg": still for c in ("elevator", "aileron", "rudder")}))
+
+
+def test_what_is_asked_ahead_is_what_is_asked_one_by_one():
+    flown = with_positions()
+    pieces = [replace(flown.pieces[0], rows=slice(a, a + 40)) for a in (0, 60, 300)]
+    moved = flown.record.with_columns({"q_radps": flown.record["q_radps"] + 0.01})
+    flown = replace(flown, pieces=tuple(pieces))
+    with prediction_of(find_aircraft("espaaro"), ("elevator", "aileron", "rudder")) as pair:
+        single = [[pair.of(flown)(record, p).coefficients for p in pieces] for record in (flown.record, moved)]
+    with prediction_of(find_aircraft("espaaro"), ("elevator", "aileron", "rudder")) as pair:
+        pair.ahead(flown, [flown.record, moved], pieces)
+        assert len(pair.said) == 6
+        ahead = [[pair.of(flown)(record, p).coefficients for p in pieces] for record in (flown.record, moved)]
+        assert len(pair.said) == 6
+    np.testing.assert_allclose(ahead, single, rtol=0.0, atol=1e-9)
+    assert np.abs(np.array(ahead[0]) - np.array(ahead[1])).max() > 1e-3
+
+
+def test_a_property_with_another_value_than_in_the_xml_is_flown():
+    flown = with_positions()
+    surfaces = ("elevator", "aileron", "rudder")
+    with (
+        prediction_of(find_aircraft("espaaro"), surfaces) as plain,
+        prediction_of(find_aircraft("espaaro"), surfaces, values={"aero/Cm_q": 0.0}) as without,
+    ):
+        given, less = (pair.of(flown)(flown.record, flown.pieces[0]).coefficients for pair in (plain, without))
+    changed_by = np.abs(given - less).max(axis=0)
+    assert changed_by[4] > 1e-3
+    np.testing.assert_array_equal(np.delete(changed_by, 4), 0.0)
+
+
 def test_changes_asked_for_at_some_rows_are_those_of_all_rows():
-    flown = made(RECORD.with_columns({f"{c}_pos_deg": np.zeros(len(RECORD["V_mps"])) for c in ("elevator", "aileron", "rudder")}))
+    flown = with_positions()
     record, piece = flown.record, flown.pieces[0]
     moved = record.with_columns({"alpha_rad": record["alpha_rad"] + 1e-3})
     with prediction_of(find_aircraft("espaaro"), ("elevator", "aileron", "rudder")) as pair:

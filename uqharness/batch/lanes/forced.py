@@ -55,17 +55,19 @@ def make_states(
 
 
 def at_states(
-    program: StateProgram, conditions: Mapping[str, Array], terrain_ft: float, dt_s: float, controls: Array,
+    program: StateProgram, conditions: Mapping[str, Array], terrain_ft: Array, dt_s: float, controls: Array,
     properties: Mapping[str, float],
 ) -> Array:  # fmt: skip
-    """(n, records) at n states: ``conditions`` by CONDITIONS (n,), ``controls`` (n, c) in their properties' units."""
+    """(n, records) at n states: ``conditions`` by CONDITIONS and terrain_ft (n,), ``controls`` (n, c) in the units of their
+    properties."""
     out = np.empty((len(controls), len(program.records)))
     slots = program.flyer.program.slots
-    same = {**{canonical(name): value for name, value in properties.items()}, TERRAIN: terrain_ft, STEP: dt_s}
+    same = {**{canonical(name): value for name, value in properties.items()}, STEP: dt_s}
     places = [list(slots).index(name) for name in program.records]
     for begin in range(0, len(out), _TOGETHER):
         part = slice(begin, begin + _TOGETHER)
-        values: dict[str, Array | float] = {**same, **start_conditions({name: conditions[name][part] for name in CONDITIONS})}
+        start = start_conditions({name: conditions[name][part] for name in CONDITIONS})
+        values: dict[str, Array | float] = {**same, TERRAIN: terrain_ft[part], **start}
         values |= dict(zip(program.controls, controls[part].T, strict=True))
         count = len(controls[part])
         state = begun(program.flyer.program, count, {name: value for name, value in values.items() if name in slots})

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from sysid.aerodynamics import COEFFICIENTS
-from sysid.model_form import Coverage, ModelForm
+from sysid.model_form import AircraftReference, Coverage, ModelForm
 from sysid.parallel import Processes
 from uqharness.errors import BadInputError
 from uqharness.files import inner_folder, write_bytes
 from uqharness.identification import BoundsOptions, make_bounds, validate
 from uqharness.replay import Flight, recut
-from uqharness.simulator import Aircraft
+from uqharness.simulator import Aircraft, content_hash
 
 FOLDER = "intervals"
 LEVEL = 0.95
@@ -32,9 +32,14 @@ class FlightSet:
 
 @dataclass(frozen=True)
 class IntervalJob:
-    """A model whose intervals come from ``train`` and are held against ``test``."""
+    """A model whose intervals come from ``train`` and are held against ``test``.
+
+    flown: the aircraft that flies as the model does where its properties have ``values``
+    """
 
     aircraft: Aircraft
+    flown: Aircraft
+    values: Mapping[str, float]
     train: FlightSet
     test: FlightSet
     ideal_servos: bool
@@ -54,9 +59,10 @@ def fit_intervals(job: IntervalJob) -> Intervals:
     form: ModelForm | None = None
     try:
         train, test = ([recut(f, given.measured) for f in given.flights] for given in (job.train, job.test))
-        options = BoundsOptions(ideal_servos=job.ideal_servos, checks=False)
-        form = make_bounds(job.aircraft, train, job.train.measured, job.train.hashes, options).form
-        found = validate(job.aircraft, form, test, job.test.measured, job.test.hashes, job.ideal_servos)
+        options = BoundsOptions(ideal_servos=job.ideal_servos, checks=False, values=job.values)
+        made = make_bounds(job.flown, train, job.train.measured, job.train.hashes, options).form
+        form = replace(made, aircraft=AircraftReference(job.aircraft.name, content_hash(job.aircraft)))
+        found = validate(job.flown, made, test, job.test.measured, job.test.hashes, job.ideal_servos, job.values)
     except (BadInputError, ValueError) as error:
         return Intervals(form, {}, str(error))
     return Intervals(form, dict(found.coverage))

@@ -16,7 +16,7 @@ from sysid.effects import Gusts
 from sysid.estimation import channel_noise, ljung_box, rms, theil
 from sysid.model_form import floor_of
 from sysid.parallel import Processes
-from uqharness.identification import coefficient_gap, fit_replays
+from uqharness.identification import coefficient_gaps, fit_replays
 from uqharness.refinement.base import observed, point_of
 from uqharness.refinement.fit import fly, positions
 from uqharness.refinement.gusts import gust_refit, middles, moved, rows_late, unfiltered
@@ -80,19 +80,13 @@ def show(
         setup = with_sensors_of(setup, aircraft)
         plain = replace(setup, active=(), carriers={})
         start = Point(dict(values or {}), {}, tuple(s.start for s in setup.segments), dict(sensed))
-        controls = positions(bench.model, plain, map_)
-        jobs = [
-            (
-                bench.model,
-                bench.straight,
-                _as_felt(s, f, ideal),
-                states(f, p),
-                dict(zip(setup.outputs, setup.noise.tolist(), strict=True)),
-                start.values,
-            )
-            for s, (f, p) in zip(setup.segments, [(f, p) for f in setup.flights for p in f.pieces], strict=True)
-        ]
-        found = list(map_(_coefficient_gap, jobs))
+        controls = positions(bench.model, plain)
+        pieces = [(f, p) for f in setup.flights for p in f.pieces]
+        cut = [_as_felt(s, f, ideal) for s, (f, _) in zip(setup.segments, pieces, strict=True)]
+        noise_std = dict(zip(setup.outputs, setup.noise.tolist(), strict=True))
+        every, rng = [states(f, p) for f, p in pieces], np.random.default_rng(1)
+        gaps = coefficient_gaps(bench.model, bench.straight, cut, every, noise_std, rng, start.values)
+        found = [(demand - said, change) for demand, said, change in gaps]
         if gusts is None:
             flown = _replayed(bench.model, plain, start, map_)
             residual = [z - y for z, y in zip(setup.measured, flown.outputs, strict=True)]
@@ -100,7 +94,7 @@ def show(
             noise, cost = setup.noise, flown.cost
             logdet = [0.0] * len(white)
         else:
-            bends = middles(bench.model, plain, map_)
+            bends = middles(bench.model, plain)
             try:
                 gust = gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, gusts, known=True)
                 delta, _ = gust.fit.evidence.step()
@@ -166,7 +160,7 @@ def air_of(
         setup = with_sensors_of(setup, aircraft)
         plain = replace(setup, active=(), carriers={})
         start = Point({}, {}, tuple(s.start for s in setup.segments), dict(sensed))
-        controls, bends = positions(bench.model, plain, map_), middles(bench.model, plain, map_)
+        controls, bends = positions(bench.model, plain), middles(bench.model, plain)
         try:
             return gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, near, iterations=2).gusts
         except np.linalg.LinAlgError:
@@ -179,15 +173,6 @@ def _as_felt(segment: Segment, flight: Flight, ideal: Sequence[str]) -> Segment:
     for k in (k for k, c in enumerate(CONTROLS) if c in ideal):
         controls[:, k] = command_later(controls[:, k], segment.time_s, flight.felt_late_s())
     return replace(segment, controls=controls, commands=None)
-
-
-def _coefficient_gap(
-    job: tuple[ReplayModel, ReplayModel, Segment, Mapping[str, Array], Mapping[str, float], Mapping[str, float]],
-) -> tuple[Array, Array]:
-    """(n, 6) demanded minus predicted at the measured states, and how noise added once more changes it."""
-    model, straight, segment, channels, noise_std, properties = job
-    demand, said, change = coefficient_gap(model, straight, segment, channels, noise_std, np.random.default_rng(1), properties)
-    return demand - said, change
 
 
 def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]:

@@ -207,7 +207,7 @@ def test_intervals_that_cannot_be_told_have_a_reason(tmp_path):
     for name in ("whole", "part"):
         flights, measured = read_flights([tmp_path / f"{name}.parquet"], aircraft)
         sets.append(FlightSet(tuple(flights), tuple(measured), (name,)))
-    found = fit_intervals(IntervalJob(aircraft, sets[1], sets[0], False))
+    found = fit_intervals(IntervalJob(aircraft, aircraft, {}, sets[1], sets[0], False))
     assert found.form is None
     assert "beta_rad" in str(found.reason)
     told = intervals_document(found, found)
@@ -234,7 +234,7 @@ def test_a_mission_goes_on_and_another_model_flies_anew(tmp_path, campaign):
     aircraft = find_aircraft("espaaro")
     flights, measured = read_flights([write(tmp_path, 5)], aircraft)
     given = FlightSet(tuple(flights), tuple(measured), ("x",))
-    made = fit_intervals(IntervalJob(aircraft, given, given, False)).form
+    made = fit_intervals(IntervalJob(aircraft, aircraft, {}, given, given, False)).form
     assert made is not None
     form.write_text(made.to_json(), encoding="utf-8")
 
