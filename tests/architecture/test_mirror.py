@@ -23,7 +23,6 @@ ELSEWHERE: Mapping[str, str] = {
     "uqharness.cli.campaign.studies": "uqharness/campaign/test_area.py",
     "uqharness.cli.compare": "uqharness/identification/test_compare.py",
     "uqharness.cli.identify": "uqharness/identification/test_identify.py",
-    "uqharness.cli.instrument": "uqharness/plugin/test_instrument.py",
     "uqharness.cli.refine": "uqharness/refinement/test_refine.py",
     "uqharness.cli.report": "uqharness/report/pages/test_index.py",
     "uqharness.cli.sensitivity": "uqharness/campaign/test_sensitivity.py",

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from uqharness.cli.options import add_page, add_seed, command_as_given, describe, number, whole
+from uqharness.cli.progress import counting
 from uqharness.differences import (
     ROUNDING,
     Asked,
@@ -99,7 +100,10 @@ def _run(args: argparse.Namespace) -> int:
     if args.out is not None:
         check_page(args.out)
     if not args.speed_mps and not args.script:
-        raise BadInputError("give --speed-mps V, at which A trims (uqharness modes tells), or --script S")
+        raise BadInputError(
+            "nothing to fly: give --speed-mps V, an airspeed at which A trims (uqharness modes A --speed-mps V shows the trim), or "
+            "--script S"
+        )
     asked = Asked(
         speeds_mps=tuple(args.speed_mps), altitude_m=args.altitude_m, scripts=tuple(find_script(s) for s in args.script),
         turbulence=args.turbulence, seed=args.seed, properties=tuple(args.properties), python_b=args.python_b,
@@ -108,7 +112,8 @@ def _run(args: argparse.Namespace) -> int:
     with scratch_folder("revisions") as scratch:
         a, b = (aircraft_at(text, scratch.path / side) for side, text in (("a", args.a), ("b", args.b)))
         terms = differing_terms(a.folder, b.folder)
-        channels, flights = fly_matched(a, b, asked)
+        with counting("flights compared") as progress:
+            channels, flights = fly_matched(a, b, asked, progress)
     found = differences(channels, flights, terms, args.tolerance)
     refused = [f for f in flights if f.reason]
     first = by_channel(found)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from uqharness.cli.options import describe
+from uqharness.cli.progress import working
 from uqharness.dossier import Judged, read_evidence
 from uqharness.errors import BadInputError
 from uqharness.files import finite
@@ -39,14 +40,17 @@ def _run(args: argparse.Namespace) -> int:
     path = args.folder / DOSSIER if args.out is None else args.out
     if path.suffix not in (".html", ".htm"):
         raise BadInputError(f"--out {path}: a file whose name ends with .html is needed")
-    evidence = read_evidence(args.folder)
-    dossier = dossier_of(evidence)
-    write_html(path, dossier.page)
+    with working("dossier") as stage:
+        stage("reading results")
+        evidence = read_evidence(args.folder)
+        stage("judging and writing")
+        dossier = dossier_of(evidence)
+        write_html(path, dossier.page)
     if args.json:
         sources = [{"file": s.file, "sha256": s.sha256, "command": s.command, "version": s.version} for s in evidence.sources]
         print(json.dumps({"dossier": str(path), "missing": list(dossier.missing), **_match(dossier), "sources": sources}))
     else:
-        print("\n".join([*first_lines(dossier.page), "", f"the dossier is in {path}"]))
+        print("\n".join([*first_lines(dossier.page), "", f"Dossier: {path}"]))
     return 1 if dossier.missing else 0
 
 

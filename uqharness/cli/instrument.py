@@ -12,12 +12,14 @@ from typing import Any
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.model_form import read_model_form
 from uqharness.cli.options import add_aircraft, add_no_check, add_out, add_page, command_as_given, describe, number
+from uqharness.cli.progress import working
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder, check_page
 from uqharness.plugin import FILE_NAME, Bounds, Instrumented, MassProperties, instrument_aircraft, undo
 from uqharness.report import write_html
 from uqharness.report.pages import Instrumentation, instrument_page
 from uqharness.simulator import Aircraft, find_aircraft, find_folder
+from uqharness.text_tables import text_table
 
 _EXAMPLE = """
   uqharness instrument c172x --out aircraft/c172x
@@ -103,7 +105,12 @@ def _run(args: argparse.Namespace) -> int:
     check_folder(args.out)
     form = None if args.bounds is None else read_model_form(args.bounds)
     bounds = Bounds(form, {} if args.constant is None else parse_constant(args.constant))
-    done = instrument_aircraft(aircraft, bounds, args.out, air=args.air, check=not args.no_check, dry_run=args.dry_run, mass=mass)
+    checked = not (args.no_check or args.dry_run)
+    with working("instrument") as stage:
+        stage("ten flights of 10 s or less beside the original" if checked else "writing")
+        done = instrument_aircraft(
+            aircraft, bounds, args.out, air=args.air, check=not args.no_check, dry_run=args.dry_run, mass=mass
+        )
     report = _report(aircraft, done, args)
     if done.verdict is not None:
         report["check"] = {k: None if v != v else v for k, v in asdict(done.verdict).items()}
@@ -155,23 +162,33 @@ def _report(aircraft: Aircraft, done: Instrumented, args: argparse.Namespace) ->
 
 def _text(report: dict[str, Any]) -> str:
     axes = report["axes"]
-    lines = [f"{report['aircraft']}: forces in {axes['force']} axes, moments in {axes['moment']} axes", ""]
-    lines += [f"  {row['coefficient']}  {row['axis']:<32} {row['where']}" for row in report["coefficients"]]
-    lines.append("")
+    state = f"the copy in {report['out']} has" if report["written"] else f"the copy in {report['out']} would have"
+    lines = [
+        f"{report['aircraft']}: {state} bounded increments of {len(report['coefficients'])} coefficients.",
+        f"The aircraft's forces are in {axes['force']} axes, its moments in {axes['moment']} axes.",
+        "", "Increments, and where the XML adds them.",
+    ]  # fmt: skip
+    rows = [{"Coefficient": r["coefficient"], "Added to axes": r["axis"], "At": r["where"]} for r in report["coefficients"]]
+    lines += text_table(rows)
     if report["scaled"]:
-        lines += [f"  {row['scale']:<34} {row['axis']:<7} {row['file']}:{row['line']}" for row in report["scaled"]]
-        lines.append("")
-    lines += [f"  {row['change']:<9} {row['file']} ({row['lines']} lines)" for row in report["files"]]
-    lines += [f"  note: {note}" for note in report["notes"]]
-    check = report.get("check")
-    if check is not None and check["status"] == "works":
-        lines.append(
-            f"  flown beside the untouched aircraft: {check['properties']} properties bit-identical with uq/active 0, "
-            f"increments right to {check['worst']:.0e}"
+        lines += ["", "Scale factors that identify can estimate, one a function of the aircraft's XML."]
+        lines += text_table(
+            [{"Property": r["scale"], "Axis": r["axis"], "Function at": f"{r['file']}:{r['line']}"} for r in report["scaled"]]
         )
-    elif check is not None:
-        what = "WRONG" if check["status"] == "wrong" else "not compared, the untouched aircraft fails"
-        lines.append(f"  flown beside the untouched aircraft: {what}: {check['reason']}")
+    lines += ["", "Files of the copy that differ from the original.", *text_table(
+        [{"File": r["file"], "Change": r["change"], "Lines of the change": str(r["lines"])} for r in report["files"]]
+    )]  # fmt: skip
+    lines += ["", *(f"note: {note}" for note in report["notes"]), *_check_lines(report.get("check"))]
     if not report["written"]:
-        lines.append("  nothing was written (--dry-run)")
-    return "\n".join(lines)
+        lines.append("Nothing was written (--dry-run).")
+    return "\n".join(lines).rstrip("\n")
+
+
+def _check_lines(check: dict[str, Any] | None) -> list[str]:
+    if check is None:
+        return []
+    if check["status"] == "works":
+        same = f"beside the original, {check['properties']} properties are bit-identical with uq/active 0"
+        return [f"Check: {same}; increments of force and moment have relative errors of {check['worst']:.0e} at most."]
+    what = "WRONG" if check["status"] == "wrong" else "not made, because the original fails"
+    return [f"Check: {what}: {check['reason']}."]

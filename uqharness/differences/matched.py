@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -78,12 +78,24 @@ class Matched:
     varied: Mapping[str, float] = field(default_factory=dict)
 
 
-def fly_matched(a: Aircraft, b: Aircraft, asked: Asked) -> tuple[list[Channel], list[Matched]]:
-    """Channels of A, and every flight asked for in both models. Raises BadInputError for what A itself cannot fly."""
+def fly_matched(
+    a: Aircraft, b: Aircraft, asked: Asked, on_progress: Callable[[int, int], None] | None = None
+) -> tuple[list[Channel], list[Matched]]:
+    """Channels of A, and every flight asked for in both models. Raises BadInputError for what A itself cannot fly.
+
+    ``on_progress`` is told how many flights are flown in both models, of how many.
+    """
     if not asked.speeds_mps and not asked.scripts:
         raise BadInputError("nothing to fly: give a speed at which the aircraft trims, or a script")
     channels = channels_of(a, open_aircraft(a), asked.properties)
-    out = []
+    out: list[Matched] = []
+    every = len(asked.speeds_mps) * len(asked.missions) + len(asked.scripts)
+
+    def flown_in_both(flight: Matched) -> None:
+        out.append(flight)
+        if on_progress is not None:
+            on_progress(len(out), every)
+
     with scratch_folder("diff") as scratch:
         one, two = _copy(a, scratch.path / "a"), _copy(b, scratch.path / "b")
         for speed in asked.speeds_mps:
@@ -94,13 +106,13 @@ def fly_matched(a: Aircraft, b: Aircraft, asked: Asked) -> tuple[list[Channel], 
                 for made in one.folder.iterdir():
                     if made.name not in before or made == path or made.name == "steady-start.xml":
                         write_bytes(two.folder / made.name, made.read_bytes())
-                out.append(_both(one, two, path, two.folder / path.name, f"{kind} at {speed:g} m/s", channels, asked, 1e9))
+                flown_in_both(_both(one, two, path, two.folder / path.name, f"{kind} at {speed:g} m/s", channels, asked, 1e9))
         for script in asked.scripts:
             initial = read_script(script).initialize
             for source in (one.folder / initial, one.folder / f"{initial}.xml"):
                 if source.is_file():
                     write_bytes(two.folder / source.name, source.read_bytes())
-            out.append(_both(one, two, script, script, script.stem, channels, asked, MOST_S))
+            flown_in_both(_both(one, two, script, script, script.stem, channels, asked, MOST_S))
     return channels, out
 
 

@@ -31,7 +31,9 @@ def changed(folder, old: str, new: str):
 
 
 def test_a_model_is_itself(given):
-    channels, flights = fly_matched(given, given, ASKED)
+    told = []
+    channels, flights = fly_matched(given, given, ASKED, lambda done, total: told.append((done, total)))
+    assert told == [(k + 1, len(flights)) for k in range(len(flights))]
     assert [f.name for f in flights] == ["doublets at 22 m/s"]
     assert {"CX", "Cm", "q_dot", "Ixz", "elevator position"} <= {c.name for c in channels}
     assert differences(channels, flights, ()) == []

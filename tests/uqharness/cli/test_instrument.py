@@ -1,0 +1,41 @@
+"""``uqharness instrument``: what its terminal text says of the copy."""
+
+from __future__ import annotations
+
+from uqharness.cli.instrument import _check_lines
+from uqharness.cli.main import main
+
+
+def test_every_table_has_its_headings(tmp_path, capsys):
+    out = tmp_path / "mine"
+    assert main(["instrument", "c172p", "--out", str(out), "--no-check", "--constant", "CX=0.01"]) == 0
+    told = capsys.readouterr()
+    lines = told.out.splitlines()
+    assert told.err == ""
+    assert lines[0] == f"c172p: the copy in {out} has bounded increments of 6 coefficients."
+    assert lines[1] == "The aircraft's forces are in wind axes, its moments in body axes."
+    heads = [line.split("  ") for line in lines]
+    words = [[word.strip() for word in head if word.strip()] for head in heads]
+    assert ["Coefficient", "Added to axes", "At"] in words
+    assert ["Property", "Axis", "Function at"] in words
+    assert ["File", "Change", "Lines of the change"] in words
+    edited = next(row for row in words if row[:2] == ["c172p.xml", "edited"])
+    assert int(edited[2]) > 0
+
+
+def test_a_dry_run_says_that_nothing_was_written(tmp_path, capsys):
+    out = tmp_path / "mine"
+    assert main(["instrument", "c172p", "--out", str(out), "--dry-run"]) == 0
+    told = capsys.readouterr().out
+    assert "would have bounded increments" in told
+    assert told.endswith("Nothing was written (--dry-run).\n")
+    assert not out.exists()
+
+
+def test_the_check_says_yes_no_or_why_not():
+    works = _check_lines({"status": "works", "reason": "", "properties": 675, "worst": 9e-16})
+    assert works[0].startswith("Check: beside the original, 675 properties are bit-identical")
+    assert "relative errors of 9e-16 at most" in works[0]
+    assert _check_lines({"status": "wrong", "reason": "CX: the increment is off"}) == ["Check: WRONG: CX: the increment is off."]
+    assert "the original fails: no fuel" in _check_lines({"status": "fails", "reason": "no fuel"})[0]
+    assert _check_lines(None) == []
