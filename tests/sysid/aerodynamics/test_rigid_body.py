@@ -197,7 +197,7 @@ def found_in(made: Made, data: list[np.ndarray], near: Gusts | None = None) -> G
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("rotating", "turning"), [(True, True), (True, False), (False, False)])
+@pytest.mark.parametrize(("rotating", "turning"), [(True, True), (False, False), pytest.param(True, False, marks=pytest.mark.slow)])
 def test_intensities_and_what_gusts_do_are_found(rotating, turning):
     """Intensities within a factor, the air's ways by likelihood."""
     made, data = drawn(GustStates(MASS.b, rotating=rotating, turning_with=turning), INTENSITIES)

@@ -26,6 +26,8 @@ NOISE = {
     "ve_mps": 0.05, "vd_mps": 0.05,
 }  # fmt: skip
 
+QUICK = ("airspeed in knots", "accelerations in g", "height in feet", "az reversed", "rates in deg/s", "climb for sink")
+"""Faults of the fast set: each kind of channel, each kind of slip."""
 GENUINE = ("airspeed in knots", "accelerations in g", "height in feet", "az reversed", "ay reversed", "q in deg/s")
 
 
@@ -38,7 +40,7 @@ def slips(found: list[Finding]) -> dict[str, float]:
     return {f.channel: f.numbers["slope"] for f in found if f.code in ("unit", "sign")}
 
 
-@pytest.mark.parametrize("name", FAULTS)
+@pytest.mark.parametrize("name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in FAULTS])
 def test_a_slip_is_named_with_its_channel_and_size(name: str) -> None:
     found = check_physics(seeded(noisy(1), FAULTS[name]))
     assert slips(found) == pytest.approx(FAULTS[name], rel=0.02)

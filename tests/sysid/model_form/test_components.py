@@ -67,8 +67,8 @@ def over_draws(seeds, widen=1.0, **parts):
     "parts",
     [
         {"polynomial": 0.005, "persistent": 0.005, "transient": 0.005, "noise": 0.02},
-        {"polynomial": 0.01, "persistent": 0.0, "transient": 0.02, "noise": 0.01},
-        {"polynomial": 0.0, "persistent": 0.02, "transient": 0.01, "noise": 0.03},
+        pytest.param({"polynomial": 0.01, "persistent": 0.0, "transient": 0.02, "noise": 0.01}, marks=pytest.mark.slow),
+        pytest.param({"polynomial": 0.0, "persistent": 0.02, "transient": 0.01, "noise": 0.03}, marks=pytest.mark.slow),
     ],
     ids=["small", "transient", "persistent"],
 )

@@ -147,7 +147,7 @@ def test_kill_9_at_random_moments_and_resume_gives_the_same_bytes(tmp_path):
     command = [sys.executable, "-m", "tests.helpers.campaign_fakes", str(tmp_path), str(out), "3", "slow", "2", "fork"]
     chance = random.Random(20161201)
     kept = [0]
-    for _ in range(5):
+    for _ in range(3):
         process = subprocess.Popen(command, cwd=ROOT, start_new_session=True)
         deadline = time.monotonic() + 60
         while time.monotonic() < deadline and rows(out) <= kept[-1] and process.poll() is None:

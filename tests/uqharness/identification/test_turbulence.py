@@ -11,7 +11,7 @@ import uqharness as uq
 
 @pytest.mark.parametrize(("turbulence", "method"), [("light", "filter error"), ("none", "output error")])
 def test_the_method_follows_the_air(tmp_path: Path, turbulence: str, method: str):
-    flight = uq.fly("espaaro", "flight-ident", duration_s=40, turbulence=turbulence, noise=True, seed=3)
+    flight = uq.fly("espaaro", "flight-ident", duration_s=24, turbulence=turbulence, noise=True, seed=3)
     flight.write(tmp_path / "flight.parquet")
     found = uq.identify("espaaro", tmp_path / "flight.parquet", parameters=["aero/Cm_q"], workers=1)
     assert found.method == method

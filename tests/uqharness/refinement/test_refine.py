@@ -232,6 +232,7 @@ def test_a_record_one_sample_late_is_a_matter_of_its_clock(tmp_path):
     assert "of the record's clock" in found["notes"][0]
 
 
+@pytest.mark.slow
 def test_a_slow_servo_is_no_matter_of_the_clock(tmp_path, monkeypatch):
     """A lag of the elevator alone is named as that."""
 

@@ -22,6 +22,8 @@ from uqharness.study.run import run_chain
 from uqharness.study.spec import read_chain
 from uqharness.study.state import read_study
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 STUDY = """
 [study]
 name = "mine"
