@@ -9,12 +9,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from campaigns.full_size.ending import ending
 from campaigns.full_size.flying import Told, flown_shard, fly
 from campaigns.full_size.folder import is_whole, lines, refuse_other_flights
 from campaigns.full_size.plan import Plan, cell_name
 from uqharness.campaign.execution.flying import fly_group
 from uqharness.campaign.execution.processes import ProcessExecutor
-from uqharness.errors import BadInputError, EnginesDifferError
+from uqharness.errors import BadInputError
 from uqharness.parquet_files import parse_table
 
 Tables = Callable[[Plan, Path, Path], Sequence[str]]
@@ -50,22 +51,17 @@ def main(study: Study, argv: Sequence[str] | None = None) -> int:
     for each in (flying, state, again, made):
         each.add_argument("--shards", type=Path, default=study.home / "shards", metavar="DIR")
     args = parser.parse_args(argv)
-    try:
-        plan = study.plan()
-        if args.command == "fly":
-            return _fly(plan, args)
-        if args.command == "rerun":
-            return _rerun(plan, args)
-        told = _status(plan, args.shards) if args.command == "status" else study.tables(plan, args.shards, args.out)
-        print("\n".join(told))
-    except BadInputError as error:
-        print(f"reproduce: error: {error}", file=sys.stderr)
-        return 2
-    except EnginesDifferError as error:
-        print(f"reproduce: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        return 130
+    return ending(lambda: _run(study, args))
+
+
+def _run(study: Study, args: argparse.Namespace) -> int:
+    plan = study.plan()
+    if args.command == "fly":
+        return _fly(plan, args)
+    if args.command == "rerun":
+        return _rerun(plan, args)
+    told = _status(plan, args.shards) if args.command == "status" else study.tables(plan, args.shards, args.out)
+    print("\n".join(told))
     return 0
 
 

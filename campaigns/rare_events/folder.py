@@ -11,8 +11,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from campaigns.rare_events.states import NAMES
 from campaigns.rare_events.study import Counted, Tuned
 from uqharness.campaign.rare.paths import Hit
+from uqharness.campaign.rare.predicted import Predicted
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.flight import Split
@@ -49,15 +51,21 @@ class Folder:
             return None
         try:
             known = json.loads(file.read_bytes())
-            return Tuned(Levels(tuple(map(float, known["scores"])), int(known["copies"])), known["lookahead_s"], known["core_s"])
+            levels = Levels(tuple(map(float, known["scores"])), int(known["copies"]))
+            found = known["predicted"]
+            if found.pop("regressors") != list(NAMES):
+                raise ValueError("predictions of other regressors")
+            rows = tuple(tuple(map(float, row)) for row in found.pop("coefficients"))
+            lists = {name: tuple(map(float, found[name])) for name in ("horizons_s", "constants", "sigmas")}
+            predicted = Predicted(float(found["radius_m"]), coefficients=rows, **lists)
+            return Tuned(levels, predicted, float(known["core_s"]), float(known["plain_h"]))
         except (ValueError, KeyError, TypeError) as error:
             raise BadInputError(f"{file}: no levels of a pilot ({error}); remove it and its replicates, and fly again") from error
 
     def keep_tuned(self, tuned: Tuned) -> None:
-        """Write levels.json."""
-        levels = tuned.levels
-        known = {"scores": levels.scores, "copies": levels.copies, "lookahead_s": tuned.lookahead_s, "core_s": tuned.core_s}
-        self._write(LEVELS, known)
+        """Write levels.json: levels in standard deviations, and the predictions' coefficients by horizon and regressor."""
+        known = {"scores": tuned.levels.scores, "copies": tuned.levels.copies, "core_s": tuned.core_s, "plain_h": tuned.plain_h}
+        self._write(LEVELS, known | {"predicted": {"regressors": NAMES} | asdict(tuned.predicted)})
 
     def lines(self, table: str) -> dict[int, Line]:
         """Pieces of replicates.csv or plain.csv by number. Raises BadInputError for a damaged table."""

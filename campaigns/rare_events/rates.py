@@ -15,8 +15,9 @@ from uqharness.statistics import interval
 CONFIDENCE = 0.95
 OBSERVATIONS = 8
 """Replicates are pooled as far as so many observations stand: the logarithm of a mean is nearer to normal, fewer have no event."""
-LEAST_FLIGHTS = 10
-"""Plain flights with an excursion from which a ratio to them is given: a logarithm of fewer is far from normal."""
+FAMILY = 0.05
+"""Probability that plain flights are said to contradict a right estimate at any radius of a study: shared by its comparisons."""
+_NODES = 400
 
 
 @dataclass(frozen=True)
@@ -43,13 +44,14 @@ class Rate:
     plain_per_h: Limits
     plain_flights: int
     plain_hit: int
-    ratio: Limits
+    p_value: float
+    compared: int
     reason: str
 
     @property
     def agree(self) -> bool | None:
-        """Whether the ratio's limits hold 1; None where it is not defined."""
-        return None if math.isnan(self.ratio.estimate) else self.ratio.lower <= 1.0 <= self.ratio.upper
+        """Whether plain flights leave the estimate standing (Bonferroni over the radii); None without a p-value."""
+        return None if math.isnan(self.p_value) else self.p_value >= FAMILY / self.compared
 
 
 def rates(radii_m: Sequence[float], hours: float, split: Sequence[Counted], plain: Sequence[Counted]) -> list[Rate]:
@@ -59,7 +61,9 @@ def rates(radii_m: Sequence[float], hours: float, split: Sequence[Counted], plai
     probability; for the rate the normal on its logarithm, whose error is that of the flights' counts, so that clusters are in it.
     """
     observed = pooled(split)
-    return [_rate(place, radius, hours, observed, plain) for place, radius in enumerate(radii_m)]
+    found = [_rate(place, radius, hours, observed, plain) for place, radius in enumerate(radii_m)]
+    compared = sum(not math.isnan(one.p_value) for one in found)
+    return [replace(one, compared=compared) for one in found]
 
 
 def pooled(split: Sequence[Counted]) -> list[Counted]:
@@ -96,7 +100,8 @@ def _rate(place: int, radius_m: float, hours: float, split: Sequence[Counted], p
         plain_per_h=_plain_per_h(place, hours, plain) if hit else Limits(*(math.nan,) * 3),
         plain_flights=flights,
         plain_hit=hit,
-        ratio=_ratio(known, shares, hit),
+        p_value=_p_value(known, len(split), hit, flights),
+        compared=0,
         reason=probability.reason,
     )
 
@@ -119,11 +124,15 @@ def _plain_per_h(place: int, hours: float, plain: Sequence[Counted]) -> Limits:
     return Limits(mean / hours, mean / factor / hours, mean * factor / hours)
 
 
-def _ratio(split: Limits, plain: Limits, hit: int) -> Limits:
-    if hit < LEAST_FLIGHTS or not split.lower > 0.0:
-        return Limits(*(math.nan,) * 3)
-    ratio = split.estimate / plain.estimate
-    mine = math.log(split.upper / split.estimate)
-    theirs = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)) * math.sqrt((1.0 - plain.estimate) / hit)
-    factor = math.exp(math.hypot(mine, theirs))
-    return Limits(ratio, ratio / factor, ratio * factor)
+def _p_value(split: Limits, observations: int, hit: int, flights: int) -> float:
+    """Twice the smaller probability of at most, or at least, ``hit`` of ``flights``, averaged over the estimate's own error: t on
+    its logarithm, as its limits are. Any number of flights with an excursion will do, none as well."""
+    if not flights or not split.lower > 0.0:
+        return math.nan
+    t = stats.t(observations - 1)
+    spread = math.log(split.upper / split.estimate) / float(t.ppf(0.5 + 0.5 * CONFIDENCE))
+    nodes = (np.arange(_NODES) + 0.5) / _NODES
+    shares = np.minimum(split.estimate * np.exp(spread * t.ppf(nodes)), 1.0)
+    few = float(stats.binom.cdf(hit, flights, shares).mean())
+    many = float(stats.binom.sf(hit - 1, flights, shares).mean())
+    return min(1.0, 2.0 * few, 2.0 * many)

@@ -17,11 +17,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import uqharness
+from campaigns.full_size.ending import ending
 from campaigns.full_size.folder import locked
 from campaigns.full_size.plan import Plan, identity
 from campaigns.rare_events.folder import JSBSIM, LEVELS, PLAIN, REPLICATES, Folder, Line
 from campaigns.rare_events.rates import Limits, Rate, rates
-from campaigns.rare_events.study import Study, chosen_hits
+from campaigns.rare_events.study import Size, Study, chosen_hits
 from uqharness.campaign.rare.paths import Hit
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
@@ -30,7 +31,9 @@ from uqharness.text_tables import csv_text
 HOME = Path(__file__).parent
 CORNER, CELL = "100100", "moderate-4"
 RATES = "rates.csv"
-REPLICATES_WANTED, PLAIN_WANTED, PATHS = 16, 16, 20
+AIM_M = 21.0
+"""Beyond it some 1e-5 excursions per hour are to be found in the default cell."""
+REPLICATES_WANTED, PLAIN_WANTED, PATHS = 12, 16, 20
 DIFFERENCE_M = 1e-6
 """Two engines whose paths differ by no more are alike: a branched path of a minute is within it."""
 
@@ -41,7 +44,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m campaigns.rare_events.reproduce", description="Rates of rare excursions")
     commands = parser.add_subparsers(dest="command", required=True)
     flying = commands.add_parser("fly", help="fly the pilot and the replicates that are missing")
-    flying.add_argument("--replicates", type=int, default=REPLICATES_WANTED, metavar="N", help="so many in all (16)")
+    flying.add_argument(
+        "--replicates", type=int, default=REPLICATES_WANTED, metavar="N", help=f"so many in all ({REPLICATES_WANTED})"
+    )
     plain = commands.add_parser("plain", help="fly the flights that are not split, 125 h a piece, that are missing")
     plain.add_argument("--pieces", type=int, default=PLAIN_WANTED, metavar="N", help="so many in all (16)")
     for each in (flying, plain):
@@ -54,26 +59,30 @@ def main(argv: Sequence[str] | None = None) -> int:
         each.add_argument("--cell", default=CELL, metavar="AIR-WIND", help=f"turbulence and wind ({CELL})")
         each.add_argument("--campaign", type=Path, default=HOME / "campaign.toml", metavar="FILE")
         each.add_argument("--shards", type=Path, default=HOME / "shards", metavar="DIR")
+    flying.add_argument("--aim", type=float, default=AIM_M, metavar="M", help=f"radius of the pilot's scores, m ({AIM_M:g})")
     args = parser.parse_args(argv)
-    try:
-        plan = Plan.read(args.campaign, 1)
-        study = Study(plan, plan.condition(args.cell), args.corner)
-        folder = Folder(args.shards / study.name, study.radii_m)
-        if args.command == "tables":
-            return tables(study, folder)
-        with locked(folder.path):
-            if args.command == "jsbsim":
-                return jsbsim(study, folder, args.paths)
-            if args.command == "fly":
-                fly(study, folder, args.replicates, args.most)
-            else:
-                fly_plain(study, folder, args.pieces, args.most)
-    except BadInputError as error:
-        print(f"reproduce: error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
+    return ending(lambda: _run(args))
+
+
+def _run(args: argparse.Namespace) -> int:
+    study = default_study(args.campaign, args.cell, args.corner, getattr(args, "aim", AIM_M))
+    folder = Folder(args.shards / study.name, study.radii_m)
+    if args.command == "tables":
+        return tables(study, folder)
+    with locked(folder.path):
+        if args.command == "jsbsim":
+            return jsbsim(study, folder, args.paths)
+        if args.command == "fly":
+            fly(study, folder, args.replicates, args.most)
+        else:
+            fly_plain(study, folder, args.pieces, args.most)
     return 0
+
+
+def default_study(campaign: Path, cell: str, corner: str, aim_m: float = AIM_M) -> Study:
+    """A corner in a cell of a campaign file. Raises BadInputError."""
+    plan = Plan.read(campaign, 1)
+    return Study(plan, plan.condition(cell), corner, Size(aim_m=aim_m))
 
 
 def fly(study: Study, folder: Folder, replicates: int, most: int = sys.maxsize) -> None:
@@ -84,8 +93,8 @@ def fly(study: Study, folder: Folder, replicates: int, most: int = sys.maxsize) 
             raise BadInputError(f"{folder.path}: has replicates and no {LEVELS}; remove {REPLICATES}, and fly again")
         tuned = study.tune()
         folder.keep_tuned(tuned)
-        scores = ", ".join(f"{score:.4g}" for score in tuned.levels.scores)
-        _say(f"pilot: lookahead {tuned.lookahead_s:g} s, levels at {scores} m; {tuned.core_s:.0f} s of a core")
+        scores = ", ".join(f"{score:.3g}" for score in tuned.levels.scores)
+        _say(f"pilot: levels at {scores} standard deviations to {tuned.predicted.radius_m:g} m; {tuned.core_s:.0f} s of a core")
 
     def flown(number: int) -> Line:
         found, hits = study.replicate(number, tuned)
@@ -177,20 +186,21 @@ def tables(study: Study, folder: Folder) -> int:
 
 def _row(one: Rate) -> dict[str, str]:
     row = {"radius_m": f"{one.radius_m:g}", "observations": str(one.observations)}
-    for name in ("split", "split_per_h", "plain", "plain_per_h", "ratio"):
+    for name in ("split", "split_per_h", "plain", "plain_per_h"):
         limits = getattr(one, name)
         row |= {name: _shown(limits.estimate), f"{name}_lower": _shown(limits.lower), f"{name}_upper": _shown(limits.upper)}
     row |= {"cluster": _shown(one.cluster), "plain_flights": str(one.plain_flights), "plain_hit": str(one.plain_hit)}
+    row["p_value"] = _shown(one.p_value)
     return row | {"agree": {None: "", True: "yes", False: "no"}[one.agree], "reason": one.reason}
 
 
 def _words(one: Rate) -> str:
-    told = f"{one.radius_m:g} m: {_limits(one.split_per_h)} per hour by {one.observations} means, {_shown(one.cluster)} a cluster"
     if one.reason:
-        told += f" ({one.reason})"
+        return f"{one.radius_m:g} m: no rate to use; {one.reason}; {one.plain_hit} of {one.plain_flights} plain flights have one"
+    told = f"{one.radius_m:g} m: {_limits(one.split_per_h)} per hour by {one.observations} means, {_shown(one.cluster)} a cluster"
     if one.plain_flights:
         told += f"; flights with one: {_limits(one.split)}, not split {_limits(one.plain)} ({one.plain_hit} of {one.plain_flights})"
-    return told if one.agree is None else f"{told}: {'they agree' if one.agree else 'they differ'}"
+    return told if one.agree is None else f"{told}: {'they agree' if one.agree else 'they differ'} (p = {_shown(one.p_value)})"
 
 
 def _limits(limits: Limits) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,47 +11,56 @@ from functools import cached_property
 import numpy as np
 
 from campaigns.full_size.plan import Plan, cell_name, identity
+from campaigns.rare_events.states import LoiterScore, Recorder, regressors
 from uqharness.batch import ready
 from uqharness.campaign.cases import Case, Part, build_cases
 from uqharness.campaign.conditions import Condition
 from uqharness.campaign.execution.flying import BATCH, fly_group
 from uqharness.campaign.folder.digests import digest_of_rows
-from uqharness.campaign.rare.lookahead import best_lookahead
 from uqharness.campaign.rare.paths import DISTANCE, Hit, LoiterPaths, Watch
+from uqharness.campaign.rare.predicted import Predicted, fit
 from uqharness.errors import BadInputError
 from uqharness.flight import OPTIONAL_SIGNALS, FlightSpec, record_mission, scored_signals, staged_mission
-from uqharness.statistics import Levels, Occupancy, more_levels, run
+from uqharness.statistics import Levels, Occupancy, pilot, run
 
 FIRST_ROOT, FIRST_PILOT = 1_000_000, 2_000_000
 """Aleatory ids of replicates and of the pilot; plain flights begin at 0, so that no air is met twice."""
-GRID_M = 0.1
-"""Scores between which the pilot interpolates: a level is some ten of them above the last."""
+GRID = np.arange(-12.0, 0.001, 0.05)
+"""Scores between which the pilot interpolates, in standard deviations to the radius."""
+TOP = -0.5
+"""No level lies above: half a standard deviation short of the radius one path in three goes on beyond it."""
+SHARE = 0.004
+"""Share of its time that a path spends above the first level. A branch costs as much as half a minute of plain flight, because
+its air is made for it: few branches from many roots cost less than many from few."""
 
 
 @dataclass(frozen=True)
 class Size:
-    """How much is flown in one piece: flights of a replicate, of the pilot (split or plain, and their length [s]), and plain ones.
+    """How much is flown in one piece: flights of a replicate, of the pilot (and their length [s]), and plain ones.
 
-    A checkpoint is ``step_s`` from the next: 3 s jump over levels. Of each replicate ``noted`` excursions beyond each radius are
+    A checkpoint is ``step_s`` from the next: 3 s jump over levels. Scores aim at the radius ``aim_m``, the largest at most. Of each
+    replicate ``noted`` excursions beyond each radius are
     kept with their path.
     """
 
-    roots: int = 4
-    pilot_roots: int = 4
-    pilot_plain: int = 64
-    pilot_s: float = 1800.0
+    roots: int = 64
+    pilot_roots: int = 64
+    pilot_s: float = 3600.0
     step_s: float = 1.0
     plain: int = 125
     noted: int = 3
+    share: float = SHARE
+    aim_m: float = math.inf
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """Levels and lookahead [s] that the pilot chose, and the seconds of a core that it took."""
+    """Levels and predictions that the pilot chose, the seconds of a core that it took, and the hours that it flew unsplit."""
 
     levels: Levels
-    lookahead_s: float
+    predicted: Predicted
     core_s: float = 0.0
+    plain_h: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -123,28 +133,44 @@ class Study:
 
     def tuned_by(self, cases: Sequence[Case], tuned: Tuned) -> str:
         """One digest of what decides a replicate: its flights, levels and checkpoints."""
-        return digest_of_rows([identity(tuple(cases)), repr((tuned.levels, tuned.lookahead_s, self.size.step_s))])
+        return digest_of_rows([identity(tuple(cases)), repr((tuned.levels, tuned.predicted, self.size.step_s))])
 
     def tune(self) -> Tuned:
-        """Lookahead and first levels from flights that are not split; from one round with these, all levels. None is counted."""
-        begun, size, radii = time.process_time(), self.size, self.radii_m
-        flights = self._pilot_flights(0, size.pilot_plain)
-        distance = np.abs([flown.signals[DISTANCE] for flown in fly_group(BATCH, flights)])
-        row_s = 1.0 / flights[0].record_rate_hz
-        lookahead_s = best_lookahead(distance, row_s)
-        score = (distance[:, 1:] + lookahead_s * np.diff(distance, axis=1) / row_s)[:, :: round(size.step_s / row_s)]
-        grid = np.arange(0.0, max(radii) + 2.0 * GRID_M, GRID_M)
-        above = score[:, :, None] >= grid
-        levels = levels_to(Occupancy(grid, above.mean(axis=(0, 1)), above.sum(axis=(0, 1))), max(radii))
-        flights = self._pilot_flights(size.pilot_plain, size.pilot_roots)
-        ids = range(FIRST_PILOT + size.pilot_plain, FIRST_PILOT + size.pilot_plain + size.pilot_roots)
-        paths = LoiterPaths(flights, ids, self._seed, Watch(size.step_s, lookahead_s))
-        seen = run(paths, size.pilot_roots, levels, len(radii), grid).occupancy
-        return Tuned(levels_to(seen, max(radii)), lookahead_s, time.process_time() - begun)
+        """Predictions and first levels from flights that are not split; further ones from rounds with these. None is counted.
 
-    def _pilot_flights(self, first: int, count: int) -> list[FlightSpec]:
-        cases = self.cases(FIRST_PILOT + first, count)
-        return [replace(case.flight, duration_s=min(self.size.pilot_s, case.flight.duration_s)) for case in cases]
+        Raises BadInputError where the rounds find no level up to TOP.
+        """
+        begun, size = time.process_time(), self.size
+        recorder = Recorder()
+        flown = self._pilot_paths(0, Watch(size.step_s, recorder))
+        nothing = run(flown, size.pilot_roots, Levels(()), len(self.radii_m))
+        distance = recorder.distances()
+        states = regressors(recorder.values(), distance)
+        predicted = fit(states, distance, size.step_s, min(size.aim_m, max(self.radii_m)))
+        score = np.sort(predicted.score(states, distance).ravel())
+        above = score.size - np.searchsorted(score, GRID)
+        plain = Occupancy(GRID, above / score.size, above.astype(float))
+        watch = Watch(size.step_s, LoiterScore(predicted))
+        try:
+            levels = pilot(
+                lambda number: self._pilot_paths(1 + number, watch),
+                size.pilot_roots,
+                len(self.radii_m),
+                GRID,
+                TOP,
+                size.share,
+                plain,
+            )
+        except ValueError as error:
+            raise BadInputError(f"{self.name}: {error}") from error
+        plain_h = nothing.steps * size.step_s / 3600.0
+        return Tuned(levels, predicted, time.process_time() - begun, plain_h)
+
+    def _pilot_paths(self, number: int, watch: Watch) -> LoiterPaths:
+        count = self.size.pilot_roots
+        cases = self.cases(FIRST_PILOT + number * count, count)
+        flights = [replace(case.flight, duration_s=min(self.size.pilot_s, case.flight.duration_s)) for case in cases]
+        return LoiterPaths(flights, [case.aleatory_id for case in cases], self._seed, watch)
 
     @property
     def _seed(self) -> int:
@@ -153,7 +179,7 @@ class Study:
     def replicate(self, number: int, tuned: Tuned) -> tuple[Counted, list[Hit]]:
         """Fly one replicate: what it counted, and the excursions that are kept with their path."""
         begun, cases, size = time.process_time(), self.replicate_cases(number), self.size
-        watch = Watch(size.step_s, tuned.lookahead_s, size.noted)
+        watch = Watch(size.step_s, LoiterScore(tuned.predicted), size.noted)
         paths = LoiterPaths([case.flight for case in cases], [case.aleatory_id for case in cases], self._seed, watch)
         found = run(paths, size.roots, tuned.levels, len(self.radii_m))
         nothing = (float("nan"),) * len(self.radii_m)
@@ -182,21 +208,6 @@ class Study:
         flown = record_mission(mission, flight, scored_signals(mission), OPTIONAL_SIGNALS, splits=hit.splits)
         distance = np.abs(flown.signals[DISTANCE])
         return float(distance[-1]), int((distance > self.radii_m[hit.kind]).sum())
-
-
-def levels_to(occupancy: Occupancy, top: float) -> Levels:
-    """Levels of an occupancy as far as enough was seen, then as far apart as the last two, up to ``top``.
-
-    Levels too far apart or too close cost paths, and leave the mean of an estimate as it is. Raises BadInputError for less than
-    two levels.
-    """
-    found, _ = more_levels(occupancy, Levels(()), top)
-    scores = list(found.scores)
-    if len(scores) < 2:
-        raise BadInputError(f"the pilot found {len(scores)} levels below {top:g} m: fly more or longer flights in it")
-    while 2.0 * scores[-1] - scores[-2] <= top:
-        scores.append(2.0 * scores[-1] - scores[-2])
-    return Levels(tuple(scores))
 
 
 def chosen_hits(hits: Sequence[Hit], count: int) -> list[Hit]:

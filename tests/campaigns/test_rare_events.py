@@ -11,15 +11,17 @@ import numpy as np
 import pytest
 
 from campaigns.full_size.plan import Plan
-from campaigns.rare_events import reproduce
+from campaigns.rare_events import coverage, reproduce
 from campaigns.rare_events.folder import JSBSIM, LEVELS, PLAIN, REPLICATES, Folder
 from campaigns.rare_events.rates import rates
-from campaigns.rare_events.study import Counted, Size, Study, Tuned, chosen_hits, levels_to
+from campaigns.rare_events.states import CENTRE_EAST_M, NAMES, PROPERTIES, regressors
+from campaigns.rare_events.study import TOP, Counted, Size, Study, Tuned, chosen_hits
+from sysid.units import FT_M
 from uqharness.campaign.rare.paths import Hit
+from uqharness.campaign.rare.predicted import Predicted
 from uqharness.errors import BadInputError
 from uqharness.flight import Split
-from uqharness.statistics import Levels, Occupancy
-from uqharness.statistics.splitting import SHARE
+from uqharness.statistics import Levels
 
 SHORT = """
 [campaign]
@@ -44,7 +46,9 @@ excursion_radius_m = [8, 10]
 rearm_m = 1
 """
 SIZE = Size(roots=3, plain=4, noted=2)
-TUNED = Tuned(Levels((6.0, 8.0), 2), 1.0, 0.5)
+NOW = tuple(float(name == "distance") for name in NAMES)
+TUNED = Tuned(Levels((-4.0, -2.0), 2), Predicted(10.0, (1.0,), (NOW,), (0.0,), (1.0,)), 0.5, 1.0)
+"""Levels 4 and 2 m inside 10 m."""
 
 
 def study_of(folder: Path, text: str = SHORT) -> Study:
@@ -123,7 +127,7 @@ def test_tables_refuse_what_other_flights_left(done, tmp_path, capsys):
         reproduce.tables(other, kept)
     levels = kept.path / LEVELS
     before = levels.read_bytes()
-    levels.write_text(json.dumps({**json.loads(before), "scores": [6.0, 8.5]}))
+    levels.write_text(json.dumps({**json.loads(before), "scores": [-4.0, -1.5]}))
     with pytest.raises(BadInputError, match="other levels"):
         reproduce.tables(study, kept)
     levels.write_text("{}")
@@ -157,26 +161,26 @@ def test_rates_agree_with_plain_flights_or_do_not():
     assert alike.plain_per_h.estimate == pytest.approx(0.26)
     assert alike.plain_per_h.upper / 0.26 == pytest.approx(math.exp(1.96 * math.sqrt((0.18 - 0.13**2) / 1000) / 0.13), rel=1e-4)
     assert alike.observations == 8
+    assert alike.compared == 1
+    assert 0.05 < alike.p_value <= 1.0
     assert alike.split.estimate == pytest.approx(np.mean([one.probability for one in split]))
     (other,) = rates([15.0], 0.5, split, [counted(0.3, 0.33, 1000, 0.4)])
     assert other.agree is False
-    (few,) = rates([15.0], 0.5, split, [counted(0.005, 0.005, 1000, 0.005)])
-    assert few.agree is None
+    (few,) = rates([15.0], 0.5, split, [counted(0.0, 0.0, 1000, 0.0)])
+    assert few.agree is False, "no excursion at all where a hundred are due"
+    (rare,) = rates(
+        [15.0], 0.5, [counted(1e-4 * k, 1e-4 * k) for k in (1, 2, 3, 2, 1, 3, 2, 2)], [counted(0.003, 0.003, 1000, 0.003)]
+    )
+    assert rare.agree is False, "three where a fifth of one is due"
+    (alone,) = rates(
+        [15.0], 0.5, [counted(1e-4 * k, 1e-4 * k) for k in (1, 2, 3, 2, 1, 3, 2, 2)], [counted(0.001, 0.001, 1000, 0.001)]
+    )
+    assert alone.agree is True
+    (without,) = rates([15.0], 0.5, split, [])
+    assert without.agree is None
     (none,) = rates([15.0], 0.5, [counted(0.0, 0.0), *split[:3]], [])
     assert math.isnan(none.split.lower)
     assert "1 of 4 replicates have no event" in none.reason
-
-
-def test_levels_go_on_as_far_apart_as_the_last():
-    grid = np.arange(0.0, 10.1, 0.1)
-    seen = np.where(grid < 4.05, 1000.0, 0.0)
-    levels = levels_to(Occupancy(grid, np.exp(-grid), seen), 7.5)
-    steps = np.diff(levels.scores)
-    assert levels.scores[0] == pytest.approx(-math.log(SHARE), abs=0.01)
-    assert steps == pytest.approx(math.log(3.0), abs=0.01)
-    assert 7.5 - steps[-1] < levels.scores[-1] <= 7.5
-    with pytest.raises(BadInputError, match="found 0 levels"):
-        levels_to(Occupancy(grid, np.exp(-grid), 0.0 * seen), 7.5)
 
 
 def test_paths_of_many_roots_are_chosen_first():
@@ -194,3 +198,45 @@ def test_a_pilot_that_has_replicates_and_no_levels_is_refused(done, tmp_path):
     with pytest.raises(BadInputError, match="has replicates and no levels"):
         reproduce.fly(study, folder, 1)
     assert folder.lines(PLAIN) == {}
+
+
+def test_the_pilot_fits_predictions_and_finds_levels(done, tmp_path):
+    study, _ = done
+    short = replace(study, size=replace(SIZE, pilot_roots=24, pilot_s=40.0, share=0.5, aim_m=8.0))
+    tuned = short.tune()
+    assert tuned.predicted.radius_m == 8.0
+    assert tuned.plain_h == pytest.approx(24 * 40.0 / 3600.0)
+    assert list(tuned.predicted.sigmas[:3]) == sorted(tuned.predicted.sigmas[:3]), "the farther ahead the less is known"
+    assert tuned.predicted.sigmas[0] < 0.5
+    assert list(tuned.levels.scores) == sorted(tuned.levels.scores)
+    assert tuned.levels.scores[-1] <= TOP
+    kept = Folder(tmp_path, short.radii_m)
+    kept.keep_tuned(tuned)
+    assert kept.tuned() == tuned
+    with pytest.raises(BadInputError, match="fly more or longer paths than 1 in the pilot"):
+        replace(short, size=replace(short.size, pilot_roots=1, pilot_s=12.0, aim_m=math.inf)).tune()
+
+
+def test_states_are_turned_into_the_axes_of_the_circle():
+    """East of the centre, flying and blown south: along the circle, not outward."""
+    values = {name: np.zeros(1) for name in PROPERTIES}
+    values |= {"nav/east-m": np.array([CENTRE_EAST_M + 100.0]), "velocities/v-north-fps": np.array([-1.0 / FT_M])}
+    found = dict(zip(NAMES, regressors(values, np.array([3.0]))[0], strict=True))
+    assert found["distance"] == 3.0
+    assert found["distance x sine"] == 3.0
+    assert (found["distance x cosine"], found["ground speed outward"]) == (0.0, 0.0)
+    assert found["ground speed along"] == pytest.approx(1.0, abs=1e-12)
+    assert found["one x sine"] == 1.0
+
+
+def test_intervals_that_hold_are_counted(monkeypatch, capsys):
+    rng = np.random.default_rng(2)
+    monkeypatch.setattr(coverage, "pilot", lambda *_: Levels((-2.0,)))
+    right = 0.1 * np.exp(0.3 * rng.standard_normal((100, 8)))
+    monkeypatch.setattr(coverage, "observed", lambda *_: (right, 1.0))
+    monkeypatch.setattr(coverage, "truth", lambda *_: (418, 4000))
+    assert coverage.main([]) == 0
+    monkeypatch.setattr(coverage, "observed", lambda *_: (0.5 * right, 1.0))
+    assert coverage.main([]) == 1
+    assert "of 100 intervals hold it" in capsys.readouterr().out
+    assert coverage.main(["--repeats", "5"]) == 2

@@ -36,6 +36,5 @@ from .splitting import Levels as Levels
 from .splitting import Occupancy as Occupancy
 from .splitting import Seen as Seen
 from .splitting import interval as interval
-from .splitting import more_levels as more_levels
 from .splitting import pilot as pilot
 from .splitting import run as run

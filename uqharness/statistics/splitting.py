@@ -67,7 +67,10 @@ class Seen:
 
 
 class Paths(Protocol):
-    """Paths that go on together, and can be copied where they stand."""
+    """Paths that go on together, and can be copied where they stand.
+
+    Where all go on and none is copied, ``follow`` is not called.
+    """
 
     def advance(self) -> Seen | None:
         """Go on to the next checkpoint; None behind the last."""
@@ -88,7 +91,8 @@ class Occupancy:
 @dataclass(frozen=True)
 class Replicate:
     """One run of ``roots`` paths. probability, events: of each kind (kinds,), per path, weighted; ended: weighted share of paths
-    that ended early; steps: checkpoints of paths that were flown; most: paths side by side at most; highest: level reached."""
+    that ended early; steps: checkpoints of paths that were flown; most: paths side by side at most; highest: level reached.
+    probability_by_root, events_by_root: the same of each root and what branched from it (roots, kinds); roots are independent."""
 
     roots: int
     probability: Array
@@ -98,6 +102,8 @@ class Replicate:
     most: int
     highest: int
     occupancy: Occupancy
+    probability_by_root: Array
+    events_by_root: Array
 
 
 def run(paths: Paths, roots: int, levels: Levels, kinds: int, grid: Array | None = None) -> Replicate:
@@ -109,15 +115,16 @@ def run(paths: Paths, roots: int, levels: Levels, kinds: int, grid: Array | None
     thresholds, floors = np.array(levels.scores), np.array(levels.floors)
     weights = float(levels.copies) ** -np.arange(len(levels.scores) + 1)
     level, born, had = np.zeros(roots, np.intp), np.zeros(roots, np.intp), np.zeros((roots, kinds), bool)
-    probability, events, ended = np.zeros(kinds), np.zeros(kinds), 0.0
+    root, probability, events, ended = np.arange(roots), np.zeros((roots, kinds)), np.zeros((roots, kinds)), 0.0
     share, seen_above, checkpoints = np.zeros(grid.size), np.zeros(grid.size), 0
     steps, most, highest = 0, roots, 0
     while (seen := paths.advance()) is not None:
         weight = weights[level]
         counts = np.where(seen.ended[:, None] & ~had & (seen.events == 0), 1, seen.events)
         first = ~had & (counts > 0)
-        probability += weight @ first
-        events += weight @ counts
+        happened = np.flatnonzero(counts.any(axis=1))
+        np.add.at(probability, root[happened], weight[happened, None] * first[happened])
+        np.add.at(events, root[happened], weight[happened, None] * counts[happened])
         ended += float(weight @ seen.ended)
         had |= first
         steps, checkpoints = steps + level.size, checkpoints + 1
@@ -131,14 +138,16 @@ def run(paths: Paths, roots: int, levels: Levels, kinds: int, grid: Array | None
         parents, made_at = _descendants(level, now, goes_on, levels.copies)
         if parents.size > MOST_PATHS:
             raise ValueError(f"{parents.size} paths would go on side by side, {MOST_PATHS} at most can: the levels lie too close")
-        level, had = now[parents], had[parents]
+        level, had, root = now[parents], had[parents], root[parents]
         born = np.where(made_at > 0, made_at, born[parents])
         most, highest = max(most, parents.size), max(highest, int(now.max()))
         if not parents.size:
             break
-        paths.follow(parents.tolist(), made_at.tolist())
+        if parents.size != seen.score.size or made_at.any():
+            paths.follow(parents.tolist(), made_at.tolist())
     occupancy = Occupancy(grid, share / max(roots * checkpoints, 1), seen_above)
-    return Replicate(roots, probability / roots, events / roots, ended / roots, steps, most, highest, occupancy)
+    means = (probability.mean(axis=0), events.mean(axis=0), ended / roots)
+    return Replicate(roots, *means, steps, most, highest, occupancy, probability, events)
 
 
 def _descendants(
@@ -155,17 +164,26 @@ def _descendants(
     return np.concatenate(parents), np.concatenate(made_at)
 
 
-def pilot(start: Callable[[int], Paths], roots: int, kinds: int, grid: Array, top: float) -> Levels:
-    """Levels up to the score ``top``, such that a path is above level k + 1 a ``COPIES``-th of the time that it is above level k.
+def pilot(
+    start: Callable[[int], Paths], roots: int, kinds: int, grid: Array, top: float, share: float = SHARE,
+    plain: Occupancy | None = None,
+) -> Levels:  # fmt: skip
+    """Levels up to the score ``top``: a path is above the first a ``share`` of its time, above each next a ``COPIES``-th of that.
+
+    ``plain``: occupancy of paths that were not split, where they are there: the first levels come from it.
 
     ``start`` gives the paths of each round; rounds with the same levels are pooled and add levels as far as enough was seen. Raises
     ValueError where four rounds add none short of ``top``: longer or more paths are needed.
     """
     levels, known = Levels(()), list[Occupancy]()
+    if plain is not None:
+        levels, whole = more_levels(plain, levels, top, share)
+        if whole:
+            return levels
     for number in range(_ROUNDS):
         known.append(run(start(number), roots, levels, kinds, grid).occupancy)
         pooled = Occupancy(grid, np.mean([one.share for one in known], axis=0), np.sum([one.seen for one in known], axis=0))
-        found, whole = more_levels(pooled, levels, top)
+        found, whole = more_levels(pooled, levels, top, share)
         if whole:
             return found
         if len(found.scores) > len(levels.scores):
@@ -178,10 +196,10 @@ def pilot(start: Callable[[int], Paths], roots: int, kinds: int, grid: Array, to
     raise ValueError(f"the pilot has not reached the score {top:g} in {_ROUNDS} rounds: fly more paths than {roots} in it")
 
 
-def more_levels(occupancy: Occupancy, known: Levels, top: float) -> tuple[Levels, bool]:
+def more_levels(occupancy: Occupancy, known: Levels, top: float, share: float = SHARE) -> tuple[Levels, bool]:
     """``known`` levels and those that follow them as far as LEAST_SEEN checkpoints were seen; whether the next is above ``top``.
 
-    A path is above the first level a SHARE of its time, above each further one a COPIES-th of that.
+    A path is above the first level a ``share`` of its time, above each further one a COPIES-th of that.
     """
     enough = (occupancy.seen >= LEAST_SEEN) & (occupancy.share > 0.0)
     grid, logs = occupancy.grid[enough], -np.log(occupancy.share[enough])
@@ -190,7 +208,7 @@ def more_levels(occupancy: Occupancy, known: Levels, top: float) -> tuple[Levels
     grid, logs = grid[rising], logs[rising]
     scores = list(known.scores)
     while grid.size > 1:
-        target = float(np.interp(scores[-1], grid, logs)) + math.log(COPIES) if scores else -math.log(SHARE)
+        target = float(np.interp(scores[-1], grid, logs)) + math.log(COPIES) if scores else -math.log(share)
         if not target <= logs[-1]:
             break
         score = float(np.interp(target, logs, grid))

@@ -11,7 +11,7 @@ import pytest
 from campaigns.rare_events.closed_form import EACH, REARM, STEPS, THRESHOLD, Careless, Crossings, coverage, exact
 from uqharness.statistics.splitting import Levels, Occupancy, Seen, interval, more_levels, pilot, run
 
-REPEATS = 50
+REPEATS = 20
 
 
 def paths(seed, roots=50, thresholds=(2.5, THRESHOLD), made=Crossings):
@@ -67,8 +67,8 @@ def test_weights_of_paths_that_rise_fall_and_end():
     scores = [[0.0], [7.0], [7.0], [3.0], [0.0]]
     one = Scripted(scores)
     found = run(one, 1, Levels((2.0, 6.0)), 1)
-    assert [len(parents) for parents, _ in one.followed] == [1, 9, 9, 9, 3]
-    assert sorted(one.followed[1][1]) == [0, 1, 1, 2, 2, 2, 2, 2, 2]
+    assert [len(parents) for parents, _ in one.followed] == [9, 3], "where nothing changes nobody is followed"
+    assert sorted(one.followed[0][1]) == [0, 1, 1, 2, 2, 2, 2, 2, 2]
     assert found.most == 9
     # Everything ends in an event at the last checkpoint: nine paths of a ninth.
     hit = run(Scripted([[0.0], [7.0], [9.5]]), 1, Levels((2.0, 6.0)), 1)
@@ -77,8 +77,21 @@ def test_weights_of_paths_that_rise_fall_and_end():
     early = Scripted([[0.0, 0.0], [7.0, 0.0], [7.0, 0.0]], ended={(1, 0)})
     lost = run(early, 2, Levels((2.0, 6.0)), 1)
     assert (lost.probability[0], lost.events[0], lost.ended) == (0.5, 0.5, 0.5)
-    assert early.followed[-1][0] == [0]
+    assert early.followed[-1][0] == [1]
     assert run(Scripted([[0.0], [0.0]], ended={(0, 0)}), 1, Levels(()), 1).steps == 1
+
+
+def test_roots_are_counted_apart():
+    found = run(Scripted([[0.0, 0.0, 0.0], [7.0, 0.0, 3.0], [9.5, 0.0, 3.0]]), 3, Levels((2.0, 6.0)), 1)
+    np.testing.assert_allclose(found.probability_by_root[:, 0], [1.0, 0.0, 0.0])
+    np.testing.assert_allclose(found.events_by_root.mean(axis=0), found.events)
+
+
+def test_plain_paths_give_the_first_levels():
+    grid = np.arange(0.0, 8.0)
+    plain = Occupancy(grid, 0.3 * 3.0**-grid, np.full(8, 1000.0))
+    levels = pilot(lambda number: pytest.fail("no round is needed"), 10, 1, grid, 4.5, 0.3 / 9.0, plain)
+    np.testing.assert_allclose(levels.scores, [2.0, 3.0, 4.0])
 
 
 def test_a_path_about_a_level_is_not_copied_again_and_again():
@@ -89,7 +102,7 @@ def test_a_path_about_a_level_is_not_copied_again_and_again():
 def test_a_path_that_has_fallen_back_is_one_again():
     one = Scripted([[3.0], [-2.0], [-2.0]])
     assert run(one, 1, Levels((0.5, 2.0)), 1).most == 9
-    assert [len(parents) for parents, _ in one.followed] == [9, 1, 1]
+    assert [len(parents) for parents, _ in one.followed] == [9, 1]
     assert Levels((0.5, 2.0, 3.0)).floors == (-1.0, 0.5, 2.0)
     assert Levels((0.5,)).floors == (0.5,)
 

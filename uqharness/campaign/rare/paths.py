@@ -1,14 +1,15 @@
-"""Flights of the batch engine as paths of a multilevel splitting: side by side, scored by distance and closing rate, and copied.
+"""Flights of the batch engine as paths of a multilevel splitting: side by side, scored, and copied.
 
 Flights begin with the campaign's own burn-in, so that a path starts from a state of the loiter itself. At each checkpoint a path
-has the score |d| + lookahead d|d|/dt: the distance from the commanded path that it will have if it goes on so. A copy is the same
-flight to the checkpoint; from there its gusts and noise come from streams of (root seed, aleatory id, level, branch, kind).
+has a score of its state. A copy is the same flight to the checkpoint; from there its gusts and noise come from streams of (root
+seed, aleatory id, level, branch, kind).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,13 +35,36 @@ class Hit:
     splits: tuple[Split, ...]
 
 
+class Score(Protocol):
+    """How near a state is to an excursion. It decides the spread of an estimate, not its mean."""
+
+    @property
+    def properties(self) -> tuple[str, ...]:
+        """Properties of the aircraft that are read at a checkpoint."""
+
+    def of(self, values: Mapping[str, Array], distance_m: Array, closing_mps: Array) -> Array:
+        """(paths,) score of those properties (paths,), the distance from the commanded path and its rate (paths,)."""
+
+
+@dataclass(frozen=True)
+class Lookahead:
+    """The distance that a path will have after ``lookahead_s`` of closing as it does now."""
+
+    lookahead_s: float
+    properties: tuple[str, ...] = ()
+
+    def of(self, values: Mapping[str, Array], distance_m: Array, closing_mps: Array) -> Array:
+        """(paths,) [m]."""
+        return distance_m + self.lookahead_s * closing_mps
+
+
 @dataclass(frozen=True)
 class Watch:
-    """How paths are looked at: a checkpoint every ``step_s`` seconds, score with ``lookahead_s``; so many first excursions beyond
-    each radius are noted with their path."""
+    """How paths are looked at: a checkpoint every ``step_s`` seconds, and their score there; so many first excursions beyond each
+    radius are noted with their path."""
 
     step_s: float
-    lookahead_s: float
+    score: Score
     noted: int = 0
 
 
@@ -93,8 +117,9 @@ class LoiterPaths:
             self._had |= beyond
             self._outside = beyond | (self._outside & ~(here < self._radii - self._rearm))
         closing = (distance[:, -1] - distance[:, -2]) / self._row_s
-        score = np.where(ended, -np.inf, distance[:, -1] + self._watch.lookahead_s * closing)
-        return Seen(score, events, ended)
+        watched = {name: course.watched(name) for name in self._watch.score.properties}
+        score = self._watch.score.of(watched, distance[:, -1], closing)
+        return Seen(np.where(ended, -np.inf, score), events, ended)
 
     def follow(self, parents: Sequence[int], levels: Sequence[int]) -> None:
         """Go on with these paths in that order; those with a level branch here."""
