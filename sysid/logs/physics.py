@@ -210,12 +210,14 @@ def _explanation(record: FlightRecord, before: Sequence[Heard]) -> tuple[Slip, l
     """The slip that mends most, and others that mend as much; None where none mends anything."""
     wrong = [h for h in before if h.differs]
     base = _points(before)
-    broken = {h.law for h in wrong}
     scored = []
     for slip in _slips(record, wrong):
+        if not any(h.agrees for h in _heard_anew(record, wrong, slip)):
+            # It mends nothing: what the laws that hold say of it need not be asked.
+            continue
         after = _heard_anew(record, before, slip)
         gain = _points(after) - base
-        if gain > 0 and any(h.agrees and h.law in broken for h in after):
+        if gain > 0:
             # As near as the measured scales are to 1 afterwards, of what mends as much.
             left = [abs(math.log(abs(h.relation.scale))) for h in after if h.agrees]
             scored.append((-gain, slip.rank, round(float(np.mean(left)), 2), len(slip.channels), slip))
