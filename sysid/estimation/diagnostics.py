@@ -12,6 +12,7 @@ from sysid.estimation.coloured import autocovariance, residual_models
 
 WHITENESS_LEVEL = 1e-4  # p-value, shared out over the outputs; rejects a white record once in 10 000
 STRONG_SHARE = 0.15  # share of an output's residual predictable from its own past that counts as process noise
+MOTION_SHARE = 0.6  # share of a residual that follows the simulated motion above which the model's form is suspected first
 STRONG_RATIO = 1.7  # coloured over Cramer-Rao standard error, median, that counts as process noise
 
 
@@ -88,7 +89,7 @@ def colour(residual: list[Array], motion: list[Array] | None = None) -> Colour:
 
 
 def colour_warnings(found: Colour, std: Array, std_crb: Array, method: str) -> list[str]:
-    """Sentences with evidence when residuals are coloured enough to matter, [] when they are not.
+    """One sentence of at most 60 words on residuals coloured enough to matter, [] when they are not.
 
     Two conditions must meet: whiteness is rejected, and the colour is large enough to move the standard errors; so that
     long records do not cry at trifles.
@@ -103,37 +104,25 @@ def colour_warnings(found: Colour, std: Array, std_crb: Array, method: str) -> l
     strong = [c for c in rejected if found.predictable[c] > STRONG_SHARE]
     if not strong and median < STRONG_RATIO:
         return []
-    worst = rejected[np.argsort(-found.predictable[rejected])][:4]
-    evidence = "; ".join(
-        f"output {c}: {100 * found.predictable[c]:.0f} % of the residual's variance is predictable from its past "
-        f"(Ljung-Box p = {found.p_value[c]:.1g}), {100 * found.slow[c]:.0f} % of its power lies below a tenth of the "
-        f"Nyquist frequency (white: 10 %)"
-        for c in worst
-    )
+    worst = rejected[np.argsort(-found.predictable[rejected])][:3]
+    evidence = ", ".join(f"{100 * found.predictable[c]:.0f} % of output {c}" for c in worst)
     explained = found.explained[worst]
     explained = explained[np.isfinite(explained)]
-    if explained.size and explained.max() > 0.6:
-        cause = (
-            f"up to {100 * explained.max():.0f} % of it is a function of the simulated motion: "
-            "suspect the model's form (a missing term, a wrong lag) first, process noise second"
-        )
+    if explained.size and explained.max() > MOTION_SHARE:
+        cause = "the model's form before process noise (turbulence)"
+        share = f"; up to {100 * explained.max():.0f} % is a function of the motion"
     elif explained.size:
-        cause = (
-            f"at most {100 * max(explained.max(), 0.0):.0f} % of it is a function of the simulated motion: "
-            "suspect process noise (turbulence) first, the model's form second"
-        )
+        cause = "process noise (turbulence) before the model's form"
+        share = f"; at most {100 * max(explained.max(), 0.0):.0f} % is a function of the motion"
     else:
-        cause = "suspect process noise (turbulence) or a wrong model form"
-    largest = float(ratio.max())
+        cause, share = "process noise (turbulence) or the model's form", ""
     cure = {
-        "output error": "Output error assumes neither: its estimates may be biased by more than its bounds and its "
-        f"Cramer-Rao bounds are {'too small' if median >= 1.0 else 'not its errors'}; use filter_error, "
-        "or measured alpha, beta and V as inputs",
-        "filter error": "The filter's model does not explain the data: give more states noise, or revise f and g",
+        "output error": "Estimates may be biased: use filter error",
+        "filter error": "Give more states noise or revise the model",
     }[method]
     return [
         (
-            f"coloured residuals: process noise (turbulence) or wrong model form. {evidence}; {cause}. Coloured "
-            f"standard errors are {median:.2g} times the Cramer-Rao bounds (median; largest {largest:.2g}). {cure}."
+            f"coloured residuals: suspect {cause}. Predictable from their past: {evidence}{share}. Standard errors allow "
+            f"for it ({median:.2g} times the Cramer-Rao bounds). {cure} (docs/estimators.md, Coloured residuals)."
         )
     ]

@@ -1,5 +1,6 @@
 from .channel_units import axis_label as axis_label
 from .channel_units import shown_channel as shown_channel
+from .channel_units import with_shown_names as with_shown_names
 from .flights import Flight as Flight
 from .flights import in_free_flight as in_free_flight
 from .flights import measured_outputs as measured_outputs

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
+
 from sysid.units import RAD_DEG
 
 _UNITS = {
@@ -29,3 +32,10 @@ def axis_label(name: str) -> str:
     """Quantity and unit for an axis."""
     quantity, unit, _ = shown_channel(name)
     return f"{quantity} [{unit}]"
+
+
+def with_shown_names(text: str, channels: Iterable[str]) -> str:
+    """The text with names of columns as people read them: ``q`` for ``q_radps``. channels: the columns that it may name."""
+    names = {c: shown_channel(c)[0] for c in channels}
+    found = re.compile(r"\b(" + "|".join(map(re.escape, names)) + r")\b") if names else None
+    return text if found is None else found.sub(lambda match: names[match[0]], text)

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from sysid.vocabulary import SIGNALS
-from uqharness.replay.channel_units import axis_label, shown_channel
+from uqharness.replay.channel_units import axis_label, shown_channel, with_shown_names
 
 
 @pytest.mark.parametrize(
@@ -27,3 +27,9 @@ def test_every_channel_of_a_record_has_its_unit():
     """rpm is a name without one, N is not drawn."""
     unknown = {name for name, signal in SIGNALS.items() if signal.kind != "label" and shown_channel(name)[1] == "-"}
     assert unknown <= {"rpm", "thrust_N", "mode", "manoeuvre"}
+
+
+def test_names_within_a_text():
+    text = "psi_rad, h_m; p_radps is reversed; p_radps2 and my_psi_rad stay"
+    assert with_shown_names(text, ("psi_rad", "h_m", "p_radps")) == "psi, h; p is reversed; p_radps2 and my_psi_rad stay"
+    assert with_shown_names(text, ()) == text

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from sysid.aerodynamics import COEFFICIENTS
-from uqharness.replay import HISTORIES, History, have, read_histories, shown_channel
+from uqharness.identification import OUTPUTS
+from uqharness.replay import CHANNELS, HISTORIES, History, have, read_histories, shown_channel, with_shown_names
 from uqharness.report.history import MOST_SEGMENTS, Model, end_to_end, file_name, history_section
 from uqharness.report.parts import (  # fmt: skip
     Cell,
@@ -44,7 +45,8 @@ def compare_page(folder: Path, prefix: str = "", segments: int | None = MOST_SEG
         histories, noise, [Model("_model", "first", "model")], "Log against model", f"{prefix}gap-", segments,
         lambda _, h: file_name(f"{h.number:02d}-{h.manoeuvre}"),
     )  # fmt: skip
-    sections += [_coefficient_section(found["coefficients"], histories, prefix), _manoeuvre_section(found), *remarks(found)]
+    sections += [_coefficient_section(found["coefficients"], histories, prefix), _manoeuvre_section(found)]
+    sections += remarks({"notes": [with_shown_names(n, CHANNELS) for n in found.get("notes", ())]})
     files = "compare.json, channels.csv, coefficients.csv, manoeuvres.csv, moments.csv, histories.parquet, beside this page"
     facts = (("Command", found.get("command") or "not recorded"), ("Rule", found.get("rule", "not recorded")), ("Files", files))
     sections.append(provenance(*facts))
@@ -64,7 +66,8 @@ def noise_floor(reached: bool, above: Mapping[str, float], rule: str = "") -> st
 def _verdict(found: Mapping[str, Any]) -> tuple[Say, ...]:
     reached = bool(found["reached_noise_floor"])
     above = {c: found["channels"][c]["ratio"] for c in found.get("above", ())}
-    said = [Say(found.get("verdict") or noise_floor(reached, above), "good" if reached else "bad")]
+    text = with_shown_names(found.get("verdict") or noise_floor(reached, above), CHANNELS)
+    said = [Say(text, "good" if reached else "bad")]
     known = {c: r["rms"] / r["noise"] for c, r in found["coefficients"].items() if r.get("rms") is not None and r.get("noise")}
     if known:
         worst = max(known, key=lambda c: known[c])
@@ -80,10 +83,13 @@ def _channel_section(channels: Mapping[str, Mapping[str, Any]], prefix: str) -> 
         ratio = row["ratio"]
         judged = row.get("judged", True)
         level: Level = "" if not judged or ratio is None else "good" if ratio <= LIMIT else "bad"
-        answer = "not judged" if not judged else "undefined" if ratio is None else "at the noise" if level == "good" else "above"
+        # The noise of what is not judged says nothing, and neither does a ratio to it.
+        sizes = (shown(noise), shown(ratio, ".2f")) if judged else ("-", "-")
+        answer = "undefined" if ratio is None else "at the noise" if level == "good" else "above"
+        answer = answer if judged else _why_not_judged(name)
         delay = f"{_milli(row.get('delay_s'))} ± {_milli(row.get('delay_std_s'))}"
         theil = shown(row.get("theil_u"), ".3f")
-        rows.append((f"{quantity} [{unit}]", shown(rms), shown(noise), shown(ratio, ".2f"), Cell(answer, level), delay, theil))
+        rows.append((f"{quantity} [{unit}]", shown(rms), *sizes, Cell(answer, level), delay, theil))
     head = ("Channel", "rms of log minus model", "Noise", "Ratio", "Answer", "Delay [ms]", "Theil's U")
     ratios = {
         shown_channel(c)[0]: {"model": r["ratio"]}
@@ -94,6 +100,12 @@ def _channel_section(channels: Mapping[str, Mapping[str, Any]], prefix: str) -> 
     blocks = (Figures((figure,), file="gaps"),) if figure else ()
     table = Table("Gap between log and model, by channel.", head, tuple(rows), key=True)
     return Section("Gap by channel", (*blocks, table))
+
+
+def _why_not_judged(channel: str) -> str:
+    if channel in OUTPUTS:
+        return "not judged: the log's own estimate"
+    return "not judged: integral of other channels, drifts"
 
 
 def _milli(value: float | None) -> str:

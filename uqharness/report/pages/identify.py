@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from uqharness.replay import HISTORIES, read_histories, shown_channel
+from uqharness.replay import CHANNELS, HISTORIES, read_histories, shown_channel, with_shown_names
 from uqharness.report.history import MOST_SEGMENTS, Model, file_name, history_section
 from uqharness.report.pages.compare import LIMIT
 from uqharness.report.parts import Cell, Figure, Figures, Page, Say, Section, Table, Words, provenance, remarks, shown
@@ -31,7 +31,8 @@ def identify_page(folder: Path, prefix: str = "", segments: int | None = MOST_SE
         read_histories(folder / HISTORIES), noise, [model], "Log against model", f"{prefix}fit-", segments,
         lambda _, h: file_name(f"{h.flight}-{h.number:02d}-{h.manoeuvre}"),
     )  # fmt: skip
-    sections += [*remarks(fit), _provenance(fit)]
+    said = {key: [with_shown_names(text, CHANNELS) for text in fit.get(key, ())] for key in ("warnings", "notes")}
+    sections += [*remarks(said), _provenance(fit)]
     flights = ", ".join(fit["flights"])
     asked = f"Which values of {len(parameters)} parameters of {fit['aircraft']} agree with {flights}, and how accurately?"
     return Page(f"Identification of {fit['aircraft']}", asked, _verdict(fit), tuple(sections))

@@ -105,13 +105,15 @@ def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Se
              shown(r.get("noise_std")), shown(walk, ".2g"))
         )  # fmt: skip
     head = (
-        "Coefficient", "Terms", "Independent samples", "Mean width", "Persistent", "Transient (time)", "95 % limit ±", "Found",
-        "Sensor noise", "Walk [%/√s]",
+        "Coefficient", "Terms", "Independent samples", "Mean width", "Persistent", "Transient (time)", "95 % limit ±",
+        "Model error found", "Sensor noise", "Rate of variation [%/√s]",
     )  # fmt: skip
     text = (
         "Mean width: of the bounds that a campaign holds through a flight; they know the polynomial and what persists through a "
         "manoeuvre. Persistent, transient, sensor noise: standard deviations; the transient part changes within seconds, "
-        "noise is in no bounds. 95 % limit: upper limit of the rms of the whole model error in the data."
+        "noise is in no bounds. 95 % limit: upper limit of the rms of the whole model error in the data. Model error found: yes "
+        "where a model error is more likely than noise alone by 20 to 1 or more. Rate of variation: of the error within a flight, "
+        "in percent of its interval."
     )
     wide = Table("Bounds by coefficient.", head, tuple(table), key=True)
     flights = [c for c, b in form.coefficients.items() if b.parts is not None and not np.isfinite(b.parts.flight)]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from tests.helpers import report_folders as folders
 from tests.helpers.page_checks import page_of, words_of
+from uqharness.report.write import write_report
 
 
 @pytest.fixture
@@ -15,7 +18,9 @@ def compared(tmp_path):
 
 def test_a_comparison_ranks_by_judged_channels_only(compared):
     words = words_of(page_of(compared))
-    assert "The model does not reach the noise floor: rms over noise is q_radps 5.00." in words
-    assert "not judged" in words
+    assert "The model does not reach the noise floor: rms over noise is q 5.00." in words
+    said = write_report(compared).text
+    assert re.search(r"psi \[deg\] +1.15 +- +- +not judged: integral of other channels, drifts", said)
+    assert "q_radps" not in said
     assert "Farthest in q" in words
     assert "Farthest in psi" not in words
