@@ -9,6 +9,7 @@ import itertools
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -155,7 +156,7 @@ class FlightRecord:
             raise LogError(f"this record has no {name}; it has {', '.join(self.columns)}")
         return self.columns[name]
 
-    @property
+    @cached_property
     def dt_s(self) -> float:
         """Median step of the grid, s (NaN below two samples)."""
         return float(np.median(np.diff(self["time_s"]))) if len(self) > 1 else float("nan")
