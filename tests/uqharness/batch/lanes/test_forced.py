@@ -42,7 +42,7 @@ def both(speed_fps: tuple[float, ...], Cm_q: float) -> tuple[np.ndarray, np.ndar
     n = len(speed_fps)
     conditions = {name: np.full(n, value) for name, value in CONDITIONS.items()} | {"ic/u-fps": np.array(speed_fps)}
     controls = np.column_stack([np.linspace(-3.0, 3.0, n), np.linspace(2.0, -2.0, n), np.full(n, 0.5), np.full(n, 60.0)])
-    said = batch.at_states(forced, conditions, 0.0, DT_S, controls, {INPUT: Cm_q})
+    said = batch.at_states(forced, conditions, np.zeros(n), DT_S, controls, {INPUT: Cm_q})
     lanes = [
         batch.ReplayLane({INPUT: Cm_q}, {c: v[k] for c, v in conditions.items()}, 0.0, np.repeat(controls[[k]], 2, axis=0), DT_S)
         for k in range(n)
