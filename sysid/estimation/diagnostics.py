@@ -123,6 +123,6 @@ def colour_warnings(found: Colour, std: Array, std_crb: Array, method: str) -> l
     return [
         (
             f"coloured residuals: suspect {cause}. Predictable from their past: {evidence}{share}. Standard errors allow "
-            f"for it ({median:.2g} times the Cramer-Rao bounds). {cure} (docs/estimators.md, Coloured residuals)."
+            f"for it ({median:.1f} times the Cramer-Rao bounds). {cure} (docs/estimators.md, Coloured residuals)."
         )
     ]

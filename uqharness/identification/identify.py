@@ -38,6 +38,7 @@ from uqharness.replay import (
     misplaced,
     nuisance_layout,
     replay_pool,
+    shown_channel,
 )
 from uqharness.replay.flights import segments
 from uqharness.simulator import Aircraft
@@ -121,7 +122,7 @@ def _why_filter_error(found: Identification, method: str) -> str:
     channels = [c for c in found.outputs if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")]
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = {c: rms(np.concatenate(residual)[:, k]) / noise[k] for k, c in enumerate(channels)}
-    left = ", ".join(f"{c} {r:.2f}" for c, r in ratio.items() if np.isfinite(r) and r > 1.0)
+    left = ", ".join(f"{shown_channel(c)[0]} {r:.2f}" for c, r in ratio.items() if np.isfinite(r) and r > 1.0)
     why = "asked for by --method"
     if method != "filter-error":
         why = (

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sysid.model_form import HOLDS_FROM, STEP_S, CoefficientBounds, ModelForm, Parts, Variation
 from uqharness.errors import BadInputError
 from uqharness.identification import load_form
-from uqharness.replay import History, axis_label, have, read_histories, shown_channel
+from uqharness.replay import CHANNELS, History, axis_label, have, read_histories, shown_channel, with_shown_names
 from uqharness.report.history import end_to_end
 from uqharness.report.parts import (
     Cell,
@@ -49,7 +49,8 @@ def bounds_page(folder: Path, prefix: str = "") -> Page:
     sections = [_width_section(form, details.get("coefficients", {})), slice_section(form, pieces, prefix)]
     sections += within_section(pieces, list(form.coefficients), "The flights within their own bounds", "data", prefix)
     sections += [_left_out_section(details), _hull_section(form), *_filter_section(form, details)]
-    sections += [*remarks(details, key=("notes",)), _provenance(form, details)]
+    said = {key: [with_shown_names(text, CHANNELS) for text in details.get(key, ())] for key in ("warnings", "notes")}
+    sections += [*remarks(said, key=("notes",)), _provenance(form, details)]
     flights = ", ".join(f.name for f in form.flights)
     asked = (
         f"By how much may the coefficients of {form.aircraft.name} be wrong, as functions of the flight state, judged by "
