@@ -41,8 +41,17 @@ def folder_declares(folder: Path, name: str) -> bool:
 
 
 def declared_in(folder: Path, prefix: str) -> tuple[str, ...]:
-    """Properties beginning so that files of the aircraft's folder declare, sorted."""
-    return tuple(sorted({n for document in folder_documents(folder) for n, _ in declarations(document) if n.startswith(prefix)}))
+    """Properties beginning so that files of the aircraft's folder declare and no function or component computes, sorted."""
+    declared: set[str] = set()
+    computed: set[str] = set()
+    for document in folder_documents(folder):
+        declared |= {name for name, _ in declarations(document) if name.startswith(prefix)}
+        for node in document.root.walk():
+            if node.tag == "function":
+                computed.add(attribute(node, "name"))
+            elif node.tag == "output":
+                computed.add(node.text.strip())
+    return tuple(sorted(declared - computed))
 
 
 def folder_names(folder: Path, prefix: str) -> bool:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from uqharness.xml.document import parse_document
-from uqharness.xml.properties import computes, declaration, declarations, declare, folder_declares, folder_names
+from uqharness.xml.properties import computes, declaration, declarations, declare, declared_in, folder_declares, folder_names
 
 XML = b"""<fdm_config>
   <!-- <property value="1">aero/commented</property> -->
@@ -66,3 +66,13 @@ def test_what_is_written_is_declared():
     ]
     document = parse_document(Path("a.xml"), "\n".join(["<a>", *lines, "</a>"]).encode())
     assert [name for name, _ in declarations(document)] == ["aero/a", "aero/b<c"]
+
+
+def test_what_is_computed_is_no_declared_coefficient(tmp_path: Path):
+    (tmp_path / "a.xml").write_bytes(
+        b'<fdm_config><property value="1">aero/b</property><property value="1">aero/a</property><property value="1">fcs/c</property>'
+        b'<property value="0">aero/sum</property><property value="0">aero/filtered</property><function name="aero/sum"/><function/>'
+        b"<lag_filter><output>aero/filtered</output></lag_filter></fdm_config>"
+    )
+    assert declared_in(tmp_path, "aero/") == ("aero/a", "aero/b")
+    assert declared_in(tmp_path, "nav/") == ()
