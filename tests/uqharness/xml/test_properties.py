@@ -70,7 +70,8 @@ def test_what_is_written_is_declared():
 
 def test_what_is_computed_is_no_declared_coefficient(tmp_path: Path):
     (tmp_path / "a.xml").write_bytes(
-        b'<fdm_config><property value="1">aero/b</property><property value="1">aero/a</property><property value="1">fcs/c</property>'
+        b'<fdm_config><property value="1">aero/b</property><property value="1">aero/a</property>'
+        b'<property value="1">fcs/c</property>'
         b'<property value="0">aero/sum</property><property value="0">aero/filtered</property><function name="aero/sum"/><function/>'
         b"<lag_filter><output>aero/filtered</output></lag_filter></fdm_config>"
     )
