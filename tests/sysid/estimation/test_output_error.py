@@ -200,7 +200,7 @@ def test_wrong_model_form_is_reported_and_the_right_one_is_not():
     y = signal.lfilter([0.05], [1.0, -0.95], u + 0.8 * u**2 * np.sin(T))
     measured = y + 0.01 * rng.normal(size=T.size)
     wrong = output_error(lambda theta: signal.lfilter([theta[0]], [1.0, -theta[1]], u), [0.1, 0.9], measured)
-    assert any("wrong model form" in text for text in wrong.warnings)
+    assert any("the model's form" in text for text in wrong.warnings)
     assert (wrong.std > 1.5 * wrong.std_crb).all()
 
     def complete(theta):
