@@ -44,12 +44,9 @@ class JsbsimPrediction:
     segments: dict[tuple[int, int], Segment] = field(default_factory=dict)
     positions: dict[tuple[int, int], Array] = field(default_factory=dict)
 
-    def __call__(self, record: FlightRecord, piece: Piece, every: int = 1) -> Prediction:
-        """Force the state of every so many rows, and of the last, upon the model and read what it says. Raises BadInputError."""
-        return self.all([(record, piece, every)])[0]
-
     def all(self, asked: Sequence[tuple[FlightRecord, Piece, int]]) -> list[Prediction]:
-        """The same of many records and pieces, asked for at once. Raises BadInputError."""
+        """Force states upon the model, all at once, and read what it says: of each record and piece those of every so many rows and
+        of the last. Raises BadInputError."""
         self._prepare([piece for _, piece, _ in asked])
         parts = [self._states(*one) for one in asked]
         names = [f"{c}_pos_deg" if c != "throttle" else "throttle_pct" for c in CONTROLS]
