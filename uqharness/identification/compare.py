@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics import COEFFICIENTS
-from sysid.estimation import NOISE_FLOOR, Shift, Theil, channel_noise, rms, theil, time_shift, worst
-from sysid.logs import Relation, relate
+from sysid.estimation import NOISE_FLOOR, Shift, Theil, channel_noise, rms, theil, worst
+from sysid.logs import Relation
 from sysid.model_form import floor_of
 from uqharness.errors import BadInputError
+from uqharness.identification.answers import answer_of, slip_of
 from uqharness.identification.identify import BIASES, OUTPUTS
 from uqharness.identification.replay_fit import Observed, fit_replays, jumping_in
 from uqharness.identification.start import coefficient_gaps
@@ -51,6 +52,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 LIMIT = NOISE_FLOOR
 """The noise floor is reached when no judged channel's rms is above this many times its noise."""
+_SURE = 2.0
+"""Standard errors by which the controls' delay must pass its limit before the record counts as not aligned."""
 _WORST = 20
 _ANSWERS = {
     "elevator": {"q_radps", "alpha_rad", "az_mps2", "theta_rad"},
@@ -58,7 +61,6 @@ _ANSWERS = {
     "rudder": {"r_radps", "beta_rad", "ay_mps2"},
 }
 """Channels that show a control's effect first."""
-_ANSWER_HZ = (0.1, 2.5)
 
 
 @dataclass(frozen=True)
@@ -67,8 +69,9 @@ class ChannelGap:
 
     rms is what is left after the delay that was allowed for (``allowed_s``, 0 where none was estimated); shift is on top of it.
 
-    answer is the measured channel as a multiple of the model's; a delay means something only where sign and scale are right, and is
-    NaN elsewhere. ``judged`` channels decide the verdict; height and heading do not (integrals of others, drifting sensors).
+    answer is the measured channel as a multiple of the model's, without evidence where the model hardly moves; the delay is NaN
+    where the flight does not determine it, and ``undefined`` says why. ``judged`` channels decide the verdict; height and heading
+    do not (integrals of others, drifting sensors).
     """
 
     rms: float
@@ -78,6 +81,7 @@ class ChannelGap:
     shift: Shift
     theil: Theil
     answer: Relation
+    undefined: str = ""
 
     @property
     def slip(self) -> str:
@@ -88,18 +92,6 @@ class ChannelGap:
     def ratio(self) -> float:
         """Rms of measured minus model over the channel's noise; 1 is the noise floor."""
         return self.rms / self.noise
-
-
-_SAME = 0.33
-"""By how much a channel may be larger or smaller than the model's before its unit is doubted: derivatives are that wrong."""
-
-
-def slip_of(answer: Relation) -> str:
-    """Sign or scale that is wrong for sure, in words; "" when it cannot be told or is right."""
-    if not answer.evident or answer.allows(1.0, _SAME):
-        return ""
-    size = f"{answer.scale:.2f} times the model's (between {answer.low:.2f} and {answer.high:.2f})"
-    return f"reversed: {size}" if answer.scale < 0.0 else f"out of scale: {size}"
 
 
 @dataclass(frozen=True)
@@ -127,8 +119,8 @@ class Comparison(Tabled):
     """All gaps of one flight.
 
     manoeuvres  label -> channel -> rms over noise        demanded, predicted  coefficients (n, 6), one array a segment
-    controls_late_s  how late the controls act, estimated; late_limit_s  what a record allows, infinite for a log, whose
-    channels are stamped when they are written
+    controls_late_s  how late the controls act, estimated, and its standard error, NaN where the flight does not determine it;
+    late_limit_s  what a record allows, infinite for a log, whose channels are stamped when they are written
     """
 
     aircraft: str
@@ -148,6 +140,7 @@ class Comparison(Tabled):
     notes: tuple[str, ...]
     controls_late_s: float = 0.0
     late_limit_s: float = math.inf
+    controls_late_std_s: float = 0.0
 
     def __repr__(self) -> str:
         return f"Comparison({self.aircraft!r}, {self.flight!r}, above: {', '.join(self.above) or 'none'})"
@@ -158,7 +151,7 @@ class Comparison(Tabled):
     @property
     def aligned(self) -> bool:
         """The record's commands act when it says they do. A row of difference would otherwise pass for a lag in every servo."""
-        return abs(self.controls_late_s) <= self.late_limit_s
+        return not abs(self.controls_late_s) - _SURE * self.controls_late_std_s > self.late_limit_s
 
     @property
     def slips(self) -> tuple[str, ...]:
@@ -228,7 +221,7 @@ def compare(
         with replay_pool(workers) as spread:
             wanted = [b for b in biases if b in judged]
             late = delayed([flight], judged, delays)
-            theta, layout_names, kept, notes = _starts(model, cut, judged, data, present, wanted, late, spread)
+            theta, layout_names, kept, notes, late_std_s = _starts(model, cut, judged, data, present, wanted, late, spread)
         replay = Replay(model, cut, layout_names, present, uuid.uuid4().hex)
         modelled = replay(theta)
         on_stage("coefficients")
@@ -263,15 +256,16 @@ def compare(
         modelled=modelled, demanded=demand, predicted=said, nuisance=dict(zip(layout_names, theta.tolist(), strict=True)),
         notes=(*flight.notes, *notes),
         controls_late_s=float(sum(v for n, v in zip(layout_names, theta, strict=True) if n.endswith(f"/{CONTROL_DELAY}"))),
-        late_limit_s=late_limit_s(flight, cut[0].command_s),
+        late_limit_s=late_limit_s(flight, cut[0].command_s), controls_late_std_s=late_std_s,
     )  # fmt: skip
 
 
 def _starts(
     model: ReplayModel, cut: list[Segment], judged: Sequence[str], data: list[Array], present: Sequence[str],
     biases: Sequence[str], late: Mapping[str, Sequence[str]], spread: Any,
-) -> tuple[Array, tuple[str, ...], list[bool], list[str]]:  # fmt: skip
-    """Start states and biases (and their names) that bring the replay nearest; which segments the model can fly; notes."""
+) -> tuple[Array, tuple[str, ...], list[bool], list[str], float]:  # fmt: skip
+    """Start states and biases (and their names) that bring the replay nearest; which segments the model can fly; notes; standard
+    error of the controls' delay [s], NaN where the flight does not determine it."""
     columns = [list(present).index(c) for c in judged]
     layout = nuisance_layout((), (), cut, biases, judged, late, jumping_in(model, cut, late))
     token = uuid.uuid4().hex
@@ -300,7 +294,8 @@ def _starts(
             _, k, state = name.split("/")
             name = f"start/{number[int(k)]}/{state}"
         theta[layout.names.index(name)] = value
-    return theta, layout.names, kept, notes
+    errors = [s for n, s in zip(inner.names, fit.std, strict=True) if n.endswith(f"/{CONTROL_DELAY}")]
+    return theta, layout.names, kept, notes, float(errors[0]) if errors else math.nan
 
 
 def _coefficients(
@@ -328,23 +323,11 @@ def _channel(
     noise: Mapping[str, float], judged: bool, allowed_s: float,
 ) -> ChannelGap:  # fmt: skip
     z, y = [d[:, k] for d in data], [m[:, k] for m in modelled]
-    answer = _answer(z, y, cut[0].dt_s)
-    shift = Shift(math.nan, math.nan) if slip_of(answer) else time_shift(z, y, cut[0].dt_s)
+    answer = answer_of(z, y, noise[name], cut[0].dt_s)
     return ChannelGap(
         rms(np.concatenate([g[:, k] for g in gaps])), noise[name], judged, allowed_s,
-        shift, theil(np.concatenate(z), np.concatenate(y)), answer,
+        answer.shift, theil(np.concatenate(z), np.concatenate(y)), answer.relation, answer.undefined,
     )  # fmt: skip
-
-
-def _answer(measured: list[Array], modelled: list[Array], dt_s: float) -> Relation:
-    """The measured channel as a multiple of the model's, where it was logged (straight lines between samples)."""
-    x, y = [], []
-    for z, m in zip(measured, modelled, strict=True):
-        at, good = np.arange(len(z)), np.isfinite(z)
-        if good.sum() > 0.1 * len(z) and np.isfinite(m).all() and good.sum() > 8:
-            x.append(np.interp(at, at[good], m[good]))
-            y.append(np.interp(at, at[good], z[good]))
-    return relate(x, y, dt_s, *_ANSWER_HZ)
 
 
 def _coefficient(k: int, demand: list[Array], said: list[Array], floor: Array) -> CoefficientGap:

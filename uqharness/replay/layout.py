@@ -87,9 +87,10 @@ def misplaced(flights: Sequence[Flight], cut: Sequence[Segment], nuisance: Mappi
     """A sentence for every flight whose controls, by the estimate in ``nuisance``, act when its record says they do not."""
     said = []
     for flight in flights:
-        late, _ = nuisance.get(f"delay/{flight.name}/{CONTROL_DELAY}", (0.0, 0.0))
+        late, std = nuisance.get(f"delay/{flight.name}/{CONTROL_DELAY}", (0.0, 0.0))
         limit = late_limit_s(flight, next(s.command_s for s in cut if s.flight == flight.name))
-        if abs(late) > limit:
+        # A delay that the flight does not determine (std NaN) says nothing.
+        if abs(late) - 2.0 * std > limit:
             said.append(
                 f"{flight.name}: its controls act {1e3 * abs(late):.1f} ms {'late' if late > 0.0 else 'early'}, and "
                 f"{1e3 * limit:.1f} ms are allowed: its command columns are shifted; a command belongs to the row whose "

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +34,7 @@ def document_of(found: Comparison) -> dict[str, Any]:
                     "theil_variance": g.theil.variance, "theil_covariance": g.theil.covariance,
                 }
             )
-            | {"slip": g.slip}
+            | {"slip": g.slip, "delay_undefined": g.undefined}
             for c, g in found.channels.items()
         },
         "coefficients": {
@@ -71,10 +70,8 @@ def channel_rows(found: Comparison) -> list[dict[str, str]]:
 
 
 def _delay(g: Any) -> str:
-    if g.slip:
-        return "not judged: " + g.slip.split(":")[0]
-    if not math.isfinite(g.shift.std):
-        return "not judged: the model does not move"
+    if g.undefined:
+        return f"undefined: {g.undefined}"
     return f"{1e3 * (g.allowed_s + g.shift.seconds):.1f} +/- {1e3 * g.shift.std:.1f}"
 
 

@@ -88,6 +88,8 @@ def _channel_section(channels: Mapping[str, Mapping[str, Any]], prefix: str) -> 
         answer = "undefined" if ratio is None else "at the noise" if level == "good" else "above"
         answer = answer if judged else _why_not_judged(name)
         delay = f"{_milli(row.get('delay_s'))} ± {_milli(row.get('delay_std_s'))}"
+        if row.get("delay_s") is None:
+            delay = f"undefined: {row.get('delay_undefined') or 'no reason recorded'}"
         theil = shown(row.get("theil_u"), ".3f")
         rows.append((f"{quantity} [{unit}]", shown(rms), *sizes, Cell(answer, level), delay, theil))
     head = ("Channel", "rms of log minus model", "Noise", "Ratio", "Answer", "Delay [ms]", "Theil's U")
