@@ -10,7 +10,7 @@ import math
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from uqharness.replay.ground import terrain_m
 from uqharness.replay.model import ReplayModel
 from uqharness.replay.replay import RAW, Shape, fly_segment, outputs_of, run_controls, shape_of
 from uqharness.replay.segments import Segment
-from uqharness.simulator import TRIM_LATITUDE_DEG, body_velocity
+from uqharness.simulator import TRIM_LATITUDE_DEG, body_velocity, engine
 
 if TYPE_CHECKING:
     from uqharness.batch import ReplayLane, ReplayProgram
@@ -123,19 +123,27 @@ def _made(job: ReplayJob, names: frozenset[str]) -> _Program | None:
     model = job.model
     # All coefficients: estimators free them in turns, and one program serves all.
     names |= set(model.varied)
-    properties = [model.card.inputs[name].property for name in model.controls]
+    properties, _ = model.fed()
     try:
         sources = sources_of(model)
         shape = shape_of(job.model, job.segment, job.between)
         extra = tuple(dict.fromkeys((*_stood(job), *job.extra)))
         records = [*RAW, *extra]
         made = batch.make_replay(
-            sources, lambda: model.open(shape.dt_s), shape.dt_s, properties, sorted(names), records, shape.stride
+            sources, lambda: _started(model, shape.dt_s), shape.dt_s, properties, sorted(names), records, shape.stride
         )
     except BadInputError as error:
         _LOG.info("replays are flown by JSBSim: %s", error)
         return None
     return _Program(made, names, extra)
+
+
+def _started(model: ReplayModel, dt_s: float) -> Any:
+    """JSBSim with the model loaded and its engines running, nothing run."""
+    fdm = model.open(dt_s)
+    if model.engines:
+        engine.start_engines(fdm)
+    return fdm
 
 
 def _judged(job: ReplayJob, program: _Program | None) -> _Program | None:
@@ -163,7 +171,8 @@ def _in_lanes(program: _Program, jobs: Sequence[ReplayJob]) -> list[Array]:
 def _lane(program: _Program, job: ReplayJob, shape: Shape, controls: dict[_Timing, Array]) -> ReplayLane:
     key = (id(job.segment), job.late_s, job.between, job.unseen)
     if key not in controls:
-        controls[key] = run_controls(job.model, job.segment, shape, job.late_s, job.unseen)
+        _, places = job.model.fed()
+        controls[key] = run_controls(job.model, job.segment, shape, job.late_s, job.unseen)[:, places]
     latitude, height = level_of(job.model, job.segment.altitude_m)
     V, alpha, beta, phi, theta, psi, p, q, r = (float(x) for x in job.start)
     u, v, w = body_velocity(V, alpha, beta)

@@ -23,6 +23,8 @@ from uqharness.scratch import scratch_folder
 from uqharness.simulator import Aircraft, Card, Staging, check_loadable, content_hash, engine, parse_xml, position_factor, stage
 from uqharness.xml import declared_in
 
+THROTTLE = "fcs/throttle-cmd-norm"
+"""JSBSim's throttle of the first engine."""
 CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 Array = NDArray[np.float64]
 _HEIGHT = re.compile(r"h-agl-(?:ft|km)|h_b-(?:mac|cg)-ft")
@@ -49,6 +51,7 @@ class ReplayModel:
     ``identity`` of what flies: two copies of one aircraft, opened alike, have the same.
     ``near_ground`` whether its XML reads the height above the ground, ``by_rates`` whether it reads the rates of alpha or beta.
     ``varied`` coefficients that its XML declares: programs compiled from it take each of them at any value.
+    ``engines`` number of them in its <propulsion>.
     """
 
     staging: Staging
@@ -63,6 +66,7 @@ class ReplayModel:
     by_rates: bool = False
     identity: str = ""
     varied: tuple[str, ...] = ()
+    engines: int = 0
 
     @property
     def jumping(self) -> tuple[str, ...]:
@@ -76,6 +80,17 @@ class ReplayModel:
             if throw is not None:
                 out[..., column] = np.interp(controls[..., column], *throw)
         return out
+
+    def fed(self) -> tuple[tuple[str, ...], tuple[int, ...]]:
+        """Properties that the controls set, and the place in ``controls`` of the one that sets each: JSBSim's throttle is that of
+        every engine."""
+        names, places = [], []
+        for place, control in enumerate(self.controls):
+            prop = self.card.inputs[control].property
+            further = range(1, self.engines) if prop == THROTTLE else ()
+            names += [prop, *(f"{prop}[{k}]" for k in further)]
+            places += [place] * (1 + len(further))
+        return tuple(names), tuple(places)
 
     def open(self, dt_s: float) -> Any:
         """A fresh ``FGFDMExec`` in the card's open-loop mode with the replay's integrators, nothing run. Raises BadInputError."""
@@ -126,7 +141,8 @@ class ReplayFolder:
             identity=repr((content_hash(aircraft), tuple(controls), tuple(measured), tuple(ideal), dict(settings or {}))),
             varied=declared_in(copy, "aero/"),
         )  # fmt: skip
-        _declare_orphans(self.model, staging.xml, aircraft.dt_s)
+        engines = _declare_orphans(self.model, staging.xml, aircraft.dt_s)
+        self.model = replace(self.model, engines=engines)
         self.model = replace(self.model, throws=_throws(self.model, (*measured, *ideal), aircraft.dt_s))
 
     def __enter__(self) -> ReplayModel:
@@ -229,14 +245,15 @@ def _surface(name: str) -> str:
     return re.sub(r"-(deg|rad|norm)$", "", name if "/" in name else f"fcs/{name}")
 
 
-def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> None:
-    """Declare, at zero, the properties that only the systems left out used to make."""
+def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> int:
+    """Declare, at zero, the properties that only the systems left out used to make. The number of engines."""
     fdm = engine.open_fdm(model.staging, dt_s)
+    engines = int(fdm.get_propulsion().get_num_engines())
     manager = fdm.get_property_manager()
     names = [n for n in model.card.modes.get("open_loop", {}) if not manager.hasNode(n)]
     names += engine.undefined_properties(fdm)
     if not names:
-        return
+        return engines
     tree = parse_xml(xml)
     root = tree.getroot()
     system = etree.Element("system", name="left out of the replay")
@@ -248,6 +265,7 @@ def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> None:
     else:
         first.addprevious(system)
     tree.write(str(xml), encoding="UTF-8", xml_declaration=True)
+    return engines
 
 
 def control_setters(fdm: Any, model: ReplayModel) -> list[list[Any]]:
@@ -256,7 +274,7 @@ def control_setters(fdm: Any, model: ReplayModel) -> list[list[Any]]:
     for name in model.controls:
         prop = model.card.inputs[name].property
         handles = [engine.handle(fdm, prop).set_double_value]
-        if prop == "fcs/throttle-cmd-norm":
+        if prop == THROTTLE:
             engines = fdm.get_propulsion().get_num_engines()
             handles += [engine.handle(fdm, f"{prop}[{i}]").set_double_value for i in range(1, engines)]
         found.append(handles)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from uqharness.errors import BadInputError
+from uqharness.plugin import with_card
 from uqharness.replay import CHANNELS, ReplayFolder, ReplayJob, ReplayModel, Segment, fly_all
 from uqharness.replay import in_lanes as module
 from uqharness.replay.in_lanes import by_jsbsim
@@ -126,3 +127,22 @@ def test_without_a_compiler_jsbsim_flies(model: ReplayModel, monkeypatch: pytest
     monkeypatch.setattr("uqharness.batch.available", lambda: "llvmlite is not installed")
     job = jobs(model)[0]
     np.testing.assert_array_equal(fly_all([job])[0], by_jsbsim(job))
+
+
+@pytest.mark.parametrize("name", ["c172p", pytest.param("T37", marks=pytest.mark.slow)])
+def test_engines_start_in_their_steady_state_as_in_jsbsim(name: str) -> None:
+    """A piston engine with its propeller, two turbines; throttles that move."""
+    speed = {"c172p": 50.0, "T37": 90.0}[name]
+    aircraft = with_card(find_aircraft(name))
+    with ReplayFolder(aircraft) as model:
+        rows = 60
+        controls = segment(rows).controls * np.array([0.5, 0.3, 0.3, 1.0])
+        start = np.array([speed, 0.03, 0.0, 0.02, 0.03, 1.0, 0.0, 0.0, 0.0])
+        piece = Segment("piece", "flight", DT_S * np.arange(rows), controls, start, 530.0, 500.0)
+        some = [ReplayJob(model, piece, {}, start * (1.0 + 0.01 * k), 0.0) for k in range(3)]
+        ours = fly_all(some)
+        assert module._programs[module._alike(some[0])] is not None
+        for rows_of, job in zip(ours, some, strict=True):
+            assert apart(rows_of, by_jsbsim(job)) < 1e-6
+        faster = ReplayJob(model, piece, {}, start, 0.01)
+        assert apart(ours[0], by_jsbsim(faster)) > 1e-4

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from uqharness.batch.form.flying import begun, slot, stepped
+from uqharness.batch.form.flying import Flyer, begun, slot, stepped
 from uqharness.batch.lanes.mission import WIND, LaneMission, Loaded, load_start
 from uqharness.batch.lanes.streams import Noise
 from uqharness.batch.models.ground import TOUCHED
@@ -46,7 +46,7 @@ def begin(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Begun:
              for s in dict.fromkeys(spec.seed_noise for spec in specs)}  # fmt: skip
     for number, flyer in enumerate((*lanes.initialisers, *([lanes.renewer] if lanes.renewer is not None else []))):
         if number == len(lanes.initialisers):
-            _settle(lanes, values, count)
+            settle(lanes.settlers, values, count)
         if number == 0:
             values |= {name: speed for name, speed in zip(WIND, wind.T, strict=True) if name in flyer.program.slots}
         drawn = np.array([noise[spec.seed_noise].initial[number] for spec in specs])
@@ -62,9 +62,9 @@ def begin(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Begun:
     return Begun(values, noise)
 
 
-def _settle(lanes: LaneMission, values: dict[str, Array], count: int) -> None:
-    """Bring every lane's engines to their steady state."""
-    for going, flyer in lanes.settlers:
+def settle(settlers: Sequence[tuple[str, Flyer]], values: dict[str, Array], count: int) -> None:
+    """Bring every lane's engines to their steady state. settlers: as `compiled_settlers` gives them."""
+    for going, flyer in settlers:
         program = flyer.program
         state = begun(program, count, {name: v for name, v in values.items() if name in program.slots})
         while slot(program, state, going, count).any():

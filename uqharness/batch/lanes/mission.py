@@ -119,17 +119,21 @@ class LaneMission:
 
     @cached_property
     def settlers(self) -> tuple[tuple[str, Flyer], ...]:
-        """For each engine the slot that is not 0 while it is on its way to its steady state, and the turns of that way."""
-        engines = self.flight.propulsion.engines
-        return tuple(
-            (going(engine), compile_program(program, chosen_target()))
-            for engine, program in zip(engines, self.flight.steady, strict=True)
-        )
+        """As `compiled_settlers` gives them."""
+        return compiled_settlers(self.flight)
 
     @cached_property
     def renewer(self) -> Interpreter | None:
         """The frame behind the steady state, in which time stands still; None without one."""
         return Interpreter(self.flight.renewed) if self.steady and self.flight.renewed is not None else None
+
+
+def compiled_settlers(flight: Flight) -> tuple[tuple[str, Flyer], ...]:
+    """For each engine the slot that is not 0 while it is on its way to its steady state, and the turns of that way, compiled."""
+    return tuple(
+        (going(engine), compile_program(program, chosen_target()))
+        for engine, program in zip(flight.propulsion.engines, flight.steady, strict=True)
+    )
 
 
 def _refuse_running(mission: StagedMission) -> None:

@@ -19,7 +19,8 @@ from uqharness.batch.form.interpret import Interpreter
 from uqharness.batch.form.passes import for_what_follows, optimised
 from uqharness.batch.form.program import Program, Stream
 from uqharness.batch.form.settled import settled
-from uqharness.batch.lanes.mission import constant_properties, initial_values
+from uqharness.batch.lanes.begin import settle
+from uqharness.batch.lanes.mission import compiled_settlers, constant_properties, initial_values
 from uqharness.batch.machine.flight import compile_program
 from uqharness.batch.machine.target import chosen_target
 from uqharness.batch.models.motion import WEIGHTS_PARTS, slots
@@ -71,8 +72,20 @@ class ReplayProgram:
     @cached_property
     def initialisers(self) -> tuple[Interpreter, Interpreter]:
         """The two initialising frames."""
-        first, second = for_what_follows(self.flight.first, self.flight.second, self.program, self.inputs)
+        behind = (*self.flight.steady, *_renewed(self.flight))
+        kept = [*self.inputs, *(name for one in behind for name in one.slots)]
+        first, second = for_what_follows(self.flight.first, self.flight.second, self.program, kept)
         return Interpreter(first), Interpreter(second)
+
+    @cached_property
+    def settlers(self) -> tuple[tuple[str, Flyer], ...]:
+        """As `compiled_settlers` gives them; none without engines."""
+        return compiled_settlers(self.flight)
+
+    @cached_property
+    def renewer(self) -> Interpreter | None:
+        """The frame behind the engines' steady state, in which time stands still; None without engines."""
+        return None if self.flight.renewed is None else Interpreter(self.flight.renewed)
 
 
 def make_replay(
@@ -90,9 +103,10 @@ def make_replay(
 
     Raises BadInputError with file and line for what is not understood.
     """
-    flight, fed, names = traced(sources, open_fdm, dt_s, controls, inputs, records)
+    flight, fed, names = traced(sources, open_fdm, dt_s, controls, inputs, records, started=True)
     varying = (STEP, *names, *fed.columns, *(f"#{name}" for part in WEIGHTS_PARTS for name in slots(part)))
-    program = optimised(settled((flight.first, flight.second), flight.frame, varying), stride=stride)
+    between = (*flight.steady, *_renewed(flight))
+    program = optimised(settled((flight.first, flight.second), flight.frame, varying, between), stride=stride)
     # What a stream feeds may be folded away with the section that read it.
     read = {name for section in program.sections for name in section.function.slots}
     if any(read & set(stream.columns) for stream in program.streams if stream is not fed):
@@ -103,19 +117,23 @@ def make_replay(
 
 def traced(
     sources: Sources, open_fdm: Callable[[], Any], dt_s: float, controls: Sequence[str], inputs: Collection[str],
-    records: Sequence[str],
+    records: Sequence[str], started: bool = False,
 ) -> tuple[Flight, Stream, tuple[str, ...]]:  # fmt: skip
     """The frames of an aircraft of any step, the stream of its controls, and the names of what may differ between lanes; arguments
-    of `make_replay`. Raises BadInputError for what cannot be replayed."""
+    of `make_replay`. started: its engines run when ``open_fdm`` gives it. Raises BadInputError for what cannot be replayed."""
     values = Values(initial_values(open_fdm), constant_properties(sources))
     fed = Stream("controls", tuple(canonical(name) for name in controls))
     names = (*(canonical(name) for name in inputs), TERRAIN)
-    flight = trace_flight(sources, dt_s, values, Asked(names, [fed], records, any_step=True))
-    if flight.propulsion.engines:
-        raise BadInputError("the aircraft has engines in <propulsion>, which replays in lanes do not start")
+    flight = trace_flight(sources, dt_s, values, Asked(names, [fed], records, any_step=True, started=started))
+    if flight.propulsion.engines and not started:
+        raise BadInputError("the aircraft has engines in <propulsion>, whose steady state takes more than two frames")
     if flight.draws:
         raise BadInputError("the aircraft draws random numbers, which a replay does without")
     return flight, fed, names
+
+
+def _renewed(flight: Flight) -> tuple[Program, ...]:
+    return () if flight.renewed is None else (flight.renewed,)
 
 
 def fly_replays(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> Iterator[tuple[int, Array]]:
@@ -153,6 +171,9 @@ def _begun(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[str, Array
     values |= {name: np.array([job.controls[0, k] for job in jobs]) for k, name in enumerate(replay.controls)}
     for flyer in replay.initialisers:
         values |= stepped(flyer, values, count)
+    if replay.renewer is not None:
+        settle(replay.settlers, values, count)
+        values |= stepped(replay.renewer, values, count)
     return {name: values.get(name, np.full(count, first)) for name, first in replay.program.slots.items()}
 
 

@@ -82,6 +82,7 @@ class Asked:
     points   where the aircraft touches the ground
     any_step  the step is a number of the lane, in slot STEP; else it is that of the aircraft
     reweighed whoever changes the mass in a lane changes that of the aircraft without fuel as well (propulsion.mass.DRY)
+    started  the host starts the engines, as ``propulsion/set-running`` does
     turned   the host's gusts reach the air through JSBSim's own properties, by the heading of the frame before
     """
 
@@ -92,13 +93,14 @@ class Asked:
     turned: bool = False
     any_step: bool = False
     reweighed: bool = False
+    started: bool = False
 
 
 def trace_flight(sources: Sources, dt_s: float, values: Values, asked: Asked) -> Flight:
     """The programs of a flight. Raises BadInputError with file and line for what is not understood."""
     methods = {part: _integrator(values, name) for part, name in INTEGRATORS.items()}
     _require(values, asked.inputs)
-    propulsion = read_propulsion(sources, values)
+    propulsion = read_propulsion(sources, values, asked.started)
     fed = {name for stream in asked.fed for name in stream.columns}
     if propulsion.tanks and not asked.reweighed and set(asked.inputs) & set(MASS):
         raise BadInputError("the mass of an aircraft with tanks cannot differ between lanes here")

@@ -29,6 +29,7 @@ from uqharness.batch.translate.sources import Sources
 from uqharness.errors import BadInputError
 from uqharness.xml import Document, Node
 
+_BOTH_MAGNETOS = 3.0
 _NEAR_LBS, _TIMES, _MOST = 1e-4, 120.0, 6000.0
 
 
@@ -149,8 +150,8 @@ STEADY_STEP_S = 0.5
 """Step of JSBSim's way to a steady state."""
 
 
-def read_propulsion(sources: Sources, values: Values) -> Propulsion:
-    """Read engines, thrusters and tanks, and put the aircraft without fuel into ``values``.
+def read_propulsion(sources: Sources, values: Values, started: bool = False) -> Propulsion:
+    """Read engines, thrusters and tanks, and put the aircraft without fuel into ``values``. started: by the host, not by a script.
 
     Raises BadInputError with file and line for what is not understood.
     """
@@ -161,7 +162,7 @@ def read_propulsion(sources: Sources, values: Values) -> Propulsion:
     known(scope, node, ("engine", "tank", "property"), ("name", "file"))
     _check_start(values)
     tanks = tuple(read_tank(scope, (document, tank), k) for k, tank in enumerate(node.all("tank")))
-    magnetos = _magnetos(sources.script)
+    magnetos = _BOTH_MAGNETOS if started else _magnetos(sources.script)
     engines = tuple(
         _read_engine((document, engine), k, sources.included, len(tanks), magnetos) for k, engine in enumerate(node.all("engine"))
     )
@@ -230,7 +231,7 @@ def _magnetos(script: Document) -> float:
     for node in () if run is None else run.all("property"):
         name, text = canonical(node.text), node.attributes.get("value", "").strip()
         if name == "propulsion/set-running":
-            found = 3.0
+            found = _BOTH_MAGNETOS
         elif name == "propulsion/magneto_cmd" and text:
             found = float(int(_plain(script).number(node, text)))
     return found
