@@ -30,7 +30,7 @@ class Signal:
 _INF = float("inf")
 _SIGNALS = (
     Signal("time_s", "s", "log time, increasing", "state", -_INF, _INF),
-    Signal("V_mps", "m/s", "true airspeed", "state", -5.0, 150.0),
+    Signal("V_mps", "m/s", "true airspeed", "state", -5.0, 800.0),
     Signal("alpha_rad", "rad", "angle of attack, + nose above the air path", "state", -1.6, 1.6),
     Signal("beta_rad", "rad", "sideslip, + air from the right", "state", -1.6, 1.6),
     Signal("phi_rad", "rad", "roll angle, + right wing down", "state", -3.1417, 3.1417),
@@ -42,7 +42,7 @@ _SIGNALS = (
     Signal("ax_mps2", "m/s2", "specific force at the sensor, + forward", "state", -160.0, 160.0),
     Signal("ay_mps2", "m/s2", "specific force at the sensor, + right", "state", -160.0, 160.0),
     Signal("az_mps2", "m/s2", "specific force at the sensor, + down (level: -9.8)", "state", -160.0, 160.0),
-    Signal("h_m", "m", "height above the start point, + up", "state", -500.0, 20000.0),
+    Signal("h_m", "m", "height above the start point, + up", "state", -500.0, 30000.0),
     Signal("elevator_deg", "deg", "elevator command, + trailing edge down (nose down)", "command", -90.0, 90.0),
     Signal("aileron_deg", "deg", "aileron command, + rolls right", "command", -90.0, 90.0),
     Signal("rudder_deg", "deg", "rudder command, + trailing edge left (nose left)", "command", -90.0, 90.0),
@@ -52,18 +52,18 @@ _SIGNALS = (
     Signal("rudder_pos_deg", "deg", "rudder, measured", "state", -90.0, 90.0, False),
     Signal("north_m", "m", "position north of the start point", "state", -1e6, 1e6, False),
     Signal("east_m", "m", "position east of the start point", "state", -1e6, 1e6, False),
-    Signal("vn_mps", "m/s", "ground velocity, north", "state", -200.0, 200.0, False),
-    Signal("ve_mps", "m/s", "ground velocity, east", "state", -200.0, 200.0, False),
-    Signal("vd_mps", "m/s", "ground velocity, down", "state", -200.0, 200.0, False),
+    Signal("vn_mps", "m/s", "ground velocity, north", "state", -900.0, 900.0, False),
+    Signal("ve_mps", "m/s", "ground velocity, east", "state", -900.0, 900.0, False),
+    Signal("vd_mps", "m/s", "ground velocity, down", "state", -400.0, 400.0, False),
     Signal("rpm", "1/min", "propeller speed, measured", "state", -10.0, 60000.0, False),
-    Signal("thrust_N", "N", "propeller thrust, from a simulation", "state", -1e5, 1e5, False),
-    Signal("rho_kgpm3", "kg/m3", "air density", "state", 0.3, 1.6, False),
+    Signal("thrust_N", "N", "propeller thrust, from a simulation", "state", -5e6, 5e6, False),
+    Signal("rho_kgpm3", "kg/m3", "air density", "state", 0.01, 1.6, False),
     Signal("manoeuvre", "-", "name of the manoeuvre, empty between them", "label", -_INF, _INF, False),
     # Beyond the contract: what loiter metrics need, and the flight mode.
     Signal("mode", "-", "flight mode, the autopilot's own name or number", "label", -_INF, _INF, False),
     Signal("cross_track_m", "m", "cross-track error of the autopilot's guidance", "state", -1e5, 1e5, False),
-    Signal("h_demand_m", "m", "height demand above the start point", "command", -500.0, 20000.0, False),
-    Signal("V_demand_mps", "m/s", "demanded airspeed, true", "command", -5.0, 150.0, False),
+    Signal("h_demand_m", "m", "height demand above the start point", "command", -500.0, 30000.0, False),
+    Signal("V_demand_mps", "m/s", "demanded airspeed, true", "command", -5.0, 800.0, False),
 )
 
 SIGNALS: dict[str, Signal] = {s.name: s for s in _SIGNALS}

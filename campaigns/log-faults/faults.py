@@ -158,7 +158,9 @@ def _turned(raw: RawLog, signals: SignalMap, card: AirframeCard | None, channel:
     key = (outputs.message, outputs.instance)
     fields = dict(raw.messages[key].fields)
     for number, servo, _ in control.parts:
-        name = servo_field(outputs, raw.dialect, number)
+        name = servo_field(outputs, raw, number)
+        if name is None:
+            return None
         rows = sorted(servo.table, key=lambda row: row[1])
         neutral = np.interp(0.0, [angle for _, angle in rows], [pwm for pwm, _ in rows])
         fields[name] = 2.0 * neutral - np.asarray(fields[name], dtype=np.float64)

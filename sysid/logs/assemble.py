@@ -89,6 +89,7 @@ def assemble(raw: RawLog, signal_map: SignalMap, card: AirframeCard | None, sour
         free_flight_s=() if phase.free_s is None else (phase.free_s,),
     )
     record = FlightRecord(columns, meta)
+    findings = [f for f in findings if f.code != "stuck" or _in_flight(f, phase.free_s)]
     findings = [
         *raw.findings,
         Finding("flight-phase", "", "info", phase.why, {} if phase.tow_s is None else {"tow_end_s": phase.tow_s[1]}),
@@ -96,6 +97,11 @@ def assemble(raw: RawLog, signal_map: SignalMap, card: AirframeCard | None, sour
         *check_record(record, phase.free_s),
     ]
     return FlightRecord(record.columns, replace(meta, findings=tuple(findings)))
+
+
+def _in_flight(finding: Finding, free_s: tuple[float, float] | None) -> bool:
+    """Whether what the finding is about lasted in free flight; on the ground a sensor may stand still."""
+    return free_s is not None and finding.numbers["start_s"] < free_s[1] and finding.numbers["end_s"] > free_s[0]
 
 
 def _first_of(own: Callable[[], Channel | None] | None, servo: Callable[[], Channel | None]) -> Channel | None:
@@ -208,10 +214,10 @@ def _servo_tables(wanted: Mapping[str, Control], labels: Mapping[str, str]) -> l
 def _servo_channel(raw: RawLog, outputs: ServoOutputs, times: Times, name: str, control: Control) -> Channel | None:
     key = (outputs.message, outputs.instance)
     table, cleaned = raw.messages[key], times.of(key)
-    fields = [servo_field(outputs, raw.dialect, channel) for channel, _, _ in control.parts]
-    if not all(f in table.fields for f in fields):
+    fields = [servo_field(outputs, raw, channel) for channel, _, _ in control.parts]
+    parts = [table.fields[f][cleaned.keep].astype(np.float64) for f in fields if f is not None]
+    if len(parts) < len(fields):
         return None
-    parts = [table.fields[f][cleaned.keep].astype(np.float64) for f in fields]
     values = sum(
         (w * deflection(pwm, servo) for pwm, (_, servo, w) in zip(parts, control.parts, strict=True)),
         start=np.zeros(int(cleaned.keep.sum())),
@@ -221,9 +227,10 @@ def _servo_channel(raw: RawLog, outputs: ServoOutputs, times: Times, name: str, 
     return Channel(name, f"{outputs.message} {control.label}", table.time_s[cleaned.keep], values, cleaned, False)
 
 
-def servo_field(outputs: ServoOutputs, dialect: str, channel: int) -> str:
-    """Field name of servo output `channel` (counted from 1; PX4 counts from 0)."""
-    return outputs.field_of(channel - 1 if dialect == "ulog" else channel)
+def servo_field(outputs: ServoOutputs, raw: RawLog, channel: int) -> str | None:
+    """Field of servo output `channel` (counted from 1; PX4 counts from 0) in this log; None where it has none."""
+    names = outputs.fields_of(channel - 1 if raw.dialect == "ulog" else channel)
+    return next((name for name in names if name in raw.messages[(outputs.message, outputs.instance)].fields), None)
 
 
 def _phase(
@@ -240,9 +247,9 @@ def _phase(
     elevator = columns.get("elevator_deg")
     if elevator is None and outputs is not None and (outputs.message, outputs.instance) in raw.messages:
         key = (outputs.message, outputs.instance)
-        field = servo_field(outputs, raw.dialect, elevator_channel(raw.parameters))
+        field = servo_field(outputs, raw, elevator_channel(raw.parameters))
         cleaned = times.of(key)
-        if field in raw.messages[key].fields and int(cleaned.keep.sum()) > 1:
+        if field is not None and int(cleaned.keep.sum()) > 1:
             pwm = raw.messages[key].fields[field][cleaned.keep].astype(np.float64)
             elevator = hold(raw.messages[key].time_s[cleaned.keep], pwm, cleaned.gaps, grid, cleaned.step_s)
     return flight_phase.find(

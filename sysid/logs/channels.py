@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from sysid.errors import LogError
 from sysid.foreign.raw import MessageTable, RawLog
+from sysid.logs.air_velocity import alpha_of, beta_of, speed_of
 from sysid.logs.servo import extrapolating_table
 from sysid.logs.signal_map import Entry
 from sysid.logs.time_base import CleanTime, clean
@@ -112,6 +113,12 @@ def _apply(entry: Entry, fields: list[FloatArray], time_s: FloatArray) -> FloatA
                 return offset + scale * x * np.sin(np.radians(fields[1]))
             case "density_of_eas2tas":
                 return np.where(x > 0.5, 1.225 / x**2, np.nan)
+            case "air_speed":
+                return offset + scale * speed_of(*fields)
+            case "air_alpha":
+                return offset + scale * alpha_of(*fields)
+            case "air_beta":
+                return offset + scale * beta_of(*fields)
             case "above_start":
                 y = offset + scale * x
                 return y - float(np.nanmedian(y[time_s <= time_s[0] + 1.0]))

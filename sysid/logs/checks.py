@@ -6,9 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import Finding
+from sysid.logs.air_velocity import components_of
 from sysid.logs.channels import Channel
 from sysid.logs.estimates import check_estimates
 from sysid.logs.held import held, interpolated, stuck, wraps
+from sysid.logs.kinematics import AIR
 from sysid.logs.lever_arm import lever_arm_finding
 from sysid.logs.mending import spoils
 from sysid.logs.physics import check_physics
@@ -34,7 +36,7 @@ def check_channel(c: Channel, grid_step_s: float, seen: set[str]) -> list[Findin
         # Guidance messages come and go with the flight mode; their gaps harm nobody.
         severity = "info" if c.name in _GUIDANCE else "warning"
         out += _times(message, c) + _gaps(message, c, severity)
-    out += _hold(c.name, c, grid_step_s) + _wrap(c.name, c) + _range(c.name, c.label, c.values)
+    out += _hold(c.name, c, grid_step_s) + _wrap(c.name, c) + _range(c.name, c.label, c.values) + _stuck_beneath(c)
     if c.estimate:
         text = (
             f"{c.name} ({c.label}) is computed by the autopilot's estimator, no vane measured it. In gusts it misses"
@@ -123,18 +125,57 @@ _MAY_STAND = frozenset({"elevator_pos_deg", "aileron_pos_deg", "rudder_pos_deg",
 """Channels that may stand still in flight; of them noise has to tell a sensor that has stopped."""
 
 
+def has_factor(label: str) -> bool:
+    """Whether another message's field multiplies the channel of this label."""
+    return " x " in label
+
+
+def _stuck_beneath(c: Channel) -> list[Finding]:
+    """A sensor that stood still beneath a factor that does not."""
+    if c.raw is None or not has_factor(c.label) or c.name in COMMANDS:
+        return []
+    found = stuck(c.raw, c.clean.step_s, noisy=c.name in _MAY_STAND)
+    return [] if found is None else [_stood(c.name, float(c.raw[found[0]]), (c.time_s[found[0]], c.time_s[found[1]]))]
+
+
+def _stood(name: str, value: float, span_s: tuple[float, float]) -> Finding:
+    begin, end = (float(t) for t in span_s)
+    text = f"{name} stands at {value:.4g} from {begin:.2f} to {end:.2f} s, among samples that all differ"
+    return Finding("stuck", name, "error", text, {"start_s": begin, "end_s": end}, spoils(name))
+
+
 def _stuck(record: FlightRecord) -> list[Finding]:
     """Channels that stood still for seconds while their noise moves them with every sample else."""
     out = []
     for name, values in record.columns.items():
-        if name in LABELS or name in COMMANDS or name == "time_s":
+        if name in LABELS or name in COMMANDS or name == "time_s" or has_factor(record.metadata.channels.get(name, "")):
             continue
         found = stuck(values, record.dt_s, noisy=name in _MAY_STAND)
         if found is not None:
-            begin, end = (float(record["time_s"][k]) for k in found)
-            text = f"{name} stands at {values[found[0]]:.4g} from {begin:.2f} to {end:.2f} s, among samples that all differ"
-            out.append(Finding("stuck", name, "error", text, {"start_s": begin, "end_s": end}, spoils(name)))
+            out.append(_stood(name, values[found[0]], (record["time_s"][found[0]], record["time_s"][found[1]])))
     return out
+
+
+def _components_interpolated(flight: FlightRecord) -> list[Finding]:
+    """Airspeed and angles of flow of which somebody has interpolated u, v and w: they themselves lie on no straight lines."""
+    if not all(n in flight for n in AIR):
+        return []
+    rates = {flight.metadata.native_hz.get(n, 1.0 / flight.dt_s) for n in AIR}
+    if min(rates) < 0.75 / flight.dt_s or any(interpolated(flight[n]) for n in AIR):
+        return []
+    with np.errstate(all="ignore"):
+        between = [found for c in components_of(*(flight[n] for n in AIR)) if (found := interpolated(c)) is not None]
+    if len(between) < 2:
+        return []
+    logged = 1.0 / flight.dt_s
+    native = logged / max(between)
+    text = (
+        f"airspeed, alpha and beta come at {logged:.1f} Hz but their components u, v, w lie on straight lines between values at"
+        f" {native:.1f} Hz: somebody has interpolated them; their noise looks smaller than it is"
+    )
+    numbers = {"logged_hz": logged, "native_hz": native}
+    spoilt = "standard errors, and what is faster than its own rate"
+    return [Finding("interpolated", name, "warning", text, numbers, spoilt) for name in AIR]
 
 
 def _wrap(name: str, c: Channel) -> list[Finding]:
@@ -182,7 +223,7 @@ def check_record(record: FlightRecord, free_s: tuple[float, float] | None) -> li
             text = f"{name} is missing in {100 * missing:.2g} % of the flight"
             severity = "warning" if missing > 0.01 and name not in _GUIDANCE else "info"
             out.append(Finding("dropouts", name, severity, text, {"share": missing}))
-    out += _frozen(flight) + _stuck(flight)
+    out += _frozen(flight) + _stuck(flight) + _components_interpolated(flight)
     if "V_mps" in flight and len(flight):
         speed = flight["V_mps"][np.isfinite(flight["V_mps"])]
         below = float(np.mean(speed < 0)) if len(speed) else 0.0
@@ -205,8 +246,9 @@ def check_motion(flight: FlightRecord) -> list[Finding]:
     slips = {f.channel: flight[f.channel] / f.numbers["slope"] for f in found if f.code in ("unit", "sign")}
     mended = flight.with_columns(slips)
     found += [*check_surfaces(mended), *check_estimates(mended)]
-    # With a unit or a sign wrong, what is left over would pass for a lever arm.
-    return found if any(f.severity == "error" for f in found) else [*found, *lever_arm_finding(flight)]
+    # With a unit or a sign wrong, or angles that were not measured, what is left over would pass for a lever arm.
+    spoilt = any(f.severity == "error" or (f.code == "estimate" and f.channel in AIR) for f in found)
+    return found if spoilt else [*found, *lever_arm_finding(flight)]
 
 
 _ABSURD = 1e7
@@ -262,7 +304,12 @@ def check_again(record: FlightRecord) -> list[Finding]:
     if len(record) < 3:
         return list(record.metadata.findings)
     own = record.metadata.estimates
-    kept = [f for f in record.metadata.findings if f.code not in _AT_RECORD and (f.code != "estimate" or f.channel in own)]
+    beneath = {n for n, label in record.metadata.channels.items() if has_factor(label)}
+    kept = [
+        f
+        for f in record.metadata.findings
+        if (f.code not in _AT_RECORD and (f.code != "estimate" or f.channel in own)) or (f.code == "stuck" and f.channel in beneath)
+    ]
     free = record.metadata.free_flight_s
     start, end = float(record["time_s"][0]), float(record["time_s"][-1])
     span = (max(start, free[0][0]), min(end, free[0][1])) if free else (start, end)

@@ -14,13 +14,18 @@ from numpy.typing import NDArray
 
 from sysid.errors import Finding
 from sysid.logs.kinematics import ACCELERATIONS, AIR, ATTITUDE, GROUND, RATES, body_rates_of_attitude, speed_change, to_body
+from sysid.logs.phase import moving_mean
 from sysid.record import FlightRecord
 
 FloatArray = NDArray[np.float64]
 _SAME = 0.005  # of a rate's size, by which it may miss the attitude's derivative
 _OWN = 0.5  # of the fast part of an angle of flow, what attitude and ground velocity leave of it
+_SMOOTHED_S = 0.5  # over which a filter takes the mean of a receiver's velocities, about
 _STEPS_BACK = -0.25  # correlation of neighbouring steps: -0.5 for white noise, 0 or more without
 _NOISE = -0.55  # the same of third differences, which motion hardly enters: -0.75 for white noise
+_THIRD = 20.0**0.5  # third differences over white noise, 1 + 9 + 9 + 1 in variance
+_EXPLAINED = 10.0  # steps of an airspeed over those of the accelerometers' noise: estimates 1 to 3, ArduPlane's filtered sensor 40 or more
+_MOST_SAMPLES, _ON_ROW = 4, 0.01  # of a channel until one falls on a row of the grid, and how near
 _LEAST = 100
 _SPOILS = "standard errors; in gusts an estimate misses the gust, and derivatives from it are wrong"
 
@@ -52,6 +57,15 @@ def _stride(flight: FlightRecord, name: str) -> int:
     """Rows from one logged sample of a channel to the next."""
     native = flight.metadata.native_hz.get(name, 1.0 / flight.dt_s)
     return max(1, int(np.ceil(1.0 / (flight.dt_s * native) - 1e-3)))
+
+
+def _beat(flight: FlightRecord, name: str) -> int:
+    """Rows after which a logged sample of a channel falls on a row again."""
+    ratio = 1.0 / (flight.dt_s * flight.metadata.native_hz.get(name, 1.0 / flight.dt_s))
+    for samples in range(1, _MOST_SAMPLES + 1):
+        if abs(samples * ratio - round(samples * ratio)) < _ON_ROW * samples * ratio:
+            return max(1, round(samples * ratio))
+    return _stride(flight, name)
 
 
 def _steps_back(values: FloatArray) -> float:
@@ -92,26 +106,42 @@ def _smooth_speed(flight: FlightRecord) -> bool:
         return False
     change, _ = speed_change({n: flight[n] for n in names}, flight.dt_s)
     felt = np.concatenate([[0.0], np.cumsum(0.5 * (change[1:] + change[:-1]) * flight.dt_s)])
-    return _steps_back((flight["V_mps"] - felt)[:: _stride(flight, "V_mps")]) > _STEPS_BACK
+    rows = _stride(flight, "V_mps")
+    left = (flight["V_mps"] - felt)[::rows]
+    if not _steps_back(left) > _STEPS_BACK:
+        return False
+    # A sensor whose noise is filtered takes no steps back either, but it has more of it than the accelerometers explain.
+    means = change[: change.size // rows * rows].reshape(-1, rows).mean(axis=1)
+    explained = _fast(means) / _THIRD * rows * flight.dt_s
+    return _typical(np.diff(left)) < _EXPLAINED * explained
 
 
 def _computed_angles(flight: FlightRecord) -> list[str]:
     if not _has(flight, (*AIR, *ATTITUDE, *GROUND)):
         return []
-    c = {n: flight[n] for n in (*ATTITUDE, *GROUND)}
-    u, v, w = to_body(c, np.stack([c[n] for n in GROUND]))
-    speed = np.maximum(np.sqrt(u**2 + v**2 + w**2), 1.0)
+    made: dict[str, list[FloatArray]] = {"alpha_rad": [], "beta_rad": []}
+    # A filter smooths what a receiver gives: its velocity's noise would pass for the angle's own.
+    for window in (1, max(1, round(_SMOOTHED_S / flight.dt_s))):
+        ground = np.stack([moving_mean(flight[n], window) for n in GROUND])
+        u, v, w = to_body({n: flight[n] for n in ATTITUDE}, ground)
+        made["alpha_rad"].append(np.arctan2(w, u))
+        made["beta_rad"].append(np.arcsin(v / np.maximum(np.sqrt(u**2 + v**2 + w**2), 1.0)))
     out = []
-    for name, made in (("alpha_rad", np.arctan2(w, u)), ("beta_rad", np.arcsin(v / speed))):
-        rows = _stride(flight, name)
-        own, left = (_fast(x[::rows]) for x in (flight[name], flight[name] - made))
-        if left < _OWN * own:
+    for name, ways in made.items():
+        rows = _beat(flight, name)
+        # Between its own samples an interpolated channel has less noise than at them.
+        first = max(range(rows), key=lambda k: np.nan_to_num(_fast(flight[name][k::rows])))
+        own, *left = (_fast(x[first::rows]) for x in (flight[name], *(flight[name] - way for way in ways)))
+        if min(left) < _OWN * own:
             out.append(name)
     return out
 
 
 def _fast(values: FloatArray) -> float:
     """Size of third differences, which motion hardly enters."""
-    steps = np.diff(values, 3)
+    return _typical(np.diff(values, 3))
+
+
+def _typical(steps: FloatArray) -> float:
     steps = steps[np.isfinite(steps)]
     return float(np.median(np.abs(steps))) if steps.size > _LEAST else float("nan")

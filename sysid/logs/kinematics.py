@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.logs.air_velocity import components_of
 from sysid.logs.spectra import NOTHING, Relation, relate, relate_means
 from sysid.record import FlightRecord
 from sysid.units import G0_MPS2
@@ -110,8 +111,7 @@ def _felt_on_path(axis: int) -> Callable[[Columns, float], Pair]:
 
 def air_velocity(c: Columns) -> FloatArray:
     """(3, n) u, v, w of the motion through the air, m/s."""
-    speed, alpha, beta = (c[n] for n in AIR)
-    return np.stack([speed * np.cos(alpha) * np.cos(beta), speed * np.sin(beta), speed * np.sin(alpha) * np.cos(beta)])
+    return np.stack(components_of(*(c[n] for n in AIR)))
 
 
 def _felt_in_air(axis: int) -> Callable[[Columns, float], Pair]:

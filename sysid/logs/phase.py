@@ -44,7 +44,7 @@ def find(
     as an elevator at its stop for seconds on end while the pitch rate stays nil: the surfaces move and do nothing.
     """
     step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
-    smooth = _smooth(speed, max(1, round(2.0 / step)))
+    smooth = moving_mean(speed, max(1, round(2.0 / step)))
     known = smooth[np.isfinite(smooth)]
     if not len(known):
         return FlightPhase(None, None, None, "no airspeed and no ground speed: whether it flew cannot be said")
@@ -55,7 +55,7 @@ def find(
     flying = smooth > max(0.5 * usual, 5.0)
     begins_at_rest = bool(np.nanmedian(smooth[: max(1, round(1.0 / step))]) < 3.0)
     if height is not None and begins_at_rest and np.isfinite(height).any():
-        lifted = _smooth(height, max(1, round(1.0 / step))) > MIN_CLIMB_M
+        lifted = moving_mean(height, max(1, round(1.0 / step))) > MIN_CLIMB_M
         if not lifted.any():
             top = float(np.nanmax(height))
             return FlightPhase(None, None, None, f"it never left the ground: the height stays below {top:.1f} m")
@@ -89,7 +89,7 @@ def _tow(
     window = max(1, round(0.5 / step))
     swing = np.abs(elevator - np.nanmedian(elevator))
     stop = 0.85 * float(np.nanmax(swing))
-    still = (swing >= stop) & (np.abs(_smooth(pitch_rate, window)) < 0.05)
+    still = (swing >= stop) & (np.abs(moving_mean(pitch_rate, window)) < 0.05)
     early = time_s < airborne[0] + 120.0
     start, end = _longest(still & early, round(1.0 / step))
     if end <= start or time_s[end - 1] - time_s[start] < _TOW_MIN_S or time_s[end - 1] < airborne[0]:
@@ -97,7 +97,7 @@ def _tow(
     return float(time_s[start]), float(time_s[end - 1])
 
 
-def _smooth(x: FloatArray, window: int) -> FloatArray:
+def moving_mean(x: FloatArray, window: int) -> FloatArray:
     """Moving mean that skips NaN; NaN where the window holds none."""
     if window <= 1:
         return x

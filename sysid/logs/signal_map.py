@@ -29,6 +29,9 @@ FUNCTIONS: dict[str, int] = {
     "north_of_start": 2,  # (latitude, longitude) after scale, in degrees
     "east_of_start": 2,
     "above_start": 1,  # minus the median of the first second
+    "air_speed": 3,  # (u, v, w) of the motion through the air, body axes
+    "air_alpha": 2,  # (u, w)
+    "air_beta": 3,  # (u, v, w)
     "density_of_eas2tas": 1,  # 1.225 / ratio^2
 }
 _KEYS = {"message", "instance", "field", "fields", "scale", "offset", "table", "function", "estimate", "times"}
@@ -62,15 +65,15 @@ class Entry:
 
 @dataclass(frozen=True)
 class ServoOutputs:
-    """Where a dialect logs the servo outputs: message, instance and a field pattern with {n} for the channel number."""
+    """Where a dialect logs the servo outputs: message, instance and field patterns with {n} for the channel number."""
 
     message: str
     instance: int
-    field: str
+    patterns: tuple[str, ...]
 
-    def field_of(self, number: int) -> str:
-        """Field name of a channel by the number that the log gives it."""
-        return self.field.replace("{n}", str(number))
+    def fields_of(self, number: int) -> tuple[str, ...]:
+        """Names that a channel may have, by the number that the log gives it; the first that a log carries is used."""
+        return tuple(pattern.replace("{n}", str(number)) for pattern in self.patterns)
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,7 @@ class SignalMap:
                 if entry.times:
                     out.setdefault(entry.times[0], set()).add(entry.times[1])
         if self.servos is not None:
-            channels = {self.servos.field_of(n) for n in range(17)}
+            channels = {field for n in range(17) for field in self.servos.fields_of(n)}
             out.setdefault(self.servos.message, set()).update(channels)
         return {m: frozenset(f) for m, f in out.items()}
 
@@ -163,10 +166,11 @@ def _servos(data: Any, name: str) -> ServoOutputs | None:
         return None
     if not isinstance(data, dict) or set(data) - {"message", "instance", "field"} or "message" not in data:
         raise LogError('allowed keys are message, instance, field = "C{n}"', name, "[servos]")
-    pattern = str(data.get("field", ""))
-    if "{n}" not in pattern:
-        raise LogError(f'field = "{pattern}" must contain {{n}} for the channel number', name, "[servos]")
-    return ServoOutputs(str(data["message"]), _integer(data.get("instance", 0), name, "[servos]"), pattern)
+    given = data.get("field", "")
+    patterns = tuple(str(pattern) for pattern in (given if isinstance(given, list) else [given]))
+    if not patterns or not all("{n}" in pattern for pattern in patterns):
+        raise LogError(f"field = {given!r} must contain {{n}} for the channel number", name, "[servos]")
+    return ServoOutputs(str(data["message"]), _integer(data.get("instance", 0), name, "[servos]"), patterns)
 
 
 def _entry(row: Any, where: str, name: str) -> Entry:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from sysid.errors import LogError
 from sysid.foreign.regular_files import open_regular
+from sysid.logs.air_velocity import COMPONENTS
 from sysid.logs.importers.dataflash_format import FMT_LENGTH, FMT_TYPE, MAGIC
 from sysid.vocabulary import SIGNALS
 
@@ -111,7 +112,7 @@ def _text(head: bytes) -> str | None:
         return None
     if names[0] == "Time" and any("/" in name or "fdm" in name for name in names):
         return "jsbsim-csv"
-    if "time_s" in names or sum(name in SIGNALS for name in names) >= 2:
+    if "time_s" in names or sum(name in SIGNALS or name in COMPONENTS for name in names) >= 2:
         return "csv"
     # A table of numbers with other names can be used with a user's map.
     numeric = [all(_is_number(cell) for cell in line.split(",")) for line in rows[:5]]

@@ -22,6 +22,7 @@ from sysid.errors import Finding, LogError, in_a_line
 from sysid.foreign.limits import LIMITS, MOST_COLUMNS, MOST_COMMENT, MOST_LINE, too_much
 from sysid.foreign.raw import MessageTable, RawLog, Wanted
 from sysid.foreign.regular_files import in_words, open_regular
+from sysid.logs.air_velocity import COMPONENTS, with_air_data
 from sysid.units import FT_M, KT_MPS, LBF_N, PSF_PA, SLUG_FT2_KGM2, SLUG_FT3_KGPM3, SLUG_KG
 from sysid.vocabulary import LABELS, SIGNALS
 
@@ -84,6 +85,7 @@ def read_record(path: Path, most_bytes: int | None = None) -> tuple[dict[str, ND
     with open_regular(path) as handle:
         packed = handle.read(4) == b"PAR1"
     columns, metadata = _record_parquet(path, most_bytes) if packed else _record_csv(path)
+    columns = with_air_data(columns)
     if not len(next(iter(columns.values()), ())):
         raise LogError("it has a header and no rows; write the record again", path)
     return columns, metadata
@@ -128,7 +130,8 @@ def _record_parquet(path: Path, most_bytes: int | None) -> tuple[dict[str, NDArr
 
 
 def _refuse_unknown(names: Sequence[Any], path: Path) -> None:
-    unknown = next((name for name in names if str(name) not in SIGNALS), None)
+    allowed = {*SIGNALS, *(COMPONENTS if set(COMPONENTS) <= {str(name) for name in names} else ())}
+    unknown = next((name for name in names if str(name) not in allowed), None)
     if unknown is not None:
         raise LogError(f"unknown column '{str(unknown)[:80]}'; allowed are {sorted(SIGNALS)}, or give a --map", path)
 

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from sysid.errors import Finding
+from sysid.foreign.raw import MessageTable, RawLog
+from sysid.logs.assemble import assemble
 from sysid.logs.card import AirframeCard
-from sysid.logs.checks import check_record
+from sysid.logs.checks import check_again, check_record
 from sysid.logs.dataflash_writer import write_dataflash
 from sysid.logs.lever_arm import lever_arm
 from sysid.logs.load import import_log
 from sysid.logs.phase import find
+from sysid.logs.signal_map import Entry, SignalMap
 from sysid.logs.time_base import clean, hold, interpolate
 from sysid.record import FlightRecord, Metadata
 from tests.helpers.synthetic import flight
@@ -224,3 +227,27 @@ def test_a_noisy_attitude_is_no_wrong_unit() -> None:
     assert not [f for f in check_record(noisy, (0.0, 90.0)) if f.code == "unit"]
     wrong = noisy.with_columns({"p_radps": noisy["p_radps"] / 3.0})
     assert [f for f in check_record(wrong, (0.0, 90.0)) if f.code == "unit"]
+
+
+def test_an_airspeed_stuck_beneath_a_density_ratio_that_moves() -> None:
+    record, rng = flight(60.0, seed=4), np.random.default_rng(4)
+    time = record["time_s"]
+    speed = record["V_mps"] + 0.3 * rng.standard_normal(time.size)
+    ratio = 1.01 + 1e-4 * rng.standard_normal(time.size)
+    stood = np.where((time >= 20.0) & (time < 25.0), speed[1000], speed)
+    entry = Entry("ARSP", 0, ("Airspeed",), times=("CTUN", "E2T"))
+
+    def told(values: np.ndarray) -> list[tuple[float, float]]:
+        messages = {
+            ("ARSP", 0): MessageTable(time, {"Airspeed": values}),
+            ("CTUN", 0): MessageTable(time, {"E2T": ratio}),
+            ("IMU", 0): MessageTable(time, {"GyrY": record["q_radps"]}),
+        }
+        signals = SignalMap("test", {"V_mps": (entry,), "q_radps": (Entry("IMU", 0, ("GyrY",)),)})
+        found = assemble(RawLog("dataflash", messages, {}), signals, None)
+        again = check_again(found)
+        assert [f for f in again if f.code == "stuck"] == [f for f in found.metadata.findings if f.code == "stuck"]
+        return [(f.numbers["start_s"], f.numbers["end_s"]) for f in again if f.code == "stuck"]
+
+    assert told(stood) == [(pytest.approx(20.0, abs=0.05), pytest.approx(24.98, abs=0.05))]
+    assert told(speed) == []

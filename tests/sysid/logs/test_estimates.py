@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+from scipy.signal import lfilter
+
 from sysid.logs.estimates import check_estimates
-from sysid.logs.kinematics import ATTITUDE, body_rates_of_attitude
+from sysid.logs.kinematics import ATTITUDE, GROUND, body_rates_of_attitude, to_body
+from sysid.logs.phase import moving_mean
 from sysid.record import FlightRecord
 from tests.helpers.synthetic import flight
 from tests.sysid.logs.test_seeded_faults import noisy
@@ -29,3 +35,24 @@ def test_rates_of_the_attitude_and_a_speed_without_noise() -> None:
 
 def test_a_simulation_without_noise_has_no_sensors_to_speak_of() -> None:
     assert told(EXACT) == []
+
+
+def test_a_sensor_whose_noise_is_filtered_is_no_estimate() -> None:
+    rng = np.random.default_rng(7)
+    # ArduPlane's airspeed: seven tenths of the value before, three of the new one.
+    noise = lfilter([0.3], [1.0, -0.7], 0.5 * rng.standard_normal(len(EXACT)))
+    assert told(noisy(1).with_columns({"V_mps": EXACT["V_mps"] + noise})) == []
+
+
+def test_angles_at_another_rate_than_the_grid() -> None:
+    record, rng = noisy(1), np.random.default_rng(8)
+    time = record["time_s"]
+    at = np.arange(time[0], time[-1], 0.05)
+    ground = np.stack([moving_mean(record[n], round(0.5 / record.dt_s)) for n in GROUND])
+    u, v, w = to_body({n: record[n] for n in ATTITUDE}, ground)
+    computed = {"alpha_rad": np.arctan2(w, u), "beta_rad": np.arcsin(v / np.sqrt(u**2 + v**2 + w**2))}
+    meta = replace(record.metadata, native_hz={"alpha_rad": 20.0, "beta_rad": 20.0})
+    sensed = {n: EXACT[n] + 0.003 * rng.standard_normal(time.size) for n in computed}
+    for source, expected in ((computed, ["alpha_rad", "beta_rad"]), (sensed, [])):
+        held = {n: np.interp(time, at, np.interp(at, time, values)) for n, values in source.items()}
+        assert told(FlightRecord({**record.columns, **held}, meta)) == expected

@@ -39,7 +39,7 @@ def test_a_stretch_that_the_finding_names():
 
 def test_stretches_that_the_record_shows():
     speed = np.full(TIME.size, 20.0)
-    speed[100:111], speed[500] = np.nan, 900.0
+    speed[100:111], speed[500] = np.nan, 2000.0
     found = record(V_mps=speed)
     assert spans_of(finding("dropouts", "V_mps"), "V_mps", found) == ((pytest.approx(10.0), pytest.approx(11.0)),)
     assert spans_of(finding("out-of-range", "V_mps"), "V_mps", found) == ((pytest.approx(50.0), pytest.approx(50.0)),)

@@ -132,3 +132,13 @@ def test_an_old_log_has_gps_on_the_autopilots_clock_and_its_airspeed_in_ntun(tmp
     assert (record["time_s"][0], record["time_s"][-1]) == pytest.approx((1.0, 4.98))
     assert record["vn_mps"][100] == pytest.approx(16.0)
     assert record["V_mps"][100] == pytest.approx(21.0)
+
+
+def test_an_old_logs_servo_outputs_are_named_ch(tmp_path: Path, card_path: Path) -> None:
+    lines = ["FMT, 130, 20, IMU, Iffffff, TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ", "FMT, 131, 20, RCOU, IHHHH, TimeMS,Ch1,Ch2,Ch3,Ch4"]
+    for k in range(100):
+        lines += [f"IMU, {1000 + 20 * k}, 0.1, 0.2, 0.3, 0, 0, -9.8", f"RCOU, {1000 + 20 * k}, 1500, {1500 + k}, 1600, 1500"]
+    (tmp_path / "a.log").write_text("\n".join(lines))
+    record = import_log(tmp_path / "a.log", None, card_path)
+    assert record["elevator_deg"][-1] - record["elevator_deg"][0] == pytest.approx(99 / 20)
+    assert record["throttle_pct"][50] == pytest.approx(60.0)
