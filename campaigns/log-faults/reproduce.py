@@ -49,9 +49,9 @@ HEALTHY = (
     "c172p --mission steady --speed-mps 50 --duration-s 60 --turbulence light --noise --seed 3",
     "c172p --mission 3-2-1-1 --speed-mps 55 --noise --seed 6",
     "espaaro --script doublet-rudder --noise --seed 22",
-    "c310 --mission doublets --speed-mps 75 --noise --seed 4",
+    "c310 --mission doublets --speed-mps 62 --noise --seed 4",
     "J3Cub --mission doublets --speed-mps 28 --wind-mps 4 --turbulence light --noise --seed 5",
-    "pa28 --mission 3-2-1-1 --speed-mps 45 --noise --seed 9",
+    "pa28 --mission 3-2-1-1 --speed-mps 40 --noise --seed 9",
     "T38 --mission doublets --speed-mps 170 --noise --seed 10",
     "737 --mission 3-2-1-1 --speed-mps 140 --wind-mps 10 --turbulence moderate --noise --seed 11",
     "sgs233 --mission steady --speed-mps 28 --duration-s 60 --turbulence light --noise --seed 15",
@@ -168,7 +168,7 @@ def healthy(folder: Path, genuine: Sequence[Path]) -> Iterator[dict[str, Any]]:
     """A row a healthy log: flights of simulations, and genuine ones, of which some findings are known to be true."""
     logs = [(words, flown(folder, words, (".parquet", ".bin")[k % 2])) for k, words in enumerate(HEALTHY)]
     for name, log in [*logs, *((path.stem, path) for path in genuine)]:
-        card = aircraft_of(folder, name.split()[0].removesuffix("_truth")) if log not in genuine else find_aircraft("espaaro").folder
+        card = aircraft_of(folder, "espaaro" if log in genuine else name.split()[0].removesuffix("_truth"))
         begin = time.process_time()
         told = {f"{f.code}:{f.channel}" for f in import_log(log, None, card).metadata.findings if f.severity != "info"}
         seconds = time.process_time() - begin

@@ -9,6 +9,9 @@ from .command_edges import logged_rows as logged_rows
 from .command_edges import place_steps as place_steps
 from .dataflash_writer import write_dataflash as write_dataflash
 from .dropouts import bridge as bridge
+from .found_manoeuvres import Manoeuvre as Manoeuvre
+from .found_manoeuvres import found_manoeuvres as found_manoeuvres
+from .found_manoeuvres import label_found as label_found
 from .info import LogInfo as LogInfo
 from .info import log_info as log_info
 from .info import no_aeroplane as no_aeroplane

@@ -24,7 +24,8 @@ _SMOOTHED_S = 0.5  # over which a filter takes the mean of a receiver's velociti
 _STEPS_BACK = -0.25  # correlation of neighbouring steps: -0.5 for white noise, 0 or more without
 _NOISE = -0.55  # the same of third differences, which motion hardly enters: -0.75 for white noise
 _THIRD = 20.0**0.5  # third differences over white noise, 1 + 9 + 9 + 1 in variance
-_EXPLAINED = 10.0  # steps of an airspeed over those of the accelerometers' noise: estimates 1 to 3, ArduPlane's filtered sensor 40 or more
+_EXPLAINED = 10.0
+"""Steps of an airspeed over those that accelerometer noise makes: 1 to 3 of estimates, 37 or more of ArduPlane's sensor."""
 _MOST_SAMPLES, _ON_ROW = 4, 0.01  # of a channel until one falls on a row of the grid, and how near
 _LEAST = 100
 _SPOILS = "standard errors; in gusts an estimate misses the gust, and derivatives from it are wrong"

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import Finding
+from sysid.logs.found_manoeuvres import Manoeuvre, found_manoeuvres
 from sysid.record import FlightRecord
 from sysid.vocabulary import SURFACES
 
@@ -32,7 +33,7 @@ class Purpose:
 
 @dataclass(frozen=True)
 class LogInfo:
-    """The report of `log info`. `duration_s` and `flight_s` in seconds; rates in Hz by channel."""
+    """The report of `log info`: times in seconds, rates in Hz by channel, manoeuvres as found in the commands."""
 
     source: str
     dialect: str
@@ -45,6 +46,7 @@ class LogInfo:
     channels: Mapping[str, str]
     findings: tuple[Finding, ...]
     purposes: tuple[Purpose, ...]
+    manoeuvres: tuple[Manoeuvre, ...] = ()
 
     @property
     def serves(self) -> bool:
@@ -63,6 +65,7 @@ class LogInfo:
             "grid_hz": self.grid_hz,
             "channels": {n: {"source": self.channels.get(n, ""), "rate_hz": self.rates_hz.get(n)} for n in self.channels},
             "findings": [f.as_dict() for f in self.findings],
+            "manoeuvres": [m.as_dict() for m in self.manoeuvres],
             "purposes": {p.name: {"serves": p.serves, "reason": p.reason} for p in self.purposes},
             "serves": self.serves,
         }
@@ -93,6 +96,7 @@ def log_info(record: FlightRecord) -> LogInfo:
         channels=channels,
         findings=meta.findings,
         purposes=tuple(purposes),
+        manoeuvres=() if obstacle else found_manoeuvres(flight),
     )
 
 

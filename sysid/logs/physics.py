@@ -78,15 +78,20 @@ class Heard:
         return {"alpha_rad", "beta_rad"} <= set(self.law.uses)
 
     @property
+    def tells(self) -> bool:
+        """Whether the law has evidence. One band alone, in which the air is taken for still, may be one gust's."""
+        return self.relation.bands > (1 if self.in_air else 0)
+
+    @property
     def agrees(self) -> bool:
         """The scale is 1 as far as can be told, and it can."""
         r = self.relation
-        return r.evident and r.low > 0.0 and r.high < _SHARP * r.low and r.allows(1.0, SAME - 1.0)
+        return self.tells and r.low > 0.0 and r.high < _SHARP * r.low and r.allows(1.0, SAME - 1.0)
 
     @property
     def differs(self) -> bool:
         """The scale cannot be 1."""
-        return self.relation.evident and not self.relation.allows(1.0, SAME - 1.0)
+        return self.tells and not self.relation.allows(1.0, SAME - 1.0)
 
 
 def check_physics(record: FlightRecord) -> list[Finding]:

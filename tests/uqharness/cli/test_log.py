@@ -75,6 +75,42 @@ def test_import_labels_manoeuvres_from_a_table(log: Path, tmp_path: Path) -> Non
     assert 11.95 < inside[-1] <= 12.0
 
 
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log with a pitch doublet at 20 s and a roll doublet at 30 s."""
+    record = flight(duration_s=40.0, amplitude=0.2)
+    time = record["time_s"]
+    doublet = np.where((time >= 0.0) & (time < 0.5), 4.0, 0.0)
+    inputs = {"elevator_deg": 20.0, "aileron_deg": 30.0, "rudder_deg": 99.0}
+    columns = {
+        n: sum(s * np.interp(time - at - d, time, doublet, left=0.0) for s, d in ((1, 0.0), (-1, 0.5))) for n, at in inputs.items()
+    }
+    path = tmp_path_factory.mktemp("flown") / "flown.bin"
+    write_dataflash(record.with_columns({**columns, "throttle_pct": np.full(time.size, 50.0)}), path, read_card(CARD))
+    return path
+
+
+def test_info_lists_the_manoeuvres_that_it_finds(flown: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["log", "info", str(flown), "--aircraft", str(CARD), "--no-cache"]
+    main([*words, "--json"])
+    found = json.loads(capsys.readouterr().out)["manoeuvres"]
+    assert [(m["axis"], m["kind"], m["unit"]) for m in found] == [("pitch", "doublet", "deg"), ("roll", "doublet", "deg")]
+    assert [m["start_s"] for m in found] == pytest.approx([20.0, 30.0], abs=0.03)
+    main(words)
+    assert "  pitch doublet          20.00 to 21.00 s, +4 deg" in capsys.readouterr().out.splitlines()
+
+
+def test_import_labels_what_is_found(flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--aircraft", str(CARD), "--no-cache", "--manoeuvres", "found", "--out", str(tmp_path / "a.parquet")]
+    assert main(["log", "import", str(flown), *words]) == 0
+    record = FlightRecord.read(tmp_path / "a.parquet")
+    assert set(record["manoeuvre"]) == {"", "pitch doublet", "roll doublet"}
+    still = flight(duration_s=20.0, amplitude=0.0)
+    write_dataflash(still, tmp_path / "still.bin", read_card(CARD))
+    assert main(["log", "import", str(tmp_path / "still.bin"), *words]) == 2
+    assert "no manoeuvre was found in the commands" in capsys.readouterr().err
+
+
 def test_bad_arguments_exit_2(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "text.bin").write_text("This is a text about flying.\n" * 50)

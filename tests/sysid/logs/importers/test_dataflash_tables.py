@@ -135,7 +135,10 @@ def test_an_old_log_has_gps_on_the_autopilots_clock_and_its_airspeed_in_ntun(tmp
 
 
 def test_an_old_logs_servo_outputs_are_named_ch(tmp_path: Path, card_path: Path) -> None:
-    lines = ["FMT, 130, 20, IMU, Iffffff, TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ", "FMT, 131, 20, RCOU, IHHHH, TimeMS,Ch1,Ch2,Ch3,Ch4"]
+    lines = [
+        "FMT, 130, 20, IMU, Iffffff, TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ",
+        "FMT, 131, 20, RCOU, IHHHH, TimeMS,Ch1,Ch2,Ch3,Ch4",
+    ]
     for k in range(100):
         lines += [f"IMU, {1000 + 20 * k}, 0.1, 0.2, 0.3, 0, 0, -9.8", f"RCOU, {1000 + 20 * k}, 1500, {1500 + k}, 1600, 1500"]
     (tmp_path / "a.log").write_text("\n".join(lines))
