@@ -12,7 +12,7 @@ from sysid.foreign.raw import MessageTable, RawLog
 from sysid.logs.assemble import servo_field
 from sysid.logs.card import AirframeCard
 from sysid.logs.channels import Times, resolve
-from sysid.logs.kinematics import body_rates_of_attitude, to_body, to_earth
+from sysid.logs.checking.kinematics import body_rates_of_attitude, to_body, to_earth
 from sysid.logs.servo import controls
 from sysid.logs.signal_map import Entry, SignalMap
 from sysid.units import FT_M, G0_MPS2, KT_MPS

@@ -3,14 +3,14 @@ from .card import AirframeCard as AirframeCard
 from .card import Reference as Reference
 from .card import Sensors as Sensors
 from .card import read_card as read_card
-from .checks import check_units as check_units
-from .checks import in_degrees as in_degrees
+from .checking.checks import check_units as check_units
+from .checking.checks import in_degrees as in_degrees
+from .checking.spectra import Relation as Relation
+from .checking.spectra import relate as relate
 from .command_edges import logged_rows as logged_rows
 from .command_edges import place_steps as place_steps
 from .dataflash_writer import write_dataflash as write_dataflash
 from .dropouts import bridge as bridge
-from .found_manoeuvres import Manoeuvre as Manoeuvre
-from .found_manoeuvres import found_manoeuvres as found_manoeuvres
 from .found_manoeuvres import label_found as label_found
 from .info import LogInfo as LogInfo
 from .info import log_info as log_info
@@ -18,5 +18,3 @@ from .info import no_aeroplane as no_aeroplane
 from .load import import_log as import_log
 from .manoeuvres import label_manoeuvres as label_manoeuvres
 from .servo_parameters import parse_parameters as parse_parameters
-from .spectra import Relation as Relation
-from .spectra import relate as relate

@@ -20,7 +20,7 @@ from sysid.foreign.raw import RawLog
 from sysid.logs import phase as flight_phase
 from sysid.logs.card import AirframeCard
 from sysid.logs.channels import Channel, Times, resolve
-from sysid.logs.checks import check_channel, check_record
+from sysid.logs.checking.checks import check_channel, check_record
 from sysid.logs.servo import Control, controls, deflection, elevator_channel
 from sysid.logs.signal_map import ServoOutputs, SignalMap
 from sysid.logs.time_base import hold, interpolate

@@ -12,7 +12,7 @@ from sysid.foreign.raw import Progress, RawLog
 from sysid.logs.assemble import assemble
 from sysid.logs.cache import cached_file, keep
 from sysid.logs.card import AirframeCard, read_card
-from sysid.logs.checks import check_again
+from sysid.logs.checking.checks import check_again
 from sysid.logs.importers import dataflash as dataflash_binary
 from sysid.logs.importers import dataflash_text
 from sysid.logs.importers.detect import detect

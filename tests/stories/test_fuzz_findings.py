@@ -15,8 +15,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from sysid.errors import LogError
+from sysid.logs.checking.physics import check_physics
 from sysid.logs.load import import_log
-from sysid.logs.physics import check_physics
 from sysid.record import FlightRecord
 from tests.fuzz.formats import CORPUS
 from uqharness.campaign.area import read_flights

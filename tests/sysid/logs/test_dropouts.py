@@ -56,7 +56,7 @@ def test_missing_samples_are_counted_and_the_ends_stay_missing():
 
 
 def test_a_table_of_pandas_is_read_with_its_row_numbers_and_checked_for_degrees(tmp_path):
-    from sysid.logs.checks import in_degrees
+    from sysid.logs.checking.checks import in_degrees
     from sysid.logs.load import import_log
     from tests.helpers.synthetic import flight
 

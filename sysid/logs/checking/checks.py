@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from sysid.errors import Finding
 from sysid.logs.air_velocity import components_of
 from sysid.logs.channels import Channel
-from sysid.logs.estimates import check_estimates
-from sysid.logs.held import held, interpolated, stuck, wraps
-from sysid.logs.kinematics import AIR
-from sysid.logs.lever_arm import lever_arm_finding
-from sysid.logs.mending import spoils
-from sysid.logs.physics import check_physics
-from sysid.logs.surface_signs import check_surfaces
+from sysid.logs.checking.estimates import check_estimates
+from sysid.logs.checking.held import held, interpolated, stuck, wraps
+from sysid.logs.checking.kinematics import AIR
+from sysid.logs.checking.lever_arm import lever_arm_finding
+from sysid.logs.checking.mending import spoils
+from sysid.logs.checking.physics import check_physics
+from sysid.logs.checking.surface_signs import check_surfaces
 from sysid.logs.time_base import CleanTime
 from sysid.record import FlightRecord
 from sysid.vocabulary import COMMANDS, LABELS, SIGNALS

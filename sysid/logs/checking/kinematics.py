@@ -1,7 +1,8 @@
 """What the channels of a flight must have to do with one another, whatever the aircraft: relations that hold for any rigid body.
 
-Each relation says that one channel, or what is made of it, equals something made of others. `sysid.logs.spectra` estimates scale,
-sign and lateness of it. Equations of motion of the centre of gravity: Etkin and Reid, "Dynamics of Flight", 3rd ed. 1996, 4.3, 4.7.
+Each relation says that one channel, or what is made of it, equals something made of others. `sysid.logs.checking.spectra`
+estimates scale, sign and lateness of it. Equations of motion of the centre of gravity: Etkin and Reid, "Dynamics of Flight",
+3rd ed. 1996, 4.3, 4.7.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.logs.air_velocity import components_of
-from sysid.logs.spectra import NOTHING, Relation, relate, relate_means
+from sysid.logs.checking.spectra import NOTHING, Relation, relate, relate_means
 from sysid.record import FlightRecord
 from sysid.units import G0_MPS2
 

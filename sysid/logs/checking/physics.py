@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import Finding
-from sysid.logs.kinematics import ACCELERATIONS, AIR, ATTITUDE, GROUND, RATES, Law, all_laws, judged, stretches
-from sysid.logs.mending import mend, spoils
-from sysid.logs.spectra import Relation
+from sysid.logs.checking.kinematics import ACCELERATIONS, AIR, ATTITUDE, GROUND, RATES, Law, all_laws, judged, stretches
+from sysid.logs.checking.mending import mend, spoils
+from sysid.logs.checking.spectra import Relation
 from sysid.record import FlightRecord
 from sysid.units import FT_M, G0_MPS2, KT_MPS
 from sysid.vocabulary import LABELS, SIGNALS

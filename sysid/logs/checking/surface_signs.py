@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import signal as dsp
 
 from sysid.errors import Finding
-from sysid.logs.mending import mend, spoils
+from sysid.logs.checking.mending import mend, spoils
 from sysid.record import FlightRecord
 
 FloatArray = NDArray[np.float64]

@@ -11,9 +11,9 @@ from sysid.errors import Finding
 from sysid.foreign.raw import MessageTable, RawLog
 from sysid.logs.assemble import assemble
 from sysid.logs.card import AirframeCard
-from sysid.logs.checks import check_again, check_record
+from sysid.logs.checking.checks import check_again, check_record
+from sysid.logs.checking.lever_arm import lever_arm
 from sysid.logs.dataflash_writer import write_dataflash
-from sysid.logs.lever_arm import lever_arm
 from sysid.logs.load import import_log
 from sysid.logs.phase import find
 from sysid.logs.signal_map import Entry, SignalMap
@@ -140,7 +140,7 @@ def test_degrees_where_radians_are_due(tmp_path: Path, card: AirframeCard) -> No
 
 def test_wrapped_integers() -> None:
     from sysid.logs.channels import Channel
-    from sysid.logs.checks import check_channel
+    from sysid.logs.checking.checks import check_channel
 
     t = np.arange(500) * 0.1
     counter = np.cumsum(np.full(500, 300.0))

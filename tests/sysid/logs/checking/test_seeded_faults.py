@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from sysid.errors import Finding
-from sysid.logs.checks import check_again, check_motion
-from sysid.logs.held import held, interpolated, stuck, wraps
-from sysid.logs.kinematics import LAWS, judged, stretches, to_body, to_earth
+from sysid.logs.checking.checks import check_again, check_motion
+from sysid.logs.checking.held import held, interpolated, stuck, wraps
+from sysid.logs.checking.kinematics import LAWS, judged, stretches, to_body, to_earth
+from sysid.logs.checking.mending import mend
+from sysid.logs.checking.physics import check_physics
+from sysid.logs.checking.spectra import relate, relate_means
+from sysid.logs.checking.surface_signs import AXES, effect
 from sysid.logs.load import import_log
-from sysid.logs.mending import mend
-from sysid.logs.physics import check_physics
-from sysid.logs.spectra import relate, relate_means
-from sysid.logs.surface_signs import AXES, effect
 from sysid.record import FlightRecord, Metadata
 from tests.helpers.log_faults import FAULTS, SURFACE_FAULTS, seeded
 from tests.helpers.synthetic import flight

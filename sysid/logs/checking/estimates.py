@@ -13,7 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import Finding
-from sysid.logs.kinematics import ACCELERATIONS, AIR, ATTITUDE, GROUND, RATES, body_rates_of_attitude, speed_change, to_body
+from sysid.logs.checking.kinematics import (
+    ACCELERATIONS,
+    AIR,
+    ATTITUDE,
+    GROUND,
+    RATES,
+    body_rates_of_attitude,
+    speed_change,
+    to_body,
+)
 from sysid.logs.phase import moving_mean
 from sysid.record import FlightRecord
 

@@ -1,0 +1,1 @@
+"""What is wrong with a log: channels by themselves, and channels against one another by physics. Pure numerics."""
