@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,22 @@ _CSV_ROWS = 200_000
 
 
 @dataclass(frozen=True)
+class Loiter:
+    """A circle that the autopilot was told to fly, from ``start_s`` to ``end_s``.
+
+    north_m, east_m  centre, from the start point as the record's columns      radius_m  positive      source  what says so
+    """
+
+    start_s: float
+    end_s: float
+    north_m: float
+    east_m: float
+    radius_m: float
+    clockwise: bool
+    source: str
+
+
+@dataclass(frozen=True)
 class Metadata:
     """Where a record comes from and what is known to be wrong with it.
 
@@ -39,6 +55,7 @@ class Metadata:
     channels     what each channel was made from, e.g. "IMU[0].GyrY"
     estimates    channels that an estimator computed and no sensor measured (alpha, beta without vanes)
     free_flight_s  stretches [start, end] of free flight
+    loiters      circles that the autopilot was told to fly
     findings     everything the checks had to say
     """
 
@@ -54,6 +71,7 @@ class Metadata:
     estimates: tuple[str, ...] = ()
     free_flight_s: tuple[tuple[float, float], ...] = ()
     findings: tuple[Finding, ...] = ()
+    loiters: tuple[Loiter, ...] = ()
 
     @property
     def warnings(self) -> list[str]:
@@ -74,6 +92,7 @@ class Metadata:
             "channels": dict(self.channels),
             "estimates": list(self.estimates),
             "free_flight_s": [list(s) for s in self.free_flight_s],
+            "loiters": [asdict(loiter) for loiter in self.loiters],
             "findings": [f.as_dict() for f in self.findings],
         }
         return json.dumps(data, sort_keys=True)
@@ -95,7 +114,13 @@ class Metadata:
             estimates=tuple(str(e) for e in d.get("estimates", ())),
             free_flight_s=tuple((float(a), float(b)) for a, b in d.get("free_flight_s", ())),
             findings=tuple(finding_from_dict(f) for f in d.get("findings", ())),
+            loiters=tuple(_loiter_from_dict(x) for x in d.get("loiters", ())),
         )
+
+
+def _loiter_from_dict(d: Mapping[str, Any]) -> Loiter:
+    start_s, end_s, north_m, east_m, radius_m = (float(d[n]) for n in ("start_s", "end_s", "north_m", "east_m", "radius_m"))
+    return Loiter(start_s, end_s, north_m, east_m, radius_m, bool(d["clockwise"]), str(d["source"]))
 
 
 @dataclass(frozen=True)

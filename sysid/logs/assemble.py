@@ -21,6 +21,7 @@ from sysid.logs import phase as flight_phase
 from sysid.logs.card import AirframeCard
 from sysid.logs.channels import Channel, Times, resolve
 from sysid.logs.checking.checks import check_channel, check_record
+from sysid.logs.loiters import found_loiters, loiter_commands
 from sysid.logs.servo import Control, controls, deflection, elevator_channel
 from sysid.logs.signal_map import ServoOutputs, SignalMap
 from sysid.logs.time_base import hold, interpolate
@@ -41,6 +42,7 @@ def assemble(raw: RawLog, signal_map: SignalMap, card: AirframeCard | None, sour
     """
     raw = replace(raw, messages=dict(raw.messages))  # ours to empty as the work proceeds
     start = _start(raw)
+    loiters = loiter_commands(raw, start)
     times = Times(raw)
     servos, wanted, findings = _servo_channels(raw, signal_map.servos, card, times)
     sources: dict[str, Callable[[], Channel | None]] = {
@@ -87,6 +89,7 @@ def assemble(raw: RawLog, signal_map: SignalMap, card: AirframeCard | None, sour
         channels={n: label for n, (label, _, _) in about.items()},
         estimates=tuple(n for n, (_, _, estimate) in about.items() if estimate),
         free_flight_s=() if phase.free_s is None else (phase.free_s,),
+        loiters=found_loiters(columns, loiters),
     )
     record = FlightRecord(columns, meta)
     findings = [f for f in findings if f.code != "stuck" or _in_flight(f, phase.free_s)]

@@ -123,11 +123,11 @@ def _apply(entry: Entry, fields: list[FloatArray], time_s: FloatArray) -> FloatA
                 y = offset + scale * x
                 return y - float(np.nanmedian(y[time_s <= time_s[0] + 1.0]))
             case "north_of_start" | "east_of_start":
-                return _local(scale * x, scale * fields[1])[0 if entry.function == "north_of_start" else 1]
+                return local(scale * x, scale * fields[1])[0 if entry.function == "north_of_start" else 1]
         return _euler(fields)[("quaternion_roll", "quaternion_pitch", "quaternion_yaw").index(entry.function)]
 
 
-def _local(lat_deg: FloatArray, lon_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+def local(lat_deg: FloatArray, lon_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
     """North and east of the first fix on the WGS 84 ellipsoid's local plane, m; NaN where there is no fix (0, 0)."""
     fix = np.isfinite(lat_deg) & np.isfinite(lon_deg) & ((np.abs(lat_deg) > 1e-6) | (np.abs(lon_deg) > 1e-6))
     if not fix.any():

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from sysid.errors import Finding
 from sysid.logs.found_manoeuvres import Manoeuvre, found_manoeuvres
-from sysid.record import FlightRecord
+from sysid.record import FlightRecord, Loiter
 from sysid.vocabulary import SURFACES
 
 IDENTIFICATION_MIN_HZ = 20.0  # short periods of small aircraft lie near 1 Hz: twenty samples a cycle
@@ -47,6 +47,7 @@ class LogInfo:
     findings: tuple[Finding, ...]
     purposes: tuple[Purpose, ...]
     manoeuvres: tuple[Manoeuvre, ...] = ()
+    loiters: tuple[Loiter, ...] = ()
 
     @property
     def serves(self) -> bool:
@@ -66,6 +67,7 @@ class LogInfo:
             "channels": {n: {"source": self.channels.get(n, ""), "rate_hz": self.rates_hz.get(n)} for n in self.channels},
             "findings": [f.as_dict() for f in self.findings],
             "manoeuvres": [m.as_dict() for m in self.manoeuvres],
+            "loiters": [asdict(loiter) for loiter in self.loiters],
             "purposes": {p.name: {"serves": p.serves, "reason": p.reason} for p in self.purposes},
             "serves": self.serves,
         }
@@ -96,6 +98,7 @@ def log_info(record: FlightRecord) -> LogInfo:
         channels=channels,
         findings=meta.findings,
         purposes=tuple(purposes),
+        loiters=meta.loiters,
         manoeuvres=() if obstacle else found_manoeuvres(flight),
     )
 

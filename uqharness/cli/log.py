@@ -20,7 +20,7 @@ from uqharness.files import check_page, finite
 if TYPE_CHECKING:
     from sysid.foreign.raw import Progress
     from sysid.logs import LogInfo
-    from sysid.record import FlightRecord
+    from sysid.record import FlightRecord, Loiter
 
 FOUND = "found"
 """In place of a table of manoeuvres."""
@@ -181,11 +181,22 @@ def _info_text(info: LogInfo) -> str:
     if info.manoeuvres:
         lines += ["", "manoeuvres found in the commands"]
         lines += [f"  {m.name:18} {m.start_s:9.2f} to {m.end_s:.2f} s, {m.size:+.3g} {m.unit}" for m in info.manoeuvres]
+    if info.loiters:
+        lines += ["", "loiters as commanded"]
+        lines += [f"  {_loiter_text(loiter)}" for loiter in info.loiters]
     lines += ["", "findings"]
     lines += [f"  {line}" for line in _condensed(info.findings)] or ["  none"]
     lines += ["", "good for"]
     lines += [f"  {'yes' if p.serves else 'no ':4} {p.name}: {p.reason}" for p in info.purposes]
     return "\n".join(lines)
+
+
+def _loiter_text(loiter: Loiter) -> str:
+    sense = "clockwise" if loiter.clockwise else "anticlockwise"
+    return (
+        f"{loiter.start_s:.1f} to {loiter.end_s:.1f} s, radius {loiter.radius_m:g} m {sense} about {loiter.north_m:.1f} m north,"
+        f" {loiter.east_m:.1f} m east of the start ({loiter.source})"
+    )
 
 
 def _import_text(record: FlightRecord, out: Path, kept: tuple[float, float], whole: tuple[float, float]) -> str:

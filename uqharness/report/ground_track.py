@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,8 +100,10 @@ def ground_track(name: str, flown: pd.DataFrame, radius_m: float, condition: str
     return Figure(name, chart.svg(), caption)
 
 
-def flown_track(name: str, columns: Mapping[str, Array], words: str = "") -> Figure | None:
-    """The whole track of a flight with its start and end, and the circle it was to keep where its cross-track error tells one.
+def flown_track(name: str, columns: Mapping[str, Array], words: str = "", circles: Sequence[Circle] = ()) -> Figure | None:
+    """The whole track of a flight with its start and end, and the circles it was to keep.
+
+    Without ``circles`` the one is drawn that its cross-track error tells of, if any.
 
     columns: name -> (n,), of which ``north_m`` and ``east_m`` [m], or ``vn_mps`` and ``ve_mps`` with ``time_s``, and
     ``cross_track_m`` are used; None where the position is not known. words: what the caption says besides.
@@ -111,14 +113,14 @@ def flown_track(name: str, columns: Mapping[str, Array], words: str = "") -> Fig
         return None
     north, east = place
     known = np.isfinite(north) & np.isfinite(east)
-    circle = _commanded(north, east, columns)
-    rings = [] if circle is None else [next(_rings(circle, 0.0))]
+    kept = list(circles) or _commanded(north, east, columns)
+    rings = [next(_rings(circle, 0.0)) for circle in kept]
     ends = [np.concatenate([v[known], *(ring[k] for ring in rings)]) for k, v in enumerate((east, north))]
     x, y = equal_scales(ends[0], ends[1], _HEIGHT)
-    of = "" if circle is None else f", commanded circle of {circle.radius_m:.4g} m"
+    of = f", commanded circle of {kept[0].radius_m:.4g} m" if kept else ""
     chart = Chart(name, f"Ground track, north [m] over east [m]{of}.", x, y, _HEIGHT)
-    for ring_east, ring_north, kind in rings:
-        chart.path(ring_east, ring_north, kind, f"commanded circle, radius {circle.radius_m:.4g} m" if circle else "")
+    for k, (ring_east, ring_north, kind) in enumerate(rings):
+        chart.path(ring_east, ring_north, kind, "" if k else f"commanded circle, radius {kept[0].radius_m:.4g} m")
     few = max(1, math.ceil(len(east) / _MOST_POINTS))
     chart.path(east[::few], north[::few], "first thin", "flown")
     at = np.flatnonzero(known)
@@ -142,15 +144,15 @@ def _places(columns: Mapping[str, Array]) -> tuple[Array, Array] | None:
     return (north, east) if moved else None
 
 
-def _commanded(north: Array, east: Array, columns: Mapping[str, Array]) -> Circle | None:
-    """The circle of the cross-track error, whichever side is positive."""
+def _commanded(north: Array, east: Array, columns: Mapping[str, Array]) -> list[Circle]:
+    """The circle of the cross-track error, whichever side is positive; none where there is none."""
     if "cross_track_m" not in columns:
-        return None
+        return []
     distance = np.asarray(columns["cross_track_m"], dtype=float)
     circle = circle_of(north, east, distance) or circle_of(north, east, -distance)
     # Of a circle much wider than the track nothing but a line would be seen, and the track not at all.
     reach = max(float(np.nanmax(v) - np.nanmin(v)) for v in (north, east))
-    return circle if circle is not None and circle.radius_m <= _WIDEST * reach else None
+    return [circle] if circle is not None and circle.radius_m <= _WIDEST * reach else []
 
 
 def _lap(rows: pd.DataFrame) -> tuple[float, float, float]:

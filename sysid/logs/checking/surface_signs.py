@@ -9,7 +9,7 @@ later: the lag is the one that explains most.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ _MIN_S, _MOST_S = 8.0, 300.0
 _LEAST_HZ = 18.0
 _SURE = 6.0  # standard errors of a sign
 _SHARE = 0.15  # of what is left of the angular acceleration that the surface must explain
+_AGAINST = 0.3  # of that share, explained before with the other sign: a quick aircraft swings back within the lags tried
 _MOVING_DEG = 0.3  # rms in the band
 
 
@@ -50,17 +51,21 @@ AXES = (
 
 @dataclass(frozen=True)
 class Effect:
-    """Angular acceleration a degree, 1/s2, its standard error, the surface's lag and the share of variance that it explains."""
+    """Angular acceleration a degree, 1/s2, its standard error, the surface's lag and the share of variance that it explains.
+
+    against  the largest share that an earlier lag explains, at which the effect has the other sign
+    """
 
     slope: float
     std: float
     late_s: float
     share: float
+    against: float = 0.0
 
     @property
     def certain(self) -> bool:
         """Whether the flight tells the sign."""
-        return abs(self.slope) > _SURE * self.std and self.share > _SHARE
+        return abs(self.slope) > _SURE * self.std and self.share > _SHARE and self.against < _AGAINST * self.share
 
 
 def effect(record: FlightRecord, axis: Axis) -> Effect | None:
@@ -81,12 +86,13 @@ def effect(record: FlightRecord, axis: Axis) -> Effect | None:
     rows = [{n: dsp.sosfiltfilt(sos, c[n] - c[n].mean()) for n in c} for c in parts]
     if math.sqrt(float(np.mean(np.concatenate([c[column] for c in rows]) ** 2))) < _MOVING_DEG:
         return None
-    best: Effect | None = None
-    for lag in range(round(_LATEST_S / dt) + 1):
-        found = _regressed(rows, column, axis.rate, others, lag, dt)
-        if found is not None and (best is None or found.share > best.share):
-            best = found
-    return best
+    lags = range(round(_LATEST_S / dt) + 1)
+    found = [e for lag in lags if (e := _regressed(rows, column, axis.rate, others, lag, dt)) is not None]
+    if not found:
+        return None
+    best = max(found, key=lambda e: e.share)
+    before = [e.share for e in found if e.late_s < best.late_s and e.slope * best.slope < 0.0]
+    return replace(best, against=max(before, default=0.0))
 
 
 def check_surfaces(record: FlightRecord) -> list[Finding]:

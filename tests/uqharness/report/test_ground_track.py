@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from lxml import etree
 
-from uqharness.report.ground_track import circle_of, equal_scales, flown_track, ground_track
+from uqharness.report.ground_track import Circle, circle_of, equal_scales, flown_track, ground_track
 from uqharness.report.svg import Chart
 
 TIME = np.arange(0.0, 200.0, 0.2)
@@ -120,6 +120,16 @@ def test_a_circle_that_the_errors_do_not_tell_is_not_drawn():
     assert "commanded circle" not in str(flown_track("track", flown).svg)
     wide = columns_of(lap(0.001 * AWAY, period_s=4e4, radius=2e4))
     assert "commanded circle" not in str(flown_track("track", wide).svg)
+
+
+def test_circles_that_a_log_names_are_drawn_without_errors():
+    flown = {name: values for name, values in columns_of(lap(AWAY)).items() if name != "cross_track_m"}
+    assert "commanded circle" not in str(flown_track("track", flown).svg)
+    svg = str(flown_track("track", flown, circles=[Circle(0.0, 0.0, 80.0), Circle(500.0, 0.0, 60.0)]).svg)
+    assert "commanded circle, radius 80 m" in svg
+    one = str(flown_track("track", flown, circles=[Circle(0.0, 0.0, 80.0)]).svg)
+    rings = [e for e in etree.fromstring(svg).iter() if "third" in (e.get("class") or "")]
+    assert len(rings) == len([e for e in etree.fromstring(one).iter() if "third" in (e.get("class") or "")]) + 1
 
 
 def test_positions_are_integrated_where_there_are_velocities_alone():

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uqharness.report.channels import Shade, channel_sections, named_stretches, shown_signal
-from uqharness.report.ground_track import flown_track
+from uqharness.report.ground_track import Circle, flown_track
 from uqharness.report.parts import Figures, Level, Page, Say, Section, Table, Words, provenance, shown
 
 Columns = Mapping[str, NDArray[Any]]
@@ -78,9 +78,9 @@ def manoeuvre_section(stretches: Sequence[tuple[float, float, str]]) -> tuple[Se
     return (Section("Manoeuvres", (table,)),)
 
 
-def track_section(columns: Columns, words: str = "") -> tuple[Section, ...]:
-    """The ground track; none where the position is not recorded."""
-    figure = flown_track("ground-track", columns, words)
+def track_section(columns: Columns, words: str = "", circles: Sequence[Circle] = ()) -> tuple[Section, ...]:
+    """The ground track, with circles that it was to keep where they are known; none where the position is not recorded."""
+    figure = flown_track("ground-track", columns, words, circles)
     return () if figure is None else (Section("Ground track", (Figures((figure,), file=""),)),)
 
 

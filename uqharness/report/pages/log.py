@@ -9,6 +9,7 @@ from sysid.logs import LogInfo
 from sysid.record import FlightRecord
 from uqharness.report.channels import Shade, channel_sections, named_stretches
 from uqharness.report.flags import channels_of, flags_of, spans_of
+from uqharness.report.ground_track import Circle
 from uqharness.report.pages.flight import MOST_LISTED, manoeuvre_section, manoeuvre_shades, track_section
 from uqharness.report.parts import Cell, Code, Level, Page, Say, Section, Table, Words, provenance
 
@@ -16,6 +17,8 @@ _LEVELS: Mapping[str, Level] = {"error": "bad", "warning": "warn", "info": ""}
 _ORDER = ("error", "warning", "info")
 _MOST_MODES = 12
 """Flight modes whose changes are drawn; the table lists more."""
+_MOST_CIRCLES = 6
+"""Commanded circles that are drawn."""
 _SAME = 6
 """Channels of one kind of finding that are named in a row."""
 
@@ -32,7 +35,8 @@ def log_page(info: LogInfo, record: FlightRecord, command: str) -> Page:
     legend += [("joint", "change of mode")] if changes else []
     legend += [("fillbad", "finding")] if any(flag.spans for found in flags.values() for flag in found) else []
     sections = [_purposes(info), _findings(record), *_mends(info)]
-    sections += [*track_section(record.columns), *channel_sections(record.columns, shades, flags, legend)]
+    circles = list(dict.fromkeys(Circle(x.north_m, x.east_m, x.radius_m) for x in info.loiters))[:_MOST_CIRCLES]
+    sections += [*track_section(record.columns, circles=circles), *channel_sections(record.columns, shades, flags, legend)]
     sections += [*manoeuvre_section(names), *_modes(modes), _channels(info)]
     facts = [("Command", command), ("Log (SHA-256)", f"{record.metadata.sha256 or 'not computed'} {info.source}")]
     asked = f"What does {info.source} hold, what is wrong with it, and what does it serve?"

@@ -94,6 +94,22 @@ def test_a_reversed_surface_is_told_from_a_right_one() -> None:
     assert slips(check_motion(driven(1.0))) == {"elevator_deg": -1.0}
 
 
+def test_an_aircraft_that_swings_back_within_the_lags_tells_no_sign() -> None:
+    rng, dt, n = np.random.default_rng(6), 0.02, 3000
+    elevator = np.zeros(n)
+    for begin in range(50, n - 50, 150):
+        elevator[begin : begin + 6], elevator[begin + 6 : begin + 12] = 4.0, -4.0
+    # What it does at once is undone, and more, 0.12 s later.
+    later = np.concatenate([np.zeros(6), elevator[:-6]])
+    q = np.cumsum(dt * (-0.2 * elevator + 0.3 * later)) + 0.001 * rng.standard_normal(n)
+    record = FlightRecord({"time_s": dt * np.arange(n), "elevator_deg": elevator, "q_radps": q}, Metadata(dialect="record"))
+    found = effect(record, AXES[0])
+    assert found is not None
+    assert found.slope > 0.0
+    assert found.against > 0.3 * found.share
+    assert slips(check_motion(record)) == {}
+
+
 # --- samples --------------------------------------------------------------------------------------------------------
 
 
