@@ -56,7 +56,7 @@ _SIGNALS = (
     Signal("ve_mps", "m/s", "ground velocity, east", "state", -900.0, 900.0, False),
     Signal("vd_mps", "m/s", "ground velocity, down", "state", -400.0, 400.0, False),
     Signal("rpm", "1/min", "propeller speed, measured", "state", -10.0, 60000.0, False),
-    Signal("thrust_N", "N", "propeller thrust, from a simulation", "state", -5e6, 5e6, False),
+    Signal("thrust_N", "N", "thrust of all engines, measured or from a simulation", "state", -5e6, 5e6, False),
     Signal("rho_kgpm3", "kg/m3", "air density", "state", 0.01, 1.6, False),
     Signal("manoeuvre", "-", "name of the manoeuvre, empty between them", "label", -_INF, _INF, False),
     # Beyond the contract: what loiter metrics need, and the flight mode.

@@ -19,6 +19,7 @@ from uqharness.errors import BadInputError
 from uqharness.replay.ground import height_known
 from uqharness.replay.logged_commands import command_later, mean_ahead, with_steps_placed
 from uqharness.replay.model import CONTROLS
+from uqharness.replay.power import with_throttle
 from uqharness.replay.replay import CHANNELS, STATES
 from uqharness.replay.segments import Commands, Segment
 from uqharness.simulator import Aircraft, with_start_altitude
@@ -133,7 +134,7 @@ def prepare(name: str, record: FlightRecord, measured: Sequence[str], min_s: flo
     if missing:
         why = (
             "without the surfaces' commands or positions nothing can be replayed (import the log with --aircraft, whose card "
-            "turns servo outputs into angles)"
+            "turns servo outputs into angles; thrust_N or rpm may stand for throttle_pct)"
             if set(missing) & set(columns)
             else "a replay starts from them and is compared with them"
         )
@@ -332,7 +333,9 @@ def prepare_together(
     """Records used together, ready for replay, and the surfaces whose measured positions are used. Raises BadInputError."""
     measured = tuple(n for n in measured_surfaces(records) if n in aircraft.card.inputs)
     placed = [with_start_altitude(record, aircraft.folder) for record in records]
-    flights = [prepare(n, r, measured, min_s, max_s) for n, (r, _) in zip(renamed(names), placed, strict=True)]
-    return [
-        replace(f, notes=(f"{f.name}: {said}", *f.notes)) if said else f for f, (_, said) in zip(flights, placed, strict=True)
-    ], measured
+    flights = []
+    for name, (record, said) in zip(renamed(names), placed, strict=True):
+        driven, how = with_throttle(record, aircraft, name)
+        flight = prepare(name, driven, measured, min_s, max_s)
+        flights.append(replace(flight, notes=(*(f"{name}: {text}" for text in (said, how) if text), *flight.notes)))
+    return flights, measured
