@@ -31,6 +31,7 @@ def identify(
     method: Literal["auto", "output-error", "filter-error"] = "auto",
     biases: Sequence[str] | None = None,
     delays: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
     servos: Servos = "card",
     workers: int | None = None,
 ) -> Identification:
@@ -43,7 +44,7 @@ def identify(
     flights : flight or sequence of flights
         Paths, FlightRecords, or what `fly` and `read_flights` give.
     parameters : sequence of str, optional
-        JSBSim properties to estimate, such as ``["aero/Cm_q"]``; by default those that the card lists.
+        JSBSim properties to estimate, such as ``["aero/Cm_q"]``; by default those of the card that the flights excite.
     start : {"current", "initial"}
         Start from the values in the XML, or from the card's first guesses.
     method : {"auto", "output-error", "filter-error"}
@@ -52,6 +53,8 @@ def identify(
         Channels with a constant sensor bias to estimate, short (``"p"``) or whole (``"p_radps"``); by default p, q, r.
     delays : sequence of str, optional
         What is late by a delay to be estimated: channels, or ``"controls"``; by default the controls, and all channels of a log.
+    outputs : sequence of str, optional
+        Channels that are fitted; by default all that are recorded, without ``parameters`` those that some parameter acts on.
     servos : {"card", "ideal"}
         Commands go through the aircraft's actuators, or surfaces and throttle follow them at once.
     workers : int, optional
@@ -86,7 +89,7 @@ def identify(
     asked = None if parameters is None else _names("parameters", parameters)
     if asked == []:
         raise BadInputError("parameters is empty; name properties such as aero/Cm_q, or leave it out")
-    late, biased = _channels("delays", delays), _channels("biases", biases)
+    late, biased, fitted = _channels("delays", delays), _channels("biases", biases), _channels("outputs", outputs)
     ready, measured = _prepared(given_flights(flights, model), model)
     return identifying.identify(
         model,
@@ -96,6 +99,7 @@ def identify(
         start=one_of("start", start, ("current", "initial")),
         biases=identifying.BIASES if biased is None else biased,
         delays=late,
+        outputs=fitted,
         ideal_servos=_ideal(servos),
         method=one_of("method", method, ("auto", "output-error", "filter-error")),
         workers=workers,

@@ -47,7 +47,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_out(parser)
     add_log_options(parser)
     add_replay_options(parser)
-    parser.add_argument("--params", metavar="P,P", help="JSBSim properties to estimate (default: the card's [parameters])")
+    parser.add_argument(
+        "--params", metavar="P,P",
+        help="JSBSim properties to estimate (default: those of the card's [parameters] that the flights excite)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--outputs", metavar="C,C",
+        help="channels that are fitted, such as q,alpha,az (default: all; without --params those that the parameters act on)",
+    )  # fmt: skip
     parser.add_argument(
         "--start", choices=("initial", "current"), default="current",
         help="start from the card's initial values or from the XML's (default %(default)s)",
@@ -69,14 +76,14 @@ def _run(args: argparse.Namespace) -> int:
     parameters = None if args.params is None else [p.strip() for p in args.params.split(",") if p.strip()]
     if parameters == []:
         raise BadInputError("--params is empty; name properties such as aero/Cm_q,aero/Cm_de, or leave it out")
-    biases, delays = (parse_channels(f"--{n}", getattr(args, n)) for n in ("biases", "delays"))
+    biases, delays, outputs = (parse_channels(f"--{n}", getattr(args, n)) for n in ("biases", "delays", "outputs"))
     check_folder(args.out)
     with working("identify", lambda: counter["segments"]) as stage:
         stage("reading the flights")
         flights, measured = read_flights(args.flight, aircraft, args.manoeuvres, args.map)
         found = identify(
             aircraft, flights, measured, parameters, start=args.start, biases=BIASES if biases is None else biases, delays=delays,
-            ideal_servos=args.servos == "ideal", method=args.method, workers=args.workers, on_stage=stage,
+            outputs=outputs, ideal_servos=args.servos == "ideal", method=args.method, workers=args.workers, on_stage=stage,
             tell=_tell,
         )  # fmt: skip
         stage("report")

@@ -9,14 +9,19 @@ from __future__ import annotations
 
 import re
 import time
+import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.aerodynamics import split_name
 from sysid.estimation import NOISE_FLOOR, channel_noise, process_noise_shown, rms
 from uqharness.errors import BadInputError
+from uqharness.identification.asymmetry import lateral_constants
+from uqharness.identification.excited import excited, without
 from uqharness.identification.explained import withdrawn
 from uqharness.identification.replay_fit import Observed, ReplayFit, fit_replays
 from uqharness.identification.result import Identification
@@ -28,6 +33,7 @@ from uqharness.replay import (
     STATES,
     UNSEEN,
     Flight,
+    Replay,
     ReplayFolder,
     ReplayModel,
     Speed,
@@ -61,6 +67,7 @@ def identify(
     start: str = "current",
     biases: Sequence[str] = BIASES,
     delays: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
     ideal_servos: bool = False,
     method: str = "auto",
     workers: int | None = None,
@@ -70,10 +77,12 @@ def identify(
     """Estimate JSBSim properties from flights.
 
     measured    surfaces whose columns are positions (`read_flights` says which)
-    parameters  properties; default: the card's [parameters]
+    parameters  properties; default: those of the card's [parameters] that the flights excite (see excited.py)
     start       "initial": the card's first guesses; "current": the values in the XML
     biases      channels with a constant sensor bias, one a flight
     delays      channels whose delay after the commands is estimated, one a flight; None: all, of flights that come from a log
+    outputs     channels that are fitted; default: all of OUTPUTS that are recorded; where parameters follow from the flights,
+                without those that say nothing of any
     ideal_servos  surfaces and throttle follow their commands at once, whatever actuators the XML has
     method      "auto" | "output-error" | "filter-error"
     on_stage    told what is being done
@@ -91,14 +100,19 @@ def identify(
         on_stage("equation error")
         with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
             near, notes = equation_error_start(model, straight, flights, cut, names, initial, limits)
-        outputs = tuple(c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights))
-        data = [block for f in flights for block in measured_outputs(f, outputs)]
-        observed = Observed(cut, outputs, data, [b for b in biases if b in outputs], delayed(flights, outputs, delays))
-        noise = channel_noise(data, outputs, aircraft.card.sensors.noise_std)
+        channels = _outputs(flights, outputs)
+        data = [block for f in flights for block in measured_outputs(f, channels)]
+        observed = Observed(cut, channels, data, [b for b in biases if b in channels], delayed(flights, channels, delays))
+        noise = channel_noise(data, channels, aircraft.card.sensors.noise_std)
         bare, flown, started = bare_rate(model, cut[0]), counter["rows"], time.perf_counter()
-        on_stage("output error")
         with replay_pool(workers) as spread:
-            fitted = fit_replays(model, observed, names, (near, initial), limits, spread)
+            held: Mapping[str, str] = {}
+            if parameters is None:
+                on_stage("what the flights excite")
+                observed, held, more = _excited_alone(model, observed, names, initial, limits, noise, spread, outputs is None)
+                notes = [*notes, *more]
+            on_stage("output error")
+            fitted = fit_replays(model, observed, names, (near, initial), limits, spread, held=held)
         fit = fitted.found
         taken = time.perf_counter() - started
         seconds = time.perf_counter() - begun
@@ -108,6 +122,13 @@ def identify(
         found = replace(found, warnings=(*misplaced(flights, cut, found.nuisance), *found.warnings))
         if method == "output-error" or (method == "auto" and not process_noise_shown(*_sensed(found))):
             return withdrawn(found)
+        strange = [n for n in names if split_name(n) is None]
+        if method == "auto" and strange:
+            why = (
+                "what is left looks like process noise (turbulence), and filter error, which allows for it, knows coefficient "
+                f"terms (aero/Cm_q and the like) alone, not {strange[0]}: estimates are output error's, and may be biased"
+            )
+            return withdrawn(replace(found, warnings=(why, *found.warnings)))
         if tell is not None:
             tell(_why_filter_error(found, method))
         from uqharness.identification.turbulence import filter_route
@@ -115,6 +136,33 @@ def identify(
         on_stage("filter error")
         with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
             return withdrawn(filter_route(found, model, straight, flights, limits, biases))
+
+
+def _outputs(flights: Sequence[Flight], asked: Sequence[str] | None) -> tuple[str, ...]:
+    """Channels that some flight has. Raises BadInputError for one asked for that none has."""
+    there = tuple(c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights))
+    missing = [] if asked is None else [c for c in asked if c not in there]
+    if missing or asked == ():
+        raise BadInputError(f"no flight has {', '.join(missing) or 'the outputs asked for: none'}; there are {', '.join(there)}")
+    return there if asked is None else tuple(c for c in there if c in asked)
+
+
+def _excited_alone(
+    model: ReplayModel, observed: Observed, names: Sequence[str], initial: Array, limits: Sequence[tuple[float, float]],
+    noise: Mapping[str, float], spread: Callable[..., Any], choose: bool,
+) -> tuple[Observed, Mapping[str, str], list[str]]:  # fmt: skip
+    """What is fitted of what was observed, parameters held and why, notes. choose: channels may be left out."""
+    constants = [n for n in lateral_constants(model) if n not in names]
+    layout = nuisance_layout(
+        (*names, *constants), (*limits, *[(-np.inf, np.inf)] * len(constants)), observed.cut, observed.biases, observed.outputs,
+        observed.late,
+    )  # fmt: skip
+    replay = Replay(model, observed.cut, layout.names, observed.outputs, uuid.uuid4().hex)
+    found = excited(replay, observed, names, initial, limits, noise, spread)
+    replay.forget()
+    left_out = found.left_out if choose else ()
+    notes = [f"not fitted, because no parameter that is estimated acts on them: {', '.join(left_out)}"] if left_out else []
+    return without(observed, left_out), found.held, notes
 
 
 def _why_filter_error(found: Identification, method: str) -> str:

@@ -64,12 +64,13 @@ class ReplayFit:
 def fit_replays(
     model: ReplayModel, observed: Observed, names: Sequence[str], tries: Sequence[Array],
     limits: Sequence[tuple[float, float]], map_: Callable[..., Any], max_iterations: int = MAX_ITERATIONS,
-    errors: bool = True,
+    errors: bool = True, held: Mapping[str, str] | None = None,
 ) -> ReplayFit:  # fmt: skip
     """Fit properties ``names`` of a model, and everything that is estimated beside them.
 
     tries   values to begin from, the first that can be flown counts; what the flights do not determine stays at the last
     map_    as `replay_pool` or `spread_over` gives it      errors  False for estimates alone, without standard errors
+    held    parameters that stay at the last of ``tries``, and why
     Raises BadInputError when the model cannot fly the segments.
     """
     jumping = () if observed.late_s else jumping_in(model, observed.cut, observed.late)
@@ -82,22 +83,33 @@ def fit_replays(
             tolerance=TOLERANCE, max_iterations=max_iterations, differences="secant", errors=errors,
         )  # fmt: skip
 
-    fit = _first_that_flies(fit_from, layout, [np.asarray(values) for values in tries])
-    lost = tuple(n for n in names if fit.status[n] == "not-identified")
+    held = held or {}
+    tries = [_with(values, tries[-1], [list(names).index(n) for n in held]) for values in tries]
+    free = [n for n in layout.names if n not in held]
+    fit = _first_that_flies(lambda theta: fit_from(theta, free), layout, tries)
+    fit = replace(fit, status={**fit.status, **dict.fromkeys(held, "not-identified")}, reason={**fit.reason, **held})
+    lost = tuple(n for n in names if fit.status[n] == "not-identified" and n not in held)
     if lost:
         # What the data do not determine goes back to where it was, so that the rest is estimated beside values that will be flown.
         theta = fit.theta.copy()
         for n in lost:
             theta[layout.names.index(n)] = tries[-1][list(names).index(n)]
-        again = fit_from(theta, [n for n in layout.names if n not in lost])
-        status = {**again.status, **dict.fromkeys(lost, "not-identified")}
-        reason = {**again.reason, **{n: fit.reason[n] for n in lost}}
+        again = fit_from(theta, [n for n in free if n not in lost])
+        status = {**again.status, **dict.fromkeys((*lost, *held), "not-identified")}
+        reason = {**again.reason, **{n: fit.reason[n] for n in (*lost, *held)}}
         kept = [w for w in fit.warnings if any(w.startswith(f"{n} not identified") for n in lost)]
         fit = replace(
             again, status=status, reason=reason, warnings=kept + again.warnings,
             n_simulations=fit.n_simulations + again.n_simulations,
         )  # fmt: skip
-    return ReplayFit(fit, layout, replay, lost)
+    return ReplayFit(fit, layout, replay, (*lost, *held))
+
+
+def _with(values: Array, fixed: Array, places: Sequence[int]) -> Array:
+    """(k,) values, those of some places as in ``fixed``."""
+    out = np.array(values, dtype=float)
+    out[list(places)] = np.asarray(fixed)[list(places)]
+    return out
 
 
 def jumping_in(model: ReplayModel, cut: Sequence[Segment], late: Mapping[str, Sequence[str]]) -> list[str]:
@@ -106,16 +118,14 @@ def jumping_in(model: ReplayModel, cut: Sequence[Segment], late: Mapping[str, Se
     return [f for f in flights if not set(late.get(f, ())) - {CONTROL_DELAY}]
 
 
-def _first_that_flies(
-    fit_from: Callable[[Array, Sequence[str]], OutputErrorFit], layout: Layout, tries: Sequence[Array]
-) -> OutputErrorFit:
+def _first_that_flies(fit_from: Callable[[Array], OutputErrorFit], layout: Layout, tries: Sequence[Array]) -> OutputErrorFit:
     """The fit from the first of some values at which the segments can be flown."""
     failure: ValueError | None = None
     for values in tries:
         theta = np.zeros(len(layout.names))
         theta[: len(values)] = values
         try:
-            return fit_from(theta, layout.names)
+            return fit_from(theta)
         except ValueError as error:
             failure = error
             if "fails at theta0" not in str(error):

@@ -148,6 +148,38 @@ def test_what_a_flight_does_not_tell_is_said_and_left_alone(flights, tmp_path):
     assert '<property value="-0.000007">aero/Cn_da</property>' in (tmp_path / "id/aircraft/espaaro.xml").read_text()
 
 
+def test_parameters_follow_from_what_the_manoeuvres_excite(flights, tmp_path):
+    """Pitch manoeuvres alone: what acts in roll and yaw is held with the reason, but for the constants, which act at all times."""
+    code = main(["identify", "espaaro", "--flight", str(flights / "pitch.parquet"), "--out", str(tmp_path / "id"),
+                 "--workers", "1", "--no-figures"])  # fmt: skip
+    assert code == 0
+    fit = json.loads((tmp_path / "id" / "fit.json").read_text())
+    assert {f"aero/{n}" for n in LONGITUDINAL} <= set(fit["names"])
+    for name in ("aero/CY_p", "aero/Cl_da", "aero/Cl_p", "aero/Cn_da", "aero/Cn_dr"):
+        assert fit["parameters"][name]["status"] == "not-identified", name
+        assert fit["parameters"][name]["reason"].startswith("held at "), name
+        assert fit["parameters"][name]["value"] == fit["parameters"][name]["initial"], name
+    assert {"aero/Cl_0", "aero/Cn_0"} <= set(fit["names"])
+
+
+def test_where_all_is_excited_nothing_is_held(identified):
+    _, fit = identified
+    assert not any(p["reason"].startswith("held") for p in fit["parameters"].values())
+    assert len(fit["fit"]) == 11
+
+
+def test_outputs_are_those_asked_for(flights, tmp_path, capsys):
+    arguments = ["identify", "espaaro", "--flight", str(flights / "pitch.parquet"), "--params", "Cm_q,Cm_de", "--workers", "1"]
+    assert main([*arguments, "--outputs", "q,az", "--no-figures", "--out", str(tmp_path / "id")]) == 0
+    fit = json.loads((tmp_path / "id" / "fit.json").read_text())
+    assert set(fit["fit"]) == {"q_radps", "az_mps2"}
+    assert fit["names"] == ["aero/Cm_q", "aero/Cm_de"]
+    for given, words in (("x", "unknown channel x"), ("none", "the outputs asked for: none")):
+        capsys.readouterr()
+        assert main([*arguments, "--outputs", given, "--out", str(tmp_path / "no")]) == 2
+        assert words in capsys.readouterr().err
+
+
 def test_figures_and_tables_are_there(flights, tmp_path):
     out = tmp_path / "id"
     assert main(["identify", "espaaro", "--flight", str(flights / "pitch.parquet"), "--params", "Cm_q", "--out", str(out),

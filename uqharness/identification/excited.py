@@ -1,0 +1,120 @@
+"""Which parameters flights can determine, and which channels they act on, before anything is estimated.
+
+The information matrix at the start values (Maine and Iliff, NASA RP-1138, 1985, section 5) gives the smallest standard error
+that each parameter could have, start states and biases estimated beside it. It comes from the model's motion under the flights'
+own controls, so it says what the manoeuvres excite.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.estimation import assess
+from uqharness.identification.replay_fit import Observed
+from uqharness.replay import Replay
+
+Array = NDArray[np.float64]
+LEAST_T = 4.0
+"""Size over smallest standard error that a parameter must have: below, its 95 % interval would be as wide as it is large."""
+WIDTH_SHARE = 0.1
+"""A parameter's size is its value, or this share of its bounds' width: one of about 0 is known no better by being small."""
+LEAST_SHARE = 0.01
+"""Share of the information on some parameter that a channel must hold; without it, it says nothing of any."""
+_STEP = 1e-4
+"""Of a parameter's value, of its bounds' width or of one: replays are smooth, and a double resolves 1e-8 of their change."""
+
+
+@dataclass(frozen=True)
+class Excited:
+    """held: parameter -> why it stays at its value. left_out: channels that say nothing of the others."""
+
+    held: Mapping[str, str]
+    left_out: tuple[str, ...]
+
+
+NOTHING = Excited({}, ())
+
+
+@dataclass(frozen=True)
+class _Outputs:
+    """Outputs of a replay below one another (N, m), asked for at several points together (`spread_over`)."""
+
+    simulate: Replay
+
+    def __call__(self, theta: Array) -> Array:
+        return np.concatenate(self.simulate(theta))
+
+
+def excited(
+    replay: Replay, observed: Observed, names: Sequence[str], initial: Array, limits: Sequence[tuple[float, float]],
+    noise: Mapping[str, float], map_: Callable[..., Any],
+) -> Excited:  # fmt: skip
+    """Judge parameters ``names`` (k,) of a replay whose theta begins with them, at ``initial`` (k,).
+
+    noise: standard deviation by channel; map_: as `replay_pool` gives it. NOTHING where the model cannot fly from there.
+    """
+    count = len(replay.names)
+    theta = np.zeros(count)
+    theta[: len(names)] = initial
+    steps = np.full(count, _STEP)
+    for k, (value, (low, high)) in enumerate(zip(initial, limits, strict=True)):
+        width = high - low if np.isfinite(high - low) else 1.0
+        steps[k] *= abs(value) or width
+        # A forward step must not leave the bounds.
+        steps[k] *= -1.0 if value + steps[k] > high else 1.0
+    base, *moved = map_(_Outputs(replay), [theta, *(theta + step for step in np.diag(steps))])
+    sigma = np.array([noise[c] for c in observed.outputs])
+    known = np.isfinite(np.concatenate(list(observed.data))) & (sigma > 0.0)
+    slopes = np.stack([(y - base) / step for y, step in zip(moved, steps, strict=True)]) / sigma
+    if not np.isfinite(slopes).all():
+        return NOTHING
+    slopes = np.where(known, slopes, 0.0)
+    widths = np.array([high - low if np.isfinite(high - low) else 0.0 for low, high in limits])
+    size = np.maximum(np.abs(initial), WIDTH_SHARE * widths)
+    found = judged(slopes, replay.names, size, observed.outputs)
+    return replace(found, held={n: f"held at {initial[list(names).index(n)]:.4g}: {why}" for n, why in found.held.items()})
+
+
+def judged(slopes: Array, labels: Sequence[str], size: Array, outputs: Sequence[str]) -> Excited:
+    """The same from slopes (K, N, m) of the outputs in sigma; the first of the K ``labels`` are parameters, of ``size`` (k,), the
+    others are estimated beside them. A parameter of size 0 is not held."""
+    count = len(size)
+    flat = slopes.reshape(len(slopes), -1)
+    information = flat @ flat.T
+    held: dict[str, str] = {}
+    while True:
+        rest = [k for k, name in enumerate(labels) if name not in held]
+        gate = assess(information[np.ix_(rest, rest)], tuple(labels[k] for k in rest))
+        smallest = np.full(len(labels), np.inf)
+        smallest[rest] = np.sqrt(np.where(gate.identified, np.maximum(np.diagonal(gate.inverse), 0.0), np.inf))
+        t = size / smallest[:count]
+        # One at a time: what is held leaves the others its share of the information.
+        weak = [k for k in rest if k < count and size[k] > 0.0 and t[k] < LEAST_T]
+        if not weak:
+            break
+        worst = min(weak, key=lambda k: (t[k], information[k, k]))
+        why = gate.reason[rest.index(worst)] or (
+            f"not excited: its standard error would be {smallest[worst]:.2g} at least, "
+            f"{size[worst] / LEAST_T:.2g} at most is needed"
+        )
+        held[labels[worst]] = why
+    free = [k for k, name in enumerate(labels[:count]) if name not in held and np.isfinite(smallest[k])]
+    if not free:
+        return Excited(held, ())
+    # (free, m): information of each channel alone on each parameter, in units of what is left of all when the rest is estimated.
+    share = np.sum(slopes[free] ** 2, axis=1) * smallest[free, None] ** 2
+    return Excited(held, tuple(c for c, most in zip(outputs, share.max(axis=0), strict=True) if most < LEAST_SHARE))
+
+
+def without(observed: Observed, left_out: Sequence[str]) -> Observed:
+    """The same without some channels."""
+    kept = [k for k, c in enumerate(observed.outputs) if c not in left_out]
+    outputs = tuple(observed.outputs[k] for k in kept)
+    return replace(
+        observed, outputs=outputs, data=[z[:, kept] for z in observed.data], biases=[b for b in observed.biases if b in outputs]
+    )
