@@ -106,13 +106,12 @@ def identify(
         noise = channel_noise(data, channels, aircraft.card.sensors.noise_std)
         bare, flown, started = bare_rate(model, cut[0]), counter["rows"], time.perf_counter()
         with replay_pool(workers) as spread:
-            held: Mapping[str, str] = {}
             if parameters is None:
                 on_stage("what the flights excite")
-                observed, held, more = _excited_alone(model, observed, names, initial, limits, noise, spread, outputs is None)
+                observed, more = _excited_alone(model, observed, names, initial, limits, noise, spread, outputs is None)
                 notes = [*notes, *more]
             on_stage("output error")
-            fitted = fit_replays(model, observed, names, (near, initial), limits, spread, held=held)
+            fitted = fit_replays(model, observed, names, (near, initial), limits, spread)
         fit = fitted.found
         taken = time.perf_counter() - started
         seconds = time.perf_counter() - begun
@@ -150,8 +149,8 @@ def _outputs(flights: Sequence[Flight], asked: Sequence[str] | None) -> tuple[st
 def _excited_alone(
     model: ReplayModel, observed: Observed, names: Sequence[str], initial: Array, limits: Sequence[tuple[float, float]],
     noise: Mapping[str, float], spread: Callable[..., Any], choose: bool,
-) -> tuple[Observed, Mapping[str, str], list[str]]:  # fmt: skip
-    """What is fitted of what was observed, parameters held and why, notes. choose: channels may be left out."""
+) -> tuple[Observed, list[str]]:  # fmt: skip
+    """What is fitted of what was observed, with parameters held; notes. choose: channels may be left out."""
     constants = [n for n in lateral_constants(model) if n not in names]
     layout = nuisance_layout(
         (*names, *constants), (*limits, *[(-np.inf, np.inf)] * len(constants)), observed.cut, observed.biases, observed.outputs,
@@ -162,7 +161,7 @@ def _excited_alone(
     replay.forget()
     left_out = found.left_out if choose else ()
     notes = [f"not fitted, because no parameter that is estimated acts on them: {', '.join(left_out)}"] if left_out else []
-    return without(observed, left_out), found.held, notes
+    return replace(without(observed, left_out), held=found.held), notes
 
 
 def _why_filter_error(found: Identification, method: str) -> str:

@@ -31,7 +31,7 @@ class Observed:
 
     biases  channels with a constant bias, one a flight       late  flight -> sensors, or CONTROL_DELAY, whose delay is estimated
     late_s  channel -> time by which it is known to come late besides
-    properties  values of properties in all replays
+    properties  values of properties in all replays      held  parameters that are not estimated, and why
     """
 
     cut: Sequence[Segment]
@@ -41,6 +41,7 @@ class Observed:
     late: Mapping[str, Sequence[str]]
     late_s: Mapping[str, float] = field(default_factory=dict)
     properties: Mapping[str, float] = field(default_factory=dict)
+    held: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -64,13 +65,13 @@ class ReplayFit:
 def fit_replays(
     model: ReplayModel, observed: Observed, names: Sequence[str], tries: Sequence[Array],
     limits: Sequence[tuple[float, float]], map_: Callable[..., Any], max_iterations: int = MAX_ITERATIONS,
-    errors: bool = True, held: Mapping[str, str] | None = None,
+    errors: bool = True,
 ) -> ReplayFit:  # fmt: skip
     """Fit properties ``names`` of a model, and everything that is estimated beside them.
 
     tries   values to begin from, the first that can be flown counts; what the flights do not determine stays at the last
     map_    as `replay_pool` or `spread_over` gives it      errors  False for estimates alone, without standard errors
-    held    parameters that stay at the last of ``tries``, and why
+    What ``observed`` holds stays at the last of ``tries``.
     Raises BadInputError when the model cannot fly the segments.
     """
     jumping = () if observed.late_s else jumping_in(model, observed.cut, observed.late)
@@ -83,7 +84,7 @@ def fit_replays(
             tolerance=TOLERANCE, max_iterations=max_iterations, differences="secant", errors=errors,
         )  # fmt: skip
 
-    held = held or {}
+    held = observed.held
     tries = [_with(values, tries[-1], [list(names).index(n) for n in held]) for values in tries]
     free = [n for n in layout.names if n not in held]
     fit = _first_that_flies(lambda theta: fit_from(theta, free), layout, tries)

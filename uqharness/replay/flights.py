@@ -37,6 +37,8 @@ LATE_S = 0.03
 """By how much a log's accelerometers may be late."""
 _START_S = 0.4
 MAX_GAP_SHARE = 0.5
+AS_COMMANDED = 1e-3
+"""Of its command's range: a position that is never further off is no measurement beside it."""
 
 
 @dataclass(frozen=True)
@@ -115,11 +117,22 @@ def in_free_flight(record: FlightRecord, aircraft: Aircraft, where: object) -> F
 
 
 def measured_surfaces(records: Sequence[FlightRecord]) -> tuple[str, ...]:
-    """Surfaces whose position every record carries."""
+    """Surfaces whose position every record carries, but for those that are their commands."""
     return tuple(
         name for name, column in _POSITION.items()
         if all(column in r and np.isfinite(r[column]).mean() > MAX_GAP_SHARE for r in records)
+        and not all(_same(r, column, _COLUMN[name]) for r in records)
     )  # fmt: skip
+
+
+def _same(record: FlightRecord, position: str, command: str) -> bool:
+    """Whether a position is its command at every row: such a surface jumps, and does not go from row to row in a straight line."""
+    if command not in record:
+        return False
+    asked = record[command]
+    apart = np.abs(record[position] - asked)
+    known = np.isfinite(apart)
+    return bool(known.any()) and bool(apart[known].max() <= AS_COMMANDED * np.ptp(asked[known]))
 
 
 def control_columns(measured: Sequence[str]) -> tuple[str, ...]:

@@ -170,9 +170,9 @@ def test_where_all_is_excited_nothing_is_held(identified):
 
 def test_outputs_are_those_asked_for(flights, tmp_path, capsys):
     arguments = ["identify", "espaaro", "--flight", str(flights / "pitch.parquet"), "--params", "Cm_q,Cm_de", "--workers", "1"]
-    assert main([*arguments, "--outputs", "q,az", "--no-figures", "--out", str(tmp_path / "id")]) == 0
+    assert main([*arguments, "--outputs", "V,alpha,theta,q,az", "--no-figures", "--out", str(tmp_path / "id")]) == 0
     fit = json.loads((tmp_path / "id" / "fit.json").read_text())
-    assert set(fit["fit"]) == {"q_radps", "az_mps2"}
+    assert set(fit["fit"]) == {"V_mps", "alpha_rad", "theta_rad", "q_radps", "az_mps2"}
     assert fit["names"] == ["aero/Cm_q", "aero/Cm_de"]
     for given, words in (("x", "unknown channel x"), ("none", "the outputs asked for: none")):
         capsys.readouterr()

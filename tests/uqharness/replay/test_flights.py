@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.flown import fly
-from uqharness.replay.flights import prepare, segments
+from uqharness.replay.flights import measured_surfaces, prepare, segments
 from uqharness.replay.model import CONTROLS
 
 
@@ -57,3 +57,15 @@ def test_a_clock_that_is_one_row_late_is_one_command_late_and_nothing_else():
     felt = flight.with_commands_as_felt()
     assert felt.per_row == 1
     assert segments(felt, ())[0].commands is None
+
+
+def test_a_position_that_is_its_command_is_not_measured():
+    """A surface without a lag jumps with its command; drawn from row to row in a straight line it would come half a row early."""
+    record = fly((("roll-yaw", 22.0),), seed=1, seconds=6.0)
+    assert measured_surfaces([record]) == ("elevator", "aileron", "rudder")
+    jumping = record.with_columns({"rudder_pos_deg": record["rudder_deg"] * (1.0 + 1e-6)})
+    assert measured_surfaces([jumping]) == ("elevator", "aileron")
+    # Another record, in which it is one, decides for both.
+    assert measured_surfaces([jumping, record]) == ("elevator", "aileron", "rudder")
+    late = record.with_columns({"rudder_pos_deg": np.roll(record["rudder_deg"], 1)})
+    assert "rudder" in measured_surfaces([late])
