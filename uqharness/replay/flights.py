@@ -132,7 +132,8 @@ def _same(record: FlightRecord, position: str, command: str) -> bool:
     asked = record[command]
     apart = np.abs(record[position] - asked)
     known = np.isfinite(apart)
-    return bool(known.any()) and bool(apart[known].max() <= AS_COMMANDED * np.ptp(asked[known]))
+    travel = float(np.ptp(asked[known])) if known.any() else 0.0
+    return travel > 0.0 and bool(apart[known].max() <= AS_COMMANDED * travel)
 
 
 def control_columns(measured: Sequence[str]) -> tuple[str, ...]:
