@@ -21,3 +21,7 @@ class BadInputError(Exception):
 
 class EnginesDifferError(Exception):
     """The batch engine and JSBSim flew the same case otherwise, so the campaign's results are not valid."""
+
+
+class TerminatedError(KeyboardInterrupt):
+    """SIGTERM asked this process to end, which it does as after Ctrl-C."""

@@ -76,7 +76,7 @@ HELD_OUT = (
     "pa28 --mission 3-2-1-1 --speed-mps 37 --turbulence light --noise --seed 216",
     "T38 --mission doublets --speed-mps 190 --turbulence moderate --noise --seed 217",
     "737 --mission 3-2-1-1 --speed-mps 135 --turbulence light --noise --seed 218",
-    "f16 --mission doublets --speed-mps 180 --noise --seed 219",
+    "A320 --mission doublets --speed-mps 130 --noise --seed 219",
     "B747 --mission doublets --speed-mps 140 --turbulence light --noise --seed 220",
 )  # fmt: skip
 """Flights that no check was made or mended with."""

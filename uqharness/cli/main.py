@@ -16,7 +16,7 @@ from sysid.errors import LogError
 from sysid.terminal import clean_terminal, drawing
 from uqharness import __version__
 from uqharness.cli.commands import Table, add_commands, commands_of
-from uqharness.errors import BadInputError, EnginesDifferError
+from uqharness.errors import BadInputError, EnginesDifferError, TerminatedError
 
 _EXAMPLE = """examples:
   uqharness modes espaaro --speed-mps 22.2
@@ -120,8 +120,8 @@ def _run(argv: Sequence[str] | None) -> int:
     except EnginesDifferError as error:
         print(f"uqharness: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        print("uqharness: interrupted", file=sys.stderr)
+    except KeyboardInterrupt as ended:
+        print("uqharness:", "terminated" if isinstance(ended, TerminatedError) else "interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:
         # The reader of our output has left (head, less): that is no error, but flushing at exit would complain.

@@ -12,8 +12,11 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Sequence
 from types import FrameType
+
+from uqharness.errors import TerminatedError
 
 INTERRUPTED = 130
 TERMINATED = 143
@@ -27,6 +30,7 @@ def run(argv: Sequence[str] | None = None) -> int:
     After a signal the process ends here: Python would end it by SIGINT, whatever code it was given, where code that is made at
     run time, such as a dataclass's, was interrupted once.
     """
+    _quiet_libraries()
     ends = _Ends()
     code = _run(argv, ends)
     scratch = sys.modules.get("uqharness.scratch")
@@ -39,6 +43,13 @@ def run(argv: Sequence[str] | None = None) -> int:
                 stream.flush()
         os._exit(TERMINATED if ends.terminated else INTERRUPTED)
     return code
+
+
+def _quiet_libraries() -> None:
+    """Keep warnings of numpy and others, which are for developers, from users, unless Python was told what to do with them."""
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
+        os.environ["PYTHONWARNINGS"] = "ignore"
 
 
 def _run(argv: Sequence[str] | None, ends: _Ends) -> int:
@@ -93,7 +104,9 @@ class _Ends:
             os.kill(os.getpid(), number)
             return
         self.received = True
-        self.terminated |= number == signal.SIGTERM
+        if number == signal.SIGTERM:
+            self.terminated = True
+            raise TerminatedError
         raise KeyboardInterrupt
 
     def said(self) -> int:

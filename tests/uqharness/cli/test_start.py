@@ -98,6 +98,66 @@ def test_python_files_of_the_working_folder_do_not_run(tmp_path: Path) -> None:
     assert not list(tmp_path.glob("ran-*"))
 
 
+def _descendants(parent: int) -> list[int]:
+    """Processes that a process started, and theirs, those that have ended but were not asked about left out."""
+    found = []
+    for place in Path("/proc").glob("[0-9]*"):
+        try:
+            state, ppid = (place / "stat").read_text().rpartition(")")[2].split()[:2]
+        except OSError:
+            continue
+        if int(ppid) == parent and state not in "ZX":
+            found += [int(place.name), *_descendants(int(place.name))]
+    return found
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="processes are looked for in /proc")
+@pytest.mark.parametrize(
+    ("number", "code", "said"),
+    [pytest.param(signal.SIGINT, 130, "interrupted", marks=pytest.mark.slow), (signal.SIGTERM, 143, "terminated")],
+)
+def test_workers_that_are_busy_for_minutes_end_with_the_command(tmp_path: Path, number: int, code: int, said: str) -> None:
+    source = f"import sys, time; sys.path.append({str(ROOT)!r})\nimport uqharness.cli.main as commands\n"
+    source += "from uqharness.parallel import worker_map\n"
+    source += "def work():\n    with worker_map(2) as processes:\n        list(processes(time.sleep, [600.0] * 4))\n"
+    source += "commands.run_words = lambda argv: work()\n"
+    source += "from uqharness.__main__ import main\nif __name__ == '__main__':\n    sys.exit(main(['fly', '--help']))"
+    command = [sys.executable, "-c", source]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=tmp_path, env=_environment())
+    deadline = time.monotonic() + 60.0
+    while len(_descendants(process.pid)) < 3:  # the workers, and what keeps count of their semaphores
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    started = _descendants(process.pid)
+    process.send_signal(number)
+    words = process.communicate(timeout=60.0)[1]
+    assert (process.returncode, words) == (code, f"uqharness: {said}\n")
+    while any(Path(f"/proc/{pid}").exists() for pid in started):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("told", [(), ("-W", "error")])
+def test_warnings_of_libraries_are_printed_for_those_who_ask_alone(tmp_path: Path, told: tuple[str, ...]) -> None:
+    source = f"import sys; sys.path.append({str(ROOT)!r})\nimport uqharness.cli.main as commands\n"
+    source += "from uqharness.child_process import run_module\nimport numpy as np\n"
+    # In this process, and in a child of it.
+    source += "def work():\n    np.log(np.zeros(1))\n    print(run_module('warns', timeout_s=60).errors)\n    return 0\n"
+    source += "commands.run_words = lambda argv: work()\n"
+    source += "from uqharness.__main__ import main\nsys.exit(main(['fly', '--help']))"
+    (tmp_path / "warns.py").write_text("import warnings\nwarnings.warn('divide by zero', RuntimeWarning)\n")
+    done = subprocess.run(
+        [sys.executable, *told, "-c", source], capture_output=True, text=True, cwd=ROOT,
+        env={**_environment(), "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"},
+    )  # fmt: skip
+    if told:
+        assert done.returncode == 1
+        assert "RuntimeWarning: divide by zero" in done.stderr
+    else:
+        assert (done.returncode, done.stdout, done.stderr) == (0, "\n", "")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_a_campaign_that_is_killed_leaves_no_process_and_after_the_next_command_no_folder(tmp_path: Path, number: int) -> None:
