@@ -12,8 +12,8 @@ from sysid.logs.checking.checks import check_again, check_motion
 from sysid.logs.checking.held import held, interpolated, stuck, wraps
 from sysid.logs.checking.kinematics import LAWS, judged, stretches, to_body, to_earth
 from sysid.logs.checking.mending import mend
-from sysid.logs.checking.physics import check_physics
-from sysid.logs.checking.spectra import relate, relate_means
+from sysid.logs.checking.physics import Heard, check_physics
+from sysid.logs.checking.spectra import Relation, relate, relate_means
 from sysid.logs.checking.surface_signs import AXES, effect
 from sysid.logs.load import import_log
 from sysid.record import FlightRecord, Metadata
@@ -51,6 +51,15 @@ def test_a_slip_is_named_with_its_channel_and_size(name: str) -> None:
 def test_noise_is_no_finding(amplitude: float) -> None:
     for seed in range(7):
         assert [f for f in check_motion(noisy(seed, amplitude)) if f.severity != "info"] == []
+
+
+@pytest.mark.parametrize(("late_s", "bands", "expected"), [(0.0, 3, True), (-0.14, 3, False), (0.0, 1, False)])
+def test_what_gusts_do_to_relations_in_still_air_is_no_unit(late_s: float, bands: int, expected: bool) -> None:
+    in_air = next(law for law in LAWS if law.subject == "az_mps2" and "alpha_rad" in law.uses)
+    on_path = next(law for law in LAWS if law.subject == "az_mps2" and "vn_mps" in law.uses)
+    relation = Relation(0.26, 0.5, late_s, 0.01, 0.95, bands)
+    assert Heard(in_air, relation).differs is expected
+    assert Heard(on_path, relation).differs
 
 
 def test_two_slips_at_once() -> None:
