@@ -36,4 +36,3 @@ from .selection import select as select
 from .selection import threshold as threshold
 from .turbulence import Gusts as Gusts
 from .turbulence import gust_intensity as gust_intensity
-from .turbulence import noise_factors as noise_factors

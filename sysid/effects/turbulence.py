@@ -36,15 +36,16 @@ AIR_SHARE = 0.03
 """Share of the gain that comes of V, alpha and beta in air. In light Dryden turbulence it is a fifth; where a moment that the
 model lacks acts now and then, nothing."""
 _STILL = np.array([1e-6, 1e-6, 1e-6, 1.0, 1.0])
-_FACTORS = (1e-4, 1e-2, 0.1, 0.5, 1.0, 2.0, 5.0)
-_COARSE = ((0.03, 0.2, 5.0, 30.0), (0.4, 0.7, 1.4, 2.5))
-_FINE = ((0.75, 0.87, 1.15, 1.33),)
-_MOST_SEGMENTS = 10
-_OF_A_FLIGHT = 6
-_WHOLE = (0.1, 0.2, 0.4, 0.65, 1.5, 2.5, 5.0)
-_NOISIER = ((0.4, 0.6, 0.8, 1.3, 1.8, 2.6), (0.83, 0.91, 1.1, 1.2))
-_OWN = ((0.3, 0.55, 1.8, 3.3), (0.75, 1.33))
+_FACTORS = (1e-4, 1e-2, 0.1, 1.0, 5.0)
+"""Of _START, from the best of which the search begins."""
+_MOST_SEGMENTS, _OF_A_FLIGHT = 10, 6
 _OTHER_AIR = ((True, False), (False, False), (False, True))
+_STEP, _REACH, _FARTHEST, _ENOUGH, _FAILED, _LEAST_BENT, _SHORTENED = 0.02, 14.0, 2.0, 1.0, 1e12, 20.0, 4
+"""Of the search, in logarithms: the difference that is a slope, how far it goes, and in one step; the fall of minus twice the log
+likelihood at which it ends; that of a filter that fails; the least curvature; how often a step that fails is shortened."""
+_FEW, _MOST_DESCENTS = 4, 25
+NOISE_PRIOR = np.log(2.0)
+"""Standard deviation of the logarithm of a sensor's noise about what the card says."""
 
 
 @dataclass(frozen=True)
@@ -97,49 +98,49 @@ def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatA
 
 def gust_intensity(
     linear: Linear, measured: Sequence[FloatArray], which: Sequence[int], noise: FloatArray, V: Sequence[float],
-    flights: Sequence[str], states: GustStates, near: Gusts | None = None, by: Processes = ALONE,
-) -> Gusts:  # fmt: skip
-    """The air of the segments, V their airspeeds, flights whose they are; found on at most ten of them, then of each flight on
-    at most six.
+    flights: Sequence[str], states: GustStates, near: Gusts | None = None, by: Processes = ALONE, kinds: Sequence[str] = (),
+) -> tuple[Gusts, FloatArray]:  # fmt: skip
+    """The likeliest air of the segments, V their airspeeds, flights whose they are; found on at most ten of them, then of each
+    flight on at most six. And (m,) factors on the sensors' noise.
 
-    states: what gusts do besides, to begin with; near: an estimate from which to search, whose states stay.
+    states: what gusts do besides, to begin with; near: an estimate from which to search, whose states stay. kinds: of each channel;
+    the sensors of a kind have one factor beside the air, about 1 by a prior (NOISE_PRIOR); none: their noise is known. In gusts the
+    samples of a channel do not tell its noise by themselves, and a filter that takes sensors for twice as noisy as they are follows
+    them late: that looks like a servo's lag.
     """
     search = _Search(linear, measured, which, noise, V, by)
     some = _spread(range(len(measured)), _MOST_SEGMENTS)
     if near is None:
-        first = _Point(states, _START, np.inf)
-        here = search.finer(some, search.best(some, first, [(states, f * _START) for f in _FACTORS]), _COARSE)
-        other = search.other_air(some, here)
-        here = here if other.states == here.states else search.finer(some, other, _COARSE)
+        first = search.best(some, [_Point(states, f * _START, np.ones(len(noise))) for f in _FACTORS])
+        here = search.descend(some, first, kinds)
+        besides = [replace(here, states=replace(states, rotating=r, turning_with=t), cost=np.inf) for r, t in _OTHER_AIR]
+        other = min((search.descend(some, point, (), _FEW) for point in besides), key=lambda point: point.cost)
+        here = search.descend(some, other, kinds) if other.cost < here.cost else here
     else:
-        here = search.at(some, near.states, near.values)
-    here = search.finer(some, here, _FINE)
-    gain = near.gain if near is not None else search.calm(some, here.states) - here.cost
-    moving = near.moving if near is not None else search.at(some, here.states, _STILL * here.values).cost - here.cost
+        here = search.descend(some, _Point(near.states, near.values, np.ones(len(noise))), kinds)
+    still = _Point(here.states, _STILL * here.values, here.factors)
+    gain = near.gain if near is not None else search.calm(some, here) - here.cost
+    moving = near.moving if near is not None else search.best(some, [still]).cost - here.cost
     own = dict.fromkeys(flights, here.values)
-    for flight in own if len(own) > 1 or near is not None else ():
+    for flight in own if len(own) > 1 else ():
         part = _spread([k for k, f in enumerate(flights) if f == flight], _OF_A_FLIGHT)
-        if near is not None and flight in near.own:
-            found = search.finer(part, search.at(part, here.states, near.own[flight]), _OWN[1:])
-        else:
-            found = search.at(part, here.states, here.values)
-            found = search.best(part, found, [(here.states, f * here.values) for f in _WHOLE])
-            found = search.finer(part, found, _OWN)
-        own[flight] = found.values
+        begin = here.values if near is None else near.own.get(flight, here.values)
+        own[flight] = search.descend(part, _Point(here.states, begin, here.factors), ()).values
     process = _process([own[f] for f in flights], V, here.states)
-    return Gusts(here.states, here.values, own, process, gain, moving)
+    return Gusts(here.states, here.values, own, process, gain, moving), here.factors
 
 
 @dataclass(frozen=True)
 class _Point:
     states: GustStates
     values: FloatArray
-    cost: float
+    factors: FloatArray
+    cost: float = np.inf
 
 
 @dataclass(frozen=True)
 class _Search:
-    """Minus twice the log likelihood of segments, by the gusts in them."""
+    """Minus twice the log likelihood of segments, by the gusts in them and the sensors' noise."""
 
     linear: Linear
     measured: Sequence[FloatArray]
@@ -149,73 +150,78 @@ class _Search:
     by: Processes
     asked: dict[tuple[tuple[int, ...], GustStates], Likelihood] = field(default_factory=dict)
 
-    def costs(self, some: Sequence[int], states: GustStates, points: Sequence[FloatArray]) -> FloatArray:
+    def costs(self, some: Sequence[int], states: GustStates, values: FloatArray, factors: FloatArray) -> FloatArray:
         key = (tuple(some), states)
         if key not in self.asked:
             data = [self.measured[k] for k in some]
             self.asked[key] = Likelihood(self.linear(some, states), data, self.which, self.by)
         V = [self.V[k] for k in some]
-        air = [_process([p] * len(some), V, states) for p in points]
-        return self.asked[key].costs(np.tile(self.noise, (len(points), 1)), air)
+        air = [_process([p] * len(some), V, states) for p in values]
+        return self.asked[key].costs(factors * self.noise, air)
 
-    def at(self, some: Sequence[int], states: GustStates, values: FloatArray) -> _Point:
-        return _Point(states, values, float(self.costs(some, states, [values])[0]))
-
-    def best(self, some: Sequence[int], here: _Point, trials: Sequence[tuple[GustStates, FloatArray]]) -> _Point:
-        states = trials[0][0]
-        found = self.costs(some, states, [v for _, v in trials])
+    def best(self, some: Sequence[int], points: Sequence[_Point]) -> _Point:
+        """The likeliest of points with the same states."""
+        values, factors = (np.array([getattr(p, name) for p in points]) for name in ("values", "factors"))
+        found = self.costs(some, points[0].states, values, factors)
         k = int(np.argmin(found))
-        return _Point(states, trials[k][1], float(found[k])) if found[k] < here.cost else here
+        return replace(points[k], cost=float(found[k]))
 
-    def finer(self, some: Sequence[int], here: _Point, rounds: Sequence[Sequence[float]]) -> _Point:
-        """One intensity after the other."""
-        for factors in rounds:
-            for k in range(len(_START)):
-                one = np.arange(len(_START)) == k
-                here = self.best(some, here, [(here.states, np.where(one, f, 1.0) * here.values) for f in factors])
-        return here
+    def descend(self, some: Sequence[int], point: _Point, kinds: Sequence[str], most: int = _MOST_DESCENTS) -> _Point:
+        """The likeliest air near a point, and with ``kinds`` the likeliest noise of the sensors: BFGS in the logarithms from the
+        curvature at the point (Nocedal and Wright, Numerical Optimization, 2006, section 6.1)."""
+        unlike = list(dict.fromkeys(kinds))
+        shared = np.array([[kind == one for kind in kinds] for one in unlike], dtype=float).reshape(len(unlike), len(point.factors))
+        at, size = len(point.values), len(point.values) + len(unlike)
+        ahead = _STEP * np.vstack([np.zeros(size), np.eye(size)])
 
-    def other_air(self, some: Sequence[int], here: _Point) -> _Point:
-        """With gusts that do not rotate, or do not turn with the aircraft, where the flights are likelier so."""
-        found = here
-        besides = np.array([1.0, 1.0, 1.0, 1.0, 30.0])
-        for rotating, turning in _OTHER_AIR:
-            states = replace(here.states, rotating=rotating, turning_with=turning)
-            found = self.best(some, found, [(states, here.values), (states, besides * here.values)])
-        return found
+        def here(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+            x = np.clip(x, -_REACH, _REACH)
+            factors = point.factors * np.exp(x[:, at:] @ shared)
+            return point.values * np.exp(x[:, :at]), factors
 
-    def calm(self, some: Sequence[int], states: GustStates) -> float:
+        def cost(x: FloatArray) -> FloatArray:
+            found = self.costs(some, point.states, *here(x)) + np.sum((x[:, at:] / NOISE_PRIOR) ** 2, axis=1)
+            # A filter that fails is as unlikely as can be, and no slope.
+            return np.where(np.isfinite(found), found, _FAILED)
+
+        around = cost(np.vstack([ahead, -ahead[1:]]))
+        low, up, down = float(around[0]), around[1 : size + 1], around[size + 1 :]
+        either = (up < _FAILED) & (down < _FAILED)
+        slope = np.where(either, up - down, np.where(up < _FAILED, 2.0 * (up - low), 2.0 * (low - down))) / (2.0 * _STEP)
+        bent = np.where(either, (up + down - 2.0 * low) / _STEP**2, slope)
+        x, inverse = np.zeros(size), np.diag(1.0 / np.maximum(np.abs(bent), _LEAST_BENT))
+        for _ in range(most):
+            step = np.clip(-inverse @ slope, -_FARTHEST, _FARTHEST)
+            if -0.5 * step @ slope < _ENOUGH:
+                break
+            for _ in range(_SHORTENED):
+                found = cost(x + step + ahead)
+                if found[0] < low:
+                    break
+                step = 0.25 * step
+            else:
+                break
+            change = np.where(found[1:] < _FAILED, (found[1:] - found[0]) / _STEP - slope, 0.0)
+            fall, low, x, slope = low - found[0], float(found[0]), x + step, slope + change
+            inverse = _updated(inverse, step, change)
+            if fall < _ENOUGH:
+                break
+        values, factors = here(x[None])
+        return replace(point, values=values[0], factors=factors[0], cost=low)
+
+    def calm(self, some: Sequence[int], point: _Point) -> float:
+        """Minus twice the log likelihood in calm air."""
         data = [self.measured[k] for k in some]
-        return surprise(self.linear(some, states), data, self.which, self.noise)
+        return surprise(self.linear(some, point.states), data, self.which, point.factors * self.noise)
 
 
-def noise_factors(
-    steps: Sequence[Steps], measured: Sequence[FloatArray], which: Sequence[int], noise: FloatArray, process: Process,
-    kinds: Sequence[str], by: Processes = ALONE,
-) -> FloatArray:  # fmt: skip
-    """(m,) factors on the sensors' noise (m,) that make the flights likeliest beside the process noise, one for each kind of
-    channel; found on at most ten of the segments.
-
-    In gusts the samples of a channel do not tell its noise by themselves, and a filter that takes sensors for twice as noisy as
-    they are follows them late: that looks like a servo's lag.
-    """
-    some = _spread(range(len(steps)), _MOST_SEGMENTS)
-    likelihood = Likelihood([steps[k] for k in some], [measured[k] for k in some], which, by)
-    theirs = process.of(some)
-
-    def cost(factors: Sequence[FloatArray]) -> FloatArray:
-        return likelihood.costs(np.array(factors) * noise, [theirs] * len(factors), mend=True)
-
-    best = np.ones(len(noise))
-    low = float(cost([best])[0])
-    for trial_factors in _NOISIER:
-        for kind in dict.fromkeys(kinds):
-            own = np.array([k == kind for k in kinds])
-            trials = [np.where(own, f * best, best) for f in trial_factors]
-            found = cost(trials)
-            if found.min() < low:
-                best, low = trials[int(np.argmin(found))], float(found.min())
-    return best
+def _updated(inverse: FloatArray, step: FloatArray, change: FloatArray) -> FloatArray:
+    """The inverse of the curvature after a step that changed the slope so; kept where the step met none (BFGS, equation 6.17)."""
+    product = float(step @ change)
+    if not product > 0.0:
+        return inverse
+    left = np.eye(len(step)) - np.outer(step, change) / product
+    return left @ inverse @ left.T + np.outer(step, step) / product
 
 
 def _process(values: Sequence[FloatArray], V: Sequence[float], states: GustStates) -> Process:

@@ -73,7 +73,7 @@ def forced_at(
     properties: Mapping[str, float],
 ) -> list[tuple[ForcedModel, dict[str, Array]]]:  # fmt: skip
     """Of each segment the model forced to its measured channels, and the variables of its coefficient terms there."""
-    stood = surface_positions(model, cut, CONTROLS)
+    stood = surface_positions(model, cut, CONTROLS, properties)
     parts = [
         StatesOf(segment, channels, controls, altitudes(model, segment, channels["h_m"]))
         for segment, channels, controls in zip(cut, every, stood, strict=True)

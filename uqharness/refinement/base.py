@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sysid.parallel import Processes
 from uqharness.identification import Observed, ReplayFit, equation_error_start, fit_replays
 from uqharness.refinement.candidates import sensor_gain, sensor_offset
-from uqharness.refinement.fit import Fit, Linear, fly, positions, refit
+from uqharness.refinement.fit import Fit, Linear, fly, refit
 from uqharness.refinement.sensed import sensor_late_s
 from uqharness.refinement.setup import Bench, estimated_channels
 from uqharness.refinement.types import Flown, Point, Setup
@@ -33,10 +33,9 @@ def base_fit_and_noise(
     guessed = estimated_channels(setup)
     if not guessed:
         return fit, kept, notes, setup.noise
-    controls = positions(bench.model, setup)
     for _ in range(ESTIMATOR_ROUNDS):
         setup = replace(setup, noise=noise_left(setup, fit.flown, guessed))
-        fit = refit(bench.model, bench.straight, setup, controls, fit.flown.point, kept, limits, map_)
+        fit = refit(bench.model, bench.straight, setup, fit.flown.point, kept, limits, map_)
     said = ", ".join(f"{c} {setup.noise[setup.outputs.index(c)]:.2g}" for c in guessed)
     text = (
         "computed by the autopilot's estimator, measured by no vane; taken to be as uncertain (one standard deviation) as the "
@@ -79,7 +78,7 @@ def base_fit(
     found.replay.forget()
     point = point_of(found, setup, names)
     flown = fly(bench.model, setup, point, map_)
-    fit = Linear(bench.straight, setup, positions(bench.model, setup), kept, map_).fit_at(flown)
+    fit = Linear(bench.model, bench.straight, setup, kept, map_).fit_at(flown)
     if found.lost:
         notes = [*notes, f"not determined by these flights and left as they are: {', '.join(found.lost)}"]
     return replace(fit, converged=found.found.converged), kept, notes

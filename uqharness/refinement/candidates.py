@@ -9,7 +9,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics import COEFFICIENTS
+from sysid.aerodynamics import COEFFICIENTS, GustStates, whole_states
+from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
+from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.effects import Columns, Effect, MadeColumns
 from uqharness.refinement.reference import Probe
 from uqharness.refinement.types import Flown, Point, Setup
@@ -22,8 +24,13 @@ GROUND_SPANS = 3.0
 """Height in spans above which nothing is asked of the ground: less than half a per cent of its share is left there."""
 LEAST_INFLOW = 1e-9
 """Change of CX by inflow from which thrust depends on airspeed at all."""
+_VANES = (("alpha_rad", "q_radps", -1.0), ("beta_rad", "r_radps", 1.0))
+"""Angles that vanes measure, the rate that each feels forward of the centre of gravity, and the sense of that."""
+AIR_RATES, _SLOPE_STEP = X_STATES[3:6], 1e-5
 _DEADBAND_DEG = 0.5
 _LAG_S = 0.002
+NEAR = 0.97
+"""Share of a rate limit down to which its slope is taken."""
 
 
 def effect_columns(setup: Setup, probes: Sequence[Probe], flown: Flown, effects: Sequence[Effect]) -> MadeColumns:
@@ -52,18 +59,18 @@ def _of_segment(setup: Setup, k: int, p: Probe, flown: Flown, effects: Sequence[
 
 def sensor_gain(channel: str, point: Point) -> float:
     """By what a sensor multiplies its channel at a point."""
-    return 1.0 + point.sensed.get(f"effect/sensor.{channel}/scale", 0.0)
+    return 1.0 + point.effects.get(f"effect/sensor.{channel}/scale", 0.0)
 
 
 def sensor_offset(channel: str, segment: Segment, point: Point) -> float:
     """What a sensor adds to its channel at a point, in the channel's unit."""
     own = point.nuisance.get(f"bias/{segment.flight}/{channel}", 0.0)
-    return own + point.sensed.get(f"effect/sensor.{channel}/bias", 0.0)
+    return own + point.effects.get(f"effect/sensor.{channel}/bias", 0.0)
 
 
 def vane_place_m(point: Point) -> float:
     """How much further forward [m] than the aircraft's card says the wind vanes are at a point."""
-    return point.sensed.get("effect/sensor.vane/place_x", 0.0)
+    return point.effects.get("effect/sensor.vane/place_x", 0.0)
 
 
 def at_vane(y: Array, outputs: Sequence[str]) -> Array:
@@ -73,9 +80,29 @@ def at_vane(y: Array, outputs: Sequence[str]) -> Array:
     if not {"V_mps", "q_radps", "r_radps"} <= at.keys():
         return out
     V = np.maximum(y[:, at["V_mps"]], 1.0)
-    for angle, rate, sign in (("alpha_rad", "q_radps", -1.0), ("beta_rad", "r_radps", 1.0)):
+    for angle, rate, sign in _VANES:
         if angle in at:
             out[:, at[angle]] = sign * y[:, at[rate]] / V
+    return out
+
+
+def vane_slopes(x: Array, gusts: GustStates | None) -> Array:
+    """(n, outputs, states) change with the states, at X_STATES (n, 8), of what vanes feel each metre further forward: the rates
+    there are those relative to the air, which rotates."""
+    at = (x if gusts is None else whole_states(x, gusts)).T
+    out = np.zeros((at.shape[1], len(STEP_OUTPUTS), len(at)))
+
+    def felt(z: Array) -> Array:
+        air = np.zeros((3, 1)) if gusts is None else np.array(gusts.rotation(z))
+        rates = z[3:6] - air
+        return np.array([s * rates[AIR_RATES.index(rate)] / np.maximum(z[0], 1.0) for _, rate, s in _VANES])
+
+    for k in range(len(at)):
+        step = np.zeros((len(at), 1))
+        step[k] = _SLOPE_STEP
+        slope = (felt(at + step) - felt(at - step)) / (2.0 * _SLOPE_STEP)
+        for (angle, _, _), values in zip(_VANES, slope, strict=True):
+            out[:, STEP_OUTPUTS.index(angle), k] = values
     return out
 
 
@@ -133,18 +160,20 @@ def _subsystem(
         return C, None
     if part == "actuator":
         k = CONTROLS.index(what)
-        servo = setup.servos.get(what)
-        if servo is not None and e.term == "lag" and what in setup.lagging:
-            # The slope where it flies: a slow servo made slower by a little does less than a fast one.
-            servo = replace(servo, lag=servo.lag_with(setup.lagging[what]))
-        moved = surface_change(e.term, servo, segment, k, p.controls[:, k], setup.limits.get(what))
+        servo, limits = _as_flown(setup, what, point)
+        moved = surface_change(e.term, servo, segment, k, p.controls[:, k], limits)
         if not np.any(moved):
             return None, None
         return p.by_control[:, :, k] * moved[:, None], None
     if part == "sensor":
         if e.term.startswith("place_"):
+            # Vanes feel the rates relative to the air, which rotates.
+            seen = y.copy()
+            seen[:, [setup.outputs.index(c) for c in AIR_RATES if c in setup.outputs]] = p.x[
+                :, [X_STATES.index(c) for c in AIR_RATES if c in setup.outputs]
+            ]
             forward = what == "vane"
-            out = at_vane(y, setup.outputs) if forward else _felt_at(p, setup.outputs, np.eye(3)["xyz".index(e.term[-1])])
+            out = at_vane(seen, setup.outputs) if forward else _felt_at(p, setup.outputs, np.eye(3)["xyz".index(e.term[-1])])
             return None, out * [sensor_gain(c, point) for c in setup.outputs]
         out = np.zeros_like(y)
         for k, c in enumerate(setup.outputs):
@@ -156,6 +185,27 @@ def _subsystem(
     if part == "record":
         return later_controls(p), None
     raise ValueError(f"no model of effect {e.key}")
+
+
+def _as_flown(setup: Setup, surface: str, point: Point) -> tuple[Actuator | None, tuple[float, float] | None]:
+    """A servo as it flies at a point, and the rate limits whose difference is its rate limit's slope: a slow servo made slower by a
+    little does less than a fast one."""
+    servo, limits = setup.servos.get(surface), setup.limits.get(surface)
+    if servo is None:
+        return None, None
+    lag, slowness = (point.effects.get(f"effect/actuator.{surface}/{term}") for term in ("lag", "rate_limit"))
+    if lag is not None:
+        servo = replace(servo, lag=servo.lag_with(lag))
+    if slowness is not None:
+        limits = around(servo, slowness)
+        servo = replace(servo, rate=limits[0])
+    return servo, limits
+
+
+def around(servo: Actuator, slowness: float) -> tuple[float, float]:
+    """Limits [deg/s] between which the slope at a rate limit effect's value [s/deg] is taken."""
+    limit = servo.slowed_to(slowness)
+    return limit, NEAR * limit
 
 
 def _felt_at(p: Probe, outputs: Sequence[str], place_m: Array) -> Array:

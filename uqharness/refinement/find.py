@@ -38,8 +38,8 @@ from uqharness.plugin import Estimate
 from uqharness.refinement.base import Base, base_fit_and_noise
 from uqharness.refinement.begin import OVERWHELMING, WEAK_IN_GUSTS, strong_first
 from uqharness.refinement.candidates import effect_columns
-from uqharness.refinement.fit import Fit, positions
-from uqharness.refinement.gusts import GustFit, gust_evidence, gust_refit, middles
+from uqharness.refinement.fit import Fit
+from uqharness.refinement.gusts import GustFit, gust_evidence, gust_refit
 from uqharness.refinement.rates import limits_tried
 from uqharness.refinement.rivals import like_turning_air
 from uqharness.refinement.round import Start
@@ -143,11 +143,10 @@ def find_effects(
         if turbulent(setup, before.flown):
             say(f"the air was turbulent: predicting one sample ahead, scoring {len(effects)} candidate effects")
             gusty, at = setup_in_gusts(aircraft, setup), before.flown.point
-            controls, bends = positions(bench.model, gusty), middles(bench.model, gusty)
             air = keep(
                 f"air{len(put_right) or ''}",
                 GustFit,
-                lambda: gust_refit(bench.straight, gusty, controls, bends, at, names, limits, map_, tune=True),
+                lambda: gust_refit(bench.model, bench.straight, gusty, at, names, limits, map_, tune=True),
             )
             if air.gusts.air:
                 return _in_gusts(bench, air, names, limits, effects, confirming, notes, work, map_, say)

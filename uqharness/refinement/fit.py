@@ -20,7 +20,7 @@ from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.aerodynamics.rigid_body import MassProperties
 from sysid.effects import Columns, Evidence, MadeColumns, White, gather, names_of, whiten
 from sysid.parallel import ALONE, Processes
-from uqharness.refinement.candidates import effect_columns, later_controls, sensor_gain
+from uqharness.refinement.candidates import effect_columns, later_controls, sensor_gain, vane_place_m, vane_slopes
 from uqharness.refinement.reference import Probe, ProbeJob, named_terms, probe, term_column
 from uqharness.refinement.sensed import as_sensed, late_rate, placed, sensor_late_s
 from uqharness.refinement.types import Flown, Point, Setup, in_dynamics, lateness, unseen
@@ -50,7 +50,7 @@ def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flow
         ReplayJob(
             model,
             placed(s, point),
-            dict(point.values),
+            setup.properties(point),
             start,
             point.nuisance.get(lateness(s.flight), 0.0),
             between,
@@ -76,9 +76,9 @@ def best_flown(model: ReplayModel, setup: Setup, points: Sequence[Point], map_: 
     return min((fly(model, setup, p, map_) for p in points), key=lambda f: f.cost)
 
 
-def positions(model: ReplayModel, setup: Setup) -> list[Array]:
-    """(n, c) where the controls stood in every segment."""
-    return surface_positions(model, setup.segments, CONTROLS)
+def positions(model: ReplayModel, setup: Setup, point: Point | None = None) -> list[Array]:
+    """(n, c) where the controls stood in every segment, servos as they are at a point."""
+    return surface_positions(model, setup.segments, CONTROLS, {} if point is None else setup.properties(point))
 
 
 def probes(
@@ -87,7 +87,7 @@ def probes(
 ) -> list[Probe]:  # fmt: skip
     """Forces, slopes and so on along the flights flown."""
     jobs = [
-        ProbeJob(straight, placed(s, flown.point), x, u, dict(flown.point.values), tuple(differ), consistent, h)
+        ProbeJob(straight, placed(s, flown.point), x, u, setup.properties(flown.point), tuple(differ), consistent, h)
         for s, x, u, h in zip(setup.segments, flown.x, controls, flown.height, strict=True)
     ]
     return list(map_(probe, jobs))
@@ -109,7 +109,9 @@ def steps_of(
     out = []
     made = by(_linearised, [(p.reference, p.mass, gusts) for p in found])
     for p, y, steps in zip(found, outputs, made, strict=True):
-        steps = replace(steps, H=steps.H * gain[:, None], D=steps.D * gain[:, None])
+        forward = vane_place_m(point)
+        H = steps.H + forward * vane_slopes(p.reference.x, gusts) if forward else steps.H
+        steps = replace(steps, H=H * gain[:, None], D=steps.D * gain[:, None])
         if p.reference.consistent:
             full = steps.y_ref.copy()
             full[:, setup.which] = y
@@ -198,11 +200,11 @@ PRIOR = {"bias": 0.1, "delay": 0.1, "lateness": 0.005, UNSEEN: 1.0}
 
 
 def refit(
-    model: ReplayModel, straight: ReplayModel, setup: Setup, controls: Sequence[Array], start: Point, names: Sequence[str],
+    model: ReplayModel, straight: ReplayModel, setup: Setup, start: Point, names: Sequence[str],
     limits: Mapping[str, tuple[float, float]], map_: Processes, *, max_iterations: int = 12, tolerance: float = 0.05,
 ) -> Fit:  # fmt: skip
     """Output error from ``start`` over the properties ``names``, biases, delays and start states."""
-    bench = Linear(straight, setup, controls, tuple(names), map_)
+    bench = Linear(model, straight, setup, tuple(names), map_)
     flown = fly(model, setup, start, map_)
     converged = False
     length = math.inf
@@ -237,21 +239,22 @@ def refit(
 class Linear:
     """Linearisation of replays at any point: evidence of the properties and active effects ``names`` and the nuisance."""
 
+    model: ReplayModel
     straight: ReplayModel
     setup: Setup
-    controls: Sequence[Array]
     names: tuple[str, ...]
     map_: Processes
 
     def fit_at(self, flown: Flown, analytic: tuple[str, ...] | None = None) -> Fit:
         """The linearised flights at what was flown. analytic: properties known to be the coefficient terms their names say."""
-        straight, setup, controls, map_ = self.straight, self.setup, self.controls, self.map_
+        straight, setup, map_ = self.straight, self.setup, self.map_
+        controls = positions(self.model, setup, flown.point)
         keys = {e.key for e in setup.active}
         own = [n for n in self.names if n not in keys]
         differ: Sequence[str] = () if analytic is None else [n for n in own if n not in analytic]
         found = probes(straight, setup, flown, controls, differ, map_)
         if analytic is None:
-            analytic = tuple(named_terms(straight, setup.segments[0], found[0], own, flown.point.values))
+            analytic = tuple(named_terms(straight, setup.segments[0], found[0], own, setup.properties(flown.point)))
             if len(analytic) < len(own):
                 found = probes(straight, setup, flown, controls, [n for n in own if n not in analytic], map_)
         steps = steps_of(found, flown.outputs, setup, flown.point, by=map_)
@@ -286,17 +289,13 @@ def stepped(setup: Setup, point: Point, step: Mapping[str, float], limits: Mappi
         if name in step:
             low, high = limits.get(name, (-math.inf, math.inf))
             values[name] = float(np.clip(values[name] + step[name], low, high))
-    sensed = dict(point.sensed)
+    effects = dict(point.effects)
     for e in setup.active:
-        if e.key not in step:
-            continue
-        if e.key in setup.carriers:
-            values[setup.carriers[e.key]] += step[e.key]
-        elif not in_dynamics(e):
-            sensed[e.key] = sensed.get(e.key, 0.0) + step[e.key]
+        if e.key in step and (e.key in setup.carriers or not in_dynamics(e)):
+            effects[e.key] = effects.get(e.key, 0.0) + step[e.key]
     nuisance = {n: v for n, v in point.nuisance.items() if n.startswith(f"{UNSEEN}/")}
     nuisance |= {n: point.nuisance.get(n, 0.0) + step[n] for n in setup.nuisance}
-    return replace(point, values=values, nuisance=nuisance, sensed=sensed)
+    return replace(point, values=values, nuisance=nuisance, effects=effects)
 
 
 def states_of(flights: Sequence[Flight]) -> tuple[Mapping[str, Array], ...]:

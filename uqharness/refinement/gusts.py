@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics import AIR, GustStates, Steps, rates, smooth, whole_states
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
-from sysid.effects import Columns, Evidence, Gusts, White, gather, gust_intensity, minus_twice_log, noise_factors, whiten
+from sysid.effects import Columns, Evidence, Gusts, White, gather, gust_intensity, minus_twice_log, whiten
 from sysid.parallel import Processes
 from uqharness.refinement.candidates import at_vane, sensor_gain, sensor_offset, vane_place_m
-from uqharness.refinement.fit import PRIOR, Fit, jumps_unseen, parameter_columns, probes, stepped, steps_of
+from uqharness.refinement.fit import PRIOR, Fit, jumps_unseen, parameter_columns, positions, probes, stepped, steps_of
 from uqharness.refinement.reference import Predicted, Probe, along, named_terms
 from uqharness.refinement.sensed import as_sensed, moved_later, sensor_late_s
 from uqharness.refinement.types import Flown, Point, Setup, unseen
@@ -30,13 +30,10 @@ _KINDS = {c: kind for kind, members in {"attitude": ("phi", "theta", "psi"), "ra
           "wind": ("alpha", "beta")}.items() for c in members}  # fmt: skip
 """Channels of one kind of sensor, by what stands before their unit."""
 _SMOOTH_HZ = {"V_mps": 2.0}
-NOISE_FAR = 1.2
-"""Factor on a sensor's stated noise beyond which what was found beside the stated one is found again."""
-
 SETTLED, SEARCH_BY = 5.0, 5
 """Length of a step, in standard errors, below which the gusts are searched anew; the iteration that does so in any case."""
 MOVED = 0.2
-"""Logarithm of a gust's strength by which a search must have moved it to be worth another."""
+"""Logarithm of a gust's strength, or of a sensor's noise, by which a search must have moved it to be worth another."""
 LEAST_SHARE = 0.125
 """Least share of a step that is taken where steps grow."""
 TOLERANCE = 0.2
@@ -100,7 +97,7 @@ def moved(values: Array, rows: int) -> Array:
     return out
 
 
-def middles(model: ReplayModel, setup: Setup) -> list[Array]:
+def middles(model: ReplayModel, setup: Setup, point: Point | None = None) -> list[Array]:
     """[(2, n - 1, c)] how far the controls stand from the mean of a step's ends at its middle, and at its end from the next row's.
 
     A servo's path is no straight line, and a surface without a lag jumps at a row: until then it stands where it stood. Where
@@ -108,8 +105,9 @@ def middles(model: ReplayModel, setup: Setup) -> list[Array]:
     """
     cut = [segment.at_commands() for segment in setup.segments]
     held = np.array([c not in model.measured for c in model.controls])
-    ends = surface_positions(model, cut, CONTROLS)
-    halves = surface_positions(model, [_halved(s) for s in cut], CONTROLS) if held.any() else [None] * len(cut)
+    servos = {} if point is None else setup.properties(point)
+    ends = surface_positions(model, cut, CONTROLS, servos)
+    halves = surface_positions(model, [_halved(s) for s in cut], CONTROLS, servos) if held.any() else [None] * len(cut)
     jumps = np.array([c in model.jumping for c in model.controls])
     made = zip(cut, ends, halves, setup.segments, strict=True)
     return [_middle(own, at, half, held, jumps, segment.per_row) for own, at, half, segment in made]
@@ -138,11 +136,11 @@ def _middle(
 
 
 def predict(
-    straight: ReplayModel, setup: Setup, point: Point, controls: Sequence[Array], bends: Sequence[Array], differ: Sequence[str],
-    map_: Processes,
-) -> tuple[Flown, list[Probe]]:  # fmt: skip
+    model: ReplayModel, straight: ReplayModel, setup: Setup, point: Point, differ: Sequence[str], map_: Processes
+) -> tuple[Flown, list[Probe]]:
     """The measured flight and the model's forces along it."""
     flown = measured_flight(setup, point)
+    controls, bends = positions(model, setup, point), middles(model, setup, point)
     found = [
         replace(along(p, bend=_bend(p, b)), jump=_jump(p, b))
         for p, b in zip(probes(straight, setup, flown, controls, differ, map_, consistent=False), bends, strict=True)
@@ -166,7 +164,7 @@ def _jump(p: Probe, away: Array) -> Array | None:
 
 
 def gust_refit(
-    straight: ReplayModel, setup: Setup, controls: Sequence[Array], bends: Sequence[Array], start: Point, names: Sequence[str],
+    model: ReplayModel, straight: ReplayModel, setup: Setup, start: Point, names: Sequence[str],
     limits: Mapping[str, tuple[float, float]], map_: Processes, near: Gusts | None = None, iterations: int = 10, tune: bool = False,
     known: bool = False,
 ) -> GustFit:  # fmt: skip
@@ -175,48 +173,40 @@ def gust_refit(
     tune: the sensors' noise as well (not of an autopilot's log, whose attitudes are filtered); the fit's setup has it.
     """
     point, analytic, gusts = start, None, near
-    length, share = float("inf"), 1.0
-    searched, again, far = False, False, False
+    length, share, moving = float("inf"), 1.0, not known
     keys = {e.key for e in setup.active}
     own = [n for n in names if n not in keys]
-    jumping = {} if setup.late else dict.fromkeys(s.flight for s, b in zip(setup.segments, bends, strict=True) if b[1].any())
+    bends = () if setup.late else zip(setup.segments, middles(model, setup, point), strict=True)
+    jumping = dict.fromkeys(s.flight for s, b in bends if b[1].any())
     if jumping:
         setup = replace(setup, jumping=tuple(jumping))
     for number in range(1, iterations + 1):
         differ: list[str] = [] if analytic is None else [n for n in own if n not in analytic]
-        flown, found = predict(straight, setup, point, controls, bends, differ, map_)
+        flown, found = predict(model, straight, setup, point, differ, map_)
         if analytic is None:
-            analytic = tuple(named_terms(straight, setup.segments[0], found[0], own, point.values))
+            analytic = tuple(named_terms(straight, setup.segments[0], found[0], own, setup.properties(point)))
             if len(analytic) < len(own):
-                flown, found = predict(straight, setup, point, controls, bends, [n for n in own if n not in analytic], map_)
+                flown, found = predict(model, straight, setup, point, [n for n in own if n not in analytic], map_)
         steps = _Linear(setup, flown, found, map_)
         # Where the flight is far from what the parameters say, what they will explain would be taken for gusts.
-        settled = length < SETTLED or (number == min(SEARCH_BY, iterations) and not searched)
-        if not known and (number <= 2 if near is None else settled and (again or not searched)):
-            # What is strong and was unknown passed for gusts of another kind, from which no short search leads back.
-            anew, last_air = tune and not searched, gusts
-            gusts = _intensity(setup, steps, None if anew else gusts)
-            if tune and (anew or again or far) and not setup.late:
-                stated = setup.noise
-                setup, gusts = _tuned(setup, steps, gusts)
-                # Beside parameters that are still off, what they will explain passes for noise of the sensors.
-                far = near is None and not far and _far(setup.noise / stated)
-            # Far from where the parameters want the flight, what they will explain is in the gusts; and a search goes only so far.
-            again = near is not None and (anew or not length < SETTLED or _other_air(last_air, gusts))
-            searched, length = True, float("inf")
+        if moving and (number == 1 or length < SETTLED or number == SEARCH_BY):
+            last = gusts
+            gusts, factors = _air(setup, steps, gusts, tune and not setup.late)
+            setup = replace(setup, noise=factors * setup.noise)
+            moving = _other_air(last, gusts) or bool(np.abs(np.log(factors)).max() > MOVED)
         assert gusts is not None
         linearised = steps.all(gusts.states)
         flown, found = predicted(setup, flown, found, linearised, steps.measured, gusts)
         columns = parameter_columns(setup, found, flown, names, analytic)
         white = whiten(linearised, steps.measured, columns, setup.which, setup.noise, gusts.process)
         evidence = gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)
-        last = length
+        before = length
         delta, length = evidence.step(setup.held)
         # A force that goes with alphadot changes the acceleration that it goes with: columns know half of it, and steps overshoot.
-        share = max(0.5 * share, LEAST_SHARE) if length > last else share
+        share = max(0.5 * share, LEAST_SHARE) if length > before else share
         if not np.isfinite(delta).all():
             raise np.linalg.LinAlgError("predictions with this model are no numbers")
-        if (length < TOLERANCE and (known or (searched and not again))) or number == iterations:
+        if (length < TOLERANCE and not moving) or number == iterations:
             break
         step = dict(zip(columns[0].names, (share * delta).tolist(), strict=True))
         point = stepped(setup, point, step, limits)
@@ -235,11 +225,10 @@ def _other_air(one: Gusts | None, two: Gusts) -> bool:
 
 
 def unfiltered(
-    straight: ReplayModel, setup: Setup, controls: Sequence[Array], bends: Sequence[Array], point: Point, map_: Processes,
-    gusts: Gusts,
-) -> tuple[Flown, list[Array]]:  # fmt: skip
+    model: ReplayModel, straight: ReplayModel, setup: Setup, point: Point, map_: Processes, gusts: Gusts
+) -> tuple[Flown, list[Array]]:
     """The measured flight, and by how much, in units of the noise, the outputs of the model there are not what was measured."""
-    flown, found = predict(straight, setup, point, controls, bends, (), map_)
+    flown, found = predict(model, straight, setup, point, (), map_)
     steps = _Linear(setup, flown, found, map_)
     both = zip(steps.measured, steps.all(gusts.states), strict=True)
     return flown, [(z - s.y_ref[:, setup.which]) / setup.noise for z, s in both]
@@ -261,7 +250,7 @@ class _Linear:
             which, y, segment = self.setup.which, s.y_ref.copy(), self.setup.segments[k]
             # Outputs are those at the reference, biases added.
             share = point.nuisance.get(unseen(segment.flight), 0.0)
-            y[:, which] += share * jumps_unseen(self.setup, [self.found[k]], replace(point, sensed={}))[0]
+            y[:, which] += share * jumps_unseen(self.setup, [self.found[k]], replace(point, effects={}))[0]
             y[:, which] = as_sensed(y[:, which], self.setup, segment, point, rows_late(self.setup, segment, point))
             self.made[k, states] = replace(s, y_ref=y)
         return [self.made[k, states] for k in some]
@@ -270,33 +259,13 @@ class _Linear:
         return self(range(len(self.found)), states)
 
 
-def _tuned(setup: Setup, steps: _Linear, gusts: Gusts) -> tuple[Setup, Gusts]:
-    """With the sensors' noise as the flights show it, and the gusts beside it."""
-    factors = _noise_factors(setup, steps, gusts)
-    setup = replace(setup, noise=factors * setup.noise)
-    if _far(factors):
-        # Beside sensors taken for half as noisy as they are, noise passed for gusts of 35 times their strength that do not turn:
-        # from there no search leads back.
-        gusts = _intensity(setup, steps, None)
-        setup = replace(setup, noise=_noise_factors(setup, steps, gusts) * setup.noise)
-    return setup, _intensity(setup, steps, gusts)
-
-
-def _far(factors: Array) -> bool:
-    """Whether some noise is far from what was stated."""
-    return bool(np.any((factors < 1.0 / NOISE_FAR) | (factors > NOISE_FAR)))
-
-
-def _noise_factors(setup: Setup, steps: _Linear, gusts: Gusts) -> Array:
-    kinds = [_KINDS.get(c.split("_")[0], c) for c in setup.outputs]
-    return noise_factors(steps.all(gusts.states), steps.measured, setup.which, setup.noise, gusts.process, kinds, steps.by)
-
-
-def _intensity(setup: Setup, steps: _Linear, near: Gusts | None) -> Gusts:
+def _air(setup: Setup, steps: _Linear, near: Gusts | None, tune: bool) -> tuple[Gusts, Array]:
+    """The likeliest air, and (m,) factors on the sensors' noise, each 1 where that is not asked for."""
     speeds = [float(x[:, 0].mean()) for x in steps.flown.x]
     of = [s.flight for s in setup.segments]
     states = GustStates(steps.found[0].mass.b)
-    return gust_intensity(steps, steps.measured, setup.which, setup.noise, speeds, of, states, near, steps.by)
+    kinds = [_KINDS.get(c.split("_")[0], c) for c in setup.outputs] if tune else ()
+    return gust_intensity(steps, steps.measured, setup.which, setup.noise, speeds, of, states, near, steps.by, kinds)
 
 
 def predicted(

@@ -19,7 +19,6 @@ from uqharness.refinement.gusts import GustFit, gust_evidence
 from uqharness.refinement.rounds import candidate_evidence
 from uqharness.refinement.showing.show import Shown, show, with_replays
 from uqharness.refinement.types import Setup, in_dynamics
-from uqharness.refinement.writing.effects import carrier
 from uqharness.simulator import Aircraft
 
 Write = Callable[[Found], Aircraft]
@@ -143,21 +142,21 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
 def flown_as(model: Found, found: Found, whole: Aircraft) -> tuple[Aircraft, dict[str, float]] | None:
     """The aircraft with every effect of ``found`` and the properties with which it flies as ``model``: each XML of its own would be
     compiled anew. None where a number of the model stands in the XML alone."""
-    values = property_values(model, found, whole)
+    values = property_values(model, found)
     return None if values is None else (whole, values)
 
 
-def property_values(model: Found, found: Found, written: Aircraft) -> dict[str, float] | None:
-    """Properties with which the aircraft ``written`` with the effects of ``found`` flies as ``model`` does, which has some of them;
+def property_values(model: Found, found: Found) -> dict[str, float] | None:
+    """Properties with which an aircraft that has the effects of ``found`` flies as ``model`` does, which has some of them;
     None where a number stands in the XML alone."""
     values = {name: value for name, (value, _) in model.parameters.items()}
     own = {c.key: c.value for c in model.selection.chosen}
     for c in found.selection.chosen:
         if not in_dynamics(found.effects[c.key]):
             continue
-        place = carrier(found.effects[c.key], written.folder)
-        if place is not None:
-            values[place[0]] = place[1] + own.get(c.key, 0.0)
+        place = found.setup.carriers.get(c.key)
+        if place is not None and (c.key in own or place.exact):
+            values[place.name] = place.at(own.get(c.key, 0.0))
         elif own.get(c.key) != c.value:
             return None
     return values

@@ -7,14 +7,14 @@ column stands for the effect. Once an effect is flown, its column is the slope a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.effects import Choice, Columns, Effect, Evidence, scores
-from uqharness.refinement.candidates import surface_change
+from sysid.effects import Choice, Columns, Evidence, scores
+from uqharness.refinement.candidates import NEAR, surface_change
 from uqharness.refinement.reference import Probe
 from uqharness.refinement.types import Setup
 from uqharness.replay import CONTROLS, runs_per_row
@@ -25,7 +25,6 @@ SHARES = (0.98, 0.95, 0.9, 0.85, 0.75, 0.6, 0.45, 0.3)
 """Limits tried, of the fastest motion."""
 FASTER = (0.75, 0.5, 0.25, 0.0)
 """Limits tried above the servo's own: its share in the travel time of a degree, the rest that of the fastest motion."""
-NEAR = 0.97
 
 
 def limits_tried(
@@ -102,15 +101,6 @@ def _fastest(setup: Setup, surface: str, servo: Actuator) -> float:
     return float(max(found, default=0.0))
 
 
-def slower_servos(chosen: Sequence[Effect], value: Mapping[str, float], term: str = "rate_limit") -> dict[str, float]:
-    """surface -> value of the rate limits [s/deg], or lags [s], among some effects."""
-    return {
-        (e.subsystem or "").partition(".")[2]: value[e.key]
-        for e in chosen
-        if e.term == term and (e.subsystem or "").startswith("actuator.")
-    }
-
-
 def felt(chosen: Sequence[Choice], setup: Setup) -> tuple[Choice, ...]:
     """The choices, rate limits no higher than the fastest motion asked of their servo: above it any limit is the same."""
 
@@ -136,9 +126,3 @@ def is_fastest(choice: Choice, setup: Setup) -> bool:
     surface = choice.key.removeprefix("effect/actuator.").partition("/")[0]
     servo = setup.servos.get(surface)
     return servo is not None and np.isfinite(servo.rate) and choice.value - 2.0 * choice.std <= _least(setup, surface, servo)
-
-
-def around(servo: Actuator, value: float) -> tuple[float, float]:
-    """Limits [deg/s] between which the slope at an effect's value is taken."""
-    limit = servo.slowed_to(value)
-    return limit, NEAR * limit

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ from uqharness.refinement.gusts import GustFit
 from uqharness.refinement.round import Round, Start
 from uqharness.refinement.types import in_dynamics
 from uqharness.refinement.writing.effects import carrier
+from uqharness.simulator import Aircraft
 
 HELD_FLIGHTS = 8
 """Flights in which a number that JSBSim reads once may come to its value."""
@@ -40,8 +40,7 @@ def rival(
     """The candidate that, alone, makes the flights likelier than the first chosen effect does, or that effect at another value;
     None where it stays as it flew.
 
-    now: the flight with what was chosen; odds: candidates; predicted: one-step predictions with effects, in a given air, or in one
-    found with them (anew).
+    now: the flight with what was chosen; odds: candidates; predicted: one-step predictions with effects, the air found with them.
     """
     first = selection.chosen[0]
     free = start.before.columns[0].names
@@ -52,9 +51,6 @@ def rival(
     if others:
         say(f"flying {', '.join(k.removeprefix('effect/').replace('/', ' ') for k in others)} instead, each alone")
     known = replace(start, gusts=now.gusts, setup=replace(start.setup, noise=now.setup.noise))
-    if any(like_turning_air(e) for e in start.effects if e.key == first.key):
-        # Beside it the air was found to turn less than it does, which no rival makes up for.
-        known, predicted = start, partial(predicted, anew=True)
     flown: dict[str, Choice] = {}
 
     def surprise(choice: Choice) -> float:
@@ -129,14 +125,14 @@ def at_value(start: Start, choice: Choice, about: About, folder: Path, predicted
     return min(((c, s) for s, c in flown), key=lambda f: f[1], default=(choice, float("inf")))
 
 
-def read_once_first(selection: Selection, effects: Sequence[Effect], folder: Path) -> Selection:
-    """An overwhelming effect that is read once, or a time, and stronger than the others: it alone, of an aircraft in ``folder``.
+def read_once_first(selection: Selection, effects: Sequence[Effect], aircraft: Aircraft) -> Selection:
+    """An overwhelming effect that is read once, or a time, and stronger than the others: it alone.
 
     Neither is linear in what it does: where it is far from none, what its slope leaves looks like others.
     """
     first = max(selection.chosen, key=lambda c: abs(c.t))
     effect = next(e for e in effects if e.key == first.key)
-    once = effect.unit == "s" or (in_dynamics(effect) and carrier(effect, folder) is None)
+    once = effect.unit in ("s", "s/deg") or (in_dynamics(effect) and carrier(effect, aircraft) is None)
     return replace(selection, chosen=(first,)) if once and abs(first.t) > OVERWHELMING else selection
 
 

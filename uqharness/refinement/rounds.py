@@ -13,9 +13,9 @@ from sysid.effects import TWINS, Choice, Columns, Effect, Evidence, Selection, g
 from uqharness.refinement.begin import OVERWHELMING, About, joint_point
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.contest import many_asked
-from uqharness.refinement.fit import PRIOR, Fit, best_flown, merged, positions, refit
-from uqharness.refinement.gusts import GustFit, gust_evidence, gust_refit, middles
-from uqharness.refinement.rates import around, felt, slower_servos
+from uqharness.refinement.fit import PRIOR, Fit, best_flown, merged, refit
+from uqharness.refinement.gusts import GustFit, gust_evidence, gust_refit
+from uqharness.refinement.rates import felt
 from uqharness.refinement.rivals import at_values, companion, far_off, read_once_first, rival, without_weak
 from uqharness.refinement.round import Round, Start
 from uqharness.refinement.setup import Bench, with_sensors_of
@@ -50,7 +50,7 @@ def settle(start: Start, selection: Selection, evidence: Evidence, work: Path, s
         say(f"round {number}: flying with {_listed([c.key for c in selection.chosen])}")
         folder = work / f"round{number}"
         if number == 2 and not start.gusts:
-            selection = read_once_first(selection, start.effects, start.aircraft.folder)
+            selection = read_once_first(selection, start.effects, start.aircraft)
         now = _tried(start, selection, about, folder)
         if now is not None and not start.gusts:
             now = at_values(now, partial(_tried, start), folder)
@@ -139,20 +139,16 @@ def _begun(start: Start, selection: Selection, about: About, folder: Path) -> tu
     staged, setup = stage(start.aircraft, start.setup, [by_key[k] for k in keys], selection, start.before, folder)
     first, free = start.before.flown.point, start.before.columns[0].names
     joint = joint_point(about, start.setup, first, free, keys, start.limits)
-    return staged, setup, with_effects(joint, setup, selection, staged), [*start.names, *keys]
+    return staged, setup, with_effects(joint, selection), [*start.names, *keys]
 
 
-def _predicted(start: Start, selection: Selection, about: About, folder: Path, anew: bool = False) -> GustFit:
-    """One-step predictions with effects, parameters estimated with them, in air and with sensors' noise as `start` has them, or
-    found anew."""
+def _predicted(start: Start, selection: Selection, about: About, folder: Path) -> GustFit:
+    """One-step predictions with effects; parameters, air and the sensors' noise estimated with them."""
     assert start.gusts is not None
     selection = replace(selection, chosen=felt(selection.chosen, start.setup))
     staged, setup, begin, names = _begun(start, selection, about, folder)
     with Bench(staged, start.measured, start.ideal) as bench:
-        controls, bends = positions(bench.model, setup), middles(bench.model, setup)
-        return gust_refit(
-            bench.straight, setup, controls, bends, begin, names, start.limits, start.map_, start.gusts, tune=anew, known=not anew
-        )  # fmt: skip
+        return gust_refit(bench.model, bench.straight, setup, begin, names, start.limits, start.map_, start.gusts, tune=True)
 
 
 def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Round:
@@ -162,23 +158,19 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     staged, setup, begin, names = _begun(start, selection, about, folder)
     rest = [e for e in start.effects if e.key not in keys]
     with Bench(staged, start.measured, start.ideal) as bench:
-        controls = positions(bench.model, setup)
         gusts, surprise = start.gusts, float("nan")
         if gusts is not None:
-            bends = middles(bench.model, setup)
-            # What a strong effect did was noise to the sensors' estimate: vanes came out twice as noisy as they are, and a filter
-            # that follows them late finds their scales and rates.
-            tune = any(abs(c.t) > OVERWHELMING for c in selection.chosen)
-            found = gust_refit(bench.straight, setup, controls, bends, begin, names, start.limits, start.map_, gusts, tune=tune)
+            # What an effect did was noise to the sensors, and a filter that follows vanes late finds their scales and rates.
+            found = gust_refit(bench.model, bench.straight, setup, begin, names, start.limits, start.map_, gusts, tune=True)
             fit, gusts, setup, surprise = found.fit, found.gusts, found.setup, found.surprise
             evidence = gust_evidence(setup, found, effect_columns(setup, fit.probes, fit.flown, rest))
         else:
-            options = [begin, with_effects(start.before.flown.point, setup, selection, staged)]
+            options = [begin, with_effects(start.before.flown.point, selection)]
             best = best_flown(bench.model, setup, options, start.map_)
-            fit = refit(bench.model, bench.straight, setup, controls, best.point, names, start.limits, start.map_)
+            fit = refit(bench.model, bench.straight, setup, best.point, names, start.limits, start.map_)
             evidence = candidate_evidence(setup, fit, rest)
     written = {c.key: c.value for c in selection.chosen}
-    values = {e.key: effect_value(e, fit.flown.point, setup.carriers, staged, written[e.key]) for e in setup.active}
+    values = {e.key: fit.flown.point.effects[e.key] for e in setup.active}
     evidence = evidence.taken_out(values)
     free = [n for n in fit.columns[0].names if n not in keys]
     odds = {**eligible(rest, start.setup, fit, evidence), **{k: by_key[k].odds for k in keys}}
@@ -307,12 +299,8 @@ def stage(
     value = {c.key: c.value for c in selection.chosen}
     slopes = control_slopes(fit)
     staged = write_staged(aircraft, [Written(e, value[e.key], "", slopes) for e in chosen], folder)
-    carriers = {e.key: found[0] for e in chosen if (found := carrier(e, aircraft.folder)) is not None}
-    limits = {**setup.limits, **{s: around(setup.servos[s], v) for s, v in slower_servos(chosen, value).items()}}
-    lagging = slower_servos(chosen, value, "lag")
-    return staged, replace(
-        with_sensors_of(setup, staged), active=tuple(chosen), carriers=carriers, limits=limits, lagging=lagging, slopes=slopes
-    )  # fmt: skip
+    carriers = {e.key: found for e in chosen if (found := carrier(e, aircraft)) is not None}
+    return staged, replace(with_sensors_of(setup, staged), active=tuple(chosen), carriers=carriers, slopes=slopes)
 
 
 def write_staged(aircraft: Aircraft, effects: Sequence[Written], folder: Path) -> Aircraft:
@@ -320,27 +308,11 @@ def write_staged(aircraft: Aircraft, effects: Sequence[Written], folder: Path) -
     the same effects give the same file, compiled once."""
     target = folder / "aircraft" / aircraft.folder.name
     target.parent.mkdir(parents=True)
-    still = [w if carrier(w.effect, aircraft.folder) is None else replace(w, value=0.0) for w in effects]
+    still = [w if carrier(w.effect, aircraft) is None else replace(w, value=0.0) for w in effects]
     write_effects(aircraft, still, {}, target)
     return replace(find_aircraft(target), engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
 
 
-def with_effects(point: Point, setup: Setup, selection: Selection, staged: Aircraft) -> Point:
-    """The point with every chosen effect at its value, by the property that carries it."""
-    values, sensed = dict(point.values), dict(point.sensed)
-    for c in selection.chosen:
-        effect = next(e for e in setup.active if e.key == c.key)
-        if c.key in setup.carriers:
-            found = carrier(effect, staged.folder)
-            values[setup.carriers[c.key]] = c.value + (found[1] if found else 0.0)
-        elif not in_dynamics(effect):
-            sensed[c.key] = c.value
-    return replace(point, values=values, sensed=sensed)
-
-
-def effect_value(effect: Effect, point: Point, carriers: Mapping[str, str], staged: Aircraft, written: float) -> float:
-    """An effect's value at a point of the staged model."""
-    if effect.key in carriers:
-        found = carrier(effect, staged.folder)
-        return point.values[carriers[effect.key]] - (found[1] if found else 0.0)
-    return point.sensed.get(effect.key, written)
+def with_effects(point: Point, selection: Selection) -> Point:
+    """The point with every chosen effect at its value."""
+    return replace(point, effects={c.key: c.value for c in selection.chosen})

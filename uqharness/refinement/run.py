@@ -173,7 +173,7 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
 
 
 def _read(request: Request, paths: Sequence[Path]) -> _Flights:
-    flights, measured = read_flights(paths, request.aircraft, request.manoeuvres, request.map_path)
+    flights, measured = read_flights(paths, request.aircraft, request.manoeuvres, request.map_path, align=False)
     ideal = tuple(c for c in CONTROLS if c not in measured) if request.ideal_servos else ()
     return _Flights(list(flights), tuple(measured), ideal, tuple(file_hash(p) for p in paths))
 

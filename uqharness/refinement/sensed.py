@@ -43,7 +43,7 @@ def as_sensed(
 def placed(segment: Segment, point: Point) -> Segment:
     """The segment with the accelerometers where they are at a point."""
     x, y, z = (
-        own + point.sensed.get(f"effect/sensor.accelerometer/place_{axis}", 0.0)
+        own + point.effects.get(f"effect/sensor.accelerometer/place_{axis}", 0.0)
         for axis, own in zip("xyz", segment.arm_m, strict=True)
     )
     return segment if (x, y, z) == tuple(segment.arm_m) else replace(segment, arm_m=(x, y, z))
@@ -54,7 +54,7 @@ def sensor_late_s(channel: str, segment: Segment, point: Point) -> float:
     sensor = SENSOR_OF.get(channel, channel)
     own = {sensor, channel}
     return point.nuisance.get(f"delay/{segment.flight}/{sensor}", 0.0) + sum(
-        point.sensed.get(f"effect/sensor.{s}/delay", 0.0) for s in own
+        point.effects.get(f"effect/sensor.{s}/delay", 0.0) for s in own
     )
 
 

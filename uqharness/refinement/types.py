@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
 from sysid.effects import Effect
 from uqharness.replay import CONTROL_DELAY, UNSEEN, Flight, Segment
-from uqharness.simulator import Actuator
+from uqharness.simulator import Actuator, servo_number
 
 Array = NDArray[np.float64]
 
@@ -32,14 +32,34 @@ def unseen(flight: str) -> str:
 
 
 @dataclass(frozen=True)
+class Carrier:
+    """Property of the simulation that an effect moves: name; absent: its value without the effect; servo, term: of a servo's lag or
+    rate limit the servo as given, and which of the two it is."""
+
+    name: str
+    absent: float
+    servo: Actuator | None = None
+    term: str = ""
+
+    @property
+    def exact(self) -> bool:
+        """Whether the property restores the aircraft as given, bit for bit: no number is a servo without a lag."""
+        return self.servo is None or self.term != "lag" or self.servo.lag is not None
+
+    def at(self, value: float) -> float:
+        """The property where the effect has a value."""
+        return self.absent + value if self.servo is None else servo_number(self.servo, self.term, value)
+
+
+@dataclass(frozen=True)
 class Setup:
     """Everything about the flights that does not change with the model's numbers.
 
     measured [(n, m)] outputs as logged; noise (m,); late: flight -> sensors whose delay is estimated; timed: flights of which it is
     estimated how late the controls act (`lateness`); jumping: of which is estimated what is `unseen`; biased: channels;
-    active: effects that the model being flown has, or that its sensors have; carriers: key -> property of those that have one;
+    active: effects that the model being flown has, or that its sensors have; carriers: key -> carrier of those that have one;
     servos: actuators of the surfaces whose commands alone were recorded; limits: surface -> rate limits [deg/s] from and to which
-    a slower servo's effect is read; lagging: surface -> time constant [s] beyond its servo's own with which it flies;
+    a slower servo's effect is read while it is no part of the model;
     slopes: numbers that the active effects are written with (`writing.slopes.control_slopes`), none where none is
     """
 
@@ -52,10 +72,9 @@ class Setup:
     biased: tuple[str, ...]
     late: Mapping[str, Sequence[str]]
     active: tuple[Effect, ...] = ()
-    carriers: Mapping[str, str] = field(default_factory=dict)
+    carriers: Mapping[str, Carrier] = field(default_factory=dict)
     servos: Mapping[str, Actuator] = field(default_factory=dict)
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    lagging: Mapping[str, float] = field(default_factory=dict)
     slopes: Mapping[str, float] = field(default_factory=dict)
     timed: tuple[str, ...] = ()
     jumping: tuple[str, ...] = ()
@@ -65,9 +84,14 @@ class Setup:
         """Columns of the replay's outputs that are compared."""
         return [STEP_OUTPUTS.index(c) for c in self.outputs]
 
+    def properties(self, point: Point) -> dict[str, float]:
+        """Every property that is set at a point: its values, and those of the active effects."""
+        carried = {carrier.name: carrier.at(point.effects.get(key, 0.0)) for key, carrier in self.carriers.items()}
+        return {**point.values, **carried}
+
     @property
     def held(self) -> list[str]:
-        """Keys of active effects that JSBSim reads once (mass, servos): no step moves them."""
+        """Keys of active effects that JSBSim reads once (mass, dead zones): no step moves them."""
         return [e.key for e in self.active if e.key not in self.carriers and in_dynamics(e)]
 
     @property
@@ -80,12 +104,12 @@ class Setup:
 
 @dataclass(frozen=True)
 class Point:
-    """Values of properties and nuisance by name; start (9,) of every segment; sensed: values of the sensors' effects by key."""
+    """Values of properties and nuisance by name; start (9,) of every segment; effects: values of the active effects by key."""
 
     values: Mapping[str, float]
     nuisance: Mapping[str, float]
     starts: tuple[Array, ...]
-    sensed: Mapping[str, float] = field(default_factory=dict)
+    effects: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

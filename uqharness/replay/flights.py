@@ -141,8 +141,13 @@ def control_columns(measured: Sequence[str]) -> tuple[str, ...]:
     return tuple(_POSITION[name] if name in measured else _COLUMN[name] for name in CONTROLS)
 
 
-def prepare(name: str, record: FlightRecord, measured: Sequence[str], min_s: float = MIN_S, max_s: float = MAX_S) -> Flight:
-    """Check, thin, align and cut a record. Raises BadInputError naming the channel that is missing and what needs it."""
+def prepare(
+    name: str, record: FlightRecord, measured: Sequence[str], min_s: float = MIN_S, max_s: float = MAX_S, align: bool = True
+) -> Flight:
+    """Check, thin, align and cut a record. Raises BadInputError naming the channel that is missing and what needs it.
+
+    align: False for one who asks himself which sensors are late; the channels of an autopilot's log are aligned in any case.
+    """
     columns = control_columns(measured)
     missing = [c for c in (*_NEEDED, *columns) if c not in record or not np.isfinite(record[c]).any()]
     if missing:
@@ -169,7 +174,7 @@ def prepare(name: str, record: FlightRecord, measured: Sequence[str], min_s: flo
         raise BadInputError(
             f"{name}: {1 / record.dt_s:.1f} rows a second; a replay needs at least 10, or it sees neither short period nor roll"
         )
-    record, moved = _aligned(record)
+    record, moved = _aligned(record) if align or record.metadata.native_hz else (record, [])
     notes += [f"{name}: {text}" for text in moved]
     pieces, how = cut(record, (*_NEEDED, *columns), min_s, max_s)
     if not pieces:
@@ -326,12 +331,13 @@ def renamed(names: Sequence[str]) -> list[str]:
 
 def read_flights(
     paths: Sequence[Path], aircraft: Aircraft, manoeuvres: Path | None = None, map_path: Path | None = None,
-    min_s: float = MIN_S, max_s: float = MAX_S,
+    min_s: float = MIN_S, max_s: float = MAX_S, align: bool = True,
 ) -> tuple[list[Flight], tuple[str, ...]]:  # fmt: skip
-    """Flights ready for replay, and the surfaces whose measured positions are used. Raises BadInputError."""
+    """Flights ready for replay, and the surfaces whose measured positions are used; align: as `prepare` has it. Raises
+    BadInputError."""
     refuse_twice(paths, [file_sha256(path) if path.is_file() else str(path) for path in paths])
     records = [read_flight(path, aircraft, manoeuvres, map_path) for path in paths]
-    return prepare_together([path.stem for path in paths], records, aircraft, min_s, max_s)
+    return prepare_together([path.stem for path in paths], records, aircraft, min_s, max_s, align)
 
 
 def refuse_twice(names: Sequence[object], hashes: Sequence[str]) -> None:
@@ -342,14 +348,15 @@ def refuse_twice(names: Sequence[object], hashes: Sequence[str]) -> None:
 
 
 def prepare_together(
-    names: Sequence[str], records: Sequence[FlightRecord], aircraft: Aircraft, min_s: float = MIN_S, max_s: float = MAX_S
-) -> tuple[list[Flight], tuple[str, ...]]:
+    names: Sequence[str], records: Sequence[FlightRecord], aircraft: Aircraft, min_s: float = MIN_S, max_s: float = MAX_S,
+    align: bool = True,
+) -> tuple[list[Flight], tuple[str, ...]]:  # fmt: skip
     """Records used together, ready for replay, and the surfaces whose measured positions are used. Raises BadInputError."""
     measured = tuple(n for n in measured_surfaces(records) if n in aircraft.card.inputs)
     placed = [with_start_altitude(record, aircraft.folder) for record in records]
     flights = []
     for name, (record, said) in zip(renamed(names), placed, strict=True):
         driven, how = with_throttle(record, aircraft, name)
-        flight = prepare(name, driven, measured, min_s, max_s)
+        flight = prepare(name, driven, measured, min_s, max_s, align)
         flights.append(replace(flight, notes=(*(f"{name}: {text}" for text in (said, how) if text), *flight.notes)))
     return flights, measured

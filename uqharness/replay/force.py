@@ -198,15 +198,19 @@ def mass_properties(fdm: Any, model: ReplayModel) -> MassProperties:
     )  # fmt: skip
 
 
-def surface_positions(model: ReplayModel, cut: Sequence[Segment], names: Sequence[str]) -> list[Array]:
+def surface_positions(
+    model: ReplayModel, cut: Sequence[Segment], names: Sequence[str], properties: Mapping[str, float] | None = None
+) -> list[Array]:
     """Of each segment (n, c) where the controls stood: the record's own values where measured, else what the model's actuators make
     of them.
 
-    What was asked before is remembered: residuals ask for the same stretch under many states.
+    properties: values in force, of which the actuators' own count. What was asked before is remembered: residuals ask for the same
+    stretch under many states.
     """
-    keys = [_key(model, segment, names) for segment in cut]
+    servos = {name: value for name, value in (properties or {}).items() if name in model.servos}
+    keys = [(*_key(model, segment, names), *servos.items()) for segment in cut]
     missing = {key: segment for key, segment in zip(keys, cut, strict=True) if key not in _stood}
-    _stood.update(zip(missing, _positions(model, list(missing.values()), names), strict=True))
+    _stood.update(zip(missing, _positions(model, list(missing.values()), names, servos), strict=True))
     out = []
     for key in keys:
         _stood.move_to_end(key)
@@ -221,7 +225,7 @@ def _key(model: ReplayModel, segment: Segment, names: Sequence[str]) -> tuple[ob
     return (model.identity, *(a.tobytes() for a in asked), *names)
 
 
-def _positions(model: ReplayModel, cut: Sequence[Segment], names: Sequence[str]) -> list[Array]:
+def _positions(model: ReplayModel, cut: Sequence[Segment], names: Sequence[str], servos: Mapping[str, float]) -> list[Array]:
     from uqharness.replay.in_lanes import ReplayJob, by_jsbsim, fly_all
     from uqharness.replay.replay import CHANNELS
 
@@ -229,7 +233,7 @@ def _positions(model: ReplayModel, cut: Sequence[Segment], names: Sequence[str])
     known = {c: p for c, p in model.positions().items() if c in names and c not in model.measured}
     if not known or not cut:
         return out
-    jobs = [ReplayJob(model, segment, {}, segment.start, extra=tuple(known.values())) for segment in cut]
+    jobs = [ReplayJob(model, segment, servos, segment.start, extra=tuple(known.values())) for segment in cut]
     flown = fly_all(jobs) if sum(s.time_s[-1] - s.time_s[0] for s in cut) > WORTH_S else map(by_jsbsim, jobs)
     for stood, rows in zip(out, flown, strict=True):
         for k, control in enumerate(known, len(CHANNELS)):

@@ -50,8 +50,8 @@ class ReplayModel:
     positions: both ends of a travel seldom have one factor.
     ``identity`` of what flies: two copies of one aircraft, opened alike, have the same.
     ``near_ground`` whether its XML reads the height above the ground, ``by_rates`` whether it reads the rates of alpha or beta.
-    ``varied`` coefficients that its XML declares: programs compiled from it take each of them at any value.
-    ``engines`` number of them in its <propulsion>.
+    ``varied`` coefficients and effects that its XML declares: programs compiled from it take each of them at any value.
+    ``engines`` number of them in its <propulsion>; ``servos`` properties that the numbers of its actuators are.
     """
 
     staging: Staging
@@ -67,6 +67,7 @@ class ReplayModel:
     identity: str = ""
     varied: tuple[str, ...] = ()
     engines: int = 0
+    servos: tuple[str, ...] = ()
 
     @property
     def jumping(self) -> tuple[str, ...]:
@@ -133,13 +134,13 @@ class ReplayFolder:
         self._scratch = scratch_folder("replay")
         staging = stage(aircraft, self._scratch.path)
         copy, card = staging.folder, aircraft.card
-        lagging = _edit(copy, aircraft.xml.name, card, (*measured, *ideal))
+        lagging, servos = _edit(copy, aircraft.xml.name, card, (*measured, *ideal))
         self.model = ReplayModel(
             staging, card, tuple(controls), tuple(measured),
             tuple(_factor(card, name) for name in controls), tuple(c for c in controls if card.inputs[c].position in lagging),
             dict(settings or {}), near_ground=_asks_for(_HEIGHT, copy), by_rates=_asks_for(_RATES, copy),
             identity=repr((content_hash(aircraft), tuple(controls), tuple(measured), tuple(ideal), dict(settings or {}))),
-            varied=declared_in(copy, "aero/"),
+            varied=(*declared_in(copy, "aero/"), *declared_in(copy, "effect/")), servos=servos,
         )  # fmt: skip
         engines = _declare_orphans(self.model, staging.xml, aircraft.dt_s)
         self.model = replace(self.model, engines=engines)
@@ -207,13 +208,14 @@ def _throws(
     return tuple(found)
 
 
-def _edit(folder: Path, main: str, card: Card, direct: Sequence[str]) -> set[str]:
+def _edit(folder: Path, main: str, card: Card, direct: Sequence[str]) -> tuple[set[str], tuple[str, ...]]:
     """Take idle systems out of the main file, dynamics out of the actuators of ``direct`` in every file.
 
     An actuator moves a control if its name or an output is the card's position, be it in another unit. Returns the positions whose
-    actuators keep a lag.
+    actuators keep a lag, and the properties that actuators' numbers are.
     """
     lagging: set[str] = set()
+    read: set[str] = set()
     surfaces = {_surface(position): position for entry in card.inputs.values() if (position := entry.position) is not None}
     positions = {card.inputs[name].position for name in direct} - {None}
     for path in sorted(folder.rglob("*.xml")):
@@ -235,9 +237,11 @@ def _edit(folder: Path, main: str, card: Card, direct: Sequence[str]) -> set[str
                         changed = True
             if actuator.find("lag") is not None:
                 lagging |= known
+            numbers = ((e.text or "").strip() for kind in _ACTUATOR_DYNAMICS for e in actuator.findall(kind))
+            read |= {text for text in numbers if "/" in text}
         if changed:
             tree.write(str(path), encoding="UTF-8", xml_declaration=True)
-    return lagging
+    return lagging, tuple(sorted(read))
 
 
 def _surface(name: str) -> str:

@@ -86,7 +86,7 @@ class JsbsimPrediction:
             longer.append(replace(piece, rows=slice(first, stop), start_s=float(record["time_s"][first])))
         own, before = (segments(replace(self.flight, pieces=tuple(some)), self.measured) for some in (missing.values(), longer))
         self.segments.update(zip(missing, own, strict=True))
-        for rows, piece, stood in zip(missing, longer, surface_positions(self.model, before, CONTROLS), strict=True):
+        for rows, piece, stood in zip(missing, longer, surface_positions(self.model, before, CONTROLS, self.values), strict=True):
             self.positions[rows] = stood[rows[0] - piece.rows.start :]
 
 

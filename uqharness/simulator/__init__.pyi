@@ -1,4 +1,5 @@
 from .actuators import Actuator as Actuator
+from .actuators import servo_number as servo_number
 from .aircraft import PROJECT_ROOT as PROJECT_ROOT
 from .aircraft import Aircraft as Aircraft
 from .aircraft import check_loadable as check_loadable

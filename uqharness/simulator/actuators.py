@@ -25,6 +25,10 @@ SHORTEST_S = 1e-3
 """Time constant below which a servo acts at once."""
 
 
+FREE_LAG, FREE_RATE = 1e15, 1e9
+"""Lag [1/s] and rate limit [unit/s] with which a servo acts at once, to what a replay can tell."""
+
+
 @dataclass(frozen=True)
 class Actuator:
     """First-order lag [1/s] (None: none), rate limit [unit/s] and stops."""
@@ -64,6 +68,14 @@ class Actuator:
             -(-runs // 2),
         )  # the steps on either side of the middle, one and the same if runs is even
         return out[::runs], 0.5 * (out[early : len(out) - late : runs] + out[late : len(out) - early : runs])
+
+
+def servo_number(servo: Actuator, term: str, value: float) -> float:
+    """The number of an actuator whose lag is ``value`` [s] longer than the servo's, or whose rate limit takes ``value`` [s/unit]
+    longer; term: lag or rate_limit."""
+    if term == "rate_limit":
+        return servo.slowed_to(value)
+    return FREE_LAG if servo.lag is None and value == 0.0 else servo.lag_with(value)
 
 
 def _limited(asked: Array, reach: float) -> Array:

@@ -10,8 +10,7 @@ import pytest
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.aerodynamics.equations import OpenEquations
 from sysid.aerodynamics.gust_states import GustStates
-from sysid.aerodynamics.rigid_body import AIR, NX, Reference, Steps, linearise, rates, unforced, whole_states
-from sysid.effects.turbulence import Gusts, gust_intensity, process_of
+from sysid.aerodynamics.rigid_body import AIR, NX, Reference, linearise, rates, unforced, whole_states
 
 MASS = MassProperties(mass=21.0, inertia=np.array([[11.1, 0.0, -0.5], [0.0, 7.7, 0.0], [-0.5, 0.0, 18.4]]), S=1.38, b=3.66, c=0.38)
 TERMS = (
@@ -153,71 +152,3 @@ def test_still_air_stays_still_wherever_the_flight_begins():
     for k in range(len(x) - 1):
         wrong = gusty.phi[k] @ wrong
     assert np.abs(wrong[:8] - small).max() > 10.0 * np.abs(large[:8] - small).max()
-
-
-NOISE = np.array([0.3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 0.05, 0.05, 0.05])
-INTENSITIES = np.array([0.2, 1e-3, 1e-3, 0.04, 1e-4])
-Made = dict[GustStates, list[Steps]]
-
-
-def drawn(truth: GustStates, values: np.ndarray, moment: float = 0.0) -> tuple[Made, list[np.ndarray]]:
-    """Four flights drawn from the linear system itself, by what gusts may do; moment: a wave in Cl of that size besides."""
-    rng = np.random.default_rng(4)
-    equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
-    n, ref = 150, []
-    for k in range(4):
-        x = flight(n + 20 * k)[20 * k :]
-        x[:, 5] += 0.35
-        ref.append(reference(x, equations))
-    made = {
-        s: [linearise(r, MASS, gusts=s) for r in ref]
-        for s in (GustStates(MASS.b, rotating=a, turning_with=b) for a in (True, False) for b in (True, False))
-    }
-    data = []
-    for steps in made[truth]:
-        Q, begin = process_of(values, 22.0, truth)
-        d = np.sqrt(np.diagonal(begin)) * rng.standard_normal(NX)
-        z = np.empty((n, len(NOISE)))
-        wave = moment * np.sin(9.0 * DT * np.arange(n) + rng.uniform(0.0, 6.0))
-        for k in range(n):
-            u = wave[k] * np.eye(6)[3]
-            z[k] = steps.y_ref[k] + steps.H[k] @ d + steps.D[k] @ u + NOISE * rng.standard_normal(len(NOISE))
-            if k < n - 1:
-                d = steps.phi[k] @ (d + np.sqrt(0.5 * DT * np.diagonal(Q)) * rng.standard_normal(NX)) + steps.defect[k]
-                d = d + np.sqrt(0.5 * DT * np.diagonal(Q)) * rng.standard_normal(NX)
-                d = d + steps.g0[k] @ u + steps.g1[k] @ (wave[k + 1] * np.eye(6)[3])
-        data.append(z)
-    return made, data
-
-
-def found_in(made: Made, data: list[np.ndarray], near: Gusts | None = None) -> Gusts:
-    return gust_intensity(
-        lambda some, s: [made[s][k] for k in some], data, range(len(NOISE)), NOISE, [22.0] * 4, ["a"] * 2 + ["b"] * 2,
-        GustStates(MASS.b), near,
-    )  # fmt: skip
-
-
-@pytest.mark.parametrize(("rotating", "turning"), [(True, True), (False, False), pytest.param(True, False, marks=pytest.mark.slow)])
-def test_intensities_and_what_gusts_do_are_found(rotating, turning):
-    """Intensities within a factor, the air's ways by likelihood."""
-    made, data = drawn(GustStates(MASS.b, rotating=rotating, turning_with=turning), INTENSITIES)
-    found = found_in(made, data)
-    assert (found.states.rotating, found.states.turning_with) == (rotating, turning)
-    np.testing.assert_allclose(np.log(found.values[:4] / INTENSITIES[:4]), 0.0, atol=np.log(1.7))
-    assert set(found.own) == {"a", "b"}
-    assert found.gain > 1000.0
-    assert found.air
-    again = found_in(made, data, found)
-    np.testing.assert_allclose(np.log(again.values[:4] / found.values[:4]), 0.0, atol=np.log(1.4))
-    assert again.moving == found.moving
-
-
-def test_a_moment_that_comes_and_goes_is_no_air():
-    """Nearly still air and a wave in Cl: the filter has it rotate, and nothing moves. A hundredth of light air is air."""
-    still = 1e-6 * INTENSITIES
-    wave = found_in(*drawn(GustStates(MASS.b), still, 0.003))
-    assert wave.gain > 100.0
-    assert not wave.air
-    faint = found_in(*drawn(GustStates(MASS.b), 0.01 * INTENSITIES))
-    assert faint.gain > 100.0
-    assert faint.air

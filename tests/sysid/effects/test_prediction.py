@@ -9,7 +9,6 @@ from sysid.aerodynamics.rigid_body import NX, OUTPUTS, Steps
 from sysid.effects.prediction import Columns, MadeColumns, White, names_of, whiten
 from sysid.effects.score import corrected, corrected_each, gather, scores
 from sysid.effects.selection import select, threshold
-from sysid.effects.turbulence import noise_factors
 from sysid.estimation import kalman
 from sysid.estimation.kalman import Process
 from tests.helpers.linear_systems import system
@@ -177,26 +176,6 @@ def test_a_step_leaves_what_is_held_where_it_is():
     assert held[at] == 0.0
     np.testing.assert_allclose(held, evidence.fitted(evidence.index([n for n in evidence.names if n != "c3"])))
     assert 0.0 < shorter < length
-
-
-def test_noise_that_is_half_of_what_is_stated_is_found_in_gusts():
-    """The filter's own covariance is the truth: outputs drawn from a system with process noise, rates half as noisy as taken."""
-    rng = np.random.default_rng(8)
-    Q = np.diag(np.where(np.arange(NX) < 8, 0.5, 0.0))
-    stated, kinds = np.full(M, 0.5), ["wind"] * 5 + ["rate"] * 3 + ["force"] * 3
-    true = stated * np.where(np.array(kinds) == "rate", 0.5, 1.0)
-    steps, data = [system(120, 30 + k) for k in range(6)], []
-    for s in steps:
-        state, z = np.zeros(NX), np.empty((120, M))
-        for i in range(120):
-            z[i] = s.y_ref[i] + s.H[i] @ state + true * rng.standard_normal(M)
-            if i < 119:
-                shaken = np.sqrt(s.dt_s * np.diagonal(Q)) * rng.standard_normal(NX)
-                state = s.phi[i] @ (state + shaken) + s.defect[i]
-        data.append(z)
-    found = noise_factors(steps, data, range(M), stated, Process(*(np.repeat(q[None], 6, axis=0) for q in (Q, 0.0 * Q))), kinds)
-    assert found[5] == pytest.approx(0.5, rel=0.1)
-    assert found[[0, 8]] == pytest.approx([1.0, 1.0], abs=0.1)
 
 
 def test_both_forms_of_the_update_are_one_filter(monkeypatch):

@@ -11,8 +11,8 @@ from sysid.effects.prediction import White
 from sysid.effects.score import Evidence, gather
 from sysid.effects.selection import Choice, Selection
 from uqharness.refinement.begin import WEAK_IN_GUSTS, About, joint_point, strong_first
-from uqharness.refinement.candidates import servo_change
-from uqharness.refinement.rates import SHARES, around, just_so
+from uqharness.refinement.candidates import around, servo_change
+from uqharness.refinement.rates import SHARES, just_so
 from uqharness.refinement.types import Point
 from uqharness.replay.replay import STATES
 from uqharness.simulator.actuators import Actuator

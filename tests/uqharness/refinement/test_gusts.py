@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from sysid.aerodynamics.coefficients import MassProperties
-from sysid.aerodynamics.rigid_body import NX, STATES, Reference
+from sysid.aerodynamics.gust_states import GustStates
+from sysid.aerodynamics.rigid_body import STATES, Reference
+from sysid.effects import turbulence
 from sysid.effects.selection import Choice
 from sysid.effects.subsystem_effects import subsystem_effects
-from sysid.effects.turbulence import noise_factors
-from sysid.estimation.kalman import Process
+from sysid.parallel import ALONE
 from uqharness.refinement import gusts as refine_gusts
 from uqharness.refinement import rounds as refine_rounds
 from uqharness.refinement.candidates import effect_columns
@@ -146,21 +147,22 @@ def test_a_sensor_that_reads_more_reads_more_of_everything():
 
 
 def test_noise_that_no_filter_can_follow_is_not_the_likeliest(monkeypatch):
+    """Likelihood of no filter above a noise of one: the search does not end there."""
     calls: list[float] = []
 
     class Likelihood:
         def __init__(self, steps, measured, which, by):
             pass
 
-        def costs(self, noise, processes, mend):
+        def costs(self, noise, processes):
             calls.extend(noise[:, 0])
-            return np.where(noise[:, 0] > 1.0, np.inf, noise[:, 0])
+            return np.where(noise[:, 0] > 1.0, np.inf, 500.0 * (np.log(noise[:, 0]) + 1.0) ** 2)
 
     monkeypatch.setattr("sysid.effects.turbulence.Likelihood", Likelihood)
-    air = Process(np.zeros((1, NX, NX)), np.zeros((1, NX, NX)))
-    found = noise_factors([SimpleNamespace()], [np.zeros((2, 1))], [0], np.ones(1), air, ["wind"])  # type: ignore[list-item]
+    search = turbulence._Search(lambda some, states: [None], [np.zeros((2, 1))], [0], np.ones(1), [20.0], ALONE)  # type: ignore
+    found = search.descend([0], turbulence._Point(GustStates(3.0), np.ones(5), np.array([0.999])), ["wind"])
     assert max(calls) > 1.0
-    assert found[0] < 1.0
+    assert found.factors[0] == pytest.approx(np.exp(-1.0), rel=0.05)
 
 
 def test_effects_that_no_filter_can_follow_leave_what_was_flown_before(monkeypatch, tmp_path):
@@ -187,23 +189,17 @@ def some_air(strength=1.0):
     return SimpleNamespace(states=None, process=None, values=np.array([strength]))
 
 
-def iterated(monkeypatch, steps, strengths=(1.0,), tuned=None, quieter=1.0, **asked):
-    """`gust_refit` on steps (delta, length) that are given, whose searches find gusts of given strengths, the last of them again
-    and again: the strengths that the air was sought from, None for from the beginning, and the steps taken.
-
-    tuned: list that gets the number of searches made before each estimate of the sensors' noise; quieter: factor on that noise
-    which is found each time.
+def iterated(monkeypatch, steps, strengths=(1.0,), quieter=(1.0,), **asked):
+    """`gust_refit` on steps (delta, length) that are given, whose searches find gusts of given strengths and factors on the noise,
+    the last of them again and again: the strengths that the air was sought from, None for from the beginning, and the steps taken.
     """
     queue, sought, taken = iter(steps), [], []
-    tuned = [] if tuned is None else tuned
 
-    def tune(setup, steps, gusts):
-        tuned.append(len(sought))
-        return SimpleNamespace(**{**vars(setup), "noise": quieter * setup.noise}), gusts
-
-    def search(setup, steps, near):
+    def search(setup, steps, near, tune):
         sought.append(None if near is None else float(near.values[0]))
-        return some_air(strengths[min(len(sought), len(strengths)) - 1])
+        k = len(sought) - 1
+        factor = quieter[min(k, len(quieter) - 1)] if tune else 1.0
+        return some_air(strengths[min(k, len(strengths) - 1)]), np.array([factor])
 
     evidence = SimpleNamespace(step=lambda held: (lambda d, length: (np.array([d]), length))(*next(queue)))
     linear = SimpleNamespace(all=lambda states: [], measured=[])
@@ -212,49 +208,42 @@ def iterated(monkeypatch, steps, strengths=(1.0,), tuned=None, quieter=1.0, **as
         "predict": lambda *a: (SimpleNamespace(point=None), [None]), "named_terms": lambda *a: ("aero/Cm_q",),
         "_Linear": lambda *a: linear, "predicted": lambda *a: (a[1], a[2]), "parameter_columns": lambda *a: columns,
         "whiten": lambda *a: [], "gather": lambda *a: evidence, "replace": lambda x, **_: x,
-        "_intensity": search,
-        "_tuned": tune,
+        "middles": lambda *a: [np.zeros((2, 1, 4))],
+        "_air": search,
         "stepped": lambda setup, point, step, limits: taken.append(step["aero/Cm_q"]) or point,
         "Fit": lambda *a: SimpleNamespace(iterations=a[6]),
     }.items():  # fmt: skip
         monkeypatch.setattr(refine_gusts, name, instead)
-    setup = SimpleNamespace(active=(), held=(), late={}, noise=np.ones(1), which=[0], segments=[SimpleNamespace(flight="one")])
-    point = SimpleNamespace(values={})
-    refine_gusts.gust_refit(None, setup, [], [np.zeros((2, 1, 4))], point, ["aero/Cm_q"], {}, map, **asked)  # type: ignore[arg-type]
+    setup = SimpleNamespace(
+        active=(), held=(), late={}, noise=np.ones(1), which=[0], segments=[SimpleNamespace(flight="one")],
+        properties=lambda point: {},
+    )  # fmt: skip
+    refine_gusts.gust_refit(None, None, setup, SimpleNamespace(), ["aero/Cm_q"], {}, map, **asked)  # type: ignore[arg-type]
     return sought, taken
 
 
-def test_beside_a_strong_effect_the_air_is_sought_from_the_beginning_and_once_more_from_there(monkeypatch):
-    steps = [(1.0, 9.0), (1.0, 4.0), (1.0, 3.0), (1.0, 0.1)]
-    assert iterated(monkeypatch, steps, near=some_air(), tune=True)[0] == [None, 1.0]
-    assert iterated(monkeypatch, steps, near=some_air(), tune=False)[0] == [1.0]
-    assert iterated(monkeypatch, steps, near=some_air(), known=True)[0] == []
-    assert iterated(monkeypatch, steps)[0][0] is None
-
-
-def test_noise_far_from_what_is_stated_is_estimated_again_beside_parameters_that_have_moved(monkeypatch):
-    steps = [(1.0, 9.0), (1.0, 4.0), (1.0, 0.1)]
-    for quieter, tune, expected in ((0.6, True, [1, 2]), (0.95, True, [1]), (0.6, False, [])):
-        tuned: list[int] = []
-        iterated(monkeypatch, steps, tuned=tuned, quieter=quieter, tune=tune)
-        assert tuned == expected
-
-
-def test_a_search_that_went_as_far_as_it_could_goes_on(monkeypatch):
+def test_the_air_is_sought_until_it_stands_and_where_it_is_known_not_at_all(monkeypatch):
     near = [(1.0, 0.1)] * 9
-    assert iterated(monkeypatch, near, strengths=(6.0, 3.0, 1.0, 1.0), near=some_air(6.0))[0] == [6.0]
+    assert iterated(monkeypatch, near)[0] == [None, 1.0]
+    assert iterated(monkeypatch, near, near=some_air())[0] == [1.0]
+    assert iterated(monkeypatch, near, near=some_air(), known=True)[0] == []
     assert iterated(monkeypatch, near, strengths=(3.0, 1.0, 1.0), near=some_air(6.0))[0] == [6.0, 3.0, 1.0]
-    # Made in haste, because the steps would not become small, it is made once more when they are.
-    hasty = [*[(1.0, 9.0)] * 6, *near]
-    assert iterated(monkeypatch, hasty, near=some_air())[0] == [1.0, 1.0]
+    # Other noise is other air, where noise is asked for.
+    assert iterated(monkeypatch, near, quieter=(0.6, 1.0), near=some_air(), tune=True)[0] == [1.0, 1.0]
+    assert iterated(monkeypatch, near, quieter=(0.6, 1.0), near=some_air())[0] == [1.0]
 
 
-def test_steps_that_grow_are_shortened_but_not_because_of_other_air(monkeypatch):
+def test_far_from_what_the_parameters_want_the_air_waits(monkeypatch):
+    """What parameters will explain would be taken for gusts; where steps do not become small, it is sought all the same."""
+    steps = [(1.0, 9.0), (1.0, 8.0), (1.0, 4.0), (1.0, 0.1), (1.0, 0.1)]
+    assert iterated(monkeypatch, steps, strengths=(5.0, 5.0))[0] == [None, 5.0]
+    hasty = [*[(1.0, 9.0)] * 6, *[(1.0, 0.1)] * 4]
+    assert iterated(monkeypatch, hasty, strengths=(5.0, 2.0, 2.0))[0] == [None, 5.0, 2.0]
+
+
+def test_steps_that_grow_are_shortened(monkeypatch):
     grown = [(1.0, 20.0), (-1.0, 60.0), (1.0, 70.0), (1.0, 40.0), (1.0, 0.1)]
     assert iterated(monkeypatch, grown, near=some_air(), known=True)[1] == [1.0, -0.5, 0.25, 0.25]
-    # Found anew in the second iteration, whose step is the first in that air.
-    steps = [(1.0, 4.0), (1.0, 30.0), (1.0, 9.0), (1.0, 0.1), (1.0, 0.1)]
-    assert iterated(monkeypatch, steps, near=some_air(), tune=True)[1] == [1.0] * 4
 
 
 def test_a_step_that_is_no_number_ends_the_fit(monkeypatch):
@@ -266,8 +255,6 @@ def test_the_air_of_flights_that_no_filter_follows_is_that_of_the_others(monkeyp
     def refit(*_, **__):
         raise np.linalg.LinAlgError("Eigenvalues did not converge")
 
-    for name in ("positions", "middles"):
-        monkeypatch.setattr(refine_show, name, lambda *_: [])
     monkeypatch.setattr(refine_show, "Bench", lambda *_: contextlib.nullcontext(SimpleNamespace(model=None, straight=None)))
     monkeypatch.setattr(refine_show, "replace", lambda x, **_: x)
     monkeypatch.setattr(refine_show, "with_sensors_of", lambda setup, _: setup)

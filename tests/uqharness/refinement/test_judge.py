@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +13,7 @@ from sysid.effects.selection import Choice, Selection
 from uqharness.refinement import judge as refine_judge
 from uqharness.refinement.find import Found
 from uqharness.refinement.judge import BEYOND_CHANCE, gap_change
+from uqharness.refinement.types import Carrier
 
 
 def shown(white: list[np.ndarray], deviation: float = 1.0) -> SimpleNamespace:
@@ -154,15 +154,22 @@ def test_properties_fly_what_an_aircraft_of_its_own_would():
     term, lag = coefficient_effect("Cm", "p_hat^2"), Effect(None, "mass", "cg_x", "", "")
     sensor = Effect(None, "sensor.alpha_rad", "scale", "", "")
     chosen = tuple(Choice(e.key, value, 0.1, 10.0, 100.0, 1.0, 0.0) for e, value in ((term, 3.0), (lag, 0.01), (sensor, 0.1)))
+    setup = SimpleNamespace(carriers={term.key: Carrier("aero/Cm_p2", 0.0)})
     found = Found(
-        None, ("aero/Cm_q",), None, None, Selection(chosen), {e.key: e for e in (term, lag, sensor)}, {"aero/Cm_q": (-9.0, 0.1)}, ()
+        setup,
+        ("aero/Cm_q",),
+        None,
+        None,
+        Selection(chosen),
+        {e.key: e for e in (term, lag, sensor)},
+        {"aero/Cm_q": (-9.0, 0.1)},
+        (),
     )  # type: ignore[arg-type]
-    written = SimpleNamespace(folder=Path("none"))
 
     def flown(*keys: str) -> dict[str, float] | None:
         kept = tuple(c for c in chosen if c.key in keys)
         model = replace(found, selection=Selection(kept), parameters={"aero/Cm_q": (-8.0, 0.1)})
-        return refine_judge.property_values(model, found, written)  # type: ignore[arg-type]
+        return refine_judge.property_values(model, found)  # type: ignore[arg-type]
 
     assert flown(term.key, lag.key, sensor.key) == {"aero/Cm_q": -8.0, "aero/Cm_p2": 3.0}
     assert flown(lag.key) == {"aero/Cm_q": -8.0, "aero/Cm_p2": 0.0}
@@ -171,7 +178,7 @@ def test_properties_fly_what_an_aircraft_of_its_own_would():
 
 def test_a_model_flies_as_the_aircraft_with_every_effect_does_at_its_values(monkeypatch):
     whole = object()
-    monkeypatch.setattr(refine_judge, "property_values", lambda model, found, written: {"aero/Cm_q": -14.0})
+    monkeypatch.setattr(refine_judge, "property_values", lambda model, found: {"aero/Cm_q": -14.0})
     assert refine_judge.flown_as(None, None, whole) == (whole, {"aero/Cm_q": -14.0})  # type: ignore[arg-type]
     # A number of the model that stands in the XML alone: it flies by itself.
     monkeypatch.setattr(refine_judge, "property_values", lambda *_: None)

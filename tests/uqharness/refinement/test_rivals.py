@@ -8,13 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sysid.effects.catalogue import coefficient_effect
 from sysid.effects.prediction import White
 from sysid.effects.score import Evidence, gather, scores
-from sysid.effects.selection import Choice, Selection, judged
-from sysid.effects.subsystem_effects import subsystem_effects
+from sysid.effects.selection import Choice, Selection
 from uqharness.refinement.contest import many_asked, rivals, winner
-from uqharness.refinement.rivals import at_value, companion, rival
+from uqharness.refinement.rivals import at_value, companion
 from uqharness.refinement.round import Start
 
 KEYS = ("free", "thrust", "speed", "twin", "other")
@@ -171,38 +169,3 @@ def test_of_many_asked_for_the_likeliest_by_itself_flies_beside_what_flew(eviden
     assert len({folder for _, folder in flown.values()}) == 2
     few = SimpleNamespace(**{**vars(now), "again": Selection(tuple(again[:3]))})
     assert companion(start, few, {"thrust": 0.0, "speed": 0.0}, tmp_path, lambda _: None, predicted) is None  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(("first", "anew"), [("effect/Cm/alphadot_hat", True), ("effect/Cm/q_hat^2", False)])
-def test_rivals_of_what_turning_air_does_fly_in_air_of_their_own(evidence, tmp_path, first, anew):
-    """In the first one's air the rival, which is there, makes the flights less likely."""
-    scale = "effect/sensor.beta_rad/scale"
-    (white,) = evidence.white
-    free, speed, noise = (white.columns[:, :, k] for k in (0, 2, 4))
-    columns = np.stack([free, speed, speed + np.float32(0.3) * noise], axis=2)
-    told = gather([replace(white, columns=columns, start=np.zeros((8, 4)))], ("free", first, scale), ["one"], {})
-    airs = []
-
-    def predicted(start, selection, about, folder, anew=False):
-        airs.append((start.gusts, anew))
-        return SimpleNamespace(surprise=500.0 if anew else 1500.0, setup=SimpleNamespace(held=[]))
-
-    effects = [coefficient_effect("Cm", first.rpartition("/")[2]), *subsystem_effects([], ["beta_rad"], [])]
-    start = Start(
-        None, Noisy(1.0), SimpleNamespace(columns=[SimpleNamespace(names=("free",))]), (), effects, {},
-        np.zeros(1, dtype=bool), 4.0, (), (), map, "air before", {},
-    )  # type: ignore[arg-type]  # fmt: skip
-    now = SimpleNamespace(setup=Noisy(2.0), gusts="its air", surprise=1000.0)
-    chosen = judged(told, ["free"], [first], [first, scale], np.zeros(1, dtype=bool))
-    best = rival(
-        start,
-        now,
-        Selection(chosen),
-        SimpleNamespace(evidence=told),
-        {first: 0.0, scale: 0.0},
-        tmp_path,
-        lambda _: None,
-        predicted,
-    )  # type: ignore[arg-type]
-    assert (best.key if best else None) == (scale if anew else None)
-    assert airs == ([("air before", True)] if anew else [("its air", False)])

@@ -18,8 +18,8 @@ from sysid.model_form import floor_of
 from sysid.parallel import Processes
 from uqharness.identification import coefficient_gaps, fit_replays
 from uqharness.refinement.base import observed, point_of
-from uqharness.refinement.fit import fly, positions
-from uqharness.refinement.gusts import gust_refit, middles, moved, rows_late, unfiltered
+from uqharness.refinement.fit import fly
+from uqharness.refinement.gusts import gust_refit, moved, rows_late, unfiltered
 from uqharness.refinement.setup import Bench, with_sensors_of
 from uqharness.refinement.types import Flown, Point, Setup
 from uqharness.replay import CONTROLS, Flight, ReplayModel, Segment, command_later, spread_over, states
@@ -80,7 +80,6 @@ def show(
         setup = with_sensors_of(setup, aircraft)
         plain = replace(setup, active=(), carriers={})
         start = Point(dict(values or {}), {}, tuple(s.start for s in setup.segments), dict(sensed))
-        controls = positions(bench.model, plain)
         pieces = [(f, p) for f in setup.flights for p in f.pieces]
         cut = [_as_felt(s, f, ideal) for s, (f, _) in zip(setup.segments, pieces, strict=True)]
         noise_std = dict(zip(setup.outputs, setup.noise.tolist(), strict=True))
@@ -94,15 +93,14 @@ def show(
             noise, cost = setup.noise, flown.cost
             logdet = [0.0] * len(white)
         else:
-            bends = middles(bench.model, plain)
             try:
-                gust = gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, gusts, known=True)
+                gust = gust_refit(bench.model, bench.straight, plain, start, (), {}, map_, gusts, known=True)
                 delta, _ = gust.fit.evidence.step()
                 at, rows = gust.fit.flown, gust.fit.evidence.residual(delta)
                 deviations, logdet = [w.deviation for w in gust.white], [w.logdet for w in gust.white]
             except np.linalg.LinAlgError:
                 # A model so far outside what it was made for that no filter follows it: what it says at the measured states.
-                at, rows = unfiltered(bench.straight, plain, controls, bends, start, map_, gusts)
+                at, rows = unfiltered(bench.model, bench.straight, plain, start, map_, gusts)
                 deviations = [setup.noise] * len(rows)
                 logdet = [float((np.isfinite(r) * np.log(setup.noise)).sum()) for r in rows]
             white = _as_recorded(plain, at.point, rows)
@@ -120,10 +118,10 @@ def _replayed(model: ReplayModel, setup: Setup, start: Point, map_: Processes) -
     flown = fly(model, setup, start, map_)
     if not np.isfinite(flown.cost):
         return flown
-    seen = replace(observed(setup, start.sensed), properties=start.values)
+    seen = replace(observed(setup, start.effects), properties=start.values)
     fit = fit_replays(model, seen, (), [np.zeros(0)], (), spread_over(map_), errors=False)
     fit.replay.forget()
-    return fly(model, setup, replace(point_of(fit, setup, (), start.sensed), values=start.values), map_)
+    return fly(model, setup, replace(point_of(fit, setup, (), start.effects), values=start.values), map_)
 
 
 def with_replays(
@@ -160,9 +158,8 @@ def air_of(
         setup = with_sensors_of(setup, aircraft)
         plain = replace(setup, active=(), carriers={})
         start = Point({}, {}, tuple(s.start for s in setup.segments), dict(sensed))
-        controls, bends = positions(bench.model, plain), middles(bench.model, plain)
         try:
-            return gust_refit(bench.straight, plain, controls, bends, start, (), {}, map_, near, iterations=2).gusts
+            return gust_refit(bench.model, bench.straight, plain, start, (), {}, map_, near, iterations=2).gusts
         except np.linalg.LinAlgError:
             return near
 

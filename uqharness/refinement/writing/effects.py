@@ -14,10 +14,10 @@ from pathlib import Path
 from sysid.effects import Effect
 from sysid.units import FT_M
 from uqharness.plugin import Estimate, put_values
-from uqharness.refinement.types import in_dynamics
-from uqharness.refinement.writing.numbers import servo_switch, write_actuator, write_mass
+from uqharness.refinement.types import Carrier, in_dynamics
+from uqharness.refinement.writing.numbers import servo_of, write_actuator, write_mass
 from uqharness.refinement.writing.terms import subsystem_terms, term_xml
-from uqharness.simulator import Aircraft, copy_folder
+from uqharness.simulator import Aircraft, copy_folder, servo_number
 from uqharness.xml import (
     AeroSection,
     Document,
@@ -60,18 +60,22 @@ def property_of(effect: Effect) -> str | None:
     return effect.property_name
 
 
-def carrier(effect: Effect, folder: Path) -> tuple[str, float] | None:
-    """Property that carries the effect in this aircraft, and its value when the effect is absent; None where there is none."""
-    if _is_scale(effect) and folder_declares(folder, THRUST_SCALE):
-        return THRUST_SCALE, 1.0
+def carrier(effect: Effect, aircraft: Aircraft) -> Carrier | None:
+    """Property that carries the effect in this aircraft; None where there is none."""
+    if _is_scale(effect) and folder_declares(aircraft.folder, THRUST_SCALE):
+        return Carrier(THRUST_SCALE, 1.0)
+    servo = servo_of(effect, aircraft)
+    if servo is not None:
+        return Carrier(effect.property_name, servo_number(servo, effect.term, 0.0), servo, effect.term)
     name = property_of(effect)
-    return None if name is None else (name, 0.0)
+    return None if name is None else Carrier(name, 0.0)
 
 
 def switch_of(effect: Effect, aircraft: Aircraft) -> tuple[str, float] | None:
     """Property of the aircraft written with the effect, and its value that restores the aircraft as given, bit for bit; None where
     a number stands in the XML alone, or nothing does."""
-    return carrier(effect, aircraft.folder) or servo_switch(effect, aircraft)
+    found = carrier(effect, aircraft)
+    return (found.name, found.absent) if found is not None and found.exact else None
 
 
 def write_effects(

@@ -12,7 +12,7 @@ from pathlib import Path
 from sysid.effects import Effect
 from sysid.units import FT_M, IN_M, SLUG_FT2_KGM2
 from uqharness.errors import BadInputError
-from uqharness.simulator import Aircraft, sensors_from_cg
+from uqharness.simulator import Actuator, Aircraft, sensors_from_cg, servo_number
 from uqharness.simulator.actuators import actuators
 from uqharness.xml import (
     Document,
@@ -32,23 +32,17 @@ from uqharness.xml import (
     with_text,
 )
 
-FREE_RATE = 1e9
-"""Rate limit that limits nothing."""
 _METRES = {"M": 1.0, "FT": FT_M, "IN": IN_M, "": IN_M}
 """Units of <location>; JSBSim takes inches where none stands."""
 _TAGS = {"lag": "lag", "rate_limit": "rate_limit", "deadband": "deadband_width"}
 
 
-def servo_switch(effect: Effect, aircraft: Aircraft) -> tuple[str, float] | None:
-    """Property that a servo's number is written as, and the number as given; None for a servo that had no lag, where no number is
-    the same bit for bit, and for what is no servo's."""
+def servo_of(effect: Effect, aircraft: Aircraft) -> Actuator | None:
+    """The servo, as given, whose lag or rate limit an effect is; None for any other effect."""
     part, _, surface = (effect.subsystem or "").partition(".")
     if part != "actuator" or effect.term not in ("lag", "rate_limit"):
         return None
-    servo = actuators(aircraft, [surface])[surface]
-    if effect.term == "rate_limit":
-        return effect.property_name, servo.rate if math.isfinite(servo.rate) else FREE_RATE
-    return None if servo.lag is None else (effect.property_name, servo.lag)
+    return actuators(aircraft, [surface])[surface]
 
 
 def write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str) -> None:
@@ -90,28 +84,23 @@ def write_actuator(folder: Path, aircraft: Aircraft, effect: Effect, value: floa
     if document is None or actuator is None:
         raise BadInputError(f"aircraft '{aircraft.name}': no <actuator name=\"{position}\"> for effect {effect.key}")
     # Its numbers may stand in the XML as properties: asked of JSBSim, they are what flies.
-    servo = actuators(aircraft, [surface])[surface]
-    tag, switch = _TAGS[effect.term], servo_switch(effect, aircraft)
+    servo, name = servo_of(effect, aircraft), effect.property_name
+    tag = _TAGS[effect.term]
     own = actuator.find(tag)
-    if effect.term == "lag":
-        new = servo.lag_with(value)
-    elif effect.term == "rate_limit":
-        new = servo.slowed_to(value)
-    else:
+    if servo is None:
         new = value + (0.0 if own is None else number(own, f"<{tag}>", document))
-    if switch is None:
         edits = [_as_text(document, actuator, own, tag, f"{new:.8g}", f"  {comment(remark)}")]
         edits += [] if own is None else [remarked(document, own, remark)]
     else:
-        declared = declaration(document, switch[0])
-        if declared is not None and own is not None and own.text.strip() == switch[0]:
+        text = f"{servo_number(servo, effect.term, value):.8g}"
+        declared = declaration(document, name)
+        if declared is not None and own is not None and own.text.strip() == name:
             # The aircraft carries this effect already.
-            edits = [with_attribute(document, declared, "value", f"{new:.8g}"), remarked(document, declared, remark)]
+            edits = [with_attribute(document, declared, "value", text), remarked(document, declared, remark)]
         else:
-            line = declare(switch[0], f"{new:.8g}", remark)
             edits = [
-                before(document, _channel(actuator), [line]),
-                _as_text(document, actuator, own, tag, switch[0]),
+                before(document, _channel(actuator), [declare(name, text, remark)]),
+                _as_text(document, actuator, own, tag, name),
             ]
     document.path.write_bytes(apply(document, sorted(edits, key=lambda e: e.at)))
 

@@ -13,6 +13,7 @@ from sysid.effects.subsystem_effects import subsystem_effects
 from uqharness.errors import BadInputError
 from uqharness.plugin.estimates import Estimate
 from uqharness.refinement.candidates import servo_change
+from uqharness.refinement.types import Carrier
 from uqharness.refinement.writing.effects import Written, carrier, switch_of, write_effects
 from uqharness.replay.replay import runs_per_row
 from uqharness.simulator import engine
@@ -73,7 +74,7 @@ def test_a_term_carried_at_zero_gets_its_number(tmp_path):
     assert write_effects(aircraft, [written(effect, 3e-4)], {"aero/Cm_q": Estimate(-12.0, "new")}, out) == []
     fdm = open_aircraft(find_aircraft(out))
     assert (fdm["aero/Cl_de"], fdm["aero/Cm_q"]) == (3e-4, -12.0)
-    assert carrier(effect, aircraft.folder) == ("aero/Cl_de", 0.0)
+    assert carrier(effect, aircraft) == Carrier("aero/Cl_de", 0.0)
 
 
 @pytest.mark.parametrize("term", ["abs(beta)*beta", "alphadot_hat", "de*CT", "alpha*V_rel", "1/h_over_b", "dt"])
@@ -137,8 +138,8 @@ def test_subsystems_have_their_places(tmp_path):
     assert "<lag>effect/actuator/aileron-lag</lag>" in text
     changed = find_aircraft(out)
     assert np.isfinite(flown(changed)).all()
-    assert carrier(by_key["effect/propulsion/thrust_scale"], aircraft.folder) == ("propulsion/thrust-scale", 1.0)
-    assert carrier(by_key["effect/mass/Ixz"], aircraft.folder) is None
+    assert carrier(by_key["effect/propulsion/thrust_scale"], aircraft) == Carrier("propulsion/thrust-scale", 1.0)
+    assert carrier(by_key["effect/mass/Ixz"], aircraft) is None
 
 
 def pressed(aircraft, h_m: float, k: float | None = None) -> float:

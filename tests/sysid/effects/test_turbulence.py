@@ -1,0 +1,114 @@
+"""How gusty the air was: intensities, what gusts do and the sensors' noise, found in flights drawn from the filter's equations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sysid.aerodynamics.equations import OpenEquations
+from sysid.aerodynamics.gust_states import GustStates
+from sysid.aerodynamics.rigid_body import NX, Steps, linearise
+from sysid.effects import turbulence
+from sysid.effects.turbulence import Gusts, gust_intensity, process_of
+from sysid.parallel import ALONE
+from tests.sysid.aerodynamics.test_rigid_body import DT, MASS, TERMS, flight, reference
+
+NOISE = np.array([0.3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 0.05, 0.05, 0.05])
+INTENSITIES = np.array([0.2, 1e-3, 1e-3, 0.04, 1e-4])
+Made = dict[GustStates, list[Steps]]
+
+
+def drawn(truth: GustStates, values: np.ndarray, moment: float = 0.0) -> tuple[Made, list[np.ndarray]]:
+    """Four flights drawn from the linear system itself, by what gusts may do; moment: a wave in Cl of that size besides."""
+    rng = np.random.default_rng(4)
+    equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
+    n, ref = 150, []
+    for k in range(4):
+        x = flight(n + 20 * k)[20 * k :]
+        x[:, 5] += 0.35
+        ref.append(reference(x, equations))
+    made = {
+        s: [linearise(r, MASS, gusts=s) for r in ref]
+        for s in (GustStates(MASS.b, rotating=a, turning_with=b) for a in (True, False) for b in (True, False))
+    }
+    data = []
+    for steps in made[truth]:
+        Q, begin = process_of(values, 22.0, truth)
+        d = np.sqrt(np.diagonal(begin)) * rng.standard_normal(NX)
+        z = np.empty((n, len(NOISE)))
+        wave = moment * np.sin(9.0 * DT * np.arange(n) + rng.uniform(0.0, 6.0))
+        for k in range(n):
+            u = wave[k] * np.eye(6)[3]
+            z[k] = steps.y_ref[k] + steps.H[k] @ d + steps.D[k] @ u + NOISE * rng.standard_normal(len(NOISE))
+            if k < n - 1:
+                d = steps.phi[k] @ (d + np.sqrt(0.5 * DT * np.diagonal(Q)) * rng.standard_normal(NX)) + steps.defect[k]
+                d = d + np.sqrt(0.5 * DT * np.diagonal(Q)) * rng.standard_normal(NX)
+                d = d + steps.g0[k] @ u + steps.g1[k] @ (wave[k + 1] * np.eye(6)[3])
+        data.append(z)
+    return made, data
+
+
+def found_in(made: Made, data: list[np.ndarray], near: Gusts | None = None) -> Gusts:
+    return gust_intensity(
+        lambda some, s: [made[s][k] for k in some], data, range(len(NOISE)), NOISE, [22.0] * 4, ["a"] * 2 + ["b"] * 2,
+        GustStates(MASS.b), near,
+    )[0]  # fmt: skip
+
+
+@pytest.mark.parametrize(("rotating", "turning"), [(True, True), (False, False), pytest.param(True, False, marks=pytest.mark.slow)])
+def test_intensities_and_what_gusts_do_are_found(rotating, turning):
+    """Intensities within a factor, the air's ways by likelihood."""
+    made, data = drawn(GustStates(MASS.b, rotating=rotating, turning_with=turning), INTENSITIES)
+    found = found_in(made, data)
+    assert (found.states.rotating, found.states.turning_with) == (rotating, turning)
+    np.testing.assert_allclose(np.log(found.values[:4] / INTENSITIES[:4]), 0.0, atol=np.log(1.7))
+    assert set(found.own) == {"a", "b"}
+    assert found.gain > 1000.0
+    assert found.air
+    again = found_in(made, data, found)
+    np.testing.assert_allclose(np.log(again.values[:4] / found.values[:4]), 0.0, atol=np.log(1.4))
+    assert again.moving == found.moving
+
+
+def test_noise_that_is_half_of_what_is_stated_is_found_beside_the_gusts():
+    """Gyros half as noisy as taken: their factor is found, the others' is one, and what is known is left alone."""
+    made, data = drawn(GustStates(MASS.b), INTENSITIES)
+    kinds = ["wind" if k < 3 else "attitude" if k < 5 else "rate" if k < 8 else "force" for k in range(len(NOISE))]
+    rate = np.array([kind == "rate" for kind in kinds])
+    stated = np.where(rate, 2.0, 1.0) * NOISE
+
+    def factors(kinds):
+        return gust_intensity(
+            lambda some, s: [made[s][k] for k in some], data, range(len(NOISE)), stated, [22.0] * 4, ["a"] * 4, GustStates(MASS.b),
+            kinds=kinds,
+        )[1]  # fmt: skip
+
+    found = factors(kinds)
+    np.testing.assert_allclose(found[rate], 0.5, rtol=0.1)
+    np.testing.assert_allclose(found[~rate], 1.0, atol=0.1)
+    np.testing.assert_array_equal(factors(()), 1.0)
+
+
+def test_the_search_ends_where_no_number_makes_the_flights_likelier():
+    """Scales of the intensities about the optimum, one by one, against the likelihood itself."""
+    made, data = drawn(GustStates(MASS.b), INTENSITIES)
+    search = turbulence._Search(lambda some, s: [made[s][k] for k in some], data, range(len(NOISE)), NOISE, [22.0] * 4, ALONE)
+    some, ones = list(range(4)), np.ones(len(NOISE))
+    begin = turbulence._Point(GustStates(MASS.b), 3.0 * INTENSITIES, ones)
+    found = search.descend(some, begin, ())
+    assert found.cost < search.best(some, [begin]).cost - 100.0
+    for k in range(4):
+        for factor in (0.8, 1.25):
+            moved = np.where(np.arange(5) == k, factor, 1.0) * found.values
+            assert search.best(some, [turbulence._Point(found.states, moved, ones)]).cost > found.cost - 1.0
+
+
+def test_a_moment_that_comes_and_goes_is_no_air():
+    """Nearly still air and a wave in Cl: the filter has it rotate, and nothing moves. A hundredth of light air is air."""
+    still = 1e-6 * INTENSITIES
+    wave = found_in(*drawn(GustStates(MASS.b), still, 0.003))
+    assert wave.gain > 100.0
+    assert not wave.air
+    faint = found_in(*drawn(GustStates(MASS.b), 0.01 * INTENSITIES))
+    assert faint.gain > 100.0
+    assert faint.air
