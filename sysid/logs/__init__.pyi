@@ -11,10 +11,11 @@ from .command_edges import logged_rows as logged_rows
 from .command_edges import place_steps as place_steps
 from .dataflash_writer import write_dataflash as write_dataflash
 from .dropouts import bridge as bridge
+from .found_manoeuvres import FOUND as FOUND
 from .found_manoeuvres import label_found as label_found
+from .found_manoeuvres import labelled as labelled
 from .info import LogInfo as LogInfo
 from .info import log_info as log_info
 from .info import no_aeroplane as no_aeroplane
 from .load import import_log as import_log
-from .manoeuvres import label_manoeuvres as label_manoeuvres
 from .servo_parameters import parse_parameters as parse_parameters

@@ -7,15 +7,19 @@ pilot does to hold an attitude begins quickly too but dies out, and keeps no pla
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import LogError
+from sysid.logs.manoeuvres import label_manoeuvres
 from sysid.record import FlightRecord
 
 FloatArray = NDArray[np.float64]
+FOUND = "found"
+"""In place of a table of manoeuvres."""
 AXES = {"elevator_deg": "pitch", "aileron_deg": "roll", "rudder_deg": "yaw", "throttle_pct": "throttle"}
 _LEAST = {"elevator_deg": 0.8, "aileron_deg": 0.8, "rudder_deg": 0.8, "throttle_pct": 5.0}
 """Smallest pulse, in the command's unit: sixteen steps of a servo pulse of 1 us."""
@@ -100,6 +104,13 @@ def label_found(record: FlightRecord) -> FlightRecord:
         until = found[k + 1].start_s - _BEFORE_S if k + 1 < len(found) else np.inf
         labels[(time >= m.start_s - _BEFORE_S) & (time <= max(m.end_s, min(m.end_s + _AFTER_S, until)))] = m.name
     return record.with_columns({"manoeuvre": labels})
+
+
+def labelled(record: FlightRecord, manoeuvres: Path, flight: str) -> FlightRecord:
+    """The record with the column ``manoeuvre`` of a table, or for FOUND of its own commands. Raises LogError."""
+    if str(manoeuvres) == FOUND:
+        return label_found(record)
+    return label_manoeuvres(record, manoeuvres, flight)
 
 
 def _of_command(record: FlightRecord, name: str) -> list[Manoeuvre]:

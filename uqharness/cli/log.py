@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from sysid.logs import LogInfo
     from sysid.record import FlightRecord, Loiter
 
-FOUND = "found"
-"""In place of a table of manoeuvres."""
 _LOG_HELP = "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, JSBSim's CSV, a flight record in Parquet or CSV"
 VERBS: Table = {
     "info": ("log:add_info", "contents and findings of a log, and the purposes it serves"),
@@ -47,7 +45,7 @@ def add_info(parser: argparse.ArgumentParser) -> None:
     describe(parser, _info, text, examples, no=no)
     _add_log(parser)
     add_page(parser, "every channel over time, findings flagged, phases and manoeuvres shaded")
-    add_manoeuvres(parser, f", or the word {FOUND}: those that `log info` finds")
+    add_manoeuvres(parser)
 
 
 def add_import(parser: argparse.ArgumentParser) -> None:
@@ -57,7 +55,7 @@ def add_import(parser: argparse.ArgumentParser) -> None:
     _add_log(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="FILE.parquet or FILE.csv")
     parser.add_argument("--whole", action="store_true", help="keep ground and tow too (default: free flight alone)")
-    add_manoeuvres(parser, f", or the word {FOUND}: those that `log info` finds")
+    add_manoeuvres(parser)
 
 
 def _add_log(parser: argparse.ArgumentParser) -> None:
@@ -86,23 +84,15 @@ def _info(args: argparse.Namespace) -> int:
 
 
 def _write_page(args: argparse.Namespace, info: LogInfo, record: FlightRecord) -> None:
-    from sysid.logs import label_found
+    from sysid.logs import label_found, labelled
     from uqharness.report import write_html
     from uqharness.report.pages import log_page
 
     if args.manoeuvres is not None:
-        record = _labelled(record, args)
+        record = labelled(record, args.manoeuvres, args.log.stem)
     elif info.manoeuvres and not ("manoeuvre" in record and any(record["manoeuvre"])):
         record = label_found(record)
     write_html(args.out, log_page(info, record, command_as_given(args)))
-
-
-def _labelled(record: FlightRecord, args: argparse.Namespace) -> FlightRecord:
-    from sysid.logs import label_found, label_manoeuvres
-
-    if str(args.manoeuvres) == FOUND:
-        return label_found(record)
-    return label_manoeuvres(record, args.manoeuvres, args.log.stem)
 
 
 def _import(args: argparse.Namespace) -> int:
@@ -110,7 +100,9 @@ def _import(args: argparse.Namespace) -> int:
         raise LogError(f"--out ends in '{args.out.suffix}'; allowed are .parquet and .csv", args.out)
     record = _read(args)
     if args.manoeuvres is not None:
-        record = _labelled(record, args)
+        from sysid.logs import labelled
+
+        record = labelled(record, args.manoeuvres, args.log.stem)
     kept = whole = (float(record["time_s"][0]), float(record["time_s"][-1]))
     if not args.whole and record.metadata.free_flight_s and record.metadata.dialect != "record":
         kept = record.metadata.free_flight_s[0]

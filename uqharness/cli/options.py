@@ -123,9 +123,12 @@ def add_map(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_manoeuvres(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """``--manoeuvres``; ``more``: what its help says besides."""
-    text = f"table that labels the flights: columns manoeuvre, start_s, end_s (and flight){more}"
+def add_manoeuvres(parser: argparse.ArgumentParser) -> None:
+    """``--manoeuvres``."""
+    text = (
+        "table that labels the flights: columns manoeuvre, start_s, end_s (and flight); or the word found: "
+        "those that `log info` finds in the commands"
+    )
     parser.add_argument("--manoeuvres", type=Path, metavar="FILE.csv", help=text)
 
 

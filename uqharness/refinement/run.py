@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid.effects import Effect
+from sysid.logs import FOUND
 from sysid.parallel import Processes
 from uqharness import __version__
 from uqharness.campaign.folder import MANIFEST
@@ -181,10 +182,10 @@ def _read(request: Request, paths: Sequence[Path]) -> _Flights:
 def _identity(request: Request) -> list[str]:
     """Everything that the choice depends on: aircraft, train flights, own effects, options, version. The test flights are
     not in it."""
-    tables = [p for p in (request.manoeuvres, request.map_path) if p is not None]
+    tables = [p for p in (request.manoeuvres, request.map_path) if p is not None and str(p) != FOUND]
     return [
         __version__, content_hash(request.aircraft), *(file_hash(p) for p in (*request.train, *tables)),
-        *(p.name for p in request.train), repr(request.extra), str(request.ideal_servos),
+        *(p.name for p in request.train), repr(request.extra), str(request.ideal_servos), str(request.manoeuvres),
     ]  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sysid.aerodynamics import MAX_S, MIN_S, Piece, as_logged, cut
 from sysid.digests import file_sha256
 from sysid.errors import LogError
-from sysid.logs import bridge, default_cache, import_log, in_degrees, label_manoeuvres, no_aeroplane
+from sysid.logs import bridge, default_cache, import_log, in_degrees, labelled, no_aeroplane
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
 from uqharness.replay.ground import height_known
@@ -94,7 +94,7 @@ def read_flight(path: Path, aircraft: Aircraft, manoeuvres: Path | None = None, 
         if refused := no_aeroplane(record):
             raise BadInputError(f"{path}: {refused}; give the log of an aeroplane")
         if manoeuvres is not None:
-            record = label_manoeuvres(record, manoeuvres, path.stem)
+            record = labelled(record, manoeuvres, path.stem)
     except LogError as error:
         raise BadInputError(str(error)) from None
     return in_free_flight(record, aircraft, path)

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from sysid.errors import LogError
-from sysid.logs.found_manoeuvres import Manoeuvre, found_manoeuvres, label_found
+from sysid.logs.found_manoeuvres import Manoeuvre, found_manoeuvres, label_found, labelled
 from sysid.logs.load import import_log
 from sysid.record import FlightRecord, Metadata
 
@@ -78,6 +78,14 @@ def test_labels_reach_from_before_the_input_into_the_answer() -> None:
     assert (roll[0], roll[-1]) == (pytest.approx(22.0), pytest.approx(27.0))
     with pytest.raises(LogError, match="no manoeuvre was found"):
         label_found(record(elevator_deg=np.zeros(3000)))
+
+
+def test_a_table_or_the_word_found_labels_a_record(tmp_path: Path) -> None:
+    flown = record(elevator_deg=pulses(20.0, 3.0, 0.5, 0.5))
+    table = tmp_path / "found.csv"
+    table.write_text("manoeuvre,start_s,end_s\nmine,30,40\n", encoding="utf-8")
+    assert set(labelled(flown, Path("found"), "one")["manoeuvre"]) == {"", "pitch doublet"}
+    assert set(labelled(flown, table, "one")["manoeuvre"]) == {"", "mine"}
 
 
 def test_a_genuine_flights_list(flight_data: Path, card_path: Path) -> None:
