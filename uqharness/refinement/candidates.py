@@ -167,13 +167,11 @@ def _subsystem(
         return p.by_control[:, :, k] * moved[:, None], None
     if part == "sensor":
         if e.term.startswith("place_"):
-            # Vanes feel the rates relative to the air, which rotates.
-            seen = y.copy()
-            seen[:, [setup.outputs.index(c) for c in AIR_RATES if c in setup.outputs]] = p.x[
-                :, [X_STATES.index(c) for c in AIR_RATES if c in setup.outputs]
-            ]
-            forward = what == "vane"
-            out = at_vane(seen, setup.outputs) if forward else _felt_at(p, setup.outputs, np.eye(3)["xyz".index(e.term[-1])])
+            out = (
+                _felt_by_vanes(p, y, setup.outputs)
+                if what == "vane"
+                else _felt_at(p, setup.outputs, np.eye(3)["xyz".index(e.term[-1])])
+            )
             return None, out * [sensor_gain(c, point) for c in setup.outputs]
         out = np.zeros_like(y)
         for k, c in enumerate(setup.outputs):
@@ -185,6 +183,14 @@ def _subsystem(
     if part == "record":
         return later_controls(p), None
     raise ValueError(f"no model of effect {e.key}")
+
+
+def _felt_by_vanes(p: Probe, y: Array, outputs: Sequence[str]) -> Array:
+    """`at_vane` of the rates relative to the air, which rotates."""
+    measured = [c for c in AIR_RATES if c in outputs]
+    seen = y.copy()
+    seen[:, [outputs.index(c) for c in measured]] = p.x[:, [X_STATES.index(c) for c in measured]]
+    return at_vane(seen, outputs)
 
 
 def _as_flown(setup: Setup, surface: str, point: Point) -> tuple[Actuator | None, tuple[float, float] | None]:

@@ -25,8 +25,8 @@ SHORTEST_S = 1e-3
 """Time constant below which a servo acts at once."""
 
 
-FREE_LAG, FREE_RATE = 1e15, 1e9
-"""Lag [1/s] and rate limit [unit/s] with which a servo acts at once, to what a replay can tell."""
+FREE_LAG = 1e15
+"""Lag [1/s] with which a servo acts at once, to what a replay can tell."""
 
 
 @dataclass(frozen=True)
