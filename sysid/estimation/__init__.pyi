@@ -23,3 +23,4 @@ from .kalman import run as run
 from .noise_sizes import NoiseSize as NoiseSize
 from .noise_sizes import noise_size as noise_size
 from .result import OutputErrorFit as OutputErrorFit
+from .sensitivities import forward_differences as forward_differences

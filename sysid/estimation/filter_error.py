@@ -25,7 +25,7 @@ from sysid.estimation.ekf import ModelFunction, make_model
 from sysid.estimation.filter_input import measurement_noise, noisy_states, output_spread, positive_vector, read_record, state_scale
 from sysid.estimation.filter_layout import Layout
 from sysid.estimation.filter_report import assemble
-from sysid.estimation.gauss_newton import Minimum, minimise
+from sysid.estimation.gauss_newton import Minimum, Told, minimise
 from sysid.estimation.innovations import FilterProblem
 from sysid.estimation.result import FilterErrorFit
 
@@ -55,6 +55,7 @@ def filter_error(
     jacobian_every: int = 4,
     max_iterations: int = 60,
     tolerance: float = 1e-2,
+    told: Told | None = None,
 ) -> FilterErrorFit:
     """Estimate theta (k,) of dx/dt = f(x, u, theta) + w, z = g(x, u, theta) + v from flights in turbulence.
 
@@ -87,6 +88,8 @@ def filter_error(
         Renew the filter's Jacobians at every so many samples (4: a tenth of a second at 40 Hz).
     max_iterations, tolerance
         Stop when the next step is shorter than `tolerance` standard errors.
+    told : callable, optional
+        Called in each iteration of a descent with its number and the length of the next step in standard errors.
 
     Returns
     -------
@@ -144,7 +147,7 @@ def filter_error(
         model=model, record=record, layout=layout, initial=initial, p0=np.diag(deviation**2),
         difference=1e-5 * np.maximum(scale, np.abs(initial).max(axis=1)),
         every=jacobian_every,
-        state_scale=scale,
+        state_scale=scale, told=told,
     )  # fmt: skip
     process = positive_vector(process_noise_start, nx, "process_noise_start") if process_noise_start is not None else None
     tried = [(factor * scale) ** 2 for factor in FIRST_NOISE]

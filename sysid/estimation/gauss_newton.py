@@ -39,8 +39,12 @@ class Linearisation:
     fresh: bool = True
 
 
+Told = Callable[[int, float], None]
+"""Is told each iteration: its number, and how many standard errors long the next step would be."""
+
+
 class Problem(Protocol[S]):
-    """A cost in k parameters; `evaluate` answers None where the model fails."""
+    """A cost in k parameters; `evaluate` answers None where the model fails. An attribute ``told`` is called as Told says."""
 
     def evaluate(self, theta: Array) -> tuple[float, S] | None:
         """Cost at ``theta`` (k,) and the state that :meth:`linearise` needs; None where the model cannot be run."""
@@ -109,6 +113,7 @@ def minimise(
     central, stalled = True, 0
     decrement, message, converged = float("inf"), "", False
     iteration, renewed = 0, True
+    told: Told | None = getattr(problem, "told", None)
     while iteration < max_iterations:
         iteration += 1
         line = problem.linearise(theta, state, central or always_central)
@@ -120,6 +125,8 @@ def minimise(
         allowed = ~outward
         free_step = damped_step(gradient, information, 0.0, np.full(theta.size, np.inf), np.full(theta.size, np.inf), allowed)
         decrement = float(np.sqrt(np.maximum(free_step @ information @ free_step, 0.0)))
+        if told is not None:
+            told(iteration, decrement)
         if decrement < tolerance and line.exact:
             converged, message = True, f"the next step would be {decrement:.1e} standard errors long"
             last = np.clip(theta + free_step, lower, upper)  # taken all the same, if it does no harm: it is nearly free

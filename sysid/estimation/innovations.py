@@ -10,7 +10,7 @@ import numpy as np
 from sysid.arrays import Array
 from sysid.estimation.ekf import Innovations, Model, Record, run_filter
 from sysid.estimation.filter_layout import Layout
-from sysid.estimation.gauss_newton import Linearisation
+from sysid.estimation.gauss_newton import Linearisation, Told
 
 LANES = 600  # points x segments filtered side by side, bounded for memory
 CARRIED = 8  # secant updates before derivatives are differenced anew
@@ -62,6 +62,7 @@ class FilterProblem:
     every: int
     state_scale: Array
     step: Array | None = None
+    told: Told | None = None
     runs: int = 0
     _last: Sensitivities | None = None
     _fresh: tuple[Array, Array] | None = None

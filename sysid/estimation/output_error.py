@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from sysid.arrays import Array, as_bounds, as_free, as_names, as_parameters, as_segments, is_many
 from sysid.estimation.gaps import white_noise
-from sysid.estimation.gauss_newton import Minimum, minimise
+from sysid.estimation.gauss_newton import Minimum, Told, minimise
 from sysid.estimation.output_problem import OutputErrorProblem
 from sysid.estimation.report import Findings, judge, unjudged
 from sysid.estimation.result import OutputErrorFit, split
@@ -46,6 +46,7 @@ def output_error(
     max_iterations: int = 100,
     tolerance: float = 1e-5,
     errors: bool = True,
+    told: Told | None = None,
 ) -> OutputErrorFit:
     """Estimate theta (k,) such that simulate(theta) comes closest to what was measured.
 
@@ -53,7 +54,8 @@ def output_error(
     ----------
     simulate : callable
         theta (k,) -> (n, m) array, or a list of them, one per segment, at the measured samples, in the units of `measured`. It
-        may raise or return NaN at a trial point: a shorter step is tried.
+        may raise or return NaN at a trial point: a shorter step is tried. With a method ``moved(j)`` it says which segments
+        theta[j] moves (their numbers; None: all): parameters that move different ones are perturbed in the same simulation.
     theta0 : array_like
         (k,) start; zeros are fine, but simulate(theta0) must be finite.
     measured : array_like
@@ -75,6 +77,8 @@ def output_error(
         Stop when the next step is shorter than `tolerance` standard errors.
     errors : bool
         False for the estimates alone: standard errors, covariances and variance inflation are then NaN, nothing is judged.
+    told : callable, optional
+        Called in each iteration of a descent with its number and the length of the next step in standard errors.
 
     Returns
     -------
@@ -136,6 +140,7 @@ def output_error(
         map,
         first_steps(theta, lower, upper),
         differences == "secant",
+        told,
     )
     start = problem.evaluate(theta[columns])
     if start is None:
@@ -178,15 +183,17 @@ def output_error(
 
 
 def _lost(problem: OutputErrorProblem, best: Minimum, edges: list[int]) -> bool:
-    """Perhaps not the minimum that was meant: not converged, no output explained even to 70 %, or, where simulations are cheap,
-    an output left much further off than its white noise."""
+    """Perhaps not the minimum that was meant: no output explained even to 70 %, or not converged, or, where simulations are cheap,
+    an output left much further off than its white noise. Where they are dear, a descent that has not converged but explains every
+    output to 70 % is no longer far off: another start would end in the same valley."""
     found = problem.evaluate(best.theta)
-    if found is None or not best.converged:
+    if found is None or not (best.converged or problem.secant):
         return True
     residual = problem.measured - found[1]
     left = np.nanmean(residual**2, axis=0)
     if problem.secant:
-        return bool((left / problem.spread**2).min() > POORLY)
+        share = left / problem.spread**2
+        return bool((share.min() if best.converged else share.max()) > POORLY)
     noise = np.array([
         white_noise([problem.measured[a:b, k] for a, b in pairwise(edges)]) for k in range(residual.shape[1])
     ])  # fmt: skip

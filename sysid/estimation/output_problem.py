@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from sysid.arrays import Array
-from sysid.estimation.gauss_newton import Linearisation
+from sysid.estimation.gauss_newton import Linearisation, Told
 from sysid.estimation.noise import Noise, concentrated, residual_noise
 from sysid.estimation.sensitivities import TARGET, MapLike, SafeSimulation, roughness, sensitivities, target_for
 from sysid.linalg.blocks import Blocks, Index
@@ -31,6 +31,7 @@ class OutputErrorProblem:
     map_: MapLike | None
     step: Array
     secant: bool = False
+    told: Told | None = None
     runs: int = 0
     target: float | None = None
     last_failure: str = ""

@@ -7,15 +7,17 @@ So parameters of any unit, and starts at zero, need no hint.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import groupby, pairwise
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sysid.arrays import Array, is_many
+from sysid.estimation.together import Answer, Shift, answers, rows_moved
 from sysid.linalg.blocks import Blocks
 
 TARGET = 3e-4  # first wanted change of the most affected output, in its spread; then `target_for` its roughness
@@ -103,7 +105,8 @@ def sensitivities(
     """d(outputs)/d(theta) at `theta`, whose outputs are `base` (N, m).
 
     Central differences, or forward ones; one-sided at a bound or where one side fails. spread (m,) scales the outputs.
-    target: wanted change of the most affected output, in its spread.
+    target: wanted change of the most affected output, in its spread. Parameters of which the simulation says, by a method
+    ``moved``, that they move different segments are perturbed together (together.py).
     A parameter whose every perturbed run fails gets effect False.
     """
     step = step.copy()
@@ -111,73 +114,126 @@ def sensitivities(
     edges = [0, *np.cumsum(simulation.lengths).tolist()]
     out: list[list[Array | None]] = [[None] * (len(edges) - 1) for _ in columns]
     effect = np.zeros(len(columns), dtype=bool)
-    pending, runs, largest = list(range(len(columns))), 0, np.zeros(len(columns))
+    pending, runs = list(range(len(columns))), 0
+    rows = [rows_moved(simulation.simulate, j, edges) for j in columns]
+
+    def run(points: Sequence[Array]) -> Iterator[Array | str]:
+        nonlocal runs
+        runs += len(points)
+        return run_all(simulation, points, map_)
+
     for attempt in range(6):
         # Below this a step is lost in the parameter's own rounding, and shrinking it further would never find an effect again.
         step = np.maximum(step, SMALLEST * np.abs(theta))
-        plan: list[tuple[int, float]] = []
-        for position in pending:
-            j = columns[position]
-            up, down = min(step[j], upper[j] - theta[j]), min(step[j], theta[j] - lower[j])
-            floor = 0.5 * step[j]
-            forward = up >= floor or up >= down
-            if forward:
-                plan.append((position, up))
-            if (central and down >= floor) or not forward:
-                plan.append((position, -down))
-        points = []
-        for position, shift in plan:
-            point = theta.copy()
-            point[columns[position]] += shift
-            points.append(point)
-        answers = run_all(simulation, points, map_)
-        runs += len(points)
+        shifts = [s for k in pending for s in _shifts(k, columns[k], theta, step, limits, central, rows[k])]
         again = []
-        for position, group in groupby(zip(plan, points, answers, strict=True), key=lambda entry: entry[0][0]):
+        for position, sides in _by_position(answers(run, theta, shifts), shifts):
             j = columns[position]
-            # the step as the machine sees it: (theta + h) - theta
-            sides = [
-                (point[j] - theta[j], answer) for _, point, answer in group if not isinstance(answer, str) and point[j] != theta[j]
-            ]
-            if not sides:
+            sound = [(by, answer) for by, answer in sides if not isinstance(answer, str) and by != 0.0]
+            if not sound:
                 step[j] *= 0.03
                 again.append(position)
                 continue
-            if len(sides) == 2:
-                column = (sides[0][1] - sides[1][1]) / (sides[0][0] - sides[1][0])
-            else:
-                column = (sides[0][1] - base) / sides[0][0]
-            used = max(abs(shift) for shift, _ in sides)
+            column = _column(sound, base, rows[position])
+            used = max(abs(by) for by, _ in sound)
             with np.errstate(over="ignore", invalid="ignore"):
-                change = float(np.max(np.sqrt(np.mean(column**2, axis=0)) * used / spread))
+                square = sum(np.sum(part**2, axis=0) for part in column) / len(base)
+                change = float(np.max(np.sqrt(square) * used / spread))
             if not np.isfinite(change):
                 step[j] *= 1e-4
                 again.append(position)
                 continue
-            largest[position] = max(largest[position], change)
             effect[position] = change > NO_EFFECT
-            some = [column[a:b] for a, b in pairwise(edges)] if effect[position] else []
-            out[position] = [part.copy() if part.any() else None for part in some] or [None] * (len(edges) - 1)
-            if change <= NO_EFFECT:
-                unit = max(abs(theta[j]), 1.0)
-                if step[j] < 99.0 * unit and attempt < 5:
-                    step[j] = unit if step[j] < 0.5 * unit else 100.0 * unit
-                    again.append(position)
-                else:
-                    step[j] = 1e-4 * unit
-            elif not WITHIN[0] <= change / target <= WITHIN[1] and attempt < 5:
-                wanted = step[j] * target / change
-                room = upper[j] - lower[j]
-                wanted = min(wanted, 0.01 * room) if np.isfinite(room) else wanted
-                if not 0.5 < wanted / step[j] < 2.0:
-                    step[j] = wanted
-                    again.append(position)
-            else:
-                step[j] *= float(np.clip(target / change, 0.1, 10.0))
-        pending = again
+            out[position] = _by_segment(column, rows[position], edges) if effect[position] else [None] * (len(edges) - 1)
+            step[j], repeated = _next_step(step[j], change, target, max(abs(theta[j]), 1.0), upper[j] - lower[j], attempt == 5)
+            if repeated:
+                again.append(position)
+        pending = sorted(again)
         if not pending:
             break
     return Differences(Blocks.gathered(out, base.shape[1], edges), step, effect, runs)
+
+
+def forward_differences(
+    simulate: Callable[[Array], Any], theta: Array, steps: Array, shape: tuple[Sequence[int], int], map_: MapLike | None = None
+) -> Blocks | None:
+    """d(outputs)/d(theta) (N, m, k) by one step of each parameter, ``steps`` (k,); None where a simulation fails.
+
+    shape: rows of each segment, and outputs.
+    """
+    lengths, outputs = tuple(shape[0]), shape[1]
+    simulation = SafeSimulation(simulate, lengths, outputs)
+    base = simulation(theta)
+    if isinstance(base, str):
+        return None
+    edges = [0, *np.cumsum(lengths).tolist()]
+    out: list[list[Array | None]] = [[None] * len(lengths) for _ in theta]
+    shifts = [Shift(k, k, float(step), rows_moved(simulate, k, edges)) for k, step in enumerate(steps)]
+    for shift, _, answer in answers(lambda points: run_all(simulation, points, map_), theta, shifts):
+        if isinstance(answer, str):
+            return None
+        out[shift.position] = _by_segment(_column([(shift.by, answer)], base, shift.rows), shift.rows, edges)
+    return Blocks.gathered(out, outputs, edges)
+
+
+def _shifts(
+    position: int, j: int, theta: Array, step: Array, limits: tuple[Array, Array], central: bool, rows: tuple[slice, ...]
+) -> Iterator[Shift]:
+    """A step up, and one down where both are asked for or there is no room above."""
+    lower, upper = limits
+    up, down = min(step[j], upper[j] - theta[j]), min(step[j], theta[j] - lower[j])
+    floor = 0.5 * step[j]
+    forward = up >= floor or up >= down
+    if forward:
+        yield Shift(position, j, up, rows)
+    if (central and down >= floor) or not forward:
+        yield Shift(position, j, -down, rows)
+
+
+def _by_position(
+    found: Iterable[tuple[Shift, float, Answer]], shifts: Sequence[Shift]
+) -> Iterator[tuple[int, list[tuple[float, Answer]]]]:
+    """Columns as soon as all their sides are there, upwards first: nothing is kept longer."""
+    wanted = Counter(shift.position for shift in shifts)
+    sides: dict[int, list[tuple[float, Answer]]] = {}
+    for shift, by, answer in found:
+        own = sides.setdefault(shift.position, [])
+        own.append((by, answer))
+        if len(own) == wanted[shift.position]:
+            yield shift.position, sorted(sides.pop(shift.position), key=lambda side: -side[0])
+
+
+def _column(sides: Sequence[tuple[float, Any]], base: Array, rows: tuple[slice, ...]) -> list[Array]:
+    """Differences (n, m) over one step or two, of each of the rows."""
+    (by, first), *others = sides
+    if others:
+        other_by, other = others[0]
+        return [(a - b) / (by - other_by) for a, b in zip(first, other, strict=True)]
+    return [(part - base[own]) / by for part, own in zip(first, rows, strict=True)]
+
+
+def _by_segment(column: Sequence[Array], rows: tuple[slice, ...], edges: Sequence[int]) -> list[Array | None]:
+    """Of each segment what moves in it, None where nothing does."""
+    cut = {own.start + a: part[a:b] for part, own in zip(column, rows, strict=True) for a, b in _inside(own, edges)}
+    return [part.copy() if (part := cut.get(a)) is not None and part.any() else None for a in edges[:-1]]
+
+
+def _inside(own: slice, edges: Sequence[int]) -> Iterator[tuple[int, int]]:
+    """Where segments begin and end, counted from the first of the rows ``own``."""
+    return ((a - own.start, b - own.start) for a, b in pairwise(edges) if own.start <= a and b <= own.stop)
+
+
+def _next_step(step: float, change: float, target: float, unit: float, room: float, last: bool) -> tuple[float, bool]:
+    """The step for the next difference, and whether this one is repeated with it."""
+    if change <= NO_EFFECT:
+        if step < 99.0 * unit and not last:
+            return (unit if step < 0.5 * unit else 100.0 * unit), True
+        return 1e-4 * unit, False
+    if not WITHIN[0] <= change / target <= WITHIN[1] and not last:
+        wanted = step * target / change
+        wanted = min(wanted, 0.01 * room) if np.isfinite(room) else wanted
+        return (step, False) if 0.5 < wanted / step < 2.0 else (wanted, True)
+    return step * float(np.clip(target / change, 0.1, 10.0)), False
 
 
 def roughness(

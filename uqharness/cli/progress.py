@@ -1,4 +1,4 @@
-"""What a terminal is told while a command works; a pipe is told warnings alone."""
+"""What a terminal is told while a command works; a pipe is told warnings, and of long commands a line now and then."""
 
 from __future__ import annotations
 
@@ -42,6 +42,7 @@ def working(
     unit: str = "segments flown",
     *,
     keep: bool = False,
+    lines_s: float = math.inf,
     console: Console | None = None,
 ) -> Iterator[Callable[[str], None]]:
     """A line that moves while a command works: its stage, the time since the command began, and a count.
@@ -54,14 +55,16 @@ def working(
         Gives a number that grows with the work; None shows none.
     keep
         Whether each finished stage leaves a line with the time that it took.
+    lines_s
+        Seconds between two lines of their own where that is no terminal; by default there are none.
     console
-        Where to draw; by default standard error. Nothing is drawn where that is no terminal.
+        Where to draw; by default standard error.
 
     Yields a function that is told each stage.
     """
     shown = console or Console(stderr=True, file=drawing(sys.stderr))
     if not shown.is_terminal:
-        yield lambda stage: None
+        yield _Lines(command, lines_s, shown)
         return
     columns = [SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()]
     columns += [] if count is None else [_Counted(count, unit)]
@@ -82,6 +85,21 @@ def working(
 
         yield stage
         stage("")
+
+
+class _Lines:
+    """Told each stage, writes a line when the last is ``seconds`` old: the time since the command began, and the stage."""
+
+    def __init__(self, command: str, seconds: float, console: Console) -> None:
+        self._command, self._seconds, self._console = command, seconds, console
+        self._begun = self._last = time.monotonic()
+
+    def __call__(self, text: str) -> None:
+        now = time.monotonic()
+        if now - self._last >= self._seconds:
+            self._last = now
+            line = f"{self._command}: {clock(now - self._begun)}, {visible(text)}"
+            self._console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 def _without_numbers(text: str) -> str:

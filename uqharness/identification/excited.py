@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.estimation import assess
+from sysid.estimation import assess, forward_differences
+from sysid.linalg.blocks import Blocks
+from sysid.linalg.blocks import information as total_information
 from uqharness.identification.replay_fit import Observed
 from uqharness.replay import Replay
 
@@ -40,16 +42,6 @@ class Excited:
 NOTHING = Excited({}, ())
 
 
-@dataclass(frozen=True)
-class _Outputs:
-    """Outputs of a replay below one another (N, m), asked for at several points together (`spread_over`)."""
-
-    simulate: Replay
-
-    def __call__(self, theta: Array) -> Array:
-        return np.concatenate(self.simulate(theta))
-
-
 def excited(
     replay: Replay, observed: Observed, names: Sequence[str], initial: Array, limits: Sequence[tuple[float, float]],
     noise: Mapping[str, float], map_: Callable[..., Any],
@@ -67,25 +59,24 @@ def excited(
         steps[k] *= abs(value) or width
         # A forward step must not leave the bounds.
         steps[k] *= -1.0 if value + steps[k] > high else 1.0
-    base, *moved = map_(_Outputs(replay), [theta, *(theta + step for step in np.diag(steps))])
     sigma = np.array([noise[c] for c in observed.outputs])
     known = np.isfinite(np.concatenate(list(observed.data))) & (sigma > 0.0)
-    slopes = np.stack([(y - base) / step for y, step in zip(moved, steps, strict=True)]) / sigma
-    if not np.isfinite(slopes).all():
+    moved = forward_differences(replay, theta, steps, ([len(z) for z in observed.data], len(sigma)), map_)
+    if moved is None:
         return NOTHING
-    slopes = np.where(known, slopes, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slopes = moved.each(lambda part, _, rows: np.where(known[rows, :, None], part / sigma[:, None], 0.0))
     widths = np.array([high - low if np.isfinite(high - low) else 0.0 for low, high in limits])
     size = np.maximum(np.abs(initial), WIDTH_SHARE * widths)
     found = judged(slopes, replay.names, size, observed.outputs)
     return replace(found, held={n: f"held at {initial[list(names).index(n)]:.4g}: {why}" for n, why in found.held.items()})
 
 
-def judged(slopes: Array, labels: Sequence[str], size: Array, outputs: Sequence[str]) -> Excited:
-    """The same from slopes (K, N, m) of the outputs in sigma; the first of the K ``labels`` are parameters, of ``size`` (k,), the
+def judged(slopes: Blocks, labels: Sequence[str], size: Array, outputs: Sequence[str]) -> Excited:
+    """The same from slopes (N, m, K) of the outputs in sigma; the first of the K ``labels`` are parameters, of ``size`` (k,), the
     others are estimated beside them. A parameter of size 0 is not held."""
     count = len(size)
-    flat = slopes.reshape(len(slopes), -1)
-    information = flat @ flat.T
+    information = total_information(slopes)
     held: dict[str, str] = {}
     while True:
         rest = [k for k, name in enumerate(labels) if name not in held]
@@ -107,7 +98,10 @@ def judged(slopes: Array, labels: Sequence[str], size: Array, outputs: Sequence[
     if not free:
         return Excited(held, ())
     # (free, m): information of each channel alone on each parameter, in units of what is left of all when the rest is estimated.
-    share = np.sum(slopes[free] ** 2, axis=1) * smallest[free, None] ** 2
+    squares = np.zeros((len(outputs), len(labels)))
+    for part, columns in slopes:
+        squares[:, columns] += np.sum(part**2, axis=0)
+    share = squares.T[free] * smallest[free, None] ** 2
     return Excited(held, tuple(c for c, most in zip(outputs, share.max(axis=0), strict=True) if most < LEAST_SHARE))
 
 

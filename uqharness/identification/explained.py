@@ -46,17 +46,11 @@ def unexplained(
 
 
 def withdrawn(found: Identification) -> Identification:
-    """``found`` itself where it explains its flights; else the same with no parameter identified, each at its start, and why."""
-    wrong = unexplained(found.residual, found.measured, found.outputs, found.noise)
-    if not wrong or not found.identified:
+    """``found`` itself where it converged and explains its flights; else the same with no parameter identified, each at its start,
+    and why: neither values nor standard errors hold of a fit that has not ended, or of a model that is not the aircraft's."""
+    why = _why_withdrawn(found) if found.identified else ""
+    if not why:
         return found
-    channel = max(wrong, key=lambda c: wrong[c][1])
-    sigma, share = wrong[channel]
-    others = f" ({', '.join(c for c in wrong if c != channel)} as well)" if len(wrong) > 1 else ""
-    why = (
-        f"the fit leaves {channel} at {sigma:.0f} sigma, {100.0 * share:.0f} % of its variance{others}: this model does not "
-        "explain the flights, and its nearest values are no estimates"
-    )
     advice = (
         "compare the flights and the model first (units, signs, mass and inertia, servos), or let refine look for what is missing"
     )
@@ -69,4 +63,20 @@ def withdrawn(found: Identification) -> Identification:
         reason={n: why if found.status[n] == "identified" else found.reason[n] for n in found.names},
         cov=np.zeros((0, 0)),
         warnings=(f"no parameter is identified: {why}; {advice}", *found.warnings),
+    )
+
+
+def _why_withdrawn(found: Identification) -> str:
+    """Empty where the estimates stand."""
+    wrong = unexplained(found.residual, found.measured, found.outputs, found.noise)
+    if wrong:
+        channel = max(wrong, key=lambda c: wrong[c][1])
+        sigma, share = wrong[channel]
+        others = f" ({', '.join(c for c in wrong if c != channel)} as well)" if len(wrong) > 1 else ""
+        return (
+            f"the fit leaves {channel} at {sigma:.0f} sigma, {100.0 * share:.0f} % of its variance{others}: this model does not "
+            "explain the flights, and its nearest values are no estimates"
+        )
+    return (
+        "" if found.converged else "the estimation did not converge: where it was stopped is no estimate, and has no standard error"
     )

@@ -21,8 +21,11 @@ from sysid.aerodynamics import split_name
 from sysid.estimation import NOISE_FLOOR, channel_noise, process_noise_shown, rms
 from uqharness.errors import BadInputError
 from uqharness.identification.asymmetry import lateral_constants
+from uqharness.identification.descent import Descent
 from uqharness.identification.excited import excited, without
 from uqharness.identification.explained import withdrawn
+from uqharness.identification.replay_fit import MAX_ITERATIONS as OUTPUT_ITERATIONS
+from uqharness.identification.replay_fit import TOLERANCE as OUTPUT_TOLERANCE
 from uqharness.identification.replay_fit import Observed, ReplayFit, fit_replays
 from uqharness.identification.result import Identification
 from uqharness.identification.start import demand_of, equation_error_start, forced_at
@@ -86,7 +89,7 @@ def identify(
     ideal_servos  surfaces and throttle follow their commands at once, whatever actuators the XML has
     method      "auto" | "output-error" | "filter-error"
     on_stage    told what is being done
-    tell        called with a sentence when filter error takes over: why, and how much there is to do
+    tell        called with a sentence for each route that is taken, output error or filter error: why, and how much there is to do
     Raises BadInputError for unknown parameters and for a model that cannot fly the segments.
     """
     names = _parameter_names(aircraft, parameters)
@@ -111,7 +114,10 @@ def identify(
                 observed, more = _excited_alone(model, observed, names, initial, limits, noise, spread, outputs is None)
                 notes = [*notes, *more]
             on_stage("output error")
-            fitted = fit_replays(model, observed, names, (near, initial), limits, spread)
+            if tell is not None:
+                tell(_why_output_error(observed, names, method))
+            descent = Descent("output error", on_stage, OUTPUT_TOLERANCE, OUTPUT_ITERATIONS)
+            fitted = fit_replays(model, observed, names, (near, initial), limits, spread, told=descent)
         fit = fitted.found
         taken = time.perf_counter() - started
         seconds = time.perf_counter() - begun
@@ -119,22 +125,30 @@ def identify(
         speed = Speed(fit.n_simulations / taken, flown_s / taken, process_count(workers), bare)
         found = _assemble(aircraft, names, initial, fitted, observed, noise, notes, seconds, speed)
         found = replace(found, warnings=(*misplaced(flights, cut, found.nuisance), *found.warnings))
-        if method == "output-error" or (method == "auto" and not process_noise_shown(*_sensed(found))):
-            return withdrawn(found)
+        gusty = process_noise_shown(*_sensed(found))
         strange = [n for n in names if split_name(n) is None]
+        if method == "output-error" or (method == "auto" and not gusty):
+            if tell is not None:
+                tell(_why_it_stays(method, gusty))
+            return withdrawn(found)
         if method == "auto" and strange:
             why = (
                 "what is left looks like process noise (turbulence), and filter error, which allows for it, knows coefficient "
                 f"terms (aero/Cm_q and the like) alone, not {strange[0]}: estimates are output error's, and may be biased"
             )
+            if tell is not None:
+                tell(f"output error stays: {why}")
             return withdrawn(replace(found, warnings=(why, *found.warnings)))
         if tell is not None:
             tell(_why_filter_error(found, method))
+        from uqharness.identification.turbulence import MAX_ITERATIONS as FILTER_ITERATIONS
+        from uqharness.identification.turbulence import TOLERANCE as FILTER_TOLERANCE
         from uqharness.identification.turbulence import filter_route
 
         on_stage("filter error")
         with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
-            return withdrawn(filter_route(found, model, straight, flights, limits, biases))
+            descent = Descent("filter error", on_stage, FILTER_TOLERANCE, FILTER_ITERATIONS)
+            return withdrawn(filter_route(found, model, straight, flights, limits, biases, descent))
 
 
 def _outputs(flights: Sequence[Flight], asked: Sequence[str] | None) -> tuple[str, ...]:
@@ -162,6 +176,27 @@ def _excited_alone(
     left_out = found.left_out if choose else ()
     notes = [f"not fitted, because no parameter that is estimated acts on them: {', '.join(left_out)}"] if left_out else []
     return replace(without(observed, left_out), held=found.held), notes
+
+
+def _why_output_error(observed: Observed, names: Sequence[str], method: str) -> str:
+    seconds = sum(float(s.time_s[-1] - s.time_s[0]) for s in observed.cut)
+    free = len(names) - len(observed.held)
+    why = {
+        "auto": "it is exact in calm air, and what it leaves tells whether the air was",
+        "output-error": "asked for by --method",
+        "filter-error": "filter error, asked for by --method, begins where it ends",
+    }[method]
+    return f"output error begins: {len(observed.cut)} segments, {seconds:.0f} s, {free} parameters ({why})"
+
+
+def _why_it_stays(method: str, gusty: bool) -> str:
+    if method == "output-error":
+        air = "looks like process noise (turbulence): estimates may be biased" if gusty else "does not look like process noise"
+        return f"output error stays (asked for by --method); what it leaves {air}"
+    return (
+        "output error stays: what it leaves of rates and accelerations does not look like process noise (turbulence), which would "
+        "be coloured, there in quiet flight too, and no function of the motion"
+    )
 
 
 def _why_filter_error(found: Identification, method: str) -> str:

@@ -64,13 +64,14 @@ class ReplayFit:
 
 def fit_replays(
     model: ReplayModel, observed: Observed, names: Sequence[str], tries: Sequence[Array],
-    limits: Sequence[tuple[float, float]], map_: Callable[..., Any], max_iterations: int = MAX_ITERATIONS,
-    errors: bool = True,
+    limits: Sequence[tuple[float, float]], map_: Callable[..., Any], errors: bool = True,
+    told: Callable[[int, float], None] | None = None,
 ) -> ReplayFit:  # fmt: skip
     """Fit properties ``names`` of a model, and everything that is estimated beside them.
 
     tries   values to begin from, the first that can be flown counts; what the flights do not determine stays at the last
     map_    as `replay_pool` or `spread_over` gives it      errors  False for estimates alone, without standard errors
+    told    is told each iteration's number and the length of the next step in standard errors
     What ``observed`` holds stays at the last of ``tries``.
     Raises BadInputError when the model cannot fly the segments.
     """
@@ -81,7 +82,7 @@ def fit_replays(
     def fit_from(theta: Array, free: Sequence[str]) -> OutputErrorFit:
         return output_error(
             replay, theta, list(observed.data), names=layout.names, bounds=layout.bounds, free=list(free), map=map_,
-            tolerance=TOLERANCE, max_iterations=max_iterations, differences="secant", errors=errors,
+            tolerance=TOLERANCE, max_iterations=MAX_ITERATIONS, differences="secant", errors=errors, told=told,
         )  # fmt: skip
 
     held = observed.held

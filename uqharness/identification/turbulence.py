@@ -7,7 +7,7 @@ terms can be written in the open, with its mass, inertia and thrust read from JS
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,13 +23,15 @@ from uqharness.replay import Flight, ReplayModel, states
 from uqharness.simulator import engine
 
 Array = NDArray[np.float64]
+MAX_ITERATIONS, TOLERANCE = 60, 1e-2
+"""Iterations of a descent at most, and the length of the step [standard errors] that ends it."""
 
 
 def filter_route(
     found: Identification, model: ReplayModel, straight: ReplayModel, flights: Sequence[Flight],
-    limits: Sequence[tuple[float, float]], biases: Sequence[str],
+    limits: Sequence[tuple[float, float]], biases: Sequence[str], told: Callable[[int, float], None] | None = None,
 ) -> Identification:  # fmt: skip
-    """Output error's result replaced by filter error's, started from it; with a note saying so.
+    """Output error's result replaced by filter error's, started from it; with a note saying so. told: as filter error has it.
 
     Raises BadInputError when a parameter asked for is no coefficient term.
     """
@@ -70,6 +72,7 @@ def filter_route(
             bounds={n: wide.get(n, (-np.inf, np.inf)) for n in names},
             free=[*free, *(n for n in names if n.startswith("bias/"))], process_noise=list(NOISY),
             process_noise_start=NOISE_START, noise_start=np.array([found.noise[c] for c in outputs]), x0_std=STATE_STD,
+            max_iterations=MAX_ITERATIONS, tolerance=TOLERANCE, told=told,
         )  # fmt: skip
     except ValueError as error:
         raise BadInputError(f"filter error: {error}; use --method output-error") from None

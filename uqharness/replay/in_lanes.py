@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 _LOG = logging.getLogger("uqharness")
-_KEPT, _LEVELS = 8, 512
+_KEPT, _LEVELS, _TIMINGS = 8, 512, 512
 _AGREES = 1e-6
 """Largest difference of a channel between the engines, in units of its largest size in the replay."""
 
@@ -79,8 +79,10 @@ class _Program:
 
 _Alike = tuple[str, tuple[str, ...], int]
 """What jobs that one program flies have in common: the aircraft, what is recorded, the runs between two outputs."""
-_Timing = tuple[int, float, bool, float]
-"""Segment, lateness, outputs between rows, share unseen: what makes the controls of a replay."""
+_Timing = tuple[int, int, float, bool, float]
+"""Model, segment, lateness, outputs between rows, share unseen: what makes the controls of a replay."""
+_controls: OrderedDict[_Timing, tuple[ReplayModel, Segment, Array]] = OrderedDict()
+"""With what their numbers are taken from: an object that is kept keeps its id."""
 _programs: OrderedDict[_Alike, _Program | None] = OrderedDict()
 _levels: OrderedDict[tuple[str, float], tuple[float, float]] = OrderedDict()
 
@@ -162,17 +164,25 @@ def _judged(job: ReplayJob, program: _Program | None) -> _Program | None:
 
 def _in_lanes(program: _Program, jobs: Sequence[ReplayJob]) -> list[Array]:
     shapes = [shape_of(job.model, job.segment, job.between) for job in jobs]
-    controls: dict[_Timing, Array] = {}
-    lanes = [_lane(program, job, shape, controls) for job, shape in zip(jobs, shapes, strict=True)]
+    lanes = [_lane(job, shape) for job, shape in zip(jobs, shapes, strict=True)]
     found = {k: _outputs(program, rows, jobs[k], shapes[k]) for k, rows in batch.fly_replays(program.replay, lanes)}
     return [found[k] for k in range(len(jobs))]
 
 
-def _lane(program: _Program, job: ReplayJob, shape: Shape, controls: dict[_Timing, Array]) -> ReplayLane:
-    key = (id(job.segment), job.late_s, job.between, job.unseen)
-    if key not in controls:
+def _controls_of(job: ReplayJob, shape: Shape) -> Array:
+    """Controls of every run, one array for all jobs that have them in common."""
+    key = (id(job.model), id(job.segment), job.late_s, job.between, job.unseen)
+    if key not in _controls:
         _, places = job.model.fed()
-        controls[key] = run_controls(job.model, job.segment, shape, job.late_s, job.unseen)[:, places]
+        found = run_controls(job.model, job.segment, shape, job.late_s, job.unseen)[:, places]
+        _controls[key] = (job.model, job.segment, found)
+        while len(_controls) > _TIMINGS:
+            _controls.popitem(last=False)
+    _controls.move_to_end(key)
+    return _controls[key][2]
+
+
+def _lane(job: ReplayJob, shape: Shape) -> ReplayLane:
     latitude, height = level_of(job.model, job.segment.altitude_m)
     V, alpha, beta, phi, theta, psi, p, q, r = (float(x) for x in job.start)
     u, v, w = body_velocity(V, alpha, beta)
@@ -183,7 +193,7 @@ def _lane(program: _Program, job: ReplayJob, shape: Shape, controls: dict[_Timin
         "ic/p-rad_sec": p, "ic/q-rad_sec": q, "ic/r-rad_sec": r,
     }  # fmt: skip
     terrain = terrain_m(job.model, job.segment) / FT_M
-    return batch.ReplayLane(job.properties, conditions, terrain, controls[key], shape.dt_s)
+    return batch.ReplayLane(job.properties, conditions, terrain, _controls_of(job, shape), shape.dt_s)
 
 
 def sources_of(model: ReplayModel) -> batch.Sources:

@@ -16,14 +16,12 @@ Array = NDArray[np.float64]
 
 
 def spread_over(map_: Callable[..., Any]) -> Callable[..., Iterable[Any]]:
-    """A `map` for output error that has the replays of all its points flown together; ``map_`` spreads what JSBSim flies."""
+    """A `map` for output error that has the replays of its points flown together, as many as memory keeps at once, and gives what
+    comes of them one after the other; ``map_`` spreads what JSBSim flies."""
 
     def spread(function: Callable[[Array], Any], points: Any) -> Iterable[Any]:
-        todo = list(points)
         replay = getattr(function, "simulate", None)
-        if isinstance(replay, Replay):
-            replay.fetch(todo, map_)
-        return map(function, todo)
+        return map(function, replay.fetched(list(points), map_) if isinstance(replay, Replay) else list(points))
 
     return spread
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from uqharness.replay.in_lanes import ReplayJob, fly_all
 from uqharness.replay.model import ReplayModel
-from uqharness.replay.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF, STATES, UNSEEN, at_rows, late_rows
+from uqharness.replay.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF, STATES, UNSEEN, at_rows, late_rows, shape_of
 from uqharness.replay.segments import Segment
 
 Array = NDArray[np.float64]
 _CACHE_BYTES = 300_000_000
+_TOGETHER_BYTES = _CACHE_BYTES // 4
+"""Of pieces flown together: all are read before the first is forgotten, and what they are compared with stays besides."""
 Start = tuple[Array, float, float]
 """Start state (9,), how late the controls act [s], share of a jump unseen."""
 
@@ -47,6 +49,7 @@ class Replay:
         self._late: dict[str, int] = {}
         self._unseen: dict[str, int] = {}
         self._kept: dict[int, tuple[tuple[_Key, bytes], Array]] = {}
+        self._sizes: list[int] = []
         for i, name in enumerate(names):
             kind, _, rest = name.partition("/")
             where, _, what = rest.rpartition("/")
@@ -61,6 +64,17 @@ class Replay:
                 self._delays.setdefault(where, []).extend((i, k) for k in late)
             elif kind == "start":
                 self._starts.setdefault(int(where), []).append((i, STATES.index(what)))
+        for segment in self.segments:
+            rows = shape_of(model, segment, segment.flight in self._delays or bool(self._late_s)).rows
+            self._sizes.append(rows * len(CHANNELS) * 8)
+
+    def moved(self, index: int) -> tuple[int, ...] | None:
+        """Numbers of the segments whose outputs theta's element moves, None for all."""
+        kind, _, rest = self.names[index].partition("/")
+        if kind == "start":
+            return (int(rest.partition("/")[0]),)
+        flight = rest if kind == UNSEEN else rest.rpartition("/")[0] if kind in ("bias", "delay") else None
+        return None if flight is None else tuple(k for k, s in enumerate(self.segments) if s.flight == flight)
 
     def starts_at(self, theta: Array) -> list[Start]:
         """Every segment's start state (9,), how late its controls act [s], and what share of a jump is unseen, at theta."""
@@ -146,23 +160,42 @@ class Replay:
 
         Afterwards every ``self(theta)`` only puts together what is remembered: little has to travel between processes.
         """
+        for _ in self.fetched(thetas, map_):
+            pass
+
+    def fetched(self, thetas: Sequence[Array], map_: Callable[..., Iterable[Any]]) -> Iterator[Array]:
+        """Each theta as soon as its pieces have been flown, each once; those of so many theta together as are remembered until they
+        are asked for."""
         jobs: dict[_Key, ReplayJob] = {}
+        waiting: list[Array] = []
+        size = 0
         for theta in thetas:
             properties, starts = self._conditions(theta)
             for number, (segment, start) in enumerate(zip(self.segments, starts, strict=True)):
                 key = self._key(number, properties, *start)
-                if key not in _flown:
-                    jobs[key] = self._job(segment, properties, *start)
-                else:
+                if key in _flown:
                     _flown.move_to_end(key)
-        for key, found in zip(jobs, fly_all(list(jobs.values()), map_), strict=True):
-            _remember(key, found)
+                elif key not in jobs:
+                    jobs[key] = self._job(segment, properties, *start)
+                    size += self._sizes[number]
+            waiting.append(theta)
+            if size > _TOGETHER_BYTES:
+                _fly(jobs, map_)
+                yield from waiting
+                jobs, waiting, size = {}, [], 0
+        _fly(jobs, map_)
+        yield from waiting
 
 
 # Memory of the process, shared by unpickled copies of a replay: perturbing one segment's start leaves the others as they were.
 _Key = tuple[str, int, bytes, bytes, float, float]
 _flown: OrderedDict[_Key, Array] = OrderedDict()
 counter = {"rows": 0, "bytes": 0, "segments": 0}
+
+
+def _fly(jobs: Mapping[_Key, ReplayJob], map_: Callable[..., Iterable[Any]]) -> None:
+    for key, found in zip(jobs, fly_all(list(jobs.values()), map_), strict=True):
+        _remember(key, found)
 
 
 def _remember(key: _Key, found: Array) -> None:

@@ -76,3 +76,29 @@ def test_finished_stages_stay_where_that_is_asked_for():
 def test_warnings_are_told_in_a_pipe_too(capsys):
     say_warnings(["too short", "too calm"])
     assert capsys.readouterr().err == "uqharness: warning: too short\nuqharness: warning: too calm\n"
+
+
+def test_a_long_command_writes_a_line_now_and_then_where_there_is_no_terminal(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("uqharness.cli.progress.time.monotonic", lambda: now[0])
+
+    def written(lines_s):
+        drawn = io.StringIO()
+        with working("identify", lines_s=lines_s, console=Console(file=drawn, force_terminal=False)) as stage:
+            for seconds, text in (
+                (4.0, "reading"),
+                (11.0, "iteration 3, about 20 s left"),
+                (15.0, "iteration 4"),
+                (75.0, "\x1b[2Jreport"),
+            ):
+                now[0] = 100.0 + seconds
+                stage(text)
+        return drawn.getvalue().splitlines()
+
+    lines = written(10.0)
+    assert lines[0] == "identify: 0:11, iteration 3, about 20 s left"
+    assert len(lines) == 2
+    assert lines[1].startswith("identify: 1:15, ")
+    assert "\x1b" not in lines[1]
+    assert written(1000.0) == []
+    assert written(float("inf")) == []

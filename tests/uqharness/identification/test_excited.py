@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
-from uqharness.identification.excited import LEAST_T, judged, without
+from sysid.linalg.blocks import Blocks
+from uqharness.identification.excited import LEAST_T, Excited, without
+from uqharness.identification.excited import judged as of_blocks
 from uqharness.identification.replay_fit import Observed
 
 RNG = np.random.default_rng(1)
@@ -17,6 +20,11 @@ N, CHANNELS = 400, ("q_radps", "p_radps")
 def slopes(**rows: tuple[float, float]) -> np.ndarray:
     """(K, N, 2) independent motion of q and p of given rms [sigma per unit of the parameter]."""
     return np.stack([np.array(sizes) * RNG.normal(size=(N, 2)) for sizes in rows.values()])
+
+
+def judged(motion: np.ndarray, labels: Sequence[str], size: np.ndarray, outputs: Sequence[str]) -> Excited:
+    """Of one array, in two segments."""
+    return of_blocks(Blocks.of(np.moveaxis(motion, 0, 2), (0, N // 4, N)), labels, size, outputs)
 
 
 def test_a_parameter_with_little_information_is_held_and_its_neighbour_is_not() -> None:

@@ -53,7 +53,7 @@ def found(residual):
         names=("aero/Cm_q", "aero/Cm_de"), initial=np.array([-9.7, -0.02]), theta=np.array([3.0, 1.0]), std=np.array([0.1, 0.1]),
         std_crb=np.array([0.1, 0.1]), status={"aero/Cm_q": "identified", "aero/Cm_de": "not-identified"},
         reason={"aero/Cm_q": "", "aero/Cm_de": "no effect"}, cov=np.eye(1), residual=column(residual), measured=column(Q),
-        outputs=("q_radps",), noise={"q_radps": 0.003}, warnings=("another",),
+        outputs=("q_radps",), noise={"q_radps": 0.003}, warnings=("another",), converged=True,
     )  # fmt: skip
     return Identification(**(values | vars(given)))
 
@@ -71,6 +71,16 @@ def test_what_was_fitted_to_it_is_withdrawn_with_the_reason():
     assert kept.warnings[1:] == ("another",)
     good = found(0.003 * RNG.standard_normal(401))
     assert withdrawn(good) is good
+
+
+def test_a_fit_that_did_not_converge_has_no_estimates_and_no_standard_errors():
+    good = found(0.003 * RNG.standard_normal(401))
+    stopped = withdrawn(dataclasses.replace(good, converged=False))
+    assert stopped.identified == ()
+    assert stopped.theta.tolist() == [-9.7, -0.02]
+    assert np.isnan(stopped.std).all()
+    assert "did not converge" in stopped.reason["aero/Cm_q"]
+    assert stopped.reason["aero/Cm_de"] == "no effect"
 
 
 def test_a_flight_with_reversed_elevator_identifies_nothing(tmp_path, capsys):

@@ -36,6 +36,8 @@ Array = NDArray[np.float64]
 TERRAIN = "position/terrain-elevation-asl-ft"
 _RECORD_BYTES = 8_000_000
 """Records of lanes that are flown together: the memory is used again."""
+_ALIKE = 0.9
+"""Length of the shortest of lanes flown together, in that of the longest."""
 
 
 @dataclass(frozen=True)
@@ -140,23 +142,34 @@ def fly_replays(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> Iterator[t
     """The number of each job, in any order, and its recorded properties (rows, records): at the start, then behind every ``stride``
     frames."""
     values = _begun(replay, jobs)
-    groups: dict[int, list[int]] = {}
-    for k, job in enumerate(jobs):
-        groups.setdefault(len(job.controls), []).append(k)
-    for frames, places in groups.items():
-        row_bytes = 8 * len(replay.program.records) * BLOCK
-        lanes = BLOCK * max(1, _RECORD_BYTES // (row_bytes * max(1, frames // replay.stride)))
-        for k in range(0, len(places), lanes):
-            part = places[k : k + lanes]
-            begin = {name: value[part] for name, value in values.items()}
-            records = _flown(replay, [jobs[p] for p in part], begin)
-            starts = np.stack([begin[name] for name in replay.program.records])
-            for lane, place in enumerate(part):
-                # Channel by channel in memory, as the records are.
-                rows = np.empty((len(records), records.shape[2] + 1))
-                rows[:, 0] = starts[:, lane]
-                rows[:, 1:] = records[:, lane]
-                yield place, rows.T
+    for part in _parts(replay, [len(job.controls) for job in jobs]):
+        begin = {name: value[part] for name, value in values.items()}
+        records = _flown(replay, [jobs[p] for p in part], begin)
+        starts = np.stack([begin[name] for name in replay.program.records])
+        for lane, place in enumerate(part):
+            # Channel by channel in memory, as the records are.
+            rows = np.empty((len(records), (len(jobs[place].controls) - 1) // replay.stride + 1))
+            rows[:, 0] = starts[:, lane]
+            rows[:, 1:] = records[:, lane, : rows.shape[1] - 1]
+            yield place, rows.T
+
+
+def _parts(replay: ReplayProgram, frames: Sequence[int]) -> Iterator[list[int]]:
+    """Jobs that are flown together, the longest first: as many as their records leave room for, and, beyond the lanes that lie side
+    by side, none that is much shorter than the first. Frames behind the end of a shorter one cost less than a call for each."""
+    row_bytes = 8 * len(replay.program.records) * BLOCK
+    part: list[int] = []
+    lanes = longest = 0
+    for place in sorted(range(len(frames)), key=lambda k: -frames[k]):
+        if part and (len(part) == lanes or (len(part) % BLOCK == 0 and frames[place] < _ALIKE * longest)):
+            yield part
+            part = []
+        if not part:
+            longest = frames[place]
+            lanes = BLOCK * max(1, _RECORD_BYTES // (row_bytes * max(1, longest // replay.stride)))
+        part.append(place)
+    if part:
+        yield part
 
 
 def _begun(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[str, Array]:
@@ -178,8 +191,15 @@ def _begun(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[str, Array
 
 
 def _flown(replay: ReplayProgram, jobs: Sequence[ReplayLane], values: Mapping[str, Array]) -> Array:
-    """(records, lanes, rows) behind the start."""
-    pieces = {id(job.controls): job.controls[1:] for job in jobs}
+    """(records, lanes, rows) behind the start; those behind a shorter job's end mean nothing."""
+    frames = max(len(job.controls) for job in jobs) - 1
+    pieces = {id(job.controls): _held(job.controls[1:], frames) for job in jobs}
     feed = shared(pieces, [id(job.controls) for job in jobs], 0)
     state = begun(replay.program, len(jobs), values)
-    return replay.flyer.fly(state, 1, len(jobs[0].controls) - 1, {"controls": feed}, replay.stride)
+    return replay.flyer.fly(state, 1, frames, {"controls": feed}, replay.stride)
+
+
+def _held(controls: Array, frames: int) -> Array:
+    """(frames, c) controls, the last held to the end."""
+    missing = frames - len(controls)
+    return controls if not missing else np.concatenate([controls, np.repeat(controls[-1:], missing, axis=0)])

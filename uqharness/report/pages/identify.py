@@ -57,7 +57,10 @@ def _verdict(fit: Mapping[str, Any]) -> tuple[Say, ...]:
     if above:
         worst = ", ".join(f"{shown_channel(c)[0]} {r:.2f}" for c, r in sorted(above.items(), key=lambda item: -item[1]))
         text = f"The model with the estimates does not reach the sensors' noise: rms over noise is {worst}."
-        text += " A model term is missing: these parameters cannot remove the residual. Next: compare, bounds or refine."
+        text += (
+            " A model term is missing: these parameters cannot remove the residual, and standard errors, which take the model for "
+        )
+        text += "right, do not say how far off the estimates are. Next: compare, bounds or refine."
         said.append(Say(text, "warn"))
     elif any(r is not None for r in ratios.values()):
         said.append(Say(f"Every channel with known noise is within {LIMIT:g} times its noise.", "good"))

@@ -63,3 +63,17 @@ def test_lanes_flown_in_many_calls_are_those_of_one(monkeypatch):
     assert [a.tobytes() for a in apart] == [b.tobytes() for b in together]
     # Lanes differ, so that one in another's place would be noticed.
     assert len({rows.tobytes() for rows in together}) == len(lanes)
+
+
+def test_lanes_of_other_lengths_share_calls_and_rows_are_those_of_each_alone(monkeypatch):
+    lengths = [FRAMES, 8, 47, 46, 24, 45, 46, 16, 45, 30]
+    lanes = [lane(frames, -13.8 - 0.1 * k) for k, frames in enumerate(lengths)]
+    calls = []
+    made = module._flown
+    monkeypatch.setattr(module, "_flown", lambda replay, jobs, values: (calls.append(len(jobs)), made(replay, jobs, values))[1])
+    together = flown(1, *lanes)
+    # Eight lie side by side, whatever their lengths; what is much shorter than the longest begins a call of its own.
+    assert calls == [8, 2]
+    assert [len(rows) for rows in together] == [frames + 1 for frames in lengths]
+    for one, rows in zip(lanes, together, strict=True):
+        assert flown(1, one)[0].tobytes() == rows.tobytes()

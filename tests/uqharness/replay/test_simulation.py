@@ -1,0 +1,92 @@
+"""Replays remembered: each piece is flown once, many points need no more memory than some, and a point says what it moves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.helpers.flown import fly
+from uqharness.replay import CONTROL_DELAY, Replay, ReplayFolder, simulation
+from uqharness.replay.flights import prepare, segments
+from uqharness.replay.pool import spread_over
+from uqharness.simulator import find_aircraft
+
+CHANNELS = ("q_radps", "alpha_rad", "az_mps2")
+NAMES = (
+    "aero/Cm_q", "aero/Cm_de", "bias/f/q_radps", f"delay/f/{CONTROL_DELAY}", "delay/f/accelerations", "unseen/f",
+    "start/0/q_radps", "start/1/q_radps",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def replay():
+    flight = prepare("f", fly((("pitch-doublet", 22.0), ("pitch-3211", 22.0)), positions=False), (), max_s=6.0)
+    aircraft = find_aircraft("espaaro")
+    with ReplayFolder(aircraft) as model:
+        cut = segments(flight, (), aircraft.accelerometer_m)[:2]
+        yield Replay(model, cut, NAMES, CHANNELS, "test-simulation")
+
+
+class Asked:
+    """As output error asks: a wrapper whose ``simulate`` is the replay."""
+
+    def __init__(self, replay):
+        self.simulate = replay
+
+    def __call__(self, theta):
+        return [part.copy() for part in self.simulate(theta)]
+
+
+def points():
+    base = np.zeros(len(NAMES))
+    base[:2] = -13.8, -0.014
+    steps = np.diag([0.1, 1e-4, 1e-3, 1e-3, 1e-3, 0.1, 1e-2, 1e-2])
+    return [base, *(base + step for step in steps)]
+
+
+def test_pieces_are_flown_once_whatever_room_memory_has(replay, monkeypatch):
+    flown = []
+    fly_all = simulation.fly_all
+    monkeypatch.setattr(simulation, "fly_all", lambda jobs, *rest: (flown.append(len(jobs)), fly_all(jobs, *rest))[1])
+    replay.forget()
+    together = list(spread_over(map)(Asked(replay), points()))
+    # Two segments: at the base, for each of two coefficients, lateness and jump, and one more for each start.
+    wanted = 2 * 5 + 2
+    assert sum(flown) == wanted
+    assert len([count for count in flown if count]) == 1
+    replay.forget()
+    flown.clear()
+    # Room for a few pieces: flown a few at a time, but none again and none alone after it has been forgotten.
+    room = 8 * max(replay._sizes)
+    monkeypatch.setattr(simulation, "_CACHE_BYTES", room)
+    monkeypatch.setattr(simulation, "_TOGETHER_BYTES", room // 4)
+    apart = list(spread_over(map)(Asked(replay), points()))
+    assert sum(flown) == wanted
+    assert len([count for count in flown if count]) > 2
+    assert simulation.counter["bytes"] <= room
+    for one, other in zip(together, apart, strict=True):
+        for a, b in zip(one, other, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_what_is_forgotten_before_it_is_read_is_flown_again(replay, monkeypatch):
+    """Negative control: more together than memory keeps is what made long logs slow."""
+    flown = []
+    fly_all = simulation.fly_all
+    monkeypatch.setattr(simulation, "fly_all", lambda jobs, *rest: (flown.append(len(jobs)), fly_all(jobs, *rest))[1])
+    replay.forget()
+    monkeypatch.setattr(simulation, "_CACHE_BYTES", 4 * max(replay._sizes))
+    list(spread_over(map)(Asked(replay), points()))
+    assert sum(flown) > 2 * 5 + 2
+
+
+def test_a_point_moves_the_segments_that_it_says(replay):
+    base = [part.copy() for part in replay(points()[0])]
+    for index, _ in enumerate(NAMES):
+        theta = points()[1 + index]
+        apart = [k for k, (a, b) in enumerate(zip(replay(theta), base, strict=True)) if not np.array_equal(a, b)]
+        said = replay.moved(index)
+        # A segment in which no control moves feels no delay of theirs, and without a jump there is nothing unseen.
+        assert apart or NAMES[index] == "unseen/f", NAMES[index]
+        assert set(apart) <= {0, 1} if said is None else set(apart) <= set(said), NAMES[index]
+    assert [replay.moved(k) for k in (0, 2, 6, 7)] == [None, (0, 1), (0,), (1,)]
