@@ -18,7 +18,8 @@ from uqharness.sensitivity import Evaluations, Study
 from uqharness.sensitivity.modal import ALEATORY, NOMINAL, OUTPUTS, V_MPS, intervals, longitudinal_modes, system_matrix
 from uqharness.sensitivity.problem import corners
 from uqharness.simulator.aircraft import Aircraft
-from uqharness.simulator.trim import BodyState, SteadyCondition, find_trim, force_state
+from uqharness.simulator.forced_state import BodyState, force_state
+from uqharness.simulator.trim import SteadyCondition, find_trim
 
 Array = NDArray[np.float64]
 _LONGITUDINAL = (0, 2, 4)

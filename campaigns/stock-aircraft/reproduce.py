@@ -29,7 +29,7 @@ SPEEDS = (1.0, 1.15, 1.35, 0.9)
 _SPEED = re.compile(r"try V [<>]= ([\d.]+) m/s")
 _PATH = re.compile(r"try a path of [<>]= (-?[\d.]+) deg")
 BOUNDS = "CX=0.01,CY=0.01,CZ=0.05,Cl=0.001,Cm=0.01,Cn=0.001"
-STEPS = ("trim", "modes", "instrument", "campaign", "p-box")
+STEPS = ("instrument", "trim", "modes", "campaign", "p-box")
 _CAMPAIGN = """[campaign]
 aircraft = "mine"
 mission = "steady"
@@ -123,7 +123,7 @@ def alone(name: str) -> tuple[float, str]:
 
 
 def study(name: str, V_mps: float) -> Row:
-    """The three commands, and `modes` before them."""
+    """The three commands, and `modes` behind the first: what FlightGear would write is passed on in the copy alone."""
     row = Row(name)
     with scratch_folder() as scratch:
         folder = scratch.path
@@ -136,12 +136,12 @@ def study(name: str, V_mps: float) -> Row:
             row.reason = "" if done.returncode == 0 else _last(done.stdout, done.stderr)
             return done.returncode, done.stdout
 
-        if not _trims(row, V_mps, command):
-            return row
-        row.reached += ["trim", "modes"]
         if command("instrument", name, "--out", "mine", "--constant", BOUNDS)[0]:
             return row
         row.reached.append("instrument")
+        if not _trims(row, V_mps, command):
+            return row
+        row.reached += ["trim", "modes"]
         (folder / "campaign.toml").write_text(_CAMPAIGN.format(V=row.V_mps, h=ALTITUDE_M, climb=row.climb_deg), encoding="utf-8")
         if command("campaign", "run", "campaign.toml", "--out", "results", "--serial", "--yes")[0]:
             return row
@@ -161,7 +161,7 @@ def _trims(row: Row, V_mps: float, command: Callable[..., tuple[int, str]]) -> b
             continue
         tried.add((row.V_mps, row.climb_deg))
         speed, climb = f"{row.V_mps:.1f}", f"{row.climb_deg:g}"
-        code, said = command("modes", row.name, "--speed-mps", speed, f"--climb-deg={climb}", "--altitude-m", f"{ALTITUDE_M:g}")
+        code, said = command("modes", "mine", "--speed-mps", speed, f"--climb-deg={climb}", "--altitude-m", f"{ALTITUDE_M:g}")
         if code == 0:
             return True
         if "does not change the thrust" in said:

@@ -115,3 +115,28 @@ def test_flight_control_reads_the_airspeed_of_the_frame_before_and_the_attitude_
         assert fdm["copy/V"] == before != fdm["velocities/vt-fps"]
         assert fdm["copy/phi"] == fdm["attitude/phi-rad"]
         assert fdm["copy/p"] == fdm["velocities/p-rad_sec"]
+
+
+def flown_through(tmp_path, component):
+    """What a component makes of a command of 0.5 in its first frame, and of 1.0 two seconds later."""
+    fcs = f"<channel name='c'>{component}</channel>"
+    fdm = small(tmp_path, fcs="<property value='0.5'>s/in</property>" + fcs)
+    fdm["s/in"] = 0.5
+    fdm.run_ic()
+    first = fdm["fcs/out"]
+    fdm["s/in"] = 1.0
+    for _ in range(200):
+        fdm.run()
+    return first, fdm["fcs/out"]
+
+
+def test_an_actuator_with_a_lag_of_zero_stands_still(tmp_path):
+    actuator = "<actuator name='fcs/out'><input>s/in</input>{}</actuator>"
+    assert flown_through(tmp_path, actuator.format("<lag>0.0</lag>")) == (0.5, 0.5)
+    assert flown_through(tmp_path, actuator.format("")) == (0.5, 1.0)
+
+
+def test_a_filter_begins_at_zero_and_not_at_its_input(tmp_path):
+    first, later = flown_through(tmp_path, "<lag_filter name='fcs/out'><input>s/in</input><c1>10</c1></lag_filter>")
+    assert first < 0.1
+    assert later == pytest.approx(1.0, abs=1e-6)

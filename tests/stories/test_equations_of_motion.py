@@ -10,7 +10,8 @@ import pytest
 from tests.helpers.sixdof import TABLE_2_6, Airframe, simulate
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import find_aircraft, open_aircraft
-from uqharness.simulator.trim import SteadyCondition, apply_controls, body_velocity, find_trim
+from uqharness.simulator.forced_state import apply_controls, body_velocity
+from uqharness.simulator.trim import SteadyCondition, find_trim
 
 FT = 0.3048
 V, HEIGHT, DURATION, DT = 22.2, 100.0, 10.0, 0.001

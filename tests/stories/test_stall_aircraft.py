@@ -14,7 +14,8 @@ from tests.helpers import sixdof, stall_model
 from tests.helpers.stall_model import Separation, StallingAirframe
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import PROJECT_ROOT, content_hash, find_aircraft, open_aircraft
-from uqharness.simulator.trim import BodyState, SteadyCondition, apply_controls, body_velocity, find_trim, force_state
+from uqharness.simulator.forced_state import BodyState, apply_controls, body_velocity, force_state
+from uqharness.simulator.trim import SteadyCondition, find_trim
 
 FT, DT, HEIGHT = 0.3048, 0.001, 400.0
 SPEED = {"synthetic_stall": 21.0, "espaaro_truth": 22.2}

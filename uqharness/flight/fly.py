@@ -25,11 +25,13 @@ from uqharness.simulator import (
     MARK,
     Source,
     StagedMission,
+    bring_to_rest,
     engine,
     find_aircraft,
     find_folder,
     find_script,
     folder_fingerprint,
+    marked,
     refuse_conflicts,
 )
 
@@ -149,6 +151,8 @@ def record_mission(
     set_wind_without_air(fdm, spec)
     if MARK in mission.script.run_properties and fdm.get_propulsion().get_num_engines():
         engine.settle_engines(fdm)
+    if (rest := marked(mission.script.run_properties, mission.aircraft, fdm)) is not None:
+        bring_to_rest(fdm, rest)
     present = {name: source for name, source in (optional or {}).items() if _exists(fdm, source)}
     table = {"time_s": Source("simulation/sim-time-sec"), **signals, **present}
     getters = _getters(fdm, table)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sysid.units import FT_M
+from uqharness.plugin.host import SWITCH
 from uqharness.plugin.scale_functions import Scaled
 from uqharness.simulator import MEMS_NOISE_STD, AircraftFacts
 from uqharness.toml import as_toml, dotted
@@ -55,6 +56,8 @@ def card_text(name: str, xml: str, facts: AircraftFacts, scaled: Sequence[Scaled
         lines.append(f"servo_pwm = {_pulses(control, throw)}     # assumed: your log's, if it has others")
         if found.position is not None:
             lines.append(f"position = {as_toml(found.position)}")
+    if facts.host:
+        lines += ["", "[modes.open_loop]                              # FlightGear's properties are passed on", f'"{SWITCH}" = 1']
     lines += ["", "[sensors.noise_std]                            # assumed: small MEMS units; SI"]
     lines += [f"{name} = {std!r}" for name, std in MEMS_NOISE_STD.items()]
     if errors:

@@ -18,6 +18,7 @@ from sysid.model_form import ModelForm
 from sysid.units import FT_M
 from uqharness.errors import BadInputError
 from uqharness.plugin.card import ERRORS_SYSTEM, ERRORS_XML, IDLE_SYSTEM, IDLE_XML, card_text, scale_entry
+from uqharness.plugin.host import HOST_SYSTEM, host_xml
 from uqharness.plugin.model_form_xml import constant_xml, model_form_xml
 from uqharness.plugin.record import Change, changed
 from uqharness.plugin.scale_functions import SYSTEM_NAME, Scaled, add_scales, coefficient_properties, scale_system
@@ -116,14 +117,7 @@ def plan(
         edit = add_system(edit, AIR_SYSTEM)
     card = None
     if facts is not None and not aircraft.has_card:
-        errors = not folder_names(aircraft.folder, "nav/")
-        if errors:
-            files[_system_file(aircraft, ERRORS_SYSTEM)] = ERRORS_XML
-            edit = add_system(edit, ERRORS_SYSTEM)
-        if not facts.engines and not folder_names(aircraft.folder, "fcs/throttle-cmd-norm"):
-            files[_system_file(aircraft, IDLE_SYSTEM)] = IDLE_XML
-            edit = add_system(edit, IDLE_SYSTEM)
-        files["airframe.toml"] = card_text(aircraft.name, aircraft.xml.name, facts, scaled, errors).encode("utf-8")
+        edit = _add_card(aircraft, facts, scaled, edit, files, notes)
     elif scaled and aircraft.has_card:
         card = _with_parameters(aircraft.folder / "airframe.toml", scaled, notes)
     files[system] = bounds_xml(aircraft, bounds)
@@ -143,6 +137,26 @@ def plan(
         files["airframe.toml"] = raw + card.text
         changes["airframe.toml"] = changed(raw, raw + card.text, [card])
     return Plan(section, files, changes, tuple(scaled), had, tuple(notes), _rows(section, had))
+
+
+def _add_card(
+    aircraft: Aircraft, facts: AircraftFacts, scaled: Sequence[Scaled], edit: SectionEdit, files: dict[str, bytes], notes: list[str]
+) -> SectionEdit:
+    """A card for an aircraft that has none, and the systems that it speaks of, in ``files``; what is to be known in ``notes``."""
+    errors = not folder_names(aircraft.folder, "nav/")
+    if errors:
+        files[_system_file(aircraft, ERRORS_SYSTEM)] = ERRORS_XML
+        edit = add_system(edit, ERRORS_SYSTEM)
+    if not facts.engines and not folder_names(aircraft.folder, "fcs/throttle-cmd-norm"):
+        files[_system_file(aircraft, IDLE_SYSTEM)] = IDLE_XML
+        edit = add_system(edit, IDLE_SYSTEM)
+    if facts.host:
+        files[_system_file(aircraft, HOST_SYSTEM)] = host_xml(facts.host)
+        edit = add_system(edit, HOST_SYSTEM)
+        read = ", ".join(theirs for theirs, _ in facts.host)
+        notes.append(f"the aircraft reads what FlightGear writes ({read}): Systems/{HOST_SYSTEM}.xml passes it on")
+    files["airframe.toml"] = card_text(aircraft.name, aircraft.xml.name, facts, scaled, errors).encode("utf-8")
+    return edit
 
 
 def bounds_xml(aircraft: Aircraft, bounds: Bounds) -> bytes:

@@ -223,7 +223,8 @@ def _aligned(record: FlightRecord) -> tuple[FlightRecord, list[str]]:
         if finding.code != "delay" or finding.channel not in CHANNELS or finding.channel not in record or late == 0.0:
             continue
         time = record["time_s"]
-        columns[finding.channel] = np.interp(time + late, time, record[finding.channel], right=np.nan)
+        moved = np.interp(time + late, time, _unwrapped(finding.channel, record[finding.channel]), right=np.nan)
+        columns[finding.channel] = moved % (2.0 * np.pi) if finding.channel == "psi_rad" else moved
         notes.append(f"{finding.channel} was moved {1e3 * late:.0f} ms earlier, as the log's findings say")
     return record.with_columns(columns), notes
 
@@ -258,14 +259,22 @@ def _command(record: FlightRecord, control: str, rows: slice) -> Array:
     return np.asarray(known, dtype=np.float64)
 
 
+def _unwrapped(name: str, values: Array) -> Array:
+    """A heading [rad] without its jumps at north: between its two ends nothing can be put, neither a line nor a mean."""
+    out = np.array(values, dtype=np.float64)
+    if name == "psi_rad":
+        good = np.isfinite(out)
+        out[good] = np.unwrap(out[good])
+    return out
+
+
 def _start(record: FlightRecord, name: str, rows: slice) -> float:
     if name not in record:
         return 0.0
     n = max(3, round(_START_S / record.dt_s))
     values = np.array(record[name][rows][:n], dtype=np.float64)
     good = np.isfinite(values)
-    if name == "psi_rad":
-        values[good] = np.unwrap(values[good])
+    values = _unwrapped(name, values)
     if good.sum() < 3:
         return float(np.nanmean(values)) if good.any() else 0.0
     at = np.arange(len(values))[good]
@@ -294,8 +303,10 @@ def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[Array]:
                 continue
             values = as_logged(flight.record, name, piece.rows)
             if name == "psi_rad":
-                good = np.isfinite(values)
-                values[good] = np.unwrap(values[good])
+                values = _unwrapped(name, values)
+                # Counted from the same turn as the start: the first logged value may lie on the other side of north.
+                first = values[np.isfinite(values)][:1]
+                values -= 2.0 * np.pi * np.rint((first - _start(flight.record, name, piece.rows)) / (2.0 * np.pi)).sum()
             block[:, k] = values
             if name in _JUMPING:
                 block[:before, k] = np.nan

@@ -22,6 +22,12 @@ from .card import Card as Card
 from .card import InputCard as InputCard
 from .card import parse_card as parse_card
 from .card_changes import sensors_from_cg as sensors_from_cg
+from .control_system import RATES_FREE as RATES_FREE
+from .control_system import RATES_HELD as RATES_HELD
+from .control_system import bring_to_rest as bring_to_rest
+from .control_system import marked as marked
+from .forced_state import TRIM_LATITUDE_DEG as TRIM_LATITUDE_DEG
+from .forced_state import body_velocity as body_velocity
 from .gate import tag_end as tag_end
 from .linear import LinearModel as LinearModel
 from .linear import Mode as Mode
@@ -53,8 +59,6 @@ from .start import STEADY as STEADY
 from .start import StartSection as StartSection
 from .steady_start import SCRIPT as SCRIPT
 from .steady_start import write_steady_start as write_steady_start
-from .trim import TRIM_LATITUDE_DEG as TRIM_LATITUDE_DEG
 from .trim import SteadyCondition as SteadyCondition
 from .trim import Trim as Trim
-from .trim import body_velocity as body_velocity
 from .trim import find_trim as find_trim

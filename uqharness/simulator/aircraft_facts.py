@@ -17,7 +17,8 @@ from sysid.units import FT_M, RAD_DEG
 from uqharness.child_process import give_answer, run_module
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine
-from uqharness.simulator.aircraft import find_aircraft
+from uqharness.simulator.aircraft import Aircraft, find_aircraft, open_aircraft
+from uqharness.simulator.control_system import written_by_components
 from uqharness.simulator.mid_envelope import open_mid_envelope
 
 _HELD_S, _RESTED_S = 0.5, 3.0
@@ -33,6 +34,19 @@ _POSITIONS = {
     ),
     "rudder": ("fcs/rudder-pos-deg", "fcs/rudder-pos-rad"),
 }
+# What FlightGear passes to JSBSim's engines before a frame and takes from them after it (its src/FDM/JSBSim/JSBSim.cxx).
+_FLIGHTGEAR = (
+    ("/controls/engines/engine{}/throttle", "fcs/throttle-cmd-norm{}"),
+    ("/controls/engines/engine{}/mixture", "fcs/mixture-cmd-norm{}"),
+    ("/controls/engines/engine{}/propeller-pitch", "fcs/advance-cmd-norm{}"),
+    ("/engines/engine{}/mp-inhg", "propulsion/engine{}/map-inhg"),
+    ("/engines/engine{}/rpm", "propulsion/engine{}/engine-rpm"),
+    ("/engines/engine{}/n1", "propulsion/engine{}/n1"),
+    ("/engines/engine{}/n2", "propulsion/engine{}/n2"),
+    ("/engines/engine{}/cht-degf", "propulsion/engine{}/cht-degF"),
+    ("/engines/engine{}/oil-temperature-degf", "propulsion/engine{}/oil-temperature-degF"),
+    ("/engines/engine{}/oil-pressure-psi", "propulsion/engine{}/oil-pressure-psi"),
+)
 # Rate that answers to a control, and whether the positive command of the record's convention makes it positive.
 _ANSWER = {
     "elevator": ("velocities/q-rad_sec", -1),
@@ -56,13 +70,17 @@ class ControlFacts:
 
 @dataclass(frozen=True)
 class AircraftFacts:
-    """Reference lengths by JSBSim's metrics, number of engines, and the controls."""
+    """Reference lengths by JSBSim's metrics, number of engines, and the controls.
+
+    host  (FlightGear's property, JSBSim's own) of what the aircraft reads of FlightGear and nothing in JSBSim alone writes
+    """
 
     S_m2: float
     b_m: float
     c_m: float
     engines: int
     controls: Mapping[str, ControlFacts] = field(default_factory=dict)
+    host: tuple[tuple[str, str], ...] = ()
 
 
 def assumed(S_m2: float, b_m: float, c_m: float) -> AircraftFacts:
@@ -79,9 +97,24 @@ def ask(folder: Path) -> AircraftFacts:
     throttle = [_held(aircraft, "throttle", value)["velocities/vt-fps"] for value in (0.0, 1.0)]
     any_flight = held["elevator"][1]
     controls = {name: _facts(name, rows) for name, rows in held.items()}
-    controls["throttle"] = ControlFacts(int(throttle[1] > throttle[0]))
+    host = _of_host(aircraft)
+    moves = throttle[1] > throttle[0] or any(own == "fcs/throttle-cmd-norm" for _, own in host)
+    controls["throttle"] = ControlFacts(int(moves))
     S, b, c = (any_flight[name] for name in _METRICS)
-    return AircraftFacts(S * FT_M**2, b * FT_M, c * FT_M, int(any_flight["engines"]), controls)
+    return AircraftFacts(S * FT_M**2, b * FT_M, c * FT_M, int(any_flight["engines"]), controls, host)
+
+
+def _of_host(aircraft: Aircraft) -> tuple[tuple[str, str], ...]:
+    fdm = open_aircraft(aircraft)
+    exists, written = fdm.get_property_manager().hasNode, written_by_components(aircraft)
+    found = []
+    for k in range(fdm.get_propulsion().get_num_engines()):
+        index = f"[{k}]" if k else ""
+        for theirs, own in _FLIGHTGEAR:
+            pair = theirs.format(index), own.format(index)
+            if all(map(exists, pair)) and pair[0] not in written:
+                found.append(pair)
+    return tuple(found)
 
 
 def _held(aircraft: Any, control: str, value: float) -> dict[str, float]:
@@ -137,7 +170,8 @@ def ask_in_child(folder: Path, timeout_s: float = 120.0) -> AircraftFacts:
     if "error" in ended.answer:
         raise BadInputError(f"aircraft {folder}: does not fly in JSBSim as it is: {ended.answer['error']}")
     controls = {name: ControlFacts(**facts) for name, facts in ended.answer["controls"].items()}
-    return AircraftFacts(**{**ended.answer, "controls": controls})
+    host = tuple((theirs, own) for theirs, own in ended.answer["host"])
+    return AircraftFacts(**{**ended.answer, "controls": controls, "host": host})
 
 
 def _main(folder: str) -> None:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from uqharness.arguments import instance
 from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import Aircraft
-from uqharness.simulator.trim import BodyState, Trim, body_velocity, force_state
+from uqharness.simulator.forced_state import BodyState, force_state
+from uqharness.simulator.trim import Trim, force_beside
 
 STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta")
 LONGITUDINAL = (0, 2, 4, 7)
@@ -51,24 +52,29 @@ class Mode:
 def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
     """A (8, 8) and B (8, controls) by central differences of the model's accelerations and exact attitude kinematics.
 
-    Actuators are outside (a control here is a surface position) and thrust follows its map at fixed throttle. Raises
-    BadInputError if the trim did not converge or is of another aircraft.
+    Actuators are outside (a control here is a surface position) and thrust follows its map at fixed throttle. A control system that
+    was brought to rest stands as it rested in the trim; what it makes of a control is what it ends at, and NaN where the body rates
+    are its own: it answers with another rate, not with another acceleration. Raises BadInputError if the trim did not converge or
+    is of another aircraft.
     """
     instance("trim", trim, Trim, "a Trim, as find_trim gives it,")
     if not trim.converged:
         raise BadInputError(f"cannot linearise: {trim.reason}")
     condition = trim.condition
-    u, v, w = body_velocity(condition.V_mps, trim.alpha_rad, trim.beta_rad)
-    centre = BodyState(u, v, w, condition.bank_rad, trim.theta_rad, condition.heading_rad, trim.p_radps, trim.q_radps, trim.r_radps)
+    centre, base = trim.state, dict(trim.controls)
+
+    def accelerations(state: BodyState, controls: dict[str, float]) -> NDArray[np.float64]:
+        if trim.rest is not None and controls == base:
+            return force_beside(aircraft, trim, state, controls)
+        return force_state(aircraft, state, controls, condition.altitude_m, condition.properties, rest=trim.rest)[0]
 
     def derivative(state: BodyState, controls: dict[str, float]) -> NDArray[np.float64]:
-        acceleration, _ = force_state(aircraft, state, controls, condition.altitude_m, condition.properties)
+        acceleration = accelerations(state, controls)
         turning = state.q * np.sin(state.phi) + state.r * np.cos(state.phi)
         phi_dot = state.p + np.tan(state.theta) * turning
         theta_dot = state.q * np.cos(state.phi) - state.r * np.sin(state.phi)
         return np.array([*acceleration, phi_dot, theta_dot])
 
-    base = dict(trim.controls)
     known = aircraft.card.inputs.keys() >= base.keys()
     if not (known and np.max(np.abs(derivative(centre, base)[:6])) <= _STILL):
         raise BadInputError(f"this trim is not of aircraft '{aircraft.name}', which is not in steady flight there; find its own")
@@ -79,8 +85,8 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
             _STEP[name],
         )
     names = tuple(base)
-    B = np.empty((8, len(names)))
-    for column, name in enumerate(names):
+    B = np.full((8, len(names)), np.nan)
+    for column, name in enumerate(names if trim.rest is None or not trim.rest.free else ()):
         low, high = aircraft.card.inputs[name].limits
         B[:, column] = _central(
             lambda h, name=name: derivative(centre, base | {name: base[name] + h}),  # type: ignore[misc]

@@ -13,8 +13,9 @@ from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import Aircraft, content_hash, open_aircraft
+from uqharness.simulator.forced_state import TRIM_LATITUDE_DEG, body_velocity
 from uqharness.simulator.start import MARK, StartSection
-from uqharness.simulator.trim import TRIM_LATITUDE_DEG, SteadyCondition, Trim, body_velocity, find_trim
+from uqharness.simulator.trim import SteadyCondition, Trim, find_trim
 
 SCRIPT = "steady-mission.xml"
 INITIALIZE = "steady-start"
@@ -58,7 +59,7 @@ def _initialize(trim: Trim) -> str:
   <longitude unit="DEG"> 0 </longitude>
   <elevation unit="M"> 0 </elevation>
   <altitudeMSL unit="M"> {condition.altitude_m:.9g} </altitudeMSL>
-  <phi unit="RAD"> 0 </phi>
+  <phi unit="RAD"> {condition.bank_rad:.9g} </phi>
   <theta unit="RAD"> {trim.theta_rad:.9g} </theta>
   <psi unit="RAD"> {condition.heading_rad:.9g} </psi>
   <ubody unit="FT/SEC"> {u:.9g} </ubody>
@@ -77,7 +78,8 @@ def _path(condition: SteadyCondition) -> str:
 def _script(aircraft: Aircraft, trim: Trim) -> str:
     fdm = open_aircraft(aircraft)
     engines = fdm.get_propulsion().get_num_engines()
-    properties = [(MARK, 1.0), *aircraft.card.modes.get("open_loop", {}).items()]
+    marks = [(MARK, 1.0), *([(trim.rest.mark, 1.0)] if trim.rest is not None else [])]
+    properties = [*marks, *aircraft.card.modes.get("open_loop", {}).items()]
     if engines:
         # Before the throttle, which starting an engine opens.
         properties += [("propulsion/set-running", -1.0), *((name, 1.0) for name in engine.levers(fdm))]

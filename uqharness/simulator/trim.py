@@ -10,30 +10,30 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from sysid.units import FT_M, LBF_N
-from uqharness.simulator import engine, settling
+from sysid.units import LBF_N
+from uqharness.simulator import control_system, engine, settling
 from uqharness.simulator.aircraft import Aircraft, open_aircraft
+from uqharness.simulator.control_system import Rest
+from uqharness.simulator.forced_state import (
+    ACCELERATIONS,
+    BodyState,
+    answers,
+    body_velocity,
+    force_state,
+    forced,
+    place,
+    set_control,
+)
 from uqharness.simulator.thrust_limit import AtLimit, dead_throttle, thrust_reason
 
-TRIM_LATITUDE_DEG = 45.0
-"""Where trims are made: there JSBSim's effective gravity is 9.806 m/s2."""
-
-_ACCELERATIONS = (
-    "accelerations/udot-ft_sec2",
-    "accelerations/vdot-ft_sec2",
-    "accelerations/wdot-ft_sec2",
-    "accelerations/pdot-rad_sec2",
-    "accelerations/qdot-rad_sec2",
-    "accelerations/rdot-rad_sec2",
-)
 _ENGINE_THRUSTS = ("propulsion/engine/thrust-lbs", *(f"propulsion/engine[{k}]/thrust-lbs" for k in range(1, 8)))
 _PROPELLER_RPM = "propulsion/engine/propeller-rpm"
+_BODY_RATES = ("velocities/p-rad_sec", "velocities/q-rad_sec", "velocities/r-rad_sec")
 _SURFACES = ("elevator", "aileron", "rudder", "throttle")
 _LATERAL_FELT = "accelerations/Ny"
 _G_MPS2 = 9.806
@@ -41,6 +41,9 @@ _MOVES = 1e-9  # m/s2, rad/s2
 _STEEPEST_RAD = 0.9
 _NEARLY = 1e-3  # m/s2, rad/s2: steady to the digits that a sentence has
 _OPEN = 0.9  # of the throttle's travel, from where a second search begins
+_MOST_BANK_RAD = math.radians(5.0)  # of straight flight whose surfaces alone do not balance it (MIL-F-8785C, 3.3.9)
+_OFF_CENTRE = 0.6  # of a command's range: a filter of a command in the centre may rest at zero
+_RATE_TIME_S = 1.0  # weighs an angular acceleration against the rate that it leads to
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,8 @@ class SteadyCondition:
     """What is asked: true airspeed, altitude above sea level, flight-path angle, bank, heading and a steady wind.
 
     ``wind_ned_mps`` is the velocity of the air (north, east, down); trim is the same in any steady wind, only the velocity over the
-    ground differs. ``bank_rad`` not 0 asks for a coordinated turn (no side force felt).
+    ground differs. ``bank_rad`` not 0 asks for a coordinated turn (no side force felt); a trim's own condition may have the
+    bank of straight flight, with a turn rate of 0.
     """
 
     V_mps: float
@@ -66,6 +70,7 @@ class Trim:
 
     Angles in rad, rates body axes rad/s, ``controls`` in each control's own unit, ``positions_deg`` of the surfaces that tell,
     ``thrust_N`` and ``rpm`` NaN where the model names none, ``residual`` (6,) accelerations left (m/s2 and rad/s2).
+    ``rest`` how the control system was brought to rest there, None where it rests from the first frame on.
     """
 
     condition: SteadyCondition
@@ -84,6 +89,15 @@ class Trim:
     rpm: float
     residual: NDArray[np.float64]
     velocity_ned_mps: tuple[float, float, float]
+    rest: Rest | None = None
+
+    @property
+    def state(self) -> BodyState:
+        """The state that was found, at its heading."""
+        u, v, w = body_velocity(self.condition.V_mps, self.alpha_rad, self.beta_rad)
+        condition = self.condition
+        rates = self.p_radps, self.q_radps, self.r_radps
+        return BodyState(u, v, w, condition.bank_rad, self.theta_rad, condition.heading_rad, *rates)
 
     def __repr__(self) -> str:
         said = f"alpha {self.alpha_rad:.4g} rad" if self.converged else self.reason
@@ -101,82 +115,24 @@ def pitch_for_climb(alpha: float, beta: float, phi: float, climb: float) -> floa
     return math.atan2(a * b + s * math.sqrt(root), a * a - s * s)
 
 
-def body_velocity(V: float, alpha: float, beta: float) -> tuple[float, float, float]:
-    """u, v, w [m/s] of airspeed V at alpha, beta."""
-    return V * math.cos(alpha) * math.cos(beta), V * math.sin(beta), V * math.sin(alpha) * math.cos(beta)
-
-
-@dataclass(frozen=True)
-class BodyState:
-    """A state to be forced upon the model: air-relative velocity [m/s], Euler angles [rad], body rates [rad/s]."""
-
-    u: float
-    v: float
-    w: float
-    phi: float
-    theta: float
-    psi: float
-    p: float = 0.0
-    q: float = 0.0
-    r: float = 0.0
-
-
-def force_state(
+def force_beside(
     aircraft: Aircraft,
+    trim: Trim,
     state: BodyState,
     controls: Mapping[str, float],
-    altitude_m: float,
-    properties: Mapping[str, float] | None = None,
-    outputs: tuple[str, ...] = (),
-) -> tuple[NDArray[np.float64], dict[str, float]]:
-    """Accelerations (6,) [m/s2, rad/s2] of the model at a forced state in still air, and the values of those ``outputs`` that
-    the model has.
-
-    Actuators stand at their commands (first frame of a fresh instance); the ground is put 300 m below. Raises BadInputError.
+) -> NDArray[np.float64]:
+    """Accelerations (6,) [m/s2, rad/s2] at a state beside a trim whose control system was brought to rest: it stands as it rested
+    there, and what passes it without delay is felt. Raises BadInputError.
     """
-    fdm, _ = _forced(aircraft, state, controls, altitude_m, properties)
-    acceleration = np.array([fdm[name] for name in _ACCELERATIONS])
-    acceleration[:3] *= FT_M
-    manager = fdm.get_property_manager()
-    return acceleration, {name: fdm[name] for name in outputs if manager.hasNode(name)}
-
-
-def _forced(
-    aircraft: Aircraft,
-    state: BodyState,
-    controls: Mapping[str, float],
-    altitude_m: float,
-    properties: Mapping[str, float] | None,
-) -> tuple[Any, str]:
-    """A fresh instance at that state, engines settled, and which engine does not settle (empty: all do)."""
-    fdm = open_aircraft(aircraft)
-    for name, value in (properties or {}).items():
-        engine.set_property(fdm, name, value)
-    apply_controls(fdm, aircraft, controls)
-    fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
-    fdm["ic/terrain-elevation-ft"] = (altitude_m - 300.0) / FT_M
-    fdm["ic/h-sl-ft"] = altitude_m / FT_M
-    fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = state.phi, state.theta, state.psi
-    fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"] = state.u / FT_M, state.v / FT_M, state.w / FT_M
-    fdm["ic/p-rad_sec"], fdm["ic/q-rad_sec"], fdm["ic/r-rad_sec"] = state.p, state.q, state.r
+    condition = trim.condition
+    fdm, _ = forced(aircraft, trim.state, trim.controls, condition.altitude_m, condition.properties, trim.rest)
+    for name, value in controls.items():
+        set_control(fdm, aircraft, name, value)
+    place(fdm, state)
     engine.run_ic(fdm)
-    return fdm, engine.settle_engines(fdm) if fdm.get_propulsion().get_num_engines() else ""
-
-
-def apply_controls(fdm: Any, aircraft: Aircraft, controls: Mapping[str, float]) -> None:
-    """Set the command properties of the card's inputs; every engine runs, and takes JSBSim's throttle where that is the input."""
-    engines = fdm.get_propulsion().get_num_engines()
-    if engines:
-        # First of all: starting the engines opens their throttles.
-        engine.start_engines(fdm)
-    for control, value in controls.items():
-        card = aircraft.card.inputs.get(control)
-        if card is None:
-            continue
-        engine.set_property(fdm, card.property, value)
-        if card.property == "fcs/throttle-cmd-norm":
-            for index in range(1, engines):
-                fdm[f"fcs/throttle-cmd-norm[{index}]"] = value
+    if fdm.get_propulsion().get_num_engines():
+        engine.settle_engines(fdm)
+    return answers(fdm, ())[0]
 
 
 def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
@@ -185,16 +141,49 @@ def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
     Unknowns: alpha, beta, elevator, aileron, rudder, throttle, and in a turn its rate; equations: the six accelerations and, in a
     turn, no lateral specific force. Of an aircraft without thrust to set (a glider, or rockets whose tanks are empty) the
     flight-path angle is unknown in place of the throttle, and stands in the trim's ``condition``. Other engines that the throttle
-    does not move make no glider: that is not converged, with the reason, as are engines that never settle. Raises BadInputError
-    for a model that does not load.
+    does not move make no glider: that is not converged, with the reason, as are engines that never settle. Where surfaces do not
+    balance straight flight with wings level (a rudder that follows the ailerons alone), bank is unknown in place of the rudder, up
+    to 5 deg, and stands in the trim's ``condition``. Where the control system moves at the state that was found, states are forced
+    with it brought to rest, body rates first held, then free. Raises BadInputError for a model that does not load.
     """
+    rest = _moving_from_the_start(aircraft, condition)
+    found = _search(aircraft, condition, rest)
+    if rest is None and (rest := _moving(aircraft, found.trim)) is not None:
+        found = _search(aircraft, condition, rest)
+    if rest is not None and not found.trim.converged:
+        # A control law that integrates rests where the aircraft turns as commanded: body rates are left to it.
+        free = _search(aircraft, condition, replace(rest, free=True))
+        found = free if free.trim.converged else found
+    return found.explained()
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Where a search ended, ``names`` of the controls it had; ``wrong``: what says that it is no trim (empty: nothing)."""
+
+    problem: _Problem
+    trim: Trim
+    names: list[str]
+    wrong: str
+
+    def explained(self) -> Trim:
+        """The trim; where there is none, with what the thrust has to do with it."""
+        trim, problem = self.trim, self.problem
+        reason = self.wrong
+        if not reason and not trim.converged and "throttle" in problem.names:
+            reason = _thrust_reason(problem.aircraft, problem.condition, self.names, problem.rest)
+        return replace(trim, reason=f"{_asked(problem.condition)}: {reason}") if reason else trim
+
+
+def _search(aircraft: Aircraft, condition: SteadyCondition, rest: Rest | None) -> _Found:
+    """A search with the control system as it is in the first frame, or brought to rest."""
     cards = aircraft.card.inputs
     exists = open_aircraft(aircraft).get_property_manager().hasNode
     names = [name for name in _SURFACES if name in cards and (aircraft.has_card or exists(cards[name].property))]
-    acts, dead = _throttle_acts(aircraft, condition, names)
+    acts, dead = _throttle_acts(aircraft, condition, names, rest)
     held = {} if acts else {n: cards[n].limits[0] for n in names if n == "throttle"}
     gliding = bool(held) or "throttle" not in names
-    problem = _Problem(aircraft, condition, tuple(n for n in names if n not in held), held, free_climb=gliding)
+    problem = _Problem(aircraft, condition, tuple(n for n in names if n not in held), held, free_climb=gliding, rest=rest)
     x = problem.solve()
     trim = _result(problem, x)
     if not trim.converged and acts:
@@ -202,13 +191,36 @@ def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
         again = problem.solve(_OPEN)
         other = _result(problem, again)
         x, trim = (again, other) if other.converged else (x, trim)
-    reason = dead or _unsettled(problem, x)
-    if not reason and not trim.converged and not gliding:
-        reason = _thrust_reason(aircraft, condition, names)
-    return replace(trim, converged=False, reason=f"{_asked(condition)}: {reason}") if reason else trim
+    if not trim.converged and not problem.turning:
+        banked = problem.banked()
+        other = _result(banked, again := banked.solve())
+        problem, x, trim = (banked, again, other) if other.converged else (problem, x, trim)
+    wrong = dead or _unsettled(problem, x)
+    return _Found(problem, replace(trim, converged=trim.converged and not wrong), names, wrong)
 
 
-def _throttle_acts(aircraft: Aircraft, condition: SteadyCondition, names: list[str]) -> tuple[bool, str]:
+def _moving_from_the_start(aircraft: Aircraft, condition: SteadyCondition) -> Rest | None:
+    """What has to come to rest where the control system moves at this speed, its commands off centre; None where it does not."""
+    u, v, w = body_velocity(condition.V_mps, 0.05, 0.0)
+    cards = aircraft.card.inputs
+    exists = open_aircraft(aircraft).get_property_manager().hasNode
+    ends = {name: cards[name].limits for name in _SURFACES if name in cards and exists(cards[name].property)}
+    controls = {name: low + _OFF_CENTRE * (high - low) for name, (low, high) in ends.items()}
+    return _moves_at(aircraft, condition, BodyState(u, v, w, 0.0, 0.05, condition.heading_rad), controls)
+
+
+def _moving(aircraft: Aircraft, trim: Trim) -> Rest | None:
+    """The same at a trim."""
+    return _moves_at(aircraft, trim.condition, trim.state, trim.controls) if math.isfinite(trim.theta_rad) else None
+
+
+def _moves_at(aircraft: Aircraft, condition: SteadyCondition, state: BodyState, controls: Mapping[str, float]) -> Rest | None:
+    fdm, _ = forced(aircraft, state, controls, condition.altitude_m, condition.properties)
+    rest = control_system.rest_of(aircraft, fdm)
+    return rest if control_system.moving(fdm, rest) else None
+
+
+def _throttle_acts(aircraft: Aircraft, condition: SteadyCondition, names: list[str], rest: Rest | None) -> tuple[bool, str]:
     """Whether the throttle moves a force or a moment at this speed, and what is wrong where engines are there and it does not."""
     if "throttle" not in names:
         return False, ""
@@ -217,8 +229,8 @@ def _throttle_acts(aircraft: Aircraft, condition: SteadyCondition, names: list[s
     state = BodyState(u, v, w, 0.0, 0.05, condition.heading_rad)
     said, unsettled = [], ""
     for end in card.limits:
-        fdm, why = _forced(aircraft, state, {"throttle": end}, condition.altitude_m, condition.properties)
-        said.append(np.array([fdm[name] for name in _ACCELERATIONS]))
+        fdm, why = forced(aircraft, state, {"throttle": end}, condition.altitude_m, condition.properties, rest)
+        said.append(np.array([fdm[name] for name in ACCELERATIONS]))
         unsettled = unsettled or why
     if float(np.max(np.abs(said[1] - said[0]))) > _MOVES:
         return True, ""
@@ -229,20 +241,20 @@ def _throttle_acts(aircraft: Aircraft, condition: SteadyCondition, names: list[s
 
 
 def _unsettled(problem: _Problem, x: NDArray[np.float64]) -> str:
-    """Which engine does not settle at the throttle that was found."""
+    """What does not settle at the controls that were found."""
     (state, controls, _, _), condition = problem.unpack(x), problem.condition
     if not math.isfinite(state.theta):
         return ""
-    return _forced(problem.aircraft, state, controls, condition.altitude_m, condition.properties)[1]
+    return forced(problem.aircraft, state, controls, condition.altitude_m, condition.properties, problem.rest)[1]
 
 
-def _thrust_reason(aircraft: Aircraft, condition: SteadyCondition, names: list[str]) -> str:
+def _thrust_reason(aircraft: Aircraft, condition: SteadyCondition, names: list[str], rest: Rest | None) -> str:
     """What the thrust at either end of the throttle has to do with it."""
     low, high = aircraft.card.inputs["throttle"].limits
     free = tuple(name for name in names if name != "throttle")
 
     def at(end: float, V: float) -> AtLimit | None:
-        problem = _Problem(aircraft, replace(condition, V_mps=V), free, {"throttle": end}, free_climb=True)
+        problem = _Problem(aircraft, replace(condition, V_mps=V), free, {"throttle": end}, True, rest=rest)
         found = _result(problem, problem.solve())
         # A governor hunts within its last digits; what is said of the thrust needs two.
         there = found.converged or float(np.max(np.abs(found.residual))) < _NEARLY
@@ -252,22 +264,32 @@ def _thrust_reason(aircraft: Aircraft, condition: SteadyCondition, names: list[s
 
 
 class _Problem:
-    """Unknowns, bounds and equations of steady flight. Controls of ``held`` stay; with ``free_climb`` the path is unknown."""
+    """Unknowns, bounds and equations of steady flight. Controls of ``held`` stay; with ``free_climb`` the path is unknown, with
+    ``free_bank`` the bank of straight flight; with ``rest`` the control system is brought to rest at each state."""
 
     def __init__(
-        self, aircraft: Aircraft, condition: SteadyCondition, names: tuple[str, ...], held: Mapping[str, float], free_climb: bool
-    ) -> None:
-        self.aircraft, self.condition, self.names, self.held, self.free_climb = aircraft, condition, names, held, free_climb
+        self, aircraft: Aircraft, condition: SteadyCondition, names: tuple[str, ...], held: Mapping[str, float],
+        free_climb: bool, free_bank: bool = False, rest: Rest | None = None,
+    ) -> None:  # fmt: skip
+        self.aircraft, self.condition, self.names, self.held, self.rest = aircraft, condition, names, held, rest
+        self.free_climb, self.free_bank = free_climb, free_bank
         self.turning = condition.bank_rad != 0.0
         lows, highs = (np.array([aircraft.card.inputs[name].limits[end] for name in names], dtype=float) for end in (0, 1))
-        extra = [0.1] * (self.turning + free_climb)
+        extra = [0.1] * (self.turning + free_climb + free_bank)
         # Unknowns are scaled to order one: 0.1 rad, a tenth of the control's span, 0.1 rad/s.
         self.scale = np.concatenate([[0.1, 0.1], (highs - lows) / 10.0, extra])
-        turn, climb = [3.0] * self.turning, [_STEEPEST_RAD] * free_climb
-        self.lower = np.concatenate([[-0.35, -0.35], lows, np.negative(turn), np.negative(climb)]) / self.scale
-        self.upper = np.concatenate([[0.5, 0.35], highs, turn, climb]) / self.scale
+        most = np.array([3.0] * self.turning + [_STEEPEST_RAD] * free_climb + [_MOST_BANK_RAD] * free_bank)
+        self.lower = np.concatenate([[-0.35, -0.35], lows, -most]) / self.scale
+        self.upper = np.concatenate([[0.5, 0.35], highs, most]) / self.scale
         rate = [_G_MPS2 * math.tan(condition.bank_rad) / condition.V_mps] * self.turning
-        self.guess = np.concatenate([[0.03, 0.0], 0.5 * (lows + highs), rate, [condition.climb_rad] * free_climb])
+        climb = [condition.climb_rad] * free_climb
+        self.guess = np.concatenate([[0.03, 0.0], 0.5 * (lows + highs), rate, climb, [0.0] * free_bank])
+
+    def banked(self) -> _Problem:
+        """The same with the bank unknown and the rudder neutral."""
+        neutral = {name: 0.5 * sum(self.aircraft.card.inputs[name].limits) for name in self.names if name == "rudder"}
+        names = tuple(name for name in self.names if name not in neutral)
+        return _Problem(self.aircraft, self.condition, names, {**self.held, **neutral}, self.free_climb, True, self.rest)
 
     def solve(self, throttle: float = 0.5) -> NDArray[np.float64]:
         """The unknowns that leave the least acceleration, from that share of the throttle's travel on."""
@@ -291,10 +313,11 @@ class _Problem:
     def unpack(self, x: NDArray[np.float64]) -> tuple[BodyState, dict[str, float], float, float]:
         """State, controls, turn rate [rad/s] and flight-path angle [rad]."""
         value = x * self.scale
-        alpha, beta, phi = float(value[0]), float(value[1]), self.condition.bank_rad
+        alpha, beta = float(value[0]), float(value[1])
+        phi = float(value[-1]) if self.free_bank else self.condition.bank_rad
         controls = {name: float(v) for name, v in zip(self.names, value[2 : 2 + len(self.names)], strict=True)} | dict(self.held)
         rate = float(value[2 + len(self.names)]) if self.turning else 0.0
-        climb = float(value[-1]) if self.free_climb else self.condition.climb_rad
+        climb = float(value[-1 - self.free_bank]) if self.free_climb else self.condition.climb_rad
         theta = pitch_for_climb(alpha, beta, phi, climb)
         u, v, w = body_velocity(self.condition.V_mps, alpha, beta)
         state = BodyState(
@@ -306,14 +329,20 @@ class _Problem:
         return state, controls, rate, climb
 
     def residual(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Accelerations [m/s2, rad/s2], and in a turn the lateral specific force [m/s2]."""
+        """Accelerations [m/s2, rad/s2], and in a turn the lateral specific force [m/s2].
+
+        Rates that are left to the control system count by how far they end from those of the state, too.
+        """
         state, controls, _, _ = self.unpack(x)
         if not math.isfinite(state.theta):
             return np.full(7 if self.turning else 6, 1e3)
         condition = self.condition
         acceleration, out = force_state(
-            self.aircraft, state, controls, condition.altitude_m, condition.properties, (_LATERAL_FELT,)
+            self.aircraft, state, controls, condition.altitude_m, condition.properties, (_LATERAL_FELT, *_BODY_RATES), self.rest
         )
+        if self.rest is not None and self.rest.free:
+            ended = np.array([out[name] for name in _BODY_RATES])
+            acceleration[3:] += (ended - (state.p, state.q, state.r)) / _RATE_TIME_S
         if self.turning:
             acceleration = np.append(acceleration, out[_LATERAL_FELT] * _G_MPS2)
         return np.where(np.isfinite(acceleration), acceleration, 1e3)
@@ -333,7 +362,7 @@ def _result(problem: _Problem, x: NDArray[np.float64]) -> Trim:
     keys = {key: aircraft.card.outputs[key] for key in ("thrust_N", "rpm") if key in aircraft.card.outputs}
     surfaces = {name: aircraft.card.inputs[name].position or f"fcs/{name}-pos-deg" for name in names if name != "throttle"}
     wanted = (*keys.values(), *surfaces.values(), *_ENGINE_THRUSTS, _PROPELLER_RPM)
-    _, out = force_state(aircraft, state, controls, condition.altitude_m, condition.properties, wanted)
+    _, out = force_state(aircraft, state, controls, condition.altitude_m, condition.properties, wanted, problem.rest)
     engines_lbf = [out[name] for name in _ENGINE_THRUSTS if name in out]
     thrust_N = out.get(keys.get("thrust_N", ""), LBF_N * sum(engines_lbf) if engines_lbf else float("nan"))
     converged = bool(np.max(np.abs(left)) < 1e-6)
@@ -348,7 +377,7 @@ def _result(problem: _Problem, x: NDArray[np.float64]) -> Trim:
         limits = f"; at its limit: {', '.join(at_limit)}" if at_limit else ""
         reason = f"{_asked(condition)}: {worst} still accelerates by {np.max(np.abs(left)):.3g}{limits}"
     return Trim(
-        condition=replace(condition, climb_rad=climb),
+        condition=replace(condition, climb_rad=climb, bank_rad=state.phi),
         converged=converged,
         reason=reason,
         alpha_rad=math.atan2(state.w, state.u),
@@ -364,6 +393,7 @@ def _result(problem: _Problem, x: NDArray[np.float64]) -> Trim:
         rpm=out.get(keys.get("rpm", _PROPELLER_RPM), float("nan")),
         residual=left,
         velocity_ned_mps=_over_ground(state, condition.wind_ned_mps),
+        rest=problem.rest,
     )
 
 

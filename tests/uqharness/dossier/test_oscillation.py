@@ -16,7 +16,7 @@ from uqharness.simulator import (
     modes,
     open_aircraft,
 )
-from uqharness.simulator.trim import apply_controls
+from uqharness.simulator.forced_state import apply_controls
 
 T = np.arange(0.0, 12.0, 0.02)
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from sysid.errors import Finding
 from tests.helpers.flown import fly
-from uqharness.replay.flights import measured_surfaces, prepare, segments
+from uqharness.replay.flights import measured_outputs, measured_surfaces, prepare, segments
 from uqharness.replay.model import CONTROLS
 
 
@@ -69,3 +72,36 @@ def test_a_position_that_is_its_command_is_not_measured():
     assert measured_surfaces([jumping, record]) == ("elevator", "aileron", "rudder")
     late = record.with_columns({"rudder_pos_deg": np.roll(record["rudder_deg"], 1)})
     assert "rudder" in measured_surfaces([late])
+
+
+def northward(**metadata):
+    """A flight whose heading has its noise on both sides of north, as a record has it: from 0 to 2 pi."""
+    record = fly((("pitch-doublet", 22.0),), seed=1, rate_hz=50.0)
+    noise = np.random.default_rng(4).normal(0.0, 0.01, len(record))
+    noise[:2] = -0.01, 0.01
+    turned = record.with_columns({"psi_rad": noise % (2.0 * np.pi)})
+    return replace(turned, metadata=replace(turned.metadata, **metadata)), noise
+
+
+def test_a_late_heading_that_is_moved_stays_north():
+    late = Finding("delay", "psi_rad", "warning", "psi_rad is late", {"delay_s": 0.03})
+    record, noise = northward(findings=(late,))
+    flight = prepare("north", record, ())
+    assert any("psi_rad was moved 30 ms" in note for note in flight.notes)
+    (heading, *_) = measured_outputs(flight, ("psi_rad",))
+    start = segments(flight, ())[0].start[5]
+    assert abs(np.sin(start)) < 0.01
+    gap = heading[:, 0] - start
+    # A straight line from 6.28 to 0.01 would put south in between, and every such place would count as a turn.
+    assert np.nanmax(np.abs(gap)) < 2.0 * np.abs(noise).max()
+
+
+def test_a_heading_logged_at_every_other_row_counts_from_the_turn_of_its_start():
+    record, noise = northward(native_hz={"psi_rad": 25.0})
+    # West of north at every row that was not logged: a segment that begins there begins just below 2 pi.
+    noise = np.abs(noise) * np.where(np.arange(len(noise)) % 2, -1.0, 1.0)
+    flight = prepare("north", record.with_columns({"psi_rad": noise % (2.0 * np.pi)}), (), min_s=1.0, max_s=3.02)
+    assert any(piece.rows.start % 2 for piece in flight.pieces)
+    for segment, block in zip(segments(flight, ()), measured_outputs(flight, ("psi_rad",)), strict=True):
+        assert np.isnan(block).any()
+        assert np.nanmax(np.abs(block - segment.start[5])) < 2.0 * np.abs(noise).max()

@@ -14,7 +14,7 @@ from uqharness.errors import BadInputError
 from uqharness.flight.spec import COEFFICIENTS
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft, open_aircraft
-from uqharness.simulator.trim import BodyState, force_state
+from uqharness.simulator.forced_state import BodyState, force_state
 
 FT, LBF = 0.3048, 4.4482216152605
 FORCES = ("forces/fbx-total-lbs", "forces/fby-total-lbs", "forces/fbz-total-lbs")

@@ -7,7 +7,8 @@ import pytest
 from sysid.units import FT_M, LBF_N
 from uqharness.simulator import engine, settling
 from uqharness.simulator.aircraft import find_aircraft, open_aircraft
-from uqharness.simulator.trim import BodyState, SteadyCondition, body_velocity, find_trim, force_state
+from uqharness.simulator.forced_state import BodyState, body_velocity, force_state
+from uqharness.simulator.trim import SteadyCondition, find_trim
 
 SPEED_MPS = 60.0
 

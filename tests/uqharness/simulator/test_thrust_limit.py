@@ -5,6 +5,7 @@ import math
 import pytest
 
 from uqharness.simulator.aircraft import find_aircraft
+from uqharness.simulator.forced_state import BodyState, body_velocity, forced
 from uqharness.simulator.thrust_limit import AtLimit, thrust_reason
 from uqharness.simulator.trim import SteadyCondition, find_trim
 
@@ -69,9 +70,23 @@ def test_a_stock_aircraft_that_is_too_fast_is_told_and_flies_at_the_speed_advise
 # The tanks of JSBSim's X15 are empty.
 @pytest.mark.parametrize("name", ["SGS", "Shuttle", "X15"])
 def test_a_glider_finds_its_own_path(name):
-    trim = find_trim(find_aircraft(name), SteadyCondition({"SGS": 25.0, "Shuttle": 160.0, "X15": 160.0}[name], 1000.0))
+    trim = find_trim(find_aircraft(name), SteadyCondition({"SGS": 25.0, "Shuttle": 200.0, "X15": 160.0}[name], 1000.0))
     assert trim.converged
     assert trim.condition.climb_rad < 0.0
     # Steady: drag over lift is the tangent of the path, and the path is that of the velocity.
     north, east, down = trim.velocity_ned_mps
     assert math.atan2(-down, math.hypot(north, east)) == pytest.approx(trim.condition.climb_rad, abs=1e-9)
+
+
+def test_a_first_frame_in_which_nothing_accelerates_is_no_trim_where_the_surface_then_runs_to_its_stop():
+    # The Shuttle's elevator gain grows with the elevator's deflection: above 0.17 rad it is unstable.
+    aircraft, condition = find_aircraft("Shuttle"), SteadyCondition(160.0, 1000.0)
+    assert not find_trim(aircraft, condition).converged
+    controls = {"elevator": -0.39681, "aileron": -0.00048, "rudder": 0.00164}
+    state = BodyState(*body_velocity(160.0, 0.07759, 0.0), 0.0, -0.29151, 0.0)
+    fdm, _ = forced(aircraft, state, controls, 1000.0, None)
+    assert abs(fdm["accelerations/qdot-rad_sec2"]) < 1e-3
+    for _ in range(20):
+        fdm.run()
+    assert fdm["fcs/elevator-pos-rad"] == pytest.approx(-0.26, abs=1e-4)
+    assert fdm["velocities/q-rad_sec"] > 0.02

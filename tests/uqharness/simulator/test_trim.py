@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import pytest
 from tests.helpers import sixdof
 from uqharness.cli.main import main
 from uqharness.simulator.aircraft import find_aircraft
+from uqharness.simulator.forced_state import force_state, forced
 from uqharness.simulator.linear import linearise, modes
 from uqharness.simulator.trim import SteadyCondition, find_trim, pitch_for_climb
 
@@ -181,3 +183,68 @@ def test_modes_command_refuses_a_speed_that_is_none(speed, capsys):
 def test_unknown_aircraft_is_refused(capsys):
     assert main(["modes", "espaaaro", "--speed-mps", "22"]) == 2
     assert "espaaro" in capsys.readouterr().err
+
+
+def test_an_aircraft_whose_rudder_follows_its_ailerons_flies_straight_with_a_little_bank():
+    aircraft = find_aircraft("wrightFlyer1903")
+    trim = find_trim(aircraft, SteadyCondition(12.0, 200.0))
+    assert trim.converged, trim.reason
+    assert 0.0 < abs(trim.condition.bank_rad) < math.radians(5.0)
+    assert trim.turn_rate_radps == 0.0
+    # JSBSim from there, nothing held: with that bank nothing turns it, with wings level something does.
+    level = replace(trim.state, phi=0.0)
+    turning = [abs(force_state(aircraft, state, trim.controls, 200.0)[0]).max() for state in (trim.state, level)]
+    assert turning[0] < 1e-6
+    assert turning[1] > 0.05
+
+
+@pytest.mark.parametrize(("name", "V_mps"), [("x24b", 196.1), ("f16", 125.7)])
+def test_a_trim_is_steady_with_its_filters_at_rest_and_not_in_their_first_frame(name, V_mps):
+    aircraft = find_aircraft(name)
+    trim = find_trim(aircraft, SteadyCondition(V_mps, 200.0))
+    assert trim.converged, trim.reason
+    assert trim.rest is not None
+    rested, first = (np.max(np.abs(force_state(aircraft, trim.state, trim.controls, 200.0, rest=r)[0])) for r in (trim.rest, None))
+    assert rested < 1e-6
+    assert first > 1e-4
+    # What flies on from there pitches with less than this in the first tenth of a second.
+    fdm, _ = forced(aircraft, trim.state, trim.controls, 200.0, None, trim.rest)
+    while fdm.get_sim_time() < 0.1:
+        fdm.run()
+    assert abs(fdm["velocities/q-rad_sec"]) < 1e-4
+
+
+def test_modes_of_an_aircraft_whose_control_system_was_brought_to_rest():
+    aircraft = find_aircraft("x24b")
+    trim = find_trim(aircraft, SteadyCondition(196.1, 200.0))
+    model = linearise(aircraft, trim)
+    assert np.isfinite(model.A).all()
+    # The elevator's moment is that of the surface where it ends, not of the first frame of its filter, which overshoots.
+    column = model.controls.index("elevator")
+    more = dict(trim.controls) | {"elevator": trim.controls["elevator"] + 0.01}
+
+    def moment(rest):
+        return (force_state(aircraft, trim.state, u, 200.0, rest=rest)[0][4] for u in (more, trim.controls))
+
+    ended, first = ((a - b) / 0.01 for a, b in (moment(trim.rest), moment(None)))
+    assert model.B[4, column] == pytest.approx(ended, rel=0.02)
+    assert abs(first / ended - 1.0) > 0.05
+
+
+@pytest.mark.slow
+def test_an_aircraft_whose_control_laws_integrate_trims():
+    aircraft = find_aircraft("f22")
+    trim = find_trim(aircraft, SteadyCondition(129.2, 200.0))
+    assert trim.converged, trim.reason
+    assert trim.rest.free
+    # A rate command of zero on each axis: the law finds the surfaces.
+    assert [trim.controls[name] for name in ("elevator", "aileron", "rudder")] == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    fdm, _ = forced(aircraft, trim.state, trim.controls, 200.0, None, trim.rest)
+    assert abs(fdm["fcs/elevator-pos-norm"]) > 0.05
+    start = [fdm[n] for n in ("velocities/vt-fps", "aero/alpha-rad", "attitude/phi-rad")]
+    while fdm.get_sim_time() < 1.0:
+        fdm.run()
+    assert [fdm[n] for n in ("velocities/vt-fps", "aero/alpha-rad", "attitude/phi-rad")] == pytest.approx(start, rel=1e-4, abs=1e-4)
+    model = linearise(aircraft, trim)
+    assert np.isfinite(model.A).all()
+    assert np.isnan(model.B).all()

@@ -44,7 +44,7 @@ from uqharness.flight import (
     set_conditions,
     set_wind_without_air,
 )
-from uqharness.simulator import CHANGEABLE, MARK, StagedMission, engine
+from uqharness.simulator import CHANGEABLE, MARK, RATES_FREE, RATES_HELD, StagedMission, engine
 from uqharness.xml import Document, read_document
 
 Array = NDArray[np.float64]
@@ -152,6 +152,7 @@ def make_mission(
     """Translate the mission under the conditions of ``spec``, recorded at its rate. Raises BadInputError with file and line."""
     sources = read_sources(mission.aircraft, mission.script.path)
     _refuse_running(mission)
+    _refuse_settling(mission)
     unchanged = replace(spec, properties={n: v for n, v in spec.properties.items() if n not in CHANGEABLE})
 
     def opened() -> Any:
@@ -187,6 +188,14 @@ def make_mission(
         mission, flight, tuple(asked.inputs), varying, record_stride(spec, mission.aircraft.dt_s), mission.aircraft.dt_s, air,
         float(values["metrics/bw-ft"]), points, steady,
     )  # fmt: skip
+
+
+def _refuse_settling(mission: StagedMission) -> None:
+    if any(mark in mission.script.run_properties for mark in (RATES_HELD, RATES_FREE)):
+        raise BadInputError(
+            f"{mission.script.path}: frames of JSBSim bring the control system to rest before the flight begins; "
+            'fly it with engine = "jsbsim"'
+        )
 
 
 def initial_values(open_fdm: Callable[[], Any], fdm: Any = None) -> Callable[[str], float | None]:

@@ -12,7 +12,8 @@ from uqharness.batch.lanes.fly import fly_many, ready
 from uqharness.batch.lanes.mission import constant_properties, initial_values, load_start
 from uqharness.batch.models.start import CONDITIONS
 from uqharness.errors import BadInputError
-from uqharness.simulator import engine
+from uqharness.flight.fly import record_mission, staged_mission
+from uqharness.simulator import Source, StartSection, copy_folder, engine, find_aircraft, write_own_mission
 
 BODY = """<system name='s'><property value='3'>s/declared</property><property value='3'>velocities/vc-kts</property>
 <function name='s/f'><sum><property>position/vrp-radius-ft</property><property>s/declared</property></sum></function></system>
@@ -90,3 +91,25 @@ def test_an_aircraft_that_was_edited_is_translated_anew(tmp_path):
     (plane / "Systems/autopilot.xml").write_text(text.replace("</channel>", "<wobbler/></channel>", 1))
     with pytest.raises(BadInputError):
         fly_many([given])
+
+
+def test_a_start_with_the_control_system_at_rest_is_left_to_jsbsim(tmp_path):
+    folder = tmp_path / "aircraft" / "x24b"
+    folder.parent.mkdir()
+    copy_folder(find_aircraft("x24b").folder, folder)
+    script, _ = write_own_mission(find_aircraft(folder), StartSection(V_mps=196.1, altitude_m=3000.0), "steady")
+    given = spec(aircraft=str(folder), script=str(script), duration_s=1.0, burn_in_s=0.0, turbulence="none", sensor_noise=False)
+    with pytest.raises(BadInputError, match="bring the control system to rest before the flight begins"):
+        ready(given)
+
+    def moved():
+        """Greatest way [rad] of the elevator from one row of JSBSim's flight to the next."""
+        recorded = record_mission(staged_mission(given), given, {"elevator": Source("fcs/elevator-pos-rad")})
+        assert recorded.status == "ok"
+        return np.abs(np.diff(recorded.signals["elevator"])).max()
+
+    assert moved() < 1e-4
+    text = script.read_text()
+    script.write_text(text.replace('<property value="1">flight/steady-controls</property>', ""))
+    assert script.read_text() != text
+    assert moved() > 1e-3

@@ -1,0 +1,62 @@
+"""An aircraft made for FlightGear flies in JSBSim alone with what FlightGear would write."""
+
+from __future__ import annotations
+
+import pytest
+
+from uqharness.plugin.host import HOST_SYSTEM, SWITCH, host_xml
+from uqharness.plugin.own_card import with_card
+from uqharness.simulator import SteadyCondition, aircraft_facts, find_aircraft, find_trim
+from uqharness.simulator.forced_state import BodyState, body_velocity, forced
+from uqharness.xml import folder_names
+
+THRUST = "propulsion/engine/thrust-lbs"
+
+
+@pytest.fixture(scope="module")
+def p51d():
+    return with_card(find_aircraft("p51d"))
+
+
+def thrust_lbf(aircraft, throttle, switch=1.0):
+    state = BodyState(*body_velocity(90.0, 0.05, 0.0), 0.0, 0.05, 0.0)
+    fdm, _ = forced(aircraft, state, {"throttle": throttle}, 200.0, {SWITCH: switch})
+    return fdm[THRUST]
+
+
+def test_what_an_aircraft_reads_of_flightgear_is_found_and_nothing_that_it_writes_itself():
+    found = dict(aircraft_facts.ask_in_child(find_aircraft("p51d").folder).host)
+    assert found["/controls/engines/engine/throttle"] == "fcs/throttle-cmd-norm"
+    assert found["/engines/engine/mp-inhg"] == "propulsion/engine/map-inhg"
+    assert "/controls/engines/engine/feed_tank" not in found
+    facts = aircraft_facts.ask_in_child(find_aircraft("c172p").folder)
+    assert facts.host == ()
+    assert facts.controls["throttle"].sense == 1
+
+
+def test_the_throttle_moves_the_thrust_and_not_without_the_host(p51d):
+    low, high = (thrust_lbf(p51d, throttle) for throttle in (0.3, 0.9))
+    assert high > low + 800.0
+    # The governor holds the manifold pressure that its table asks of the throttle; nine tenths of it.
+    low, high = (thrust_lbf(p51d, throttle, switch=0.0) for throttle in (0.3, 0.9))
+    assert low == high
+
+
+def test_it_trims_and_flies_on_at_that_speed(p51d):
+    trim = find_trim(p51d, SteadyCondition(90.0, 200.0))
+    assert trim.converged, trim.reason
+    fdm, _ = forced(p51d, trim.state, trim.controls, 200.0, None, trim.rest)
+    speed, thrust = fdm["velocities/vt-fps"], fdm[THRUST]
+    while fdm.get_sim_time() < 2.0:
+        fdm.run()
+    assert fdm["velocities/vt-fps"] == pytest.approx(speed, rel=1e-3)
+    assert fdm[THRUST] == pytest.approx(thrust, rel=0.01)
+
+
+def test_the_copy_says_what_is_passed_on(p51d):
+    assert p51d.card.modes["open_loop"] == {SWITCH: 1.0}
+    assert folder_names(p51d.folder, SWITCH)
+    assert not folder_names(with_card(find_aircraft("J3Cub")).folder, SWITCH)
+    text = host_xml([("/controls/engines/engine/throttle", "fcs/throttle-cmd-norm")]).decode()
+    assert f'<system name="{HOST_SYSTEM}">' in text
+    assert f'execute="{SWITCH}"' in text
