@@ -16,9 +16,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import Bounds, minimize
 
 from sysid.aerodynamics import NX, GustStates, Steps
-from sysid.effects.gust_cost import Likelihood
+from sysid.effects.gust_score import AirLikelihood, Score
 from sysid.effects.prediction import surprise
 from sysid.estimation import Process
 from sysid.parallel import ALONE, Processes
@@ -40,9 +41,9 @@ _FACTORS = (1e-4, 1e-2, 0.1, 1.0, 5.0)
 """Of _START, from the best of which the search begins."""
 _MOST_SEGMENTS, _OF_A_FLIGHT = 10, 6
 _OTHER_AIR = ((True, False), (False, False), (False, True))
-_STEP, _REACH, _FARTHEST, _ENOUGH, _FAILED, _LEAST_BENT, _SHORTENED = 0.02, 14.0, 2.0, 1.0, 1e12, 20.0, 4
-"""Of the search, in logarithms: the difference that is a slope, how far it goes, and in one step; the fall of minus twice the log
-likelihood at which it ends; that of a filter that fails; the least curvature; how often a step that fails is shortened."""
+_REACH, _ENOUGH, _FAILED, _LEAST_BENT = 14.0, 1.0, 1e12, 20.0
+"""Of the search, in logarithms: how far it goes; the fall of minus twice the log likelihood at which it ends; that of a filter that
+fails; the least curvature that it takes."""
 _FEW, _MOST_DESCENTS = 4, 25
 NOISE_PRIOR = np.log(2.0)
 """Standard deviation of the logarithm of a sensor's noise about what the card says."""
@@ -148,80 +149,67 @@ class _Search:
     noise: FloatArray
     V: Sequence[float]
     by: Processes
-    asked: dict[tuple[tuple[int, ...], GustStates], Likelihood] = field(default_factory=dict)
+    asked: dict[tuple[tuple[int, ...], GustStates], AirLikelihood] = field(default_factory=dict)
 
-    def costs(self, some: Sequence[int], states: GustStates, values: FloatArray, factors: FloatArray) -> FloatArray:
+    def score(self, some: Sequence[int], states: GustStates, values: FloatArray, factors: FloatArray) -> Score:
+        """That of the segments ``some``, by gusts and factors on the sensors' noise."""
         key = (tuple(some), states)
         if key not in self.asked:
             data = [self.measured[k] for k in some]
-            self.asked[key] = Likelihood(self.linear(some, states), data, self.which, self.by)
-        V = [self.V[k] for k in some]
-        air = [_process([p] * len(some), V, states) for p in values]
-        return self.asked[key].costs(factors * self.noise, air)
+            self.asked[key] = AirLikelihood(self.linear(some, states), data, self.which, self.by)
+        return self.asked[key](factors * self.noise, self.process(some, states, values))
+
+    def process(self, some: Sequence[int], states: GustStates, values: FloatArray) -> Process:
+        """Noise that gusts make in the segments ``some``."""
+        return _process([values] * len(some), [self.V[k] for k in some], states)
 
     def best(self, some: Sequence[int], points: Sequence[_Point]) -> _Point:
-        """The likeliest of points with the same states."""
-        values, factors = (np.array([getattr(p, name) for p in points]) for name in ("values", "factors"))
-        found = self.costs(some, points[0].states, values, factors)
-        k = int(np.argmin(found))
-        return replace(points[k], cost=float(found[k]))
+        """The likeliest of points."""
+        found = [replace(p, cost=self.score(some, p.states, p.values, p.factors).cost) for p in points]
+        return min(found, key=lambda p: p.cost)
 
     def descend(self, some: Sequence[int], point: _Point, kinds: Sequence[str], most: int = _MOST_DESCENTS) -> _Point:
-        """The likeliest air near a point, and with ``kinds`` the likeliest noise of the sensors: BFGS in the logarithms from the
-        curvature at the point (Nocedal and Wright, Numerical Optimization, 2006, section 6.1)."""
+        """The likeliest air near a point, and with ``kinds`` the likeliest noise of the sensors: a quasi-Newton search in the
+        logarithms (L-BFGS-B; Byrd, Lu, Nocedal and Zhu, SIAM J. Sci. Comput. 16, 1995)."""
         unlike = list(dict.fromkeys(kinds))
         shared = np.array([[kind == one for kind in kinds] for one in unlike], dtype=float).reshape(len(unlike), len(point.factors))
         at, size = len(point.values), len(point.values) + len(unlike)
-        ahead = _STEP * np.vstack([np.zeros(size), np.eye(size)])
+        lone = [np.where(np.arange(at) == j, point.values, 0.0) for j in range(at)]
+        each = [self.process(some, point.states, values) for values in lone]
 
         def here(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-            x = np.clip(x, -_REACH, _REACH)
-            factors = point.factors * np.exp(x[:, at:] @ shared)
-            return point.values * np.exp(x[:, :at]), factors
+            return point.values * np.exp(x[:at]), point.factors * np.exp(x[at:] @ shared)
 
-        def cost(x: FloatArray) -> FloatArray:
-            found = self.costs(some, point.states, *here(x)) + np.sum((x[:, at:] / NOISE_PRIOR) ** 2, axis=1)
-            # A filter that fails is as unlikely as can be, and no slope.
-            return np.where(np.isfinite(found), found, _FAILED)
+        def by_each(x: FloatArray, noise: FloatArray, process: FloatArray, begin: FloatArray) -> FloatArray:
+            # The noise of a step, and the air at the start, go with each intensity in a straight line.
+            air = [np.sum(process * p.noise) + np.sum(begin * p.begin) for p in each]
+            return np.concatenate([np.exp(x[:at]) * air, shared @ noise])
 
-        around = cost(np.vstack([ahead, -ahead[1:]]))
-        low, up, down = float(around[0]), around[1 : size + 1], around[size + 1 :]
-        either = (up < _FAILED) & (down < _FAILED)
-        slope = np.where(either, up - down, np.where(up < _FAILED, 2.0 * (up - low), 2.0 * (low - down))) / (2.0 * _STEP)
-        bent = np.where(either, (up + down - 2.0 * low) / _STEP**2, slope)
-        x, inverse = np.zeros(size), np.diag(1.0 / np.maximum(np.abs(bent), _LEAST_BENT))
-        for _ in range(most):
-            step = np.clip(-inverse @ slope, -_FARTHEST, _FARTHEST)
-            if -0.5 * step @ slope < _ENOUGH:
-                break
-            for _ in range(_SHORTENED):
-                found = cost(x + step + ahead)
-                if found[0] < low:
-                    break
-                step = 0.25 * step
-            else:
-                break
-            change = np.where(found[1:] < _FAILED, (found[1:] - found[0]) / _STEP - slope, 0.0)
-            fall, low, x, slope = low - found[0], float(found[0]), x + step, slope + change
-            inverse = _updated(inverse, step, change)
-            if fall < _ENOUGH:
-                break
-        values, factors = here(x[None])
-        return replace(point, values=values[0], factors=factors[0], cost=low)
+        prior = np.where(np.arange(size) < at, 0.0, NOISE_PRIOR**-2)
+        none = np.zeros(size)
+        first = self.score(some, point.states, *here(none))
+        # A variance's logarithm bends as steeply as the logarithm's own slope, that of a deviation twice so.
+        scale = np.sqrt(np.maximum(by_each(none, *first.bent) * np.where(np.arange(size) < at, 1.0, 2.0), _LEAST_BENT))
+
+        def cost(y: FloatArray) -> tuple[float, FloatArray]:
+            x = y / scale
+            found = self.score(some, point.states, *here(x)) if y.any() else first
+            if not np.isfinite(found.cost):
+                # A filter that fails is as unlikely as can be, and no slope.
+                return _FAILED, none
+            slope = by_each(x, found.noise, found.process, found.begin) + 2.0 * prior * x
+            return found.cost + float(prior @ x**2), slope / scale
+
+        options = {"maxiter": most, "ftol": _ENOUGH / max(abs(first.cost), 1.0), "gtol": 0.0}
+        bounds = Bounds(-_REACH * scale, _REACH * scale)
+        found = minimize(cost, none, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+        values, factors = here(found.x / scale)
+        return replace(point, values=values, factors=factors, cost=float(found.fun))
 
     def calm(self, some: Sequence[int], point: _Point) -> float:
         """Minus twice the log likelihood in calm air."""
         data = [self.measured[k] for k in some]
         return surprise(self.linear(some, point.states), data, self.which, point.factors * self.noise)
-
-
-def _updated(inverse: FloatArray, step: FloatArray, change: FloatArray) -> FloatArray:
-    """The inverse of the curvature after a step that changed the slope so; kept where the step met none (BFGS, equation 6.17)."""
-    product = float(step @ change)
-    if not product > 0.0:
-        return inverse
-    left = np.eye(len(step)) - np.outer(step, change) / product
-    return left @ inverse @ left.T + np.outer(step, step) / product
 
 
 def _process(values: Sequence[FloatArray], V: Sequence[float], states: GustStates) -> Process:

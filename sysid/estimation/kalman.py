@@ -105,7 +105,8 @@ class Inputs:
 class Sample:
     """Sample k of T airs times the segments that go on. state (T, on, x) predicted less the reference; white (T, on, m, 1 + K + 8)
     whitened innovations and columns, zero where nothing was measured; cov and low (T, on, m, m), in calm air perhaps (T, 1, m, m)
-    for all of them: the innovations' covariance and its root, one on the diagonal there."""
+    for all of them: the innovations' covariance and its root, one on the diagonal there; root the inverse of low, gain (T, on, m, x)
+    root H P, None in calm air."""
 
     k: int
     on: int
@@ -113,6 +114,8 @@ class Sample:
     white: FloatArray
     cov: FloatArray
     low: FloatArray
+    root: FloatArray | None = None
+    gain: FloatArray | None = None
 
 
 def lanes_of(steps: Sequence[Steps], measured: Sequence[FloatArray], which: Sequence[int], keep: bool = False) -> Lanes:
@@ -181,11 +184,12 @@ def run(
             M[..., 1 : 1 + columns] += inputs.seen(k, on)
         P, PH, cov, low = _innovations(P, H, H_turned, noisy, mend)
         M[..., 1 + wide :] = PH.swapaxes(2, 3)
-        joint = inverse_lower(low) @ M
-        yield Sample(k, on, d, joint[..., : 1 + wide], cov, low)
+        root = inverse_lower(low)
+        joint = root @ M
+        half_gain = joint[..., 1 + wide :]
+        yield Sample(k, on, d, joint[..., : 1 + wide], cov, low, root, half_gain)
         if k == n - 1:
             return
-        half_gain = joint[..., 1 + wide :]
         back = half_gain.swapaxes(2, 3)
         d = d + (back @ joint[..., :1])[..., 0]
         X = X - back @ joint[..., 1 : 1 + wide]

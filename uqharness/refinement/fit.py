@@ -21,7 +21,7 @@ from sysid.aerodynamics.rigid_body import MassProperties
 from sysid.effects import Columns, Evidence, MadeColumns, White, gather, names_of, whiten
 from sysid.parallel import ALONE, Processes
 from uqharness.refinement.candidates import effect_columns, later_controls, sensor_gain, vane_place_m, vane_slopes
-from uqharness.refinement.reference import Probe, ProbeJob, named_terms, probe, term_column
+from uqharness.refinement.reference import Probe, ProbeJob, named_terms, probe_all, term_column
 from uqharness.refinement.sensed import as_sensed, late_rate, placed, sensor_late_s
 from uqharness.refinement.types import Flown, Point, Setup, in_dynamics, lateness, unseen
 from uqharness.replay import (
@@ -90,7 +90,7 @@ def probes(
         ProbeJob(straight, placed(s, flown.point), x, u, setup.properties(flown.point), tuple(differ), consistent, h)
         for s, x, u, h in zip(setup.segments, flown.x, controls, flown.height, strict=True)
     ]
-    return list(map_(probe, jobs))
+    return probe_all(jobs, map_)
 
 
 def _linearised(job: tuple[Reference, MassProperties, GustStates | None]) -> Steps:

@@ -13,8 +13,9 @@ from sysid.aerodynamics import AIR, Reference, split_name, unforced
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.aerodynamics.rigid_body import STATES
 from sysid.effects import V_REFERENCE_MPS
+from sysid.parallel import ALONE, Processes
 from sysid.units import FT_M, LBF_FT_NM, LBF_N
-from uqharness.replay import CONTROLS, ForcedModel, ReplayModel, Segment, altitudes, control_setters, force_states, terrain_m
+from uqharness.replay import CONTROLS, ForcedModel, ReplayModel, Segment, StatesOf, altitudes, control_setters, force_all, terrain_m
 from uqharness.simulator import TRIM_LATITUDE_DEG, body_velocity, engine
 
 Array = NDArray[np.float64]
@@ -140,8 +141,50 @@ class ProbeJob:
     height_m: Array
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """States that a probe asks of the model: base and coarse (rows), whether rates of the wind angles are asked for, and each set of
+    states (k, 8) with its controls and rows."""
+
+    base: NDArray[np.intp]
+    coarse: NDArray[np.intp]
+    by_rates: bool
+    states: list[Array]
+    controls: list[Array]
+    rows: list[NDArray[np.intp]]
+
+    def part(self, job: ProbeJob) -> StatesOf:
+        """All sets, one behind the other."""
+        x, rows = np.concatenate(self.states), np.concatenate(self.rows)
+        motion = {name: x[:, STATES.index(name)] for name in STATES}
+        height = altitudes(job.straight, job.segment, job.height_m[rows])
+        return StatesOf(job.segment, motion, np.concatenate(self.controls), height)
+
+
 def probe(job: ProbeJob) -> Probe:
-    """Force the model along the reference."""
+    """Force the model along one reference."""
+    return probe_all([job])[0]
+
+
+def probe_all(jobs: Sequence[ProbeJob], map_: Processes = ALONE) -> list[Probe]:
+    """Force the model along references, all states asked for at once: jobs of one model and the same properties."""
+    asked = [_asked(job) for job in jobs]
+    out: dict[int, Probe] = {}
+    for dt_s in dict.fromkeys(job.segment.dt_s for job in jobs):
+        some = [k for k, job in enumerate(jobs) if job.segment.dt_s == dt_s]
+        found = force_all(jobs[0].straight, [asked[k].part(jobs[k]) for k in some], jobs[0].properties, map_)
+        out |= {k: _probe_of(jobs[k], asked[k], forced) for k, forced in zip(some, found, strict=True)}
+    differed = map_(_differences, list(jobs)) if any(job.differ for job in jobs) else [{}] * len(jobs)
+    return [replace(out[k], by_property=_per_pressure(out[k], found)) for k, found in enumerate(differed)]
+
+
+def _per_pressure(p: Probe, found: Mapping[str, Array]) -> dict[str, Array]:
+    """property -> (n, 6) change of CX..Cn, from that of forces [N] and moments [N m]."""
+    scale = p.reference.qbar[:, None] * p.mass.S * np.array([1.0, 1.0, 1.0, p.mass.b, p.mass.c, p.mass.b])
+    return {name: values / scale for name, values in found.items()}
+
+
+def _asked(job: ProbeJob) -> _Asked:
     n = len(job.x)
     coarse = np.unique(np.append(np.arange(0, n, EVERY), n - 1))
     base = np.arange(n) if not job.consistent else coarse
@@ -165,8 +208,11 @@ def probe(job: ProbeJob) -> Probe:
         banked[:, STATES.index("phi_rad")] += angle
         states.append(banked)
         controls.append(job.controls[coarse])
-    parts_of = [base, *[coarse] * (len(states) - 1)]
-    found = _forced(job, np.concatenate(states), np.concatenate(controls), job.properties, np.concatenate(parts_of))
+    return _Asked(base, coarse, by_rates, states, controls, [base, *[coarse] * (len(states) - 1)])
+
+
+def _probe_of(job: ProbeJob, asked: _Asked, found: ForcedModel) -> Probe:
+    n, coarse, base, states, controls = len(job.x), asked.coarse, asked.base, asked.states, asked.controls
     mass = found.mass
     load = np.hstack([found.aero_force + found.other_force, found.aero_moment + found.other_moment])
     size = [len(s) for s in states]
@@ -176,7 +222,7 @@ def probe(job: ProbeJob) -> Probe:
     slopes = np.stack([(parts[1 + k] - at_coarse) / _STEPS[name] for k, name in enumerate(AIR)], axis=2)
     full = np.arange(n)
     by_flow = None
-    if by_rates:
+    if asked.by_rates:
         level = unforced(states[-3])
         moved = np.stack([unforced(s) - level for s in states[-2:]], axis=1)
         answer = np.stack([p - at_coarse for p in parts[-2:]], axis=1)
@@ -223,16 +269,10 @@ def probe(job: ProbeJob) -> Probe:
     )
     return Probe(
         reference, mass, coefficients, other[:, :3], other[:, 3:], slope, job.controls,
-        _differences(job, job.differ, scale),
+        {},
         job.height_m if job.segment.above_ground else np.full(n, np.inf),
         by_inflow=job.x[:, 0] * thrust_slope / scale[:, 0],
     )  # fmt: skip
-
-
-def _forced(job: ProbeJob, x: Array, controls: Array, properties: Mapping[str, float], rows: NDArray[np.intp]) -> ForcedModel:
-    channels = {name: x[:, STATES.index(name)] for name in STATES}
-    height = altitudes(job.straight, job.segment, job.height_m[rows])
-    return force_states(job.straight, job.segment, channels, controls, properties, height)
 
 
 def property_slopes(job: ProbeJob, rows: NDArray[np.intp], names: Sequence[str]) -> dict[str, Array]:
@@ -282,15 +322,15 @@ def property_slopes(job: ProbeJob, rows: NDArray[np.intp], names: Sequence[str])
     return out
 
 
-def _differences(job: ProbeJob, names: Sequence[str], scale: Array) -> dict[str, Array]:
-    """property -> (n, 6) change of the coefficients by a unit of it; read at every fourth sample."""
-    if not names:
+def _differences(job: ProbeJob) -> dict[str, Array]:
+    """property -> (n, 6) change of force and moment by a unit of it; read at every fourth sample."""
+    if not job.differ:
         return {}
     n = len(job.x)
     coarse = np.unique(np.append(np.arange(0, n, EVERY), n - 1))
-    found = property_slopes(job, coarse, names)
+    found = property_slopes(job, coarse, job.differ)
     full = np.arange(n)
-    return {name: np.column_stack([np.interp(full, coarse, v[:, j]) for j in range(6)]) / scale for name, v in found.items()}
+    return {name: np.column_stack([np.interp(full, coarse, v[:, j]) for j in range(6)]) for name, v in found.items()}
 
 
 def named_terms(

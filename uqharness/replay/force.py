@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics.coefficients import MassProperties
+from sysid.parallel import ALONE, Processes
 from sysid.units import FT_M, LBF_FT_NM, LBF_N, PSF_PA, SLUG_KG
 from uqharness.replay.forced import States, by_batch
 from uqharness.replay.ground import terrain_m
@@ -79,8 +80,11 @@ def force_states(
     return force_all(model, [StatesOf(segment, states, controls, altitude_m)], properties)[0]
 
 
-def force_all(model: ReplayModel, parts: Sequence[StatesOf], properties: Mapping[str, float]) -> list[ForcedModel]:
-    """What the model says of several sets of states, asked for at once: segments of one time step.
+def force_all(
+    model: ReplayModel, parts: Sequence[StatesOf], properties: Mapping[str, float], map_: Processes = ALONE
+) -> list[ForcedModel]:
+    """What the model says of several sets of states, asked for at once: segments of one time step. Where JSBSim answers, ``map_``
+    spreads the sets.
 
     ``model`` must pass its controls straight through (`ReplayFolder` with every control ideal): a lag would remember the state
     before. Raises BadInputError.
@@ -89,13 +93,19 @@ def force_all(model: ReplayModel, parts: Sequence[StatesOf], properties: Mapping
     asked, dt_s = States.of(every), parts[0].segment.dt_s
 
     def by_jsbsim(some: States) -> Array:
-        return _forced(_opened(model, dt_s, properties), model, some)
+        return _by_jsbsim((model, dt_s, properties, some))
 
     raw = by_batch(model, asked, dt_s, properties, _RECORDS, by_jsbsim)
-    raw = by_jsbsim(asked) if raw is None else raw
+    if raw is None:
+        raw = np.concatenate(list(map_(_by_jsbsim, [(model, dt_s, properties, states) for states in every])))
     mass = _mass_of(model, dt_s, properties)
     edges = np.cumsum([0, *(len(part.controls) for part in every)])
     return [_said(raw[a:b], mass) for a, b in pairwise(edges.tolist())]
+
+
+def _by_jsbsim(job: tuple[ReplayModel, float, Mapping[str, float], States]) -> Array:
+    model, dt_s, properties, states = job
+    return _forced(_opened(model, dt_s, properties), model, states)
 
 
 def _said(raw: Array, mass: MassProperties) -> ForcedModel:
