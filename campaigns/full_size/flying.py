@@ -71,6 +71,8 @@ def fly_cases(executor: Executor, fly: GroupFunction, engine: str, cases: Sequen
         for outcome in batch:
             if outcome.bad_input:
                 raise BadInputError(outcome.reason)
+            if engine == BATCH and outcome.status == "timeout":
+                raise BadInputError(f"{outcome.reason}: the machine is too busy for flights that are kept; fly when it is not")
             metrics = dict(outcome.metrics)
             core_s += metrics.pop(CORE_S, 0.0)
             found[outcome.case_id] = dataclasses.replace(outcome, metrics=metrics)

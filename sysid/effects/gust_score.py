@@ -5,7 +5,7 @@ Minus twice the log likelihood of one-step predictions, start states fitted (Ast
     sum |w|^2 + 2 ln det L,   L L' = F = H P H' + R                                                                       (1)
 
 Its slopes come of one pass backwards (Koopman and Shephard, Biometrika 79, 1992; Durbin and Koopman, Time Series Analysis by State
-Space Methods, 2012, section 7.3.3). With W = L^-1 H, the half gain g = L^-1 H P, a = phi' r and A = phi' N phi of the sample behind,
+Space Methods, 2012, section 7.3.3). With W = L^-1 H, the half gain g = L^-1 H P, a = phi' r, A = phi' N phi of the sample behind,
 
     u = L^-T (w - g a),   D = L^-T (1 + g A g') L^-1,   r = W'w + C'a,   N = W'W + C'A C,   C = 1 - g'W                   (2)
     d/dR = D - u u',      d/dQ = N - r r' of the sample behind,   d/dP(0) = N - r r' of the first                         (3)
@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics import Steps
-from sysid.estimation import Lanes, Process, Sample, lanes_of, run
+from sysid.estimation import Lanes, Process, lanes_of, run
 from sysid.parallel import ALONE, Processes, Shared
 
 FloatArray = NDArray[np.float64]

@@ -17,7 +17,6 @@ from .identifiability import assess as assess
 from .kalman import STARTS as STARTS
 from .kalman import Inputs as Inputs
 from .kalman import Lanes as Lanes
-from .kalman import Sample as Sample
 from .kalman import Process as Process
 from .kalman import lanes_of as lanes_of
 from .kalman import run as run

@@ -105,7 +105,7 @@ class Inputs:
 class Sample:
     """Sample k of T airs times the segments that go on. state (T, on, x) predicted less the reference; white (T, on, m, 1 + K + 8)
     whitened innovations and columns, zero where nothing was measured; cov and low (T, on, m, m), in calm air perhaps (T, 1, m, m)
-    for all of them: the innovations' covariance and its root, one on the diagonal there; root the inverse of low, gain (T, on, m, x)
+    for all of them: the innovations' covariance and its root, one on the diagonal there; root: inverse of low, gain (T, on, m, x)
     root H P, None in calm air."""
 
     k: int

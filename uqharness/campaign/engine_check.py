@@ -47,6 +47,7 @@ _ENOUGH = 64
 # most of either: from there on both grow alike.
 _TIMES_ROUNDING = 1e5
 _LOST = "loss_of_control"
+_TIMEOUT, _NOT_COMPARED = "timeout", "a flight had no result within its time limit: nothing is compared"
 _ALIKE, _EXCUSED, _DIFFERS = "alike", "excused", "differs"
 
 Spreads = Mapping[str, float]
@@ -135,13 +136,14 @@ class Judge:
                 self._values[condition].setdefault(name, array("d")).append(value)
 
     def _remember(self, rows: Sequence[CheckRow]) -> None:
-        """JSBSim's flights of an earlier run; those that differed are flown again, since a worker may have been lost."""
+        """JSBSim's flights of an earlier run; those that differed, or had no result in time, are flown again."""
         by_flight: dict[tuple[str, str], list[CheckRow]] = {}
         for row in rows:
             by_flight.setdefault((row.part, row.case_id), []).append(row)
         for (part, case_id), kept in by_flight.items():
             status = [row.jsbsim for row in kept if row.metric == STATUS]
-            if part == WHOLE and case_id in self._cases and len(status) == 1 and all(row.verdict != _DIFFERS for row in kept):
+            known = len(status) == 1 and status[0] != _TIMEOUT and all(row.verdict != _DIFFERS for row in kept)
+            if part == WHOLE and case_id in self._cases and known:
                 metrics = {row.metric: as_number(row.jsbsim) for row in kept if row.metric != STATUS}
                 self._jsbsim[case_id] = CaseOutcome(case_id, status[0], "", 0.0, metrics)
                 self._rows[part, case_id] = kept
@@ -177,6 +179,8 @@ def compared(
 ) -> list[CheckRow]:  # fmt: skip
     """Rows of one case flown in the batch engine and in JSBSim, which are the ``pair``."""
     batch, jsbsim = pair
+    # A limit on time says how busy the machine is, and nothing of either engine.
+    late = _TIMEOUT in (batch.status, jsbsim.status)
     found: list[CaseOutcome] = []
 
     def moved() -> CaseOutcome:
@@ -188,8 +192,9 @@ def compared(
         return CheckRow(part, condition_of(case).label, case.case_id, metric, ours, theirs, *share, *judged)
 
     alike = batch.status == jsbsim.status
-    excused = not alike and moved().status != jsbsim.status
-    rows = [row(STATUS, batch.status, jsbsim.status, ("", ""), _verdict(alike, excused, "JSBSim's own differs after one ulp"))]
+    excused = not alike and (late or moved().status != jsbsim.status)
+    why = _NOT_COMPARED if late else "JSBSim's own differs after one ulp"
+    rows = [row(STATUS, batch.status, jsbsim.status, ("", ""), _verdict(alike, excused, why))]
     for name in sorted(batch.metrics.keys() | jsbsim.metrics.keys()):
         ours, theirs = batch.metrics.get(name, math.nan), jsbsim.metrics.get(name, math.nan)
         if name.startswith(NEAREST):
@@ -198,7 +203,7 @@ def compared(
         scale = 1.0 if is_count(name) else spreads.get(name, LEAST_SPREAD)
         share = 0.0 if ours == theirs or (math.isnan(ours) and math.isnan(theirs)) else abs(ours - theirs) / scale
         alike = share <= TOLERANCE
-        why = "" if alike else _excuse(name, pair, moved)
+        why = "" if alike else _NOT_COMPARED if late else _excuse(name, pair, moved)
         if batch.status != jsbsim.status and not why:
             # What is left of a flight that ended otherwise is judged by how it ended.
             why = "the flight ended otherwise" if rows[0].verdict == _EXCUSED else ""

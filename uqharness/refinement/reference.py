@@ -143,7 +143,7 @@ class ProbeJob:
 
 @dataclass(frozen=True)
 class _Asked:
-    """States that a probe asks of the model: base and coarse (rows), whether rates of the wind angles are asked for, and each set of
+    """States that a probe asks of the model: rows base and coarse, whether rates of the wind angles are asked for, and each set of
     states (k, 8) with its controls and rows."""
 
     base: NDArray[np.intp]

@@ -180,6 +180,16 @@ def test_a_status_may_differ_only_where_jsbsims_own_differs_after_one_ulp(tmp_pa
     assert verdicts(tmp_path, batch, jsbsim, batch)["status"] == ("excused", "JSBSim's own differs after one ulp")
 
 
+def test_a_flight_without_a_result_in_time_is_compared_with_nothing(tmp_path):
+    """A busy machine's limit on time is no difference of the engines, and one ulp is not asked for."""
+    late = CaseOutcome("a", "timeout", "no result after 420 s", 0.0)
+    found = verdicts(tmp_path, outcome(**{METRIC: 2.0}), late, None)
+    assert {verdict for verdict, _ in found.values()} == {"excused"}
+    assert "time limit" in found["status"][1]
+    crashed = CaseOutcome("a", "crashed", "the worker process ended", 0.0)
+    assert verdicts(tmp_path, outcome(**{METRIC: 2.0}), crashed, crashed)["status"][0] == "differs"
+
+
 def test_metrics_beyond_lost_control_are_judged_by_jsbsims_own_rounding(tmp_path):
     def value(number, lost):
         return outcome(**{METRIC: number, "loss_of_control": lost})

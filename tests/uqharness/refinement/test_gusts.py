@@ -13,6 +13,7 @@ from sysid.aerodynamics.coefficients import MassProperties
 from sysid.aerodynamics.gust_states import GustStates
 from sysid.aerodynamics.rigid_body import STATES, Reference
 from sysid.effects import turbulence
+from sysid.effects.gust_score import Score
 from sysid.effects.selection import Choice
 from sysid.effects.subsystem_effects import subsystem_effects
 from sysid.parallel import ALONE
@@ -147,20 +148,24 @@ def test_a_sensor_that_reads_more_reads_more_of_everything():
 
 
 def test_noise_that_no_filter_can_follow_is_not_the_likeliest(monkeypatch):
-    """Likelihood of no filter above a noise of one: the search does not end there."""
+    """No filter follows above a noise of one, where the first step leads: the search ends at the optimum below."""
     calls: list[float] = []
 
-    class Likelihood:
+    class Made:
         def __init__(self, steps, measured, which, by):
             pass
 
-        def costs(self, noise, processes):
-            calls.extend(noise[:, 0])
-            return np.where(noise[:, 0] > 1.0, np.inf, 500.0 * (np.log(noise[:, 0]) + 1.0) ** 2)
+        def __call__(self, noise, process):
+            calls.append(float(noise[0]))
+            away = np.log(noise[0]) + 1.0
+            fails = noise[0] > 1.0
+            none = np.zeros((1, 13, 13))
+            slope = np.zeros(1) if fails else np.array([1000.0 * away])
+            return Score(np.inf if fails else 500.0 * away**2, slope, none, none, (np.array([100.0]), none, none))
 
-    monkeypatch.setattr("sysid.effects.turbulence.Likelihood", Likelihood)
+    monkeypatch.setattr("sysid.effects.turbulence.AirLikelihood", Made)
     search = turbulence._Search(lambda some, states: [None], [np.zeros((2, 1))], [0], np.ones(1), [20.0], ALONE)  # type: ignore
-    found = search.descend([0], turbulence._Point(GustStates(3.0), np.ones(5), np.array([0.999])), ["wind"])
+    found = search.descend([0], turbulence._Point(GustStates(3.0), np.ones(5), np.array([0.1])), ["wind"])
     assert max(calls) > 1.0
     assert found.factors[0] == pytest.approx(np.exp(-1.0), rel=0.05)
 
