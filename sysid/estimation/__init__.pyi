@@ -1,6 +1,8 @@
 from .autocorrelation import effective_samples as effective_samples
 from .autocorrelation import integral_time as integral_time
 from .coloured import coloured_information as coloured_information
+from .diagnostics import STRONG_SHARE as STRONG_SHARE
+from .diagnostics import WHITENESS_LEVEL as WHITENESS_LEVEL
 from .diagnostics import colour as colour
 from .diagnostics import ljung_box as ljung_box
 from .gaps import NOISE_FLOOR as NOISE_FLOOR

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from sysid.estimation import STRONG_SHARE, WHITENESS_LEVEL
 from uqharness.replay import CHANNELS, HISTORIES, read_histories, shown_channel, with_shown_names
 from uqharness.report.history import MOST_SEGMENTS, Model, file_name, history_section
 from uqharness.report.pages.compare import LIMIT
@@ -15,6 +16,11 @@ from uqharness.result_documents import Fit, read_document
 
 FIT = "fit.json"
 _IDENTIFIED = "identified"
+FILTER = "filter error"
+_NOT_SAID = (
+    ", and standard errors, which take the model for right, do not say how far off the estimates are. Next: compare, bounds or "
+    "refine."
+)
 
 
 def identify_page(folder: Path, prefix: str = "", segments: int | None = MOST_SEGMENTS) -> Page:
@@ -52,19 +58,40 @@ def _verdict(fit: Mapping[str, Any]) -> tuple[Say, ...]:
         said.append(Say(text, "warn" if known else "bad"))
     else:
         said.append(Say(f"All {len(parameters)} parameters are identified.", "good"))
-    ratios = {c: _ratio(row) for c, row in fit["fit"].items()}
+    said += _filter_left(fit["fit"]) if fit.get("method") == FILTER else _output_left(fit["fit"])
+    return tuple(said)
+
+
+def _output_left(channels: Mapping[str, Mapping[str, Any]]) -> list[Say]:
+    """Whether output error's residuals are the sensors' noise."""
+    ratios = {c: _ratio(row) for c, row in channels.items()}
     above = {c: r for c, r in ratios.items() if r is not None and r > LIMIT}
     if above:
         worst = ", ".join(f"{shown_channel(c)[0]} {r:.2f}" for c, r in sorted(above.items(), key=lambda item: -item[1]))
         text = f"The model with the estimates does not reach the sensors' noise: rms over noise is {worst}."
-        text += (
-            " A model term is missing: these parameters cannot remove the residual, and standard errors, which take the model for "
+        return [Say(f"{text} A model term is missing: these parameters cannot remove the residual{_NOT_SAID}", "warn")]
+    if any(r is not None for r in ratios.values()):
+        return [Say(f"Every channel with known noise is within {LIMIT:g} times its noise.", "good")]
+    return []
+
+
+def _filter_left(channels: Mapping[str, Mapping[str, Any]]) -> list[Say]:
+    """Whether filter error's innovations are white. Their size says nothing: the gusts of a sample are in it."""
+    level = WHITENESS_LEVEL / max(len(channels), 1)
+    coloured = {
+        c: row["predictable_share"]
+        for c, row in channels.items()
+        if row.get("whiteness_p") is not None
+        and row["whiteness_p"] < level
+        and (row.get("predictable_share") or 0.0) > STRONG_SHARE
+    }
+    if coloured:
+        worst = ", ".join(
+            f"{shown_channel(c)[0]} {100.0 * s:.0f} %" for c, s in sorted(coloured.items(), key=lambda item: -item[1])
         )
-        text += "right, do not say how far off the estimates are. Next: compare, bounds or refine."
-        said.append(Say(text, "warn"))
-    elif any(r is not None for r in ratios.values()):
-        said.append(Say(f"Every channel with known noise is within {LIMIT:g} times its noise.", "good"))
-    return tuple(said)
+        text = f"Filter error does not explain the flights: its innovations can be predicted from their past: {worst}."
+        return [Say(f"{text} A model term, or the noise of a state, is missing{_NOT_SAID}", "warn")]
+    return [Say("Filter error's innovations are white: the model and the process noise found explain the flights.", "good")]
 
 
 def _ratio(row: Mapping[str, Any]) -> float | None:

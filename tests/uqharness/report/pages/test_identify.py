@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 from lxml import html
 
@@ -28,6 +30,29 @@ def test_an_identification(identified):
     assert row == ["0.5", "undefined", "undefined", "undefined", "undefined"]
     # 0.01 rad/s is 0.573 deg/s.
     assert "0.573" in words
+
+
+def said(folder, **changed):
+    fit = json.loads((folder / "fit.json").read_text())
+    (folder / "fit.json").write_text(json.dumps({**fit, **changed}))
+    return words_of(page_of(folder))
+
+
+def test_standard_errors_are_not_vouched_for_where_the_model_does_not_explain_the_flights(identified):
+    fit = json.loads((identified / "fit.json").read_text())
+    doubt = "standard errors, which take the model for right, do not say how far off the estimates are"
+    assert doubt in words_of(page_of(identified))
+    within = {c: {**row, "rms": row["noise"]} for c, row in fit["fit"].items()}
+    assert doubt not in said(identified, fit=within)
+    # Gusts of a sample are in filter error's innovations: their size is no reproach, their colour is.
+    large = {c: {**row, "rms": 2.0, "noise": 1.0, "whiteness_p": 0.3, "predictable_share": 0.0} for c, row in fit["fit"].items()}
+    found = said(identified, fit=large, method="filter error")
+    assert doubt not in found
+    assert "innovations are white" in found
+    tinted = {c: {**row, "whiteness_p": 1e-9, "predictable_share": 0.4} for c, row in large.items()}
+    found = said(identified, fit=tinted, method="filter error")
+    assert doubt in found
+    assert "q 40 %" in found
 
 
 def test_a_channel_without_a_value_draws_nothing_and_says_so(identified):
