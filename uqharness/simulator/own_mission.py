@@ -59,12 +59,18 @@ class Step:
 def write_own_mission(aircraft: Aircraft, start: StartSection, kind: str) -> tuple[Path, list[Step]]:
     """Trim the aircraft and write initial conditions and a run script into its folder: the script, and its manoeuvres.
 
-    ``kind`` one of MISSIONS. Raises BadInputError where there is no trim, and for an aircraft whose controls move nothing.
+    ``kind`` one of MISSIONS. Raises BadInputError where there is no trim, and for an aircraft whose controls move nothing or
+    command body rates.
     """
     if kind not in MISSIONS:
         raise BadInputError(f"mission '{kind}': allowed are {', '.join(MISSIONS)}")
     path = aircraft.folder / SCRIPT
     trim = write_steady_start(aircraft, start, path, f"mission {kind}")
+    if kind != "steady" and trim.rest is not None and trim.rest.free:
+        raise BadInputError(
+            f"aircraft '{aircraft.name}': its control laws answer a command with a body rate, so steps cannot be sized by a "
+            "surface's moment; fly mission steady, or --script with commands of your own"
+        )
     steps = [] if kind == "steady" else manoeuvres(aircraft, linearise(aircraft, trim), kind)
     if kind != "steady" and not steps:
         raise BadInputError(f"aircraft '{aircraft.name}': no surface turns it at {start.V_mps:g} m/s, so there is nothing to fly")

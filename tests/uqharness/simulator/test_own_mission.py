@@ -1,6 +1,7 @@
 """Manoeuvres without a script: sized by the linear model, flown by JSBSim, for aircraft of several kinds."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -8,7 +9,8 @@ import pytest
 
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
-from uqharness.simulator import StartSection, copy_folder, find_aircraft, write_own_mission
+from uqharness.simulator import StartSection, copy_folder, find_aircraft, own_mission, write_own_mission
+from uqharness.simulator.control_system import Rest
 from uqharness.simulator.own_mission import EXCURSION_DEG
 
 
@@ -45,6 +47,17 @@ def test_steady_stays_and_3211_has_four_steps(tmp_path):
     assert sum(units for units, _ in steps[0].pattern) == 7
     with pytest.raises(BadInputError, match="allowed are"):
         write_own_mission(aircraft, StartSection(V_mps=50, altitude_m=200), "loop")
+
+
+def test_an_aircraft_whose_commands_are_rates_is_refused_in_words(tmp_path, monkeypatch):
+    folder = tmp_path / "aircraft" / "x24b"
+    copy_folder(find_aircraft("x24b").folder, folder)
+    aircraft, start, trimmed = find_aircraft(folder), StartSection(V_mps=196.1, altitude_m=3000), own_mission.write_steady_start
+    assert write_own_mission(aircraft, start, "doublets")[1]
+    monkeypatch.setattr(own_mission, "write_steady_start", lambda *asked: replace(trimmed(*asked), rest=Rest((), free=True)))
+    with pytest.raises(BadInputError, match="answer a command with a body rate"):
+        write_own_mission(aircraft, start, "doublets")
+    assert write_own_mission(aircraft, start, "steady")[1] == []
 
 
 def test_noise_and_dataflash_for_an_aircraft_that_instrument_gave_a_card(tmp_path, capsys):
