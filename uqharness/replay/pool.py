@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
@@ -21,9 +21,14 @@ def spread_over(map_: Callable[..., Any]) -> Callable[..., Iterable[Any]]:
 
     def spread(function: Callable[[Array], Any], points: Any) -> Iterable[Any]:
         replay = getattr(function, "simulate", None)
-        return map(function, replay.fetched(list(points), map_) if isinstance(replay, Replay) else list(points))
+        return _read(function, replay, list(points), map_) if isinstance(replay, Replay) else map(function, list(points))
 
     return spread
+
+
+def _read(function: Callable[[Array], Any], replay: Replay, points: list[Array], map_: Callable[..., Any]) -> Iterator[Any]:
+    yield from map(function, replay.fetched(points, map_))
+    replay.rest()
 
 
 @contextmanager

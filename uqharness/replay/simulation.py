@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 _CACHE_BYTES = 300_000_000
 _TOGETHER_BYTES = _CACHE_BYTES // 4
 """Of pieces flown together: all are read before the first is forgotten, and what they are compared with stays besides."""
+_RESTING_BYTES = _CACHE_BYTES // 4
+"""Of pieces that stay when many points have been read: those of the point that all of them are near."""
 Start = tuple[Array, float, float]
 """Start state (9,), how late the controls act [s], share of a jump unseen."""
 
@@ -163,6 +165,10 @@ class Replay:
         for _ in self.fetched(thetas, map_):
             pass
 
+    def rest(self) -> None:
+        """Let go of most pieces: those asked for last stay."""
+        _shrink(_RESTING_BYTES)
+
     def fetched(self, thetas: Sequence[Array], map_: Callable[..., Iterable[Any]]) -> Iterator[Array]:
         """Each theta as soon as its pieces have been flown, each once; those of so many theta together as are remembered until they
         are asked for."""
@@ -203,5 +209,9 @@ def _remember(key: _Key, found: Array) -> None:
     counter["rows"] += len(found)
     counter["segments"] += 1
     counter["bytes"] += found.nbytes
-    while counter["bytes"] > _CACHE_BYTES:
+    _shrink(_CACHE_BYTES)
+
+
+def _shrink(most: int) -> None:
+    while counter["bytes"] > most:
         counter["bytes"] -= _flown.popitem(last=False)[1].nbytes

@@ -64,6 +64,14 @@ def test_pieces_are_flown_once_whatever_room_memory_has(replay, monkeypatch):
     assert sum(flown) == wanted
     assert len([count for count in flown if count]) > 2
     assert simulation.counter["bytes"] <= room
+    # Afterwards those read last are kept, the base among them, and no more than may stay.
+    monkeypatch.setattr(simulation, "_RESTING_BYTES", room // 2)
+    flown.clear()
+    list(spread_over(map)(Asked(replay), points()[1:]))
+    assert simulation.counter["bytes"] <= room // 2
+    flown.clear()
+    replay(points()[-1])
+    assert sum(flown) == 0
     for one, other in zip(together, apart, strict=True):
         for a, b in zip(one, other, strict=True):
             np.testing.assert_array_equal(a, b)
