@@ -2,6 +2,7 @@ from .channels import parse_channels as parse_channels
 from .compare import LIMIT as LIMIT
 from .compare import Comparison as Comparison
 from .designs import parse_designs as parse_designs
+from .excited import excited_alone as excited_alone
 from .identify import BIASES as BIASES
 from .identify import OUTPUTS as OUTPUTS
 from .model_form import BoundsOptions as BoundsOptions

@@ -7,6 +7,7 @@ own controls, so it says what the manoeuvres excite.
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -17,8 +18,9 @@ from numpy.typing import NDArray
 from sysid.estimation import assess, forward_differences
 from sysid.linalg.blocks import Blocks
 from sysid.linalg.blocks import information as total_information
+from uqharness.identification.asymmetry import lateral_constants
 from uqharness.identification.replay_fit import Observed
-from uqharness.replay import Replay
+from uqharness.replay import Replay, ReplayModel, nuisance_layout
 
 Array = NDArray[np.float64]
 LEAST_T = 4.0
@@ -112,3 +114,21 @@ def without(observed: Observed, left_out: Sequence[str]) -> Observed:
     return replace(
         observed, outputs=outputs, data=[z[:, kept] for z in observed.data], biases=[b for b in observed.biases if b in outputs]
     )
+
+
+def excited_alone(
+    model: ReplayModel, observed: Observed, names: Sequence[str], initial: Array, limits: Sequence[tuple[float, float]],
+    noise: Mapping[str, float], spread: Callable[..., Any], choose: bool,
+) -> tuple[Observed, list[str]]:  # fmt: skip
+    """What is fitted of what was observed, parameters that it does not excite held; notes. choose: channels may be left out."""
+    constants = [n for n in lateral_constants(model) if n not in names]
+    layout = nuisance_layout(
+        (*names, *constants), (*limits, *[(-np.inf, np.inf)] * len(constants)), observed.cut, observed.biases, observed.outputs,
+        observed.late,
+    )  # fmt: skip
+    replay = Replay(model, observed.cut, layout.names, observed.outputs, uuid.uuid4().hex)
+    found = excited(replay, observed, names, initial, limits, noise, spread)
+    replay.forget()
+    left_out = found.left_out if choose else ()
+    notes = [f"not fitted, because no parameter that is estimated acts on them: {', '.join(left_out)}"] if left_out else []
+    return replace(without(observed, left_out), held=found.held), notes

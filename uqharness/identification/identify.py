@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import re
 import time
-import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +18,8 @@ from numpy.typing import NDArray
 from sysid.aerodynamics import split_name
 from sysid.estimation import NOISE_FLOOR, channel_noise, process_noise_shown, rms
 from uqharness.errors import BadInputError
-from uqharness.identification.asymmetry import lateral_constants
 from uqharness.identification.descent import Descent
-from uqharness.identification.excited import excited, without
+from uqharness.identification.excited import excited_alone
 from uqharness.identification.explained import withdrawn
 from uqharness.identification.replay_fit import MAX_ITERATIONS as OUTPUT_ITERATIONS
 from uqharness.identification.replay_fit import TOLERANCE as OUTPUT_TOLERANCE
@@ -36,7 +33,6 @@ from uqharness.replay import (
     STATES,
     UNSEEN,
     Flight,
-    Replay,
     ReplayFolder,
     ReplayModel,
     Speed,
@@ -111,7 +107,7 @@ def identify(
         with replay_pool(workers) as spread:
             if parameters is None:
                 on_stage("what the flights excite")
-                observed, more = _excited_alone(model, observed, names, initial, limits, noise, spread, outputs is None)
+                observed, more = excited_alone(model, observed, names, initial, limits, noise, spread, outputs is None)
                 notes = [*notes, *more]
             on_stage("output error")
             if tell is not None:
@@ -158,24 +154,6 @@ def _outputs(flights: Sequence[Flight], asked: Sequence[str] | None) -> tuple[st
     if missing or asked == ():
         raise BadInputError(f"no flight has {', '.join(missing) or 'the outputs asked for: none'}; there are {', '.join(there)}")
     return there if asked is None else tuple(c for c in there if c in asked)
-
-
-def _excited_alone(
-    model: ReplayModel, observed: Observed, names: Sequence[str], initial: Array, limits: Sequence[tuple[float, float]],
-    noise: Mapping[str, float], spread: Callable[..., Any], choose: bool,
-) -> tuple[Observed, list[str]]:  # fmt: skip
-    """What is fitted of what was observed, with parameters held; notes. choose: channels may be left out."""
-    constants = [n for n in lateral_constants(model) if n not in names]
-    layout = nuisance_layout(
-        (*names, *constants), (*limits, *[(-np.inf, np.inf)] * len(constants)), observed.cut, observed.biases, observed.outputs,
-        observed.late,
-    )  # fmt: skip
-    replay = Replay(model, observed.cut, layout.names, observed.outputs, uuid.uuid4().hex)
-    found = excited(replay, observed, names, initial, limits, noise, spread)
-    replay.forget()
-    left_out = found.left_out if choose else ()
-    notes = [f"not fitted, because no parameter that is estimated acts on them: {', '.join(left_out)}"] if left_out else []
-    return replace(without(observed, left_out), held=found.held), notes
 
 
 def _why_output_error(observed: Observed, names: Sequence[str], method: str) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.parallel import Processes
-from uqharness.identification import Observed, ReplayFit, equation_error_start, fit_replays
+from uqharness.identification import Observed, ReplayFit, equation_error_start, excited_alone, fit_replays
 from uqharness.refinement.candidates import sensor_gain, sensor_offset
 from uqharness.refinement.fit import Fit, Linear, fly, refit
 from uqharness.refinement.sensed import sensor_late_s
@@ -62,7 +62,8 @@ def base_fit(
     limits: Mapping[str, tuple[float, float]],
     map_: Processes,
 ) -> tuple[Fit, tuple[str, ...], list[str]]:
-    """The fit of the model as it is; parameters that the flights do not determine stay where they are and are named in a note."""
+    """The fit of the model as it is; parameters that the flights do not excite or determine stay where they are and are named in a
+    note."""
     from uqharness.simulator import engine
 
     fdm = bench.model.open(aircraft.dt_s)
@@ -73,14 +74,16 @@ def base_fit(
         bench.model, bench.straight, setup.flights, setup.segments, names, current, [limits[n] for n in names]
     )
     tries, bounds = (near, current), [limits[n] for n in names]
-    found = fit_replays(bench.model, observed(setup), names, tries, bounds, spread_over(map_))
+    noise = dict(zip(setup.outputs, setup.noise.tolist(), strict=True))
+    seen, _ = excited_alone(bench.model, observed(setup), names, current, bounds, noise, spread_over(map_), choose=False)
+    found = fit_replays(bench.model, seen, names, tries, bounds, spread_over(map_))
     kept = tuple(n for n in names if n not in found.lost)
     found.replay.forget()
     point = point_of(found, setup, names)
     flown = fly(bench.model, setup, point, map_)
     fit = Linear(bench.model, bench.straight, setup, kept, map_).fit_at(flown)
     if found.lost:
-        notes = [*notes, f"not determined by these flights and left as they are: {', '.join(found.lost)}"]
+        notes = [*notes, f"not excited or not determined by these flights and left as they are: {', '.join(found.lost)}"]
     return replace(fit, converged=found.found.converged), kept, notes
 
 
