@@ -64,9 +64,9 @@ GUST_ODDS = 30.0
 """Odds against what a gust model that is a little off would look like."""
 LEFT_T = 10.0
 """|t| from which a candidate that was not chosen is told, beside those that were: no limit for chance reaches it."""
-RATES_IN_GUSTS = 16.5
+RATES_IN_GUSTS = 6.7
 """Factor on the standard errors of terms with rates of the wind angles in turbulence: rms of (estimate - truth) / standard error of
-the examination's three such cases (docs/hidden-effects.md)."""
+five such cases (docs/hidden-effects.md)."""
 RESOLVED_ROWS = 0.03
 """Standard error, in rows, of a time told by replay."""
 NO_AIR = (
