@@ -68,6 +68,7 @@ def force_state(
 
 
 def answers(fdm: Any, outputs: tuple[str, ...]) -> tuple[NDArray[np.float64], dict[str, float]]:
+    """Accelerations (6,) [m/s2, rad/s2] of an instance as it stands, and the values of those ``outputs`` that it has."""
     acceleration = np.array([fdm[name] for name in ACCELERATIONS])
     acceleration[:3] *= FT_M
     manager = fdm.get_property_manager()
@@ -98,6 +99,7 @@ def forced(
 
 
 def place(fdm: Any, state: BodyState) -> None:
+    """Give an instance its start: attitude, velocity and body rates."""
     fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = state.phi, state.theta, state.psi
     fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"] = state.u / FT_M, state.v / FT_M, state.w / FT_M
     fdm["ic/p-rad_sec"], fdm["ic/q-rad_sec"], fdm["ic/r-rad_sec"] = state.p, state.q, state.r
@@ -114,6 +116,7 @@ def apply_controls(fdm: Any, aircraft: Aircraft, controls: Mapping[str, float]) 
 
 
 def set_control(fdm: Any, aircraft: Aircraft, control: str, value: float) -> None:
+    """Set one input's property, all throttles where it is JSBSim's first; nothing where the card has no such input."""
     card = aircraft.card.inputs.get(control)
     if card is None:
         return
