@@ -112,7 +112,7 @@ def _subsystem(
     """(n, 6) extra coefficients and (n, m) extra outputs per unit of a subsystem's effect; None for none."""
     part, _, what = (e.subsystem or "").partition(".")
     n = len(y)
-    scale = p.reference.qbar[:, None] * p.mass.S * np.array([1.0, 1.0, 1.0, p.mass.b, p.mass.c, p.mass.b])
+    scale = p.scale
     C = np.zeros((n, 6))
     if part == "stall":
         lag = p.flow_rate[:, 0] * p.mass.c / p.x[:, 0] if e.term == "dynamic" else 0.0

@@ -150,8 +150,7 @@ def predict(
 
 def _bend(p: Probe, away: Array) -> Array:
     """(2, n - 1, 6) force and moment that the surfaces' paths add in the middle and at the end of a step."""
-    scale = p.reference.qbar[:, None] * p.mass.S * np.array([1.0, 1.0, 1.0, p.mass.b, p.mass.c, p.mass.b])
-    slopes = p.by_control * scale[:, :, None]
+    slopes = p.by_control * p.scale[:, :, None]
     at = np.stack([0.5 * (slopes[:-1] + slopes[1:]), slopes[1:]])
     return np.asarray(np.einsum("knij,knj->kni", at, away))
 
@@ -291,10 +290,8 @@ def predicted(
 
 def _changed(p: Probe, moved: Array) -> Array:
     """(n, 6) change of CX..Cn where the air is met otherwise than at the reference, by AIR (n, 6)."""
-    scale = p.reference.qbar[:, None] * p.mass.S
-    scale = scale * np.array([1.0, 1.0, 1.0, p.mass.b, p.mass.c, p.mass.b])
     faster = moved[:, :1] / p.reference.x[:, :1]
-    change = np.einsum("nij,nj->ni", p.reference.slopes, moved) / scale - 2.0 * faster * p.coefficients
+    change = np.einsum("nij,nj->ni", p.reference.slopes, moved) / p.scale - 2.0 * faster * p.coefficients
     if p.by_inflow is not None:
         change[:, 0] -= p.by_inflow * faster[:, 0]
     return change

@@ -71,12 +71,18 @@ class Probe:
     by_inflow: Array | None = None
     jump: Array | None = None
 
+    @property
+    def scale(self) -> Array:
+        """(n, 6) forces [N] and moments [N m] of coefficients CX..Cn of 1."""
+        m = self.mass
+        return np.asarray(self.reference.qbar[:, None] * m.S * np.array([1.0, 1.0, 1.0, m.b, m.c, m.b]))
+
     def felt_jump(self) -> Array:
         """(n, 3) what the accelerometers feel of the controls' jumps [m/s2]."""
         if self.jump is None:
             return np.zeros((len(self.controls), 3))
         m, arm = self.mass, np.broadcast_to(self.reference.arm_m, (len(self.controls), 3))
-        load = self.jump * (self.reference.qbar[:, None] * m.S * np.array([1.0, 1.0, 1.0, m.b, m.c, m.b]))
+        load = self.jump * self.scale
         turn = load[:, 3:] @ np.linalg.inv(m.inertia).T
         return np.asarray(load[:, :3] / m.mass + np.cross(turn, arm))
 
@@ -175,13 +181,10 @@ def probe_all(jobs: Sequence[ProbeJob], map_: Processes = ALONE) -> list[Probe]:
         found = force_all(jobs[0].straight, [asked[k].part(jobs[k]) for k in some], jobs[0].properties, map_)
         out |= {k: _probe_of(jobs[k], asked[k], forced) for k, forced in zip(some, found, strict=True)}
     differed = map_(_differences, list(jobs)) if any(job.differ for job in jobs) else [{}] * len(jobs)
-    return [replace(out[k], by_property=_per_pressure(out[k], found)) for k, found in enumerate(differed)]
-
-
-def _per_pressure(p: Probe, found: Mapping[str, Array]) -> dict[str, Array]:
-    """property -> (n, 6) change of CX..Cn, from that of forces [N] and moments [N m]."""
-    scale = p.reference.qbar[:, None] * p.mass.S * np.array([1.0, 1.0, 1.0, p.mass.b, p.mass.c, p.mass.b])
-    return {name: values / scale for name, values in found.items()}
+    per = [out[k].scale for k in range(len(jobs))]
+    return [
+        replace(out[k], by_property={name: values / per[k] for name, values in found.items()}) for k, found in enumerate(differed)
+    ]
 
 
 def _asked(job: ProbeJob) -> _Asked:
@@ -342,8 +345,7 @@ def named_terms(
         straight, segment, probe_.x[rows], probe_.controls[rows], values, (), True, probe_.height_m[rows],
     )  # fmt: skip
     found = {k: v[rows] for k, v in probe_.variables().items()}
-    scale = probe_.reference.qbar[rows, None] * probe_.mass.S
-    scale = scale * np.array([1.0, 1.0, 1.0, probe_.mass.b, probe_.mass.c, probe_.mass.b])
+    scale = probe_.scale[rows]
     known = [name for name in names if split_name(name) is not None]
     slopes = property_slopes(few, np.arange(len(rows)), known) if known else {}
     out = []
