@@ -78,22 +78,22 @@ class Gusts:
 
 
 def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatArray, FloatArray]:
-    """(13, 13) covariance per second of the states' noise at airspeed V, and (13, 13) covariance of the air's at the start, from
-    the five values of _START."""
+    """(13,) variances per second of the states' noise at airspeed V, and (13,) of the air's at the start, from the five values of
+    _START."""
     faster = V / V_REFERENCE
     lags = states.lags_s(V)
-    noise, begin = np.zeros((NX, NX)), np.zeros((NX, NX))
+    noise, begin = np.zeros(NX), np.zeros(NX)
     # Dryden far above its corner: PSD of u' is 2 sigma^2 V/L, of alpha' = w'/V 3 sigma^2/(L V).
-    noise[0, 0], noise[1, 1], noise[2, 2] = values[0] * faster, values[1] / faster, values[2] / faster
-    noise[8, 8] = values[3] * faster
+    noise[0], noise[1], noise[2] = values[0] * faster, values[1] / faster, values[2] / faster
+    noise[8] = values[3] * faster
     for k in (1, 2):
-        noise[8 + k, 8 + k] = values[4] * lags[k] ** 2
+        noise[8 + k] = values[4] * lags[k] ** 2
     for k in range(3):
         # Stationary from the start: T x' = -x + n has the variance N/(2T), and the states 9 and 10 are T times the rotation.
-        tied = noise[k, k] if k and states.rotating else 0.0
-        begin[8 + k, 8 + k] = 0.5 * lags[k] * (noise[8 + k, 8 + k] + tied)
+        tied = noise[k] if k and states.rotating else 0.0
+        begin[8 + k] = 0.5 * lags[k] * (noise[8 + k] + tied)
     if states.turning_with:
-        begin[11, 11], begin[12, 12] = 0.5 * _MEMORY_S * noise[0, 0], 0.5 * _MEMORY_S * noise[2, 2]
+        begin[11], begin[12] = 0.5 * _MEMORY_S * noise[0], 0.5 * _MEMORY_S * noise[2]
     return noise, begin
 
 
@@ -151,13 +151,13 @@ class _Search:
     by: Processes
     asked: dict[tuple[tuple[int, ...], GustStates], AirLikelihood] = field(default_factory=dict)
 
-    def score(self, some: Sequence[int], states: GustStates, values: FloatArray, factors: FloatArray) -> Score:
+    def score(self, some: Sequence[int], states: GustStates, values: FloatArray, factors: FloatArray, slopes: bool = True) -> Score:
         """That of the segments ``some``, by gusts and factors on the sensors' noise."""
         key = (tuple(some), states)
         if key not in self.asked:
             data = [self.measured[k] for k in some]
             self.asked[key] = AirLikelihood(self.linear(some, states), data, self.which, self.by)
-        return self.asked[key](factors * self.noise, self.process(some, states, values))
+        return self.asked[key](factors * self.noise, self.process(some, states, values), slopes)
 
     def process(self, some: Sequence[int], states: GustStates, values: FloatArray) -> Process:
         """Noise that gusts make in the segments ``some``."""
@@ -165,7 +165,7 @@ class _Search:
 
     def best(self, some: Sequence[int], points: Sequence[_Point]) -> _Point:
         """The likeliest of points."""
-        found = [replace(p, cost=self.score(some, p.states, p.values, p.factors).cost) for p in points]
+        found = [replace(p, cost=self.score(some, p.states, p.values, p.factors, slopes=False).cost) for p in points]
         return min(found, key=lambda p: p.cost)
 
     def descend(self, some: Sequence[int], point: _Point, kinds: Sequence[str], most: int = _MOST_DESCENTS) -> _Point:

@@ -1,1 +1,1 @@
-"""Linear algebra of the estimators: triangular and block solutions."""
+"""Linear algebra of the estimators: solutions of block systems, and compiled loops."""

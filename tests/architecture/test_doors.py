@@ -15,6 +15,7 @@ from tests.helpers.places import ROOT
 DOORS: Mapping[str, tuple[str, ...]] = {
     "jsbsim": ("uqharness/simulator/engine.py",),
     "llvmlite": ("uqharness/batch/machine/",),
+    "numba": ("sysid/linalg/compiled.py",),
     "matplotlib": ("uqharness/report/plots.py",),
     "argparse": ("uqharness/cli/",),
     "distributed": ("uqharness/campaign/execution/",),

@@ -34,15 +34,15 @@ def drawn(truth: GustStates, values: np.ndarray, moment: float = 0.0) -> tuple[M
     data = []
     for steps in made[truth]:
         Q, begin = process_of(values, 22.0, truth)
-        d = np.sqrt(np.diagonal(begin)) * rng.standard_normal(NX)
+        d = np.sqrt(begin) * rng.standard_normal(NX)
         z = np.empty((n, len(NOISE)))
         wave = moment * np.sin(9.0 * DT * np.arange(n) + rng.uniform(0.0, 6.0))
         for k in range(n):
             u = wave[k] * np.eye(6)[3]
             z[k] = steps.y_ref[k] + steps.H[k] @ d + steps.D[k] @ u + NOISE * rng.standard_normal(len(NOISE))
             if k < n - 1:
-                d = steps.phi[k] @ (d + np.sqrt(0.5 * DT * np.diagonal(Q)) * rng.standard_normal(NX)) + steps.defect[k]
-                d = d + np.sqrt(0.5 * DT * np.diagonal(Q)) * rng.standard_normal(NX)
+                d = steps.phi[k] @ (d + np.sqrt(0.5 * DT * Q) * rng.standard_normal(NX)) + steps.defect[k]
+                d = d + np.sqrt(0.5 * DT * Q) * rng.standard_normal(NX)
                 d = d + steps.g0[k] @ u + steps.g1[k] @ (wave[k + 1] * np.eye(6)[3])
         data.append(z)
     return made, data

@@ -1,4 +1,4 @@
-"""The linear filter against the textbook's, segment by segment and air by air."""
+"""The linear filter against the textbook's, written with gain and covariance."""
 
 from __future__ import annotations
 
@@ -6,134 +6,136 @@ import numpy as np
 import pytest
 
 from sysid.aerodynamics.rigid_body import NX, Steps
-from sysid.estimation.kalman import Inputs, Process, _lawful, _root, lanes_of, run
+from sysid.estimation.kalman import carried, gains
+from sysid.estimation.kalman_arrays import Seen
 from tests.helpers.linear_systems import system
 
 ROWS = (0, 1, 2, 5, 6, 7, 8)
 NOISE = np.linspace(0.4, 1.0, len(ROWS))
 
 
-def air(seed: int, segments: int) -> Process:
+def air(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Variances of some states' noise, and of some at the start."""
     rng = np.random.default_rng(seed)
-    roots = 0.3 * rng.standard_normal((segments, NX, 4))
-    begin = np.diag(np.where(np.arange(NX) < 8, 0.0, 1.0 + rng.random(NX)))
-    return Process(roots @ roots.swapaxes(1, 2), np.repeat(begin[None], segments, axis=0))
+    noise = np.where(np.arange(NX) % 3 == 0, 0.3 * rng.random(NX), 0.0)
+    return noise, np.where(np.arange(NX) < 8, 0.0, 1.0 + rng.random(NX))
 
 
-def seen(steps: Steps, seed: int) -> np.ndarray:
+def measured(steps: Steps, seed: int) -> np.ndarray:
     data = steps.y_ref[:, ROWS] + np.random.default_rng(seed).standard_normal((len(steps.y_ref), len(ROWS)))
     data[4, 2] = np.nan
     data[7] = np.nan
     return data
 
 
-def textbook(steps: Steps, z: np.ndarray, Q: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """State before each sample (n, x), and e'S^-1 e + ln det S of each (n,), by gain and covariance, only what is seen."""
-    d, states, costs = np.zeros(NX), [], []
+def textbook(steps: Steps, z: np.ndarray, Q: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """State before each sample (n, x), e'S^-1 e + ln det S of each (n,), and the channels' own variances (n, m), NaN where nothing
+    is seen."""
+    d, Q, P = np.zeros(NX), np.diag(Q), np.diag(P)
+    states, costs, own = [], [], np.full(z.shape, np.nan)
     for k, row in enumerate(z):
         states.append(d)
         there = np.isfinite(row)
         H = steps.H[k][list(ROWS)][there]
         e = row[there] - steps.y_ref[k][list(ROWS)][there] - H @ d
         S = H @ P @ H.T + np.diag(NOISE[there] ** 2)
+        own[k, there] = np.diag(S)
         costs.append(e @ np.linalg.solve(S, e) + np.linalg.slogdet(S)[1])
         gain = P @ H.T @ np.linalg.inv(S)
-        d, P = d + gain @ e, (np.eye(NX) - gain @ H) @ P
+        left = np.eye(NX) - gain @ H
+        d, P = d + gain @ e, left @ P @ left.T + gain @ np.diag(NOISE[there] ** 2) @ gain.T
         if k < len(z) - 1:
             phi = steps.phi[k]
             half = np.eye(NX) + 0.5 * (phi - np.eye(NX)) - 0.125 * (phi - np.eye(NX)) @ (phi - np.eye(NX))
             added = steps.dt_s / 6.0 * (Q + 4.0 * half @ Q @ half.T + phi @ Q @ phi.T)
             d, P = phi @ d + steps.defect[k], phi @ P @ phi.T + added
-    return np.array(states), np.array(costs)
+    return np.array(states), np.array(costs), own
 
 
-def test_state_and_likelihood_are_the_textbooks() -> None:
-    steps, process = system(30, 1), air(5, 1)
-    z = seen(steps, 2)
-    states, costs = textbook(steps, z, process.noise[0], process.begin[0])
-    for sample in run(lanes_of([steps], [z], ROWS), NOISE[None], [process]):
-        np.testing.assert_allclose(sample.state[0, 0], states[sample.k], rtol=1e-7, atol=1e-9)
-        logs = np.log(np.diagonal(sample.low[0, 0])).sum()
-        assert np.sum(sample.white[0, 0, :, 0] ** 2) + 2.0 * logs == pytest.approx(costs[sample.k], rel=1e-8, abs=1e-8)
-    wrong = textbook(steps, z, 1.1 * process.noise[0], process.begin[0])[1]
+@pytest.mark.parametrize("step", [1.0, 300.0])
+def test_state_likelihood_and_variances_are_the_textbooks(step: float) -> None:
+    """Also where a step blows the flight up, as those do that lead far outside what a model was made for."""
+    steps, (noise, begin) = system(30, 1), air(5)
+    steps.phi[11] *= step
+    z = measured(steps, 2)
+    states, costs, own = textbook(steps, z, noise, begin)
+    seen = Seen.of(steps, z, ROWS)
+    by = gains(seen, NOISE, (noise, begin))
+    found = carried(seen, by)
+    np.testing.assert_allclose(found.path, states, rtol=1e-6, atol=1e-8 * step)
+    np.testing.assert_allclose(np.sum(found.innovations**2 + np.log(by.spread), axis=1), costs, rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(by.whole[np.isfinite(own)], own[np.isfinite(own)], rtol=1e-7)
+    assert by.logdet == pytest.approx(0.5 * np.log(by.spread).sum())
+    assert not found.innovations[~np.isfinite(z)].any()
+    wrong = textbook(steps, z, 1.1 * noise, begin)[1]
     assert not np.allclose(wrong, costs, rtol=1e-3)
 
 
-def test_columns_are_what_a_change_of_the_start_and_of_coefficients_does() -> None:
-    """Linear, so that differences of the whole filter are its columns to rounding."""
-    steps, process = system(12, 3), air(6, 1)
-    z = seen(steps, 4)
+@pytest.mark.parametrize("gusty", [True, False])
+def test_columns_are_what_a_change_of_coefficients_and_of_the_channels_does(gusty: bool) -> None:
+    """Linear, so that differences of the whole filter are its columns to rounding; more columns than go through together."""
+    steps = system(12, 3)
+    z = measured(steps, 4)
     rng = np.random.default_rng(7)
-    u = rng.standard_normal((12, 6))
-    there = np.isfinite(z)
-    inputs = Inputs(
-        u[:, None, :, None], np.where(there[:, :, None], steps.D[:, list(ROWS)], 0.0)[:, None], steps.g0[:, None], steps.g1[:, None]
-    )
-    found = list(run(lanes_of([steps], [z], ROWS), NOISE[None], [process], inputs))
-    state, moved = np.zeros(NX), []  # what the outputs would be more by, per unit
-    for k in range(12):
-        moved.append(steps.H[k] @ state + steps.D[k] @ u[k])
-        if k < 11:
-            state = steps.phi[k] @ state + steps.g0[k] @ u[k] + steps.g1[k] @ u[k + 1]
-    plain = [s.white[0, 0, :, 0] for s in found]
-    less = run(lanes_of([steps], [z - np.array(moved)[:, list(ROWS)]], ROWS), NOISE[None], [process])
-    for k, sample in enumerate(less):
-        np.testing.assert_allclose(found[k].white[0, 0, :, 1], plain[k] - sample.white[0, 0, :, 0], atol=1e-9)
-    assert np.abs([s.white[0, 0, :, 1] for s in found]).max() > 0.1
+    u, offset = rng.standard_normal((12, 6)), rng.standard_normal(z.shape)
+    seen = Seen.of(steps, z, ROWS)
+    by = gains(seen, NOISE, air(6) if gusty else None)
+    names = [f"c{k}" for k in range(150)]
+    inputs = {"c3": (-1, u), "c120": (2, u[:, 2]), "c149": (5, u[:, 5])}
+    found = carried(seen, by, names, inputs, {"c7": offset, "c149": offset})
+
+    def less(u: np.ndarray, offset: np.ndarray | float = 0.0) -> np.ndarray:
+        state, moved = np.zeros(NX), []
+        for k in range(12):
+            moved.append(steps.H[k] @ state + steps.D[k] @ u[k])
+            if k < 11:
+                state = steps.phi[k] @ state + steps.g0[k] @ u[k] + steps.g1[k] @ u[k + 1]
+        changed = seen._replace(z=np.where(seen.there, seen.z - np.array(moved)[:, list(ROWS)] - offset, 0.0))
+        return found.innovations - carried(changed, by).innovations
+
+    one, other = np.zeros_like(u), np.zeros_like(u)
+    one[:, 2], other[:, 5] = u[:, 2], u[:, 5]
+    expected = {"c3": less(u), "c120": less(one), "c149": less(other, offset), "c7": less(0.0 * u, offset)}
+    for k, name in enumerate(names):
+        np.testing.assert_allclose(found.columns[:, :, k], expected.get(name, 0.0 * offset), atol=2e-5)
+    assert np.abs(expected["c149"]).max() > 0.1
 
 
-def test_neither_company_nor_other_airs_change_a_bit() -> None:
-    many = [system(n, n) for n in (40, 31, 20)]
-    data = [seen(s, 9) for s in many]
-    airs = [air(k, 3) for k in range(4)]
-    noise = np.array([(1.0 + 0.1 * k) * NOISE for k in range(4)])
-    together = list(run(lanes_of(many, data, ROWS), noise, airs))
-    assert [s.on for s in together] == [3] * 20 + [2] * 11 + [1] * 9
-    for i, (steps, z) in enumerate(zip(many, data, strict=True)):
-        for t in (0, 3):
-            alone = list(run(lanes_of([steps], [z], ROWS), noise[t : t + 1], [airs[t].of([i])]))
-            assert len(alone) == len(z)
-            for one, all_ in zip(alone, together, strict=False):
-                np.testing.assert_array_equal(one.white[0, 0], all_.white[t, i])
-                np.testing.assert_array_equal(one.low[0, 0], all_.low[t, i])
+def test_the_columns_of_the_start_are_what_another_start_does() -> None:
+    steps, (noise, begin) = system(12, 3), air(6)
+    z = measured(steps, 4)
+    by = gains(Seen.of(steps, z, ROWS), NOISE, (noise, begin))
+    plain = carried(Seen.of(steps, z, ROWS), by)
+    assert steps.start is not None
+    for j in range(8):
+        state, moved = steps.start[:, j], []
+        for k in range(12):
+            moved.append((steps.H[k] @ state)[list(ROWS)])
+            state = steps.phi[k] @ state if k < 11 else state
+        less = carried(Seen.of(steps, z - np.array(moved), ROWS), by)
+        np.testing.assert_allclose(plain.starts[:, :, j], plain.innovations - less.innovations, atol=1e-9)
 
 
 def test_in_calm_air_the_state_is_not_corrected() -> None:
     steps = system(15, 8)
-    z = seen(steps, 1)
+    z = measured(steps, 1)
+    seen = Seen.of(steps, z, ROWS)
+    found = carried(seen, gains(seen, NOISE, None))
     state = np.zeros(NX)
-    for sample in run(lanes_of([steps], [z], ROWS), NOISE[None]):
-        np.testing.assert_allclose(sample.state[0, 0], state, rtol=1e-12, atol=1e-14)
-        there = np.isfinite(z[sample.k])
-        e = np.where(there, z[sample.k] - (steps.y_ref[sample.k] + steps.H[sample.k] @ state)[list(ROWS)], 0.0)
-        np.testing.assert_allclose(sample.white[0, 0, :, 0], e / np.where(there, NOISE, 1.0), rtol=1e-10, atol=1e-12)
-        if sample.k < 14:
-            state = steps.phi[sample.k] @ state + steps.defect[sample.k]
+    for k in range(15):
+        np.testing.assert_allclose(found.path[k], state, rtol=1e-12, atol=1e-14)
+        there = np.isfinite(z[k])
+        e = np.where(there, z[k] - (steps.y_ref[k] + steps.H[k] @ state)[list(ROWS)], 0.0)
+        np.testing.assert_allclose(found.innovations[k], e / NOISE, rtol=1e-10, atol=1e-12)
+        if k < 14:
+            state = steps.phi[k] @ state + steps.defect[k]
 
 
-def test_a_covariance_that_is_none_is_refused_or_mended() -> None:
-    steps, process = system(20, 2), air(3, 1)
-    broken = Process(process.noise, process.begin - 1e3 * np.eye(NX))
-    lanes = lanes_of([steps], [seen(steps, 2)], ROWS)
-    with pytest.raises(np.linalg.LinAlgError):
-        list(run(lanes, NOISE[None], [broken]))
-    assert all(np.isfinite(s.white).all() for s in run(lanes, NOISE[None], [broken], mend=True))
-
-
-def test_a_variance_below_zero_becomes_none_and_the_rest_stays():
-    good = np.array([[4e6, 1e2], [1e2, 9e-2]])
-    axes = np.linalg.qr(np.random.default_rng(1).standard_normal((2, 2)))[0]
-    sunk = axes @ np.diag([1.0, -0.2]) @ axes.T
-    found = _lawful(np.stack([good, sunk]))
-    np.testing.assert_allclose(found[0], good, rtol=1e-9)
-    assert np.linalg.eigvalsh(found[1]).min() > -1e-12
-    assert np.linalg.eigvalsh(found[1]).max() > 0.5
-
-
-def test_covariances_that_rounding_has_spoilt_still_have_a_root():
-    good = np.array([[4.0, 1.0], [1.0, 9.0]])
-    spoilt = np.array([[1.0, 1.0 + 1e-9], [1.0 + 1e-9, 1.0]])
-    low = _root(np.stack([good, spoilt]), np.full((2, 2), 0.5))
-    np.testing.assert_allclose(low @ low.transpose(0, 2, 1), np.stack([good, spoilt]), atol=1e-8)
-    sunk = _root(np.array([[[-1.0, 0.0], [0.0, 1.0]]]), np.full((1, 2), 0.5))
-    assert np.isfinite(sunk).all()
+def test_what_is_no_air_is_refused() -> None:
+    steps, (noise, begin) = system(20, 2), air(3)
+    seen = Seen.of(steps, measured(steps, 2), ROWS)
+    with pytest.raises(np.linalg.LinAlgError, match="below zero"):
+        gains(seen, NOISE, (noise, begin - 1.0))
+    steps.phi[3:] *= 1e200
+    with pytest.raises(np.linalg.LinAlgError, match="no number"):
+        gains(seen, NOISE, (noise, begin))

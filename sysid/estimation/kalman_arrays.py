@@ -1,0 +1,89 @@
+"""What the loops of the linear filter work on: named tuples, which compiled code takes as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.aerodynamics import Steps
+
+FloatArray = NDArray[np.float64]
+STARTS = 8
+"""Columns of the start state."""
+
+
+class Seen(NamedTuple):
+    """A segment's linear system with what was measured of it: there (n, m), z (n, m) less the reference's outputs, H (n, m, x),
+    D (n, m, 6); phi, defect, g0, g1, dt_s and start (x, 8) as in `Steps`. Where nothing was measured z is zero."""
+
+    there: NDArray[np.bool_]
+    z: FloatArray
+    H: FloatArray
+    D: FloatArray
+    phi: FloatArray
+    defect: FloatArray
+    g0: FloatArray
+    g1: FloatArray
+    dt_s: float
+    start: FloatArray
+
+    @classmethod
+    def of(cls, steps: Steps, measured: FloatArray, which: Sequence[int]) -> Seen:
+        """which: rows of OUTPUTS that ``measured`` (n, m) holds, NaN where nothing is."""
+        rows = list(which)
+        there = np.isfinite(measured)
+        z = np.where(there, measured - steps.y_ref[:, rows], 0.0)
+        H, D, phi, defect, g0, g1 = (
+            np.ascontiguousarray(part) for part in (steps.H[:, rows], steps.D[:, rows], steps.phi, steps.defect, steps.g0, steps.g1)
+        )
+        start = np.eye(H.shape[2], STARTS) if steps.start is None else steps.start
+        return cls(there, z, H, D, phi, defect, g0, g1, float(steps.dt_s), start)
+
+
+class Gains(NamedTuple):
+    """gain (n, m, x) of each channel of each sample behind those before it; spread (n, m): variance of its innovation; whole (n,
+    m): the same before any of the sample. 0, 1 and 1 where nothing was measured."""
+
+    gain: FloatArray
+    spread: FloatArray
+    whole: FloatArray
+
+    @property
+    def logdet(self) -> float:
+        """Sum of the logarithms of the innovations' deviations."""
+        return 0.5 * float(np.log(self.spread).sum())
+
+
+class Acting(NamedTuple):
+    """What columns do: column own[e] has values[:, e] (n, e) of the coefficient coefficient[e]; column direct[e] has added[:, :, e]
+    (n, m, e) of the channels. Columns count from 1: before them stands the state."""
+
+    own: NDArray[np.intp]
+    coefficient: NDArray[np.intp]
+    values: FloatArray
+    direct: NDArray[np.intp]
+    added: FloatArray
+
+    @classmethod
+    def of(
+        cls, names: Sequence[str], inputs: Mapping[str, tuple[int, FloatArray]], outputs: Mapping[str, FloatArray], n: int, m: int
+    ) -> Acting:
+        """inputs: column -> (index of the coefficient CX..Cn, values (n,)), or (-1, values (n, 6)) for all six; outputs: column ->
+        (n, m) added to the measured channels."""
+        own: list[int] = []
+        coefficient: list[int] = []
+        values = [np.zeros((n, 0))]
+        for k, name in enumerate(names, 1):
+            if name in inputs:
+                index, found = inputs[name]
+                which = list(range(6)) if index < 0 else [index]
+                own += [k] * len(which)
+                coefficient += which
+                values.append(np.reshape(found, (n, len(which))))
+        direct = [k for k, name in enumerate(names, 1) if name in outputs]
+        added = np.stack([outputs[names[k - 1]] for k in direct], axis=2) if direct else np.zeros((n, m, 0))
+        places = [np.array(some, dtype=np.intp) for some in (own, coefficient, direct)]
+        return cls(places[0], places[1], np.hstack(values), places[2], np.ascontiguousarray(added))

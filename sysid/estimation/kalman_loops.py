@@ -1,0 +1,304 @@
+"""Compiled loops of the linear filter along one linearised flight, in factors of the covariance, P = U D U'.
+
+The channels of a sample are taken one after the other: with independent noise that is the whole sample at once, and its whitened
+innovations are those of a Cholesky root (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, section V.3).
+Noise of a step comes in by weighted Gram-Schmidt (Thornton's form, the same, section VI.4). No rounding makes a variance negative.
+
+Inner loops run over all states, whose number is known when they are compiled, or along rows of memory: both become vector
+instructions without a sum being taken in another order.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sysid.aerodynamics import NX
+from sysid.linalg.compiled import compiled
+
+
+@compiled
+def follow(seen, r, q, begin, every):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Gains along a flight ``seen``, as `Gains` has them: variances r (m,) of the sensors, q (13,) per second of the states' noise,
+    begin (13,) of the start. The whole variances with ``every``."""
+    n, m = seen.there.shape
+    gain, spread, whole = np.zeros((n, m, NX)), np.ones((n, m)), np.ones((n, m))
+    noisy = np.flatnonzero(q)
+    # Rows of V are columns of U.
+    V, D, f = np.eye(NX), begin.copy(), np.empty(NX)
+    W, weight = np.empty((NX + 3 * len(noisy), NX)), np.empty(NX + 3 * len(noisy))
+    for k in range(n):
+        if every:
+            for j in range(m):
+                if seen.there[k, j]:
+                    _felt(V, seen.H[k, j], f)
+                    whole[k, j] = r[j]
+                    for i in range(NX):
+                        whole[k, j] += D[i] * f[i] * f[i]
+        for j in range(m):
+            if seen.there[k, j]:
+                _felt(V, seen.H[k, j], f)
+                spread[k, j] = _measured(V, D, f, r[j], gain[k, j])
+        if k < n - 1:
+            _moved(seen.phi[k], V, W)
+            _noise_added(seen.phi[k], seen.dt_s, q, noisy, W, weight)
+            weight[:NX] = D
+            _factored(W, weight, V, D)
+    return gain, spread, whole
+
+
+@compiled
+def _felt(V, h, f):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """U'h into ``f``; most channels see few states."""
+    f[:] = 0.0
+    for e in range(NX):
+        if h[e] != 0.0:
+            for i in range(e, NX):
+                f[i] += V[i, e] * h[e]
+
+
+@compiled
+def _measured(V, D, f, variance, gain):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Bierman's update of U and D by a channel, f = U'h: its innovation's variance, and its gain (13,) into ``gain``."""
+    alpha = variance
+    for i in range(NX):
+        if f[i] == 0.0:
+            continue
+        before, v = alpha, D[i] * f[i]
+        alpha += v * f[i]
+        D[i] *= before / alpha
+        gain[i] = v
+        back = -f[i] / before
+        for e in range(i):
+            old = V[i, e]
+            V[i, e] = old + gain[e] * back
+            gain[e] += old * v
+    for i in range(NX):
+        gain[i] /= alpha
+    return alpha
+
+
+@compiled
+def _moved(phi, V, W):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Phi U, turned, into the first rows of ``W``."""
+    for c in range(NX):
+        for i in range(NX):
+            W[c, i] = phi[i, c]
+    # From the last column on: each takes of those before it what they were.
+    for c in range(NX - 1, 0, -1):
+        for e in range(c):
+            for i in range(NX):
+                W[c, i] += V[c, e] * W[e, i]
+
+
+@compiled
+def _noise_added(phi, dt_s, q, noisy, W, weight):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """The other rows of ``W`` and their weights: the noise of a step, which acts while the step lasts: integral of exp(A s) Q
+    exp(A's) by Simpson's rule. At the step's end alone it would come half a step late, and every sensor would look early."""
+    w = len(noisy)
+    halves = W[NX : NX + w]
+    _halves(phi, noisy, halves)
+    for c in range(w):
+        at = noisy[c]
+        for i in range(NX):
+            W[NX + w + c, i] = phi[i, at]
+        W[NX + 2 * w + c] = 0.0
+        W[NX + 2 * w + c, at] = 1.0
+        sixth = dt_s / 6.0 * q[at]
+        weight[NX + c], weight[NX + w + c], weight[NX + 2 * w + c] = 4.0 * sixth, sixth, sixth
+
+
+@compiled
+def _halves(phi, noisy, halves):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Columns ``noisy`` of the transition over half a step, one a row of ``halves``: the root to second order of that over a whole
+    one, 1 + A/2 - A^2/8 with A = Phi - 1."""
+    away = np.empty((NX, NX))
+    for i in range(NX):
+        for e in range(NX):
+            away[e, i] = phi[i, e]
+        away[i, i] -= 1.0
+    for c in range(len(noisy)):
+        at = noisy[c]
+        for i in range(NX):
+            halves[c, i] = 0.5 * away[at, i]
+        halves[c, at] += 1.0
+        for e in range(NX):
+            for i in range(NX):
+                halves[c, i] -= 0.125 * away[at, e] * away[e, i]
+
+
+@compiled
+def _factored(W, weight, V, D):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """U and D of W' weight W by weighted Gram-Schmidt, the last state first. Destroys W."""
+    share = np.empty(NX)
+    for i in range(NX - 1, -1, -1):
+        share[:] = 0.0
+        for c in range(len(weight)):
+            u = weight[c] * W[c, i]
+            for e in range(NX):
+                share[e] += u * W[c, e]
+        D[i] = share[i]
+        for e in range(NX):
+            share[e] = share[e] / D[i] if e < i and D[i] > 0.0 else 0.0
+        for c in range(len(weight)):
+            u = W[c, i]
+            for e in range(NX):
+                W[c, e] -= share[e] * u
+        for e in range(i):
+            V[i, e] = share[e]
+
+
+@compiled
+def carry(seen, gain, scale, X, acting, out, path):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Innovations of a flight ``seen`` and what columns do to them, through given gains (n, m, x).
+
+    X (x, c) at the start: less the state, then columns, changed in place; scale (n, m) what innovations are multiplied by; acting:
+    what the columns do. Fills out (n, m, c) and path (n, x), the state.
+    """
+    n, m = seen.there.shape
+    row, Y = np.empty(X.shape[1]), np.empty_like(X)
+    for k in range(n):
+        for i in range(len(X)):
+            path[k, i] = -X[i, 0]
+        for j in range(m):
+            if seen.there[k, j]:
+                _output(seen, acting, k, j, X, row)
+                for c in range(len(row)):
+                    out[k, j, c] = row[c] * scale[k, j]
+                for i in range(len(X)):
+                    g = gain[k, j, i]
+                    if g != 0.0:
+                        for c in range(len(row)):
+                            X[i, c] -= g * row[c]
+        if k < n - 1:
+            _next(seen, acting, k, X, Y)
+            X[:] = Y
+
+
+@compiled
+def _output(seen, acting, k, j, X, row):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """The innovation of channel j of sample k, and what the columns do there, into ``row``."""
+    row[:] = 0.0
+    row[0] = seen.z[k, j]
+    for i in range(len(X)):
+        h = seen.H[k, j, i]
+        if h != 0.0:
+            for c in range(len(row)):
+                row[c] += h * X[i, c]
+    for e in range(len(acting.own)):
+        row[acting.own[e]] += seen.D[k, j, acting.coefficient[e]] * acting.values[k, e]
+    for e in range(len(acting.direct)):
+        row[acting.direct[e]] += acting.added[k, j, e]
+
+
+@compiled
+def _next(seen, acting, k, X, Y):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """The states of sample k + 1 by those of sample k, into ``Y``."""
+    for i in range(len(X)):
+        Y[i, :] = 0.0
+        Y[i, 0] = -seen.defect[k, i]
+        for e in range(len(X)):
+            p = seen.phi[k, i, e]
+            if p != 0.0:
+                for c in range(X.shape[1]):
+                    Y[i, c] += p * X[e, c]
+        for e in range(len(acting.own)):
+            a = acting.coefficient[e]
+            Y[i, acting.own[e]] += seen.g0[k, i, a] * acting.values[k, e] + seen.g1[k, i, a] * acting.values[k + 1, e]
+
+
+@compiled
+def backward(seen, by, innovation, q):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Slopes of minus twice the log likelihood with variances, innovations (n, m) as they are with the start fitted, the gains
+    ``by``: what its logarithm and what its sum of squares has, each of the sensors (2, m), per second of the states' noise (2, 13),
+    zero where q (13,) is, and at the start (2, 13).
+
+    Equations (2) and (3) of `sysid.effects.gust_score`.
+    """
+    n, m = seen.there.shape
+    by_noise, by_process, by_start = np.zeros((2, m)), np.zeros((2, NX)), np.zeros((2, NX))
+    noisy = np.flatnonzero(q)
+    r, N, a = np.zeros(NX), np.zeros((NX, NX)), np.empty(NX)
+    halves = np.empty((len(noisy), NX))
+    sixth = seen.dt_s / 6.0
+    for k in range(n - 1, -1, -1):
+        if k < n - 1:
+            # As `follow` adds the noise of a step: Simpson's rule over its end, middle and beginning.
+            _halves(seen.phi[k], noisy, halves)
+            _ends(r, N, noisy, sixth, by_process)
+            _middles(r, N, noisy, halves, 4.0 * sixth, by_process)
+            _turned(seen.phi[k], r, N)
+            _ends(r, N, noisy, sixth, by_process)
+        for j in range(m - 1, -1, -1):
+            if not seen.there[k, j]:
+                continue
+            h, g = seen.H[k, j], by.gain[k, j]
+            a[:] = 0.0
+            for e in range(NX):
+                for i in range(NX):
+                    a[i] += g[e] * N[e, i]
+            u, slope = innovation[k, j] / by.spread[k, j], 1.0 / by.spread[k, j]
+            for i in range(NX):
+                u -= g[i] * r[i]
+                slope += g[i] * a[i]  # (2)
+            by_noise[0, j] += slope
+            by_noise[1, j] += u * u  # (3)
+            _behind(h, a, u, slope, r, N)
+    for i in range(NX):
+        by_start[0, i], by_start[1, i] = N[i, i], r[i] ** 2
+    return by_noise, by_process, by_start
+
+
+@compiled
+def _ends(r, N, noisy, weight, by_process):  # type: ignore[no-untyped-def]  # pragma: no cover
+    for c in range(len(noisy)):
+        at = noisy[c]
+        by_process[0, at] += weight * N[at, at]
+        by_process[1, at] += weight * r[at] ** 2
+
+
+@compiled
+def _middles(r, N, noisy, halves, weight, by_process):  # type: ignore[no-untyped-def]  # pragma: no cover
+    turned = np.empty(NX)
+    for c in range(len(noisy)):
+        at = noisy[c]
+        turned[:] = 0.0
+        for e in range(NX):
+            for i in range(NX):
+                turned[i] += halves[c, e] * N[e, i]
+        square, along = 0.0, 0.0
+        for i in range(NX):
+            square += turned[i] * halves[c, i]
+            along += r[i] * halves[c, i]
+        by_process[0, at] += weight * square
+        by_process[1, at] += weight * along**2
+
+
+@compiled
+def _turned(phi, r, N):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Phi'r and Phi'N Phi in the places of r and N."""
+    a, T = np.zeros(NX), np.zeros((NX, NX))
+    for e in range(NX):
+        for o in range(NX):
+            for i in range(NX):
+                T[e, i] += N[e, o] * phi[o, i]
+        for i in range(NX):
+            a[i] += r[e] * phi[e, i]
+    N[:] = 0.0
+    for e in range(NX):
+        for i in range(NX):
+            for o in range(NX):
+                N[i, o] += phi[e, i] * T[e, o]
+    r[:] = a
+
+
+@compiled
+def _behind(h, a, u, slope, r, N):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """r and N before a channel by those behind it, a = N K."""
+    for e in range(NX):
+        if h[e] != 0.0:
+            r[e] += h[e] * u
+            for i in range(NX):
+                N[e, i] -= h[e] * a[i]
+                N[i, e] -= h[e] * a[i]
+            for i in range(NX):
+                N[e, i] += slope * h[e] * h[i]

@@ -1,0 +1,23 @@
+"""Loops that numba compiles, and keeps compiled beside their source."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from numba import njit
+
+Loop = Callable[..., Any]
+
+
+def compiled(loop: Loop) -> Loop:
+    """The loop, compiled when it is first called with such arguments.
+
+    The machine code is kept for the next process in the source's ``__pycache__``, or in the user's cache where that cannot be
+    written; where neither can, every process compiles anew.
+    """
+    try:
+        kept: Loop = njit(cache=True, nogil=True)(loop)
+    except RuntimeError:
+        kept = njit(nogil=True)(loop)
+    return kept
