@@ -155,11 +155,11 @@ def test_noise_that_no_filter_can_follow_is_not_the_likeliest(monkeypatch):
         def __init__(self, steps, measured, which, by):
             pass
 
-        def __call__(self, noise, process):
+        def __call__(self, noise, process, slopes=True):
             calls.append(float(noise[0]))
             away = np.log(noise[0]) + 1.0
             fails = noise[0] > 1.0
-            none = np.zeros((1, 13, 13))
+            none = np.zeros((1, 13))
             slope = np.zeros(1) if fails else np.array([1000.0 * away])
             return Score(np.inf if fails else 500.0 * away**2, slope, none, none, (np.array([100.0]), none, none))
 
