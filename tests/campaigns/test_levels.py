@@ -16,9 +16,10 @@ def test_limits_keep_their_level(truth):
 
 def test_limits_that_take_too_little_into_account_do_not():
     """The check says no to a limit per scheduled hour, and to one that takes clusters for single excursions."""
-    by_name = {truth.name: measured(truth, REPEATS) for truth in TRUTHS}
-    assert by_name["every flight but one in ten aborted"].as_scheduled > 0.9
-    assert by_name["clusters at the carried limit of 4, rare"].unclustered > 5.0 * ERROR
+    aborted, clustered = "every flight but one in ten aborted", "clusters at the carried limit of 4, rare"
+    by_name = {truth.name: measured(truth, REPEATS) for truth in TRUTHS if truth.name in (aborted, clustered)}
+    assert by_name[aborted].as_scheduled > 0.9
+    assert by_name[clustered].unclustered > 5.0 * ERROR
 
 
 def test_it_writes_its_table(tmp_path, capsys):

@@ -80,6 +80,7 @@ def test_noise_is_added_where_it_should_be():
     assert found["p_radps"].std == pytest.approx(0.00349, rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_true_error_is_inside_and_the_widths_are_the_noise_knowns(answers):
     rows, fits = STUDY.frames(answers)
     usual = rows[rows["way"] == "default"].set_index(["case", "coefficient", "speed_mps"])
@@ -93,6 +94,7 @@ def test_the_true_error_is_inside_and_the_widths_are_the_noise_knowns(answers):
     assert (parts.loc["nominal-calm"]["persistent_width"] < 0.2 * parts.loc["nominal-calm"]["published_width"]).all()
 
 
+@pytest.mark.slow
 def test_tables_verdicts_and_pictures_say_so(answers, tmp_path):
     rows, fits = STUDY.frames(answers)
     text = TABLES.tables(rows, fits)
@@ -111,6 +113,7 @@ def test_tables_verdicts_and_pictures_say_so(answers, tmp_path):
     assert "true error" in paths[0].read_text()
 
 
+@pytest.mark.slow
 def test_what_is_there_is_not_flown_again(answers, tmp_path, monkeypatch, capsys):
     flown: list[tuple[str, int]] = []
 

@@ -218,6 +218,7 @@ class Scratch:
 
     folder: Path
     namespace: dict[str, object] = field(default_factory=lambda: {"__name__": "__main__"})
+    slow: bool = False
 
     def __post_init__(self) -> None:
         ignore = shutil.ignore_patterns("results*", "__pycache__")
@@ -248,6 +249,7 @@ class Scratch:
 
     def run(self, example: Example, slow: bool) -> None:
         """Run one example as the set wants it; AssertionError with its place when it does not do what the page says."""
+        self.slow = slow
         with contextlib.chdir(self.folder):
             for command in example.all("before"):
                 self.command(command if slow else example.reduced(command), example, 0)
@@ -274,6 +276,8 @@ class Scratch:
         words = shlex.split(command, comments=True)
         if words[0].removeprefix(".venv/bin/") == "uqharness" and not re.search(r"[|<>;&$`]", command):
             code, said = in_process(words[1:])
+        elif not self.slow and re.fullmatch(r"python \w+\.py", command):
+            code, said = script_in_process(words[1])
         else:
             path = os.pathsep.join([str(self.folder / ".venv" / "bin"), os.environ.get("PATH", "")])
             environment = os.environ | {"PATH": path, "PYTHONPATH": str(ROOT)}
@@ -293,6 +297,14 @@ def in_process(words: list[str]) -> tuple[int, str]:
         except SystemExit as end:
             code = end.code if isinstance(end.code, int) else 2
     return code, said.getvalue()
+
+
+def script_in_process(file: str) -> tuple[int, str]:
+    """The same of a script of a page; the slow set runs it in a process of its own."""
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        runpy.run_path(file, run_name="__main__")
+    return 0, said.getvalue()
 
 
 def check_toml(example: Example) -> None:

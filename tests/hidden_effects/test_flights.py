@@ -48,7 +48,7 @@ def test_the_equations_are_those_of_the_other_integration():
 
 
 def test_the_step_is_short_enough_and_a_trim_stays():
-    flown = replace(card(5, 21.0, seconds=13.0, first=1), noise=0.0)
+    flown = replace(card(5, 21.0, seconds=8.0, first=1), noise=0.0)
     coarse, fine = (fly([Flight(flown, Airframe())], step_s=h)[0] for h in (0.004, 0.002))
     for name, std in NOISE.items():
         assert np.abs(coarse[name] - fine[name]).max() < 0.06 * std, name
@@ -158,7 +158,7 @@ def test_the_second_aeroplane_is_its_xml(tmp_path):
 
 
 def test_records_tell_nothing():
-    flown = card(3, 22.0, seconds=12.0)
+    flown = card(3, 22.0, seconds=8.0)
     bare, hidden = fly([Flight(flown, Airframe()), Flight(flown, Airframe(), (Effect("Cm", "p_hat^2", 5.0),))])
     assert bare.metadata == hidden.metadata
     assert list(bare.columns) == list(hidden.columns)

@@ -140,9 +140,9 @@ def torture(folder, cluster, flights, kills, seed, fake="slow"):
     return hit
 
 
-def check(tmp_path, flights, at_least, hit):
+def check(tmp_path, flights, at_least, hit, how="spawn"):
     spec = fakes.small_spec(tmp_path, flights)
-    summary = run_campaign(spec, tmp_path / "out", executor=ProcessExecutor(2, "spawn"), fly=fakes.steady)
+    summary = run_campaign(spec, tmp_path / "out", executor=ProcessExecutor(2, how), fly=fakes.steady)
     assert summary.statuses == {"ok": 64 * flights}
     run_campaign(spec, tmp_path / "undisturbed", executor=SerialExecutor(), fly=fakes.steady)
     for name in TABLES:
@@ -152,6 +152,15 @@ def check(tmp_path, flights, at_least, hit):
     assert len(hit) >= at_least, hit
 
 
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+def test_kills_in_the_middle_of_a_flight_and_of_writes(tmp_path):
+    fakes.campaign_file(tmp_path)
+    hit = torture(tmp_path, None, 3, ["worker", "journal"], seed=20161202)
+    check(tmp_path, 3, 3, hit, "fork")
+    assert hit == ["worker", "journal", "table"]
+
+
+@pytest.mark.slow
 def test_four_kills_of_four_kinds(tmp_path, cluster):
     fakes.campaign_file(tmp_path)
     hit = torture(tmp_path, cluster, 6, ["journal", "worker", "dask worker", "parent on dask"], seed=20161201)
@@ -159,6 +168,7 @@ def test_four_kills_of_four_kinds(tmp_path, cluster):
     assert "table" in hit
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
 def test_a_campaign_that_decides_is_killed_between_its_looks(tmp_path):
     """What to fly next depends on what is done: a look at half a round would answer another question."""
@@ -173,6 +183,7 @@ def test_a_campaign_that_decides_is_killed_between_its_looks(tmp_path):
     assert [(tmp_path / "out" / n).read_bytes() == (tmp_path / "undisturbed" / n).read_bytes() for n in names] == [True] * 5
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
 def test_the_batch_engine_is_killed_in_the_middle_of_groups(tmp_path):
     fakes.campaign_file(tmp_path)
@@ -208,7 +219,7 @@ def test_a_disk_that_fills_up_is_a_sentence_and_the_same_command_goes_on(tmp_pat
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert finished(out) == kept[-1] < 192
-    check(tmp_path, 3, 0, [])
+    check(tmp_path, 3, 0, [], "fork")
 
 
 @pytest.mark.skipif(not Path("/sys/kernel").is_dir(), reason="no file system at hand on which nobody may write")

@@ -58,6 +58,7 @@ class _Fetched(HTMLParser):
             self.addresses.append(given.get("href") or "")
 
 
+@pytest.mark.slow
 def test_every_page_is_built_and_nothing_is_fetched_from_a_network(site: Path):
     pages = {path.relative_to(site).with_suffix("").as_posix() for path in site.rglob("*.html")}
     assert {f"docs/{path.stem}" for path in (ROOT / "docs").glob("*.md")} <= pages
@@ -72,6 +73,7 @@ def test_every_page_is_built_and_nothing_is_fetched_from_a_network(site: Path):
         assert not re.search(r"url\(['\"]?(https?:)?//", path.read_text(encoding="utf-8")), path
 
 
+@pytest.mark.slow
 def test_every_page_can_be_reached_from_the_first(site: Path):
     first = (site / "index.html").read_text(encoding="utf-8")
     pages = {path.relative_to(site).as_posix() for path in site.rglob("*.html")} - {

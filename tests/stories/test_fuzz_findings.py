@@ -218,7 +218,13 @@ def test_a_study_with_hundreds_of_mistakes(tmp_path):
     assert lines[-1].startswith("and ")
 
 
-@pytest.mark.parametrize("command", [["modes", "--speed-mps", "22", "--altitude-m", "100"], ["instrument", "--out", "out"]])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["modes", "--speed-mps", "22", "--altitude-m", "100"],
+        pytest.param(["instrument", "--out", "out"], marks=pytest.mark.slow),
+    ],
+)
 def test_a_propeller_that_spoils_jsbsims_memory(command, dart):
     """Once JSBSim has refused it, anything may happen in that process: it is a child, and the program does not follow."""
     path = dart / "Engines" / "prop.xml"

@@ -16,6 +16,7 @@ pytest.importorskip("ipykernel")
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 SLOW = {
     "hidden-effect": "refines: a minute on two quiet cores",
+    "log-beside-simulation": "flies ten minutes and compares: 19 s",
     "own-aircraft": "flies a campaign in processes: 18 s of processor time",
 }
 FIGURES = {"own-aircraft": 1, "log-beside-simulation": 1, "hidden-effect": 1, "sensitivity": 1}

@@ -127,6 +127,7 @@ def run(installed: Path, folder: Path, *words: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_the_installed_wheel_works_in_a_folder_of_its_own(installed: Path, tmp_path: Path):
     where = subprocess.run(
         [installed / "python", "-c", "import uqharness, sysid; print(uqharness.__file__, sysid.__file__)"],

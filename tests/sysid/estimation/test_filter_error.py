@@ -160,17 +160,18 @@ def test_without_process_noise_it_is_output_error():
     assert any("process noise" in text for text in turbulent.warnings)
 
 
-def test_coverage_in_process_noise_where_output_error_fails():
+@pytest.mark.parametrize(("seeds", "least"), [(4, 9), pytest.param(12, 29, marks=pytest.mark.slow)])
+def test_coverage_in_process_noise_where_output_error_fails(seeds, least):
     hits, total = 0, 0
     t = [np.arange(130) * DT] * 3
     inputs = [U[a : a + 130] for a in (0, 130, 260)]
-    for seed in range(12):
+    for seed in range(seeds):
         z = fly(100 + seed)
         parts = [z[a : a + 130] for a in (0, 130, 260)]
         fit = filter_error(rate, measure, [0.0, 0.0], [-0.2, -1.0, 0.5], inputs, parts, t, hold="zoh")
         hits += int(np.sum(np.abs(fit.theta - TRUE) < 1.96 * fit.std))
         total += 3
-    assert hits >= 29  # of 36; 5 % below this has probability 1e-3
+    assert hits >= least  # of 12 or 36; at a level of 95 % fewer than this have a probability of 2e-3 or 1e-3
 
 
 def test_segments_dropouts_and_unequal_lengths():

@@ -123,6 +123,7 @@ def test_a_log_that_would_fill_the_memory_is_refused(tmp_path: Path, monkeypatch
         import_log(tmp_path / "big.ulg")
 
 
+@pytest.mark.slow
 @has_address_limit
 def test_packed_texts_that_would_fill_the_memory_are_refused(tmp_path: Path) -> None:
     texts = ["x" * 8_000_000 + str(i) for i in range(40)]
@@ -215,7 +216,7 @@ def test_progress_comes_through(tmp_path: Path, flown: FlightRecord, monkeypatch
     # The clock is no part of this test: a busy machine may take its time.
     monkeypatch.setitem(LIMITS, "tlog", Limit(600.0, 0.25e6, 300_000_000, 8.0))
     write_tlog(tmp_path / "one.tlog", flown, every=1)
-    (tmp_path / "a.tlog").write_bytes((tmp_path / "one.tlog").read_bytes() * 20)
+    (tmp_path / "a.tlog").write_bytes((tmp_path / "one.tlog").read_bytes() * 6)
     shares: list[float] = []
     limited.read_raw(tmp_path / "a.tlog", "tlog", shipped_map("tlog").wanted(), shares.append)
     assert shares

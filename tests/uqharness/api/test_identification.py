@@ -60,7 +60,7 @@ def test_compare_gives_what_the_command_gives(flight: Path, tmp_path: Path, caps
 
 def test_fit_model_form_gives_the_file_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixture):
     path = tmp_path / "bounds.parquet"
-    uq.fly("espaaro_truth", "flight-bounds", duration_s=40, noise=True, seed=2).write(path)
+    uq.fly("espaaro_truth", "flight-bounds", duration_s=24, noise=True, seed=2).write(path)
     more = ["--states", "CX=V,alpha,q", "--terms", "Cm=1,alpha,p^2", "--outside", "clamp", "--confidence", "0.9"]
     for words, options in (
         ([], {}),

@@ -57,11 +57,12 @@ def run(how: str, code: str, folder: Path) -> subprocess.CompletedProcess:
     [
         pytest.param("script", CAMPAIGN, "2 ['ok']", marks=pytest.mark.slow),
         pytest.param("pipe", CAMPAIGN, "2 ['ok']", marks=pytest.mark.slow),
-        ("notebook", CAMPAIGN, "2 ['ok']"),
-        ("script", IDENTIFY, "True"),
-        ("pipe", IDENTIFY, "True"),
+        pytest.param("notebook", CAMPAIGN, "2 ['ok']", marks=pytest.mark.slow),
+        pytest.param("script", IDENTIFY, "True", marks=pytest.mark.slow),
+        pytest.param("pipe", IDENTIFY, "True", marks=pytest.mark.slow),
+        ("notebook", IDENTIFY, "True"),
     ],
-    ids=["campaign-script", "campaign-pipe", "campaign-notebook", "identify-script", "identify-pipe"],
+    ids=["campaign-script", "campaign-pipe", "campaign-notebook", "identify-script", "identify-pipe", "identify-notebook"],
 )
 def test_it_ends_well_and_runs_once(how: str, code: str, said: str, tmp_path: Path):
     done = run(how, code, tmp_path)
@@ -97,5 +98,9 @@ def test_a_flight_function_of_the_script_needs_a_guard_and_that_is_said(tmp_path
     # The worker's own message and the script's.
     assert done.stderr.count("Traceback") <= 2 + done.stderr.count("During handling")
     assert (tmp_path / "begun").read_text() == "xx"
+
+
+@pytest.mark.slow
+def test_with_its_guard_it_flies(tmp_path: Path):
     done = run("script", OWN.replace("GUARD", 'if __name__ == "__main__":'), tmp_path)
     assert (done.returncode, done.stdout) == (0, "{'ok': 2}\n"), done.stderr

@@ -90,13 +90,20 @@ def false_yes(cluster: int, nearer_per_h: float | None, repeats: int = 1500, hou
 
 
 @pytest.mark.parametrize(
-    ("cluster", "nearer_per_h"),
-    [(4, 0.8), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((2, 0.5), (2, 0.8), (4, 0.5), (8, 0.5), (8, 0.8)))],
+    ("cluster", "nearer_per_h", "repeats"),
+    [
+        (4, 0.8, 100),
+        *(
+            pytest.param(*case, 500, marks=pytest.mark.slow)
+            for case in ((2, 0.5), (2, 0.8), (4, 0.5), (4, 0.8), (8, 0.5), (8, 0.8))
+        ),
+    ],
 )
-def test_a_yes_is_rarely_false_where_a_smaller_radius_shows_the_clusters(cluster, nearer_per_h):
-    assert false_yes(cluster, nearer_per_h, repeats=500) <= 0.05
+def test_a_yes_is_rarely_false_where_a_smaller_radius_shows_the_clusters(cluster, nearer_per_h, repeats):
+    assert false_yes(cluster, nearer_per_h, repeats) <= 0.05
 
 
-def test_what_is_assumed_alone_does_not_keep_the_level():
-    assert false_yes(4, None, repeats=300) > 0.1
-    assert false_yes(8, None, repeats=300) > 0.3
+@pytest.mark.parametrize("repeats", [60, pytest.param(300, marks=pytest.mark.slow)])
+def test_what_is_assumed_alone_does_not_keep_the_level(repeats):
+    assert false_yes(4, None, repeats) > 0.1
+    assert false_yes(8, None, repeats) > 0.3

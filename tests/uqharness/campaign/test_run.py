@@ -141,6 +141,7 @@ def test_an_interrupted_run_keeps_what_was_finished_and_resumes(tmp_path):
     assert tables(tmp_path / "out") == tables(tmp_path / "undisturbed")
 
 
+@pytest.mark.slow
 def test_kill_9_at_random_moments_and_resume_gives_the_same_bytes(tmp_path):
     fakes.campaign_file(tmp_path)
     out = tmp_path / "out"

@@ -132,24 +132,24 @@ def test_a_metric_that_no_corner_moves_is_undefined_with_a_reason(flown):
 
 
 def test_interior_levels_check_the_corners(tmp_path):
-    corners = fly(tmp_path, bump, flights=8)
+    corners = fly(tmp_path, bump, flights=2)
     middle_text = fakes.CAMPAIGN.replace('method = "corners"', 'method = "levels"\nlevels = [0.5]')
-    middle = fly(tmp_path, bump, "middle", middle_text, 8)
+    middle = fly(tmp_path, bump, "middle", middle_text, 2)
     flown = read_corner_campaign(corners)
     (found,) = analyse_campaign(flown, read_interior_campaign(middle, flown), ("cross_track_median_m",))
     # All levels in the middle: 3.875 + 2 of the corners' 0..7.75; the bump does not lead outside.
     assert found.result.holds is True
     text = middle_text.replace("[0.5]", "[0.5, 1.0]")
-    mixed = fly(tmp_path, bump, "mixed", text, 8)
+    mixed = fly(tmp_path, bump, "mixed", text, 2)
     (found,) = analyse_campaign(flown, read_interior_campaign(mixed, flown), ("cross_track_median_m",))
     # CX in the middle, all others up: 3.75 + 2 + 2 = the corners' 7.75 at most.
     assert found.result.details["interior_outside"] == pytest.approx(0.0, abs=1e-9)
-    steep = fly(tmp_path, steeper, "steep", text, 8)
+    steep = fly(tmp_path, steeper, "steep", text, 2)
     (found,) = analyse_campaign(flown, read_interior_campaign(steep, flown), ("cross_track_median_m",))
     assert found.result.details["interior_outside"] == pytest.approx(1.0 / 7.75)
     assert found.result.holds is False
     assert "too small" in found.result.statement
-    other_seed = fly(tmp_path, bump, "seed", middle_text.replace("seed = 7", "seed = 8"), 8)
+    other_seed = fly(tmp_path, bump, "seed", middle_text.replace("seed = 7", "seed = 8"), 2)
     with pytest.raises(BadInputError, match=r"does not belong to .*: seed differ"):
         read_interior_campaign(other_seed, flown)
     with pytest.raises(BadInputError, match="not a campaign of levels"):

@@ -54,7 +54,7 @@ def test_a_tolerance_is_ones_own_choice(other, capsys):
     ("words", "said"),
     [
         (["espaaro", "espaaro"], "give --speed-mps"), (["espaaro", "nowhere", "--speed-mps", "22"], "nowhere"),
-        (["espaaro", "espaaro", "--speed-mps", "300"], "no steady flight"),
+        pytest.param(["espaaro", "espaaro", "--speed-mps", "300"], "no steady flight", marks=pytest.mark.slow),
         (["espaaro", "espaaro", "--speed-mps", "22", "--out", "x.txt"], "FILE.html"),
         (["HEAD:no/such", "espaaro", "--speed-mps", "22"], "HEAD:no/such"),
     ],

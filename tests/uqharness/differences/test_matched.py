@@ -75,8 +75,12 @@ def test_scripts_are_flown_too(given):
     assert "aero/qbar-psf" in flight.a
 
 
-def test_nothing_to_fly_and_no_trim_are_refused(given):
+def test_nothing_to_fly_is_refused(given):
     with pytest.raises(BadInputError, match="nothing to fly"):
         fly_matched(given, given, Asked())
+
+
+@pytest.mark.slow
+def test_no_trim_is_refused(given):
     with pytest.raises(BadInputError, match="no steady flight"):
         fly_matched(given, given, Asked((300.0,)))

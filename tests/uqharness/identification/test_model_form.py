@@ -133,7 +133,9 @@ def test_validating_with_the_flight_behind_the_bounds_is_warned_of(made, flights
 def test_a_model_without_errors_leaves_nothing_in_a_flight_without_noise(flights, tmp_path, capsys):
     """JSBSim on both sides: what is left is the filter's own error. States that stood still are left out and said."""
     out = tmp_path / "clean"
-    assert main(["bounds", MODEL, "--flight", str(flights["clean"]), "--out", str(out), "--json", "--no-figures"]) == 0
+    assert (
+        main(["bounds", MODEL, "--flight", str(flights["clean"]), "--out", str(out), "--json", "--no-figures", "--no-check"]) == 0
+    )
     document = json.loads(capsys.readouterr().out)
     for c, limit in {"CX": 2e-4, "CY": 1e-6, "CZ": 1e-3, "Cl": 1e-6, "Cm": 2e-3, "Cn": 1e-6}.items():
         assert document["coefficients"][c]["mean_width"] < limit
@@ -237,6 +239,7 @@ def test_genuine_logs_of_three_flights(tmp_path, capsys):
     assert all(0.92 < row["0.95"] < 0.99 for row in rows.values())
 
 
+@pytest.mark.slow
 def test_the_published_interval_is_made_on_request(flights, tmp_path, capsys):
     """Noise and all, every sample counted: wider than the model's error by far where the model is right."""
     arguments = ["bounds", MODEL, "--flight", str(flights["bounds"]), "--no-check", "--no-figures", "--json"]

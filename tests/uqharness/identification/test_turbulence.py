@@ -9,7 +9,9 @@ import pytest
 import uqharness as uq
 
 
-@pytest.mark.parametrize(("turbulence", "method"), [("light", "filter error"), ("none", "output error")])
+@pytest.mark.parametrize(
+    ("turbulence", "method"), [pytest.param("light", "filter error", marks=pytest.mark.slow), ("none", "output error")]
+)
 def test_the_method_follows_the_air(tmp_path: Path, turbulence: str, method: str):
     flight = uq.fly("espaaro", "flight-ident", duration_s=24, turbulence=turbulence, noise=True, seed=3)
     flight.write(tmp_path / "flight.parquet")

@@ -190,6 +190,7 @@ def test_the_script_flies_and_the_redone_bounds_are_as_predicted(planned, campai
         assert achieved[c]["predicted_parameter"] == document["prospects"][c]["parameter_narrowing"]
 
 
+@pytest.mark.slow
 def test_what_scatters_is_asked_of_the_flights_behind(campaign, tmp_path, capsys):
     """In still air the reference truth's Cl_de is most of what scatters in Cl; polynomials of V, beta, p and r lack it."""
     flight, made = tmp_path / "calm.parquet", tmp_path / "bounds"

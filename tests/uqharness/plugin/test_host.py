@@ -42,6 +42,7 @@ def test_the_throttle_moves_the_thrust_and_not_without_the_host(p51d):
     assert low == high
 
 
+@pytest.mark.slow
 def test_it_trims_and_flies_on_at_that_speed(p51d):
     trim = find_trim(p51d, SteadyCondition(90.0, 200.0))
     assert trim.converged, trim.reason

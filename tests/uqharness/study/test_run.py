@@ -376,6 +376,7 @@ def kill_in_flight(tmp_path):
     return counted(tmp_path / "out" / "campaign-before")
 
 
+@pytest.mark.slow
 def test_a_study_killed_in_mid_campaign_goes_on_and_ends_as_if_undisturbed(tmp_path, capsys):
     (tmp_path / "study.toml").write_text(REAL)
     killed_at = kill_in_flight(tmp_path)

@@ -30,7 +30,7 @@ def _flown(program: Program, stride: int, pieces: tuple[int, ...] = (FRAMES,)) -
 
 
 @pytest.mark.parametrize("stride", [1, 3, 10, *(pytest.param(stride, marks=pytest.mark.slow) for stride in (2, 6))])
-@pytest.mark.parametrize("seed", [0, 5, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3, 4))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3, 4, 5))])
 def test_records_keep_their_bits(seed: int, stride: int) -> None:
     program = alive(joined(lowered(mixed(seed, sections=4 + seed))))
     wanted = _flown(program, stride)

@@ -23,6 +23,7 @@ from tests.helpers.batch_whole import (
     with_bounds,
     without_air,
 )
+from tests.helpers.few import few
 from uqharness.batch.installation import available
 from uqharness.batch.lanes import course
 from uqharness.batch.lanes import fly as lanes
@@ -125,12 +126,15 @@ NEAR = (
 
 @pytest.mark.parametrize(
     "change",
-    [
-        {"properties": {"uq/CZ/upper": 0.05000001, **CORNER}},
-        {"properties": {**CORNER, "uq/Cm/level": 1e-7}},
-        {"properties": {**CORNER, "inertia/iyy-slugs_ft2": 4.0}},
-        *(pytest.param(change, marks=pytest.mark.slow) for change in NEAR),
-    ],
+    few(
+        [
+            {"properties": {"uq/CZ/upper": 0.05000001, **CORNER}},
+            {"properties": {**CORNER, "uq/Cm/level": 1e-7}},
+            {"properties": {**CORNER, "inertia/iyy-slugs_ft2": 4.0}},
+            *(pytest.param(change, marks=pytest.mark.slow) for change in NEAR),
+        ],
+        1,
+    ),
 )
 def test_another_flight_is_noticed(change):
     given = spec(properties=CORNER, duration_s=20.0, **EXPENSIVE)
@@ -338,6 +342,7 @@ def test_metrics_are_those_of_jsbsim():
         assert ours.metrics[name] == pytest.approx(value, rel=1e-7, abs=1e-7, nan_ok=math.isnan(value))
 
 
+@pytest.mark.slow
 def test_a_coefficient_without_a_switch_is_taken_out_by_bounds_of_zero(tmp_path):
     text = (find_aircraft("espaaro").folder / "Systems" / "model-form.xml").read_text()
     # Plugins of other versions have no uq/<C>/active: a campaign that leaves a coefficient out flies them all the same.

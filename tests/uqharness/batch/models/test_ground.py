@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_flights import DT_S, START, aircraft, craft, flown, started
+from tests.helpers.few import few
 from uqharness.batch.lanes.mission import constant_properties, initial_values
 from uqharness.batch.models.ground import POINT, TOUCHED
 from uqharness.batch.models.start import CONDITIONS
@@ -57,13 +58,16 @@ def contact(start, steps=120):
 
 @pytest.mark.parametrize(
     ("start", "name"),
-    [
-        ({"ic/theta-rad": 0.5, "ic/phi-rad": 0.0}, "TAIL"),
-        ({"ic/theta-rad": -0.9, "ic/phi-rad": 0.0}, "NOSE"),
-        ({"ic/theta-rad": 0.0, "ic/phi-rad": -0.5}, "LEFT"),
-        ({"ic/theta-rad": 0.0, "ic/phi-rad": 0.5, "ic/lat-geod-rad": -0.7}, "RIGHT"),
-        ({"ic/theta-rad": 0.0, "ic/phi-rad": 3.0, "ic/h-sl-ft": 5.0}, "NOSE"),
-    ],
+    few(
+        [
+            ({"ic/theta-rad": 0.5, "ic/phi-rad": 0.0}, "TAIL"),
+            ({"ic/theta-rad": -0.9, "ic/phi-rad": 0.0}, "NOSE"),
+            ({"ic/theta-rad": 0.0, "ic/phi-rad": -0.5}, "LEFT"),
+            ({"ic/theta-rad": 0.0, "ic/phi-rad": 0.5, "ic/lat-geod-rad": -0.7}, "RIGHT"),
+            ({"ic/theta-rad": 0.0, "ic/phi-rad": 3.0, "ic/h-sl-ft": 5.0}, "NOSE"),
+        ],
+        2,
+    ),
 )
 def test_the_first_point_and_its_step(start, name):
     first, records = contact(start)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
 from tests.helpers.batch_flights import START, aircraft, compared, refused, worst
+from tests.helpers.few import few
 
 BODY = """<system name='s'><property value='1'>i/a</property><property value='2'>i/b</property><property value='.5'>i/c</property>
 <property>i/on</property><channel name='c'><pure_gain name='s/a'><input>i/a</input><gain>2</gain></pure_gain>
@@ -79,25 +82,57 @@ EVENTS = {
 }
 
 
-@pytest.mark.parametrize("name", EVENTS)
+def own(text, number):
+    """The text with properties of its own."""
+    return re.sub(r"\b(i/[abc]|s/[ab]|f/x|run/own)\b", lambda found: f"{found[0]}{number}", text)
+
+
+def test_all_events_in_one_flight():
+    """Each on properties of its own; the one that sets a surface is flown alone."""
+    events = [text for name, text in EVENTS.items() if name != "a surface"]
+    bodies = "".join(
+        own(BODY, number).replace("'s'", f"'s{number}'").replace("'c'", f"'c{number}'") for number in range(len(events))
+    )
+    declared = "<property>i/on</property>"
+    bodies = bodies.replace(declared, "").replace("<channel", f"{declared}<channel", 1)
+    bodies = bodies.replace("</axis></aerodynamics>", "").replace("<aerodynamics><axis name='X'>", "")
+    systems = "".join(re.findall(r"<system.*?</system>", bodies, re.DOTALL))
+    functions = "".join(re.findall(r"<function name='f/.*?</function>", bodies, re.DOTALL))
+    text = aircraft(f"{systems}<aerodynamics><axis name='X'>{functions}</axis></aerodynamics>")
+    # Properties of the run, declared in a script, come first.
+    texts = [own(text, number) for number, text in enumerate(events)]
+    first = "".join(part for text in texts for part in re.findall(r"<property value=.*?</property>", text))
+    rest = "".join(re.sub(r"<property value=.*?</property>", "", text) for text in texts)
+    records = [f"{name}{number}" for number in range(len(events)) for name in ("i/a", "i/b", "s/a", "s/b", "f/x")]
+    found = compared(text, [*records, "velocities/u-fps"], inputs(), 60, START, first + rest)
+    assert len(found) == 5 * len(events) + 1
+    assert worst(found) < 1e-12
+    changed = (first + rest).replace("tc='.17'", "tc='.1700001'")
+    assert worst(compared(text, records, inputs(), 60, START, first + rest, changed_events=changed)) > 1e-9
+
+
+@pytest.mark.parametrize("name", few(EVENTS, 3))
 def test_events(name):
     assert worst(differences(EVENTS[name])) < 1e-12
 
 
 @pytest.mark.parametrize(
     ("name", "old", "new"),
-    [
-        ("value", "'7'", "'7.0000001'"),
-        ("at a time", "0.2", "0.185"),
-        ("delta", "FG_DELTA", "FG_VALUE"),
-        ("delay", ".055", ".065"),
-        ("ramp", ".17", ".1700001"),
-        ("exponential", "tc='.1'", "tc='.1000001'"),
-        ("persistent", "persistent='true'", ""),
-        ("continuous function", "continuous", "persistent"),
-        ("two conditions", "i/on eq 1", "i/on ge 0"),
-        ("or", "OR", "AND"),
-    ],
+    few(
+        [
+            ("value", "'7'", "'7.0000001'"),
+            ("at a time", "0.2", "0.185"),
+            ("delta", "FG_DELTA", "FG_VALUE"),
+            ("delay", ".055", ".065"),
+            ("ramp", ".17", ".1700001"),
+            ("exponential", "tc='.1'", "tc='.1000001'"),
+            ("persistent", "persistent='true'", ""),
+            ("continuous function", "continuous", "persistent"),
+            ("two conditions", "i/on eq 1", "i/on ge 0"),
+            ("or", "OR", "AND"),
+        ],
+        3,
+    ),
 )
 def test_another_event_is_noticed(name, old, new):
     assert old in EVENTS[name]

@@ -95,6 +95,7 @@ def test_dask_moves_no_byte(tmp_path, dask):
     assert tables(tmp_path / "other") != tables(tmp_path / "local")
 
 
+@pytest.mark.slow
 def test_real_flights_on_dask_move_no_byte(tmp_path, dask):
     (tmp_path / "campaign.toml").write_text(REAL)
     spec = read_campaign(tmp_path / "campaign.toml")

@@ -69,7 +69,8 @@ def places(tree, prefix=()):
             yield from places(value, (*prefix, key))
 
 
-def test_any_part_missing_or_of_another_type_is_one_sentence(made, tmp_path, capsys):
+@pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.slow)])
+def test_any_part_missing_or_of_another_type_is_one_sentence(made, tmp_path, capsys, every):
     """Also with a digest that fits, in every command."""
     folder = tmp_path / "out"
     shutil.copytree(made, folder)
@@ -77,7 +78,7 @@ def test_any_part_missing_or_of_another_type_is_one_sentence(made, tmp_path, cap
     chance = random.Random(1)
     strange = [None, True, -1, 1.5, "x", [], {}, [1], {"a": 1}, "\x00", 1e400, 2**70]
     refused = 0
-    for place in places(document):
+    for place in list(places(document))[::every]:
         for what in ("gone", "retyped"):
             changed = copy.deepcopy(document)
             node = changed
@@ -96,7 +97,7 @@ def test_any_part_missing_or_of_another_type_is_one_sentence(made, tmp_path, cap
                     assert said.err.startswith("uqharness: error: ")
                     assert "Traceback" not in said.err
                 assert "\x00" not in said.err
-    assert refused > 50
+    assert refused > 50 / every
 
 
 @pytest.mark.parametrize(

@@ -17,8 +17,8 @@ def test_replays_are_measured_and_said(tmp_path, monkeypatch):
     monkeypatch.setattr(in_lanes, "_made", lambda job, names: compiled.append(job) or made(job, names))
     flight = tmp_path / "flight.parquet"
     main(["fly", "espaaro", "--script", "flight-ident", "--noise", "--out", str(flight)])
-    found = measure_replays(find_aircraft("espaaro"), flight, 2, replays=2)
-    assert len(compiled) == 4  # in each round once for the replays and once for identify: nothing is remembered
+    found = measure_replays(find_aircraft("espaaro"), flight, 1, replays=1)
+    assert len(compiled) == 2  # in a round once for the replays and once for identify: nothing is remembered
     assert set(found) == {"f_replays_per_s", "g_compile_s", "h_identify_s"}
     assert all(value > 0.0 for value in found.values())
     assert len(said_of_replays(found)) == len(found)

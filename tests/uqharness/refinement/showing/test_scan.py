@@ -49,7 +49,7 @@ def test_colour_below_the_noise_has_a_band():
     assert found.high_hz < 3.5
 
 
-@pytest.mark.parametrize("n", [500, 4500])
+@pytest.mark.parametrize("n", [500, pytest.param(4500, marks=pytest.mark.slow)])
 def test_noise_alone_has_no_place(n):
     """Of 150 draws chance may place two at one in a hundred (a binomial's 99 % is five)."""
     ps = [found.p for seed in range(150) if (found := loudest(noise(seed, n), RATE)) is not None]

@@ -227,6 +227,7 @@ def test_pbox_numbers_in_closed_form():
     assert np.isnan(box.quantile((failed,), 0.95)[1])
 
 
+@pytest.mark.slow
 def test_a_mission_goes_on_and_another_model_flies_anew(tmp_path, campaign):
     told: list[str] = []
     form = tmp_path / "intervals" / "before.json"

@@ -37,8 +37,18 @@ def tracks(folder):
     pd.concat(rows).to_parquet(folder / "tracks.parquet", index=False)
 
 
+MADE: dict[str, html.HtmlElement] = {}
+
+
 def page(tmp_path, campaigns, effect_test=None, **changes):
-    """The page of a study with two campaigns and a refinement, as a tree."""
+    """The page of a study with two campaigns and a refinement, as a tree that is only read: each is made once."""
+    key = json.dumps([effect_test, changes])
+    if key not in MADE:
+        MADE[key] = made(tmp_path, campaigns, effect_test, **changes)
+    return MADE[key]
+
+
+def made(tmp_path, campaigns, effect_test=None, **changes):
     folder = tmp_path / "study"
     for name in ("before", "after"):
         shutil.copytree(campaigns / name, folder / name)
@@ -117,7 +127,7 @@ def test_damaged_tracks_are_told_and_leave_the_p_box(tmp_path, campaigns, conten
             (folder / "tracks.parquet").write_bytes(content)
 
     monkeypatch.setattr(f"{__name__}.tracks", damaged)
-    tree = page(tmp_path, campaigns)
+    tree = made(tmp_path, campaigns)
     assert not tree.xpath("//figure[@id='ground-track']")
     assert tree.xpath("//figure[@id='answer-pbox']")
     (heading,) = [e for e in tree.iter("h2") if e.text == "What could not be read"]

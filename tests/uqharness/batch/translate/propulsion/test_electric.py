@@ -7,10 +7,11 @@ import pytest
 
 from tests.helpers import batch_engines as engines
 from tests.helpers import batch_flights as flights
+from tests.helpers.few import few
 
 
 @pytest.mark.parametrize("motor", ["motor", "brushless"])
-@pytest.mark.parametrize("events", ["", engines.RUNNING])
+@pytest.mark.parametrize("events", few(["", engines.RUNNING], 1))
 def test_a_motor_starts_and_brakes(motor: str, events: str) -> None:
     throttle = np.concatenate([np.full(21, 1e-5), np.full(40, -0.5), np.full(40, 2e-5), np.full(20, 0.0)])
     made = engines.Case(

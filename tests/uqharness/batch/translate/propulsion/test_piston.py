@@ -7,6 +7,7 @@ import pytest
 
 from tests.helpers import batch_engines as engines
 from tests.helpers import batch_flights as flights
+from tests.helpers.few import few
 
 FRAMES = 900
 NAMES = [
@@ -49,12 +50,15 @@ def case(motor: str = "eng_io320", events: str = engines.RUNNING, frames: int = 
 
 @pytest.mark.parametrize(
     ("motor", "events"),
-    [
-        ("eng_io320", engines.RUNNING),
-        ("eng_io320", ""),
-        ("own", engines.RUNNING),
-        ("own", engines.RUNNING + '<property value="1">propulsion/magneto_cmd</property>'),
-    ],
+    few(
+        [
+            ("eng_io320", engines.RUNNING),
+            ("eng_io320", ""),
+            ("own", engines.RUNNING),
+            ("own", engines.RUNNING + '<property value="1">propulsion/magneto_cmd</property>'),
+        ],
+        2,
+    ),
 )
 def test_the_engine_runs_as_in_jsbsim(motor: str, events: str) -> None:
     made = case(motor, events)

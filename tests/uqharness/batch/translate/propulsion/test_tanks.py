@@ -7,6 +7,7 @@ import pytest
 
 from tests.helpers import batch_engines as engines
 from tests.helpers import batch_flights as flights
+from tests.helpers.few import few
 
 FEEDS = "<feed>0</feed><feed>1</feed><feed>2</feed>"
 TANKS = (
@@ -52,14 +53,17 @@ def test_tanks_empty_in_their_order_and_the_engine_stops() -> None:
 
 @pytest.mark.parametrize(
     ("before", "after"),
-    [
-        ("<priority>2", "<priority>1"),
-        ('unit="GAL">0.004', 'unit="GAL">0.00401'),
-        ("<feed>2</feed>", ""),
-        ('<radius unit="IN">6', '<radius unit="IN">6.1'),
-        ("<z>-6</z></drain", "<z>-6.01</z></drain"),
-        ('LBS/GAL">6.1', 'LBS/GAL">6.11'),
-    ],
+    few(
+        [
+            ("<priority>2", "<priority>1"),
+            ('unit="GAL">0.004', 'unit="GAL">0.00401'),
+            ("<feed>2</feed>", ""),
+            ('<radius unit="IN">6', '<radius unit="IN">6.1'),
+            ("<z>-6</z></drain", "<z>-6.01</z></drain"),
+            ('LBS/GAL">6.1', 'LBS/GAL">6.11'),
+        ],
+        2,
+    ),
 )
 def test_each_number_matters(before: str, after: str) -> None:
     made = case()

@@ -6,6 +6,7 @@ import pytest
 
 from tests.helpers import batch_engines as engines
 from tests.helpers import batch_flights as flights
+from tests.helpers.few import few
 
 VECTOR = """<system name="v"><channel name="v">
 <fcs_function name="v/pitch"><function><product><v>.2</v><p>fcs/throttle-cmd-norm</p></product></function>
@@ -31,12 +32,12 @@ def case(propulsion: str, systems: str = "", count: int = 1) -> engines.Case:
 
 @pytest.mark.parametrize(
     ("made", "before", "after"),
-    [
+    few([
         (case(engines.mounted("motor", "direct", extra="")), "<pitch>3", "<pitch>3.00001"),
         (case(engines.mounted("motor", "nozzle", extra="") + POINTED, count=2), "<y>.1</y>", "<y>.10001</y>"),
         (case(engines.mounted("motor", "nozzle", extra="") + POINTED, count=2), '<y>.2</y>', '<y>.20001</y>'),
         (case(engines.mounted("motor", "direct", extra=""), VECTOR), "<v>.2</v>", "<v>.20001</v>"),
-    ],
+    ], 2),
 )  # fmt: skip
 def test_thrust_acts_as_in_jsbsim(made: engines.Case, before: str, after: str) -> None:
     theirs = made.theirs()

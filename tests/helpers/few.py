@@ -1,0 +1,22 @@
+"""Of many like cases a few for the default set; the rest are slow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import pytest
+
+
+def few(cases: Iterable[Any], number: int) -> list[Any]:
+    """The cases for ``pytest.mark.parametrize``: ``number`` of them, spread evenly from the first to the last, as they are, the
+    others marked slow. A tuple is a case of several names."""
+    given = list(cases)
+    kept = {round(k * (len(given) - 1) / max(number - 1, 1)) for k in range(number)}
+    return [case if k in kept else _slow(case) for k, case in enumerate(given)]
+
+
+def _slow(case: Any) -> Any:
+    if hasattr(case, "marks"):
+        return pytest.param(*case.values, marks=[*case.marks, pytest.mark.slow], id=case.id)
+    return pytest.param(*case, marks=pytest.mark.slow) if isinstance(case, tuple) else pytest.param(case, marks=pytest.mark.slow)
