@@ -37,7 +37,7 @@ def constant(tmp_path_factory):
     return flown(other, tmp_path_factory.mktemp("constant"), by_mass(0.0), list(other.only(["severe-3"]))[:1])
 
 
-@pytest.mark.parametrize("slope", [0.12, 0.0])
+@pytest.mark.parametrize("slope", [0.12, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_the_slope_is_found_where_there_is_one(constant, tmp_path, slope):
     told = tables(PLAN, flown(PLAN, tmp_path / "shards", by_mass(slope)), tmp_path, constant)
     frame = pd.read_csv(tmp_path / "effects.csv").set_index("metric")

@@ -20,7 +20,7 @@ def root(tmp_path_factory):
     return tmp_path_factory.mktemp("flips")
 
 
-@pytest.mark.parametrize("flips", [40, pytest.param(800, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("flips", [20, pytest.param(800, marks=pytest.mark.slow)])
 def test_no_flip_is_silent(root, flips):
     said = []
     found = bit_flips.run(flips, 20161201, root, said.append)
@@ -29,7 +29,7 @@ def test_no_flip_is_silent(root, flips):
     assert counted.total() == flips
     assert counted[bit_flips.FOUND] > 0.4 * flips
     assert counted[bit_flips.NO_EFFECT] > 0.1 * flips
-    assert len(found) > 10
+    assert len(found) > min(10, flips // 3)
     assert "all" in bit_flips.table(found)
 
 

@@ -119,6 +119,7 @@ def test_without_the_certificate_nobody_answers(cluster, tmp_path) -> None:
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_another_certificate_is_turned_away(cluster, certificate, tmp_path) -> None:
     names = ("-keyout", tmp_path / "key.pem", "-out", tmp_path / "cert.pem")
     command = ["openssl", "req", "-x509", "-newkey", "rsa:3072", "-nodes", "-days", "2", "-subj", "/CN=else", *names]

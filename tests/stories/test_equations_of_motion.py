@@ -7,6 +7,7 @@ import functools
 import numpy as np
 import pytest
 
+from tests.helpers.few import few
 from tests.helpers.sixdof import TABLE_2_6, Airframe, simulate
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import find_aircraft, open_aircraft
@@ -94,7 +95,7 @@ def disagrees(changes: dict[str, float]) -> bool:
     return any(not excess(fly_jsbsim(control, changes=changes)[0], nominal(control)[1]).max() < 1.0 for control in DOUBLETS)
 
 
-@pytest.mark.parametrize("name", [key for key, value in TABLE_2_6.items() if value != 0.0])
+@pytest.mark.parametrize("name", few([key for key, value in TABLE_2_6.items() if value != 0.0], 9))
 def test_a_flipped_coefficient_is_seen(name):
     assert disagrees({f"aero/{name}": -TABLE_2_6[name]})
 

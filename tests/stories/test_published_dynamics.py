@@ -56,6 +56,7 @@ def test_stepwise_takes_what_the_published_equation_has_and_nothing_else():
     assert stepwise(np.column_stack([DATA[:, :3], *more]), noisy, keep=(0, 1)).selected == [0, 1, 2]
 
 
+@pytest.mark.slow
 def test_filter_error_agrees_within_its_bounds_from_the_authors_start():
     fit = filter_error(rate, seen, np.zeros(2), START, DE[:, None], MEASURED, np.arange(W.size) * DT, names=NAMES)
     assert fit.converged

@@ -24,14 +24,14 @@ aircraft = "espaaro"
 name = "ident"
 aircraft = "espaaro_truth"
 script = "flight-ident"
-duration_s = 45
+duration_s = 26
 seed = 1
 
 [[fly]]
 name = "bounds"
 aircraft = "espaaro_truth"
 script = "flight-bounds"
-duration_s = 45
+duration_s = 30
 seed = 2
 
 [identify]

@@ -86,7 +86,8 @@ def test_without_the_setting_they_would(place):
 def test_the_command_flies_a_campaign_in_such_a_folder(place):
     command = Path(sys.executable).with_name("uqharness")
     (place / "campaign.toml").write_text(
-        '[campaign]\naircraft = "espaaro"\nmission = "loiter"\nseed = 7\n[aleatory]\nflights = 2\nduration_s = 2\n'
+        '[campaign]\naircraft = "espaaro"\nmission = "loiter"\nseed = 7\nengine = "jsbsim"\n'
+        "[aleatory]\nflights = 2\nduration_s = 2\n"
         '[epistemic]\nmethod = "none"\n'
     )
     done, marks = run(place, str(command), "campaign", "run", "campaign.toml", "--out", "out", "--workers", "1")

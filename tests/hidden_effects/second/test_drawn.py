@@ -127,6 +127,7 @@ def test_servos_at_once_and_clocks_of_commands():
     assert earlier(np.arange(4.0), -1).tolist() == [0.0, 0.0, 1.0, 2.0]
 
 
+@pytest.mark.slow
 def test_the_third_aeroplane_flies():
     x, s = trim(Model([THIRD] * 3, [()] * 3), np.array([16.0, 22.0, 28.0]), np.full(3, 100.0))
     assert (np.abs(s[:3]) < 6.0).all()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sysid.logs.command_edges import logged_rows, place_steps
+from tests.helpers.few import few
 
 DT, STRIDE, NOISE = 0.02, 2, 0.0036
 
@@ -25,7 +26,9 @@ def flown(seed, size=6.0, late_s=0.0, dt=DT, stride=STRIDE):
     return acted, logged, seen + NOISE * rng.standard_normal(n)
 
 
-@pytest.mark.parametrize(("late_s", "dt", "stride"), [(0.0, 0.02, 2), (0.006, 0.02, 2), (0.011, 0.02, 2), (0.005, 0.005, 8)])
+@pytest.mark.parametrize(
+    ("late_s", "dt", "stride"), few([(0.0, 0.02, 2), (0.006, 0.02, 2), (0.011, 0.02, 2), (0.005, 0.005, 8)], 2)
+)
 def test_steps_are_found_where_they_happened(late_s, dt, stride):
     before = after = 0.0
     for seed in range(10):

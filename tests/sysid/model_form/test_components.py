@@ -111,7 +111,7 @@ def test_without_model_error_little_is_left_and_none_is_found():
     assert fitted(draw(1, 0.0, 0.0, 0.01, noise)[0]).bounds.parts.found
 
 
-@pytest.mark.parametrize("presumed", [0.5, 2.0])
+@pytest.mark.parametrize("presumed", [pytest.param(0.5, marks=pytest.mark.slow), 2.0])
 def test_a_noise_presumed_wrong_costs_no_coverage(presumed):
     parts = {"polynomial": 0.005, "persistent": 0.01, "transient": 0.01, "noise": 0.02}
     assert over_draws(range(8), presumed=presumed * 0.02, **parts) >= 0.93

@@ -94,7 +94,7 @@ def test_each_cell_gets_its_answer_and_no_flight_more_than_it_needs(tmp_path):
     assert rough["worst"] == "11----"
 
 
-@pytest.mark.parametrize("answer_for", ["cell", "corner"])
+@pytest.mark.parametrize("answer_for", [pytest.param("cell", marks=pytest.mark.slow), "corner"])
 def test_workers_and_interruptions_move_no_byte(tmp_path, answer_for):
     text = TOML + f'answer_for = "{answer_for}"\n'
     run(tmp_path, "whole", text=text)

@@ -68,17 +68,21 @@ def test_the_table_has_one_row_per_flight_and_the_agreed_columns(tmp_path):
     assert read_manifest(tmp_path / "out")["state"] == "complete"
 
 
-def test_workers_order_and_start_method_move_no_byte(tmp_path):
+EXECUTORS = {
+    "fork1": lambda: ProcessExecutor(1, "fork"),
+    "fork3": lambda: ProcessExecutor(3, "fork"),
+    "spawn2": lambda: ProcessExecutor(2, "spawn"),
+    "forkserver2": lambda: ProcessExecutor(2, "forkserver"),
+    "reversed": lambda: ReversedExecutor(),
+}
+
+
+@pytest.mark.parametrize("names", [("fork3", "spawn2", "reversed"), pytest.param(("fork1", "forkserver2"), marks=pytest.mark.slow)])
+def test_workers_order_and_start_method_move_no_byte(tmp_path, names):
     run(tmp_path, "serial", fly=fakes.hazardous_but_alive)
     reference = tables(tmp_path / "serial")
-    for name, executor in {
-        "fork1": ProcessExecutor(1, "fork"),
-        "fork3": ProcessExecutor(3, "fork"),
-        "spawn2": ProcessExecutor(2, "spawn"),
-        "forkserver2": ProcessExecutor(2, "forkserver"),
-        "reversed": ReversedExecutor(),
-    }.items():
-        run(tmp_path, name, executor, fakes.hazardous_but_alive)
+    for name in names:
+        run(tmp_path, name, EXECUTORS[name](), fakes.hazardous_but_alive)
         assert tables(tmp_path / name) == reference, name
     other = fakes.small_spec(tmp_path, 2)
     other = replace(other, campaign=other.campaign.model_copy(update={"seed": 8}))

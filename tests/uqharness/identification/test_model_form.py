@@ -142,6 +142,7 @@ def test_a_model_without_errors_leaves_nothing_in_a_flight_without_noise(flights
     assert any("beta_rad" in n and "hardly varied" in n for n in document["notes"])
 
 
+@pytest.mark.slow
 def test_checks_name_the_noise_and_the_other_filters(flights, tmp_path, capsys):
     out = tmp_path / "checked"
     arguments = ["bounds", MODEL, "--flight", str(flights["bounds"]), "--out", str(out), "--json", "--no-figures"]

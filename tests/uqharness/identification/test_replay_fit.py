@@ -101,6 +101,7 @@ def jumping(monkeypatch):
     return prepare("f", fly_hidden([Flight(card, Airframe())])[0], ())
 
 
+@pytest.mark.slow
 def test_what_accelerometers_have_not_seen_of_a_jump_is_estimated(aircraft, jumping):
     names = ("aero/CZ_de", "aero/Cm_de", "aero/CY_dr", "aero/Cl_da")
     true = [Airframe().coefficients[n.removeprefix("aero/")] for n in names]

@@ -350,6 +350,7 @@ def test_a_glider_nobody_prepared_is_identified_by_its_scales(tmp_path, capsys):
     assert {name: found[name]["value"] for name in truth} == pytest.approx(truth, rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_stock_aeroplane_is_replayed_with_its_engine_running_and_its_linkage_as_it_is(tmp_path):
     """Elevator with hysteresis, bias, lag and two unequal ends of travel; a piston engine that wants mixture."""
     folder = tmp_path / "c172x"

@@ -221,7 +221,7 @@ def prepared_step():
     return Segment("step", "f", 0.02 * np.arange(60), controls, start, 100.0, 100.0)
 
 
-@pytest.mark.parametrize("model", ["servo", "at once"])
+@pytest.mark.parametrize("model", ["servo", pytest.param("at once", marks=pytest.mark.slow)])
 def test_steps_of_commands_through_a_servo_at_its_rate_limit_and_without_one(aircraft, model, monkeypatch):
     """Against the servo's own solution (exact lag, then the limit) and fourth-order motion; a run of 10 ms is seen."""
     dynamics = Model([Airframe()], [()])

@@ -37,7 +37,7 @@ def aircraft(tmp_path_factory):
 def record():
     """The same flown without JSBSim and without noise."""
     effect = Effect("CZ", "alphadot_hat", VALUE)
-    card = replace(cards("steps", "mixed", 0.0, 0.0, 50.0, positions=True)[0], seconds=32.0)
+    card = replace(cards("steps", "mixed", 0.0, 0.0, 50.0, positions=True)[0], seconds=18.0)
     return fly_and_tell([Flight(card, Airframe(), (effect,))])[0].record
 
 

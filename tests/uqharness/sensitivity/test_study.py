@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from tests.helpers.few import few
 from tests.helpers.places import ROOT
 from uqharness import sensitivity
 from uqharness.errors import BadInputError
@@ -339,7 +340,7 @@ def corner_flights(draws, rng, own):
     return base[:, None] + rng.gamma(2.0, 0.3, draws) * (1 + 0.3 * b[:, None]) + own * rng.normal(size=(8, draws))
 
 
-@pytest.mark.parametrize(("own", "draws"), [(0.0, 8), (0.1, 8), (0.4, 32)])
+@pytest.mark.parametrize(("own", "draws"), few([(0.0, 8), (0.1, 8), (0.4, 32)], 1))
 def test_pair_intervals_cover_both_ends_from_few_draws(own, draws):
     truth = pair_band(corner_flights(100_000, np.random.default_rng(1), own), 3, seed=0, resamples=0).index[:, :-2]
     ends = truth.min(axis=1), truth.max(axis=1)

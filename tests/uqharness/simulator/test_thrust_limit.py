@@ -78,6 +78,7 @@ def test_a_glider_finds_its_own_path(name):
     assert math.atan2(-down, math.hypot(north, east)) == pytest.approx(trim.condition.climb_rad, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_first_frame_in_which_nothing_accelerates_is_no_trim_where_the_surface_then_runs_to_its_stop():
     # The Shuttle's elevator gain grows with the elevator's deflection: above 0.17 rad it is unstable.
     aircraft, condition = find_aircraft("Shuttle"), SteadyCondition(160.0, 1000.0)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.helpers import sixdof
+from tests.helpers.few import few
 from uqharness.cli.main import main
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.simulator.forced_state import force_state, forced
@@ -134,7 +135,7 @@ def test_a_trim_that_does_not_exist_is_a_reported_result():
     assert "throttle" in trim.reason
 
 
-@pytest.mark.parametrize("bank_deg", [0, 30, 60, -60, 75])
+@pytest.mark.parametrize("bank_deg", few([0, 30, 60, -60, 75], 2))
 def test_the_named_modes_are_the_eigenvalues_each_once(bank_deg):
     aircraft = find_aircraft("espaaro")
     model = linearise(aircraft, find_trim(aircraft, SteadyCondition(22.2, bank_rad=math.radians(bank_deg))))

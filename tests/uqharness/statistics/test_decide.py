@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.helpers.few import few
 from uqharness.statistics.decide import NO, OPEN, YES, Question, add, begin, close, look
 
 # Worst corner's excursions per hour beyond 15 m (Hale 2016, Table 3.2): light, moderate, severe turbulence at 0 to 7 m/s.
@@ -50,7 +51,7 @@ def errors(truth, dispersion, asked, campaigns=1500, flights=400, seed=11):
     return np.mean([answer == YES for answer in found.answers]), np.mean([answer == NO for answer in found.answers])
 
 
-@pytest.mark.parametrize("dispersion", [1.0, 2.0, 3.0, 8.0])
+@pytest.mark.parametrize("dispersion", few([1.0, 2.0, 3.0, 8.0], 2))
 def test_it_errs_no_more_often_than_stated_right_at_the_threshold(dispersion):
     """The hardest truths: hardly above, where yes is wrong, and hardly below, where no is. Looked at 40 times."""
     asked = question(dispersion=dispersion, every_corner=True)

@@ -106,11 +106,12 @@ def test_the_band_covers_the_true_envelope_of_all_corners():
     assert covered / campaigns >= 0.95 - 2 * math.sqrt(0.05 * 0.95 / campaigns)
 
 
-def test_the_band_covers_the_true_envelope_also_when_the_worst_flights_fail():
+@pytest.mark.parametrize("campaigns", [100, pytest.param(400, marks=pytest.mark.slow)])
+def test_the_band_covers_the_true_envelope_also_when_the_worst_flights_fail(campaigns):
     """The worse half of the flights diverges and has no metric: what it would have had lies within all the same."""
     generator = np.random.default_rng(43)
     shifts = np.linspace(0.0, 0.35, 4)
-    flights, campaigns, covered, dropped = 40, 400, 0, 0
+    flights, covered, dropped = 40, 0, 0
     for _ in range(campaigns):
         common = generator.random(flights)
         known = [common[common < 0.5] + shift for shift in shifts]

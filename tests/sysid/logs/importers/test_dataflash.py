@@ -56,7 +56,7 @@ def test_written_log_is_read_alike_by_pymavlink(bin_log: Path) -> None:
     assert compared > 60
 
 
-@pytest.mark.parametrize("block", [100, 777, 1 << 20])
+@pytest.mark.parametrize("block", [777, *(pytest.param(size, marks=pytest.mark.slow) for size in (100, 1 << 20))])
 def test_blocks_of_any_size_give_the_same(bin_log: Path, block: int, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = dataflash_binary.read(bin_log)
     monkeypatch.setattr(dataflash_binary, "BLOCK_BYTES", block)

@@ -38,7 +38,9 @@ def _mixed(seed: int) -> tuple[Program, np.ndarray]:
     return lowered(program), _flown(program)
 
 
-@pytest.mark.parametrize("name", PASSES)
+@pytest.mark.parametrize(
+    "name", [name if name in ("optimised", "lowered") else pytest.param(name, marks=pytest.mark.slow) for name in PASSES]
+)
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_every_pass_keeps_the_bits_of_what_is_recorded(name: str, seed: int) -> None:
     program, wanted = _mixed(seed)

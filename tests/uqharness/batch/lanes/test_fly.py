@@ -66,7 +66,7 @@ FLIGHTS = {
 }
 
 
-QUICK = ("jsbsim's turbulence", "all", "walking levels", "mass and inertia", "another start", "stall")
+QUICK = ("all", "walking levels", "mass and inertia", "stall")
 
 
 @pytest.mark.parametrize("name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in FLIGHTS])

@@ -235,6 +235,7 @@ def test_no_dask_and_no_scheduler_are_sentences(tmp_path, monkeypatch):
         DaskExecutor(address)
 
 
+@pytest.mark.slow
 def test_the_command_flies_on_the_cluster(tmp_path, cluster, monkeypatch, capsys):
     monkeypatch.setattr("uqharness.flight.fly.fly", fakes.steady)
     words = ["campaign", "run", str(fakes.campaign_file(tmp_path)), "--out", str(tmp_path / "out")]

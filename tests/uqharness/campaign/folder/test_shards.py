@@ -43,7 +43,7 @@ def tables(folder):
     return {name: (folder / name).read_bytes() for name in TABLES}
 
 
-@pytest.mark.parametrize("count", [1, 3])
+@pytest.mark.parametrize("count", [pytest.param(1, marks=pytest.mark.slow), 3])
 def test_merged_shards_are_the_bytes_of_one_run(tmp_path, count):
     run(tmp_path, "whole", flights=1)
     for number in reversed(range(1, count + 1)):
