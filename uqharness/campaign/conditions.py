@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from uqharness.campaign.columns import ERROR_METRICS, UNCOMMANDED_METRICS
 from uqharness.flight import TURBULENCE_W20_KT
@@ -94,13 +95,18 @@ def excursion_cells(frame: pd.DataFrame, radii_m: Iterable[float]) -> list[Excur
     cells = []
     for condition in conditions(frame):
         rows = in_condition(frame, condition)
-        groups = [_Corner.of(str(name), group) for name, group in rows.groupby("epistemic_id", sort=False)]
+        places = rows.groupby("epistemic_id", sort=False).indices
+        failed = (rows["status"] != "ok").to_numpy(dtype=bool)
+        scored_s = rows["duration_s"].to_numpy(dtype=float)
+        by_corner = [(str(name), np.asarray(places[name], dtype=np.intp)) for name in rows["epistemic_id"].unique()]
+        corners = [_Corner(name, at, int(failed[at].sum()), float(scored_s[at].sum()) / 3600.0) for name, at in by_corner]
         for distance, suffix in (("horizontal", ""), ("3d", "_3d")):
             for radius in radii_m:
                 column = f"excursions_{radius:g}m{suffix}"
                 if _not_measured(rows, column, distance):
                     continue
-                rates = tuple(corner.rate(column, len(groups)) for corner in groups)
+                counts = rows[column].to_numpy(dtype=float, na_value=np.nan)
+                rates = tuple(corner.rate(counts, len(corners)) for corner in corners)
                 cells.append(ExcursionCell(condition, float(radius), distance, rates))
     return cells
 
@@ -114,17 +120,13 @@ def _not_measured(rows: pd.DataFrame, column: str, distance: str) -> bool:
 
 @dataclass(frozen=True)
 class _Corner:
-    """A corner's flights in one condition, how many of them failed and how long they were to last."""
+    """A corner's flights among a condition's rows, how many of them failed and how long they were to last."""
 
     name: str
-    flights: pd.DataFrame
+    places: NDArray[np.intp]
     failed: int
     hours: float
 
-    @classmethod
-    def of(cls, name: str, flights: pd.DataFrame) -> _Corner:
-        return cls(name, flights, int((flights["status"] != "ok").sum()), float(flights["duration_s"].sum()) / 3600.0)
-
-    def rate(self, column: str, corners: int) -> ExcursionRate:
-        counts = [None if pd.isna(count) else int(count) for count in self.flights[column]]
-        return excursion_rate(self.name, counts, self.failed, self.hours, corners, CONFIDENCE)
+    def rate(self, counts: NDArray[np.float64], corners: int) -> ExcursionRate:
+        known = [None if np.isnan(count) else int(count) for count in counts[self.places]]
+        return excursion_rate(self.name, known, self.failed, self.hours, corners, CONFIDENCE)

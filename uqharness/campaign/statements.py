@@ -20,7 +20,7 @@ import numpy as np
 from uqharness.campaign.aborted import DIVERGED, GROUND_CONTACT, LOSS_OF_CONTROL, Aborted, aborted
 from uqharness.campaign.carried import BEYOND, TOLD, Carried, carried
 from uqharness.campaign.columns import counted_radii, excursion_column
-from uqharness.campaign.conditions import CONFIDENCE, ExcursionCell, excursion_cells, in_condition
+from uqharness.campaign.conditions import CONFIDENCE, Condition, ExcursionCell, excursion_cells, in_condition
 from uqharness.campaign.rounds import ALL_CORNERS, Rule, rule_of
 from uqharness.statistics import (
     NO,
@@ -106,28 +106,49 @@ def statements(frame: Any, campaign: Mapping[str, Any], decisions: Sequence[Mapp
     rule = rule_of(campaign, frame["epistemic_id"].nunique())
     answers = {(row["condition"], row["radius_m"]): row["answer"] for row in decisions if row["epistemic_id"] == ALL_CORNERS}
     found = []
+    flown: dict[Condition, _Flown] = {}
     for cell in excursion_cells(frame, campaign["metrics"]["excursion_radius_m"]):
+        if cell.condition not in flown:
+            flown[cell.condition] = _Flown.of(in_condition(frame, cell.condition), float(campaign["aleatory"]["duration_s"]))
         decided = answers.get((cell.condition.label, f"{cell.radius_m:g}")) if cell.distance == "horizontal" else None
-        found.append(_statement(frame, campaign, cell, rule, decided))
+        found.append(_statement(flown[cell.condition], campaign, cell, rule, decided))
     return found
 
 
-def _statement(frame: Any, campaign: Mapping[str, Any], cell: ExcursionCell, rule: Rule | None, decided: str | None) -> Statement:
-    rows = in_condition(frame, cell.condition)
-    groups = [group for _, group in rows.groupby("epistemic_id", sort=False)]
-    duration_s, metrics = float(campaign["aleatory"]["duration_s"]), campaign["metrics"]
-    hours = duration_s / 3600.0
-    losses = aborted(groups, duration_s)
-    low, high = _counts(groups, excursion_column(cell.radius_m, cell.distance), losses)
+@dataclass(frozen=True)
+class _Flown:
+    """A condition's rows of a case table, each corner's places among them, which of them failed, the aborted flights and the hours
+    that each corner flew (c,)."""
+
+    rows: Any
+    places: list[Any]
+    failed: Any
+    losses: Aborted
+    hours: Array
+
+    @classmethod
+    def of(cls, rows: Any, duration_s: float) -> _Flown:
+        groups = [group for _, group in rows.groupby("epistemic_id", sort=False)]
+        hours = np.array([float(group["duration_s"].sum()) for group in groups]) / 3600.0
+        places = rows.groupby("epistemic_id", sort=False).indices
+        failed = (rows["status"] != "ok").to_numpy(dtype=bool)
+        return cls(rows, [places[n] for n in rows["epistemic_id"].unique()], failed, aborted(groups, duration_s), hours)
+
+
+def _statement(
+    flown: _Flown, campaign: Mapping[str, Any], cell: ExcursionCell, rule: Rule | None, decided: str | None
+) -> Statement:
+    rows, losses, flown_h = flown.rows, flown.losses, flown.hours
+    metrics, hours = campaign["metrics"], float(campaign["aleatory"]["duration_s"]) / 3600.0
+    low, high = _counts(flown, excursion_column(cell.radius_m, cell.distance))
     flights, total = np.isfinite(high).sum(axis=1).astype(float), np.nansum(high, axis=1)
-    flown_h = np.array([float(group["duration_s"].sum()) for group in groups]) / 3600.0
     assumed = float(metrics["dispersion"])
     # After a rule that looked at the flights only limits that hold at any moment are limits.
     anytime = None if rule is None else assumed
-    error, corners = 1.0 - CONFIDENCE, len(groups)
+    error, corners = 1.0 - CONFIDENCE, len(flown.places)
     side = error / 2.0
     radii = [] if rule is not None else [radius for radius in counted_radii(metrics) if radius < cell.radius_m]
-    nearer = {radius: _counts(groups, excursion_column(radius, cell.distance), losses)[1] for radius in radii}
+    nearer = {radius: _counts(flown, excursion_column(radius, cell.distance))[1] for radius in radii}
     clusters = carried(nearer | {cell.radius_m: high}, cell.radius_m, flown_h, assumed, error)
     observed = observed_dispersion(high)
     allowed = np.maximum(observed, clusters.dispersion)
@@ -192,18 +213,19 @@ def _shown_above(counts: tuple[Array, Array], missing: Array, acceptable: tuple[
     return bool(np.logaddexp.reduce(evidence) - np.log(evidence.size) >= -np.log(error))
 
 
-def _counts(groups: Sequence[Any], column: str, losses: Aborted) -> tuple[Array, Array]:
+def _counts(flown: _Flown, column: str) -> tuple[Array, Array]:
     """Least and most excursions of each flight, (corners, flights); NaN where a corner flew fewer.
 
     A flight that failed may have had one more than was seen; one that lost control and flew on counts as one at least.
     """
-    low, high = np.full((2, len(groups), max(len(group) for group in groups)), np.nan)
-    for row, group in enumerate(groups):
-        counted = group[column].to_numpy(dtype=float, na_value=np.nan)
-        uncertain = (group["status"] != "ok").to_numpy() | ~np.isfinite(counted)
+    low, high = np.full((2, *flown.losses.lost.shape), np.nan)
+    counts = flown.rows[column].to_numpy(dtype=float, na_value=np.nan)
+    for row, places in enumerate(flown.places):
+        counted = counts[places]
+        uncertain = flown.failed[places] | ~np.isfinite(counted)
         low[row, : counted.size] = np.nan_to_num(counted)
         high[row, : counted.size] = np.nan_to_num(counted) + uncertain
-    return low, np.fmax(high, np.where(losses.lost > 0, 1.0, high))
+    return low, np.fmax(high, np.where(flown.losses.lost > 0, 1.0, high))
 
 
 def statements_csv(found: Sequence[Statement]) -> bytes:

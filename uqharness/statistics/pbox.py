@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -253,6 +254,7 @@ def containment(inner: Sequence[Sample], outer: Sequence[Sample], confidence: fl
     return Containment(value, within, around, excess["lower"], excess["upper"], at["lower"], at["upper"], chance, ratio)
 
 
+@lru_cache(maxsize=4096)
 def poisson_limits(events: int, hours: float, confidence: float = 0.95) -> tuple[float, float]:
     """Exact (Garwood) two-sided limits of a rate per hour from ``events`` in ``hours``."""
     if hours <= 0.0:
