@@ -47,6 +47,7 @@ def test_the_model_has_no_error_against_itself_and_the_truth_has_its_four():
     assert np.abs(delta[:, [1, 5]]).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_gains_of_the_noise_free_flight_serve_the_noisy_one():
     """Asked at noisy states the model gives nearly the same gains: no width moves by a twentieth."""
     quiet = FLIGHTS.quiet_flight(CASES["truth-calm"], FLIGHTS.BOUNDS, 0)

@@ -10,6 +10,7 @@ from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import find_aircraft, open_aircraft
 
 
+@pytest.mark.slow
 def test_short_round_trip_says_which_form_is_right(tmp_path):
     right, _, no_damping = FORMS
     free = ["aero/Cm_0", "aero/Cm_alpha", "aero/Cm_q", "aero/Cm_de"]

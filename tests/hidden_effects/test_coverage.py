@@ -42,6 +42,7 @@ def test_a_draw_in_which_refine_names_something_counts_against_it():
     assert marks([*rows(), *none], both=False)[0]
 
 
+@pytest.mark.slow
 def test_every_second_draw_has_servos_that_act_at_once(tmp_path, monkeypatch):
     from tests.hidden_effects import coverage
     from tests.hidden_effects.manoeuvres import card

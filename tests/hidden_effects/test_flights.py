@@ -148,6 +148,7 @@ def test_commands_one_sample_early_or_late_would_be_seen(plain, tmp_path):
         assert max(ratios.values()) < 1.1
 
 
+@pytest.mark.slow
 def test_the_second_aeroplane_is_its_xml(tmp_path):
     folder = write_aircraft("second", SECOND, tmp_path)
     flown = card(12, 23.0, seconds=13.0, kinds=("roll and pitch",))

@@ -228,6 +228,7 @@ def test_what_is_asked_here_is_in_the_catalogue():
     assert contract_faults({}, 0)
 
 
+@pytest.mark.slow
 def test_the_way_from_a_case_to_its_mark(tmp_path):
     """Short flights with a strong effect: flown, asked in the seal, judged; the file keeps its contract."""
     short = (

@@ -294,6 +294,7 @@ def test_shards_are_salvaged_each_and_merged_again(copy, made, capsys):
     assert verify(folder).whole
 
 
+@pytest.mark.slow
 def test_tables_of_other_commands_carry_digests_too(copy, capsys):
     folder = copy("plain")
     assert main(["campaign", "convergence", str(folder), "--repeats", "2"]) == 0

@@ -76,6 +76,8 @@ def run(address: str, out: Path, environment: dict[str, str]) -> subprocess.Comp
         ROOT / "tests" / "doc_campaign.toml",
         "--out",
         out,
+        "--engine",
+        "jsbsim",
         "--dask",
         address,
     ]

@@ -111,6 +111,7 @@ def test_the_round_trip_closes_on_a_flight_not_used(identified, flights, tmp_pat
     assert max(c["ratio"] for c in document["channels"].values() if c["judged"]) < 1.1
 
 
+@pytest.mark.slow
 def test_a_model_without_pitch_damping_does_not_reach_the_floor_and_the_report_says_so(flights, tmp_path, capsys):
     folder = tmp_path / "aircraft" / "espaaro"
     shutil.copytree(PROJECT_ROOT / "aircraft/espaaro", folder)

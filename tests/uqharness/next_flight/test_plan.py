@@ -157,6 +157,7 @@ def test_the_winner_and_its_prospects_are_told(planned):
     assert problems(report) == []
 
 
+@pytest.mark.slow
 def test_the_script_flies_and_the_redone_bounds_are_as_predicted(planned, campaign, first, bounds, tmp_path, capsys):
     """One seed scatters; the mean over seeds is the study's (campaigns/next-flight)."""
     _, out = planned

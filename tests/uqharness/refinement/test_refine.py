@@ -221,6 +221,7 @@ def timing_of(train: Path, test: Path, out: Path) -> dict:
     return document(out)
 
 
+@pytest.mark.slow
 def test_a_record_one_sample_late_is_a_matter_of_its_clock(tmp_path):
     """It imitates a lag in every servo; the time is told, put right and no effect is added."""
     late = {"train": fly(TRAIN, seed=7, seconds=6.0), "test": fly(TEST, seed=8, seconds=6.0)}

@@ -55,6 +55,7 @@ def worst(model, record):
     return found
 
 
+@pytest.mark.slow
 def test_runs_are_short_enough_where_forces_go_with_the_rate_of_alpha(aircraft, record, monkeypatch):
     assert [runs_per_row(dt, replay.SHORT_STEP_S) for dt in (0.005, 0.02, 0.04)] == [2, 8, 16]
     with ReplayFolder(aircraft, measured=SURFACES) as model:

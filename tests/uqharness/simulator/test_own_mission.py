@@ -60,6 +60,7 @@ def test_an_aircraft_whose_commands_are_rates_is_refused_in_words(tmp_path, monk
     assert write_own_mission(aircraft, start, "steady")[1] == []
 
 
+@pytest.mark.slow
 def test_noise_and_dataflash_for_an_aircraft_that_instrument_gave_a_card(tmp_path, capsys):
     mine = tmp_path / "mine"
     assert main(["instrument", "c172p", "--out", str(mine), "--no-check"]) == 0

@@ -150,6 +150,7 @@ def test_the_folder_of_another_start_is_refused(flown):
     assert Path(folder / "out" / CASES).is_file()
 
 
+@pytest.mark.slow
 def test_a_stock_cessna_by_the_documented_commands_alone(tmp_path, capsys):
     mine = tmp_path / "my-c172"
     assert main(["instrument", "c172p", "--out", str(mine), "--constant", "CX=0.01,Cm=0.01", "--no-check"]) == 0

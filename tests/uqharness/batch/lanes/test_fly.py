@@ -204,6 +204,7 @@ CONTACTS = """<ground_reactions>
  </ground_reactions>"""
 
 
+@pytest.mark.slow
 def test_contact_points_touch_as_in_jsbsim(tmp_path):
     text = (copied(tmp_path / "plain") / "espaaro.xml").read_text()
     begin, end = text.index("<ground_reactions"), text.index("</ground_reactions>") if "</ground_reactions>" in text else -1

@@ -143,6 +143,7 @@ def survey(folder, seed, count):
     return out
 
 
+@pytest.mark.slow
 def test_mutants_are_refused_or_fly_the_same(tmp_path):
     assert {"batch", "same"} <= set(survey(tmp_path, 3, 6))
 

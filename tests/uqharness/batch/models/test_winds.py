@@ -70,7 +70,15 @@ def test_severities(severity):
     assert worst(differences(5000.0, air(severity=float(severity)))) < 5e-10
 
 
-@pytest.mark.parametrize("wind", [(0.0, 0.0, 0.0), (0.0, 12.0, 0.0), (-8.0, 0.0, 0.0), (-3.0, 4.0, -2.0)])
+@pytest.mark.parametrize(
+    "wind",
+    [
+        (0.0, 0.0, 0.0),
+        pytest.param((0.0, 12.0, 0.0), marks=pytest.mark.slow),
+        pytest.param((-8.0, 0.0, 0.0), marks=pytest.mark.slow),
+        (-3.0, 4.0, -2.0),
+    ],
+)
 def test_the_winds_azimuth_turns_the_turbulence(wind):
     """A wind without a northern part leaves JSBSim's azimuth as it was."""
     assert worst(differences(inputs=air(wind))) < 5e-10

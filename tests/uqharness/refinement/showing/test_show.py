@@ -138,6 +138,7 @@ def test_leaving_nothing_out_is_what_was_chosen(judged_flights):
     assert {n: v for n, (v, _) in none.parameters.items()} == {n: chosen.plain[n] for n in chosen.names}
 
 
+@pytest.mark.slow
 def test_without_an_effect_before_is_after(tmp_path, campaign, capsys):
     """Nothing is missing: one model, so intervals and p-box are the same before and after, number for number."""
     fly(TRAIN[:2], seed=3, seconds=6.0).write(tmp_path / "train.parquet")

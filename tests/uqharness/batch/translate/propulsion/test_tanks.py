@@ -72,6 +72,7 @@ def test_each_number_matters(before: str, after: str) -> None:
     assert flights.worst(flights.apart(theirs, made.ours(made.text.replace(before, after)))) > 1e-9
 
 
+@pytest.mark.slow
 def test_contents_and_priorities_are_set_and_fuel_flows_by_itself() -> None:
     systems = """<system name="s"><channel name="c">
     <fcs_function name="s/a"><function><product><v>30</v><p>s/in</p></product></function>
