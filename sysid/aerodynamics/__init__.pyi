@@ -7,11 +7,11 @@ from .coefficients import demanded as demanded
 from .coefficients import half_width as half_width
 from .coefficients import smooth as smooth
 from .equations import OpenEquations as OpenEquations
+from .flight_equations import sines as sines
 from .gust_states import NOISE_START as NOISE_START
 from .gust_states import NOISY as NOISY
 from .gust_states import STATE_STD as STATE_STD
 from .gust_states import GustStates as GustStates
-from .gust_states import sines as sines
 from .polynomial import Term as Term
 from .polynomial import full_polynomial as full_polynomial
 from .polynomial import parse_term as parse_term

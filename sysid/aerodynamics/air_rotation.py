@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy import fft, signal
 
 from sysid.aerodynamics.coefficients import at_cg, half_width, kernel, smooth
-from sysid.aerodynamics.gust_states import LENGTHS
+from sysid.aerodynamics.flight_equations import LENGTHS
 from sysid.aerodynamics.residuals import Cutoffs, Model, Passage, ResidualPiece, Residuals, steady_airspeed
 from sysid.aerodynamics.segmentation import Piece
 from sysid.aerodynamics.sensor_noise import RATES

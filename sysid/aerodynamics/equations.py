@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics.coefficients import MassProperties
-from sysid.aerodynamics.gust_states import GustStates, sines
+from sysid.aerodynamics.flight_equations import sines
+from sysid.aerodynamics.gust_states import GustStates
 from sysid.aerodynamics.terms import COEFFICIENTS, regressor, split_name, variables
 from sysid.units import G0_MPS2
 
@@ -78,7 +79,7 @@ class OpenEquations:
         phid = p + st / ct * turning
         return [
             Vd, alphad, betad, pd, qd, rd, phid, q * cf - r * sf,
-            *self.gusts.rates(x, Vd, alphad, betad, phid, trig),
+            *self.gusts.rates(x, (Vd, alphad, betad, phid), trig),
         ]  # fmt: skip
 
     def g(self, x: Any, u: Any, theta: Any) -> Any:

@@ -25,14 +25,12 @@ turn, leave moments that nothing explains, and intervals of the lateral damping 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-Trig = tuple[Any, Any, Any, Any]
-LENGTHS = (4.0 / np.pi, 4.0 / np.pi, 3.0 / np.pi)
-"""T_p V, T_q V, T_r V in spans, MIL-F-8785C 3.7.5."""
+from sysid.aerodynamics.flight_equations import Trig, gust_lags_s, gust_rates, level, rotation, sines, turning
+
 NOISY = (0, 1, 2, 3, 4, 5, 8)
 """States with process noise: V, alpha, beta as the gusts come; p_h; p, q, r a little, for what gusts so described leave over."""
 STATE_STD = (1.0, 0.02, 0.02, 0.05, 0.05, 0.05, 0.05, 0.05, 0.08, 0.01, 0.01, 1.5, 0.06)
@@ -41,74 +39,42 @@ NOISE_START = (0.5, 0.02, 0.02, 0.01, 0.01, 0.01, 0.1, 0.1, 0.2, 0.1, 0.1, 0.1, 
 """First guesses of the process noise, per root second, of NOISY states: light turbulence, roughly; the others' do not count."""
 
 
-def sines(x: Any) -> Trig:
-    """sin phi, cos phi, sin theta, cos theta of a state x: computed once, they serve every method."""
-    return np.sin(x[6]), np.cos(x[6]), np.sin(x[7]), np.cos(x[7])
-
-
-@dataclass(frozen=True)
-class GustStates:
+class GustStates(NamedTuple):
     """p_h [rad/s], h_q, h_r [rad], c_u [m/s], c_v [rad] behind V, alpha, beta, p, q, r, phi, theta; ``b`` the span [m].
 
-    passing_mps: the speed at which the gusts pass, where they are simulated at one whatever the airspeed; None: the airspeed.
+    passing_mps: the speed at which the gusts pass, where they are simulated at one whatever the airspeed; 0: the airspeed.
     Their rotation is then V over that speed times what alpha and beta say, behind that speed's lags.
     rotating: q_h, r_h follow from alpha and beta; turning_with: u_h, v_h turn with the heading. Neither is so in all air: some
     simulators' gusts do not rotate, and no real gust turns with an aircraft.
     """
 
     b: float
-    passing_mps: float | None = None
+    passing_mps: float = 0.0
     rotating: bool = True
     turning_with: bool = True
 
-    def lags_s(self, V: Any) -> tuple[Any, ...]:
+    def lags_s(self, V: Any) -> tuple[Any, Any, Any]:
         """T_p, T_q, T_r at airspeed V."""
-        return tuple(length * self.b / (self.passing_mps or V) for length in LENGTHS)
-
-    def _faster(self, V: Any) -> Any:
-        """Airspeed over the speed at which the gusts pass."""
-        return V / self.passing_mps if self.passing_mps else 1.0
+        return gust_lags_s(self, V)
 
     def start(self, V: Any, alpha: Any, beta: Any, phi: Any) -> tuple[Any, ...]:
         """The five states in air that neither moves nor rotates."""
         along, across = np.cos(phi) * alpha + np.sin(phi) * beta, np.cos(phi) * beta - np.sin(phi) * alpha
         return 0.0 * V, -self.rotating * along, self.rotating * across, V, across
 
-    def level(self, x: Any, trig: Trig | None = None) -> tuple[Any, Any, Any]:
-        """p_h, q_h, r_h [rad/s], the air's rotation in heading axes, of a whole state x; ``trig``: `sines` of it, if known."""
-        sf, cf, _, _ = trig = trig or sines(x)
-        along = cf * x[1] + sf * x[2]
-        along = along - (trig[2] - trig[3] * along) * (1.0 - x[11] / x[0])
-        _, T_q, T_r = self.lags_s(x[0])
-        across = cf * x[2] - sf * x[1]
-        faster = self._faster(x[0])
-        return x[8], faster * (x[9] + self.rotating * along) / T_q, faster * (x[10] - self.rotating * across) / T_r
+    def level(self, x: Any) -> tuple[Any, Any, Any]:
+        """p_h, q_h, r_h [rad/s], the air's rotation in heading axes, of a whole state x."""
+        return level(self, x, sines(x))
 
     def rotation(self, x: Any, trig: Trig | None = None) -> tuple[Any, Any, Any]:
-        """p_g, q_g, r_g [rad/s]: the air's rotation in body axes."""
-        sf, cf, st, ct = trig = trig or sines(x)
-        p_h, q_h, r_h = self.level(x, trig)
-        upright = st * p_h + ct * r_h
-        return ct * p_h - st * r_h, cf * q_h + sf * upright, cf * upright - sf * q_h
+        """p_g, q_g, r_g [rad/s]: the air's rotation in body axes; ``trig``: `sines` of x, if known."""
+        trig = trig or sines(x)
+        return rotation(level(self, x, trig), trig)
 
     def turning(self, x: Any, trig: Trig | None = None) -> tuple[Any, Any, Any]:
         """What the turning of u_h, v_h with the heading adds to the rates of V [m/s2], alpha, beta [rad]."""
-        sf, cf, _, ct = trig or sines(x)
-        dpsi = self.turning_with * (x[4] * sf + x[5] * cf) / ct
-        u_h, v_V = x[11] - x[0], x[12] + sf * x[1] - cf * x[2]
-        sideways = dpsi * u_h / x[0]
-        return dpsi * v_V * x[0], sf * sideways, -cf * sideways
+        return turning(self, x, trig or sines(x))
 
-    def rates(self, x: Any, dV: Any, dalpha: Any, dbeta: Any, dphi: Any, trig: Trig | None = None) -> tuple[Any, ...]:
+    def rates(self, x: Any, rated: tuple[Any, Any, Any, Any], trig: Trig | None = None) -> tuple[Any, ...]:
         """d/dt of the five states, given the deterministic rates of V, alpha, beta, phi (`turning` included)."""
-        sf, cf, st, ct = trig = trig or sines(x)
-        p_h, q_h, r_h = self.level(x, trig)
-        lift, slip = cf * x[1] + sf * x[2], cf * x[2] - sf * x[1]
-        along = cf * dalpha + sf * dbeta + dphi * slip
-        across = cf * dbeta - sf * dalpha - dphi * lift
-        climb = st - ct * lift  # sin(gamma), to first order in alpha and beta
-        dclimb = (ct + st * lift) * (x[4] * cf - x[5] * sf) - ct * along
-        along = along - (dclimb - climb * dV / x[0]) * (1.0 - x[11] / x[0])
-        faster = self._faster(x[0])
-        held = self.rotating
-        return -p_h / self.lags_s(x[0])[0], -q_h / faster - held * along, held * across - r_h / faster, dV, across
+        return gust_rates(self, x, rated, trig or sines(x))

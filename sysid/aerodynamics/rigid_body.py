@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics.coefficients import MassProperties
-from sysid.aerodynamics.gust_states import GustStates, sines
+from sysid.aerodynamics.flight_equations import Along, Body, flow_rates, loops, sines
+from sysid.aerodynamics.gust_states import GustStates
 from sysid.units import G0_MPS2
 
 FloatArray = NDArray[np.float64]
@@ -81,30 +82,16 @@ def linearise(reference: Reference, mass: MassProperties, gravity: float = G0_MP
     wide = whole_states(reference.x, gusts)
     size = wide.shape[1]
     model = _Rigid(reference, mass, gravity, gusts)
-    A = np.empty((n, size, size))
-    H = np.empty((n, len(OUTPUTS), size))
-    rows = np.arange(n, dtype=np.float64)
-    for j in range(size):
-        turned = wide.astype(complex)
-        turned[:, j] += 1e-20j  # complex step: exact to rounding
-        rate, out = model(turned, rows)
-        A[:, :, j], H[:, :, j] = rate.imag / 1e-20, out.imag / 1e-20
-    B = np.zeros((n, size, 6))
-    D = np.zeros((n, len(OUTPUTS), 6))
-    scale = reference.qbar[:, None] * mass.S * np.array([1.0, 1.0, 1.0, mass.b, mass.c, mass.b])
-    for j in range(6):
-        extra = np.zeros((n, 6), dtype=complex)
-        extra[:, j] = 1e-20j * scale[:, j]
-        rate, out = model(wide.astype(complex), rows, extra)
-        B[:, :, j], D[:, :, j] = rate.imag / 1e-20, out.imag / 1e-20
-    rate, y_ref = model(wide, rows)
-    mean = 0.5 * (A[:-1] + A[1:])
-    phi, to0, to1 = _series(mean, h)
-    g0, g1 = to0 @ B[:-1], to1 @ B[1:]
+    by_state, by_load = model.slopes(wide)
+    by_load *= (reference.qbar[:, None] * mass.S * np.array([1.0, 1.0, 1.0, mass.b, mass.c, mass.b]))[:, None, :]
+    phi, (g0, g1) = np.empty((n - 1, size, size)), np.zeros((2, n - 1, size, 6))
+    loops().stepped(by_state, by_load, h, phi, g0, g1)
+    H, D = np.ascontiguousarray(by_state[:, size:]), np.ascontiguousarray(by_load[:, size:])
+    rate, y_ref = model(wide, 0.0)
     defect = np.zeros((n - 1, size))
     if not reference.consistent:
         bend = np.zeros((2, n - 1, 6)) if reference.bend is None else reference.bend
-        defect = _advance(model, wide, bend, h) - wide[1:]
+        defect = _advance(model, wide, rate, bend, h) - wide[1:]
     start = np.empty((size, 8))
     for j in range(8):
         first = reference.x[:1].astype(complex)
@@ -125,107 +112,54 @@ def rates(
 ) -> FloatArray:
     """dx/dt (n, 8 or 13) at whole states x of the reference's times, but for what gusts will add: forces linear about the
     reference, surfaces where they stand there."""
-    rate, _ = _Rigid(reference, mass, gravity, gusts)(x, np.arange(len(x), dtype=np.float64))
-    return rate
+    return _Rigid(reference, mass, gravity, gusts)(x, 0.0)[0]
 
 
 def unforced(x: NDArray[Any], gravity: float = G0_MPS2) -> NDArray[Any]:
     """(n, 2) rates of alpha and beta [rad/s] at states x (n, 8 or more) without any force but weight."""
-    V, alpha, beta, p, q, r, phi, theta = (x[:, i] for i in range(8))
-    ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
-    ub, vb, wb = V * ca * cb, V * sb, V * sa * cb
-    ud = r * vb - q * wb - gravity * np.sin(theta)
-    vd = p * wb - r * ub + gravity * np.cos(theta) * np.sin(phi)
-    wd = q * ub - p * vb + gravity * np.cos(theta) * np.cos(phi)
-    Vd = (ub * ud + vb * vd + wb * wd) / V
-    return np.stack([(ub * wd - wb * ud) / (ub * ub + wb * wb), (V * vd - vb * Vd) / (V * V * cb)], axis=1)
-
-
-def _series(A: FloatArray, h: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """exp(A h), and the weights of an input at a step's start and end, linear in between; (n, nx, nx) each."""
-    eye = np.broadcast_to(np.eye(A.shape[1]), A.shape)
-    power, factorial = eye.copy(), 1.0
-    phi, to0, to1 = eye.copy(), 0.5 * eye, 0.5 * eye
-    for j in range(1, 6):
-        power = power @ A * h
-        factorial *= j
-        phi = phi + power / factorial  # 1/j!
-        to0 = to0 + power / (factorial * (j + 2))  # (j+1)/(j+2)! = 1/(j! (j+2))
-        to1 = to1 + power / (factorial * (j + 1) * (j + 2))  # 1/(j+2)!
-    return phi, h * to0, h * to1
+    states = x.T
+    nothing = np.zeros(len(x))
+    return np.stack(flow_rates(states, (nothing, nothing, nothing), sines(states), gravity)[1:], axis=1)
 
 
 class _Rigid:
-    """x (n, 8 or 13) at rows -> dx/dt of the same shape and outputs (n, 11), forces linear about the reference."""
+    """The equations of motion along a reference, forces linear about it."""
 
     def __init__(self, reference: Reference, mass: MassProperties, gravity: float, gusts: GustStates | None) -> None:
-        self.reference, self.mass, self.gravity, self.gusts = reference, mass, gravity, gusts
-        self.inverse = np.linalg.inv(mass.inertia)
+        r = reference
+        n = len(r.x)
+        flow = r.by_flow is not None
+        by_flow = np.zeros((n, 6, 2)) if r.by_flow is None else r.by_flow
+        load = np.hstack([r.force, r.moment])
+        self.along = Along(*(np.ascontiguousarray(v, dtype=np.float64) for v in (r.x[:, :8], load, r.slopes, by_flow)))
+        J, K, arm = (np.ascontiguousarray(v, dtype=np.float64) for v in (mass.inertia, np.linalg.inv(mass.inertia), r.arm_m))
+        air = GustStates(1.0) if gusts is None else gusts
+        self.body = Body(float(mass.mass), J, K, arm, float(gravity), gusts is not None, air, flow)
 
-    def __call__(self, x: FloatArray, rows: FloatArray, extra: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """rows (n,): where along the reference, in samples; halves are the middles of steps."""
-        r, m = self.reference, self.mass
-        low = np.floor(rows).astype(int)
-        high = np.minimum(low + 1, len(r.x) - 1)
-        share = (rows - low)[:, None]
+    def __call__(self, x: FloatArray, later: float, extra: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+        """dx/dt and outputs (n, 11) at states x (n, 8 or 13), the first at the reference's first sample, or a share of a step
+        later; extra (n, 6) force and moment besides."""
+        along = self.along
+        if later:
+            along = Along(*(v[:-1] + later * (v[1:] - v[:-1]) for v in along))
+        along = Along(*(v[: len(x)] for v in along))
+        rate, seen = np.empty(x.shape), np.empty((len(x), len(OUTPUTS)))
+        load = along.load if extra is None else along.load + extra
+        loops().rated(np.ascontiguousarray(x), self.body, along, load, rate, seen)
+        return rate, seen
 
-        def at(values: FloatArray) -> FloatArray:
-            w = share if values.ndim == 2 else share[:, :, None]
-            return np.asarray(values[low] + w * (values[high] - values[low]) if share.any() else values[low])
-
-        air = x[:, :6].copy()
-        states = x.T
-        trig = sines(states)
-        if self.gusts is not None:
-            air[:, 3:6] = air[:, 3:6] - np.column_stack(self.gusts.rotation(states, trig))
-        away = air - at(r.x[:, :6])
-        load = np.hstack([at(r.force), at(r.moment)]) + np.einsum("nij,nj->ni", at(r.slopes), away)
-        if self.gusts is not None and r.by_flow is not None:
-            # Rates of alpha and beta are the motion's own: air that rotates, and attitudes, are not in the slopes as they act.
-            before = np.concatenate([air, at(r.x[:, 6:8])], axis=1)
-            load = load + np.einsum("nij,nj->ni", at(r.by_flow), unforced(x, self.gravity) - unforced(before, self.gravity))
-        if extra is not None:
-            load = load + extra
-        V, alpha, beta, p, q, rr = (x[:, i] for i in range(6))
-        g = self.gravity
-        felt = load[:, :3] / m.mass
-        rates = x[:, 3:6]
-        turn = (load[:, 3:] - _cross(rates, rates @ m.inertia.T)) @ self.inverse.T
-        ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
-        sf, cf, st, ct = trig
-        ub, vb, wb = V * ca * cb, V * sb, V * sa * cb
-        ud = felt[:, 0] + rr * vb - q * wb - g * st
-        vd = felt[:, 1] + p * wb - rr * ub + g * ct * sf
-        wd = felt[:, 2] + q * ub - p * vb + g * ct * cf
-        Vd = (ub * ud + vb * vd + wb * wd) / V
-        alphad, betad = (ub * wd - wb * ud) / (ub * ub + wb * wb), (V * vd - vb * Vd) / (V * V * cb)
-        phid = p + st / ct * (q * sf + rr * cf)
-        of_air: tuple[NDArray[Any], ...] = ()
-        if self.gusts is not None:
-            dV, dalpha, dbeta = self.gusts.turning(states, trig)
-            Vd, alphad, betad = Vd + dV, alphad + dalpha, betad + dbeta
-            of_air = self.gusts.rates(states, Vd, alphad, betad, phid, trig)
-        rate = np.stack([Vd, alphad, betad, turn[:, 0], turn[:, 1], turn[:, 2], phid, q * cf - rr * sf, *of_air], axis=1)
-        if np.any(r.arm_m):
-            arm = np.broadcast_to(r.arm_m, rates.shape)
-            felt = felt + _cross(turn, arm) + _cross(rates, _cross(rates, arm))
-        out = np.stack([V, alpha, beta, x[:, 6], x[:, 7], p, q, rr, felt[:, 0], felt[:, 1], felt[:, 2]], axis=1)
-        return rate, out
+    def slopes(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Slopes of both, rates first, by the states (n, x + 11, x) and by force and moment (n, x + 11, 6)."""
+        n, size = x.shape
+        by_state, by_load = np.empty((n, size + len(OUTPUTS), size)), np.empty((n, size + len(OUTPUTS), 6))
+        loops().slopes(np.ascontiguousarray(x), self.body, self.along, by_state, by_load)
+        return by_state, by_load
 
 
-def _advance(model: _Rigid, x: FloatArray, bend: FloatArray, h: float) -> FloatArray:
-    """(n - 1, 8 or 13) one Runge-Kutta step from every sample."""
-    at = np.arange(len(x) - 1).astype(float)
-    start = x[:-1]
-    k1, _ = model(start, at)
-    k2, _ = model(start + 0.5 * h * k1, at + 0.5, bend[0])
-    k3, _ = model(start + 0.5 * h * k2, at + 0.5, bend[0])
-    k4, _ = model(start + h * k3, at + 1.0, bend[1])
+def _advance(model: _Rigid, x: FloatArray, rate: FloatArray, bend: FloatArray, h: float) -> FloatArray:
+    """(n - 1, 8 or 13) one Runge-Kutta step from every sample, whose rates are given."""
+    start, k1 = x[:-1], rate[:-1]
+    k2, _ = model(start + 0.5 * h * k1, 0.5, bend[0])
+    k3, _ = model(start + 0.5 * h * k2, 0.5, bend[0])
+    k4, _ = model(start + h * k3, 1.0, bend[1])
     return np.asarray(start + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    # np.cross is slow and casts; the components are few.
-    return np.stack([
-        a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1], a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2], a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
-    ], axis=1)  # fmt: skip

@@ -114,7 +114,7 @@ def gust_intensity(
     if near is None:
         first = search.best(some, [_Point(states, f * _START, np.ones(len(noise))) for f in _FACTORS])
         here = search.descend(some, first, kinds)
-        besides = [replace(here, states=replace(states, rotating=r, turning_with=t), cost=np.inf) for r, t in _OTHER_AIR]
+        besides = [replace(here, states=states._replace(rotating=r, turning_with=t), cost=np.inf) for r, t in _OTHER_AIR]
         other = min((search.descend(some, point, (), _FEW) for point in besides), key=lambda point: point.cost)
         here = search.descend(some, other, kinds) if other.cost < here.cost else here
     else:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from numba import njit
+from numba.extending import register_jitable
 
 Loop = Callable[..., Any]
 
@@ -21,3 +22,10 @@ def compiled(loop: Loop) -> Loop:
     except RuntimeError:
         kept = njit(nogil=True)(loop)
     return kept
+
+
+def within(part: Loop) -> Loop:
+    """The part, which compiled loops of the same file may call and Python as well: for other files' the code that is kept would not
+    be renewed when they change."""
+    known: Loop = register_jitable(part)
+    return known

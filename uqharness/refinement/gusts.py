@@ -281,7 +281,7 @@ def predicted(
         x = whole_states(p.reference.x, gusts.states) + d
         air = x[:, 3:6] - np.column_stack(gusts.states.rotation(x.T))
         whole = rates(p.reference, p.mass, x, gusts=gusts.states)
-        flow = rates(p.reference, p.mass, x, gusts=replace(gusts.states, turning_with=False))
+        flow = rates(p.reference, p.mass, x, gusts=gusts.states._replace(turning_with=False))
         coefficients = p.coefficients + _changed(p, np.column_stack([x[:, :3], air]) - p.reference.x[:, : len(AIR)])
         out.append(replace(p, coefficients=coefficients, predicted=Predicted(x[:, :8], whole[:, :8], flow[:, 1:3], air)))
         outputs.append(s.y_ref[:, setup.which] + np.einsum("nij,nj->ni", s.H[:, setup.which], d))

@@ -38,7 +38,7 @@ def carried(u, v, w, passing=None):
         # Between gusts, alpha and beta change as the gusts' components along turning, banking axes do.
         dalpha = dphi[k] * (w[k] * np.sin(phi[k]) + v[k] * np.cos(phi[k])) / V
         dbeta = -dphi[k] * (w[k] * np.cos(phi[k]) - v[k] * np.sin(phi[k])) / V
-        x[8:] = x[8:] + DT * np.array(states.rates(x, 0.0, dalpha, dbeta, dphi[k]))
+        x[8:] = x[8:] + DT * np.array(states.rates(x, (0.0, dalpha, dbeta, dphi[k])))
         q += (-q * DT - (w[k + 1] - w[k]) / (passing or V)) / T_q  # 3.7.5: q = -dw/dx behind a lag
         r += (-r * DT + (v[k + 1] - v[k]) / (passing or V)) / T_r  # 3.7.5: r = +dv/dx
     return np.array(found), np.array(defined)
