@@ -79,10 +79,8 @@ class _Program:
 
 _Alike = tuple[str, tuple[str, ...], int]
 """What jobs that one program flies have in common: the aircraft, what is recorded, the runs between two outputs."""
-_Timing = tuple[int, int, float, bool, float]
-"""Model, segment, lateness, outputs between rows, share unseen: what makes the controls of a replay."""
-_controls: OrderedDict[_Timing, tuple[ReplayModel, Segment, Array]] = OrderedDict()
-"""With what their numbers are taken from: an object that is kept keeps its id."""
+_controls: OrderedDict[tuple[object, ...], Array] = OrderedDict()
+"""Controls of replays by what makes them: those of one stretch are asked for anew with every estimate, by segments cut anew."""
 _programs: OrderedDict[_Alike, _Program | None] = OrderedDict()
 _levels: OrderedDict[tuple[str, float], tuple[float, float]] = OrderedDict()
 
@@ -171,15 +169,17 @@ def _in_lanes(program: _Program, jobs: Sequence[ReplayJob]) -> list[Array]:
 
 def _controls_of(job: ReplayJob, shape: Shape) -> Array:
     """Controls of every run, one array for all jobs that have them in common."""
-    key = (id(job.model), id(job.segment), job.late_s, job.between, job.unseen)
+    segment, acting = job.segment, job.segment.at_commands()
+    targets = None if acting.targets is None else acting.targets.tobytes()
+    content = (acting.controls.tobytes(), targets, segment.dt_s, segment.per_row, shape)
+    key = (job.model.identity, frozenset(job.model.measured), content, job.late_s, job.unseen)
     if key not in _controls:
         _, places = job.model.fed()
-        found = run_controls(job.model, job.segment, shape, job.late_s, job.unseen)[:, places]
-        _controls[key] = (job.model, job.segment, found)
+        _controls[key] = run_controls(job.model, segment, shape, job.late_s, job.unseen)[:, places]
         while len(_controls) > _TIMINGS:
             _controls.popitem(last=False)
     _controls.move_to_end(key)
-    return _controls[key][2]
+    return _controls[key]
 
 
 def _lane(job: ReplayJob, shape: Shape) -> ReplayLane:
