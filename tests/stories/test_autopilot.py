@@ -221,6 +221,7 @@ def test_holds_the_loiter_in_7_mps_wind_and_severe_turbulence(mission):
     assert np.median(rows[:, 2]) < 1.5
 
 
+@pytest.mark.slow
 def test_medians_at_3_mps_and_moderate_turbulence_are_of_the_published_kind(mission):
     """Published flight: altitude 2.16 m, speed 0.61 m/s; cross track 9.41 m at an unknown radius and elevation."""
     fdm = mission()

@@ -59,7 +59,7 @@ def width(spec, out):
     return float(high - low)
 
 
-@pytest.mark.parametrize("late", [False, True])
+@pytest.mark.parametrize("late", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_hundred_thousandth_of_the_spread_stops_the_campaign_and_a_hundred_millionth_does_not(spec, tmp_path, late):
     iqr = width(spec, tmp_path / "alike")
     # Asked for by name: an engine that nobody asked for would give way to JSBSim at the first look.

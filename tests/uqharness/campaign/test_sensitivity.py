@@ -131,6 +131,7 @@ def test_a_metric_that_no_corner_moves_is_undefined_with_a_reason(flown):
     assert "no width" in found.words
 
 
+@pytest.mark.slow
 def test_interior_levels_check_the_corners(tmp_path):
     corners = fly(tmp_path, bump, flights=2)
     middle_text = fakes.CAMPAIGN.replace('method = "corners"', 'method = "levels"\nlevels = [0.5]')

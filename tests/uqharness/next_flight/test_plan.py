@@ -240,6 +240,7 @@ def test_the_table_holds_every_step(planned):
     assert all(limits[c].limits[0] < size < limits[c].limits[1] for _, c, size in steps)
 
 
+@pytest.mark.slow
 def test_bounds_that_more_data_cannot_narrow_are_an_answer(campaign, bounds, tmp_path, capsys):
     """The same bounds as if from a hundred times the data: what is left is scatter."""
     document = json.loads(bounds.read_text())

@@ -59,6 +59,7 @@ def test_a_stock_aircraft_whose_engines_are_too_weak_flies_on_the_path_advised()
     assert find_trim(aircraft, SteadyCondition(70.0, 200.0, math.radians(path))).converged
 
 
+@pytest.mark.slow
 def test_a_stock_aircraft_that_is_too_fast_is_told_and_flies_at_the_speed_advised():
     said = find_trim(find_aircraft("OV10"), SteadyCondition(95.0, 200.0))
     assert not said.converged

@@ -187,6 +187,7 @@ class Said:
         return self.answer
 
 
+@pytest.mark.slow
 def test_groups_fly_together_and_a_guilty_case_is_left_alone(tmp_path, dask):
     cases = flights(tmp_path, list(range(4, 24)))
     alone = fly(dask, fakes.hazardous, cases)

@@ -332,6 +332,7 @@ def gusty():
     return prepare("f", record, ())
 
 
+@pytest.mark.slow
 def test_in_turbulence_the_table_is_that_of_compare(gusty):
     """The same replays from the same start states: far above the noise, and the same multiple of it in each channel."""
     aircraft = find_aircraft("espaaro")
