@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.effects import PLACES, Effect
 from tests.hidden_effects.gusts import NODE_S, turbulence
 from tests.hidden_effects.manoeuvres import Card, Pilot
-from tests.hidden_effects.motion import Drive, Gusts, History, Model, integrate, no_gusts, trim
+from tests.hidden_effects.motion import CALM, Drive, History, Model, integrate, trim
 
 Array = NDArray[np.float64]
 STEP_S = 0.004
@@ -95,23 +96,22 @@ def substeps(dt_s: float, step_s: float = STEP_S) -> int:
     return max(1, int(np.ceil(dt_s / step_s - 1e-6)))
 
 
-def gusts_of(flights: Sequence[Flight]) -> Gusts:
-    """The flights' air (6, B) as a function of time, straight lines between nodes."""
+def gusts_of(flights: Sequence[Flight]) -> Array:
+    """(N, 6, B) the flights' air every NODE_S; CALM where none has any."""
     if not any(f.card.w20_kt for f in flights):
-        return no_gusts
+        return CALM
     longest = max(f.card.seconds for f in flights)
     nodes = np.zeros((round(longest / NODE_S) + 3, 6, len(flights)))
     for lane, f in enumerate(flights):
         c = f.card
         if c.w20_kt > 0.0:
-            rng = np.random.default_rng([c.seed, 2])
-            nodes[:, :, lane] = turbulence(c.V_mps, c.h_m, c.w20_kt, f.airframe.b, longest, rng)
+            nodes[:, :, lane] = _air(c.V_mps, c.h_m, c.w20_kt, f.airframe.b, longest, c.seed)
+    return nodes
 
-    def at(t_s: float) -> Array:
-        k, share = divmod(t_s / NODE_S, 1.0)
-        return np.asarray(nodes[int(k)] * (1.0 - share) + nodes[int(k) + 1] * share)
 
-    return at
+@lru_cache(maxsize=64)
+def _air(V: float, h: float, w20_kt: float, b: float, seconds: float, seed: int) -> Array:
+    return turbulence(V, h, w20_kt, b, seconds, np.random.default_rng([seed, 2]))
 
 
 def _record(flight: Flight, history: History, lane: int, noise: dict[str, Array], dt: float) -> FlightRecord:

@@ -24,7 +24,8 @@ PATH = Path(__file__).with_name("met.csv")
 FIRST, LATER = "first", "later"
 _CODE = ("sysid", "uqharness", "aircraft", "scripts")
 _MAKES = (
-    "airframes", "answers", "cases", "catalogue", "effects", "flights", "gusts", "manoeuvres", "motion", "strength",
+    "airframes", "answers", "cases", "catalogue", "effects", "equations", "expressions", "flights", "gusts", "manoeuvres",
+    "motion", "strength",
 )  # fmt: skip
 _OWN = ("drawn", "folders", "verdict", "weighing", "wrongs")
 _GENERATOR = ("tests/hidden_effects", "tests/helpers/sixdof.py")

@@ -57,7 +57,7 @@ def sized(asked: Question) -> Question | None:
     corrected = asked.air != "calm"
     plain = asked.flights("train")
     with np.errstate(all="ignore"):
-        flown = fly_and_tell(plain, COARSE_S)
+        flown = fly_and_tell(plain, COARSE_S) if asked.hidden else []
         effects = [_unit(e, s) for e, s in zip(asked.hidden, asked.signs, strict=True)]
         for _ in range(ROUNDS if not all(map(linear, asked.hidden)) else 1 if asked.hidden else 0):
             alone = strengths_alone(plain, flown, effects, corrected, COARSE_S)
