@@ -14,13 +14,13 @@ Loop = Callable[..., Any]
 def compiled(loop: Loop) -> Loop:
     """The loop, compiled when it is first called with such arguments.
 
-    The machine code is kept for the next process in the source's ``__pycache__``, or in the user's cache where that cannot be
-    written; where neither can, every process compiles anew.
+    A division by zero gives what numpy's gives. The machine code is kept for the next process in the source's ``__pycache__``, or
+    in the user's cache where that cannot be written; where neither can, every process compiles anew.
     """
     try:
-        kept: Loop = njit(cache=True, nogil=True)(loop)
+        kept: Loop = njit(cache=True, nogil=True, error_model="numpy")(loop)
     except RuntimeError:
-        kept = njit(nogil=True)(loop)
+        kept = njit(nogil=True, error_model="numpy")(loop)
     return kept
 
 

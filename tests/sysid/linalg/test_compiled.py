@@ -20,10 +20,10 @@ def total(values):
 def test_a_compiled_loop_is_the_loop(monkeypatch: pytest.MonkeyPatch, writable: bool) -> None:
     plain = numba.njit
 
-    def njit(cache: bool = False, nogil: bool = False):
+    def njit(cache: bool = False, nogil: bool = False, error_model: str = "python"):
         if cache and not writable:
             raise RuntimeError("cannot cache function: no locator available")
-        return plain(nogil=nogil)
+        return plain(nogil=nogil, error_model=error_model)
 
     monkeypatch.setattr("sysid.linalg.compiled.njit", njit)
     values = np.linspace(0.0, 1.0, 50)

@@ -1,0 +1,39 @@
+"""Compiles the loops of identification ahead, as a set-up does: `python -m sysid.effects.compile_loops`.
+
+The first flight in turbulence would do so else, in some twenty seconds; the machine code is kept beside the sources.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sysid.aerodynamics import GustStates, Reference, linearise
+from sysid.aerodynamics.rigid_body import OUTPUTS, MassProperties
+from sysid.effects.gust_score import AirLikelihood
+from sysid.effects.prediction import Columns, whiten
+from sysid.effects.turbulence import process_of
+from sysid.estimation import Process
+
+_ROWS, _DT_S, _SPEED_MPS = 4, 0.02, 20.0
+
+
+def compile_loops() -> None:
+    """Linearise and filter a made flight of a few samples, in calm air and in gusts."""
+    x = np.zeros((_ROWS, 8))
+    x[:, 0] = _SPEED_MPS
+    nothing, slopes = np.zeros((_ROWS, 3)), np.zeros((_ROWS, 6, 6))
+    reference = Reference(_DT_S, x, nothing, nothing, slopes, np.full(_ROWS, 200.0), np.zeros(3), False)
+    mass, gusts = MassProperties(1.0, np.eye(3), 1.0, 1.0, 1.0), GustStates(1.0)
+    which, noise = range(len(OUTPUTS)), np.ones(len(OUTPUTS))
+    measured = np.zeros((_ROWS, len(OUTPUTS)))
+    columns = [Columns(("c",), {"c": (0, np.zeros(_ROWS))}, {})]
+    calm, gusty = (linearise(reference, mass, gusts=air) for air in (None, gusts))
+    variances, begin = process_of(np.ones(5), _SPEED_MPS, gusts)
+    process = Process(variances[None], begin[None])
+    whiten([calm], [measured], columns, which, noise)
+    whiten([gusty], [measured], columns, which, noise, process)
+    AirLikelihood([gusty], [measured], which)(noise, process)
+
+
+if __name__ == "__main__":
+    compile_loops()

@@ -1,0 +1,56 @@
+"""What is compiled ahead is what real flights ask for: they compile nothing more."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sysid.aerodynamics.flight_equations import loops
+from sysid.aerodynamics.gust_states import GustStates
+from sysid.aerodynamics.rigid_body import OUTPUTS, MassProperties, Reference, linearise
+from sysid.effects.compile_loops import compile_loops
+from sysid.effects.gust_score import AirLikelihood
+from sysid.effects.prediction import Columns, whiten
+from sysid.estimation import kalman_loops
+from sysid.estimation.kalman import Process
+
+N, M = 12, len(OUTPUTS)
+MASS = MassProperties(18.0, np.diag([2.0, 3.0, 4.0]), 1.9, 3.7, 0.5)
+
+
+def compiled() -> dict[str, int]:
+    """How many kinds of arguments each loop is compiled for."""
+    found = {name: getattr(kalman_loops, name) for name in ("follow", "carry", "backward")} | loops()._asdict()
+    return {name: len(loop.signatures) for name, loop in found.items()}
+
+
+def test_a_flight_compiles_nothing_that_was_not_compiled_ahead() -> None:
+    compile_loops()
+    before = compiled()
+    assert all(before.values())
+    rng = np.random.default_rng(2)
+    # As they come from replays and records: single columns of wider arrays, with effects of all coefficients and of a channel.
+    x = (np.zeros((N, 20)) + np.array([20.0, *np.zeros(19)]) + 0.01 * rng.standard_normal((N, 20)))[:, :8]
+    wide = rng.standard_normal((N, 12))
+    reference = Reference(
+        0.02, x, wide[:, :3], wide[:, 3:6], rng.standard_normal((N, 6, 6)), np.full(N, 200.0), np.zeros(3), False,
+        by_flow=rng.standard_normal((N, 6, 2)),
+    )  # fmt: skip
+    measured = rng.standard_normal((N, M + 3))[:, :M]
+    measured[3, 4] = np.nan
+    inputs = {"a": (-1, wide[:, :6]), "b": (2, wide[:, 7])}
+    columns = [Columns(("a", "b", "c"), inputs, {"c": rng.standard_normal((N, M))})]
+    process = Process(np.full((1, 13), 0.1), np.full((1, 13), 0.2))
+    for air in (None, GustStates(3.7, rotating=False)):
+        steps = linearise(reference, MASS, gusts=air)
+        whiten([steps], [measured], columns, range(M), np.ones(M), None if air is None else process)
+    AirLikelihood([steps], [measured], range(M))(np.ones(M), process)
+    assert compiled() == before
+
+
+def test_another_kind_of_array_would_be_seen() -> None:
+    compile_loops()
+    before = compiled()
+    loops().stepped(
+        np.zeros((2, 4, 4)), np.zeros((2, 4, 12))[:, :, ::2], 0.1, np.empty((1, 4, 4)), np.zeros((1, 4, 6)), np.zeros((1, 4, 6))
+    )
+    assert compiled() != before
