@@ -6,6 +6,7 @@ refuses to open anything under the project's tests or under the folder that hold
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import signal
@@ -57,6 +58,17 @@ def run(folder: Path, arguments: Sequence[str], timeout_s: float | None = None) 
     )  # fmt: skip
 
 
+_running: set[int] = set()
+"""Groups of the processes that are being measured."""
+
+
+def stop() -> None:
+    """End every process that is being measured, with its children; whoever waits for one is told code -9."""
+    for group in list(_running):
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(group, signal.SIGKILL)
+
+
 @dataclass(frozen=True)
 class Measured:
     """A process that ended: exit code (-1: not in time), what it printed, processor time [s] and largest resident memory [MB].
@@ -94,13 +106,19 @@ def run_measured(folder: Path, arguments: Sequence[str], timeout_s: float) -> Me
             [sys.executable, "-S", "-c", _MEASURE, str(cost), *arguments], cwd=folder, env=environment, text=True,
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True,
         )  # fmt: skip
+        _running.add(child.pid)
         try:
             out, err = child.communicate(timeout=timeout_s)
         except BaseException as stopped:
-            os.killpg(child.pid, signal.SIGKILL)
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(child.pid, signal.SIGKILL)
             child.communicate()
             if not isinstance(stopped, subprocess.TimeoutExpired):
                 raise
             return Measured(-1, "", f"not finished after {timeout_s:g} s", timeout_s, float("nan"))
+        finally:
+            _running.discard(child.pid)
+        if not cost.is_file():
+            return Measured(-9, out, err, float("nan"), float("nan"))
         cpu_s, peak_kB = map(float, cost.read_text(encoding="utf-8").split())
     return Measured(child.returncode, out, err, cpu_s, peak_kB / 1024.0)

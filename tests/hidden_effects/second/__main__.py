@@ -16,7 +16,8 @@ import math
 import shutil
 import signal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
@@ -82,6 +83,30 @@ def todo(lines: Sequence[Mapping[str, str]], draw: int, numbers: Sequence[int], 
     return [n for n in numbers if (n in first and n not in now if again else n not in first)]
 
 
+def answers(
+    numbers: Sequence[int], made: Callable[[int], Question], ask: Callable[[Question], dict[str, Any]], workers: int = 1
+) -> Iterator[tuple[Question, dict[str, Any]]]:
+    """Questions with their answers as they come, ``workers`` asked side by side. A stop ends those that are being answered, and
+    they are not told."""
+    with ThreadPoolExecutor(workers) as pool:
+        pending: dict[Future[dict[str, Any]], Question] = {}
+        try:
+            for number in [*numbers, None]:
+                while pending and (number is None or len(pending) == workers):
+                    for done in wait(pending, return_when=FIRST_COMPLETED).done:
+                        yield pending.pop(done), done.result()
+                if number is not None:
+                    asked = made(number)
+                    pending[pool.submit(ask, asked)] = asked
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            # One that was about to begin may begin now.
+            while not all(one.done() for one in pending):
+                sealed.stop()
+                wait(pending, timeout=0.1)
+            raise
+
+
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     which = parser.add_mutually_exclusive_group(required=True)
@@ -91,6 +116,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--again", action="store_true", help="ask what was met before again")
     parser.add_argument("--numbers", type=int, nargs="+", metavar="N", help="of the development draw, these alone")
     parser.add_argument("--seconds", type=float, help="of the development draw, length of a flight (default 90)")
+    parser.add_argument("--workers", type=int, default=1, help="cases answered side by side (default 1)")
     parser.add_argument("--keep", action="store_true", help="keep all that refine wrote, not refinement.json alone")
     given = parser.parse_args(argv)
     draw = DEVELOPMENT if given.development else given.draw
@@ -107,17 +133,21 @@ def main(argv: list[str] | None = None) -> int:
     secret.mkdir(parents=True, exist_ok=True)
     place = sealed.seal(folder / "sealed", [secret, path])
     numbers = given.numbers or range(len(slots(draw)))
-    for number in todo(table.read(path), draw, numbers, commit, given.again):
+
+    def made(number: int) -> Question:
         asked = question(draw, number, secret, given.seconds)
         if write([asked], folder / "flights"):
             raise SystemExit(f"draw {draw}, case {number}: a flight comes to grief")
-        got = ask(asked, folder, place)
+        return asked
+
+    still = todo(table.read(path), draw, numbers, commit, given.again)
+    for asked, got in answers(still, made, lambda asked: ask(asked, folder, place), given.workers):
         verdict = judge(asked, got["found"], got["exit"])
         line = table.line_of(asked, verdict, got, commit, table.LATER if given.again else table.FIRST)
         table.add(path, line)
         if not given.keep:
             _clear(folder / "refined" / asked.id)
-        print(f"{number}: {line['kind']} {line['air']} {line['truth']} {line['wrong']} -> {line['verdict']} {line['answer']} "
+        print(f"{asked.number}: {line['kind']} {line['air']} {line['truth']} {line['wrong']} -> {line['verdict']} {line['answer']} "
               f"({got['cpu_s']:.0f} s) {got['error']}", file=sys.stderr, flush=True)  # fmt: skip
     rows = table.of_draw(table.read(path), draw, table.LATER if given.again else table.FIRST)
     reached, text = marks(rows, whole=draw != DEVELOPMENT)

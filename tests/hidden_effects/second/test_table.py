@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import time
+from pathlib import Path
 
 import pytest
 
@@ -59,6 +61,31 @@ def test_a_stopped_run_goes_on_and_meets_each_case_once(tmp_path, monkeypatch, c
     assert asked == [8, 12, 12]
     assert [r["number"] for r in table.read(tmp_path / "met.csv")] == ["8", "12"]
     assert "nulls without an effect: 2 of 2" in capsys.readouterr().out
+
+
+def test_several_are_asked_side_by_side_and_a_stop_tells_none_of_them():
+    at_once, seen = [0], []
+
+    def ask(number):
+        at_once[0] += 1
+        seen.append(at_once[0])
+        time.sleep(0.05)
+        at_once[0] -= 1
+        return {"number": number}
+
+    found = dict(run.answers(range(7), lambda number: number, ask, 3))
+    assert found == {n: {"number": n} for n in range(7)}
+    assert max(seen) > 1
+
+    def stopped(number):
+        if number == 2:
+            raise KeyboardInterrupt
+        return sealed.run_measured(Path(), ["-c", "import time; time.sleep(60)"], 90.0)
+
+    begun = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        list(run.answers(range(5), lambda number: number, stopped, 3))
+    assert time.monotonic() - begun < 30.0
 
 
 def test_a_draw_is_not_met_by_code_that_is_not_committed(tmp_path, monkeypatch, capsys):
