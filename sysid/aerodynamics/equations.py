@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics.coefficients import MassProperties
-from sysid.aerodynamics.flight_equations import sines
+from sysid.aerodynamics.flight_equations import flow_rates, sines
 from sysid.aerodynamics.gust_states import GustStates
 from sysid.aerodynamics.terms import COEFFICIENTS, regressor, split_name, variables
 from sysid.units import G0_MPS2
@@ -63,20 +63,12 @@ class OpenEquations:
 
     def f(self, x: Any, u: Any, theta: Any) -> Any:
         """dx/dt (13,)."""
-        V, alpha, beta, p, q, r = (x[i] for i in range(6))
+        p, q, r = x[3], x[4], x[5]
         sf, cf, st, ct = trig = sines(x)
         ax, ay, az, pd, qd, rd = self._accelerations(x, u, theta, trig)
-        g = self.gravity
-        cb, sb, ca, sa = np.cos(beta), np.sin(beta), np.cos(alpha), np.sin(alpha)
-        ub, vb, wb = V * ca * cb, V * sb, V * sa * cb
-        ud = ax + r * vb - q * wb - g * st
-        vd = ay + p * wb - r * ub + g * ct * sf
-        wd = az + q * ub - p * vb + g * ct * cf
-        Vd = (ub * ud + vb * vd + wb * wd) / V
-        turning = q * sf + r * cf
-        own = Vd, (ub * wd - wb * ud) / (ub * ub + wb * wb), (V * vd - vb * Vd) / (V * V * cb)
+        own = flow_rates(x, (ax, ay, az), trig, self.gravity)
         Vd, alphad, betad = (a + b for a, b in zip(own, self.gusts.turning(x, trig), strict=True))
-        phid = p + st / ct * turning
+        phid = p + st / ct * (q * sf + r * cf)
         return [
             Vd, alphad, betad, pd, qd, rd, phid, q * cf - r * sf,
             *self.gusts.rates(x, (Vd, alphad, betad, phid), trig),
