@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, signal
+from scipy import fft
 
 from sysid.aerodynamics.coefficients import at_cg, half_width, kernel, smooth
 from sysid.aerodynamics.flight_equations import LENGTHS
@@ -137,7 +137,9 @@ def _rotation(air: AirPiece, gusts: FloatArray, dt_s: float) -> FloatArray:
 
 def _lagged(x: FloatArray, time_s: float, dt_s: float) -> FloatArray:
     keep = float(np.exp(-dt_s / time_s))
-    return np.asarray(signal.lfilter([1.0 - keep], [1.0, -keep], x))
+    from scipy.signal import lfilter  # loads scipy.stats, over a second
+
+    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], x))
 
 
 def _inner(x: FloatArray, n: int) -> FloatArray:

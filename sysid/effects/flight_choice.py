@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from sysid.aerodynamics import regressors
+from sysid.distributions import student_quantile
 from sysid.model_form import CoefficientBounds, Information, Outside, thinned
 
 FloatArray = NDArray[np.float64]
@@ -76,6 +76,6 @@ def choose(
 def _half_width(bounds: CoefficientBounds, X: FloatArray, M: FloatArray, n: float) -> float:
     t = bounds.t
     if bounds.parts is None:
-        t = float(stats.t.ppf(0.5 + 0.5 * bounds.confidence, n / bounds.leverage_factor - len(bounds.terms)))
+        t = float(student_quantile(0.5 + 0.5 * bounds.confidence, n / bounds.leverage_factor - len(bounds.terms)))
     h = np.einsum("ni,in->n", X, np.linalg.solve(M, X.T))
     return float(np.mean(bounds.half_width(h, t)))

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from sysid.distributions import normal_quantile
 from sysid.effects.score import DEPENDENT, Evidence, agreement, corrected, corrected_each, likeness, scores, solve
 
 FloatArray = NDArray[np.float64]
@@ -97,7 +97,7 @@ class Selection:
 
 def threshold(candidates: int, family: float = FAMILY) -> float:
     """|t| that the largest of so many candidates exceeds with probability ``family`` when nothing is there (Sidak)."""
-    return float(stats.norm.isf(0.5 * (1.0 - (1.0 - family) ** (1.0 / max(candidates, 1)))))
+    return -float(normal_quantile(0.5 * (1.0 - (1.0 - family) ** (1.0 / max(candidates, 1)))))
 
 
 def chance_limit(evidence: Evidence, free: Sequence[str], candidates: Sequence[str], family: float = FAMILY) -> float:
@@ -217,7 +217,7 @@ def _best(
         return None
     found = scores(evidence, free, open_)
     # A candidate that is really there moves few of the others: their median does not know of it.
-    spread = max(1.0, float(np.nanmedian(np.abs(found.t))) / stats.norm.isf(0.25)) if empirical else 1.0
+    spread = max(1.0, float(np.nanmedian(np.abs(found.t))) / normal_quantile(0.75)) if empirical else 1.0
     merit = np.nan_to_num(found.gain - np.array([odds[k] for k in open_]), nan=-np.inf)
     order = np.argsort(-merit)
     best = int(order[0])

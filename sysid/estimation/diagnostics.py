@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from sysid.arrays import Array
+from sysid.distributions import chi2_tail
 from sysid.estimation.coloured import autocovariance, residual_models
 
 WHITENESS_LEVEL = 1e-4  # p-value, shared out over the outputs; rejects a white record once in 10 000
@@ -35,7 +35,7 @@ def ljung_box(segments: list[Array], lags: int) -> float:
         return float("nan")
     r = covariance[1:] / covariance[0]
     q = n * (n + 2.0) * np.sum(r**2 / (n - np.arange(1, lags + 1)))
-    return float(stats.chi2.sf(q, lags))
+    return float(chi2_tail(q, lags))
 
 
 def _slow_share(segments: list[Array]) -> float:

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import stats
 
 from sysid.arrays import Array, as_names
+from sysid.distributions import f_upper_quantile
 from sysid.estimation.regression import checked_regressors, equation_error, segment_edges
 from sysid.estimation.result import Regression, Selection, SelectionStep
 
@@ -96,8 +96,8 @@ def stepwise(
     limit = min(max_terms if max_terms is not None else k, n - 1)
     while True:
         freedom = max(n - len(chosen) - 1, 1)
-        enter = f_enter if f_enter is not None else float(stats.f.isf(ALPHA_ENTER / candidates, 1, freedom))
-        remove = f_remove if f_remove is not None else min(enter, float(stats.f.isf(ALPHA_REMOVE / candidates, 1, freedom)))
+        enter = f_enter if f_enter is not None else float(f_upper_quantile(ALPHA_ENTER / candidates, 1, freedom))
+        remove = f_remove if f_remove is not None else min(enter, float(f_upper_quantile(ALPHA_REMOVE / candidates, 1, freedom)))
         entering = data.best_entry(chosen, enter) if len(chosen) < limit else None
         if entering is None:
             break

@@ -22,10 +22,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, stats
+from scipy import fft
 from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
+from sysid.distributions import normal_quantile, normal_tail
 from sysid.model_form.blocks import Blocks
 from sysid.model_form.posterior import Weighted, sample
 
@@ -290,10 +291,10 @@ def _tail(problem: _Problem, p: _Point) -> float:
     root = float(np.sqrt(np.mean(mean**2 + std**2)))
 
     def outside(limit: float) -> float:
-        return float(np.mean(stats.norm.sf((limit - mean) / std) + stats.norm.cdf((-limit - mean) / std)))
+        return float(np.mean(normal_tail((limit - mean) / std) + normal_tail((limit + mean) / std)))
 
     low, high = 0.0, 20.0 * root
     for _ in range(50):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if outside(middle) > 0.05 else (low, middle)
-    return max(1.0, high / (root * float(stats.norm.ppf(0.975)))) if root > 0.0 else 1.0
+    return max(1.0, high / (root * float(normal_quantile(0.975)))) if root > 0.0 else 1.0

@@ -17,9 +17,9 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from sysid.aerodynamics import COEFFICIENTS, Residuals, Term, full_polynomial, noise_variance, regressors, stack, term_name
+from sysid.distributions import student_quantile
 from sysid.estimation import effective_samples
 from sysid.estimation.stepwise import stepwise
 from sysid.model_form.blocks import blocks_of, stretches
@@ -263,7 +263,7 @@ def _bounds(
     return CoefficientBounds(
         states=design.states, centre=np.array([scaling[s][0] for s in design.states]),
         scale=np.array([scaling[s][1] for s in design.states]), terms=terms, beta_hat=beta, XtX_inv=inverse @ inverse.T,
-        s2=s2, dof=float(dof), t=float(stats.t.ppf(0.5 + 0.5 * options.confidence, dof)), confidence=options.confidence,
+        s2=s2, dof=float(dof), t=float(student_quantile(0.5 + 0.5 * options.confidence, dof)), confidence=options.confidence,
         leverage_factor=n / n_effective, n=n, n_effective=n_effective, walk_rate=float("nan"),
         hull=_hull(states, float(np.max(np.sum(q**2, axis=1)))),
     )  # fmt: skip

@@ -19,10 +19,10 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from sysid.aerodynamics import COEFFICIENTS, Term, parse_term, regressors, stack, term_name
 from sysid.aerodynamics.polynomial import STATES
+from sysid.distributions import student_quantile
 from sysid.errors import LogError
 from sysid.foreign.parsed_text import ParseError, parse_json
 from sysid.foreign.regular_files import read_regular
@@ -153,7 +153,7 @@ class CoefficientBounds:
         """``t`` is that at the form's confidence; at another one a Student distribution's, in proportion where parts are kept."""
         if confidence == self.confidence:
             return t
-        asked, known = (float(stats.t.ppf(0.5 + 0.5 * level, dof)) for level in (confidence, self.confidence))
+        asked, known = (float(student_quantile(0.5 + 0.5 * level, dof)) for level in (confidence, self.confidence))
         return asked if self.parts is None else t * asked / known
 
     def interval(

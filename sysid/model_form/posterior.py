@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.special import expit, logit, logsumexp
+
+from sysid.distributions import chi2_quantile, normal_quantile
 
 FloatArray = NDArray[np.float64]
 FIRST = 256
@@ -42,17 +43,19 @@ class Weighted:
 
 def sample(log_likelihood: Callable[[FloatArray], FloatArray], dimensions: int) -> Weighted:
     """Points that stand for the posterior under a uniform prior; ``log_likelihood`` takes points (n, d) and gives (n,)."""
+    from scipy.stats import qmc
+
     rows, found = np.zeros((0, dimensions)), np.zeros(0)
     mixture: list[tuple[int, FloatArray, FloatArray]] = []
     for number in range(MOST_ROUNDS):
         count = FIRST if number == 0 else LATER
-        u = np.clip(stats.qmc.Sobol(dimensions + 1, seed=number).random(count), _EDGE, 1.0 - _EDGE)
+        u = np.clip(qmc.Sobol(dimensions + 1, seed=number).random(count), _EDGE, 1.0 - _EDGE)
         if number == 0:
             z = logit(u[:, :dimensions])
         else:
             mean, covariance = _moments(rows, _log_weights(rows, found, mixture))
-            chi = stats.chi2.ppf(u[:, dimensions], _DOF) / _DOF
-            steps = stats.norm.ppf(u[:, :dimensions]) / np.sqrt(chi)[:, None]
+            chi = chi2_quantile(u[:, dimensions], _DOF) / _DOF
+            steps = normal_quantile(u[:, :dimensions]) / np.sqrt(chi)[:, None]
             z = mean + steps @ np.linalg.cholesky(covariance).T
             mixture.append((count, mean, covariance))
         z = np.clip(z, logit(_EDGE), -logit(_EDGE))
@@ -66,6 +69,8 @@ def sample(log_likelihood: Callable[[FloatArray], FloatArray], dimensions: int) 
 
 
 def _log_weights(z: FloatArray, log_likelihood: FloatArray, mixture: list[tuple[int, FloatArray, FloatArray]]) -> FloatArray:
+    from scipy import stats
+
     prior = np.sum(-z - 2.0 * np.log1p(np.exp(-z)), axis=1)  # uniform points, in logits
     total = FIRST + sum(count for count, _, _ in mixture)
     parts = [np.log(FIRST / total) + prior]

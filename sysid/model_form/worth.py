@@ -23,9 +23,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, stats
+from scipy import optimize
 
 from sysid.aerodynamics import regressors, stack
+from sysid.distributions import normal_quantile, student_quantile
 from sysid.model_form.model_form import CoefficientBounds, Outside
 
 FloatArray = NDArray[np.float64]
@@ -85,7 +86,7 @@ def after(bounds: CoefficientBounds, more: Sequence[Information], scatter: float
     if bounds.parts is not None:
         # What persists and how sure that is are the model's; samples alone do not change them, and noise is in no width.
         return more_known
-    t = float(stats.t.ppf(0.5 + 0.5 * bounds.confidence, dof))
+    t = float(student_quantile(0.5 + 0.5 * bounds.confidence, dof))
     return replace(more_known, s2=bounds.s2 * (bounds.n + scatter * added) / n, dof=dof, t=t)
 
 
@@ -93,7 +94,7 @@ def for_ever(bounds: CoefficientBounds) -> CoefficientBounds:
     """The limit of endless data: no parameter part left, all else as it is."""
     if bounds.parts is not None:
         return replace(bounds, XtX_inv=np.zeros_like(bounds.XtX_inv))
-    t = float(stats.norm.ppf(0.5 + 0.5 * bounds.confidence))
+    t = float(normal_quantile(0.5 + 0.5 * bounds.confidence))
     return replace(bounds, XtX_inv=np.zeros_like(bounds.XtX_inv), dof=float("inf"), t=t)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid.aerodynamics import Residuals, term_name
+from sysid.distributions import normal_quantile
 from sysid.model_form import ModelForm, Parts, measured_bounds
 from uqharness.files import finite
 from uqharness.identification import CutoffRow, MadeBounds, Validation, failed, mean_left_out, verdicts
@@ -17,9 +18,7 @@ from uqharness.report.pages.model_form import RESIDUALS
 
 def forced_width(noise: float, confidence: float) -> float:
     """Width of the interval that noise of this standard deviation forces: twice the normal quantile times it."""
-    from scipy import stats
-
-    return float(2.0 * stats.norm.ppf(0.5 + 0.5 * confidence) * noise)
+    return float(2.0 * normal_quantile(0.5 + 0.5 * confidence) * noise)
 
 
 def bounds_document(found: MadeBounds) -> dict[str, Any]:

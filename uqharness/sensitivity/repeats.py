@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
 
+from sysid.distributions import student_quantile
 from uqharness.errors import BadInputError
 from uqharness.sensitivity.analysis import Sensitivity
 from uqharness.sensitivity.result import CONFIDENCE, Index, MethodResult, PairRange
@@ -81,6 +81,6 @@ def _mean(same: Sequence[Index]) -> tuple[Index, float]:
     if np.isnan(values).any():
         return next(item for item in same if np.isnan(item.value)), float("nan")
     std = float(values.std(ddof=1))
-    reach = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, values.size - 1)) * std / values.size**0.5
+    reach = float(student_quantile(0.5 + 0.5 * CONFIDENCE, values.size - 1)) * std / values.size**0.5
     mean = float(values.mean())
     return Index(mean, mean - reach, mean + reach), std

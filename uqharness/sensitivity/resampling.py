@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from sysid.distributions import normal_quantile, student_quantile
 from uqharness.sensitivity.areas import fixed_areas, pair_areas
 from uqharness.sensitivity.problem import Array
 from uqharness.sensitivity.result import CONFIDENCE
 
-Z = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE))
+Z = float(normal_quantile(0.5 + 0.5 * CONFIDENCE))
 HALVES = 20
 BLOCKS = 8
 RESAMPLES = 200
@@ -51,7 +51,7 @@ def reach_of_box(statistic: Callable[[Any, Any], Array | float], shape: tuple[in
     rows = np.random.default_rng(seed).permutation(samples)
     by_rows = np.std(np.array([statistic(block, every[1]) for block in np.array_split(rows, BLOCKS)]), axis=0, ddof=1)
     by_columns = std_by_draws(lambda columns: statistic(every[0], columns), draws, seed)
-    return float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, BLOCKS - 1)) * np.hypot(by_rows, by_columns)
+    return float(student_quantile(0.5 + 0.5 * CONFIDENCE, BLOCKS - 1)) * np.hypot(by_rows, by_columns)
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def pair_band(
     deviation = np.abs(again - again.mean(axis=0))[:, moving] / std[moving]
     # Few draws: the bootstrap's spread is that of a variance divided by A in place of A-1, and its tails are Student's.
     point = 0.5 + 0.5 * confidence
-    small = np.sqrt(draws / (draws - 1.0)) * stats.t.ppf(point, draws - 1) / stats.norm.ppf(point)
+    small = np.sqrt(draws / (draws - 1.0)) * student_quantile(point, draws - 1) / normal_quantile(point)
     reach = small * (float(np.quantile(deviation.max(axis=1), confidence)) if moving.any() else 0.0)
     low = (flat - np.maximum(bias, 0.0) - reach * std).reshape(index.shape)
     low[:, :-2] = np.minimum(low[:, :-2], index[:, :-2] - _chance_areas(y, d, rng, reach) / area)
@@ -113,7 +113,7 @@ def pair_band(
     # Where no pair is shown to differ, no shrinkage is shown either.
     low[np.all(low[:, :-2] == 0.0, axis=1), -2:] = 0.0
     high = np.minimum(1.0, flat - np.minimum(bias, 0.0) + reach * std)
-    spread = small * float(stats.norm.ppf(point)) * float(areas.std(ddof=1))
+    spread = small * float(normal_quantile(point)) * float(areas.std(ddof=1))
     area_low = area - max(0.0, _BIAS_SEEN * (float(areas.mean()) - area)) - spread
     lead = _lead(index, again.reshape(resamples, *index.shape), reach)
     return PairBand(index, low, high.reshape(index.shape), area, area_low, area + spread, lead)

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import Aircraft, open_aircraft, parse_xml
@@ -57,6 +56,8 @@ class Actuator:
         asked = np.repeat(commands, runs)[: (len(commands) - 1) * runs + 1].astype(float)
         out = asked
         if self.lag is not None:
+            from scipy.signal import lfilter  # loads scipy.stats, over a second
+
             half = step_s * self.lag
             gain, keep = half / (2.0 + half), (2.0 - half) / (2.0 + half)
             out = lfilter([gain, gain], [1.0, -keep], asked, zi=[(gain + keep) * asked[0]])[0]

@@ -8,8 +8,8 @@ estimate cannot know; the upper limit counts one flight more, with twice the lar
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
 
+from sysid.distributions import normal_quantile
 from uqharness.statistics.rates import Array
 
 _QUIET_TILT, _QUIET_TILT_ANYTIME, _QUIET_WEIGHT_ANYTIME = 30.0, 6.0, 0.75
@@ -24,7 +24,7 @@ def dispersion_limits(counts: Array, error: float) -> tuple[Array, Array]:
     known = np.isfinite(counts)
     values = np.where(known, counts, 0.0)
     flights = known.sum(axis=1).astype(float)
-    reach = float(stats.norm.isf(error))
+    reach = -float(normal_quantile(error))
 
     def of(more: Array, sign: float) -> Array:
         first, second, third, fourth = ((values**power).sum(axis=1) + more**power for power in (1, 2, 3, 4))

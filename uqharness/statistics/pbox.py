@@ -14,8 +14,8 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from sysid.distributions import chi2_quantile, chi2_upper_quantile
 from sysid.notebook_view import rows_table, view
 from uqharness.arguments import number
 from uqharness.statistics.common_air import common_air_half_width, is_enough
@@ -117,6 +117,8 @@ def band_half_width(flights: int, corners: int, confidence: float) -> float:
     """
     if flights < 1:
         return 1.0
+    from scipy import stats
+
     width = float(stats.kstwo.isf((1.0 - confidence) / corners, flights))
     # Rounded up, for the last bits differ between processors, and tables must not.
     return min(1.0, math.ceil(width * 1e9) / 1e9)
@@ -260,13 +262,13 @@ def poisson_limits(events: int, hours: float, confidence: float = 0.95) -> tuple
     if hours <= 0.0:
         return 0.0, float("inf")
     tail = (1.0 - confidence) / 2.0
-    low = stats.chi2.ppf(tail, 2 * events) / (2.0 * hours) if events > 0 else 0.0
-    return float(low), float(stats.chi2.isf(tail, 2 * events + 2) / (2.0 * hours))
+    low = chi2_quantile(tail, 2 * events) / (2.0 * hours) if events > 0 else 0.0
+    return float(low), float(chi2_upper_quantile(tail, 2 * events + 2) / (2.0 * hours))
 
 
 def poisson_upper(events: int, hours: float, confidence: float = 0.95) -> float:
     """Exact one-sided upper limit of a rate per hour: what ``events`` in ``hours`` prove."""
-    return float(stats.chi2.isf(1.0 - confidence, 2 * events + 2) / (2.0 * hours)) if hours > 0.0 else float("inf")
+    return float(chi2_upper_quantile(1.0 - confidence, 2 * events + 2) / (2.0 * hours)) if hours > 0.0 else float("inf")
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,8 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+
+from sysid.distributions import student_quantile
 
 Array = NDArray[np.float64]
 
@@ -248,5 +249,5 @@ def interval(values: Sequence[float] | Array, confidence: float = 0.95) -> Inter
         reason = f"{nothing} of {values.size} replicates have no event: fly more paths in each"
         return Interval(mean if nothing < values.size else nan, nan, nan, values.size, reason)
     error = float(values.std(ddof=1)) / math.sqrt(values.size) / mean
-    factor = math.exp(float(stats.t.ppf(0.5 + 0.5 * confidence, values.size - 1)) * error)
+    factor = math.exp(float(student_quantile(0.5 + 0.5 * confidence, values.size - 1)) * error)
     return Interval(mean, mean / factor, mean * factor, values.size)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal as dsp
 
 from sysid.errors import Finding
 from sysid.record import FlightRecord
@@ -36,6 +35,8 @@ def _longest(record: FlightRecord, names: tuple[str, ...]) -> FlightRecord | Non
 
 def _band(x: FloatArray, dt_s: float) -> FloatArray:
     """Zero-phase band-pass over BAND_HZ (upper edge below 0.4 of the sampling rate)."""
+    from scipy import signal as dsp  # loads scipy.stats, over a second
+
     high = min(BAND_HZ[1], 0.4 / dt_s)
     sos = dsp.butter(2, [BAND_HZ[0], high], btype="bandpass", fs=1.0 / dt_s, output="sos")
     return dsp.sosfiltfilt(sos, x - x.mean())

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal as dsp
 
 from sysid.errors import Finding
 from sysid.logs.checking.mending import mend, spoils
@@ -82,6 +81,8 @@ def effect(record: FlightRecord, axis: Axis) -> Effect | None:
     parts = _parts(record, (column, axis.rate, *others), dt)
     if not parts or high < 2.0 * _BAND_HZ[0]:
         return None
+    from scipy import signal as dsp  # loads scipy.stats, over a second
+
     sos = dsp.butter(2, [_BAND_HZ[0], high], btype="bandpass", fs=1.0 / dt, output="sos")
     rows = [{n: dsp.sosfiltfilt(sos, c[n] - c[n].mean()) for n in c} for c in parts]
     if math.sqrt(float(np.mean(np.concatenate([c[column] for c in rows]) ** 2))) < _MOVING_DEG:

@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from sysid.distributions import f_tail, gamma_tail
 from sysid.estimation import integral_time
 
 Array = NDArray[np.float64]
@@ -135,7 +135,7 @@ def _largest(power: Array, weight: Array) -> tuple[tuple[float, float, tuple[int
             gain = np.where(S > N, 2.0 * (S - N - N * np.log(np.maximum(S, 1e-300) / N)), 0.0) / spread
         j, k = np.unravel_index(int(np.argmax(gain)), gain.shape)
         if gain[j, k] > (0.0 if best is None else best[0]):
-            p = float(stats.gamma.sf(S[j, k] / spread[k], N[j, k] / spread[k]))
+            p = float(gamma_tail(S[j, k] / spread[k], N[j, k] / spread[k]))
             best = float(gain[j, k]), p, (a, a + int(j) + 1, int(low[k]), int(high[k]))
     return best, blocks * (blocks + 1) // 2 * len(low)
 
@@ -212,4 +212,4 @@ def _explained(y: Array, x: Array, worth: float) -> tuple[float, float, float, f
     F = share / free / max((1.0 - share) / left, 1e-300)
     low, high = densest(part)
     adjusted = 1.0 - (1.0 - share) * (worth - 1.0) / left
-    return adjusted, float(stats.f.sf(F, free, left)), float(edges[low]), float(edges[high])
+    return adjusted, float(f_tail(F, free, left)), float(edges[low]), float(edges[high])
