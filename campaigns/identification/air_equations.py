@@ -109,7 +109,7 @@ class AirEquations:
     @property
     def gusts(self) -> GustStates:
         """The air's rotation."""
-        return GustStates(self.body.b, self.passing_mps)
+        return GustStates(self.body.b, self.passing_mps or 0.0)
 
     def _loads(self, x: Any, u: Any, theta: Any, trig: Any = None) -> tuple[Any, ...]:
         """Specific force ax, ay, az [m/s2] and moments L, M, N [N m]."""
@@ -154,7 +154,7 @@ class AirEquations:
             np.broadcast_arrays(
                 dV, dalpha, dbeta,
                 (body.Izz * roll + body.Ixz * yaw) / det, pitch / body.Iyy, (body.Ixz * roll + body.Ixx * yaw) / det,
-                dphi, q * cf - r * sf, *self.gusts.rates(x, dV, dalpha, dbeta, dphi, trig),
+                dphi, q * cf - r * sf, *self.gusts.rates(x, (dV, dalpha, dbeta, dphi), trig),
             )
         )  # fmt: skip
 
