@@ -53,6 +53,36 @@ class Flown:
 
 
 @dataclass(frozen=True)
+class _Grouped:
+    """Flights of one condition by their levels: ``places`` (n, A) in the campaign's table, in the order of the aleatory ids, and
+    ``flown`` (n, A) where a flight did not fail."""
+
+    keys: tuple[tuple[float, ...], ...]
+    places: NDArray[np.intp]
+    flown: NDArray[np.bool_]
+
+    def values(self, of: Flown, metric: str) -> Array:
+        """(n, A) of a metric; NaN where a flight failed. Raises BadInputError for one that the table has not."""
+        if metric not in of.frame:
+            raise BadInputError(f"metric {metric}: not in {of.folder / CASES}; it has {', '.join(metrics_of(of))}")
+        return np.where(self.flown, of.frame[metric].to_numpy(dtype=float)[self.places], np.nan)
+
+
+@dataclass(frozen=True)
+class _Table:
+    """One campaign in one condition: corners and levels, and the interior points flown beside them."""
+
+    of: Flown
+    levels: _Grouped
+    points: _Grouped
+
+    @staticmethod
+    def read(flown: Flown, condition: Condition) -> _Table:
+        """Raises BadInputError where the combinations of levels did not fly the same air."""
+        return _Table(flown, *(_grouped(flown, condition, interior) for interior in (False, True)))
+
+
+@dataclass(frozen=True)
 class MetricSensitivity:
     """One metric in one condition. ``flights`` per corner were used, ``left_out`` were not because a flight with the same air
     failed or has no value in some corner."""
@@ -128,34 +158,38 @@ def analyse_campaign(
 ) -> list[MetricSensitivity]:
     """Corner pairs for every metric in every condition. Raises BadInputError where the table is not what it should be."""
     wanted = tuple(metrics) if metrics else metrics_of(flown)
-    cells = [(condition, metric) for condition in conditions(flown.frame) for metric in wanted]
-    found = []
-    for number, (condition, metric) in enumerate(cells, 1):
-        found.append(_analyse(flown, interior, condition, metric, seed))
-        if on_progress is not None:
-            on_progress(number, len(cells))
+    there = conditions(flown.frame)
+    found: list[MetricSensitivity] = []
+    for condition in there:
+        table = _Table.read(flown, condition)
+        between = None if interior is None else _Table.read(interior, condition)
+        for metric in wanted:
+            found.append(_analyse(table, between, condition, metric, seed))
+            if on_progress is not None:
+                on_progress(len(found), len(there) * len(wanted))
     return found
 
 
-def _analyse(flown: Flown, interior: Flown | None, condition: Condition, metric: str, seed: int) -> MetricSensitivity:
+def _analyse(table: _Table, between: _Table | None, condition: Condition, metric: str, seed: int) -> MetricSensitivity:
+    flown = table.of
     names = flown.coefficients
     d = len(names)
-    table = _by_level(flown, condition, metric)
+    values = dict(zip(table.levels.keys, table.levels.values(flown, metric), strict=True))
     ends = box_corners(np.zeros(d), np.ones(d))
     try:
-        y = np.array([table.pop(tuple(corner)) for corner in ends])
+        y = np.array([values.pop(tuple(corner)) for corner in ends])
     except KeyError as missing:
         raise BadInputError(f"{flown.folder}: the corner {missing} was not flown in {condition.words}") from None
-    inside = np.array(list(table.values())) if table else None
-    if interior is not None:
-        others = _by_level(interior, condition, metric)
-        added = np.array([v[: y.shape[1]] for key, v in others.items() if not set(key) <= {0.0, 1.0}])
+    inside = np.array(list(values.values())) if values else None
+    if between is not None:
+        others = zip(between.levels.keys, between.levels.values(between.of, metric), strict=True)
+        added = np.array([v[: y.shape[1]] for key, v in others if not set(key) <= {0.0, 1.0}])
         if added.size:
             inside = added if inside is None else np.concatenate([inside, added])
     known = np.all(np.isfinite(y), axis=0)
     if inside is not None:
         known &= np.all(np.isfinite(inside), axis=0)
-    inside = _with_points(inside, list(_by_level(flown, condition, metric, interior=True).values()), known)
+    inside = _with_points(inside, list(table.points.values(flown, metric)), known)
     lost = int(np.count_nonzero(~known))
     if lost <= MOST_LOST * known.size:
         y, inside = y[:, known], None if inside is None else inside[:, known]
@@ -174,27 +208,23 @@ def _with_points(inside: Array | None, points: list[Array], known: NDArray[np.bo
     return np.concatenate(found) if found else None
 
 
-def _by_level(flown: Flown, condition: Condition, metric: str, interior: bool = False) -> dict[tuple[float, ...], Array]:
-    """Values (A,) in the order of the aleatory ids, for each combination of levels; NaN where a flight failed.
-
-    Of the corners and levels, or of the ``interior`` points flown beside them.
-    """
-    if metric not in flown.frame:
-        raise BadInputError(f"metric {metric}: not in {flown.folder / CASES}; it has {', '.join(metrics_of(flown))}")
-    rows = in_condition(flown.frame, condition)
+def _grouped(flown: Flown, condition: Condition, interior: bool) -> _Grouped:
+    """The corners and levels of a condition, or the ``interior`` points flown beside them. Raises BadInputError."""
+    rows = in_condition(flown.frame.reset_index(drop=True), condition)
     rows = rows[rows["epistemic_id"].str.startswith(INTERIOR_MARK) == interior]
     level_names = [f"level_{name}" for name in flown.coefficients]
     ids = np.sort(rows["aleatory_id"].unique())
-    found = {}
+    keys, places, complete = [], [], []
     for key, group in rows.groupby(level_names, sort=False):
         ordered = group.sort_values("aleatory_id")
         if not np.array_equal(ordered["aleatory_id"].to_numpy(), ids):
             raise BadInputError(f"{flown.folder}: {condition.words}: not every corner flew the same aleatory samples")
         ok = (ordered["status"] == "ok").to_numpy()
-        values = np.where(ok, ordered[metric].to_numpy(dtype=float), np.nan)
         durations = ordered["duration_s"].to_numpy()[ok]
         if durations.size and np.ptp(durations) > 1e-6:
             raise BadInputError(f"{flown.folder}: {condition.words}: flights of unequal duration cannot be compared")
-        levels = np.atleast_1d(np.asarray(key, dtype=float))
-        found[tuple(levels.tolist())] = values
-    return found
+        keys.append(tuple(np.atleast_1d(np.asarray(key, dtype=float)).tolist()))
+        places.append(ordered.index.to_numpy())
+        complete.append(ok)
+    shape = (len(keys), len(ids))
+    return _Grouped(tuple(keys), np.array(places, dtype=np.intp).reshape(shape), np.array(complete, dtype=bool).reshape(shape))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
 
 from uqharness.sensitivity.areas import is_flat
 from uqharness.sensitivity.resampling import Z, std_by_draws
@@ -33,6 +32,8 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
         reason = "the aleatory mean has no variance: the output's mean depends on no parameter"
         return all_undefined(METHOD, study.names, reason, cost)
     samples = f_A.size
+    from scipy import stats
+
     # Twice the same output: for one output of one parameter scipy squeezes its result to a scalar and fails on it.
     twice = {"f_A": np.stack([f_A] * 2), "f_B": np.stack([f_B] * 2), "f_AB": np.stack([f_AB] * 2, axis=1)}
     found = stats.sobol_indices(func=twice, n=samples)

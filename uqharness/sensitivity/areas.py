@@ -27,26 +27,32 @@ def log_area(y: Array) -> float:
 
 
 def pair_areas(ordered: Array, d: int) -> Array:
-    """(d, 2^(d-1)) areas between the corners that differ in one parameter alone.
+    """(..., d, 2^(d-1)) areas between the corners that differ in one parameter alone.
 
-    ``ordered`` (2^d, A) has its draws sorted along the last axis and corners in the order of ``problem.corners``.
+    ``ordered`` (2^d, ..., A) has its draws sorted along the last axis and corners in the order of ``problem.corners``.
     """
-    cube = ordered.reshape((2,) * d + (ordered.shape[-1],))
-    found = np.empty((d, 2 ** (d - 1)))
+    found = np.empty((d, 2 ** (d - 1), *ordered.shape[1:-1]))
     for i in range(d):
-        found[i] = np.abs(np.take(cube, 1, axis=i) - np.take(cube, 0, axis=i)).mean(axis=-1).ravel()
-    return found
+        halves = ordered.reshape(2**i, 2, -1, *ordered.shape[1:])
+        apart = halves[:, 1] - halves[:, 0]
+        np.abs(apart, out=apart)
+        found[i] = apart.mean(axis=-1).reshape(found[i].shape)
+    return np.moveaxis(found, (0, 1), (-2, -1))
 
 
-def fixed_areas(ordered: Array, d: int) -> Array:
-    """(d, 2) areas of the envelope with one parameter fixed at its lower, then at its upper bound; ``ordered`` as above."""
-    cube = ordered.reshape((2,) * d + (ordered.shape[-1],))
-    found = np.empty((d, 2))
+def envelope_areas(ordered: Array, d: int) -> tuple[Array, Array]:
+    """Areas (...) of the envelope of all corners, and (..., d, 2) of those with one parameter fixed at its lower, then at its
+    upper bound; ``ordered`` as above."""
+    rest = ordered.shape[1:]
+    found = np.empty((d, 2, *rest[:-1]))
+    # Largest and smallest over the parameters before the i-th are kept for the ones that follow: 2^d steps in place of d 2^d.
+    most = least = ordered
     for i in range(d):
+        most, least = (ends.reshape(2, -1, *rest) for ends in (most, least))
         for end in (0, 1):
-            rest = np.take(cube, end, axis=i).reshape(-1, ordered.shape[-1])
-            found[i, end] = np.mean(rest.max(axis=0) - rest.min(axis=0))
-    return found
+            found[i, end] = (most[end].max(axis=0) - least[end].min(axis=0)).mean(axis=-1)
+        most, least = np.maximum(most[0], most[1]), np.minimum(least[0], least[1])
+    return (most[0] - least[0]).mean(axis=-1), np.moveaxis(found, (0, 1), (-2, -1))
 
 
 def beyond_corners(corners: Array, interior: Array, area: float) -> float:

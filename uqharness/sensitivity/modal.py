@@ -13,7 +13,6 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from uqharness.sensitivity.analysis import Sensitivity, analyse
 from uqharness.sensitivity.repeats import average
@@ -160,6 +159,8 @@ def run_modal_study(
     on_progress: Callable[[int, int], None] | None = None,
 ) -> Study:
     """The chapter's study: ten intervals, four normal variables; finite differences by 1 % of the nominal value."""
+    from scipy import stats
+
     return run_study(
         modal_model(reading),
         intervals(),

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from uqharness.errors import BadInputError
 
@@ -99,6 +98,8 @@ def aleatory_draws(problem: Problem, draws: int, rng: np.random.Generator) -> Ar
     """(draws, a) by Latin hypercube: the same draws serve every epistemic sample, so that differences are not chance's."""
     if not problem.aleatory:
         return np.empty((1, 0))
+    from scipy.stats import qmc
+
     uniform = qmc.LatinHypercube(len(problem.aleatory), rng=rng).random(draws)
     columns = [dist.ppf(uniform[:, k]) for k, dist in enumerate(problem.aleatory.values())]
     return np.stack([np.asarray(column, dtype=float) for column in columns], axis=1)

@@ -8,7 +8,7 @@ once, so that it also holds for the smallest and largest picked among them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.distributions import normal_quantile, student_quantile
-from uqharness.sensitivity.areas import fixed_areas, pair_areas
+from uqharness.sensitivity.areas import envelope_areas, pair_areas
 from uqharness.sensitivity.problem import Array
 from uqharness.sensitivity.result import CONFIDENCE
 
@@ -27,6 +27,8 @@ RESAMPLES = 200
 _BIAS_SEEN = 1.0 / (2.0**0.5 - 1.0)
 # Of noise s in the sample a resample has sqrt(2) s; a bias in proportion to s shows only the difference, 0.41 of itself.
 SWAPS = 50
+TOGETHER = 200_000
+"""Values that are resampled at once."""
 MIN_DRAWS = 8
 """Fewer aleatory draws than these say nothing of their own spread."""
 
@@ -85,8 +87,8 @@ def pair_band(
     resamples, or a resample without any width, the band is NaN; without ``chance`` the one column's numbers are exact
     and it is closed.
     """
-    area, index = _indices(np.sort(y, axis=-1), d)
-    draws = y.shape[1]
+    whole, index = _indices(np.sort(y, axis=-1), d)
+    area, draws = float(whole), y.shape[1]
     if not chance and draws == 1:
         return _without_band(index, area, 0.0)
     if draws < MIN_DRAWS or resamples == 0:
@@ -94,9 +96,10 @@ def pair_band(
     rng = np.random.default_rng(seed)
     again = np.empty((resamples, index.size))
     areas = np.empty(resamples)
-    for k in range(resamples):
-        areas[k], found = _indices(np.sort(y[:, rng.integers(draws, size=draws)], axis=-1), d)
-        again[k] = found.ravel()
+    for some in _portions(resamples, y.size):
+        drawn = rng.integers(draws, size=(some.stop - some.start, draws))
+        areas[some], found = _indices(np.sort(np.take(y, drawn, axis=1), axis=-1), d)
+        again[some] = found.reshape(len(drawn), -1)
     if np.isnan(again).any():
         return _without_band(index, area, np.nan)
     flat = index.ravel()
@@ -138,18 +141,25 @@ def _chance_areas(y: Array, d: int, rng: np.random.Generator, reach: float) -> A
     The two values of each draw are swapped at random once the shift is removed: what is left is the noise that the draws do not
     share. ``reach`` standard deviations above the mean of SWAPS such areas.
     """
-    cube = y.reshape((2,) * d + (y.shape[1],))
+    draws = y.shape[1]
     found = np.empty((d, 2 ** (d - 1)))
     for i in range(d):
-        low, high = (np.take(cube, end, axis=i).reshape(-1, y.shape[1]) for end in (0, 1))
+        halves = y.reshape(2**i, 2, -1, draws)
+        low, high = (halves[:, end].reshape(-1, draws) for end in (0, 1))
         high = high - (high - low).mean(axis=1, keepdims=True)
         areas = np.empty((SWAPS, len(low)))
-        for k in range(SWAPS):
-            swap = rng.random(y.shape[1]) < 0.5
+        for some in _portions(SWAPS, low.size):
+            swap = rng.random((some.stop - some.start, 1, draws)) < 0.5
             one, other = np.where(swap, high, low), np.where(swap, low, high)
-            areas[k] = np.abs(np.sort(one, axis=1) - np.sort(other, axis=1)).mean(axis=1)
+            areas[some] = np.abs(np.sort(one, axis=-1) - np.sort(other, axis=-1)).mean(axis=-1)
         found[i] = areas.mean(axis=0) + reach * areas.std(axis=0, ddof=1)
     return found
+
+
+def _portions(repeats: int, values: int) -> Iterator[slice]:
+    """Slices of ``repeats`` that are computed together, of ``values`` each: as many as the processor's cache holds."""
+    at_once = max(1, TOGETHER // values)
+    return (slice(begin, min(begin + at_once, repeats)) for begin in range(0, repeats, at_once))
 
 
 def _without_band(index: Array, area: float, nothing: float) -> PairBand:
@@ -158,8 +168,8 @@ def _without_band(index: Array, area: float, nothing: float) -> PairBand:
     return PairBand(index, index + nothing, index + nothing, area, area + nothing, area + nothing, lead)
 
 
-def _indices(ordered: Array, d: int) -> tuple[float, Array]:
-    area = float(np.mean(ordered.max(axis=0) - ordered.min(axis=0)))
-    if not area > 0.0:
-        return area, np.full((d, 2 ** (d - 1) + 2), np.nan)
-    return area, np.hstack([pair_areas(ordered, d) / area, 1.0 - fixed_areas(ordered, d) / area])
+def _indices(ordered: Array, d: int) -> tuple[Array, Array]:
+    """The envelope's area (...) and the indices (..., d, 2^(d-1) + 2) of corners (2^d, ..., A); NaN without any width."""
+    area, fixed = envelope_areas(ordered, d)
+    width = np.where(area > 0.0, area, np.nan)[..., None, None]
+    return area, np.concatenate([pair_areas(ordered, d) / width, 1.0 - fixed / width], axis=-1)

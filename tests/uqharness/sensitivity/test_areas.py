@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqharness.sensitivity.areas import box_area, fixed_areas, is_flat, log_area, pair_areas
+from uqharness.sensitivity.areas import box_area, envelope_areas, is_flat, log_area, pair_areas
 
 Y = np.random.default_rng(0).gamma(2.0, 1.0, (8, 40)) + np.arange(8)[:, None]
 
@@ -39,9 +39,24 @@ def test_pairs_differ_in_one_parameter_alone():
 
 
 def test_envelopes_with_a_parameter_fixed():
-    found = fixed_areas(np.sort(Y, axis=-1), 3)
+    whole, found = envelope_areas(np.sort(Y, axis=-1), 3)
+    assert whole == pytest.approx(envelope(Y))
     assert found[0] == pytest.approx([envelope(Y[:4]), envelope(Y[4:])])
+    assert found[1] == pytest.approx([envelope(Y[[0, 1, 4, 5]]), envelope(Y[[2, 3, 6, 7]])])
     assert found[2] == pytest.approx([envelope(Y[::2]), envelope(Y[1::2])])
+
+
+def test_many_sets_of_draws_at_once_are_each_by_itself():
+    many = np.sort(np.random.default_rng(1).gamma(2.0, 1.0, (8, 2, 5, 11)), axis=-1)
+    whole, fixed = envelope_areas(many, 3)
+    pairs = pair_areas(many, 3)
+    assert (whole.shape, fixed.shape, pairs.shape) == ((2, 5), (2, 5, 3, 2), (2, 5, 3, 4))
+    for k in np.ndindex(2, 5):
+        alone = envelope_areas(many[:, *k], 3)
+        assert whole[k] == alone[0]
+        np.testing.assert_array_equal(fixed[k], alone[1])
+        np.testing.assert_array_equal(pairs[k], pair_areas(many[:, *k], 3))
+    assert whole[0, 0] != whole[1, 0]
 
 
 def test_rounding_is_no_width():

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
+from scipy import stats
 
+from uqharness.sensitivity import resampling
 from uqharness.sensitivity.areas import box_area
-from uqharness.sensitivity.resampling import MIN_DRAWS, pair_band, reach_of_box, std_by_draws
+from uqharness.sensitivity.resampling import MIN_DRAWS, PairBand, pair_band, reach_of_box, std_by_draws
 
 
 def test_the_spread_of_a_mean_over_draws():
@@ -76,3 +80,18 @@ def test_without_draws_resamples_or_chance():
     exact = pair_band(y[:, :1], 2, 0, chance=False)
     np.testing.assert_array_equal(exact.low, exact.index)
     assert exact.area_low == exact.area == exact.area_high
+
+
+def test_resamples_are_drawn_one_after_the_other_however_many_are_computed_together(monkeypatch):
+    """The spread of the envelope's area, resample by resample; and the whole band, one resample at a time."""
+    y = corners(np.random.default_rng(5))
+    band = pair_band(y, 2, 11, resamples=30)
+    rng = np.random.default_rng(11)
+    areas = [box_area(y[:, rng.integers(24, size=24)]) for _ in range(30)]
+    small = np.sqrt(24 / 23) * stats.t.ppf(0.975, 23)
+    assert band.area_high - band.area == pytest.approx(small * np.std(areas, ddof=1))
+    monkeypatch.setattr(resampling, "TOGETHER", 1)
+    for item in fields(PairBand):
+        one_by_one, together = getattr(pair_band(y, 2, 11, resamples=30), item.name), getattr(band, item.name)
+        np.testing.assert_array_equal(one_by_one, together)
+    assert not np.array_equal(pair_band(y, 2, 12, resamples=30).low, band.low)
