@@ -17,7 +17,7 @@ from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import toeplitz
+from scipy import fft
 
 from sysid.aerodynamics.coefficients import half_width, kernel
 from sysid.aerodynamics.residuals import (
@@ -54,13 +54,27 @@ def autocorrelation(weights: tuple[float, ...]) -> tuple[float, ...]:
 
 @lru_cache(_KEPT)
 def cosine_variance(n: int, correlation: tuple[float, ...]) -> FloatArray:
-    """(n,) variances of the orthonormal DCT-II of a stationary series with autocovariance ``correlation`` at lags 0, 1, ..."""
-    k, i = np.arange(n)[:, None], np.arange(n)[None, :]
-    basis = np.sqrt(2.0 / n) * np.cos(np.pi * (i + 0.5) * k / n)
-    basis[0] = np.sqrt(1.0 / n)
+    """(n,) variances of the orthonormal DCT-II of a stationary series with autocovariance ``correlation`` at lags 0, 1, ...
+
+    With T the autocovariance, 2 cos a cos b = cos(a - b) + cos(a + b) makes n times the variance of wave k > 0
+
+        sum over d of (n - |d|) T_d cos(pi d k / n)  +  sum over s of W_s cos(pi s k / n)
+
+    with W_s the sum of T_(i - j) where i + j + 1 = s.
+    """
     lags = np.zeros(n)
     lags[: len(correlation)] = correlation[:n]
-    out = np.einsum("ki,ki->k", basis @ toeplitz(lags), basis)
+    apart = 2.0 * np.arange(n, 0, -1) * lags
+    apart[0] *= 0.5
+    # W_s: every second lag to either side of 0 (or -1 and 1), as far as i and j reach.
+    sums = np.empty(n)
+    sums[::2] = 2.0 * np.cumsum(lags[::2]) - lags[0]
+    sums[1::2] = 2.0 * np.cumsum(lags[1::2])
+    both = np.concatenate([apart, np.zeros(n)])
+    both[1 : n + 1] += sums
+    both[n + 1 :] += sums[-2::-1]
+    out = np.asarray(fft.rfft(both).real[:n] / n)
+    out[0] = 0.5 * both.sum() / n
     out.flags.writeable = False
     return out
 

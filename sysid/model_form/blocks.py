@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 BLOCK_S = 10.0
 """About how long a stretch counts as one manoeuvre where a flight has no shorter pieces [s]."""
+_KEPT = 1024  # spectra of first-order processes: one a length of block and correlation time
 MOTION = 1.0 / 3.0
 """Share of the filter's cut-off below which an aircraft moves."""
 
@@ -66,9 +68,15 @@ class Blocks:
         out = np.empty(len(self.y))
         for number, n in enumerate(self.lengths):
             of_block = self.block == number
-            lags = np.arange(n) * self.dt_s / time_s
-            out[of_block] = cosine_variance(n, tuple(np.exp(-lags[lags < 12.0]).tolist()))[self.wave[of_block]]
+            out[of_block] = _first_order(n, self.dt_s / time_s)[self.wave[of_block]]
         return out
+
+
+@lru_cache(_KEPT)
+def _first_order(n: int, step: float) -> FloatArray:
+    """(n,) variances of a block's waves in a first-order process of unit variance, samples ``step`` correlation times apart."""
+    lags = np.arange(n) * step
+    return cosine_variance(n, tuple(np.exp(-lags[lags < 12.0]).tolist()))
 
 
 def stretches(residuals: Residuals) -> Residuals:

@@ -18,7 +18,7 @@ S the prior of beta and u_f
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,7 @@ PRIOR_SCALE = 3.0
 MOST_POINTS = 200
 """Of the posterior, that count when a block is left out."""
 _NOTHING = 1e-14  # of the residual's variance: what a part has at least, that its logarithm exists
+_TOGETHER = 200_000  # numbers of an array that is computed at once: more leave the processor's cache
 
 
 @dataclass(frozen=True)
@@ -98,15 +99,41 @@ class Components:
 
 
 @dataclass(frozen=True)
-class _Point:
-    """One set of variances: of a coefficient of the polynomial, blocks, flights and transient part; the noise's factor."""
+class _Points:
+    """p sets of variances, each (p,): of a coefficient of the polynomial, of blocks, flights and transient part; noise's factor."""
 
-    polynomial: float
-    block: float
-    flight: float
-    transient: float
-    colour: float  # place in TIMES_S
-    noise: float
+    polynomial: FloatArray
+    block: FloatArray
+    flight: FloatArray
+    transient: FloatArray
+    colour: FloatArray  # place in TIMES_S
+    noise: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.block)
+
+    def taken(self, some: NDArray[np.intp] | slice) -> _Points:
+        """Some of them."""
+        return _Points(*(getattr(self, item.name)[some] for item in fields(self)))
+
+    @staticmethod
+    def joined(parts: Sequence[_Points]) -> _Points:
+        """All of some sets, in order."""
+        return _Points(*(np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(_Points)))
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """At p points: log likelihood (p,), estimate (p, m) of polynomial and flights, and its covariance (p, m, m)."""
+
+    log_likelihood: FloatArray
+    beta: FloatArray
+    covariance: FloatArray
+
+    @staticmethod
+    def joined(parts: Sequence[_Solved]) -> _Solved:
+        """Of all points, in order."""
+        return _Solved(*(np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(_Solved)))
 
 
 @dataclass(frozen=True)
@@ -143,38 +170,46 @@ class _Problem:
         blocks = replace(b, y=b.y[kept], X=b.X[kept], noise=b.noise[kept], block=b.block[kept], wave=b.wave[kept])
         return replace(self, blocks=blocks, X=self.X[kept], constant=self.constant[kept], colours=self.colours[:, kept])
 
-    def point(self, u: FloatArray) -> _Point:
-        """The variances at a point (5,) or (6,) of the unit cube."""
-        whole = PRIOR_SCALE**2 * self.scale2 * np.tan(0.5 * np.pi * u[0]) ** 2
+    def points(self, u: FloatArray) -> _Points:
+        """The variances at points (p, 5) or (p, 6) of the unit cube."""
+        whole = PRIOR_SCALE**2 * self.scale2 * np.tan(0.5 * np.pi * u[:, 0]) ** 2
         # Sticks of a uniform distribution over three shares: the first is Beta(1, 2), the second of what is left uniform.
-        polynomial = 1.0 - np.sqrt(1.0 - u[1])
-        lasting, transient = (1.0 - polynomial) * u[2] * whole, (1.0 - polynomial) * (1.0 - u[2]) * whole
-        flights = u[5] if self.several else 0.0
+        polynomial = 1.0 - np.sqrt(1.0 - u[:, 1])
+        lasting, transient = (1.0 - polynomial) * u[:, 2] * whole, (1.0 - polynomial) * (1.0 - u[:, 2]) * whole
+        flights = u[:, 5] if self.several else np.zeros(len(u))
         least = _NOTHING * self.scale2
-        return _Point(
-            max(polynomial * whole, least) / float(np.trace(self.gram)), max((1.0 - flights) * lasting, least),
-            max(flights * lasting, least), max(transient, least), float(u[3]) * (len(TIMES_S) - 1),
-            float(np.exp(self.spread * ndtri(u[4]))),
+        return _Points(
+            np.maximum(polynomial * whole, least) / float(np.trace(self.gram)), np.maximum((1.0 - flights) * lasting, least),
+            np.maximum(flights * lasting, least), np.maximum(transient, least), u[:, 3] * (len(TIMES_S) - 1),
+            np.exp(self.spread * ndtri(u[:, 4])),
         )  # fmt: skip
 
-    def variance(self, p: _Point) -> FloatArray:
-        """(n,) of the waves."""
-        k = min(int(p.colour), len(TIMES_S) - 2)
-        colour = (1.0 - (p.colour - k)) * self.colours[k] + (p.colour - k) * self.colours[k + 1]
-        return np.asarray(p.block * self.constant + p.transient * colour + p.noise * self.blocks.noise)
+    def variance(self, p: _Points) -> FloatArray:
+        """(p, n) of the waves."""
+        every, k = np.arange(len(p)), np.minimum(p.colour.astype(int), len(TIMES_S) - 2)
+        sizes = np.zeros((len(p), 2 + len(TIMES_S)))
+        sizes[:, 0], sizes[:, 1] = p.block, p.noise
+        sizes[every, 2 + k], sizes[every, 3 + k] = p.transient * (1.0 - (p.colour - k)), p.transient * (p.colour - k)
+        return np.asarray(sizes @ np.vstack([self.constant, self.blocks.noise, self.colours]))
 
-    def solve(self, p: _Point) -> tuple[float, FloatArray, FloatArray]:
-        """Log likelihood, estimate (m,) and covariance (m, m) of polynomial and flights at a point."""
+    def solve(self, p: _Points) -> _Solved:
+        """(2) and (3) at all points."""
+        at_once = max(1, _TOGETHER // max(1, len(self.blocks.y)))
+        parts = [self._solve(p.taken(slice(k, k + at_once))) for k in range(0, len(p), at_once)]
+        return parts[0] if len(parts) == 1 else _Solved.joined(parts)
+
+    def _solve(self, p: _Points) -> _Solved:
         variance = self.variance(p)
-        weighted = self.X / variance[:, None]
-        prior = np.full(self.X.shape[1], p.polynomial)
-        prior[self.terms :] = p.flight
-        information = self.X.T @ weighted + np.diag(1.0 / prior)
+        m = self.X.shape[1]
+        sums = _weighted_sums(np.column_stack([self.X, self.blocks.y]), 1.0 / variance)
+        prior = np.repeat(p.polynomial[:, None], m, axis=1)
+        prior[:, self.terms :] = p.flight[:, None]
+        information = sums[:, :m, :m] + np.eye(m) / prior[:, :, None]
         covariance: FloatArray = np.asarray(np.linalg.inv(information), dtype=float)
-        beta = covariance @ (self.blocks.y @ weighted)  # (2)
-        left = float(self.blocks.y**2 @ (1.0 / variance) - beta @ information @ beta)
-        determinants = float(np.sum(np.log(variance)) + np.sum(np.log(prior)) + np.linalg.slogdet(information)[1])
-        return -0.5 * (determinants + left), beta, covariance  # (3)
+        beta = np.einsum("pij,pj->pi", covariance, sums[:, :m, m])  # (2)
+        left = sums[:, m, m] - np.einsum("pi,pij,pj->p", beta, information, beta)
+        determinants = np.log(variance).sum(axis=1) + np.log(prior).sum(axis=1) + np.linalg.slogdet(information)[1]
+        return _Solved(-0.5 * (determinants + left), beta, covariance)  # (3)
 
     def noise_alone(self) -> float:
         """Logarithm of the mean likelihood without any model error."""
@@ -193,14 +228,31 @@ def _problem(blocks: Blocks) -> _Problem:
     )  # fmt: skip
 
 
+def _weighted_sums(columns: FloatArray, weights: FloatArray) -> FloatArray:
+    """(p, c, c) sums over n rows of the products of ``columns`` (n, c), weighted by each row of ``weights`` (p, n).
+
+    All points share the products, so that the sums are one product of matrices. Some rows at a time: there are c^2 / 2 products.
+    """
+    n, c = columns.shape
+    low, high = np.triu_indices(c)
+    at_once = max(1, _TOGETHER // len(low))
+    sums = np.zeros((len(weights), len(low)))
+    for k in range(0, n, at_once):
+        rows = columns[k : k + at_once]
+        sums += weights[:, k : k + at_once] @ (rows[:, low] * rows[:, high])
+    out = np.empty((len(weights), c, c))
+    out[:, low, high] = out[:, high, low] = sums
+    return out
+
+
 @dataclass(frozen=True)
 class Separation:
     """The posterior of (1) for one coefficient: points of the variances, and how likely all the data make each."""
 
     problem: _Problem
     found: Weighted
-    points: tuple[_Point, ...]
-    rows: tuple[tuple[float, FloatArray, FloatArray], ...]
+    points: _Points
+    rows: _Solved
 
     def components(self) -> Components:
         """Of all blocks."""
@@ -211,10 +263,9 @@ class Separation:
         kept = [k for k in range(len(self.problem.blocks.lengths)) if k not in left_out]
         problem = self.problem.only(kept)
         best = np.argsort(-self.found.weights)[:MOST_POINTS]
-        points = tuple(self.points[k] for k in best)
-        rows = tuple(problem.solve(p) for p in points)
-        log_weights = np.log(self.found.weights[best]) + np.array([row[0] for row in rows])
-        log_weights -= np.array([self.rows[k][0] for k in best])
+        points = self.points.taken(best)
+        rows = problem.solve(points)
+        log_weights = np.log(self.found.weights[best]) + rows.log_likelihood - self.rows.log_likelihood[best]
         weights = np.exp(log_weights - log_weights.max())
         found = Weighted(self.found.points[best], weights / weights.sum(), float("nan"))
         return _summary(problem, found, points, rows)
@@ -223,41 +274,37 @@ class Separation:
 def separate(blocks: Blocks) -> Separation:
     """Take one coefficient's residuals apart, the noise's size as sure as ``blocks.noise_spread`` says."""
     problem = _problem(blocks)
-    points: list[_Point] = []
-    rows: list[tuple[float, FloatArray, FloatArray]] = []
+    points: list[_Points] = []
+    rows: list[_Solved] = []
 
     def log_likelihood(cube: FloatArray) -> FloatArray:
-        new = [problem.point(u) for u in cube]
-        points.extend(new)
-        rows.extend(problem.solve(p) for p in new)
-        return np.array([row[0] for row in rows[-len(new) :]])
+        points.append(problem.points(cube))
+        rows.append(problem.solve(points[-1]))
+        return rows[-1].log_likelihood
 
     found = sample(log_likelihood, problem.dimensions)
-    return Separation(problem, found, tuple(points), tuple(rows))
+    return Separation(problem, found, _Points.joined(points), _Solved.joined(rows))
 
 
-def _summary(
-    problem: _Problem, found: Weighted, points: Sequence[_Point], rows: Sequence[tuple[float, FloatArray, FloatArray]]
-) -> Components:
+def _summary(problem: _Problem, found: Weighted, points: _Points, rows: _Solved) -> Components:
     w, m = found.weights, problem.terms
-    betas = np.array([row[1][:m] for row in rows])
-    covariances = np.array([row[2][:m, :m] for row in rows])
+    betas, covariances = rows.beta[:, :m], rows.covariance[:, :m, :m]
     beta = w @ betas
     covariance = np.einsum("i,ijk->jk", w, covariances) + (betas - beta).T @ ((betas - beta) * w[:, None])
-    flight = np.array([p.flight for p in points]) if problem.several else np.zeros(len(points))
-    persistent = np.array([p.block for p in points]) + flight
-    transient = np.array([p.transient for p in points])
+    flight = points.flight if problem.several else np.zeros(len(points))
+    persistent = points.block + flight
+    transient = points.transient
     known = np.einsum("ijk,jk->i", covariances, problem.gram)
-    error = np.sqrt(np.einsum("ij,jk,ik->i", betas, problem.gram, betas) + known + persistent + transient)
+    error = np.sqrt(np.einsum("ij,jk,ik->i", betas, problem.gram, betas, optimize=True) + known + persistent + transient)
     order = np.argsort(error)
-    colour = np.array([p.colour for p in points])
+    colour = points.colour
     # Times count by how much of the transient part they stand for: where there is none, any time fits.
     time = float(np.exp(np.average(np.interp(colour, range(len(TIMES_S)), np.log(TIMES_S)), weights=w * transient)))
-    noise = float(w @ np.array([p.noise for p in points]))
-    middle = _Point(
-        float(w @ np.array([p.polynomial for p in points])), float(w @ np.array([p.block for p in points])), float(w @ flight),
-        float(w @ transient), float(np.average(colour, weights=w * transient)), noise,
-    )  # fmt: skip
+    noise = float(w @ points.noise)
+    of_colour = float(np.average(colour, weights=w * transient))
+    middle = _Points(
+        *(np.array([v]) for v in (w @ points.polynomial, w @ points.block, w @ flight, w @ transient, of_colour, noise))
+    )
     return Components(
         beta=beta, covariance=0.5 * (covariance + covariance.T), persistent=float(w @ persistent),
         flight=float(w @ flight) if problem.several else float("nan"), transient=float(w @ transient), time_s=time,
@@ -268,18 +315,18 @@ def _summary(
     )  # fmt: skip
 
 
-def _tail(problem: _Problem, p: _Point) -> float:
+def _tail(problem: _Problem, p: _Points) -> float:
     """How much further the model error's tails reach than a normal distribution's: of its estimate in the data and what that lacks.
+    ``p``: one point.
 
     An effect of a surface that moves in three of nine manoeuvres has a variance, and more samples beyond two deviations than a
     normal distribution of that variance.
     """
-    _, beta, _ = problem.solve(p)
     blocks = problem.blocks
-    total = problem.variance(p)
-    own = total - p.noise * blocks.noise
-    estimate = own / total * (blocks.y - problem.X @ beta)
-    lacking = own * p.noise * blocks.noise / total
+    total, noise = problem.variance(p)[0], p.noise[0] * blocks.noise
+    own = total - noise
+    estimate = own / total * (blocks.y - problem.X @ problem.solve(p).beta[0])
+    lacking = own * noise / total
     means, variances = [], []
     for number in np.unique(blocks.block):
         n, of_block = blocks.lengths[number], blocks.block == number
@@ -293,8 +340,7 @@ def _tail(problem: _Problem, p: _Point) -> float:
     def outside(limit: float) -> float:
         return float(np.mean(normal_tail((limit - mean) / std) + normal_tail((limit + mean) / std)))
 
-    low, high = 0.0, 20.0 * root
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if outside(middle) > 0.05 else (low, middle)
-    return max(1.0, high / (root * float(normal_quantile(0.975)))) if root > 0.0 else 1.0
+    if not root > 0.0:
+        return 1.0
+    limit = float(brentq(lambda limit: outside(limit) - 0.05, 0.0, 20.0 * root, xtol=1e-12 * root))
+    return max(1.0, limit / (root * float(normal_quantile(0.975))))

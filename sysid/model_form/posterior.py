@@ -8,11 +8,13 @@ Assoc. 95 (2000) 135). Points are a scrambled Sobol sequence of a fixed seed: th
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit, logit, logsumexp
+from scipy.linalg import solve_triangular
+from scipy.special import expit, gammaln, logit
 
 from sysid.distributions import chi2_quantile, normal_quantile
 
@@ -43,40 +45,65 @@ class Weighted:
 
 def sample(log_likelihood: Callable[[FloatArray], FloatArray], dimensions: int) -> Weighted:
     """Points that stand for the posterior under a uniform prior; ``log_likelihood`` takes points (n, d) and gives (n,)."""
-    from scipy.stats import qmc
-
-    rows, found = np.zeros((0, dimensions)), np.zeros(0)
-    mixture: list[tuple[int, FloatArray, FloatArray]] = []
+    rows, found, log_weights = np.zeros((0, dimensions)), np.zeros(0), np.zeros(0)
+    sources: list[_Source] = []
+    densities = np.zeros((0, 0))  # of every point, from every source
     for number in range(MOST_ROUNDS):
-        count = FIRST if number == 0 else LATER
-        u = np.clip(qmc.Sobol(dimensions + 1, seed=number).random(count), _EDGE, 1.0 - _EDGE)
-        if number == 0:
-            z = logit(u[:, :dimensions])
-        else:
-            mean, covariance = _moments(rows, _log_weights(rows, found, mixture))
-            chi = chi2_quantile(u[:, dimensions], _DOF) / _DOF
-            steps = normal_quantile(u[:, :dimensions]) / np.sqrt(chi)[:, None]
-            z = mean + steps @ np.linalg.cholesky(covariance).T
-            mixture.append((count, mean, covariance))
+        z = _deviates(dimensions, number)
+        source = _Source(len(z))
+        if number > 0:
+            mean, covariance = _moments(rows, log_weights)
+            source = _Source(len(z), mean, np.asarray(np.linalg.cholesky(covariance), dtype=float))
+            z = mean + z @ source.root.T
         z = np.clip(z, logit(_EDGE), -logit(_EDGE))
+        sources.append(source)
+        of_new = np.column_stack([each.log_density(z) for each in sources])
+        densities = np.vstack([np.column_stack([densities, source.log_density(rows)]), of_new])
         rows, found = np.vstack([rows, z]), np.concatenate([found, log_likelihood(expit(z))])
-        log_weights = _log_weights(rows, found, mixture)
-        total = logsumexp(log_weights)
+        prior = densities[:, 0] - np.log(FIRST)
+        log_weights = found + prior - (np.logaddexp.reduce(densities, axis=1) - np.log(len(rows)))
+        total = np.logaddexp.reduce(log_weights)
         answer = Weighted(expit(rows), np.exp(log_weights - total), float(total - np.log(len(rows))))
         if number >= LEAST_ROUNDS and answer.effective >= ENOUGH:
             break
     return answer
 
 
-def _log_weights(z: FloatArray, log_likelihood: FloatArray, mixture: list[tuple[int, FloatArray, FloatArray]]) -> FloatArray:
-    from scipy import stats
+@lru_cache(2 * MOST_ROUNDS)
+def _deviates(dimensions: int, number: int) -> FloatArray:
+    """What a round's points are made of, the same whatever the data: logits of uniform points (FIRST, d) in the first, then
+    Student deviates (LATER, d)."""
+    from scipy.stats import qmc
 
-    prior = np.sum(-z - 2.0 * np.log1p(np.exp(-z)), axis=1)  # uniform points, in logits
-    total = FIRST + sum(count for count, _, _ in mixture)
-    parts = [np.log(FIRST / total) + prior]
-    for count, mean, covariance in mixture:
-        parts.append(np.log(count / total) + stats.multivariate_t(mean, covariance, df=_DOF).logpdf(z))
-    return np.asarray(log_likelihood + prior - logsumexp(parts, axis=0))
+    u = qmc.Sobol(dimensions + 1, seed=number).random(FIRST if number == 0 else LATER)
+    u = np.clip(u, _EDGE, 1.0 - _EDGE)
+    if number == 0:
+        out = logit(u[:, :dimensions])
+    else:
+        chi = chi2_quantile(u[:, dimensions], _DOF) / _DOF
+        out = normal_quantile(u[:, :dimensions]) / np.sqrt(chi)[:, None]
+    out.flags.writeable = False
+    return np.asarray(out)
+
+
+@dataclass(frozen=True)
+class _Source:
+    """What ``count`` points were drawn from, in logits: a Student distribution of _DOF degrees of freedom about ``mean`` (d,)
+    whose shape has the Cholesky factor ``root`` (d, d); without them the prior, uniform points."""
+
+    count: int
+    mean: FloatArray = field(default_factory=lambda: np.zeros(0))
+    root: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def log_density(self, z: FloatArray) -> FloatArray:
+        """(n,) at points (n, d), times the points drawn."""
+        if not self.mean.size:
+            return np.log(self.count) + np.sum(-z - 2.0 * np.log1p(np.exp(-z)), axis=1)
+        d = len(self.mean)
+        away = solve_triangular(self.root, (z - self.mean).T, lower=True)
+        size = gammaln(0.5 * (_DOF + d)) - gammaln(0.5 * _DOF) - 0.5 * d * np.log(_DOF * np.pi)
+        size += np.log(self.count) - np.sum(np.log(np.diag(self.root)))
+        return np.asarray(size - 0.5 * (_DOF + d) * np.log1p(np.sum(away**2, axis=0) / _DOF))
 
 
 def _moments(z: FloatArray, log_weights: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import fft
+from scipy import fft, linalg
 
 from sysid.aerodynamics.coefficients import MassProperties, kernel
 from sysid.aerodynamics.residuals import Cutoffs, Prediction, residual_coefficients
@@ -120,6 +120,18 @@ def test_a_cosine_transform_of_a_known_process():
     np.testing.assert_allclose(found, measured, rtol=0.15)
     np.testing.assert_allclose(cosine_variance(n, (2.0,)), 2.0)
     assert np.abs(cosine_variance(n, tuple(0.5 ** np.arange(n))) / measured - 1.0).max() > 0.5
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 8, 61])
+def test_variances_of_waves_are_those_of_the_dense_transform(n):
+    """Row by row b' T b, T the covariance of the samples; with correlation shorter and longer than the series."""
+    basis = fft.dct(np.eye(n), axis=0, norm="ortho")
+    for correlation in (autocorrelation(tuple(kernel(4, DT))), tuple(0.9 ** np.arange(100))):
+        lags = np.r_[correlation[:n], np.zeros(max(0, n - len(correlation)))]
+        dense = np.diag(basis @ linalg.toeplitz(lags) @ basis.T)
+        found = cosine_variance(n, correlation)
+        np.testing.assert_allclose(found, dense, rtol=1e-10, atol=1e-13 * dense.max())
+        assert n == 1 or not np.allclose(found, np.diag(basis @ linalg.toeplitz(0.9 * lags + 0.1 * lags[0]) @ basis.T))
 
 
 def test_the_smoothers_weights_by_hand():

@@ -7,8 +7,9 @@ import pytest
 from scipy import stats
 
 from sysid.aerodynamics.polynomial import regressors
+from sysid.model_form import components
 from sysid.model_form.blocks import blocks_of
-from sysid.model_form.components import Uncertain, separate
+from sysid.model_form.components import TIMES_S, Uncertain, separate
 from sysid.model_form.fit import Design, FitOptions, fit_bounds
 from tests.helpers.residual_pieces import HALF, filtered, first_order, residuals_of
 
@@ -135,6 +136,33 @@ def test_few_blocks_are_trusted_less():
     assert np.mean([b.dof for b in few]) < 0.7 * np.mean([b.dof for b in many])
     # Twice the quantile of a normal distribution where four blocks are all that is known.
     assert np.mean([b.t for b in few]) > np.mean([b.t for b in many])
+
+
+def test_points_together_are_the_dense_formulas_one_by_one(monkeypatch):
+    """Log likelihood of y ~ N(0, D + X S X'), estimate and covariance of its coefficients, by the n x n covariance."""
+    found = fitted(draw(2, 0.005, 0.01, 0.01, 0.02, blocks=4, flights=2, of_flight=0.01)[0]).separation
+    monkeypatch.setattr(components, "_TOGETHER", 500)  # a few points and rows at a time
+    problem, blocks, some = found.problem, found.problem.blocks, np.argsort(-found.found.weights)[:7]
+    points = found.points.taken(some)
+    solved = problem.solve(points)
+    for k in range(len(some)):
+        low = min(int(points.colour[k]), len(TIMES_S) - 2)
+        share = points.colour[k] - low
+        coloured = (1.0 - share) * blocks.coloured(TIMES_S[low]) + share * blocks.coloured(TIMES_S[low + 1])
+        D = points.block[k] * blocks.constant + points.transient[k] * coloured + points.noise[k] * blocks.noise
+        S = np.diag(np.r_[np.full(problem.terms, points.polynomial[k]), np.full(2, points.flight[k])])
+        C, gain = np.diag(D) + problem.X @ S @ problem.X.T, S @ problem.X.T
+        dense = [stats.multivariate_normal(np.zeros(len(C)), factor * C).logpdf(blocks.y) for factor in (1.0, 1.1)]
+        right, wrong = np.array(dense) + 0.5 * len(C) * np.log(2.0 * np.pi)
+        assert solved.log_likelihood[k] == pytest.approx(right, abs=1e-6)
+        assert abs(solved.log_likelihood[k] - wrong) > 0.1
+        spread = np.sqrt(np.diag(solved.covariance[k]))
+        np.testing.assert_allclose(solved.beta[k], gain @ np.linalg.solve(C, blocks.y), atol=1e-6 * spread.min())
+        covariance = S - gain @ np.linalg.solve(C, gain.T)
+        np.testing.assert_allclose(
+            solved.covariance[k] / np.outer(spread, spread), covariance / np.outer(spread, spread), atol=1e-6
+        )
+        np.testing.assert_allclose(found.rows.beta[some[k]], solved.beta[k], atol=1e-9 * spread.min())
 
 
 def test_leaving_blocks_out_is_fitting_the_others():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sysid.model_form.posterior import sample
+from sysid.model_form.posterior import _Source, sample
 
 
 @pytest.mark.parametrize("width", [1.0, 0.05, 0.002])
@@ -46,3 +46,13 @@ def test_the_same_points_every_time():
     first, second = (sample(lambda x: -20.0 * np.sum((x - 0.3) ** 2, axis=1), 4) for _ in range(2))
     np.testing.assert_array_equal(first.points, second.points)
     np.testing.assert_array_equal(first.weights, second.weights)
+
+
+def test_densities_of_what_points_are_drawn_from():
+    """In logits: uniform points are logistic, later ones Student's."""
+    z = np.random.default_rng(0).normal(0.0, 2.0, (50, 3))
+    np.testing.assert_allclose(_Source(7).log_density(z), np.log(7) + stats.logistic.logpdf(z).sum(axis=1))
+    mean, shape = np.array([0.5, -1.0, 0.0]), np.array([[1.0, 0.4, 0.0], [0.4, 2.0, 0.3], [0.0, 0.3, 0.1]])
+    found = _Source(9, mean, np.linalg.cholesky(shape)).log_density(z)
+    np.testing.assert_allclose(found, np.log(9) + stats.multivariate_t(mean, shape, df=5).logpdf(z))
+    assert not np.allclose(found, np.log(9) + stats.multivariate_normal(mean, shape).logpdf(z))
