@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import lru_cache
 from itertools import chain, islice, repeat
 from typing import Any
 
@@ -84,10 +85,16 @@ def first_levels(spec: FlightSpec, dt_s: float) -> dict[str, float]:
     """Levels of the first step as properties: what initialising has to see."""
     found: dict[str, float] = {}
     for driver, columns in _drivers(spec):
-        row = next(level_blocks(driver, 1, dt_s))[0]
+        row = _first_row(driver, dt_s)
         moved = zip(COEFFICIENTS, columns, row, strict=True)
         found |= {name: float(value) for coefficient, name, value in moved if coefficient in driver.coefficients}
     return found
+
+
+@lru_cache(maxsize=4096)
+def _first_row(driver: LevelDriver | TransientDriver, dt_s: float) -> tuple[float, ...]:
+    # All flights of an epistemic sample, or of an air, begin with the same; to draw it takes a millisecond.
+    return tuple(float(value) for value in next(level_blocks(driver, 1, dt_s))[0])
 
 
 def _drivers(spec: FlightSpec) -> list[tuple[LevelDriver | TransientDriver, tuple[str, ...]]]:

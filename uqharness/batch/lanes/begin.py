@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uqharness.batch.form.flying import Flyer, begun, slot, stepped
-from uqharness.batch.lanes.mission import WIND, LaneMission, Loaded, load_start
+from uqharness.batch.lanes.mission import AIR_WIND, WIND, LaneMission, Loaded, load_start
 from uqharness.batch.lanes.streams import Noise
 from uqharness.batch.models.ground import TOUCHED
 from uqharness.batch.models.start import CONDITIONS, start_state
 from uqharness.batch.translate.scope import canonical
 from uqharness.errors import BadInputError
-from uqharness.flight import FlightSpec, first_levels
+from uqharness.flight import TURBULENCE_W20_KT, FlightSpec, first_levels
 from uqharness.simulator import CHANGEABLE
 
 Array = NDArray[np.float64]
@@ -78,7 +78,7 @@ def _loaded(lanes: LaneMission, specs: Sequence[FlightSpec]) -> list[Loaded]:
     out = []
     for spec in specs:
         own = tuple((n, v) for n, v in sorted(spec.properties.items()) if n.startswith("ic/") or n in CHANGEABLE)
-        key = (spec.wind_mps, spec.wind_from_deg, own)
+        key = (spec.wind_mps, spec.wind_from_deg, spec.turbulence, own)
         if key not in found:
             found[key] = load_start(lanes, spec)
         out.append(found[key])
@@ -87,7 +87,9 @@ def _loaded(lanes: LaneMission, specs: Sequence[FlightSpec]) -> list[Loaded]:
 
 def _given(lanes: LaneMission, loaded: Loaded, spec: FlightSpec) -> dict[str, float]:
     """Properties that are set for a flight; mass and what follows from it as JSBSim has them."""
-    asked = {**first_levels(spec, lanes.dt_s), **spec.properties}
+    blowing = (spec.wind_mps, spec.wind_from_deg, TURBULENCE_W20_KT[spec.turbulence])
+    air = dict(zip(AIR_WIND, blowing, strict=True)) if lanes.air else {}
+    asked = {**air, **first_levels(spec, lanes.dt_s), **spec.properties}
     return {name: loaded.static.get(name, float(value)) for name, value in ((canonical(n), v) for n, v in asked.items())}
 
 

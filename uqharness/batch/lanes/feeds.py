@@ -82,9 +82,9 @@ class Feeder:
     def _branch(self, parent: Feeder, place: int) -> None:
         """Gusts of a lane that has just left its parent's."""
         key = self._air(place)
-        seed, air, splits = key
+        *own, splits = key
         if splits and (GUSTS.name, key) not in self._series:
-            source = parent._series.get((GUSTS.name, (seed, air, splits[:-1])))
+            source = parent._series.get((GUSTS.name, (*own, splits[:-1])))
             found = source.branched(splits[-1]) if isinstance(source, HostGusts) else None
             if found is not None:
                 self._series[GUSTS.name, key] = found
@@ -142,13 +142,15 @@ class Feeder:
     def _levels(self, key: tuple[LevelDriver | TransientDriver, Splits]) -> MovingLevels:
         return MovingLevels(key[0], self._lanes.dt_s, splits=key[1])
 
-    def _air(self, lane: int) -> tuple[int, Air, Splits]:
-        return self._specs[lane].seed_turbulence, self._airs[lane], self._splits[lane]
+    def _air(self, lane: int) -> tuple[int, str, Air, Splits]:
+        spec = self._specs[lane]
+        return spec.seed_turbulence, spec.turbulence, self._airs[lane], self._splits[lane]
 
-    def _gusts(self, key: tuple[int, Air, Splits]) -> HostGusts:
-        seed, (speed, height, span), splits = key
-        w20 = TURBULENCE_W20_KT[self._specs[0].turbulence]
-        made = HostGusts(dryden_parameters(speed, height, w20, span), self._lanes.dt_s, seed, self._target, splits)
+    def _gusts(self, key: tuple[int, str, Air, Splits]) -> HostGusts:
+        seed, turbulence, (speed, height, span), splits = key
+        made = HostGusts(
+            dryden_parameters(speed, height, TURBULENCE_W20_KT[turbulence], span), self._lanes.dt_s, seed, self._target, splits
+        )
         if self._branching:
             made.branch_from_now_on()
         return made

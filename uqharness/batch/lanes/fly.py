@@ -33,7 +33,9 @@ def fly_many(specs: Sequence[FlightSpec]) -> list[FlightResult]:
 
     Raises BadInputError as ``flight.fly`` does, and for what the batch engine does not understand.
     """
-    return [score(staged_mission(spec), spec, one) for spec, one in zip(specs, record_many(specs), strict=True)]
+    recorded = record_many(specs)
+    staged = {mission: staged_mission(spec) for mission, spec in {(spec.aircraft, spec.script): spec for spec in specs}.items()}
+    return [score(staged[spec.aircraft, spec.script], spec, one) for spec, one in zip(specs, recorded, strict=True)]
 
 
 def record_many(specs: Sequence[FlightSpec]) -> list[Recorded]:
@@ -50,7 +52,7 @@ def record_many(specs: Sequence[FlightSpec]) -> list[Recorded]:
 
 def _program_key(spec: FlightSpec) -> Hashable:
     fixed = tuple(sorted((n, float(v)) for n, v in spec.properties.items() if n.startswith(_FIXED)))
-    air = (spec.wind_mps, spec.wind_from_deg, spec.turbulence, spec.turbulence_source, spec.sensor_noise)
+    air = (spec.turbulence != "none", spec.turbulence_source, spec.sensor_noise)
     moving = (spec.levels is not None, None if spec.transient is None else spec.transient.coefficients)
     flight = (str(spec.aircraft), str(spec.script), air, moving, spec.record_rate_hz)
     return (flight, fixed, tuple(sorted(spec.properties)))

@@ -55,6 +55,8 @@ _START = re.compile(r"(?<![\w/])(?:/?fdm/jsbsim/)?ic/[\w.\-]+(?:\[\d+\])?")
 _ENGINE = "propulsion/engine"
 WIND = tuple(f"atmosphere/wind-{axis}-fps" for axis in ("north", "east", "down"))
 """The steady wind as JSBSim blows it."""
+AIR_WIND = ("air/wind-mps", "air/wind-from-deg", "air/turbulence-w20-kt")
+"""The conditions of a flight as the air system has them: one program flies them all."""
 GROUND_SPEED = tuple(f"velocities/v-{axis}-fps" for axis in ("north", "east", "down"))
 _STATIC = ("inertia/", "metrics/")
 """What loading alone does not fill in."""
@@ -176,9 +178,8 @@ def make_mission(
         # Whatever is changed of them may move the others.
         names |= dict.fromkeys(MASS)
     names |= dict.fromkeys(name for name in start_properties(sources) if there(name))
-    if not air:
-        # It is another one in the initialising frames.
-        names |= dict.fromkeys(WIND)
+    # Without an air system the wind is another one in the initialising frames.
+    names |= dict.fromkeys(AIR_WIND if air else WIND)
     asked = Asked(tuple(names), fed, records, points, turned=gusty and not air, reweighed=True)
     flight = trace_flight(sources, mission.aircraft.dt_s, values, asked)
     varying = (*asked.inputs, *(f"#{name}" for part in WEIGHTS_PARTS for name in slots(part)), *(name for name, _ in flight.draws))

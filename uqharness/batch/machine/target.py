@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -31,13 +33,19 @@ AVX512 = Target("x86-64-v4", "", 8)
 
 def targets() -> dict[str, Target]:
     """The targets that this processor has, by name, the widest last."""
-    features = llvm.get_host_cpu_features()
+    features = _features()
     out = {"scalar": SCALAR, "sse2": SSE2}
     if all(features.get(f, False) for f in ("avx2", "fma", "bmi2")):
         out["avx2"] = AVX2
     if all(features.get(f, False) for f in ("avx512f", "avx512dq", "avx512vl", "avx512bw", "avx512cd")):
         out["avx512"] = AVX512
     return out
+
+
+@cache
+def _features() -> Mapping[str, bool]:
+    # LLVM takes a millisecond for it, and every stream of every flight asks.
+    return llvm.get_host_cpu_features()
 
 
 VECTORS = "UQHARNESS_VECTORS"

@@ -273,6 +273,28 @@ def test_a_lane_that_is_not_a_number_harms_no_other():
     assert same_end(fly(bad), together[1])
 
 
+@pytest.mark.parametrize(("air", "source"), [(True, "spec"), (True, "jsbsim"), (False, "spec")])
+def test_one_program_flies_all_conditions(tmp_path, air, source):
+    plane, script = ("espaaro", "loiter") if air else (without_air(tmp_path), "doublet-elevator")
+    cells = [(wind, turbulence) for turbulence in ("light", "severe") for wind in (0.0, 6.0)]
+    given = [
+        spec(plane, script, 8.0, wind_mps=wind, wind_from_deg=250.0, turbulence=turbulence, turbulence_source=source)
+        for wind, turbulence in cells
+    ]
+    lanes.forget()
+    together = fly_many(given)
+    assert len(lanes._ready) == 1
+    alone = []
+    for one in given:
+        lanes.forget()
+        alone += fly_many([one])
+    assert [_as_bytes(each) for each in together] == [_as_bytes(each) for each in alone]
+    assert len({str(_as_bytes(each)) for each in together}) == len(cells)
+    for ours, theirs in zip(together, map(fly, given), strict=True):
+        name = "cross_track" if air else "altitude"
+        np.testing.assert_allclose(ours.signals[name], theirs.signals[name], rtol=0.0, atol=1e-6)
+
+
 @pytest.mark.parametrize("chunk", [10, 70, 333])
 def test_flights_in_pieces(monkeypatch, chunk):
     given = _mixed()
