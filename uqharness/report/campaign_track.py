@@ -30,10 +30,12 @@ def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[
     rows = frame.assign(far=frame[_WORST].fillna(np.inf)).sort_values(["far", "case_id"], ascending=[False, True])
     found: list[Figure] = []
     said: list[Block] = []
+    kept = {path.parent.name: path for path in (folder / "rerun").glob("*/record.parquet") if path.is_file()}
+    rows = rows[rows["case_id"].astype(str).isin(list(kept))]
     for case_id, epistemic_id, wind, air in rows[["case_id", "epistemic_id", "wind_mps", "turbulence"]].itertuples(index=False):
-        path = folder / "rerun" / str(case_id) / "record.parquet"
-        if len(found) == MOST_TRACKS or not path.is_file():
-            continue
+        if len(found) == MOST_TRACKS:
+            break
+        path = kept[str(case_id)]
         try:
             figure = _track(path, f"{prefix}track-{case_id}", f"Case {case_id}: {epistemic_id}, {float(wind):g} m/s {air}.")
         except BadInputError as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
@@ -159,8 +159,14 @@ class Page:
     first: tuple[Block, ...] = ()
 
 
-def render(page: Page) -> str:
-    """The page as one HTML file that needs no other. Same page, same bytes."""
+def is_wanted(title: str, only: Collection[str] | None) -> bool:
+    """Whether a section is among those that are shown (None: all): what is not need not be drawn."""
+    return only is None or title in only
+
+
+@cache
+def _template() -> jinja2.Template:
+    """The page's template, compiled once a process."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("uqharness.report", "templates"),
         autoescape=True,
@@ -168,12 +174,15 @@ def render(page: Page) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    return environment.get_template("page.html.j2")
+
+
+def render(page: Page) -> str:
+    """The page as one HTML file that needs no other. Same page, same bytes."""
     blocks = (*page.first, *(block for section in every_section(page.sections) for block in section.blocks))
     cursors = any(figure.cursor for block in blocks if isinstance(block, Figures) for figure in block.items)
     sheets = [_text(name) for name in ("figure.css", "page.css")]
-    rendered = environment.get_template("page.html.j2").render(
-        page=page, style=Markup("".join(sheets)), script=Markup(_text("page.js")) if cursors else ""
-    )
+    rendered = _template().render(page=page, style=Markup("".join(sheets)), script=Markup(_text("page.js")) if cursors else "")
     # A control character in a file's or a flight's name has no meaning on a page.
     return visible(rendered)
 

@@ -12,9 +12,8 @@ import re
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from importlib import resources
-from itertools import pairwise
 
 import numpy as np
 from markupsafe import Markup, escape
@@ -120,7 +119,7 @@ class Chart:
     marks: list[str] = field(default_factory=list)
     legend: list[tuple[str, str]] = field(default_factory=list)
 
-    @property
+    @cached_property
     def left(self) -> int:
         """Room for the widest tick."""
         widest = max((len(words) for _, words in self.y.ticks()), default=0)
@@ -180,7 +179,7 @@ class Chart:
         known = np.isfinite(u) & np.isfinite(v)
         if known.any():
             # A line of no length with round ends is a disc, and the shortest there is to write.
-            path = "".join(f"M{_short(a)} {_short(b)}h0" for a, b in zip(u[known], v[known], strict=True))
+            path = _written("M%.1f %.1fh0" * int(known.sum()), u[known], v[known])
             self.marks.append(f'<path class="dots {kind}" stroke-width="{2 * radius:g}" d="{path}"/>')
             self._entry(kind, words)
 
@@ -331,17 +330,21 @@ def thinned(x: Array, y: Array, most: int = _MOST_POINTS) -> tuple[Array, Array]
     if x.size <= most:
         return x, y
     edges = np.linspace(0, x.size, most // 2 + 1).astype(int)
-    keep = []
-    for first, last in pairwise(edges.tolist()):
-        part = y[first:last]
-        if np.isnan(part).all():
-            keep.append(first)
-            continue
-        if np.isnan(part).any():
-            keep.append(first + int(np.flatnonzero(np.isnan(part))[0]))
-        keep += [first + int(np.nanargmin(part)), first + int(np.nanargmax(part))]
-    order = np.unique(keep)
+    first, sizes = edges[:-1], np.diff(edges)
+    bucket, missing = np.repeat(np.arange(first.size), sizes), np.isnan(y)
+    # The first sample without a value keeps the gap; without any value it stands for its bucket.
+    keep = [_first_of(bucket, missing)]
+    for extreme in (np.fmin, np.fmax):
+        keep.append(_first_of(bucket, y == np.repeat(extreme.reduceat(y, first), sizes)))
+    order = np.unique(np.concatenate(keep))
     return x[order], y[order]
+
+
+def _first_of(bucket: NDArray[np.intp], wanted: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Place of the first wanted sample of each bucket that has one; ``bucket`` ascends."""
+    places = np.flatnonzero(wanted)
+    of = bucket[places]
+    return places[np.append(True, of[1:] != of[:-1])[: places.size]]
 
 
 def _runs(known: NDArray[np.bool_]) -> list[slice]:
@@ -350,22 +353,16 @@ def _runs(known: NDArray[np.bool_]) -> list[slice]:
 
 
 def _path(u: Array, v: Array, steps: bool = False) -> str:
-    out, pen = [], False
-    for a, b in zip(u.tolist(), v.tolist(), strict=True):
-        if not (math.isfinite(a) and math.isfinite(b)):
-            pen = False
-            continue
-        if not pen:
-            out.append(f"M{_short(a)} {_short(b)}")
-        else:
-            out.append(f"H{_short(a)}V{_short(b)}" if steps else f"L{_short(a)} {_short(b)}")
-        pen = True
-    return "".join(out)
+    known = np.isfinite(u) & np.isfinite(v)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
+    going_on = "H%.1fV%.1f" if steps else "L%.1f %.1f"
+    runs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    return "".join(_written("M%.1f %.1f" + going_on * (b - a - 1), u[a:b], v[a:b]) for a, b in runs)
 
 
-def _short(value: float) -> str:
-    text = f"{value:.1f}"
-    return text[:-2] if text.endswith(".0") else text
+def _written(form: str, u: Array, v: Array) -> str:
+    """Pairs of numbers in a form of one decimal, which is left out where it is 0."""
+    return (form % tuple(np.column_stack([u, v]).ravel().tolist())).replace(".0", "")
 
 
 def _legend(items: Sequence[tuple[str, str]], width: float) -> tuple[list[tuple[str, str, float, int]], int]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from uqharness.files import inner_folder, write_bytes
-from uqharness.report.pages.index import kind_of, page_of
+from uqharness.report.pages.index import SEGMENTED, kind_of, page_of
 from uqharness.report.parts import Figures, Page, Section, every_section, first_lines, render
 from uqharness.report.svg import standalone
 
@@ -38,10 +38,11 @@ def write_report(folder: Path, figures: bool = False) -> Report:
 
     ``figures``: write its drawings into figures/ as well. Those of a campaign always are.
     """
-    page = page_of(folder)
-    if kind_of(folder) == "campaign run":
-        return write_page(folder, page, page)
-    return write_page(folder, page, page_of(folder, every_segment=True) if figures else None)
+    page, kind = page_of(folder), kind_of(folder)
+    drawn = page if figures or kind == "campaign run" else None
+    if figures and kind in SEGMENTED:
+        drawn = page_of(folder, every_segment=True)
+    return write_page(folder, page, drawn)
 
 
 def write_campaign_report(folder: Path) -> Report:

@@ -9,6 +9,8 @@ does not depend on the processor. Pure: arrays in, arrays out.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,33 +39,42 @@ def common_air_half_width(values: Array, confidence: float, seed: int = _SEED) -
     is missing.
     """
     airs = values.shape[1]
-    counts = _multiplicities(airs, seed)
+    more = _multiplicities(airs, seed) - 1
     largest = np.zeros(RESAMPLES, dtype=np.int64)
     for row in values:
         unknown = np.isnan(row)
         sides = (np.inf, -np.inf) if unknown.any() else (np.inf,)
         for side in sides:
-            np.maximum(largest, _distances(np.where(unknown, side, row), counts), out=largest)
+            np.maximum(largest, _distances(np.where(unknown, side, row), more), out=largest)
     # The smallest resampled distance with at most the wanted share above it, of one more than were drawn.
     place = min(int(np.ceil(confidence * (RESAMPLES + 1))), RESAMPLES) - 1
     wanted = float(np.sort(largest)[place]) / airs
     return min(1.0, float(np.sqrt(airs / (airs - 1.0))) * wanted + 1.0 / airs)
 
 
+@lru_cache(8)
 def _multiplicities(airs: int, seed: int) -> NDArray[np.int32]:
-    """(resamples, airs): how often each air was drawn."""
+    """(airs, resamples): how often each air was drawn."""
     rng = np.random.default_rng(seed)
     drawn = rng.integers(0, airs, (RESAMPLES, airs))
     offset = airs * np.arange(RESAMPLES)[:, None]
     times = np.bincount((drawn + offset).ravel(), minlength=RESAMPLES * airs)
-    return times.reshape(RESAMPLES, airs).astype(np.int32)
+    found = np.ascontiguousarray(times.reshape(RESAMPLES, airs).T.astype(np.int32))
+    found.flags.writeable = False
+    return found
 
 
-def _distances(row: Array, counts: NDArray[np.int32]) -> NDArray[np.int64]:
-    """(resamples,) largest difference between counts at or below a value, drawn and flown."""
+def _distances(row: Array, more: NDArray[np.int32]) -> NDArray[np.int64]:
+    """(resamples,) largest difference between counts at or below a value, drawn and flown; ``more`` (airs, resamples): how much
+    oftener than once each air was drawn. Air by air, all resamples at once: a cumulative sum would leave the processor's cache."""
     order = np.argsort(row, kind="stable")
     ordered = row[order]
-    steps = np.flatnonzero(np.append(ordered[1:] != ordered[:-1], True))
-    drawn = np.cumsum(counts[:, order] - 1, axis=1, dtype=np.int32)[:, steps]
-    found: NDArray[np.int64] = np.abs(drawn).max(axis=1).astype(np.int64)
+    steps = np.append(ordered[1:] != ordered[:-1], True)
+    drawn, most, least = np.zeros((3, more.shape[1]), dtype=np.int32)
+    for air, is_step in zip(order.tolist(), steps.tolist(), strict=True):
+        drawn += more[air]
+        if is_step:
+            np.maximum(most, drawn, out=most)
+            np.minimum(least, drawn, out=least)
+    found: NDArray[np.int64] = np.maximum(most, -least).astype(np.int64)
     return found

@@ -117,11 +117,16 @@ def band_half_width(flights: int, corners: int, confidence: float) -> float:
     """
     if flights < 1:
         return 1.0
+    # Rounded up, for the last bits differ between processors, and tables must not.
+    return min(1.0, math.ceil(_kolmogorov((1.0 - confidence) / corners, int(flights)) * 1e9) / 1e9)
+
+
+@lru_cache(256)
+def _kolmogorov(tail: float, flights: int) -> float:
+    """What Kolmogorov's statistic of so many flights exceeds with the probability ``tail``: one number for all metrics."""
     from scipy import stats
 
-    width = float(stats.kstwo.isf((1.0 - confidence) / corners, flights))
-    # Rounded up, for the last bits differ between processors, and tables must not.
-    return min(1.0, math.ceil(width * 1e9) / 1e9)
+    return float(stats.kstwo.isf(tail, flights))
 
 
 def flights_for_band(half_width: float, corners: int, confidence: float) -> int:
@@ -202,11 +207,13 @@ def widened(samples: Sequence[Sample], added: Sequence[Sample]) -> float:
     Raises ValueError as :func:`envelope` does.
     """
     value = np.unique(np.concatenate([sample.values for sample in (*samples, *added)]))
-    areas = [
-        float(np.sum((upper - lower)[:-1] * np.diff(value)))
-        for lower, upper in (envelope(samples, value), envelope((*samples, *added), value))
-    ]
-    return areas[1] / areas[0] - 1.0 if areas[0] > 0.0 else float("nan")
+    lower, upper = envelope(samples, value)
+    ends = [(lower, upper)]
+    if added:
+        more = envelope(added, value)
+        ends.append((np.minimum(lower, more[0]), np.maximum(upper, more[1])))
+    areas = [float(np.sum((upper - lower)[:-1] * np.diff(value))) for lower, upper in ends]
+    return areas[-1] / areas[0] - 1.0 if areas[0] > 0.0 else float("nan")
 
 
 @dataclass(frozen=True)

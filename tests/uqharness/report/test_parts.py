@@ -17,6 +17,7 @@ from uqharness.report.parts import (
     Words,
     every_section,
     first_lines,
+    is_wanted,
     percent,
     provenance,
     remarks,
@@ -57,6 +58,12 @@ def test_remarks_are_a_section_only_where_there_are_some():
 def test_sections_are_met_as_a_reader_meets_them():
     tree = (Section("a", (), (Section("b", ()),)), Section("c", ()))
     assert [section.title for section in every_section(tree)] == ["a", "b", "c"]
+
+
+def test_what_is_not_shown_need_not_be_made():
+    assert is_wanted("A", None)
+    assert is_wanted("A", ["B", "A"])
+    assert not is_wanted("A", ["B"])
 
 
 def test_provenance_is_facts():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from importlib import resources
@@ -84,6 +85,40 @@ def test_thinning_keeps_the_peaks():
     assert few.size <= 402
     assert (values.max(), values.min()) == (5.0, -3.0)
     assert few[values.argmax()] == x[12345]
+
+
+def test_thinning_keeps_the_first_extremes_and_the_first_gap_of_each_bucket():
+    rng = np.random.default_rng(0)
+    y = rng.normal(size=5000).round(1)  # many equal values
+    y[rng.integers(0, 5000, 300)] = math.nan
+    y[1000:1100], y[3000] = math.nan, math.inf
+    x, kept = np.arange(5000.0), []
+    edges = np.linspace(0, 5000, 201).astype(int)
+    for low, high in itertools.pairwise(edges):
+        part = y[low:high].tolist()
+        known = [v for v in part if not math.isnan(v)]
+        wanted = [part.index(min(known)), part.index(max(known))] if known else []
+        gaps = [k for k, v in enumerate(part) if math.isnan(v)]
+        kept += [low + k for k in {*wanted, *gaps[:1]}]
+    few, values = thinned(x, y)
+    np.testing.assert_array_equal(few, sorted(kept))
+    np.testing.assert_array_equal(values, y[sorted(kept)])
+    assert few.size < np.unique(np.concatenate([few, x[::40]])).size  # not every 40th
+
+
+def test_numbers_of_a_line_have_one_decimal_where_it_is_not_0():
+    chart = Chart("a", "label", Scale("x [m]", 0.0, 10.0), Scale("y [m]", 0.0, 10.0))
+    x, y = np.array([0.0, 1.0, 2.2, math.nan, 5.0]), np.array([10.0, 0.0, 3.3, 1.0, 7.77])
+    (u, v), places = chart.at(x, y), []
+    for a, b in zip(u.tolist(), v.tolist(), strict=True):
+        places.append(" ".join(f"{w:.1f}".removesuffix(".0") for w in (a, b)))
+    chart.line(x, y, "first")
+    assert f'd="M{places[0]}L{places[1]}L{places[2]}M{places[4]}"' in chart.marks[-1]
+    chart.line(x, y, "first", steps=True)
+    assert f'd="M{places[0]}H{places[1].replace(" ", "V")}H{places[2].replace(" ", "V")}M{places[4]}"' in chart.marks[-1]
+    chart.dots(x, y, "dot")
+    assert chart.marks[-1].count("h0") == 4
+    assert f"M{places[2]}h0M{places[4]}h0" in chart.marks[-1]
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3e-5, 2e-5), (1000.0, 1003.0), (-0.5, 7.3), (1e-12, 3e-12), (2e6, 9e6)])

@@ -12,6 +12,7 @@ from tests.helpers import report_folders as folders
 from tests.helpers.model_forms import made_up_form
 from tests.helpers.page_checks import problems
 from uqharness.errors import BadInputError
+from uqharness.report.pages.index import page_of
 from uqharness.report.parts import Figure, Figures, Page, Say, Section
 from uqharness.report.svg import Chart, Scale
 from uqharness.report.write import write_campaign_report, write_figures, write_page, write_report
@@ -44,6 +45,14 @@ def test_a_file_holds_the_charts_of_the_page(tmp_path, kind):
     assert drawn <= {svg.get("aria-label") for svg in html.document_fromstring(page).iter("svg")}
     write_report(folder, figures=True)
     assert {path: path.read_bytes() for path in report.figures} == first
+
+
+@pytest.mark.parametrize(("kind", "times"), [("identified", 2), ("bounded", 1)])
+def test_a_page_that_shows_all_segments_is_made_once(tmp_path, monkeypatch, kind, times):
+    made = []
+    monkeypatch.setattr("uqharness.report.write.page_of", lambda *args, **more: (made.append(args), page_of(*args, **more))[1])
+    write_report(getattr(folders, kind)(tmp_path / "results"), figures=True)
+    assert len(made) == times
 
 
 def test_without_figures_no_folder_is_made(tmp_path):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqharness.statistics.common_air import MIN_AIRS, RESAMPLES, common_air_half_width, is_enough
+from uqharness.statistics.common_air import MIN_AIRS, RESAMPLES, _distances, _multiplicities, common_air_half_width, is_enough
 from uqharness.statistics.pbox import Sample, band_half_width, pbox
 
 
@@ -23,6 +23,20 @@ def samples(values: np.ndarray, airs: bool = True) -> list[Sample]:
 
 def half_width(box) -> float:
     return float((box.band_upper - box.upper).max())
+
+
+def test_distances_are_those_of_resamples_counted_one_by_one():
+    """With values that are alike: both distribution functions are looked at after all of them."""
+    row = np.array([3.0, 1.0, 1.0, 2.0, 1.0, 5.0, 4.0, 2.0])
+    times = _multiplicities(8, 3)
+    found = _distances(row, times - 1)
+    assert times.shape == (8, RESAMPLES)
+    assert (times.sum(axis=0) == 8).all()
+    for k in range(50):
+        drawn = np.repeat(row, times[:, k])
+        away = [abs((drawn <= v).sum() - (row <= v).sum()) for v in np.unique(row)]
+        assert found[k] == max(away)
+    assert len(set(found.tolist())) > 3
 
 
 def test_one_corner_has_about_kolmogorovs_band():

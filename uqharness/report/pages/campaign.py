@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import pandas as pd
 
@@ -13,7 +13,21 @@ from uqharness.report import statements as report_statements
 from uqharness.report.campaign import CampaignFound, Finding, answer_level, hardest_first, span
 from uqharness.report.campaign_track import track_section
 from uqharness.report.engine_check import engine_section
-from uqharness.report.parts import Block, Bullets, Cell, Figure, Figures, Level, Page, Section, Table, Words, provenance, shown
+from uqharness.report.parts import (
+    Block,
+    Bullets,
+    Cell,
+    Figure,
+    Figures,
+    Level,
+    Page,
+    Section,
+    Table,
+    Words,
+    is_wanted,
+    provenance,
+    shown,
+)
 from uqharness.report.pbox import DrawnBox, corner_words, pbox_figure
 from uqharness.report.sample_words import called, kind_of
 from uqharness.report.sensitivity import sensitivity_section
@@ -22,15 +36,21 @@ from uqharness.statistics import ExcursionRate, best_and_worst, poisson_upper
 CONDITIONS_DRAWN = 4
 """Conditions whose p-boxes are drawn in the page, the hardest; the tables hold all."""
 
+PBOXES = "P-boxes of the median errors"
 _FAILURES_LISTED = 40
 _SURE = f"{100 * CONFIDENCE:g} %"
 _MARKS = {"yes": "✓", "no": "✕", "open": "?"}
 
 
-def campaign_page(found: CampaignFound, prefix: str = "") -> Page:
-    """The page of one campaign; ``prefix`` keeps its figures' names apart from others' in one page."""
+def campaign_page(found: CampaignFound, prefix: str = "", only: Collection[str] | None = None) -> Page:
+    """The page of one campaign; ``prefix`` keeps its figures' names apart from others' in one page.
+
+    ``only``: titles of the sections that are shown, if not all.
+    """
     kind = kind_of(found.campaign["epistemic"])
-    sections = [called(part, kind) for part in (grid_section(found.signed), pbox_section(found, prefix))]
+    sections = [called(grid_section(found.signed), kind)]
+    if is_wanted(PBOXES, only):
+        sections.append(called(pbox_section(found, prefix), kind))
     sections += track_section(found.folder, found.frame, prefix)
     sections += sensitivity_section(found.folder, found.manifest, prefix)
     sections += [*(called(s, kind) for s in rate_sections(found)), failure_section(found.frame)]
@@ -66,7 +86,7 @@ def pbox_section(found: CampaignFound, prefix: str = "") -> Section:
         + (", and by which share of its area the interior points widen the whole." if between else ".")
     )
     blocks.append(Table(caption, tuple(head), tuple(_median_row(item, words, between, published) for item in found.findings)))
-    return Section("P-boxes of the median errors", tuple(blocks))
+    return Section(PBOXES, tuple(blocks))
 
 
 def _figure(item: Finding, words: dict[str, str], prefix: str) -> Figure:

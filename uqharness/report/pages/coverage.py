@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from sysid.model_form import HOLDS_FROM
 from uqharness.replay import History, read_histories, shown_channel
 from uqharness.report.pages.model_form import COVERAGE, RESIDUALS, within_section
-from uqharness.report.parts import Cell, Level, Page, Say, Section, Table, Words, percent, provenance, remarks, shown
+from uqharness.report.parts import Cell, Level, Page, Say, Section, Table, Words, is_wanted, percent, provenance, remarks, shown
 from uqharness.result_documents import Coverage, read_document
 
 
-def coverage_page(folder: Path, prefix: str = "") -> Page:
-    """The page of the folder that ``uqharness validate-bounds --out`` wrote. Raises BadInputError."""
-    return coverage_page_of(read_document(folder / COVERAGE, Coverage), read_histories(folder / RESIDUALS), prefix)
+def coverage_page(folder: Path, prefix: str = "", only: Collection[str] | None = None) -> Page:
+    """The page of the folder that ``uqharness validate-bounds --out`` wrote. ``only``: titles of the sections shown, if not all.
+
+    Raises BadInputError.
+    """
+    return coverage_page_of(read_document(folder / COVERAGE, Coverage), read_histories(folder / RESIDUALS), prefix, only)
 
 
-def coverage_page_of(found: Mapping[str, Any], pieces: Sequence[History] = (), prefix: str = "") -> Page:
+def coverage_page_of(
+    found: Mapping[str, Any], pieces: Sequence[History] = (), prefix: str = "", only: Collection[str] | None = None
+) -> Page:
     """The page of a validation from its document and its residuals."""
     sections = [_coverage_section(found)]
-    sections += within_section(pieces, list(found["coverage"]), "The new flight within the bounds", "coverage", prefix)
+    if is_wanted(title := "The new flight within the bounds", only):
+        sections += within_section(pieces, list(found["coverage"]), title, "coverage", prefix)
     sections += [*_manoeuvre_section(found), *_bin_section(found), *_conformal_section(found), *remarks(found, key=("notes",))]
     sections.append(provenance(("Command", found.get("command") or "not recorded")))
     said = found.get("verdicts") or {c: "holds" if row["0.95"] >= HOLDS_FROM else "fails" for c, row in found["coverage"].items()}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ from sysid.estimation import STRONG_SHARE, WHITENESS_LEVEL
 from uqharness.replay import CHANNELS, HISTORIES, read_histories, shown_channel, with_shown_names
 from uqharness.report.history import MOST_SEGMENTS, Model, file_name, history_section
 from uqharness.report.pages.compare import LIMIT
-from uqharness.report.parts import Cell, Figure, Figures, Page, Say, Section, Table, Words, provenance, remarks, shown
+from uqharness.report.parts import Cell, Figure, Figures, Page, Say, Section, Table, Words, is_wanted, provenance, remarks, shown
 from uqharness.report.svg import Scale, rows_chart
 from uqharness.result_documents import Fit, read_document
 
@@ -23,20 +23,24 @@ _NOT_SAID = (
 )
 
 
-def identify_page(folder: Path, prefix: str = "", segments: int | None = MOST_SEGMENTS) -> Page:
+def identify_page(
+    folder: Path, prefix: str = "", segments: int | None = MOST_SEGMENTS, only: Collection[str] | None = None
+) -> Page:
     """The page of the folder that ``uqharness identify`` wrote, with so many segments' histories (None: all).
 
-    Raises BadInputError.
+    ``only``: titles of the sections that are shown, if not all. Raises BadInputError.
     """
     fit = read_document(folder / FIT, Fit)
     parameters = fit["parameters"]
     sections = [_parameter_section(parameters, prefix), _fit_section(fit["fit"])]
     noise = {c: row.get("noise") for c, row in fit["fit"].items()}
     model = Model("_model", "first", "model with the estimates")
-    sections += history_section(
-        read_histories(folder / HISTORIES), noise, [model], "Log against model", f"{prefix}fit-", segments,
-        lambda _, h: file_name(f"{h.flight}-{h.number:02d}-{h.manoeuvre}"),
-    )  # fmt: skip
+    histories = read_histories(folder / HISTORIES)
+    if is_wanted(title := "Log against model", only):
+        sections += history_section(
+            histories, noise, [model], title, f"{prefix}fit-", segments,
+            lambda _, h: file_name(f"{h.flight}-{h.number:02d}-{h.manoeuvre}"),
+        )  # fmt: skip
     said = {key: [with_shown_names(text, CHANNELS) for text in fit.get(key, ())] for key in ("warnings", "notes")}
     sections += [*remarks(said), _provenance(fit)]
     flights = ", ".join(fit["flights"])

@@ -14,6 +14,9 @@ KINDS = (
 )  # fmt: skip
 """File that marks a folder, and the command that writes it; the first that is there counts."""
 
+SEGMENTED = ("identify", "compare")
+"""Kinds whose page shows the worst segments alone, unless all are asked for."""
+
 _NEXT_FLIGHT = "next-flight.json"
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from uqharness.report.parts import (
     Section,
     Table,
     Words,
+    is_wanted,
     provenance,
     remarks,
     shown,
@@ -39,15 +40,19 @@ BEYOND = 0.3
 _MOST_DOTS = 220
 
 
-def bounds_page(folder: Path, prefix: str = "") -> Page:
-    """The page of the folder that ``uqharness bounds`` wrote. Raises BadInputError."""
+def bounds_page(folder: Path, prefix: str = "", only: Collection[str] | None = None) -> Page:
+    """The page of the folder that ``uqharness bounds`` wrote. ``only``: titles of the sections that are shown, if not all.
+
+    Raises BadInputError.
+    """
     form = load_form(folder / FORM)
     details = read_document(folder / DETAILS, Bounds) if (folder / DETAILS).is_file() else {}
     pieces = read_histories(folder / RESIDUALS)
     if pieces and not have(pieces, needed := [*form.states, *form.coefficients]):
         raise BadInputError(f"{folder / RESIDUALS}: must have the columns {', '.join(needed)}; run its command again")
     sections = [_width_section(form, details.get("coefficients", {})), slice_section(form, pieces, prefix)]
-    sections += within_section(pieces, list(form.coefficients), "The flights within their own bounds", "data", prefix)
+    if is_wanted(title := "The flights within their own bounds", only):
+        sections += within_section(pieces, list(form.coefficients), title, "data", prefix)
     sections += [_left_out_section(details), _hull_section(form), *_filter_section(form, details)]
     said = {key: [with_shown_names(text, CHANNELS) for text in details.get(key, ())] for key in ("warnings", "notes")}
     sections += [*remarks(said, key=("notes",)), _provenance(form, details)]

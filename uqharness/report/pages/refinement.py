@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from uqharness.report.parts import (
     Section,
     Table,
     Words,
+    is_wanted,
     percent,
     provenance,
     remarks,
@@ -39,8 +40,11 @@ REFINEMENT = "refinement.json"
 _DIFF_LINES = 400
 
 
-def refine_page(folder: Path, prefix: str = "") -> Page:
-    """The page of the folder that ``uqharness refine`` wrote. Raises BadInputError."""
+def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = None) -> Page:
+    """The page of the folder that ``uqharness refine`` wrote. ``only``: titles of the sections that are shown, if not all.
+
+    Raises BadInputError.
+    """
     done = read_document(folder / REFINEMENT, Refinement)
     histories = read_histories(folder / HISTORIES)
     gap = done["gap"]["test"]
@@ -58,10 +62,11 @@ def refine_page(folder: Path, prefix: str = "") -> Page:
         sections.append(Section("Coefficients before and after", (Words(text, note=True), drawn)))
     noise = {c: row["noise_rms"] for c, row in gap["channels"].items()}
     models = [Model("_before", "second", "before"), Model("_after", "first", "after")]
-    sections += history_section(
-        histories, noise, models, "Test flights against both models", f"{prefix}refine-", 2,
-        lambda rank, _: "history" if rank == 0 and done["effects"] else None,
-    )  # fmt: skip
+    if is_wanted(title := "Test flights against both models", only):
+        sections += history_section(
+            histories, noise, models, title, f"{prefix}refine-", 2,
+            lambda rank, _: "history" if rank == 0 and done["effects"] else None,
+        )  # fmt: skip
     sections += [interval_section(gap, prefix), mission_section(folder, gap, prefix)]
     sections += [_left_section(done), _parameter_section(done), _model_section(done, diff), *remarks(done)]
     train, test = (", ".join(done.get(k, ())) or "flights not recorded" for k in ("train", "test"))

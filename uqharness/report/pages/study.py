@@ -10,7 +10,7 @@ from typing import Any
 from uqharness.errors import BadInputError
 from uqharness.report.campaign import CampaignFound, read_found
 from uqharness.report.overlay import overlay_section
-from uqharness.report.pages.campaign import campaign_page, grid_section
+from uqharness.report.pages.campaign import PBOXES, campaign_page, grid_section
 from uqharness.report.pages.compare import compare_page
 from uqharness.report.pages.coverage import coverage_page
 from uqharness.report.pages.identify import identify_page
@@ -22,17 +22,13 @@ from uqharness.result_documents import Study, read_document
 
 STUDY = "study.json"
 _STATES: Mapping[str, Level] = {"done": "good", "running": "warn", "waiting": "", "failed": "bad"}
-_PAGES: Mapping[str, Callable[[Path, str], Page]] = {
-    "identify": partial(identify_page, segments=1), "compare": partial(compare_page, segments=1), "bounds": bounds_page,
-    "validate-bounds": coverage_page, "refine": refine_page,
-}  # fmt: skip
 _KEPT: Mapping[str, tuple[str, ...]] = {
     "identify": ("Parameters",),
     "compare": ("Gap by channel", "Log against model"),
     "bounds": ("How wide the bounds are", "Slices of the bounds"),
     "validate-bounds": ("Coverage by coefficient",),
     "campaign": (
-        "Where the answer is yes, no or inconclusive", "P-boxes of the median errors",
+        "Where the answer is yes, no or inconclusive", PBOXES,
         "Which uncertainty makes the width", "Failed flights",
     ),
     "refine": (
@@ -42,6 +38,11 @@ _KEPT: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Sections that a study shows of a stage's page; the rest stands in the stage's own."""
 _SHOWN_ABOVE = _KEPT["campaign"][:2]
+_PAGES: Mapping[str, Callable[[Path, str], Page]] = {
+    "identify": partial(identify_page, segments=1, only=_KEPT["identify"]), "compare": partial(compare_page, segments=1),
+    "bounds": partial(bounds_page, only=_KEPT["bounds"]), "refine": partial(refine_page, only=_KEPT["refine"]),
+    "validate-bounds": partial(coverage_page, only=_KEPT["validate-bounds"]),
+}  # fmt: skip
 
 
 def study_page(folder: Path) -> Page:
@@ -138,9 +139,11 @@ def _stage_page(
     if stage["state"] != "done" or not stage.get("folder"):
         return None
     place, prefix = folder / stage["folder"], f"s{number}-"
+    skipped = _SHOWN_ABOVE if stage["folder"] in overlaid else ()
+    kept = [title for title in _KEPT.get(stage["kind"], ()) if title not in skipped]
     try:
         if stage["kind"] == "campaign":
-            page = campaign_page(read(place), prefix)
+            page = campaign_page(read(place), prefix, kept)
         elif stage["kind"] in _PAGES:
             page = _PAGES[stage["kind"]](place, prefix)
         else:
@@ -148,8 +151,7 @@ def _stage_page(
     except BadInputError as error:
         missing.append(f"{stage['name']}: {error}")
         return None
-    skipped = _SHOWN_ABOVE if stage["folder"] in overlaid else ()
-    sections = tuple(s for s in page.sections if s.title in _KEPT[stage["kind"]] and s.title not in skipped)
+    sections = tuple(s for s in page.sections if s.title in kept)
     own = Words(f"All of it: {stage['folder']}/report.html, written by uqharness report {stage['folder']}.", note=True)
     return Section(f"{stage['name']}: {page.title}", (Words(page.asked, note=True), Told(page.verdict), own), sections)
 
