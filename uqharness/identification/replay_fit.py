@@ -75,7 +75,7 @@ def fit_replays(
     What ``observed`` holds stays at the last of ``tries``.
     Raises BadInputError when the model cannot fly the segments.
     """
-    jumping = () if observed.late_s else jumping_in(model, observed.cut, observed.late)
+    jumping = jumping_in(model, observed.cut, observed.late)
     layout = nuisance_layout(names, limits, observed.cut, observed.biases, observed.outputs, observed.late, jumping)
     replay = Replay(model, observed.cut, layout.names, observed.outputs, uuid.uuid4().hex, observed.properties, observed.late_s)
 

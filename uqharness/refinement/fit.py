@@ -33,6 +33,7 @@ from uqharness.replay import (
     Flight,
     ReplayJob,
     ReplayModel,
+    as_flown,
     at_rows,
     fly_all,
     states,
@@ -58,8 +59,14 @@ def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flow
         )
         for s, start, between in zip(setup.segments, point.starts, late, strict=True)
     ]
-    every = fly_all(jobs, map_)
-    raw = [at_rows(r, len(s.time_s)) for r, s in zip(every, setup.segments, strict=True)]
+    on_time = [[c for c in setup.outputs if not sensor_late_s(c, s, point)] for s in setup.segments]
+    pieces = [as_flown(job, channels) for job, channels in zip(jobs, on_time, strict=True)]
+    flights = iter(fly_all([piece for of in pieces for piece in of], map_))
+    every, raw = [], []
+    for of, s in zip(pieces, setup.segments, strict=True):
+        fine, *rows = (next(flights) for _ in of)
+        every.append(fine)
+        raw.append(rows[0] if rows else at_rows(fine, len(s.time_s)))
     columns = [CHANNELS.index(c) for c in setup.outputs]
     outputs, cost = [], 0.0
     for segment, flown, fine, z in zip(setup.segments, raw, every, setup.measured, strict=True):

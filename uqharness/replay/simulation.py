@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from uqharness.replay.in_lanes import ReplayJob, fly_all
+from uqharness.replay.in_lanes import ReplayJob, as_flown, fly_all
 from uqharness.replay.model import ReplayModel
 from uqharness.replay.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF, STATES, UNSEEN, at_rows, late_rows, shape_of
 from uqharness.replay.segments import Segment
@@ -50,7 +50,7 @@ class Replay:
         self._starts: dict[int, list[tuple[int, int]]] = {}
         self._late: dict[str, int] = {}
         self._unseen: dict[str, int] = {}
-        self._kept: dict[int, tuple[tuple[_Key, bytes], Array]] = {}
+        self._kept: dict[int, tuple[tuple[tuple[_Key, ...], bytes], Array]] = {}
         self._sizes: list[int] = []
         for i, name in enumerate(names):
             kind, _, rest = name.partition("/")
@@ -98,27 +98,20 @@ class Replay:
         self.fetch([theta], map)
         properties, starts = self._conditions(theta)
         return [
-            self._sensed(number, segment, theta, self._key(number, properties, *start), (properties, *start))
+            self._sensed(segment, number, theta, self._pieces(number, segment, properties, start))
             for number, (segment, start) in enumerate(zip(self.segments, starts, strict=True))
         ]
 
-    def _sensed(
-        self,
-        number: int,
-        segment: Segment,
-        theta: Array,
-        key: _Key,
-        conditions: tuple[Mapping[str, float], Array, float, float],
-    ) -> Array:
+    def _sensed(self, segment: Segment, number: int, theta: Array, pieces: Mapping[_Key, ReplayJob]) -> Array:
         """(n, m) outputs of one segment with its flight's delays and biases; the last ones are kept."""
         late, biased = self._delays.get(segment.flight, []), self._biases.get(segment.flight, [])
-        state = (key, theta[[i for i, _ in (*late, *biased)]].tobytes())
+        state = (tuple(pieces), theta[[i for i, _ in (*late, *biased)]].tobytes())
         kept = self._kept.get(number)
         if kept is not None and kept[0] == state:
             return kept[1]
-        between = self._flown(number, segment, *conditions)[:, self._columns]
         n = len(segment.time_s)
-        flown = at_rows(between, n).copy()
+        between, *rows = (self._flown(key, job)[:, self._columns] for key, job in pieces.items())
+        flown = (rows[0] if rows else at_rows(between, n)).copy()
         late_s = dict(self._late_s)
         for i, k in late:
             late_s[k] = late_s.get(k, 0.0) + float(theta[i])
@@ -131,26 +124,24 @@ class Replay:
         self._kept[number] = (state, flown)
         return flown
 
-    def _flown(
-        self, number: int, segment: Segment, properties: Mapping[str, float], start: Array, late_s: float, unseen: float
-    ) -> Array:  # fmt: skip
-        key = self._key(number, properties, start, late_s, unseen)
+    def _flown(self, key: _Key, job: ReplayJob) -> Array:
         found = _flown.get(key)
         if found is None:
-            (found,) = fly_all([self._job(segment, properties, start, late_s, unseen)])
+            (found,) = fly_all([job])
             _remember(key, found)
         else:
             _flown.move_to_end(key)
         return found
 
-    def _job(
-        self, segment: Segment, properties: Mapping[str, float], start: Array, late_s: float, unseen: float
-    ) -> ReplayJob:  # fmt: skip
+    def _pieces(self, number: int, segment: Segment, properties: Mapping[str, float], conditions: Start) -> dict[_Key, ReplayJob]:
+        """Replays of one segment by what makes them, as `as_flown` has them."""
+        start, late_s, unseen = conditions
         between = segment.flight in self._delays or bool(self._late_s)
-        return ReplayJob(self.model, segment, dict(properties), start, late_s, between, unseen=unseen)
-
-    def _key(self, number: int, properties: Mapping[str, float], start: Array, late_s: float, unseen: float) -> _Key:
-        return self.token, number, np.array(list(properties.values())).tobytes(), start.tobytes(), late_s, unseen
+        late = {*self._late_s, *(k for _, k in self._delays.get(segment.flight, ()))}
+        on_time = [c for k, c in enumerate(self.channels) if k not in late]
+        jobs = as_flown(ReplayJob(self.model, segment, dict(properties), start, late_s, between, unseen=unseen), on_time)
+        made = (self.token, number, np.array(list(properties.values())).tobytes(), start.tobytes())
+        return {(*made, late_s, job.unseen, job.between): job for job in jobs}
 
     def forget(self) -> None:
         """Let go of what is remembered of this replay and its copies: nothing more will be asked of it."""
@@ -178,12 +169,12 @@ class Replay:
         for theta in thetas:
             properties, starts = self._conditions(theta)
             for number, (segment, start) in enumerate(zip(self.segments, starts, strict=True)):
-                key = self._key(number, properties, *start)
-                if key in _flown:
-                    _flown.move_to_end(key)
-                elif key not in jobs:
-                    jobs[key] = self._job(segment, properties, *start)
-                    size += self._sizes[number]
+                for key, job in self._pieces(number, segment, properties, start).items():
+                    if key in _flown:
+                        _flown.move_to_end(key)
+                    elif key not in jobs:
+                        jobs[key] = job
+                        size += self._sizes[number]
             waiting.append(theta)
             if size > _TOGETHER_BYTES:
                 _fly(jobs, map_)
@@ -194,7 +185,7 @@ class Replay:
 
 
 # Memory of the process, shared by unpickled copies of a replay: perturbing one segment's start leaves the others as they were.
-_Key = tuple[str, int, bytes, bytes, float, float]
+_Key = tuple[str, int, bytes, bytes, float, float, bool]
 _flown: OrderedDict[_Key, Array] = OrderedDict()
 counter = {"rows": 0, "bytes": 0, "segments": 0}
 
