@@ -28,7 +28,10 @@ _STOOD_BYTES, _WEIGHED = 50_000_000, 8
 _stood: OrderedDict[tuple[object, ...], Array] = OrderedDict()
 _weighed: OrderedDict[tuple[object, ...], MassProperties] = OrderedDict()
 WORTH_S = 60.0
-"""Seconds of flight from which on positions are flown by the batch engine: for as much JSBSim takes as long as a compiler."""
+"""Seconds of flight from which on positions are flown by the batch engine where they are asked for several times, each time with
+other servos."""
+WORTH_ONCE_S = 300.0
+"""The same where they are asked for once: for as much JSBSim takes as long as a compiler."""
 SETTLED_RADPS, MOST_FRAMES = 1e-6, 25
 """Change of alphadot and betadot from frame to frame at which a forced state has settled, and the frames that it may take."""
 
@@ -209,18 +212,19 @@ def mass_properties(fdm: Any, model: ReplayModel) -> MassProperties:
 
 
 def surface_positions(
-    model: ReplayModel, cut: Sequence[Segment], names: Sequence[str], properties: Mapping[str, float] | None = None
-) -> list[Array]:
+    model: ReplayModel, cut: Sequence[Segment], names: Sequence[str], properties: Mapping[str, float] | None = None,
+    worth_s: float = WORTH_S,
+) -> list[Array]:  # fmt: skip
     """Of each segment (n, c) where the controls stood: the record's own values where measured, else what the model's actuators make
     of them.
 
     properties: values in force, of which the actuators' own count. What was asked before is remembered: residuals ask for the same
-    stretch under many states.
+    stretch under many states. worth_s: seconds of flight from which on the batch engine flies it.
     """
     servos = {name: value for name, value in (properties or {}).items() if name in model.servos}
     keys = [(*_key(model, segment, names), *servos.items()) for segment in cut]
     missing = {key: segment for key, segment in zip(keys, cut, strict=True) if key not in _stood}
-    _stood.update(zip(missing, _positions(model, list(missing.values()), names, servos), strict=True))
+    _stood.update(zip(missing, _positions(model, list(missing.values()), names, servos, worth_s), strict=True))
     out = []
     for key in keys:
         _stood.move_to_end(key)
@@ -235,7 +239,9 @@ def _key(model: ReplayModel, segment: Segment, names: Sequence[str]) -> tuple[ob
     return (model.identity, *(a.tobytes() for a in asked), *names)
 
 
-def _positions(model: ReplayModel, cut: Sequence[Segment], names: Sequence[str], servos: Mapping[str, float]) -> list[Array]:
+def _positions(
+    model: ReplayModel, cut: Sequence[Segment], names: Sequence[str], servos: Mapping[str, float], worth_s: float
+) -> list[Array]:
     from uqharness.replay.in_lanes import ReplayJob, by_jsbsim, fly_all
     from uqharness.replay.replay import CHANNELS
 
@@ -244,7 +250,7 @@ def _positions(model: ReplayModel, cut: Sequence[Segment], names: Sequence[str],
     if not known or not cut:
         return out
     jobs = [ReplayJob(model, segment, servos, segment.start, extra=tuple(known.values())) for segment in cut]
-    flown = fly_all(jobs) if sum(s.time_s[-1] - s.time_s[0] for s in cut) > WORTH_S else map(by_jsbsim, jobs)
+    flown = fly_all(jobs) if sum(s.time_s[-1] - s.time_s[0] for s in cut) > worth_s else map(by_jsbsim, jobs)
     for stood, rows in zip(out, flown, strict=True):
         for k, control in enumerate(known, len(CHANNELS)):
             column = model.controls.index(control)

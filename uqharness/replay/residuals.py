@@ -14,7 +14,7 @@ from sysid.aerodynamics import Cutoffs, Model, Piece, Prediction, Residuals, cut
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
 from uqharness.replay.flights import Flight, control_columns, read_flights, segments
-from uqharness.replay.force import StatesOf, force_all, surface_positions
+from uqharness.replay.force import WORTH_ONCE_S, StatesOf, force_all, surface_positions
 from uqharness.replay.model import CONTROLS, ReplayFolder, ReplayModel
 from uqharness.replay.segments import Segment
 from uqharness.simulator import Aircraft
@@ -86,7 +86,8 @@ class JsbsimPrediction:
             longer.append(replace(piece, rows=slice(first, stop), start_s=float(record["time_s"][first])))
         own, before = (segments(replace(self.flight, pieces=tuple(some)), self.measured) for some in (missing.values(), longer))
         self.segments.update(zip(missing, own, strict=True))
-        for rows, piece, stood in zip(missing, longer, surface_positions(self.model, before, CONTROLS, self.values), strict=True):
+        flown = surface_positions(self.model, before, CONTROLS, self.values, WORTH_ONCE_S)
+        for rows, piece, stood in zip(missing, longer, flown, strict=True):
             self.positions[rows] = stood[rows[0] - piece.rows.start :]
 
 
