@@ -34,5 +34,14 @@ from .selection import chance_limit as chance_limit
 from .selection import judged as judged
 from .selection import select as select
 from .selection import threshold as threshold
+from .smooth import SPANS as SPANS
+from .smooth import Smooth as Smooth
+from .smooth import SmoothFit as SmoothFit
+from .smooth import colour_dispersion as colour_dispersion
+from .smooth import fit_smooth as fit_smooth
+from .smooth import forms_like as forms_like
+from .smooth import held_out_gain as held_out_gain
+from .smooth import known_forms as known_forms
+from .smooth import smooth_term as smooth_term
 from .turbulence import Gusts as Gusts
 from .turbulence import gust_intensity as gust_intensity

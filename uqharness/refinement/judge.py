@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid.effects import Choice, Evidence, Gusts, corrected_each
+from sysid.effects import Choice, Columns, Evidence, Gusts, corrected_each
 from sysid.parallel import Processes
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.find import Found, in_one_step, with_resolution
+from uqharness.refinement.fit import merged
 from uqharness.refinement.gusts import GustFit, gust_evidence
-from uqharness.refinement.rounds import candidate_evidence
+from uqharness.refinement.rounds import column_evidence
 from uqharness.refinement.showing.show import Shown, show, with_replays
 from uqharness.refinement.types import Setup, in_dynamics
 from uqharness.simulator import Aircraft
@@ -75,6 +76,7 @@ class Judged:
     """What stands, estimated without what was withdrawn; the gap on both sides before and after.
 
     verdicts   of every effect by key: of those that stand, beside the others that stand; of a withdrawn one, as it was withdrawn
+    sides      train and test as they were flown
     """
 
     found: Found
@@ -82,6 +84,7 @@ class Judged:
     verdicts: dict[str, Verdict]
     train: tuple[Setup, Shown, Shown]
     test: tuple[Setup, Shown, Shown]
+    sides: tuple[Side, Side]
 
 
 def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, map_: Processes) -> Judged:
@@ -134,9 +137,10 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
     settled = fitted if not gone else flown(standing, train) if standing.selection.chosen else pair
     pair, before = (replayed(shown, bare(found), side) for shown, side in ((pair, train), (before, test)))
     if not standing.selection.chosen:
-        return Judged(standing, tuple(gone), verdicts, (train.setup, pair, pair), (test.setup, before, before))
+        return Judged(standing, tuple(gone), verdicts, (train.setup, pair, pair), (test.setup, before, before), (train, test))
     settled, after = (replayed(shown, standing, side) for shown, side in ((settled, train), (after, test)))
-    return Judged(standing, tuple(gone), verdicts, (train.setup, pair, settled), (test.setup, before, after))
+    sides = (train, test)
+    return Judged(standing, tuple(gone), verdicts, (train.setup, pair, settled), (test.setup, before, after), sides)
 
 
 def flown_as(model: Found, found: Found, whole: Aircraft) -> tuple[Aircraft, dict[str, float]] | None:
@@ -201,19 +205,19 @@ def _mean_square(shown: Shown) -> float:
     return shown.cost / sum(int(np.isfinite(w).sum()) for w in shown.white)
 
 
-def evidence_of(found: Found, air: Gusts | None, also: Sequence[str] = ()) -> Evidence:
-    """Evidence of the train flights as it is with no effect in the model: columns of parameters, nuisance, chosen effects and the
-    candidates ``also``."""
+def evidence_of(found: Found, air: Gusts | None, also: Sequence[str] = (), more: Sequence[Columns] = ()) -> Evidence:
+    """Evidence of the train flights as it is with no effect in the model: columns of parameters, nuisance, chosen effects, the
+    candidates ``also``, and ``more``, one set a segment."""
     flown = {e.key for e in found.setup.active}
     keys = dict.fromkeys([*(c.key for c in found.selection.chosen), *also])
     rest = [found.effects[k] for k in keys if k not in flown]
+    columns = effect_columns(found.setup, found.after.probes, found.after.flown, rest)
+    columns = merged(columns, more) if len(more) else columns
     if found.gusty:
         assert air is not None
-        fit = GustFit(found.after, air, [], found.setup)
-        columns = effect_columns(found.setup, found.after.probes, found.after.flown, rest)
-        evidence = gust_evidence(found.setup, fit, columns)
+        evidence = gust_evidence(found.setup, GustFit(found.after, air, [], found.setup), columns)
     else:
-        evidence = candidate_evidence(found.setup, found.after, rest)
+        evidence = column_evidence(found.setup, found.after, columns)
     return evidence.taken_out(found.flown) if found.flown else evidence
 
 

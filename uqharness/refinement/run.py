@@ -41,6 +41,7 @@ from uqharness.refinement.showing.show import air_of, write_bytes_tree
 from uqharness.refinement.stages import FOLDER, Stages
 from uqharness.refinement.timing import later
 from uqharness.refinement.types import Setup
+from uqharness.refinement.unnamed import EXPLAINED, UNNAMED, offered
 from uqharness.refinement.writing.effects import Written, write_effects
 from uqharness.refinement.writing.slopes import control_slopes
 from uqharness.replay import CONTROLS, Flight, read_flights, renamed
@@ -164,10 +165,11 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
             for name, m in models.items()
         ]
         intervals = shown("intervals", tuple[Intervals, Intervals], lambda: before_and_after(jobs, map_))
-        controls = _controls(aircraft, train)
+        document = document_of(chosen, judged, aircraft, _controls(aircraft, train))
+        document["remaining"] |= _unnamed(request, document, judged, work, map_, say)
     forms = write_forms(dict(zip(models, intervals, strict=False)), request.out)
     mission = _mission(request, models, forms, say)
-    document = _document(request, document_of(chosen, judged, aircraft, controls), intervals, mission)
+    document = _document(request, document, intervals, mission)
     stages.forget()
     document["seconds"] = round(time.perf_counter() - begun, 1)
     return Refinement(document, chosen, judged, intervals, mission, target, aircraft)
@@ -225,6 +227,29 @@ def _judged(
         return _write(request, found, work / f"model{next(number)}")
 
     return judge(chosen, whole, write, _side(request, chosen, train), other, map_)
+
+
+def _unnamed(
+    request: Request, document: Mapping[str, Any], judged: Judged, work: Path, map_: Processes, say: Say
+) -> dict[str, Any]:  # fmt: skip
+    """A smooth term where nothing of the catalogue explains what is left, and its aircraft beside the refined one."""
+    stale = request.out / UNNAMED / "aircraft" / request.aircraft.folder.name
+    if (stale / request.aircraft.xml.name).is_file():
+        shutil.rmtree(stale)
+    if document["verdict"] != "unexplained":
+        return {"smooth": None, "smooth_reason": EXPLAINED}
+    say("looking for a smooth term in what is left")
+    number = iter(range(1000))
+
+    def write(found: Found) -> Aircraft:
+        return _write(request, found, work / f"unnamed{next(number)}")
+
+    found = offered(judged, write, map_)
+    if isinstance(found, str):
+        return {"smooth": None, "smooth_reason": found}
+    made = _put(found.aircraft, request.aircraft, request.out / UNNAMED)
+    model = f"{UNNAMED}/aircraft/{made.folder.name}/{made.xml.name}"
+    return {"smooth": {**found.document, "model": model}, "smooth_reason": None}
 
 
 def _write(request: Request, found: Found, folder: Path) -> Aircraft:

@@ -10,7 +10,7 @@ from uqharness.files import finite, write_bytes, write_json
 from uqharness.refinement import Refinement
 from uqharness.replay import CONTROLS, columns_of, write_histories
 
-FIGURES = ("gap.svg", "history.svg", "intervals.svg", "pbox.svg", "candidates.svg", "coefficients.svg")
+FIGURES = ("gap.svg", "history.svg", "intervals.svg", "pbox.svg", "candidates.svg", "coefficients.svg", "unnamed.svg")
 """Figures of a refinement: those of an earlier run are not left beside a later one's."""
 
 

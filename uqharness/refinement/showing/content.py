@@ -166,16 +166,6 @@ class Place(Part):
         return self
 
 
-class Remaining(Part):
-    """What a refinement left."""
-
-    unexplained: bool
-    where: list[Left]
-    channels_above_noise: dict[str, float]
-    coloured_channels: list[str]
-    place: Place | None = None
-
-
 class BeforeAfter(Part):
     """A root mean square before and after."""
 
@@ -257,6 +247,63 @@ class Gaps(Part):
     """Gaps by the use of the flights."""
 
     test: GapShown
+
+
+class Curve(Part):
+    """A smooth term by its state: value, ends of its 95 % band, and how many samples of the train flights lie near."""
+
+    at: list[float]
+    value: list[float]
+    low: list[float]
+    high: list[float]
+    samples: list[int]
+
+    @model_validator(mode="after")
+    def _whole(self) -> Curve:
+        if len({len(v) for v in (self.at, self.value, self.low, self.high, self.samples)}) != 1 or len(self.at) < 2:
+            raise ValueError("a curve needs at, value, low, high and samples of one length, two at the least")
+        return self
+
+
+class Shape(Part):
+    """A form that physics has a name for: its correlation with the curve, and what it would leave of the channel."""
+
+    form: str
+    correlation: float
+    leaves: float
+
+
+class Smooth(Part):
+    """A smooth term that is offered for naming."""
+
+    coefficient: str
+    state: str
+    times: str | None = None
+    name: str
+    property: str
+    unit: str
+    model: str
+    effective_degrees_of_freedom: float
+    in_place_of: list[str] = Field(default_factory=list)
+    curve: Curve
+    channel: str
+    channel_on_train: float
+    leaves: float
+    shapes: list[Shape]
+    test: Trial
+    gap: dict[str, GapShown]
+
+
+class Remaining(Part):
+    """What a refinement left."""
+
+    unexplained: bool
+    where: list[Left]
+    channels_above_noise: dict[str, float]
+    coloured_channels: list[str]
+    place: Place | None = None
+    smooth: Smooth | None = None
+    smooth_reason: str | None = None
 
 
 class Identified(Part):

@@ -118,6 +118,16 @@ def place_says(place: Mapping[str, Any]) -> list[str]:
     return [first, second, f"the flight that would tell: {place['would_tell']}"]
 
 
+def smooth_says(smooth: Mapping[str, Any]) -> str:
+    """What is said of a smooth term that is offered for naming, in a line."""
+    channel, _, _ = shown_channel(smooth["channel"])
+    instead = f", in place of {' and '.join(smooth['in_place_of'])}," if smooth["in_place_of"] else ""
+    return (
+        f"not named, no physics: a {smooth['name']} ({smooth['property']}){instead} brings {channel} on the train flights from "
+        f"{smooth['channel_on_train']:.2f} to {smooth['leaves']:.2f} times its noise; {test_says(smooth)}"
+    )
+
+
 def contradicted(effect: Effect, choice: Choice) -> str:
     """What is said of an effect that the train flights ask for and the test flights speak against."""
     return (

@@ -108,16 +108,20 @@ def write_effects(
         else:
             edit = _add(edit, aircraft, w, summands, deltas)
     if summands:
-        reference = aircraft.card.reference
-        given = Reference(
-            None if reference.S_m2 is None else reference.S_m2 / FT_M**2,
-            None if reference.b_m is None else reference.b_m / FT_M,
-            None if reference.c_m is None else reference.c_m / FT_M,
-        )
-        edit = add_deltas(edit, summands, "aero/effects", given, "effects found by refinement")
+        edit = add_deltas(edit, summands, "aero/effects", reference_of(aircraft), "effects found by refinement")
     for path, content in edit.files().items():
         path.write_bytes(content)
     return put_values(out, dict(estimates) | plain)
+
+
+def reference_of(aircraft: Aircraft) -> Reference:
+    """Area and lengths of the aircraft's card."""
+    given = aircraft.card.reference
+    return Reference(
+        None if given.S_m2 is None else given.S_m2 / FT_M**2,
+        None if given.b_m is None else given.b_m / FT_M,
+        None if given.c_m is None else given.c_m / FT_M,
+    )
 
 
 def _with_switch(w: Written, aircraft: Aircraft) -> Written:

@@ -15,6 +15,7 @@ from uqharness.report.history import Z95, Model, end_to_end, history_section
 from uqharness.report.pages.compare import ratio_figure
 from uqharness.report.pages.refine_effects import capital, effect_section, headline
 from uqharness.report.pages.refine_shown import interval_section, mission_section
+from uqharness.report.pages.refine_unnamed import smooth_lines, smooth_sections
 from uqharness.report.parts import (
     Block,
     Bullets,
@@ -49,7 +50,8 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
     histories = read_histories(folder / HISTORIES)
     gap = done["gap"]["test"]
     diff = _diff(folder)
-    sections = [gap_section(gap, prefix), effect_section(done, diff, prefix), *_place_sections(done), _where_section(done)]
+    sections = [gap_section(gap, prefix), effect_section(done, diff, prefix), *_place_sections(done)]
+    sections += [*smooth_sections(done, prefix), _where_section(done)]
     touched = list(dict.fromkeys(e["coefficient"] for e in done["effects"] if "coefficient" in e)) or list(COEFFICIENTS)
     figures = _coefficient_figures(histories, touched, gap, prefix)
     if figures:
@@ -103,6 +105,7 @@ def _verdict(done: Mapping[str, Any]) -> tuple[Say, ...]:
         alike = [a["name"].removesuffix(" off") for a in e.get("alternatives", ()) if not a["separable"]]
         if alike:
             said.append(Say(f"{capital(e['name'])} is confounded with: {'; '.join(alike)}.", "warn"))
+    said += smooth_lines(done)
     worst = _largest_fall(done["gap"]["test"])
     if worst:
         said.append(Say(worst))

@@ -1,0 +1,273 @@
+"""A smooth term in one state, or one that multiplies a second: what is left when no form of the catalogue explains it. Pure.
+
+    f(x) = b0 + b1 x + sum over j of z_j(x) v_j,    v ~ N(0, tau^2 I)                                                      (S)
+
+Cubic splines on even knots; the z_j are such that sum v_j^2 is the integral of f''^2 (O'Sullivan, Statistical Science 1, 1986),
+less the straight line that fits each best at the data. What of the line the model has as its own parameters is left to those. With
+G and u the information and score of the z_j, everything that is estimated in any case projected out (LM of score.py), over the
+dispersion c,
+
+    R(tau) = sum over i of [ tau^2 w_i^2 / (1 + tau^2 d_i) - ln(1 + tau^2 d_i) ],    G/c = V d V',  w = V'u/c               (R)
+
+is twice the rise of the restricted log likelihood over tau = 0, which smoothing by REML makes largest. c is what coloured residuals
+take from the information (Rao and Scott, Annals of Statistics 12, 1984). The band is the posterior's (Nychka, JASA 83, 1988).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+from scipy.interpolate import BSpline
+
+from sysid.aerodynamics import COEFFICIENTS
+from sysid.effects.catalogue import coefficient_effect, words
+from sysid.effects.effect_terms import VARIABLES
+from sysid.effects.score import DEPENDENT, Evidence, solve
+from sysid.effects.selection import FAMILY
+from sysid.estimation import coloured_information
+
+FloatArray = NDArray[np.float64]
+SPANS = 10
+"""Spans between knots over the range of the data. The penalty and not the knots decides how much a curve bends; a bump narrower
+than two spans is smeared."""
+_LINE = 2
+"""Columns of a term that are its straight line."""
+_TAUS = np.logspace(-8.0, 8.0, 161)
+"""Values of tau^2 d that are tried, d being the largest of (R)."""
+
+
+@dataclass(frozen=True)
+class Smooth:
+    """Functions of ``state`` between the ends of ``knots``, times the variable ``times`` where there is one.
+
+    turn (B, K): coefficients of B-splines of each column: the line's two, then the z_j, the smoothest first
+    """
+
+    coefficient: str
+    state: str
+    times: str | None
+    knots: FloatArray
+    turn: FloatArray
+
+    @property
+    def label(self) -> str:
+        """``Cm_of_alpha``, ``CY_of_alpha_times_dr``: letters, digits and underscores alone."""
+        return f"{self.coefficient}_of_{self.state}" + (f"_times_{self.times}" if self.times else "")
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Least and largest value of the state in the data; the columns are held beyond."""
+        return float(self.knots[3]), float(self.knots[-4])
+
+    @property
+    def unit(self) -> str:
+        """The state's unit."""
+        return VARIABLES[self.state]
+
+    @property
+    def name(self) -> str:
+        """The term in words, which call it no effect."""
+        subject = coefficient_effect(self.coefficient, self.state).name.partition(" due to ")[0]
+        times = f", times {words(self.times)}," if self.times else ""
+        return f"smooth term of {words(self.state)}{times} in {subject}"
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns among the unknowns."""
+        return tuple(f"smooth/{self.label}/{k}" for k in range(self.turn.shape[1]))
+
+    def at(self, x: FloatArray) -> FloatArray:
+        """(n, K) the columns at values (n,) of the state, the second variable being 1; held beyond the ends."""
+        return _splines(x, self.knots) @ self.turn
+
+    def inputs(self, found: Mapping[str, FloatArray]) -> dict[str, tuple[int, FloatArray]]:
+        """Columns along a flight, as `prediction.Columns` has them; found: values (n,) of the variables."""
+        rows = self.at(found[self.state]) * (found[self.times][:, None] if self.times else 1.0)
+        return {n: (COEFFICIENTS.index(self.coefficient), rows[:, k]) for k, n in enumerate(self.columns)}
+
+
+def smooth_term(coefficient: str, state: str, times: str | None, found: Mapping[str, FloatArray]) -> Smooth | None:
+    """The functions over the range of the data, by values (n,) of the variables; None where the state does not vary."""
+    x = found[state]
+    low, high = float(x.min()), float(x.max())
+    if not high - low > 1e-9 * max(abs(low), abs(high)):
+        return None
+    inner = np.linspace(low, high, SPANS + 1)
+    step = inner[1] - inner[0]
+    knots = np.concatenate([low + step * np.arange(-3, 0), inner, high + step * np.arange(1, 4)])
+    # The product of second derivatives is a square in each span, which two points integrate exactly (Gauss).
+    middle = 0.5 * (inner[1:] + inner[:-1])
+    bend = _splines(np.concatenate([middle - step / math.sqrt(12.0), middle + step / math.sqrt(12.0)]), knots, 2)
+    values, vectors = np.linalg.eigh(0.5 * step * bend.T @ bend)
+    free = vectors[:, _LINE:] / np.sqrt(values[_LINE:])
+    # A straight line in B-splines has the knots' own means for coefficients.
+    centre = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3.0 - float(x.mean())
+    line = np.column_stack([np.ones_like(centre), centre])
+    weight = np.ones_like(x) if times is None else found[times]
+    rows = _splines(x, knots) * weight[:, None]
+    part, *_ = np.linalg.lstsq(rows @ line, rows @ free, rcond=None)
+    return Smooth(coefficient, state, times, knots, np.hstack([line, free - line @ part]))
+
+
+def _splines(x: FloatArray, knots: FloatArray, derivative: int = 0) -> FloatArray:
+    inside = np.clip(x, knots[3], knots[-4])
+    if not derivative:
+        return np.asarray(BSpline.design_matrix(inside, knots, 3).toarray())
+    return np.column_stack([BSpline(knots, row, 3).derivative(derivative)(inside) for row in np.eye(len(knots) - 4)])
+
+
+@dataclass(frozen=True)
+class SmoothFit:
+    """A term with its smoothing by REML.
+
+    values, cov (K,), (K, K): of its columns, none for those that the model has itself; known (K,): which are its own
+    edf: effective degrees of freedom; ratio: (R) and what the line gains, in twice the log likelihood; p: of a ratio as large by
+    chance, were nothing there; precision (K,): 1/tau^2 of the z_j, 0 of the line; dispersion: c
+    """
+
+    term: Smooth
+    values: FloatArray
+    cov: FloatArray
+    known: NDArray[np.bool_]
+    edf: float
+    ratio: float
+    merit: float
+    p: float
+    precision: FloatArray
+    dispersion: float
+
+    @property
+    def own(self) -> tuple[str, ...]:
+        """Names of its own columns."""
+        return tuple(n for n, k in zip(self.term.columns, self.known, strict=True) if k)
+
+    @property
+    def flown(self) -> dict[str, float]:
+        """Values of its own columns by name."""
+        return dict(zip(self.own, self.values[self.known].tolist(), strict=True))
+
+    def curve(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Value and standard error (n,) at values of the state."""
+        rows = self.term.at(x)
+        return rows @ self.values, np.sqrt(np.einsum("nk,kj,nj->n", rows, self.cov, rows))
+
+    def stands_out(self, tried: int) -> bool:
+        """Whether it explains more than the best of so many terms does by chance, but in FAMILY of the times."""
+        return self.p * tried < FAMILY
+
+
+def fit_smooth(evidence: Evidence, free: Sequence[str], terms: Sequence[Smooth], dispersion: float = 1.0) -> list[SmoothFit]:
+    """Each of the terms alone beside the ``free`` columns."""
+    G, u = evidence.everything
+    b, c = evidence.index(free), evidence.index([n for t in terms for n in t.columns])
+    x = solve(G[np.ix_(b, b)], np.column_stack([G[np.ix_(b, c)], u[b]]))
+    g, left = G[np.ix_(c, c)] - G[np.ix_(c, b)] @ x[:, :-1], u[c] - G[np.ix_(c, b)] @ x[:, -1]
+    own = np.diagonal(G)[c]
+    out, first = [], 0
+    for t in terms:
+        k = slice(first, first + len(t.columns))
+        out.append(_fitted(t, g[k, k] / dispersion, left[k] / dispersion, own[k] / dispersion, dispersion))
+        first = k.stop
+    return out
+
+
+def _fitted(term: Smooth, G: FloatArray, u: FloatArray, own: FloatArray, dispersion: float) -> SmoothFit:
+    known = np.diagonal(G) > DEPENDENT * own
+    line, bends = np.flatnonzero(known[:_LINE]), _LINE + np.flatnonzero(known[_LINE:])
+    ratio, precision = 0.0, np.zeros(len(u))
+    right = np.column_stack([G[np.ix_(line, bends)], u[line]])
+    part = solve(G[np.ix_(line, line)], right)
+    gained = float(u[line] @ part[:, -1])
+    d, V = np.linalg.eigh(G[np.ix_(bends, bends)] - right[:, :-1].T @ part[:, :-1])
+    w = V.T @ (u[bends] - right[:, :-1].T @ part[:, -1])
+    d = np.maximum(d, 0.0)
+    if len(d) and d[-1] > 0.0:
+        taus = _TAUS / d[-1]
+        grown = 1.0 + np.outer(taus, d)
+        risen = np.sum(taus[:, None] * w**2 / grown - np.log(grown), axis=1)
+        ratio = max(0.0, float(risen.max()))
+        precision[bends] = 1.0 / taus[int(np.argmax(risen))]
+    some = np.concatenate([line, bends]) if ratio > 0.0 else line
+    cov = np.zeros((len(u), len(u)))
+    cov[np.ix_(some, some)] = solve(G[np.ix_(some, some)] + np.diag(precision[some]), np.eye(len(some)))
+    own_columns = np.zeros(len(u), dtype=bool)
+    own_columns[some] = True
+    edf, total, count = float(np.sum(cov * G)), ratio + gained, len(line)
+    # A variance that may be zero at the least counts half (Self and Liang, JASA 82, 1987).
+    p = float(special.chdtrc(count + 1, total)) if count else 0.5 * float(special.chdtrc(1, total))
+    return SmoothFit(term, cov @ u, cov, own_columns, edf, total, total - 2.0 * (count + 1), p, precision, dispersion)
+
+
+def colour_dispersion(evidence: Evidence, free: Sequence[str], fit: SmoothFit, residual: Sequence[FloatArray]) -> float:
+    """c of a term: the trace of the information by the colour of ``residual`` [(n, m)] (MK of coloured.py) over that of a white
+    one, each direction by how much of it the smoothing lets through; 1 at the least."""
+    G, _ = evidence.everything
+    b, c = evidence.index(free), evidence.index(fit.own)
+    part = solve(G[np.ix_(b, b)], G[np.ix_(b, c)])
+    alone = [evidence.series(w, c) - evidence.series(w, b) @ part for w in evidence.white]
+    weight = fit.cov[np.ix_(fit.known, fit.known)]
+    white = sum(np.einsum("nmk,nml->kl", a, a) for a in alone)
+    return max(1.0, float(np.sum(weight * coloured_information(alone, list(residual))) / np.sum(weight * white)))
+
+
+def held_out_gain(evidence: Evidence, free: Sequence[str], fit: SmoothFit, part: NDArray[np.bool_]) -> float:
+    """Twice the log likelihood that the curve estimated on the segments ``part`` gains on the others: `score.agreement`."""
+    sides = []
+    for segments in (part, ~part):
+        G, u = evidence.part(segments)
+        b, c = evidence.index(free), evidence.index(fit.own)
+        x = solve(G[np.ix_(b, b)], np.column_stack([G[np.ix_(b, c)], u[b]]))
+        sides.append((G[np.ix_(c, c)] - G[np.ix_(c, b)] @ x[:, :-1], u[c] - G[np.ix_(c, b)] @ x[:, -1]))
+    (G, u), (other, score) = sides
+    v = np.linalg.solve(G + fit.dispersion * np.diag(fit.precision[fit.known]), u)
+    return float(2.0 * v @ score - v @ other @ v)
+
+
+Form = Callable[[FloatArray], FloatArray]
+_POWERS: Mapping[str, Form] = {
+    "square": lambda x: x**2,
+    "cube": lambda x: x**3,
+    "magnitude": lambda x: np.abs(x),
+    "magnitude times itself": lambda x: np.abs(x) * x,
+}
+_PLACED: Mapping[str, Callable[[float, float, FloatArray], FloatArray]] = {
+    "kink at": lambda a, wide, x: np.maximum(x - a, 0.0),
+    "step at": lambda a, wide, x: np.tanh((x - a) / wide),
+    "hump at": lambda a, wide, x: np.exp(-(((x - a) / wide) ** 2)),
+    "dead zone to": lambda a, wide, x: x - np.clip(x, -abs(a), abs(a)),
+}
+
+
+def known_forms(knots: FloatArray) -> dict[str, Form]:
+    """Forms that physics has names for, as functions of the state: powers, and kinks, steps, humps and dead zones at each knot."""
+    places, wide = knots[4:-4], float(knots[4] - knots[3])
+    placed = {
+        f"{n} {a if n.endswith('at') else abs(a):.3g}": partial(f, a, wide) for n, f in _PLACED.items() for a in places.tolist()
+    }
+    return {**_POWERS, **placed}
+
+
+def forms_like(fit: SmoothFit, x: FloatArray, weight: FloatArray) -> list[tuple[str, float]]:
+    """(form, correlation) of the curve with each kind of `known_forms` at its best place, straight lines taken out of both; the
+    nearest first. x, weight (n,): the state at the data, and the second variable there or ones."""
+    line = np.column_stack([np.ones_like(x), x]) * weight[:, None]
+
+    def bent(values: FloatArray) -> FloatArray:
+        y = values * weight
+        left = y - line @ np.linalg.lstsq(line, y, rcond=None)[0]
+        # What rounding leaves of a line, such as a magnitude on one side of zero, is no form.
+        size = float(np.linalg.norm(left))
+        return left / size if size > 1e-6 * float(np.linalg.norm(y)) else np.zeros_like(left)
+
+    own = bent(fit.curve(x)[0])
+    every = sorted(((n, float(own @ bent(f(x)))) for n, f in known_forms(fit.term.knots).items()), key=lambda r: -abs(r[1]))
+    best: dict[str, tuple[str, float]] = {}
+    for name, correlation in every:
+        best.setdefault(next((k for k in _PLACED if name.startswith(k)), name), (name, correlation))
+    return list(best.values())
