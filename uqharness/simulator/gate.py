@@ -8,6 +8,7 @@ nothing.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -21,6 +22,7 @@ TAKEN_OUT = frozenset({"output", "input"})
 """Children of a file's root that are blanked: a host records and commands for itself."""
 
 _LONGEST_NAME = 250
+_TAG = re.compile(rb"""(?:[^"'>]++|"[^"]*+"|'[^']*+')*+>""")
 DEEPEST = 200
 """Levels of nesting that are read; aircraft have some fifteen, and JSBSim follows each with a call of its own."""
 
@@ -144,13 +146,5 @@ def _blank(text: bytes) -> Iterator[int]:
 
 def tag_end(raw: bytes, start: int) -> int:
     """Byte behind the ``>`` of the tag at ``start``; a ``>`` in quotes does not count."""
-    quote = 0
-    for at in range(start, len(raw)):
-        byte = raw[at]
-        if quote:
-            quote = 0 if byte == quote else quote
-        elif byte in b"\"'":
-            quote = byte
-        elif byte == 0x3E:
-            return at + 1
-    return len(raw)
+    found = _TAG.match(raw, start)
+    return len(raw) if found is None else found.end()

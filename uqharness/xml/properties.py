@@ -6,11 +6,13 @@ What JSBSim makes by itself does not stand there.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 from xml.sax.saxutils import escape
 
+from sysid.foreign.regular_files import read_regular
 from uqharness.errors import BadInputError
-from uqharness.xml.document import Document, Node, attribute, comment, read_document
+from uqharness.xml.document import Document, Node, attribute, comment, parse_document, read_document
 
 
 def declare(name: str, number: str, remark: str | None = None) -> str:
@@ -44,14 +46,24 @@ def declared_in(folder: Path, prefix: str) -> tuple[str, ...]:
     """Properties beginning so that files of the aircraft's folder declare and no function or component computes, sorted."""
     declared: set[str] = set()
     computed: set[str] = set()
-    for document in folder_documents(folder):
-        declared |= {name for name, _ in declarations(document) if name.startswith(prefix)}
-        for node in document.root.walk():
-            if node.tag == "function":
-                computed.add(attribute(node, "name"))
-            elif node.tag == "output":
-                computed.add(node.text.strip())
+    for path in sorted(folder.rglob("*.xml")):
+        try:
+            names, made = _declared_and_computed(read_regular(path))
+        except (BadInputError, OSError):
+            continue
+        declared |= {name for name in names if name.startswith(prefix)}
+        computed |= made
     return tuple(sorted(declared - computed))
+
+
+@lru_cache(maxsize=128)
+def _declared_and_computed(raw: bytes) -> tuple[frozenset[str], frozenset[str]]:
+    """Properties that a file declares, and those that its functions and components compute. Copies of an aircraft are made by the
+    dozen, and hold the same files. Raises BadInputError."""
+    document = parse_document(Path("file"), raw)
+    computed = {attribute(node, "name") for node in document.root.walk() if node.tag == "function"}
+    computed |= {node.text.strip() for node in document.root.walk() if node.tag == "output"}
+    return frozenset(name for name, _ in declarations(document)), frozenset(computed)
 
 
 def folder_names(folder: Path, prefix: str) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+
 import pytest
 
 from uqharness.errors import BadInputError
@@ -61,6 +63,31 @@ def test_a_tag_ends_behind_its_own_bracket():
     raw = b"<a b='>' c=\"'>\">text</a>"
     assert raw[: tag_end(raw, 0)] == b"<a b='>' c=\"'>\">"
     assert tag_end(b"<a b='>", 0) == len(b"<a b='>")
+
+
+def test_a_tags_end_byte_by_byte():
+    rng = random.Random(1)
+    ends = set()
+    for _ in range(2000):
+        raw = bytes(rng.choice(b"<a \"'>") for _ in range(rng.randrange(12)))
+        start = rng.randrange(len(raw) + 1)
+        quote, expected = 0, len(raw)
+        for at in range(start, len(raw)):
+            if quote:
+                quote = 0 if raw[at] == quote else quote
+            elif raw[at] in b"\"'":
+                quote = raw[at]
+            elif raw[at : at + 1] == b">":
+                expected = at + 1
+                break
+        assert tag_end(raw, start) == expected
+        ends.add(expected == len(raw))
+    assert ends == {True, False}
+
+
+def test_a_quote_that_never_ends_is_looked_through_once():
+    raw = b"<a b='" + b'x"' * 200_000
+    assert tag_end(raw, 0) == len(raw)
 
 
 def test_references_are_named_as_jsbsim_opens_them():

@@ -77,3 +77,12 @@ def test_what_is_computed_is_no_declared_coefficient(tmp_path: Path):
     )
     assert declared_in(tmp_path, "aero/") == ("aero/a", "aero/b")
     assert declared_in(tmp_path, "nav/") == ()
+    # Asked again: of another folder's copy, of a file that has changed, and beside one that is no XML.
+    (tmp_path / "copy").mkdir()
+    (tmp_path / "copy" / "a.xml").write_bytes((tmp_path / "a.xml").read_bytes())
+    (tmp_path / "copy" / "b.xml").write_bytes(b"<a><b></a>")
+    assert declared_in(tmp_path / "copy", "aero/") == ("aero/a", "aero/b")
+    (tmp_path / "copy" / "a.xml").write_bytes(b'<a><property value="1">aero/d</property></a>')
+    assert declared_in(tmp_path / "copy", "aero/") == ("aero/d",)
+    # Computed in one file, declared in the other.
+    assert declared_in(tmp_path, "aero/") == ("aero/a", "aero/b", "aero/d")
