@@ -1,4 +1,4 @@
-"""The classes whose values a data file may hold: dataclasses of this project's own packages."""
+"""The classes whose values a data file may hold: dataclasses and named tuples of this project's own packages."""
 
 from __future__ import annotations
 
@@ -42,6 +42,8 @@ class OwnClass:
 
     def made(self, values: Sequence[Any]) -> Any:
         """An object with these values, of which no code has run."""
+        if issubclass(self.kind, tuple):
+            return tuple.__new__(self.kind, values)
         given = dict(zip(self.fields, values, strict=True))
         found: Any = object.__new__(self.kind)
         for name, value in given.items():
@@ -75,17 +77,24 @@ def _is_package(name: str) -> bool:
 
 @cache
 def own_class(kind: type) -> OwnClass | None:
-    """What is to be known of a class to store its values; None for any but a dataclass of this project."""
+    """What is to be known of a class to store its values; None for any but a dataclass or named tuple of this project."""
     name = f"{kind.__module__}:{kind.__qualname__}"
     if not _NAME.fullmatch(name):
         return None
     # A dataclass that is a list or an error as well holds more than its fields.
-    if not dataclasses.is_dataclass(kind) or kind.__new__ is not object.__new__:
+    plain = dataclasses.is_dataclass(kind) and kind.__new__ is object.__new__
+    if not plain and not _is_named_tuple(kind):
         return None
     try:
         hints = typing.get_type_hints(kind)
     except NameError:
         # Annotated with what is imported for type checkers alone.
         return None
-    fields = tuple(field.name for field in dataclasses.fields(kind))
+    named: Any = kind
+    fields = tuple(field.name for field in dataclasses.fields(named)) if plain else tuple(named._fields)
     return OwnClass(kind, name, fields, tuple(hints[field] for field in fields))
+
+
+def _is_named_tuple(kind: type) -> bool:
+    fields = getattr(kind, "_fields", None)
+    return kind.__bases__ == (tuple,) and isinstance(fields, tuple) and all(name in kind.__annotations__ for name in fields)

@@ -226,9 +226,11 @@ def _felt_at(p: Probe, outputs: Sequence[str], place_m: Array) -> Array:
 
 
 def later_controls(p: Probe) -> Array:
-    """(n, 6) change of the coefficients per second by which all controls act later."""
-    rate = np.gradient(p.controls, p.reference.dt_s, axis=0)
-    return -np.einsum("ncj,nj->nc", p.by_control, rate)
+    """(n, 6) change of the coefficients per second by which all controls act later; where predictions judge, that of a jump stands
+    at its row, and not half a row earlier with the mean of its neighbours."""
+    h = p.reference.dt_s
+    change = -np.einsum("ncj,nj->nc", p.by_control, np.gradient(p.controls, h, axis=0))
+    return change if p.jump is None else change + 0.5 / h * np.diff(p.jump, axis=0, append=0.0 * p.jump[:1])
 
 
 def _written(slopes: Mapping[str, float], control: str) -> Array:

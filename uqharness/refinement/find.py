@@ -130,6 +130,7 @@ def find_effects(
         )
     confirming = confirming_segments(setup)
     limits = {n: (c.bounds if c.bounds is not None else (-np.inf, np.inf)) for n, c in aircraft.card.parameters.items()}
+    late = None
     with Bench(aircraft, measured, ideal) as bench:
         say("re-identifying the parameters")
         keep = stages or Stages(None, ())
@@ -149,14 +150,20 @@ def find_effects(
                 lambda: gust_refit(bench.model, bench.straight, gusty, at, names, limits, map_, tune=True),
             )
             if air.gusts.air:
-                return _in_gusts(bench, air, names, limits, effects, confirming, notes, work, map_, say)
+                found = _in_gusts(bench, air, names, limits, effects, confirming, notes, work, map_, say, put_right)
+                if isinstance(found, Found):
+                    return found
+                late = found
             notes = [*notes, NO_AIR]
-        say(f"scoring {len(effects)} candidate effects")
-        setup = limits_tried(setup, before.probes, before.columns[0].names, lambda extra: column_evidence(setup, before, extra))
-        timed = () if setup.late else (CONTROLS_LATE,)
-        evidence = candidate_evidence(setup, before, [*effects, *timed])
-        odds, dt = eligible(effects, setup, before, evidence), setup.segments[0].command_s
-        late = _of_the_clock(setup, before, evidence, effects, confirming) if timed and len(put_right) < MOST_CORRECTIONS else None
+        dt = setup.segments[0].command_s
+        if late is None:
+            say(f"scoring {len(effects)} candidate effects")
+            setup = limits_tried(setup, before.probes, before.columns[0].names, lambda extra: column_evidence(setup, before, extra))
+            timed = () if setup.late else (CONTROLS_LATE,)
+            evidence = candidate_evidence(setup, before, [*effects, *timed])
+            odds = eligible(effects, setup, before, evidence)
+            if timed and len(put_right) < MOST_CORRECTIONS:
+                late = _of_the_clock(setup, before, evidence, effects, confirming)
     if late is not None:
         say(f"all controls act {1e3 * late[0]:.1f} ms after their rows; putting the records right")
         right = make_setup(aircraft, later(setup.flights, late[0]), measured, ideal)
@@ -194,15 +201,17 @@ def find_effects(
 
 
 def _of_the_clock(
-    setup: Setup, before: Fit, evidence: Evidence, effects: Sequence[Effect], confirming: NDArray[np.bool_]
-) -> tuple[float, float] | None:
-    """`controls_late` of the flights as they are with the controls at their rows, beside the effects that compete with it there."""
+    setup: Setup, before: Fit, evidence: Evidence, effects: Sequence[Effect], confirming: NDArray[np.bool_], least_t: float = 0.0,
+) -> tuple[float, float] | None:  # fmt: skip
+    """`controls_late` of the flights as they are with the controls at their rows, beside the effects that compete with it there;
+    least_t: |t| asked at least."""
     held = {lateness(f): before.flown.point.nuisance[lateness(f)] for f in setup.timed}
     at_rows, dt = evidence.taken_out(held), setup.segments[0].command_s
     columns = [replace(c, names=tuple(n for n in c.names if n not in held)) for c in before.columns]
     free = columns[0].names
     odds = eligible(effects, setup, replace(before, columns=columns), at_rows)
-    return controls_late(at_rows, free, odds, confirming, threshold(len(odds) + 1), LEAST_LATE_ROWS * dt, dt)
+    limit = max(threshold(len(odds) + 1), least_t)
+    return controls_late(at_rows, free, odds, confirming, limit, LEAST_LATE_ROWS * dt, dt)
 
 
 def _not_borne_out(first: Selection, limit: float) -> Refusal | None:
@@ -236,11 +245,17 @@ def gust_like(effect: Effect) -> bool:
 def _in_gusts(
     bench: Bench, found: GustFit, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]],
     effects: Sequence[Effect], confirming: NDArray[np.bool_], notes: Sequence[str], work: Path, map_: Processes, say: Say,
-) -> Found:  # fmt: skip
-    """The same choice made on one-step predictions; found: the fit without effects."""
+    put_right: tuple[float, ...] = (),
+) -> Found | tuple[float, float]:  # fmt: skip
+    """The same choice made on one-step predictions; found: the fit without effects. Where the records' clock is off, by how much
+    (`controls_late`), and nothing is chosen."""
     free = found.fit.columns[0].names
     setup = limits_tried(found.setup, found.fit.probes, free, lambda extra: gust_evidence(found.setup, found, extra))
-    evidence = gust_evidence(setup, found, effect_columns(setup, found.fit.probes, found.fit.flown, effects))
+    timed = (CONTROLS_LATE,) if setup.timed and len(put_right) < MOST_CORRECTIONS else ()
+    evidence = gust_evidence(setup, found, effect_columns(setup, found.fit.probes, found.fit.flown, [*effects, *timed]))
+    late = _of_the_clock(setup, found.fit, evidence, effects, confirming, GUST_LIMIT) if timed else None
+    if late is not None:
+        return late
     handicap = {e.key: GUST_ODDS for e in effects if gust_like(e)}
     odds = {k: o + handicap.get(k, 0.0) for k, o in eligible(effects, setup, found.fit, evidence).items()}
     limit = max(threshold(len(odds)), GUST_LIMIT)
@@ -274,7 +289,7 @@ def _in_gusts(
         setup if best is None else best.setup, names, found.fit, after, selection, by_key,
         parameters, (*notes, note), _moved_alone(evidence, names, found.fit),
         air,
-        score_table(evidence, free, odds, by_key), limit,
+        score_table(evidence, free, odds, by_key), limit, sum(put_right),
         trail=tuple(f"one-step predictions: {line}" for line in trail), slopes=slopes,
         flown={} if best is None else best.about.flown,
         left=left_beside(last, free, [c.key for c in selection.chosen], eligible(effects, setup, after, last)),

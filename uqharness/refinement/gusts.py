@@ -22,7 +22,7 @@ from uqharness.refinement.candidates import at_vane, sensor_gain, sensor_offset,
 from uqharness.refinement.fit import PRIOR, Fit, jumps_unseen, parameter_columns, positions, probes, stepped, steps_of
 from uqharness.refinement.reference import Predicted, Probe, along, named_terms
 from uqharness.refinement.sensed import as_sensed, moved_later, sensor_late_s
-from uqharness.refinement.types import Flown, Point, Setup, unseen
+from uqharness.refinement.types import Flown, Point, Setup, lateness, unseen
 from uqharness.replay import CONTROLS, ReplayModel, Segment, by_run, surface_positions
 
 Array = NDArray[np.float64]
@@ -140,12 +140,23 @@ def predict(
 ) -> tuple[Flown, list[Probe]]:
     """The measured flight and the model's forces along it."""
     flown = measured_flight(setup, point)
-    controls, bends = positions(model, setup, point), middles(model, setup, point)
+    made = zip(setup.segments, positions(model, setup, point), strict=True)
+    jumps = np.array([c in model.jumping for c in model.controls])
+    controls = [_later(u, point.nuisance.get(lateness(s.flight), 0.0) / s.dt_s, jumps) for s, u in made]
+    bends = middles(model, setup, point)
     found = [
         replace(along(p, bend=_bend(p, b)), jump=_jump(p, b))
         for p, b in zip(probes(straight, setup, flown, controls, differ, map_, consistent=False), bends, strict=True)
     ]
     return flown, found
+
+
+def _later(controls: Array, rows: float, jumps: NDArray[np.bool_]) -> Array:
+    """(n, c) controls as they stand a part of a row later, to the first order; jumps (c,): which of them jump, at their rows."""
+    if not rows:
+        return controls
+    change = np.where(jumps, np.diff(controls, axis=0, prepend=controls[:1]), np.gradient(controls, axis=0))
+    return np.asarray(controls - rows * change)
 
 
 def _bend(p: Probe, away: Array) -> Array:

@@ -143,8 +143,8 @@ def estimated_channels(setup: Setup) -> tuple[str, ...]:
 
 def setup_in_gusts(aircraft: Aircraft, setup: Setup) -> Setup:
     """The same with the card's sensor noise where it says one: third differences of an accelerometer see gusts as noise. The card
-    says nothing of what an estimator computed. Predictions are made with the controls at their rows."""
+    says nothing of what an estimator computed."""
     stated, guessed = aircraft.card.sensors.noise_std, estimated_channels(setup)
     given = zip(setup.outputs, setup.noise.tolist(), strict=True)
     noise = np.array([n if c in guessed else stated.get(c, n) for c, n in given])
-    return replace(setup, noise=noise, timed=())
+    return replace(setup, noise=noise)

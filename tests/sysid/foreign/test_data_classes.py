@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import pytest
 
+from sysid.aerodynamics import GustStates
 from sysid.errors import Finding, LogError
 from sysid.foreign.data_classes import find_class, own_class
+from sysid.foreign.data_file import dump, load
 from sysid.record import FlightRecord
 
 FIELDS = ["code", "channel", "severity", "message", "numbers", "spoils", "mend"]
@@ -27,6 +29,17 @@ def test_a_class_is_found_by_its_name_and_made_without_running_it():
     assert record.made([{}, None]).columns == {}
     with pytest.raises(LogError, match="time_s"):
         FlightRecord({})
+
+
+def test_a_named_tuple_is_made_of_its_fields():
+    value = GustStates(2.8, turning_with=False)
+    own = own_class(GustStates)
+    assert own is find_class("sysid.aerodynamics.gust_states:GustStates", list(GustStates._fields))
+    found = load(dump({"states": value}))["states"]
+    assert type(found) is GustStates
+    assert found == value
+    assert "b of sysid.aerodynamics.gust_states:GustStates holds a str" in own.misfit(["2.8", 0.0, True, True])
+    assert own_class(type("Other", (GustStates,), {"__module__": "sysid.aerodynamics.gust_states"})) is None
 
 
 def test_values_of_another_type_are_told():

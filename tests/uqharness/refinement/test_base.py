@@ -38,7 +38,7 @@ def test_noise_of_a_computed_channel_is_what_the_model_leaves_of_it():
 
 
 def test_in_gusts_the_card_speaks_of_sensors_alone(monkeypatch):
-    monkeypatch.setattr("uqharness.refinement.setup.replace", lambda setup, noise, timed: noise)
+    monkeypatch.setattr("uqharness.refinement.setup.replace", lambda setup, noise: noise)
     card = SimpleNamespace(sensors=SimpleNamespace(noise_std={"alpha_rad": 0.0017, "p_radps": 0.0035}))
     aircraft = SimpleNamespace(card=card)
     assert setup_in_gusts(aircraft, setup_of(estimates=("alpha_rad",))).tolist() == [0.002, 0.0035]

@@ -19,7 +19,7 @@ from sysid.effects.subsystem_effects import subsystem_effects
 from sysid.parallel import ALONE
 from uqharness.refinement import gusts as refine_gusts
 from uqharness.refinement import rounds as refine_rounds
-from uqharness.refinement.candidates import effect_columns
+from uqharness.refinement.candidates import effect_columns, later_controls
 from uqharness.refinement.fit import steps_of
 from uqharness.refinement.gusts import in_step, moved, rows_late
 from uqharness.refinement.reference import Predicted, Probe
@@ -286,6 +286,28 @@ def test_a_surface_without_a_lag_stands_where_it_stood_until_the_next_row():
     # A servo is nowhere in two places: at a step's end it is where the next row has it.
     assert not end[:, 1:].any()
     assert np.abs(middle[6:, 1]).max() > 0.01
+
+
+def test_a_jump_that_comes_later_is_lacking_from_its_row_on():
+    """The time by which controls act late, as a column and as it is flown: by slope and by difference the same."""
+    u = np.tile([1.0, 0.0, 0.0, 55.0], (N, 1))
+    u[6:, 0] += 4.0
+    u[:, 1] = 0.3 * np.arange(N)
+    jumps = np.array([True, False, False, False])
+    change = (refine_gusts._later(u, 0.1, jumps) - u) / (0.1 * DT)
+    assert np.flatnonzero(change[:, 0]).tolist() == [6]
+    assert change[6, 0] == pytest.approx(-4.0 / DT)
+    assert change[:, 1] == pytest.approx(-0.3 / DT)
+    assert refine_gusts._later(u, 0.0, jumps) is u
+    probe = probe_of(np.random.default_rng(3))
+    jump = np.zeros((N, 6))
+    steady = np.repeat(np.random.default_rng(4).standard_normal((1, 6, 4)), N, axis=0)
+    jump[6] = 4.0 * steady[6, :, 0]
+    found = later_controls(replace(probe, controls=u, jump=jump, by_control=steady))
+    np.testing.assert_allclose(found, np.einsum("ncj,nj->nc", steady, change), atol=1e-9)
+    # Without a word of the jump half of it comes a row early.
+    early = later_controls(replace(probe, controls=u, jump=None, by_control=steady))
+    assert np.abs(early - found)[5].max() > 0.1
 
 
 def test_commands_between_rows_leave_the_middle_the_area_of_their_path():
