@@ -115,6 +115,12 @@ class Found:
         """Whether one-step predictions judged."""
         return self.gusts is not None
 
+    @property
+    def controls_late_s(self) -> float:
+        """How late the controls act by records whose clock is off: by how much they were moved, and what was left then; else 0."""
+        left = [v for n, v in self.after.flown.point.nuisance.items() if n.startswith("lateness/")]
+        return self.late_s + float(np.mean(left or [0.0])) if self.late_s else 0.0
+
 
 def find_effects(
     aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], extra: Sequence[Effect], work: Path,
@@ -169,7 +175,7 @@ def find_effects(
         right = make_setup(aircraft, later(setup.flights, late[0]), measured, ideal)
         found = find_effects(aircraft, right, measured, ideal, extra, work, map_, say, stages, (*put_right, late[0]), lone)
         if not put_right:
-            found = replace(found, notes=(words(found.late_s, late[1], dt), *found.notes))
+            found = replace(found, notes=(words(found.controls_late_s, late[1], dt), *found.notes))
         return found
     board = score_table(evidence, before.columns[0].names, odds, by_key)
     limit = chance_limit(evidence, before.columns[0].names, list(odds))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
+import pytest
 
 from sysid.effects.catalogue import coefficient_effect
 from sysid.effects.score import Evidence
 from sysid.effects.selection import Choice, Selection
-from uqharness.refinement.find import LEFT_T, RATES_IN_GUSTS, left_beside, with_resolution
+from uqharness.refinement.find import LEFT_T, RATES_IN_GUSTS, Found, left_beside, with_resolution
 from uqharness.refinement.showing.words import still_asked
 
 
@@ -49,3 +52,11 @@ def test_in_turbulence_rates_of_the_wind_angles_have_wider_errors_and_nothing_el
     assert [c.std for c in calm] == [0.1, 0.1]
     assert [c.std for c in gusty] == [RATES_IN_GUSTS * 0.1, 0.1]
     assert [c.t for c in gusty] == [20.0, 20.0]
+
+
+@pytest.mark.parametrize(("moved_s", "said_s"), [(0.0475, 0.0402), (0.0, 0.0)])
+def test_what_a_records_clock_is_off_by_is_the_move_and_what_is_left(moved_s, said_s):
+    nuisance = {"lateness/one/controls": -0.0070, "lateness/two/controls": -0.0076, "bias/one/q_radps": 1.0}
+    after = SimpleNamespace(flown=SimpleNamespace(point=SimpleNamespace(nuisance=nuisance)))
+    found = SimpleNamespace(late_s=moved_s, after=after)
+    assert Found.controls_late_s.fget(found) == pytest.approx(said_s)

@@ -147,7 +147,7 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
             "limit": found.limit,
             "scores": [{"effect": name, "t": t} for name, t in found.scoreboard],
         },
-        "timing": {"controls_late_s": found.late_s},
+        "timing": {"controls_late_s": found.controls_late_s},
         "trail": list(found.trail),
         "notes": [*found.notes, *(n for f in setup.flights for n in f.notes)],
     }
