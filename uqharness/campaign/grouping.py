@@ -28,7 +28,7 @@ def lanes_of(cases: Sequence[Case], workers: int) -> int:
 
 
 def groups_of(cases: Sequence[Case], workers: int) -> list[Group]:
-    """Cases of one condition each, in case order; the groups in the order of their first cases."""
+    """Cases of one condition each, in case order; the largest groups first, so that no worker waits long for the last."""
     if not cases:
         return []
     lanes = lanes_of(cases, workers)
@@ -45,4 +45,4 @@ def groups_of(cases: Sequence[Case], workers: int) -> list[Group]:
         for members in by_condition.values()
         for first in range(0, len(members), lanes)
     ]
-    return sorted(groups, key=lambda group: place[group.cases[0][0]])
+    return sorted(groups, key=lambda group: (-len(group.cases), place[group.cases[0][0]]))
