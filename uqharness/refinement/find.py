@@ -160,7 +160,8 @@ def find_effects(
                 if isinstance(found, Found):
                     return found
                 late = found
-            notes = [*notes, NO_AIR]
+            else:
+                notes = [*notes, NO_AIR]
         dt = setup.segments[0].command_s
         if late is None:
             say(f"scoring {len(effects)} candidate effects")

@@ -27,6 +27,7 @@ from uqharness.refinement.types import Flown, Point, Setup, in_dynamics, latenes
 from uqharness.replay import (
     CHANNELS,
     CONTROLS,
+    FELT,
     SENSOR_OF,
     STATES,
     UNSEEN,
@@ -41,7 +42,6 @@ from uqharness.replay import (
 )
 
 Array = NDArray[np.float64]
-_FELT = ("ax_mps2", "ay_mps2", "az_mps2")
 
 
 def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flown:
@@ -170,7 +170,7 @@ def jumps_unseen(setup: Setup, found: Sequence[Probe], point: Point) -> list[Arr
     gain = [sensor_gain(c, point) for c in setup.outputs]
     out = []
     for p in found:
-        lacking = dict(zip(_FELT, -p.felt_jump().T, strict=True))
+        lacking = dict(zip(FELT, -p.felt_jump().T, strict=True))
         out.append(
             np.column_stack([g * lacking.get(c, np.zeros(len(p.controls))) for c, g in zip(setup.outputs, gain, strict=True)])
         )

@@ -23,6 +23,7 @@ from .histories import have as have
 from .histories import read_histories as read_histories
 from .histories import write_histories as write_histories
 from .histories import write_pieces as write_pieces
+from .in_lanes import FELT as FELT
 from .in_lanes import ReplayJob as ReplayJob
 from .in_lanes import as_flown as as_flown
 from .in_lanes import fly_all as fly_all

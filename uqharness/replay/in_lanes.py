@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 _LOG = logging.getLogger("uqharness")
 _KEPT, _LEVELS, _TIMINGS = 8, 512, 512
-FELT = frozenset({"ax_mps2", "ay_mps2", "az_mps2"})
+FELT = ("ax_mps2", "ay_mps2", "az_mps2")
 """Channels that jump with a control."""
 _AGREES = 1e-6
 """Largest difference of a channel between the engines, in units of its largest size in the replay."""
@@ -53,7 +53,7 @@ class ReplayJob:
 def as_flown(job: ReplayJob, on_time: Sequence[str]) -> tuple[ReplayJob, ...]:
     """The replays that make up one: with outputs between its rows, for sensors that are late, and where controls jump the rows by
     themselves, for accelerometers among the channels ``on_time``: what a row has seen of a jump is a matter of that row alone."""
-    if not job.between or not job.model.jumping or not FELT.intersection(on_time):
+    if not job.between or not job.model.jumping or not set(FELT) & set(on_time):
         return (job,)
     return replace(job, unseen=0.0), replace(job, between=False)
 
