@@ -13,7 +13,6 @@ from .force import ForcedModel as ForcedModel
 from .force import StatesOf as StatesOf
 from .force import force_all as force_all
 from .force import force_states as force_states
-from .force import surface_positions as surface_positions
 from .ground import altitudes as altitudes
 from .ground import terrain_m as terrain_m
 from .histories import HISTORIES as HISTORIES
@@ -40,6 +39,7 @@ from .model import ReplayModel as ReplayModel
 from .model import control_setters as control_setters
 from .pool import replay_pool as replay_pool
 from .pool import spread_over as spread_over
+from .positions import surface_positions as surface_positions
 from .replay import CHANNELS as CHANNELS
 from .replay import CONTROL_DELAY as CONTROL_DELAY
 from .replay import SENSOR_OF as SENSOR_OF

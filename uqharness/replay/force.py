@@ -18,20 +18,14 @@ from uqharness.replay.forced import States, by_batch
 from uqharness.replay.ground import terrain_m
 from uqharness.replay.model import ReplayModel, control_setters
 from uqharness.replay.segments import Segment
-from uqharness.simulator import TRIM_LATITUDE_DEG, body_velocity, engine, position_factor
+from uqharness.simulator import TRIM_LATITUDE_DEG, body_velocity, engine
 
 Array = NDArray[np.float64]
 _FORCES = tuple(f"forces/fb{a}-{kind}-lbs" for kind in ("total", "aero") for a in "xyz")
 _MOMENTS = tuple(f"moments/{a}-{kind}-lbsft" for kind in ("total", "aero") for a in "lmn")
 _RECORDS = (*_FORCES, *_MOMENTS, "aero/qbar-psf")
-_STOOD_BYTES, _WEIGHED = 50_000_000, 8
-_stood: OrderedDict[tuple[object, ...], Array] = OrderedDict()
+_WEIGHED = 8
 _weighed: OrderedDict[tuple[object, ...], MassProperties] = OrderedDict()
-WORTH_S = 60.0
-"""Seconds of flight from which on positions are flown by the batch engine where they are asked for several times, each time with
-other servos."""
-WORTH_ONCE_S = 300.0
-"""The same where they are asked for once: for as much JSBSim takes as long as a compiler."""
 SETTLED_RADPS, MOST_FRAMES = 1e-6, 25
 """Change of alphadot and betadot from frame to frame at which a forced state has settled, and the frames that it may take."""
 
@@ -209,53 +203,3 @@ def mass_properties(fdm: Any, model: ReplayModel) -> MassProperties:
         reference.b_m or get("metrics/bw-ft") * FT_M,
         reference.c_m or get("metrics/cbarw-ft") * FT_M,
     )  # fmt: skip
-
-
-def surface_positions(
-    model: ReplayModel, cut: Sequence[Segment], names: Sequence[str], properties: Mapping[str, float] | None = None,
-    worth_s: float = WORTH_S,
-) -> list[Array]:  # fmt: skip
-    """Of each segment (n, c) where the controls stood: the record's own values where measured, else what the model's actuators make
-    of them.
-
-    properties: values in force, of which the actuators' own count. What was asked before is remembered: residuals ask for the same
-    stretch under many states. worth_s: seconds of flight from which on the batch engine flies it.
-    """
-    servos = {name: value for name, value in (properties or {}).items() if name in model.servos}
-    keys = [(*_key(model, segment, names), *servos.items()) for segment in cut]
-    missing = {key: segment for key, segment in zip(keys, cut, strict=True) if key not in _stood}
-    _stood.update(zip(missing, _positions(model, list(missing.values()), names, servos, worth_s), strict=True))
-    out = []
-    for key in keys:
-        _stood.move_to_end(key)
-        out.append(_stood[key].copy())
-    while sum(value.nbytes for value in _stood.values()) > _STOOD_BYTES:
-        _stood.popitem(last=False)
-    return out
-
-
-def _key(model: ReplayModel, segment: Segment, names: Sequence[str]) -> tuple[object, ...]:
-    asked = (segment.at_commands().controls, segment.time_s, segment.start, np.array([segment.altitude_m, segment.h_m]))
-    return (model.identity, *(a.tobytes() for a in asked), *names)
-
-
-def _positions(
-    model: ReplayModel, cut: Sequence[Segment], names: Sequence[str], servos: Mapping[str, float], worth_s: float
-) -> list[Array]:
-    from uqharness.replay.in_lanes import ReplayJob, by_jsbsim, fly_all
-    from uqharness.replay.replay import CHANNELS
-
-    out = [segment.at_commands().controls[:: segment.per_row].copy() for segment in cut]
-    known = {c: p for c, p in model.positions().items() if c in names and c not in model.measured}
-    if not known or not cut:
-        return out
-    jobs = [ReplayJob(model, segment, servos, segment.start, extra=tuple(known.values())) for segment in cut]
-    flown = fly_all(jobs) if sum(s.time_s[-1] - s.time_s[0] for s in cut) > worth_s else map(by_jsbsim, jobs)
-    for stood, rows in zip(out, flown, strict=True):
-        for k, control in enumerate(known, len(CHANNELS)):
-            column = model.controls.index(control)
-            good = np.isfinite(rows[:, k])
-            # A surface's position may be in another unit than its command; a throttle's is in the command's.
-            unit = 1.0 / model.factor[column] if control == "throttle" else position_factor(model.card.inputs[control])
-            stood[good, column] = rows[good, k] * unit
-    return out

@@ -14,8 +14,9 @@ from sysid.aerodynamics import Cutoffs, Model, Piece, Prediction, Residuals, cut
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
 from uqharness.replay.flights import Flight, control_columns, read_flights, segments
-from uqharness.replay.force import WORTH_ONCE_S, StatesOf, force_all, surface_positions
+from uqharness.replay.force import StatesOf, force_all
 from uqharness.replay.model import CONTROLS, ReplayFolder, ReplayModel
+from uqharness.replay.positions import WORTH_ONCE_S, surface_positions
 from uqharness.replay.segments import Segment
 from uqharness.simulator import Aircraft
 

@@ -4,6 +4,9 @@ from .aerodynamics import Axis as Axis
 from .aerodynamics import read_reference as read_reference
 from .aerodynamics import read_section as read_section
 from .aerodynamics import require_reference as require_reference
+from .control_chain import ControlChain as ControlChain
+from .control_chain import ControlFiles as ControlFiles
+from .control_chain import control_chain as control_chain
 from .document import Document as Document
 from .document import Insertion as Insertion
 from .document import Node as Node

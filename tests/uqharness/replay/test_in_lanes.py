@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -13,14 +12,11 @@ from uqharness.errors import BadInputError
 from uqharness.plugin import with_card
 from uqharness.replay import (
     CHANNELS,
-    CONTROLS,
     ReplayFolder,
     ReplayJob,
     ReplayModel,
     Segment,
     fly_all,
-    force,
-    surface_positions,
 )
 from uqharness.replay import in_lanes as module
 from uqharness.replay.in_lanes import by_jsbsim
@@ -110,21 +106,6 @@ def test_rows_behind_a_failure_are_nan(model: ReplayModel) -> None:
     assert np.isfinite(ours[0]).all()
     assert np.isnan(theirs[-1]).all()
     assert apart(beside, by_jsbsim(calm)) < 1e-8
-
-
-def test_positions_are_the_same_whoever_flies_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    flown = []
-    monkeypatch.setattr(module, "fly_all", lambda some: flown.append(len(some)) or fly_all(some))
-    with ReplayFolder(find_aircraft("espaaro")) as commanded:
-        found = []
-        for worth_s, times in ((0.0, 1), (1e3, 0)):
-            monkeypatch.setattr(force, "_stood", OrderedDict())
-            (stood,) = surface_positions(commanded, [segment(seed=7)], CONTROLS, worth_s=worth_s)
-            found.append(stood)
-            assert len(flown) == times
-            flown.clear()
-    assert apart(*found) < 1e-9
-    assert apart(found[0], segment(seed=7).controls) > 0.01
 
 
 def test_what_is_not_understood_is_flown_by_jsbsim(model: ReplayModel, monkeypatch: pytest.MonkeyPatch) -> None:

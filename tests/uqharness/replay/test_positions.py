@@ -1,0 +1,178 @@
+"""Where the surfaces stood: components alone against the whole aircraft in JSBSim, and what shares an answer."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.uqharness.replay.test_in_lanes import DT_S, apart, segment
+from uqharness.plugin import with_card
+from uqharness.replay import CHANNELS, CONTROLS, ReplayFolder, ReplayJob, ReplayModel, Segment, fly_all, surface_positions
+from uqharness.replay import positions as module
+from uqharness.replay.in_lanes import by_jsbsim
+from uqharness.simulator import Aircraft, copy_folder, find_aircraft
+
+RATE = "fcs/servo-rate-deg_sec"
+LAG = "<lag>25</lag>"
+
+
+@pytest.fixture(autouse=True)
+def nothing_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever other tests asked for is forgotten."""
+    for name in ("_stood", "_chains", "_tried"):
+        monkeypatch.setattr(module, name, OrderedDict())
+
+
+@pytest.fixture
+def flights(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
+    """How many stretches were flown by components alone, and by whole aircraft."""
+    count = {"chain": 0, "whole": 0}
+
+    def counted(kind: str, real):
+        def call(*args: object):
+            count[kind] += len(args[1]) if kind == "whole" else len(args[2].time_s) > module._TRIED_ROWS
+            return real(*args)
+
+        return call
+
+    monkeypatch.setattr(module, "_by_chain", counted("chain", module._by_chain))
+    monkeypatch.setattr(module, "_flown", counted("whole", module._flown))
+    return count
+
+
+def changed(tmp_path: Path, old: str, new: str) -> Aircraft:
+    """The E-SPAARO with a text of its XML replaced everywhere."""
+    folder = tmp_path / "espaaro"
+    copy_folder(find_aircraft("espaaro").folder, folder)
+    xml = folder / "espaaro.xml"
+    text = xml.read_text(encoding="utf-8")
+    assert old in text
+    xml.write_text(text.replace(old, new), encoding="utf-8")
+    return find_aircraft(folder)
+
+
+@pytest.fixture(scope="module")
+def model() -> Iterator[ReplayModel]:
+    """The E-SPAARO, surfaces commanded."""
+    with ReplayFolder(find_aircraft("espaaro")) as made:
+        yield made
+
+
+def in_jsbsim(model: ReplayModel, piece: Segment, properties: dict[str, float] | None = None) -> np.ndarray:
+    """Positions of the whole aircraft [record units]; the E-SPAARO's are in these."""
+    job = ReplayJob(model, piece, properties or {}, piece.start, extra=tuple(model.positions().values()))
+    return by_jsbsim(job)[:, len(CHANNELS) :]
+
+
+@pytest.mark.parametrize("dt_s", [DT_S, 0.01, 0.0213])
+def test_components_alone_put_the_surfaces_where_jsbsim_s_aircraft_does(
+    model: ReplayModel, flights: dict[str, int], dt_s: float
+) -> None:
+    piece = segment(dt_s=dt_s, seed=3)
+    (stood,) = surface_positions(model, [piece], CONTROLS)
+    assert flights == {"chain": 1, "whole": 0}
+    np.testing.assert_allclose(stood, in_jsbsim(model, piece), rtol=0.0, atol=1e-12)
+    assert apart(stood, piece.controls) > 0.01
+
+
+def test_a_servo_s_number_in_force_counts(model: ReplayModel, flights: dict[str, int]) -> None:
+    piece = segment(seed=4)
+    (fast,) = surface_positions(model, [piece], CONTROLS)
+    (slow,) = surface_positions(model, [piece], CONTROLS, {RATE: 20.0, "aero/Cm_q": -3.0})
+    np.testing.assert_allclose(slow, in_jsbsim(model, piece, {RATE: 20.0}), rtol=0.0, atol=1e-12)
+    assert apart(fast, slow) > 0.05
+    surface_positions(model, [piece], CONTROLS, {RATE: 20.0, "aero/Cm_q": -30.0})
+    assert flights == {"chain": 2, "whole": 0}
+
+
+def test_a_copy_with_another_aerodynamics_another_start_and_another_height_share(
+    model: ReplayModel, flights: dict[str, int], tmp_path: Path
+) -> None:
+    piece = segment(seed=5)
+    (before,) = surface_positions(model, [piece], CONTROLS)
+    with ReplayFolder(changed(tmp_path, "</aerodynamics>", '<property value="1">effect/x</property></aerodynamics>')) as copy:
+        assert copy.identity != model.identity
+        moved = replace(piece, start=piece.start * 1.1, altitude_m=700.0)
+        (after,) = surface_positions(copy, [moved], CONTROLS)
+        assert flights == {"chain": 1, "whole": 0}
+        np.testing.assert_array_equal(after, before)
+        np.testing.assert_allclose(after, in_jsbsim(copy, moved), rtol=0.0, atol=1e-12)
+
+
+def test_a_copy_with_another_lag_does_not_share(model: ReplayModel, flights: dict[str, int], tmp_path: Path) -> None:
+    piece = segment(seed=6)
+    (before,) = surface_positions(model, [piece], CONTROLS)
+    with ReplayFolder(changed(tmp_path, LAG, "<lag>12</lag>")) as copy:
+        (after,) = surface_positions(copy, [piece], CONTROLS)
+        assert flights == {"chain": 2, "whole": 0}
+        assert apart(after, before) > 0.01
+        np.testing.assert_allclose(after, in_jsbsim(copy, piece), rtol=0.0, atol=1e-12)
+
+
+def test_a_servo_that_reads_the_airspeed_is_flown_with_its_aircraft(flights: dict[str, int], tmp_path: Path) -> None:
+    with ReplayFolder(changed(tmp_path, f"<rate_limit>{RATE}</rate_limit>", "<rate_limit>velocities/vt-fps</rate_limit>")) as copy:
+        piece = segment(seed=7)
+        (stood,) = surface_positions(copy, [piece], CONTROLS)
+        np.testing.assert_allclose(stood, in_jsbsim(copy, piece), rtol=0.0, atol=1e-9)
+        faster = replace(piece, start=piece.start * np.array([1.5, *[1.0] * 8]))
+        surface_positions(copy, [faster], CONTROLS)
+        assert flights == {"chain": 0, "whole": 2}
+
+
+def test_a_chain_that_comes_to_other_positions_is_not_used(
+    model: ReplayModel, flights: dict[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = module.control_chain
+
+    def wrong(*args):
+        found = real(*args)
+        return replace(found, xml=found.xml.replace(LAG, "<lag>25.0001</lag>"))
+
+    monkeypatch.setattr(module, "control_chain", wrong)
+    piece = segment(seed=8)
+    (stood,) = surface_positions(model, [piece], CONTROLS)
+    assert flights == {"chain": 0, "whole": 1}
+    np.testing.assert_allclose(stood, in_jsbsim(model, piece), rtol=0.0, atol=1e-9)
+
+
+def test_an_aircraft_with_an_engine_and_its_lever(flights: dict[str, int]) -> None:
+    aircraft = with_card(find_aircraft("c172p"))
+    lever = aircraft.card.inputs["throttle"].model_copy(update={"position": "fcs/throttle-pos-norm"})
+    card = aircraft.card.model_copy(update={"inputs": {**aircraft.card.inputs, "throttle": lever}})
+    with ReplayFolder(replace(aircraft, card=card)) as model:
+        piece = replace(segment(seed=9), start=np.array([50.0, 0.03, 0.0, 0.02, 0.03, 1.0, 0.0, 0.0, 0.0]))
+        (stood,) = surface_positions(model, [piece], CONTROLS)
+        assert flights == {"chain": 1, "whole": 0}
+        job = ReplayJob(model, piece, {}, piece.start, extra=("fcs/rudder-pos-deg", "fcs/throttle-pos-norm"))
+        rudder, throttle = by_jsbsim(job)[:, len(CHANNELS) :].T
+        np.testing.assert_allclose(stood[:, CONTROLS.index("rudder")], rudder, rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(stood[:, CONTROLS.index("throttle")], 100.0 * throttle, rtol=0.0, atol=1e-10)
+
+
+def test_measured_positions_are_the_record_s_own(flights: dict[str, int]) -> None:
+    with ReplayFolder(find_aircraft("espaaro"), measured=CONTROLS[:3]) as model:
+        piece = segment(seed=10)
+        (stood,) = surface_positions(model, [piece], CONTROLS)
+        np.testing.assert_array_equal(stood[:, :3], piece.controls[:, :3])
+        assert apart(stood[:, 3:], piece.controls[:, 3:]) > 0.01
+
+
+def test_whole_aircraft_come_to_the_same_whoever_flies_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    flown = []
+    monkeypatch.setattr(module, "fly_all", lambda some: flown.append(len(some)) or fly_all(some))
+    monkeypatch.setattr(module, "control_chain", lambda *_: None)
+    with ReplayFolder(find_aircraft("espaaro")) as commanded:
+        found = []
+        for worth_s, times in ((0.0, 1), (1e3, 0)):
+            monkeypatch.setattr(module, "_stood", OrderedDict())
+            (stood,) = surface_positions(commanded, [segment(seed=7)], CONTROLS, worth_s=worth_s)
+            found.append(stood)
+            assert len(flown) == times
+            flown.clear()
+    assert apart(*found) < 1e-9
+    assert apart(found[0], segment(seed=7).controls) > 0.01

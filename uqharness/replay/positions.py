@@ -1,0 +1,225 @@
+"""Where the surfaces stood: measured, or what the model's actuators make of the commands.
+
+Where everything between commands and positions is known and reads nothing of the aircraft's motion, JSBSim flies an aircraft of
+these components alone, and what it finds serves every aircraft that has the same ones, wherever it flies: effects in the
+aerodynamics move no servo. Elsewhere the whole aircraft is flown, from the start state of each stretch.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness.errors import BadInputError
+from uqharness.replay.in_lanes import ReplayJob, by_jsbsim, fly_all, sources_of
+from uqharness.replay.model import ReplayModel
+from uqharness.replay.replay import CHANNELS, run_controls, shape_of
+from uqharness.replay.segments import Segment
+from uqharness.scratch import Scratch, scratch_folder
+from uqharness.simulator import Staging, engine, position_factor
+from uqharness.xml import ControlChain, ControlFiles, control_chain
+
+Array = NDArray[np.float64]
+_LOG = logging.getLogger("uqharness")
+WORTH_S = 60.0
+"""Seconds of flight from which on whole aircraft are flown by the batch engine where positions are asked for several times, each
+time with other servos."""
+WORTH_ONCE_S = 300.0
+"""The same where they are asked for once: for as much JSBSim takes as long as a compiler."""
+_STOOD_BYTES, _CHAINS, _STAGED = 50_000_000, 64, 8
+_AGREES = 1e-9
+"""Largest difference between the positions that a whole aircraft and its components alone come to, in units of the largest."""
+_TRIED_ROWS = 100
+_stood: OrderedDict[tuple[object, ...], Array] = OrderedDict()
+_chains: OrderedDict[tuple[object, ...], ControlChain | None] = OrderedDict()
+_tried: OrderedDict[tuple[str, str], bool] = OrderedDict()
+_staged: OrderedDict[str, tuple[Staging, Scratch]] = OrderedDict()
+_STILL = tuple(f"simulation/integrator/{what}/{kind}" for what in ("rate", "position") for kind in ("rotational", "translational"))
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What is asked of a model: properties of positions, and the values in force that its servos have."""
+
+    model: ReplayModel
+    names: tuple[str, ...]
+    known: Mapping[str, str]
+    servos: Mapping[str, float]
+
+
+def surface_positions(
+    model: ReplayModel, cut: Sequence[Segment], names: Sequence[str], properties: Mapping[str, float] | None = None,
+    worth_s: float = WORTH_S,
+) -> list[Array]:  # fmt: skip
+    """Of each segment (n, c) where the controls stood: the record's own values where measured, else what the model's actuators make
+    of them.
+
+    properties: values in force, of which the actuators' own count. What was asked before is remembered: residuals ask for the same
+    stretch under many states. worth_s: seconds of flight from which on the batch engine flies whole aircraft.
+    """
+    servos = {name: value for name, value in (properties or {}).items() if name in model.servos}
+    known = {c: p for c, p in model.positions().items() if c in names and c not in model.measured}
+    asked = _Asked(model, tuple(names), known, servos)
+    chain = _chain_of(asked, cut) if known and cut else None
+    keys = [_key(asked, chain, segment) for segment in cut]
+    missing = {key: segment for key, segment in zip(keys, cut, strict=True) if key not in _stood}
+    some = list(missing.values())
+    found = _flown(asked, some, worth_s) if chain is None else [_by_chain(asked, chain, segment) for segment in some]
+    for (key, segment), rows in zip(missing.items(), found, strict=True):
+        _stood[key] = _put_in(asked, segment, rows)
+    out = []
+    for key in keys:
+        _stood.move_to_end(key)
+        out.append(_stood[key].copy())
+    while sum(value.nbytes for value in _stood.values()) > _STOOD_BYTES:
+        _stood.popitem(last=False)
+    return out
+
+
+def _key(asked: _Asked, chain: ControlChain | None, segment: Segment) -> tuple[object, ...]:
+    """What positions depend on: of a whole aircraft its identity and where it begins, of a chain that chain."""
+    controls = segment.at_commands().controls.tobytes()
+    if chain is None:
+        began = (segment.time_s, segment.start, np.array([segment.altitude_m, segment.h_m]))
+        return (asked.model.identity, controls, *(a.tobytes() for a in began), asked.names, *asked.servos.items())
+    model = asked.model
+    servos = [(name, value) for name, value in asked.servos.items() if name in chain.reads]
+    feeding = repr((model.controls, model.measured, model.lagging, model.factor, model.throws, _set_by(model)))
+    limits = repr([(model.card.inputs[c].limits, model.card.inputs[c].position, model.card.inputs[c].unit) for c in model.controls])
+    return (chain.xml, controls, shape_of(model, segment), segment.per_row, asked.names, *servos, feeding, limits)
+
+
+def _set_by(model: ReplayModel) -> dict[str, float]:
+    """What is set on every instance of a model."""
+    return {**model.card.modes.get("open_loop", {}), **model.settings}
+
+
+def _flown(asked: _Asked, cut: Sequence[Segment], worth_s: float) -> list[Array]:
+    """Of each segment (n, k) what the whole aircraft's positions are, in their own units."""
+    if not asked.known or not cut:
+        return [np.empty((len(segment.time_s), 0)) for segment in cut]
+    jobs = [ReplayJob(asked.model, s, asked.servos, s.start, extra=tuple(asked.known.values())) for s in cut]
+    flown = fly_all(jobs) if sum(s.time_s[-1] - s.time_s[0] for s in cut) > worth_s else map(by_jsbsim, jobs)
+    return [rows[:, len(CHANNELS) :] for rows in flown]
+
+
+def _put_in(asked: _Asked, segment: Segment, rows: Array) -> Array:
+    """(n, c) controls of a segment, those whose positions were flown at these."""
+    model = asked.model
+    stood = segment.at_commands().controls[:: segment.per_row].copy()
+    for k, control in enumerate(asked.known):
+        column = model.controls.index(control)
+        good = np.isfinite(rows[:, k])
+        # A surface's position may be in another unit than its command; a throttle's is in the command's.
+        unit = 1.0 / model.factor[column] if control == "throttle" else position_factor(model.card.inputs[control])
+        stood[good, column] = rows[good, k] * unit
+    return stood
+
+
+def _chain_of(asked: _Asked, cut: Sequence[Segment]) -> ControlChain | None:
+    """What moves the positions asked for, if that reads commands, servos' numbers and constants alone and comes to the positions of
+    the whole aircraft, with which it is compared once."""
+    model = asked.model
+    key = (model.identity, tuple(asked.known.values()))
+    if key not in _chains:
+        chain = _found(asked)
+        _chains[key] = chain if chain is None or _agrees(asked, chain, min(cut, key=lambda s: len(s.time_s))) else None
+        while len(_chains) > _CHAINS:
+            _chains.popitem(last=False)
+    _chains.move_to_end(key)
+    return _chains[key]
+
+
+def _found(asked: _Asked) -> ControlChain | None:
+    model = asked.model
+    try:
+        sources = sources_of(model)
+    except BadInputError:
+        return None
+    parts = (sources.aerodynamics, sources.external, sources.propulsion, sources.ground, sources.mass, *sources.included.values())
+    documents = [sources.document, *(s.document for s in sources.systems), *(part[0] for part in parts if part is not None)]
+    once = {id(document): document for document in documents}
+    fed, _ = model.fed()
+    files = ControlFiles([system.node for system in sources.systems], list(once.values()), model.engines > 0)
+    return control_chain(files, asked.known.values(), (*fed, *model.servos))
+
+
+def _agrees(asked: _Asked, chain: ControlChain, segment: Segment) -> bool:
+    """Whether the beginning of a segment comes out alike; compared once for aircraft that share a chain."""
+    tried = (chain.xml, repr(_set_by(asked.model)))
+    if tried in _tried:
+        return _tried[tried]
+    short = _beginning(segment)
+    extra = tuple(asked.known.values())
+    theirs = by_jsbsim(ReplayJob(asked.model, short, asked.servos, short.start, extra=extra))[:, len(CHANNELS) :]
+    try:
+        apart = np.abs(_by_chain(asked, chain, short) - theirs) / np.maximum(np.nanmax(np.abs(theirs), axis=0, initial=1e-3), 1e-3)
+    except BadInputError as error:
+        _LOG.info("positions are flown by whole aircraft: %s", error)
+        apart = np.array([np.inf])
+    _tried[tried] = bool(np.nanmax(apart, initial=0.0) <= _AGREES)
+    while len(_tried) > _CHAINS:
+        _tried.popitem(last=False)
+    return _tried[tried]
+
+
+def _beginning(segment: Segment) -> Segment:
+    """At most so many rows of a segment."""
+    own = segment.at_commands()
+    rows = slice(0, _TRIED_ROWS)
+    return replace(
+        own, time_s=own.time_s[rows], controls=own.controls[rows], targets=None if own.targets is None else own.targets[rows]
+    )
+
+
+def _by_chain(asked: _Asked, chain: ControlChain, segment: Segment) -> Array:
+    """(n, k) positions of a segment in their own units, flown by the chain alone. Raises BadInputError."""
+    model = asked.model
+    shape = shape_of(model, segment)
+    fdm = engine.open_fdm(_staging(chain), shape.dt_s)
+    exists = fdm.get_property_manager().hasNode
+    # Nothing moves but the controls.
+    for name, value in {**_set_by(model), **asked.servos, **dict.fromkeys(_STILL, 0.0)}.items():
+        if exists(name):
+            engine.set_property(fdm, name, value)
+    names, places = model.fed()
+    fed = [(engine.handle(fdm, name).set_double_value, place) for name, place in zip(names, places, strict=True) if exists(name)]
+    read = [engine.handle(fdm, name).get_double_value for name in asked.known.values()]
+    values = run_controls(model, segment, shape)[:, [place for _, place in fed]].tolist()
+    setters, run = [put for put, _ in fed], fdm.run
+    last = values[0]
+    for put, value in zip(
+        setters, model.to_property(segment.at_commands().controls[0])[[place for _, place in fed]].tolist(), strict=True
+    ):
+        put(value)
+    engine.run_ic(fdm)
+    rows = [[get() for get in read]]
+    for row in range(1, len(values), shape.stride):
+        for numbers in values[row : row + shape.stride]:
+            if numbers != last:
+                for put, value in zip(setters, numbers, strict=True):
+                    put(value)
+                last = numbers
+            run()
+        rows.append([get() for get in read])
+    return np.array(rows)
+
+
+def _staging(chain: ControlChain) -> Staging:
+    """The chain's own aircraft, as JSBSim wants it laid out; those used last are kept."""
+    if chain.xml not in _staged:
+        scratch = scratch_folder("controls")
+        staging = Staging(scratch.path, "controls")
+        for folder in (staging.folder, scratch.path / "engine", scratch.path / "systems"):
+            folder.mkdir(parents=True)
+        staging.xml.write_text(chain.xml, encoding="utf-8")
+        _staged[chain.xml] = (staging, scratch)
+        while len(_staged) > _STAGED:
+            _staged.popitem(last=False)[1][1].close()
+    _staged.move_to_end(chain.xml)
+    return _staged[chain.xml][0]
