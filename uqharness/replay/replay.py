@@ -13,6 +13,7 @@ then, and so do they.
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -61,6 +62,9 @@ _RETURN = (1.0, -37.0 / 21.0, 11.0 / 21.0, 5.0 / 21.0)
 """Values that move a row's own by 1 and nothing else: not sum, mean time and spread, nor what is summed up four runs later."""
 _KINK = 1.0 / 12.0
 """Of a line's change of direction: what sums over runs have too little."""
+_REMEMBERED = 64
+"""Segments whose controls are remembered by runs."""
+_made: OrderedDict[tuple[object, ...], Array] = OrderedDict()
 _ANGULAR = ("accelerations/pdot-rad_sec2", "accelerations/qdot-rad_sec2", "accelerations/rdot-rad_sec2")
 RAW = (*(STANDARD[c].property for c in CHANNELS), "inertia/mass-slugs", *_ANGULAR)
 """Properties that the channels are made of."""
@@ -199,9 +203,54 @@ def by_run(
     A measured position goes to the next one as a servo does: exponentially towards its command where that is known and explains
     the two, else in a straight line.
     """
+    held, lags = ~np.asarray(measured), np.asarray(lagging)
+    on_time = _on_time(segment, runs, held, lags, limits)
+    out = on_time.copy() if late == 0.0 else _later(on_time, late)
+    if seen is not None:
+        now, jumps = segment.controls[:-1], held & ~lags
+        rows = np.arange(len(out))[::runs]
+        before = np.vstack([segment.controls[:1], now])
+        missing = np.where(jumps, before + seen * (segment.controls - before) - out[rows], 0.0)
+        out[-1] += missing[-1]
+        for run, part in enumerate(_RETURN if runs >= len(_RETURN) else (1.0, -1.0)):
+            out[rows[:-1] + run] += part * missing[:-1]
+    return out
+
+
+def _later(values: Array, late: float) -> Array:
+    """(n, c) values ``late`` of their steps later, in proportion between two: the mean time of what moves is right. The ends are
+    held. `numpy.interp`, all columns at once."""
+    last = len(values) - 1
+    if last == 0:
+        return values.copy()
+    at = np.arange(len(values)) - late
+    place = np.floor(at)
+    k = np.clip(place, 0, last - 1).astype(np.intp)
+    below, out = values.take(k, axis=0), values.take(k + 1, axis=0)
+    out -= below
+    out *= (at - place)[:, None]
+    out += below
+    out[at < 0.0], out[at >= last] = values[0], values[-1]
+    return out
+
+
+def _on_time(segment: Segment, runs: int, held: NDArray[np.bool_], lags: NDArray[np.bool_], limits: Array | None) -> Array:
+    """`by_run` of controls that are not late, before what a row has seen of a jump; those asked for last are remembered: a
+    segment's are wanted with every lateness that an estimator tries."""
+    asked = (segment.controls, segment.targets, limits, held, lags)
+    key = (runs, segment.controls.shape, *(None if a is None else a.tobytes() for a in asked))
+    if key not in _made:
+        _made[key] = _make(segment, runs, held, lags, limits)
+        _made[key].setflags(write=False)
+        while len(_made) > _REMEMBERED:
+            _made.popitem(last=False)
+    _made.move_to_end(key)
+    return _made[key]
+
+
+def _make(segment: Segment, runs: int, held: NDArray[np.bool_], lags: NDArray[np.bool_], limits: Array | None) -> Array:
     now, then = segment.controls[:-1], segment.controls[1:]
     before = np.vstack([now[:1], now[:-1]])
-    held, lags = ~np.asarray(measured), np.asarray(lagging)
     fits = runs >= len(_RETURN)
     values = np.repeat(now[:, None, :], runs, axis=1)
     values[:, 0, lags] = before[:, lags]
@@ -224,18 +273,6 @@ def by_run(
     if fits:
         out[1::runs, ~held] += _KINK * np.diff(out, 2, axis=0, prepend=out[:1])[::runs, ~held]
     out[:, jumps] = _spread(out[:, jumps], _JUMP if fits else (0.5, 0.5))
-    at = np.arange(len(out))
-    if late != 0.0:
-        for column in range(out.shape[1]):
-            # In proportion between two runs: the step's mean time is right.
-            out[:, column] = np.interp(at - late, at, out[:, column])
-    if seen is not None:
-        rows = at[::runs]
-        before = np.vstack([segment.controls[:1], now])
-        missing = np.where(jumps, before + seen * (segment.controls - before) - out[rows], 0.0)
-        out[-1] += missing[-1]
-        for run, part in enumerate(_RETURN if fits else (1.0, -1.0)):
-            out[rows[:-1] + run] += part * missing[:-1]
     return out
 
 

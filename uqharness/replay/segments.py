@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,9 +62,12 @@ class Segment:
 
     def at_commands(self) -> Segment:
         """The same piece with a row for each command."""
-        if self.commands is None:
-            return self
+        return self if self.commands is None else self._acting
+
+    @cached_property
+    def _acting(self) -> Segment:
         own = self.commands
+        assert own is not None
         time_s = np.linspace(self.time_s[0], self.time_s[-1], len(own.controls))
         return replace(self, time_s=time_s, controls=own.controls, targets=own.targets, commands=None)
 

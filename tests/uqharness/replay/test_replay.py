@@ -161,6 +161,26 @@ def test_values_of_the_runs_around_a_step_give_it_its_time():
         np.testing.assert_array_equal(by_run(segment, 4, [False], [True], seen=seen)[:, 0], lagging)
 
 
+@pytest.mark.parametrize("late", [0.75, 3.0, -1.5, 400.0, -400.0])
+def test_late_controls_are_those_on_time_in_proportion_between_two_runs(late):
+    segment = controls_of(np.random.default_rng(3).normal(size=30))
+    on_time = by_run(segment, 4, [False], [True], seen=None)[:, 0]
+    at = np.arange(len(on_time))
+    found = by_run(segment, 4, [False], [True], late, seen=None)[:, 0]
+    np.testing.assert_array_equal(found, np.interp(at - late, at, on_time))
+    assert not np.array_equal(found, on_time)
+
+
+def test_controls_that_are_remembered_are_no_one_s_to_change():
+    segment, other = controls_of([0.0, 0.0, 8.0, 8.0]), controls_of([0.0, 0.0, 8.0, 9.0])
+    first = by_run(segment, 4, [False], [True])
+    kept = first.copy()
+    first += 1.0
+    np.testing.assert_array_equal(by_run(segment, 4, [False], [True]), kept)
+    assert not np.array_equal(by_run(other, 4, [False], [True]), kept)
+    assert not np.array_equal(by_run(segment, 4, [False], [False]), kept)
+
+
 def test_with_few_runs_a_row_a_step_has_its_mean_time_alone_and_stays_within_its_row():
     segment = controls_of([0.0, 0.0, 8.0, 8.0])
     jumping, lagging = (by_run(segment, 2, [False], [lags])[:, 0] for lags in (False, True))
