@@ -10,11 +10,14 @@ from .file import read_effects as read_effects
 from .flight_choice import Offer as Offer
 from .flight_choice import choose as choose
 from .prediction import Columns as Columns
+from .prediction import Followed as Followed
 from .prediction import MadeColumns as MadeColumns
 from .prediction import White as White
+from .prediction import follow as follow
 from .prediction import minus_twice_log as minus_twice_log
 from .prediction import names_of as names_of
 from .prediction import whiten as whiten
+from .prediction import whitened as whitened
 from .score import Evidence as Evidence
 from .score import agreement as agreement
 from .score import corrected as corrected

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics import Steps
-from sysid.estimation import STARTS, Process, Seen, Whitened, carried, gains
+from sysid.estimation import STARTS, Gains, Process, Seen, Whitened, carried, gains
 
 FloatArray = NDArray[np.float64]
 _AT_ONCE = 64
@@ -80,6 +80,39 @@ class White:
     path: FloatArray
 
 
+@dataclass(frozen=True)
+class Followed:
+    """One segment as a filter follows it: what was measured, the gains, and whitened innovations without any columns.
+
+    path (n, 8 or 13): predicted state less the reference, from what was measured before each sample.
+    """
+
+    seen: Seen
+    gains: Gains
+    alone: Whitened
+
+    @property
+    def path(self) -> FloatArray:
+        """That of the innovations."""
+        return self.alone.path
+
+
+def follow(
+    steps: Sequence[Steps], measured: Sequence[FloatArray], which: Sequence[int], noise: FloatArray, process: Process | None = None
+) -> list[Followed]:
+    """Filter every segment; arguments of `whiten`, which makes columns white by what is given here. Raises LinAlgError where no
+    filter follows."""
+    return [_followed(system, z, which, noise, process, k) for k, (system, z) in enumerate(zip(steps, measured, strict=True))]
+
+
+def _followed(
+    system: Steps, z: FloatArray, which: Sequence[int], noise: FloatArray, process: Process | None, k: int
+) -> Followed:  # fmt: skip
+    seen = Seen.of(system, z, which)
+    found = gains(seen, noise, None if process is None else (process.noise[k], process.begin[k]))
+    return Followed(seen, found, carried(seen, found))
+
+
 def whiten(
     steps: Sequence[Steps], measured: Sequence[FloatArray], columns: Sequence[Columns], which: Sequence[int],
     noise: FloatArray, process: Process | None = None,
@@ -89,14 +122,23 @@ def whiten(
     which  rows of the steps' OUTPUTS that ``measured`` (n, m) holds; noise (m,) standard deviations; process: None for calm air.
     Raises LinAlgError where no filter follows.
     """
-    names, out = names_of(columns), []
-    for k, (system, z) in enumerate(zip(steps, measured, strict=True)):
-        seen, own = Seen.of(system, z, which), columns[k]
-        found = gains(seen, noise, None if process is None else (process.noise[k], process.begin[k]))
-        whole = np.where(seen.there, found.whole, 0.0).sum(axis=0)
-        deviation = np.sqrt(whole / np.maximum(seen.there.sum(axis=0), 1))
-        out.append(_projected(carried(seen, found, names, own.inputs, own.outputs), found.logdet, seen.there, deviation))
-    return out
+    both = enumerate(zip(steps, measured, strict=True))
+    names = names_of(columns)
+    return [_whitened(_followed(system, z, which, noise, process, k), names, columns[k]) for k, (system, z) in both]
+
+
+def whitened(followed: Sequence[Followed], columns: Sequence[Columns]) -> list[White]:
+    """`whiten` of segments that a filter has followed."""
+    names = names_of(columns)
+    return [_whitened(one, names, columns[k]) for k, one in enumerate(followed)]
+
+
+def _whitened(one: Followed, names: Sequence[str], own: Columns) -> White:
+    seen, found = one.seen, one.gains
+    whole = np.where(seen.there, found.whole, 0.0).sum(axis=0)
+    deviation = np.sqrt(whole / np.maximum(seen.there.sum(axis=0), 1))
+    through = carried(seen, found, names, own.inputs, own.outputs, one.alone)
+    return _projected(through, found.logdet, seen.there, deviation)
 
 
 def minus_twice_log(white: Sequence[White]) -> float:

@@ -22,6 +22,7 @@ from .kalman import carried as carried
 from .kalman import gains as gains
 from .kalman import slopes as slopes
 from .kalman_arrays import STARTS as STARTS
+from .kalman_arrays import Gains as Gains
 from .kalman_arrays import Seen as Seen
 from .noise_sizes import NoiseSize as NoiseSize
 from .noise_sizes import noise_size as noise_size

@@ -13,7 +13,7 @@ measured.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import ModuleType
 
 import numpy as np
@@ -89,24 +89,28 @@ class Whitened:
 
 def carried(
     seen: Seen, by: Gains, names: Sequence[str] = (), inputs: Mapping[str, tuple[int, FloatArray]] | None = None,
-    outputs: Mapping[str, FloatArray] | None = None,
+    outputs: Mapping[str, FloatArray] | None = None, alone: Whitened | None = None,
 ) -> Whitened:  # fmt: skip
     """What was measured, and the columns ``names``, through the gains.
 
     inputs: column -> (index of the coefficient CX..Cn, values (n,)), or (-1, values (n, 6)) for all six; outputs: column -> (n, m)
-    added to the measured channels.
+    added to the measured channels. alone: the same without columns, where it is known.
     """
     n, m, size = seen.H.shape
-    path, first = np.zeros((n, size)), np.zeros((n, m, 1 + STARTS))
-    _through(seen, by, np.hstack([np.zeros((size, 1)), seen.start]), Acting.of((), {}, {}, n, m), first, path)
-    columns = np.zeros((n, m, len(names)), dtype=np.float32)
+    if alone is None:
+        path, first = np.zeros((n, size)), np.zeros((n, m, 1 + STARTS))
+        _through(seen, by, np.hstack([np.zeros((size, 1)), seen.start]), Acting.of((), {}, {}, n, m), first, path)
+        alone = Whitened(first[..., 0], first[..., 1:], np.zeros((n, m, 0), dtype=np.float32), path)
+    if not names:
+        return alone
+    columns, again = np.zeros((n, m, len(names)), dtype=np.float32), np.empty_like(alone.path)
     for begin in range(0, len(names), _AT_ONCE):
         some = names[begin : begin + _AT_ONCE]
         acting = Acting.of(some, inputs or {}, outputs or {}, n, m)
         out = np.zeros((n, m, 1 + len(some)), dtype=np.float32)
-        _through(seen, by, np.zeros((size, 1 + len(some))), acting, out, path)
+        _through(seen, by, np.zeros((size, 1 + len(some))), acting, out, again)
         columns[:, :, begin : begin + len(some)] = out[:, :, 1:]
-    return Whitened(first[..., 0], first[..., 1:], columns, path)
+    return replace(alone, columns=columns)
 
 
 def _through(seen: Seen, by: Gains, X: FloatArray, acting: Acting, out: NDArray[np.floating], path: FloatArray) -> None:

@@ -16,7 +16,19 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics import AIR, GustStates, Steps, rates, smooth, whole_states
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
-from sysid.effects import Columns, Evidence, Gusts, White, gather, gust_intensity, minus_twice_log, whiten
+from sysid.effects import (
+    Columns,
+    Evidence,
+    Followed,
+    Gusts,
+    White,
+    follow,
+    gather,
+    gust_intensity,
+    minus_twice_log,
+    whiten,
+    whitened,
+)
 from sysid.parallel import Processes
 from uqharness.refinement.candidates import at_vane, sensor_gain, sensor_offset, vane_place_m
 from uqharness.refinement.fit import PRIOR, Fit, jumps_unseen, parameter_columns, positions, probes, stepped, steps_of
@@ -206,9 +218,10 @@ def gust_refit(
             moving = _other_air(last, gusts) or bool(np.abs(np.log(factors)).max() > MOVED)
         assert gusts is not None
         linearised = steps.all(gusts.states)
-        flown, found = predicted(setup, flown, found, linearised, steps.measured, gusts)
+        followed = follow(linearised, steps.measured, setup.which, setup.noise, gusts.process)
+        flown, found = predicted(setup, flown, found, linearised, followed, gusts)
         columns = parameter_columns(setup, found, flown, names, analytic)
-        white = whiten(linearised, steps.measured, columns, setup.which, setup.noise, gusts.process)
+        white = whitened(followed, columns)
         evidence = gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)
         before = length
         delta, length = evidence.step(setup.held)
@@ -279,16 +292,15 @@ def _air(setup: Setup, steps: _Linear, near: Gusts | None, tune: bool) -> tuple[
 
 
 def predicted(
-    setup: Setup, flown: Flown, found: Sequence[Probe], steps: Sequence[Steps], measured: Sequence[Array], gusts: Gusts
+    setup: Setup, flown: Flown, found: Sequence[Probe], steps: Sequence[Steps], followed: Sequence[Followed], gusts: Gusts
 ) -> tuple[Flown, list[Probe]]:
-    """Probes whose terms are evaluated at states predicted from the past, and the outputs predicted there.
+    """Probes whose terms are evaluated at states predicted from the past, and the outputs predicted there, as a filter ``followed``
+    the ``steps``.
 
     At the measured states a term would know of the gust that it is to predict: Cl_p came out at three quarters.
     """
-    nothing = [Columns((), {}, {})] * len(steps)
-    paths = [w.path for w in whiten(steps, measured, nothing, setup.which, setup.noise, gusts.process)]
     out, outputs = [], []
-    for p, s, d in zip(found, steps, paths, strict=True):
+    for p, s, d in zip(found, steps, (one.path for one in followed), strict=True):
         x = whole_states(p.reference.x, gusts.states) + d
         air = x[:, 3:6] - np.column_stack(gusts.states.rotation(x.T))
         whole = rates(p.reference, p.mass, x, gusts=gusts.states)

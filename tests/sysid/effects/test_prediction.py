@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid.aerodynamics.rigid_body import NX, OUTPUTS, Steps
-from sysid.effects.prediction import Columns, MadeColumns, names_of, whiten
+from sysid.effects.prediction import Columns, MadeColumns, follow, names_of, whiten, whitened
 from sysid.effects.score import corrected, corrected_each, gather, scores
 from sysid.effects.selection import select, threshold
 from sysid.estimation.kalman import Process
@@ -73,6 +73,21 @@ def test_the_filter_is_the_dense_likelihood(gusty):
     column = white.columns[:, :, 0].astype(float).ravel()
     assert column @ white.residual.ravel() == pytest.approx(s @ P @ e, rel=1e-4)
     assert column @ column == pytest.approx(s @ P @ s, rel=1e-4)
+
+
+def test_a_filter_that_has_followed_a_flight_whitens_any_columns_of_it():
+    steps, rng = system(9, 3), np.random.default_rng(4)
+    z, Q = rng.standard_normal((9, M)), rng.random(NX)
+    process = Process(Q[None], np.zeros((1, NX)))
+    followed = follow([steps], [z], range(M), np.ones(M), process)
+    for seed in (5, 6):
+        columns = [Columns(("c",), {"c": (-1, np.random.default_rng(seed).standard_normal((9, 6)))}, {})]
+        (ours,), (alone,) = whitened(followed, columns), whiten([steps], [z], columns, range(M), np.ones(M), process)
+        for name in ("residual", "columns", "start", "deviation", "path"):
+            np.testing.assert_array_equal(getattr(ours, name), getattr(alone, name))
+        np.testing.assert_array_equal(ours.path, followed[0].path)
+    (calm,) = whiten([steps], [z], columns, range(M), np.ones(M))
+    assert not np.array_equal(calm.residual, ours.residual)
 
 
 def flights(effect: dict[str, float], seed: int, segments: int = 9, n: int = 60):
