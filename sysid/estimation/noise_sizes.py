@@ -25,6 +25,7 @@ PRIOR_SPREAD = float(np.log(2.0))
 """Standard deviation of the logarithm of a noise's size about the card's figure: data sheets are wrong by a factor of two."""
 _KEPT = 64  # channels of flights whose sizes are remembered
 _LEAST = 16  # frequencies below which a channel shows nothing of its noise
+_MULTIPLIED = 8  # frequencies whose variances are multiplied before their logarithm is taken
 _SIZES = np.concatenate([np.linspace(-5.0, -1.0, 41)[:-1], np.linspace(-1.0, 0.6, 81)])  # logarithm, about what is shown
 _SIGNALS = np.exp(np.linspace(-12.0, 1.0, 41))  # of a piece's mean power, equally likely in the logarithm
 
@@ -58,9 +59,7 @@ def _size(pieces: tuple[bytes, ...], dt_s: float, from_hz: float, stated: float 
     size = np.log(shown) + _SIZES
     likelihood = np.zeros(len(size))
     for power, shape in spectra:
-        signal = _SIGNALS * np.mean(power)
-        variance = signal[None, :, None] + np.exp(2.0 * size)[:, None, None] * shape[None, None, :]
-        likelihood += logsumexp(-np.sum(np.log(variance) + power / variance, axis=2), axis=1)
+        likelihood += logsumexp(-_cost(power, shape, np.exp(2.0 * size), float(shown**2)), axis=1)
     if known and stated is not None:
         likelihood -= 0.5 * ((size - np.log(stated)) / PRIOR_SPREAD) ** 2
     weight = np.exp(likelihood - likelihood.max()) * np.gradient(size)
@@ -68,6 +67,28 @@ def _size(pieces: tuple[bytes, ...], dt_s: float, from_hz: float, stated: float 
     mean = float(weight @ np.exp(2.0 * size))
     spread = float(np.sqrt(max(weight @ np.exp(4.0 * size) - mean**2, 0.0))) / (2.0 * mean)
     return NoiseSize(float(np.sqrt(mean)), spread)
+
+
+def _cost(power: FloatArray, shape: FloatArray, square: FloatArray, shown: float) -> FloatArray:
+    """Minus the Whittle likelihood of one piece by the noise's variance, square (s,), and by the signal's (_SIGNALS of the piece's
+    mean power): (s, 41). ``shown`` is a variance that is not zero.
+
+    Logarithms are taken of products of a few frequencies' variances, in units of the piece's own power: no product leaves what a
+    number can hold, and a logarithm costs ten times what a product does.
+    """
+    mean = float(np.mean(power))
+    unit = mean or shown
+    noise, signal = square[:, None] / unit, _SIGNALS * (mean / unit)
+    out = np.full((len(square), len(signal)), len(power) * np.log(unit))
+    product, variance = np.ones_like(out), np.empty_like(out)
+    for k, (seen, part) in enumerate(zip((power / unit).tolist(), shape.tolist(), strict=True), 1):
+        np.add(signal, noise * part, out=variance)
+        product *= variance
+        out += np.divide(seen, variance, out=variance)
+        if k % _MULTIPLIED == 0 or k == len(power):
+            out += np.log(product)
+            product.fill(1.0)
+    return out
 
 
 def _periodogram(x: FloatArray, dt_s: float, from_hz: float) -> tuple[FloatArray, FloatArray] | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.estimation.noise_sizes import PRIOR_SPREAD, noise_size
+from sysid.estimation.noise_sizes import _SIGNALS, PRIOR_SPREAD, _cost, noise_size
 
 DT, FROM = 0.02, 6.0
 
@@ -57,3 +57,20 @@ def test_what_tells_nothing():
     assert noise_size([np.ones(500)], DT, FROM, float("nan")) is None
     # A sampling rate that reaches no frequency above the signal's.
     assert noise_size(channel(1, 0.05), 0.1, FROM) is None
+
+
+@pytest.mark.parametrize("scale", [1e-20, 1.0, 1e20])
+@pytest.mark.parametrize("n", [1, 8, 150])
+def test_logarithms_of_products_are_those_of_each_variance(scale, n):
+    rng = np.random.default_rng(n)
+    power, shape, square = scale * rng.exponential(size=n), 1.0 + rng.random(n), scale * np.logspace(-4, 1, 30)
+    for some in (power, np.zeros(n)):
+        variance = (_SIGNALS * some.mean())[None, :, None] + square[:, None, None] * shape
+        written_out = np.sum(np.log(variance) + some / variance, axis=2)
+        np.testing.assert_allclose(_cost(some, shape, square, scale), written_out, rtol=1e-12, atol=1e-9)
+    assert not np.allclose(_cost(power, shape, 1.01 * square, scale), _cost(power, shape, square, scale), rtol=1e-12, atol=1e-9)
+
+
+def test_a_piece_that_stands_still_among_others_says_that_there_is_no_noise():
+    noisy = channel(4, 0.05)
+    assert noise_size([*noisy, np.ones(300)], DT, FROM).std < 0.1 * noise_size(noisy, DT, FROM).std
