@@ -5,6 +5,7 @@ from .card import Sensors as Sensors
 from .card import read_card as read_card
 from .checking.checks import check_units as check_units
 from .checking.checks import in_degrees as in_degrees
+from .checking.physics import surely_late as surely_late
 from .checking.spectra import Relation as Relation
 from .checking.spectra import relate as relate
 from .command_edges import logged_rows as logged_rows

@@ -117,6 +117,8 @@ def compare(
 ) -> Comparison:
     """Replay a flight and measure the gap to the model against the sensors' noise, as ``uqharness compare`` does.
 
+    A record's late channels stay late; ``delays`` allows for them.
+
     Parameters
     ----------
     aircraft : str, Path or Aircraft
@@ -155,7 +157,7 @@ def compare(
     found = given_flights(flight, model)
     if len(found) != 1:
         raise BadInputError(f"compare takes one flight, {len(found)} were given; call it once for each")
-    ready, measured = _prepared(found, model)
+    ready, measured = _prepared(found, model, align=False)
     return comparing.compare(
         model,
         ready[0],
@@ -243,8 +245,8 @@ def fit_model_form(
     return bounding.make_bounds(model, [recut(flight, measured) for flight in ready], measured, hashes, options)
 
 
-def _prepared(flights: Sequence[Flight], aircraft: Aircraft) -> tuple[list[replayed.Flight], tuple[str, ...]]:
-    return replayed.prepare_together([f.name for f in flights], [f.record for f in flights], aircraft)
+def _prepared(flights: Sequence[Flight], aircraft: Aircraft, align: bool = True) -> tuple[list[replayed.Flight], tuple[str, ...]]:
+    return replayed.prepare_together([f.name for f in flights], [f.record for f in flights], aircraft, align=align)
 
 
 def _channels(what: str, names: Sequence[str] | None) -> tuple[str, ...] | None:

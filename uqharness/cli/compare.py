@@ -55,7 +55,7 @@ def _run(args: argparse.Namespace) -> int:
     check_folder(args.out)
     with working("compare", lambda: counter["segments"]) as stage:
         stage("reading the flight")
-        flights, measured = read_flights([args.flight], aircraft, args.manoeuvres, args.map)
+        flights, measured = read_flights([args.flight], aircraft, args.manoeuvres, args.map, align=False)
         found = compare(
             aircraft,
             flights[0],

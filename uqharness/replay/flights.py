@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sysid.aerodynamics import MAX_S, MIN_S, Piece, as_logged, cut
 from sysid.digests import file_sha256
 from sysid.errors import LogError
-from sysid.logs import bridge, default_cache, import_log, in_degrees, labelled, no_aeroplane
+from sysid.logs import bridge, default_cache, import_log, in_degrees, labelled, no_aeroplane, surely_late
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
 from uqharness.replay.ground import height_known
@@ -146,7 +146,8 @@ def prepare(
 ) -> Flight:
     """Check, thin, align and cut a record. Raises BadInputError naming the channel that is missing and what needs it.
 
-    align: False for one who asks himself which sensors are late; the channels of an autopilot's log are aligned in any case.
+    align: whether channels are moved that are surely late by the record's findings; False where a table is to show what sensors
+    do or who asks estimates it. The channels of an autopilot's log are aligned in any case.
     """
     columns = control_columns(measured)
     missing = [c for c in (*_NEEDED, *columns) if c not in record or not np.isfinite(record[c]).any()]
@@ -174,7 +175,7 @@ def prepare(
         raise BadInputError(
             f"{name}: {1 / record.dt_s:.1f} rows a second; a replay needs at least 10, or it sees neither short period nor roll"
         )
-    record, moved = _aligned(record) if align or record.metadata.native_hz else (record, [])
+    record, moved = _aligned(record, align or bool(record.metadata.native_hz))
     notes += [f"{name}: {text}" for text in moved]
     pieces, how = cut(record, (*_NEEDED, *columns), min_s, max_s)
     if not pieces:
@@ -214,13 +215,18 @@ def _lost(record: FlightRecord, columns: Sequence[str]) -> str:
     return f" ({', '.join(texts)})" if texts else ""
 
 
-def _aligned(record: FlightRecord) -> tuple[FlightRecord, list[str]]:
-    """Channels that the record's own findings call late, moved to when they were true."""
+def _aligned(record: FlightRecord, align: bool) -> tuple[FlightRecord, list[str]]:
+    """Channels that the record's own findings call late for sure, moved to when they were true, or told of where not."""
     columns: dict[str, Array] = {}
     notes = []
     for finding in record.metadata.findings:
-        late = finding.numbers.get("delay_s", 0.0)
-        if finding.code != "delay" or finding.channel not in CHANNELS or finding.channel not in record or late == 0.0:
+        if finding.code != "delay" or finding.channel not in CHANNELS or finding.channel not in record:
+            continue
+        late, std = (finding.numbers.get(n, math.nan) for n in ("delay_s", "std_s"))
+        if not surely_late(late, std):
+            continue
+        if not align:
+            notes.append(f"{finding.message}, by the log's findings; it stands as recorded")
             continue
         time = record["time_s"]
         moved = np.interp(time + late, time, _unwrapped(finding.channel, record[finding.channel]), right=np.nan)

@@ -232,12 +232,17 @@ def judged(law: Law, found: Stretches) -> Relation:
     if law.means:
         x, y = (np.concatenate([_means(p[k], found.dt_s) for p in pairs]) for k in (0, 1))
         return relate_means(x, y)
-    high = min(law.high_hz, _OF_NATIVE * found.native_hz)
-    longest = max(p[0].size for p in pairs) * found.dt_s
-    low = max(0.02 if law.high_hz < BAND_HZ[1] else BAND_HZ[0], 2.0 / longest)
+    low, high = band_of(law, found)
     if high <= 1.5 * low:
         return NOTHING
     return relate([p[0] for p in pairs], [p[1] for p in pairs], found.dt_s, low, high)
+
+
+def band_of(law: Law, found: Stretches) -> tuple[float, float]:
+    """Frequencies [Hz] between which a law holds and the stretches tell of it."""
+    longest = max(c[law.subject].size for c in found.parts) * found.dt_s
+    low = max(0.02 if law.high_hz < BAND_HZ[1] else BAND_HZ[0], 2.0 / longest)
+    return low, min(law.high_hz, _OF_NATIVE * found.native_hz)
 
 
 def _means(values: FloatArray, dt_s: float) -> FloatArray:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from sysid.errors import Finding
 from sysid.logs.checking.kinematics import ACCELERATIONS, AIR, ATTITUDE, GROUND, RATES, Law, all_laws, judged, stretches
+from sysid.logs.checking.lateness import channel_lateness
 from sysid.logs.checking.mending import mend, spoils
 from sysid.logs.checking.spectra import Relation
 from sysid.record import FlightRecord
@@ -47,7 +48,7 @@ _FAMILIES: tuple[tuple[tuple[str, ...], Mapping[float, str], str], ...] = (
 
 _LEAST_LATE_S, _LATE_SURE = 0.01, 4.0
 _COHERENT = 0.7  # of a relation that is reported without an explanation: side forces of gusts pass for turns below it
-_LATE_COHERENCE = 0.7  # below it gusts, which accelerations do not see at once, pass for lateness
+_LATE_COHERENCE = 0.7  # of a relation whose motion alone tells lateness
 _LATEST_S = 0.45
 _GUST_S = 0.1
 """Lateness of a law that takes the air for still, beyond which it shows gusts; vanes and filters are late by 0.04 s at most."""
@@ -112,7 +113,7 @@ def check_physics(record: FlightRecord) -> list[Finding]:
         slip, rivals = found
         out += _named(slip, rivals, record, before, _heard_anew(mended, before, slip))
         mended = slip.undone(mended)
-    return [*out, *_delays(heard(mended), late_s)]
+    return [*out, *_delays(mended, heard(mended), late_s)]
 
 
 def heard(record: FlightRecord) -> list[Heard]:
@@ -164,7 +165,7 @@ def _ground_in_time(record: FlightRecord) -> tuple[FlightRecord, float]:
     if relation is None or not relation.evident or relation.coherence < _LATE_COHERENCE:
         return record, 0.0
     late = -relation.late_s
-    if not max(_LEAST_LATE_S, _LATE_SURE * relation.late_std_s) < abs(late) < _LATEST_S:
+    if not surely_late(late, relation.late_std_s):
         return record, 0.0
     time = record["time_s"]
     moved = {n: np.interp(time + late, time, record[n], left=np.nan, right=np.nan) for n in GROUND}
@@ -274,33 +275,59 @@ def _unexplained(h: Heard) -> Finding:
     return Finding("kinematics-disagree", h.law.subject, "warning", text, numbers, spoils(h.law.subject))
 
 
-def _delays(laws: Sequence[Heard], ground_late_s: float) -> list[Finding]:
+def _delays(record: FlightRecord, laws: Sequence[Heard], ground_late_s: float) -> list[Finding]:
     """Channels that come late: the attitude against the rates, the ground velocity and the air data against the accelerations."""
-    rows: list[tuple[str, str, tuple[Heard, ...], float]] = []
-    by = {(h.law.subject, h.law.says): h for h in laws}
-    rows.append(("attitude", "the body rates", tuple(h for h in laws if h.law.subject in RATES), -1.0))
-    path = tuple(h for h in laws if h.law.subject in ACCELERATIONS and set(GROUND) <= set(h.law.uses))
-    rows.append(("ground velocity", "the accelerations", path, -1.0))
-    rows += [(n, "rates and accelerations", tuple(h for (s, w), h in by.items() if s == n and "rates" in w), 1.0) for n in AIR]
-    out: list[Finding] = []
-    for channel, reference, members, sense in rows:
-        good = [h.relation for h in members if h.agrees and h.relation.coherence > _LATE_COHERENCE]
-        if not good:
-            continue
-        weight = np.array([r.late_std_s**-2 for r in good])
-        late = sense * float(weight @ [r.late_s for r in good]) / float(weight.sum())
-        late += ground_late_s if channel == "ground velocity" else 0.0
-        std = float(weight.sum()) ** -0.5
-        if max(_LEAST_LATE_S, _LATE_SURE * std) < abs(late) < _LATEST_S:
-            out.append(_delay(channel, reference, late, std, min(r.coherence for r in good)))
+    path = [h for h in laws if h.law.subject in ACCELERATIONS and set(GROUND) <= set(h.law.uses)]
+    out = [
+        *_together("attitude", "the body rates", [h for h in laws if h.law.subject in RATES], 0.0),
+        *_together("ground velocity", "the accelerations", path, ground_late_s),
+    ]
+    for h in laws:
+        if h.law.subject in AIR and "rates" in h.law.says and not h.differs:
+            late = channel_lateness(record, h.law, h.agrees and h.relation.coherence > _LATE_COHERENCE)
+            if surely_late(late.late_s, late.std_s):
+                out.append(_delay(h.law.subject, "rates and accelerations", late.late_s, late.std_s, h.relation.coherence, late.by))
     return out
 
 
-def _delay(channel: str, reference: str, late_s: float, std_s: float, coherence: float) -> Finding:
-    text = (
-        f"{channel} comes {abs(late_s) * 1e3:.0f} +- {std_s * 1e3:.1f} ms {'after' if late_s > 0 else 'before'} {reference}"
-        f" (coherence {coherence:.2f})"
-    )
-    numbers = {"delay_s": late_s, "std_s": std_s, "correlation": math.sqrt(coherence)}
+def _together(channel: str, reference: str, members: Sequence[Heard], known_s: float) -> Iterator[Finding]:
+    """Lateness of what several laws share, none of which gusts enter; ``known_s`` of it was put right before."""
+    good = [h.relation for h in members if h.agrees and h.relation.coherence > _LATE_COHERENCE]
+    if good:
+        weight = np.array([r.late_std_s**-2 for r in good])
+        late = known_s - float(weight @ [r.late_s for r in good]) / float(weight.sum())
+        std = float(weight.sum()) ** -0.5
+        if surely_late(late, std):
+            yield _delay(channel, reference, late, std, min(r.coherence for r in good), "motion")
+
+
+def surely_late(late_s: float, std_s: float) -> bool:
+    """Whether an estimated lateness counts as one: more than 10 ms and more than four standard errors, less than 0.45 s.
+
+    Parameters
+    ----------
+    late_s, std_s : float
+        The lateness and its standard error [s], as a finding ``delay`` gives them. NaN is no lateness.
+
+    Returns
+    -------
+    bool
+        Whether the channel is to be called late, and may be moved.
+
+    Examples
+    --------
+    >>> from sysid.logs import surely_late
+    >>> surely_late(0.03, 0.002), surely_late(0.03, 0.0125)
+    (True, False)
+    """
+    size = abs(late_s)
+    return _LEAST_LATE_S < size < _LATEST_S and size > _LATE_SURE * std_s
+
+
+def _delay(channel: str, reference: str, late_s: float, std_s: float, coherence: float, by: str) -> Finding:
+    how = "in what the controls moved" if by == "controls" else f"coherence {coherence:.2f}"
+    side = "after" if late_s > 0 else "before"
+    text = f"{channel} comes {abs(late_s) * 1e3:.0f} +- {std_s * 1e3:.1f} ms {side} {reference} ({how})"
+    numbers = {"delay_s": late_s, "std_s": std_s, "correlation": math.sqrt(max(coherence, 0.0))}
     severity = "info" if abs(late_s) < 0.05 else "warning"
     return Finding("delay", channel, severity, text, numbers, "phases, and with them damping derivatives")

@@ -25,7 +25,10 @@ _CHANCE = 1e-5  # that a band of mere noise counts, all bands together; lateness
 _FLOOR = 0.01  # relative: no two sensors agree better
 _MOST_LATE_S, _LATE_STEP_S = 0.5, 0.005
 _TAPER = 0.2  # share of a stretch at either end
-_LEAK = 5e-3  # of the strongest band's power: what leaks from it has its phase and not its own
+TAPERED = 1.26
+"""By which the taper raises the variance of sums over frequencies: mean w^4 / (mean w^2)^2."""
+LEAK = 5e-3
+"""Of the strongest band's power: what leaks from it has its phase and not its own."""
 _SIGN_MARGIN = 1.15  # by how much the reversed sign has to explain more, since lateness can look like it in a narrow band
 
 
@@ -67,7 +70,7 @@ NOTHING = Relation(float("nan"), float("nan"), float("nan"), float("inf"), 0.0, 
 
 def relate(x: Sequence[FloatArray], y: Sequence[FloatArray], dt_s: float, low_hz: float, high_hz: float) -> Relation:
     """The relation of y to x, from stretches (n,) without gaps, ``dt_s`` apart, in a band of frequencies."""
-    parts = [_spectrum(a, b, dt_s, low_hz, high_hz) for a, b in zip(x, y, strict=True)]
+    parts = [spectrum(a, b, dt_s, low_hz, high_hz) for a, b in zip(x, y, strict=True)]
     if not parts:
         return NOTHING
     frequency = np.concatenate([part[0] for part in parts])
@@ -75,13 +78,13 @@ def relate(x: Sequence[FloatArray], y: Sequence[FloatArray], dt_s: float, low_hz
     power = np.sum(np.abs(fx) ** 2) * np.sum(np.abs(fy) ** 2)
     if frequency.size < _LEAST_BINS or not power > 0.0:
         return NOTHING
-    groups = _groups(frequency, low_hz, high_hz)
+    groups = groups_of(frequency, low_hz, high_hz)
     late, sign = _coarse(frequency, fx, fy, groups)
     turned = sign * fy * np.exp(2j * np.pi * frequency * late)
     rows = []
     most = max(float(np.mean(np.abs(fx[group]) ** 2)) for group in groups)
     for group in groups:
-        if float(np.mean(np.abs(fx[group]) ** 2)) < _LEAK * most:
+        if float(np.mean(np.abs(fx[group]) ** 2)) < LEAK * most:
             continue
         a, b, k = fx[group], turned[group], float(np.count_nonzero(group))
         xx, yy, xy = float(np.sum(np.abs(a) ** 2)), float(np.sum(np.abs(b) ** 2)), complex(np.sum(np.conj(a) * b))
@@ -134,7 +137,7 @@ def relate_means(x: FloatArray, y: FloatArray) -> Relation:
     )
 
 
-def _spectrum(
+def spectrum(
     x: FloatArray, y: FloatArray, dt_s: float, low_hz: float, high_hz: float
 ) -> tuple[FloatArray, ComplexArray, ComplexArray]:
     """Frequencies inside the band and the Fourier transforms there, tapered at the ends, straight lines taken out."""
@@ -152,7 +155,7 @@ def _spectrum(
     return frequency[inside], out[0], out[1]
 
 
-def _groups(frequency: FloatArray, low_hz: float, high_hz: float) -> list[NDArray[np.bool_]]:
+def groups_of(frequency: FloatArray, low_hz: float, high_hz: float) -> list[NDArray[np.bool_]]:
     """Bands of equal ratio, joined upwards until each has enough frequencies."""
     edges = np.geomspace(low_hz, high_hz, _BANDS + 1)[1:]
     found, begin = [], 0.0

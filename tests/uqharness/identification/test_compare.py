@@ -64,6 +64,18 @@ def test_a_late_channel_is_found_late(record, tmp_path):
     assert found["above"][0] == "beta_rad"
 
 
+def test_a_record_that_the_log_s_findings_call_late_is_compared_as_refine_reads_it(tmp_path):
+    """Moved by the finding, alpha would be at the noise here and late in what refine tells of the same flight."""
+    record = fly((("pitch-3211", 22.0),), seed=5, seconds=30.0)
+    late = record.with_columns({"alpha_rad": np.interp(record["time_s"] - 0.1, record["time_s"], record["alpha_rad"])})
+    code, found, _ = run(late, tmp_path, "--no-figures")
+    assert code == 1
+    assert found["above"] == ["alpha_rad"]
+    assert found["channels"]["alpha_rad"]["delay_s"] == pytest.approx(0.1, abs=0.015)
+    assert [note for note in found["notes"] if "alpha_rad comes" in note and note.endswith("it stands as recorded")]
+    assert not [note for note in found["notes"] if "was moved" in note]
+
+
 def test_an_elevator_doublet_says_nothing_of_roll_and_yaw(tmp_path):
     """Where roll is not excited p is noise: neither a scale of hundreds nor a delay, whatever its sign."""
     flight = fly((("pitch-doublet", 22.0),), seed=7, seconds=8.0)

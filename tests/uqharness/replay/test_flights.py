@@ -84,7 +84,7 @@ def northward(**metadata):
 
 
 def test_a_late_heading_that_is_moved_stays_north():
-    late = Finding("delay", "psi_rad", "warning", "psi_rad is late", {"delay_s": 0.03})
+    late = Finding("delay", "psi_rad", "warning", "psi_rad is late", {"delay_s": 0.03, "std_s": 0.002})
     record, noise = northward(findings=(late,))
     flight = prepare("north", record, ())
     assert any("psi_rad was moved 30 ms" in note for note in flight.notes)
@@ -94,6 +94,26 @@ def test_a_late_heading_that_is_moved_stays_north():
     gap = heading[:, 0] - start
     # A straight line from 6.28 to 0.01 would put south in between, and every such place would count as a turn.
     assert np.nanmax(np.abs(gap)) < 2.0 * np.abs(noise).max()
+
+
+@pytest.mark.parametrize(
+    ("numbers", "align", "moved"),
+    [
+        ({"delay_s": 0.03, "std_s": 0.007}, True, True),
+        ({"delay_s": 0.03, "std_s": 0.008}, True, False),  # less than four standard errors, whatever the severity
+        ({"delay_s": 0.03}, True, False),  # of an error nobody stated
+        ({"delay_s": 0.03, "std_s": 0.002}, False, False),
+    ],
+)
+def test_a_channel_is_moved_only_where_it_is_late_for_sure(numbers, align, moved):
+    late = Finding("delay", "alpha_rad", "info", "alpha_rad comes 30 ms late", numbers)
+    record = fly((("pitch-doublet", 22.0),), seed=1, rate_hz=50.0)
+    record = replace(record, metadata=replace(record.metadata, findings=(late,)))
+    flight = prepare("late", record, (), align=align)
+    assert np.array_equal(flight.record["alpha_rad"], record["alpha_rad"]) is not moved
+    assert any("alpha_rad was moved 30 ms" in note for note in flight.notes) is moved
+    stands = any("it stands as recorded" in note for note in flight.notes)
+    assert stands is (not align)
 
 
 def test_a_heading_logged_at_every_other_row_counts_from_the_turn_of_its_start():
