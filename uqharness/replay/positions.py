@@ -34,7 +34,7 @@ WORTH_ONCE_S = 300.0
 _STOOD_BYTES, _CHAINS, _STAGED = 50_000_000, 64, 8
 _AGREES = 1e-9
 """Largest difference between the positions that a whole aircraft and its components alone come to, in units of the largest."""
-_TRIED_ROWS = 100
+_TRIED_ROWS, _LEAST_ROWS = 100, 10
 _stood: OrderedDict[tuple[object, ...], Array] = OrderedDict()
 _chains: OrderedDict[tuple[object, ...], ControlChain | None] = OrderedDict()
 _tried: OrderedDict[tuple[str, str], bool] = OrderedDict()
@@ -157,12 +157,15 @@ def _agrees(asked: _Asked, chain: ControlChain, segment: Segment) -> bool:
     short = _beginning(segment)
     extra = tuple(asked.known.values())
     theirs = by_jsbsim(ReplayJob(asked.model, short, asked.servos, short.start, extra=extra))[:, len(CHANNELS) :]
+    flew = np.isfinite(theirs).all(axis=1)
+    size = np.maximum(np.abs(theirs[flew]).max(axis=0, initial=1e-3), 1e-3)
     try:
-        apart = np.abs(_by_chain(asked, chain, short) - theirs) / np.maximum(np.nanmax(np.abs(theirs), axis=0, initial=1e-3), 1e-3)
+        apart = (np.abs(_by_chain(asked, chain, short) - theirs) / size)[flew]
     except BadInputError as error:
         _LOG.info("positions are flown by whole aircraft: %s", error)
-        apart = np.array([np.inf])
-    _tried[tried] = bool(np.nanmax(apart, initial=0.0) <= _AGREES)
+        apart = np.full((1, 1), np.nan)
+    # An aircraft that falls from the sky at once shows nothing.
+    _tried[tried] = bool(flew.sum() >= min(len(theirs), _LEAST_ROWS) and (apart <= _AGREES).all())
     while len(_tried) > _CHAINS:
         _tried.popitem(last=False)
     return _tried[tried]
@@ -178,7 +181,7 @@ def _beginning(segment: Segment) -> Segment:
 
 
 def _by_chain(asked: _Asked, chain: ControlChain, segment: Segment) -> Array:
-    """(n, k) positions of a segment in their own units, flown by the chain alone. Raises BadInputError."""
+    """(n, k) positions of a segment in their own units, flown by the chain alone; NaN behind a failure. Raises BadInputError."""
     model = asked.model
     shape = shape_of(model, segment)
     fdm = engine.open_fdm(_staging(chain), shape.dt_s)
@@ -198,16 +201,20 @@ def _by_chain(asked: _Asked, chain: ControlChain, segment: Segment) -> Array:
     ):
         put(value)
     engine.run_ic(fdm)
-    rows = [[get() for get in read]]
-    for row in range(1, len(values), shape.stride):
-        for numbers in values[row : row + shape.stride]:
-            if numbers != last:
-                for put, value in zip(setters, numbers, strict=True):
-                    put(value)
-                last = numbers
-            run()
-        rows.append([get() for get in read])
-    return np.array(rows)
+    rows = np.full((shape.rows, len(read)), np.nan)
+    rows[0] = [get() for get in read]
+    try:
+        for row in range(1, shape.rows):
+            for numbers in values[1 + (row - 1) * shape.stride : 1 + row * shape.stride]:
+                if numbers != last:
+                    for put, value in zip(setters, numbers, strict=True):
+                        put(value)
+                    last = numbers
+                run()
+            rows[row] = [get() for get in read]
+    except engine.RuntimeFailure as error:
+        engine.explain(fdm, error)
+    return rows
 
 
 def _staging(chain: ControlChain) -> Staging:

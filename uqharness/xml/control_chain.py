@@ -102,8 +102,8 @@ def control_chain(files: ControlFiles, wanted: Iterable[str], given: Collection[
             ahead += [*inputs, *([bare(gate)] if gate else [])]
     entering = frozenset(name for name in seen if not writers.get(_surface(name)) and name not in levers)
     constants = {name: next(iter(values[name])) for name in sorted(seen - levers) if name in values}
-    # Without an engine there is no such command.
-    constants |= {name: "0" for name in sorted(seen - values.keys()) if files.engines and _LEVERS.fullmatch(name) and name in free}
+    # What nothing makes, and a branch that is never taken names, must be there: JSBSim ends the interpreter over it.
+    constants |= dict.fromkeys(sorted(entering - values.keys()), "0")
     return ControlChain(_aircraft(channels, made, constants, sorted(levers)), entering)
 
 

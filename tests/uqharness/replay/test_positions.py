@@ -140,6 +140,23 @@ def test_a_chain_that_comes_to_other_positions_is_not_used(
     np.testing.assert_allclose(stood, in_jsbsim(model, piece), rtol=0.0, atol=1e-9)
 
 
+def test_a_chain_that_fails_or_cannot_be_compared_is_not_used(
+    model: ReplayModel, flights: dict[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = module._by_chain
+    monkeypatch.setattr(module, "_by_chain", lambda *asked: np.full_like(real(*asked), np.nan))
+    surface_positions(model, [segment(seed=11)], CONTROLS)
+    assert flights["whole"] == 1
+    monkeypatch.setattr(module, "_by_chain", real)
+    module._chains.clear()
+    module._tried.clear()
+    monkeypatch.setattr(
+        module, "by_jsbsim", lambda job: by_jsbsim(job) * np.where(np.arange(len(job.segment.time_s)) < 3, 1.0, np.nan)[:, None]
+    )
+    surface_positions(model, [segment(seed=12)], CONTROLS)
+    assert flights["whole"] == 2
+
+
 def test_an_aircraft_with_an_engine_and_its_lever(flights: dict[str, int]) -> None:
     aircraft = with_card(find_aircraft("c172p"))
     lever = aircraft.card.inputs["throttle"].model_copy(update={"position": "fcs/throttle-pos-norm"})

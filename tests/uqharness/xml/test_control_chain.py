@@ -50,6 +50,8 @@ def test_it_has_the_components_and_constants_that_make_a_position_and_no_others(
     assert found.reads == {"fcs/elevator-cmd-deg", "fcs/other", "fcs/rate", "ap/on", "ap/held"}
     for part in ("<actuator", "<switch", 'execrate="2"', '<property value="240">fcs/rate</property>', "ap/on == 1\nap/held gt 0"):
         assert part in found.xml
+    # What nothing declares is there all the same.
+    assert '<property value="0">ap/held</property>' in found.xml
     for part in ("Gear Horn", "aero/Cm_q", "lift", "deg/s"):
         assert part not in found.xml
 
