@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics import COEFFICIENTS
+from sysid.effects.tuned import DISAGREES
 
 FloatArray = NDArray[np.float64]
-_LEAST_SHARE = 0.12
 _LEAST_S = 0.5
 
 
@@ -68,7 +68,7 @@ def disagreements(
         for c, coefficient in enumerate(COEFFICIENTS):
             z = ratio[:, c]
             outside = np.abs(z) > 1.96
-            if not len(z) or outside.mean() < _LEAST_SHARE or np.sqrt(np.mean(z**2)) < 1.25:
+            if not len(z) or outside.mean() < DISAGREES:
                 continue
             region, mask = _telling(outside, found)
             seconds = float(outside[mask].sum()) * dt_s

@@ -16,30 +16,13 @@ from numpy.typing import NDArray
 
 from sysid.distributions import normal_quantile
 from sysid.effects.score import DEPENDENT, Evidence, agreement, corrected, corrected_each, likeness, scores, solve
+from sysid.effects.tuned import CERTAIN_T, COMPARABLE, DIFFERENT, FAMILY, INSEPARABLE_SHARE, TRACE, UNLIKE
 
 FloatArray = NDArray[np.float64]
 Twins = Mapping[tuple[str, str], Sequence[str]]
-FAMILY = 0.02
-"""Chance that the best of all candidates passes when nothing is missing; the part that confirms is asked besides."""
 DRAWS, DRAWN_IN = 40_000, 8
-EXCHANGE = 9.0
-"""Gain by which another candidate must beat a chosen one to take its place."""
 LOOKED_AT = 12
 TURNS = 3
-UNLIKE = 0.3
-"""Correlation below which a candidate is asked although the best one was not confirmed."""
-CONTRADICTING = 3.0
-"""Standard errors between the estimates of the two parts of the flights beyond which they contradict each other."""
-STRONG = 2.0
-"""How far above the limit an unconfirmed candidate's |t| must be to say that something is missing all the same."""
-TRACE, MOST_TRACE = 0.1, 8.0
-"""Share of the strongest effect's |t| that another must reach, and |t| with which it stands in any case: a strong effect whose form
-is a little off leaves something behind, and some candidate looks like it."""
-INSEPARABLE_T = 3.0
-"""A chosen effect whose t falls below this once another is free cannot be distinguished from that other."""
-INSEPARABLE_SHARE = 0.1
-"""Beside a confounded effect and its companions a chosen effect must keep this share of its information to be separable.
-In theory nothing is left; replays and filters leave a little."""
 MOST_ALTERNATIVES = 3
 
 
@@ -151,7 +134,6 @@ def select(
                 candidates,
                 confirming,
                 asked,
-                STRONG if not empirical else np.inf,
                 empirical,
             )
             if isinstance(found, Refusal):
@@ -192,13 +174,13 @@ def _judged(evidence: Evidence, free: Sequence[str], key: str, confirming: NDArr
 
 def _entering(
     evidence: Evidence, free: Sequence[str], open_: Sequence[str], odds: Mapping[str, float], confirming: NDArray[np.bool_],
-    limit: float, strong: float = STRONG, empirical: bool = False,
+    limit: float, empirical: bool = False,
 ) -> Choice | Refusal | None:  # fmt: skip
     """The candidate to enter. One that its own flights do not confirm may be disturbed by another that is missing as well: those
     that do not resemble it are then asked; it comes to its turn again beside them."""
     first: Refusal | None = None
     for _ in range(TURNS):
-        found = _best(evidence, free, open_, odds, confirming, limit, strong, empirical)
+        found = _best(evidence, free, open_, odds, confirming, limit, empirical)
         if isinstance(found, Choice) or found is None:
             return found or first
         first = first or found
@@ -211,7 +193,7 @@ def _entering(
 
 def _best(
     evidence: Evidence, free: Sequence[str], open_: Sequence[str], odds: Mapping[str, float], confirming: NDArray[np.bool_],
-    limit: float, strong: float = STRONG, empirical: bool = False,
+    limit: float, empirical: bool = False,
 ) -> Choice | Refusal | None:  # fmt: skip
     if not open_:
         return None
@@ -230,20 +212,18 @@ def _best(
             if merit[other] < limit**2:
                 break
             second = _judged(evidence, free, open_[int(other)], confirming)
-            if abs(second.t) > limit and merit[other] > 0.7 * merit[best]:
+            if abs(second.t) > limit:
                 choice = second
                 break
-        else:
-            return Refusal(choice.key, choice.t, choice.gain, f"|t| {abs(choice.t):.1f} is not above {limit:.1f}")
         if not abs(choice.t) > limit:
             return Refusal(choice.key, choice.t, choice.gain, f"|t| {abs(choice.t):.1f} is not above {limit:.1f}")
     if not np.sqrt(choice.gain) > limit * spread:
         why = f"|t| {np.sqrt(choice.gain):.1f} is not above {limit:.1f} times {spread:.2f}, the spread of all candidates"
         return Refusal(choice.key, choice.t, choice.gain, why)
     if np.isfinite(choice.confirmed_gain) and not choice.confirmed_gain > 0.0:
-        certain = abs(choice.t) > limit + strong
+        certain = not empirical and abs(choice.t) > limit + DIFFERENT
         # A part that knows little confirms little. Far above chance it is enough that the parts do not contradict each other.
-        if not (certain and abs(choice.difference) < CONTRADICTING):
+        if not (certain and abs(choice.difference) < DIFFERENT):
             why = "the part of the flights that did not estimate it does not confirm it"
             return Refusal(choice.key, choice.t, choice.gain, why, certain, True)
     return choice
@@ -259,8 +239,7 @@ def _exchanged(
         merit = scores(evidence, others, open_).gain - np.array([odds[c] for c in open_])
         merit = np.nan_to_num(merit, nan=-np.inf)
         best = int(np.argmax(merit))
-        margin = EXCHANGE if len(here) == 1 else 2.0
-        if open_[best] != key and merit[best] > merit[open_.index(key)] + margin:
+        if open_[best] != key and merit[best] > merit[open_.index(key)] + DIFFERENT**2:
             here = [*here[:k], open_[best], *here[k + 1 :]]
             trail = [*trail, f"{key} -> {open_[best]}"]
     return here, trail
@@ -288,7 +267,7 @@ def _corrected_t(evidence: Evidence, free: Sequence[str], here: Sequence[str]) -
 
 def _asked(limit: float, t: Sequence[float]) -> float:
     """|t| asked of an effect beside those of ``t``."""
-    return max(limit, min(TRACE * max(t, default=0.0), MOST_TRACE))
+    return max(limit, min(TRACE * max(t, default=0.0), CERTAIN_T))
 
 
 def _companions(evidence: Evidence, others: Sequence[str], named: Sequence[str]) -> list[str]:
@@ -313,7 +292,8 @@ def _with_alternatives(evidence: Evidence, others: Sequence[str], choice: Choice
     found = scores(evidence, others, rivals)
     alone = float(scores(evidence, others, [choice.key]).information[0])
     order = np.argsort(-np.nan_to_num(found.gain, nan=-np.inf))[:LOOKED_AT]
-    near = [rivals[i] for i in order if np.isfinite(found.gain[i]) and found.gain[i] > 0.25 * choice.gain]
+    least = min(COMPARABLE * choice.gain, choice.gain - DIFFERENT**2)
+    near = [rivals[i] for i in order if np.isfinite(found.gain[i]) and found.gain[i] > least]
     near += [k for k, g in zip(rivals, found.gain, strict=True) if (choice.key, k) in twins and k not in near and np.isfinite(g)]
     alike = likeness(evidence, others, choice.key, near) if near else np.zeros(0)
     rows = []
@@ -324,7 +304,7 @@ def _with_alternatives(evidence: Evidence, others: Sequence[str], choice: Choice
         # White t of the effect beside its rival, brought to the colour of the residuals by the ratio found for the effect alone.
         t *= abs(choice.t) / np.sqrt(choice.gain) if choice.gain > 0 else 1.0
         kept = float(np.nan_to_num(beside.information[0])) / alone
-        inseparable = abs(t) < INSEPARABLE_T or (bool(companions) and kept < INSEPARABLE_SHARE)
+        inseparable = abs(t) < DIFFERENT or (bool(companions) and kept < INSEPARABLE_SHARE)
         gain = float(found.gain[rivals.index(key)])
         rows.append(Alternative(key, gain, t, float(same), not inseparable, tuple(companions)))
     together = _kin_first(choice.key, [r for r in rows if not r.separable], twins)[: MOST_ALTERNATIVES - 1]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sysid.effects.catalogue import JATEGAONKAR, Effect
+from sysid.effects.tuned import ODDS
 
 _POSITIVE = ("delay", "lag", "deadband", "rate_limit", "separation", "dynamic", "lift")
 _WIND = ("V_mps", "alpha_rad", "beta_rad")
@@ -12,28 +13,28 @@ _WIND = ("V_mps", "alpha_rad", "beta_rad")
 _Row = tuple[str, str, str, str, str, str, float]
 _AIRCRAFT: tuple[_Row, ...] = (
     ("stall", "separation", "lift lost by separation", "flow separates from the trailing edge at high angle of attack",
-     "high angle of attack", "1", 1.0),
+     "high angle of attack", "1", ODDS),
     ("stall", "dynamic", "lift lost by separation that lags", "separation follows angle of attack late (eq 2.40)",
-     "fast changes at high angle of attack", "1", 1.0),
+     "fast changes at high angle of attack", "1", ODDS),
     ("ground", "lift", "lift gained near the ground",
      "the ground holds up the wing's downwash: normal force grows by a share that falls off as exp(-2 h/b)",
-     "low height", "1", 1.0),
+     "low height", "1", ODDS),
     ("propulsion", "thrust_scale", "thrust off by a factor", "propeller or battery give more or less than the map",
-     "throttle changes", "1", 0.5),
+     "throttle changes", "1", ODDS),
     ("propulsion", "inflow", "inflow at the propeller off by a factor",
      "the propeller meets the air faster or slower than the map has it",
-     "throttle and speed changes", "1", 1.0),
+     "throttle and speed changes", "1", ODDS),
     ("propulsion", "airspeed", "thrust off by a factor that goes with airspeed", "propeller and motor are matched at another speed",
-     "throttle and speed changes", "1", 1.0),
+     "throttle and speed changes", "1", ODDS),
     ("propulsion", "torque", "propeller torque", "the motor's reaction rolls the aircraft against the propeller",
-     "throttle changes", "1", 1.0),
+     "throttle changes", "1", ODDS),
     ("propulsion", "p_factor", "p-factor", "the descending blade sees more angle of attack: yaw with alpha, pitch with beta",
-     "throttle at angle of attack", "1", 1.0),
+     "throttle at angle of attack", "1", ODDS),
     ("propulsion", "slipstream", "slipstream over the tail", "tail surfaces act in more dynamic pressure as thrust grows",
-     "elevator and rudder at different power", "1", 1.0),
-    ("mass", "cg_x", "centre of gravity further forward", "the moments are about another point", "all manoeuvres", "m", 1.0),
+     "elevator and rudder at different power", "1", ODDS),
+    ("mass", "cg_x", "centre of gravity further forward", "the moments are about another point", "all manoeuvres", "m", ODDS),
     ("mass", "Ixz", "product of inertia Ixz off",
-     "roll and yaw accelerations are coupled, and pitch with roll rate squared", "aileron and rudder doublets", "kg m^2", 1.0),
+     "roll and yaw accelerations are coupled, and pitch with roll rate squared", "aileron and rudder doublets", "kg m^2", ODDS),
 )  # fmt: skip
 
 
@@ -53,11 +54,11 @@ def subsystem_effects(
     for s in surfaces:
         rows += [
             (f"actuator.{s}", "lag", f"{s} servo's lag other than modelled", "first-order lag of the servo", f"{s} steps", "s",
-             1.0),
+             ODDS),
             (f"actuator.{s}", "deadband", f"{s} servo with a deadband", "small commands do not move the surface",
-             f"small {s} commands", "deg", 1.0),
+             f"small {s} commands", "deg", ODDS),
             (f"actuator.{s}", "rate_limit", f"{s} servo's rate limit other than modelled", "the servo's speed is limited",
-             f"large {s} steps", "s/deg", 1.0),
+             f"large {s} steps", "s/deg", ODDS),
         ]  # fmt: skip
     for c in channels:
         short, unit = c.split("_")[0], c.split("_")[1]
@@ -71,7 +72,7 @@ def subsystem_effects(
                 physics,
                 "all manoeuvres",
                 "1",
-                1.5 if wind else 2.0,
+                2.0 * ODDS,
             )
         )
         if short not in ("p", "q", "r"):
@@ -83,25 +84,25 @@ def subsystem_effects(
                     "calibration or misalignment",
                     "all manoeuvres",
                     unit,
-                    2.0,
+                    2.0 * ODDS,
                 )
             )
     if {"ax_mps2", "ay_mps2", "az_mps2"} & set(channels):
         rows += [
             ("sensor.accelerometer", f"place_{axis}", f"accelerometers further {way}", "they feel the rotation about the CG",
-             "abrupt manoeuvres", "m", 1.5)
+             "abrupt manoeuvres", "m", 2.0 * ODDS)
             for axis, way in (("x", "forward"), ("y", "right"), ("z", "down"))
         ]  # fmt: skip
     if {"V_mps", "q_radps", "r_radps"} <= set(channels) and {"alpha_rad", "beta_rad"} & set(channels):
         physics = "they move with pitch and yaw rate"
-        rows.append(("sensor.vane", "place_x", "wind vanes further forward", physics, "abrupt manoeuvres", "m", 1.5))
+        rows.append(("sensor.vane", "place_x", "wind vanes further forward", physics, "abrupt manoeuvres", "m", 2.0 * ODDS))
     rows += [
         (f"sensor.{c}", "delay", f"{c.split('_')[0]} sensor late", "filtering and transport of the signal",
-         "fast manoeuvres", "s", 1.5)
+         "fast manoeuvres", "s", 2.0 * ODDS)
         for c in delays
     ] + [
         (f"sensor.{c}", "delay", f"{c.split('_')[0]} alone late", "filtered otherwise than the other channels of its sensor",
-         "fast manoeuvres", "s", 4.0)
+         "fast manoeuvres", "s", 4.0 * ODDS)
         for c in parts
     ]  # fmt: skip
     return [_effect(row) for row in rows]

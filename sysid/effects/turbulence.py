@@ -21,6 +21,7 @@ from scipy.optimize import Bounds, minimize
 from sysid.aerodynamics import NX, GustStates, Steps
 from sysid.effects.gust_score import AirLikelihood, Score
 from sysid.effects.prediction import surprise
+from sysid.effects.tuned import AIR_SHARE
 from sysid.estimation import Process
 from sysid.parallel import ALONE, Processes
 
@@ -33,9 +34,6 @@ _START = np.array([0.25, 5e-4, 5e-4, 5e-2, 1e-4])
 at V_REFERENCE. Light air, to begin with."""
 _MEMORY_S = 10.0
 """How long gusts along and across the path last: L/V of MIL-F-8785C at the heights of model aircraft."""
-AIR_SHARE = 0.03
-"""Share of the gain that comes of V, alpha and beta in air. In light Dryden turbulence it is a fifth; where a moment that the
-model lacks acts now and then, nothing."""
 _STILL = np.array([1e-6, 1e-6, 1e-6, 1.0, 1.0])
 _FACTORS = (1e-4, 1e-2, 0.1, 1.0, 5.0)
 """Of _START, from the best of which the search begins."""

@@ -12,13 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.effects import Evidence, Selection, Twins, judged
+from sysid.effects import OVERWHELMING, TRACE, Evidence, Selection, Twins, judged
 from uqharness.refinement.fit import moved_starts, stepped
 from uqharness.refinement.types import Point, Setup
-
-WEAK, WEAK_IN_GUSTS, OVERWHELMING = 0.1, 1.0, 15.0
-"""Share of the strongest |t| below which a candidate waits; in gusts, about the flight as measured, when that is overwhelming:
-beside a vane that reads 1.8 times the angle, a centre of gravity elsewhere had two thirds of its |t|, and stayed."""
 
 
 @dataclass(frozen=True)
@@ -55,14 +51,16 @@ def joint_point(
 
 def strong_first(
     selection: Selection, evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], confirming: NDArray[np.bool_],
-    twins: Twins | None, weak: float = WEAK,
+    twins: Twins | None, alone: bool = False,
 ) -> Selection:  # fmt: skip
     """The choice less what is weak beside its strongest: what linearisation leaves of a strong effect looks like a weak one.
 
-    Those come to their turn when it has been flown.
+    Those come to their turn when it has been flown. alone: an overwhelming one flies by itself, as about the flight as measured in
+    gusts: beside a vane that reads 1.8 times the angle, a centre of gravity elsewhere had two thirds of its |t|, and stayed.
     """
     top = max((abs(c.t) for c in selection.chosen), default=0.0)
-    kept = [c.key for c in selection.chosen if abs(c.t) >= (weak if top > OVERWHELMING else WEAK) * top]
+    least = top if alone and top > OVERWHELMING else TRACE * top
+    kept = [c.key for c in selection.chosen if abs(c.t) >= least]
     if len(kept) == len(selection.chosen):
         return selection
     later = ", ".join(c.key for c in selection.chosen if c.key not in kept)

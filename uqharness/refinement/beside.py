@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from sysid.effects import Choice
+from sysid.effects import COLOURED_P, COMPARABLE, DIFFERENT, OVERWHELMING, Choice
 from sysid.estimation import NOISE_FLOOR
 from sysid.parallel import Processes
 from uqharness.refinement.find import Found
@@ -17,14 +17,6 @@ from uqharness.refinement.judge import Side, evidence_of, left_out, sensed_by
 from uqharness.refinement.showing.show import Shown, show, whiteness
 from uqharness.refinement.types import Setup
 from uqharness.simulator import Aircraft
-
-COLOURED_P = 1e-7
-OF_STRONGEST = 0.5
-"""Share of the strongest effect's |t| that another must have."""
-ENOUGH = 20.0
-"""|t| that is enough beside any."""
-BY_ITSELF = 1.5
-"""Share of the |t| asked of an effect that the strongest must have itself."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +41,7 @@ def left_in(setup: Setup, shown: Shown, gusty: bool) -> Left:
 def too_weak(chosen: Sequence[Choice], limit: float) -> tuple[Choice, ...]:
     """Those that would not be named beside something unexplained; limit: |t| asked of any."""
     strongest = max((abs(c.t) for c in chosen), default=0.0)
-    asked = max(min(OF_STRONGEST * strongest, ENOUGH), BY_ITSELF * limit)
+    asked = max(min(COMPARABLE * strongest, OVERWHELMING), limit + DIFFERENT)
     return tuple(c for c in chosen if not abs(c.t) >= asked)
 
 

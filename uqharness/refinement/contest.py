@@ -10,35 +10,19 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
-from sysid.effects import Choice, Evidence, likeness, scores
-
-NEAR = 0.8
-"""Share of the winner's gain that an alternative must reach on the linearised flight."""
-ALIKE = 0.99
-"""Correlation from which two candidates are one and the same for this purpose."""
-OF_A_SERVO = 0.5
-"""The same for another fault of the same servo: none of them is linear in its number, and lags and rate limits trade places."""
-MOST_RIVALS = 3
-MANY, BY_FAR = 3, 30.0
-"""Effects asked for beside what flew, and |t| of the strongest, from which that one's alternatives fly beside it: where many are
-asked for, the strongest may be what several share."""
-BESIDE, MOST_BESIDE = 0.3, 6
-"""Share of the strongest's gain that an alternative must then reach, and how many fly."""
+from sysid.effects import ALIKE, COMPARABLE, OVERWHELMING, SEVERAL, Choice, Evidence, likeness, scores
 
 
-def rivals(
-    evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], key: str, near: float = NEAR, most: int = MOST_RIVALS
-) -> list[str]:  # fmt: skip
-    """Other candidates that explain ``near`` as much as ``key`` in its place, the best first, no two of them alike."""
+def rivals(evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], key: str) -> list[str]:
+    """Other candidates that explain nearly as much as ``key`` in its place, the best first, no two of them alike: they trade places
+    where none of them is linear in its number."""
     others = [k for k in odds if k != key]
     own, *gains = np.nan_to_num(scores(evidence, free, [key, *others]).gain, nan=-np.inf)
     gain = np.array(gains)
     found: list[str] = []
     for k in np.argsort(-gain):
-        if len(found) == most:
+        if len(found) == SEVERAL or not gain[k] >= COMPARABLE * own:
             break
-        if not gain[k] >= (OF_A_SERVO if _one_servo(key, others[k]) else near) * own:
-            continue
         same = np.abs(np.nan_to_num(likeness(evidence, free, others[k], [key, *found])))
         if same.max() < ALIKE:
             found.append(others[k])
@@ -49,12 +33,7 @@ def many_asked(flown: Collection[str], again: Sequence[Choice]) -> Choice | None
     """The strongest effect asked for beside those flown, where many are and it is by far too strong for chance; else None."""
     new = [c for c in again if c.key not in flown]
     strongest = max(new, key=lambda c: abs(c.t), default=None)
-    return strongest if strongest is not None and len(new) >= MANY and abs(strongest.t) > BY_FAR else None
-
-
-def _one_servo(one: str, other: str) -> bool:
-    part = one.split("/")[1:2]
-    return part == other.split("/")[1:2] and "".join(part).startswith("actuator.")
+    return strongest if strongest is not None and len(new) >= SEVERAL and abs(strongest.t) > OVERWHELMING else None
 
 
 def winner(

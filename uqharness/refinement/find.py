@@ -17,7 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.effects import (
-    STRONG,
+    CERTAIN_T,
+    DIFFERENT,
+    GUST_LIMIT,
+    GUST_ODDS,
+    LEAST_LATE_ROWS,
+    OVERWHELMING,
+    RATES_IN_GUSTS,
+    RESOLVED_ROWS,
     TWINS,
     Choice,
     Effect,
@@ -36,14 +43,14 @@ from sysid.parallel import Processes
 from uqharness.errors import BadInputError
 from uqharness.plugin import Estimate
 from uqharness.refinement.base import Base, base_fit_and_noise
-from uqharness.refinement.begin import OVERWHELMING, WEAK_IN_GUSTS, strong_first
+from uqharness.refinement.begin import strong_first
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.fit import Fit
 from uqharness.refinement.gusts import GustFit, gust_evidence, gust_refit
 from uqharness.refinement.rates import limits_tried
 from uqharness.refinement.rivals import like_turning_air
 from uqharness.refinement.round import Start
-from uqharness.refinement.rounds import LEAST_LATE_ROWS, candidate_evidence, column_evidence, eligible, resolved, settle
+from uqharness.refinement.rounds import candidate_evidence, column_evidence, eligible, resolved, settle
 from uqharness.refinement.setup import (
     Bench,
     candidates_for,
@@ -58,17 +65,6 @@ from uqharness.refinement.types import Setup, lateness
 from uqharness.refinement.writing.slopes import of_lift_slope
 from uqharness.simulator import Aircraft
 
-GUST_LIMIT = 7.0
-"""|t| asked of an effect in turbulence, where the air's spectrum is a model, too."""
-GUST_ODDS = 30.0
-"""Odds against what a gust model that is a little off would look like."""
-LEFT_T = 10.0
-"""|t| from which a candidate that was not chosen is told, beside those that were: no limit for chance reaches it."""
-RATES_IN_GUSTS = 6.7
-"""Factor on the standard errors of terms with rates of the wind angles in turbulence: rms of (estimate - truth) / standard error of
-five such cases (docs/hidden-effects.md)."""
-RESOLVED_ROWS = 0.03
-"""Standard error, in rows, of a time told by replay."""
 NO_AIR = (
     "the residuals of replays looked like turbulence, but of air that rotates without moving: an effect in the "
     "aircraft acts intermittently, and the flights were judged by replays"
@@ -88,7 +84,7 @@ class Found:
     slopes          numbers that effects of stall and propulsion are written with
     flown           key -> value that an effect has in ``after``
     unnamed         effects that were chosen and are too weak to be named beside something unexplained
-    left            candidates that are not chosen and whose |t| beside the chosen is above LEFT_T: (key, t), the strongest first
+    left            candidates that are not chosen and whose |t| beside the chosen is above CERTAIN_T: (key, t), the strongest first
     """
 
     setup: Setup
@@ -226,7 +222,9 @@ def _not_borne_out(first: Selection, limit: float) -> Refusal | None:
     if not first.chosen:
         return None
     c = first.chosen[0]
-    return Refusal(c.key, c.t, c.gain, "flown in the simulation it does not lower the error by as much", abs(c.t) > limit + STRONG)
+    return Refusal(
+        c.key, c.t, c.gain, "flown in the simulation it does not lower the error by as much", abs(c.t) > limit + DIFFERENT
+    )
 
 
 def with_resolution(selection: Selection, effects: Mapping[str, Effect], dt_s: float, gusty: bool) -> Selection:
@@ -267,7 +265,7 @@ def _in_gusts(
     odds = {k: o + handicap.get(k, 0.0) for k, o in eligible(effects, setup, found.fit, evidence).items()}
     limit = max(threshold(len(odds)), GUST_LIMIT)
     first = select(evidence, free, odds, confirming, limit=limit, twins=TWINS, empirical=True)
-    first = strong_first(first, evidence, free, odds, confirming, TWINS, WEAK_IN_GUSTS)
+    first = strong_first(first, evidence, free, odds, confirming, TWINS, alone=True)
     if not any(abs(c.t) > OVERWHELMING for c in first.chosen):
         evidence = evidence.narrowed(free)
     start = Start(
@@ -284,7 +282,7 @@ def _in_gusts(
     )
     by_key = {e.key: e for e in effects}
     # Gusts estimated beside it may explain what stood a little above the limit; not what was overwhelming.
-    lost = _not_borne_out(first, OVERWHELMING - STRONG)
+    lost = _not_borne_out(first, OVERWHELMING - DIFFERENT)
     refused = lost if lost is not None and lost.strong else first.refused
     after, selection, last = found.fit, replace(first, chosen=(), refused=refused), evidence
     if best is not None:
@@ -306,12 +304,12 @@ def _in_gusts(
 def left_beside(
     evidence: Evidence, free: Sequence[str], chosen: Sequence[str], odds: Iterable[str]
 ) -> tuple[tuple[str, float], ...]:
-    """Candidates not chosen whose |t| beside the chosen is above LEFT_T: (key, t), the strongest first."""
+    """Candidates not chosen whose |t| beside the chosen is above CERTAIN_T: (key, t), the strongest first."""
     own = [n for n in free if not n.startswith("effect/")]
     rest = [k for k in odds if k not in chosen and k in evidence.names]
     t = np.nan_to_num(scores(evidence, [*own, *chosen], rest).t) if rest else np.zeros(0)
     order = np.argsort(-np.abs(t))
-    return tuple((rest[i], float(t[i])) for i in order if abs(t[i]) > LEFT_T)
+    return tuple((rest[i], float(t[i])) for i in order if abs(t[i]) > CERTAIN_T)
 
 
 def _moved_alone(evidence: Evidence, names: Sequence[str], fit: Fit) -> dict[str, float]:

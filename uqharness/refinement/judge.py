@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid.effects import Choice, Columns, Evidence, Gusts, corrected_each
+from sysid.effects import FAR, SHOWN, Choice, Columns, Evidence, Gusts, corrected_each
 from sysid.parallel import Processes
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.find import Found, in_one_step, with_resolution
@@ -27,11 +27,6 @@ BLOCK_S = 2.0
 """Residuals this far apart count as independent."""
 BEYOND_CHANCE = 1.645
 """Standard errors beyond which a change of the gap is not chance's: noise alone does that once in twenty times."""
-SHOWN = 0.75
-"""Standard errors by which an effect, were it there, would change a test flight that is asked for more than chance's answer."""
-FAR = 5.0
-"""Test flights that lie this many times as far from either model as the train flights do are not of the same aircraft or not
-sound; a difference between the models is lost in what is wrong with them."""
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.effects import Choice, Effect, Selection, judged
-from uqharness.refinement.begin import OVERWHELMING, About
-from uqharness.refinement.contest import BESIDE, MOST_BESIDE, many_asked, rivals, winner
+from sysid.effects import DIFFERENT, EARNED, OVERWHELMING, STANDS, Choice, Effect, Selection, judged
+from uqharness.refinement.begin import About
+from uqharness.refinement.contest import many_asked, rivals, winner
 from uqharness.refinement.gusts import GustFit
 from uqharness.refinement.round import Round, Start
 from uqharness.refinement.types import in_dynamics
@@ -20,16 +20,6 @@ from uqharness.simulator import Aircraft
 
 HELD_FLIGHTS = 8
 """Flights in which a number that JSBSim reads once may come to its value."""
-FAR_OFF = 3.0
-"""Standard errors from its flown value beyond which a number that is held in flight has to fly again before others are chosen."""
-NO_NEARER = 0.95
-"""Share of the change wanted before from which flights that want as much again have not come nearer."""
-EARNED = 8.0
-"""By how much a flight's merit must fall for the change of a number to have done something."""
-SAYS_LITTLE = 0.75
-"""Share of the |t| asked of an effect below which, flown, it is no effect: what asked for it is gone."""
-STANDS = 1.0
-"""Standard errors by which such a number may differ from the one flown and stand."""
 Predicted = Callable[..., GustFit]
 
 
@@ -69,7 +59,7 @@ def rival(
     if best is not None:
         return flown[best.key]
     mine = flown.get(first.key, first)
-    return mine if abs(mine.value - first.value) > FAR_OFF * mine.std else None
+    return mine if abs(mine.value - first.value) > DIFFERENT * mine.std else None
 
 
 def companion(
@@ -81,7 +71,7 @@ def companion(
         return None
     evidence, keys = now.about.evidence, sorted(now.keys)
     free = [*start.before.columns[0].names, *keys]
-    names = [second.key, *rivals(evidence, free, odds, second.key, BESIDE, MOST_BESIDE)]
+    names = [second.key, *rivals(evidence, free, odds, second.key)]
     say(f"flying {', '.join(k.removeprefix('effect/').replace('/', ' ') for k in names)}, each beside what flew")
     known = replace(start, gusts=now.gusts, setup=replace(start.setup, noise=now.setup.noise))
     best: tuple[float, Selection] = (np.inf, now.again)
@@ -138,7 +128,7 @@ def read_once_first(selection: Selection, effects: Sequence[Effect], aircraft: A
 
 def far_off(held: Sequence[Choice], written: Mapping[str, float]) -> dict[str, float]:
     """key -> value flown, of numbers that JSBSim reads once and whose estimates lie elsewhere."""
-    return {c.key: written[c.key] for c in held if abs(c.value - written[c.key]) > FAR_OFF * c.std}
+    return {c.key: written[c.key] for c in held if abs(c.value - written[c.key]) > DIFFERENT * c.std}
 
 
 def at_values(now: Round, fly: Callable[[Selection, About, Path], Round | None], folder: Path) -> Round:
@@ -160,8 +150,8 @@ def at_values(now: Round, fly: Callable[[Selection, About, Path], Round | None],
                 chosen.append(c)
                 continue
             here = (now.far[c.key], c.value - now.far[c.key])
-            nearer = c.key not in last or here[1] * np.sign(last[c.key][1]) < NO_NEARER * abs(last[c.key][1])
-            if nearer or merit - now.merit > EARNED:
+            nearer = c.key not in last or here[1] * np.sign(last[c.key][1]) < abs(last[c.key][1])
+            if nearer or merit - now.merit > DIFFERENT**2:
                 chosen.append(replace(c, value=here[0] + ahead(last.get(c.key), here)))
             last[c.key] = here
         if not chosen:
@@ -181,7 +171,7 @@ def without_weak(
 
     Such a choice goes to and fro: what an effect seemed to be is gone when it flies, and there again when it does not.
     """
-    if best is not None and not best.gusts and not any(abs(c.t) > SAYS_LITTLE * limit for c in best.selection.chosen):
+    if best is not None and not best.gusts and not any(c.t**2 > EARNED * limit**2 for c in best.selection.chosen):
         return None, [f"flown, {c.key} has |t| {abs(c.t):.1f}: no effect" for c in best.selection.chosen]
     weak = [c for c in best.selection.chosen if not abs(c.t) > limit] if best is not None and not best.standing else []
     if best is None or not weak or len(weak) == len(best.selection.chosen):

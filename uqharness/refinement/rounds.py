@@ -9,8 +9,25 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.effects import TWINS, Choice, Columns, Effect, Evidence, Selection, gather, judged, scores, select, whiten
-from uqharness.refinement.begin import OVERWHELMING, About, joint_point
+from sysid.effects import (
+    EARNED,
+    LEAST_LATE_ROWS,
+    OVERWHELMING,
+    STANDS,
+    TWINS,
+    UNKNOWN_ROWS,
+    Choice,
+    Columns,
+    Effect,
+    Evidence,
+    Selection,
+    gather,
+    judged,
+    scores,
+    select,
+    whiten,
+)
+from uqharness.refinement.begin import About, joint_point
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.contest import many_asked
 from uqharness.refinement.fit import PRIOR, Fit, best_flown, merged, refit
@@ -25,12 +42,7 @@ from uqharness.refinement.writing.slopes import control_slopes
 from uqharness.replay import CONTROLS
 from uqharness.simulator import Aircraft, find_aircraft
 
-LEAST_LATE_ROWS = 0.15
-"""A delay or lag below this share of a row is within what a replay resolves, and is no effect."""
-LEAST_LATE_LOG_ROWS = 0.5
 ROUNDS = 4
-EARNED = 0.6
-"""Share of limit^2 by which each effect must lower the cost of the flight itself: a linearised gain is not reached to the last."""
 Say = Callable[[str], None]
 
 
@@ -190,7 +202,7 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     own = again.chosen if standing else felt(judged(evidence, free, keys, list(odds), start.confirming, TWINS), start.setup)
     # What JSBSim reads once (mass, servos) has to be written anew until the number stands.
     held = [c for c in own if c.key not in setup.carriers and in_dynamics(by_key[c.key])]
-    moving = [c for c in held if abs(c.value - written[c.key]) > 0.5 * c.std]
+    moving = [c for c in held if abs(c.value - written[c.key]) > STANDS * c.std]
     far = far_off(held, written)
     again = again if start.gusts is None else first_at_values(again, own, far)
     cost = fit.flown.cost if gusts is None else surprise
@@ -257,7 +269,7 @@ def _brief(effects: Sequence[Effect], free: Sequence[str], kept: Sequence[str], 
 
 def _least_late_s(setup: Setup) -> float:
     # When within a row of a log a command changed, the log does not say.
-    return (LEAST_LATE_LOG_ROWS if setup.late else LEAST_LATE_ROWS) * setup.segments[0].dt_s
+    return (UNKNOWN_ROWS if setup.late else LEAST_LATE_ROWS) * setup.segments[0].dt_s
 
 
 def eligible(effects: Sequence[Effect], setup: Setup, fit: Fit, evidence: Evidence) -> dict[str, float]:

@@ -11,14 +11,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.effects import EXCHANGE, Effect, Evidence, agreement, corrected, scores, solve
+from sysid.effects import DIFFERENT, UNKNOWN_ROWS, Effect, Evidence, agreement, corrected, scores, solve
 from uqharness.replay import Flight
 
 CONTROLS_LATE = Effect(
     None, "record", "delay", "controls recorded early or late", "all commands act one time later than the record says", unit="s"
 )  # fmt: skip
-LEAST_EARLY_ROWS = 0.5
-"""A flight of a simulator acts up to half a step before its row; what is earlier than this is a slip of the record."""
 MOST_CORRECTIONS = 4
 
 
@@ -33,7 +31,8 @@ def controls_late(
     """
     key = CONTROLS_LATE.key
     value, std, _ = corrected(evidence, free, key)
-    if not abs(value / std) > limit or not (value > least_s or value < -LEAST_EARLY_ROWS * dt_s):
+    # A flight of a simulator acts up to half a step before its row; what is earlier than this is a slip of the record.
+    if not abs(value / std) > limit or not (value > least_s or value < -UNKNOWN_ROWS * dt_s):
         return None
     own = float(scores(evidence, free, [key]).gain[0])
     rivals = list(odds)
@@ -41,7 +40,7 @@ def controls_late(
     if np.nanmax(merit, initial=0.0) > own:
         return None
     lags = [k for k in rivals if k.startswith("effect/actuator.") and k.endswith("/lag")]
-    if lags and joint_gain(evidence, free, lags) > own + EXCHANGE:
+    if lags and joint_gain(evidence, free, lags) > own + DIFFERENT**2:
         return None
     if confirming.any() and not confirming.all() and not agreement(evidence, free, key, ~confirming)[0] > 0.0:
         return None

@@ -10,7 +10,7 @@ import pytest
 from sysid.effects.prediction import White
 from sysid.effects.score import Evidence, gather
 from sysid.effects.selection import Choice, Selection
-from uqharness.refinement.begin import WEAK_IN_GUSTS, About, joint_point, strong_first
+from uqharness.refinement.begin import About, joint_point, strong_first
 from uqharness.refinement.candidates import around, servo_change
 from uqharness.refinement.rates import SHARES, just_so
 from uqharness.refinement.types import Point
@@ -54,20 +54,20 @@ def choice(key: str, t: float) -> Choice:
 
 
 @pytest.mark.parametrize(
-    ("t", "weak", "kept"),
+    ("t", "alone", "kept"),
     [
-        ((80.0, 5.0), 0.1, 1),
-        ((40.0, 5.0), 0.1, 2),
-        ((40.0, 18.0), WEAK_IN_GUSTS, 1),
-        ((15.0, 6.0), WEAK_IN_GUSTS, 2),  # nothing overwhelming about it
+        ((80.0, 5.0), False, 1),
+        ((40.0, 5.0), False, 2),
+        ((40.0, 18.0), True, 1),
+        ((15.0, 6.0), True, 2),  # nothing overwhelming about it
     ],
 )
-def test_the_weak_wait_for_the_strong(t, weak, kept):
+def test_the_weak_wait_for_the_strong(t, alone, kept):
     keys = NAMES[1:]
     evidence = evidence_of((0.0, t[0] / 40.0, t[1] / 40.0))
     selection = Selection(tuple(choice(k, v) for k, v in zip(keys, t, strict=True)))
     odds = dict.fromkeys(keys, 0.0)
-    found = strong_first(selection, evidence, ["aero/a"], odds, np.array([False, True]), None, weak)
+    found = strong_first(selection, evidence, ["aero/a"], odds, np.array([False, True]), None, alone)
     assert {c.key for c in found.chosen} == set(keys[:kept])
     assert any("put off" in line and keys[1] in line for line in found.trail) == (kept == 1)
 

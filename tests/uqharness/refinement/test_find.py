@@ -7,10 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from sysid.effects import CERTAIN_T, RATES_IN_GUSTS
 from sysid.effects.catalogue import coefficient_effect
 from sysid.effects.score import Evidence
 from sysid.effects.selection import Choice, Selection
-from uqharness.refinement.find import LEFT_T, RATES_IN_GUSTS, Found, left_beside, with_resolution
+from uqharness.refinement.find import Found, left_beside, with_resolution
 from uqharness.refinement.showing.words import still_asked
 
 
@@ -29,7 +30,7 @@ def test_every_strong_candidate_beside_the_chosen_is_told_the_strongest_first():
     assert [k for k, _ in left_beside(found, ["aero/Cm_q"], ["effect/a"], keys)] == ["effect/c", "effect/b"]
     assert [k for k, _ in left_beside(found, ["aero/Cm_q"], [], keys)] == ["effect/a", "effect/c", "effect/b"]
     assert left_beside(found, ["aero/Cm_q"], keys, keys) == ()
-    assert all(abs(t) > LEFT_T for _, t in left_beside(found, ["aero/Cm_q"], [], keys))
+    assert all(abs(t) > CERTAIN_T for _, t in left_beside(found, ["aero/Cm_q"], [], keys))
 
 
 def test_what_only_resembles_the_chosen_is_not():

@@ -11,7 +11,7 @@ import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.effects import (
-    STRONG,
+    DIFFERENT,
     Alternative,
     Choice,
     Disagreement,
@@ -116,7 +116,7 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
     effects = [_effect(found, c, judged.verdicts[c.key], switches) for c in found.selection.chosen]
     withdrawn = [_effect(chosen, c, judged.verdicts[c.key], switches) for c in judged.withdrawn]
     # What the train flights ask for and the test flights speak against is a disagreement without a name, unless chance asked.
-    asked = [c for c in judged.withdrawn if abs(c.t) > chosen.limit + STRONG]
+    asked = [c for c in judged.withdrawn if abs(c.t) > chosen.limit + DIFFERENT]
     remaining["where"] += [_contradicted(chosen.effects[c.key], c) for c in asked]
     remaining["where"] += [_unnamed(chosen.effects[c.key], c) for c in chosen.unnamed]
     told = {c.key for c in (*asked, *chosen.unnamed, *chosen.selection.chosen)}
