@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,7 +13,7 @@ from sysid.digests import sha256_hex
 from sysid.foreign.data_file import DataFileError, dump, load
 from sysid.foreign.regular_files import read_regular
 from uqharness.errors import BadInputError
-from uqharness.files import write_bytes, write_whole
+from uqharness.files import write_bytes
 
 _LOG = logging.getLogger("uqharness")
 T = TypeVar("T")
@@ -34,7 +33,6 @@ class Stages:
     def __init__(self, folder: Path | None, parts: Sequence[str]) -> None:
         self.folder = folder
         self.key = sha256_hex("\0".join(parts).encode())[:16]
-        self._last: tuple[object, Path] | None = None
 
     def __call__(self, name: str, kind: Any, make: Callable[[], T]) -> T:
         """What ``make`` returns, from the disk if an earlier run with the same input got that far. ``kind``: its type."""
@@ -44,7 +42,6 @@ class Stages:
         path = folder / f"{name}-{self.key}.data"
         try:
             found: T = load(read_regular(path, MOST_BYTES), kind)
-            self._last = (found, path)
             return found
         except FileNotFoundError:
             pass
@@ -53,21 +50,10 @@ class Stages:
             _LOG.warning("%s: %s; this stage is computed again", path, reason)
         made = make()
         try:
-            self._keep(path, made)
+            write_bytes(path, dump(made))
         except (BadInputError, DataFileError) as error:
             _LOG.warning("%s: %s; if this run is interrupted, this stage is computed again", path, error)
         return made
-
-    def _keep(self, path: Path, made: object) -> None:
-        """Write what was made; what the stage before gave and this one left as it was is a second name of that file. Raises
-        BadInputError, DataFileError."""
-        if self._last is not None and self._last[0] is made:
-            earlier = self._last[1]
-            with contextlib.suppress(BadInputError):
-                write_whole(path, lambda target: os.link(earlier, target))
-                return
-        write_bytes(path, dump(made))
-        self._last = (made, path)
 
     def forget(self) -> None:
         """Remove the files: the refinement is done. What is not a stage's own file stays, and so does the folder then."""

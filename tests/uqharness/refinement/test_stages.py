@@ -14,7 +14,6 @@ import pytest
 from sysid.errors import Finding
 from sysid.foreign.data_file import dump
 from tests.helpers.places import ROOT
-from uqharness.refinement import stages as module
 from uqharness.refinement.stages import FOLDER, Stages
 
 
@@ -37,28 +36,6 @@ def test_what_was_made_is_found_again_by_the_same_input_alone(folder, caplog):
     assert Stages(folder, ["other"])("effects", list[Finding], lambda: [*found(), *found()]) == [*made, *made]
     assert Stages(None, ())("effects", list[Finding], found) == made
     assert caplog.messages == []
-
-
-@pytest.mark.parametrize("linked", [True, False])
-def test_what_a_stage_leaves_as_it_was_is_written_once(folder, monkeypatch, linked):
-    written = []
-    monkeypatch.setattr(module, "dump", lambda value: written.append(value) or dump(value))
-    if not linked:
-        # As on a file system without links.
-        monkeypatch.setattr(module.os, "link", lambda *_: (_ for _ in ()).throw(OSError("no links here")))
-    stages = Stages(folder, ["input"])
-    made = stages("effects", list[Finding], found)
-    assert stages("named", list[Finding], lambda: made) is made
-    assert len(written) == (1 if linked else 2)
-    again = Stages(folder, ["input"])
-    assert again("named", list[Finding], fail) == made
-    # What was read is not written again either; another value is.
-    read = again("effects", list[Finding], fail)
-    again("judged", list[Finding], lambda: read)
-    again("whole", list[Finding], lambda: list(read))
-    assert len(written) == (2 if linked else 4)
-    (folder / next(p.name for p in folder.iterdir() if p.name.startswith("effects"))).unlink()
-    assert Stages(folder, ["input"])("named", list[Finding], fail) == made
 
 
 @pytest.mark.parametrize(
