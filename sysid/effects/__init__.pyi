@@ -59,7 +59,6 @@ from .tuned import OVERWHELMING as OVERWHELMING
 from .tuned import RATES_IN_GUSTS as RATES_IN_GUSTS
 from .tuned import RESOLVED_ROWS as RESOLVED_ROWS
 from .tuned import SEVERAL as SEVERAL
-from .tuned import SHOWN as SHOWN
 from .tuned import STANDS as STANDS
 from .tuned import TRACE as TRACE
 from .tuned import UNKNOWN_ROWS as UNKNOWN_ROWS

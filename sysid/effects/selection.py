@@ -1,9 +1,8 @@
 """Which candidates are in the data: forward selection with exchange and removal on the linearised likelihood, by a fixed rule.
 
-A candidate enters when it explains most (gain less its odds), when its t, corrected for the colour of what it leaves,
-stands above what
-the largest of all candidates reaches by chance (Sidak), and when a part of the flights that did not estimate it agrees. What it
-replaces is taken out again. Candidates without which the answer would be as likely are its alternatives.
+A candidate enters when it explains most (gain less its odds), when its t, corrected for the colour of what it leaves, stands above
+what the largest of all candidates reaches by chance (Sidak), and when two parts of the flights do not contradict each other in it.
+What it replaces is taken out again. Candidates without which the answer would be as likely are its alternatives.
 """
 
 from __future__ import annotations
@@ -58,8 +57,8 @@ class Choice:
 
 @dataclass(frozen=True)
 class Refusal:
-    """The best candidate that did not enter, and why. strong: it stands well above chance, so something is there; unconfirmed: the
-    flights that did not estimate it spoke against it."""
+    """The best candidate that did not enter, and why. strong: it stands well above chance, so something is there; unconfirmed:
+    parts of the flights contradict each other in it."""
 
     key: str
     t: float
@@ -176,8 +175,8 @@ def _entering(
     evidence: Evidence, free: Sequence[str], open_: Sequence[str], odds: Mapping[str, float], confirming: NDArray[np.bool_],
     limit: float, empirical: bool = False,
 ) -> Choice | Refusal | None:  # fmt: skip
-    """The candidate to enter. One that its own flights do not confirm may be disturbed by another that is missing as well: those
-    that do not resemble it are then asked; it comes to its turn again beside them."""
+    """The candidate to enter. One in which the flights contradict each other may be disturbed by another that is missing as
+    well: those that do not resemble it are then asked; it comes to its turn again beside them."""
     first: Refusal | None = None
     for _ in range(TURNS):
         found = _best(evidence, free, open_, odds, confirming, limit, empirical)
@@ -220,12 +219,10 @@ def _best(
     if not np.sqrt(choice.gain) > limit * spread:
         why = f"|t| {np.sqrt(choice.gain):.1f} is not above {limit:.1f} times {spread:.2f}, the spread of all candidates"
         return Refusal(choice.key, choice.t, choice.gain, why)
-    if np.isfinite(choice.confirmed_gain) and not choice.confirmed_gain > 0.0:
-        certain = not empirical and abs(choice.t) > limit + DIFFERENT
-        # A part that knows little confirms little. Far above chance it is enough that the parts do not contradict each other.
-        if not (certain and abs(choice.difference) < DIFFERENT):
-            why = "the part of the flights that did not estimate it does not confirm it"
-            return Refusal(choice.key, choice.t, choice.gain, why, certain, True)
+    if choice.confirmed_gain <= 0.0 and abs(choice.difference) > DIFFERENT:
+        # Where the parts agree, all that they say of it together is in its t; one that fits both is somewhat off, being alone.
+        why = f"two parts of the flights differ in it by {abs(choice.difference):.1f} standard errors"
+        return Refusal(choice.key, choice.t, choice.gain, why, not empirical and abs(choice.t) > limit + DIFFERENT, True)
     return choice
 
 

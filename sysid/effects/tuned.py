@@ -24,7 +24,8 @@ half of one another."""
 ALIKE = 0.99
 """Correlation from which two candidates are one: at |t| 7 their gains differ by 1."""
 UNLIKE = 0.3
-"""Correlation below which a candidate is asked although the best one was not confirmed: a tenth of the variance in common."""
+"""Correlation below which a candidate is asked although flights contradict each other in the best one: a tenth of the variance in
+common."""
 INSEPARABLE_SHARE = 0.1
 """Share of its information that an effect must keep beside a confounded one to be told from it. In theory nothing is left; replays
 and filters leave a little."""
@@ -59,8 +60,6 @@ COLOURED_P = 1e-7
 FAR = 5.0
 """Test flights that lie this many times as far from either model as the train flights do are not of the same aircraft or not
 sound; a difference between the models is lost in what is wrong with them."""
-SHOWN = 0.75
-"""Standard errors by which an effect, were it there, would change a test flight that is asked for more than chance's answer."""
 DISAGREES = 0.12
 """Share of samples outside the 95 % interval from which a region is told: that of residuals a quarter above what is allowed."""
 ODDS = 1.0

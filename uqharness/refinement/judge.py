@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid.effects import FAR, SHOWN, Choice, Columns, Evidence, Gusts, corrected_each
+from sysid.effects import FAR, Choice, Columns, Evidence, Gusts, corrected_each
 from sysid.parallel import Processes
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.find import Found, in_one_step, with_resolution
@@ -32,14 +32,14 @@ BEYOND_CHANCE = 1.645
 @dataclass(frozen=True)
 class Verdict:
     """Of one effect on the test flights: by how much minus twice the log likelihood is larger without it, and the standard error
-    of that. expected: by how much it would be, were the effect there as it is written; far: rms of the better
-    model's residuals over noise, over that of the train flights."""
+    of that. far: rms of the better model's residuals over noise, over that of the train flights; spare: by how much the train
+    flights' t^2 is above the square of the limit asked."""
 
     key: str
     change: float
     std: float
     far: float = 1.0
-    expected: float = 0.0
+    spare: float = np.inf
 
     @property
     def z(self) -> float:
@@ -51,8 +51,8 @@ class Verdict:
         """shrank, grew, cannot tell (a change that chance gives as well), or too far (flights that judge neither model)."""
         if self.far > FAR:
             return "too far"
-        # An effect that is there raises the change by what one that is not lowers it by: between the two, zero is half-way.
-        against = self.change < 0.0 and self.expected > SHOWN * self.std
+        # Both sides' evidence together must still be what is asked of an effect.
+        against = self.change < 0.0 and self.change + self.spare < 0.0
         return "shrank" if self.z > BEYOND_CHANCE else "grew" if against or self.z < -BEYOND_CHANCE else "cannot tell"
 
 
@@ -117,7 +117,8 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
             evidence = evidence_of(found, train.air) if evidence is None else evidence
             less = left_out(found, evidence, [*(g.key for g in gone), c.key])
             without[c.key] = less, flown(less, test)
-        now = {k: gap_change(k, shown, after, test.setup, fitted) for k, (_, shown) in without.items()}
+        spare = {c.key: c.t**2 - found.limit**2 for c in standing.selection.chosen}
+        now = {k: gap_change(k, shown, after, test.setup, fitted, spare[k]) for k, (_, shown) in without.items()}
         verdicts |= now
         worst = min(now.values(), key=lambda v: v.z)
         if worst.says != "grew" and len(now) > 1:
@@ -172,7 +173,7 @@ def bare(found: Found) -> Found:
     return replace(found, parameters=parameters, selection=replace(found.selection, chosen=()))
 
 
-def gap_change(key: str, without: Shown, with_: Shown, setup: Setup, fitted: Shown) -> Verdict:
+def gap_change(key: str, without: Shown, with_: Shown, setup: Setup, fitted: Shown, spare: float = np.inf) -> Verdict:
     """The rise of minus twice the log likelihood when an effect is left out.
 
     With a and b the whitened residuals without and with it and d = a - b, the rise is sum(a^2 - b^2) = sum(d^2) + 2 sum(b d): what
@@ -182,17 +183,16 @@ def gap_change(key: str, without: Shown, with_: Shown, setup: Setup, fitted: Sho
     flights.
     """
     better = with_ if with_.surprise <= without.surprise else without
-    change, variance, expected = 0.0, 0.0, 0.0
+    change, variance = 0.0, 0.0
     wider = 2.0 * (np.array(without.logdet) - np.array(with_.logdet))
     rows = zip(without.white, with_.white, better.white, wider, setup.segments, strict=True)
     for a, b, e, logarithms, segment in rows:
         change += float(np.nansum(a**2 - b**2)) + logarithms
-        expected += float(np.nansum((a - b) ** 2))
         terms = np.nansum(2.0 * e * (a - b), axis=1) + logarithms / len(a)
         starts = np.arange(0, len(terms), max(1, round(BLOCK_S / segment.dt_s)))
         variance += float(np.sum(np.add.reduceat(terms, starts) ** 2))
     far = _mean_square(better) ** 0.5 / _mean_square(fitted) ** 0.5
-    return Verdict(key, change, float(np.sqrt(variance)), far, expected)
+    return Verdict(key, change, float(np.sqrt(variance)), far, spare)
 
 
 def _mean_square(shown: Shown) -> float:

@@ -155,13 +155,13 @@ def test_an_effect_is_found_beside_a_stronger_one_that_its_flights_contradict():
     assert selection.refused.strong
 
 
-@pytest.mark.parametrize(("t", "entering"), [(9.0, True), (5.0, False)])
-def test_far_above_chance_it_is_enough_that_the_parts_do_not_contradict_each_other(t, entering):
-    """The confirming part knows a tenth of it, and what it knows is by chance half a standard error the other way."""
+@pytest.mark.parametrize(("t", "by_chance", "entering"), [(9.0, -0.5, True), (5.0, -0.5, True), (5.0, -4.0, False)])
+def test_it_is_enough_that_the_parts_do_not_contradict_each_other(t, by_chance, entering):
+    """The confirming part knows a tenth of it, and what it knows is by chance half a standard error the other way, or four."""
     rng = np.random.default_rng(11)
     column = drawn(rng) * np.where(CONFIRMING, 0.2, 1.0)[:, None, None]
     noise = drawn(rng)
-    for part, off in ((CONFIRMING, -0.5), (~CONFIRMING, 0.0)):
+    for part, off in ((CONFIRMING, by_chance), (~CONFIRMING, 0.0)):
         x, own = column[part], noise[part]
         size = np.sum(x**2)
         own -= x * np.sum(x * own) / size  # no noise along the column but what is wanted

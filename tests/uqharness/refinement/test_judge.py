@@ -56,11 +56,11 @@ def test_chance_withdraws_seldom_and_a_contradiction_does():
     weak = [change(rng, 0.02, True) for _ in range(300)]
     assert np.mean([v.says == "grew" for v in weak]) < 0.1
     assert np.mean([v.says == "cannot tell" for v in weak]) > 0.7
-    # Of an effect that the flights would show at |t| = 2.4, the sign decides: right eight times in nine, either way.
-    for truth, says in ((True, "grew"), (False, "grew")):
-        found = [change(rng, 0.1, truth) for _ in range(300)]
-        assert np.mean([v.expected for v in found]) == pytest.approx(6.0, rel=0.1)
-        assert np.mean([v.says == says for v in found]) == pytest.approx(0.11 if truth else 0.89, abs=0.08)
+    # Of an effect that train flights have at |t| 4.5 of 4 asked and test flights would show at 2.4, what both say together decides:
+    # the change is normal with mean 6 or -6 and standard deviation 4.9.
+    for truth, share in ((True, 0.02), (False, 0.64)):
+        found = [replace(change(rng, 0.1, truth), spare=4.5**2 - 4.0**2) for _ in range(300)]
+        assert np.mean([v.says == "grew" for v in found]) == pytest.approx(share, abs=0.08)
     assert all(change(rng, 0.5, True).says == "shrank" for _ in range(20))
     assert all(change(rng, 0.5, False).says == "grew" for _ in range(20))
 
