@@ -27,8 +27,8 @@ UNLIKE = 0.3
 """Correlation below which a candidate is asked although flights contradict each other in the best one: a tenth of the variance in
 common."""
 INSEPARABLE_SHARE = 0.1
-"""Share of its information that an effect must keep beside a confounded one to be told from it. In theory nothing is left; replays
-and filters leave a little."""
+"""Share of its information that an effect must keep beside a confounded one to be distinguished from it. In theory nothing is left;
+replays and filters leave a little."""
 SEVERAL = 3
 """Effects asked for beside what flew that may be one cause's shares, and candidates that fly in its place."""
 EARNED = 0.6
