@@ -50,7 +50,6 @@ from .tuned import COLOURED_P as COLOURED_P
 from .tuned import COMPARABLE as COMPARABLE
 from .tuned import DIFFERENT as DIFFERENT
 from .tuned import EARNED as EARNED
-from .tuned import FAMILY as FAMILY
 from .tuned import FAR as FAR
 from .tuned import GUST_LIMIT as GUST_LIMIT
 from .tuned import GUST_ODDS as GUST_ODDS

@@ -29,7 +29,7 @@ from sysid.aerodynamics import COEFFICIENTS
 from sysid.effects.catalogue import coefficient_effect, words
 from sysid.effects.effect_terms import VARIABLES
 from sysid.effects.score import DEPENDENT, Evidence, solve
-from sysid.effects.selection import FAMILY
+from sysid.effects.tuned import FAMILY
 from sysid.estimation import coloured_information
 
 FloatArray = NDArray[np.float64]

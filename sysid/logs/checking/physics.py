@@ -291,7 +291,7 @@ def _delays(record: FlightRecord, laws: Sequence[Heard], ground_late_s: float) -
 
 
 def _together(channel: str, reference: str, members: Sequence[Heard], known_s: float) -> Iterator[Finding]:
-    """Lateness of what several laws share, none of which gusts enter; ``known_s`` of it was put right before."""
+    """Delay that several laws have in common, into none of which gusts enter; ``known_s``: the part already corrected."""
     good = [h.relation for h in members if h.agrees and h.relation.coherence > _LATE_COHERENCE]
     if good:
         weight = np.array([r.late_std_s**-2 for r in good])

@@ -11,8 +11,8 @@ from scipy.signal import lfilter
 from scipy.stats import binom
 
 from sysid.effects import White, gather
-from sysid.effects.selection import FAMILY
 from sysid.effects.smooth import colour_dispersion, fit_smooth, forms_like, held_out_gain, smooth_term
+from sysid.effects.tuned import FAMILY
 
 N = 600
 PARAMETERS = ("aero/Cm_0", "aero/Cm_alpha")
