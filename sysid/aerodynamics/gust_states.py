@@ -42,8 +42,8 @@ NOISE_START = (0.5, 0.02, 0.02, 0.01, 0.01, 0.01, 0.1, 0.1, 0.2, 0.1, 0.1, 0.1, 
 class GustStates(NamedTuple):
     """p_h [rad/s], h_q, h_r [rad], c_u [m/s], c_v [rad] behind V, alpha, beta, p, q, r, phi, theta; ``b`` the span [m].
 
-    passing_mps: the speed at which the gusts pass, where they are simulated at one whatever the airspeed; 0: the airspeed.
-    Their rotation is then V over that speed times what alpha and beta say, behind that speed's lags.
+    passing_mps: the speed at which the gusts pass, where they are simulated at one whatever the airspeed; 0: the airspeed, as in
+    real air. Their rotation is then V over that speed times what alpha and beta say, behind that speed's lags.
     rotating: q_h, r_h follow from alpha and beta; turning_with: u_h, v_h turn with the heading. Neither is so in all air: some
     simulators' gusts do not rotate, and no real gust turns with an aircraft.
     """

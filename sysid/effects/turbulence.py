@@ -5,14 +5,18 @@ states of `sysid.aerodynamics.gust_states`. Whether they do either is decided by
 airspeed V and with
 the air of the day (in MIL-F-8785C with height, too): those of V and p as V, those of alpha and beta as 1/V, and each flight has
 intensities of its own.
+Where gusts were made beforehand for one speed, as simulations often do, they pass at that speed however fast the aircraft flies.
 Left out, the air's rotation would pass for stability: gusts that pitch the air and change alpha at once made Cm_alpha a third of
 its size. Gusts along the path that turn with the aircraft, left out, were moments from yaw rate squared at |t| of 7.
+Gusts that pass at one speed, taken to pass at the airspeed, were damping and stability that go with thrust or angle of attack at
+|t| of 4 to 6, since the slow flight's air rotated too fast.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +30,8 @@ from sysid.estimation import Process
 from sysid.parallel import ALONE, Processes
 
 FloatArray = NDArray[np.float64]
-Linear = Callable[[Sequence[int], GustStates], Sequence[Steps]]
-"""Steps of some of the segments, linearised with gusts that act so."""
+Linear = Callable[[Sequence[int], Sequence[GustStates]], Sequence[Steps]]
+"""Steps of some of the segments, linearised with gusts that act so in each."""
 V_REFERENCE = 20.0
 _START = np.array([0.25, 5e-4, 5e-4, 5e-2, 1e-4])
 """Intensities of V [m2/s3], alpha and beta [rad2/s], the air's roll [rad2/s3], what its pitch and yaw have besides [rad2/s3]; all
@@ -37,7 +41,10 @@ _MEMORY_S = 10.0
 _STILL = np.array([1e-6, 1e-6, 1e-6, 1.0, 1.0])
 _FACTORS = (1e-4, 1e-2, 0.1, 1.0, 5.0)
 """Of _START, from the best of which the search begins."""
-_MOST_SEGMENTS, _OF_A_FLIGHT = 10, 6
+_MOST_SEGMENTS, _OF_A_FLIGHT, _FOR_SPEED = 10, 6, 4
+_FASTER, _MOST_FASTER, _AS_MEANT = 0.04, 3.0, 0.02
+"""Logarithm of the passing speed by which it is moved to find the likeliest; how many such steps that is away at most; standard
+deviation of that logarithm about a flight's mean airspeed, for gusts are made beforehand for the speed that is to be flown."""
 _OTHER_AIR = ((True, False), (False, False), (False, True))
 _REACH, _ENOUGH, _FAILED, _LEAST_BENT = 14.0, 1.0, 1e12, 20.0
 """Of the search, in logarithms: how far it goes; the fall of minus twice the log likelihood at which it ends; that of a filter that
@@ -51,14 +58,16 @@ NOISE_PRIOR = np.log(2.0)
 class Gusts:
     """The air of some flights.
 
-    states    how gusts act; values (5,) as _START over all flights; own: flight -> (5,)
+    states    how gusts act in each segment; values (5,) as _START over all flights; own: flight -> (5,); passing: flight -> speed
+              at which its gusts pass [m/s], 0: the airspeed
     process   noise that they make in each segment; gain: twice the log likelihood gained over calm air
     moving    the part of it that is lost where air rotates but does not move along V, alpha and beta
     """
 
-    states: GustStates
+    states: tuple[GustStates, ...]
     values: FloatArray
     own: Mapping[str, FloatArray]
+    passing: Mapping[str, float]
     process: Process
     gain: float
     moving: float = np.inf
@@ -68,21 +77,33 @@ class Gusts:
         """Whether it is air at all: a moment that nothing explains passes for air that rotates and stands still."""
         return self.moving > AIR_SHARE * self.gain
 
+    def in_other(self, V: Sequence[float], flights: Sequence[str]) -> Gusts:
+        """The same air in other segments, V their airspeeds, flights whose they are: those not known of have what all have, and
+        gusts that pass at one speed pass at their mean airspeed."""
+        kind = self.states[0]
+        passing = {f: self.passing.get(f, bool(kind.passing_mps) * _mean_speed(V, flights, f)) for f in dict.fromkeys(flights)}
+        own = {f: self.own.get(f, self.values) for f in passing}
+        states = tuple(kind._replace(passing_mps=passing[f]) for f in flights)
+        return replace(self, states=states, own=own, passing=passing, process=_process([own[f] for f in flights], V, states))
+
     @property
     def words(self) -> str:
         """How the gusts act."""
-        turning = "turn with the aircraft" if self.states.turning_with else "do not turn with the aircraft"
-        return f"gusts that {'rotate the air' if self.states.rotating else 'do not rotate the air'} and {turning}"
+        kind = self.states[0]
+        turning = "turn with the aircraft" if kind.turning_with else "do not turn with the aircraft"
+        passing = ", and pass at one speed in each flight" if kind.passing_mps else ""
+        return f"gusts that {'rotate the air' if kind.rotating else 'do not rotate the air'} and {turning}{passing}"
 
 
 def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatArray, FloatArray]:
     """(13,) variances per second of the states' noise at airspeed V, and (13,) of the air's at the start, from the five values of
-    _START."""
-    faster = V / V_REFERENCE
+    _START. Spectra of the velocities go with the speed at which the gusts pass."""
+    passing = states.passing_mps or V
+    faster = passing / V_REFERENCE
     lags = states.lags_s(V)
     noise, begin = np.zeros(NX), np.zeros(NX)
     # Dryden far above its corner: PSD of u' is 2 sigma^2 V/L, of alpha' = w'/V 3 sigma^2/(L V).
-    noise[0], noise[1], noise[2] = values[0] * faster, values[1] / faster, values[2] / faster
+    noise[0], noise[1], noise[2] = values[0] * faster, *(faster * values[1:3] * (V_REFERENCE / V) ** 2)
     noise[8] = values[3] * faster
     for k in (1, 2):
         noise[8 + k] = values[4] * lags[k] ** 2
@@ -102,39 +123,52 @@ def gust_intensity(
     """The likeliest air of the segments, V their airspeeds, flights whose they are; found on at most ten of them, then of each
     flight on at most six. And (m,) factors on the sensors' noise.
 
-    states: what gusts do besides, to begin with; near: an estimate from which to search, whose states stay. kinds: of each channel;
-    the sensors of a kind have one factor beside the air, about 1 by a prior (NOISE_PRIOR); none: their noise is known. In gusts the
-    samples of a channel do not tell its noise by themselves, and a filter that takes sensors for twice as noisy as they are follows
-    them late: that looks like a servo's lag.
+    states: what gusts do besides, to begin with; near: an estimate from which to search. Gusts pass at the airspeed, or at one
+    speed in each flight, which is then found with the rest, whichever is likelier. kinds: of each channel; the sensors of a
+    kind have one factor beside the air, about 1 by a prior (NOISE_PRIOR); none: their noise is known. In gusts the samples of a
+    channel do not tell its noise by themselves, and a filter that takes sensors for twice as noisy as they are follows them
+    late: that looks like a servo's lag.
     """
     search = _Search(linear, measured, which, noise, V, by)
     some = _spread(range(len(measured)), _MOST_SEGMENTS)
+    of = {f: [k for k, own in enumerate(flights) if own == f] for f in dict.fromkeys(flights)}
     if near is None:
-        first = search.best(some, [_Point(states, f * _START, np.ones(len(noise))) for f in _FACTORS])
+        alike = (states,) * len(measured)
+        first = search.best(some, [_Point(alike, f * _START, np.ones(len(noise))) for f in _FACTORS])
         here = search.descend(some, first, kinds)
-        besides = [replace(here, states=states._replace(rotating=r, turning_with=t), cost=np.inf) for r, t in _OTHER_AIR]
+        besides = [replace(here, cost=np.inf).acting(rotating=r, turning_with=t) for r, t in _OTHER_AIR]
         other = min((search.descend(some, point, (), _FEW) for point in besides), key=lambda point: point.cost)
         here = search.descend(some, other, kinds) if other.cost < here.cost else here
     else:
+        near = near.in_other(V, flights)
         here = search.descend(some, _Point(near.states, near.values, np.ones(len(noise))), kinds)
+    if here.states[0].rotating:
+        # Gusts tell how fast they pass by the moments of their rotation, and that only beside parameters that are near.
+        other = search.best(some, [here.acting(passing_mps=0.0), search.passing(of, here)])
+        here = search.descend(some, other, kinds) if other.states != here.states else here
     still = _Point(here.states, _STILL * here.values, here.factors)
     gain = near.gain if near is not None else search.calm(some, here) - here.cost
     moving = near.moving if near is not None else search.best(some, [still]).cost - here.cost
     own = dict.fromkeys(flights, here.values)
     for flight in own if len(own) > 1 else ():
-        part = _spread([k for k, f in enumerate(flights) if f == flight], _OF_A_FLIGHT)
-        begin = here.values if near is None else near.own.get(flight, here.values)
+        part = _spread(of[flight], _OF_A_FLIGHT)
+        begin = here.values if near is None else near.own[flight]
         own[flight] = search.descend(part, _Point(here.states, begin, here.factors), ()).values
     process = _process([own[f] for f in flights], V, here.states)
-    return Gusts(here.states, here.values, own, process, gain, moving), here.factors
+    passing = {f: here.states[members[0]].passing_mps for f, members in of.items()}
+    return Gusts(here.states, here.values, own, passing, process, gain, moving), here.factors
 
 
 @dataclass(frozen=True)
 class _Point:
-    states: GustStates
+    states: tuple[GustStates, ...]
     values: FloatArray
     factors: FloatArray
     cost: float = np.inf
+
+    def acting(self, **how: Any) -> _Point:
+        """With gusts that act otherwise in every segment."""
+        return replace(self, states=tuple(s._replace(**how) for s in self.states))
 
 
 @dataclass(frozen=True)
@@ -147,19 +181,38 @@ class _Search:
     noise: FloatArray
     V: Sequence[float]
     by: Processes
-    asked: dict[tuple[tuple[int, ...], GustStates], AirLikelihood] = field(default_factory=dict)
+    asked: dict[tuple[tuple[int, GustStates], ...], AirLikelihood] = field(default_factory=dict)
 
-    def score(self, some: Sequence[int], states: GustStates, values: FloatArray, factors: FloatArray, slopes: bool = True) -> Score:
+    def score(
+        self, some: Sequence[int], states: Sequence[GustStates], values: FloatArray, factors: FloatArray, slopes: bool = True
+    ) -> Score:  # fmt: skip
         """That of the segments ``some``, by gusts and factors on the sensors' noise."""
-        key = (tuple(some), states)
+        acting = [states[k] for k in some]
+        key = tuple(zip(some, acting, strict=True))
         if key not in self.asked:
             data = [self.measured[k] for k in some]
-            self.asked[key] = AirLikelihood(self.linear(some, states), data, self.which, self.by)
+            self.asked[key] = AirLikelihood(self.linear(some, acting), data, self.which, self.by)
         return self.asked[key](factors * self.noise, self.process(some, states, values), slopes)
 
-    def process(self, some: Sequence[int], states: GustStates, values: FloatArray) -> Process:
+    def process(self, some: Sequence[int], states: Sequence[GustStates], values: FloatArray) -> Process:
         """Noise that gusts make in the segments ``some``."""
-        return _process([values] * len(some), [self.V[k] for k in some], states)
+        return _process([values] * len(some), [self.V[k] for k in some], [states[k] for k in some])
+
+    def passing(self, flights: Mapping[str, Sequence[int]], point: _Point) -> _Point:
+        """A point with gusts that pass at one speed in each of the ``flights`` (their segments), the likeliest about the mean
+        airspeed: the lowest point of a parabola through three."""
+        states = list(point.states)
+        for members in flights.values():
+            speed = float(np.mean([self.V[k] for k in members]))
+            some = _spread(members, _FOR_SPEED)
+            tried = [point.acting(passing_mps=speed * np.exp(_FASTER * k)) for k in (-1, 0, 1)]
+            slower, here, faster = (self.score(some, p.states, p.values, p.factors, slopes=False).cost for p in tried)
+            bend = slower - 2.0 * here + faster + 2.0 * (_FASTER / _AS_MEANT) ** 2
+            steps = 0.5 * (slower - faster) / bend if bend > 0.0 else np.sign(slower - faster)
+            own = speed * float(np.exp(_FASTER * np.clip(steps, -_MOST_FASTER, _MOST_FASTER)))
+            for k in members:
+                states[k] = states[k]._replace(passing_mps=own)
+        return replace(point, states=tuple(states))
 
     def best(self, some: Sequence[int], points: Sequence[_Point]) -> _Point:
         """The likeliest of points."""
@@ -207,12 +260,17 @@ class _Search:
     def calm(self, some: Sequence[int], point: _Point) -> float:
         """Minus twice the log likelihood in calm air."""
         data = [self.measured[k] for k in some]
-        return surprise(self.linear(some, point.states), data, self.which, point.factors * self.noise)
+        return surprise(self.linear(some, [point.states[k] for k in some]), data, self.which, point.factors * self.noise)
 
 
-def _process(values: Sequence[FloatArray], V: Sequence[float], states: GustStates) -> Process:
+def _mean_speed(V: Sequence[float], flights: Sequence[str], flight: str) -> float:
+    """Of a flight's segments."""
+    return float(np.mean([v for v, f in zip(V, flights, strict=True) if f == flight]))
+
+
+def _process(values: Sequence[FloatArray], V: Sequence[float], states: Sequence[GustStates]) -> Process:
     """Of segments with such values and airspeeds."""
-    made = [process_of(p, v, states) for p, v in zip(values, V, strict=True)]
+    made = [process_of(p, v, s) for p, v, s in zip(values, V, states, strict=True)]
     return Process(np.stack([noise for noise, _ in made]), np.stack([begin for _, begin in made]))
 
 

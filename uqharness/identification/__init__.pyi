@@ -13,6 +13,7 @@ from .model_form import mean_left_out as mean_left_out
 from .replay_fit import Observed as Observed
 from .replay_fit import ReplayFit as ReplayFit
 from .replay_fit import fit_replays as fit_replays
+from .replay_fit import jumping_in as jumping_in
 from .result import Identification as Identification
 from .start import coefficient_gaps as coefficient_gaps
 from .start import equation_error_start as equation_error_start

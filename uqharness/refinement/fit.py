@@ -20,6 +20,7 @@ from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.aerodynamics.rigid_body import MassProperties
 from sysid.effects import Columns, Evidence, MadeColumns, White, gather, names_of, whiten
 from sysid.parallel import ALONE, Processes
+from uqharness.refinement.between_rows import jump_of, jumps_unseen, middles
 from uqharness.refinement.candidates import effect_columns, later_controls, sensor_gain, vane_place_m, vane_slopes
 from uqharness.refinement.reference import Probe, ProbeJob, named_terms, probe_all, term_column
 from uqharness.refinement.sensed import as_sensed, late_rate, placed, sensor_late_s
@@ -27,7 +28,6 @@ from uqharness.refinement.types import Flown, Point, Setup, in_dynamics, latenes
 from uqharness.replay import (
     CHANNELS,
     CONTROLS,
-    FELT,
     SENSOR_OF,
     STATES,
     UNSEEN,
@@ -106,18 +106,19 @@ def _linearised(job: tuple[Reference, MassProperties, GustStates | None]) -> Ste
 
 
 def steps_of(
-    found: Sequence[Probe], outputs: Sequence[Array], setup: Setup, point: Point, gusts: GustStates | None = None,
-    by: Processes = ALONE,
+    found: Sequence[Probe], outputs: Sequence[Array], setup: Setup, point: Point,
+    gusts: Sequence[GustStates] | None = None, by: Processes = ALONE,
 ) -> list[Steps]:  # fmt: skip
     """Linear systems along the flights, outputs as the sensors scale them; where the reference is a replay, its outputs are the
-    replay's own."""
+    replay's own. gusts: how they act in each."""
     gain = np.ones(len(STEP_OUTPUTS))
     gain[setup.which] = [sensor_gain(c, point) for c in setup.outputs]
     out = []
-    made = by(_linearised, [(p.reference, p.mass, gusts) for p in found])
-    for p, y, steps in zip(found, outputs, made, strict=True):
+    air: Sequence[GustStates | None] = [None] * len(found) if gusts is None else gusts
+    made = by(_linearised, [(p.reference, p.mass, a) for p, a in zip(found, air, strict=True)])
+    for p, y, a, steps in zip(found, outputs, air, made, strict=True):
         forward = vane_place_m(point)
-        H = steps.H + forward * vane_slopes(p.reference.x, gusts) if forward else steps.H
+        H = steps.H + forward * vane_slopes(p.reference.x, a) if forward else steps.H
         steps = replace(steps, H=H * gain[:, None], D=steps.D * gain[:, None])
         if p.reference.consistent:
             full = steps.y_ref.copy()
@@ -162,18 +163,6 @@ def parameter_columns(
                     block[:, k] = -late_rate(p, c, y[:, k], sensor_late_s(c, segment, flown.point))
             outputs[name] = block
         out.append(Columns(every, inputs, outputs))
-    return out
-
-
-def jumps_unseen(setup: Setup, found: Sequence[Probe], point: Point) -> list[Array]:
-    """[(n, m)] what the outputs lack where the accelerometers have seen nothing of the jumps at their own rows."""
-    gain = [sensor_gain(c, point) for c in setup.outputs]
-    out = []
-    for p in found:
-        lacking = dict(zip(FELT, -p.felt_jump().T, strict=True))
-        out.append(
-            np.column_stack([g * lacking.get(c, np.zeros(len(p.controls))) for c, g in zip(setup.outputs, gain, strict=True)])
-        )
     return out
 
 
@@ -264,6 +253,9 @@ class Linear:
             analytic = tuple(named_terms(straight, setup.segments[0], found[0], own, setup.properties(flown.point)))
             if len(analytic) < len(own):
                 found = probes(straight, setup, flown, controls, [n for n in own if n not in analytic], map_)
+        if setup.jumping:
+            ends = middles(self.model, setup, flown.point)
+            found = [replace(p, jump=jump_of(p, away)) for p, away in zip(found, ends, strict=True)]
         steps = steps_of(found, flown.outputs, setup, flown.point, by=map_)
         columns = parameter_columns(setup, found, flown, self.names, analytic)
         white = whiten(steps, setup.measured, columns, setup.which, setup.noise)

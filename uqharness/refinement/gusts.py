@@ -30,12 +30,13 @@ from sysid.effects import (
     whitened,
 )
 from sysid.parallel import Processes
+from uqharness.refinement.between_rows import bend_of, jump_of, jumps_unseen, middles
 from uqharness.refinement.candidates import at_vane, sensor_gain, sensor_offset, vane_place_m
-from uqharness.refinement.fit import PRIOR, Fit, jumps_unseen, parameter_columns, positions, probes, stepped, steps_of
+from uqharness.refinement.fit import PRIOR, Fit, parameter_columns, positions, probes, stepped, steps_of
 from uqharness.refinement.reference import Predicted, Probe, along, named_terms
 from uqharness.refinement.sensed import as_sensed, moved_later, sensor_late_s
 from uqharness.refinement.types import Flown, Point, Setup, lateness, unseen
-from uqharness.replay import CONTROLS, ReplayModel, Segment, by_run, surface_positions
+from uqharness.replay import ReplayModel, Segment
 
 Array = NDArray[np.float64]
 _KINDS = {c: kind for kind, members in {"attitude": ("phi", "theta", "psi"), "rate": ("p", "q", "r"), "force": ("ax", "ay", "az"),
@@ -109,55 +110,20 @@ def moved(values: Array, rows: int) -> Array:
     return out
 
 
-def middles(model: ReplayModel, setup: Setup, point: Point | None = None) -> list[Array]:
-    """[(2, n - 1, c)] how far the controls stand from the mean of a step's ends at its middle, and at its end from the next row's.
-
-    A servo's path is no straight line, and a surface without a lag jumps at a row: until then it stands where it stood. Where
-    commands act between rows, the middle is such that Simpson's rule has the path's own area.
-    """
-    cut = [segment.at_commands() for segment in setup.segments]
-    held = np.array([c not in model.measured for c in model.controls])
-    servos = {} if point is None else setup.properties(point)
-    ends = surface_positions(model, cut, CONTROLS, servos)
-    halves = surface_positions(model, [_halved(s) for s in cut], CONTROLS, servos) if held.any() else [None] * len(cut)
-    jumps = np.array([c in model.jumping for c in model.controls])
-    made = zip(cut, ends, halves, setup.segments, strict=True)
-    return [_middle(own, at, half, held, jumps, segment.per_row) for own, at, half, segment in made]
-
-
-def _halved(segment: Segment) -> Segment:
-    """The same flight with rows half as far apart; a command is held over both halves."""
-    fine = np.repeat(segment.controls, 2, axis=0)[:-1]
-    time_s = np.linspace(segment.time_s[0], segment.time_s[-1], len(fine))
-    targets = None if segment.targets is None else np.repeat(segment.targets, 2, axis=0)[:-1]
-    return replace(segment, time_s=time_s, controls=fine, targets=targets)
-
-
-def _middle(
-    segment: Segment, ends: Array, half: Array | None, held: NDArray[np.bool_], jumps: NDArray[np.bool_], k: int
-) -> Array:  # fmt: skip
-    middle = np.where(held, ends[:-1], by_run(segment, 2, [not h for h in held], [False] * len(held))[1::2])
-    if half is not None:
-        middle[:, held] = half[1::2][:, held]
-    last = np.where(jumps, middle, ends[1:])
-    if k > 1:
-        mean = ((ends[:-1] + 4.0 * middle + last) / 6.0).reshape(-1, k, len(held)).mean(axis=1)
-        ends, last = ends[::k], last[k - 1 :: k]
-        middle = (6.0 * mean - ends[:-1] - last) / 4.0
-    return np.stack([middle - 0.5 * (ends[:-1] + ends[1:]), last - ends[1:]])
-
-
 def predict(
-    model: ReplayModel, straight: ReplayModel, setup: Setup, point: Point, differ: Sequence[str], map_: Processes
-) -> tuple[Flown, list[Probe]]:
-    """The measured flight and the model's forces along it."""
+    model: ReplayModel, straight: ReplayModel, setup: Setup, point: Point, differ: Sequence[str], map_: Processes,
+    path: Sequence[Array] | None = None,
+) -> tuple[Flown, list[Probe]]:  # fmt: skip
+    """The measured flight, or ``path`` [(n, 8)] in its place, and the model's forces along it."""
     flown = measured_flight(setup, point)
+    if path is not None:
+        flown = replace(flown, x=list(path))
     made = zip(setup.segments, positions(model, setup, point), strict=True)
     jumps = np.array([c in model.jumping for c in model.controls])
     controls = [_later(u, point.nuisance.get(lateness(s.flight), 0.0) / s.dt_s, jumps) for s, u in made]
     bends = middles(model, setup, point)
     found = [
-        replace(along(p, bend=_bend(p, b)), jump=_jump(p, b))
+        replace(along(p, bend=bend_of(p, b)), jump=jump_of(p, b))
         for p, b in zip(probes(straight, setup, flown, controls, differ, map_, consistent=False), bends, strict=True)
     ]
     return flown, found
@@ -171,20 +137,6 @@ def _later(controls: Array, rows: float, jumps: NDArray[np.bool_]) -> Array:
     return np.asarray(controls - rows * change)
 
 
-def _bend(p: Probe, away: Array) -> Array:
-    """(2, n - 1, 6) force and moment that the surfaces' paths add in the middle and at the end of a step."""
-    slopes = p.by_control * p.scale[:, :, None]
-    at = np.stack([0.5 * (slopes[:-1] + slopes[1:]), slopes[1:]])
-    return np.asarray(np.einsum("knij,knj->kni", at, away))
-
-
-def _jump(p: Probe, away: Array) -> Array | None:
-    """(n, 6) change of CX..Cn by what the controls jump at each row; the first row's is not known."""
-    if not away[1].any():
-        return None
-    return np.einsum("nij,nj->ni", p.by_control, np.vstack([np.zeros_like(away[1, :1]), -away[1]]))
-
-
 def gust_refit(
     model: ReplayModel, straight: ReplayModel, setup: Setup, start: Point, names: Sequence[str],
     limits: Mapping[str, tuple[float, float]], map_: Processes, near: Gusts | None = None, iterations: int = 10, tune: bool = False,
@@ -196,15 +148,12 @@ def gust_refit(
     """
     point, analytic, gusts = start, None, near
     length, share, moving = float("inf"), 1.0, not known
+    path: list[Array] | None = None
     keys = {e.key for e in setup.active}
     own = [n for n in names if n not in keys]
-    bends = () if setup.late else zip(setup.segments, middles(model, setup, point), strict=True)
-    jumping = dict.fromkeys(s.flight for s, b in bends if b[1].any())
-    if jumping:
-        setup = replace(setup, jumping=tuple(jumping))
     for number in range(1, iterations + 1):
         differ: list[str] = [] if analytic is None else [n for n in own if n not in analytic]
-        flown, found = predict(model, straight, setup, point, differ, map_)
+        flown, found = predict(model, straight, setup, point, differ, map_, path)
         if analytic is None:
             analytic = tuple(named_terms(straight, setup.segments[0], found[0], own, setup.properties(point)))
             if len(analytic) < len(own):
@@ -220,6 +169,8 @@ def gust_refit(
         linearised = steps.all(gusts.states)
         followed = follow(linearised, steps.measured, setup.which, setup.noise, gusts.process)
         flown, found = predicted(setup, flown, found, linearised, followed, gusts)
+        # The measured states have seen what comes after them: linear about those, the airspeed's sensor reads half a percent high.
+        causal, path = path is not None, [p.body for p in found]
         columns = parameter_columns(setup, found, flown, names, analytic)
         white = whitened(followed, columns)
         evidence = gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)
@@ -229,7 +180,7 @@ def gust_refit(
         share = max(0.5 * share, LEAST_SHARE) if length > before else share
         if not np.isfinite(delta).all():
             raise np.linalg.LinAlgError("predictions with this model are no numbers")
-        if (length < TOLERANCE and not moving) or number == iterations:
+        if (causal and length < TOLERANCE and not moving) or number == iterations:
             break
         step = dict(zip(columns[0].names, (share * delta).tolist(), strict=True))
         point = stepped(setup, point, step, limits)
@@ -242,7 +193,7 @@ def gust_refit(
 
 def _other_air(one: Gusts | None, two: Gusts) -> bool:
     """Whether a search has led to noticeably other gusts."""
-    if one is None or one.states != two.states:
+    if one is None or one.words != two.words:
         return True
     return bool(np.abs(np.log(two.values / one.values)).max() > MOVED)
 
@@ -265,20 +216,23 @@ class _Linear:
         self.measured = in_step(setup, flown.point)
         self.made: dict[tuple[int, GustStates], Steps] = {}
 
-    def __call__(self, some: Sequence[int], states: GustStates) -> list[Steps]:
-        missing = [k for k in some if (k, states) not in self.made]
-        found, outputs = [self.found[k] for k in missing], [self.flown.outputs[k] for k in missing]
+    def __call__(self, some: Sequence[int], states: Sequence[GustStates]) -> list[Steps]:
+        asked = list(zip(some, states, strict=True))
+        missing = [(k, s) for k, s in asked if (k, s) not in self.made]
+        found, outputs = [self.found[k] for k, _ in missing], [self.flown.outputs[k] for k, _ in missing]
         point = self.flown.point
-        for k, s in zip(missing, steps_of(found, outputs, self.setup, point, states, self.by), strict=True):
+        for (k, acting), s in zip(
+            missing, steps_of(found, outputs, self.setup, point, [a for _, a in missing], self.by), strict=True
+        ):
             which, y, segment = self.setup.which, s.y_ref.copy(), self.setup.segments[k]
             # Outputs are those at the reference, biases added.
             share = point.nuisance.get(unseen(segment.flight), 0.0)
             y[:, which] += share * jumps_unseen(self.setup, [self.found[k]], replace(point, effects={}))[0]
             y[:, which] = as_sensed(y[:, which], self.setup, segment, point, rows_late(self.setup, segment, point))
-            self.made[k, states] = replace(s, y_ref=y)
-        return [self.made[k, states] for k in some]
+            self.made[k, acting] = replace(s, y_ref=y)
+        return [self.made[key] for key in asked]
 
-    def all(self, states: GustStates) -> list[Steps]:
+    def all(self, states: Sequence[GustStates]) -> list[Steps]:
         return self(range(len(self.found)), states)
 
 
@@ -300,11 +254,11 @@ def predicted(
     At the measured states a term would know of the gust that it is to predict: Cl_p came out at three quarters.
     """
     out, outputs = [], []
-    for p, s, d in zip(found, steps, (one.path for one in followed), strict=True):
-        x = whole_states(p.reference.x, gusts.states) + d
-        air = x[:, 3:6] - np.column_stack(gusts.states.rotation(x.T))
-        whole = rates(p.reference, p.mass, x, gusts=gusts.states)
-        flow = rates(p.reference, p.mass, x, gusts=gusts.states._replace(turning_with=False))
+    for p, s, d, acting in zip(found, steps, (one.path for one in followed), gusts.states, strict=True):
+        x = whole_states(p.reference.x, acting) + d
+        air = x[:, 3:6] - np.column_stack(acting.rotation(x.T))
+        whole = rates(p.reference, p.mass, x, gusts=acting)
+        flow = rates(p.reference, p.mass, x, gusts=acting._replace(turning_with=False))
         coefficients = p.coefficients + _changed(p, np.column_stack([x[:, :3], air]) - p.reference.x[:, : len(AIR)])
         out.append(replace(p, coefficients=coefficients, predicted=Predicted(x[:, :8], whole[:, :8], flow[:, 1:3], air)))
         outputs.append(s.y_ref[:, setup.which] + np.einsum("nij,nj->ni", s.H[:, setup.which], d))

@@ -223,7 +223,6 @@ def _probe_of(job: ProbeJob, asked: _Asked, found: ForcedModel) -> Probe:
     parts = [load[a:b] for a, b in pairwise(edges.tolist())]
     at_coarse = parts[0] if job.consistent else parts[0][coarse]
     slopes = np.stack([(parts[1 + k] - at_coarse) / _STEPS[name] for k, name in enumerate(AIR)], axis=2)
-    full = np.arange(n)
     by_flow = None
     if asked.by_rates:
         level = unforced(states[-3])
@@ -232,9 +231,7 @@ def _probe_of(job: ProbeJob, asked: _Asked, found: ForcedModel) -> Probe:
         by_flow = np.linalg.solve(moved, answer).swapaxes(1, 2)
 
     def spread(values: Array) -> Array:
-        flat = values.reshape(len(coarse), -1)
-        wide = np.column_stack([np.interp(full, coarse, flat[:, j]) for j in range(flat.shape[1])])
-        return wide.reshape(n, *values.shape[1:])
+        return _between(coarse, n, values)
 
     def all_rows(values: Array) -> Array:
         rows = values[: len(base)]
@@ -242,9 +239,20 @@ def _probe_of(job: ProbeJob, asked: _Asked, found: ForcedModel) -> Probe:
 
     qbar = all_rows(found.qbar)
     scale = qbar[:, None] * mass.S * np.array([1.0, 1.0, 1.0, mass.b, mass.c, mass.b])
+
+    def known_before(values: Array) -> Array:
+        # On a line between predicted states a row would know of samples that came after it: it reads them as sensors that are off
+        # (alpha by a degree in light turbulence). Held, a slope goes with the dynamic pressure of each row.
+        if job.consistent:
+            return spread(values)
+        each = qbar.reshape(-1, *(1,) * (values.ndim - 1))
+        last = coarse[np.searchsorted(coarse, np.arange(n), side="right") - 1]
+        return np.asarray(values[np.searchsorted(coarse, last)] / each[last] * each)
+
     by_control = []
     for c in range(job.controls.shape[1]):
         step = controls[1 + len(AIR) + c][:, c] - job.controls[coarse][:, c]
+        # Along straight lines, the slope about a jump is that half-way up: thrust bends with the throttle.
         by_control.append(spread((parts[1 + len(AIR) + c] - at_coarse) / step[:, None]) / scale)
     total = all_rows(load[: len(base)])
     other = np.hstack([found.other_force, found.other_moment])
@@ -264,11 +272,11 @@ def _probe_of(job: ProbeJob, asked: _Asked, found: ForcedModel) -> Probe:
         job.x,
         total[:, :3],
         total[:, 3:],
-        spread(slopes),
+        known_before(slopes),
         qbar,
         np.array(job.segment.arm_m),
         job.consistent,
-        by_flow=None if by_flow is None else spread(by_flow),
+        by_flow=None if by_flow is None else known_before(by_flow),
     )
     return Probe(
         reference, mass, coefficients, other[:, :3], other[:, 3:], slope, job.controls,
@@ -332,8 +340,14 @@ def _differences(job: ProbeJob) -> dict[str, Array]:
     n = len(job.x)
     coarse = np.unique(np.append(np.arange(0, n, EVERY), n - 1))
     found = property_slopes(job, coarse, job.differ)
-    full = np.arange(n)
-    return {name: np.column_stack([np.interp(full, coarse, v[:, j]) for j in range(6)]) for name, v in found.items()}
+    return {name: _between(coarse, n, v) for name, v in found.items()}
+
+
+def _between(coarse: NDArray[np.intp], n: int, values: Array) -> Array:
+    """(n, ...) what was found at ``coarse`` rows, at every row along straight lines."""
+    flat = values.reshape(len(coarse), -1)
+    wide = np.column_stack([np.interp(np.arange(n), coarse, flat[:, j]) for j in range(flat.shape[1])])
+    return np.asarray(wide.reshape(n, *values.shape[1:]))
 
 
 def named_terms(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from sysid.aerodynamics.equations import OpenEquations
 from sysid.aerodynamics.gust_states import GustStates
-from sysid.aerodynamics.rigid_body import NX, Steps, linearise
+from sysid.aerodynamics.rigid_body import NX, Reference, Steps, linearise
 from sysid.effects import turbulence
 from sysid.effects.turbulence import Gusts, gust_intensity, process_of
 from sysid.parallel import ALONE
@@ -15,22 +18,37 @@ from tests.sysid.aerodynamics.test_rigid_body import DT, MASS, TERMS, flight, re
 
 NOISE = np.array([0.3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 0.05, 0.05, 0.05])
 INTENSITIES = np.array([0.2, 1e-3, 1e-3, 0.04, 1e-4])
-Made = dict[GustStates, list[Steps]]
 
 
-def drawn(truth: GustStates, values: np.ndarray, moment: float = 0.0) -> tuple[Made, list[np.ndarray]]:
-    """Four flights drawn from the linear system itself, by what gusts may do; moment: a wave in Cl of that size besides."""
+class Made(dict[GustStates, list[Steps]]):
+    """Four flights linearised with gusts that act in any way, each way once."""
+
+    def __init__(self, ref: list[Reference]) -> None:
+        super().__init__()
+        self.ref = ref
+
+    def __missing__(self, states: GustStates) -> list[Steps]:
+        self[states] = [linearise(r, MASS, gusts=states) for r in self.ref]
+        return self[states]
+
+    def __call__(self, some, acting):
+        return [self[a][k] for k, a in zip(some, acting, strict=True)]
+
+
+def drawn(
+    truth: GustStates, values: np.ndarray, moment: float = 0.0, faster: Sequence[float] = (0.0,) * 4, n: int = 150
+) -> tuple[Made, list[np.ndarray]]:  # fmt: skip
+    """Four flights of n samples drawn from the linear system itself, by what gusts may do; moment: a wave in Cl of that
+    size besides; faster: of each flight [m/s]."""
     rng = np.random.default_rng(4)
     equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
-    n, ref = 150, []
+    ref = []
     for k in range(4):
         x = flight(n + 20 * k)[20 * k :]
         x[:, 5] += 0.35
+        x[:, 0] += faster[k]
         ref.append(reference(x, equations))
-    made = {
-        s: [linearise(r, MASS, gusts=s) for r in ref]
-        for s in (GustStates(MASS.b, rotating=a, turning_with=b) for a in (True, False) for b in (True, False))
-    }
+    made = Made(ref)
     data = []
     for steps in made[truth]:
         Q, begin = process_of(values, 22.0, truth)
@@ -50,7 +68,7 @@ def drawn(truth: GustStates, values: np.ndarray, moment: float = 0.0) -> tuple[M
 
 def found_in(made: Made, data: list[np.ndarray], near: Gusts | None = None) -> Gusts:
     return gust_intensity(
-        lambda some, s: [made[s][k] for k in some], data, range(len(NOISE)), NOISE, [22.0] * 4, ["a"] * 2 + ["b"] * 2,
+        made, data, range(len(NOISE)), NOISE, [22.0] * 4, ["a"] * 2 + ["b"] * 2,
         GustStates(MASS.b), near,
     )[0]  # fmt: skip
 
@@ -60,7 +78,7 @@ def test_intensities_and_what_gusts_do_are_found(rotating, turning):
     """Intensities within a factor, the air's ways by likelihood."""
     made, data = drawn(GustStates(MASS.b, rotating=rotating, turning_with=turning), INTENSITIES)
     found = found_in(made, data)
-    assert (found.states.rotating, found.states.turning_with) == (rotating, turning)
+    assert {(s.rotating, s.turning_with) for s in found.states} == {(rotating, turning)}
     np.testing.assert_allclose(np.log(found.values[:4] / INTENSITIES[:4]), 0.0, atol=np.log(1.7))
     assert set(found.own) == {"a", "b"}
     assert found.gain > 1000.0
@@ -79,7 +97,7 @@ def test_noise_that_is_half_of_what_is_stated_is_found_beside_the_gusts():
 
     def factors(kinds):
         return gust_intensity(
-            lambda some, s: [made[s][k] for k in some], data, range(len(NOISE)), stated, [22.0] * 4, ["a"] * 4, GustStates(MASS.b),
+            made, data, range(len(NOISE)), stated, [22.0] * 4, ["a"] * 4, GustStates(MASS.b),
             kinds=kinds,
         )[1]  # fmt: skip
 
@@ -92,9 +110,9 @@ def test_noise_that_is_half_of_what_is_stated_is_found_beside_the_gusts():
 def test_the_search_ends_where_no_number_makes_the_flights_likelier():
     """Scales of the intensities about the optimum, one by one, against the likelihood itself."""
     made, data = drawn(GustStates(MASS.b), INTENSITIES)
-    search = turbulence._Search(lambda some, s: [made[s][k] for k in some], data, range(len(NOISE)), NOISE, [22.0] * 4, ALONE)
+    search = turbulence._Search(made, data, range(len(NOISE)), NOISE, [22.0] * 4, ALONE)
     some, ones = list(range(4)), np.ones(len(NOISE))
-    begin = turbulence._Point(GustStates(MASS.b), 3.0 * INTENSITIES, ones)
+    begin = turbulence._Point((GustStates(MASS.b),) * 4, 3.0 * INTENSITIES, ones)
     found = search.descend(some, begin, ())
     assert found.cost < search.best(some, [begin]).cost - 100.0
     for k in range(4):
@@ -112,3 +130,32 @@ def test_a_moment_that_comes_and_goes_is_no_air():
     faint = found_in(*drawn(GustStates(MASS.b), 0.01 * INTENSITIES))
     assert faint.gain > 100.0
     assert faint.air
+
+
+@pytest.mark.parametrize("passing", [0.0, 22.0])
+def test_gusts_pass_at_the_airspeed_or_at_one_speed(passing):
+    """Flights of 18 and 26 m/s on the whole: air that passes at the airspeed, and air made beforehand for 22 m/s, the mean."""
+    made, data = drawn(GustStates(MASS.b, passing), INTENSITIES, faster=(-4.0, -4.0, 4.0, 4.0), n=400)
+    search = turbulence._Search(made, data, range(len(NOISE)), NOISE, [22.0] * 4, ALONE)
+    here = turbulence._Point((GustStates(MASS.b),) * 4, INTENSITIES, np.ones(len(NOISE)))
+    one = search.passing({"a": range(4)}, here)
+    (speed,) = {s.passing_mps for s in one.states}
+    assert search.best(range(4), [here, one]).states == (one if passing else here).states
+    if passing:
+        assert speed == pytest.approx(passing, rel=0.05)
+
+
+def test_the_air_of_some_flights_in_others():
+    """What is known of a flight stays; others have what all have, and gusts that pass at one speed pass at their mean airspeed."""
+    kind = GustStates(MASS.b, rotating=True)
+    made, data = drawn(kind, INTENSITIES)
+    found = found_in(made, data)
+    other = found.in_other([19.0, 21.0, 30.0], ["c", "c", "a"])
+    assert [s.passing_mps for s in other.states] == [0.0] * 3
+    np.testing.assert_array_equal(other.own["a"], found.own["a"])
+    np.testing.assert_array_equal(other.own["c"], found.values)
+    assert len(other.process.noise) == 3
+    at_one = replace(found, states=tuple(s._replace(passing_mps=25.0) for s in found.states), passing={"a": 25.0, "b": 25.0})
+    assert [s.passing_mps for s in at_one.in_other([19.0, 21.0, 30.0], ["c", "c", "a"]).states] == [20.0, 20.0, 25.0]
+    assert "one speed" in at_one.words
+    assert "one speed" not in found.words

@@ -161,7 +161,8 @@ def air_of(
         try:
             return gust_refit(bench.model, bench.straight, plain, start, (), {}, map_, near, iterations=2).gusts
         except np.linalg.LinAlgError:
-            return near
+            speeds = [float(np.nanmean(c["V_mps"])) for c in setup.channels]
+            return near.in_other(speeds, [s.flight for s in setup.segments])
 
 
 def _as_felt(segment: Segment, flight: Flight, ideal: Sequence[str]) -> Segment:

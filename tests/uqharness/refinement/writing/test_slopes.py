@@ -26,9 +26,11 @@ THROTTLE_PCT = 60.0 + 25.0 * np.sin(0.15 * np.arange(N))
 K = 0.2
 
 
-def probed(aircraft: Aircraft, elevator_deg: float | np.ndarray = 0.0, consistent: bool = False) -> Probe:
+def probed(
+    aircraft: Aircraft, elevator_deg: float | np.ndarray = 0.0, consistent: bool = False, alpha_rad: float | np.ndarray = 0.05
+) -> Probe:
     x = np.zeros((N, 8))
-    x[:, 0], x[:, 1], x[:, 7] = V_MPS, 0.05, 0.05
+    x[:, 0], x[:, 1], x[:, 7] = V_MPS, alpha_rad, 0.05
     controls = np.zeros((N, 4))
     controls[:, CONTROLS.index("throttle")] = THROTTLE_PCT
     controls[:, CONTROLS.index("elevator")] = elevator_deg
@@ -76,6 +78,19 @@ def test_between_forced_samples_coefficients_jump_with_the_surfaces():
     slack = np.abs(np.diff(every.coefficients[::4], axis=0)).max()
     assert slack > 0.1
     np.testing.assert_allclose(fourth.coefficients, every.coefficients, atol=5e-4 * slack)
+
+
+def test_slopes_along_a_prediction_know_nothing_of_samples_to_come():
+    """An angle of attack that leaps after row 9, between two forced samples: slopes before it are those without, of lines not."""
+    aircraft, leap = find_aircraft("espaaro"), np.where(np.arange(N) > 9, 0.2, 0.05)
+    for consistent in (False, True):
+        plain, leaping = (probed(aircraft, consistent=consistent, alpha_rad=a).reference for a in (0.05, leap))
+        change = np.abs(leaping.slopes - plain.slopes).max(axis=(1, 2))
+        assert change[8] < 1e-5
+        assert change[16:].min() > 10.0
+        assert (change[9] > 1.0) == consistent
+    # Held, they go with the dynamic pressure of their own row.
+    np.testing.assert_allclose(plain.slopes[9, 2, 1] / plain.qbar[9], plain.slopes[8, 2, 1] / plain.qbar[8], rtol=1e-3)
 
 
 def test_without_a_propeller_there_is_no_inflow():

@@ -1,0 +1,108 @@
+"""Controls between rows: where surfaces without a lag stand, and what accelerometers feel of their jumps or have not seen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from sysid.aerodynamics.coefficients import MassProperties
+from sysid.aerodynamics.rigid_body import Reference
+from sysid.parallel import ALONE
+from uqharness.refinement import between_rows
+from uqharness.refinement.fit import Linear, fly
+from uqharness.refinement.reference import Probe
+from uqharness.refinement.types import Point, Setup, unseen
+from uqharness.replay import CONTROLS, FELT
+from uqharness.replay.model import ReplayFolder
+from uqharness.replay.segments import Commands, Segment
+from uqharness.simulator.aircraft import find_aircraft
+
+N, DT = 40, 0.02
+MASS = MassProperties(21.0, np.array([[11.1, 0.0, -0.5], [0.0, 7.7, 0.0], [-0.5, 0.0, 18.4]]), 1.38, 0.38, 3.66)
+
+
+def probe_of(rng: np.random.Generator) -> Probe:
+    x = np.column_stack([20.0 + 0.1 * np.arange(N) / N, *(0.1 * rng.standard_normal((7, N)))])
+    loads = rng.standard_normal((N, 6))
+    reference = Reference(DT, x, loads[:, :3], loads[:, 3:], np.zeros((N, 6, 6)), np.full(N, 245.0), np.zeros(3), True)
+    none = np.zeros((N, 3))
+    return Probe(
+        reference, MASS, rng.standard_normal((N, 6)), none, none, np.zeros((N, 6, 4)), np.zeros((N, 4)), {}, np.full(N, np.inf)
+    )
+
+
+def test_a_surface_without_a_lag_stands_where_it_stood_until_the_next_row():
+    """Elevator straight through, the others with their servos: how far paths are from straight lines, at middles and ends."""
+    aircraft = find_aircraft("espaaro")
+    controls = np.tile([1.0, 0.0, 0.0, 55.0], (12, 1))
+    controls[6:, :2] += 4.0
+    segment = Segment("step", "f", 0.02 * np.arange(12), controls, np.array([22.0, 0.03, *np.zeros(7)]), 100.0, 100.0)
+    with ReplayFolder(aircraft, ideal=("elevator",)) as model:
+        (away,) = between_rows.middles(model, SimpleNamespace(segments=[segment]))
+    middle, end = away
+    expected = np.zeros(11)
+    expected[5] = -4.0
+    assert end[:, 0] == pytest.approx(expected, abs=1e-9)
+    assert middle[:, 0] == pytest.approx(0.5 * expected, abs=1e-9)
+    # A servo is nowhere in two places: at a step's end it is where the next row has it.
+    assert not end[:, 1:].any()
+    assert np.abs(middle[6:, 1]).max() > 0.01
+
+
+def test_commands_between_rows_leave_the_middle_the_area_of_their_path():
+    """The elevator jumps a third of the way through a row: Simpson's rule over start, middle and end has two thirds of the jump."""
+    aircraft = find_aircraft("espaaro")
+    fine = np.tile([1.0, 0.0, 0.0, 55.0], (31, 1))
+    fine[16:, 0] += 4.0
+    segment = Segment("step", "f", 0.03 * np.arange(11), fine[::3], np.array([22.0, 0.03, *np.zeros(7)]), 100.0, 100.0)
+    with ReplayFolder(aircraft, ideal=("elevator",)) as model:
+        (between,) = between_rows.middles(model, SimpleNamespace(segments=[replace(segment, commands=Commands(3, fine))]))
+        (averaged,) = between_rows.middles(model, SimpleNamespace(segments=[segment]))
+    rows = fine[::3, 0]
+
+    def area(away):
+        middle, end = away[0][:, 0] + 0.5 * (rows[:-1] + rows[1:]), away[1][:, 0] + rows[1:]
+        return (rows[:-1] + 4.0 * middle + end) / 6.0
+
+    assert area(between)[5] == pytest.approx(1.0 + 4.0 * 2.0 / 3.0)
+    assert area(averaged)[5] == pytest.approx(1.0)
+
+
+def test_what_accelerometers_feel_of_a_jump_is_force_over_mass_and_the_turn_at_their_arm():
+    probe = probe_of(np.random.default_rng(7))
+    jump = np.zeros((N, 6))
+    jump[5, 2], jump[6, 4] = -0.1, 0.05
+    probe = replace(probe, jump=jump, reference=replace(probe.reference, arm_m=np.array([0.2, 0.0, 0.0])))
+    felt = probe.felt_jump()
+    pressure = probe.reference.qbar * MASS.S
+    assert felt[5] == pytest.approx([0.0, 0.0, -0.1 * pressure[5] / MASS.mass])
+    # A pitching moment turns an accelerometer ahead of the CG up: z is down.
+    assert felt[6] == pytest.approx([0.0, 0.0, -0.2 * 0.05 * pressure[6] * MASS.c / MASS.inertia[1, 1]])
+    assert not replace(probe, jump=None).felt_jump().any()
+
+
+@pytest.mark.parametrize("ideal", [("elevator",), CONTROLS])
+def test_what_is_unseen_of_a_jump_is_what_a_replay_lacks_without_it(ideal):
+    """The column in calm air beside the difference of two replays: accelerometers that have seen the jump of a row, and that have
+    not. Nothing of it where every control has its servo."""
+    aircraft = find_aircraft("espaaro")
+    controls = np.tile([-1.0, 0.0, 0.0, 55.0], (25, 1))
+    controls[8:, 0] += 4.0
+    controls[15:, 1] -= 3.0
+    outputs = (*FELT, "q_radps")
+    arm = (0.1, 0.0, 0.05)
+    segment = Segment("step", "f", DT * np.arange(25), controls, np.array([22.0, 0.03, *np.zeros(7)]), 100.0, 100.0, arm_m=arm)
+    blank = np.zeros((25, len(outputs)))
+    setup = Setup((), (segment,), ({},), outputs, (blank,), np.ones(len(outputs)), (), {}, jumping=("f",))
+    with ReplayFolder(aircraft, ideal=ideal) as model, ReplayFolder(aircraft, ideal=CONTROLS) as straight:
+        seen, lacking = (fly(model, setup, Point({}, {unseen("f"): share}, (segment.start,)), ALONE) for share in (0.0, 1.0))
+        fit = Linear(model, straight, setup, ("aero/Cm_q",), ALONE).fit_at(seen)
+        with ReplayFolder(aircraft) as servos:
+            assert not between_rows.middles(servos, setup, seen.point)[0][1].any()
+    expected = lacking.outputs[0] - seen.outputs[0]
+    found = fit.columns[0].outputs[unseen("f")]
+    assert np.abs(expected).max() > 0.5
+    np.testing.assert_allclose(found, expected, atol=0.02 * np.abs(expected).max())

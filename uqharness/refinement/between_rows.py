@@ -1,0 +1,80 @@
+"""Where controls stand between rows: paths that are not straight, jumps at a row, and what accelerometers have seen of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uqharness.refinement.candidates import sensor_gain
+from uqharness.refinement.reference import Probe
+from uqharness.refinement.types import Point, Setup
+from uqharness.replay import CONTROLS, FELT, ReplayModel, Segment, by_run, surface_positions
+
+Array = NDArray[np.float64]
+
+
+def middles(model: ReplayModel, setup: Setup, point: Point | None = None) -> list[Array]:
+    """[(2, n - 1, c)] how far the controls stand from the mean of a step's ends at its middle, and at its end from the next row's.
+
+    A servo's path is no straight line, and a surface without a lag jumps at a row: until then it stands where it stood. Where
+    commands act between rows, the middle is such that Simpson's rule has the path's own area.
+    """
+    cut = [segment.at_commands() for segment in setup.segments]
+    held = np.array([c not in model.measured for c in model.controls])
+    servos = {} if point is None else setup.properties(point)
+    ends = surface_positions(model, cut, CONTROLS, servos)
+    halves = surface_positions(model, [_halved(s) for s in cut], CONTROLS, servos) if held.any() else [None] * len(cut)
+    jumps = np.array([c in model.jumping for c in model.controls])
+    made = zip(cut, ends, halves, setup.segments, strict=True)
+    return [_middle(own, at, half, held, jumps, segment.per_row) for own, at, half, segment in made]
+
+
+def _halved(segment: Segment) -> Segment:
+    """The same flight with rows half as far apart; a command is held over both halves."""
+    fine = np.repeat(segment.controls, 2, axis=0)[:-1]
+    time_s = np.linspace(segment.time_s[0], segment.time_s[-1], len(fine))
+    targets = None if segment.targets is None else np.repeat(segment.targets, 2, axis=0)[:-1]
+    return replace(segment, time_s=time_s, controls=fine, targets=targets)
+
+
+def _middle(
+    segment: Segment, ends: Array, half: Array | None, held: NDArray[np.bool_], jumps: NDArray[np.bool_], k: int
+) -> Array:  # fmt: skip
+    middle = np.where(held, ends[:-1], by_run(segment, 2, [not h for h in held], [False] * len(held))[1::2])
+    if half is not None:
+        middle[:, held] = half[1::2][:, held]
+    last = np.where(jumps, middle, ends[1:])
+    if k > 1:
+        mean = ((ends[:-1] + 4.0 * middle + last) / 6.0).reshape(-1, k, len(held)).mean(axis=1)
+        ends, last = ends[::k], last[k - 1 :: k]
+        middle = (6.0 * mean - ends[:-1] - last) / 4.0
+    return np.stack([middle - 0.5 * (ends[:-1] + ends[1:]), last - ends[1:]])
+
+
+def bend_of(p: Probe, away: Array) -> Array:
+    """(2, n - 1, 6) force and moment that the surfaces' paths add in the middle and at the end of a step."""
+    slopes = p.by_control * p.scale[:, :, None]
+    at = np.stack([0.5 * (slopes[:-1] + slopes[1:]), slopes[1:]])
+    return np.asarray(np.einsum("knij,knj->kni", at, away))
+
+
+def jump_of(p: Probe, away: Array) -> Array | None:
+    """(n, 6) change of CX..Cn by what the controls jump at each row; the first row's is not known."""
+    if not away[1].any():
+        return None
+    return np.einsum("nij,nj->ni", p.by_control, np.vstack([np.zeros_like(away[1, :1]), -away[1]]))
+
+
+def jumps_unseen(setup: Setup, found: Sequence[Probe], point: Point) -> list[Array]:
+    """[(n, m)] what the outputs lack where the accelerometers have seen nothing of the jumps at their own rows."""
+    gain = [sensor_gain(c, point) for c in setup.outputs]
+    out = []
+    for p in found:
+        lacking = dict(zip(FELT, -p.felt_jump().T, strict=True))
+        out.append(
+            np.column_stack([g * lacking.get(c, np.zeros(len(p.controls))) for c, g in zip(setup.outputs, gain, strict=True)])
+        )
+    return out
