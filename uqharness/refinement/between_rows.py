@@ -8,12 +8,18 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from uqharness.identification import jumping_in
 from uqharness.refinement.candidates import sensor_gain
 from uqharness.refinement.reference import Probe
 from uqharness.refinement.types import Point, Setup
 from uqharness.replay import CONTROLS, FELT, ReplayModel, Segment, by_run, surface_positions
 
 Array = NDArray[np.float64]
+
+
+def with_jumps(setup: Setup, model: ReplayModel) -> Setup:
+    """The setup with the flights in which some control of the model jumps: what accelerometers miss of that is estimated."""
+    return replace(setup, jumping=tuple(jumping_in(model, setup.segments, setup.late)))
 
 
 def middles(model: ReplayModel, setup: Setup, point: Point | None = None) -> list[Array]:

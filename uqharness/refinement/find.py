@@ -41,10 +41,10 @@ from sysid.effects import (
 )
 from sysid.parallel import Processes
 from uqharness.errors import BadInputError
-from uqharness.identification import jumping_in
 from uqharness.plugin import Estimate
 from uqharness.refinement.base import Base, base_fit_and_noise
 from uqharness.refinement.begin import strong_first
+from uqharness.refinement.between_rows import with_jumps
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.fit import Fit
 from uqharness.refinement.gusts import GustFit, gust_evidence, gust_refit
@@ -139,7 +139,7 @@ def find_effects(
         keep = stages or Stages(None, ())
         asked = names
         stage = f"parameters{len(put_right) or ''}"
-        setup = given = replace(setup, jumping=tuple(jumping_in(bench.model, setup.segments, setup.late)))
+        setup = given = with_jumps(setup, bench.model)
         before, names, notes, noise = keep(stage, Base, lambda: base_fit_and_noise(aircraft, bench, given, asked, limits, map_))
         setup = replace(setup, noise=noise)
         effects = candidates_for(setup, names, extra, lone)

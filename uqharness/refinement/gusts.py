@@ -30,7 +30,7 @@ from sysid.effects import (
     whitened,
 )
 from sysid.parallel import Processes
-from uqharness.refinement.between_rows import bend_of, jump_of, jumps_unseen, middles
+from uqharness.refinement.between_rows import bend_of, jump_of, jumps_unseen, middles, with_jumps
 from uqharness.refinement.candidates import at_vane, sensor_gain, sensor_offset, vane_place_m
 from uqharness.refinement.fit import PRIOR, Fit, parameter_columns, positions, probes, stepped, steps_of
 from uqharness.refinement.reference import Predicted, Probe, along, named_terms
@@ -147,6 +147,7 @@ def gust_refit(
     tune: the sensors' noise as well (not of an autopilot's log, whose attitudes are filtered); the fit's setup has it.
     """
     point, analytic, gusts = start, None, near
+    setup = with_jumps(setup, model)
     length, share, moving = float("inf"), 1.0, not known
     path: list[Array] | None = None
     keys = {e.key for e in setup.active}

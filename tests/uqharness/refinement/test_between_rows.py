@@ -106,3 +106,15 @@ def test_what_is_unseen_of_a_jump_is_what_a_replay_lacks_without_it(ideal):
     found = fit.columns[0].outputs[unseen("f")]
     assert np.abs(expected).max() > 0.5
     np.testing.assert_allclose(found, expected, atol=0.02 * np.abs(expected).max())
+
+
+def test_flights_jump_where_the_models_controls_do():
+    controls = np.tile([-1.0, 0.0, 0.0, 55.0], (4, 1))
+    segment = Segment("step", "f", DT * np.arange(4), controls, np.array([22.0, 0.03, *np.zeros(7)]), 100.0, 100.0)
+    setup = Setup((), (segment,), ({},), ("q_radps",), (np.zeros((4, 1)),), np.ones(1), (), {}, jumping=("stale",))
+    aircraft = find_aircraft("espaaro")
+    with ReplayFolder(aircraft, ideal=("elevator",)) as at_once, ReplayFolder(aircraft) as servos:
+        assert between_rows.with_jumps(setup, at_once).jumping == ("f",)
+        assert between_rows.with_jumps(setup, servos).jumping == ()
+        # A sensor that is late says nothing of what a row has seen.
+        assert between_rows.with_jumps(replace(setup, late={"f": ["gyros"]}), at_once).jumping == ()
