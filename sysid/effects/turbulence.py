@@ -207,8 +207,12 @@ class _Search:
             some = _spread(members, _FOR_SPEED)
             tried = [point.acting(passing_mps=speed * np.exp(_FASTER * k)) for k in (-1, 0, 1)]
             slower, here, faster = (self.score(some, p.states, p.values, p.factors, slopes=False).cost for p in tried)
-            bend = slower - 2.0 * here + faster + 2.0 * (_FASTER / _AS_MEANT) ** 2
-            steps = 0.5 * (slower - faster) / bend if bend > 0.0 else np.sign(slower - faster)
+            if np.isfinite([slower, here, faster]).all():
+                bend = slower - 2.0 * here + faster + 2.0 * (_FASTER / _AS_MEANT) ** 2
+                steps = 0.5 * (slower - faster) / bend if bend > 0.0 else np.sign(slower - faster)
+            else:
+                # Where no filter follows there is no parabola.
+                steps = 0.0
             own = speed * float(np.exp(_FASTER * np.clip(steps, -_MOST_FASTER, _MOST_FASTER)))
             for k in members:
                 states[k] = states[k]._replace(passing_mps=own)

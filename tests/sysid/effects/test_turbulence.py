@@ -12,6 +12,7 @@ from sysid.aerodynamics.equations import OpenEquations
 from sysid.aerodynamics.gust_states import GustStates
 from sysid.aerodynamics.rigid_body import NX, Reference, Steps, linearise
 from sysid.effects import turbulence
+from sysid.effects.gust_score import Score
 from sysid.effects.turbulence import Gusts, gust_intensity, process_of
 from sysid.parallel import ALONE
 from tests.sysid.aerodynamics.test_rigid_body import DT, MASS, TERMS, flight, reference
@@ -159,3 +160,11 @@ def test_the_air_of_some_flights_in_others():
     assert [s.passing_mps for s in at_one.in_other([19.0, 21.0, 30.0], ["c", "c", "a"]).states] == [20.0, 20.0, 25.0]
     assert "one speed" in at_one.words
     assert "one speed" not in found.words
+
+
+def test_where_no_filter_follows_gusts_pass_at_the_mean_airspeed(monkeypatch):
+    score = lambda *_, **__: Score(np.inf, np.zeros(1), np.zeros((1, 13)), np.zeros((1, 13)), ())  # noqa: E731
+    monkeypatch.setattr(turbulence._Search, "score", score)
+    search = turbulence._Search(lambda *_: [], [np.zeros((2, 1))] * 2, [0], np.ones(1), [20.0, 24.0], ALONE)  # type: ignore
+    here = turbulence._Point((GustStates(3.0),) * 2, np.ones(5), np.ones(1))
+    assert [s.passing_mps for s in search.passing({"a": [0, 1]}, here).states] == [22.0, 22.0]
