@@ -167,8 +167,10 @@ def gust_refit(
             setup = replace(setup, noise=factors * setup.noise)
             moving = _other_air(last, gusts) or bool(np.abs(np.log(factors)).max() > MOVED)
         assert gusts is not None
-        linearised = steps.all(gusts.states)
-        followed = follow(linearised, steps.measured, setup.which, setup.noise, gusts.process)
+        linearised, measured = steps.all(gusts.states), steps.measured
+        # Systems of the air that was tried would stand beside the columns, which take the most memory.
+        del steps
+        followed = follow(linearised, measured, setup.which, setup.noise, gusts.process)
         flown, found = predicted(setup, flown, found, linearised, followed, gusts)
         # The measured states have seen what comes after them: linear about those, the airspeed's sensor reads half a percent high.
         causal, path = path is not None, [p.body for p in found]
