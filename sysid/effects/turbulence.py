@@ -80,19 +80,26 @@ class Gusts:
     def in_other(self, V: Sequence[float], flights: Sequence[str]) -> Gusts:
         """The same air in other segments, V their airspeeds, flights whose they are: those not known of have what all have, and
         gusts that pass at one speed pass at their mean airspeed."""
-        kind = self.states[0]
-        passing = {f: self.passing.get(f, bool(kind.passing_mps) * _mean_speed(V, flights, f)) for f in dict.fromkeys(flights)}
-        own = {f: self.own.get(f, self.values) for f in passing}
-        states = tuple(kind._replace(passing_mps=passing[f]) for f in flights)
+        first = self.states[0]
+        of = _members(flights)
+        passing = {f: self.passing.get(f, bool(first.passing_mps) * _mean_speed(V, members)) for f, members in of.items()}
+        own = {f: self.own.get(f, self.values) for f in of}
+        states = tuple(first._replace(passing_mps=passing[f]) for f in flights)
         return replace(self, states=states, own=own, passing=passing, process=_process([own[f] for f in flights], V, states))
+
+    @property
+    def kind(self) -> tuple[bool, bool, bool]:
+        """Whether the gusts rotate the air, turn with the aircraft, and pass at one speed in each flight."""
+        first = self.states[0]
+        return first.rotating, first.turning_with, bool(first.passing_mps)
 
     @property
     def words(self) -> str:
         """How the gusts act."""
-        kind = self.states[0]
-        turning = "turn with the aircraft" if kind.turning_with else "do not turn with the aircraft"
-        passing = ", and pass at one speed in each flight" if kind.passing_mps else ""
-        return f"gusts that {'rotate the air' if kind.rotating else 'do not rotate the air'} and {turning}{passing}"
+        rotating, turning_with, at_one_speed = self.kind
+        turning = "turn with the aircraft" if turning_with else "do not turn with the aircraft"
+        passing = ", and pass at one speed in each flight" if at_one_speed else ""
+        return f"gusts that {'rotate the air' if rotating else 'do not rotate the air'} and {turning}{passing}"
 
 
 def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatArray, FloatArray]:
@@ -131,7 +138,7 @@ def gust_intensity(
     """
     search = _Search(linear, measured, which, noise, V, by)
     some = _spread(range(len(measured)), _MOST_SEGMENTS)
-    of = {f: [k for k, own in enumerate(flights) if own == f] for f in dict.fromkeys(flights)}
+    of = _members(flights)
     if near is None:
         alike = (states,) * len(measured)
         first = search.best(some, [_Point(alike, f * _START, np.ones(len(noise))) for f in _FACTORS])
@@ -203,7 +210,7 @@ class _Search:
         airspeed: the lowest point of a parabola through three."""
         states = list(point.states)
         for members in flights.values():
-            speed = float(np.mean([self.V[k] for k in members]))
+            speed = _mean_speed(self.V, members)
             some = _spread(members, _FOR_SPEED)
             tried = [point.acting(passing_mps=speed * np.exp(_FASTER * k)) for k in (-1, 0, 1)]
             slower, here, faster = (self.score(some, p.states, p.values, p.factors, slopes=False).cost for p in tried)
@@ -267,9 +274,14 @@ class _Search:
         return surprise(self.linear(some, [point.states[k] for k in some]), data, self.which, point.factors * self.noise)
 
 
-def _mean_speed(V: Sequence[float], flights: Sequence[str], flight: str) -> float:
-    """Of a flight's segments."""
-    return float(np.mean([v for v, f in zip(V, flights, strict=True) if f == flight]))
+def _members(flights: Sequence[str]) -> dict[str, list[int]]:
+    """Flight -> its segments."""
+    return {f: [k for k, own in enumerate(flights) if own == f] for f in dict.fromkeys(flights)}
+
+
+def _mean_speed(V: Sequence[float], members: Sequence[int]) -> float:
+    """Mean airspeed of a flight's segments."""
+    return float(np.mean([V[k] for k in members]))
 
 
 def _process(values: Sequence[FloatArray], V: Sequence[float], states: Sequence[GustStates]) -> Process:

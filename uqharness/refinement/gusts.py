@@ -68,8 +68,8 @@ class GustFit:
         return minus_twice_log(self.white)
 
 
-def measured_flight(setup: Setup, point: Point) -> Flown:
-    """The flight as measured, smoothed, what the sensors make of it taken out, in the place of a replay."""
+def measured_states(setup: Setup, point: Point) -> list[Array]:
+    """[(n, 8)] the flight as measured, smoothed, what the sensors make of it taken out."""
     x = []
     for segment, channels in zip(setup.segments, setup.channels, strict=True):
         columns = []
@@ -81,8 +81,7 @@ def measured_flight(setup: Setup, point: Point) -> Flown:
             columns.append(moved_later(value, -late / segment.dt_s) if late else value)
         felt = np.column_stack(columns)
         x.append(felt - vane_place_m(point) * at_vane(felt, X_STATES))
-    height = [np.array(c["h_m"], dtype=float) for c in setup.channels]
-    return Flown(point, [np.zeros((len(s.time_s), len(setup.outputs))) for s in setup.segments], x, height, float("nan"))
+    return x
 
 
 def rows_late(setup: Setup, segment: Segment, point: Point) -> dict[str, int]:
@@ -114,10 +113,10 @@ def predict(
     model: ReplayModel, straight: ReplayModel, setup: Setup, point: Point, differ: Sequence[str], map_: Processes,
     path: Sequence[Array] | None = None,
 ) -> tuple[Flown, list[Probe]]:  # fmt: skip
-    """The measured flight, or ``path`` [(n, 8)] in its place, and the model's forces along it."""
-    flown = measured_flight(setup, point)
-    if path is not None:
-        flown = replace(flown, x=list(path))
+    """The measured flight, or ``path`` [(n, 8)] in its place, instead of a replay, and the model's forces along it."""
+    x = measured_states(setup, point) if path is None else list(path)
+    height = [np.array(c["h_m"], dtype=float) for c in setup.channels]
+    flown = Flown(point, [np.zeros((len(s.time_s), len(setup.outputs))) for s in setup.segments], x, height, float("nan"))
     made = zip(setup.segments, positions(model, setup, point), strict=True)
     jumps = np.array([c in model.jumping for c in model.controls])
     controls = [_later(u, point.nuisance.get(lateness(s.flight), 0.0) / s.dt_s, jumps) for s, u in made]
@@ -196,7 +195,7 @@ def gust_refit(
 
 def _other_air(one: Gusts | None, two: Gusts) -> bool:
     """Whether a search has led to noticeably other gusts."""
-    if one is None or one.words != two.words:
+    if one is None or one.kind != two.kind:
         return True
     return bool(np.abs(np.log(two.values / one.values)).max() > MOVED)
 
@@ -224,9 +223,8 @@ class _Linear:
         missing = [(k, s) for k, s in asked if (k, s) not in self.made]
         found, outputs = [self.found[k] for k, _ in missing], [self.flown.outputs[k] for k, _ in missing]
         point = self.flown.point
-        for (k, acting), s in zip(
-            missing, steps_of(found, outputs, self.setup, point, [a for _, a in missing], self.by), strict=True
-        ):
+        made = steps_of(found, outputs, self.setup, point, [acting for _, acting in missing], self.by)
+        for (k, acting), s in zip(missing, made, strict=True):
             which, y, segment = self.setup.which, s.y_ref.copy(), self.setup.segments[k]
             # Outputs are those at the reference, biases added.
             share = point.nuisance.get(unseen(segment.flight), 0.0)

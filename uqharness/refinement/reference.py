@@ -246,8 +246,8 @@ def _probe_of(job: ProbeJob, asked: _Asked, found: ForcedModel) -> Probe:
         if job.consistent:
             return spread(values)
         each = qbar.reshape(-1, *(1,) * (values.ndim - 1))
-        last = coarse[np.searchsorted(coarse, np.arange(n), side="right") - 1]
-        return np.asarray(values[np.searchsorted(coarse, last)] / each[last] * each)
+        last = np.searchsorted(coarse, np.arange(n), side="right") - 1
+        return np.asarray(values[last] / each[coarse[last]] * each)
 
     by_control = []
     for c in range(job.controls.shape[1]):

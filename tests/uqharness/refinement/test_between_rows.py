@@ -8,30 +8,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sysid.aerodynamics.coefficients import MassProperties
-from sysid.aerodynamics.rigid_body import Reference
 from sysid.parallel import ALONE
+from tests.uqharness.refinement.test_gusts import DT, MASS, N, probe_of
 from uqharness.refinement import between_rows
 from uqharness.refinement.fit import Linear, fly
-from uqharness.refinement.reference import Probe
 from uqharness.refinement.types import Point, Setup, unseen
 from uqharness.replay import CONTROLS, FELT
 from uqharness.replay.model import ReplayFolder
 from uqharness.replay.segments import Commands, Segment
 from uqharness.simulator.aircraft import find_aircraft
-
-N, DT = 40, 0.02
-MASS = MassProperties(21.0, np.array([[11.1, 0.0, -0.5], [0.0, 7.7, 0.0], [-0.5, 0.0, 18.4]]), 1.38, 0.38, 3.66)
-
-
-def probe_of(rng: np.random.Generator) -> Probe:
-    x = np.column_stack([20.0 + 0.1 * np.arange(N) / N, *(0.1 * rng.standard_normal((7, N)))])
-    loads = rng.standard_normal((N, 6))
-    reference = Reference(DT, x, loads[:, :3], loads[:, 3:], np.zeros((N, 6, 6)), np.full(N, 245.0), np.zeros(3), True)
-    none = np.zeros((N, 3))
-    return Probe(
-        reference, MASS, rng.standard_normal((N, 6)), none, none, np.zeros((N, 6, 4)), np.zeros((N, 4)), {}, np.full(N, np.inf)
-    )
 
 
 def test_a_surface_without_a_lag_stands_where_it_stood_until_the_next_row():

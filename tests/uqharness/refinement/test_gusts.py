@@ -188,7 +188,7 @@ def test_effects_that_no_filter_can_follow_leave_what_was_flown_before(monkeypat
 
 
 def some_air(strength=1.0):
-    return SimpleNamespace(states=None, words="", process=None, values=np.array([strength]))
+    return SimpleNamespace(states=None, kind=None, process=None, values=np.array([strength]))
 
 
 def iterated(monkeypatch, steps, strengths=(1.0,), quieter=(1.0,), **asked):
