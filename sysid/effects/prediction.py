@@ -4,7 +4,7 @@ A Kalman filter with the process noise of turbulence; without any it is output e
 column of extra
 coefficients runs through the same gains, so that what is judged is what the likelihood sees (Astrom, Automatica 16, 1980):
 
-    s = H X + D u + e,   X+ = X - K s,   X' = Phi X+ + G0 u(k) + G1 u(k+1)
+    s = H X + D u + e,   X+ = X - K s,   X' = Phi X+ + G0 u(k) + G1 u(k+1-)
 
 The start state is estimated, one a segment: its columns are projected out of everything.
 """
@@ -12,7 +12,7 @@ The start state is estimated, one a segment: its columns are projected out of ev
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,11 +31,15 @@ class Columns:
 
     inputs    column -> (index of the coefficient CX..Cn, values (n,)), or (-1, values (n, 6)) for all six
     outputs   column -> (n, m) added to the measured channels
+    jumps     column -> how much its input's values jump at each row, where they do: until a row they are less by that
+    unseen    share of these jumps that the channels of the same row have not seen
     """
 
     names: tuple[str, ...]
     inputs: Mapping[str, tuple[int, FloatArray]]
     outputs: Mapping[str, FloatArray]
+    jumps: Mapping[str, FloatArray] = field(default_factory=dict)
+    unseen: float = 0.0
 
 
 class MadeColumns(Sequence[Columns]):
@@ -137,7 +141,7 @@ def _whitened(one: Followed, names: Sequence[str], own: Columns) -> White:
     seen, found = one.seen, one.gains
     whole = np.where(seen.there, found.whole, 0.0).sum(axis=0)
     deviation = np.sqrt(whole / np.maximum(seen.there.sum(axis=0), 1))
-    through = carried(seen, found, names, own.inputs, own.outputs, one.alone)
+    through = carried(seen, found, names, own.inputs, own.outputs, own.jumps, own.unseen, one.alone)
     return _projected(through, found.logdet, seen.there, deviation)
 
 

@@ -3,10 +3,10 @@
 Samples of independent channels are taken one after the other (Astrom, Automatica 16, 1980; Bierman, Factorization Methods, 1977):
 
     e = z - h d,   s = h P h' + r,   K = P h'/s,   d+ = d + K e,   X+ = X - K (h X + D u),   P+ = P - K s K'
-    d' = Phi d+ + defect,   X' = Phi X+ + G0 u(k) + G1 u(k+1),   P' = Phi P+ Phi' + process noise
+    d' = Phi d+ + defect,   X' = Phi X+ + G0 u(k) + G1 u(k+1-),   P' = Phi P+ Phi' + process noise
 
 X holds what the state does per unit of some extra coefficients u, and of the start state, which is unknown: its eight columns come
-first. e and h X + D u over sqrt(s) are the whitened innovations and their sensitivities. The gains do not depend on what was
+first. u(k+1-) is u just before it jumps at the row k+1, if it does. e and h X + D u over sqrt(s) are the whitened innovations and their sensitivities. The gains do not depend on what was
 measured.
 """
 
@@ -89,12 +89,12 @@ class Whitened:
 
 def carried(
     seen: Seen, by: Gains, names: Sequence[str] = (), inputs: Mapping[str, tuple[int, FloatArray]] | None = None,
-    outputs: Mapping[str, FloatArray] | None = None, alone: Whitened | None = None,
+    outputs: Mapping[str, FloatArray] | None = None, jumps: Mapping[str, FloatArray] | None = None, unseen: float = 0.0,
+    alone: Whitened | None = None,
 ) -> Whitened:  # fmt: skip
     """What was measured, and the columns ``names``, through the gains.
 
-    inputs: column -> (index of the coefficient CX..Cn, values (n,)), or (-1, values (n, 6)) for all six; outputs: column -> (n, m)
-    added to the measured channels. alone: the same without columns, where it is known.
+    inputs, outputs, jumps, unseen: of `Acting.of`; alone: the same without columns, where it is known.
     """
     n, m, size = seen.H.shape
     if alone is None:
@@ -106,7 +106,7 @@ def carried(
     columns, again = np.zeros((n, m, len(names)), dtype=np.float32), np.empty_like(alone.path)
     for begin in range(0, len(names), _AT_ONCE):
         some = names[begin : begin + _AT_ONCE]
-        acting = Acting.of(some, inputs or {}, outputs or {}, n, m)
+        acting = Acting.of(some, inputs or {}, outputs or {}, n, m, jumps, unseen)
         out = np.zeros((n, m, 1 + len(some)), dtype=np.float32)
         _through(seen, by, np.zeros((size, 1 + len(some))), acting, out, again)
         columns[:, :, begin : begin + len(some)] = out[:, :, 1:]

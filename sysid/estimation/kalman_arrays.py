@@ -58,24 +58,30 @@ class Gains(NamedTuple):
 
 
 class Acting(NamedTuple):
-    """What columns do: column own[e] has values[:, e] (n, e) of the coefficient coefficient[e]; column direct[e] has added[:, :, e]
-    (n, m, e) of the channels. Columns count from 1: before them stands the state."""
+    """What columns do: column own[e] has values[:, e] (n, e) of the coefficient coefficient[e], ends[:, e] just before each row and
+    felt[:, e] of what the channels of that row have seen; column direct[e] has added[:, :, e] (n, m, e) of the channels. Columns
+    count from 1: before them stands the state."""
 
     own: NDArray[np.intp]
     coefficient: NDArray[np.intp]
     values: FloatArray
+    ends: FloatArray
+    felt: FloatArray
     direct: NDArray[np.intp]
     added: FloatArray
 
     @classmethod
     def of(
-        cls, names: Sequence[str], inputs: Mapping[str, tuple[int, FloatArray]], outputs: Mapping[str, FloatArray], n: int, m: int
-    ) -> Acting:
+        cls, names: Sequence[str], inputs: Mapping[str, tuple[int, FloatArray]], outputs: Mapping[str, FloatArray], n: int, m: int,
+        jumps: Mapping[str, FloatArray] | None = None, unseen: float = 0.0,
+    ) -> Acting:  # fmt: skip
         """inputs: column -> (index of the coefficient CX..Cn, values (n,)), or (-1, values (n, 6)) for all six; outputs: column ->
-        (n, m) added to the measured channels."""
+        (n, m) added to the measured channels; jumps: column -> how much its values, of the same shape, jump at each row, of which
+        the channels have not seen the share ``unseen``."""
         own: list[int] = []
         coefficient: list[int] = []
         values = [np.zeros((n, 0))]
+        changed: list[FloatArray] = []
         for k, name in enumerate(names, 1):
             if name in inputs:
                 index, found = inputs[name]
@@ -83,7 +89,12 @@ class Acting(NamedTuple):
                 own += [k] * len(which)
                 coefficient += which
                 values.append(np.reshape(found, (n, len(which))))
+                changed.append(np.reshape(jumps[name], values[-1].shape) if jumps and name in jumps else np.zeros_like(values[-1]))
         direct = [k for k, name in enumerate(names, 1) if name in outputs]
         added = np.stack([outputs[names[k - 1]] for k in direct], axis=2) if direct else np.zeros((n, m, 0))
         places = [np.array(some, dtype=np.intp) for some in (own, coefficient, direct)]
-        return cls(places[0], places[1], np.hstack(values), places[2], np.ascontiguousarray(added))
+        at_rows = before = felt = np.hstack(values)
+        if jumps:
+            jumped = np.hstack([np.zeros((n, 0)), *changed])
+            before, felt = at_rows - jumped, at_rows - unseen * jumped
+        return cls(places[0], places[1], at_rows, before, felt, places[2], np.ascontiguousarray(added))

@@ -185,7 +185,7 @@ def _output(seen, acting, k, j, X, row):  # type: ignore[no-untyped-def]  # prag
             for c in range(len(row)):
                 row[c] += h * X[i, c]
     for e in range(len(acting.own)):
-        row[acting.own[e]] += seen.D[k, j, acting.coefficient[e]] * acting.values[k, e]
+        row[acting.own[e]] += seen.D[k, j, acting.coefficient[e]] * acting.felt[k, e]
     for e in range(len(acting.direct)):
         row[acting.direct[e]] += acting.added[k, j, e]
 
@@ -203,7 +203,7 @@ def _next(seen, acting, k, X, Y):  # type: ignore[no-untyped-def]  # pragma: no 
                     Y[i, c] += p * X[e, c]
         for e in range(len(acting.own)):
             a = acting.coefficient[e]
-            Y[i, acting.own[e]] += seen.g0[k, i, a] * acting.values[k, e] + seen.g1[k, i, a] * acting.values[k + 1, e]
+            Y[i, acting.own[e]] += seen.g0[k, i, a] * acting.values[k, e] + seen.g1[k, i, a] * acting.ends[k + 1, e]
 
 
 @compiled

@@ -67,11 +67,9 @@ def bend_of(p: Probe, away: Array) -> Array:
     return np.asarray(np.einsum("knij,knj->kni", at, away))
 
 
-def jump_of(p: Probe, away: Array) -> Array | None:
-    """(n, 6) change of CX..Cn by what the controls jump at each row; the first row's is not known."""
-    if not away[1].any():
-        return None
-    return np.einsum("nij,nj->ni", p.by_control, np.vstack([np.zeros_like(away[1, :1]), -away[1]]))
+def jumped(away: Array) -> Array | None:
+    """(n, c) by how much the controls jump at each row, by their `middles`; the first row's is not known. None where none does."""
+    return np.vstack([np.zeros_like(away[1, :1]), -away[1]]) if away[1].any() else None
 
 
 def jumps_unseen(setup: Setup, found: Sequence[Probe], point: Point) -> list[Array]:

@@ -14,7 +14,7 @@ from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.effects import Columns, Effect, MadeColumns
 from uqharness.refinement.reference import Probe
-from uqharness.refinement.types import Flown, Point, Setup
+from uqharness.refinement.types import Flown, Point, Setup, unseen_share
 from uqharness.refinement.writing.terms import STALL
 from uqharness.replay import CONTROLS, SENSOR_OF, Segment, runs_per_row
 from uqharness.simulator import Actuator
@@ -40,21 +40,29 @@ def effect_columns(setup: Setup, probes: Sequence[Probe], flown: Flown, effects:
 
 
 def _of_segment(setup: Setup, k: int, p: Probe, flown: Flown, effects: Sequence[Effect], names: tuple[str, ...]) -> Columns:
-    segment, y, found = setup.segments[k], flown.outputs[k], p.variables()
+    segment, y = setup.segments[k], flown.outputs[k]
     inputs: dict[str, tuple[int, Array]] = {}
     outputs: dict[str, Array] = {}
+    jumps: dict[str, Array] = {}
+    before = p.just_before()
+    found, earlier = p.variables(), before.variables()
     for e in effects:
         if e.coefficient is not None:
             term = e.parsed
             assert term is not None
             inputs[e.key] = (COEFFICIENTS.index(e.coefficient), term.values(found))
+            if before is not p:
+                jumps[e.key] = inputs[e.key][1] - term.values(earlier)
             continue
         block, channel = _subsystem(e, setup, segment, p, y, found, flown.point)
         if block is not None:
             inputs[e.key] = (-1, block)
+            if before is not p and not (e.subsystem or "").startswith(("actuator", "record")):
+                other, _ = _subsystem(e, setup, segment, before, y, earlier, flown.point)
+                jumps[e.key] = block - (block if other is None else other)
         if channel is not None:
             outputs[e.key] = channel
-    return Columns(names, inputs, outputs)
+    return Columns(names, inputs, outputs, {n: v for n, v in jumps.items() if v.any()}, unseen_share(flown.point, segment.flight))
 
 
 def sensor_gain(channel: str, point: Point) -> float:
@@ -230,7 +238,7 @@ def later_controls(p: Probe) -> Array:
     at its row, and not half a row earlier with the mean of its neighbours."""
     h = p.reference.dt_s
     change = -np.einsum("ncj,nj->nc", p.by_control, np.gradient(p.controls, h, axis=0))
-    return change if p.jump is None else change + 0.5 / h * np.diff(p.jump, axis=0, append=0.0 * p.jump[:1])
+    return change if p.jumped is None else change + 0.5 / h * np.diff(p.jump, axis=0, append=0.0 * p.jump[:1])
 
 
 def _written(slopes: Mapping[str, float], control: str) -> Array:

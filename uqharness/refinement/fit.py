@@ -20,11 +20,11 @@ from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.aerodynamics.rigid_body import MassProperties
 from sysid.effects import Columns, Evidence, MadeColumns, White, gather, names_of, whiten
 from sysid.parallel import ALONE, Processes
-from uqharness.refinement.between_rows import jump_of, jumps_unseen, middles
+from uqharness.refinement.between_rows import jumped, jumps_unseen, middles
 from uqharness.refinement.candidates import effect_columns, later_controls, sensor_gain, vane_place_m, vane_slopes
 from uqharness.refinement.reference import Probe, ProbeJob, named_terms, probe_all, term_column
 from uqharness.refinement.sensed import as_sensed, late_rate, placed, sensor_late_s
-from uqharness.refinement.types import Flown, Point, Setup, in_dynamics, lateness, unseen
+from uqharness.refinement.types import Flown, Point, Setup, in_dynamics, lateness, unseen, unseen_share
 from uqharness.replay import (
     CHANNELS,
     CONTROLS,
@@ -55,7 +55,7 @@ def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flow
             start,
             point.nuisance.get(lateness(s.flight), 0.0),
             between,
-            unseen=point.nuisance.get(unseen(s.flight), 0.0),
+            unseen=unseen_share(point, s.flight),
         )
         for s, start, between in zip(setup.segments, point.starts, late, strict=True)
     ]
@@ -138,11 +138,15 @@ def parameter_columns(
     effects = effect_columns(setup, found, flown, setup.active)
     blind = jumps_unseen(setup, found, flown.point)
     for segment, p, y, active, jump in zip(setup.segments, found, flown.outputs, effects, blind, strict=True):
-        variables = p.variables()
+        before = p.just_before()
+        variables, earlier = p.variables(), before.variables()
         inputs: dict[str, tuple[int, Array]] = {n: v for n, v in active.inputs.items() if n in names}
+        jumps: dict[str, Array] = {n: v for n, v in active.jumps.items() if n in names}
         for name in names:
             if name not in own:
                 inputs[name] = term_column(name, variables) if name in analytic else (-1, p.by_property[name])
+                if before is not p and name in analytic:
+                    jumps[name] = inputs[name][1] - term_column(name, earlier)[1]
         outputs: dict[str, Array] = {n: v for n, v in active.outputs.items() if n in names}
         for name in setup.nuisance:
             kind, flight, *rest = name.split("/")
@@ -162,7 +166,7 @@ def parameter_columns(
                 elif kind == "delay" and SENSOR_OF.get(c, c) == what:
                     block[:, k] = -late_rate(p, c, y[:, k], sensor_late_s(c, segment, flown.point))
             outputs[name] = block
-        out.append(Columns(every, inputs, outputs))
+        out.append(Columns(every, inputs, outputs, jumps, unseen_share(flown.point, segment.flight)))
     return out
 
 
@@ -172,7 +176,7 @@ def merged(first: Sequence[Columns], second: Sequence[Columns]) -> MadeColumns:
 
     def both(k: int) -> Columns:
         a, b = first[k], second[k]
-        return Columns(names, {**a.inputs, **b.inputs}, {**a.outputs, **b.outputs})
+        return Columns(names, {**a.inputs, **b.inputs}, {**a.outputs, **b.outputs}, {**a.jumps, **b.jumps}, a.unseen)
 
     return MadeColumns(names, both, len(first))
 
@@ -255,7 +259,7 @@ class Linear:
                 found = probes(straight, setup, flown, controls, [n for n in own if n not in analytic], map_)
         if setup.jumping:
             ends = middles(self.model, setup, flown.point)
-            found = [replace(p, jump=jump_of(p, away)) for p, away in zip(found, ends, strict=True)]
+            found = [replace(p, jumped=jumped(away)) for p, away in zip(found, ends, strict=True)]
         steps = steps_of(found, flown.outputs, setup, flown.point, by=map_)
         columns = parameter_columns(setup, found, flown, self.names, analytic)
         white = whiten(steps, setup.measured, columns, setup.which, setup.noise)

@@ -30,12 +30,12 @@ from sysid.effects import (
     whitened,
 )
 from sysid.parallel import Processes
-from uqharness.refinement.between_rows import bend_of, jump_of, jumps_unseen, middles, with_jumps
+from uqharness.refinement.between_rows import bend_of, jumped, jumps_unseen, middles, with_jumps
 from uqharness.refinement.candidates import at_vane, sensor_gain, sensor_offset, vane_place_m
 from uqharness.refinement.fit import PRIOR, Fit, parameter_columns, positions, probes, stepped, steps_of
 from uqharness.refinement.reference import Predicted, Probe, along, named_terms
 from uqharness.refinement.sensed import as_sensed, moved_later, sensor_late_s
-from uqharness.refinement.types import Flown, Point, Setup, lateness, unseen
+from uqharness.refinement.types import Flown, Point, Setup, lateness, unseen_share
 from uqharness.replay import ReplayModel, Segment
 
 Array = NDArray[np.float64]
@@ -122,7 +122,7 @@ def predict(
     controls = [_later(u, point.nuisance.get(lateness(s.flight), 0.0) / s.dt_s, jumps) for s, u in made]
     bends = middles(model, setup, point)
     found = [
-        replace(along(p, bend=bend_of(p, b)), jump=jump_of(p, b))
+        replace(along(p, bend=bend_of(p, b)), jumped=jumped(b))
         for p, b in zip(probes(straight, setup, flown, controls, differ, map_, consistent=False), bends, strict=True)
     ]
     return flown, found
@@ -227,7 +227,7 @@ class _Linear:
         for (k, acting), s in zip(missing, made, strict=True):
             which, y, segment = self.setup.which, s.y_ref.copy(), self.setup.segments[k]
             # Outputs are those at the reference, biases added.
-            share = point.nuisance.get(unseen(segment.flight), 0.0)
+            share = unseen_share(point, segment.flight)
             y[:, which] += share * jumps_unseen(self.setup, [self.found[k]], replace(point, effects={}))[0]
             y[:, which] = as_sensed(y[:, which], self.setup, segment, point, rows_late(self.setup, segment, point))
             self.made[k, acting] = replace(s, y_ref=y)

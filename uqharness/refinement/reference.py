@@ -53,7 +53,7 @@ class Probe:
     by_control  (n, 6, c) change of CX..Cn by each control, per record unit; controls (n, c) positions
     by_property property -> (n, 6) change of CX..Cn by a unit of it
     height_m    (n,) above the ground; infinite where the record does not say
-    jump        (n, 6) change of CX..Cn by what the controls jump at each row; none where nothing jumps
+    jumped      (n, c) by how much the controls jump at each row; none where nothing jumps
     by_inflow   (n,) change of CX by thrust's own slope with airspeed, V dT/dV/(qbar S): by an inflow that is twice the model's
     predicted   in turbulence: a regressor that has seen a sample must not be used to predict that sample
     """
@@ -69,7 +69,7 @@ class Probe:
     height_m: Array
     predicted: Predicted | None = None
     by_inflow: Array | None = None
-    jump: Array | None = None
+    jumped: Array | None = None
 
     @property
     def scale(self) -> Array:
@@ -77,10 +77,29 @@ class Probe:
         m = self.mass
         return np.asarray(self.reference.qbar[:, None] * m.S * np.array([1.0, 1.0, 1.0, m.b, m.c, m.b]))
 
+    @property
+    def jump(self) -> Array:
+        """(n, 6) change of CX..Cn by what the controls jump at each row."""
+        if self.jumped is None:
+            return np.zeros((len(self.controls), 6))
+        return np.einsum("nij,nj->ni", self.by_control, self.jumped)
+
+    def just_before(self) -> Probe:
+        """The same an instant before each row, where the controls have not jumped yet."""
+        if self.jumped is None:
+            return self
+        k = CONTROLS.index("throttle")
+        thrust = np.zeros_like(self.other_force)
+        # Along a straight line, thrust is most of what the throttle does; its moment moves no term.
+        thrust[:, 0] = self.by_control[:, 0, k] * self.jumped[:, k] * self.scale[:, 0]
+        aero = self.jump - self.by_control[:, :, k] * self.jumped[:, [k]]
+        return replace(
+            self, controls=self.controls - self.jumped, coefficients=self.coefficients - aero,
+            other_force=self.other_force - thrust, jumped=None,
+        )  # fmt: skip
+
     def felt_jump(self) -> Array:
         """(n, 3) what the accelerometers feel of the controls' jumps [m/s2]."""
-        if self.jump is None:
-            return np.zeros((len(self.controls), 3))
         m, arm = self.mass, np.broadcast_to(self.reference.arm_m, (len(self.controls), 3))
         load = self.jump * self.scale
         turn = load[:, 3:] @ np.linalg.inv(m.inertia).T

@@ -112,6 +112,11 @@ class Point:
     effects: Mapping[str, float] = field(default_factory=dict)
 
 
+def unseen_share(point: Point, flight: str) -> float:
+    """That share at a point."""
+    return point.nuisance.get(unseen(flight), 0.0)
+
+
 @dataclass(frozen=True)
 class Flown:
     """Replays at a point: outputs [(n, m)] with biases and delays, reference states [(n, 8)], cost: sum of squares over noise."""

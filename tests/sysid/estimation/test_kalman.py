@@ -81,21 +81,24 @@ def test_columns_are_what_a_change_of_coefficients_and_of_the_channels_does(gust
     seen = Seen.of(steps, z, ROWS)
     by = gains(seen, NOISE, air(6) if gusty else None)
     names = [f"c{k}" for k in range(150)]
-    inputs = {"c3": (-1, u), "c120": (2, u[:, 2]), "c149": (5, u[:, 5])}
-    found = carried(seen, by, names, inputs, {"c7": offset, "c149": offset})
+    inputs = {"c3": (-1, u), "c120": (2, u[:, 2]), "c140": (4, u[:, 4]), "c149": (5, u[:, 5])}
+    jump, unseen = np.where(np.arange(12) % 5 == 3, 0.7, 0.0), 0.3
+    found = carried(seen, by, names, inputs, {"c7": offset, "c149": offset}, {"c140": jump}, unseen)
 
-    def less(u: np.ndarray, offset: np.ndarray | float = 0.0) -> np.ndarray:
+    def less(u: np.ndarray, offset: np.ndarray | float = 0.0, jump: np.ndarray | None = None) -> np.ndarray:
         state, moved = np.zeros(NX), []
+        jump = np.zeros((12, 6)) if jump is None else jump
         for k in range(12):
-            moved.append(steps.H[k] @ state + steps.D[k] @ u[k])
+            moved.append(steps.H[k] @ state + steps.D[k] @ (u[k] - unseen * jump[k]))
             if k < 11:
-                state = steps.phi[k] @ state + steps.g0[k] @ u[k] + steps.g1[k] @ u[k + 1]
+                state = steps.phi[k] @ state + steps.g0[k] @ u[k] + steps.g1[k] @ (u[k + 1] - jump[k + 1])
         changed = seen._replace(z=np.where(seen.there, seen.z - np.array(moved)[:, list(ROWS)] - offset, 0.0))
         return found.innovations - carried(changed, by).innovations
 
-    one, other = np.zeros_like(u), np.zeros_like(u)
-    one[:, 2], other[:, 5] = u[:, 2], u[:, 5]
-    expected = {"c3": less(u), "c120": less(one), "c149": less(other, offset), "c7": less(0.0 * u, offset)}
+    alone = [np.where(np.arange(6) == c, u, 0.0) for c in (2, 4, 5)]
+    expected = {"c3": less(u), "c120": less(alone[0]), "c149": less(alone[2], offset), "c7": less(0.0 * u, offset)}
+    expected["c140"] = less(alone[1], 0.0, np.where(np.arange(6) == 4, jump[:, None], 0.0))
+    assert np.abs(expected["c140"] - less(alone[1])).max() > 0.1
     for k, name in enumerate(names):
         np.testing.assert_allclose(found.columns[:, :, k], expected.get(name, 0.0 * offset), atol=2e-5)
     assert np.abs(expected["c149"]).max() > 0.1

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from sysid.estimation import Seen, carried, gains
 from sysid.parallel import ALONE
 from tests.uqharness.refinement.test_gusts import DT, MASS, N, probe_of
 from uqharness.refinement import between_rows
@@ -58,15 +59,17 @@ def test_commands_between_rows_leave_the_middle_the_area_of_their_path():
 
 def test_what_accelerometers_feel_of_a_jump_is_force_over_mass_and_the_turn_at_their_arm():
     probe = probe_of(np.random.default_rng(7))
-    jump = np.zeros((N, 6))
-    jump[5, 2], jump[6, 4] = -0.1, 0.05
-    probe = replace(probe, jump=jump, reference=replace(probe.reference, arm_m=np.array([0.2, 0.0, 0.0])))
+    jumped, by_control = np.zeros((N, 4)), np.zeros((N, 6, 4))
+    jumped[5, 0], jumped[6, 1] = 2.0, -1.0
+    by_control[:, 2, 0], by_control[:, 4, 1] = -0.05, -0.05
+    reference = replace(probe.reference, arm_m=np.array([0.2, 0.0, 0.0]))
+    probe = replace(probe, jumped=jumped, by_control=by_control, reference=reference)
     felt = probe.felt_jump()
     pressure = probe.reference.qbar * MASS.S
     assert felt[5] == pytest.approx([0.0, 0.0, -0.1 * pressure[5] / MASS.mass])
     # A pitching moment turns an accelerometer ahead of the CG up: z is down.
     assert felt[6] == pytest.approx([0.0, 0.0, -0.2 * 0.05 * pressure[6] * MASS.c / MASS.inertia[1, 1]])
-    assert not replace(probe, jump=None).felt_jump().any()
+    assert not replace(probe, jumped=None).felt_jump().any()
 
 
 @pytest.mark.parametrize("ideal", [("elevator",), CONTROLS])
@@ -91,6 +94,37 @@ def test_what_is_unseen_of_a_jump_is_what_a_replay_lacks_without_it(ideal):
     found = fit.columns[0].outputs[unseen("f")]
     assert np.abs(expected).max() > 0.5
     np.testing.assert_allclose(found, expected, atol=0.02 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_columns_of_what_goes_with_a_surface_know_when_it_jumps(share):
+    """Beside the difference of two replays: terms of a surface that stands at once where it is asked to, with accelerometers that
+    have seen the jump of a row, or have not. With surfaces that came in straight lines columns are 4 to 80 % off."""
+    aircraft = find_aircraft("espaaro")
+    controls = np.tile([-1.0, 0.0, 0.0, 55.0], (25, 1))
+    controls[8:12, 0] += 4.0
+    controls[15:19, 1] -= 3.0
+    outputs = (*FELT, "p_radps", "q_radps", "r_radps")
+    segment = Segment("step", "f", DT * np.arange(25), controls, np.array([22.0, 0.03, *np.zeros(7)]), 100.0, 100.0)
+    noise = np.array([0.05, 0.05, 0.05, 0.002, 0.002, 0.002])
+    setup = Setup((), (segment,), ({},), outputs, (np.zeros((25, 6)),), noise, (), {}, jumping=("f",))
+    names = ("aero/Cm_de", "aero/CZ_de", "aero/Cl_da", "aero/Cn_da")
+    with ReplayFolder(aircraft, ideal=CONTROLS[:3]) as model, ReplayFolder(aircraft, ideal=CONTROLS) as straight:
+        fdm = model.open(DT)
+        values = {n: float(fdm[n]) for n in names}
+        point = Point(values, {unseen("f"): share}, (segment.start,))
+        fit = Linear(model, straight, setup, names, ALONE).fit_at(fly(model, setup, point, ALONE))
+        (of,), (steps,) = fit.columns, fit.steps
+        seen = Seen.of(steps, setup.measured[0], setup.which)
+        by = gains(seen, noise, None)
+        found = carried(seen, by, names, of.inputs, {}, of.jumps, of.unseen).columns
+        ramped = carried(seen, by, names, of.inputs, {}).columns
+        for k, name in enumerate(names):
+            step = 0.02 * values[name]
+            sides = [fly(model, setup, replace(point, values={**values, name: values[name] + s}), ALONE) for s in (step, -step)]
+            expected = (sides[0].outputs[0] - sides[1].outputs[0]) / (2.0 * step) / noise
+            error, before = (np.linalg.norm(v[:, :, k] - expected) / np.linalg.norm(expected) for v in (found, ramped))
+            assert error < 0.01 < 0.03 < before
 
 
 def test_flights_jump_where_the_models_controls_do():

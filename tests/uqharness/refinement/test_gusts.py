@@ -293,11 +293,11 @@ def test_a_jump_that_comes_later_is_lacking_from_its_row_on():
     assert change[:, 1] == pytest.approx(-0.3 / DT)
     assert refine_gusts._later(u, 0.0, jumps) is u
     probe = probe_of(np.random.default_rng(3))
-    jump = np.zeros((N, 6))
+    jumped = np.zeros((N, 4))
     steady = np.repeat(np.random.default_rng(4).standard_normal((1, 6, 4)), N, axis=0)
-    jump[6] = 4.0 * steady[6, :, 0]
-    found = later_controls(replace(probe, controls=u, jump=jump, by_control=steady))
+    jumped[6, 0] = 4.0
+    found = later_controls(replace(probe, controls=u, jumped=jumped, by_control=steady))
     np.testing.assert_allclose(found, np.einsum("ncj,nj->nc", steady, change), atol=1e-9)
     # Without a word of the jump half of it comes a row early.
-    early = later_controls(replace(probe, controls=u, jump=None, by_control=steady))
+    early = later_controls(replace(probe, controls=u, jumped=None, by_control=steady))
     assert np.abs(early - found)[5].max() > 0.1
