@@ -5,9 +5,9 @@ Samples of independent channels are taken one after the other (Astrom, Automatic
     e = z - h d,   s = h P h' + r,   K = P h'/s,   d+ = d + K e,   X+ = X - K (h X + D u),   P+ = P - K s K'
     d' = Phi d+ + defect,   X' = Phi X+ + G0 u(k) + G1 u(k+1-),   P' = Phi P+ Phi' + process noise
 
-X holds what the state does per unit of some extra coefficients u, and of the start state, which is unknown: its eight columns come
-first. u(k+1-) is u just before it jumps at the row k+1, if it does. e and h X + D u over sqrt(s) are the whitened innovations and their sensitivities. The gains do not depend on what was
-measured.
+X holds what the state does per unit of some extra coefficients u, and of the start state, which is unknown: its eight columns
+come first. u(k+1-) is u just before it jumps at the row k+1, if it does. e and h X + D u over sqrt(s) are the whitened
+innovations and their sensitivities. The gains do not depend on what was measured.
 """
 
 from __future__ import annotations

@@ -26,6 +26,7 @@ from sysid.effects import (
     RATES_IN_GUSTS,
     RESOLVED_ROWS,
     TWINS,
+    UNKNOWN_ROWS,
     Choice,
     Effect,
     Evidence,
@@ -125,12 +126,15 @@ def find_effects(
     lone: bool = True,
 ) -> Found:  # fmt: skip
     """Choose and estimate the missing effects on the train flights. ``work``: folder for staged copies of the aircraft;
-    put_right: by how much the setup's controls have been moved later already, step by step; lone: as `candidates_for` has it."""
+    put_right: by how much the setup's controls act later than recorded, as found step by step; lone: as `candidates_for` has it."""
     names = tuple(aircraft.card.parameters)
     if not names:
         raise BadInputError(
             f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters], so nothing says what may be re-identified first"
         )
+    recorded, clock = setup, _Clock(setup.segments[0].command_s, put_right)
+    if put_right:
+        setup = make_setup(aircraft, later(recorded.flights, sum(put_right)), measured, ideal)
     confirming = confirming_segments(setup)
     limits = {n: (c.bounds if c.bounds is not None else (-np.inf, np.inf)) for n, c in aircraft.card.parameters.items()}
     late = None
@@ -153,27 +157,25 @@ def find_effects(
                 lambda: gust_refit(bench.model, bench.straight, gusty, at, names, limits, map_, tune=True),
             )
             if air.gusts.air:
-                found = _in_gusts(bench, air, names, limits, effects, confirming, notes, work, map_, say, put_right)
+                found = _in_gusts(bench, air, names, limits, effects, confirming, notes, work, map_, say, clock)
                 if isinstance(found, Found):
                     return found
                 late = found
             else:
                 notes = [*notes, NO_AIR]
-        dt = setup.segments[0].command_s
         if late is None:
             say(f"scoring {len(effects)} candidate effects")
             setup = limits_tried(setup, before.probes, before.columns[0].names, lambda extra: column_evidence(setup, before, extra))
             timed = () if setup.late else (CONTROLS_LATE,)
             evidence = candidate_evidence(setup, before, [*effects, *timed])
             odds = eligible(effects, setup, before, evidence)
-            if timed and len(put_right) < MOST_CORRECTIONS:
-                late = _of_the_clock(setup, before, evidence, effects, confirming)
+            if timed and clock.may_be_off:
+                late = _of_the_clock(setup, before, evidence, effects, confirming, clock)
     if late is not None:
         say(f"all controls act {1e3 * late[0]:.1f} ms after their rows; putting the records right")
-        right = make_setup(aircraft, later(setup.flights, late[0]), measured, ideal)
-        found = find_effects(aircraft, right, measured, ideal, extra, work, map_, say, stages, (*put_right, late[0]), lone)
+        found = find_effects(aircraft, recorded, measured, ideal, extra, work, map_, say, stages, (*put_right, late[0]), lone)
         if not put_right:
-            found = replace(found, notes=(words(found.controls_late_s, late[1], dt), *found.notes))
+            found = replace(found, notes=(words(found.controls_late_s, late[1], clock.command_s), *found.notes))
         return found
     board = score_table(evidence, before.columns[0].names, odds, by_key)
     limit = chance_limit(evidence, before.columns[0].names, list(odds))
@@ -204,18 +206,37 @@ def find_effects(
     )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class _Clock:
+    """Of the records: time from one command to the next, and by how much the controls act later than recorded, step by step."""
+
+    command_s: float
+    put_right: tuple[float, ...]
+
+    @property
+    def may_be_off(self) -> bool:
+        """Whether another step is taken."""
+        return len(self.put_right) < MOST_CORRECTIONS
+
+    @property
+    def early_s(self) -> float:
+        """What is earlier than this is a slip of the record: a simulator's flight acts up to half a step before its row."""
+        return (LEAST_LATE_ROWS if self.put_right else UNKNOWN_ROWS) * self.command_s
+
+
 def _of_the_clock(
-    setup: Setup, before: Fit, evidence: Evidence, effects: Sequence[Effect], confirming: NDArray[np.bool_], least_t: float = 0.0,
+    setup: Setup, before: Fit, evidence: Evidence, effects: Sequence[Effect], confirming: NDArray[np.bool_], clock: _Clock,
+    least_t: float = 0.0,
 ) -> tuple[float, float] | None:  # fmt: skip
     """`controls_late` of the flights as they are with the controls at their rows, beside the effects that compete with it there;
     least_t: |t| asked at least."""
     held = {lateness(f): before.flown.point.nuisance[lateness(f)] for f in setup.timed}
-    at_rows, dt = evidence.taken_out(held), setup.segments[0].command_s
+    at_rows = evidence.taken_out(held)
     columns = [replace(c, names=tuple(n for n in c.names if n not in held)) for c in before.columns]
     free = columns[0].names
     odds = eligible(effects, setup, replace(before, columns=columns), at_rows)
     limit = max(threshold(len(odds) + 1), least_t)
-    return controls_late(at_rows, free, odds, confirming, limit, LEAST_LATE_ROWS * dt, dt)
+    return controls_late(at_rows, free, odds, confirming, limit, LEAST_LATE_ROWS * clock.command_s, clock.early_s)
 
 
 def _not_borne_out(first: Selection, limit: float) -> Refusal | None:
@@ -251,15 +272,15 @@ def gust_like(effect: Effect) -> bool:
 def _in_gusts(
     bench: Bench, found: GustFit, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]],
     effects: Sequence[Effect], confirming: NDArray[np.bool_], notes: Sequence[str], work: Path, map_: Processes, say: Say,
-    put_right: tuple[float, ...] = (),
+    clock: _Clock,
 ) -> Found | tuple[float, float]:  # fmt: skip
     """The same choice made on one-step predictions; found: the fit without effects. Where the records' clock is off, by how much
     (`controls_late`), and nothing is chosen."""
     free = found.fit.columns[0].names
     setup = limits_tried(found.setup, found.fit.probes, free, lambda extra: gust_evidence(found.setup, found, extra))
-    timed = (CONTROLS_LATE,) if setup.timed and len(put_right) < MOST_CORRECTIONS else ()
+    timed = (CONTROLS_LATE,) if setup.timed and clock.may_be_off else ()
     evidence = gust_evidence(setup, found, effect_columns(setup, found.fit.probes, found.fit.flown, [*effects, *timed]))
-    late = _of_the_clock(setup, found.fit, evidence, effects, confirming, GUST_LIMIT) if timed else None
+    late = _of_the_clock(setup, found.fit, evidence, effects, confirming, clock, GUST_LIMIT) if timed else None
     if late is not None:
         return late
     handicap = {e.key: GUST_ODDS for e in effects if gust_like(e)}
@@ -295,7 +316,7 @@ def _in_gusts(
         setup if best is None else best.setup, names, found.fit, after, selection, by_key,
         parameters, (*notes, note), _moved_alone(evidence, names, found.fit),
         air,
-        score_table(evidence, free, odds, by_key), limit, sum(put_right),
+        score_table(evidence, free, odds, by_key), limit, sum(clock.put_right),
         trail=tuple(f"one-step predictions: {line}" for line in trail), slopes=slopes,
         flown={} if best is None else best.about.flown,
         left=left_beside(last, free, [c.key for c in selection.chosen], eligible(effects, setup, after, last)),

@@ -37,6 +37,7 @@ from uqharness.refinement.reference import Predicted, Probe, along, named_terms
 from uqharness.refinement.sensed import as_sensed, moved_later, sensor_late_s
 from uqharness.refinement.types import Flown, Point, Setup, lateness, unseen_share
 from uqharness.replay import ReplayModel, Segment
+from uqharness.replay.flights import segments
 
 Array = NDArray[np.float64]
 _KINDS = {c: kind for kind, members in {"attitude": ("phi", "theta", "psi"), "rate": ("p", "q", "r"), "force": ("ax", "ay", "az"),
@@ -47,6 +48,8 @@ SETTLED, SEARCH_BY = 5.0, 5
 """Length of a step, in standard errors, below which the gusts are searched anew; the iteration that does so in any case."""
 MOVED = 0.2
 """Logarithm of a gust's strength, or of a sensor's noise, by which a search must have moved it to be worth another."""
+NEAREST = 0.05
+"""Part of a row within which surfaces that act late are moved by their slopes."""
 LEAST_SHARE = 0.125
 """Least share of a step that is taken where steps grow."""
 TOLERANCE = 0.2
@@ -117,15 +120,28 @@ def predict(
     x = measured_states(setup, point) if path is None else list(path)
     height = [np.array(c["h_m"], dtype=float) for c in setup.channels]
     flown = Flown(point, [np.zeros((len(s.time_s), len(setup.outputs))) for s in setup.segments], x, height, float("nan"))
-    made = zip(setup.segments, positions(model, setup, point), strict=True)
+    late, rest = acting(model, setup, point)
     jumps = np.array([c in model.jumping for c in model.controls])
-    controls = [_later(u, point.nuisance.get(lateness(s.flight), 0.0) / s.dt_s, jumps) for s, u in made]
-    bends = middles(model, setup, point)
+    controls = [_later(u, rows, jumps) for u, rows in zip(positions(model, late, point), rest, strict=True)]
+    bends = middles(model, late, point)
     found = [
         replace(along(p, bend=bend_of(p, b)), jumped=jumped(b))
         for p, b in zip(probes(straight, setup, flown, controls, differ, map_, consistent=False), bends, strict=True)
     ]
     return flown, found
+
+
+def acting(model: ReplayModel, setup: Setup, point: Point) -> tuple[Setup, list[float]]:
+    """The setup with the commands of its segments where they act at a point, to `NEAREST` of a row, and how many rows later than
+    that they do in each."""
+    late = {s.flight: point.nuisance.get(lateness(s.flight), 0.0) / s.dt_s for s in setup.segments}
+    nearest = {flight: NEAREST * round(rows / NEAREST) for flight, rows in late.items()}
+    rest = [late[s.flight] - nearest[s.flight] for s in setup.segments]
+    if not any(nearest.values()):
+        return setup, rest
+    moved = [f.with_commands_later(nearest.get(f.name, 0.0) * f.record.dt_s) for f in setup.flights]
+    cut = [s for f in moved for s in segments(f, tuple(model.measured), setup.segments[0].arm_m)]
+    return replace(setup, segments=tuple(cut)), rest
 
 
 def _later(controls: Array, rows: float, jumps: NDArray[np.bool_]) -> Array:

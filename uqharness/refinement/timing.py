@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.effects import DIFFERENT, UNKNOWN_ROWS, Effect, Evidence, agreement, corrected, scores, solve
+from sysid.effects import DIFFERENT, Effect, Evidence, agreement, corrected, scores, solve
 from uqharness.replay import Flight
 
 CONTROLS_LATE = Effect(
@@ -22,17 +22,16 @@ MOST_CORRECTIONS = 4
 
 def controls_late(
     evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], confirming: NDArray[np.bool_], limit: float,
-    least_s: float, dt_s: float,
+    least_s: float, early_s: float,
 ) -> tuple[float, float] | None:  # fmt: skip
     """(seconds, standard error) by which all controls act after their rows, None where the flights do not say so.
 
     evidence    with the column of CONTROLS_LATE; odds: candidate -> odds of the effects that compete with it
-    limit       |t| asked; least_s: what a replay resolves
+    limit       |t| asked; least_s: what a replay resolves; early_s: what is earlier than this is a slip of the record
     """
     key = CONTROLS_LATE.key
     value, std, _ = corrected(evidence, free, key)
-    # A flight of a simulator acts up to half a step before its row; what is earlier than this is a slip of the record.
-    if not abs(value / std) > limit or not (value > least_s or value < -UNKNOWN_ROWS * dt_s):
+    if not abs(value / std) > limit or not (value > least_s or value < -early_s):
         return None
     own = float(scores(evidence, free, [key]).gain[0])
     rivals = list(odds)

@@ -70,12 +70,27 @@ class Flight:
         return replace(self, record=record.with_columns(moved), commands={}, per_row=1)
 
     def with_commands_later(self, late_s: float) -> Flight:
-        """The flight with every command and position so much later [s]; before the first row its value is held."""
-        time_s, names = self.record["time_s"], [*_COLUMN.values(), *_POSITION.values()]
-        moved = {c: command_later(self.record[c], time_s, late_s) for c in names if c in self.record}
-        step_s = float(self.record.dt_s) / self.per_row
-        between = {c: command_later(v, np.arange(0.0, len(v)) * step_s, late_s) for c, v in self.commands.items()}
-        return replace(self, record=self.record.with_columns(moved), commands=between)
+        """The flight with every command and position so much later [s]; before the first row its value is held.
+
+        A command is held until the next one wherever it begins: one that then begins between two rows stands between them in
+        ``commands``. A straight line from row to row would be a servo that is slower at first and faster then.
+        """
+        own_s = float(self.record.dt_s) / self.per_row
+        whole = math.isclose(late_s / own_s, round(late_s / own_s), abs_tol=1e-6)
+        finer = 1 if whole else max(1, int(own_s / LEAST_COMMAND_S + 1e-6))
+        per_row, step_s = self.per_row * finer, own_s / finer
+        between, moved = {}, {}
+        for c in (*_COLUMN.values(), *_POSITION.values()):
+            if c not in self.record:
+                continue
+            own = self.commands[c] if self.per_row > 1 else _filled(self.record[c])
+            fine = np.repeat(own, finer)[: (len(own) - 1) * finer + 1]
+            if c not in _COLUMN.values():
+                fine = np.interp(np.arange(len(fine)), finer * np.arange(len(own)), own)
+            between[c] = command_later(fine, np.arange(0.0, len(fine)) * step_s, late_s)
+            rows = between[c] if c not in _COLUMN.values() else mean_ahead(between[c], per_row)
+            moved[c] = rows[::per_row][: len(self.record)]
+        return replace(self, record=self.record.with_columns(moved), commands=between if per_row > 1 else {}, per_row=per_row)
 
     def commands_in(self, rows: slice, columns: Sequence[str]) -> Array | None:
         """(N, c) controls at some rows and between them, NaN of columns that it has not; None where the record had no more rows."""

@@ -17,15 +17,20 @@ from sysid.effects.gust_score import Score
 from sysid.effects.selection import Choice
 from sysid.effects.subsystem_effects import subsystem_effects
 from sysid.parallel import ALONE
+from tests.helpers.flown import fly as flown
 from uqharness.refinement import gusts as refine_gusts
 from uqharness.refinement import rounds as refine_rounds
 from uqharness.refinement.candidates import effect_columns, later_controls
-from uqharness.refinement.fit import steps_of
+from uqharness.refinement.fit import positions, steps_of
 from uqharness.refinement.gusts import in_step, moved, rows_late
 from uqharness.refinement.reference import Predicted, Probe
 from uqharness.refinement.sensed import as_sensed
+from uqharness.refinement.setup import make_setup
 from uqharness.refinement.showing import show as refine_show
 from uqharness.refinement.types import Point
+from uqharness.replay.flights import prepare
+from uqharness.replay.model import ReplayFolder
+from uqharness.simulator.aircraft import find_aircraft
 
 OUTPUTS = ("V_mps", "alpha_rad", "ax_mps2")
 N, DT = 40, 0.02
@@ -279,6 +284,28 @@ def test_the_air_of_flights_that_no_filter_follows_is_that_of_the_others(monkeyp
     assert found == ("the others'", [21.0], ["t"])
     monkeypatch.setattr(refine_show, "gust_refit", lambda *_, **__: SimpleNamespace(gusts="their own"))
     assert refine_show.air_of(None, setup, (), (), map, {}, near) == "their own"  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("late_s", [0.011, -0.0263])
+def test_surfaces_stand_where_commands_that_act_late_have_them(late_s):
+    """Predictions' positions beside those of the same flight with its commands recorded when they acted; moved by their slopes
+    from the rows alone, they are off by a twentieth of their travel."""
+    aircraft = find_aircraft("espaaro")
+    flight = prepare("f", flown((("pitch-doublet", 22.0),), seed=1, seconds=8.0), ())
+    setup = make_setup(aircraft, [flight], ())
+    with ReplayFolder(aircraft) as model:
+        late, rest = refine_gusts.acting(model, setup, Point({}, {"lateness/f/controls": late_s}, ()))
+        assert max(abs(r) for r in rest) <= 0.5 * refine_gusts.NEAREST + 1e-9
+        jumps = np.zeros(4, dtype=bool)
+        found = [refine_gusts._later(u, rows, jumps) for u, rows in zip(positions(model, late), rest, strict=True)]
+        expected = positions(model, make_setup(aircraft, [flight.with_commands_later(late_s)], ()))
+        slopes = [refine_gusts._later(u, late_s / DT, jumps) for u in positions(model, setup)]
+        same, none = refine_gusts.acting(model, setup, Point({}, {"lateness/f/controls": 1e-4}, ()))
+    assert same is setup
+    assert none == pytest.approx([1e-4 / DT] * len(setup.segments))
+    for one, other, rough in zip(found, expected, slopes, strict=True):
+        assert np.abs(one - other)[3:].max() < 0.03
+        assert np.abs(rough - other)[3:].max() > 0.2
 
 
 def test_a_jump_that_comes_later_is_lacking_from_its_row_on():

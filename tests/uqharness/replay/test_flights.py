@@ -62,6 +62,32 @@ def test_a_clock_that_is_one_row_late_is_one_command_late_and_nothing_else():
     assert segments(felt, ())[0].commands is None
 
 
+@pytest.mark.parametrize("rate_hz", [25.0, 50.0])
+def test_a_command_that_is_late_by_a_part_of_a_row_is_held_as_long_as_it_was(rate_hz):
+    """Beside a record of 200 Hz in which each command begins so much later: the same to a sample, and no straight line between."""
+    record = fly((("pitch-doublet", 22.0),), seed=1, rate_hz=rate_hz, seconds=6.0)
+    n, finer = len(record), round(200.0 / rate_hz)
+    asked = np.where(np.arange(n) % 20 >= 10, 3.0, -1.0)
+    measured = np.sin(0.1 * np.arange(n))
+    plain = record.with_columns({"elevator_deg": asked, "aileron_pos_deg": measured})
+    flight = prepare("late", plain, ("aileron",))
+    late_s = (finer + 3) * 0.005
+    moved = flight.with_commands_later(late_s)
+    assert moved.per_row == finer
+    fine = moved.commands["elevator_deg"]
+    expected = np.concatenate([np.full(finer + 3, asked[0]), np.repeat(asked, finer)])[: len(fine)]
+    np.testing.assert_allclose(fine, expected, atol=1e-6)
+    # A row's own value is what acts until the next one, on average; a position is where it was.
+    np.testing.assert_allclose(moved.record["elevator_deg"][5], expected[5 * finer : 6 * finer].mean(), atol=1e-6)
+    np.testing.assert_allclose(moved.record["aileron_pos_deg"][3:], np.sin(0.1 * (np.arange(n) - late_s * rate_hz))[3:], atol=2e-3)
+    # Between two samples of 5 ms the mean time is right.
+    between = flight.with_commands_later(late_s + 0.002).commands["elevator_deg"]
+    np.testing.assert_allclose(between[1:], 0.6 * fine[1:] + 0.4 * fine[:-1], atol=1e-6)
+    whole = flight.with_commands_later(1.0 / rate_hz)
+    assert whole.per_row == 1
+    np.testing.assert_allclose(whole.record["elevator_deg"][1:], asked[:-1], atol=1e-9)
+
+
 def test_a_position_that_is_its_command_is_not_measured():
     """A surface without a lag jumps with its command; drawn from row to row in a straight line it would come half a row early."""
     record = fly((("roll-yaw", 22.0),), seed=1, seconds=6.0)

@@ -14,6 +14,7 @@ from sysid.effects.subsystem_effects import subsystem_effects
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.reference import Probe, ProbeJob, probe
 from uqharness.refinement.setup import Bench
+from uqharness.refinement.types import Point
 from uqharness.refinement.writing.effects import Written, write_effects
 from uqharness.refinement.writing.slopes import control_slopes, inflow_numbers, of_lift_slope
 from uqharness.replay.model import CONTROLS
@@ -121,8 +122,8 @@ def test_stall_is_a_share_of_the_lift_slope_beside_it(nominal: Probe):
 def test_columns_of_what_flies_are_those_of_the_numbers_written(nominal: Probe):
     by_term = {e.term: e for e in subsystem_effects([], [], [])}
     slopes = {"CZ_alpha": -3.0, "Cm_de": -0.02, "CX_de": 9.0, "Cn_dr": -0.001}
-    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)], slopes=slopes, outputs=())
-    flown = SimpleNamespace(outputs=[np.zeros((N, 0))], point=None)
+    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02, flight="f")], slopes=slopes, outputs=())
+    flown = SimpleNamespace(outputs=[np.zeros((N, 0))], point=Point({}, {}, ()))
     moved = replace(nominal, controls=nominal.controls + 2.0)
     moved.reference.x[:, 1] = 0.25
     wanted = [by_term["separation"], by_term["slipstream"]]
