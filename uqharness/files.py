@@ -6,7 +6,7 @@ import contextlib
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,16 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
 def write_bytes(path: Path, content: bytes) -> None:
     """The same for content that is at hand."""
     write_whole(path, lambda target: target.write_bytes(content))
+
+
+def write_parts(path: Path, parts: Iterable[bytes | memoryview]) -> None:
+    """The same for content in parts, one after the other."""
+
+    def write(target: Path) -> None:
+        with target.open("wb") as handle:
+            handle.writelines(parts)
+
+    write_whole(path, write)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -17,6 +17,7 @@ from .prediction import follow as follow
 from .prediction import minus_twice_log as minus_twice_log
 from .prediction import names_of as names_of
 from .prediction import whiten as whiten
+from .prediction import whiten_each as whiten_each
 from .prediction import whitened as whitened
 from .score import Evidence as Evidence
 from .score import agreement as agreement

@@ -11,8 +11,9 @@ The start state is estimated, one a segment: its columns are projected out of ev
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections import OrderedDict
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,8 @@ from sysid.aerodynamics import Steps
 from sysid.estimation import STARTS, Gains, Process, Seen, Whitened, carried, gains
 
 FloatArray = NDArray[np.float64]
+_REMEMBERED = 24
+"""Columns of a segment that are remembered of those made again: those that stand and the few that compete."""
 _AT_ONCE = 64
 """Columns that are made orthogonal to the start states together, in double precision."""
 
@@ -44,9 +47,9 @@ class Columns:
 
 class MadeColumns(Sequence[Columns]):
     """Columns of segments that are made as often as they are asked for, all by the same ``names``: those of a flight's candidates
-    take as much memory as what is computed from them."""
+    take as much memory as what is computed from them. make: those of a segment that are among some names."""
 
-    def __init__(self, names: Sequence[str], make: Callable[[int], Columns], count: int) -> None:
+    def __init__(self, names: Sequence[str], make: Callable[[int, Collection[str]], Columns], count: int) -> None:
         self.names, self._make, self._count = tuple(names), make, count
 
     def __len__(self) -> int:
@@ -57,7 +60,11 @@ class MadeColumns(Sequence[Columns]):
             return [self[i] for i in range(*k.indices(self._count))]
         if not -self._count <= k < self._count:
             raise IndexError(k)
-        return self._make(k % self._count)
+        return self.some(k % self._count, self.names)
+
+    def some(self, k: int, names: Sequence[str]) -> Columns:
+        """Of a segment, those ``names`` alone, in this order."""
+        return replace(self._make(k, frozenset(names)), names=tuple(names))
 
 
 def names_of(columns: Sequence[Columns]) -> tuple[str, ...]:
@@ -73,6 +80,7 @@ class White:
     column; there (n, m): which values were measured; deviation (m,): rms of the innovations' standard deviation, in the
     channels' units;
     path (n, 8 or 13): predicted state less the reference, from what was measured before each sample.
+    more: makes columns (n, m, C) by names, where they can be made again
     """
 
     residual: FloatArray
@@ -82,6 +90,7 @@ class White:
     there: NDArray[np.bool_]
     deviation: FloatArray
     path: FloatArray
+    more: Callable[[Sequence[str]], NDArray[np.float32]] | None = None
 
 
 @dataclass(frozen=True)
@@ -131,6 +140,40 @@ def whiten(
     return [_whitened(_followed(system, z, which, noise, process, k), names, columns[k]) for k, (system, z) in both]
 
 
+def whiten_each(
+    steps: Sequence[Steps], measured: Sequence[FloatArray], columns: MadeColumns, which: Sequence[int],
+    noise: FloatArray, process: Process | None = None,
+) -> Iterator[White]:  # fmt: skip
+    """`whiten`, segment by segment, of columns that can be made again: whoever needs their sums need not hold them."""
+    for k, (system, z) in enumerate(zip(steps, measured, strict=True)):
+        one = _followed(system, z, which, noise, process, k)
+        yield replace(_whitened(one, columns.names, columns[k]), more=_Again(one, columns, k))
+
+
+class _Again:
+    """Columns of a segment made white again by their names; those asked for last are remembered."""
+
+    def __init__(self, one: Followed, columns: MadeColumns, k: int) -> None:
+        self.one, self.columns, self.k = one, columns, k
+        self.q = start_fitted(one.alone.innovations, one.alone.starts)[1]
+        self.made: OrderedDict[str, NDArray[np.float32]] = OrderedDict()
+
+    def __call__(self, names: Sequence[str]) -> NDArray[np.float32]:
+        """(n, m, C) in single precision, the start state fitted."""
+        missing = [n for n in names if n not in self.made]
+        if missing:
+            own = self.columns.some(self.k, missing)
+            found = carried(self.one.seen, self.one.gains, missing, own.inputs, own.outputs, own.jumps, own.unseen, self.one.alone)
+            left = _without_start(found.columns, self.q)[0]
+            self.made |= {n: np.ascontiguousarray(left[:, :, c]) for c, n in enumerate(missing)}
+        out = np.stack([self.made[n] for n in names], axis=2)
+        for n in names:
+            self.made.move_to_end(n)
+        while len(self.made) > _REMEMBERED:
+            self.made.popitem(last=False)
+        return out
+
+
 def whitened(followed: Sequence[Followed], columns: Sequence[Columns]) -> list[White]:
     """`whiten` of segments that a filter has followed."""
     names = names_of(columns)
@@ -171,18 +214,24 @@ def start_fitted(innovations: FloatArray, starts: FloatArray) -> tuple[FloatArra
 def _projected(found: Whitened, logdet: float, there: NDArray[np.bool_], deviation: FloatArray) -> White:
     """The segment with its start state fitted and taken out of everything."""
     residual, q, r = start_fitted(found.innovations, found.starts)
-    n, m, K = found.columns.shape
-    flat = found.columns.reshape(n * m, K)
-    inside, left = np.empty((STARTS, 1 + K)), np.empty((n * m, K), dtype=np.float32)
-    inside[:, 0] = q.T @ found.innovations.ravel()
-    for first in range(0, K, _AT_ONCE):
-        part = slice(first, min(first + _AT_ONCE, K))
-        right = flat[:, part].astype(np.float64)
-        inside[:, 1 + part.start : 1 + part.stop] = own = q.T @ right
-        left[:, part] = right - q @ own
+    left, own = _without_start(found.columns, q)
+    inside = np.column_stack([q.T @ found.innovations.ravel(), own])
     try:
         fitted = np.asarray(np.linalg.solve(r, inside), dtype=np.float64)
     except np.linalg.LinAlgError:
         fitted = np.asarray(np.linalg.lstsq(r, inside, rcond=None)[0], dtype=np.float64)
     fitted[:, 1:] *= -1.0
-    return White(residual, left.reshape(n, m, K), logdet, fitted, there, deviation, found.path)
+    return White(residual, left, logdet, fitted, there, deviation, found.path)
+
+
+def _without_start(columns: NDArray[np.float32], q: FloatArray) -> tuple[NDArray[np.float32], FloatArray]:
+    """Columns (n, m, K) less what the start's columns q (n m, 8) have of them, and that (8, K)."""
+    n, m, K = columns.shape
+    flat = columns.reshape(n * m, K)
+    inside, left = np.empty((STARTS, K)), np.empty((n * m, K), dtype=np.float32)
+    for first in range(0, K, _AT_ONCE):
+        part = slice(first, min(first + _AT_ONCE, K))
+        right = flat[:, part].astype(np.float64)
+        inside[:, part] = own = q.T @ right
+        left[:, part] = right - q @ own
+    return left.reshape(n, m, K), inside

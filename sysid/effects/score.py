@@ -13,7 +13,7 @@ asked whether it agrees.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -34,7 +34,7 @@ class Evidence:
     """Sums over segments of whitened columns and innovations.
 
     gram (S, K, K), score (S, K), square (S,): Y'Y, Y'e, e'e; samples (S,): values measured; prior (K,): information held besides
-    held   names of the columns that ``white`` still has, in its order; None: all
+    held   names of the columns that ``white`` has, in its order; None: all. Others it makes again, or has not
     """
 
     names: tuple[str, ...]
@@ -67,22 +67,21 @@ class Evidence:
             return self.everything
         return self.gram[segments].sum(axis=0) + np.diag(self.prior), self.score[segments].sum(axis=0)
 
-    def narrowed(self, names: Collection[str]) -> Evidence:
-        """The same without the columns of ``white`` but those ``names``: sums stay whole, the colour of residuals can be asked for
-        by these columns alone. A candidate's columns are most of the memory that evidence takes."""
-        kept = tuple(n for n in self.names if n in names)
-        white = [replace(w, columns=self._series(w, self.index(kept))) for w in self.white]
-        return replace(self, white=white, held=kept)
-
     def series(self, w: White, some: Index) -> FloatArray:
-        """(n, m, C) columns of a segment. Raises KeyError for one that is no longer held."""
-        return self._series(w, some).astype(np.float64)
-
-    def _series(self, w: White, some: Index) -> NDArray[np.float32]:
-        if self.held is not None:
-            at = {name: k for k, name in enumerate(self.held)}
-            some = np.array([at[self.names[k]] for k in some], dtype=np.intp)
-        return np.asarray(w.columns[:, :, some])
+        """(n, m, C) columns of a segment. Raises KeyError for one that is neither held nor made again."""
+        if self.held is None:
+            return w.columns[:, :, some].astype(np.float64)
+        at = {name: k for k, name in enumerate(self.held)}
+        names = [self.names[k] for k in some]
+        here = [i for i, n in enumerate(names) if n in at]
+        out = np.empty((*w.residual.shape, len(names)))
+        out[:, :, here] = w.columns[:, :, [at[names[i]] for i in here]]
+        if len(here) < len(names):
+            there = [i for i, n in enumerate(names) if n not in at]
+            if w.more is None:
+                raise KeyError(names[there[0]])
+            out[:, :, there] = w.more([names[i] for i in there])
+        return out
 
     def step(self, held: Sequence[str] = ()) -> tuple[FloatArray, float]:
         """Gauss-Newton step of all columns but those held (K,), and its length in standard errors."""
@@ -116,11 +115,20 @@ class Evidence:
         return [np.where(w.there, w.residual - self.series(w, used) @ delta[used], np.nan) for w in self.white]
 
 
-def gather(white: Sequence[White], names: Sequence[str], flights: Sequence[str], prior: Mapping[str, float]) -> Evidence:
-    """Evidence from filtered segments; prior: kind of column (its name up to the first /) -> standard deviation known
-    beforehand."""
+def gather(
+    white: Iterable[White],
+    names: Sequence[str],
+    flights: Sequence[str],
+    prior: Mapping[str, float],
+    held: Sequence[str] | None = None,
+) -> Evidence:
+    """Evidence from filtered segments, one of ``flights`` each; prior: kind of column (its name up to the first /) -> standard
+    deviation known beforehand; held: names of the columns that it has at hand, None: all. Those of candidates are most of the
+    memory that evidence would take."""
     K = len(names)
-    gram, score = np.zeros((len(white), K, K)), np.zeros((len(white), K))
+    gram, score = np.zeros((len(flights), K, K)), np.zeros((len(flights), K))
+    kept: list[White] = []
+    at = None if held is None else [list(names).index(n) for n in held]
     for s, w in enumerate(white):
         flat = w.columns.reshape(-1, K)
         scale = np.sqrt(np.einsum("ij,ij->j", flat, flat, dtype=np.float64))
@@ -128,10 +136,12 @@ def gather(white: Sequence[White], names: Sequence[str], flights: Sequence[str],
         unit = flat / np.where(scale > 0.0, scale, 1.0).astype(np.float32)
         gram[s] = (unit.T @ unit).astype(np.float64) * np.outer(scale, scale)
         score[s] = flat.astype(np.float64).T @ w.residual.ravel()
+        kept.append(w if at is None else replace(w, columns=w.columns[:, :, at]))
     known = np.array([1.0 / prior[n.split("/")[0]] ** 2 if n.split("/")[0] in prior else 0.0 for n in names])
-    square = np.array([float(np.sum(w.residual**2)) for w in white])
-    samples = np.array([float(w.there.sum()) for w in white])
-    return Evidence(tuple(names), gram, score, square, samples, known, white, tuple(flights))
+    square = np.array([float(np.sum(w.residual**2)) for w in kept])
+    samples = np.array([float(w.there.sum()) for w in kept])
+    own = None if held is None else tuple(held)
+    return Evidence(tuple(names), gram, score, square, samples, known, kept, tuple(flights), own)
 
 
 def solve(G: FloatArray, right: FloatArray) -> FloatArray:

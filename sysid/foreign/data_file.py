@@ -40,9 +40,14 @@ def dump(value: Any) -> bytes:
     scalars and arrays, and dataclasses of ``sysid`` and ``uqharness``. What is met twice is written once. Raises
     DataFileError for anything else, for a value inside itself, and for one of more than HEADER_MOST bytes beside its arrays.
     """
+    return b"".join(dump_parts(value))
+
+
+def dump_parts(value: Any) -> list[bytes | memoryview]:
+    """The same bytes in parts, one after the other: arrays are not copied."""
     writer = _Writer()
     writer.add(value)
-    return writer.bytes()
+    return writer.parts()
 
 
 def load(data: bytes, kind: Any = Any) -> Any:
@@ -100,7 +105,7 @@ class _Writer:
         self._known: dict[Any, tuple[int, Any]] = {}
         self._trail: list[str] = []
 
-    def bytes(self) -> bytes:
+    def parts(self) -> list[bytes | memoryview]:
         lengths = [len(buffer) for buffer in self._buffers]
         header = (f'{{"classes":{_json(self._class_nodes)},"buffers":{_json(lengths)},"nodes":[{",".join(self._nodes)}]}}').encode()
         if len(header) > HEADER_MOST:
@@ -108,7 +113,7 @@ class _Writer:
         parts = [len(header).to_bytes(8, "little"), header]
         for buffer in self._buffers:
             parts += [buffer, bytes(_padding(len(buffer)))]
-        return b"".join([MAGIC, bytes.fromhex(sha256_of_parts(parts)), *parts])
+        return [MAGIC, bytes.fromhex(sha256_of_parts(parts)), *parts]
 
     def add(self, value: Any) -> int:
         """The value's number, its own node written if there is none yet."""

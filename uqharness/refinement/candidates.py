@@ -3,7 +3,7 @@ read otherwise."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -35,11 +35,14 @@ NEAR = 0.97
 
 def effect_columns(setup: Setup, probes: Sequence[Probe], flown: Flown, effects: Sequence[Effect]) -> MadeColumns:
     """Columns of the candidates by their keys, one set a segment; a candidate that does nothing there has none."""
-    names = tuple(e.key for e in effects)
-    return MadeColumns(names, lambda k: _of_segment(setup, k, probes[k], flown, effects, names), len(setup.segments))
+
+    def make(k: int, names: Collection[str]) -> Columns:
+        return _of_segment(setup, k, probes[k], flown, [e for e in effects if e.key in names])
+
+    return MadeColumns([e.key for e in effects], make, len(setup.segments))
 
 
-def _of_segment(setup: Setup, k: int, p: Probe, flown: Flown, effects: Sequence[Effect], names: tuple[str, ...]) -> Columns:
+def _of_segment(setup: Setup, k: int, p: Probe, flown: Flown, effects: Sequence[Effect]) -> Columns:
     segment, y = setup.segments[k], flown.outputs[k]
     inputs: dict[str, tuple[int, Array]] = {}
     outputs: dict[str, Array] = {}
@@ -62,6 +65,7 @@ def _of_segment(setup: Setup, k: int, p: Probe, flown: Flown, effects: Sequence[
                 jumps[e.key] = block - (block if other is None else other)
         if channel is not None:
             outputs[e.key] = channel
+    names = tuple(e.key for e in effects)
     return Columns(names, inputs, outputs, {n: v for n, v in jumps.items() if v.any()}, unseen_share(flown.point, segment.flight))
 
 

@@ -182,7 +182,6 @@ def find_effects(
     free = before.columns[0].names
     first = select(evidence, free, odds, confirming, limit=limit, twins=TWINS, empirical=bool(setup.late))
     first = strong_first(first, evidence, free, odds, confirming, TWINS)
-    evidence = evidence.narrowed(free)
     start = Start(aircraft, setup, before, names, effects, limits, confirming, limit, tuple(measured), tuple(ideal), map_)
     best, trail = settle(start, first, evidence, work, say)
     trail = [*(f"round 1: {line}" for line in first.trail), *trail]
@@ -288,8 +287,6 @@ def _in_gusts(
     limit = max(threshold(len(odds)), GUST_LIMIT)
     first = select(evidence, free, odds, confirming, limit=limit, twins=TWINS, empirical=True)
     first = strong_first(first, evidence, free, odds, confirming, TWINS, alone=True)
-    if not any(abs(c.t) > OVERWHELMING for c in first.chosen):
-        evidence = evidence.narrowed(free)
     start = Start(
         bench.aircraft, setup, found.fit, names, effects, limits, confirming, limit, bench.measured, bench.ideal, map_,
         found.gusts, handicap,

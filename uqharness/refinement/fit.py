@@ -8,7 +8,7 @@ error's own: at the answer the residuals are orthogonal to sensitivities that do
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -174,8 +174,8 @@ def merged(first: Sequence[Columns], second: Sequence[Columns]) -> MadeColumns:
     """Two sets of columns side by side."""
     names = (*names_of(first), *names_of(second))
 
-    def both(k: int) -> Columns:
-        a, b = first[k], second[k]
+    def both(k: int, some: Collection[str]) -> Columns:
+        a, b = (c.some(k, [n for n in c.names if n in some]) if isinstance(c, MadeColumns) else c[k] for c in (first, second))
         return Columns(names, {**a.inputs, **b.inputs}, {**a.outputs, **b.outputs}, {**a.jumps, **b.jumps}, a.unseen)
 
     return MadeColumns(names, both, len(first))

@@ -26,7 +26,7 @@ from sysid.effects import (
     gather,
     gust_intensity,
     minus_twice_log,
-    whiten,
+    whiten_each,
     whitened,
 )
 from sysid.parallel import Processes
@@ -297,5 +297,5 @@ def gust_evidence(setup: Setup, fitted: GustFit, extra: Sequence[Columns]) -> Ev
 
     columns = merged(fitted.fit.columns, extra)
     measured = in_step(setup, fitted.fit.flown.point)
-    white = whiten(fitted.fit.steps, measured, columns, setup.which, setup.noise, fitted.gusts.process)
-    return gather(white, columns.names, [s.flight for s in setup.segments], PRIOR)
+    white = whiten_each(fitted.fit.steps, measured, columns, setup.which, setup.noise, fitted.gusts.process)
+    return gather(white, columns.names, [s.flight for s in setup.segments], PRIOR, fitted.fit.columns[0].names)

@@ -25,11 +25,10 @@ from sysid.effects import (
     judged,
     scores,
     select,
-    whiten,
+    whiten_each,
 )
 from uqharness.refinement.begin import About, joint_point
 from uqharness.refinement.candidates import effect_columns
-from uqharness.refinement.contest import many_asked
 from uqharness.refinement.fit import PRIOR, Fit, best_flown, merged, refit
 from uqharness.refinement.gusts import GustFit, gust_evidence, gust_refit
 from uqharness.refinement.rates import felt
@@ -207,9 +206,6 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     again = again if start.gusts is None else first_at_values(again, own, far)
     cost = fit.flown.cost if gusts is None else surprise
     merit = cost + sum(by_key[k].odds + EARNED * start.limit**2 for k in keys)
-    if gusts is None or many_asked(keys, again.chosen) is None:
-        # No other candidate flies beside these: the rest of the columns is not looked at again.
-        evidence = evidence.narrowed([*free, *keys, *(c.key for c in again.chosen)])
     return Round(
         setup, fit, evidence, Selection(own, again.refused, again.trail), again, standing and not moving, merit, gusts,
         About(fit.flown.point, evidence, values), surprise, {c.key: written[c.key] for c in held}, far,
@@ -233,8 +229,8 @@ def candidate_evidence(setup: Setup, fit: Fit, effects: Sequence[Effect]) -> Evi
 def column_evidence(setup: Setup, fit: Fit, extra: Sequence[Columns]) -> Evidence:
     """Evidence of a fit's own columns beside others."""
     columns = merged(fit.columns, extra)
-    white = whiten(fit.steps, setup.measured, columns, setup.which, setup.noise)
-    return gather(white, columns.names, [s.flight for s in setup.segments], PRIOR)
+    white = whiten_each(fit.steps, setup.measured, columns, setup.which, setup.noise)
+    return gather(white, columns.names, [s.flight for s in setup.segments], PRIOR, fit.columns[0].names)
 
 
 def resolved(start: Start, found: Round) -> Selection:

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from sysid.digests import sha256_hex
-from sysid.foreign.data_file import DataFileError, dump, load
+from sysid.foreign.data_file import DataFileError, dump_parts, load
 from sysid.foreign.regular_files import read_regular
 from uqharness.errors import BadInputError
-from uqharness.files import write_bytes
+from uqharness.files import write_parts
 
 _LOG = logging.getLogger("uqharness")
 T = TypeVar("T")
@@ -50,7 +50,7 @@ class Stages:
             _LOG.warning("%s: %s; this stage is computed again", path, reason)
         made = make()
         try:
-            write_bytes(path, dump(made))
+            write_parts(path, dump_parts(made))
         except (BadInputError, DataFileError) as error:
             _LOG.warning("%s: %s; if this run is interrupted, this stage is computed again", path, error)
         return made

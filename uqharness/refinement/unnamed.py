@@ -131,7 +131,7 @@ class _About:
     def evidence(self, make: Callable[[Mapping[str, Array]], Inputs]) -> tuple[Evidence, list[str]]:
         """Of everything and more columns, made from a segment's variables; and the names that are free beside those."""
         names = tuple(make(self.along[0]))
-        more = MadeColumns(names, lambda k: Columns(names, make(self.along[k]), {}), len(self.along))
+        more = MadeColumns(names, lambda k, _: Columns(names, make(self.along[k]), {}), len(self.along))
         chosen = {c.key: c.value for c in self.found.selection.chosen}
         if self.setup is None:
             evidence = evidence_of(self.found, self.found.gusts, (), more)

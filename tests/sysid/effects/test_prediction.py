@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from sysid.aerodynamics.rigid_body import NX, OUTPUTS, Steps
-from sysid.effects.prediction import Columns, MadeColumns, follow, names_of, whiten, whitened
+from sysid.effects.prediction import Columns, MadeColumns, follow, names_of, whiten, whiten_each, whitened
 from sysid.effects.score import corrected, corrected_each, gather, scores
 from sysid.effects.selection import select, threshold
 from sysid.estimation.kalman import Process
@@ -200,29 +203,54 @@ def test_columns_made_when_they_are_asked_for_are_those_that_were_there():
         Columns(names, {"p": (4, rng.standard_normal(n)), "effect": (-1, rng.standard_normal((n, 6)))}, {"off": np.ones((n, M))})
         for _ in steps
     ]
-    made: list[int] = []
+    made: list[tuple[int, Collection[str]]] = []
 
-    def make(k: int) -> Columns:
-        made.append(k)
+    def make(k: int, some: Collection[str]) -> Columns:
+        made.append((k, some))
         return columns[k]
 
     later = MadeColumns(names, make, len(columns))
     there, then = (whiten(steps, z, c, range(M), np.ones(M)) for c in (columns, later))
     for a, b in zip(there, then, strict=True):
         np.testing.assert_array_equal(a.columns, b.columns)
-    assert sorted(made) == [0, 1, 2]
+    assert made == [(k, frozenset(names)) for k in range(3)]
+    assert later.some(1, ["effect"]).names == ("effect",)
+    assert made[-1] == (1, {"effect"})
     assert names_of(later) == names_of(columns) == names
     with pytest.raises(IndexError):
         later[3]
 
 
-def test_evidence_that_let_columns_go_says_the_same_of_those_it_held():
-    whole = flights({"c3": 0.6}, 5)
-    free, some = ["a", "b"], ["c1", "c2", "c3", "c4"]
-    held = whole.narrowed([*free, "c3"])
-    assert corrected(held, free, "c3") == corrected(whole, free, "c3")
-    np.testing.assert_array_equal(scores(held, free, some).t, scores(whole, free, some).t)
+@pytest.mark.parametrize("gusty", [True, False])
+def test_evidence_that_makes_columns_again_says_the_same_as_one_that_holds_them(gusty):
+    rng = np.random.default_rng(9)
+    n, names = 60, ("a", "b", "off", "c1", "c2", "c3")
+    steps = [system(n, k) for k in range(3)]
+    z = [rng.standard_normal((n, M)) for _ in steps]
+    inputs = [{name: (4, rng.standard_normal(n)) for name in names if name != "off"} for _ in steps]
+    columns = [Columns(names, some, {"off": np.ones((n, M))}, {"c2": rng.standard_normal(n)}, 0.3) for some in inputs]
+    air = (0.05 * (np.arange(13) < 3), np.zeros(13))
+    process = Process(np.tile(air[0], (3, 1)), np.tile(air[1], (3, 1))) if gusty else None
+    asked: list[Collection[str]] = []
+
+    def make(k: int, some: Collection[str]) -> Columns:
+        asked.append(some)
+        return columns[k]
+
+    flights = ["f"] * 3
+    whole = gather(whiten(steps, z, columns, range(M), np.ones(M), process), names, flights, {})
+    white = whiten_each(steps, z, MadeColumns(names, make, 3), range(M), np.ones(M), process)
+    held = gather(white, names, flights, {}, ("off", "b", "a"))
+    assert held.white[0].columns.shape == (n, M, 3)
+    np.testing.assert_array_equal(held.gram, whole.gram)
+    for some in (["a", "b"], ["c2", "a", "c1"], ["c2"]):
+        for one, other in zip(held.white, whole.white, strict=True):
+            at = whole.index(some)
+            np.testing.assert_allclose(held.series(one, at), whole.series(other, at), atol=1e-6)
+    assert asked[3:] == [{"c2", "c1"}] * 3
+    assert corrected(held, ["a", "b"], "c3") == pytest.approx(corrected(whole, ["a", "b"], "c3"), rel=1e-6)
     taken, other = held.taken_out({"c3": 0.3}), whole.taken_out({"c3": 0.3})
-    np.testing.assert_array_equal(taken.white[0].residual, other.white[0].residual)
+    np.testing.assert_allclose(taken.white[0].residual, other.white[0].residual, atol=1e-6)
+    gone = replace(held, white=[replace(w, more=None) for w in held.white])
     with pytest.raises(KeyError):
-        corrected(held, free, "c1")
+        corrected(gone, ["a", "b"], "c1")
