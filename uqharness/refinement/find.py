@@ -187,17 +187,19 @@ def find_effects(
     trail = [*(f"round 1: {line}" for line in first.trail), *trail]
     if best is None:
         none = Selection((), _not_borne_out(first, limit) or first.refused, first.trail)
-        parameters, plain = in_one_step(evidence, names, before, none), _moved_alone(evidence, names, before)
+        parameters = _parameters(evidence, names, before, none)
+        plain = {n: before.flown.point.values[n] for n in names}
         return Found(
             setup, names, before, before, none, by_key, parameters, tuple(notes), plain, None, board, limit,
             sum(put_right), tuple(trail), left=left_beside(evidence, free, (), odds),
         )  # fmt: skip
     selection = with_resolution(resolved(start, best), by_key, setup.segments[0].dt_s, gusty=False)
-    parameters = in_one_step(best.evidence, names, best.fit, selection)
+    # A number that JSBSim reads once stands within its error of the one flown, and what goes with it moves by that, too.
+    parameters = (in_one_step if best.held else _parameters)(best.evidence, names, best.fit, selection)
     selection, slopes = of_lift_slope(selection, before, best.fit)
     return Found(
         best.setup, names, before, best.fit, selection, by_key, parameters,
-        tuple(notes), _moved_alone(evidence, names, before), None, board, limit, sum(put_right),
+        tuple(notes), {n: before.flown.point.values[n] for n in names}, None, board, limit, sum(put_right),
         tuple(trail), slopes, best.about.flown,
         left=left_beside(best.evidence, free, [c.key for c in selection.chosen], eligible(effects, setup, best.fit, best.evidence)),
     )  # fmt: skip
@@ -354,6 +356,11 @@ def score_table(
 
 def _short(e: Effect) -> str:
     return f"{e.coefficient or e.subsystem} {e.term}"
+
+
+def _parameters(evidence: Evidence, names: Sequence[str], fit: Fit, selection: Selection) -> dict[str, tuple[float, float]]:
+    free = [*[n for n in fit.columns[0].names if not n.startswith("effect/")], *[c.key for c in selection.chosen]]
+    return {n: (float(fit.flown.point.values[n]), std) for n, (_, std, _) in corrected_each(evidence, free, names).items()}
 
 
 def remark(choice: Choice, effect: Effect, flights: Sequence[str], command: str, limit: float) -> str:
