@@ -34,15 +34,15 @@ class Columns:
 
     inputs    column -> (index of the coefficient CX..Cn, values (n,)), or (-1, values (n, 6)) for all six
     outputs   column -> (n, m) added to the measured channels
-    jumps     column -> how much its input's values jump at each row, where they do: until a row they are less by that
-    unseen    share of these jumps that the channels of the same row have not seen
+    ends      column -> its input's values just before each row, where they jump there
+    felt      column -> its input's values as the channels of the same row have seen them, where that is otherwise
     """
 
     names: tuple[str, ...]
     inputs: Mapping[str, tuple[int, FloatArray]]
     outputs: Mapping[str, FloatArray]
-    jumps: Mapping[str, FloatArray] = field(default_factory=dict)
-    unseen: float = 0.0
+    ends: Mapping[str, FloatArray] = field(default_factory=dict)
+    felt: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 class MadeColumns(Sequence[Columns]):
@@ -163,7 +163,7 @@ class _Again:
         missing = [n for n in names if n not in self.made]
         if missing:
             own = self.columns.some(self.k, missing)
-            found = carried(self.one.seen, self.one.gains, missing, own.inputs, own.outputs, own.jumps, own.unseen, self.one.alone)
+            found = carried(self.one.seen, self.one.gains, missing, own.inputs, own.outputs, own.ends, own.felt, self.one.alone)
             left = _without_start(found.columns, self.q)[0]
             self.made |= {n: np.ascontiguousarray(left[:, :, c]) for c, n in enumerate(missing)}
         out = np.stack([self.made[n] for n in names], axis=2)
@@ -184,7 +184,7 @@ def _whitened(one: Followed, names: Sequence[str], own: Columns) -> White:
     seen, found = one.seen, one.gains
     whole = np.where(seen.there, found.whole, 0.0).sum(axis=0)
     deviation = np.sqrt(whole / np.maximum(seen.there.sum(axis=0), 1))
-    through = carried(seen, found, names, own.inputs, own.outputs, own.jumps, own.unseen, one.alone)
+    through = carried(seen, found, names, own.inputs, own.outputs, own.ends, own.felt, one.alone)
     return _projected(through, found.logdet, seen.there, deviation)
 
 

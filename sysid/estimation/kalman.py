@@ -89,12 +89,12 @@ class Whitened:
 
 def carried(
     seen: Seen, by: Gains, names: Sequence[str] = (), inputs: Mapping[str, tuple[int, FloatArray]] | None = None,
-    outputs: Mapping[str, FloatArray] | None = None, jumps: Mapping[str, FloatArray] | None = None, unseen: float = 0.0,
-    alone: Whitened | None = None,
+    outputs: Mapping[str, FloatArray] | None = None, ends: Mapping[str, FloatArray] | None = None,
+    felt: Mapping[str, FloatArray] | None = None, alone: Whitened | None = None,
 ) -> Whitened:  # fmt: skip
     """What was measured, and the columns ``names``, through the gains.
 
-    inputs, outputs, jumps, unseen: of `Acting.of`; alone: the same without columns, where it is known.
+    inputs, outputs, ends, felt: of `Acting.of`; alone: the same without columns, where it is known.
     """
     n, m, size = seen.H.shape
     if alone is None:
@@ -106,7 +106,7 @@ def carried(
     columns, again = np.zeros((n, m, len(names)), dtype=np.float32), np.empty_like(alone.path)
     for begin in range(0, len(names), _AT_ONCE):
         some = names[begin : begin + _AT_ONCE]
-        acting = Acting.of(some, inputs or {}, outputs or {}, n, m, jumps, unseen)
+        acting = Acting.of(some, inputs or {}, outputs or {}, n, m, ends, felt)
         out = np.zeros((n, m, 1 + len(some)), dtype=np.float32)
         _through(seen, by, np.zeros((size, 1 + len(some))), acting, out, again)
         columns[:, :, begin : begin + len(some)] = out[:, :, 1:]

@@ -73,15 +73,15 @@ class Acting(NamedTuple):
     @classmethod
     def of(
         cls, names: Sequence[str], inputs: Mapping[str, tuple[int, FloatArray]], outputs: Mapping[str, FloatArray], n: int, m: int,
-        jumps: Mapping[str, FloatArray] | None = None, unseen: float = 0.0,
+        ends: Mapping[str, FloatArray] | None = None, felt: Mapping[str, FloatArray] | None = None,
     ) -> Acting:  # fmt: skip
         """inputs: column -> (index of the coefficient CX..Cn, values (n,)), or (-1, values (n, 6)) for all six; outputs: column ->
-        (n, m) added to the measured channels; jumps: column -> how much its values, of the same shape, jump at each row, of which
-        the channels have not seen the share ``unseen``."""
+        (n, m) added to the measured channels; ends, felt: column -> the values just before each row, and what the row's channels
+        have seen of them, of the same shape, where these are others than the values themselves."""
         own: list[int] = []
         coefficient: list[int] = []
         values = [np.zeros((n, 0))]
-        changed: list[FloatArray] = []
+        others: list[list[FloatArray]] = [[np.zeros((n, 0))], [np.zeros((n, 0))]]
         for k, name in enumerate(names, 1):
             if name in inputs:
                 index, found = inputs[name]
@@ -89,12 +89,11 @@ class Acting(NamedTuple):
                 own += [k] * len(which)
                 coefficient += which
                 values.append(np.reshape(found, (n, len(which))))
-                changed.append(np.reshape(jumps[name], values[-1].shape) if jumps and name in jumps else np.zeros_like(values[-1]))
+                for made, given in zip(others, (ends, felt), strict=True):
+                    made.append(np.reshape((given or {}).get(name, found), values[-1].shape))
         direct = [k for k, name in enumerate(names, 1) if name in outputs]
         added = np.stack([outputs[names[k - 1]] for k in direct], axis=2) if direct else np.zeros((n, m, 0))
         places = [np.array(some, dtype=np.intp) for some in (own, coefficient, direct)]
-        at_rows = before = felt = np.hstack(values)
-        if jumps:
-            jumped = np.hstack([np.zeros((n, 0)), *changed])
-            before, felt = at_rows - jumped, at_rows - unseen * jumped
-        return cls(places[0], places[1], at_rows, before, felt, places[2], np.ascontiguousarray(added))
+        at_rows = np.hstack(values)
+        before, seen = (np.hstack(made) if given else at_rows for made, given in zip(others, (ends, felt), strict=True))
+        return cls(places[0], places[1], at_rows, before, seen, places[2], np.ascontiguousarray(added))

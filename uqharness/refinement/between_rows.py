@@ -72,12 +72,16 @@ def jumped(away: Array) -> Array | None:
     return np.vstack([np.zeros_like(away[1, :1]), -away[1]]) if away[1].any() else None
 
 
-def jumps_unseen(setup: Setup, found: Sequence[Probe], point: Point) -> list[Array]:
-    """[(n, m)] what the outputs lack where the accelerometers have seen nothing of the jumps at their own rows."""
+def jumps_unseen(setup: Setup, found: Sequence[Probe], point: Point, before: Sequence[float]) -> list[Array]:
+    """[(n, m)] what the outputs lack where the accelerometers have seen nothing of the jumps at their own rows.
+
+    before: of each segment the weight of `Probe.jumps`: for the change with the share that is unseen, that share; for all that a
+    share lacks, half of it.
+    """
     gain = [sensor_gain(c, point) for c in setup.outputs]
     out = []
-    for p in found:
-        lacking = dict(zip(FELT, -p.felt_jump().T, strict=True))
+    for p, weight in zip(found, before, strict=True):
+        lacking = dict(zip(FELT, -p.felt_jump(weight).T, strict=True))
         out.append(
             np.column_stack([g * lacking.get(c, np.zeros(len(p.controls))) for c, g in zip(setup.outputs, gain, strict=True)])
         )

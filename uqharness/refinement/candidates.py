@@ -14,7 +14,7 @@ from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.effects import Columns, Effect, MadeColumns
 from uqharness.refinement.reference import Probe
-from uqharness.refinement.types import Flown, Point, Setup, unseen_share
+from uqharness.refinement.types import Flown, Point, Setup, late_by, unseen_share
 from uqharness.refinement.writing.terms import STALL
 from uqharness.replay import CONTROLS, SENSOR_OF, Segment, runs_per_row
 from uqharness.simulator import Actuator
@@ -46,8 +46,15 @@ def _of_segment(setup: Setup, k: int, p: Probe, flown: Flown, effects: Sequence[
     segment, y = setup.segments[k], flown.outputs[k]
     inputs: dict[str, tuple[int, Array]] = {}
     outputs: dict[str, Array] = {}
-    jumps: dict[str, Array] = {}
-    before = p.just_before()
+    ends: dict[str, Array] = {}
+    felt: dict[str, Array] = {}
+    before, share = p.just_before(), unseen_share(flown.point, segment.flight)
+
+    def jumps(key: str, earlier: Array) -> None:
+        values = inputs[key][1]
+        if not np.array_equal(values, earlier):
+            ends[key], felt[key] = earlier, values + share * (earlier - values)
+
     found, earlier = p.variables(), before.variables()
     for e in effects:
         if e.coefficient is not None:
@@ -55,18 +62,21 @@ def _of_segment(setup: Setup, k: int, p: Probe, flown: Flown, effects: Sequence[
             assert term is not None
             inputs[e.key] = (COEFFICIENTS.index(e.coefficient), term.values(found))
             if before is not p:
-                jumps[e.key] = inputs[e.key][1] - term.values(earlier)
+                jumps(e.key, term.values(earlier))
+            continue
+        if e.subsystem == "record":
+            inputs[e.key], ends[e.key], felt[e.key] = later_controls(p, late_by(flown.point, segment.flight))
             continue
         block, channel = _subsystem(e, setup, segment, p, y, found, flown.point)
         if block is not None:
             inputs[e.key] = (-1, block)
-            if before is not p and not (e.subsystem or "").startswith(("actuator", "record")):
+            if before is not p and not (e.subsystem or "").startswith("actuator"):
                 other, _ = _subsystem(e, setup, segment, before, y, earlier, flown.point)
-                jumps[e.key] = block - (block if other is None else other)
+                jumps(e.key, np.zeros_like(block) if other is None else other)
         if channel is not None:
             outputs[e.key] = channel
     names = tuple(e.key for e in effects)
-    return Columns(names, inputs, outputs, {n: v for n, v in jumps.items() if v.any()}, unseen_share(flown.point, segment.flight))
+    return Columns(names, inputs, outputs, ends, felt)
 
 
 def sensor_gain(channel: str, point: Point) -> float:
@@ -192,8 +202,6 @@ def _subsystem(
             elif e.term != "delay" and c == what:
                 out[:, k] = (y[:, k] - sensor_offset(c, segment, point)) / sensor_gain(c, point) if e.term == "scale" else 1.0
         return None, out
-    if part == "record":
-        return later_controls(p), None
     raise ValueError(f"no model of effect {e.key}")
 
 
@@ -237,12 +245,32 @@ def _felt_at(p: Probe, outputs: Sequence[str], place_m: Array) -> Array:
     return out
 
 
-def later_controls(p: Probe) -> Array:
-    """(n, 6) change of the coefficients per second by which all controls act later; where predictions judge, that of a jump stands
-    at its row, and not half a row earlier with the mean of its neighbours."""
-    h = p.reference.dt_s
-    change = -np.einsum("ncj,nj->nc", p.by_control, np.gradient(p.controls, h, axis=0))
-    return change if p.jumped is None else change + 0.5 / h * np.diff(p.jump, axis=0, append=0.0 * p.jump[:1])
+def later_controls(p: Probe, late_s: float) -> tuple[tuple[int, Array], Array, Array]:
+    """Input (n, 6), its values just before each row and what the row's accelerometers see of them: change of the coefficients per
+    second by which all controls act later.
+
+    late_s: how late they act already. A jump is an impulse then, after its row where controls are late and before it where they
+    are early, in a step whose area and first moment are the impulse's; half of each where they are neither. Of when a surface
+    jumps the row of the jump sees nothing.
+    """
+    h, jump = p.reference.dt_s, p.jumps().sum(axis=2)
+    jumps = np.zeros_like(p.controls) if p.jumped is None else p.jumped
+    moving = np.gradient(p.controls - np.cumsum(jumps, axis=0), h, axis=0)
+    steady = -np.einsum("ncj,nj->nc", p.by_control, moving)
+    after = 0.5 * (1.0 + np.sign(late_s))
+    # A straight line from 4 to -2 over a step has the area 1 and its centre at the start; from -2 to 4, at the end.
+    values, ends = np.array(steady), np.array(steady)
+    values += -(4.0 * after * jump - 2.0 * (1.0 - after) * _next(jump)) / h
+    ends += -(4.0 * (1.0 - after) * jump - 2.0 * after * _last(jump)) / h
+    return (-1, values), ends, steady
+
+
+def _next(rows: Array) -> Array:
+    return np.vstack([rows[1:], np.zeros_like(rows[:1])])
+
+
+def _last(rows: Array) -> Array:
+    return np.vstack([np.zeros_like(rows[:1]), rows[:-1]])
 
 
 def _written(slopes: Mapping[str, float], control: str) -> Array:

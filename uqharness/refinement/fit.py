@@ -24,7 +24,7 @@ from uqharness.refinement.between_rows import jumped, jumps_unseen, middles
 from uqharness.refinement.candidates import effect_columns, later_controls, sensor_gain, vane_place_m, vane_slopes
 from uqharness.refinement.reference import Probe, ProbeJob, named_terms, probe_all, term_column
 from uqharness.refinement.sensed import as_sensed, late_rate, placed, sensor_late_s
-from uqharness.refinement.types import Flown, Point, Setup, in_dynamics, lateness, unseen, unseen_share
+from uqharness.refinement.types import Flown, Point, Setup, in_dynamics, late_by, lateness, unseen, unseen_share
 from uqharness.replay import (
     CHANNELS,
     CONTROLS,
@@ -53,7 +53,7 @@ def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flow
             placed(s, point),
             setup.properties(point),
             start,
-            point.nuisance.get(lateness(s.flight), 0.0),
+            late_by(point, s.flight),
             between,
             unseen=unseen_share(point, s.flight),
         )
@@ -136,17 +136,19 @@ def parameter_columns(
     out = []
     own = {e.key for e in setup.active}
     effects = effect_columns(setup, found, flown, setup.active)
-    blind = jumps_unseen(setup, found, flown.point)
+    blind = jumps_unseen(setup, found, flown.point, [unseen_share(flown.point, s.flight) for s in setup.segments])
     for segment, p, y, active, jump in zip(setup.segments, found, flown.outputs, effects, blind, strict=True):
         before = p.just_before()
         variables, earlier = p.variables(), before.variables()
         inputs: dict[str, tuple[int, Array]] = {n: v for n, v in active.inputs.items() if n in names}
-        jumps: dict[str, Array] = {n: v for n, v in active.jumps.items() if n in names}
+        ends, felt = ({n: v for n, v in of.items() if n in names} for of in (active.ends, active.felt))
+        share = unseen_share(flown.point, segment.flight)
         for name in names:
             if name not in own:
                 inputs[name] = term_column(name, variables) if name in analytic else (-1, p.by_property[name])
                 if before is not p and name in analytic:
-                    jumps[name] = inputs[name][1] - term_column(name, earlier)[1]
+                    ends[name] = term_column(name, earlier)[1]
+                    felt[name] = inputs[name][1] + share * (ends[name] - inputs[name][1])
         outputs: dict[str, Array] = {n: v for n, v in active.outputs.items() if n in names}
         for name in setup.nuisance:
             kind, flight, *rest = name.split("/")
@@ -157,7 +159,7 @@ def parameter_columns(
                 continue
             what = rest[0]
             if name == lateness(flight):
-                inputs[name] = (-1, later_controls(p))
+                inputs[name], ends[name], felt[name] = later_controls(p, late_by(flown.point, flight))
                 continue
             block = np.zeros_like(y)
             for k, c in enumerate(setup.outputs):
@@ -166,7 +168,7 @@ def parameter_columns(
                 elif kind == "delay" and SENSOR_OF.get(c, c) == what:
                     block[:, k] = -late_rate(p, c, y[:, k], sensor_late_s(c, segment, flown.point))
             outputs[name] = block
-        out.append(Columns(every, inputs, outputs, jumps, unseen_share(flown.point, segment.flight)))
+        out.append(Columns(every, inputs, outputs, ends, felt))
     return out
 
 
@@ -176,7 +178,7 @@ def merged(first: Sequence[Columns], second: Sequence[Columns]) -> MadeColumns:
 
     def both(k: int, some: Collection[str]) -> Columns:
         a, b = (c.some(k, [n for n in c.names if n in some]) if isinstance(c, MadeColumns) else c[k] for c in (first, second))
-        return Columns(names, {**a.inputs, **b.inputs}, {**a.outputs, **b.outputs}, {**a.jumps, **b.jumps}, a.unseen)
+        return Columns(names, {**a.inputs, **b.inputs}, {**a.outputs, **b.outputs}, {**a.ends, **b.ends}, {**a.felt, **b.felt})
 
     return MadeColumns(names, both, len(first))
 

@@ -35,7 +35,7 @@ from uqharness.refinement.candidates import at_vane, sensor_gain, sensor_offset,
 from uqharness.refinement.fit import PRIOR, Fit, parameter_columns, positions, probes, stepped, steps_of
 from uqharness.refinement.reference import Predicted, Probe, along, named_terms
 from uqharness.refinement.sensed import as_sensed, moved_later, sensor_late_s
-from uqharness.refinement.types import Flown, Point, Setup, lateness, unseen_share
+from uqharness.refinement.types import Flown, Point, Setup, late_by, unseen_share
 from uqharness.replay import ReplayModel, Segment
 from uqharness.replay.flights import segments
 
@@ -134,7 +134,7 @@ def predict(
 def acting(model: ReplayModel, setup: Setup, point: Point) -> tuple[Setup, list[float]]:
     """The setup with the commands of its segments where they act at a point, to `NEAREST` of a row, and how many rows later than
     that they do in each."""
-    late = {s.flight: point.nuisance.get(lateness(s.flight), 0.0) / s.dt_s for s in setup.segments}
+    late = {s.flight: late_by(point, s.flight) / s.dt_s for s in setup.segments}
     nearest = {flight: NEAREST * round(rows / NEAREST) for flight, rows in late.items()}
     rest = [late[s.flight] - nearest[s.flight] for s in setup.segments]
     if not any(nearest.values()):
@@ -244,7 +244,7 @@ class _Linear:
             which, y, segment = self.setup.which, s.y_ref.copy(), self.setup.segments[k]
             # Outputs are those at the reference, biases added.
             share = unseen_share(point, segment.flight)
-            y[:, which] += share * jumps_unseen(self.setup, [self.found[k]], replace(point, effects={}))[0]
+            y[:, which] += share * jumps_unseen(self.setup, [self.found[k]], replace(point, effects={}), [0.5 * share])[0]
             y[:, which] = as_sensed(y[:, which], self.setup, segment, point, rows_late(self.setup, segment, point))
             self.made[k, acting] = replace(s, y_ref=y)
         return [self.made[key] for key in asked]

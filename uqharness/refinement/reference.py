@@ -77,31 +77,34 @@ class Probe:
         m = self.mass
         return np.asarray(self.reference.qbar[:, None] * m.S * np.array([1.0, 1.0, 1.0, m.b, m.c, m.b]))
 
-    @property
-    def jump(self) -> Array:
-        """(n, 6) change of CX..Cn by what the controls jump at each row."""
+    def jumps(self, before: float = 0.5) -> Array:
+        """(n, 6, c) change of CX..Cn by what each control jumps at each row, by its slopes on the two sides of the jump, of which
+        those before weigh ``before``: thrust bends with the throttle."""
         if self.jumped is None:
-            return np.zeros((len(self.controls), 6))
-        return np.einsum("nij,nj->ni", self.by_control, self.jumped)
+            return np.zeros_like(self.by_control)
+        # Slopes are read at every so many rows: as far away as this, none of what is on a row's other side is in them.
+        rows = np.arange(len(self.controls))
+        early, late = (self.by_control[np.clip(rows + away, 0, len(rows) - 1)] for away in (-EVERY, EVERY - 1))
+        return np.asarray((before * early + (1.0 - before) * late) * self.jumped[:, None, :])
 
     def just_before(self) -> Probe:
         """The same an instant before each row, where the controls have not jumped yet."""
         if self.jumped is None:
             return self
-        k = CONTROLS.index("throttle")
+        k, jumps = CONTROLS.index("throttle"), self.jumps()
         thrust = np.zeros_like(self.other_force)
-        # Along a straight line, thrust is most of what the throttle does; its moment moves no term.
-        thrust[:, 0] = self.by_control[:, 0, k] * self.jumped[:, k] * self.scale[:, 0]
-        aero = self.jump - self.by_control[:, :, k] * self.jumped[:, [k]]
+        # Of what the throttle does, thrust along the body's axis is most; what else it does moves no term.
+        thrust[:, 0] = jumps[:, 0, k] * self.scale[:, 0]
+        aero = jumps.sum(axis=2) - jumps[:, :, k]
         return replace(
             self, controls=self.controls - self.jumped, coefficients=self.coefficients - aero,
             other_force=self.other_force - thrust, jumped=None,
         )  # fmt: skip
 
-    def felt_jump(self) -> Array:
-        """(n, 3) what the accelerometers feel of the controls' jumps [m/s2]."""
+    def felt_jump(self, before: float = 0.5) -> Array:
+        """(n, 3) what the accelerometers feel of the controls' jumps [m/s2], by `jumps`."""
         m, arm = self.mass, np.broadcast_to(self.reference.arm_m, (len(self.controls), 3))
-        load = self.jump * self.scale
+        load = self.jumps(before).sum(axis=2) * self.scale
         turn = load[:, 3:] @ np.linalg.inv(m.inertia).T
         return np.asarray(load[:, :3] / m.mass + np.cross(turn, arm))
 

@@ -112,8 +112,13 @@ class Point:
     effects: Mapping[str, float] = field(default_factory=dict)
 
 
+def late_by(point: Point, flight: str) -> float:
+    """How late [s] a flight's controls act at a point."""
+    return point.nuisance.get(lateness(flight), 0.0)
+
+
 def unseen_share(point: Point, flight: str) -> float:
-    """That share at a point."""
+    """The share of a jump that is unseen at a point."""
     return point.nuisance.get(unseen(flight), 0.0)
 
 

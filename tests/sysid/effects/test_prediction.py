@@ -228,7 +228,9 @@ def test_evidence_that_makes_columns_again_says_the_same_as_one_that_holds_them(
     steps = [system(n, k) for k in range(3)]
     z = [rng.standard_normal((n, M)) for _ in steps]
     inputs = [{name: (4, rng.standard_normal(n)) for name in names if name != "off"} for _ in steps]
-    columns = [Columns(names, some, {"off": np.ones((n, M))}, {"c2": rng.standard_normal(n)}, 0.3) for some in inputs]
+    columns = [
+        Columns(names, some, {"off": np.ones((n, M))}, {"c2": rng.standard_normal(n)}, {"c1": np.ones(n)}) for some in inputs
+    ]
     air = (0.05 * (np.arange(13) < 3), np.zeros(13))
     process = Process(np.tile(air[0], (3, 1)), np.tile(air[1], (3, 1))) if gusty else None
     asked: list[Collection[str]] = []

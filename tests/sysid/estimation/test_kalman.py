@@ -83,7 +83,9 @@ def test_columns_are_what_a_change_of_coefficients_and_of_the_channels_does(gust
     names = [f"c{k}" for k in range(150)]
     inputs = {"c3": (-1, u), "c120": (2, u[:, 2]), "c140": (4, u[:, 4]), "c149": (5, u[:, 5])}
     jump, unseen = np.where(np.arange(12) % 5 == 3, 0.7, 0.0), 0.3
-    found = carried(seen, by, names, inputs, {"c7": offset, "c149": offset}, {"c140": jump}, unseen)
+    found = carried(
+        seen, by, names, inputs, {"c7": offset, "c149": offset}, {"c140": u[:, 4] - jump}, {"c140": u[:, 4] - unseen * jump}
+    )
 
     def less(u: np.ndarray, offset: np.ndarray | float = 0.0, jump: np.ndarray | None = None) -> np.ndarray:
         state, moved = np.zeros(NX), []

@@ -117,7 +117,7 @@ def test_columns_of_what_goes_with_a_surface_know_when_it_jumps(share):
         (of,), (steps,) = fit.columns, fit.steps
         seen = Seen.of(steps, setup.measured[0], setup.which)
         by = gains(seen, noise, None)
-        found = carried(seen, by, names, of.inputs, {}, of.jumps, of.unseen).columns
+        found = carried(seen, by, names, of.inputs, {}, of.ends, of.felt).columns
         ramped = carried(seen, by, names, of.inputs, {}).columns
         for k, name in enumerate(names):
             step = 0.02 * values[name]

@@ -323,8 +323,16 @@ def test_a_jump_that_comes_later_is_lacking_from_its_row_on():
     jumped = np.zeros((N, 4))
     steady = np.repeat(np.random.default_rng(4).standard_normal((1, 6, 4)), N, axis=0)
     jumped[6, 0] = 4.0
-    found = later_controls(replace(probe, controls=u, jumped=jumped, by_control=steady))
-    np.testing.assert_allclose(found, np.einsum("ncj,nj->nc", steady, change), atol=1e-9)
-    # Without a word of the jump half of it comes a row early.
-    early = later_controls(replace(probe, controls=u, jumped=None, by_control=steady))
-    assert np.abs(early - found)[5].max() > 0.1
+    jumping = replace(probe, controls=u, jumped=jumped, by_control=steady)
+    slopes = np.einsum("ncj,nj->nc", steady, change)
+    impulse, rest = slopes[6] - slopes[5], np.tile(slopes[5], (N, 1))
+    for late_s, share in ((1e-3, 1.0), (0.0, 0.5), (-1e-3, 0.0)):
+        (_, values), ends, felt = later_controls(jumping, late_s)
+        begin, end = (values - rest)[:-1], (ends - rest)[1:]
+        # In the step after the row, or before it, its centre at the row itself; the row's accelerometers see nothing of it.
+        expected = np.zeros((N - 1, 6))
+        expected[5], expected[6] = (1.0 - share) * impulse, share * impulse
+        np.testing.assert_allclose(0.5 * (begin + end), expected, atol=1e-9)
+        np.testing.assert_allclose((begin + 2.0 * end)[6] / 6.0, 0.0, atol=1e-9)
+        np.testing.assert_allclose((2.0 * begin + end)[5] / 6.0, 0.0, atol=1e-9)
+        np.testing.assert_allclose(felt, rest, atol=1e-9)
