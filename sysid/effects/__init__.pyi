@@ -26,6 +26,7 @@ from .score import corrected_each as corrected_each
 from .score import gather as gather
 from .score import likeness as likeness
 from .score import scores as scores
+from .score import shared as shared
 from .score import solve as solve
 from .selection import Alternative as Alternative
 from .selection import Choice as Choice

@@ -156,6 +156,18 @@ def solve(G: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray((basis @ ((basis.T @ (right / scale[:, None])) / values[kept][:, None])) / scale[:, None])
 
 
+def shared(evidence: Evidence, names: Sequence[str], at: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+    """Information (n, n) of the unknowns ``names``, everything else but effects taken out, and that times their values there (n,):
+    what evidence of other flights adds to. at: values about which the columns are."""
+    G, u = evidence.everything
+    own = [n for n in evidence.names if n not in names and not n.startswith("effect/")]
+    b, c = evidence.index(names), evidence.index(own)
+    x = solve(G[np.ix_(c, c)], np.column_stack([G[np.ix_(c, b)], u[c]]))
+    information = G[np.ix_(b, b)] - G[np.ix_(b, c)] @ x[:, :-1]
+    left = u[b] - G[np.ix_(b, c)] @ x[:, -1]
+    return information, left + information @ np.array([at[n] for n in names])
+
+
 @dataclass(frozen=True)
 class Scores:
     """Of candidates c, given free columns: estimate, information g, t, gain (all (C,)), share: what of a column is its own."""

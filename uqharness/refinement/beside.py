@@ -13,9 +13,9 @@ from sysid.effects import COLOURED_P, COMPARABLE, DIFFERENT, OVERWHELMING, Choic
 from sysid.estimation import NOISE_FLOOR
 from sysid.parallel import Processes
 from uqharness.refinement.find import Found
-from uqharness.refinement.judge import Side, evidence_of, left_out, sensed_by
+from uqharness.refinement.judge import evidence_of, left_out, sensed_by
 from uqharness.refinement.showing.show import Shown, show, whiteness
-from uqharness.refinement.types import Setup
+from uqharness.refinement.types import Setup, Side
 from uqharness.simulator import Aircraft
 
 

@@ -17,9 +17,10 @@ from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.find import Found, in_one_step, with_resolution
 from uqharness.refinement.fit import merged
 from uqharness.refinement.gusts import GustFit, gust_evidence
+from uqharness.refinement.hold_out import Both, both_sides
 from uqharness.refinement.rounds import column_evidence
 from uqharness.refinement.showing.show import Shown, show, with_replays
-from uqharness.refinement.types import Setup, in_dynamics
+from uqharness.refinement.types import Setup, Side, in_dynamics
 from uqharness.simulator import Aircraft
 
 Write = Callable[[Found], Aircraft]
@@ -32,14 +33,14 @@ BEYOND_CHANCE = 1.645
 @dataclass(frozen=True)
 class Verdict:
     """Of one effect on the test flights: by how much minus twice the log likelihood is larger without it, and the standard error
-    of that. far: rms of the better model's residuals over noise, over that of the train flights; spare: by how much the train
-    flights' t^2 is above the square of the limit asked."""
+    of that. far: rms of the better model's residuals over noise, over that of the train flights; beyond: by how much t^2 of both
+    sides is above the square of the limit asked."""
 
     key: str
     change: float
     std: float
     far: float = 1.0
-    spare: float = np.inf
+    beyond: float = np.inf
 
     @property
     def z(self) -> float:
@@ -52,18 +53,8 @@ class Verdict:
         if self.far > FAR:
             return "too far"
         # Both sides' evidence together must still be what is asked of an effect.
-        against = self.change < 0.0 and self.change + self.spare < 0.0
+        against = self.change < 0.0 and self.beyond < 0.0
         return "shrank" if self.z > BEYOND_CHANCE else "grew" if against or self.z < -BEYOND_CHANCE else "cannot tell"
-
-
-@dataclass(frozen=True)
-class Side:
-    """Train or test flights: setup, surfaces with measured positions, controls passed straight through, the air or None."""
-
-    setup: Setup
-    measured: tuple[str, ...]
-    ideal: tuple[str, ...]
-    air: Gusts | None = None
 
 
 @dataclass(frozen=True)
@@ -106,6 +97,7 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
     before = flown(bare(found), test)
     standing, after = found, flown(found, test) if found.selection.chosen else before
     evidence: Evidence | None = None
+    both: Both | None = None
     verdicts: dict[str, Verdict] = {}
     gone: list[Choice] = []
     while standing.selection.chosen:
@@ -119,12 +111,17 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
             without[c.key] = less, flown(less, test)
         spare = {c.key: c.t**2 - found.limit**2 for c in standing.selection.chosen}
         now = {k: gap_change(k, shown, after, test.setup, fitted, spare[k]) for k, (_, shown) in without.items()}
+        # Two effects may undo each other: then neither alone is in the way.
+        together = gap_change("", before, after, test.setup, fitted) if len(now) > 1 else None
+        if any(v is not None and v.says == "grew" for v in (*now.values(), together)):
+            evidence = evidence_of(found, train.air) if evidence is None else evidence
+            both = both or both_sides(found, evidence, written(found)[0], test, flown(found, test), map_)
+            now = {k: surer(v, both, without[k][1], after, list(now)) for k, v in now.items()}
+            together = together and surer(together, both, before, after, list(now))
         verdicts |= now
         worst = min(now.values(), key=lambda v: v.z)
-        if worst.says != "grew" and len(now) > 1:
-            # Two effects may undo each other: then neither alone is in the way.
-            together = gap_change(worst.key, before, after, test.setup, fitted)
-            worst = together if together.says == "grew" else worst
+        if worst.says != "grew" and together is not None and together.says == "grew":
+            worst = replace(together, key=worst.key)
             verdicts[worst.key] = worst
         if worst.says != "grew":
             break
@@ -135,8 +132,17 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
     if not standing.selection.chosen:
         return Judged(standing, tuple(gone), verdicts, (train.setup, pair, pair), (test.setup, before, before), (train, test))
     settled, after = (replayed(shown, standing, side) for shown, side in ((settled, train), (after, test)))
-    sides = (train, test)
-    return Judged(standing, tuple(gone), verdicts, (train.setup, pair, settled), (test.setup, before, after), sides)
+    return Judged(standing, tuple(gone), verdicts, (train.setup, pair, settled), (test.setup, before, after), (train, test))
+
+
+def surer(verdict: Verdict, both: Both, without: Shown, after: Shown, keys: Sequence[str]) -> Verdict:
+    """The verdict with the errors of what the train flights estimated in its standard error and, of one effect, all flights' t in
+    what both sides say. keys: of the effects that ``after`` has."""
+    apart = [a - b for a, b in zip(without.white, after.white, strict=True)]
+    # The effect's own error is in both terms of the change, and to the first order in neither.
+    rest = [k for k in keys if verdict.key and k != verdict.key]
+    std = float(np.hypot(verdict.std, np.sqrt(both.variance(apart, rest))))
+    return replace(verdict, std=std, beyond=both.t(verdict.key, keys) ** 2 - both.found.limit**2 if verdict.key else np.inf)
 
 
 def flown_as(model: Found, found: Found, whole: Aircraft) -> tuple[Aircraft, dict[str, float]] | None:
@@ -192,7 +198,7 @@ def gap_change(key: str, without: Shown, with_: Shown, setup: Setup, fitted: Sho
         starts = np.arange(0, len(terms), max(1, round(BLOCK_S / segment.dt_s)))
         variance += float(np.sum(np.add.reduceat(terms, starts) ** 2))
     far = _mean_square(better) ** 0.5 / _mean_square(fitted) ** 0.5
-    return Verdict(key, change, float(np.sqrt(variance)), far, spare)
+    return Verdict(key, change, float(np.sqrt(variance)), far, change + spare)
 
 
 def _mean_square(shown: Shown) -> float:

@@ -20,7 +20,7 @@ from uqharness.parallel import worker_map
 from uqharness.refinement.beside import named_beside
 from uqharness.refinement.find import Found, estimates_of, find_effects, remark
 from uqharness.refinement.fit import positions
-from uqharness.refinement.judge import Judged, Side, bare, flown_as, judge, sensed_by
+from uqharness.refinement.judge import Judged, bare, flown_as, judge, sensed_by
 from uqharness.refinement.lone import believed
 from uqharness.refinement.rounds import write_staged
 from uqharness.refinement.setup import Bench, estimated_channels, file_hash, make_setup, refuse_shared, setup_in_gusts
@@ -40,7 +40,7 @@ from uqharness.refinement.showing.notebook import refinement_view
 from uqharness.refinement.showing.show import air_of, write_bytes_tree
 from uqharness.refinement.stages import FOLDER, Stages
 from uqharness.refinement.timing import later
-from uqharness.refinement.types import Setup
+from uqharness.refinement.types import Setup, Side
 from uqharness.refinement.unnamed import EXPLAINED, UNNAMED, offered
 from uqharness.refinement.writing.effects import Written, write_effects
 from uqharness.refinement.writing.slopes import control_slopes

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
-from sysid.effects import Effect
+from sysid.effects import Effect, Gusts
 from uqharness.replay import CONTROL_DELAY, UNSEEN, Flight, Segment
 from uqharness.simulator import Actuator, servo_number
 
@@ -120,6 +120,16 @@ def late_by(point: Point, flight: str) -> float:
 def unseen_share(point: Point, flight: str) -> float:
     """The share of a jump that is unseen at a point."""
     return point.nuisance.get(unseen(flight), 0.0)
+
+
+@dataclass(frozen=True)
+class Side:
+    """Train or test flights: setup, surfaces with measured positions, controls passed straight through, the air or None."""
+
+    setup: Setup
+    measured: tuple[str, ...]
+    ideal: tuple[str, ...]
+    air: Gusts | None = None
 
 
 @dataclass(frozen=True)

@@ -34,11 +34,11 @@ from uqharness.refinement.beside import left_in
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.find import Found
 from uqharness.refinement.fit import Fit, Linear, merged
-from uqharness.refinement.judge import Judged, Side, Write, evidence_of, gap_change, sensed_by
+from uqharness.refinement.judge import Judged, Write, evidence_of, gap_change, sensed_by
 from uqharness.refinement.rounds import column_evidence
 from uqharness.refinement.setup import Bench, confirming_segments, with_sensors_of
 from uqharness.refinement.showing.show import Shown, gap_document, show, with_replays
-from uqharness.refinement.types import Array, Setup
+from uqharness.refinement.types import Array, Setup, Side
 from uqharness.refinement.writing.tables import GRID, property_of_table, write_table
 from uqharness.simulator import Aircraft
 

@@ -59,7 +59,8 @@ def test_chance_withdraws_seldom_and_a_contradiction_does():
     # Of an effect that train flights have at |t| 4.5 of 4 asked and test flights would show at 2.4, what both say together decides:
     # the change is normal with mean 6 or -6 and standard deviation 4.9.
     for truth, share in ((True, 0.02), (False, 0.64)):
-        found = [replace(change(rng, 0.1, truth), spare=4.5**2 - 4.0**2) for _ in range(300)]
+        found = [change(rng, 0.1, truth) for _ in range(300)]
+        found = [replace(v, beyond=v.change + 4.5**2 - 4.0**2) for v in found]
         assert np.mean([v.says == "grew" for v in found]) == pytest.approx(share, abs=0.08)
     assert all(change(rng, 0.5, True).says == "shrank" for _ in range(20))
     assert all(change(rng, 0.5, False).says == "grew" for _ in range(20))
@@ -107,6 +108,8 @@ def judged(monkeypatch, harm: dict[str, float], together: float = 0.0) -> list[s
     monkeypatch.setattr(refine_judge, "show", flown)
     monkeypatch.setattr(refine_judge, "property_values", lambda *_: None)
     monkeypatch.setattr(refine_judge, "evidence_of", lambda *_: None)
+    monkeypatch.setattr(refine_judge, "both_sides", lambda *_: None)
+    monkeypatch.setattr(refine_judge, "surer", lambda verdict, *_: verdict)
     monkeypatch.setattr(refine_judge, "left_out", lambda found, _, keys: without(found, keys))
     monkeypatch.setattr(refine_judge, "bare", lambda found: without(found, list(harm)))
     side = refine_judge.Side(SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)]), (), ())  # type: ignore[arg-type]
