@@ -33,10 +33,11 @@ from sysid.parallel import Processes
 from uqharness.refinement.beside import left_in
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.find import Found
-from uqharness.refinement.fit import Fit, Linear, merged
+from uqharness.refinement.fit import Fit, merged
+from uqharness.refinement.hold_out import linearised
 from uqharness.refinement.judge import Judged, Write, evidence_of, gap_change, sensed_by
 from uqharness.refinement.rounds import column_evidence
-from uqharness.refinement.setup import Bench, confirming_segments, with_sensors_of
+from uqharness.refinement.setup import confirming_segments
 from uqharness.refinement.showing.show import Shown, gap_document, show, with_replays
 from uqharness.refinement.types import Array, Setup, Side
 from uqharness.refinement.writing.tables import GRID, property_of_table, write_table
@@ -229,12 +230,8 @@ def _flown(about: _About, fit: SmoothFit, train: Side, write: Write, map_: Proce
 
 def _beside(done: _Done, train: Side, map_: Processes) -> _About:
     """The flight with the term in it, linearised anew."""
-    found, flown, aircraft = done.round.found, done.shown.flown, done.aircraft
-    with Bench(aircraft, train.measured, train.ideal) as bench:
-        setup = replace(with_sensors_of(found.setup, aircraft), active=(), carriers={})
-        values = {n: v for n, (v, _) in found.parameters.items()}
-        point = replace(flown.point, values=values, effects={c.key: c.value for c in found.selection.chosen})
-        fit = Linear(bench.model, bench.straight, setup, found.names, map_).fit_at(replace(flown, point=point))
+    found = done.round.found
+    setup, fit = linearised(found, done.aircraft, train, found.setup, done.shown.flown, map_)
     return _About(found, fit, setup, done.round)
 
 
