@@ -53,9 +53,10 @@ def _of_segment(setup: Setup, k: int, p: Probe, flown: Flown, effects: Sequence[
     def jumps(key: str, earlier: Array) -> None:
         values = inputs[key][1]
         if not np.array_equal(values, earlier):
-            ends[key], felt[key] = earlier, values + share * (earlier - values)
+            ends[key], felt[key] = earlier, seen_of(values, earlier, share)
 
-    found, earlier = p.variables(), before.variables()
+    found = p.variables()
+    earlier = found if before is p else before.variables()
     for e in effects:
         if e.coefficient is not None:
             term = e.parsed
@@ -77,6 +78,11 @@ def _of_segment(setup: Setup, k: int, p: Probe, flown: Flown, effects: Sequence[
             outputs[e.key] = channel
     names = tuple(e.key for e in effects)
     return Columns(names, inputs, outputs, ends, felt)
+
+
+def seen_of(values: Array, earlier: Array, share: float) -> Array:
+    """Values that jump at their rows as the channels of these rows have seen them; earlier: just before; share: what is unseen."""
+    return np.asarray(values + share * (earlier - values))
 
 
 def sensor_gain(channel: str, point: Point) -> float:

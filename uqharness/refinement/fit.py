@@ -21,7 +21,7 @@ from sysid.aerodynamics.rigid_body import MassProperties
 from sysid.effects import Columns, Evidence, MadeColumns, White, gather, names_of, whiten
 from sysid.parallel import ALONE, Processes
 from uqharness.refinement.between_rows import jumped, jumps_unseen, middles
-from uqharness.refinement.candidates import effect_columns, later_controls, sensor_gain, vane_place_m, vane_slopes
+from uqharness.refinement.candidates import effect_columns, later_controls, seen_of, sensor_gain, vane_place_m, vane_slopes
 from uqharness.refinement.reference import Probe, ProbeJob, named_terms, probe_all, term_column
 from uqharness.refinement.sensed import as_sensed, late_rate, placed, sensor_late_s
 from uqharness.refinement.types import Flown, Point, Setup, in_dynamics, late_by, lateness, unseen, unseen_share
@@ -139,7 +139,8 @@ def parameter_columns(
     blind = jumps_unseen(setup, found, flown.point, [unseen_share(flown.point, s.flight) for s in setup.segments])
     for segment, p, y, active, jump in zip(setup.segments, found, flown.outputs, effects, blind, strict=True):
         before = p.just_before()
-        variables, earlier = p.variables(), before.variables()
+        variables = p.variables()
+        earlier = variables if before is p else before.variables()
         inputs: dict[str, tuple[int, Array]] = {n: v for n, v in active.inputs.items() if n in names}
         ends, felt = ({n: v for n, v in of.items() if n in names} for of in (active.ends, active.felt))
         share = unseen_share(flown.point, segment.flight)
@@ -148,7 +149,7 @@ def parameter_columns(
                 inputs[name] = term_column(name, variables) if name in analytic else (-1, p.by_property[name])
                 if before is not p and name in analytic:
                     ends[name] = term_column(name, earlier)[1]
-                    felt[name] = inputs[name][1] + share * (ends[name] - inputs[name][1])
+                    felt[name] = seen_of(inputs[name][1], ends[name], share)
         outputs: dict[str, Array] = {n: v for n, v in active.outputs.items() if n in names}
         for name in setup.nuisance:
             kind, flight, *rest = name.split("/")

@@ -96,6 +96,7 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
     fitted = flown(found, train) if found.selection.chosen else pair
     before = flown(bare(found), test)
     standing, after = found, flown(found, test) if found.selection.chosen else before
+    everything = after
     evidence: Evidence | None = None
     both: Both | None = None
     verdicts: dict[str, Verdict] = {}
@@ -115,7 +116,7 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
         together = gap_change("", before, after, test.setup, fitted) if len(now) > 1 else None
         if any(v is not None and v.says == "grew" for v in (*now.values(), together)):
             evidence = evidence_of(found, train.air) if evidence is None else evidence
-            both = both or both_sides(found, evidence, written(found)[0], test, flown(found, test), map_)
+            both = both or both_sides(found, evidence, written(found)[0], test, everything, map_)
             now = {k: surer(v, both, without[k][1], after, list(now)) for k, v in now.items()}
             together = together and surer(together, both, before, after, list(now))
         verdicts |= now

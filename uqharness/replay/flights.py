@@ -83,12 +83,13 @@ class Flight:
         for c in (*_COLUMN.values(), *_POSITION.values()):
             if c not in self.record:
                 continue
+            held = c in _COLUMN.values()
             own = self.commands[c] if self.per_row > 1 else _filled(self.record[c])
             fine = np.repeat(own, finer)[: (len(own) - 1) * finer + 1]
-            if c not in _COLUMN.values():
+            if not held:
                 fine = np.interp(np.arange(len(fine)), finer * np.arange(len(own)), own)
             between[c] = command_later(fine, np.arange(0.0, len(fine)) * step_s, late_s)
-            rows = between[c] if c not in _COLUMN.values() else mean_ahead(between[c], per_row)
+            rows = mean_ahead(between[c], per_row) if held else between[c]
             moved[c] = rows[::per_row][: len(self.record)]
         return replace(self, record=self.record.with_columns(moved), commands=between if per_row > 1 else {}, per_row=per_row)
 
