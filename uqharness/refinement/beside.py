@@ -6,7 +6,7 @@ is strong, or nearly as strong as the strongest. Train flights alone decide.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from sysid.effects import COLOURED_P, COMPARABLE, DIFFERENT, OVERWHELMING, Choice
@@ -45,13 +45,16 @@ def too_weak(chosen: Sequence[Choice], limit: float) -> tuple[Choice, ...]:
     return tuple(c for c in chosen if not abs(c.t) >= asked)
 
 
-def named_beside(found: Found, train: Side, write: Callable[[Found], Aircraft], map_: Processes) -> Found:
+def named_beside(
+    found: Found, train: Side, written: Callable[[], tuple[Aircraft, Mapping[str, float]]], map_: Processes
+) -> Found:  # fmt: skip
     """The same, everything estimated again without what is too weak, if the model with all of it leaves the train flights
-    unexplained."""
+    unexplained. written: the aircraft with all of it, and properties that have other values."""
     weak = too_weak(found.selection.chosen, found.limit)
     if not weak:
         return found
-    shown = show(write(found), train.setup, train.measured, train.ideal, map_, sensed_by(found), train.air)
+    aircraft, values = written()
+    shown = show(aircraft, train.setup, train.measured, train.ideal, map_, sensed_by(found), train.air, values)
     if not left_in(train.setup, shown, found.gusty):
         return found
     rest = left_out(found, evidence_of(found, train.air), [c.key for c in weak])

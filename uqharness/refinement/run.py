@@ -143,10 +143,13 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
             ),
         )
         train, test = train.later(chosen.late_s), test.later(chosen.late_s)
-        chosen = stages("named", Found, lambda: _named(request, chosen, train, work, map_))
+        whole = _whole(request, chosen, work / "chosen")
+        named = stages("named", Found, lambda: _named(request, chosen, whole, train, work, map_))
+        if named.selection.chosen != chosen.selection.chosen:
+            whole = _whole(request, named, work / "named")
+        chosen = named
         say("flying the test flights with both models")
         shown = Stages(request.out / FOLDER, [*identity, *test.hashes])
-        whole = _whole(request, chosen, work / "whole")
         judged = shown("judged", Judged, lambda: _judged(request, chosen, whole, train, test, work, map_))
         say("writing the aircraft")
         target = _put(_write(request, judged.found, work / "refined"), aircraft, request.out)
@@ -201,9 +204,11 @@ def _side(request: Request, chosen: Found, flights: _Flights) -> Side:
     return Side(setup, flights.measured, flights.ideal, chosen.gusts)
 
 
-def _named(request: Request, chosen: Found, train: _Flights, work: Path, map_: Processes) -> Found:
-    side = _side(request, chosen, train)
-    return named_beside(chosen, side, lambda found: _write(request, found, work / "all"), map_)
+def _named(request: Request, chosen: Found, whole: Aircraft, train: _Flights, work: Path, map_: Processes) -> Found:
+    def written() -> tuple[Aircraft, Mapping[str, float]]:
+        return flown_as(chosen, chosen, whole) or (_write(request, chosen, work / "all"), {})
+
+    return named_beside(chosen, _side(request, chosen, train), written, map_)
 
 
 def _whole(request: Request, chosen: Found, folder: Path) -> Aircraft:

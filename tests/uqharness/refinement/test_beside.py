@@ -94,7 +94,7 @@ def flown(monkeypatch):
     def asked(found, residual):
         side = SimpleNamespace(setup=SETUP, measured=(), ideal=(), air=None)
         monkeypatch.setattr(refine_beside, "show", lambda aircraft, *_: models.append(aircraft) or shown(residual))
-        return named_beside(found, side, lambda f: f.selection.chosen, map)
+        return named_beside(found, side, lambda: (found.selection.chosen, {}), map)
 
     def left_out(found, evidence, keys):
         kept = tuple(replace(c, t=1.1 * c.t) for c in found.selection.chosen if c.key not in keys)
