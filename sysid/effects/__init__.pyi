@@ -55,7 +55,6 @@ from .tuned import EARNED as EARNED
 from .tuned import FAR as FAR
 from .tuned import GUST_LIMIT as GUST_LIMIT
 from .tuned import GUST_ODDS as GUST_ODDS
-from .tuned import LEAST_LATE_ROWS as LEAST_LATE_ROWS
 from .tuned import OVERWHELMING as OVERWHELMING
 from .tuned import RATES_IN_GUSTS as RATES_IN_GUSTS
 from .tuned import RESOLVED_ROWS as RESOLVED_ROWS

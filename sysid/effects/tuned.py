@@ -48,13 +48,12 @@ of five such cases (docs/hidden-effects.md)."""
 AIR_SHARE = 0.03
 """Share of turbulence's gain that comes of V, alpha and beta where it is air. In light Dryden turbulence it is a fifth; where a
 moment that the model lacks acts now and then, nothing."""
-LEAST_LATE_ROWS = 0.15
-"""A delay or lag below this share of a row is within what a replay resolves, and is no effect."""
+RESOLVED_ROWS = 0.01
+"""Standard error, in rows, that a time has besides its own: a servo's lag by Tustin's rule at 10 ms is off by as much. Lags and
+delays that are not there come to .003 to .02 rows."""
 UNKNOWN_ROWS = 0.5
-"""The same in an autopilot's log, which does not say when within a row a command changed; a simulator's flights act as much
-early."""
-RESOLVED_ROWS = 0.03
-"""Standard error, in rows, of a time told by replay: a servo's lag by Tustin's rule at 10 ms is off by as much."""
+"""A delay or lag below this share of a row is no effect in an autopilot's log, which does not say when within a row a command
+changed; a simulator's flights act as much early."""
 COLOURED_P = 1e-7
 """Chance below which residuals in calm air are called coloured: so small that only what is seen on a plot passes."""
 FAR = 5.0

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from sysid.effects import COLOURED_P, COMPARABLE, DIFFERENT, OVERWHELMING, Choice
 from sysid.estimation import NOISE_FLOOR
 from sysid.parallel import Processes
+from uqharness.refinement.curves import bent
 from uqharness.refinement.find import Found
 from uqharness.refinement.judge import evidence_of, left_out, sensed_by
 from uqharness.refinement.showing.show import Shown, show, whiteness
@@ -49,14 +50,25 @@ def named_beside(
     found: Found, train: Side, written: Callable[[], tuple[Aircraft, Mapping[str, float]]], map_: Processes
 ) -> Found:  # fmt: skip
     """The same, everything estimated again without what is too weak, if the model with all of it leaves the train flights
-    unexplained. written: the aircraft with all of it, and properties that have other values."""
-    weak = too_weak(found.selection.chosen, found.limit)
-    if not weak:
-        return found
-    aircraft, values = written()
-    shown = show(aircraft, train.setup, train.measured, train.ideal, map_, sensed_by(found), train.air, values)
-    if not left_in(train.setup, shown, found.gusty):
-        return found
+    unexplained: by what is left of them, or by a curve that the forms chosen are not (`curves.bent`), beside which the others are
+    judged. written: the aircraft with all of it, and properties that have other values."""
+    chosen, curve = found.selection.chosen, bent(found)
+    if curve is None:
+        weak = too_weak(chosen, found.limit)
+        if not weak:
+            return found
+        aircraft, values = written()
+        shown = show(aircraft, train.setup, train.measured, train.ideal, map_, sensed_by(found), train.air, values)
+        if not left_in(train.setup, shown, found.gusty):
+            return found
+    else:
+        form, others = curve
+        found = replace(found, bent=form)
+        part = [c for c in chosen if c.key in form.instead]
+        asked = {c.key for c in too_weak([*part, *others], found.limit)}
+        weak = tuple(c for c in chosen if c.key in asked)
+        if not weak:
+            return found
     rest = left_out(found, evidence_of(found, train.air), [c.key for c in weak])
     lines = [f"too weak beside what is unexplained: - {c.key} t {c.t:.1f}" for c in weak]
     return replace(rest, unnamed=weak, trail=(*found.trail, *lines))

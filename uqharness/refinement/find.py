@@ -21,7 +21,6 @@ from sysid.effects import (
     DIFFERENT,
     GUST_LIMIT,
     GUST_ODDS,
-    LEAST_LATE_ROWS,
     OVERWHELMING,
     RATES_IN_GUSTS,
     RESOLVED_ROWS,
@@ -62,8 +61,8 @@ from uqharness.refinement.setup import (
     turbulent,
 )
 from uqharness.refinement.stages import Stages
-from uqharness.refinement.timing import CONTROLS_LATE, MOST_CORRECTIONS, controls_late, later, words
-from uqharness.refinement.types import Setup, lateness
+from uqharness.refinement.timing import CONTROLS_LATE, LEAST_LATE_ROWS, MOST_CORRECTIONS, controls_late, later, words
+from uqharness.refinement.types import Bent, Setup, lateness
 from uqharness.refinement.writing.slopes import of_lift_slope
 from uqharness.simulator import Aircraft
 
@@ -86,6 +85,7 @@ class Found:
     slopes          numbers that effects of stall and propulsion are written with
     flown           key -> value that an effect has in ``after``
     unnamed         effects that were chosen and are too weak to be named beside something unexplained
+    bent            the curve that a chosen effect's state asks for, whose form none of the chosen has
     left            candidates that are not chosen and whose |t| beside the chosen is above CERTAIN_T: (key, t), the strongest first
     """
 
@@ -106,6 +106,7 @@ class Found:
     slopes: Mapping[str, float] = field(default_factory=dict)
     flown: Mapping[str, float] = field(default_factory=dict)
     unnamed: tuple[Choice, ...] = ()
+    bent: Bent | None = None
     left: tuple[tuple[str, float], ...] = ()
 
     @property

@@ -11,7 +11,6 @@ import numpy as np
 
 from sysid.effects import (
     EARNED,
-    LEAST_LATE_ROWS,
     OVERWHELMING,
     STANDS,
     TWINS,
@@ -35,6 +34,7 @@ from uqharness.refinement.rates import felt
 from uqharness.refinement.rivals import at_values, companion, far_off, read_once_first, rival, without_weak
 from uqharness.refinement.round import Round, Start
 from uqharness.refinement.setup import Bench, with_sensors_of
+from uqharness.refinement.timing import LEAST_LATE_ROWS
 from uqharness.refinement.types import Point, Setup, in_dynamics
 from uqharness.refinement.writing.effects import Written, carrier, write_effects
 from uqharness.refinement.writing.slopes import control_slopes

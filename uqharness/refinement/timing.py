@@ -11,13 +11,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.effects import DIFFERENT, Effect, Evidence, agreement, corrected, scores, solve
+from sysid.effects import DIFFERENT, RESOLVED_ROWS, Effect, Evidence, agreement, corrected, scores, solve
 from uqharness.replay import Flight
 
 CONTROLS_LATE = Effect(
     None, "record", "delay", "controls recorded early or late", "all commands act one time later than the record says", unit="s"
 )  # fmt: skip
 MOST_CORRECTIONS = 4
+LEAST_LATE_ROWS = DIFFERENT * RESOLVED_ROWS
+"""A time below this share of a row is within what a replay resolves."""
 
 
 def controls_late(

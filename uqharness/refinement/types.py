@@ -141,3 +141,16 @@ class Flown:
     x: list[Array]
     height: list[Array]
     cost: float
+
+
+@dataclass(frozen=True)
+class Bent:
+    """A curve that the forms chosen are not: coefficient and states, name in words, what it gains in twice the log likelihood
+    beside all that was chosen, and with what probability chance gives as much; instead: keys of the effects that it can be."""
+
+    coefficient: str
+    states: tuple[str, ...]
+    name: str
+    gain: float
+    p: float
+    instead: tuple[str, ...]

@@ -6,49 +6,35 @@ aircraft and flown on both sides as an effect is. It names nothing and changes n
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.effects import (
-    Columns,
-    Effect,
-    Evidence,
-    MadeColumns,
-    Smooth,
     SmoothFit,
-    colour_dispersion,
-    corrected_each,
-    fit_smooth,
     forms_like,
     held_out_gain,
     known_forms,
-    smooth_term,
 )
 from sysid.estimation import rms
 from sysid.parallel import Processes
 from uqharness.refinement.beside import left_in
-from uqharness.refinement.candidates import effect_columns
-from uqharness.refinement.find import Found
-from uqharness.refinement.fit import Fit, merged
+from uqharness.refinement.curves import STATES, About, Estimated, Inputs
 from uqharness.refinement.hold_out import linearised
-from uqharness.refinement.judge import Judged, Write, evidence_of, gap_change, sensed_by
-from uqharness.refinement.rounds import column_evidence
+from uqharness.refinement.judge import Judged, Write, gap_change, sensed_by
 from uqharness.refinement.setup import confirming_segments
 from uqharness.refinement.showing.show import Shown, gap_document, show, with_replays
-from uqharness.refinement.types import Array, Setup, Side
+from uqharness.refinement.types import Array, Side
 from uqharness.refinement.writing.tables import GRID, property_of_table, write_table
 from uqharness.simulator import Aircraft
 
 Z95 = 1.959963984540054
-STATES = ("alpha", "beta", "p_hat", "q_hat", "r_hat", "de", "da", "dr", "CT", "V_rel")
 UNNAMED = "unnamed"
 """Folder of the aircraft with the term, beside the refined one."""
 EXPLAINED = "the catalogue leaves nothing that asks for one"
-Inputs = dict[str, tuple[int, Array]]
 
 
 @dataclass(frozen=True)
@@ -66,7 +52,7 @@ def offered(judged: Judged, write: Write, map_: Processes) -> Offer | str:
     write: a model as an aircraft in a folder of its own
     """
     train, test = judged.sides
-    about = _About(judged.found, judged.found.after)
+    about = About(judged.found, judged.found.after)
     fits = [f for c in COEFFICIENTS for f in about.fits(about.terms(c))]
     best = max(fits, key=lambda f: f.merit, default=None)
     if best is None:
@@ -112,106 +98,18 @@ def offered(judged: Judged, write: Write, map_: Processes) -> Offer | str:
 
 
 @dataclass(frozen=True)
-class _Round:
-    """A term estimated about a flight; found: everything else as it is beside the term; instead: keys of the effects in whose place
-    it stands."""
-
-    found: Found
-    fit: SmoothFit
-    instead: tuple[str, ...]
-
-
-class _About:
-    """A flight about which terms are estimated, that of ``found`` or, with its setup, another; before: the term in that flight."""
-
-    def __init__(self, found: Found, fit: Fit, setup: Setup | None = None, before: _Round | None = None) -> None:
-        self.found, self.fit, self.setup, self.before = found, fit, setup, before
-        self.along = [p.variables() for p in fit.probes]
-        self.every = {n: np.concatenate([v[n] for v in self.along]) for n in STATES}
-
-    def evidence(self, make: Callable[[Mapping[str, Array]], Inputs]) -> tuple[Evidence, list[str]]:
-        """Of everything and more columns, made from a segment's variables; and the names that are free beside those."""
-        names = tuple(make(self.along[0]))
-        more = MadeColumns(names, lambda k, _: Columns(names, make(self.along[k]), {}), len(self.along))
-        chosen = {c.key: c.value for c in self.found.selection.chosen}
-        if self.setup is None:
-            evidence = evidence_of(self.found, self.found.gusts, (), more)
-        else:
-            effects = effect_columns(self.setup, self.fit.probes, self.fit.flown, [self.found.effects[k] for k in chosen])
-            flown = {} if self.before is None else self.before.fit.flown
-            evidence = column_evidence(self.setup, self.fit, merged(effects, more)).taken_out({**chosen, **flown})
-        apart = {*self.found.effects, *names}
-        return evidence, [*(n for n in evidence.names if n not in apart), *chosen]
-
-    def fits(self, terms: Sequence[Smooth]) -> list[SmoothFit]:
-        """Each of the terms alone."""
-        return fit_smooth(*self.evidence(lambda v: _inputs(terms, v)), terms) if terms else []
-
-    def terms(self, coefficient: str, times: str | None = None) -> list[Smooth]:
-        """Of every state that varies."""
-        made = (smooth_term(coefficient, s, times, self.every) for s in STATES if s != times)
-        return [t for t in made if t is not None]
-
-    def estimated(self, term: Smooth) -> _Round:
-        """The term, smoothed with what coloured residuals leave of the information, and everything else beside it.
-
-        Effects that are functions of the same states in the same coefficient are in the curve: beside it they would tell nothing.
-        """
-        given = [c.key for c in self.found.selection.chosen if _is_in(self.found.effects[c.key], term)]
-        instead = (*given, *(self.before.instead if self.before else ()))
-        evidence, free = self.evidence(term.inputs)
-        free = [n for n in free if n not in instead]
-        (fit,) = fit_smooth(evidence, free, [term])
-        (fit,) = fit_smooth(
-            evidence, free, [term], colour_dispersion(evidence, free, fit, _left(_smoothed(evidence, fit), free, fit))
-        )
-        chosen = [c for c in self.found.selection.chosen if c.key not in instead]
-        found = corrected_each(_smoothed(evidence, fit), [*free, *fit.own], [*self.found.names, *(c.key for c in chosen)])
-        at = self.fit.flown.point.values
-        moved = tuple(replace(c, value=found[c.key][0], std=found[c.key][1]) for c in chosen)
-        parameters = {n: (at[n] + found[n][0], found[n][1]) for n in self.found.names}
-        selection = replace(self.found.selection, chosen=moved)
-        return _Round(replace(self.found, parameters=parameters, selection=selection), fit, instead)
-
-
-def _is_in(effect: Effect, term: Smooth) -> bool:
-    """Whether a curve of the term's states can be what the effect is."""
-    parsed = effect.parsed
-    if parsed is None or effect.coefficient != term.coefficient:
-        return False
-    times = [f.text for f in parsed.factors if f.variable == term.times]
-    return times == [term.times] * (term.times is not None) and {*parsed.variables} <= {term.state, term.times}
-
-
-@dataclass(frozen=True)
 class _Done:
     """A term as it flies: as it was found, about which flight it was estimated, the aircraft with it and with everything as it is
     beside it, and the train flights of that."""
 
     searched: SmoothFit
-    about: _About
-    round: _Round
+    about: About
+    round: Estimated
     aircraft: Aircraft
     shown: Shown
 
 
-def _inputs(terms: Sequence[Smooth], found: Mapping[str, Array]) -> Inputs:
-    return {n: row for t in terms for n, row in t.inputs(found).items()}
-
-
-def _smoothed(evidence: Evidence, fit: SmoothFit) -> Evidence:
-    """The evidence with the smoothing as what is known of the term's columns beforehand."""
-    prior = evidence.prior.copy()
-    prior[evidence.index(fit.term.columns)] += fit.dispersion * fit.precision
-    return replace(evidence, prior=prior)
-
-
-def _left(evidence: Evidence, free: Sequence[str], fit: SmoothFit) -> list[Array]:
-    """[(n, m)] whitened residuals with the free columns and the term fitted."""
-    return evidence.residual(evidence.fitted(evidence.index([*free, *fit.own])))
-
-
-def _settled(about: _About, fit: SmoothFit, train: Side, write: Write, map_: Processes) -> _Done:
+def _settled(about: About, fit: SmoothFit, train: Side, write: Write, map_: Processes) -> _Done:
     """A term flown, and estimated once more about the flight with it, which is nearer to what was measured."""
     done = _flown(about, fit, train, write, map_)
     if about.found.gusty or not np.isfinite(done.shown.cost):
@@ -220,7 +118,7 @@ def _settled(about: _About, fit: SmoothFit, train: Side, write: Write, map_: Pro
     return again if again.shown.cost < done.shown.cost else done
 
 
-def _flown(about: _About, fit: SmoothFit, train: Side, write: Write, map_: Processes) -> _Done:
+def _flown(about: About, fit: SmoothFit, train: Side, write: Write, map_: Processes) -> _Done:
     round_ = about.estimated(fit.term)
     aircraft = write(round_.found)
     write_table(aircraft, round_.fit)
@@ -228,14 +126,14 @@ def _flown(about: _About, fit: SmoothFit, train: Side, write: Write, map_: Proce
     return _Done(fit, about, round_, aircraft, shown)
 
 
-def _beside(done: _Done, train: Side, map_: Processes) -> _About:
+def _beside(done: _Done, train: Side, map_: Processes) -> About:
     """The flight with the term in it, linearised anew."""
     found = done.round.found
     setup, fit = linearised(found, done.aircraft, train, found.setup, done.shown.flown, map_)
-    return _About(found, fit, setup, done.round)
+    return About(found, fit, setup, done.round)
 
 
-def _term(round_: _Round) -> dict[str, Any]:
+def _term(round_: Estimated) -> dict[str, Any]:
     """The term by itself."""
     fit, term = round_.fit, round_.fit.term
     return {

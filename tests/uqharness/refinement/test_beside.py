@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 from sysid.effects.selection import Choice, Selection
 from uqharness.refinement import beside as refine_beside
 from uqharness.refinement.beside import Left, left_in, named_beside, too_weak
+from uqharness.refinement.types import Bent
 
 LIMIT = 4.0
 
@@ -84,6 +85,7 @@ class Found:
     gusty: bool = False
     trail: tuple[str, ...] = ("first",)
     unnamed: tuple[Choice, ...] = ()
+    bent: Bent | None = None
 
 
 @pytest.fixture
@@ -100,6 +102,7 @@ def flown(monkeypatch):
         kept = tuple(replace(c, t=1.1 * c.t) for c in found.selection.chosen if c.key not in keys)
         return replace(found, selection=replace(found.selection, chosen=kept))
 
+    monkeypatch.setattr(refine_beside, "bent", lambda found: None)
     monkeypatch.setattr(refine_beside, "left_out", left_out)
     monkeypatch.setattr(refine_beside, "evidence_of", lambda found, air: None)
     monkeypatch.setattr(refine_beside, "sensed_by", lambda found: {})
@@ -118,6 +121,28 @@ def test_weak_ones_go_where_flights_stay_unexplained(flown):
         "too weak beside what is unexplained: - c t -7.1",
     )
     assert models == [found.selection.chosen]
+
+
+FORM = Bent("CY", ("p_hat",), "smooth term of roll rate in side force", 1258.0, 1e-200, ("a", "b"))
+
+
+@pytest.mark.parametrize(
+    ("beside", "unnamed"),
+    [
+        # Half the strongest is asked, at most 15: of those that the curve can be, as they are; of others, beside the curve.
+        ({"c": 8.2, "d": 3.7}, ["b", "c", "d"]),
+        ({"c": 15.5, "d": -13.0}, ["b", "d"]),
+        ({"c": 20.0, "d": -15.5}, ["b"]),
+    ],
+)
+def test_beside_a_curve_others_are_as_strong_as_it_leaves_them(flown, monkeypatch, beside, unnamed):
+    ask, models = flown
+    monkeypatch.setattr(refine_beside, "bent", lambda found: (FORM, chosen(**beside)))
+    got = ask(Found(Selection(chosen(a=-30.0, b=4.5, c=22.0, d=16.0))), white())
+    assert [c.key for c in got.unnamed] == unnamed
+    assert {c.key for c in got.selection.chosen} == {"a", "b", "c", "d"} - {*unnamed}
+    assert got.bent is FORM
+    assert models == []
 
 
 def test_they_stay_where_nothing_is_left(flown):

@@ -20,7 +20,8 @@ from uqharness.batch.lanes.fly import fly_many
 from uqharness.cli.main import main
 from uqharness.flight.spec import FlightSpec
 from uqharness.refinement import run
-from uqharness.refinement.unnamed import EXPLAINED, STATES, _is_in
+from uqharness.refinement.curves import STATES, is_in
+from uqharness.refinement.unnamed import EXPLAINED
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.simulator.mission import find_script
 
@@ -61,6 +62,15 @@ def test_the_term_is_offered_and_changes_no_verdict(bumped):
     assert 3.0 < smooth["effective_degrees_of_freedom"] < 12.0
     assert smooth["shapes"][0]["form"].startswith("hump at 0.03") or smooth["shapes"][0]["form"].startswith("hump at 0.02")
     assert not any("uq/unnamed" in json.dumps(e) for e in (*found["effects"], *found["switch"]))
+
+
+def test_the_effect_named_is_told_not_to_have_the_form(bumped):
+    found, smooth = remaining(bumped)
+    (form,) = [w for w in found["remaining"]["where"] if w.get("p") is not None]
+    assert (form["coefficient"], form["depends_on"]) == ("Cm", [{"state": "alpha"}])
+    assert form["p"] < 1e-6 and form["twice_log_likelihood"] > 30.0
+    assert form["words"].startswith("what is missing in Cm does not have the form of pitching moment due to angle of attack cubed")
+    assert f"a {smooth['name']} gains" in form["words"]
 
 
 def test_its_band_holds_the_hidden_form(bumped):
@@ -155,4 +165,4 @@ def test_a_kink_is_drawn_where_powers_were_named_and_a_product_where_one_state_i
 )  # fmt: skip
 def test_an_effect_is_part_of_the_curve_where_the_curve_can_be_it(coefficient, term, times, same):
     found = {s: np.linspace(0.0, 1.0, 50) for s in STATES}
-    assert _is_in(coefficient_effect(coefficient, term), smooth_term("Cm", "alpha", times, found)) is same
+    assert is_in(coefficient_effect(coefficient, term), smooth_term("Cm", "alpha", times, found)) is same

@@ -28,8 +28,8 @@ from uqharness.refinement.judge import Judged, Verdict
 from uqharness.refinement.rates import is_fastest
 from uqharness.refinement.showing.remains import NOTHING, nowhere, place_of
 from uqharness.refinement.showing.show import Shown, gap_document, state_ranges
-from uqharness.refinement.showing.words import contradicted, separating_manoeuvre, still_asked, unnamed, why
-from uqharness.refinement.types import Setup
+from uqharness.refinement.showing.words import another_form, contradicted, separating_manoeuvre, still_asked, unnamed, why
+from uqharness.refinement.types import Bent, Setup
 from uqharness.refinement.writing.effects import switch_of
 from uqharness.replay import Segment
 from uqharness.simulator import Actuator, Aircraft
@@ -118,11 +118,12 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
     # What the train flights ask for and the test flights speak against is a disagreement without a name, unless chance asked.
     asked = [c for c in judged.withdrawn if abs(c.t) > chosen.limit + DIFFERENT]
     remaining["where"] += [_contradicted(chosen.effects[c.key], c) for c in asked]
+    remaining["where"] += [] if chosen.bent is None else [_bent(chosen.bent, [chosen.effects[k] for k in chosen.bent.instead])]
     remaining["where"] += [_unnamed(chosen.effects[c.key], c) for c in chosen.unnamed]
     told = {c.key for c in (*asked, *chosen.unnamed, *chosen.selection.chosen)}
     more = [(key, t) for key, t in chosen.left if key not in told]
     remaining["where"] += [_still_asked(chosen.effects[key], t, k) for k, (key, t) in enumerate(more)]
-    remaining["unexplained"] |= (bool(asked) and not effects) or bool(more)
+    remaining["unexplained"] |= (bool(asked) and not effects) or bool(more) or chosen.bent is not None
     remaining["place"] = _place(chosen, judged, remaining, [key for key, _ in more], controls)
     verdict = "unexplained" if remaining["unexplained"] else "effects-found" if effects else "no-missing-effect"
     refused = found.selection.refused
@@ -173,6 +174,14 @@ def _place(
 
 def _contradicted(effect: Effect, choice: Choice) -> dict[str, Any]:
     return {**_label(effect), "t": choice.t, "words": contradicted(effect, choice)}
+
+
+def _bent(form: Bent, instead: Sequence[Effect]) -> dict[str, Any]:
+    depends = [{"state": s} for s in form.states]
+    return {
+        "coefficient": form.coefficient, "depends_on": depends, "twice_log_likelihood": form.gain, "p": form.p,
+        "words": another_form(form, instead),
+    }  # fmt: skip
 
 
 def _unnamed(effect: Effect, choice: Choice) -> dict[str, Any]:

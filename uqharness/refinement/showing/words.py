@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sysid.effects import Choice, Effect
+from uqharness.refinement.types import Bent
 from uqharness.replay import shown_channel
 
 _EXCITES = {
@@ -141,6 +142,15 @@ def unnamed(effect: Effect, choice: Choice) -> str:
     return (
         f"{effect.name} would explain a part of it (|t| {abs(choice.t):.1f}), too little to be named beside something that nothing "
         "explains"
+    )
+
+
+def another_form(form: Bent, instead: Sequence[Effect]) -> str:
+    """What is said where a curve in an effect's own states shows that the effect has not the form of what is missing."""
+    names = " and ".join(e.name for e in instead)
+    return (
+        f"what is missing in {form.coefficient} does not have the form of {names}: beside {'them' if len(instead) > 1 else 'it'} a "
+        f"{form.name} gains {form.gain:.0f} in twice the log likelihood"
     )
 
 
