@@ -68,7 +68,8 @@ def test_the_effect_named_is_told_not_to_have_the_form(bumped):
     found, smooth = remaining(bumped)
     (form,) = [w for w in found["remaining"]["where"] if w.get("p") is not None]
     assert (form["coefficient"], form["depends_on"]) == ("Cm", [{"state": "alpha"}])
-    assert form["p"] < 1e-6 and form["twice_log_likelihood"] > 30.0
+    assert form["p"] < 1e-6
+    assert form["twice_log_likelihood"] > 30.0
     assert form["words"].startswith("what is missing in Cm does not have the form of pitching moment due to angle of attack cubed")
     assert f"a {smooth['name']} gains" in form["words"]
 

@@ -83,22 +83,25 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
 
 
 _VERDICTS = {
-    "effects-found": ("Effects were found, and the gap on the hold-out flights shrank", "good"),
     "no-missing-effect": ("Nothing is missing beyond what the sensors' noise hides", "good"),
     "unexplained": ("Something is missing that no effect of the catalogue explains", "bad"),
 }
+_SHRANK = ("Effects were found, and the gap on the hold-out flights shrank", "good")
+_UNTOLD = ("Effects were found; the hold-out flights do not tell whether the gap shrank", "warn")
 _UNEXPLAINED_BESIDE = "Effects were found, and something beside them is left that no effect of the catalogue explains"
 
 
 def _verdict(done: Mapping[str, Any]) -> tuple[Say, ...]:
-    text, level = _VERDICTS.get(done["verdict"], (done["verdict"], "warn"))
+    held = [(e.get("test") or {}).get("gap") == "shrank" for e in done["effects"]]
+    found = {"effects-found": _SHRANK if any(held) else _UNTOLD}
+    text, level = {**_VERDICTS, **found}.get(done["verdict"], (done["verdict"], "warn"))
     if done["verdict"] == "unexplained" and done["effects"]:
         text = _UNEXPLAINED_BESIDE
     said = [Say(f"{text} ({done['verdict']}).", level)]
-    for e in done["effects"]:
+    for e, tested_and_held in zip(done["effects"], held, strict=True):
         t = shown(abs(e["evidence"]["t"]), ".1f") if e.get("evidence", {}).get("t") is not None else "undefined"
         tested = f"; {test_says(e)}" if e.get("test") else ""
-        said.append(Say(f"{headline(e)} ({carried_by(e)}), |t| {t}{tested}.", "good"))
+        said.append(Say(f"{headline(e)} ({carried_by(e)}), |t| {t}{tested}.", "good" if tested_and_held else "warn"))
     for e in done.get("withdrawn", ()):
         said.append(Say(f"Withdrawn: {headline(e)}; {test_says(e)}.", "warn"))
     for e in done["effects"]:

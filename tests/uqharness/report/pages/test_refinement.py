@@ -34,7 +34,7 @@ def test_a_refinement(refined):
 @pytest.mark.parametrize(
     ("verdict", "level", "text"),
     [
-        ("effects-found", "good", "Effects were found"), ("no-missing-effect", "good", "Nothing is missing"),
+        ("no-missing-effect", "good", "Nothing is missing"),
         ("unexplained", "bad", "Something is missing that no effect of the catalogue explains"),
     ],
 )  # fmt: skip
@@ -45,6 +45,23 @@ def test_verdicts_of_a_refinement(tmp_path, verdict, level, text):
     first = html.document_fromstring(page).find(".//section[@class='verdict']//li")
     assert first.get("class") == level
     assert text in first.text_content()
+
+
+@pytest.mark.parametrize(
+    ("gaps", "levels", "text"),
+    [
+        (("shrank",), ("good", "good"), "Effects were found, and the gap on the hold-out flights shrank"),
+        (("shrank", "cannot tell"), ("good", "good", "warn"), "Effects were found, and the gap on the hold-out flights shrank"),
+        (("cannot tell",), ("warn", "warn"), "Effects were found; the hold-out flights do not tell whether the gap shrank"),
+    ],
+)
+def test_what_is_said_of_the_gap_is_what_the_hold_out_flights_said_of_the_effects(tmp_path, gaps, levels, text):
+    row = {"change_of_twice_log_likelihood": 12.0, "std": 9.0, "rms_over_that_of_train": 1.0}
+    effects = [refinement()["effects"][0] | {"withdrawn": False, "test": row | {"gap": gap}} for gap in gaps]
+    page = page_of(written(tmp_path / "refined", "refinement.json", refinement(verdict="effects-found", effects=effects)))
+    said = html.document_fromstring(page).findall(".//section[@class='verdict']//li")
+    assert text in said[0].text_content()
+    assert tuple(line.get("class") for line in said[: len(levels)]) == levels
 
 
 def test_effects_with_something_left_beside_them_are_said_together(tmp_path):
