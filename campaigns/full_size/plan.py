@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from campaigns.full_size.sketch import RESOLUTION
+from uqharness.campaign.aircraft import make_copy, needs_copy
 from uqharness.campaign.cases import Case, Mission, Part, build_cases
 from uqharness.campaign.conditions import Condition
 from uqharness.campaign.folder.digests import digest_of_rows
@@ -17,6 +18,9 @@ from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.campaign.spec.read import read_campaign, with_samples
 from uqharness.campaign.spec.samples import epistemic_samples
 from uqharness.errors import BadInputError
+
+COPY = "copy"
+"""Folder of what flies where the campaign's own aircraft gets bounds; it is made again where it is missing."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +59,14 @@ class Plan:
 
     @classmethod
     def read(cls, campaign: Path, airs: int, samples: int = 0, resolution: float = RESOLUTION) -> Plan:
-        """The plan of a campaign file, in the batch engine. Raises BadInputError."""
-        spec = read_campaign(campaign).with_engine("batch")
-        return cls(spec, find_mission(spec), airs, samples, resolution=resolution)
+        """The plan of a campaign file, in the batch engine; an aircraft with bounds from a model form is copied to COPY beside the
+        file. Raises BadInputError."""
+        spec, folder = read_campaign(campaign).with_engine("batch"), campaign.parent / COPY
+        mission = find_mission(spec, folder)
+        if needs_copy(spec):
+            folder.mkdir(exist_ok=True)
+            make_copy(spec, mission, folder)
+        return cls(spec, mission, airs, samples, resolution=resolution)
 
     @property
     def conditions(self) -> list[Condition]:

@@ -245,12 +245,40 @@ class _Linear:
             # Outputs are those at the reference, biases added.
             share = unseen_share(point, segment.flight)
             y[:, which] += share * jumps_unseen(self.setup, [self.found[k]], replace(point, effects={}), [0.5 * share])[0]
-            y[:, which] = as_sensed(y[:, which], self.setup, segment, point, rows_late(self.setup, segment, point))
-            self.made[k, acting] = replace(s, y_ref=y)
+            rows = rows_late(self.setup, segment, point)
+            part = [sensor_late_s(c, segment, point) / segment.dt_s - rows[c] for c in self.setup.outputs]
+            along = self._along(self.found[k], s, y[:, which], acting) if any(part) else None
+            y[:, which] = as_sensed(y[:, which], self.setup, segment, point, rows, along=along)
+            self.made[k, acting] = replace(s, y_ref=y, H=between_rows(s, which, part))
         return [self.made[key] for key in asked]
+
+    def _along(self, p: Probe, steps: Steps, y: Array, acting: GustStates) -> Array:
+        """(n, m) how far outputs ``y`` (n, m) of the reference go in a row, as the model moves its states and as controls move what
+        is not made of these. The reference itself jumps: each row begins with what the one before did not predict."""
+        point = self.flown.point
+        gain = np.array([sensor_gain(c, point) for c in self.setup.outputs])
+        H = steps.H[:, self.setup.which] / gain[:, None]
+        x = whole_states(p.reference.x, acting)
+        felt = y + vane_place_m(point) * at_vane(y, self.setup.outputs)
+        by_controls = np.diff(felt, axis=0) - np.einsum("nij,nj->ni", H[1:], np.diff(x, axis=0))
+        by_states = np.einsum("nij,nj->ni", H, rates(p.reference, p.mass, x, gusts=acting)) * steps.dt_s
+        return np.asarray(by_states + np.concatenate([by_controls[:1], by_controls]))
 
     def all(self, states: Sequence[GustStates]) -> list[Steps]:
         return self(range(len(self.found)), states)
+
+
+def between_rows(steps: Steps, which: Sequence[int], late: Sequence[float]) -> Array:
+    """H (n, m, x) where outputs ``which`` see states parts of a row ``late``, as these go from row to row: (I + T)^a to second
+    order, T = phi - I of the step in which that is and a = -late."""
+    H = steps.H.copy()
+    turn = steps.phi - np.eye(steps.phi.shape[1])
+    for k, part in zip(which, late, strict=True):
+        if part:
+            step = np.concatenate([turn[:1], turn] if part > 0.0 else [turn, turn[-1:]])
+            once = np.einsum("nx,nxy->ny", H[:, k], step)
+            H[:, k] += -part * once + 0.5 * part * (part + 1.0) * np.einsum("nx,nxy->ny", once, step)
+    return H
 
 
 def _air(setup: Setup, steps: _Linear, near: Gusts | None, tune: bool) -> tuple[Gusts, Array]:

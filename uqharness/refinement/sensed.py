@@ -19,12 +19,13 @@ Array = NDArray[np.float64]
 
 def as_sensed(
     y: Array, setup: Setup, segment: Segment, point: Point, earlier: Mapping[str, int] | None = None,
-    between: Array | None = None,
+    between: Array | None = None, along: Array | None = None,
 ) -> Array:  # fmt: skip
     """(n, m) outputs as the sensors give them: elsewhere, late, scaled, off by a constant. Changes ``y`` in place.
 
     earlier: channel -> rows by which it is compared with what was measured that much later.
-    between: the same outputs between the rows of a replay as well, for those that are late; without them along a cubic.
+    between: the same outputs between the rows of a replay as well, for those that are late; along (n, m): how far each goes in a
+    row; without either along a cubic.
     """
     forward = vane_place_m(point)
     if forward:
@@ -34,7 +35,10 @@ def as_sensed(
         late = sensor_late_s(c, segment, point) - (earlier or {}).get(c, 0) * segment.dt_s
         if late and np.isfinite(y[:, k]).all():
             rows = late / segment.dt_s
-            y[:, k] = moved_later(y[:, k], rows) if between is None else late_rows(between[:, k], len(y), rows)
+            if along is not None:
+                y[:, k] -= rows * along[:, k]
+            else:
+                y[:, k] = moved_later(y[:, k], rows) if between is None else late_rows(between[:, k], len(y), rows)
         y[:, k] *= sensor_gain(c, point)
         y[:, k] += sensor_offset(c, segment, point)
     return y

@@ -8,10 +8,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
+from sysid.aerodynamics import rates, whole_states
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.aerodynamics.gust_states import GustStates
-from sysid.aerodynamics.rigid_body import STATES, Reference
+from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
+from sysid.aerodynamics.rigid_body import STATES, Reference, Steps, linearise
 from sysid.effects import turbulence
 from sysid.effects.gust_score import Score
 from sysid.effects.selection import Choice
@@ -74,6 +77,45 @@ def test_a_late_sensor_is_compared_with_what_it_was_to_measure():
     assert np.abs(record - model)[inside, 1].max() > 0.3
     assert np.isnan(z[-5:, 1]).all()
     np.testing.assert_array_equal(z[:, [0, 2]], record[:, [0, 2]])
+
+
+@pytest.mark.parametrize("late", [0.34, -0.5])
+def test_a_sensor_late_by_a_part_of_a_row_sees_the_states_of_then(late):
+    """Beside the fractional power of what takes states from row to row; without it the difference is thirty times as large."""
+    rng = np.random.default_rng(8)
+    turn = 0.1 * rng.standard_normal((3, 3))
+    phi, H = expm(turn), rng.standard_normal((N, 3, 3))
+    steps = Steps(DT, np.tile(phi, (N - 1, 1, 1)), *(np.zeros((N - 1, 3, 6)),) * 2, np.zeros((N - 1, 3)), H, H, np.zeros((N, 3)))
+    found = refine_gusts.between_rows(steps, [0, 2], [late, 0.0])
+    expected = H[:, 0] @ expm(-late * turn)
+    assert np.abs(found[:, 0] - expected).max() < np.abs(H[:, 0] - expected).max() / 30.0
+    np.testing.assert_array_equal(found[:, 1:], H[:, 1:])
+
+
+def test_outputs_between_rows_go_as_the_model_moves_them_however_the_reference_jumps():
+    rng = np.random.default_rng(6)
+    probe, acting = probe_of(rng), GustStates(MASS.b)
+    names = ("alpha_rad", "q_radps", "az_mps2")
+    which = [STEP_OUTPUTS.index(n) for n in names]
+    segment = SimpleNamespace(flight="one", dt_s=DT)
+    setup = SimpleNamespace(outputs=names, which=which, segments=(segment,), measured=(np.zeros((N, 3)),))
+    flight = SimpleNamespace(point=point())
+    linear = refine_gusts._Linear(setup, flight, [probe], ALONE)  # type: ignore[arg-type]
+    steps = linearise(probe.reference, probe.mass, gusts=acting)
+    y = steps.y_ref[:, setup.which]
+    along = linear._along(probe, steps, y, acting)
+    x = whole_states(probe.reference.x, acting)
+    rate = rates(probe.reference, probe.mass, x, gusts=acting)
+    np.testing.assert_allclose(along[:, :2], DT * rate[:, [STATES.index(n) for n in names[:2]]], atol=1e-9)
+    # The reference's own differences are its jumps, here much larger than anything that moves.
+    assert np.abs(np.diff(y[:, 0])).max() > 10.0 * np.abs(along[:, 0]).max()
+    # A force that a control alone changes goes with the control, between its rows.
+    flat = replace(probe, reference=replace(probe.reference, x=np.tile(probe.reference.x[:1], (N, 1))))
+    steps = linearise(flat.reference, flat.mass, gusts=acting)
+    y = steps.y_ref[:, setup.which]
+    rate = rates(flat.reference, flat.mass, whole_states(flat.reference.x, acting), gusts=acting)
+    still = DT * np.einsum("nj,nj->n", steps.H[:, which[2]], rate)
+    np.testing.assert_allclose(linear._along(flat, steps, y, acting)[1:, 2], np.diff(y[:, 2]) + still[1:], rtol=1e-9)
 
 
 def probe_of(rng: np.random.Generator, predicted: Predicted | None = None) -> Probe:
