@@ -46,8 +46,8 @@ def test_the_largest_step_is_half_the_commands_range():
 @pytest.mark.parametrize(
     ("value", "late", "terms"),
     [
-        (2e-4, {}, set()),  # 2 ms over the doublet, 0.2 ms of lag: below 0.15 rows of 20 ms
-        (5e-4, {}, {"rate_limit"}),  # 5 ms over the doublet
+        (5e-5, {}, set()),  # 0.5 ms over the doublet, 0.05 ms of lag: below 0.03 rows of 20 ms
+        (2e-4, {}, {"rate_limit"}),  # 2 ms over the doublet
         (5e-3, {}, {"rate_limit", "lag"}),
         (5e-4, {"one": ["gyro"]}, set()),  # in a log half a row is not known
         (2e-3, {"one": ["gyro"]}, {"rate_limit"}),
@@ -85,9 +85,9 @@ def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
         found = SimpleNamespace(selection=Selection(chosen), fit=fit, evidence=evidence, keys=frozenset(keys))
         return [c.key for c in resolved(start, found).chosen]  # type: ignore[arg-type]
 
-    assert kept(0.004) == keys
-    assert kept(0.002) == keys[1:]
-    assert kept(-0.002) == keys[1:]
+    assert kept(0.0008) == keys
+    assert kept(0.0005) == keys[1:]
+    assert kept(-0.0005) == keys[1:]
 
 
 @pytest.mark.parametrize(("alike", "positive", "beside"), [(0.02, False, True), (0.02, True, False), (3.0, False, False)])
