@@ -249,7 +249,7 @@ class _Linear:
             part = [sensor_late_s(c, segment, point) / segment.dt_s - rows[c] for c in self.setup.outputs]
             along = self._along(self.found[k], s, y[:, which], acting) if any(part) else None
             y[:, which] = as_sensed(y[:, which], self.setup, segment, point, rows, along=along)
-            self.made[k, acting] = replace(s, y_ref=y, H=between_rows(s, which, part))
+            self.made[k, acting] = replace(s, y_ref=y, H=between_rows(s, which, part) if any(part) else s.H)
         return [self.made[key] for key in asked]
 
     def _along(self, p: Probe, steps: Steps, y: Array, acting: GustStates) -> Array:
