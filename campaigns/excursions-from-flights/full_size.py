@@ -22,7 +22,7 @@ MODELS = {
     "refined": "Tables 3.1 and 3.2: the refined model within the bounds of its flights",
 }
 FLIGHTS, AIRS = 50, 25
-"""Flights of an hour per corner and cell, and those of a shard: 1600 hours, some 90 s of a core."""
+"""Flights of an hour per corner and cell, and those of a shard: 1600 hours, some 145 s of each of two cores that fly."""
 
 
 def plan(model: str) -> Plan:

@@ -49,8 +49,9 @@ AIR_SHARE = 0.03
 """Share of turbulence's gain that comes of V, alpha and beta where it is air. In light Dryden turbulence it is a fifth; where a
 moment that the model lacks acts now and then, nothing."""
 RESOLVED_ROWS = 0.01
-"""Standard error, in rows, that a time has besides its own: a servo's lag by Tustin's rule at 10 ms is off by as much. Lags and
-delays that are not there come to .003 to .02 rows. Three times this is the least time that counts as an effect."""
+"""Standard error, in rows, that a time has besides its own: a servo's lag by Tustin's rule at 10 ms is off by as much. Lags of
+servos and delays of gyros and wind vanes that are not there come to .007 to .018 rows (rms). Three times this is the least time
+that counts as an effect."""
 UNKNOWN_ROWS = 0.5
 """A delay or lag below this share of a row is no effect in an autopilot's log, which does not say when within a row a command
 changed; a simulator's flights act as much early."""

@@ -70,9 +70,9 @@ class About:
         """Each of the terms alone."""
         return fit_smooth(*self.evidence(lambda v: _inputs(terms, v)), terms) if terms else []
 
-    def fitted(self, term: Smooth, instead: Sequence[str] = ()) -> SmoothFit:
-        """The term alone, smoothed with what coloured residuals leave of the information; instead: effects that it replaces."""
-        return self._coloured(term, instead)[0]
+    def fitted(self, term: Smooth) -> SmoothFit:
+        """The term beside everything, smoothed with what coloured residuals leave of the information."""
+        return self._coloured(term, ())[0]
 
     def _coloured(self, term: Smooth, instead: Sequence[str]) -> tuple[SmoothFit, Evidence, list[str]]:
         evidence, free = self.evidence(term.inputs)
