@@ -19,7 +19,7 @@ from uqharness.campaign.spec.read import read_campaign, with_samples
 from uqharness.campaign.spec.samples import epistemic_samples
 from uqharness.errors import BadInputError
 
-COPY = "copy"
+COPY = "results-copy"
 """Folder of what flies where the campaign's own aircraft gets bounds; it is made again where it is missing."""
 
 
