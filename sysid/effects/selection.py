@@ -96,9 +96,9 @@ def chance_limit(evidence: Evidence, free: Sequence[str], candidates: Sequence[s
     left = G[np.ix_(c, c)] - G[np.ix_(c, b)] @ solve(G[np.ix_(b, b)], G[np.ix_(b, c)])
     size = np.sqrt(np.diagonal(left))
     values, vectors = np.linalg.eigh(left / np.outer(size, size))
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))).astype(np.float32)
     rng = np.random.default_rng(len(known))
-    parts = (rng.standard_normal((DRAWS // DRAWN_IN, len(known))) @ root.T for _ in range(DRAWN_IN))
+    parts = (rng.standard_normal((DRAWS // DRAWN_IN, len(known)), np.float32) @ root.T for _ in range(DRAWN_IN))
     largest = np.concatenate([np.abs(part).max(axis=1) for part in parts])
     return min(threshold(len(known), family), float(np.quantile(largest, 1.0 - family)))
 

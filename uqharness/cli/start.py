@@ -31,6 +31,7 @@ def run(argv: Sequence[str] | None = None) -> int:
     run time, such as a dataclass's, was interrupted once.
     """
     _quiet_libraries()
+    _one_thread()
     ends = _Ends()
     code = _run(argv, ends)
     scratch = sys.modules.get("uqharness.scratch")
@@ -52,13 +53,16 @@ def _quiet_libraries() -> None:
         os.environ["PYTHONWARNINGS"] = "ignore"
 
 
+def _one_thread() -> None:
+    """Linear algebra in one thread, unless the user says otherwise: its matrices are small, and threads that wait for each other
+    take the time of processor cores that other work wants, and address space."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
 def _run(argv: Sequence[str] | None, ends: _Ends) -> int:
     limit = None
     try:
         limit = _address_limit()
-        if limit is not None:
-            # Every thread of linear algebra takes address space of its own.
-            os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         from sysid.terminal import clean_streams
 
         clean_streams()

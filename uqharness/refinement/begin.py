@@ -9,10 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
-from sysid.effects import OVERWHELMING, TRACE, Evidence, Selection, Twins, judged
+from sysid.effects import Evidence
 from uqharness.refinement.fit import moved_starts, stepped
 from uqharness.refinement.types import Point, Setup
 
@@ -47,22 +44,3 @@ def joint_point(
     for key, value in about.flown.items():
         change[evidence.index([key])[0]] -= value
     return replace(moved, starts=moved_starts(about.point.starts, evidence.white, change))
-
-
-def strong_first(
-    selection: Selection, evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], confirming: NDArray[np.bool_],
-    twins: Twins | None, alone: bool = False,
-) -> Selection:  # fmt: skip
-    """The choice less what is weak beside its strongest: what linearisation leaves of a strong effect looks like a weak one.
-
-    Those come to their turn when it has been flown. alone: an overwhelming one flies by itself, as about the flight as measured in
-    gusts: beside a vane that reads 1.8 times the angle, a centre of gravity elsewhere had two thirds of its |t|, and stayed.
-    """
-    top = max((abs(c.t) for c in selection.chosen), default=0.0)
-    least = top if alone and top > OVERWHELMING else TRACE * top
-    kept = [c.key for c in selection.chosen if abs(c.t) >= least]
-    if len(kept) == len(selection.chosen):
-        return selection
-    later = ", ".join(c.key for c in selection.chosen if c.key not in kept)
-    chosen = judged(evidence, free, kept, list(odds), confirming, twins)
-    return Selection(chosen, selection.refused, (*selection.trail, f"put off until the strong ones fly: {later}"))

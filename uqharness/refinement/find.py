@@ -24,7 +24,6 @@ from sysid.effects import (
     OVERWHELMING,
     RATES_IN_GUSTS,
     RESOLVED_ROWS,
-    TWINS,
     UNKNOWN_ROWS,
     Choice,
     Effect,
@@ -36,22 +35,20 @@ from sysid.effects import (
     conditional_interval,
     corrected_each,
     scores,
-    select,
     threshold,
 )
 from sysid.parallel import Processes
 from uqharness.errors import BadInputError
 from uqharness.plugin import Estimate
 from uqharness.refinement.base import Base, base_fit_and_noise
-from uqharness.refinement.begin import strong_first
 from uqharness.refinement.between_rows import with_jumps
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.fit import Fit
 from uqharness.refinement.gusts import GustFit, gust_evidence, gust_refit
 from uqharness.refinement.rates import limits_tried
-from uqharness.refinement.rivals import like_turning_air
 from uqharness.refinement.round import Start
-from uqharness.refinement.rounds import candidate_evidence, column_evidence, eligible, resolved, settle
+from uqharness.refinement.rounds import candidate_evidence, column_evidence, eligible, odds_at, resolved
+from uqharness.refinement.search import search
 from uqharness.refinement.setup import (
     Bench,
     candidates_for,
@@ -124,10 +121,9 @@ class Found:
 def find_effects(
     aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], extra: Sequence[Effect], work: Path,
     map_: Processes, say: Say = lambda _: None, stages: Stages | None = None, put_right: tuple[float, ...] = (),
-    lone: bool = True,
 ) -> Found:  # fmt: skip
     """Choose and estimate the missing effects on the train flights. ``work``: folder for staged copies of the aircraft;
-    put_right: by how much the setup's controls act later than recorded, as found step by step; lone: as `candidates_for` has it."""
+    put_right: by how much the setup's controls act later than recorded, as found step by step."""
     names = tuple(aircraft.card.parameters)
     if not names:
         raise BadInputError(
@@ -147,7 +143,7 @@ def find_effects(
         setup = given = with_jumps(setup, bench.model)
         before, names, notes, noise = keep(stage, Base, lambda: base_fit_and_noise(aircraft, bench, given, asked, limits, map_))
         setup = replace(setup, noise=noise)
-        effects = candidates_for(setup, names, extra, lone)
+        effects = candidates_for(setup, names, extra)
         by_key = {e.key: e for e in effects}
         if turbulent(setup, before.flown):
             say(f"the air was turbulent: predicting one sample ahead, scoring {len(effects)} candidate effects")
@@ -169,40 +165,40 @@ def find_effects(
             setup = limits_tried(setup, before.probes, before.columns[0].names, lambda extra: column_evidence(setup, before, extra))
             timed = () if setup.late else (CONTROLS_LATE,)
             evidence = candidate_evidence(setup, before, [*effects, *timed])
-            odds = eligible(effects, setup, before, evidence)
             if timed and clock.may_be_off:
                 late = _of_the_clock(setup, before, evidence, effects, confirming, clock)
     if late is not None:
         say(f"all controls act {1e3 * late[0]:.1f} ms after their rows; putting the records right")
-        found = find_effects(aircraft, recorded, measured, ideal, extra, work, map_, say, stages, (*put_right, late[0]), lone)
+        found = find_effects(aircraft, recorded, measured, ideal, extra, work, map_, say, stages, (*put_right, late[0]))
         if not put_right:
             found = replace(found, notes=(words(found.controls_late_s, late[1], clock.command_s), *found.notes))
         return found
-    board = score_table(evidence, before.columns[0].names, odds, by_key)
-    limit = chance_limit(evidence, before.columns[0].names, list(odds))
     free = before.columns[0].names
-    first = select(evidence, free, odds, confirming, limit=limit, twins=TWINS, empirical=bool(setup.late))
-    first = strong_first(first, evidence, free, odds, confirming, TWINS)
-    start = Start(aircraft, setup, before, names, effects, limits, confirming, limit, tuple(measured), tuple(ideal), map_)
-    best, trail = settle(start, first, evidence, work, say)
-    trail = [*(f"round 1: {line}" for line in first.trail), *trail]
+    odds = eligible(effects, setup, free, evidence)
+    board = score_table(evidence, free, odds, by_key)
+    limit = chance_limit(evidence, free, list(odds))
+    start = Start(
+        aircraft, setup, before, names, effects, limits, confirming, limit, tuple(measured), tuple(ideal), map_, before.flown.cost
+    )
+    searched = search(start, evidence, work, say)
+    best, notes = searched.best, [*notes, *searched.notes]
+    plain = {n: before.flown.point.values[n] for n in names}
     if best is None:
-        none = Selection((), _not_borne_out(first, limit) or first.refused, first.trail)
+        none = Selection((), _not_borne_out(searched.first, limit) or searched.first.refused, searched.first.trail)
         parameters = _parameters(evidence, names, before, none)
-        plain = {n: before.flown.point.values[n] for n in names}
         return Found(
             setup, names, before, before, none, by_key, parameters, tuple(notes), plain, None, board, limit,
-            sum(put_right), tuple(trail), left=left_beside(evidence, free, (), odds),
+            sum(put_right), searched.trail, left=left_beside(evidence, free, (), odds),
         )  # fmt: skip
     selection = with_resolution(resolved(start, best), by_key, setup.segments[0].dt_s, gusty=False)
     # A number that JSBSim reads once stands within its error of the one flown, and what goes with it moves by that, too.
     parameters = (in_one_step if best.held else _parameters)(best.evidence, names, best.fit, selection)
     selection, slopes = of_lift_slope(selection, before, best.fit)
+    chosen, open_ = [c.key for c in selection.chosen], eligible(effects, setup, best.free, best.evidence)
     return Found(
-        best.setup, names, before, best.fit, selection, by_key, parameters,
-        tuple(notes), {n: before.flown.point.values[n] for n in names}, None, board, limit, sum(put_right),
-        tuple(trail), slopes, best.about.flown,
-        left=left_beside(best.evidence, free, [c.key for c in selection.chosen], eligible(effects, setup, best.fit, best.evidence)),
+        best.setup, names, before, best.fit, selection, by_key, parameters, tuple(notes), plain, None, board, limit,
+        sum(put_right), searched.trail, slopes, best.about.flown,
+        left=left_beside(best.evidence, free, chosen, open_),
     )  # fmt: skip
 
 
@@ -234,7 +230,7 @@ def _of_the_clock(
     at_rows = evidence.taken_out(held)
     columns = [replace(c, names=tuple(n for n in c.names if n not in held)) for c in before.columns]
     free = columns[0].names
-    odds = eligible(effects, setup, replace(before, columns=columns), at_rows)
+    odds = eligible(effects, setup, free, at_rows)
     limit = max(threshold(len(odds) + 1), least_t)
     return controls_late(at_rows, free, odds, confirming, limit, LEAST_LATE_ROWS * clock.command_s, clock.early_s)
 
@@ -264,6 +260,12 @@ def with_resolution(selection: Selection, effects: Mapping[str, Effect], dt_s: f
     return replace(selection, chosen=tuple(widened(c) for c in selection.chosen))
 
 
+def like_turning_air(effect: Effect) -> bool:
+    """Whether it does what air does that turns as it moves: terms with the rates of the wind angles."""
+    term = effect.parsed
+    return term is not None and any(v in ("alphadot_hat", "betadot_hat") for v in term.variables)
+
+
 def gust_like(effect: Effect) -> bool:
     """Whether a gust model that is a little off looks like this effect: rates of the wind angles, sensors of the wind."""
     return like_turning_air(effect) or (effect.subsystem or "").startswith(("sensor.", "actuator.", "mass"))
@@ -284,16 +286,14 @@ def _in_gusts(
     if late is not None:
         return late
     handicap = {e.key: GUST_ODDS for e in effects if gust_like(e)}
-    odds = {k: o + handicap.get(k, 0.0) for k, o in eligible(effects, setup, found.fit, evidence).items()}
-    limit = max(threshold(len(odds)), GUST_LIMIT)
-    first = select(evidence, free, odds, confirming, limit=limit, twins=TWINS, empirical=True)
-    first = strong_first(first, evidence, free, odds, confirming, TWINS, alone=True)
     start = Start(
-        bench.aircraft, setup, found.fit, names, effects, limits, confirming, limit, bench.measured, bench.ideal, map_,
-        found.gusts, handicap,
+        bench.aircraft, setup, found.fit, names, effects, limits, confirming, 0.0, bench.measured, bench.ideal, map_,
+        found.surprise, found.gusts, handicap,
     )  # fmt: skip
-    best, trail = settle(start, first, evidence, work, say)
-    trail = [*(f"round 1: {line}" for line in first.trail), *trail]
+    odds = odds_at(start, free, evidence)
+    start = replace(start, limit=max(threshold(len(odds)), GUST_LIMIT))
+    searched = search(start, evidence, work, say)
+    best, first = searched.best, searched.first
     air = found.gusts if best is None or best.gusts is None else best.gusts
     note = (
         "the residuals of replays showed turbulence: effects and parameters were judged by "
@@ -312,12 +312,11 @@ def _in_gusts(
     selection, slopes = of_lift_slope(selection, found.fit, after)
     return Found(
         setup if best is None else best.setup, names, found.fit, after, selection, by_key,
-        parameters, (*notes, note), _moved_alone(evidence, names, found.fit),
-        air,
-        score_table(evidence, free, odds, by_key), limit, sum(clock.put_right),
-        trail=tuple(f"one-step predictions: {line}" for line in trail), slopes=slopes,
+        parameters, (*notes, *searched.notes, note), _moved_alone(evidence, names, found.fit), air,
+        score_table(evidence, free, odds, by_key), start.limit, sum(clock.put_right),
+        trail=tuple(f"one-step predictions: {line}" for line in searched.trail), slopes=slopes,
         flown={} if best is None else best.about.flown,
-        left=left_beside(last, free, [c.key for c in selection.chosen], eligible(effects, setup, after, last)),
+        left=left_beside(last, free, [c.key for c in selection.chosen], eligible(effects, setup, after.columns[0].names, last)),
     )  # fmt: skip
 
 

@@ -22,6 +22,7 @@ class Start:
 
     limits: of the parameters; limit: |t| asked of an effect; confirming (S,): segments that confirm
     gusts: the air, where flights are judged by one-step predictions; handicap: key -> odds besides the effect's own
+    merit: of the flight without effects, as a `Round` has it
     """
 
     aircraft: Aircraft
@@ -35,8 +36,19 @@ class Start:
     measured: Sequence[str]
     ideal: Sequence[str]
     map_: Processes
+    merit: float
     gusts: Gusts | None = None
     handicap: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Columns estimated in any case."""
+        return self.before.columns[0].names
+
+    @property
+    def coloured(self) -> bool:
+        """Whether the candidates' own spread tells how much of a t is chance: in turbulence and in an autopilot's logs."""
+        return self.gusts is not None or bool(self.setup.late)
 
 
 @dataclass(frozen=True)
@@ -46,8 +58,8 @@ class Round:
     evidence   as it would be had the effects not been flown, around the flight with them
     selection  the effects flown, judged there; again: what would be chosen there
     standing   whether that is the same, with the same numbers where JSBSim reads them once
-    merit      cost, in gusts `surprise`, and what the effects must earn: less is better; gusts: the air, as estimated with them
-    about      where it ended; ``surprise``: minus twice the log likelihood of one-step predictions; NaN for replays
+    merit      minus twice the log likelihood, and what the effects must earn: less is better; gusts: the air, estimated with them
+    about      where it ended
     held       key -> value flown, of numbers that JSBSim reads once; far: of those whose estimates lie elsewhere
     """
 
@@ -60,7 +72,6 @@ class Round:
     merit: float
     gusts: Gusts | None
     about: About
-    surprise: float = float("nan")
     held: Mapping[str, float] = field(default_factory=dict)
     far: Mapping[str, float] = field(default_factory=dict)
 
@@ -68,3 +79,8 @@ class Round:
     def keys(self) -> frozenset[str]:
         """Keys of the chosen effects."""
         return frozenset(c.key for c in self.selection.chosen)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Columns estimated in its flight, those of its effects included."""
+        return self.fit.columns[0].names

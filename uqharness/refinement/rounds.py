@@ -1,21 +1,18 @@
-"""Chosen effects written into a copy of the aircraft, flown and estimated with everything else, until the choice stands."""
+"""Chosen effects written into a copy of the aircraft, flown and estimated with everything else; and what may be chosen there."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from sysid.effects import (
     EARNED,
-    OVERWHELMING,
     STANDS,
     TWINS,
     UNKNOWN_ROWS,
-    Choice,
     Columns,
     Effect,
     Evidence,
@@ -29,9 +26,9 @@ from sysid.effects import (
 from uqharness.refinement.begin import About, joint_point
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.fit import PRIOR, Fit, best_flown, merged, refit
-from uqharness.refinement.gusts import GustFit, gust_evidence, gust_refit
+from uqharness.refinement.gusts import gust_evidence, gust_refit
 from uqharness.refinement.rates import felt
-from uqharness.refinement.rivals import at_values, companion, far_off, read_once_first, rival, without_weak
+from uqharness.refinement.read_once import far_off
 from uqharness.refinement.round import Round, Start
 from uqharness.refinement.setup import Bench, with_sensors_of
 from uqharness.refinement.timing import LEAST_LATE_ROWS
@@ -41,132 +38,23 @@ from uqharness.refinement.writing.slopes import control_slopes
 from uqharness.replay import CONTROLS
 from uqharness.simulator import Aircraft, find_aircraft
 
-ROUNDS = 4
-Say = Callable[[str], None]
 
-
-def settle(start: Start, selection: Selection, evidence: Evidence, work: Path, say: Say) -> tuple[Round | None, list[str]]:
-    """Fly what was chosen and choose again until the choice stands; the best of the rounds flown, and the trail.
-
-    None where every round flown is worse than the aircraft as it was. A choice that goes to and fro ends at the second sight of a
-    set of effects.
-    """
-    trail: list[str] = []
-    flown: list[Round] = []
-    seen: set[frozenset[str]] = set()
-    about = About(start.before.flown.point, evidence, {})
-    for number in range(2, ROUNDS + 2):
-        if not selection.chosen:
-            break
-        say(f"round {number}: flying with {_listed([c.key for c in selection.chosen])}")
-        folder = work / f"round{number}"
-        if number == 2 and not start.gusts:
-            selection = read_once_first(selection, start.effects, start.aircraft)
-        now = _tried(start, selection, about, folder)
-        if now is not None and not start.gusts:
-            now = at_values(now, partial(_tried, start), folder)
-        if now is None:
-            trail.append(f"round {number}: no filter follows flights with these effects; what was flown before stands")
-            break
-        trail += [f"round {number}: {line}" for line in now.again.trail]
-        if number == 2 and not now.standing:
-            now, lines = _contested(start, now, selection, about, work, say)
-            trail += lines
-        flown.append(now)
-        if now.standing:
-            break
-        seen.add(now.keys)
-        following = frozenset(c.key for c in now.again.chosen)
-        if following in seen and following != now.keys:
-            trail.append(f"round {number}: back to effects flown before; the best round stands")
-            break
-        selection, about = now.again, now.about
-        if start.gusts:
-            rest = [e for e in start.effects if e.key not in now.keys]
-            one = companion(start, now, eligible(rest, start.setup, now.fit, now.evidence), folder, say, _predicted)
-            if one is not None:
-                added = [c.key for c in one.chosen if c.key not in now.keys]
-                trail.append(f"round {number}: of what was asked for, {_listed(added)} flies best by itself")
-                selection = one
-    best = likeliest(flown) if start.gusts else min(flown, key=lambda r: r.merit, default=None)
-    best, lines = without_weak(best, flown, start.limit, partial(_tried, start), work / "kept")
-    trail += lines
-    if best is not None and not start.gusts:
-        best = at_values(best, partial(_tried, start), work / "last")
-    if start.gusts:
-        if best is not None and best is not flown[-1] and not lines:
-            trail.append(f"the best of {len(flown)} rounds flown, not the last")
-        return best if selection.chosen or (best and best.standing) else None, trail
-    if best is None or not best.merit < start.before.flown.cost:
-        if best is not None:
-            trail.append("flown, the effects do not lower the error by what they must earn")
-        return None, trail
-    if not best.standing and not lines:
-        trail.append(f"the best of {len(flown)} rounds flown, not one that stands")
-    return best, trail
-
-
-def likeliest(flown: Sequence[Round]) -> Round | None:
-    """The round of least merit among those that judge the same samples as the last: a sensor's delay takes some away."""
-
-    def late(r: Round) -> frozenset[str]:
-        return frozenset(k for k in r.keys if k.startswith("effect/sensor.") and k.endswith("/delay"))
-
-    return min((r for r in flown if late(r) == late(flown[-1])), key=lambda r: r.merit, default=None)
-
-
-def _listed(keys: Sequence[str]) -> str:
-    return ", ".join(k.removeprefix("effect/").replace("/", " ") for k in keys)
-
-
-def _tried(start: Start, selection: Selection, about: About, folder: Path) -> Round | None:
-    """The effects flown; None where no filter can follow the flights with them."""
+def fly(start: Start, selection: Selection, about: About, folder: Path) -> Round | None:
+    """The effects flown, everything estimated with them, and what would be chosen there; None where no filter can follow the
+    flights with them. about: where it begins."""
     try:
         return _flown(start, selection, about, folder)
     except np.linalg.LinAlgError:
         return None
 
 
-def _contested(start: Start, now: Round, selection: Selection, about: About, work: Path, say: Say) -> tuple[Round, list[str]]:
-    """The first round and what is to be said of it: of an overwhelming effect, flown in gusts, that leaves others, or of the
-    alternative that flies better in its place."""
-    key = selection.chosen[0].key
-    if start.gusts is None or abs(selection.chosen[0].t) <= OVERWHELMING:
-        return now, []
-    odds = eligible(start.effects, start.setup, start.before, about.evidence)
-    best = rival(start, now, selection, about, odds, work, say, _predicted)
-    instead = _tried(start, Selection((best,)), about, work / "rival") if best is not None else None
-    if best is None or instead is None:
-        return now, []
-    other = f"at {best.value:.4g}" if best.key == key else f"than {key}"
-    told = f"round 2: flown alone, {best.key} does better {other}"
-    return instead, [told, *(f"round 2: {line}" for line in instead.again.trail)]
-
-
-def _begun(start: Start, selection: Selection, about: About, folder: Path) -> tuple[Aircraft, Setup, Point, list[str]]:
-    """The aircraft with the effects, the setup that knows of them, the point to begin from, and the names to be estimated there."""
-    by_key = {e.key: e for e in start.effects}
-    keys = [c.key for c in selection.chosen]
-    staged, setup = stage(start.aircraft, start.setup, [by_key[k] for k in keys], selection, start.before, folder)
-    first, free = start.before.flown.point, start.before.columns[0].names
-    joint = joint_point(about, start.setup, first, free, keys, start.limits)
-    return staged, setup, with_effects(joint, selection), [*start.names, *keys]
-
-
-def _predicted(start: Start, selection: Selection, about: About, folder: Path) -> GustFit:
-    """One-step predictions with effects; parameters, air and the sensors' noise estimated with them."""
-    assert start.gusts is not None
-    selection = replace(selection, chosen=felt(selection.chosen, start.setup))
-    staged, setup, begin, names = _begun(start, selection, about, folder)
-    with Bench(staged, start.measured, start.ideal) as bench:
-        return gust_refit(bench.model, bench.straight, setup, begin, names, start.limits, start.map_, start.gusts, tune=True)
-
-
 def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Round:
     by_key = {e.key: e for e in start.effects}
     selection = replace(selection, chosen=felt(selection.chosen, start.setup))
     keys = [c.key for c in selection.chosen]
-    staged, setup, begin, names = _begun(start, selection, about, folder)
+    staged, setup = stage(start.aircraft, start.setup, [by_key[k] for k in keys], selection, start.before, folder)
+    joint = joint_point(about, start.setup, start.before.flown.point, start.free, keys, start.limits)
+    begin, names = with_effects(joint, selection), [*start.names, *keys]
     rest = [e for e in start.effects if e.key not in keys]
     with Bench(staged, start.measured, start.ideal) as bench:
         gusts, surprise = start.gusts, float("nan")
@@ -183,42 +71,31 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     written = {c.key: c.value for c in selection.chosen}
     values = {e.key: fit.flown.point.effects[e.key] for e in setup.active}
     evidence = evidence.taken_out(values)
+    odds = odds_at(start, fit.columns[0].names, evidence, keys)
     free = [n for n in fit.columns[0].names if n not in keys]
-    odds = {**eligible(rest, start.setup, fit, evidence), **{k: by_key[k].odds for k in keys}}
-    odds = {k: o + start.handicap.get(k, 0.0) for k, o in odds.items()}
     again = select(
-        evidence,
-        free,
-        odds,
-        start.confirming,
-        chosen=keys,
-        limit=start.limit,
-        twins=TWINS,
-        empirical=start.gusts is not None or bool(start.setup.late),
-    )
+        evidence, free, odds, start.confirming, chosen=keys, limit=start.limit, twins=TWINS, empirical=start.coloured
+    )  # fmt: skip
     again = replace(again, chosen=felt(again.chosen, start.setup))
     standing = {c.key for c in again.chosen} == set(keys)
     own = again.chosen if standing else felt(judged(evidence, free, keys, list(odds), start.confirming, TWINS), start.setup)
     # What JSBSim reads once (mass, servos) has to be written anew until the number stands.
     held = [c for c in own if c.key not in setup.carriers and in_dynamics(by_key[c.key])]
     moving = [c for c in held if abs(c.value - written[c.key]) > STANDS * c.std]
-    far = far_off(held, written)
-    again = again if start.gusts is None else first_at_values(again, own, far)
     cost = fit.flown.cost if gusts is None else surprise
     merit = cost + sum(by_key[k].odds + EARNED * start.limit**2 for k in keys)
     return Round(
         setup, fit, evidence, Selection(own, again.refused, again.trail), again, standing and not moving, merit, gusts,
-        About(fit.flown.point, evidence, values), surprise, {c.key: written[c.key] for c in held}, far,
+        About(fit.flown.point, evidence, values), {c.key: written[c.key] for c in held}, far_off(held, written),
     )  # fmt: skip
 
 
-def first_at_values(again: Selection, own: Sequence[Choice], far: Mapping[str, float]) -> Selection:
-    """What is to be flown next: of the effects flown, ``own``, nothing but these where a number that is held in flight was far from
-    its estimate. Until it flies at its value, what it leaves looks like others."""
-    if not far:
-        return again
-    trail = (*again.trail, f"first at their values: {_listed([c.key for c in own])}")
-    return replace(again, chosen=tuple(own), trail=trail)
+def odds_at(start: Start, free: Sequence[str], evidence: Evidence, chosen: Sequence[str] = ()) -> dict[str, float]:
+    """What may be chosen at a flight's evidence, what is ``chosen`` there included, and the gain asked of each besides; free:
+    columns estimated there."""
+    found = eligible([e for e in start.effects if e.key not in chosen], start.setup, free, evidence)
+    found |= {e.key: e.odds for e in start.effects if e.key in chosen}
+    return {k: o + start.handicap.get(k, 0.0) for k, o in found.items()}
 
 
 def candidate_evidence(setup: Setup, fit: Fit, effects: Sequence[Effect]) -> Evidence:
@@ -242,9 +119,9 @@ def resolved(start: Start, found: Round) -> Selection:
     least = _least_late_s(start.setup)
     chosen = found.selection.chosen
     kept = [c.key for c in chosen if by_key[c.key].unit != "s" or abs(c.value) > least]
-    free = [n for n in found.fit.columns[0].names if n not in found.keys]
+    free = [n for n in found.free if n not in found.keys]
     rest = [e for e in start.effects if e.key in found.evidence.names and e.key not in kept]
-    open_ = list(eligible(rest, start.setup, found.fit, found.evidence))
+    open_ = list(eligible(rest, start.setup, found.free, found.evidence))
     brief = _brief([e for e in rest if e.key not in open_], free, kept, found.evidence, start.setup)
     if len(kept) == len(chosen) and not brief:
         return found.selection
@@ -268,9 +145,9 @@ def _least_late_s(setup: Setup) -> float:
     return (UNKNOWN_ROWS if setup.late else LEAST_LATE_ROWS) * setup.segments[0].dt_s
 
 
-def eligible(effects: Sequence[Effect], setup: Setup, fit: Fit, evidence: Evidence) -> dict[str, float]:
-    """Candidates worth scoring and their odds: delays that a replay cannot resolve are left out."""
-    found = scores(evidence, fit.columns[0].names, [e.key for e in effects])
+def eligible(effects: Sequence[Effect], setup: Setup, free: Sequence[str], evidence: Evidence) -> dict[str, float]:
+    """Candidates worth scoring beside the columns ``free``, and their odds: delays that a replay cannot resolve are left out."""
+    found = scores(evidence, free, [e.key for e in effects])
     least = _least_late_s(setup)
     out = {}
     for e, estimate, share in zip(effects, found.estimate, found.share, strict=True):

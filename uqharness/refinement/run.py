@@ -21,7 +21,6 @@ from uqharness.refinement.beside import named_beside
 from uqharness.refinement.find import Found, estimates_of, find_effects, remark
 from uqharness.refinement.fit import positions
 from uqharness.refinement.judge import Judged, bare, flown_as, judge, sensed_by
-from uqharness.refinement.lone import believed
 from uqharness.refinement.rounds import write_staged
 from uqharness.refinement.setup import Bench, estimated_channels, file_hash, make_setup, refuse_shared, setup_in_gusts
 from uqharness.refinement.showing.document import document_of
@@ -127,24 +126,13 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
         chosen = stages(
             "effects",
             Found,
-            lambda: believed(
-                lambda lone: find_effects(
-                    aircraft,
-                    setup,
-                    train.measured,
-                    train.ideal,
-                    request.extra,
-                    work / f"lone-{lone}",
-                    map_,
-                    say,
-                    stages,
-                    lone=lone,
-                )
+            lambda: find_effects(
+                aircraft, setup, train.measured, train.ideal, request.extra, work / "effects", map_, say, stages
             ),
-        )
+        )  # fmt: skip
         train, test = train.later(chosen.late_s), test.later(chosen.late_s)
         whole = _whole(request, chosen, work / "chosen")
-        named = stages("named", Found, lambda: _named(request, chosen, whole, train, work, map_))
+        named = _named(request, chosen, whole, train, work, map_)
         if named.selection.chosen != chosen.selection.chosen:
             whole = _whole(request, named, work / "named")
         chosen = named

@@ -94,17 +94,11 @@ class Bench:
         self._stack.close()
 
 
-def candidates_for(setup: Setup, names: Sequence[str], extra: Sequence[Effect], lone: bool = True) -> list[Effect]:
-    """The catalogue less what the model estimates already, and the user's own effects.
-
-    lone: with delays of one channel of a sensor that has several.
-    """
+def candidates_for(setup: Setup, names: Sequence[str], extra: Sequence[Effect]) -> list[Effect]:
+    """The catalogue less what the model estimates already, and the user's own effects."""
     surfaces = list(setup.servos)
     timed = setup.outputs if not setup.late else ()
-    sensors, parts = (
-        list(dict.fromkeys(SENSOR_OF.get(c, c) for c in timed)),
-        [c for c in timed if lone and c in SENSOR_OF],
-    )
+    sensors, parts = list(dict.fromkeys(SENSOR_OF.get(c, c) for c in timed)), [c for c in timed if c in SENSOR_OF]
     every = [*extra, *catalogue(), *subsystem_effects(surfaces, setup.outputs, sensors, parts)]
     out: dict[str, Effect] = {}
     for e in every:

@@ -1,4 +1,4 @@
-"""Where rounds begin, which candidates wait, and at which limit a slower servo is judged."""
+"""Where rounds begin, and at which limit a slower servo is judged."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import pytest
 
 from sysid.effects.prediction import White
 from sysid.effects.score import Evidence, gather
-from sysid.effects.selection import Choice, Selection
-from uqharness.refinement.begin import About, joint_point, strong_first
+from uqharness.refinement.begin import About, joint_point
 from uqharness.refinement.candidates import around, servo_change
 from uqharness.refinement.rates import SHARES, just_so
 from uqharness.refinement.types import Point
@@ -47,29 +46,6 @@ def test_parameters_and_start_states_move_with_the_effects():
         assert at[V] - begun[V] == pytest.approx(w.start[0] @ [1.0, 2.0, 3.0, -0.5], abs=1e-4)
     within = joint_point(about, setup, plain, ["aero/a"], ["effect/one"], {"aero/a": (0.0, 11.0)})  # type: ignore[arg-type]
     assert within.values["aero/a"] == 11.0
-
-
-def choice(key: str, t: float) -> Choice:
-    return Choice(key, t, 1.0, t, t**2, 1.0, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("t", "alone", "kept"),
-    [
-        ((80.0, 5.0), False, 1),
-        ((40.0, 5.0), False, 2),
-        ((40.0, 18.0), True, 1),
-        ((15.0, 6.0), True, 2),  # nothing overwhelming about it
-    ],
-)
-def test_the_weak_wait_for_the_strong(t, alone, kept):
-    keys = NAMES[1:]
-    evidence = evidence_of((0.0, t[0] / 40.0, t[1] / 40.0))
-    selection = Selection(tuple(choice(k, v) for k, v in zip(keys, t, strict=True)))
-    odds = dict.fromkeys(keys, 0.0)
-    found = strong_first(selection, evidence, ["aero/a"], odds, np.array([False, True]), None, alone)
-    assert {c.key for c in found.chosen} == set(keys[:kept])
-    assert any("put off" in line and keys[1] in line for line in found.trail) == (kept == 1)
 
 
 def test_the_limit_is_the_one_of_which_the_flights_want_just_what_it_does():

@@ -173,9 +173,8 @@ def test_help_and_wrong_input(tmp_path, capsys, flights):
 
 
 def test_a_killed_refinement_goes_on_where_it_was(flights, refined, tmp_path, monkeypatch, caplog):
-    """Killed while it flies the test flights, it does not choose again, ends with the same effects, and leaves no stages behind.
+    """Killed while it fits intervals, it does not choose again, ends with the same effects, and leaves no stages behind.
     A stage that was damaged meanwhile is told and computed again."""
-    from uqharness.refinement import judge as refine_judge
     from uqharness.refinement import run as refine_run
 
     out = tmp_path / "out"
@@ -184,21 +183,21 @@ def test_a_killed_refinement_goes_on_where_it_was(flights, refined, tmp_path, mo
         "--workers", "1", "--no-figures", "--no-pbox",
     ]  # fmt: skip
     with monkeypatch.context() as patch:
-        patch.setattr(refine_judge, "show", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr(refine_run, "before_and_after", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         assert main(arguments) == 130
     assert list((out / ".stages").glob("effects-*.data"))
     assert not (out / "refinement.json").exists()
-    (named,) = (out / ".stages").glob("named-*.data")
-    content = bytearray(named.read_bytes())
+    (judged,) = (out / ".stages").glob("judged-*.data")
+    content = bytearray(judged.read_bytes())
     content[-100] ^= 1
-    named.write_bytes(content)
+    judged.write_bytes(content)
     with monkeypatch.context() as patch:
         patch.setattr(refine_run, "find_effects", None)
         assert main(arguments) == 0
     assert document(out)["effects"] == document(refined)["effects"]
     assert not (out / ".stages").exists()
     (told,) = [text for text in caplog.messages if "computed again" in text]
-    assert f"{named.name}: damaged" in told
+    assert f"{judged.name}: damaged" in told
 
 
 def commands_alone(record: FlightRecord) -> FlightRecord:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,8 +11,7 @@ from sysid.effects.prediction import White
 from sysid.effects.score import gather
 from sysid.effects.selection import Choice, Selection
 from sysid.effects.subsystem_effects import subsystem_effects
-from uqharness.refinement.rivals import at_values, far_off, without_weak
-from uqharness.refinement.rounds import eligible, first_at_values, largest_step, likeliest, resolved
+from uqharness.refinement.rounds import eligible, largest_step, resolved
 from uqharness.simulator.actuators import Actuator
 
 DT = 0.02
@@ -33,8 +31,7 @@ def at(value: float, late: dict[str, list[str]], servos=None) -> dict[str, float
     controls = np.zeros((50, 4))
     controls[10:20, 1], controls[20:30, 1] = 10.0, -10.0
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT, controls=controls)], late=late, servos=servos or {})
-    fit = SimpleNamespace(columns=[SimpleNamespace(names=())])
-    return eligible(EFFECTS, setup, fit, evidence)  # type: ignore[arg-type]
+    return eligible(EFFECTS, setup, (), evidence)  # type: ignore[arg-type]
 
 
 def test_the_largest_step_is_half_the_commands_range():
@@ -81,8 +78,9 @@ def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
 
     def kept(late_s: float) -> list[str]:
         chosen = tuple(Choice(k, v, 1e-5, 9.0, 81.0, 1.0, 0.0) for k, v in zip(keys, (late_s, 1.0), strict=True))
-        fit = SimpleNamespace(columns=[SimpleNamespace(names=("aero/Cm_q", *keys))])
-        found = SimpleNamespace(selection=Selection(chosen), fit=fit, evidence=evidence, keys=frozenset(keys))
+        found = SimpleNamespace(
+            selection=Selection(chosen), free=("aero/Cm_q", *keys), evidence=evidence, keys=frozenset(keys)
+        )  # fmt: skip
         return [c.key for c in resolved(start, found).chosen]  # type: ignore[arg-type]
 
     assert kept(0.0008) == keys
@@ -108,133 +106,8 @@ def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(al
             for k, u, of in ((term, "1", None), (delay, "s", "actuator.elevator"))
         ],
     )  # fmt: skip
-    fit = SimpleNamespace(columns=[SimpleNamespace(names=(term,))])
     chosen = (Choice(term, 1.0, 0.05, 20.0, 400.0, 1.0, 0.0),)
-    found = SimpleNamespace(selection=Selection(chosen), fit=fit, evidence=evidence, keys=frozenset([term]))
+    found = SimpleNamespace(selection=Selection(chosen), free=(term,), evidence=evidence, keys=frozenset([term]))
     (effect,) = resolved(start, found).chosen  # type: ignore[arg-type]
     assert effect.key == term
     assert [a.key for a in effect.alternatives if not a.separable] == ([delay] if beside else [])
-
-
-@pytest.mark.parametrize(("flown_s", "following"), [(0.0626, ["lag", "scale"]), (0.0622, ["lag", "scale"]), (0.0454, ["lag"])])
-def test_a_lag_flies_at_its_value_before_others_stand_beside_it(flown_s, following):
-    lag, other = (Choice(k, v, 2e-4, 9.0, 81.0, 1.0, 0.0) for k, v in (("lag", 0.0626), ("scale", 0.1)))
-    found = first_at_values(Selection((lag, other)), [lag], far_off([lag], {"lag": flown_s}))
-    assert [c.key for c in found.chosen] == following
-    assert bool(found.trail) is (following == ["lag"])
-
-
-def test_calm_rounds_fly_again_until_a_lag_stands(tmp_path):
-    """The flights want a lag of 0.16 s; a replay tells a third of what is left."""
-
-    def flown_at(value: float) -> SimpleNamespace:
-        wanted = Choice("lag", value + (0.16 - value) / 3.0, 1e-3, 60.0, 3600.0, 1.0, 0.0)
-        other = Choice("Cm", 1.0, 0.1, 10.0, 100.0, 1.0, 0.0)
-        return SimpleNamespace(
-            selection=Selection((wanted, other)), far=far_off([wanted], {"lag": value}), about=None, value=value,
-            merit=1e6 * (0.16 - value) ** 2,
-        )  # fmt: skip
-
-    seen: list[tuple[float, float]] = []
-
-    def fly(selection: Selection, about: object, folder: Path) -> SimpleNamespace:
-        lag, other = selection.chosen
-        assert folder.name == f"round2-{len(seen)}"
-        seen.append((lag.value, other.value))
-        return flown_at(lag.value)
-
-    now = at_values(flown_at(0.04), fly, tmp_path / "round2")  # type: ignore[arg-type]
-    assert now.value == pytest.approx(0.16, abs=3e-3)  # type: ignore[attr-defined]
-    assert 2 <= len(seen) <= 4
-    assert {cm for _, cm in seen} == {1.0}
-    seen.clear()
-
-    earned = [0.0]
-
-    def runs_away(value: float, *others: Choice) -> SimpleNamespace:
-        wanted = Choice("cg", value - 0.012, 2e-3, -5.0, 25.0, 1.0, 0.0)
-        return SimpleNamespace(
-            selection=Selection((wanted, *others)), far=far_off([wanted], {"cg": value}), about=None,
-            merit=1e3 + earned[0] * value,
-        )  # fmt: skip
-
-    def fly_away(selection: Selection, about: object, folder: Path) -> SimpleNamespace:
-        keys = [c.key for c in selection.chosen]
-        if "cg" not in keys:
-            return SimpleNamespace(selection=selection, far={}, about=None, merit=1e3)
-        return runs_away(*(c.value for c in selection.chosen if c.key == "cg"), selection.chosen[-1])
-
-    scale = Choice("scale", 0.027, 7e-4, 38.0, 1444.0, 1.0, 0.0)
-    left = at_values(runs_away(-0.012, scale), fly_away, tmp_path / "round2")  # type: ignore[arg-type]
-    assert [c.key for c in left.selection.chosen] == ["scale"]
-    # Where every change makes the flights likelier, the number goes on.
-    earned[0] = 1e3
-    left = at_values(runs_away(-0.012, scale), fly_away, tmp_path / "round2")  # type: ignore[arg-type]
-    assert [c.key for c in left.selection.chosen] == ["cg", "scale"]
-    assert at_values(flown_at(0.159), fly, tmp_path / "round2").value == 0.159  # type: ignore
-    first = flown_at(0.04)
-    assert at_values(first, lambda *_: None, tmp_path / "round2") is first  # type: ignore
-
-
-def flown(merit: float, *keys: str) -> SimpleNamespace:
-    return SimpleNamespace(merit=merit, keys=frozenset(keys))
-
-
-def test_of_rounds_in_gusts_the_likeliest_stands_and_not_the_last():
-    first, second, third = (
-        flown(-640.0, "effect/Cn/de"),
-        flown(-630.0, "effect/Cn/de", "effect/Cm/V_rel"),
-        flown(-650.0),
-    )
-    assert likeliest([first, second]) is first  # type: ignore[list-item]
-    assert likeliest([first, second, third]) is third  # type: ignore[list-item]
-    assert likeliest([]) is None
-
-
-def test_rounds_that_judge_other_samples_are_not_compared():
-    """A late sensor's first samples are before the flight's first row: there are fewer to be surprised by."""
-    first, late = flown(-640.0), flown(-600.0, "effect/sensor.alpha_rad/delay")
-    assert likeliest([first, late]) is late  # type: ignore[list-item]
-    better = flown(-610.0, "effect/sensor.alpha_rad/delay", "effect/Cm/V_rel")
-    assert likeliest([first, better, late]) is better  # type: ignore[list-item]
-
-
-def round_of(merit: float, standing: bool = False, gusts: object = None, **t: float) -> SimpleNamespace:
-    chosen = tuple(Choice(k, 1.0, 0.1, v, v * v, 1.0, 0.0) for k, v in t.items())
-    return SimpleNamespace(merit=merit, standing=standing, gusts=gusts, selection=Selection(chosen), keys=frozenset(t), about=None)
-
-
-def test_what_says_nothing_once_it_flies_is_left_out(tmp_path):
-    """Cm is there; a rate of alpha beside it is there only while it does not fly."""
-    asked: list[list[str]] = []
-
-    def fly(selection: Selection, about: object, folder: Path) -> SimpleNamespace:
-        asked.append([c.key for c in selection.chosen])
-        return round_of(101.0, Cm=-8.0)
-
-    both, alone = round_of(90.0, Cm=-8.0, alphadot=1.7), round_of(100.0, Cm=-8.1)
-    found, lines = without_weak(both, [both, alone], 4.0, fly, tmp_path)  # type: ignore
-    assert found is alone
-    assert "alphadot" in lines[0]
-    assert not asked
-    found, _ = without_weak(both, [both], 4.0, fly, tmp_path)  # type: ignore
-    assert found is not None
-    assert found.merit == 101.0
-    assert asked == [["Cm"]]
-    for best in (
-        round_of(90.0, Cm=-8.0, alphadot=5.0), round_of(90.0, True, Cm=-8.0, alphadot=1.7), round_of(90.0, Cm=3.5), None,
-    ):  # fmt: skip
-        assert without_weak(best, [], 4.0, fly, tmp_path) == (best, [])  # type: ignore
-    assert without_weak(both, [both], 4.0, lambda *_: None, tmp_path) == (both, [])  # type: ignore
-
-
-@pytest.mark.parametrize("standing", [False, True])
-def test_nothing_that_says_something_once_it_flies_is_no_effect(tmp_path, standing):
-    """Chance: |t| 4.5 on the linearised flight, 2.7 once it flies."""
-    best = round_of(90.0, standing, alphadot=2.7)
-    assert without_weak(best, [best], 4.0, lambda *_: None, tmp_path) == (
-        None,
-        ["flown, alphadot has |t| 2.7: no effect"],
-    )  # type: ignore
-    for kept in (round_of(90.0, standing, alphadot=3.1), round_of(90.0, standing, object(), alphadot=2.7)):
-        assert without_weak(kept, [kept], 4.0, lambda *_: None, tmp_path) == (kept, [])  # type: ignore

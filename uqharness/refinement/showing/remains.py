@@ -143,7 +143,7 @@ class Nearest:
         rest = [e for e in found.effects.values() if e.key not in self.free]
         # What flew and does not stand is among the columns of the fit, beside which nothing of it would be left.
         flew = [e.key for e in rest if e.key in found.flown]
-        open_ = eligible([e for e in rest if e.key not in flew], found.setup, found.after, self.evidence)
+        open_ = eligible([e for e in rest if e.key not in flew], found.setup, found.after.columns[0].names, self.evidence)
         self.scores = scores(self.evidence, self.free, [*open_, *flew])
 
     def residual(self, *more: str) -> list[Array]:

@@ -1,0 +1,210 @@
+"""The search for what a model lacks: effects are proposed by their score, flown and fitted with everything else, and compared.
+
+1. The linearised likelihood about the model flown last proposes effects (sysid.effects.selection). Of new ones an overwhelming one
+   flies by itself: what linearisation leaves of it looks like others.
+2. The model with them is flown and everything is estimated, what JSBSim reads once until it stands.
+3. Where it asks for several more, what explains nearly as much in the newest one's place flies, too: an airspeed sensor that reads
+   a quarter too much looks at first like thrust that is off, |t| 36 and 37. The right one leaves nothing, the wrong one four more.
+4. The search ends with a model that proposes itself. The best by the log likelihood, less what each effect must earn, stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from sysid.effects import (
+    ALIKE,
+    COMPARABLE,
+    EARNED,
+    OVERWHELMING,
+    SEVERAL,
+    TWINS,
+    Choice,
+    Effect,
+    Evidence,
+    Selection,
+    judged,
+    likeness,
+    scores,
+    select,
+)
+from uqharness.refinement.begin import About
+from uqharness.refinement.read_once import at_values
+from uqharness.refinement.round import Round, Start
+from uqharness.refinement.rounds import fly, odds_at
+from uqharness.replay import SENSOR_OF
+
+ROUNDS = 6
+LONE = (
+    "one channel of a sensor late by itself was not believed beside other delays and servos ({}): the effects were sought "
+    "without such delays"
+)
+Say = Callable[[str], None]
+Fly = Callable[[Selection, About, Path], Round | None]
+
+
+@dataclass(frozen=True)
+class Searched:
+    """What was proposed about the flight without effects, the best model flown or None, how it went, and what is to be told."""
+
+    first: Selection
+    best: Round | None
+    trail: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+
+def search(start: Start, evidence: Evidence, work: Path, say: Say) -> Searched:
+    """The best model about ``evidence`` of the flight without effects; one without delays of single channels where such a delay was
+    chosen beside another time: a servo whose command comes late looks like a gyro and an attitude that are, and a lag."""
+    found = _search(start, evidence, work / "round", say)
+    chosen = () if found.best is None else found.best.selection.chosen
+    doubtful = lone_among_times(chosen, {e.key: e for e in start.effects})
+    if not doubtful:
+        return found
+    without = replace(start, effects=[e for e in start.effects if not _lone(e)])
+    again = _search(without, evidence, work / "whole", say)
+    return replace(again, notes=(LONE.format(", ".join(f"{e.subsystem} {e.term}" for e in doubtful)),))
+
+
+def _search(start: Start, evidence: Evidence, folder: Path, say: Say) -> Searched:
+    about, odds = About(start.before.flown.point, evidence, {}), odds_at(start, start.free, evidence)
+    first = proposal = select(
+        evidence, start.free, odds, start.confirming, limit=start.limit, twins=TWINS, empirical=start.coloured
+    )  # fmt: skip
+    trail = [f"round 1: {line}" for line in first.trail]
+    flown: list[Round] = []
+    seen: set[frozenset[str]] = set()
+
+    def flight(selection: Selection, about: About, folder: Path) -> Round | None:
+        now = fly(start, selection, about, folder)
+        return now and at_values(now, lambda *asked: fly(start, *asked), folder)
+
+    for number in range(2, ROUNDS + 2):
+        if not proposal.chosen:
+            break
+        here = folder.with_name(f"{folder.name}{number}")
+        proposal, later = one_overwhelming(start, proposal, about)
+        trail += [f"round {number}: put off until {_listed(c.key for c in proposal.chosen)} flies: {later}"] if later else []
+        say(f"round {number}: flying with {_listed(c.key for c in proposal.chosen)}")
+        now = flight(proposal, about, here)
+        if now is None:
+            trail.append(f"round {number}: no filter follows flights with these effects; what was flown before stands")
+            break
+        trail += [f"round {number}: {line}" for line in now.again.trail]
+        others = instead_of(start, now, proposal, about)
+        if others:
+            say(f"flying {'; '.join(_listed(c.key for c in o.chosen) for o in others)} instead")
+            folders = [here.with_name(f"{here.name}-instead{k}") for k in range(len(others))]
+            tried = [flight(o, about, f) for o, f in zip(others, folders, strict=True)]
+            better = likeliest([*(t for t in tried if t is not None), now])
+            if better is not None and better is not now:
+                trail.append(f"round {number}: {_listed(better.keys)} flies better than {_listed(now.keys)}")
+                now = better
+        flown.append(now)
+        if now.standing:
+            break
+        seen.add(now.keys)
+        following = frozenset(c.key for c in now.again.chosen)
+        if following in seen and following != now.keys:
+            trail.append(f"round {number}: back to effects flown before; the best round stands")
+            break
+        proposal, about = now.again, now.about
+    best, lines = without_weak(likeliest(flown), flown, start.limit, flight, folder.with_name(f"{folder.name}-kept"))
+    if best is not None and not best.merit < start.merit and _same_samples(best, frozenset()):
+        return Searched(first, None, (*trail, *lines, "flown, the effects do not lower the error by what they must earn"))
+    if best is not None and not best.standing and not lines:
+        lines = [f"the best of {len(flown)} rounds flown, not one that stands"]
+    return Searched(first, best, (*trail, *lines))
+
+
+def one_overwhelming(start: Start, proposal: Selection, about: About) -> tuple[Selection, str]:
+    """The proposal, of its new effects an overwhelming one alone, and which others wait."""
+    new = sorted((c for c in proposal.chosen if c.key not in about.flown), key=lambda c: -abs(c.t))
+    if len(new) < 2 or abs(new[0].t) <= OVERWHELMING:
+        return proposal, ""
+    late = [c.key for c in new[1:]]
+    kept = [c.key for c in proposal.chosen if c.key not in late]
+    return Selection(judged(about.evidence, start.free, kept, (), start.confirming)), _listed(late)
+
+
+def instead_of(start: Start, now: Round, proposal: Selection, about: About) -> list[Selection]:
+    """Proposals with another candidate in the place of an overwhelming new effect that left several to be asked for."""
+    new = [c for c in proposal.chosen if c.key not in about.flown]
+    asked = [c for c in now.again.chosen if c.key not in now.keys]
+    if len(new) != 1 or abs(new[0].t) <= OVERWHELMING or len(asked) < SEVERAL:
+        return []
+    kept = [c.key for c in proposal.chosen if c.key != new[0].key]
+    free = [*start.free, *kept]
+    odds = odds_at(start, [*start.free, *about.flown], about.evidence, kept)
+    names = comparable(about.evidence, free, [k for k in odds if k not in kept], new[0].key)
+    return [Selection(judged(about.evidence, start.free, [*kept, name], (), start.confirming)) for name in names]
+
+
+def comparable(evidence: Evidence, free: Sequence[str], candidates: Sequence[str], key: str) -> list[str]:
+    """Other candidates that explain nearly as much as ``key`` in its place, the best first, no two of them alike."""
+    others = [k for k in candidates if k != key]
+    own, *gains = np.nan_to_num(scores(evidence, free, [key, *others]).gain, nan=-np.inf)
+    gain = np.array(gains)
+    found: list[str] = []
+    for k in np.argsort(-gain):
+        if len(found) == SEVERAL or not gain[k] >= COMPARABLE * own:
+            break
+        same = np.abs(np.nan_to_num(likeness(evidence, free, others[k], [key, *found])))
+        if same.max() < ALIKE:
+            found.append(others[k])
+    return found
+
+
+def likeliest(flown: Sequence[Round]) -> Round | None:
+    """The round of least merit among those that judge the same samples as the last."""
+    same = [r for r in flown if _same_samples(r, flown[-1].keys)]
+    return min(same, key=lambda r: r.merit, default=None)
+
+
+def _same_samples(found: Round, keys: frozenset[str]) -> bool:
+    """Whether a round judges what one with effects ``keys`` does: by predictions, a sensor's delay takes samples away."""
+
+    def late(some: frozenset[str]) -> set[str]:
+        return {k for k in some if k.startswith("effect/sensor.") and k.endswith("/delay")}
+
+    return not found.gusts or late(found.keys) == late(keys)
+
+
+def without_weak(
+    best: Round | None, flown: Sequence[Round], limit: float, again: Fly, folder: Path
+) -> tuple[Round | None, list[str]]:
+    """The best round, or where effects that it flies say less than they must once they fly, the one without them; and why.
+
+    Such a choice goes to and fro: what an effect seemed to be is gone when it flies, and there again when it does not.
+    """
+    if best is not None and not best.gusts and not any(c.t**2 > EARNED * limit**2 for c in best.selection.chosen):
+        return None, [f"flown, {c.key} has |t| {abs(c.t):.1f}: no effect" for c in best.selection.chosen]
+    weak = [c for c in best.selection.chosen if not abs(c.t) > limit] if best is not None and not best.standing else []
+    if best is None or not weak or len(weak) == len(best.selection.chosen):
+        return best, []
+    kept = tuple(c for c in best.selection.chosen if c not in weak)
+    same = [r for r in flown if r.keys == {c.key for c in kept}]
+    found = min(same, key=lambda r: r.merit) if same else again(Selection(kept), best.about, folder)
+    if found is None:
+        return best, []
+    return found, [f"flown, {c.key} has |t| {abs(c.t):.1f}: the best round without it" for c in weak]
+
+
+def lone_among_times(chosen: Sequence[Choice], effects: Mapping[str, Effect]) -> list[Effect]:
+    """Delays of single channels and everything else that is a time or a servo's, where both were chosen; else none."""
+    of = [effects[c.key] for c in chosen]
+    timed = [e for e in of if e.unit in ("s", "s/deg") or (e.subsystem or "").startswith("actuator.")]
+    return timed if any(map(_lone, timed)) and len(timed) > 1 else []
+
+
+def _lone(effect: Effect) -> bool:
+    """Whether it is the delay of one channel of a sensor that has several."""
+    return effect.unit == "s" and (effect.subsystem or "").partition(".")[2] in SENSOR_OF
+
+
+def _listed(keys: Iterable[str]) -> str:
+    return ", ".join(k.removeprefix("effect/").replace("/", " ") for k in keys)
