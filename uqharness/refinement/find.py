@@ -43,7 +43,7 @@ from uqharness.plugin import Estimate
 from uqharness.refinement.base import Base, base_fit_and_noise
 from uqharness.refinement.between_rows import with_jumps
 from uqharness.refinement.candidates import effect_columns
-from uqharness.refinement.fit import Fit
+from uqharness.refinement.fit import PRIOR, Fit
 from uqharness.refinement.gusts import GustFit, gust_evidence, gust_refit
 from uqharness.refinement.rates import limits_tried
 from uqharness.refinement.round import Start
@@ -129,7 +129,7 @@ def find_effects(
         raise BadInputError(
             f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters], so nothing says what may be re-identified first"
         )
-    recorded, clock = setup, _Clock(setup.segments[0].command_s, put_right)
+    recorded, clock = setup, Clock(setup.segments[0].command_s, put_right)
     if put_right:
         setup = make_setup(aircraft, later(recorded.flights, sum(put_right)), measured, ideal)
     confirming = confirming_segments(setup)
@@ -203,7 +203,7 @@ def find_effects(
 
 
 @dataclass(frozen=True)
-class _Clock:
+class Clock:
     """Of the records: time from one command to the next, and by how much the controls act later than recorded, step by step."""
 
     command_s: float
@@ -215,13 +215,19 @@ class _Clock:
         return len(self.put_right) < MOST_CORRECTIONS
 
     @property
+    def late_s(self) -> float:
+        """What is later than this is a slip of the record; less is what every fit allows for, as an integration has it."""
+        least = LEAST_LATE_ROWS * self.command_s
+        return least if self.put_right else max(least, PRIOR["lateness"])
+
+    @property
     def early_s(self) -> float:
         """What is earlier than this is a slip of the record: a simulator's flight acts up to half a step before its row."""
         return (LEAST_LATE_ROWS if self.put_right else UNKNOWN_ROWS) * self.command_s
 
 
 def _of_the_clock(
-    setup: Setup, before: Fit, evidence: Evidence, effects: Sequence[Effect], confirming: NDArray[np.bool_], clock: _Clock,
+    setup: Setup, before: Fit, evidence: Evidence, effects: Sequence[Effect], confirming: NDArray[np.bool_], clock: Clock,
     least_t: float = 0.0,
 ) -> tuple[float, float] | None:  # fmt: skip
     """`controls_late` of the flights as they are with the controls at their rows, beside the effects that compete with it there;
@@ -232,7 +238,7 @@ def _of_the_clock(
     free = columns[0].names
     odds = eligible(effects, setup, free, at_rows)
     limit = max(threshold(len(odds) + 1), least_t)
-    return controls_late(at_rows, free, odds, confirming, limit, LEAST_LATE_ROWS * clock.command_s, clock.early_s)
+    return controls_late(at_rows, free, odds, confirming, limit, clock.late_s, clock.early_s)
 
 
 def _not_borne_out(first: Selection, limit: float) -> Refusal | None:
@@ -274,7 +280,7 @@ def gust_like(effect: Effect) -> bool:
 def _in_gusts(
     bench: Bench, found: GustFit, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]],
     effects: Sequence[Effect], confirming: NDArray[np.bool_], notes: Sequence[str], work: Path, map_: Processes, say: Say,
-    clock: _Clock,
+    clock: Clock,
 ) -> Found | tuple[float, float]:  # fmt: skip
     """The same choice made on one-step predictions; found: the fit without effects. Where the records' clock is off, by how much
     (`controls_late`), and nothing is chosen."""

@@ -29,7 +29,7 @@ def controls_late(
     """(seconds, standard error) by which all controls act after their rows, None where the flights do not say so.
 
     evidence    with the column of CONTROLS_LATE; odds: candidate -> odds of the effects that compete with it
-    limit       |t| asked; least_s: what a replay resolves; early_s: what is earlier than this is a slip of the record
+    limit       |t| asked; least_s, early_s: what is later, or earlier, than this is a slip of the record
     """
     key = CONTROLS_LATE.key
     value, std, _ = corrected(evidence, free, key)
