@@ -181,7 +181,7 @@ def without_weak(
 
     Such a choice goes to and fro: what an effect seemed to be is gone when it flies, and there again when it does not.
     """
-    if best is not None and not best.gusts and not any(c.t**2 > EARNED * limit**2 for c in best.selection.chosen):
+    if best is not None and not any(c.t**2 > EARNED * limit**2 for c in best.selection.chosen):
         return None, [f"flown, {c.key} has |t| {abs(c.t):.1f}: no effect" for c in best.selection.chosen]
     weak = [c for c in best.selection.chosen if not abs(c.t) > limit] if best is not None and not best.standing else []
     if best is None or not weak or len(weak) == len(best.selection.chosen):

@@ -84,10 +84,10 @@ def todo(lines: Sequence[Mapping[str, str]], draw: int, numbers: Sequence[int], 
 
 
 def answers(
-    numbers: Sequence[int], made: Callable[[int], Question], ask: Callable[[Question], dict[str, Any]], workers: int = 1
+    numbers: Sequence[int], made: Callable[[int], Question | None], ask: Callable[[Question], dict[str, Any]], workers: int = 1
 ) -> Iterator[tuple[Question, dict[str, Any]]]:
-    """Questions with their answers as they come, ``workers`` asked side by side. A stop ends those that are being answered, and
-    they are not told."""
+    """Questions with their answers as they come, ``workers`` asked side by side; none where ``made`` gives none. A stop ends those
+    that are being answered, and they are not told."""
     with ThreadPoolExecutor(workers) as pool:
         pending: dict[Future[dict[str, Any]], Question] = {}
         try:
@@ -95,8 +95,8 @@ def answers(
                 while pending and (number is None or len(pending) == workers):
                     for done in wait(pending, return_when=FIRST_COMPLETED).done:
                         yield pending.pop(done), done.result()
-                if number is not None:
-                    asked = made(number)
+                asked = None if number is None else made(number)
+                if asked is not None:
                     pending[pool.submit(ask, asked)] = asked
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
@@ -134,8 +134,17 @@ def main(argv: list[str] | None = None) -> int:
     place = sealed.seal(folder / "sealed", [secret, path])
     numbers = given.numbers or range(len(slots(draw)))
 
-    def made(number: int) -> Question:
-        asked = question(draw, number, secret, given.seconds)
+    def made(number: int) -> Question | None:
+        never = secret / f"{draw}-{number}.never"
+        try:
+            if never.is_file():
+                raise RuntimeError(never.read_text(encoding="utf-8"))
+            asked = question(draw, number, secret, given.seconds)
+        except RuntimeError as error:
+            # No attempt is as strong as the case's kind asks: it is left out, which is told.
+            never.write_text(str(error), encoding="utf-8")
+            print(f"{number}: left out: {error}", file=sys.stderr, flush=True)
+            return None
         if write([asked], folder / "flights"):
             raise SystemExit(f"draw {draw}, case {number}: a flight comes to grief")
         return asked

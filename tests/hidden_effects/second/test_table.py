@@ -76,6 +76,7 @@ def test_several_are_asked_side_by_side_and_a_stop_tells_none_of_them():
     found = dict(run.answers(range(7), lambda number: number, ask, 3))
     assert found == {n: {"number": n} for n in range(7)}
     assert max(seen) > 1
+    assert dict(run.answers(range(4), lambda number: None if number == 2 else number, ask)) == {n: {"number": n} for n in (0, 1, 3)}
 
     def stopped(number):
         if number == 2:
@@ -86,6 +87,20 @@ def test_several_are_asked_side_by_side_and_a_stop_tells_none_of_them():
     with pytest.raises(KeyboardInterrupt):
         list(run.answers(range(5), lambda number: number, stopped, 3))
     assert time.monotonic() - begun < 30.0
+
+
+def test_a_case_that_cannot_be_drawn_is_left_out_and_told_and_not_tried_again(tmp_path, monkeypatch, capsys):
+    tried = []
+
+    def never(draw, number, *_):
+        tried.append(number)
+        raise RuntimeError(f"draw {draw}, case {number}: no flight in 200 attempts")
+
+    monkeypatch.setattr(run, "question", never)
+    for _ in range(2):
+        assert run.main(["--development", "--numbers", "3", "--out", str(tmp_path)]) == 1
+        assert "3: left out: draw 0, case 3: no flight in 200 attempts" in capsys.readouterr().err
+    assert tried == [3]
 
 
 def test_a_draw_is_not_met_by_code_that_is_not_committed(tmp_path, monkeypatch, capsys):
