@@ -31,20 +31,18 @@ DEPENDENT = 1e-5
 
 @dataclass(frozen=True)
 class Evidence:
-    """Sums over segments of whitened columns and innovations.
+    """Sums of whitened columns and innovations over groups of segments.
 
-    gram (S, K, K), score (S, K), square (S,): Y'Y, Y'e, e'e; samples (S,): values measured; prior (K,): information held besides
+    gram (G, K, K), score (G, K): Y'Y and Y'e of each group; group (S,): that of each segment; prior (K,): information held besides
     held   names of the columns that ``white`` has, in its order; None: all. Others it makes again, or has not
     """
 
     names: tuple[str, ...]
     gram: FloatArray
     score: FloatArray
-    square: FloatArray
-    samples: FloatArray
+    group: Index
     prior: FloatArray
     white: Sequence[White]
-    flights: tuple[str, ...]
     held: tuple[str, ...] | None = None
 
     def index(self, names: Sequence[str]) -> Index:
@@ -62,10 +60,18 @@ class Evidence:
         return self.gram.sum(axis=0) + np.diag(self.prior), self.score.sum(axis=0)
 
     def part(self, segments: NDArray[np.bool_] | None) -> tuple[FloatArray, FloatArray]:
-        """(K, K) information and (K,) score of some segments, priors included."""
+        """(K, K) information and (K,) score of some segments, whole groups of them, priors included. Raises ValueError."""
         if segments is None:
             return self.everything
-        return self.gram[segments].sum(axis=0) + np.diag(self.prior), self.score[segments].sum(axis=0)
+        some = np.unique(self.group[segments])
+        if np.isin(self.group, some).sum() != np.sum(segments):
+            raise ValueError("segments of one group are in no two parts")
+        return self.gram[some].sum(axis=0) + np.diag(self.prior), self.score[some].sum(axis=0)
+
+    @cached_property
+    def corrected(self) -> dict[tuple[frozenset[str], float], dict[str, tuple[float, float, float]]]:
+        """What `corrected_each` has found: a search asks for the same columns again and again."""
+        return {}
 
     def series(self, w: White, some: Index) -> FloatArray:
         """(n, m, C) columns of a segment. Raises KeyError for one that is neither held nor made again."""
@@ -106,8 +112,7 @@ class Evidence:
             v[self._where[name]] = value
         used = np.flatnonzero(v)
         white = [replace(w, residual=w.residual + self.series(w, used) @ v[used]) for w in self.white]
-        square = np.array([float(np.sum(w.residual**2)) for w in white])
-        return replace(self, score=self.score + self.gram @ v, square=square, white=white)
+        return replace(self, score=self.score + self.gram @ v, white=white)
 
     def residual(self, delta: FloatArray) -> list[FloatArray]:
         """[(n, m)] whitened innovations after a change of the columns, NaN where nothing was measured."""
@@ -118,15 +123,15 @@ class Evidence:
 def gather(
     white: Iterable[White],
     names: Sequence[str],
-    flights: Sequence[str],
+    group: Sequence[int] | NDArray[np.bool_],
     prior: Mapping[str, float],
     held: Sequence[str] | None = None,
 ) -> Evidence:
-    """Evidence from filtered segments, one of ``flights`` each; prior: kind of column (its name up to the first /) -> standard
-    deviation known beforehand; held: names of the columns that it has at hand, None: all. Those of candidates are most of the
-    memory that evidence would take."""
-    K = len(names)
-    gram, score = np.zeros((len(flights), K, K)), np.zeros((len(flights), K))
+    """Evidence from filtered segments. group (S,): whose sums are kept together, 0 and up; prior: kind of column (its name up to
+    the first /) -> standard deviation known beforehand; held: names of the columns that it has at hand, None: all. Those of
+    candidates are most of the memory that evidence would take."""
+    K, groups = len(names), np.asarray(group, dtype=np.intp)
+    gram, score = np.zeros((groups.max() + 1, K, K)), np.zeros((groups.max() + 1, K))
     kept: list[White] = []
     at = None if held is None else [list(names).index(n) for n in held]
     for s, w in enumerate(white):
@@ -134,14 +139,11 @@ def gather(
         scale = np.sqrt(np.einsum("ij,ij->j", flat, flat, dtype=np.float64))
         # Columns differ by many powers of ten; single precision is for columns of unit length.
         unit = flat / np.where(scale > 0.0, scale, 1.0).astype(np.float32)
-        gram[s] = (unit.T @ unit).astype(np.float64) * np.outer(scale, scale)
-        score[s] = flat.astype(np.float64).T @ w.residual.ravel()
+        gram[groups[s]] += (unit.T @ unit).astype(np.float64) * np.outer(scale, scale)
+        score[groups[s]] += flat.astype(np.float64).T @ w.residual.ravel()
         kept.append(w if at is None else replace(w, columns=w.columns[:, :, at]))
     known = np.array([1.0 / prior[n.split("/")[0]] ** 2 if n.split("/")[0] in prior else 0.0 for n in names])
-    square = np.array([float(np.sum(w.residual**2)) for w in kept])
-    samples = np.array([float(w.there.sum()) for w in kept])
-    own = None if held is None else tuple(held)
-    return Evidence(tuple(names), gram, score, square, samples, known, kept, tuple(flights), own)
+    return Evidence(tuple(names), gram, score, groups, known, kept, None if held is None else tuple(held))
 
 
 def solve(G: FloatArray, right: FloatArray) -> FloatArray:
@@ -209,9 +211,18 @@ def corrected_each(
 ) -> dict[str, tuple[float, float, float]]:
     """`corrected` of each of the ``wanted`` among the columns ``names``, all estimated together: what the fit leaves, and so its
     colour, is the same for all of them and computed once."""
+    known = evidence.corrected.setdefault((frozenset(names), scale), {})
+    if not known.keys() >= {*wanted}:
+        known |= _corrected(evidence, names, [*wanted, *(n for n in names if n.startswith("effect/") and n not in wanted)], scale)
+    return {n: known[n] for n in wanted}
+
+
+def _corrected(
+    evidence: Evidence, names: Sequence[str], wanted: Sequence[str], scale: float
+) -> dict[str, tuple[float, float, float]]:  # fmt: skip
     names, some = list(names), evidence.index(names)
     G = evidence.everything[0][np.ix_(some, some)]
-    delta = evidence.fitted(some)
+    delta = evidence.fitted(some)[some]
     # What the others leave of a column.
     alone, g = np.zeros((len(some), len(wanted))), np.empty(len(wanted))
     places = [names.index(name) for name in wanted]
@@ -220,11 +231,15 @@ def corrected_each(
         x = solve(G[np.ix_(b, b)], G[b, c][:, None])[:, 0]
         alone[b, k], alone[c, k] = -x, 1.0
         g[k] = G[c, c] - G[c, b] @ x
-    own = [evidence.series(w, some) @ alone for w in evidence.white]
-    bracket = np.diagonal(coloured_information(own, evidence.residual(delta)))
+    own, left = [], []
+    for w in evidence.white:
+        columns = evidence.series(w, some)
+        own.append(columns @ alone)
+        left.append(np.where(w.there, w.residual - columns @ delta, np.nan))
+    bracket = np.diagonal(coloured_information(own, left))
     plain = 1.0 / np.sqrt(g)
     std = np.maximum(np.sqrt(np.maximum(bracket, 0.0)) / g, scale * plain)
-    return {n: (float(delta[some[c]]), float(std[k]), float(plain[k])) for k, (n, c) in enumerate(zip(wanted, places, strict=True))}
+    return {n: (float(delta[c]), float(std[k]), float(plain[k])) for k, (n, c) in enumerate(zip(wanted, places, strict=True))}
 
 
 def agreement(evidence: Evidence, free: Sequence[str], candidate: str, part: NDArray[np.bool_]) -> tuple[float, float]:

@@ -40,10 +40,11 @@ def left_in(setup: Setup, shown: Shown, gusty: bool) -> Left:
 
 
 def too_weak(chosen: Sequence[Choice], limit: float) -> tuple[Choice, ...]:
-    """Those that would not be named beside something unexplained; limit: |t| asked of any."""
-    strongest = max((abs(c.t) for c in chosen), default=0.0)
-    asked = max(min(COMPARABLE * strongest, OVERWHELMING), limit + DIFFERENT)
-    return tuple(c for c in chosen if not abs(c.t) >= asked)
+    """Those that would not be named beside something unexplained; limit: |t| asked of any. |t| is by the standard error that is
+    told: in turbulence that of rates of the wind angles is wider than what chose them."""
+    t = [abs(c.value / c.std) for c in chosen]
+    asked = max(min(COMPARABLE * max(t, default=0.0), OVERWHELMING), limit + DIFFERENT)
+    return tuple(c for c, own in zip(chosen, t, strict=True) if not own >= asked)
 
 
 def named_beside(

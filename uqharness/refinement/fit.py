@@ -266,7 +266,7 @@ class Linear:
         steps = steps_of(found, flown.outputs, setup, flown.point, by=map_)
         columns = parameter_columns(setup, found, flown, self.names, analytic)
         white = whiten(steps, setup.measured, columns, setup.which, setup.noise)
-        evidence = gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)
+        evidence = gather(white, columns[0].names, [0] * len(white), PRIOR)
         return Fit(flown, found, steps, columns, evidence, analytic, 0, True)
 
 

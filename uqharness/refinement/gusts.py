@@ -35,6 +35,7 @@ from uqharness.refinement.candidates import at_vane, sensor_gain, sensor_offset,
 from uqharness.refinement.fit import PRIOR, Fit, parameter_columns, positions, probes, stepped, steps_of
 from uqharness.refinement.reference import Predicted, Probe, along, named_terms
 from uqharness.refinement.sensed import as_sensed, moved_later, sensor_late_s
+from uqharness.refinement.setup import confirming_segments
 from uqharness.refinement.types import Flown, Point, Setup, late_by, unseen_share
 from uqharness.replay import ReplayModel, Segment
 from uqharness.replay.flights import segments
@@ -191,7 +192,7 @@ def gust_refit(
         causal, path = path is not None, [p.body for p in found]
         columns = parameter_columns(setup, found, flown, names, analytic)
         white = whitened(followed, columns)
-        evidence = gather(white, columns[0].names, [s.flight for s in setup.segments], PRIOR)
+        evidence = gather(white, columns[0].names, [0] * len(white), PRIOR)
         before = length
         delta, length = evidence.step(setup.held)
         # A force that goes with alphadot changes the acceleration that it goes with: columns know half of it, and steps overshoot.
@@ -326,4 +327,4 @@ def gust_evidence(setup: Setup, fitted: GustFit, extra: Sequence[Columns]) -> Ev
     columns = merged(fitted.fit.columns, extra)
     measured = in_step(setup, fitted.fit.flown.point)
     white = whiten_each(fitted.fit.steps, measured, columns, setup.which, setup.noise, fitted.gusts.process)
-    return gather(white, columns.names, [s.flight for s in setup.segments], PRIOR, fitted.fit.columns[0].names)
+    return gather(white, columns.names, confirming_segments(setup), PRIOR, fitted.fit.columns[0].names)

@@ -30,7 +30,7 @@ from uqharness.refinement.gusts import gust_evidence, gust_refit
 from uqharness.refinement.rates import felt
 from uqharness.refinement.read_once import far_off
 from uqharness.refinement.round import Round, Start
-from uqharness.refinement.setup import Bench, with_sensors_of
+from uqharness.refinement.setup import Bench, confirming_segments, with_sensors_of
 from uqharness.refinement.timing import LEAST_LATE_ROWS
 from uqharness.refinement.types import Point, Setup, in_dynamics
 from uqharness.refinement.writing.effects import Written, carrier, write_effects
@@ -107,7 +107,7 @@ def column_evidence(setup: Setup, fit: Fit, extra: Sequence[Columns]) -> Evidenc
     """Evidence of a fit's own columns beside others."""
     columns = merged(fit.columns, extra)
     white = whiten_each(fit.steps, setup.measured, columns, setup.which, setup.noise)
-    return gather(white, columns.names, [s.flight for s in setup.segments], PRIOR, fit.columns[0].names)
+    return gather(white, columns.names, confirming_segments(setup), PRIOR, fit.columns[0].names)
 
 
 def resolved(start: Start, found: Round) -> Selection:

@@ -104,7 +104,8 @@ def _search(start: Start, evidence: Evidence, folder: Path, say: Say) -> Searche
             if better is not None and better is not now:
                 trail.append(f"round {number}: {_listed(better.keys)} flies better than {_listed(now.keys)}")
                 now = better
-        flown.append(now)
+        # Those that are not the best of what they judge would take the most memory.
+        flown = [*(r for r in flown if r is likeliest([*flown, r])), now]
         if now.standing:
             break
         seen.add(now.keys)
@@ -117,7 +118,7 @@ def _search(start: Start, evidence: Evidence, folder: Path, say: Say) -> Searche
     if best is not None and not best.merit < start.merit and _same_samples(best, frozenset()):
         return Searched(first, None, (*trail, *lines, "flown, the effects do not lower the error by what they must earn"))
     if best is not None and not best.standing and not lines:
-        lines = [f"the best of {len(flown)} rounds flown, not one that stands"]
+        lines = ["the best of the rounds flown, not one that stands"]
     return Searched(first, best, (*trail, *lines))
 
 

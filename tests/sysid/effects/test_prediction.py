@@ -111,7 +111,7 @@ def flights(effect: dict[str, float], seed: int, segments: int = 9, n: int = 60)
             if i < n - 1:
                 state = steps.phi[i] @ state + steps.defect[i] + steps.g0[i] @ u[i] + steps.g1[i] @ u[i + 1]
         parts.append(whiten([steps], [z], [Columns(names, inputs, {})], range(M), noise)[0])
-    return gather(parts, names, ["f"] * segments, {})
+    return gather(parts, names, range(segments), {})
 
 
 CONFIRMING = np.arange(9) % 3 == 1
@@ -239,10 +239,10 @@ def test_evidence_that_makes_columns_again_says_the_same_as_one_that_holds_them(
         asked.append(some)
         return columns[k]
 
-    flights = ["f"] * 3
-    whole = gather(whiten(steps, z, columns, range(M), np.ones(M), process), names, flights, {})
+    group = [0, 1, 2]
+    whole = gather(whiten(steps, z, columns, range(M), np.ones(M), process), names, group, {})
     white = whiten_each(steps, z, MadeColumns(names, make, 3), range(M), np.ones(M), process)
-    held = gather(white, names, flights, {}, ("off", "b", "a"))
+    held = gather(white, names, group, {}, ("off", "b", "a"))
     assert held.white[0].columns.shape == (n, M, 3)
     np.testing.assert_array_equal(held.gram, whole.gram)
     for some in (["a", "b"], ["c2", "a", "c1"], ["c2"]):
@@ -256,3 +256,25 @@ def test_evidence_that_makes_columns_again_says_the_same_as_one_that_holds_them(
     gone = replace(held, white=[replace(w, more=None) for w in held.white])
     with pytest.raises(KeyError):
         corrected(gone, ["a", "b"], "c1")
+
+
+def test_groups_of_segments_say_the_same_as_their_segments_and_are_not_split():
+    each = flights({"c3": 0.2}, 3)
+    groups = gather(each.white, each.names, CONFIRMING, {})
+    assert groups.gram.shape[0] == 2
+    for part in (CONFIRMING, ~CONFIRMING, None):
+        for one, other in zip(each.part(part), groups.part(part), strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6)
+    some = CONFIRMING.copy()
+    some[np.flatnonzero(some)[0]] = False
+    with pytest.raises(ValueError, match="one group"):
+        groups.part(some)
+
+
+def test_what_is_asked_again_is_remembered_by_its_columns_alone(monkeypatch):
+    evidence = flights({"c3": 0.2}, 3)
+    first = corrected_each(evidence, ["a", "b", "c3"], ["a"])
+    monkeypatch.setattr("sysid.effects.score.coloured_information", None)
+    assert corrected_each(evidence, ["c3", "b", "a"], ["a"]) == first
+    with pytest.raises(TypeError):
+        corrected_each(evidence, ["a", "c3"], ["a"])

@@ -23,7 +23,7 @@ def evidence(columns: dict[str, np.ndarray], residual: np.ndarray) -> Evidence:
         )
         for s in range(SEGMENTS)
     ]  # fmt: skip
-    return gather(white, names, ["one"] * SEGMENTS, {})
+    return gather(white, names, range(SEGMENTS), {})
 
 
 def drawn(rng: np.random.Generator) -> np.ndarray:

@@ -35,7 +35,7 @@ def evidence_of(found, left, terms, free=("1", "alpha"), parts=3):
         residual = left[part][:, None]
         there = np.ones(residual.shape, dtype=bool)
         white.append(White(residual, columns[part][:, None, :], 0.0, np.zeros((8, 1)), there, np.ones(1), np.zeros((len(part), 8))))
-    return gather(white, names, ["a"] * parts, {}), [n for n in names if n.startswith("aero/")]
+    return gather(white, names, range(parts), {}), [n for n in names if n.startswith("aero/")]
 
 
 def fitted(found, left, term, **more):

@@ -29,7 +29,7 @@ def evidence_of(values: tuple[float, ...], seed: int = 0, noise: float = 1.0) ->
         start = rng.standard_normal((8, 1 + len(NAMES)))
         parts.append(White(residual, columns.astype(np.float32), 0.0, start, np.ones((400, 2), dtype=bool), np.ones(2),
                            np.zeros((400, 8))))  # fmt: skip
-    return gather(parts, NAMES, ["f", "f"], {})
+    return gather(parts, NAMES, [0, 1], {})
 
 
 def test_parameters_and_start_states_move_with_the_effects():

@@ -21,7 +21,7 @@ def evidence(strengths: dict[str, float], likeness: float = 0.0) -> Evidence:
     gram = np.eye(len(names))
     gram[1, 2] = gram[2, 1] = likeness
     score = gram @ np.array([0.0, *strengths.values()])
-    return Evidence(names, gram[None], score[None], np.array([1e4]), np.array([1000.0]), np.zeros(len(names)), (), ())
+    return Evidence(names, gram[None], score[None], np.zeros(1, dtype=int), np.zeros(len(names)), ())
 
 
 def test_every_strong_candidate_beside_the_chosen_is_told_the_strongest_first():

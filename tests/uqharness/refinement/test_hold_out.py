@@ -30,7 +30,7 @@ def side(
     white = White(
         residual[:, None], columns[:, None, :].astype(np.float32), 0.0, np.zeros((8, 5)), there, np.ones(1), np.zeros((n, 8))
     )
-    return gather([white], (*NAMES, KEY, "bias/f/q"), ["f"], {}), columns, measured
+    return gather([white], (*NAMES, KEY, "bias/f/q"), [0], {}), columns, measured
 
 
 def both(rng: np.random.Generator) -> tuple[Both, dict[str, float], tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:

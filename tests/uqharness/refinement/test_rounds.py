@@ -27,7 +27,7 @@ def at(value: float, late: dict[str, list[str]], servos=None) -> dict[str, float
         residual, columns.astype(np.float32), 0.0, np.zeros((8, 1 + len(EFFECTS))), np.ones((50, 2), dtype=bool),
         np.ones(2), np.zeros((50, 11)),
     )  # fmt: skip
-    evidence = gather([white], [e.key for e in EFFECTS], ["one"], {})
+    evidence = gather([white], [e.key for e in EFFECTS], [0], {})
     controls = np.zeros((50, 4))
     controls[10:20, 1], controls[20:30, 1] = 10.0, -10.0
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT, controls=controls)], late=late, servos=servos or {})
@@ -70,7 +70,7 @@ def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
         columns @ np.array([0.4, 1.0, 1.0]), columns.astype(np.float32), 0.0, np.zeros((8, 4)), np.ones((200, 2), dtype=bool),
         np.ones(2), np.zeros((200, 11)),
     )  # fmt: skip
-    evidence = gather([white], ["aero/Cm_q", *keys], ["one"], {})
+    evidence = gather([white], ["aero/Cm_q", *keys], [0], {})
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={})
     units = zip(keys, ("s", "1"), strict=True)
     effects = [SimpleNamespace(key=k, unit=u, positive=False, odds=0.0) for k, u in units]
@@ -98,7 +98,7 @@ def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(al
         columns[:, :, 0] + 0.1 * rng.standard_normal((200, 2)), columns.astype(np.float32), 0.0, np.zeros((8, 3)),
         np.ones((200, 2), dtype=bool), np.ones(2), np.zeros((200, 11)),
     )  # fmt: skip
-    evidence = gather([white], [term, delay], ["one"], {})
+    evidence = gather([white], [term, delay], [0], {})
     start = SimpleNamespace(
         setup=SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={}), confirming=np.zeros(1, dtype=bool),
         effects=[

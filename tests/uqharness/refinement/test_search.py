@@ -31,7 +31,7 @@ def told(own_part: float = 0.0) -> Evidence:
     white = White(
         residual, columns.astype(np.float32), 0.0, np.zeros((8, 6)), np.ones((400, 2), dtype=bool), np.ones(2), np.zeros((400, 13))
     )
-    return gather([white], KEYS, ["one"], {})
+    return gather([white], KEYS, [0], {})
 
 
 @pytest.fixture
@@ -52,7 +52,7 @@ def test_what_explains_half_as_much_is_comparable_and_what_explains_less_is_not(
     (white,) = evidence.white
     free, speed, noise = (white.columns[:, :, k] for k in (0, 2, 4))
     columns = np.stack([free, speed, speed + np.float32(share) * noise], axis=2)
-    both = gather([White(**{**vars(white), "columns": columns, "start": np.zeros((8, 4))})], ("free", lag, limit), ["one"], {})
+    both = gather([White(**{**vars(white), "columns": columns, "start": np.zeros((8, 4))})], ("free", lag, limit), [0], {})
     shares = scores(both, ["free"], [lag, limit]).gain
     assert (shares[1] > 0.5 * shares[0]) == found
     assert comparable(both, ["free"], [lag, limit], lag) == [limit] * found
@@ -263,7 +263,7 @@ def test_one_channel_late_by_itself_is_not_believed_beside_another_time(keys, do
 def test_then_the_search_is_made_without_such_delays(monkeypatch, tmp_path, evidence):
     (white,) = evidence.white
     names = ("free", "effect/actuator.aileron/lag", "effect/sensor.p_radps/delay", "twin", "other")
-    renamed = gather([white], names, ["one"], {})
+    renamed = gather([white], names, [0], {})
     start = started()
     effects = [LONE[k] for k in names[1:3]]
     both = {names[1]: 50.0, names[2]: 40.0}
