@@ -3,8 +3,8 @@
 1. The linearised likelihood about the model flown last proposes effects (sysid.effects.selection). Of new ones an overwhelming one
    flies by itself: what linearisation leaves of it looks like others.
 2. The model with them is flown and everything is estimated, what JSBSim reads once until it stands.
-3. Where it asks for several more, what explains nearly as much in the newest one's place flies, too: an airspeed sensor that reads
-   a quarter too much looks at first like thrust that is off, |t| 36 and 37. The right one leaves nothing, the wrong one four more.
+3. Where it asks for several more, what explains nearly as much in the newest one's place flies, too, three times in all: an
+   airspeed sensor that reads a quarter too much looks at first like thrust that is off, |t| 36 and 37; the right one leaves none.
 4. The search ends with a model that proposes itself. The best by the log likelihood, less what each effect must earn, stands.
 """
 
@@ -78,6 +78,7 @@ def _search(start: Start, evidence: Evidence, folder: Path, say: Say) -> Searche
     trail = [f"round 1: {line}" for line in first.trail]
     flown: list[Round] = []
     seen: set[frozenset[str]] = set()
+    doubted = 0
 
     def flight(selection: Selection, about: About, folder: Path) -> Round | None:
         now = fly(start, selection, about, folder)
@@ -95,7 +96,8 @@ def _search(start: Start, evidence: Evidence, folder: Path, say: Say) -> Searche
             trail.append(f"round {number}: no filter follows flights with these effects; what was flown before stands")
             break
         trail += [f"round {number}: {line}" for line in now.again.trail]
-        others = instead_of(start, now, proposal, about)
+        others = instead_of(start, now, proposal, about)[: SEVERAL - doubted]
+        doubted += len(others)
         if others:
             say(f"flying {'; '.join(_listed(c.key for c in o.chosen) for o in others)} instead")
             folders = [here.with_name(f"{here.name}-instead{k}") for k in range(len(others))]
