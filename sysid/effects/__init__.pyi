@@ -32,7 +32,6 @@ from .selection import Alternative as Alternative
 from .selection import Choice as Choice
 from .selection import Refusal as Refusal
 from .selection import Selection as Selection
-from .selection import Twins as Twins
 from .selection import chance_limit as chance_limit
 from .selection import judged as judged
 from .selection import select as select
@@ -60,7 +59,6 @@ from .tuned import RATES_IN_GUSTS as RATES_IN_GUSTS
 from .tuned import RESOLVED_ROWS as RESOLVED_ROWS
 from .tuned import SEVERAL as SEVERAL
 from .tuned import STANDS as STANDS
-from .tuned import TRACE as TRACE
 from .tuned import UNKNOWN_ROWS as UNKNOWN_ROWS
 from .turbulence import Gusts as Gusts
 from .turbulence import gust_intensity as gust_intensity

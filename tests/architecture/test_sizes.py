@@ -44,7 +44,6 @@ MANY_ARGUMENTS: Mapping[str, int] = {
 MANY_BRANCHES: Mapping[str, int] = {
     # Refinement's inside is to be rewritten.
     "uqharness/refinement/candidates.py": 1,
-    "uqharness/refinement/rounds.py": 1,
 }
 
 
