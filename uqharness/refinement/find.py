@@ -180,7 +180,7 @@ def find_effects(
     start = Start(
         aircraft, setup, before, names, effects, limits, confirming, limit, tuple(measured), tuple(ideal), map_, before.flown.cost
     )
-    searched = search(start, evidence, work, say)
+    searched = search(start, evidence, odds, work, say)
     best, notes = searched.best, [*notes, *searched.notes]
     plain = {n: before.flown.point.values[n] for n in names}
     if best is None:
@@ -298,7 +298,7 @@ def _in_gusts(
     )  # fmt: skip
     odds = odds_at(start, free, evidence)
     start = replace(start, limit=max(threshold(len(odds)), GUST_LIMIT))
-    searched = search(start, evidence, work, say)
+    searched = search(start, evidence, odds, work, say)
     best, first = searched.best, searched.first
     air = found.gusts if best is None or best.gusts is None else best.gusts
     note = (
