@@ -28,7 +28,7 @@ def compile_loops() -> None:
     measured = np.zeros((_ROWS, len(OUTPUTS)))
     columns = [Columns(("c",), {"c": (0, np.zeros(_ROWS))}, {})]
     calm, gusty = (linearise(reference, mass, gusts=air) for air in (None, gusts))
-    variances, begin = process_of(np.ones(5), _SPEED_MPS, gusts)
+    variances, begin = process_of(np.ones(7), _SPEED_MPS, gusts)
     process = Process(variances[None], begin[None])
     whiten([calm], [measured], columns, which, noise)
     whiten([gusty], [measured], columns, which, noise, process)

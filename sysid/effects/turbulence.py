@@ -8,6 +8,8 @@ intensities of its own.
 Where gusts were made beforehand for one speed, as simulations often do, they pass at that speed however fast the aircraft flies.
 Left out, the air's rotation would pass for stability: gusts that pitch the air and change alpha at once made Cm_alpha a third of
 its size. Gusts along the path that turn with the aircraft, left out, were moments from yaw rate squared at |t| of 7.
+Where the model lacks a moment, white moments about the body's axes stand for it, as large as the flights ask for: without them a
+filter takes it for air, and terms in other coefficients for what such air would do.
 Gusts that pass at one speed, taken to pass at the airspeed, were damping and stability that go with thrust or angle of attack at
 |t| of 4 to 6, since the slow flight's air rotated too fast.
 """
@@ -33,12 +35,15 @@ FloatArray = NDArray[np.float64]
 Linear = Callable[[Sequence[int], Sequence[GustStates]], Sequence[Steps]]
 """Steps of some of the segments, linearised with gusts that act so in each."""
 V_REFERENCE = 20.0
-_START = np.array([0.25, 5e-4, 5e-4, 5e-2, 1e-4])
-"""Intensities of V [m2/s3], alpha and beta [rad2/s], the air's roll [rad2/s3], what its pitch and yaw have besides [rad2/s3]; all
-at V_REFERENCE. Light air, to begin with."""
+_START = np.array([0.25, 5e-4, 5e-4, 5e-2, 1e-4, 1e-4, 1e-4])
+"""Intensities of V [m2/s3], alpha and beta [rad2/s], the air's roll [rad2/s3], and of moments about the three axes that
+nothing explains, as angular accelerations [rad2/s3]; all at V_REFERENCE. Light air, to begin with."""
+_MOMENTS = (4, 5, 6)
+_NONE = 1e-6
+"""Factor on an intensity that leaves nothing of it."""
 _MEMORY_S = 10.0
 """How long gusts along and across the path last: L/V of MIL-F-8785C at the heights of model aircraft."""
-_STILL = np.array([1e-6, 1e-6, 1e-6, 1.0, 1.0])
+_STILL = np.array([_NONE, _NONE, _NONE, 1.0, 1.0, 1.0, 1.0])
 _FACTORS = (1e-4, 1e-2, 0.1, 1.0, 5.0)
 """Of _START, from the best of which the search begins."""
 _MOST_SEGMENTS, _OF_A_FLIGHT, _FOR_SPEED = 10, 6, 4
@@ -58,10 +63,11 @@ NOISE_PRIOR = np.log(2.0)
 class Gusts:
     """The air of some flights.
 
-    states    how gusts act in each segment; values (5,) as _START over all flights; own: flight -> (5,); passing: flight -> speed
+    states    how gusts act in each segment; values (7,) as _START over all flights; own: flight -> (7,); passing: flight -> speed
               at which its gusts pass [m/s], 0: the airspeed
     process   noise that they make in each segment; gain: twice the log likelihood gained over calm air
     moving    the part of it that is lost where air rotates but does not move along V, alpha and beta
+    moments   (3,) what is lost without moments about each axis that nothing explains
     """
 
     states: tuple[GustStates, ...]
@@ -71,6 +77,7 @@ class Gusts:
     process: Process
     gain: float
     moving: float = np.inf
+    moments: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     @property
     def air(self) -> bool:
@@ -103,7 +110,7 @@ class Gusts:
 
 
 def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatArray, FloatArray]:
-    """(13,) variances per second of the states' noise at airspeed V, and (13,) of the air's at the start, from the five values of
+    """(13,) variances per second of the states' noise at airspeed V, and (13,) of the air's at the start, from the seven values of
     _START. Spectra of the velocities go with the speed at which the gusts pass."""
     passing = states.passing_mps or V
     faster = passing / V_REFERENCE
@@ -111,9 +118,9 @@ def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatA
     noise, begin = np.zeros(NX), np.zeros(NX)
     # Dryden far above its corner: PSD of u' is 2 sigma^2 V/L, of alpha' = w'/V 3 sigma^2/(L V).
     noise[0], noise[1], noise[2] = values[0] * faster, *(faster * values[1:3] * (V_REFERENCE / V) ** 2)
+    # A coefficient's noise is a moment's by dynamic pressure.
+    noise[3:6] = values[4:] * (V / V_REFERENCE) ** 4
     noise[8] = values[3] * faster
-    for k in (1, 2):
-        noise[8 + k] = values[4] * lags[k] ** 2
     for k in range(3):
         # Stationary from the start: T x' = -x + n has the variance N/(2T), and the states 9 and 10 are T times the rotation.
         tied = noise[k] if k and states.rotating else 0.0
@@ -156,6 +163,8 @@ def gust_intensity(
     still = _Point(here.states, _STILL * here.values, here.factors)
     gain = near.gain if near is not None else search.calm(some, here) - here.cost
     moving = near.moving if near is not None else search.best(some, [still]).cost - here.cost
+    without = [replace(here, values=here.values * np.where(np.arange(len(_START)) == k, _NONE, 1.0)) for k in _MOMENTS]
+    moments = np.array([search.best(some, [point]).cost - here.cost for point in without])
     own = dict.fromkeys(flights, here.values)
     for flight in own if len(own) > 1 else ():
         part = _spread(of[flight], _OF_A_FLIGHT)
@@ -163,7 +172,7 @@ def gust_intensity(
         own[flight] = search.descend(part, _Point(here.states, begin, here.factors), ()).values
     process = _process([own[f] for f in flights], V, here.states)
     passing = {f: here.states[members[0]].passing_mps for f, members in of.items()}
-    return Gusts(here.states, here.values, own, passing, process, gain, moving), here.factors
+    return Gusts(here.states, here.values, own, passing, process, gain, moving, moments), here.factors
 
 
 @dataclass(frozen=True)

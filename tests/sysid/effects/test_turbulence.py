@@ -13,12 +13,13 @@ from sysid.aerodynamics.gust_states import GustStates
 from sysid.aerodynamics.rigid_body import NX, Reference, Steps, linearise
 from sysid.effects import turbulence
 from sysid.effects.gust_score import Score
+from sysid.effects.tuned import CERTAIN_T
 from sysid.effects.turbulence import Gusts, gust_intensity, process_of
 from sysid.parallel import ALONE
 from tests.sysid.aerodynamics.test_rigid_body import DT, MASS, TERMS, flight, reference
 
 NOISE = np.array([0.3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 0.05, 0.05, 0.05])
-INTENSITIES = np.array([0.2, 1e-3, 1e-3, 0.04, 1e-4])
+INTENSITIES = np.array([0.2, 1e-3, 1e-3, 0.04, 1e-9, 1e-9, 1e-9])
 
 
 class Made(dict[GustStates, list[Steps]]):
@@ -37,10 +38,10 @@ class Made(dict[GustStates, list[Steps]]):
 
 
 def drawn(
-    truth: GustStates, values: np.ndarray, moment: float = 0.0, faster: Sequence[float] = (0.0,) * 4, n: int = 150
+    truth: GustStates, values: np.ndarray, moment: float = 0.0, faster: Sequence[float] = (0.0,) * 4, n: int = 150, axis: int = 3,
 ) -> tuple[Made, list[np.ndarray]]:  # fmt: skip
-    """Four flights of n samples drawn from the linear system itself, by what gusts may do; moment: a wave in Cl of that
-    size besides; faster: of each flight [m/s]."""
+    """Four flights of n samples drawn from the linear system itself, by what gusts may do; moment: a wave of that size
+    besides, in Cl or that of CX..Cn which axis says; faster: of each flight [m/s]."""
     rng = np.random.default_rng(4)
     equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
     ref = []
@@ -57,12 +58,12 @@ def drawn(
         z = np.empty((n, len(NOISE)))
         wave = moment * np.sin(9.0 * DT * np.arange(n) + rng.uniform(0.0, 6.0))
         for k in range(n):
-            u = wave[k] * np.eye(6)[3]
+            u = wave[k] * np.eye(6)[axis]
             z[k] = steps.y_ref[k] + steps.H[k] @ d + steps.D[k] @ u + NOISE * rng.standard_normal(len(NOISE))
             if k < n - 1:
                 d = steps.phi[k] @ (d + np.sqrt(0.5 * DT * Q) * rng.standard_normal(NX)) + steps.defect[k]
                 d = d + np.sqrt(0.5 * DT * Q) * rng.standard_normal(NX)
-                d = d + steps.g0[k] @ u + steps.g1[k] @ (wave[k + 1] * np.eye(6)[3])
+                d = d + steps.g0[k] @ u + steps.g1[k] @ (wave[k + 1] * np.eye(6)[axis])
         data.append(z)
     return made, data
 
@@ -118,7 +119,7 @@ def test_the_search_ends_where_no_number_makes_the_flights_likelier():
     assert found.cost < search.best(some, [begin]).cost - 100.0
     for k in range(4):
         for factor in (0.8, 1.25):
-            moved = np.where(np.arange(5) == k, factor, 1.0) * found.values
+            moved = np.where(np.arange(7) == k, factor, 1.0) * found.values
             assert search.best(some, [turbulence._Point(found.states, moved, ones)]).cost > found.cost - 1.0
 
 
@@ -131,6 +132,19 @@ def test_a_moment_that_comes_and_goes_is_no_air():
     faint = found_in(*drawn(GustStates(MASS.b), 0.01 * INTENSITIES))
     assert faint.gain > 100.0
     assert faint.air
+
+
+@pytest.mark.parametrize(("axis", "told"), [(4, [False, True, False]), (5, [False, False, True])])
+def test_moments_that_nothing_explains_stand_apart_from_the_air(axis, told):
+    """Light air and a wave in Cm or Cn: told about its own axis alone, and the air is what it was."""
+    wave = found_in(*drawn(GustStates(MASS.b), INTENSITIES, 0.003, axis=axis))
+    np.testing.assert_array_equal(wave.moments > CERTAIN_T**2, told)
+    np.testing.assert_allclose(np.log(wave.values[:4] / INTENSITIES[:4]), 0.0, atol=np.log(1.7))
+
+
+def test_light_air_needs_no_moments():
+    plain = found_in(*drawn(GustStates(MASS.b), INTENSITIES))
+    assert np.abs(plain.moments).max() < CERTAIN_T**2 / 5.0
 
 
 @pytest.mark.parametrize("passing", [0.0, 22.0])
@@ -166,5 +180,5 @@ def test_where_no_filter_follows_gusts_pass_at_the_mean_airspeed(monkeypatch):
     score = lambda *_, **__: Score(np.inf, np.zeros(1), np.zeros((1, 13)), np.zeros((1, 13)), ())  # noqa: E731
     monkeypatch.setattr(turbulence._Search, "score", score)
     search = turbulence._Search(lambda *_: [], [np.zeros((2, 1))] * 2, [0], np.ones(1), [20.0, 24.0], ALONE)  # type: ignore
-    here = turbulence._Point((GustStates(3.0),) * 2, np.ones(5), np.ones(1))
+    here = turbulence._Point((GustStates(3.0),) * 2, np.ones(7), np.ones(1))
     assert [s.passing_mps for s in search.passing({"a": [0, 1]}, here).states] == [22.0, 22.0]

@@ -11,6 +11,7 @@ import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.effects import (
+    CERTAIN_T,
     DIFFERENT,
     Alternative,
     Choice,
@@ -28,7 +29,15 @@ from uqharness.refinement.judge import Judged, Verdict
 from uqharness.refinement.rates import is_fastest
 from uqharness.refinement.showing.remains import NOTHING, nowhere, place_of
 from uqharness.refinement.showing.show import Shown, gap_document, state_ranges
-from uqharness.refinement.showing.words import another_form, contradicted, separating_manoeuvre, still_asked, unnamed, why
+from uqharness.refinement.showing.words import (
+    another_form,
+    contradicted,
+    moments_left,
+    separating_manoeuvre,
+    still_asked,
+    unnamed,
+    why,
+)
 from uqharness.refinement.types import Bent, Setup
 from uqharness.refinement.writing.effects import switch_of
 from uqharness.replay import Segment
@@ -36,6 +45,7 @@ from uqharness.simulator import Actuator, Aircraft
 
 MOST_SAID = 3
 """Candidates still asked for that are told in words; the others stand in `remaining.where` alone."""
+_AXES = (("p_radps", "Cl", "roll"), ("q_radps", "Cm", "pitch"), ("r_radps", "Cn", "yaw"))
 
 
 def find_disagreements(setup: Setup, shown: Shown, settled: Shown, controls: Sequence[Any]) -> list[Disagreement]:
@@ -123,8 +133,10 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
     told = {c.key for c in (*asked, *chosen.unnamed, *chosen.selection.chosen)}
     more = [(key, t) for key, t in chosen.left if key not in told]
     remaining["where"] += [_still_asked(chosen.effects[key], t, k) for k, (key, t) in enumerate(more)]
-    remaining["unexplained"] |= (bool(asked) and not effects) or bool(more) or chosen.bent is not None
-    remaining["place"] = _place(chosen, judged, remaining, [key for key, _ in more], controls)
+    moments = _moments(chosen)
+    remaining["where"] += list(moments.values())
+    remaining["unexplained"] |= (bool(asked) and not effects) or bool(more) or chosen.bent is not None or bool(moments)
+    remaining["place"] = _place(chosen, judged, remaining, [key for key, _ in more], list(moments), controls)
     verdict = "unexplained" if remaining["unexplained"] else "effects-found" if effects else "no-missing-effect"
     refused = found.selection.refused
     return {
@@ -155,13 +167,15 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
 
 
 def _place(
-    chosen: Found, judged: Judged, remaining: Mapping[str, Any], more: Sequence[str], controls: Sequence[Any]
-) -> dict[str, Any]:
-    """Where the strongest of what is left sits: on train or hold-out flights, or where a candidate is asked for."""
+    chosen: Found, judged: Judged, remaining: Mapping[str, Any], more: Sequence[str], rates: Sequence[str],
+    controls: Sequence[Any],
+) -> dict[str, Any]:  # fmt: skip
+    """Where the strongest of what is left sits: on train or hold-out flights, or where a candidate is asked for. rates: channels
+    of the axes about which a moment is missing."""
     other, _, fitted = judged.test
     held_out = left_in(other, fitted, judged.found.gusty)
     left = {
-        "train": [*remaining["channels_above_noise"], *remaining["coloured_channels"]],
+        "train": [*remaining["channels_above_noise"], *remaining["coloured_channels"], *rates],
         "test": [*held_out.above, *held_out.coloured],
     }
     refused = judged.found.selection.refused
@@ -170,6 +184,16 @@ def _place(
     if not any(left.values()) and not remaining["unexplained"]:
         return nowhere(NOTHING)
     return place_of(judged, left, asked, controls)
+
+
+def _moments(chosen: Found) -> dict[str, dict[str, Any]]:
+    """Angular rate -> what is told of moments about its axis that nothing explains, where flights in turbulence show them."""
+    found = zip(_AXES, () if chosen.gusts is None else chosen.gusts.moments, strict=False)
+    return {
+        rate: {"coefficient": c, "twice_log_likelihood": float(gain), "words": moments_left(axis, float(gain))}
+        for (rate, c, axis), gain in found
+        if gain > CERTAIN_T**2 and rate in chosen.setup.outputs
+    }  # fmt: skip
 
 
 def _contradicted(effect: Effect, choice: Choice) -> dict[str, Any]:

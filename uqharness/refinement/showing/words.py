@@ -159,6 +159,13 @@ def still_asked(effect: Effect, t: float) -> str:
     return f"{effect.name} is still asked for (|t| {abs(t):.1f}): it, or something like it, is missing"
 
 
+def moments_left(axis: str, gain: float) -> str:
+    """What is said where a filter in turbulence needs moments about an axis that no effect explains."""
+    return (
+        f"moments act about the {axis} axis that no effect explains: allowing for them gains {gain:.0f} in twice the log likelihood"
+    )
+
+
 def nowhere(document: Mapping[str, Any]) -> str:
     """What is said where no region stands out: nothing at all is missing, or what is missing shows over whole flights alone."""
     named = [abs(e["evidence"]["t"]) for e in (*document["effects"], *document["withdrawn"])]
