@@ -106,6 +106,7 @@ def chance_limit(evidence: Evidence, free: Sequence[str], candidates: Sequence[s
 def select(
     evidence: Evidence, free: Sequence[str], candidates: Mapping[str, float], confirming: NDArray[np.bool_],
     chosen: Sequence[str] = (), most: int = 6, limit: float | None = None, twins: Twins | None = None, empirical: bool = False,
+    alone: float = np.inf,
 ) -> Selection:  # fmt: skip
     """Choose effects.
 
@@ -114,6 +115,7 @@ def select(
     limit       |t| asked (default: chance_limit), of the strongest; the others must stand out beside it, too (TRACE)
     empirical   whether t must stand above the limit in units of the candidates' own spread, too (Efron, JASA 99, 2004), which is
                 one where nothing but noise is left
+    alone       |t| from which one that enters is the last to do so
     ``twins``   (effect, alternative) -> companions: causes that physics makes alike, but for terms that the companions stand for
     """
     limit = chance_limit(evidence, free, list(candidates)) if limit is None else limit
@@ -140,6 +142,8 @@ def select(
             elif found is not None:
                 here.append(found.key)
                 trail.append(f"+ {found.key} t {found.t:.1f} gain {found.gain:.0f}")
+                if abs(found.t) > alone:
+                    break
         if here == before:
             break
     return Selection(judged(evidence, free, here, list(candidates), confirming, twins), refused, tuple(trail))

@@ -237,7 +237,8 @@ def _as_flown(setup: Setup, surface: str, point: Point) -> tuple[Actuator | None
 def around(servo: Actuator, slowness: float) -> tuple[float, float]:
     """Limits [deg/s] between which the slope at a rate limit effect's value [s/deg] is taken."""
     limit = servo.slowed_to(slowness)
-    return limit, NEAR * limit
+    # One above the servo's own may hardly be reached, where a little less changes nothing: halfway back to the servo's own does.
+    return limit, min(NEAR * limit, servo.slowed_to(0.5 * slowness) if slowness < 0.0 else limit)
 
 
 def _felt_at(p: Probe, outputs: Sequence[str], place_m: Array) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 
 from sysid.effects import (
     EARNED,
+    OVERWHELMING,
     STANDS,
     TWINS,
     UNKNOWN_ROWS,
@@ -74,7 +75,8 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     odds = odds_at(start, fit.columns[0].names, evidence, keys)
     free = [n for n in fit.columns[0].names if n not in keys]
     again = select(
-        evidence, free, odds, start.confirming, chosen=keys, limit=start.limit, twins=TWINS, empirical=start.coloured
+        evidence, free, odds, start.confirming, chosen=keys, limit=start.limit, twins=TWINS, empirical=start.coloured,
+        alone=OVERWHELMING,
     )  # fmt: skip
     again = replace(again, chosen=felt(again.chosen, start.setup))
     standing = {c.key for c in again.chosen} == set(keys)

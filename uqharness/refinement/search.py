@@ -1,7 +1,7 @@
 """The search for what a model lacks: effects are proposed by their score, flown and fitted with everything else, and compared.
 
-1. The linearised likelihood about the model flown last proposes effects (sysid.effects.selection). Of new ones an overwhelming one
-   flies by itself: what linearisation leaves of it looks like others.
+1. The linearised likelihood about the model flown last proposes effects (sysid.effects.selection). Where one that
+   enters is overwhelming, no other enters beside it until it has flown: what linearisation leaves of it looks like others.
 2. The model with them is flown and everything is estimated, what JSBSim reads once until it stands.
 3. Where it asks for several more, what explains nearly as much in the newest one's place flies, too, three times in all: an
    airspeed sensor that reads a quarter too much looks at first like thrust that is off, |t| 36 and 37. Flown, the sensor's fault
@@ -78,7 +78,7 @@ def search(start: Start, evidence: Evidence, odds: Mapping[str, float], work: Pa
 def _search(start: Start, evidence: Evidence, odds: Mapping[str, float], folder: Path, say: Say) -> Searched:
     about = About(start.before.flown.point, evidence, {})
     first = proposal = select(
-        evidence, start.free, odds, start.confirming, limit=start.limit, twins=TWINS, empirical=start.coloured
+        evidence, start.free, odds, start.confirming, limit=start.limit, twins=TWINS, empirical=start.coloured, alone=OVERWHELMING
     )  # fmt: skip
     trail = [f"round 1: {line}" for line in first.trail]
     flown: list[Round] = []
@@ -93,8 +93,6 @@ def _search(start: Start, evidence: Evidence, odds: Mapping[str, float], folder:
         if not proposal.chosen:
             break
         here = folder.with_name(f"{folder.name}{number}")
-        proposal, later = one_overwhelming(start, proposal, about)
-        trail += [f"round {number}: put off until {_listed(c.key for c in proposal.chosen)} flies: {later}"] if later else []
         say(f"round {number}: flying with {_listed(c.key for c in proposal.chosen)}")
         now = flight(proposal, about, here)
         if now is None:
@@ -127,16 +125,6 @@ def _search(start: Start, evidence: Evidence, odds: Mapping[str, float], folder:
     if best is not None and not best.standing and not lines:
         lines = ["the best of the rounds flown, not one that stands"]
     return Searched(first, best, (*trail, *lines))
-
-
-def one_overwhelming(start: Start, proposal: Selection, about: About) -> tuple[Selection, str]:
-    """The proposal, of its new effects an overwhelming one alone, and which others wait."""
-    new = sorted((c for c in proposal.chosen if c.key not in about.flown), key=lambda c: -abs(c.t))
-    if len(new) < 2 or abs(new[0].t) <= OVERWHELMING:
-        return proposal, ""
-    late = [c.key for c in new[1:]]
-    kept = [c.key for c in proposal.chosen if c.key not in late]
-    return Selection(judged(about.evidence, start.free, kept, (), start.confirming)), _listed(late)
 
 
 def instead_of(start: Start, now: Round, proposal: Selection, about: About) -> list[Selection]:

@@ -56,6 +56,20 @@ def test_nothing_is_chosen_from_noise_more_often_than_the_limit_allows():
     assert 0.02 < np.mean(np.array(largest) > limit) < 0.085
 
 
+@pytest.mark.parametrize(("alone", "entered"), [(np.inf, ["large", "small"]), (15.0, ["large"]), (40.0, ["large", "small"])])
+def test_an_overwhelming_candidate_is_the_last_to_enter(alone, entered):
+    rng = np.random.default_rng(8)
+    columns = {"large": drawn(rng), "small": drawn(rng)}
+    found = evidence(columns, drawn(rng) + 1.0 * columns["large"] + 0.35 * columns["small"])
+    none = dict.fromkeys(columns, 0.0)
+    assert [c.key for c in select(found, [], none, CONFIRMING, limit=4.0, alone=alone).chosen] == entered
+    # One that has flown does not keep others from entering.
+    assert [c.key for c in select(found, [], none, CONFIRMING, chosen=["large"], limit=4.0, alone=alone).chosen] == [
+        "large",
+        "small",
+    ]
+
+
 @pytest.fixture
 def alike():
     """What is there: ``square``; ``inertia`` is the same but for a share in ``companion``."""

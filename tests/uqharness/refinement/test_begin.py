@@ -68,3 +68,5 @@ def test_the_limit_is_the_one_of_which_the_flights_want_just_what_it_does():
     assert just_so(limits, -np.ones(len(limits)), -np.ones(len(limits))) is None
     assert just_so(limits, np.full(len(limits), 0.1), np.arange(len(limits), 0.0, -1.0)) == limits[0]
     assert around(servo, 1.0 / 80.0 - 1.0 / 240.0) == pytest.approx((80.0, 77.6))
+    # Faster than the servo's own, where it may hardly be reached: halfway back, in travel time.
+    assert around(servo, 1.0 / 480.0 - 1.0 / 240.0) == pytest.approx((480.0, 320.0))

@@ -17,7 +17,7 @@ from uqharness.refinement import search as module
 from uqharness.refinement.begin import About
 from uqharness.refinement.round import Start
 from uqharness.refinement.rounds import odds_at
-from uqharness.refinement.search import comparable, likeliest, lone_among_times, one_overwhelming, search, without_weak
+from uqharness.refinement.search import comparable, likeliest, lone_among_times, search, without_weak
 
 KEYS = ("free", "thrust", "speed", "twin", "other")
 
@@ -80,22 +80,6 @@ def round_of(
         merit=merit, standing=standing, gusts=gusts, selection=flown, keys=frozenset(t),
         about=About("there", told(), dict.fromkeys(t, 1.0)), again=again or flown, far={},
     )  # type: ignore[arg-type]  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("flown", "t", "kept", "waits"),
-    [
-        ((), {"thrust": 18.0, "other": 8.0}, ["thrust"], "other"),
-        ((), {"thrust": 15.0, "other": 8.0}, ["thrust", "other"], ""),  # nothing overwhelming about it
-        (("thrust",), {"thrust": 80.0, "other": 8.0}, ["thrust", "other"], ""),  # it has flown
-        (("thrust",), {"thrust": 80.0, "other": -20.0, "speed": 18.0}, ["thrust", "other"], "speed"),
-    ],
-)
-def test_an_overwhelming_new_effect_flies_by_itself(evidence, flown, t, kept, waits):
-    about = About("there", evidence, dict.fromkeys(flown, 1.0))  # type: ignore[arg-type]
-    found, later = one_overwhelming(started(), chosen(**t), about)
-    assert sorted(c.key for c in found.chosen) == sorted(kept)
-    assert later == waits
 
 
 class Flights:
