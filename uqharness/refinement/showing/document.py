@@ -180,7 +180,8 @@ def _place(
     }
     refused = judged.found.selection.refused
     strong = [refused.key] if refused is not None and refused.strong else []
-    asked = [*more, *strong, *(c.key for c in chosen.unnamed), *(c.key for c in judged.withdrawn)]
+    bent = () if chosen.bent is None else chosen.bent.instead
+    asked = [*more, *strong, *(c.key for c in chosen.unnamed), *(c.key for c in judged.withdrawn), *bent]
     if not any(left.values()) and not remaining["unexplained"]:
         return nowhere(NOTHING)
     return place_of(judged, left, asked, controls)

@@ -59,23 +59,20 @@ class Series:
 
 
 def place_of(judged: Judged, left: Mapping[str, Sequence[str]], asked: Sequence[str], controls: Sequence[Array]) -> dict[str, Any]:
-    """`remaining.place` of refinement.json; fields are null, with a reason, where nothing remains.
+    """`remaining.place` of refinement.json where something remains.
 
     left      "train", "test" -> channels that are above their noise or coloured there
-    asked     keys of the candidates that the train flights ask for beside the effects
+    asked     keys of what the train flights ask for beside the effects, or of effects that have another form than what is missing
     controls  positions in every train segment
     """
-    if not any(left.values()) and not asked:
-        return nowhere(NOTHING)
     setup, _, shown = judged.train
     other, _, fitted = judged.test
     both = series_of("train", setup, shown, controls) + series_of("test", other, fitted, [s.controls for s in other.segments])
-    nearest = Nearest(judged.found)
+    nearest, gone = Nearest(judged.found), {c.key for c in judged.withdrawn}
     if any(left.values()):
         place, goes = where_loudest([s for s in both if s.channel in left[s.flights]])
     else:
         place, goes = _where_asked(nearest, [s for s in both if s.flights == "train"], shown.flown, controls, asked[0])
-    gone = {c.key for c in judged.withdrawn}
     candidates, now = nearest.leaving(place["channel"], gone)
     effects = [judged.found.effects[k] for k, _, _ in candidates]
     return place | {
@@ -146,20 +143,32 @@ class Nearest:
         open_ = eligible([e for e in rest if e.key not in flew], found.setup, found.after.columns[0].names, self.evidence)
         self.scores = scores(self.evidence, self.free, [*open_, *flew])
 
-    def residual(self, *more: str) -> list[Array]:
-        """[(n, m)] residuals over noise with everything fitted beside these candidates."""
-        return self.evidence.residual(self.evidence.fitted(self.evidence.index([*self.free, *more])))
+    def residual(self, *more: str, without: str = "") -> list[Array]:
+        """[(n, m)] residuals over noise with everything fitted beside these candidates, less one effect."""
+        free = [n for n in (*self.free, *more) if n != without]
+        return self.evidence.residual(self.evidence.fitted(self.evidence.index(free)))
+
+    def trace(self, key: str) -> list[Array]:
+        """[(n, m)] what a candidate would explain beside the effects, or an effect does beside the others."""
+        without, having = (
+            (self.residual(without=key), self.residual()) if key in self.free else (self.residual(), self.residual(key))
+        )
+        return [a - b for a, b in zip(without, having, strict=True)]
 
     def leaving(self, channel: str, gone: set[str]) -> tuple[list[tuple[str, float, float]], float]:
         """Three candidates (key, t, rms over noise that each leaves of the channel), and what is there without any.
 
         gone: keys that the hold-out flights spoke against
         """
-        k = self.found.setup.outputs.index(channel)
-        order = np.argsort(-np.nan_to_num(self.scores.gain, nan=-1.0))
-        asked = [i for i in order if self.scores.names[i] not in gone and np.isfinite(self.scores.t[i])][:LOOKED_AT]
-        rows = [(self.scores.names[i], float(self.scores.t[i]), self._rms(k, self.scores.names[i])) for i in asked]
+        k, t = self.found.setup.outputs.index(channel), dict(zip(self.scores.names, self.scores.t.tolist(), strict=True))
+        rows = [(name, t[name], self._rms(k, name)) for name in self.asked(gone)]
         return sorted(rows, key=lambda r: r[2])[:NEAREST], self._rms(k)
+
+    def asked(self, gone: set[str]) -> list[str]:
+        """The candidates of largest gain, the largest first."""
+        order = np.argsort(-np.nan_to_num(self.scores.gain, nan=-1.0))
+        named = [self.scores.names[i] for i in order if np.isfinite(self.scores.t[i])]
+        return [name for name in named if name not in gone][:LOOKED_AT]
 
     def _rms(self, k: int, *more: str) -> float:
         return rms(np.concatenate([e[:, k] for e in self.residual(*more)]))
@@ -168,9 +177,9 @@ class Nearest:
 def _where_asked(
     nearest: Nearest, series: Sequence[Series], flown: Flown, controls: Sequence[Array], key: str
 ) -> tuple[dict[str, Any], With | None]:
-    """Place of what a candidate would explain: the half of it that lies closest together in time, and in frequency."""
+    """Place of what a candidate or an effect explains: the half of it that lies closest together in time, and in frequency."""
     setup = nearest.found.setup
-    trace = [a - b for a, b in zip(nearest.residual(), nearest.residual(key), strict=True)]
+    trace = nearest.trace(key)
     power = np.array([np.nansum(d**2, axis=0) for d in trace])
     k = int(np.argmax(power.sum(axis=0)))
     s = int(np.argmax(power[:, k]))
