@@ -68,8 +68,14 @@ class Evidence:
             raise ValueError("segments of one group are in no two parts")
         return self.gram[some].sum(axis=0) + np.diag(self.prior), self.score[some].sum(axis=0)
 
+    @property
+    def confirming(self) -> NDArray[np.bool_] | None:
+        """(S,) segments not of the first group, which confirm what that says and it them; None where it is alone."""
+        part = self.group > 0
+        return part if part.any() and not part.all() else None
+
     @cached_property
-    def corrected(self) -> dict[tuple[frozenset[str], float], dict[str, tuple[float, float, float]]]:
+    def remembered(self) -> dict[tuple[frozenset[str], float], dict[str, tuple[float, float, float]]]:
         """What `corrected_each` has found: a search asks for the same columns again and again."""
         return {}
 
@@ -211,7 +217,7 @@ def corrected_each(
 ) -> dict[str, tuple[float, float, float]]:
     """`corrected` of each of the ``wanted`` among the columns ``names``, all estimated together: what the fit leaves, and so its
     colour, is the same for all of them and computed once."""
-    known = evidence.corrected.setdefault((frozenset(names), scale), {})
+    known = evidence.remembered.setdefault((frozenset(names), scale), {})
     if not known.keys() >= {*wanted}:
         known |= _corrected(evidence, names, [*wanted, *(n for n in names if n.startswith("effect/") and n not in wanted)], scale)
     return {n: known[n] for n in wanted}

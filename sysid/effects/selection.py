@@ -104,13 +104,12 @@ def chance_limit(evidence: Evidence, free: Sequence[str], candidates: Sequence[s
 
 
 def select(
-    evidence: Evidence, free: Sequence[str], candidates: Mapping[str, float], confirming: NDArray[np.bool_],
-    chosen: Sequence[str] = (), most: int = 6, limit: float | None = None, twins: Twins | None = None, empirical: bool = False,
-    alone: float = np.inf,
+    evidence: Evidence, free: Sequence[str], candidates: Mapping[str, float], chosen: Sequence[str] = (), most: int = 6,
+    limit: float | None = None, twins: Twins | None = None, empirical: bool = False, alone: float = np.inf,
 ) -> Selection:  # fmt: skip
     """Choose effects.
 
-    free        columns that are estimated in any case; candidates: key -> odds; confirming (S,): segments that confirm
+    free        columns that are estimated in any case; candidates: key -> odds
     chosen      effects to begin with, which may be exchanged or removed again
     limit       |t| asked (default: chance_limit), of the strongest; the others must stand out beside it, too (TRACE)
     empirical   whether t must stand above the limit in units of the candidates' own spread, too (Efron, JASA 99, 2004), which is
@@ -128,15 +127,8 @@ def select(
         here, trail, asked = _pruned(evidence, free, here, trail, limit)
         refused = None
         if len(here) < most:
-            found = _entering(
-                evidence,
-                [*free, *here],
-                [c for c in candidates if c not in here],
-                candidates,
-                confirming,
-                asked,
-                empirical,
-            )
+            rest = [c for c in candidates if c not in here]
+            found = _entering(evidence, [*free, *here], rest, candidates, asked, empirical)
             if isinstance(found, Refusal):
                 refused = found
             elif found is not None:
@@ -146,27 +138,26 @@ def select(
                     break
         if here == before:
             break
-    return Selection(judged(evidence, free, here, list(candidates), confirming, twins), refused, tuple(trail))
+    return Selection(judged(evidence, free, here, list(candidates), twins), refused, tuple(trail))
 
 
 def judged(
-    evidence: Evidence, free: Sequence[str], here: Sequence[str], candidates: Sequence[str], confirming: NDArray[np.bool_],
-    twins: Twins | None = None,
+    evidence: Evidence, free: Sequence[str], here: Sequence[str], candidates: Sequence[str], twins: Twins | None = None,
 ) -> tuple[Choice, ...]:  # fmt: skip
     """The effects ``here`` as they stand, each beside the others, with alternatives among the candidates; the strongest first."""
     out = []
     for key in here:
         others = [*free, *[o for o in here if o != key]]
         open_ = [k for k in candidates if k not in here]
-        choice = _judged(evidence, others, key, confirming)
+        choice = _judged(evidence, others, key)
         out.append(_with_alternatives(evidence, others, choice, open_, twins or {}))
     return tuple(sorted(out, key=lambda c: -c.gain))
 
 
-def _judged(evidence: Evidence, free: Sequence[str], key: str, confirming: NDArray[np.bool_]) -> Choice:
+def _judged(evidence: Evidence, free: Sequence[str], key: str) -> Choice:
     value, std, _ = corrected(evidence, free, key)
     gain = float(scores(evidence, free, [key]).gain[0])
-    if confirming.any() and not confirming.all():
+    if (confirming := evidence.confirming) is not None:
         there, difference = agreement(evidence, free, key, ~confirming)
         back, _ = agreement(evidence, free, key, confirming)
         there = min(there, back)
@@ -176,14 +167,13 @@ def _judged(evidence: Evidence, free: Sequence[str], key: str, confirming: NDArr
 
 
 def _entering(
-    evidence: Evidence, free: Sequence[str], open_: Sequence[str], odds: Mapping[str, float], confirming: NDArray[np.bool_],
-    limit: float, empirical: bool = False,
+    evidence: Evidence, free: Sequence[str], open_: Sequence[str], odds: Mapping[str, float], limit: float, empirical: bool = False,
 ) -> Choice | Refusal | None:  # fmt: skip
     """The candidate to enter. One in which the flights contradict each other may be disturbed by another that is missing as
     well: those that do not resemble it are then asked; it comes to its turn again beside them."""
     first: Refusal | None = None
     for _ in range(TURNS):
-        found = _best(evidence, free, open_, odds, confirming, limit, empirical)
+        found = _best(evidence, free, open_, odds, limit, empirical)
         if isinstance(found, Choice) or found is None:
             return found or first
         first = first or found
@@ -195,8 +185,7 @@ def _entering(
 
 
 def _best(
-    evidence: Evidence, free: Sequence[str], open_: Sequence[str], odds: Mapping[str, float], confirming: NDArray[np.bool_],
-    limit: float, empirical: bool = False,
+    evidence: Evidence, free: Sequence[str], open_: Sequence[str], odds: Mapping[str, float], limit: float, empirical: bool = False,
 ) -> Choice | Refusal | None:  # fmt: skip
     if not open_:
         return None
@@ -208,13 +197,13 @@ def _best(
     best = int(order[0])
     if not np.isfinite(merit[best]):
         return None
-    choice = _judged(evidence, free, open_[best], confirming)
+    choice = _judged(evidence, free, open_[best])
     if not abs(choice.t) > limit:
         # Colour may weigh on one candidate more than on the next.
         for other in order[1:LOOKED_AT]:
             if merit[other] < limit**2:
                 break
-            second = _judged(evidence, free, open_[int(other)], confirming)
+            second = _judged(evidence, free, open_[int(other)])
             if abs(second.t) > limit:
                 choice = second
                 break

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.effects import (
     CERTAIN_T,
@@ -52,7 +51,6 @@ from uqharness.refinement.search import search
 from uqharness.refinement.setup import (
     Bench,
     candidates_for,
-    confirming_segments,
     make_setup,
     setup_in_gusts,
     turbulent,
@@ -132,7 +130,6 @@ def find_effects(
     recorded, clock = setup, Clock(setup.segments[0].command_s, put_right)
     if put_right:
         setup = make_setup(aircraft, later(recorded.flights, sum(put_right)), measured, ideal)
-    confirming = confirming_segments(setup)
     limits = {n: (c.bounds if c.bounds is not None else (-np.inf, np.inf)) for n, c in aircraft.card.parameters.items()}
     late = None
     with Bench(aircraft, measured, ideal) as bench:
@@ -154,7 +151,7 @@ def find_effects(
                 lambda: gust_refit(bench.model, bench.straight, gusty, at, names, limits, map_, tune=True),
             )
             if air.gusts.air:
-                found = _in_gusts(bench, air, names, limits, effects, confirming, notes, work, map_, say, clock)
+                found = _in_gusts(bench, air, names, limits, effects, notes, work, map_, say, clock)
                 if isinstance(found, Found):
                     return found
                 late = found
@@ -166,7 +163,7 @@ def find_effects(
             timed = () if setup.late else (CONTROLS_LATE,)
             evidence = candidate_evidence(setup, before, [*effects, *timed])
             if timed and clock.may_be_off:
-                late = _of_the_clock(setup, before, evidence, effects, confirming, clock)
+                late = _of_the_clock(setup, before, evidence, effects, clock)
     if late is not None:
         say(f"all controls act {1e3 * late[0]:.1f} ms after their rows; putting the records right")
         found = find_effects(aircraft, recorded, measured, ideal, extra, work, map_, say, stages, (*put_right, late[0]))
@@ -177,9 +174,7 @@ def find_effects(
     odds = eligible(effects, setup, free, evidence)
     board = score_table(evidence, free, odds, by_key)
     limit = chance_limit(evidence, free, list(odds))
-    start = Start(
-        aircraft, setup, before, names, effects, limits, confirming, limit, tuple(measured), tuple(ideal), map_, before.flown.cost
-    )
+    start = Start(aircraft, setup, before, names, effects, limits, limit, tuple(measured), tuple(ideal), map_, before.flown.cost)
     searched = search(start, evidence, odds, work, say)
     best, notes = searched.best, [*notes, *searched.notes]
     plain = {n: before.flown.point.values[n] for n in names}
@@ -227,7 +222,7 @@ class Clock:
 
 
 def _of_the_clock(
-    setup: Setup, before: Fit, evidence: Evidence, effects: Sequence[Effect], confirming: NDArray[np.bool_], clock: Clock,
+    setup: Setup, before: Fit, evidence: Evidence, effects: Sequence[Effect], clock: Clock,
     least_t: float = 0.0,
 ) -> tuple[float, float] | None:  # fmt: skip
     """`controls_late` of the flights as they are with the controls at their rows, beside the effects that compete with it there;
@@ -238,7 +233,7 @@ def _of_the_clock(
     free = columns[0].names
     odds = eligible(effects, setup, free, at_rows)
     limit = max(threshold(len(odds) + 1), least_t)
-    return controls_late(at_rows, free, odds, confirming, limit, clock.late_s, clock.early_s)
+    return controls_late(at_rows, free, odds, limit, clock.late_s, clock.early_s)
 
 
 def _not_borne_out(first: Selection, limit: float) -> Refusal | None:
@@ -279,7 +274,7 @@ def gust_like(effect: Effect) -> bool:
 
 def _in_gusts(
     bench: Bench, found: GustFit, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]],
-    effects: Sequence[Effect], confirming: NDArray[np.bool_], notes: Sequence[str], work: Path, map_: Processes, say: Say,
+    effects: Sequence[Effect], notes: Sequence[str], work: Path, map_: Processes, say: Say,
     clock: Clock,
 ) -> Found | tuple[float, float]:  # fmt: skip
     """The same choice made on one-step predictions; found: the fit without effects. Where the records' clock is off, by how much
@@ -288,12 +283,12 @@ def _in_gusts(
     setup = limits_tried(found.setup, found.fit.probes, free, lambda extra: gust_evidence(found.setup, found, extra))
     timed = (CONTROLS_LATE,) if setup.timed and clock.may_be_off else ()
     evidence = gust_evidence(setup, found, effect_columns(setup, found.fit.probes, found.fit.flown, [*effects, *timed]))
-    late = _of_the_clock(setup, found.fit, evidence, effects, confirming, clock, GUST_LIMIT) if timed else None
+    late = _of_the_clock(setup, found.fit, evidence, effects, clock, GUST_LIMIT) if timed else None
     if late is not None:
         return late
     handicap = {e.key: GUST_ODDS for e in effects if gust_like(e)}
     start = Start(
-        bench.aircraft, setup, found.fit, names, effects, limits, confirming, 0.0, bench.measured, bench.ideal, map_,
+        bench.aircraft, setup, found.fit, names, effects, limits, 0.0, bench.measured, bench.ideal, map_,
         found.surprise, found.gusts, handicap,
     )  # fmt: skip
     odds = odds_at(start, free, evidence)

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sysid.effects import Effect, Evidence, Gusts, Selection
 from sysid.parallel import Processes
 from uqharness.refinement.begin import About
@@ -20,7 +17,7 @@ from uqharness.simulator import Aircraft
 class Start:
     """What every round begins from: the aircraft, the flights, the fit without effects, the candidates and how they are judged.
 
-    limits: of the parameters; limit: |t| asked of an effect; confirming (S,): segments that confirm
+    limits: of the parameters; limit: |t| asked of an effect
     gusts: the air, where flights are judged by one-step predictions; handicap: key -> odds besides the effect's own
     merit: of the flight without effects, as a `Round` has it
     """
@@ -31,7 +28,6 @@ class Start:
     names: tuple[str, ...]
     effects: Sequence[Effect]
     limits: Mapping[str, tuple[float, float]]
-    confirming: NDArray[np.bool_]
     limit: float
     measured: Sequence[str]
     ideal: Sequence[str]

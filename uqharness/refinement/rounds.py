@@ -75,12 +75,12 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     odds = odds_at(start, fit.columns[0].names, evidence, keys)
     free = [n for n in fit.columns[0].names if n not in keys]
     again = select(
-        evidence, free, odds, start.confirming, chosen=keys, limit=start.limit, twins=TWINS, empirical=start.coloured,
+        evidence, free, odds, chosen=keys, limit=start.limit, twins=TWINS, empirical=start.coloured,
         alone=OVERWHELMING,
     )  # fmt: skip
     again = replace(again, chosen=felt(again.chosen, start.setup))
     standing = {c.key for c in again.chosen} == set(keys)
-    own = again.chosen if standing else felt(judged(evidence, free, keys, list(odds), start.confirming, TWINS), start.setup)
+    own = again.chosen if standing else felt(judged(evidence, free, keys, list(odds), TWINS), start.setup)
     # What JSBSim reads once (mass, servos) has to be written anew until the number stands.
     held = [c for c in own if c.key not in setup.carriers and in_dynamics(by_key[c.key])]
     moving = [c for c in held if abs(c.value - written[c.key]) > STANDS * c.std]
@@ -127,7 +127,7 @@ def resolved(start: Start, found: Round) -> Selection:
     brief = _brief([e for e in rest if e.key not in open_], free, kept, found.evidence, start.setup)
     if len(kept) == len(chosen) and not brief:
         return found.selection
-    again = judged(found.evidence, free, kept, [*open_, *brief], start.confirming, TWINS)
+    again = judged(found.evidence, free, kept, [*open_, *brief], TWINS)
     return replace(found.selection, chosen=again)
 
 

@@ -78,7 +78,7 @@ def search(start: Start, evidence: Evidence, odds: Mapping[str, float], work: Pa
 def _search(start: Start, evidence: Evidence, odds: Mapping[str, float], folder: Path, say: Say) -> Searched:
     about = About(start.before.flown.point, evidence, {})
     first = proposal = select(
-        evidence, start.free, odds, start.confirming, limit=start.limit, twins=TWINS, empirical=start.coloured, alone=OVERWHELMING
+        evidence, start.free, odds, limit=start.limit, twins=TWINS, empirical=start.coloured, alone=OVERWHELMING
     )  # fmt: skip
     trail = [f"round 1: {line}" for line in first.trail]
     flown: list[Round] = []
@@ -137,7 +137,7 @@ def instead_of(start: Start, now: Round, proposal: Selection, about: About) -> l
     free = [*start.free, *kept]
     odds = odds_at(start, [*start.free, *about.flown], about.evidence, kept)
     names = comparable(about.evidence, free, [k for k in odds if k not in kept], new[0].key)
-    return [Selection(judged(about.evidence, start.free, [*kept, name], (), start.confirming)) for name in names]
+    return [Selection(judged(about.evidence, start.free, [*kept, name], ())) for name in names]
 
 
 def comparable(evidence: Evidence, free: Sequence[str], candidates: Sequence[str], key: str) -> list[str]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.effects import DIFFERENT, RESOLVED_ROWS, Effect, Evidence, agreement, corrected, scores, solve
 from uqharness.replay import Flight
@@ -23,7 +22,7 @@ LEAST_LATE_ROWS = DIFFERENT * RESOLVED_ROWS
 
 
 def controls_late(
-    evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], confirming: NDArray[np.bool_], limit: float,
+    evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], limit: float,
     least_s: float, early_s: float,
 ) -> tuple[float, float] | None:  # fmt: skip
     """(seconds, standard error) by which all controls act after their rows, None where the flights do not say so.
@@ -43,7 +42,7 @@ def controls_late(
     lags = [k for k in rivals if k.startswith("effect/actuator.") and k.endswith("/lag")]
     if lags and joint_gain(evidence, free, lags) > own + DIFFERENT**2:
         return None
-    if confirming.any() and not confirming.all() and not agreement(evidence, free, key, ~confirming)[0] > 0.0:
+    if (confirming := evidence.confirming) is not None and not agreement(evidence, free, key, ~confirming)[0] > 0.0:
         return None
     return value, std
 

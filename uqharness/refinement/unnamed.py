@@ -25,7 +25,6 @@ from uqharness.refinement.beside import left_in
 from uqharness.refinement.curves import STATES, About, Estimated, Inputs
 from uqharness.refinement.hold_out import linearised
 from uqharness.refinement.judge import Judged, Write, gap_change, sensed_by
-from uqharness.refinement.setup import confirming_segments
 from uqharness.refinement.showing.show import Shown, gap_document, show, with_replays
 from uqharness.refinement.types import Array, Side
 from uqharness.refinement.writing.tables import GRID, property_of_table, write_table
@@ -166,8 +165,8 @@ def _left_of(done: _Done, gap: Mapping[str, Any]) -> dict[str, Any]:
         residual = evidence.residual(evidence.fitted(evidence.index([*free, form])))
         return rms(np.concatenate([r[:, list(ratio).index(channel)] for r in residual]))
 
-    confirming = confirming_segments(about.found.setup)
-    held_out = [held_out_gain(evidence, free, fit, part) for part in (~confirming, confirming)] if confirming.any() else []
+    confirming = evidence.confirming
+    held_out = [] if confirming is None else [held_out_gain(evidence, free, fit, part) for part in (~confirming, confirming)]
     at = np.linspace(*term.ends, GRID)
     value, std = fit.curve(at)
     return {

@@ -23,7 +23,7 @@ def evidence(columns: dict[str, np.ndarray], residual: np.ndarray) -> Evidence:
         )
         for s in range(SEGMENTS)
     ]  # fmt: skip
-    return gather(white, names, range(SEGMENTS), {})
+    return gather(white, names, CONFIRMING, {})
 
 
 def drawn(rng: np.random.Generator) -> np.ndarray:
@@ -62,9 +62,9 @@ def test_an_overwhelming_candidate_is_the_last_to_enter(alone, entered):
     columns = {"large": drawn(rng), "small": drawn(rng)}
     found = evidence(columns, drawn(rng) + 1.0 * columns["large"] + 0.35 * columns["small"])
     none = dict.fromkeys(columns, 0.0)
-    assert [c.key for c in select(found, [], none, CONFIRMING, limit=4.0, alone=alone).chosen] == entered
+    assert [c.key for c in select(found, [], none, limit=4.0, alone=alone).chosen] == entered
     # One that has flown does not keep others from entering.
-    assert [c.key for c in select(found, [], none, CONFIRMING, chosen=["large"], limit=4.0, alone=alone).chosen] == [
+    assert [c.key for c in select(found, [], none, chosen=["large"], limit=4.0, alone=alone).chosen] == [
         "large",
         "small",
     ]
@@ -83,7 +83,7 @@ TWINS = {("square", "inertia"): ("companion",), ("inertia", "square"): ("compani
 
 
 def alternatives(found, twins) -> dict[str, bool]:
-    chosen = select(found, [], dict.fromkeys(found.names, 0.0), CONFIRMING, twins=twins).chosen
+    chosen = select(found, [], dict.fromkeys(found.names, 0.0), twins=twins).chosen
     assert [c.key for c in chosen] == ["square"]
     return {a.key: a.separable for a in chosen[0].alternatives}
 
@@ -105,7 +105,7 @@ def test_a_twin_turns_what_stands_in_roll_into_yaw():
         "effect/Cn/de": yaw,
     }  # fmt: skip
     found = evidence(columns, 1.0 * square + 2.0 * roll + drawn(rng))
-    chosen = select(found, [], dict.fromkeys(columns, 0.0), CONFIRMING, twins=TWINS).chosen
+    chosen = select(found, [], dict.fromkeys(columns, 0.0), twins=TWINS).chosen
     assert {c.key for c in chosen} == {"square", "effect/Cl/de"}
     (choice,) = (c for c in chosen if c.key == "square")
     assert {a.key: a.separable for a in choice.alternatives}["inertia"] is False
@@ -130,12 +130,12 @@ def test_a_twin_is_told_before_a_third_form_of_the_same(there):
     }  # fmt: skip
     found = evidence(columns, 0.2 * square + 0.8 * (columns[there] - square) + drawn(rng))
     open_ = {k: 0.0 for k in columns if k != "companion"}
-    (choice,) = select(found, [], open_, CONFIRMING, twins=TWINS).chosen
+    (choice,) = select(found, [], open_, twins=TWINS).chosen
     assert choice.key == there
     alike_ = [a.key for a in choice.alternatives if not a.separable]
     assert len(alike_) == 2
     assert {"square", "inertia"} <= {choice.key, *alike_}
-    (plain,) = select(found, [], open_, CONFIRMING).chosen
+    (plain,) = select(found, [], open_).chosen
     assert "inertia" not in [a.key for a in plain.alternatives]
 
 
@@ -145,15 +145,14 @@ def test_what_all_candidates_see_a_little_is_none_of_them():
     columns = {f"c{k}": drawn(rng) + rng.uniform(-0.6, 0.6) * misfit for k in range(60)}
     candidates = dict.fromkeys(columns, 0.0)
     found = evidence(columns, 0.3 * misfit + drawn(rng))
-    nobody = np.zeros(SEGMENTS, dtype=bool)
-    plain = select(found, [], candidates, nobody, most=1)
-    careful = select(found, [], candidates, nobody, most=1, empirical=True)
+    plain = select(found, [], candidates, most=1)
+    careful = select(found, [], candidates, most=1, empirical=True)
     assert plain.chosen
     assert not careful.chosen
     assert careful.refused is not None
     assert "spread" in careful.refused.why
     there = evidence(columns, 0.3 * misfit + drawn(rng) + 1.0 * columns["c7"])
-    assert [c.key for c in select(there, [], candidates, nobody, most=1, empirical=True).chosen] == ["c7"]
+    assert [c.key for c in select(there, [], candidates, most=1, empirical=True).chosen] == ["c7"]
 
 
 def test_an_effect_is_found_beside_a_stronger_one_that_its_flights_contradict():
@@ -162,7 +161,7 @@ def test_an_effect_is_found_beside_a_stronger_one_that_its_flights_contradict():
     torn, steady = drawn(rng), drawn(rng)
     sign = np.where(CONFIRMING, -1.0, 1.0)[:, None, None]
     found = evidence({"torn": torn, "steady": steady, "other": drawn(rng)}, sign * torn + 0.4 * steady + drawn(rng))
-    selection = select(found, [], dict.fromkeys(found.names, 0.0), CONFIRMING)
+    selection = select(found, [], dict.fromkeys(found.names, 0.0))
     assert [c.key for c in selection.chosen] == ["steady"]
     assert selection.refused is not None
     assert selection.refused.key == "torn"
@@ -181,7 +180,7 @@ def test_it_is_enough_that_the_parts_do_not_contradict_each_other(t, by_chance, 
         own -= x * np.sum(x * own) / size  # no noise along the column but what is wanted
         noise[part] = own + x * (off / np.sqrt(size) - (t / np.sqrt(np.sum(column**2)) if off else 0.0))
     found = evidence({"there": column, "other": drawn(rng)}, t / np.sqrt(np.sum(column**2)) * column + noise)
-    selection = select(found, [], dict.fromkeys(found.names, 0.0), CONFIRMING, limit=4.0)
+    selection = select(found, [], dict.fromkeys(found.names, 0.0), limit=4.0)
     assert bool(selection.chosen) == entering
     if not entering:
         assert selection.refused is not None
@@ -196,10 +195,10 @@ def test_what_a_strong_effect_may_leave_behind_is_no_effect():
     odds = dict.fromkeys(columns, 0.0)
     trace = 5.5 / np.sqrt(np.sum(weak**2))
     left = evidence(columns, 3.0 * strong + trace * weak + drawn(rng))
-    assert [c.key for c in select(left, [], odds, CONFIRMING).chosen] == ["strong"]
+    assert [c.key for c in select(left, [], odds).chosen] == ["strong"]
     alone = evidence(columns, trace * weak + drawn(rng))
-    assert [c.key for c in select(alone, [], odds, CONFIRMING).chosen] == ["weak"]
-    begun = select(left, [], odds, CONFIRMING, chosen=["strong", "weak"])
+    assert [c.key for c in select(alone, [], odds).chosen] == ["weak"]
+    begun = select(left, [], odds, chosen=["strong", "weak"])
     assert [c.key for c in begun.chosen] == ["strong"]
     both = evidence(columns, 3.0 * strong + 2.0 * trace * weak + drawn(rng))
-    assert {c.key for c in select(both, [], odds, CONFIRMING).chosen} == {"strong", "weak"}
+    assert {c.key for c in select(both, [], odds).chosen} == {"strong", "weak"}

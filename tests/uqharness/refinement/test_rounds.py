@@ -74,7 +74,7 @@ def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={})
     units = zip(keys, ("s", "1"), strict=True)
     effects = [SimpleNamespace(key=k, unit=u, positive=False, odds=0.0) for k, u in units]
-    start = SimpleNamespace(setup=setup, effects=effects, confirming=np.zeros(1, dtype=bool))
+    start = SimpleNamespace(setup=setup, effects=effects)
 
     def kept(late_s: float) -> list[str]:
         chosen = tuple(Choice(k, v, 1e-5, 9.0, 81.0, 1.0, 0.0) for k, v in zip(keys, (late_s, 1.0), strict=True))
@@ -100,7 +100,7 @@ def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(al
     )  # fmt: skip
     evidence = gather([white], [term, delay], [0], {})
     start = SimpleNamespace(
-        setup=SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={}), confirming=np.zeros(1, dtype=bool),
+        setup=SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={}),
         effects=[
             SimpleNamespace(key=k, unit=u, positive=positive, odds=0.0, subsystem=of, term=k.rpartition("/")[2])
             for k, u, of in ((term, "1", None), (delay, "s", "actuator.elevator"))

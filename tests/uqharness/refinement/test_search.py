@@ -64,7 +64,7 @@ def started(merit: float = 1e4, gusts: object = None) -> Start:
     before = SimpleNamespace(columns=[SimpleNamespace(names=("free",))], flown=SimpleNamespace(point="plain"))
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)], late={}, servos={})
     return Start(
-        None, setup, before, (), effects, {}, np.zeros(1, dtype=bool), 4.0, (), (), map, merit, gusts, {}
+        None, setup, before, (), effects, {}, 4.0, (), (), map, merit, gusts, {}
     )  # type: ignore[arg-type]  # fmt: skip
 
 
