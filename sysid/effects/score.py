@@ -243,8 +243,10 @@ def _corrected(
         own.append(columns @ alone)
         left.append(np.where(w.there, w.residual - columns @ delta, np.nan))
     bracket = np.diagonal(coloured_information(own, left))
-    plain = 1.0 / np.sqrt(g)
-    std = np.maximum(np.sqrt(np.maximum(bracket, 0.0)) / g, scale * plain)
+    # Where the data hold nothing of a column, as of a rate limit that is never reached, it has no standard error.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        plain = 1.0 / np.sqrt(np.where(g > 0.0, g, np.nan))
+        std = np.maximum(np.sqrt(np.maximum(bracket, 0.0)) * plain**2, scale * plain)
     return {n: (float(delta[c]), float(std[k]), float(plain[k])) for k, (n, c) in enumerate(zip(wanted, places, strict=True))}
 
 

@@ -258,6 +258,18 @@ def test_evidence_that_makes_columns_again_says_the_same_as_one_that_holds_them(
         corrected(gone, ["a", "b"], "c1")
 
 
+def test_a_column_of_which_the_data_hold_nothing_has_no_standard_error():
+    each = flights({"c3": 0.2}, 3)
+    k = each.names.index("c1")
+    none = np.where(np.arange(len(each.names)) == k, 0.0, 1.0)
+    white = [replace(w, columns=(w.columns * none).astype(np.float32)) for w in each.white]
+    lost = gather(white, each.names, range(9), {})
+    value, std, plain = corrected(lost, ["a", "b"], "c1")
+    assert value == 0.0
+    assert np.isnan([std, plain]).all()
+    assert np.isfinite(corrected(lost, ["a", "b", "c1"], "c3")).all()
+
+
 def test_groups_of_segments_say_the_same_as_their_segments_and_are_not_split():
     each = flights({"c3": 0.2}, 3)
     groups = gather(each.white, each.names, CONFIRMING, {})
