@@ -67,7 +67,7 @@ class Gusts:
               at which its gusts pass [m/s], 0: the airspeed
     process   noise that they make in each segment; gain: twice the log likelihood gained over calm air
     moving    the part of it that is lost where air rotates but does not move along V, alpha and beta
-    moments   (3,) what is lost without moments about each axis that nothing explains
+    moments   (3,) what is lost without moments about each axis that nothing explains; NaN where no filter follows without
     """
 
     states: tuple[GustStates, ...]
@@ -164,7 +164,8 @@ def gust_intensity(
     gain = near.gain if near is not None else search.calm(some, here) - here.cost
     moving = near.moving if near is not None else search.best(some, [still]).cost - here.cost
     without = [replace(here, values=here.values * np.where(np.arange(len(_START)) == k, _NONE, 1.0)) for k in _MOMENTS]
-    moments = np.array([search.best(some, [point]).cost - here.cost for point in without])
+    lost = np.array([search.best(some, [point]).cost - here.cost for point in without])
+    moments = np.where(np.isfinite(lost), lost, np.nan)
     own = dict.fromkeys(flights, here.values)
     for flight in own if len(own) > 1 else ():
         part = _spread(of[flight], _OF_A_FLIGHT)

@@ -133,7 +133,7 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
     told = {c.key for c in (*asked, *chosen.unnamed, *chosen.selection.chosen)}
     more = [(key, t) for key, t in chosen.left if key not in told]
     remaining["where"] += [_still_asked(chosen.effects[key], t, k) for k, (key, t) in enumerate(more)]
-    moments = _moments(chosen)
+    moments = moments_of(chosen)
     remaining["where"] += list(moments.values())
     remaining["unexplained"] |= (bool(asked) and not effects) or bool(more) or chosen.bent is not None or bool(moments)
     remaining["place"] = _place(chosen, judged, remaining, [key for key, _ in more], list(moments), controls)
@@ -187,7 +187,7 @@ def _place(
     return place_of(judged, left, asked, controls)
 
 
-def _moments(chosen: Found) -> dict[str, dict[str, Any]]:
+def moments_of(chosen: Found) -> dict[str, dict[str, Any]]:
     """Angular rate -> what is told of moments about its axis that nothing explains, where flights in turbulence show them."""
     found = zip(_AXES, () if chosen.gusts is None else chosen.gusts.moments, strict=False)
     return {

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
 from uqharness.refinement.showing import words
+from uqharness.refinement.showing.document import moments_of
 
 
 @pytest.mark.parametrize(
@@ -17,3 +21,13 @@ from uqharness.refinement.showing import words
 def test_a_change_is_told_to_three_figures_of_its_standard_error(change, std, text):
     said = words.test_says({"test": {"gap": "shrank", "change_of_twice_log_likelihood": change, "std": std}})
     assert said == f"on the test flights the gap shrank: twice the log likelihood {text} with it"
+
+
+@pytest.mark.parametrize(("gains", "told"), [((5.0, 99.0, np.nan), []), ((5.0, 400.0, 101.0), ["Cm", "Cn"])])
+def test_moments_that_nothing_explains_are_told_by_their_axes(gains, told):
+    air = SimpleNamespace(moments=np.array(gains))
+    found = SimpleNamespace(gusts=air, setup=SimpleNamespace(outputs=("p_radps", "q_radps", "r_radps")))
+    said = moments_of(found)
+    assert [row["coefficient"] for row in said.values()] == told
+    assert all(f"{row['twice_log_likelihood']:.0f}" in row["words"] for row in said.values())
+    assert not moments_of(SimpleNamespace(gusts=None, setup=found.setup))
