@@ -30,7 +30,6 @@ ELSEWHERE: Mapping[str, str] = {
     "uqharness.cli.validate_bounds": "uqharness/identification/test_model_form.py",
     "uqharness.flight.stepping": "uqharness/flight/test_fly.py",
     "uqharness.identification.start": "uqharness/identification/test_identify.py",
-    "uqharness.refinement.showing.document": "uqharness/refinement/showing/test_show.py",
     "uqharness.refinement.timing": "uqharness/refinement/test_refine.py",
     "uqharness.refinement.writing.numbers": "uqharness/refinement/writing/test_effects.py",
     "uqharness.refinement.writing.terms": "uqharness/refinement/writing/test_effects.py",
