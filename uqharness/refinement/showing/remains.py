@@ -68,11 +68,12 @@ def place_of(judged: Judged, left: Mapping[str, Sequence[str]], asked: Sequence[
     setup, _, shown = judged.train
     other, _, fitted = judged.test
     both = series_of("train", setup, shown, controls) + series_of("test", other, fitted, [s.controls for s in other.segments])
-    nearest, gone = Nearest(judged.found), {c.key for c in judged.withdrawn}
+    nearest = Nearest(judged.found)
     if any(left.values()):
         place, goes = where_loudest([s for s in both if s.channel in left[s.flights]])
     else:
         place, goes = _where_asked(nearest, [s for s in both if s.flights == "train"], shown.flown, controls, asked[0])
+    gone = {c.key for c in judged.withdrawn}
     candidates, now = nearest.leaving(place["channel"], gone)
     effects = [judged.found.effects[k] for k, _, _ in candidates]
     return place | {
@@ -150,25 +151,19 @@ class Nearest:
 
     def trace(self, key: str) -> list[Array]:
         """[(n, m)] what a candidate would explain beside the effects, or an effect does beside the others."""
-        without, having = (
-            (self.residual(without=key), self.residual()) if key in self.free else (self.residual(), self.residual(key))
-        )
-        return [a - b for a, b in zip(without, having, strict=True)]
+        having = self.residual(*(() if key in self.free else (key,)))
+        return [a - b for a, b in zip(self.residual(without=key), having, strict=True)]
 
     def leaving(self, channel: str, gone: set[str]) -> tuple[list[tuple[str, float, float]], float]:
         """Three candidates (key, t, rms over noise that each leaves of the channel), and what is there without any.
 
         gone: keys that the hold-out flights spoke against
         """
-        k, t = self.found.setup.outputs.index(channel), dict(zip(self.scores.names, self.scores.t.tolist(), strict=True))
-        rows = [(name, t[name], self._rms(k, name)) for name in self.asked(gone)]
-        return sorted(rows, key=lambda r: r[2])[:NEAREST], self._rms(k)
-
-    def asked(self, gone: set[str]) -> list[str]:
-        """The candidates of largest gain, the largest first."""
+        k = self.found.setup.outputs.index(channel)
         order = np.argsort(-np.nan_to_num(self.scores.gain, nan=-1.0))
-        named = [self.scores.names[i] for i in order if np.isfinite(self.scores.t[i])]
-        return [name for name in named if name not in gone][:LOOKED_AT]
+        asked = [i for i in order if self.scores.names[i] not in gone and np.isfinite(self.scores.t[i])][:LOOKED_AT]
+        rows = [(self.scores.names[i], float(self.scores.t[i]), self._rms(k, self.scores.names[i])) for i in asked]
+        return sorted(rows, key=lambda r: r[2])[:NEAREST], self._rms(k)
 
     def _rms(self, k: int, *more: str) -> float:
         return rms(np.concatenate([e[:, k] for e in self.residual(*more)]))
