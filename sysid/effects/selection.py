@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sysid.distributions import normal_quantile
 from sysid.effects.score import DEPENDENT, Evidence, agreement, corrected, corrected_each, likeness, scores, solve
-from sysid.effects.tuned import CERTAIN_T, COMPARABLE, DIFFERENT, FAMILY, INSEPARABLE_SHARE, TRACE, UNLIKE
+from sysid.effects.tuned import COMPARABLE, DIFFERENT, FAMILY, INSEPARABLE_SHARE, UNLIKE
 
 FloatArray = NDArray[np.float64]
 Twins = Mapping[tuple[str, str], Sequence[str]]
@@ -111,7 +111,7 @@ def select(
 
     free        columns that are estimated in any case; candidates: key -> odds
     chosen      effects to begin with, which may be exchanged or removed again
-    limit       |t| asked (default: chance_limit), of the strongest; the others must stand out beside it, too (TRACE)
+    limit       |t| asked (default: chance_limit)
     empirical   whether t must stand above the limit in units of the candidates' own spread, too (Efron, JASA 99, 2004), which is
                 one where nothing but noise is left
     alone       |t| from which one that enters is the last to do so
@@ -124,11 +124,11 @@ def select(
     for _ in range(3 * most):
         before = list(here)
         here, trail = _exchanged(evidence, free, candidates, here, trail)
-        here, trail, asked = _pruned(evidence, free, here, trail, limit)
+        here, trail = _pruned(evidence, free, here, trail, limit)
         refused = None
         if len(here) < most:
             rest = [c for c in candidates if c not in here]
-            found = _entering(evidence, [*free, *here], rest, candidates, asked, empirical)
+            found = _entering(evidence, [*free, *here], rest, candidates, limit, empirical)
             if isinstance(found, Refusal):
                 refused = found
             elif found is not None:
@@ -237,27 +237,16 @@ def _exchanged(
 
 def _pruned(
     evidence: Evidence, free: Sequence[str], here: list[str], trail: list[str], limit: float
-) -> tuple[list[str], list[str], float]:
-    """The weakest effect below what is asked taken out, again and again; and the |t| then asked of one beside the rest."""
-    while True:
-        t = _corrected_t(evidence, free, here)
-        asked = _asked(limit, t)
-        if len(here) < 2 or min(t) >= asked:
-            return here, trail, asked
+) -> tuple[list[str], list[str]]:
+    """The weakest effect below the limit taken out, again and again; one that is alone stays."""
+    while len(here) > 1:
+        t = [abs(value / std) for value, std, _ in corrected_each(evidence, [*free, *here], here).values()]
         worst = int(np.argmin(t))
+        if t[worst] >= limit:
+            break
         trail = [*trail, f"- {here[worst]} t {t[worst]:.1f}"]
         here = [*here[:worst], *here[worst + 1 :]]
-
-
-def _corrected_t(evidence: Evidence, free: Sequence[str], here: Sequence[str]) -> list[float]:
-    """|t| of each beside the others."""
-    found = corrected_each(evidence, [*free, *here], here)
-    return [abs(value / std) for value, std, _ in found.values()]
-
-
-def _asked(limit: float, t: Sequence[float]) -> float:
-    """|t| asked of an effect beside those of ``t``."""
-    return max(limit, min(TRACE * max(t, default=0.0), CERTAIN_T))
+    return here, trail
 
 
 def _companions(evidence: Evidence, others: Sequence[str], named: Sequence[str]) -> list[str]:

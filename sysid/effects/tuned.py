@@ -11,13 +11,10 @@ FAMILY = 0.02
 DIFFERENT = 3.0
 """Standard errors, or |t| above a limit, that are no chance: 3 in 1,000. Its square is a gain that is none."""
 CERTAIN_T = 10.0
-"""|t| that no chance and no colour of residuals reaches: a candidate with as much is told though it was not chosen, and stands
-beside any other."""
+"""|t| that no chance and no colour of residuals reaches: a candidate with as much is told though it was not chosen,
+and moments that gain its square in twice the log likelihood."""
 OVERWHELMING = 15.0
 """|t| from which what linearisation leaves of an effect is itself above the limit: it flies before others are chosen."""
-TRACE = 0.1
-"""Share of the strongest effect's |t| that another must reach: a form that is a little off leaves a tenth of itself, and some
-candidate looks like it."""
 COMPARABLE = 0.5
 """Share of the strongest's gain, or |t|, from which another is its equal until both have flown. A servo's lag and rate limit are
 half of one another."""

@@ -31,6 +31,8 @@ _DEADBAND_DEG = 0.5
 _LAG_S = 0.002
 NEAR = 0.97
 """Share of a rate limit down to which its slope is taken."""
+HERE = "@here"
+"""What the term of a rate limit above the servo's own has besides, as the column of its slope where it flies."""
 
 
 def effect_columns(setup: Setup, probes: Sequence[Probe], flown: Flown, effects: Sequence[Effect]) -> MadeColumns:
@@ -78,6 +80,13 @@ def _of_segment(setup: Setup, k: int, p: Probe, flown: Flown, effects: Sequence[
             outputs[e.key] = channel
     names = tuple(e.key for e in effects)
     return Columns(names, inputs, outputs, ends, felt)
+
+
+def slopes_here(active: Sequence[Effect], point: Point) -> list[Effect]:
+    """Rate limits above the servos' own that fly at a point, by the slope there, which says how well they are known; the slope
+    halfway back to the servo's own, by which they are chosen, says what they change."""
+    faster = [e for e in active if e.term == "rate_limit" and point.effects.get(e.key, 0.0) < 0.0]
+    return [replace(e, term=e.term + HERE) for e in faster]
 
 
 def seen_of(values: Array, earlier: Array, share: float) -> Array:
@@ -189,7 +198,10 @@ def _subsystem(
     if part == "actuator":
         k = CONTROLS.index(what)
         servo, limits = _as_flown(setup, what, point)
-        moved = surface_change(e.term, servo, segment, k, p.controls[:, k], limits)
+        if e.term.endswith(HERE):
+            assert servo is not None
+            limits = servo.rate, NEAR * servo.rate
+        moved = surface_change(e.term.removesuffix(HERE), servo, segment, k, p.controls[:, k], limits)
         if not np.any(moved):
             return None, None
         return p.by_control[:, :, k] * moved[:, None], None

@@ -44,7 +44,7 @@ from uqharness.refinement.between_rows import with_jumps
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.fit import PRIOR, Fit
 from uqharness.refinement.gusts import GustFit, gust_evidence, gust_refit
-from uqharness.refinement.rates import limits_tried
+from uqharness.refinement.rates import as_known_here, limits_tried
 from uqharness.refinement.round import Start
 from uqharness.refinement.rounds import candidate_evidence, column_evidence, eligible, odds_at, resolved
 from uqharness.refinement.search import search
@@ -185,7 +185,7 @@ def find_effects(
             setup, names, before, before, none, by_key, parameters, tuple(notes), plain, None, board, limit,
             sum(put_right), searched.trail, left=left_beside(evidence, free, (), odds),
         )  # fmt: skip
-    selection = with_resolution(resolved(start, best), by_key, setup.segments[0].dt_s, gusty=False)
+    selection = with_resolution(as_known_here(resolved(start, best), best), by_key, setup.segments[0].dt_s, gusty=False)
     # A number that JSBSim reads once stands within its error of the one flown, and what goes with it moves by that, too.
     parameters = (in_one_step if best.held else _parameters)(best.evidence, names, best.fit, selection)
     selection, slopes = of_lift_slope(selection, before, best.fit)
@@ -308,7 +308,7 @@ def _in_gusts(
     after, selection, last = found.fit, replace(first, chosen=(), refused=refused), evidence
     if best is not None:
         after, last = best.fit, best.evidence
-        selection = with_resolution(resolved(start, best), by_key, setup.segments[0].dt_s, gusty=True)
+        selection = with_resolution(as_known_here(resolved(start, best), best), by_key, setup.segments[0].dt_s, gusty=True)
     parameters = in_one_step(last, names, after, selection)
     selection, slopes = of_lift_slope(selection, found.fit, after)
     return Found(

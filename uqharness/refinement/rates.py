@@ -13,9 +13,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.effects import Choice, Columns, Evidence, scores
-from uqharness.refinement.candidates import NEAR, surface_change
+from sysid.effects import Choice, Columns, Evidence, Selection, corrected, scores
+from uqharness.refinement.candidates import HERE, NEAR, surface_change
 from uqharness.refinement.reference import Probe
+from uqharness.refinement.round import Round
 from uqharness.refinement.types import Setup
 from uqharness.replay import CONTROLS, runs_per_row
 from uqharness.simulator import Actuator
@@ -119,6 +120,26 @@ def felt(chosen: Sequence[Choice], setup: Setup) -> tuple[Choice, ...]:
 def _least(setup: Setup, surface: str, servo: Actuator) -> float:
     """Value [s/deg] of a rate limit effect below which nothing changes any more."""
     return min(1.0 / _fastest(setup, surface, replace(servo, rate=np.inf)) - 1.0 / servo.rate, 0.0)
+
+
+def as_known_here(selection: Selection, found: Round) -> Selection:
+    """Rate limits above the servos' own where their slope at the flown value has them, with the standard errors of that; where the
+    flights say nothing of it, the way to the fastest motion is the error. |t|, of the whole change, stays."""
+
+    def local(c: Choice) -> Choice:
+        here = c.key + HERE
+        if here not in found.evidence.names:
+            return c
+        surface = c.key.removeprefix("effect/actuator.").partition("/")[0]
+        least = _least(found.setup, surface, found.setup.servos[surface])
+        value = found.about.flown[c.key]
+        flown = found.evidence.taken_out({c.key: -value})
+        step, std, _ = corrected(flown, [n for n in found.free if n != c.key], here)
+        if not np.isfinite(std):
+            return replace(c, std=max(c.std, value - least))
+        return replace(c, value=float(np.clip(value + step, least, 0.0)), std=std)
+
+    return replace(selection, chosen=tuple(map(local, selection.chosen)))
 
 
 def is_fastest(choice: Choice, setup: Setup) -> bool:

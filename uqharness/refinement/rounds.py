@@ -17,6 +17,7 @@ from sysid.effects import (
     Columns,
     Effect,
     Evidence,
+    MadeColumns,
     Selection,
     gather,
     judged,
@@ -25,7 +26,7 @@ from sysid.effects import (
     whiten_each,
 )
 from uqharness.refinement.begin import About, joint_point
-from uqharness.refinement.candidates import effect_columns
+from uqharness.refinement.candidates import effect_columns, slopes_here
 from uqharness.refinement.fit import PRIOR, Fit, best_flown, merged, refit
 from uqharness.refinement.gusts import gust_evidence, gust_refit
 from uqharness.refinement.rates import felt
@@ -57,18 +58,22 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     joint = joint_point(about, start.setup, start.before.flown.point, start.free, keys, start.limits)
     begin, names = with_effects(joint, selection), [*start.names, *keys]
     rest = [e for e in start.effects if e.key not in keys]
+
+    def columns(fit: Fit) -> MadeColumns:
+        return effect_columns(setup, fit.probes, fit.flown, [*rest, *slopes_here(setup.active, fit.flown.point)])
+
     with Bench(staged, start.measured, start.ideal) as bench:
         gusts, surprise = start.gusts, float("nan")
         if gusts is not None:
             # What an effect did was noise to the sensors, and a filter that follows vanes late finds their scales and rates.
             found = gust_refit(bench.model, bench.straight, setup, begin, names, start.limits, start.map_, gusts, tune=True)
             fit, gusts, setup, surprise = found.fit, found.gusts, found.setup, found.surprise
-            evidence = gust_evidence(setup, found, effect_columns(setup, fit.probes, fit.flown, rest))
+            evidence = gust_evidence(setup, found, columns(fit))
         else:
             options = [begin, with_effects(start.before.flown.point, selection)]
             best = best_flown(bench.model, setup, options, start.map_)
             fit = refit(bench.model, bench.straight, setup, best.point, names, start.limits, start.map_)
-            evidence = candidate_evidence(setup, fit, rest)
+            evidence = column_evidence(setup, fit, columns(fit))
     written = {c.key: c.value for c in selection.chosen}
     values = {e.key: fit.flown.point.effects[e.key] for e in setup.active}
     evidence = evidence.taken_out(values)

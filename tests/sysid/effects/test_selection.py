@@ -187,18 +187,13 @@ def test_it_is_enough_that_the_parts_do_not_contradict_each_other(t, by_chance, 
         assert selection.refused.unconfirmed
 
 
-def test_what_a_strong_effect_may_leave_behind_is_no_effect():
-    """The truth is the strong candidate's form but for a little; what differs looks like the weak one."""
+def test_beside_an_overwhelming_effect_that_has_flown_a_weak_one_is_asked_no_more_than_alone():
     rng = np.random.default_rng(8)
     strong, weak, own = drawn(rng), drawn(rng), drawn(rng)
     columns = {"strong": strong, "weak": weak, "own": own}
     odds = dict.fromkeys(columns, 0.0)
-    trace = 5.5 / np.sqrt(np.sum(weak**2))
-    left = evidence(columns, 3.0 * strong + trace * weak + drawn(rng))
-    assert [c.key for c in select(left, [], odds).chosen] == ["strong"]
-    alone = evidence(columns, trace * weak + drawn(rng))
-    assert [c.key for c in select(alone, [], odds).chosen] == ["weak"]
-    begun = select(left, [], odds, chosen=["strong", "weak"])
-    assert [c.key for c in begun.chosen] == ["strong"]
-    both = evidence(columns, 3.0 * strong + 2.0 * trace * weak + drawn(rng))
-    assert {c.key for c in select(both, [], odds).chosen} == {"strong", "weak"}
+    both = evidence(columns, 3.0 * strong + 5.5 / np.sqrt(np.sum(weak**2)) * weak + drawn(rng))
+    assert [c.key for c in select(both, [], odds, alone=15.0).chosen] == ["strong"]
+    assert {c.key for c in select(both, [], odds, chosen=["strong"], alone=15.0).chosen} == {"strong", "weak"}
+    noise = evidence(columns, 3.0 * strong + drawn(rng))
+    assert [c.key for c in select(noise, [], odds, chosen=["strong", "weak"], alone=15.0).chosen] == ["strong"]

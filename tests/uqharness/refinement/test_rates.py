@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sysid.effects import Choice
-from uqharness.refinement.candidates import servo_change
-from uqharness.refinement.rates import _asked, felt, just_so
+from sysid.effects import Choice, Effect, Selection, White, gather
+from uqharness.refinement.candidates import HERE, servo_change, slopes_here
+from uqharness.refinement.rates import _asked, as_known_here, felt, is_fastest, just_so
 from uqharness.replay import Segment, runs_per_row
 from uqharness.simulator import Actuator
 
@@ -61,3 +61,39 @@ def test_above_the_fastest_motion_every_limit_is_the_same():
     below = Choice(KEY, 1.0 / 60.0 - 1.0 / 40.0, 1e-4, -80.0, 1.0, 1.0, 0.0)
     lag = Choice("effect/actuator.elevator/lag", -5.0, 1.0, -5.0, 1.0, 1.0, 0.0)
     assert felt([below, lag], limited) == (below, lag)
+
+
+def test_a_limit_above_the_servos_own_is_known_by_its_slope_where_it_flies():
+    rng = np.random.default_rng(4)
+    whole, here, other = rng.standard_normal((3, 400, 1))
+    value, noise = 1.0 / 80.0 - 1.0 / 40.0, rng.standard_normal((400, 1))
+
+    def found(here: np.ndarray) -> SimpleNamespace:
+        columns = {"other": 10.0 * other, KEY: 1e5 * whole, KEY + HERE: here}
+        white = White(
+            noise, np.stack(list(columns.values()), axis=2).astype(np.float32), 0.0,
+            np.zeros((8, 4)), np.ones((400, 1), dtype=bool), np.ones(1), np.zeros((400, 11)),
+        )  # fmt: skip
+        evidence = gather([white], tuple(columns), [0], {}).taken_out({KEY: value})
+        about = SimpleNamespace(flown={KEY: value})
+        return SimpleNamespace(evidence=evidence, free=("other", KEY), setup=setup_with(40.0), about=about)
+
+    choice = Choice(KEY, value, 1e-5, value / 1e-5, 1.0, 1.0, 0.0)
+    (known,) = as_known_here(Selection((choice,)), found(1e4 * here)).chosen
+    A = np.column_stack([10.0 * other, 1e4 * here])
+    step = np.linalg.lstsq(A, noise[:, 0], rcond=None)[0][1]
+    assert known.value == pytest.approx(value + step, rel=1e-4)
+    assert known.std == pytest.approx(np.sqrt(np.linalg.inv(A.T @ A)[1, 1]), rel=0.2)
+    assert known.t == choice.t
+    assert not is_fastest(known, setup_with(40.0))
+    # A limit of which the flights say nothing may be any number above.
+    (silent,) = as_known_here(Selection((choice,)), found(0.0 * here)).chosen
+    assert is_fastest(silent, setup_with(40.0))
+
+
+def test_only_limits_above_the_servos_own_have_a_slope_of_their_own():
+    limit = Effect(None, "actuator.elevator", "rate_limit", "", "", unit="s/deg")
+    lag = Effect(None, "actuator.elevator", "lag", "", "", unit="s")
+    faster, slower = (SimpleNamespace(effects={limit.key: v, lag.key: -0.1}) for v in (-0.01, 0.01))
+    assert [e.key for e in slopes_here([limit, lag], faster)] == [KEY + HERE]
+    assert slopes_here([limit, lag], slower) == []
