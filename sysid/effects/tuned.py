@@ -52,6 +52,9 @@ that counts as an effect."""
 UNKNOWN_ROWS = 0.5
 """A delay or lag below this share of a row is no effect in an autopilot's log, which does not say when within a row a command
 changed; a simulator's flights act as much early."""
+QUIETER = 0.5
+"""Least share of its card's noise that a sensor in calm air is taken to have: below it, what a simulation's own steps in time do
+could look like effects."""
 COLOURED_P = 1e-7
 """Chance below which residuals in calm air are called coloured: so small that only what is seen on a plot passes."""
 FAR = 5.0

@@ -39,7 +39,7 @@ from sysid.effects import (
 from sysid.parallel import Processes
 from uqharness.errors import BadInputError
 from uqharness.plugin import Estimate
-from uqharness.refinement.base import Base, base_fit_and_noise
+from uqharness.refinement.base import Base, as_quiet, base_fit_and_noise
 from uqharness.refinement.between_rows import with_jumps
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.fit import PRIOR, Fit
@@ -159,6 +159,7 @@ def find_effects(
                 notes = [*notes, NO_AIR]
         if late is None:
             say(f"scoring {len(effects)} candidate effects")
+            setup, before = as_quiet(setup, before)
             setup = limits_tried(setup, before.probes, before.columns[0].names, lambda extra: column_evidence(setup, before, extra))
             timed = () if setup.late else (CONTROLS_LATE,)
             evidence = candidate_evidence(setup, before, [*effects, *timed])

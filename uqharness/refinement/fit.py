@@ -68,14 +68,21 @@ def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flow
         every.append(fine)
         raw.append(rows[0] if rows else at_rows(fine, len(s.time_s)))
     columns = [CHANNELS.index(c) for c in setup.outputs]
-    outputs, cost = [], 0.0
-    for segment, flown, fine, z in zip(setup.segments, raw, every, setup.measured, strict=True):
-        y = as_sensed(flown[:, columns].copy(), setup, segment, point, between=fine[:, columns])
-        outputs.append(y)
+    outputs = [
+        as_sensed(flown[:, columns].copy(), setup, segment, point, between=fine[:, columns])
+        for segment, flown, fine in zip(setup.segments, raw, every, strict=True)
+    ]
+    x = [r[:, [CHANNELS.index(c) for c in X_STATES]] for r in raw]
+    return Flown(point, outputs, x, [r[:, CHANNELS.index("h_m")] for r in raw], cost_of(setup, outputs))
+
+
+def cost_of(setup: Setup, outputs: Sequence[Array]) -> float:
+    """Sum of the squares of what outputs [(n, m)] leave of what was measured, over its noise; inf where one is no number."""
+    cost = 0.0
+    for z, y in zip(setup.measured, outputs, strict=True):
         e = np.where(np.isfinite(z), (z - y) / setup.noise, 0.0)
         cost += float(np.sum(e**2)) if np.isfinite(e).all() else math.inf
-    x = [r[:, [CHANNELS.index(c) for c in X_STATES]] for r in raw]
-    return Flown(point, outputs, x, [r[:, CHANNELS.index("h_m")] for r in raw], cost)
+    return cost
 
 
 def best_flown(model: ReplayModel, setup: Setup, points: Sequence[Point], map_: Processes) -> Flown:

@@ -22,7 +22,7 @@ from uqharness.refinement.find import Found, estimates_of, find_effects, remark
 from uqharness.refinement.fit import positions
 from uqharness.refinement.judge import Judged, bare, flown_as, judge, sensed_by
 from uqharness.refinement.rounds import write_staged
-from uqharness.refinement.setup import Bench, estimated_channels, file_hash, make_setup, refuse_shared, setup_in_gusts
+from uqharness.refinement.setup import Bench, file_hash, make_setup, refuse_shared, setup_in_gusts
 from uqharness.refinement.showing.document import document_of
 from uqharness.refinement.showing.intervals import FOLDER as INTERVALS
 from uqharness.refinement.showing.intervals import (
@@ -187,7 +187,7 @@ def _side(request: Request, chosen: Found, flights: _Flights) -> Side:
     setup = flights.setup(request.aircraft)
     if chosen.gusts is not None:
         setup = setup_in_gusts(request.aircraft, setup)
-    if setup.outputs == chosen.setup.outputs and (chosen.gusts is not None or estimated_channels(setup)):
+    if setup.outputs == chosen.setup.outputs:
         setup = replace(setup, noise=chosen.setup.noise)
     return Side(setup, flights.measured, flights.ideal, chosen.gusts)
 

@@ -1,12 +1,15 @@
-"""What a log's estimator computed is as uncertain as the model leaves it; what a sensor measured is as its card says."""
+"""What a log's estimator computed is as uncertain as the model leaves it; a sensor is as its card says, or as quiet as it shows."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from uqharness.refinement.base import noise_left
+from uqharness.refinement import base
+from uqharness.refinement.base import as_quiet, noise_left
+from uqharness.refinement.fit import Fit
 from uqharness.refinement.setup import estimated_channels, setup_in_gusts
+from uqharness.refinement.types import Flown, Setup
 
 OUTPUTS = ("alpha_rad", "p_radps")
 
@@ -43,3 +46,20 @@ def test_in_gusts_the_card_speaks_of_sensors_alone(monkeypatch):
     aircraft = SimpleNamespace(card=card)
     assert setup_in_gusts(aircraft, setup_of(estimates=("alpha_rad",))).tolist() == [0.002, 0.0035]
     assert setup_in_gusts(aircraft, setup_of()).tolist() == [0.0017, 0.0035]
+
+
+@pytest.mark.parametrize(("left", "taken"), [(0.7, 0.7), (0.3, 0.5), (1.4, 1.0)])
+def test_a_sensor_is_as_quiet_as_the_fit_leaves_it_down_to_half_its_card(monkeypatch, left, taken):
+    card, seen = np.array([0.002, 0.004]), {}
+    residual = left * card * np.random.default_rng(1).standard_normal((20_000, 2))
+    residual[::5, 1] = np.nan
+    setup = Setup((), (), (), OUTPUTS, (residual[:5000], residual[5000:]), card, (), {})
+    outputs = [np.zeros((5000, 2)), np.zeros((15_000, 2))]
+    columns = [SimpleNamespace(names=("aero/a",))]
+    fit = Fit(Flown(None, outputs, [], [], 1.0), [], [], columns, None, (), 1, True)
+    monkeypatch.setattr(base, "whiten", lambda steps, measured, columns, which, noise: seen.setdefault("white", [noise]))
+    monkeypatch.setattr(base, "gather", lambda white, names, group, prior: (white, names, group))
+    quiet, again = as_quiet(setup, fit)
+    assert quiet.noise == pytest.approx(taken * card, rel=0.02)
+    assert again.flown.cost == pytest.approx(np.nansum((residual / quiet.noise) ** 2))
+    assert again.evidence == ([quiet.noise], ("aero/a",), [0])

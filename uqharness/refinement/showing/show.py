@@ -82,7 +82,9 @@ def show(
         start = Point(dict(values or {}), {}, tuple(s.start for s in setup.segments), dict(sensed))
         pieces = [(f, p) for f in setup.flights for p in f.pieces]
         cut = [_as_felt(s, f, ideal) for s, (f, _) in zip(setup.segments, pieces, strict=True)]
-        noise_std = dict(zip(setup.outputs, setup.noise.tolist(), strict=True))
+        # Tables speak of the noise that `compare` knows.
+        noise = setup.noise if gusts is not None else np.maximum(setup.noise, _known_noise(aircraft, setup))
+        noise_std = dict(zip(setup.outputs, noise.tolist(), strict=True))
         every, rng = [states(f, p) for f, p in pieces], np.random.default_rng(1)
         gaps = coefficient_gaps(bench.model, bench.straight, cut, every, noise_std, rng, start.values)
         found = [(demand - said, change) for demand, said, change in gaps]
@@ -90,7 +92,7 @@ def show(
             flown = _replayed(bench.model, plain, start, map_)
             residual = [z - y for z, y in zip(setup.measured, flown.outputs, strict=True)]
             white = [r / setup.noise for r in residual]
-            noise, cost = setup.noise, flown.cost
+            cost = flown.cost
             logdet = [0.0] * len(white)
         else:
             try:
@@ -130,12 +132,17 @@ def with_replays(
 ) -> Shown:  # fmt: skip
     """Flights shown by predictions with their replays besides; arguments of `show`. Noise and delays are those of `compare`."""
     with Bench(aircraft, measured, ideal) as bench:
-        known = channel_noise(list(setup.measured), setup.outputs, aircraft.card.sensors.noise_std)
-        noise = np.array([known[c] for c in setup.outputs])
+        noise = _known_noise(aircraft, setup)
         timed = tuple(f.name for f in setup.flights if f.name not in setup.late)
         plain = replace(with_sensors_of(setup, aircraft), active=(), carriers={}, jumping=(), timed=timed, noise=noise)
         start = Point(dict(values or {}), {}, tuple(s.start for s in setup.segments), dict(sensed))
         return replace(shown, replays=Replays(_replayed(bench.model, plain, start, map_).outputs, noise))
+
+
+def _known_noise(aircraft: Aircraft, setup: Setup) -> Array:
+    """(m,) noise of the outputs by their own samples and the aircraft's card."""
+    known = channel_noise(list(setup.measured), setup.outputs, aircraft.card.sensors.noise_std)
+    return np.array([known[c] for c in setup.outputs])
 
 
 def _as_recorded(setup: Setup, point: Point, rows: Sequence[Array]) -> list[Array]:
