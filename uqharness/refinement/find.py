@@ -20,6 +20,7 @@ from sysid.effects import (
     DIFFERENT,
     GUST_LIMIT,
     GUST_ODDS,
+    MOMENTS_IN_GUSTS,
     OVERWHELMING,
     RATES_IN_GUSTS,
     RESOLVED_ROWS,
@@ -57,7 +58,7 @@ from uqharness.refinement.setup import (
 )
 from uqharness.refinement.stages import Stages
 from uqharness.refinement.timing import CONTROLS_LATE, LEAST_LATE_ROWS, MOST_CORRECTIONS, controls_late, later, words
-from uqharness.refinement.types import Bent, Setup, lateness
+from uqharness.refinement.types import Array, Bent, Setup, lateness
 from uqharness.refinement.writing.slopes import of_lift_slope
 from uqharness.simulator import Aircraft
 
@@ -310,7 +311,7 @@ def _in_gusts(
     if best is not None:
         after, last = best.fit, best.evidence
         selection = with_resolution(as_known_here(resolved(start, best), best), by_key, setup.segments[0].dt_s, gusty=True)
-    parameters = in_one_step(last, names, after, selection)
+    parameters = in_one_step(last, names, after, selection, gusty=True)
     selection, slopes = of_lift_slope(selection, found.fit, after)
     return Found(
         setup if best is None else best.setup, names, found.fit, after, selection, by_key,
@@ -340,11 +341,20 @@ def _moved_alone(evidence: Evidence, names: Sequence[str], fit: Fit) -> dict[str
     return {n: float(fit.flown.point.values[n] + delta[n]) for n in names}
 
 
-def in_one_step(evidence: Evidence, names: Sequence[str], fit: Fit, selection: Selection) -> dict[str, tuple[float, float]]:
-    """(value, corrected standard error) of the parameters beside the effects, the last step taken."""
+def in_one_step(
+    evidence: Evidence, names: Sequence[str], fit: Fit, selection: Selection, gusty: bool = False
+) -> dict[str, tuple[float, float]]:
+    """(value, corrected standard error) of the parameters beside the effects, the last step taken; gusty: that of moments as it
+    covers in turbulence."""
     free = [*(n for n in fit.columns[0].names if not n.startswith("effect/")), *(c.key for c in selection.chosen)]
     found = corrected_each(evidence, free, names)
-    return {n: (float(fit.flown.point.values[n] + delta), std) for n, (delta, std, _) in found.items()}
+    wider = {n: MOMENTS_IN_GUSTS if gusty and _of_a_moment(*fit.columns[0].inputs[n]) else 1.0 for n in names}
+    return {n: (float(fit.flown.point.values[n] + delta), wider[n] * std) for n, (delta, std, _) in found.items()}
+
+
+def _of_a_moment(coefficient: int, values: Array) -> bool:
+    """Whether the input of a `Columns` changes Cl, Cm or Cn."""
+    return coefficient > 2 if coefficient >= 0 else bool(np.any(values[:, 3:]))
 
 
 def score_table(

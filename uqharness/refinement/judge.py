@@ -238,5 +238,5 @@ def left_out(found: Found, evidence: Evidence, keys: Sequence[str]) -> Found:
         chosen.append(replace(c, value=value, std=std, t=value / std))
     estimated = replace(found.selection, chosen=tuple(chosen))
     selection = with_resolution(estimated, found.effects, found.setup.segments[0].dt_s, found.gusty)
-    parameters = in_one_step(evidence, found.names, found.after, selection)
+    parameters = in_one_step(evidence, found.names, found.after, selection, found.gusty)
     return replace(found, parameters=parameters, selection=selection)
