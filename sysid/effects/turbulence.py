@@ -38,7 +38,7 @@ V_REFERENCE = 20.0
 _START = np.array([0.25, 5e-4, 5e-4, 5e-2, 1e-4, 1e-4, 1e-4])
 """Intensities of V [m2/s3], alpha and beta [rad2/s], the air's roll [rad2/s3], and of moments about the three axes that
 nothing explains, as angular accelerations [rad2/s3]; all at V_REFERENCE. Light air, to begin with."""
-_MOMENTS = (4, 5, 6)
+_MOMENTS = slice(4, 7)
 _NONE = 1e-6
 """Factor on an intensity that leaves nothing of it."""
 _MEMORY_S = 10.0
@@ -119,7 +119,7 @@ def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatA
     # Dryden far above its corner: PSD of u' is 2 sigma^2 V/L, of alpha' = w'/V 3 sigma^2/(L V).
     noise[0], noise[1], noise[2] = values[0] * faster, *(faster * values[1:3] * (V_REFERENCE / V) ** 2)
     # A coefficient's noise is a moment's by dynamic pressure.
-    noise[3:6] = values[4:] * (V / V_REFERENCE) ** 4
+    noise[3:6] = values[_MOMENTS] * (V / V_REFERENCE) ** 4
     noise[8] = values[3] * faster
     for k in range(3):
         # Stationary from the start: T x' = -x + n has the variance N/(2T), and the states 9 and 10 are T times the rotation.
@@ -163,7 +163,8 @@ def gust_intensity(
     still = _Point(here.states, _STILL * here.values, here.factors)
     gain = near.gain if near is not None else search.calm(some, here) - here.cost
     moving = near.moving if near is not None else search.best(some, [still]).cost - here.cost
-    without = [replace(here, values=here.values * np.where(np.arange(len(_START)) == k, _NONE, 1.0)) for k in _MOMENTS]
+    axes = np.eye(len(_START), dtype=bool)[_MOMENTS]
+    without = [replace(here, values=np.where(axis, _NONE, 1.0) * here.values) for axis in axes]
     lost = np.array([search.best(some, [point]).cost - here.cost for point in without])
     moments = np.where(np.isfinite(lost), lost, np.nan)
     own = dict.fromkeys(flights, here.values)
