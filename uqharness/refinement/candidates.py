@@ -197,11 +197,14 @@ def _subsystem(
         return C, None
     if part == "actuator":
         k = CONTROLS.index(what)
+        if e.term == "deadband":
+            moved = in_dead_zone(p.controls[:, k], setup.zones.get(what, _DEADBAND_DEG), flown=e.key in point.effects)
+            return p.by_control[:, :, k] * moved[:, None], None
         servo, limits = _as_flown(setup, what, point)
         if e.term.endswith(HERE):
             assert servo is not None
             limits = servo.rate, NEAR * servo.rate
-        moved = surface_change(e.term.removesuffix(HERE), servo, segment, k, p.controls[:, k], limits)
+        moved = surface_change(e.term.removesuffix(HERE), servo, segment, k, limits)
         if not np.any(moved):
             return None, None
         return p.by_control[:, :, k] * moved[:, None], None
@@ -251,6 +254,16 @@ def around(servo: Actuator, slowness: float) -> tuple[float, float]:
     limit = servo.slowed_to(slowness)
     # One above the servo's own may hardly be reached, where a little less changes nothing: halfway back to the servo's own does.
     return limit, min(NEAR * limit, servo.slowed_to(0.5 * slowness) if slowness < 0.0 else limit)
+
+
+def in_dead_zone(u: Array, width_deg: float, flown: bool = False) -> Array:
+    """(n,) how far a surface that stands at u (n,) [deg] moves by each degree of a dead zone, read by one of that width; flown: by
+    each degree that the one it stands in is wider."""
+    if flown:
+        return np.asarray(-0.5 * np.sign(u))
+    # Within half the width around zero the surface stays; beyond, it is short by half of it.
+    half = 0.5 * width_deg
+    return np.asarray(-np.clip(u, -half, half) / width_deg)
 
 
 def _felt_at(p: Probe, outputs: Sequence[str], place_m: Array) -> Array:
@@ -305,31 +318,21 @@ def _attached(alpha_deg: Array) -> Array:
     return np.asarray((0.5 * (1.0 + np.sqrt(X))) ** 2)
 
 
-def surface_change(
-    kind: str, servo: Actuator | None, segment: Segment, k: int, u: Array, limits: tuple[float, float] | None = None
-) -> Array:
-    """(n,) `servo_change` of control ``k`` at a segment's rows; u (n,): where it stands."""
-    if kind == "deadband":
-        return servo_change(kind, servo, u, u, segment.dt_s)
+def surface_change(kind: str, servo: Actuator | None, segment: Segment, k: int, limits: tuple[float, float] | None = None) -> Array:
+    """(n,) `servo_change` of control ``k`` at a segment's rows."""
     own = segment.at_commands()
     command = own.controls[:, k]
-    return segment.on_rows(servo_change(kind, servo, command, command, own.dt_s, limits))
+    return segment.on_rows(servo_change(kind, servo, command, own.dt_s, limits))
 
 
-def servo_change(
-    kind: str, servo: Actuator | None, command: Array, u: Array, h: float, limits: tuple[float, float] | None = None
-) -> Array:
+def servo_change(kind: str, servo: Actuator | None, command: Array, h: float, limits: tuple[float, float] | None = None) -> Array:
     """(n,) how far the surface stands from where it was taken to be, per unit of the effect.
 
-    Lag [s] and inverse of the rate limit [s/deg] count from the servo's own, the dead zone [deg] from none. command, u: asked for
-    and standing, at rows h [s] apart. limits: rate limits [deg/s] whose difference is taken; without them the servo's own and
-    one that is felt.
+    Lag [s] and inverse of the rate limit [s/deg] count from the servo's own. command: asked for, at rows h [s] apart. limits: rate
+    limits [deg/s] whose difference is taken; without them the servo's own and one that is felt.
     """
-    if kind == "deadband":
-        # Within half the width around zero the surface stays; beyond, it is short by half of it.
-        return np.asarray(-0.5 * np.clip(u / (0.5 * _DEADBAND_DEG), -1.0, 1.0))
     if servo is None:
-        return np.zeros_like(u)
+        return np.zeros_like(command)
     step = h / runs_per_row(h)
     if kind == "rate_limit" and limits is not None:
         one, other = (replace(servo, rate=r).follow(command, h, step) for r in limits)
@@ -341,9 +344,9 @@ def servo_change(
     # that of the limit the servo has.
     fastest = float(np.abs(np.diff(before)).max()) / h
     if not fastest > 1.0:
-        return np.zeros_like(u)
+        return np.zeros_like(command)
     limit = 0.75 * fastest
     slower_by = 1.0 / limit - 1.0 / servo.rate
     if not slower_by > 0.0:
-        return np.zeros_like(u)
+        return np.zeros_like(command)
     return (replace(servo, rate=limit).follow(command, h, step) - before) / slower_by

@@ -2,7 +2,7 @@
 
 One slope for all of that is right nowhere: a limit a little below the fastest motion would be estimated above it, where it does
 nothing. So some limits are tried, each against the servo's own, for the one whose estimated change is the change it makes; its
-column stands for the effect. Once an effect is flown, its column is the slope at the limit that flies.
+column stands for the effect. Once an effect is flown, its column is the slope at the limit that flies. So are dead zones.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.effects import Choice, Columns, Evidence, Selection, corrected, scores
-from uqharness.refinement.candidates import HERE, NEAR, surface_change
+from uqharness.refinement.candidates import HERE, NEAR, in_dead_zone, surface_change
 from uqharness.refinement.reference import Probe
 from uqharness.refinement.round import Round
 from uqharness.refinement.types import Setup
@@ -27,25 +27,37 @@ SHARES = (0.98, 0.95, 0.9, 0.85, 0.75, 0.6, 0.45, 0.3)
 FASTER = (0.75, 0.5, 0.25, 0.0)
 """Limits tried above the servo's own: its share in the travel time of a degree, the rest that of the fastest motion."""
 
+WIDTHS_DEG = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
+"""Dead zones tried: about as wide as the one that there is, a column has its form; a narrow one moves a surface at once."""
+
 
 def limits_tried(
     setup: Setup, probes: Sequence[Probe], free: Sequence[str], evidence_of: Callable[[list[Columns]], Evidence]
 ) -> Setup:
-    """The setup with the rate limits at which the flights say most of each servo. evidence_of: evidence with columns besides."""
-    tried = {surface: _asked(setup, surface, servo) for surface, servo in setup.servos.items()}
-    if not any(tried.values()):
+    """The setup with the rate limit and the dead zone of each servo whose estimated change is the change it makes. evidence_of:
+    evidence with columns besides."""
+    if not setup.servos:
         return setup
+    tried = {surface: _asked(setup, surface, servo) for surface, servo in setup.servos.items()}
     columns = []
     for segment, p in zip(setup.segments, probes, strict=True):
         inputs = {}
         for surface, asked in tried.items():
             k, servo = CONTROLS.index(surface), setup.servos[surface]
             for limit in asked:
-                moved = surface_change("rate_limit", servo, segment, k, p.controls[:, k], (servo.rate, limit))
+                moved = surface_change("rate_limit", servo, segment, k, (servo.rate, limit))
                 inputs[_key(surface, limit)] = (-1, p.by_control[:, :, k] * moved[:, None])
+            for width in WIDTHS_DEG:
+                moved = in_dead_zone(p.controls[:, k], width)
+                inputs[_zone(surface, width)] = (-1, p.by_control[:, :, k] * moved[:, None])
         columns.append(Columns(tuple(inputs), inputs, {}))
     evidence = evidence_of(columns)
-    limits = {}
+    widths, limits, zones = np.array(WIDTHS_DEG), {}, {}
+    for surface in tried:
+        found = scores(evidence, free, [_zone(surface, width) for width in WIDTHS_DEG])
+        zone = just_so(widths, found.estimate / widths, found.t)
+        if zone is not None:
+            zones[surface] = zone
     for surface, asked in tried.items():
         if not asked:
             continue
@@ -59,7 +71,7 @@ def limits_tried(
             best = just_so(speeds[side], wanted[side], found.t[side])
             assert best is not None
             limits[surface] = (servo.rate, best)
-    return replace(setup, limits=limits)
+    return replace(setup, limits=limits, zones=zones)
 
 
 def _asked(setup: Setup, surface: str, servo: Actuator) -> list[float]:
@@ -74,6 +86,10 @@ def _asked(setup: Setup, surface: str, servo: Actuator) -> list[float]:
 
 def _key(surface: str, limit: float) -> str:
     return f"{surface}@{limit:g}"
+
+
+def _zone(surface: str, width: float) -> str:
+    return f"{surface}~{width:g}"
 
 
 def just_so(limit: Array, wanted: Array, t: Array) -> float | None:

@@ -56,14 +56,14 @@ def test_the_limit_is_the_one_of_which_the_flights_want_just_what_it_does():
     limits = np.array(SHARES) * fastest
     for true in (0.9 * fastest, 0.7 * fastest, 0.4 * fastest):
         hidden = Actuator(lag=25.0, rate=true).follow(ramp, h, 0.01) - before
-        per_unit = [servo_change("rate_limit", servo, ramp, ramp, h, (240.0, x)) for x in limits]
+        per_unit = [servo_change("rate_limit", servo, ramp, h, (240.0, x)) for x in limits]
         estimate = np.array([c @ hidden / (c @ c) for c in per_unit])
         t = np.array([c @ hidden / np.sqrt(c @ c) for c in per_unit])
         found = just_so(limits, estimate / (1.0 / limits - 1.0 / 240.0), t)
         assert found == pytest.approx(true, rel=0.03)
     # One slope for all limits makes something else of a servo that is a little slow.
     hidden = Actuator(lag=25.0, rate=0.9 * fastest).follow(ramp, h, 0.01) - before
-    felt = servo_change("rate_limit", servo, ramp, ramp, h)
+    felt = servo_change("rate_limit", servo, ramp, h)
     assert abs(1.0 / (felt @ hidden / (felt @ felt) + 1.0 / 240.0) / (0.9 * fastest) - 1.0) > 0.1
     assert just_so(limits, -np.ones(len(limits)), -np.ones(len(limits))) is None
     assert just_so(limits, np.full(len(limits), 0.1), np.arange(len(limits), 0.0, -1.0)) == limits[0]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sysid.effects import Choice, Effect, Selection, White, gather
-from uqharness.refinement.candidates import HERE, servo_change, slopes_here
-from uqharness.refinement.rates import _asked, as_known_here, felt, is_fastest, just_so
+from uqharness.refinement.candidates import HERE, in_dead_zone, servo_change, slopes_here
+from uqharness.refinement.rates import WIDTHS_DEG, _asked, as_known_here, felt, is_fastest, just_so
 from uqharness.replay import Segment, runs_per_row
 from uqharness.simulator import Actuator
 
@@ -46,7 +46,7 @@ def test_the_limit_that_does_just_what_is_missing_is_found_on_either_side(limit,
     speeds = np.array([s for s in _asked(setup, "elevator", servo) if (s > 40.0) == (limit > 40.0)])
     wanted = []
     for speed in speeds:
-        column = servo_change("rate_limit", servo, command, command, DT, (40.0, speed))
+        column = servo_change("rate_limit", servo, command, DT, (40.0, speed))
         wanted.append(column @ missing / (column @ column) / (1.0 / speed - 1.0 / 40.0))
     assert just_so(speeds, np.array(wanted), np.ones(len(speeds))) == pytest.approx(limit, rel=0.1)
     assert just_so(speeds, -np.array(wanted), np.ones(len(speeds))) is None
@@ -97,3 +97,22 @@ def test_only_limits_above_the_servos_own_have_a_slope_of_their_own():
     faster, slower = (SimpleNamespace(effects={limit.key: v, lag.key: -0.1}) for v in (-0.01, 0.01))
     assert [e.key for e in slopes_here([limit, lag], faster)] == [KEY + HERE]
     assert slopes_here([limit, lag], slower) == []
+
+
+@pytest.mark.parametrize("width", [0.06, 0.3, 1.2])
+def test_a_dead_zone_is_read_by_one_as_wide_as_it_is(width):
+    asked = 4.0 * np.sin(0.05 * np.arange(2000)) * np.linspace(0.0, 1.0, 2000)
+    stands = np.sign(asked) * np.maximum(np.abs(asked) - 0.5 * width, 0.0)
+    missing = stands - asked
+    estimates = []
+    for one in WIDTHS_DEG:
+        column = in_dead_zone(asked, one)
+        estimates.append(column @ missing / (column @ column))
+    widths = np.array(WIDTHS_DEG)
+    assert just_so(widths, np.array(estimates) / widths, np.ones(len(widths))) == pytest.approx(width, rel=0.1)
+    # A column of one width for all makes another width of it.
+    assert np.abs(np.array(estimates) / width - 1.0).max() > 0.08
+    # One that stands in it already is short by half of what it is wider.
+    wider = np.sign(asked) * np.maximum(np.abs(asked) - 0.5 * (width + 1e-3), 0.0)
+    outside = np.abs(asked) > 0.5 * (width + 1e-3)
+    assert (1e-3 * in_dead_zone(stands, 0.4, flown=True))[outside] == pytest.approx((wider - stands)[outside], abs=1e-12)

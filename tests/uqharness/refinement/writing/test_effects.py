@@ -234,14 +234,14 @@ def test_a_rate_limits_column_is_what_a_lower_limit_does():
     servo, h = Actuator(lag=25.0, rate=240.0), 0.02
     run_s = h / runs_per_row(h)
     command = np.repeat([0.0, 6.0, -6.0, 0.0], 40)
-    column = servo_change("rate_limit", servo, command, command, h)
+    column = servo_change("rate_limit", servo, command, h)
     before = servo.follow(command, h, run_s)
     fastest = np.abs(np.diff(before)).max() / h
     after = Actuator(lag=25.0, rate=0.75 * fastest).follow(command, h, run_s)
     assert column * (1.0 / (0.75 * fastest) - 1.0 / 240.0) == pytest.approx(after - before, abs=1e-9)
     # A servo at its limit already: the zero of the effect is that limit, not none.
     slow = Actuator(None, rate=100.0)
-    at_limit = servo_change("rate_limit", slow, command, command, h)
+    at_limit = servo_change("rate_limit", slow, command, h)
     moved = Actuator(None, rate=75.0).follow(command, h, run_s) - slow.follow(command, h, run_s)
     assert at_limit * (1.0 / 75.0 - 1.0 / 100.0) == pytest.approx(moved, abs=1e-9)
 
