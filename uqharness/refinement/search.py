@@ -3,9 +3,9 @@
 1. The linearised likelihood about the model flown last proposes effects (sysid.effects.selection). Where one that
    enters is overwhelming, no other enters beside it until it has flown: what linearisation leaves of it looks like others.
 2. The model with them is flown and everything is estimated, what JSBSim reads once until it stands.
-3. Where it asks for several more, what explains nearly as much in the newest one's place flies, too, three times in all: an
-   airspeed sensor that reads a quarter too much looks at first like thrust that is off, |t| 36 and 37. Flown, the sensor's fault
-   leaves nothing to ask for.
+3. Where it asks for several more, or leaves moments that nothing explains, what explains nearly as much in the newest one's place
+   flies, too, three times in all: an airspeed sensor that reads a quarter too much looks at first like thrust that is off, |t| 36
+   and 37. Flown, the sensor's fault leaves nothing to ask for.
 4. The search ends with a model that proposes itself. The best by the log likelihood, less what each effect must earn, stands.
 """
 
@@ -19,6 +19,7 @@ import numpy as np
 
 from sysid.effects import (
     ALIKE,
+    CERTAIN_T,
     COMPARABLE,
     EARNED,
     OVERWHELMING,
@@ -128,10 +129,12 @@ def _search(start: Start, evidence: Evidence, odds: Mapping[str, float], folder:
 
 
 def instead_of(start: Start, now: Round, proposal: Selection, about: About) -> list[Selection]:
-    """Proposals with another candidate in the place of an overwhelming new effect that left several to be asked for."""
+    """Proposals with another candidate in the place of an overwhelming new effect that left several to be asked for, or moments
+    that nothing explains."""
     new = [c for c in proposal.chosen if c.key not in about.flown]
     asked = [c for c in now.again.chosen if c.key not in now.keys]
-    if len(new) != 1 or abs(new[0].t) <= OVERWHELMING or len(asked) < SEVERAL:
+    unexplained = now.gusts is not None and bool(np.any(now.gusts.moments > CERTAIN_T**2))
+    if len(new) != 1 or abs(new[0].t) <= OVERWHELMING or not (len(asked) >= SEVERAL or unexplained):
         return []
     kept = [c.key for c in proposal.chosen if c.key != new[0].key]
     free = [*start.free, *kept]

@@ -22,6 +22,9 @@ from uqharness.refinement.search import comparable, likeliest, lone_among_times,
 KEYS = ("free", "thrust", "speed", "twin", "other")
 
 
+AIR = SimpleNamespace(moments=np.zeros(3))
+
+
 def told(own_part: float = 0.0) -> Evidence:
     """``speed`` is there, and a part of what is thrust's own; ``thrust`` resembles speed, ``twin`` is thrust by another name."""
     rng = np.random.default_rng(6)
@@ -133,6 +136,15 @@ def test_what_asks_for_several_more_is_doubted(monkeypatch, tmp_path):
     assert flights.asked == [["thrust"], ["thrust", "other", "twin"]]
 
 
+@pytest.mark.parametrize(("moments", "asked"), [(6000.0, [["thrust"], ["speed"]]), (90.0, [["thrust"]])])
+def test_what_leaves_moments_that_nothing_explains_is_doubted(monkeypatch, tmp_path, moments, asked):
+    """A servo's rate limit stands for its lag, asks for nothing more, and yaw moves as by moments from nowhere."""
+    gusts = SimpleNamespace(moments=np.array([np.nan, 0.0, moments]))
+    flights = Flights(thrust=round_of(300.0, True, gusts=gusts, thrust=50.0), speed=round_of(100.0, True, gusts=gusts, speed=50.0))
+    searched(monkeypatch, tmp_path, told(own_part=0.5), flights)
+    assert flights.asked == asked
+
+
 def test_a_choice_that_goes_to_and_fro_ends_at_the_better_of_the_two(monkeypatch, tmp_path, evidence):
     flights = Flights(
         speed=round_of(120.0, again=chosen(thrust=9.0), speed=50.0), thrust=round_of(110.0, again=chosen(speed=9.0), thrust=50.0)
@@ -143,7 +155,7 @@ def test_a_choice_that_goes_to_and_fro_ends_at_the_better_of_the_two(monkeypatch
     assert "not one that stands" in found.trail[-1]
 
 
-@pytest.mark.parametrize(("merit", "gusts", "kept"), [(100.0, None, True), (10_000.0, None, False), (10_000.0, "air", False)])
+@pytest.mark.parametrize(("merit", "gusts", "kept"), [(100.0, None, True), (10_000.0, None, False), (10_000.0, AIR, False)])
 def test_effects_that_do_not_earn_their_place_are_none(monkeypatch, tmp_path, evidence, merit, gusts, kept):
     flights = Flights(speed=round_of(merit, True, gusts, speed=50.0))
     found = searched(monkeypatch, tmp_path, evidence, flights, merit=5000.0)
@@ -158,7 +170,7 @@ def test_where_no_filter_follows_what_was_flown_before_stands(monkeypatch, tmp_p
     assert searched(monkeypatch, tmp_path, evidence, Flights(speed=None)).best is None
 
 
-def flown(merit: float, *keys: str, gusts: object = "air") -> SimpleNamespace:
+def flown(merit: float, *keys: str, gusts: object = AIR) -> SimpleNamespace:
     return SimpleNamespace(merit=merit, keys=frozenset(keys), gusts=gusts)
 
 
@@ -206,7 +218,7 @@ def test_what_says_nothing_once_it_flies_is_left_out(tmp_path):
     assert without_weak(both, [both], 4.0, lambda *_: None, tmp_path) == (both, [])  # type: ignore
 
 
-@pytest.mark.parametrize("gusts", [None, "air"])
+@pytest.mark.parametrize("gusts", [None, AIR])
 @pytest.mark.parametrize("standing", [False, True])
 def test_nothing_that_says_something_once_it_flies_is_no_effect(tmp_path, standing, gusts):
     """Chance: |t| 4.5 on the linearised flight, 2.7 once it flies."""
