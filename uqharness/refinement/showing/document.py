@@ -3,7 +3,7 @@ nothing."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -136,7 +136,9 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
     moments = moments_of(chosen)
     remaining["where"] += list(moments.values())
     remaining["unexplained"] |= (bool(asked) and not effects) or bool(more) or chosen.bent is not None or bool(moments)
-    remaining["place"] = _place(chosen, judged, remaining, [key for key, _ in more], list(moments), controls)
+    remaining["place"] = place = _place(chosen, judged, remaining, [key for key, _ in more], list(moments), controls)
+    near = strong_of(place["candidates"], {*told, *(key for key, _ in more)})
+    remaining["where"] += [_still_asked(chosen.effects[key], t, len(more) + k) for k, (key, t) in enumerate(near)]
     verdict = "unexplained" if remaining["unexplained"] else "effects-found" if effects else "no-missing-effect"
     refused = found.selection.refused
     return {
@@ -211,6 +213,13 @@ def _bent(form: Bent, instead: Sequence[Effect]) -> dict[str, Any]:
 
 def _unnamed(effect: Effect, choice: Choice) -> dict[str, Any]:
     return {**_label(effect), "t": choice.t, "words": unnamed(effect, choice)}
+
+
+def strong_of(candidates: Sequence[Mapping[str, Any]], told: Collection[str]) -> list[tuple[str, float]]:
+    """(key, t) of the nearest candidates beside what stands that have more than CERTAIN_T and are not told yet: an effect that was
+    withdrawn had their place."""
+    keys = [f"effect/{c.get('coefficient') or c['subsystem']}/{c['term']}" for c in candidates]
+    return [(k, c["t"]) for k, c in zip(keys, candidates, strict=True) if abs(c["t"]) > CERTAIN_T and k not in told]
 
 
 def _still_asked(effect: Effect, t: float, rank: int) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from uqharness.refinement.showing import words
-from uqharness.refinement.showing.document import moments_of
+from uqharness.refinement.showing.document import moments_of, strong_of
 
 
 @pytest.mark.parametrize(
@@ -31,3 +31,13 @@ def test_moments_that_nothing_explains_are_told_by_their_axes(gains, told):
     assert [row["coefficient"] for row in said.values()] == told
     assert all(f"{row['twice_log_likelihood']:.0f}" in row["words"] for row in said.values())
     assert not moments_of(SimpleNamespace(gusts=None, setup=found.setup))
+
+
+def test_of_the_nearest_candidates_those_are_told_that_are_strong_and_not_told_yet():
+    near = [
+        {"coefficient": "Cl", "term": "alpha^3", "t": 33.1},
+        {"coefficient": "Cl", "term": "alpha*CT", "t": -31.2},
+        {"subsystem": "propulsion", "term": "torque", "t": 9.0},
+    ]
+    assert strong_of(near, {"effect/Cl/alpha*CT"}) == [("effect/Cl/alpha^3", 33.1)]
+    assert strong_of(near, set()) == [("effect/Cl/alpha^3", 33.1), ("effect/Cl/alpha*CT", -31.2)]
