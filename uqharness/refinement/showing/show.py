@@ -20,7 +20,7 @@ from uqharness.identification import coefficient_gaps, fit_replays
 from uqharness.refinement.base import observed, point_of
 from uqharness.refinement.fit import fly
 from uqharness.refinement.gusts import gust_refit, moved, rows_late, unfiltered
-from uqharness.refinement.setup import Bench, with_sensors_of
+from uqharness.refinement.setup import Bench, estimated_channels, with_sensors_of
 from uqharness.refinement.types import Flown, Point, Setup
 from uqharness.replay import CONTROLS, Flight, ReplayModel, Segment, command_later, spread_over, states
 from uqharness.simulator import Aircraft, copy_folder
@@ -82,8 +82,7 @@ def show(
         start = Point(dict(values or {}), {}, tuple(s.start for s in setup.segments), dict(sensed))
         pieces = [(f, p) for f in setup.flights for p in f.pieces]
         cut = [_as_felt(s, f, ideal) for s, (f, _) in zip(setup.segments, pieces, strict=True)]
-        # Tables speak of the noise that `compare` knows.
-        noise = setup.noise if gusts is not None else np.maximum(setup.noise, _known_noise(aircraft, setup))
+        noise = setup.noise if gusts is not None else _told_noise(aircraft, setup)
         noise_std = dict(zip(setup.outputs, noise.tolist(), strict=True))
         every, rng = [states(f, p) for f, p in pieces], np.random.default_rng(1)
         gaps = coefficient_gaps(bench.model, bench.straight, cut, every, noise_std, rng, start.values)
@@ -137,6 +136,12 @@ def with_replays(
         plain = replace(with_sensors_of(setup, aircraft), active=(), carriers={}, jumping=(), timed=timed, noise=noise)
         start = Point(dict(values or {}), {}, tuple(s.start for s in setup.segments), dict(sensed))
         return replace(shown, replays=Replays(_replayed(bench.model, plain, start, map_).outputs, noise))
+
+
+def _told_noise(aircraft: Aircraft, setup: Setup) -> Array:
+    """(m,) noise that tables of replays speak of: what `compare` knows, but for channels that an estimator computed."""
+    computed = np.isin(setup.outputs, estimated_channels(setup))
+    return np.where(computed, setup.noise, _known_noise(aircraft, setup))
 
 
 def _known_noise(aircraft: Aircraft, setup: Setup) -> Array:

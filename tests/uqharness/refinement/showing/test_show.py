@@ -7,6 +7,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ from uqharness.refinement.showing.content import Place
 from uqharness.refinement.showing.intervals import FlightSet, IntervalJob, fit_intervals, intervals_document
 from uqharness.refinement.showing.mission import MissionPBox, Model, campaign_for, fly_missions
 from uqharness.refinement.showing.remains import Nearest
-from uqharness.refinement.showing.show import Shown, gap_document, with_replays
+from uqharness.refinement.showing.show import Shown, _told_noise, gap_document, with_replays
 from uqharness.refinement.showing.words import left_over, nowhere
 from uqharness.replay.flights import prepare, read_flights
 from uqharness.report.refinement import write_results
@@ -354,3 +355,15 @@ def test_in_turbulence_the_table_is_that_of_compare(gusty):
 def test_in_calm_air_replays_are_the_table_and_nothing_else(contradicted):
     gap = document(contradicted)["gap"]
     assert gap["test"]["predictions"] == gap["train"]["predictions"] == {}
+
+
+def test_tables_speak_of_the_noise_that_compare_knows_but_for_what_an_estimator_computed():
+    rng = np.random.default_rng(2)
+    card = SimpleNamespace(card=SimpleNamespace(sensors=SimpleNamespace(noise_std={"p_radps": 0.004, "alpha_rad": 0.002})))
+    flights = [SimpleNamespace(record=SimpleNamespace(metadata=SimpleNamespace(estimates=("alpha_rad",))))]
+    louder = np.array([0.01, 0.002]) * rng.standard_normal((4000, 2))
+    # The fit found other noise in other flights.
+    setup = SimpleNamespace(measured=(louder,), outputs=("p_radps", "alpha_rad"), noise=np.array([0.013, 0.05]), flights=flights)
+    assert _told_noise(card, setup) == pytest.approx([0.01, 0.05], rel=0.05)
+    quiet = SimpleNamespace(measured=(0.1 * louder,), outputs=setup.outputs, noise=np.array([0.001, 0.05]), flights=flights)
+    assert _told_noise(card, quiet)[0] == 0.004
