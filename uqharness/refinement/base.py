@@ -48,19 +48,22 @@ def base_fit_and_noise(
 
 def noise_left(setup: Setup, flown: Flown, channels: Sequence[str]) -> NDArray[np.float64]:
     """(m,) noise of the setup, that of some channels the rms of what replays leave of them where this is more than they show."""
-    out = setup.noise.copy()
+    out, left = setup.noise.copy(), _left_rms(setup, flown)
     for k in (setup.outputs.index(c) for c in channels):
-        left = np.concatenate([z[:, k] - y[:, k] for z, y in zip(setup.measured, flown.outputs, strict=True)])
-        out[k] = max(out[k], float(np.sqrt(np.nanmean(left**2))))
+        out[k] = max(out[k], left[k])
     return out
+
+
+def _left_rms(setup: Setup, flown: Flown) -> NDArray[np.float64]:
+    """(m,) rms of what replays leave of each output."""
+    left = np.concatenate([z - y for z, y in zip(setup.measured, flown.outputs, strict=True)])
+    return np.asarray(np.sqrt(np.nanmean(left**2, axis=0)))
 
 
 def as_quiet(setup: Setup, fit: Fit) -> tuple[Setup, Fit]:
     """Setup and fit with the noise that the fit leaves where that is less than the card's (`QUIETER` of it at least): noise taken
     twice as large halves every t. An effect that is missing is in what is left, so noise is hardly taken too small."""
-    parts = zip(setup.measured, fit.flown.outputs, strict=True)
-    left = np.sqrt(np.nanmean(np.concatenate([z - y for z, y in parts]) ** 2, axis=0))
-    noise = np.clip(left, QUIETER * setup.noise, setup.noise)
+    noise = np.clip(_left_rms(setup, fit.flown), QUIETER * setup.noise, setup.noise)
     setup = replace(setup, noise=noise)
     white = whiten(fit.steps, setup.measured, fit.columns, setup.which, noise)
     evidence = gather(white, fit.columns[0].names, [0] * len(white), PRIOR)
