@@ -137,9 +137,10 @@ def fly_segment(
     for name, value in properties.items():
         engine.set_property(fdm, name, value)
     setters = control_setters(fdm, model)
-    _initialise(fdm, segment, segment.start if start is None else start, setters, model)
+    controls = run_controls(model, segment, shape, late_s, unseen)
+    _initialise(fdm, segment, segment.start if start is None else start, setters, model, controls[0].tolist())
     read = _reader(fdm, extra)
-    rows = _advance(fdm, run_controls(model, segment, shape, late_s, unseen), setters, read, shape.stride)
+    rows = _advance(fdm, controls, setters, read, shape.stride)
     return outputs_of(np.array(rows), segment, len(extra), shape.rows)
 
 
@@ -157,8 +158,10 @@ def late_rows(between: Array, n: int, late: float) -> Array:
     return np.asarray(np.interp(at_rows(at, n) - late * ((len(between) - 1) // (n - 1)), at, between))
 
 
-def _initialise(fdm: Any, segment: Segment, start: Array, setters: list[list[Any]], model: ReplayModel) -> None:
-    first = model.to_property(segment.at_commands().controls[0]).tolist()
+def _initialise(
+    fdm: Any, segment: Segment, start: Array, setters: list[list[Any]], model: ReplayModel, first: Sequence[float]
+) -> None:
+    """Start states and the controls' ``first`` values: those of the first run, which commands that act early may have moved."""
     _put(setters, first)
     V, alpha, beta, phi, theta, psi, p, q, r = (float(x) for x in start)
     u, v, w = body_velocity(V, alpha, beta)

@@ -67,10 +67,12 @@ def test_replays_agree_with_jsbsim(model: ReplayModel) -> None:
         assert apart(ours, theirs) < 1e-8
 
 
-def test_the_batch_engine_flew_them(model: ReplayModel) -> None:
-    def refuse(*_: object) -> list[np.ndarray]:
-        raise AssertionError("JSBSim was asked")
+def refuse(*_: object) -> list[np.ndarray]:
+    """In JSBSim's place: no replay is to be flown by it."""
+    raise AssertionError("JSBSim was asked")
 
+
+def test_the_batch_engine_flew_them(model: ReplayModel) -> None:
     # The first job is judged by JSBSim; the others are not flown by it.
     fly_all(jobs(model)[:1])
     assert len(fly_all(jobs(model), refuse)) == 6
@@ -86,6 +88,15 @@ def test_a_step_later_is_noticed(model: ReplayModel) -> None:
     job = jobs(model)[0]
     late = ReplayJob(model, job.segment, job.properties, job.start, 0.014)
     assert apart(fly_all([late])[0], by_jsbsim(job)) > 1e-4
+
+
+@pytest.mark.parametrize("late_s", [-0.004, 0.004])
+def test_both_begin_with_the_first_run_where_controls_move_in_the_first_row(model: ReplayModel, late_s: float) -> None:
+    piece = segment()
+    moved = replace(piece, controls=piece.controls + np.minimum(np.arange(ROWS), 3)[:, None] * np.array([0.5, 1.0, 0.5, 2.0]))
+    job = ReplayJob(model, moved, {}, piece.start, late_s)
+    fly_all(jobs(model)[:1])
+    assert apart(fly_all([job], refuse)[0], by_jsbsim(job)) < 1e-8
 
 
 def test_further_properties_and_the_arm_of_the_accelerometers(model: ReplayModel) -> None:
