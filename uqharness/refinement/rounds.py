@@ -118,14 +118,13 @@ def column_evidence(setup: Setup, fit: Fit, extra: Sequence[Columns]) -> Evidenc
 
 
 def resolved(start: Start, found: Round) -> Selection:
-    """The effects flown, less times that a replay or a log's rows do not resolve; the rest judged without them.
+    """The effects flown, less times and rate limits that a replay or a log's rows do not resolve; the rest judged without them.
 
     A time too short to be named may still be what is there: among the alternatives it stands, if it explains as much.
     """
     by_key = {e.key: e for e in start.effects}
-    least = _least_late_s(start.setup)
     chosen = found.selection.chosen
-    kept = [c.key for c in chosen if by_key[c.key].unit != "s" or abs(c.value) > least]
+    kept = [c.key for c in chosen if _resolves(by_key[c.key], c.value, start.setup)]
     free = [n for n in found.free if n not in found.keys]
     rest = [e for e in start.effects if e.key in found.evidence.names and e.key not in kept]
     open_ = list(eligible(rest, start.setup, found.free, found.evidence))
@@ -147,27 +146,29 @@ def _brief(effects: Sequence[Effect], free: Sequence[str], kept: Sequence[str], 
     return [e.key for e, value in zip(timed, largest, strict=True) if value > 0.0 or not e.positive or may_be_faster(e, setup)]
 
 
-def _least_late_s(setup: Setup) -> float:
-    # When within a row of a log a command changed, the log does not say.
-    return (UNKNOWN_ROWS if setup.late else LEAST_LATE_ROWS) * setup.segments[0].dt_s
-
-
 def eligible(effects: Sequence[Effect], setup: Setup, free: Sequence[str], evidence: Evidence) -> dict[str, float]:
     """Candidates worth scoring beside the columns ``free``, and their odds: delays that a replay cannot resolve are left out."""
     found = scores(evidence, free, [e.key for e in effects])
-    least = _least_late_s(setup)
     out = {}
     for e, estimate, share in zip(effects, found.estimate, found.share, strict=True):
         if not share > 0.0:
             continue
         if e.positive and not estimate > 0.0 and not may_be_faster(e, setup):
             continue
-        if e.unit == "s" and not abs(estimate) > least:
-            continue
-        if e.unit == "s/deg" and not abs(estimate) * largest_step(setup, e) > least:
+        if not _resolves(e, float(estimate), setup):
             continue
         out[e.key] = e.odds
     return out
+
+
+def _resolves(effect: Effect, value: float, setup: Setup) -> bool:
+    """Whether an effect of time is longer than what a replay or a log's rows leave open, a rate limit's over the way of a doublet;
+    True of other effects."""
+    if effect.unit not in ("s", "s/deg"):
+        return True
+    way = largest_step(setup, effect) if effect.unit == "s/deg" else 1.0
+    # When within a row of a log a command changed, the log does not say.
+    return abs(value) * way > (UNKNOWN_ROWS if setup.late else LEAST_LATE_ROWS) * setup.segments[0].dt_s
 
 
 def may_be_faster(effect: Effect, setup: Setup) -> bool:

@@ -62,6 +62,31 @@ def test_a_servo_may_be_faster_than_its_xml_has_it_if_that_has_a_lag():
     assert at(-2e-2, {}, {"rudder": Actuator(25.0)}) == {}
 
 
+@pytest.mark.parametrize(
+    ("limit_dps", "late", "named"), [(282.0, {"one": ["p"]}, False), (282.0, {}, True), (480.0, {"one": ["p"]}, True)]
+)
+def test_a_rate_limit_below_what_rows_resolve_is_no_effect_though_it_was_flown(limit_dps, late, named):
+    """1/282 - 1/240 s/deg are 6 ms over a doublet of 10 deg, where a log leaves 10 ms open; 1/480 - 1/240 are 21 ms."""
+    rng = np.random.default_rng(3)
+    (effect,) = (e for e in EFFECTS if e.term == "rate_limit")
+    value = 1.0 / limit_dps - 1.0 / 240.0
+    columns = rng.standard_normal((200, 2, 2))
+    white = White(
+        columns @ np.array([1.0, value]), columns.astype(np.float32), 0.0, np.zeros((8, 3)), np.ones((200, 2), dtype=bool),
+        np.ones(2), np.zeros((200, 11)),
+    )  # fmt: skip
+    keys = ("aero/Cl_p", effect.key)
+    controls = np.array([[0.0, -10.0, 0.0, 50.0], [0.0, 10.0, 0.0, 50.0]])
+    setup = SimpleNamespace(
+        segments=[SimpleNamespace(dt_s=DT, controls=controls)], late=late, servos={"aileron": Actuator(25.0, 240.0)}
+    )
+    found = SimpleNamespace(
+        selection=Selection((Choice(effect.key, value, 1e-6, 17.0, 289.0, 1.0, 0.0),)), free=keys,
+        evidence=gather([white], keys, [0], {}), keys=frozenset([effect.key]),
+    )  # fmt: skip
+    assert bool(resolved(SimpleNamespace(setup=setup, effects=[effect]), found).chosen) is named  # type: ignore[arg-type]
+
+
 def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
     rng = np.random.default_rng(2)
     keys = ["effect/sensor.rates/delay", "effect/Cm/p_hat^2"]
