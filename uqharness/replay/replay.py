@@ -158,9 +158,7 @@ def late_rows(between: Array, n: int, late: float) -> Array:
     return np.asarray(np.interp(at_rows(at, n) - late * ((len(between) - 1) // (n - 1)), at, between))
 
 
-def _initialise(
-    fdm: Any, segment: Segment, start: Array, setters: list[list[Any]], model: ReplayModel, first: Sequence[float]
-) -> None:
+def _initialise(fdm: Any, segment: Segment, start: Array, setters: list[list[Any]], model: ReplayModel, first: list[float]) -> None:
     """Start states and the controls' ``first`` values: those of the first run, which commands that act early may have moved."""
     _put(setters, first)
     V, alpha, beta, phi, theta, psi, p, q, r = (float(x) for x in start)
