@@ -18,7 +18,7 @@ from uqharness.replay.forced import States, by_batch
 from uqharness.replay.ground import terrain_m
 from uqharness.replay.model import ReplayModel, control_setters
 from uqharness.replay.segments import Segment
-from uqharness.simulator import TRIM_LATITUDE_DEG, body_velocity, engine
+from uqharness.simulator import MOST_FRAMES, SETTLED_RADPS, TRIM_LATITUDE_DEG, body_velocity, engine
 
 Array = NDArray[np.float64]
 _FORCES = tuple(f"forces/fb{a}-{kind}-lbs" for kind in ("total", "aero") for a in "xyz")
@@ -26,8 +26,6 @@ _MOMENTS = tuple(f"moments/{a}-{kind}-lbsft" for kind in ("total", "aero") for a
 _RECORDS = (*_FORCES, *_MOMENTS, "aero/qbar-psf")
 _WEIGHED = 8
 _weighed: OrderedDict[tuple[object, ...], MassProperties] = OrderedDict()
-SETTLED_RADPS, MOST_FRAMES = 1e-6, 25
-"""Change of alphadot and betadot from frame to frame at which a forced state has settled, and the frames that it may take."""
 
 
 @dataclass(frozen=True)

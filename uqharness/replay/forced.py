@@ -76,8 +76,7 @@ def by_batch(
     _known.move_to_end(model.identity)
     while len(_known) > _KEPT:
         _known.popitem(last=False)
-    # The rates of alpha and beta that JSBSim takes from the frame before have to settle first.
-    if known.refused or model.by_rates or len(asked.controls) < WORTH_ROWS:
+    if known.refused or len(asked.controls) < WORTH_ROWS:
         return None
     names = {*properties, *(known.program.given if known.program is not None else ())}
     if known.program is None or not names <= set(known.program.given):
@@ -92,7 +91,7 @@ def _made(model: ReplayModel, dt_s: float, names: set[str], records: Sequence[st
     controls = [model.card.inputs[name].property for name in model.controls]
     inputs = sorted(names | set(model.varied))
     try:
-        return batch.make_states(sources_of(model), lambda: model.open(dt_s), dt_s, controls, inputs, records)
+        return batch.make_states(sources_of(model), lambda: model.open(dt_s), dt_s, controls, inputs, records, model.by_rates)
     except BadInputError as error:
         _LOG.info("states are forced upon JSBSim: %s", error)
         return None

@@ -26,6 +26,8 @@ from .control_system import RATES_FREE as RATES_FREE
 from .control_system import RATES_HELD as RATES_HELD
 from .control_system import bring_to_rest as bring_to_rest
 from .control_system import marked as marked
+from .forced_state import MOST_FRAMES as MOST_FRAMES
+from .forced_state import SETTLED_RADPS as SETTLED_RADPS
 from .forced_state import TRIM_LATITUDE_DEG as TRIM_LATITUDE_DEG
 from .forced_state import body_velocity as body_velocity
 from .gate import tag_end as tag_end

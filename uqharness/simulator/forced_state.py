@@ -18,6 +18,9 @@ from uqharness.simulator.control_system import Rest
 TRIM_LATITUDE_DEG = 45.0
 """Where states are forced and trims are made: there JSBSim's effective gravity is 9.806 m/s2."""
 
+SETTLED_RADPS, MOST_FRAMES = 1e-6, 25
+"""Change of alphadot and betadot from frame to frame at which a forced state has settled, and the frames that it may take."""
+
 ACCELERATIONS = (
     "accelerations/udot-ft_sec2",
     "accelerations/vdot-ft_sec2",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shutil
 
 import numpy as np
 import pytest
@@ -78,3 +79,45 @@ def test_jsbsim_answers_without_a_compiler(straight, monkeypatch):
     monkeypatch.setattr(batch, "available", lambda: "llvmlite is not installed")
     assert apart(said(straight, monkeypatch, 1), said(straight, monkeypatch, 10**9)) == 0.0
     assert forced._known[straight.identity].refused
+
+
+@pytest.fixture
+def by_rates(request, tmp_path):
+    """The E-SPAARO with forces and a moment by the rates of alpha and beta, so many times those that settle."""
+    folder = tmp_path / "espaaro"
+    shutil.copytree(find_aircraft("espaaro").folder, folder)
+    xml = folder / "espaaro.xml"
+    text = xml.read_text()
+    for axis, rate, size in (("Z", "alphadot", -0.05), ("PITCH", "alphadot", -0.2), ("Y", "betadot", -0.03)):
+        term = (
+            f'<function name="aero/by_rate/{axis}"><product><property>aero/qbar_S</property><value>{size * request.param}</value>'
+            f"<property>aero/{rate}-rad_sec</property></product></function>"
+        )
+        text = text.replace(f'<axis name="{axis}">', f'<axis name="{axis}">{term}')
+    xml.write_text(text)
+    with ReplayFolder(find_aircraft(folder), ideal=CONTROLS) as model:
+        yield model
+
+
+def sizes_apart(a: ForcedModel, b: ForcedModel) -> float:
+    """Largest difference of a coefficient in units of its largest size."""
+    return float((np.abs(a.coefficients - b.coefficients) / np.abs(b.coefficients).max(axis=0)).max())
+
+
+@pytest.mark.parametrize("by_rates", [1.0], indirect=True)
+def test_rates_of_the_wind_angles_settle_alike_in_both_engines(by_rates, monkeypatch):
+    assert by_rates.by_rates
+    theirs = said(by_rates, monkeypatch, 10**9, Cm_q=-11.0)
+    ours = said(by_rates, monkeypatch, 1, Cm_q=-11.0)
+    assert forced._known[by_rates.identity].program is not None
+    # JSBSim begins with the rates of the state before, the batch engine anew: both end within a millionth of a rad/s.
+    assert 0.0 < sizes_apart(ours, theirs) < 1e-6
+    monkeypatch.setattr("uqharness.batch.lanes.forced._settle", lambda *_: None)
+    assert sizes_apart(said(by_rates, monkeypatch, 1, Cm_q=-11.0), theirs) > 1e-3
+
+
+@pytest.mark.parametrize("by_rates", [200.0], indirect=True)
+def test_a_force_that_outgrows_the_acceleration_is_left_to_jsbsim(by_rates, monkeypatch):
+    theirs = said(by_rates, monkeypatch, 10**9)
+    assert apart(said(by_rates, monkeypatch, 1), theirs) == 0.0
+    assert forced._known[by_rates.identity].refused

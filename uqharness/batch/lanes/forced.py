@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from uqharness.batch.form.flying import Flyer, begun
+from uqharness.batch.form.flying import Flyer, begun, carried, slot
 from uqharness.batch.form.passes import alive, joined, lowered, trimmed
 from uqharness.batch.form.program import Program
 from uqharness.batch.lanes.replay import TERRAIN, traced
@@ -20,38 +20,50 @@ from uqharness.batch.translate.frame import STEP
 from uqharness.batch.translate.scope import canonical
 from uqharness.batch.translate.sources import Sources
 from uqharness.errors import BadInputError
+from uqharness.simulator import MOST_FRAMES, SETTLED_RADPS
 
 Array = NDArray[np.float64]
 _TOGETHER = 4096
 """States computed together: their memory is used again."""
+RATES = ("aero/alphadot-rad_sec", "aero/betadot-rad_sec")
+"""What JSBSim takes from the accelerations of the frame before."""
 
 
 @dataclass(frozen=True)
 class StateProgram:
     """A translated aircraft: ``controls`` are fed in the order given, properties ``given`` may differ between calls, ``records``
-    are read."""
+    are read. ``renewer`` is a frame in which time stands still, for what reads RATES."""
 
     flyer: Flyer
     controls: tuple[str, ...]
     given: frozenset[str]
     records: tuple[str, ...]
+    renewer: Flyer | None = None
 
 
 def make_states(
     sources: Sources, open_fdm: Callable[[], Any], dt_s: float, controls: Sequence[str], inputs: Collection[str],
-    records: Sequence[str],
+    records: Sequence[str], by_rates: bool = False,
 ) -> StateProgram:  # fmt: skip
-    """Translate and compile an aircraft, arguments as those of `make_replay`. Raises BadInputError with file and line for what is
-    not understood."""
-    flight, fed, _ = traced(sources, open_fdm, dt_s, controls, inputs, records)
-    start, wanted = start_section(), tuple(records)
+    """Translate and compile an aircraft, arguments as those of `make_replay`; by_rates: it reads RATES, which are to settle. Raises
+    BadInputError with file and line for what is not understood."""
+    flight, fed, _ = traced(sources, open_fdm, dt_s, controls, inputs, records, renewed=by_rates)
+    start, wanted, renewed = start_section(), tuple(records), None
     sections = (start, *flight.first.sections, *flight.second.sections)
     slots = {**dict.fromkeys((*CONDITIONS, *start.function.stores), 0.0), **flight.first.slots, **flight.second.slots}
     lacking = [name for name in wanted if name not in slots]
     if lacking:
         raise BadInputError(f"property {lacking[0]} is not computed while initialising by the batch engine")
-    program = alive(joined(lowered(Program(sections, slots))), wanted)
-    return StateProgram(compile_program(trimmed(program, wanted), chosen_target()), fed.columns, frozenset(inputs), wanted)
+    read = wanted
+    if by_rates and flight.renewed is not None:
+        again = tuple(dict.fromkeys((*wanted, *RATES)))
+        renewed = trimmed(alive(joined(lowered(flight.renewed)), again), again)
+        read = tuple(dict.fromkeys((*again, *renewed.slots)))
+        slots = {**{name: renewed.slots[name] for name in read if name in renewed.slots}, **slots}
+    program = trimmed(alive(joined(lowered(Program(sections, slots))), read), read)
+    first, later = (None if one is None else compile_program(one, chosen_target()) for one in (program, renewed))
+    assert first is not None
+    return StateProgram(first, fed.columns, frozenset(inputs), wanted, later)
 
 
 def at_states(
@@ -63,7 +75,6 @@ def at_states(
     out = np.empty((len(controls), len(program.records)))
     slots = program.flyer.program.slots
     same = {**{canonical(name): value for name, value in properties.items()}, STEP: dt_s}
-    places = [list(slots).index(name) for name in program.records]
     for begin in range(0, len(out), _TOGETHER):
         part = slice(begin, begin + _TOGETHER)
         start = start_conditions({name: conditions[name][part] for name in CONDITIONS})
@@ -72,5 +83,29 @@ def at_states(
         count = len(controls[part])
         state = begun(program.flyer.program, count, {name: value for name, value in values.items() if name in slots})
         program.flyer.fly(state, 1, 1)
-        out[part] = state[:, places].transpose(0, 2, 1).reshape(-1, len(places))[:count]
+        out[part] = _read(program.flyer, state, program.records, count)
+        if program.renewer is not None:
+            _settle(program, program.renewer, state, out[part])
     return out
+
+
+def _read(flyer: Flyer, state: Array, names: Sequence[str], count: int) -> Array:
+    """(count, names) slots of a state."""
+    return np.column_stack([slot(flyer.program, state, name, count) for name in names])
+
+
+def _settle(program: StateProgram, renewer: Flyer, state: Array, out: Array) -> None:
+    """Records ``out`` (n, records) anew in frames in which time stands still, until RATES have settled; a force that outgrows the
+    acceleration that it is a part of settles nowhere, and no frame of it is better than another."""
+    count = len(out)
+    before, moved = _read(program.flyer, state, RATES, count), np.full(count, np.inf)
+    state, moving = carried(state, program.flyer.program, renewer.program), np.ones(count, dtype=bool)
+    for _ in range(MOST_FRAMES):
+        renewer.fly(state, 1, 1)
+        now, last = _read(renewer, state, RATES, count), moved
+        moved = np.abs(now - before).sum(axis=1)
+        out[moving] = _read(renewer, state, program.records, count)[moving]
+        moving &= (moved >= SETTLED_RADPS) & (moved < last)
+        if not moving.any():
+            return
+        before = now

@@ -119,14 +119,15 @@ def make_replay(
 
 def traced(
     sources: Sources, open_fdm: Callable[[], Any], dt_s: float, controls: Sequence[str], inputs: Collection[str],
-    records: Sequence[str], started: bool = False,
+    records: Sequence[str], started: bool = False, renewed: bool = False,
 ) -> tuple[Flight, Stream, tuple[str, ...]]:  # fmt: skip
     """The frames of an aircraft of any step, the stream of its controls, and the names of what may differ between lanes; arguments
-    of `make_replay`. started: its engines run when ``open_fdm`` gives it. Raises BadInputError for what cannot be replayed."""
+    of `make_replay`. started: its engines run when ``open_fdm`` gives it; renewed: a frame in which time stands still is wanted.
+    Raises BadInputError for what cannot be replayed."""
     values = Values(initial_values(open_fdm), constant_properties(sources))
     fed = Stream("controls", tuple(canonical(name) for name in controls))
     names = (*(canonical(name) for name in inputs), TERRAIN)
-    flight = trace_flight(sources, dt_s, values, Asked(names, [fed], records, any_step=True, started=started))
+    flight = trace_flight(sources, dt_s, values, Asked(names, [fed], records, any_step=True, started=started, renewed=renewed))
     if flight.propulsion.engines and not started:
         raise BadInputError("the aircraft has engines in <propulsion>, whose steady state takes more than two frames")
     if flight.draws:

@@ -48,7 +48,7 @@ class Flight:
     how many each initialising frame draws.
 
     ``steady`` are turns of each engine's way to its steady state, flown while their slot ``going`` is not 0; ``renewed`` is a frame
-    in which time stands still, behind them.
+    in which time stands still, behind them; None where there are no engines and nobody asked for it.
     """
 
     first: Program
@@ -83,6 +83,7 @@ class Asked:
     any_step  the step is a number of the lane, in slot STEP; else it is that of the aircraft
     reweighed whoever changes the mass in a lane changes that of the aircraft without fuel as well (propulsion.mass.DRY)
     started  the host starts the engines, as ``propulsion/set-running`` does
+    renewed  a frame behind the initialising ones in which time stands still is asked for, engines or none
     turned   the host's gusts reach the air through JSBSim's own properties, by the heading of the frame before
     """
 
@@ -94,6 +95,7 @@ class Asked:
     any_step: bool = False
     reweighed: bool = False
     started: bool = False
+    renewed: bool = False
 
 
 def trace_flight(sources: Sources, dt_s: float, values: Values, asked: Asked) -> Flight:
@@ -127,7 +129,7 @@ def _settling(
     models: _Models, values: Values, written: Collection[str], inputs: Collection[str]
 ) -> tuple[tuple[Program, ...], Program | None]:
     """The way to each engine's steady state, and the frame behind it."""
-    if not models.propulsion.engines:
+    if not models.propulsion.engines and not models.asked.renewed:
         return (), None
     ways = []
     for engine in models.propulsion.engines:
