@@ -53,8 +53,8 @@ RESOLVED_ROWS = 0.01
 servos and delays of gyros and wind vanes that are not there come to .007 to .018 rows (rms). Three times this is the least time
 that counts as an effect."""
 UNKNOWN_ROWS = 0.5
-"""A delay or lag below this share of a row, or a rate limit that over the way of a doublet is, is no effect in an autopilot's
-log, which does not say when within a row a command changed; a simulator's flights act as much early."""
+"""A delay or lag below this share of a row is no effect in an autopilot's log, nor is a rate limit that delays a doublet by
+less: the log does not say when within a row a command changed, and a simulator's flights act as much early."""
 QUIETER = 0.5
 """Least share of its card's noise that a sensor in calm air is taken to have: below it, what a simulation's own steps in time do
 could look like effects."""

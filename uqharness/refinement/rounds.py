@@ -40,6 +40,9 @@ from uqharness.refinement.writing.slopes import control_slopes
 from uqharness.replay import CONTROLS
 from uqharness.simulator import Aircraft, find_aircraft
 
+_OF_TIME = ("s", "s/deg")
+"""Units of delays and lags, and of rate limits."""
+
 
 def fly(start: Start, selection: Selection, about: About, folder: Path) -> Round | None:
     """The effects flown, everything estimated with them, and what would be chosen there; None where no filter can follow the
@@ -137,7 +140,7 @@ def resolved(start: Start, found: Round) -> Selection:
 
 def _brief(effects: Sequence[Effect], free: Sequence[str], kept: Sequence[str], evidence: Evidence, setup: Setup) -> list[str]:
     """Times among effects that are no candidates, being too short, that have their sign in the place of one that was kept."""
-    timed = [e for e in effects if e.unit in ("s", "s/deg")]
+    timed = [e for e in effects if e.unit in _OF_TIME]
     if not timed or not kept:
         return []
     names = [e.key for e in timed]
@@ -164,7 +167,7 @@ def eligible(effects: Sequence[Effect], setup: Setup, free: Sequence[str], evide
 def _resolves(effect: Effect, value: float, setup: Setup) -> bool:
     """Whether an effect of time is longer than what a replay or a log's rows leave open, a rate limit's over the way of a doublet;
     True of other effects."""
-    if effect.unit not in ("s", "s/deg"):
+    if effect.unit not in _OF_TIME:
         return True
     way = largest_step(setup, effect) if effect.unit == "s/deg" else 1.0
     # When within a row of a log a command changed, the log does not say.

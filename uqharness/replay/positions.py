@@ -196,9 +196,7 @@ def _by_chain(asked: _Asked, chain: ControlChain, segment: Segment) -> Array:
     values = run_controls(model, segment, shape)[:, [place for _, place in fed]].tolist()
     setters, run = [put for put, _ in fed], fdm.run
     last = values[0]
-    for put, value in zip(
-        setters, model.to_property(segment.at_commands().controls[0])[[place for _, place in fed]].tolist(), strict=True
-    ):
+    for put, value in zip(setters, last, strict=True):
         put(value)
     engine.run_ic(fdm)
     rows = np.full((shape.rows, len(read)), np.nan)

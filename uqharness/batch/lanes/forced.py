@@ -48,22 +48,19 @@ def make_states(
     """Translate and compile an aircraft, arguments as those of `make_replay`; by_rates: it reads RATES, which are to settle. Raises
     BadInputError with file and line for what is not understood."""
     flight, fed, _ = traced(sources, open_fdm, dt_s, controls, inputs, records, renewed=by_rates)
-    start, wanted, renewed = start_section(), tuple(records), None
+    start, wanted = start_section(), tuple(records)
     sections = (start, *flight.first.sections, *flight.second.sections)
     slots = {**dict.fromkeys((*CONDITIONS, *start.function.stores), 0.0), **flight.first.slots, **flight.second.slots}
     lacking = [name for name in wanted if name not in slots]
     if lacking:
         raise BadInputError(f"property {lacking[0]} is not computed while initialising by the batch engine")
-    read = wanted
-    if by_rates and flight.renewed is not None:
-        again = tuple(dict.fromkeys((*wanted, *RATES)))
+    read, renewer = wanted, None
+    if flight.renewed is not None:
+        again = (*wanted, *RATES)
         renewed = trimmed(alive(joined(lowered(flight.renewed)), again), again)
-        read = tuple(dict.fromkeys((*again, *renewed.slots)))
-        slots = {**{name: renewed.slots[name] for name in read if name in renewed.slots}, **slots}
+        read, slots, renewer = tuple(renewed.slots), {**renewed.slots, **slots}, compile_program(renewed, chosen_target())
     program = trimmed(alive(joined(lowered(Program(sections, slots))), read), read)
-    first, later = (None if one is None else compile_program(one, chosen_target()) for one in (program, renewed))
-    assert first is not None
-    return StateProgram(first, fed.columns, frozenset(inputs), wanted, later)
+    return StateProgram(compile_program(program, chosen_target()), fed.columns, frozenset(inputs), wanted, renewer)
 
 
 def at_states(
