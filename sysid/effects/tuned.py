@@ -12,7 +12,7 @@ DIFFERENT = 3.0
 """Standard errors, or |t| above a limit, that are no chance: 3 in 1,000. Its square is a gain that is none."""
 CERTAIN_T = 10.0
 """|t| that no chance and no colour of residuals reaches: a candidate with as much is told though it was not chosen,
-and moments that gain its square in twice the log likelihood."""
+and moments that gain its square in twice the log likelihood; air whose gusts across the path gain less is calm."""
 OVERWHELMING = 15.0
 """|t| from which what linearisation leaves of an effect is itself above the limit: it flies before others are chosen."""
 COMPARABLE = 0.5
@@ -45,9 +45,6 @@ of five such cases (docs/hidden-effects.md)."""
 MOMENTS_IN_GUSTS = 1.25
 """Factor on the standard errors of the parameters of moments in turbulence: rms of (estimate - truth) / standard error of 1,216 in
 draws 1 and 2 is 1.23, of those of forces 1.1 (docs/hidden-effects.md)."""
-AIR_SHARE = 0.03
-"""Share of turbulence's gain that comes of V, alpha and beta where it is air. In light Dryden turbulence it is a fifth; where a
-moment that the model lacks acts now and then, nothing."""
 RESOLVED_ROWS = 0.01
 """Standard error, in rows, that a time has besides its own: a servo's lag by Tustin's rule at 10 ms is off by as much. Lags of
 servos and delays of gyros and wind vanes that are not there come to .007 to .018 rows (rms). Three times this is the least time

@@ -27,7 +27,7 @@ from scipy.optimize import Bounds, minimize
 from sysid.aerodynamics import NX, GustStates, Steps
 from sysid.effects.gust_score import AirLikelihood, Score
 from sysid.effects.prediction import surprise
-from sysid.effects.tuned import AIR_SHARE
+from sysid.effects.tuned import CERTAIN_T
 from sysid.estimation import Process
 from sysid.parallel import ALONE, Processes
 
@@ -43,7 +43,8 @@ _NONE = 1e-6
 """Factor on an intensity that leaves nothing of it."""
 _MEMORY_S = 10.0
 """How long gusts along and across the path last: L/V of MIL-F-8785C at the heights of model aircraft."""
-_STILL = np.array([_NONE, _NONE, _NONE, 1.0, 1.0, 1.0, 1.0])
+_ALONG = np.array([1.0, _NONE, _NONE, 1.0, 1.0, 1.0, 1.0])
+"""Factors that leave gusts along the path and the air's roll: a sensor that is off, or play, passes for those."""
 _FACTORS = (1e-4, 1e-2, 0.1, 1.0, 5.0)
 """Of _START, from the best of which the search begins."""
 _MOST_SEGMENTS, _OF_A_FLIGHT, _FOR_SPEED = 10, 6, 4
@@ -66,7 +67,7 @@ class Gusts:
     states    how gusts act in each segment; values (7,) as _START over all flights; own: flight -> (7,); passing: flight -> speed
               at which its gusts pass [m/s], 0: the airspeed
     process   noise that they make in each segment; gain: twice the log likelihood gained over calm air
-    moving    the part of it that is lost where air rotates but does not move along V, alpha and beta
+    across    the part of it that is lost without gusts across the path, in alpha and beta
     moments   (3,) what is lost without moments about each axis that nothing explains; NaN where no filter follows without
     """
 
@@ -76,13 +77,14 @@ class Gusts:
     passing: Mapping[str, float]
     process: Process
     gain: float
-    moving: float = np.inf
+    across: float = np.inf
     moments: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     @property
     def air(self) -> bool:
-        """Whether it is air at all: a moment that nothing explains passes for air that rotates and stands still."""
-        return self.moving > AIR_SHARE * self.gain
+        """Whether it is air at all: turbulence moves across the path, too. A transient moment passes for air that rotates, a sensor
+        that is off for gusts along the path."""
+        return self.across > CERTAIN_T**2
 
     def in_other(self, V: Sequence[float], flights: Sequence[str]) -> Gusts:
         """The same air in other segments, V their airspeeds, flights whose they are: those not known of have what all have, and
@@ -160,9 +162,9 @@ def gust_intensity(
         # Gusts tell how fast they pass by the moments of their rotation, and that only beside parameters that are near.
         other = search.best(some, [here.acting(passing_mps=0.0), search.passing(of, here)])
         here = search.descend(some, other, kinds) if other.states != here.states else here
-    still = _Point(here.states, _STILL * here.values, here.factors)
+    along = _Point(here.states, _ALONG * here.values, here.factors)
     gain = near.gain if near is not None else search.calm(some, here) - here.cost
-    moving = near.moving if near is not None else search.best(some, [still]).cost - here.cost
+    across = near.across if near is not None else search.best(some, [along]).cost - here.cost
     axes = np.eye(len(_START), dtype=bool)[_MOMENTS]
     without = [replace(here, values=np.where(axis, _NONE, 1.0) * here.values) for axis in axes]
     lost = np.array([search.best(some, [point]).cost - here.cost for point in without])
@@ -174,7 +176,7 @@ def gust_intensity(
         own[flight] = search.descend(part, _Point(here.states, begin, here.factors), ()).values
     process = _process([own[f] for f in flights], V, here.states)
     passing = {f: here.states[members[0]].passing_mps for f, members in of.items()}
-    return Gusts(here.states, here.values, own, passing, process, gain, moving, moments), here.factors
+    return Gusts(here.states, here.values, own, passing, process, gain, across, moments), here.factors
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from uqharness.replay import CONTROL_DELAY, UNSEEN, spread_over
 from uqharness.simulator import Aircraft
 
 ESTIMATOR_ROUNDS = 2
-Base = tuple[Fit, tuple[str, ...], list[str], NDArray[np.float64]]
-"""Fit, names estimated, notes, and the noise (m,) of the outputs."""
+Base = tuple[Fit, tuple[str, ...], tuple[str, ...], list[str], NDArray[np.float64]]
+"""Fit, names estimated, names that the flights excite, notes, and the noise (m,) of the outputs."""
 
 
 def base_fit_and_noise(
@@ -30,10 +30,10 @@ def base_fit_and_noise(
 ) -> Base:  # fmt: skip
     """base_fit, and the noise (m,) of the outputs: that of channels which the autopilot's estimator computed is what the fit
     leaves of them, for no card knows an estimator's error."""
-    fit, kept, notes = base_fit(aircraft, bench, setup, names, limits, map_)
+    fit, kept, excited, notes = base_fit(aircraft, bench, setup, names, limits, map_)
     guessed = estimated_channels(setup)
     if not guessed:
-        return fit, kept, notes, setup.noise
+        return fit, kept, excited, notes, setup.noise
     for _ in range(ESTIMATOR_ROUNDS):
         setup = replace(setup, noise=noise_left(setup, fit.flown, guessed))
         fit = refit(bench.model, bench.straight, setup, fit.flown.point, kept, limits, map_)
@@ -43,7 +43,7 @@ def base_fit_and_noise(
         f"model leaves them: {said}"
     )
     notes = [*notes, text]
-    return fit, kept, notes, setup.noise
+    return fit, kept, excited, notes, setup.noise
 
 
 def noise_left(setup: Setup, flown: Flown, channels: Sequence[str]) -> NDArray[np.float64]:
@@ -78,9 +78,9 @@ def base_fit(
     names: tuple[str, ...],
     limits: Mapping[str, tuple[float, float]],
     map_: Processes,
-) -> tuple[Fit, tuple[str, ...], list[str]]:
-    """The fit of the model as it is; parameters that the flights do not excite or determine stay where they are and are named in a
-    note."""
+) -> tuple[Fit, tuple[str, ...], tuple[str, ...], list[str]]:
+    """The fit of the model as it is, names of its parameters, of those that the flights excite, and notes. What the flights do not
+    excite, and what replays do not determine (it ends at a bound), stays where it is."""
     from uqharness.simulator import engine
 
     fdm = bench.model.open(aircraft.dt_s)
@@ -99,9 +99,13 @@ def base_fit(
     point = point_of(found, setup, names)
     flown = fly(bench.model, setup, point, map_)
     fit = Linear(bench.model, bench.straight, setup, kept, map_).fit_at(flown)
-    if found.lost:
-        notes = [*notes, f"not excited or not determined by these flights and left as they are: {', '.join(found.lost)}"]
-    return replace(fit, converged=found.found.converged), kept, notes
+    return replace(fit, converged=found.found.converged), kept, tuple(n for n in names if n not in seen.held), notes
+
+
+def left_alone(asked: Sequence[str], names: Sequence[str]) -> list[str]:
+    """A note about parameters that are asked for and not among the ``names`` estimated, if there are any."""
+    rest = [n for n in asked if n not in names]
+    return [f"not excited or not determined by these flights and left as they are: {', '.join(rest)}"] if rest else []
 
 
 def observed(setup: Setup, sensed: Mapping[str, float] | None = None) -> Observed:

@@ -14,7 +14,7 @@ from sysid.estimation import NOISE_FLOOR
 from sysid.parallel import Processes
 from uqharness.refinement.curves import bent
 from uqharness.refinement.find import Found
-from uqharness.refinement.judge import evidence_of, left_out, sensed_by
+from uqharness.refinement.judge import evidence_of, left_out, written_at
 from uqharness.refinement.showing.show import Shown, show, whiteness
 from uqharness.refinement.types import Setup, Side
 from uqharness.simulator import Aircraft
@@ -59,7 +59,7 @@ def named_beside(
         if not weak:
             return found
         aircraft, values = written()
-        shown = show(aircraft, train.setup, train.measured, train.ideal, map_, sensed_by(found), train.air, values)
+        shown = show(aircraft, train, map_, written_at(found, values, found.after.flown.point))
         if not left_in(train.setup, shown, found.gusty):
             return found
     else:

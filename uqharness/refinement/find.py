@@ -40,7 +40,7 @@ from sysid.effects import (
 from sysid.parallel import Processes
 from uqharness.errors import BadInputError
 from uqharness.plugin import Estimate
-from uqharness.refinement.base import Base, as_quiet, base_fit_and_noise
+from uqharness.refinement.base import Base, as_quiet, base_fit_and_noise, left_alone
 from uqharness.refinement.between_rows import with_jumps
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.fit import PRIOR, Fit
@@ -63,8 +63,8 @@ from uqharness.refinement.writing.slopes import of_lift_slope
 from uqharness.simulator import Aircraft
 
 NO_AIR = (
-    "the residuals of replays looked like turbulence, but of air that rotates without moving: an effect in the "
-    "aircraft acts intermittently, and the flights were judged by replays"
+    "the residuals of replays looked like turbulence, but of air that does not move across the flight path: an effect in the "
+    "aircraft or its sensors, and the flights were judged by replays"
 )
 Say = Callable[[str], None]
 
@@ -139,9 +139,11 @@ def find_effects(
         asked = names
         stage = f"parameters{len(put_right) or ''}"
         setup = given = with_jumps(setup, bench.model)
-        before, names, notes, noise = keep(stage, Base, lambda: base_fit_and_noise(aircraft, bench, given, asked, limits, map_))
+        before, names, excited, notes, noise = keep(
+            stage, Base, lambda: base_fit_and_noise(aircraft, bench, given, asked, limits, map_)
+        )
         setup = replace(setup, noise=noise)
-        effects = candidates_for(setup, names, extra)
+        effects = candidates_for(setup, asked, extra)
         by_key = {e.key: e for e in effects}
         if turbulent(setup, before.flown):
             say(f"the air was turbulent: predicting one sample ahead, scoring {len(effects)} candidate effects")
@@ -149,10 +151,11 @@ def find_effects(
             air = keep(
                 f"air{len(put_right) or ''}",
                 GustFit,
-                lambda: gust_refit(bench.model, bench.straight, gusty, at, names, limits, map_, tune=True),
+                lambda: gust_refit(bench.model, bench.straight, gusty, at, excited, limits, map_, tune=True),
             )
             if air.gusts.air:
-                found = _in_gusts(bench, air, names, limits, effects, notes, work, map_, say, clock)
+                said = [*notes, *left_alone(asked, excited)]
+                found = _in_gusts(bench, air, excited, limits, effects, said, work, map_, say, clock)
                 if isinstance(found, Found):
                     return found
                 late = found
@@ -176,6 +179,7 @@ def find_effects(
     odds = eligible(effects, setup, free, evidence)
     board = score_table(evidence, free, odds, by_key)
     limit = chance_limit(evidence, free, list(odds))
+    notes = [*notes, *left_alone(asked, names)]
     start = Start(aircraft, setup, before, names, effects, limits, limit, tuple(measured), tuple(ideal), map_, before.flown.cost)
     searched = search(start, evidence, odds, work, say)
     best, notes = searched.best, [*notes, *searched.notes]
@@ -301,7 +305,7 @@ def _in_gusts(
     note = (
         "the residuals of replays showed turbulence: effects and parameters were judged by "
         "predictions one sample ahead, with process "
-        f"noise estimated ({air.gain:.0f} more in twice the log likelihood than calm air; {air.words})"
+        f"noise estimated ({air.gain:.4g} more in twice the log likelihood than calm air; {air.words})"
     )
     by_key = {e.key: e for e in effects}
     # Gusts estimated beside it may explain what stood a little above the limit; not what was overwhelming.

@@ -29,6 +29,7 @@ from uqharness.replay import (
     CHANNELS,
     CONTROLS,
     SENSOR_OF,
+    SHARES,
     STATES,
     UNSEEN,
     Flight,
@@ -223,7 +224,7 @@ def refit(
     while iteration < max_iterations:
         iteration += 1
         fit = bench.fit_at(flown, fit.analytic if fit is not None else None)
-        delta, length = fit.evidence.step(setup.held)
+        delta, length = step_from(setup, flown.point, fit.evidence)
         if length < tolerance:
             converged = True
             break
@@ -295,8 +296,18 @@ def moved_starts(starts: Sequence[Array], white: Sequence[White], delta: Array, 
     return tuple(moved)
 
 
+def step_from(setup: Setup, point: Point, evidence: Evidence) -> tuple[Array, float]:
+    """Gauss-Newton step (K,) from a point, and its length in standard errors. What is `held` stays, and a share of a jump at an
+    end of SHARES that the flights would have beyond it."""
+    delta, length = evidence.step(setup.held)
+    move = dict(zip(evidence.names, delta.tolist(), strict=True))
+    (low, high), shares = SHARES, {unseen(f): unseen_share(point, f) for f in setup.jumping}
+    stay = [n for n, share in shares.items() if (share >= high and move[n] > 0.0) or (share <= low and move[n] < 0.0)]
+    return evidence.step([*setup.held, *stay]) if stay else (delta, length)
+
+
 def stepped(setup: Setup, point: Point, step: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> Point:
-    """Properties, active effects and nuisance moved by a step; properties stay within their limits."""
+    """Properties, active effects and nuisance moved by a step; properties stay within their limits, shares within SHARES."""
     values = dict(point.values)
     for name in values:
         if name in step:
@@ -308,6 +319,7 @@ def stepped(setup: Setup, point: Point, step: Mapping[str, float], limits: Mappi
             effects[e.key] = effects.get(e.key, 0.0) + step[e.key]
     nuisance = {n: v for n, v in point.nuisance.items() if n.startswith(f"{UNSEEN}/")}
     nuisance |= {n: point.nuisance.get(n, 0.0) + step[n] for n in setup.nuisance}
+    nuisance |= {n: float(np.clip(nuisance[n], *SHARES)) for n in map(unseen, setup.jumping)}
     return replace(point, values=values, nuisance=nuisance, effects=effects)
 
 

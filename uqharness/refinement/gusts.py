@@ -32,7 +32,7 @@ from sysid.effects import (
 from sysid.parallel import Processes
 from uqharness.refinement.between_rows import bend_of, jumped, jumps_unseen, middles, with_jumps
 from uqharness.refinement.candidates import at_vane, sensor_gain, sensor_offset, vane_place_m
-from uqharness.refinement.fit import PRIOR, Fit, parameter_columns, positions, probes, stepped, steps_of
+from uqharness.refinement.fit import PRIOR, Fit, parameter_columns, positions, probes, step_from, stepped, steps_of
 from uqharness.refinement.reference import Predicted, Probe, along, named_terms
 from uqharness.refinement.sensed import as_sensed, moved_later, sensor_late_s
 from uqharness.refinement.setup import confirming_segments
@@ -177,7 +177,8 @@ def gust_refit(
                 flown, found = predict(model, straight, setup, point, [n for n in own if n not in analytic], map_)
         steps = _Linear(setup, flown, found, map_)
         # Where the flight is far from what the parameters say, what they will explain would be taken for gusts.
-        if moving and (number == 1 or length < SETTLED or number == SEARCH_BY):
+        sought = moving and (number == 1 or length < SETTLED or number == SEARCH_BY)
+        if sought:
             last = gusts
             gusts, factors = _air(setup, steps, gusts, tune and not setup.late)
             setup = replace(setup, noise=factors * setup.noise)
@@ -194,12 +195,13 @@ def gust_refit(
         white = whitened(followed, columns)
         evidence = gather(white, columns[0].names, [0] * len(white), PRIOR)
         before = length
-        delta, length = evidence.step(setup.held)
+        delta, length = step_from(setup, point, evidence)
         # A force that goes with alphadot changes the acceleration that it goes with: columns know half of it, and steps overshoot.
-        share = max(0.5 * share, LEAST_SHARE) if length > before else share
+        # In other air the same step has another length.
+        share = max(0.5 * share, LEAST_SHARE) if length > before and not sought else share
         if not np.isfinite(delta).all():
             raise np.linalg.LinAlgError("predictions with this model are no numbers")
-        if (causal and length < TOLERANCE and not moving) or number == iterations:
+        if (causal and length < TOLERANCE and not moving) or number == iterations or not gusts.air:
             break
         step = dict(zip(columns[0].names, (share * delta).tolist(), strict=True))
         point = stepped(setup, point, step, limits)

@@ -6,7 +6,7 @@ train flights, and the test flights are flown both ways.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from uqharness.refinement.gusts import GustFit, gust_evidence
 from uqharness.refinement.hold_out import Both, both_sides
 from uqharness.refinement.rounds import column_evidence
 from uqharness.refinement.showing.show import Shown, show, with_replays
-from uqharness.refinement.types import Setup, Side, in_dynamics
+from uqharness.refinement.types import Point, Setup, Side, in_dynamics
 from uqharness.simulator import Aircraft
 
 Write = Callable[[Found], Aircraft]
@@ -82,20 +82,21 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
     def written(model: Found) -> tuple[Aircraft, dict[str, float]]:
         return flown_as(model, found, whole) or (write(model), {})
 
-    def flown(model: Found, side: Side) -> Shown:
+    def flown(model: Found, side: Side, near: Point | None) -> Shown:
         aircraft, values = written(model)
-        return show(aircraft, side.setup, side.measured, side.ideal, map_, sensed_by(model), side.air, values)
+        return show(aircraft, side, map_, written_at(model, values, near))
 
     def replayed(shown: Shown, model: Found, side: Side) -> Shown:
         if side.air is None:
             return shown
         aircraft, values = written(model)
-        return with_replays(shown, aircraft, side.setup, side.measured, side.ideal, map_, sensed_by(model), values)
+        return with_replays(shown, aircraft, side, map_, written_at(model, values))
 
-    pair = flown(bare(found), train)
-    fitted = flown(found, train) if found.selection.chosen else pair
-    before = flown(bare(found), test)
-    standing, after = found, flown(found, test) if found.selection.chosen else before
+    own = found.after.flown.point
+    pair = flown(bare(found), train, found.before.flown.point)
+    fitted = flown(found, train, own) if found.selection.chosen else pair
+    before = flown(bare(found), test, None)
+    standing, after = found, flown(found, test, None) if found.selection.chosen else before
     everything = after
     evidence: Evidence | None = None
     both: Both | None = None
@@ -109,7 +110,7 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
                 continue
             evidence = evidence_of(found, train.air) if evidence is None else evidence
             less = left_out(found, evidence, [*(g.key for g in gone), c.key])
-            without[c.key] = less, flown(less, test)
+            without[c.key] = less, flown(less, test, after.flown.point)
         spare = {c.key: c.t**2 - found.limit**2 for c in standing.selection.chosen}
         now = {k: gap_change(k, shown, after, test.setup, fitted, spare[k]) for k, (_, shown) in without.items()}
         # Two effects may undo each other: then neither alone is in the way.
@@ -128,7 +129,7 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
             break
         gone.append(next(c for c in found.selection.chosen if c.key == worst.key))
         standing, after = without[worst.key]
-    settled = fitted if not gone else flown(standing, train) if standing.selection.chosen else pair
+    settled = fitted if not gone else flown(standing, train, own) if standing.selection.chosen else pair
     pair, before = (replayed(shown, bare(found), side) for shown, side in ((pair, train), (before, test)))
     if not standing.selection.chosen:
         return Judged(standing, tuple(gone), verdicts, (train.setup, pair, pair), (test.setup, before, before), (train, test))
@@ -172,6 +173,12 @@ def property_values(model: Found, found: Found) -> dict[str, float] | None:
 def sensed_by(found: Found) -> dict[str, float]:
     """Values of the chosen effects that are the sensors', by key."""
     return {c.key: c.value for c in found.selection.chosen if not in_dynamics(found.effects[c.key])}
+
+
+def written_at(found: Found, values: Mapping[str, float] | None = None, near: Point | None = None) -> Point:
+    """The point of an aircraft that was written as ``found``, but for properties of other ``values``: its sensors' effects, and
+    the nuisance of another model's point in the same flights."""
+    return Point(values or {}, {} if near is None else near.nuisance, (), sensed_by(found))
 
 
 def bare(found: Found) -> Found:

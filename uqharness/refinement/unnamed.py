@@ -24,7 +24,7 @@ from sysid.parallel import Processes
 from uqharness.refinement.beside import left_in
 from uqharness.refinement.curves import STATES, About, Estimated, Inputs
 from uqharness.refinement.hold_out import linearised
-from uqharness.refinement.judge import Judged, Write, gap_change, sensed_by
+from uqharness.refinement.judge import Judged, Write, gap_change, written_at
 from uqharness.refinement.showing.show import Shown, gap_document, show, with_replays
 from uqharness.refinement.types import Array, Side
 from uqharness.refinement.writing.tables import GRID, property_of_table, write_table
@@ -71,14 +71,14 @@ def offered(judged: Judged, write: Write, map_: Processes) -> Offer | str:
     name = round_.fit.term.name
     if not shown.surprise < judged.train[2].surprise:
         return f"flown in the simulation, a {name} does not lower the error"
-    there = show(aircraft, test.setup, test.measured, test.ideal, map_, sensed_by(round_.found), test.air)
+    there = show(aircraft, test, map_, written_at(round_.found, near=judged.test[2].flown.point))
     verdict = gap_change("smooth", judged.test[2], there, test.setup, shown)
     if verdict.says == "grew":
         return f"with a {name} the gap on the hold-out flights grew"
     gap = {}
     for key, (setup, _, before), side, after in (("train", judged.train, train, shown), ("test", judged.test, test, there)):
         if before.replays is not None:
-            after = with_replays(after, aircraft, side.setup, side.measured, side.ideal, map_, sensed_by(round_.found))
+            after = with_replays(after, aircraft, side, map_, written_at(round_.found))
         gap[key] = gap_document(setup, before, after)
     instead = [c.key for c in judged.found.selection.chosen if c.key in round_.instead]
     return Offer(
@@ -121,7 +121,7 @@ def _flown(about: About, fit: SmoothFit, train: Side, write: Write, map_: Proces
     round_ = about.estimated(fit.term)
     aircraft = write(round_.found)
     write_table(aircraft, round_.fit)
-    shown = show(aircraft, train.setup, train.measured, train.ideal, map_, sensed_by(round_.found), train.air)
+    shown = show(aircraft, train, map_, written_at(round_.found, near=round_.found.after.flown.point))
     return _Done(fit, about, round_, aircraft, shown)
 
 

@@ -27,6 +27,7 @@ from .in_lanes import ReplayJob as ReplayJob
 from .in_lanes import as_flown as as_flown
 from .in_lanes import fly_all as fly_all
 from .in_lanes import forget_programs as forget_programs
+from .layout import SHARES as SHARES
 from .layout import Layout as Layout
 from .layout import delayed as delayed
 from .layout import late_limit_s as late_limit_s

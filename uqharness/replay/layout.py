@@ -15,7 +15,8 @@ _START_WIDTH = {"V_mps": 6.0, "alpha_rad": 0.2, "beta_rad": 0.2, "phi_rad": 0.3,
 _BIAS_WIDTH = {"V_mps": 5.0, "ax_mps2": 2.0, "ay_mps2": 2.0, "az_mps2": 2.0}
 _DEFAULT_WIDTH = 0.5
 _DELAY_WIDTH = 0.15
-_UNSEEN = (-0.5, 1.5)  # none and all of it, and room for noise
+SHARES = (0.0, 1.0)
+"""Of a jump that accelerometers have not seen: none and all of it. Beyond, a control would move further than it does."""
 _REFERENCE = SENSOR_OF["p_radps"]
 
 
@@ -43,7 +44,7 @@ def nuisance_layout(
         extra += [f"delay/{flight}/{channel}" for channel in channels]
         bounds += [(-_DELAY_WIDTH, _DELAY_WIDTH)] * len(channels)
     extra += [f"{UNSEEN}/{flight}" for flight in jumping]
-    bounds += [_UNSEEN] * len(jumping)
+    bounds += [SHARES] * len(jumping)
     for number in range(len(cut)):
         for state in _FREE_STARTS:
             if state not in outputs:

@@ -87,7 +87,7 @@ def test_intensities_and_what_gusts_do_are_found(rotating, turning):
     assert found.air
     again = found_in(made, data, found)
     np.testing.assert_allclose(np.log(again.values[:4] / found.values[:4]), 0.0, atol=np.log(1.4))
-    assert again.moving == found.moving
+    assert again.across == found.across
 
 
 def test_noise_that_is_half_of_what_is_stated_is_found_beside_the_gusts():
@@ -124,7 +124,8 @@ def test_the_search_ends_where_no_number_makes_the_flights_likelier():
 
 
 def test_a_moment_that_comes_and_goes_is_no_air():
-    """Nearly still air and a wave in Cl: the filter has it rotate, and nothing moves. A hundredth of light air is air."""
+    """Nearly still air and a wave in Cl: the filter has it rotate, and nothing moves. A hundredth of light air is air; what moves
+    along the path alone is none, as a sensor that is off would have it."""
     still = 1e-6 * INTENSITIES
     wave = found_in(*drawn(GustStates(MASS.b), still, 0.003))
     assert wave.gain > 100.0
@@ -132,6 +133,9 @@ def test_a_moment_that_comes_and_goes_is_no_air():
     faint = found_in(*drawn(GustStates(MASS.b), 0.01 * INTENSITIES))
     assert faint.gain > 100.0
     assert faint.air
+    along = found_in(*drawn(GustStates(MASS.b), np.where(np.arange(len(INTENSITIES)) == 0, 1.0, 1e-6) * INTENSITIES))
+    assert along.gain > 100.0
+    assert not along.air
 
 
 @pytest.mark.parametrize(("axis", "told"), [(4, [False, True, False]), (5, [False, False, True])])

@@ -17,9 +17,10 @@ from uqharness.identification import replay_fit
 from uqharness.identification.compare import compare
 from uqharness.identification.identify import identify
 from uqharness.identification.replay_fit import Observed, fit_replays, jumping_in
-from uqharness.refinement.base import base_fit, observed
+from uqharness.refinement.base import base_fit, left_alone, observed
 from uqharness.refinement.setup import Bench, make_setup
 from uqharness.refinement.showing.show import show
+from uqharness.refinement.types import Point, Side
 from uqharness.replay import CONTROL_DELAY, CONTROLS, ReplayFolder, command_later
 from uqharness.replay.flights import prepare
 from uqharness.replay.pool import spread_over
@@ -42,8 +43,8 @@ def refined(aircraft, flight):
     setup = make_setup(aircraft, [flight], ())
     limits = {n: aircraft.card.parameters[n].bounds for n in NAMES}
     with Bench(aircraft, (), ()) as bench:
-        fit, kept, _ = base_fit(aircraft, bench, setup, NAMES, limits, ALONE)
-    assert kept == NAMES
+        fit, kept, excited, _ = base_fit(aircraft, bench, setup, NAMES, limits, ALONE)
+    assert kept == excited == NAMES
     return fit.flown.point
 
 
@@ -67,13 +68,14 @@ def test_identify_and_refine_estimate_the_same(aircraft, flight):
 def test_compare_and_refine_show_the_same_gap(aircraft, flight):
     gap = compare(aircraft, flight, (), workers=1)
     setup = make_setup(aircraft, [flight], ())
-    shown = show(aircraft, setup, (), (), ALONE, {})
+    shown = show(aircraft, Side(setup, (), ()), ALONE, Point({}, {}, ()))
     ours = {c: shown.channel_rms(k) / shown.noise[k] for k, c in enumerate(setup.outputs)}
     assert ours == pytest.approx({c: gap.channels[c].ratio for c in setup.outputs}, rel=1e-3)
     # A sensor's scale, known, is taken out before the fit and put back: the same flight with a vane that reads 1.1 times.
     scaled = prepare("f", flight.record.with_columns({"alpha_rad": 1.1 * flight.record["alpha_rad"]}), ())
     setup = make_setup(aircraft, [scaled], ())
-    blind, told = (show(aircraft, setup, (), (), ALONE, s).cost for s in ({}, {"effect/sensor.alpha_rad/scale": 0.1}))
+    side, scale = Side(setup, (), ()), {"effect/sensor.alpha_rad/scale": 0.1}
+    blind, told = (show(aircraft, side, ALONE, Point({}, {}, (), s)).cost for s in ({}, scale))
     assert told < blind - 100.0
 
 
@@ -90,6 +92,18 @@ def test_what_the_flights_do_not_determine_stays(aircraft, flight):
         assert fit.values()["aero/Cm_q"] == pytest.approx(-13.8, abs=1.0)
         with pytest.raises(BadInputError, match="cannot fly these segments"):
             fit_replays(model, observed, names, (np.array([1e9, 1e9]),), [(None, None)] * 2, spread_over(map))
+
+
+def test_predictions_are_asked_what_replays_have_at_a_bound(aircraft, flight):
+    setup, names = make_setup(aircraft, [flight], ()), ("aero/Cm_q", "aero/CX_alpha2")
+    limits = {"aero/Cm_q": (-60.0, 0.0), "aero/CX_alpha2": (1.86, 1.9)}
+    with Bench(aircraft, (), ()) as bench:
+        fit, kept, excited, _ = base_fit(aircraft, bench, setup, names, limits, ALONE)
+    assert kept == ("aero/Cm_q",)
+    assert excited == names
+    assert fit.flown.point.values["aero/CX_alpha2"] == 1.86
+    assert left_alone(names, kept)[0].endswith(": aero/CX_alpha2")
+    assert left_alone(names, excited) == []
 
 
 @pytest.fixture

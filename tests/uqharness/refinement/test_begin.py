@@ -36,7 +36,7 @@ def test_parameters_and_start_states_move_with_the_effects():
     evidence = evidence_of((2.0, 3.0, 0.0), noise=0.0)
     starts = (np.zeros(9), np.ones(9))
     about = About(Point({"aero/a": 10.0}, {}, starts), evidence, {"effect/two": 0.5})
-    setup = SimpleNamespace(active=(), carriers={}, nuisance=())
+    setup = SimpleNamespace(active=(), carriers={}, nuisance=(), jumping=())
     plain = Point({"aero/a": 1.0, "aero/b": 7.0}, {}, starts)
     found = joint_point(about, setup, plain, ["aero/a"], ["effect/one"], {})  # type: ignore[arg-type]
     assert found.values == pytest.approx({"aero/a": 12.0, "aero/b": 7.0}, abs=1e-5)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -86,6 +86,7 @@ class Found:
     trail: tuple[str, ...] = ("first",)
     unnamed: tuple[Choice, ...] = ()
     bent: Bent | None = None
+    after: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(flown=SimpleNamespace(point=None)))
 
 
 @pytest.fixture
@@ -105,7 +106,7 @@ def flown(monkeypatch):
     monkeypatch.setattr(refine_beside, "bent", lambda found: None)
     monkeypatch.setattr(refine_beside, "left_out", left_out)
     monkeypatch.setattr(refine_beside, "evidence_of", lambda found, air: None)
-    monkeypatch.setattr(refine_beside, "sensed_by", lambda found: {})
+    monkeypatch.setattr(refine_beside, "written_at", lambda *_: None)
     return asked, models
 
 

@@ -23,7 +23,7 @@ from tests.helpers.flown import fly as flown
 from uqharness.refinement import gusts as refine_gusts
 from uqharness.refinement import rounds as refine_rounds
 from uqharness.refinement.candidates import effect_columns, later_controls
-from uqharness.refinement.fit import positions, steps_of
+from uqharness.refinement.fit import positions, step_from, stepped, steps_of
 from uqharness.refinement.gusts import in_step, moved, rows_late
 from uqharness.refinement.reference import Predicted, Probe
 from uqharness.refinement.sensed import as_sensed
@@ -221,11 +221,11 @@ def test_effects_that_no_filter_can_follow_are_not_flown(monkeypatch, tmp_path):
     assert refine_rounds.fly(None, None, None, tmp_path) is None  # type: ignore[arg-type]
 
 
-def some_air(strength=1.0):
-    return SimpleNamespace(states=None, kind=None, process=None, values=np.array([strength]))
+def some_air(strength=1.0, air=True):
+    return SimpleNamespace(states=None, kind=None, process=None, values=np.array([strength]), air=air)
 
 
-def iterated(monkeypatch, steps, strengths=(1.0,), quieter=(1.0,), **asked):
+def iterated(monkeypatch, steps, strengths=(1.0,), quieter=(1.0,), air=True, **asked):
     """`gust_refit` on steps (delta, length) that are given, whose searches find gusts of given strengths and factors on the noise,
     the last of them again and again: the strengths that the air was sought from, None for from the beginning, and the steps taken.
     """
@@ -239,9 +239,9 @@ def iterated(monkeypatch, steps, strengths=(1.0,), quieter=(1.0,), **asked):
         sought.append(None if near is None else float(near.values[0]))
         k = len(sought) - 1
         factor = quieter[min(k, len(quieter) - 1)] if tune else 1.0
-        return some_air(strengths[min(k, len(strengths) - 1)]), np.array([factor])
+        return some_air(strengths[min(k, len(strengths) - 1)], air), np.array([factor])
 
-    evidence = SimpleNamespace(step=lambda held: (lambda d, length: (np.array([d]), length))(*next(queue)))
+    evidence = SimpleNamespace(names=("aero/Cm_q",), step=lambda held: (lambda d, length: (np.array([d]), length))(*next(queue)))
     linear = SimpleNamespace(all=lambda states: [], measured=[])
     columns = [SimpleNamespace(names=("aero/Cm_q",))]
     for name, instead in {
@@ -255,7 +255,7 @@ def iterated(monkeypatch, steps, strengths=(1.0,), quieter=(1.0,), **asked):
     }.items():  # fmt: skip
         monkeypatch.setattr(refine_gusts, name, instead)
     setup = SimpleNamespace(
-        active=(), held=(), late={}, noise=np.ones(1), which=[0], segments=[SimpleNamespace(flight="one")],
+        active=(), held=(), jumping=(), late={}, noise=np.ones(1), which=[0], segments=[SimpleNamespace(flight="one")],
         properties=lambda point: {},
     )  # fmt: skip
     refine_gusts.gust_refit(None, None, setup, SimpleNamespace(), ["aero/Cm_q"], {}, map, **asked)  # type: ignore[arg-type]
@@ -271,6 +271,10 @@ def test_the_air_is_sought_until_it_stands_and_where_it_is_known_not_at_all(monk
     # Other noise is other air, where noise is asked for.
     assert iterated(monkeypatch, near, quieter=(0.6, 1.0), near=some_air(), tune=True)[0] == [1.0, 1.0]
     assert iterated(monkeypatch, near, quieter=(0.6, 1.0), near=some_air())[0] == [1.0]
+
+
+def test_what_is_no_air_is_not_followed_further(monkeypatch):
+    assert iterated(monkeypatch, [(1.0, 9.0)], air=False)[0] == [None]
 
 
 def test_far_from_what_the_parameters_want_the_air_waits(monkeypatch):
@@ -290,6 +294,28 @@ def test_a_fit_ends_about_its_own_predictions(monkeypatch):
 def test_steps_that_grow_are_shortened(monkeypatch):
     grown = [(1.0, 20.0), (-1.0, 60.0), (1.0, 70.0), (1.0, 40.0), (1.0, 0.1)]
     assert iterated(monkeypatch, grown, near=some_air(), known=True)[1] == [1.0, -0.5, 0.25, 0.25]
+
+
+def test_steps_that_grow_because_the_air_is_another_stay_whole(monkeypatch):
+    found = [(1.0, 0.9), (1.0, 1.4), (1.0, 0.6), (1.0, 0.1)]
+    assert iterated(monkeypatch, found, strengths=(3.0, 1.0, 1.0), near=some_air(6.0))[1] == [1.0, 1.0, 1.0]
+
+
+def test_shares_of_jumps_stay_between_none_and_all():
+    """A step beyond an end is held back there, and what the others do is asked without it."""
+    setup = SimpleNamespace(active=(), held=[], jumping=("f", "g"), nuisance=("unseen/f", "unseen/g"))
+    asked = []
+
+    def step(held):
+        asked.append(held)
+        return np.array([0.3, 0.3]), 1.0
+
+    evidence = SimpleNamespace(names=("unseen/f", "unseen/g"), step=step)
+    point = Point({}, {"unseen/f": 1.0, "unseen/g": 0.9}, ())
+    step_from(setup, point, evidence)  # type: ignore[arg-type]
+    assert asked == [[], ["unseen/f"]]
+    moved = stepped(setup, point, {"unseen/f": -0.2, "unseen/g": 0.3}, {})  # type: ignore[arg-type]
+    assert moved.nuisance == {"unseen/f": 0.8, "unseen/g": 1.0}
 
 
 def test_a_step_that_is_no_number_ends_the_fit(monkeypatch):

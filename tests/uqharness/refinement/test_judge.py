@@ -20,7 +20,8 @@ def shown(white: list[np.ndarray], deviation: float = 1.0) -> SimpleNamespace:
     """Predictions with the same deviation of every sample."""
     logdet = tuple(w.size * float(np.log(deviation)) for w in white)
     cost = float(sum(np.nansum(w**2) for w in white))
-    return SimpleNamespace(white=white, cost=cost, logdet=logdet, surprise=cost + 2.0 * sum(logdet))
+    surprise = cost + 2.0 * sum(logdet)
+    return SimpleNamespace(white=white, cost=cost, logdet=logdet, surprise=surprise, flown=SimpleNamespace(point=None))
 
 
 def change(rng: np.random.Generator, size: float, truth: bool, colour: float = 0.0):
@@ -104,7 +105,8 @@ def judged(monkeypatch, harm: dict[str, float], together: float = 0.0) -> list[s
 
     chosen = tuple(Choice(k, 1.0, 0.1, 10.0, 100.0, 1.0, 0.0) for k in harm)
     effects = {k: Effect("Cm", None, k, k, k) for k in harm}
-    found = Found(None, (), None, None, Selection(chosen), effects, {}, ())  # type: ignore[arg-type]
+    fit = SimpleNamespace(flown=SimpleNamespace(point=None))
+    found = Found(None, (), fit, fit, Selection(chosen), effects, {}, ())  # type: ignore[arg-type]
     monkeypatch.setattr(refine_judge, "show", flown)
     monkeypatch.setattr(refine_judge, "property_values", lambda *_: None)
     monkeypatch.setattr(refine_judge, "evidence_of", lambda *_: None)

@@ -53,6 +53,8 @@ def test_places_of_biases_delays_and_starts():
     assert found.bounds[0] == (-20.0, 0.0)
     assert all(low == -high for low, high in found.bounds[1:])
     assert dict(zip(found.names, found.bounds, strict=True))["bias/f/V_mps"] == (-5.0, 5.0)
+    jumps = nuisance_layout((), (), cut, (), ("V_mps",), {}, ["g"])
+    assert dict(zip(jumps.names, jumps.bounds, strict=True))["unseen/g"] == (0.0, 1.0)
 
 
 def test_of_logs_every_sensor_but_the_gyros_may_be_late():

@@ -21,7 +21,7 @@ from uqharness.refinement.base import observed, point_of
 from uqharness.refinement.fit import fly
 from uqharness.refinement.gusts import gust_refit, moved, rows_late, unfiltered
 from uqharness.refinement.setup import Bench, estimated_channels, with_sensors_of
-from uqharness.refinement.types import Flown, Point, Setup
+from uqharness.refinement.types import Flown, Point, Setup, Side
 from uqharness.replay import CONTROLS, Flight, ReplayModel, Segment, command_later, spread_over, states
 from uqharness.simulator import Aircraft, copy_folder
 
@@ -67,21 +67,19 @@ class Shown:
         return rms(np.concatenate([g[:, k] for g in self.coefficients]))
 
 
-def show(
-    aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Processes, sensed: Mapping[str, float],
-    gusts: Gusts | None = None, values: Mapping[str, float] | None = None,
-) -> Shown:  # fmt: skip
-    """Flights by an aircraft as its XML has it, but for properties that have other ``values``; only start states, biases and (of
-    logs) delays are estimated.
+def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
+    """Flights by an aircraft as its XML has it, but for properties that have other values ``at`` a point, and sensors that have its
+    effects; only start states, biases and (of logs) delays are estimated.
 
-    gusts: the air of the flights, with which one-step predictions take the place of replays.
+    In air one-step predictions take the place of replays; their biases and delays are sought from those of the point.
     """
-    with Bench(aircraft, measured, ideal) as bench:
+    setup, gusts = side.setup, side.air
+    with Bench(aircraft, side.measured, side.ideal) as bench:
         setup = with_sensors_of(setup, aircraft)
         plain = replace(setup, active=(), carriers={})
-        start = Point(dict(values or {}), {}, tuple(s.start for s in setup.segments), dict(sensed))
+        start = replace(at, nuisance={} if gusts is None else at.nuisance, starts=tuple(s.start for s in setup.segments))
         pieces = [(f, p) for f in setup.flights for p in f.pieces]
-        cut = [_as_felt(s, f, ideal) for s, (f, _) in zip(setup.segments, pieces, strict=True)]
+        cut = [_as_felt(s, f, side.ideal) for s, (f, _) in zip(setup.segments, pieces, strict=True)]
         noise = setup.noise if gusts is not None else _told_noise(aircraft, setup)
         noise_std = dict(zip(setup.outputs, noise.tolist(), strict=True))
         every, rng = [states(f, p) for f, p in pieces], np.random.default_rng(1)
@@ -97,19 +95,19 @@ def show(
             try:
                 gust = gust_refit(bench.model, bench.straight, plain, start, (), {}, map_, gusts, known=True)
                 delta, _ = gust.fit.evidence.step()
-                at, rows = gust.fit.flown, gust.fit.evidence.residual(delta)
+                reached, rows = gust.fit.flown, gust.fit.evidence.residual(delta)
                 deviations, logdet = [w.deviation for w in gust.white], [w.logdet for w in gust.white]
             except np.linalg.LinAlgError:
                 # A model so far outside what it was made for that no filter follows it: what it says at the measured states.
-                at, rows = unfiltered(bench.model, bench.straight, plain, start, map_, gusts)
+                reached, rows = unfiltered(bench.model, bench.straight, plain, start, map_, gusts)
                 deviations = [setup.noise] * len(rows)
                 logdet = [float((np.isfinite(r) * np.log(setup.noise)).sum()) for r in rows]
-            white = _as_recorded(plain, at.point, rows)
+            white = _as_recorded(plain, reached.point, rows)
             residual = [r * deviation for r, deviation in zip(white, deviations, strict=True)]
             noise = np.sqrt(np.mean([deviation**2 for deviation in deviations], axis=0))
             cost = float(sum(np.nansum(r**2) for r in white))
             outputs = [z - r for z, r in zip(setup.measured, residual, strict=True)]
-            flown = replace(at, outputs=outputs, cost=cost)
+            flown = replace(reached, outputs=outputs, cost=cost)
     floor = floor_of([np.concatenate([f[1] for f in found])])
     return Shown(flown, residual, noise, [f[0] for f in found], floor, white, cost, tuple(logdet))
 
@@ -125,16 +123,14 @@ def _replayed(model: ReplayModel, setup: Setup, start: Point, map_: Processes) -
     return fly(model, setup, replace(point_of(fit, setup, (), start.effects), values=start.values), map_)
 
 
-def with_replays(
-    shown: Shown, aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Processes,
-    sensed: Mapping[str, float], values: Mapping[str, float] | None = None,
-) -> Shown:  # fmt: skip
+def with_replays(shown: Shown, aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
     """Flights shown by predictions with their replays besides; arguments of `show`. Noise and delays are those of `compare`."""
-    with Bench(aircraft, measured, ideal) as bench:
+    setup = side.setup
+    with Bench(aircraft, side.measured, side.ideal) as bench:
         noise = _known_noise(aircraft, setup)
         timed = tuple(f.name for f in setup.flights if f.name not in setup.late)
         plain = replace(with_sensors_of(setup, aircraft), active=(), carriers={}, jumping=(), timed=timed, noise=noise)
-        start = Point(dict(values or {}), {}, tuple(s.start for s in setup.segments), dict(sensed))
+        start = replace(at, nuisance={}, starts=tuple(s.start for s in setup.segments))
         return replace(shown, replays=Replays(_replayed(bench.model, plain, start, map_).outputs, noise))
 
 

@@ -31,6 +31,7 @@ from uqharness.refinement.showing.mission import MissionPBox, Model, campaign_fo
 from uqharness.refinement.showing.remains import Nearest
 from uqharness.refinement.showing.show import Shown, _told_noise, gap_document, with_replays
 from uqharness.refinement.showing.words import left_over, nowhere
+from uqharness.refinement.types import Point, Side
 from uqharness.replay.flights import prepare, read_flights
 from uqharness.report.refinement import write_results
 from uqharness.report.write import write_report
@@ -340,7 +341,7 @@ def test_in_turbulence_the_table_is_that_of_compare(gusty):
     setup = setup_in_gusts(aircraft, make_setup(aircraft, [gusty], ()))
     zeros = [np.zeros_like(z) for z in setup.measured]
     predicted = Shown(None, zeros, setup.noise, [np.ones((9, 6))], np.ones(6), zeros, 0.0, (0.0,))  # type: ignore[arg-type]
-    shown = with_replays(predicted, aircraft, setup, (), (), ALONE, {})
+    shown = with_replays(predicted, aircraft, Side(setup, (), ()), ALONE, Point({}, {}, ()))
     found = gap_document(setup, shown, shown)
     other = compare(aircraft, gusty, (), workers=1)
     ratios = {c: row["rms_after"] / row["noise_rms"] for c, row in found["channels"].items()}
