@@ -15,6 +15,7 @@ from .lanes.replay import make_replay as make_replay
 from .lanes.understood import refusals as refusals
 from .machine.target import VECTORS as VECTORS
 from .machine.target import target_names as target_names
+from .models.start import CONDITIONS as CONDITIONS
 from .translate.sources import Files as Files
 from .translate.sources import Sources as Sources
 from .translate.sources import read_sources as read_sources

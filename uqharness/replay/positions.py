@@ -1,8 +1,8 @@
 """Where the surfaces stood: measured, or what the model's actuators make of the commands.
 
-Where everything between commands and positions is known and reads nothing of the aircraft's motion, JSBSim flies an aircraft of
-these components alone, and what it finds serves every aircraft that has the same ones, wherever it flies: effects in the
-aerodynamics move no servo. Elsewhere the whole aircraft is flown, from the start state of each stretch.
+Where everything between commands and positions is known and reads nothing of the aircraft's motion, an aircraft of these
+components alone is flown (chains.py), and what it finds serves every aircraft that has the same ones, wherever it flies: effects
+in the aerodynamics move no servo. Elsewhere the whole aircraft is flown, from the start state of each stretch.
 """
 
 from __future__ import annotations
@@ -10,18 +10,18 @@ from __future__ import annotations
 import logging
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uqharness.errors import BadInputError
+from uqharness.replay.chains import Asked, fly_chain, set_by
 from uqharness.replay.in_lanes import ReplayJob, by_jsbsim, fly_all, sources_of
 from uqharness.replay.model import ReplayModel
-from uqharness.replay.replay import CHANNELS, run_controls, shape_of
+from uqharness.replay.replay import CHANNELS, shape_of
 from uqharness.replay.segments import Segment
-from uqharness.scratch import Scratch, scratch_folder
-from uqharness.simulator import Staging, engine, position_factor
+from uqharness.simulator import position_factor
 from uqharness.xml import ControlChain, ControlFiles, control_chain
 
 Array = NDArray[np.float64]
@@ -31,25 +31,13 @@ WORTH_S = 60.0
 time with other servos."""
 WORTH_ONCE_S = 300.0
 """The same where they are asked for once: for as much JSBSim takes as long as a compiler."""
-_STOOD_BYTES, _CHAINS, _STAGED = 50_000_000, 64, 8
+_STOOD_BYTES, _CHAINS = 50_000_000, 64
 _AGREES = 1e-9
 """Largest difference between the positions that a whole aircraft and its components alone come to, in units of the largest."""
 _TRIED_ROWS, _LEAST_ROWS = 100, 10
 _stood: OrderedDict[tuple[object, ...], Array] = OrderedDict()
 _chains: OrderedDict[tuple[object, ...], ControlChain | None] = OrderedDict()
 _tried: OrderedDict[tuple[str, str], bool] = OrderedDict()
-_staged: OrderedDict[str, tuple[Staging, Scratch]] = OrderedDict()
-_STILL = tuple(f"simulation/integrator/{what}/{kind}" for what in ("rate", "position") for kind in ("rotational", "translational"))
-
-
-@dataclass(frozen=True)
-class _Asked:
-    """What is asked of a model: properties of positions, and the values in force that its servos have."""
-
-    model: ReplayModel
-    names: tuple[str, ...]
-    known: Mapping[str, str]
-    servos: Mapping[str, float]
 
 
 def surface_positions(
@@ -64,12 +52,12 @@ def surface_positions(
     """
     servos = {name: value for name, value in (properties or {}).items() if name in model.servos}
     known = {c: p for c, p in model.positions().items() if c in names and c not in model.measured}
-    asked = _Asked(model, tuple(names), known, servos)
+    asked = Asked(model, tuple(names), known, servos)
     chain = _chain_of(asked, cut) if known and cut else None
     keys = [_key(asked, chain, segment) for segment in cut]
     missing = {key: segment for key, segment in zip(keys, cut, strict=True) if key not in _stood}
     some = list(missing.values())
-    found = _flown(asked, some, worth_s) if chain is None else [_by_chain(asked, chain, segment) for segment in some]
+    found = _flown(asked, some, worth_s) if chain is None else fly_chain(asked, chain, some)
     for (key, segment), rows in zip(missing.items(), found, strict=True):
         _stood[key] = _put_in(asked, segment, rows)
     out = []
@@ -81,7 +69,7 @@ def surface_positions(
     return out
 
 
-def _key(asked: _Asked, chain: ControlChain | None, segment: Segment) -> tuple[object, ...]:
+def _key(asked: Asked, chain: ControlChain | None, segment: Segment) -> tuple[object, ...]:
     """What positions depend on: of a whole aircraft its identity and where it begins, of a chain that chain."""
     controls = segment.at_commands().controls.tobytes()
     if chain is None:
@@ -89,17 +77,12 @@ def _key(asked: _Asked, chain: ControlChain | None, segment: Segment) -> tuple[o
         return (asked.model.identity, controls, *(a.tobytes() for a in began), asked.names, *asked.servos.items())
     model = asked.model
     servos = [(name, value) for name, value in asked.servos.items() if name in chain.reads]
-    feeding = repr((model.controls, model.measured, model.lagging, model.factor, model.throws, _set_by(model)))
+    feeding = repr((model.controls, model.measured, model.lagging, model.factor, model.throws, set_by(model)))
     limits = repr([(model.card.inputs[c].limits, model.card.inputs[c].position, model.card.inputs[c].unit) for c in model.controls])
     return (chain.xml, controls, shape_of(model, segment), segment.per_row, asked.names, *servos, feeding, limits)
 
 
-def _set_by(model: ReplayModel) -> dict[str, float]:
-    """What is set on every instance of a model."""
-    return {**model.card.modes.get("open_loop", {}), **model.settings}
-
-
-def _flown(asked: _Asked, cut: Sequence[Segment], worth_s: float) -> list[Array]:
+def _flown(asked: Asked, cut: Sequence[Segment], worth_s: float) -> list[Array]:
     """Of each segment (n, k) what the whole aircraft's positions are, in their own units."""
     if not asked.known or not cut:
         return [np.empty((len(segment.time_s), 0)) for segment in cut]
@@ -108,7 +91,7 @@ def _flown(asked: _Asked, cut: Sequence[Segment], worth_s: float) -> list[Array]
     return [rows[:, len(CHANNELS) :] for rows in flown]
 
 
-def _put_in(asked: _Asked, segment: Segment, rows: Array) -> Array:
+def _put_in(asked: Asked, segment: Segment, rows: Array) -> Array:
     """(n, c) controls of a segment, those whose positions were flown at these."""
     model = asked.model
     stood = segment.at_commands().controls[:: segment.per_row].copy()
@@ -121,7 +104,7 @@ def _put_in(asked: _Asked, segment: Segment, rows: Array) -> Array:
     return stood
 
 
-def _chain_of(asked: _Asked, cut: Sequence[Segment]) -> ControlChain | None:
+def _chain_of(asked: Asked, cut: Sequence[Segment]) -> ControlChain | None:
     """What moves the positions asked for, if that reads commands, servos' numbers and constants alone and comes to the positions of
     the whole aircraft, with which it is compared once."""
     model = asked.model
@@ -135,7 +118,7 @@ def _chain_of(asked: _Asked, cut: Sequence[Segment]) -> ControlChain | None:
     return _chains[key]
 
 
-def _found(asked: _Asked) -> ControlChain | None:
+def _found(asked: Asked) -> ControlChain | None:
     model = asked.model
     try:
         sources = sources_of(model)
@@ -149,9 +132,9 @@ def _found(asked: _Asked) -> ControlChain | None:
     return control_chain(files, asked.known.values(), (*fed, *model.servos))
 
 
-def _agrees(asked: _Asked, chain: ControlChain, segment: Segment) -> bool:
+def _agrees(asked: Asked, chain: ControlChain, segment: Segment) -> bool:
     """Whether the beginning of a segment comes out alike; compared once for aircraft that share a chain."""
-    tried = (chain.xml, repr(_set_by(asked.model)))
+    tried = (chain.xml, repr(set_by(asked.model)))
     if tried in _tried:
         return _tried[tried]
     short = _beginning(segment)
@@ -160,7 +143,7 @@ def _agrees(asked: _Asked, chain: ControlChain, segment: Segment) -> bool:
     flew = np.isfinite(theirs).all(axis=1)
     size = np.maximum(np.abs(theirs[flew]).max(axis=0, initial=1e-3), 1e-3)
     try:
-        apart = (np.abs(_by_chain(asked, chain, short) - theirs) / size)[flew]
+        apart = (np.abs(fly_chain(asked, chain, [short])[0] - theirs) / size)[flew]
     except BadInputError as error:
         _LOG.info("positions are flown by whole aircraft: %s", error)
         apart = np.full((1, 1), np.nan)
@@ -178,53 +161,3 @@ def _beginning(segment: Segment) -> Segment:
     return replace(
         own, time_s=own.time_s[rows], controls=own.controls[rows], targets=None if own.targets is None else own.targets[rows]
     )
-
-
-def _by_chain(asked: _Asked, chain: ControlChain, segment: Segment) -> Array:
-    """(n, k) positions of a segment in their own units, flown by the chain alone; NaN behind a failure. Raises BadInputError."""
-    model = asked.model
-    shape = shape_of(model, segment)
-    fdm = engine.open_fdm(_staging(chain), shape.dt_s)
-    exists = fdm.get_property_manager().hasNode
-    # Nothing moves but the controls.
-    for name, value in {**_set_by(model), **asked.servos, **dict.fromkeys(_STILL, 0.0)}.items():
-        if exists(name):
-            engine.set_property(fdm, name, value)
-    names, places = model.fed()
-    fed = [(engine.handle(fdm, name).set_double_value, place) for name, place in zip(names, places, strict=True) if exists(name)]
-    read = [engine.handle(fdm, name).get_double_value for name in asked.known.values()]
-    values = run_controls(model, segment, shape)[:, [place for _, place in fed]].tolist()
-    setters, run = [put for put, _ in fed], fdm.run
-    last = values[0]
-    for put, value in zip(setters, last, strict=True):
-        put(value)
-    engine.run_ic(fdm)
-    rows = np.full((shape.rows, len(read)), np.nan)
-    rows[0] = [get() for get in read]
-    try:
-        for row in range(1, shape.rows):
-            for numbers in values[1 + (row - 1) * shape.stride : 1 + row * shape.stride]:
-                if numbers != last:
-                    for put, value in zip(setters, numbers, strict=True):
-                        put(value)
-                    last = numbers
-                run()
-            rows[row] = [get() for get in read]
-    except engine.RuntimeFailure as error:
-        engine.explain(fdm, error)
-    return rows
-
-
-def _staging(chain: ControlChain) -> Staging:
-    """The chain's own aircraft, as JSBSim wants it laid out; those used last are kept."""
-    if chain.xml not in _staged:
-        scratch = scratch_folder("controls")
-        staging = Staging(scratch.path, "controls")
-        for folder in (staging.folder, scratch.path / "engine", scratch.path / "systems"):
-            folder.mkdir(parents=True)
-        staging.xml.write_text(chain.xml, encoding="utf-8")
-        _staged[chain.xml] = (staging, scratch)
-        while len(_staged) > _STAGED:
-            _staged.popitem(last=False)[1][1].close()
-    _staged.move_to_end(chain.xml)
-    return _staged[chain.xml][0]

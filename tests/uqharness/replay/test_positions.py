@@ -12,7 +12,7 @@ import pytest
 
 from tests.uqharness.replay.test_in_lanes import DT_S, apart, segment
 from uqharness.plugin import with_card
-from uqharness.replay import CHANNELS, CONTROLS, ReplayFolder, ReplayJob, ReplayModel, Segment, fly_all, surface_positions
+from uqharness.replay import CHANNELS, CONTROLS, ReplayFolder, ReplayJob, ReplayModel, Segment, chains, fly_all, surface_positions
 from uqharness.replay import positions as module
 from uqharness.replay.in_lanes import by_jsbsim
 from uqharness.simulator import Aircraft, copy_folder, find_aircraft
@@ -35,12 +35,12 @@ def flights(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
 
     def counted(kind: str, real):
         def call(*args: object):
-            count[kind] += len(args[1]) if kind == "whole" else len(args[2].time_s) > module._TRIED_ROWS
+            count[kind] += len(args[1]) if kind == "whole" else sum(len(s.time_s) > module._TRIED_ROWS for s in args[2])
             return real(*args)
 
         return call
 
-    monkeypatch.setattr(module, "_by_chain", counted("chain", module._by_chain))
+    monkeypatch.setattr(module, "fly_chain", counted("chain", module.fly_chain))
     monkeypatch.setattr(module, "_flown", counted("whole", module._flown))
     return count
 
@@ -143,11 +143,11 @@ def test_a_chain_that_comes_to_other_positions_is_not_used(
 def test_a_chain_that_fails_or_cannot_be_compared_is_not_used(
     model: ReplayModel, flights: dict[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = module._by_chain
-    monkeypatch.setattr(module, "_by_chain", lambda *asked: np.full_like(real(*asked), np.nan))
+    real = module.fly_chain
+    monkeypatch.setattr(module, "fly_chain", lambda *asked: [np.full_like(rows, np.nan) for rows in real(*asked)])
     surface_positions(model, [segment(seed=11)], CONTROLS)
     assert flights["whole"] == 1
-    monkeypatch.setattr(module, "_by_chain", real)
+    monkeypatch.setattr(module, "fly_chain", real)
     module._chains.clear()
     module._tried.clear()
     monkeypatch.setattr(
@@ -169,6 +169,45 @@ def test_an_aircraft_with_an_engine_and_its_lever(flights: dict[str, int]) -> No
         rudder, throttle = by_jsbsim(job)[:, len(CHANNELS) :].T
         np.testing.assert_allclose(stood[:, CONTROLS.index("rudder")], rudder, rtol=0.0, atol=1e-12)
         np.testing.assert_allclose(stood[:, CONTROLS.index("throttle")], 100.0 * throttle, rtol=0.0, atol=1e-10)
+
+
+def in_both(
+    model: ReplayModel, cut: list[Segment], servos: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> list[list[np.ndarray]]:
+    """Positions by the components alone: by JSBSim, and by the batch engine, which must have flown."""
+    flown = []
+    monkeypatch.setattr(chains, "_programs", OrderedDict())
+    real = chains._in_lanes
+    monkeypatch.setattr(chains, "_in_lanes", lambda program, asked, some: flown.append(len(some)) or real(program, asked, some))
+    out = []
+    for worth_s in (1e9, 0.0):
+        monkeypatch.setattr(module, "_stood", OrderedDict())
+        monkeypatch.setattr(chains, "WORTH_S", worth_s)
+        assert not flown
+        out.append(surface_positions(model, cut, CONTROLS, servos))
+    # One to be compared with, then all.
+    assert flown == [1, len(cut)]
+    return out
+
+
+def test_the_batch_engine_moves_the_components_as_jsbsim_does(model: ReplayModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    cut = [segment(seed=21), segment(seed=22, rows=130)]
+    for servos in ({}, {RATE: 60.0}):
+        theirs, ours = in_both(model, cut, servos, monkeypatch)
+        for a, b, piece in zip(theirs, ours, cut, strict=True):
+            np.testing.assert_allclose(b, a, rtol=0.0, atol=1e-11)
+            assert apart(a, piece.controls) > 0.01
+
+
+def test_where_the_engines_differ_jsbsim_moves_the_components(model: ReplayModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(chains, "_programs", OrderedDict())
+    monkeypatch.setattr(chains, "WORTH_S", 0.0)
+    real = chains._in_lanes
+    monkeypatch.setattr(chains, "_in_lanes", lambda *asked: [1.001 * rows for rows in real(*asked)])
+    piece = segment(seed=23)
+    (stood,) = surface_positions(model, [piece], CONTROLS)
+    assert list(chains._programs.values()) == [None]
+    np.testing.assert_allclose(stood, in_jsbsim(model, piece), rtol=0.0, atol=1e-9)
 
 
 def test_measured_positions_are_the_record_s_own(flights: dict[str, int]) -> None:
