@@ -96,7 +96,10 @@ def pages(tmp_path_factory):
     stages = [folders.stage(kind, kind, kind) for kind in made]
     stages.append(folders.stage("after", "campaign", "after"))
     both = {"before": "campaign", "after": "after"}
-    made["study"] = folders.written(root / "study", "study.json", folders.study(stages, before_after=both))
+    question = "Can the E-SPAARO hold 15 m of the circle in moderate turbulence?"
+    document = folders.study(stages, before_after=both, answer=folders.ANSWER, tracks=folders.TRACKS, question=question)
+    made["study"] = folders.written(root / "study", "study.json", document)
+    folders.tracks(made["study"])
     write_report(made["study"])
     for kind, line in ASKED.items():
         folder = root / kind
@@ -133,10 +136,9 @@ def opened(browser, pages):
     """Opens a page and collects everything that goes wrong while it is open."""
     contexts = []
 
-    def visit(kind, width=1400, scheme="light", touch=False, script=True):
-        context = browser.new_context(
-            viewport={"width": width, "height": 900}, color_scheme=scheme, has_touch=touch, java_script_enabled=script
-        )
+    def visit(kind, width=1400, scheme="light", touch=False, script=True, *, height=900, unfold=True):
+        size = {"width": width, "height": height}
+        context = browser.new_context(viewport=size, color_scheme=scheme, has_touch=touch, java_script_enabled=script)
         contexts.append(context)
         page = context.new_page()
         page.wrong = []
@@ -144,7 +146,7 @@ def opened(browser, pages):
         page.on("pageerror", lambda error: page.wrong.append(f"error: {error}"))
         page.on("request", lambda request: request.url.startswith("file:") or page.wrong.append(f"fetched {request.url}"))
         page.goto((pages[kind] / "report.html").as_uri())
-        if script:
+        if script and unfold:
             page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
         return page
 
@@ -223,6 +225,56 @@ def test_the_cursor_reads_the_pbox_by_keyboard_mouse_and_touch(opened, pages):
     page.touchscreen.tap(box["x"] + 0.7 * box["width"], box["y"] + 0.4 * box["height"])
     assert len({read, by_mouse, output.inner_text()}) == 3
     assert page.wrong == []
+
+
+FIRST = """() => [...document.querySelectorAll("h1, .verdict, .verdict + .figures figure")].map((part) => {
+  const box = part.getBoundingClientRect();
+  return { name: part.id || part.tagName.toLowerCase(), top: box.top, bottom: box.bottom };
+})"""
+"""Where the question, the answer and the first figures of a page stand [px]."""
+
+
+def test_a_study_shows_question_answer_and_figures_on_the_first_screen(opened):
+    page = opened("study", 1280, height=800, unfold=False)
+    parts = page.evaluate(FIRST)
+    assert [part["name"] for part in parts] == ["h1", "section", "ground-track", "track-distance", "answer-pbox"]
+    assert [part["name"] for part in parts if part["bottom"] > 800] == []
+    # Side by side, each wide enough for its text.
+    assert len({round(part["top"]) for part in parts[2:]}) == 1
+    assert page.evaluate("document.documentElement.scrollHeight") <= 12_000
+    for name in ("track-distance", "answer-pbox"):
+        assert page.locator(f"#{name} svg").bounding_box()["height"] <= 350
+
+
+def test_on_a_phone_the_first_screen_of_a_study_reaches_its_first_figure(opened):
+    page = opened("study", 420, height=900, unfold=False)
+    parts = {part["name"]: part for part in page.evaluate(FIRST)}
+    assert parts["ground-track"]["top"] < 900
+    # More than its edge: half of the drawing.
+    box = page.locator("#ground-track svg").bounding_box()
+    assert box["y"] + 0.5 * box["height"] < 900
+
+
+@pytest.mark.parametrize("width", [1280, 420])
+def test_the_reader_of_a_studys_p_box_tells_shares_and_no_empty_band(opened, width):
+    page = opened("study", width, unfold=False)
+    figure = page.locator("#answer-pbox")
+    slider, output = figure.locator("input"), figure.locator("output")
+    low, high = (float(slider.get_attribute(end)) for end in ("min", "max"))
+    seen, tops = set(), set()
+    for share in (0.2, 0.5, 0.8):
+        slider.evaluate(
+            "(slider, at) => { slider.value = at; slider.dispatchEvent(new Event('input')); }", low + share * (high - low)
+        )
+        said = output.inner_text()
+        assert "after: " in said
+        assert "before: " in said
+        assert "0 % to 100 %." not in said
+        seen.add(said)
+        tops.add(figure.locator("figcaption").bounding_box()["y"])
+    assert len(seen) == 3
+    # The text has its room: the page does not move under the pointer.
+    assert len(tops) == 1
 
 
 @pytest.mark.parametrize("kind", ["campaign", "study"])

@@ -28,6 +28,7 @@ from uqharness.statistics import (
     YES,
     Array,
     bet_logs,
+    dispersion_that_allows,
     evidence_of_either,
     log_e_above,
     lower_limits,
@@ -45,6 +46,7 @@ _COLUMNS = (
     "dispersion_allowed", "dispersion_observed", "flights", "hours", "failed", "extrapolated_share",
     "flight_share_upper", "acceptable_loss_per_h", "loss_upper_per_h", "aborted", "loss_of_control", "ground_contact", "diverged",
     "reason", "dispersion_measured_at", "dispersion_radius_m", "quiet_hours_needed",
+    "yes_up_to_dispersion",
 )  # fmt: skip
 
 
@@ -68,7 +70,8 @@ class Statement:
     (Clopper and Pearson 1934), which assumes nothing of how they cluster, for a number of flights fixed beforehand; NaN after
     *decide*, which fixes none.
     ``dispersion`` is what the limits carry, ``dispersion_allowed`` the largest of its corners; ``quiet_hours_needed`` with it are
-    flown at a corner without an excursion until it is a yes. ``reason`` says why flights that would be a yes are not.
+    flown at a corner without an excursion until it is a yes. A yes would be one up to the dispersion ``yes_up_to_dispersion``,
+    NaN for another answer. ``reason`` says why flights that would be a yes are not.
     ``loss_upper_per_h`` bounds aborted flights per hour flown at the worst corner, at half the error; ``aborted`` counts them by
     kind.
     """
@@ -89,6 +92,7 @@ class Statement:
     aborted: Mapping[str, int]
     dispersion: Carried
     quiet_hours_needed: float
+    yes_up_to_dispersion: float
     reason: str = ""
 
     @property
@@ -151,7 +155,8 @@ def _statement(
     nearer = {radius: _counts(flown, excursion_column(radius, cell.distance))[1] for radius in radii}
     clusters = carried(nearer | {cell.radius_m: high}, cell.radius_m, flown_h, assumed, error)
     observed = observed_dispersion(high)
-    allowed = np.maximum(observed, clusters.dispersion)
+    ended = np.where(losses.missing > 0.0, high, 0.0).max(axis=1)
+    allowed = np.maximum(np.maximum(observed, clusters.dispersion), ended)
     largest = float(clusters.dispersion.max())
 
     def upper_per_h(wrong: float) -> Array:
@@ -171,6 +176,9 @@ def _statement(
         answer, reason = (OPEN, BEYOND) if clusters.beyond else (YES, "")
     elif _shown_above((low, losses.lost), losses.missing, (acceptable * hours, acceptable_loss * hours), error):
         answer = NO
+    stands = float("nan")
+    if (decided or answer) == YES:
+        stands = float(dispersion_that_allows(acceptable * hours, flights, total, side, anytime, losses.missing_shares).min())
     return Statement(
         cell,
         RateRange(float(counted[at_best]), float(lower.min()), float(upper_all.min()), names[at_best]),
@@ -188,6 +196,7 @@ def _statement(
         losses.kinds,
         clusters,
         quiet_flights(acceptable * hours, largest, side, rule is not None) * hours,
+        stands,
         "" if decided else reason,
     )
 
@@ -256,6 +265,7 @@ def statements_csv(found: Sequence[Statement]) -> bytes:
         row += [f"{item.acceptable_loss_per_h:g}", number(item.loss_upper_per_h), str(sum(item.aborted.values()))]
         row += [str(item.aborted[kind]) for kind in (LOSS_OF_CONTROL, GROUND_CONTACT, DIVERGED)]
         row += [item.reason, str(item.dispersion.measured), number(item.dispersion.nearest_m), number(item.quiet_hours_needed)]
+        row.append(number(item.yes_up_to_dispersion))
         writer.writerow(row)
     return buffer.getvalue().encode()
 

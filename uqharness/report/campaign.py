@@ -190,10 +190,10 @@ def _verdict(
             said.append(Say(called(_median_sentence(both, duration), kind)))
     failed = int((frame["status"] != "ok").sum())
     counted = f"{failed} failed; they are bounded at the worst, not dropped" if failed else "all ended as planned"
-    said.append(Say(f"Of {len(frame)} flights, {counted}.", "warn" if failed else "good"))
+    said.append(Say(f"Of {len(frame)} flights, {counted}.", "warn" if failed else ""))
     losses = int(frame["loss_of_control"].fillna(0).sum())
     lost = f"{losses} of them lost control." if losses else "No scored flight lost control."
-    said.append(Say(lost, "bad" if losses else "good" if failed < len(frame) else "warn"))
+    said.append(Say(lost, "bad" if losses else "" if failed < len(frame) else "warn"))
     return said
 
 

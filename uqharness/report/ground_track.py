@@ -1,4 +1,4 @@
-"""The ground track of one lap beside the path it was to keep: the model and its worst corner, before and after, in the same air."""
+"""One lap beside the path it was to keep, as ground track and as distance over time; whole tracks of recorded flights."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from uqharness.report.parts import Figure
-from uqharness.report.svg import Chart, Scale
+from uqharness.report.svg import Chart, Scale, scale
 
 Array = NDArray[np.float64]
-_HEIGHT = 330
+_HEIGHT, _LAP_HEIGHT = 330, 290
 _LONGEST_S = 120.0
 """Time shown of a track that does not turn through a whole circle."""
 _NEAR_M = 0.05
+_APART_M = 0.1
+"""Distance between two flights below which they are the same line."""
 _MOST_POINTS = 4000
 _LEAST_M = 1.0
 """Shortest track that is drawn: less is a receiver that stands still."""
@@ -64,40 +66,114 @@ def equal_scales(east: Array, north: Array, height: int) -> tuple[Scale, Scale]:
     return Scale("east [m]", *ends[0]), Scale("north [m]", *ends[1])
 
 
-def ground_track(name: str, flown: pd.DataFrame, radius_m: float, condition: str) -> Figure | None:
-    """One lap around the instant at which the last worst corner is farthest from its path; None without such a flight.
+@dataclass(frozen=True)
+class Lap:
+    """One lap of the flights of a study, all in the same air.
 
-    flown: tracks.parquet of a study; radius_m: the radius asked about. The path is drawn where it is a circle.
+    tracks: (when, model) -> rows of tracks.parquet within the lap, from ``begin_s`` to ``end_s``; ``at_s``: the instant around
+    which it lies, at which the flights are ``apart_m`` from each other (0 for one flight). ``judged``: the worst corner flown
+    last, with its largest distance from the path in the whole flight, ``largest_m``; ``circle``: the path, if it is one.
+    """
+
+    tracks: Mapping[tuple[str, str], pd.DataFrame]
+    begin_s: float
+    end_s: float
+    at_s: float
+    apart_m: float
+    judged: tuple[str, str]
+    largest_m: float
+    circle: Circle | None
+
+    def called(self, key: tuple[str, str]) -> str:
+        """A flight's model, and when it was flown where there is a before and an after."""
+        when, model = key
+        return model if len({w for w, _ in self.tracks}) == 1 else f"{model}, {when}"
+
+
+def lap_of(flown: pd.DataFrame) -> Lap | None:
+    """The lap in which the flights lie farthest from each other, or, where they do not differ, the worst corner from its path.
+
+    flown: tracks.parquet of a study. None without a worst corner whose distance from a path is known.
     """
     tracks = {(str(when), str(model)): rows for (when, model), rows in flown.groupby(["when", "model"], sort=False)}
     judged = next((key for key in reversed(list(tracks)) if key[1] != "nominal" and tracks[key]["distance_m"].notna().any()), None)
     if judged is None:
         return None
-    begin, end, largest = _lap(tracks[judged])
+    time_s, north, east, distance = (tracks[judged][c].to_numpy(dtype=float) for c in ("time_s", "north_m", "east_m", "distance_m"))
+    apart = _apart(time_s, list(tracks.values()))
+    at = int(np.argmax(apart)) if apart.max() > _APART_M else int(np.nanargmax(np.abs(distance)))
+    begin, end = _turn(time_s, north, east, at)
     shown = {key: rows[(rows["time_s"] >= begin) & (rows["time_s"] <= end)] for key, rows in tracks.items()}
-    circle = circle_of(*(tracks[judged][column].to_numpy(dtype=float) for column in ("north_m", "east_m", "distance_m")))
-    rings = list(_rings(circle, radius_m)) if circle else []
-    east = np.concatenate([*(rows["east_m"] for rows in shown.values()), *(ring[0] for ring in rings)])
-    north = np.concatenate([*(rows["north_m"] for rows in shown.values()), *(ring[1] for ring in rings)])
-    x, y = equal_scales(east, north, _HEIGHT)
-    label = f"Ground track of one lap, north [m] over east [m], {condition}; the worst corner is {largest:.3g} m from its path."
-    chart = Chart(name, label, x, y, _HEIGHT)
+    largest, circle = float(np.nanmax(np.abs(distance))), circle_of(north, east, distance)
+    return Lap(shown, begin, end, float(time_s[at]), float(apart[at]), judged, largest, circle)
+
+
+def ground_track(name: str, lap: Lap, radius_m: float, condition: str) -> Figure:
+    """The track of each flight with the path, where that is a circle, and the radius asked about [m] around it."""
+    rings = list(_rings(lap.circle, radius_m)) if lap.circle else []
+    east = np.concatenate([*(rows["east_m"] for rows in lap.tracks.values()), *(ring[0] for ring in rings)])
+    north = np.concatenate([*(rows["north_m"] for rows in lap.tracks.values()), *(ring[1] for ring in rings)])
+    x, y = equal_scales(east, north, _LAP_HEIGHT)
+    label = f"Ground track of one lap, north [m] over east [m], {condition}; {_largest(lap)}."
+    chart = Chart(name, label, x, y, _LAP_HEIGHT)
     for (ring_east, ring_north, kind), words in zip(rings, ("commanded path", f"{radius_m:g} m from it", ""), strict=False):
         chart.path(ring_east, ring_north, kind, words)
-    single = len({when for when, _ in shown}) == 1
-    for (when, model), rows in shown.items():
-        words = model if single else f"{model}, {when}"
-        chart.path(rows["east_m"].to_numpy(dtype=float), rows["north_m"].to_numpy(dtype=float), _KINDS[when, model], words)
-    farthest = [
-        f"{model}{'' if single else ', ' + when}: {np.nanmax(np.abs(rows['distance_m'])):.3g} m"
-        for (when, model), rows in shown.items()
-        if rows["distance_m"].notna().any()
-    ]
+    for key, rows in _in_order(lap):
+        chart.path(rows["east_m"].to_numpy(dtype=float), rows["north_m"].to_numpy(dtype=float), _KINDS[key], lap.called(key))
+    why = f"the lines are {lap.apart_m:.2g} m apart" if lap.apart_m > _APART_M else "the worst corner is farthest from its path"
     caption = (
-        f"One lap ({end - begin:.0f} s) in {condition}, every line in the same air, around the instant at which the worst corner"
-        f"{'' if single else ' ' + judged[0]} is farthest from its path. Largest distance from the path: {'; '.join(farthest)}."
+        f"Ground track of the lap ({lap.end_s - lap.begin_s:.0f} s) in which {why}. {_sentence(condition)}, one air for all lines."
     )
     return Figure(name, chart.svg(), caption)
+
+
+def track_distance(name: str, lap: Lap, radius_m: float) -> Figure:
+    """Distance of each flight from the path [m] over the time of the lap [s], with the radius asked about."""
+    sides = {key: rows["distance_m"].to_numpy(dtype=float) for key, rows in lap.tracks.items()}
+    known = np.concatenate(list(sides.values()))
+    # A limit that no line comes near would only flatten the lines.
+    limits = [radius_m] + ([-radius_m] if np.nanmin(known) < -0.5 * radius_m else [])
+    quantity = "distance from the path [m]" + (", outside positive" if lap.circle else "")
+    y = scale(quantity, [known, np.array([0.0, *limits])])
+    x = Scale("time in the lap [s]", 0.0, lap.end_s - lap.begin_s)
+    chart = Chart(name, f"{quantity[0].upper()}{quantity[1:]}, over time in the lap [s]; {_largest(lap)}.", x, y, _LAP_HEIGHT)
+    chart.level(0.0, "third", "commanded path")
+    for limit in limits:
+        chart.level(limit, "limit", f"{radius_m:g} m from it")
+    for key, rows in _in_order(lap):
+        chart.line(rows["time_s"].to_numpy(dtype=float) - lap.begin_s, sides[key], _KINDS[key], lap.called(key))
+    caption = f"The same lap. {_sentence(_largest(lap))}; in the whole flight {lap.largest_m:.3g} m ({lap.called(lap.judged)})."
+    return Figure(name, chart.svg(), caption)
+
+
+def _in_order(lap: Lap) -> list[tuple[tuple[str, str], pd.DataFrame]]:
+    """Worst corners below, the dashed lines of before above the others: a line stays visible where two coincide."""
+    return sorted(lap.tracks.items(), key=lambda item: (item[0][1] == "nominal", item[0][0] == "before"))
+
+
+def _largest(lap: Lap) -> str:
+    found = [
+        f"{np.nanmax(np.abs(rows['distance_m'])):.3g} m ({lap.called(key)})"
+        for key, rows in lap.tracks.items()
+        if rows["distance_m"].notna().any()
+    ]
+    return f"largest distance from the path: {', '.join(found)}"
+
+
+def _sentence(words: str) -> str:
+    return f"{words[:1].upper()}{words[1:]}"
+
+
+def _apart(time_s: Array, tracks: Sequence[pd.DataFrame]) -> Array:
+    """Largest distance between two of the flights across the path [m] at each instant (n,); 0 where it is not known."""
+    found = []
+    for rows in tracks:
+        known = rows[rows["distance_m"].notna()]
+        if len(known):
+            at, away = (known[column].to_numpy(dtype=float) for column in ("time_s", "distance_m"))
+            found.append(np.interp(time_s, at, away, left=np.nan, right=np.nan))
+    spread = np.max(found, axis=0) - np.min(found, axis=0)
+    return np.nan_to_num(spread)
 
 
 def flown_track(name: str, columns: Mapping[str, Array], words: str = "", circles: Sequence[Circle] = ()) -> Figure | None:
@@ -155,16 +231,15 @@ def _commanded(north: Array, east: Array, columns: Mapping[str, Array]) -> list[
     return [circle] if circle is not None and circle.radius_m <= _WIDEST * reach else []
 
 
-def _lap(rows: pd.DataFrame) -> tuple[float, float, float]:
-    """Begin and end [s] of one turn of the course around the instant of the largest distance, and that distance [m]."""
-    time_s, distance = (rows[column].to_numpy(dtype=float) for column in ("time_s", "distance_m"))
-    course = np.unwrap(np.arctan2(np.gradient(rows["east_m"].to_numpy()), np.gradient(rows["north_m"].to_numpy())))
-    at = int(np.nanargmax(np.abs(distance)))
-    near = np.abs(course - course[at]) <= math.pi
+def _turn(time_s: Array, north: Array, east: Array, at: int) -> tuple[float, float]:
+    """Begin and end [s] of one turn of the course around the instant ``at``, a whole one where the flight has one."""
+    course = np.unwrap(np.arctan2(np.gradient(east), np.gradient(north)))
+    low, high = float(course.min()) + math.pi, float(course.max()) - math.pi
+    near = np.abs(course - (min(max(course[at], low), high) if low < high else course[at])) <= math.pi
     first = at - int(np.argmin(near[: at + 1][::-1])) + 1 if not near[: at + 1].all() else 0
     last = at + int(np.argmin(near[at:])) - 1 if not near[at:].all() else len(near) - 1
     begin, end = max(time_s[first], time_s[at] - 0.5 * _LONGEST_S), min(time_s[last], time_s[at] + 0.5 * _LONGEST_S)
-    return float(begin), float(end), float(abs(distance[at]))
+    return float(begin), float(end)
 
 
 def _rings(circle: Circle, radius_m: float) -> Iterator[tuple[Array, Array, str]]:

@@ -27,20 +27,22 @@ def overlay_section(
         if other is None:
             continue
         if item.condition in drawn:
-            boxes = [DrawnBox(t, f.box, f.samples, w) for t, f, w in zip(titles, (item, other), words, strict=True)]
+            # After is solid and before dashed, as in every other chart of the two.
+            boxes = [DrawnBox(t, f.box, f.samples, w) for t, f, w in zip(titles, (item, other), words, strict=True)][::-1]
             place = f"{item.condition.wind_mps:g}mps-{item.condition.turbulence}".replace(".", "p")
             name = f"{prefix}before-after-{item.metric.replace('_', '-')}-{place}"
             figures.append(pbox_figure(name, item.axis, item.unit, boxes, f"{item.title}; {item.condition.words}."))
         ends = [f.box.quantile(0.5) for f in (item, other)]
         widths = [high - low for low, high in ends]
         ratio = widths[1] / widths[0] if widths[0] > 0.0 and widths[0] < float("inf") else float("nan")
-        level: Level = "" if ratio != ratio else "good" if ratio < 1.0 else "bad" if ratio > 1.0 else ""
-        change = Cell(shown(ratio, ".2f"), level, small="" if not level else "narrower" if level == "good" else "wider")
+        # A width is a fact: no claim was tested that a tick could confirm.
+        level: Level = "warn" if ratio > 1.0 else ""
+        change = Cell(shown(ratio, ".2f"), level, small="wider" if ratio > 1.0 else "narrower" if ratio < 1.0 else "")
         rows.append((f"{item.title} [{item.unit}]", item.condition.label, span(*ends[0]), span(*ends[1]), change))
     if not figures:
         return Section(title, (Words("The two campaigns share no quantity in the same condition."),))
     text = (
-        f"Two p-boxes over each other: the solid one before ({names['before']}), the dashed one after ({names['after']})."
+        f"Two p-boxes over each other: the dashed one before ({names['before']}), the solid one after ({names['after']})."
         " A narrower box means that less is unknown; a "
         "box that moved means that the model was wrong. The cursor names the epistemic sample behind each side."
     )

@@ -1,4 +1,8 @@
-"""P-boxes as charts of a page, one alone with its corners or several over each other, and what the cursor reads in them."""
+"""P-boxes as charts of a page, one alone with its corners or several over each other, and what the cursor reads in them.
+
+A step of an empirical distribution function is as high as one flight's share, so 40 flights make a staircase. A kernel estimate has
+the same flights without the steps. What is claimed rests on the staircases; :func:`farthest` says how far a curve lies from them.
+"""
 
 from __future__ import annotations
 
@@ -10,61 +14,139 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from sysid.distributions import normal_tail
 from uqharness.report.parts import Figure, shown
 from uqharness.report.svg import Chart, Scale, scale
-from uqharness.statistics import PBox, Sample
+from uqharness.statistics import PBox, Sample, envelope
 
 Array = NDArray[np.float64]
 _CURVE_POINTS, _MOST_CURVES = 60, 96
+_SMOOTH_POINTS = 160
+"""Values at which a smooth curve is computed, enough for a chart 360 units wide."""
+_MOST_KERNELS = 1000
 PROBABILITY = "cumulative probability [-]"
 _DRAWN = ("first", "fill1"), ("second", "fill2")
 
 
 @dataclass(frozen=True)
 class DrawnBox:
-    """One p-box of a figure. ``title`` names it among several, empty where it is alone; ``words``: corner id -> levels."""
+    """One p-box of a figure. ``title`` names it among several, empty where it is alone; ``words``: corner id -> levels.
+
+    ``smooth``: drawn and read as smooth curves; the words of the figure stay those of ``box``.
+    """
 
     title: str
     box: PBox
     samples: Sequence[Sample]
     words: Mapping[str, str]
+    smooth: bool = False
 
 
 def pbox_figure(
     name: str, quantity: str, unit: str, boxes: Sequence[DrawnBox], caption: str, mark: tuple[float, str] | None = None
 ) -> Figure:
-    """One p-box (corners thin, envelope bold, band dashed) or two over each other (filled); ``mark``: a value to mark."""
+    """One p-box (corners thin, envelope bold, band dashed) or two over each other (filled); ``mark``: a value to mark.
+
+    The caption of smooth curves tells how far they lie from the flights' own steps.
+    """
     alone = len(boxes) == 1
     known = [b.box.value for b in boxes] + ([np.array([mark[0]])] if mark else [])
     x = scale(f"{quantity} [{unit}]", known, least=0.0)
     halves = "; ".join(f"{b.title + ': ' if b.title else ''}{_half(b.box, unit)}" for b in boxes)
     label = f"P-box{'es' if not alone else ''} of {quantity} [{unit}]. Half of the flights stay below {halves}."
     chart = Chart(name, label, x, Scale(PROBABILITY, -0.01, 1.01), height=250)
-    for number, (drawn, (line, fill)) in enumerate(zip(boxes, _DRAWN, strict=False)):
+    read = [smooth_pbox(b.samples, b.box, np.linspace(x.low, x.high, _SMOOTH_POINTS)) if b.smooth else b.box for b in boxes]
+    for number, (drawn, box, (line, fill)) in enumerate(zip(boxes, read, _DRAWN, strict=False)):
+        steps = not drawn.smooth
         if alone and len(drawn.samples) > 1:
-            place = {name: k for k, name in enumerate(_behind(drawn.box))}
-            shown_samples = _curves(drawn)
-            few = len(shown_samples) < len(drawn.samples)
-            every = f"{len(shown_samples)} of {len(drawn.samples)} samples" if few else "one sample each"
-            for sample in shown_samples:
-                data = f' data-corner="{number}.{place[sample.epistemic_id]}"' if sample.epistemic_id in place else ""
-                chart.line(*_steps(sample, x), "corner", every, steps=True, data=data)
-        at = np.concatenate([[x.low], drawn.box.value, [x.high]])
-        # Unknown flights may lie below every value that was seen.
-        unseen = max(sample.unknown / sample.size for sample in drawn.samples)
-        lower, upper = _between(0.0, drawn.box.lower), _between(unseen, drawn.box.upper)
+            _draw_samples(chart, drawn, box, number)
+        at, lower, upper = _sides(drawn, box, x)
         words = drawn.title or "p-box (envelope)"
-        chart.band(at, lower, upper, fill, steps=True)
-        chart.line(at, upper, line, words, steps=True)
-        chart.line(at, lower, line, steps=True)
+        chart.band(at, lower, upper, fill, steps=steps)
+        chart.line(at, upper, line, words, steps=steps)
+        chart.line(at, lower, line, steps=steps)
         if alone:
             # Outside the values flown, the band still says something: at least its first and at most its last step.
-            chart.line(at, _between(drawn.box.band_upper[0], drawn.box.band_upper), "limit", "95 % band, all samples", steps=True)
-            chart.line(at, _between(0.0, drawn.box.band_lower), "limit", steps=True)
+            above = box.band_upper if drawn.smooth else _between(box.band_upper[0], box.band_upper)
+            below = box.band_lower if drawn.smooth else _between(0.0, box.band_lower)
+            chart.line(at, above, "limit", "95 % band, all samples", steps=steps)
+            chart.line(at, below, "limit", steps=steps)
     if mark:
         chart.upright(mark[0], "mark", mark[1])
-    cursor = {"quantity": quantity, "unit": unit, "boxes": [_cursor(k, b) for k, b in enumerate(boxes)]}
+    away = [farthest(b.samples, box) for b, box in zip(boxes, read, strict=True) if b.smooth]
+    if away:
+        caption += f" Curves are smoothed: within {100.0 * max(away):.0f} % of the flights' own steps."
+    cursor = {"quantity": quantity, "unit": unit, "boxes": [_cursor(k, b, read[k], alone) for k, b in enumerate(boxes)]}
     return Figure(name, chart.svg(), caption, cursor)
+
+
+def _draw_samples(chart: Chart, drawn: DrawnBox, box: PBox, number: int) -> None:
+    """A thin curve for each sample; those behind a side of ``box`` are named for the cursor."""
+    place = {name: k for k, name in enumerate(_behind(box))}
+    shown_samples = _curves(drawn, box)
+    few = len(shown_samples) < len(drawn.samples)
+    every = f"{len(shown_samples)} of {len(drawn.samples)} samples" if few else "one sample each"
+    for sample in shown_samples:
+        data = f' data-corner="{number}.{place[sample.epistemic_id]}"' if sample.epistemic_id in place else ""
+        if drawn.smooth:
+            share = smooth_share(sample.values, box.value) * (sample.values.size / sample.size)
+            chart.line(box.value, share, "corner", every, data=data)
+        else:
+            chart.line(*_steps(sample, chart.x), "corner", every, steps=True, data=data)
+
+
+def _sides(drawn: DrawnBox, box: PBox, x: Scale) -> tuple[Array, Array, Array]:
+    """Values and both sides from one end of the axis to the other."""
+    if drawn.smooth:
+        return box.value, box.lower, box.upper
+    # Unknown flights may lie below every value that was seen.
+    unseen = max(sample.unknown / sample.size for sample in drawn.samples)
+    return np.concatenate([[x.low], box.value, [x.high]]), _between(0.0, box.lower), _between(unseen, box.upper)
+
+
+def smooth_share(values: Array, at: Array) -> Array:
+    """Share (m,) of ``values`` (n,) that are at most each of ``at`` (m,), as a Gaussian kernel estimate; values are 0 or larger.
+
+    The bandwidth is s n^(-1/3) with the standard deviation s: the rate of the smallest mean squared error of a distribution
+    function (Azzalini 1981), and less than the (4/n)^(1/3) s that is best for a normal one, since smoothing makes a curve
+    flatter. The part that a kernel puts below 0 is reflected. Without a spread the steps remain. Of more than 1000 values 1000
+    quantiles carry a kernel.
+    """
+    width = float(values.std(ddof=1)) * values.size ** (-1.0 / 3.0) if values.size > 1 else 0.0
+    if not width > 0.0:
+        return np.asarray(np.searchsorted(np.sort(values), at, side="right") / max(values.size, 1), dtype=float)
+
+    middles = values
+    if values.size > _MOST_KERNELS:
+        places = (np.arange(_MOST_KERNELS) + 0.5) * values.size / _MOST_KERNELS
+        middles = np.sort(values)[places.astype(int)]
+
+    def below(ends: Array) -> Array:
+        return np.asarray(normal_tail((middles - ends[:, None]) / width).mean(axis=1))
+
+    return np.where(at < 0.0, 0.0, below(at) - below(-at))
+
+
+def smooth_pbox(samples: Sequence[Sample], box: PBox, at: Array) -> PBox:
+    """The p-box ``box`` of ``samples`` with smooth sides at ``at`` (m,), ascending; flights without a value as in the box.
+
+    The band is as wide around the curves as it is around the steps, and wider by the distance between the two.
+    """
+    shares = np.stack([smooth_share(s.values, at) * (s.values.size / s.size) for s in samples])
+    unknown = np.array([s.unknown / s.size for s in samples])[:, None]
+    lower, upper = shares.min(axis=0), (shares + unknown).max(axis=0)
+    names = np.array([s.epistemic_id for s in samples])
+    curve = PBox(at, lower, upper, lower, upper, names[shares.argmin(axis=0)], names[(shares + unknown).argmax(axis=0)])
+    half = max(float((box.lower - box.band_lower).max()), float((box.band_upper - box.upper).max()))
+    half += farthest(samples, curve)
+    band = (np.clip(lower - half, 0.0, 1.0), np.clip(upper + half, 0.0, 1.0))
+    return PBox(at, lower, upper, *band, curve.corner_lower, curve.corner_upper)
+
+
+def farthest(samples: Sequence[Sample], curve: PBox) -> float:
+    """Largest difference in probability between the sides of ``curve`` and those that the samples' steps make."""
+    ends = envelope(samples, curve.value)
+    return max(float(np.abs(found - wanted).max()) for found, wanted in zip((curve.lower, curve.upper), ends, strict=True))
 
 
 def metric_label(metric: str) -> str:
@@ -94,20 +176,21 @@ def _half(box: PBox, unit: str) -> str:
     return f"{shown(low)} to {shown(high)} {unit}"
 
 
-def _cursor(number: int, drawn: DrawnBox) -> dict[str, Any]:
-    box = drawn.box
-    names = _behind(box)
+def _cursor(number: int, drawn: DrawnBox, box: PBox, alone: bool) -> dict[str, Any]:
+    """What the page's script reads out; without the samples' names where smooth curves lie over each other."""
+    names = _behind(box) if alone or not drawn.smooth else []
     place = {name: k for k, name in enumerate(names)}
     sides = {"lower": box.lower, "upper": box.upper, "band_lower": box.band_lower, "band_upper": box.band_upper}
     return {
         "name": drawn.title,
         "tag": f"{number}.",
+        "smooth": drawn.smooth,
         "corners": [drawn.words.get(name, name) for name in names],
-        "middle": float(f"{np.median(box.value):.4g}"),
+        "middle": float(f"{np.median(drawn.box.value):.4g}"),
         "value": [float(f"{v:.5g}") for v in box.value],
         **{side: [round(float(p), 4) for p in values] for side, values in sides.items()},
-        "at_least": [place[str(name)] for name in box.corner_lower],
-        "at_most": [place[str(name)] for name in box.corner_upper],
+        "at_least": [place[str(name)] for name in box.corner_lower] if names else [],
+        "at_most": [place[str(name)] for name in box.corner_upper] if names else [],
     }
 
 
@@ -116,11 +199,11 @@ def _behind(box: PBox) -> list[str]:
     return list(dict.fromkeys(str(name) for side in (box.corner_lower, box.corner_upper) for name in side))
 
 
-def _curves(drawn: DrawnBox) -> list[Sample]:
+def _curves(drawn: DrawnBox, box: PBox) -> list[Sample]:
     """Samples to draw one by one: all if they are few, else those that set a side and some of the others, evenly chosen."""
     if len(drawn.samples) <= _MOST_CURVES:
         return list(drawn.samples)
-    wanted = set(_behind(drawn.box)[: _MOST_CURVES // 2])
+    wanted = set(_behind(box)[: _MOST_CURVES // 2])
     others = [sample for sample in drawn.samples if sample.epistemic_id not in wanted]
     places = np.unique(np.linspace(0, len(others) - 1, _MOST_CURVES - len(wanted)).round().astype(int))
     wanted |= {others[k].epistemic_id for k in places}

@@ -7,9 +7,21 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from uqharness.campaign import CONFIDENCE, ENOUGH_EXCURSIONS, RateRange, Statement
+from uqharness.report.parts import shown
 from uqharness.statistics import NO, OPEN, YES
 
-_ANSWER_WORDS = {YES: "yes", NO: "no", OPEN: "inconclusive: too few flight hours"}
+_ANSWER_WORDS = {YES: "yes", NO: "no", OPEN: "inconclusive"}
+_OTHER = "other"
+_KIND_WORDS = {
+    "loss_of_control": "Loss of control", "ground_contact": "Ground contact", "diverged": "Diverged", _OTHER: "Ended otherwise",
+}  # fmt: skip
+"""Heads of the columns, by the kind of an aborted flight."""
+
+
+def answer_words(item: Statement) -> str:
+    """The answer in words; of an inconclusive one with the reason."""
+    words = _ANSWER_WORDS[item.answer]
+    return f"{words}: {item.reason or 'too few flight hours'}" if item.answer == OPEN else words
 
 
 def sentence(item: Statement) -> str:
@@ -22,8 +34,7 @@ def sentence(item: Statement) -> str:
     text += f" ({CONFIDENCE:.0%} limits {_limits(item.best)} and {_limits(item.worst)}, flights as the unit, "
     hours = max(rate.hours for rate in cell.rates)
     text = text.replace("%", " %") + f"{hours:.3g} h per corner{' at most' if _uneven(item) else ''}). "
-    answer = f"inconclusive: {item.reason}" if item.reason else _ANSWER_WORDS[item.answer]
-    text += f"At most {item.acceptable_per_h:g} per hour at every corner? {answer.capitalize()}."
+    text += f"At most {item.acceptable_per_h:g} per hour at every corner? {answer_words(item).capitalize()}."
     share = item.flight_share
     return text + (f" {share.capitalize()}." if share else "")
 
@@ -44,6 +55,30 @@ def row(item: Statement) -> dict[str, str]:
         "carried": _carried(item),
         "outside": "not known" if math.isnan(share) else f"{100.0 * share:.2g} %",
     }
+
+
+def aborted_kinds(found: Sequence[Statement]) -> tuple[str, ...]:
+    """Kinds of aborted flights that have a column of their own: the three of a flight that ends, and others where there are some.
+
+    None where no flight was aborted, so that no empty column widens a table.
+    """
+    totals = {kind: sum(item.aborted[kind] for item in found) for kind in _KIND_WORDS}
+    return tuple(kind for kind in _KIND_WORDS if kind != _OTHER or totals[kind]) if any(totals.values()) else ()
+
+
+def aborted_head(kinds: Sequence[str]) -> tuple[str, ...]:
+    """Heads of the columns of aborted flights; none without kinds."""
+    limit = f"Aborted flights, {100 * CONFIDENCE:g} % upper limit [1/h]"
+    return (*(_KIND_WORDS[kind] for kind in kinds), limit) if kinds else ()
+
+
+def aborted_cells(kinds: Sequence[str], items: Sequence[Statement | None]) -> tuple[str, ...]:
+    """Flights aborted by kind, and the upper limit of their rate at the worst corner; of several campaigns one after the other."""
+    if not kinds:
+        return ()
+    counts = (" / ".join("not flown" if item is None else str(item.aborted[kind]) for item in items) for kind in kinds)
+    limits = " / ".join("not flown" if item is None else shown(item.loss_upper_per_h) for item in items)
+    return (*counts, limits)
 
 
 def assumptions(found: Sequence[Statement], campaign: Mapping[str, Any]) -> list[str]:

@@ -27,6 +27,7 @@ from .pbox import poisson_upper as poisson_upper
 from .pbox import widened as widened
 from .rates import Array as Array
 from .rates import bet_logs as bet_logs
+from .rates import dispersion_that_allows as dispersion_that_allows
 from .rates import log_e_above as log_e_above
 from .rates import lower_limits as lower_limits
 from .rates import observed_dispersion as observed_dispersion

@@ -54,8 +54,8 @@ class Evidence:
 
     ``total`` excursions with failed flights bounded from above, ``squares`` of them; logarithms of the ``bets`` against the
     threshold and of ``bets_zone`` against the zone's lower end, counted from below. ``lost`` flights were aborted, ``bets_lost``
-    against their threshold, ``missing`` is the sum of the shares of their time they did not fly. ``answers``: of each corner, ""
-    while it flies.
+    against their threshold, ``missing`` is the sum of the shares of their time they did not fly, ``ended`` the largest count of a
+    flight that ended early. ``answers``: of each corner, "" while it flies.
     """
 
     flights: Array
@@ -66,6 +66,7 @@ class Evidence:
     lost: Array
     bets_lost: Array
     missing: Array
+    ended: Array
     answers: tuple[str, ...]
     cell: str = ""
     reason: str = ""
@@ -87,7 +88,7 @@ class Evidence:
 def begin(corners: int) -> Evidence:
     """No flight flown."""
     none, bets = np.zeros(corners), bet_logs(np.zeros((corners, 1)), 1.0).sum(axis=1) * 0.0
-    return Evidence(none, none, none, bets, bets, none, bets, none, ("",) * corners)
+    return Evidence(none, none, none, bets, bets, none, bets, none, none, ("",) * corners)
 
 
 def add(
@@ -115,6 +116,7 @@ def add(
         lost=evidence.lost + aborted.sum(axis=1),
         bets_lost=evidence.bets_lost + bets_lost,
         missing=evidence.missing + absent.sum(axis=1),
+        ended=np.maximum(evidence.ended, np.where(absent > 0.0, upper, 0.0).max(axis=1, initial=0.0)),
         flights=evidence.flights + flown.sum(axis=1),
         total=evidence.total + upper.sum(axis=1),
         squares=evidence.squares + (upper**2).sum(axis=1),
@@ -128,7 +130,8 @@ def look(evidence: Evidence, question: Question) -> Evidence:
     if evidence.cell:
         return evidence
     wanted, doubly = -np.log(question.error_rate), -np.log(question.error_rate / 2.0)
-    dispersion = np.maximum(evidence.dispersion, question.dispersion)
+    # A flight that ended early counts as a cluster of what it had seen (rates.py).
+    dispersion = np.maximum(np.maximum(evidence.dispersion, evidence.ended), question.dispersion)
 
     def below(mean: float) -> NDArray[np.bool_]:
         return log_e_below(evidence.flights, evidence.total, mean, dispersion, question.dispersion, evidence.missing) >= doubly

@@ -10,7 +10,14 @@
 
 The assumption is stated as the largest ratio ``dispersion`` = Var X / E X (1: Poisson; 3: excursions come in clusters), for which
 kappa = dispersion + mu. It need hold at the tested mean only: above it the ratio may grow in proportion with the mean, because what
-counts is E[X^2]/mu^2. Pure: arrays in, arrays out.
+counts is E[X^2]/mu^2.
+
+A flight may end early, the share M of its time not flown. The rate per flight's length flown is r = E X / (1 - E M), so that
+E[X + r M] = r: limits test Y = X + m M for each m. The upper side needs E[exp(-s Y)] <= 1 - r (1 - exp(-s kappa))/kappa with
+kappa = dispersion + r. Flights that are whole have it from the assumption above. In one that ended early with X <= dispersion,
+Y <= kappa, where exp(-s Y) lies below its chord 1 - Y (1 - exp(-s kappa))/kappa. Both parts together have it, whatever the share
+of flights that end early. So ``dispersion`` is also to be at least the count of any flight that ended early. Pure: arrays in,
+arrays out.
 """
 
 from __future__ import annotations
@@ -28,6 +35,7 @@ _TILTS = np.array([6.0, 2.0, 1.0, 0.5, 0.25, 0.1])
 _TILT_WEIGHTS = np.array([0.75, 0.08, 0.07, 0.05, 0.03, 0.02])
 _CHERNOFF_TILTS = np.geomspace(1e-3, 30.0, 80)
 _BISECTIONS = 45
+_DISPERSIONS = (1e-3, 1e6)
 
 
 def observed_dispersion(counts: Array) -> Array:
@@ -64,17 +72,39 @@ def log_e_below(
     """
     mean = np.asarray(mean, float)
     s = _TILTS / (assumed + mean[..., None])
-    total, kappa = _charged(total, mean, np.maximum(dispersion, assumed), missing)
-    kappa = kappa[..., None]
+    total = total if missing is None else total + mean * missing
+    kappa = (np.maximum(dispersion, assumed) + mean)[..., None]
     logs = -s * total[..., None] - flights[..., None] * np.log1p(mean[..., None] * np.expm1(-s * kappa) / kappa)
     found: Array = logsumexp(logs, axis=-1, b=_TILT_WEIGHTS)
     return found
 
 
-def _charged(total: Array, mean: Array, dispersion: Array, missing: Array | None) -> tuple[Array, Array]:
-    """Counts in which time not flown is charged at the tested mean, and what bounds E[X^2] / E[X] of them."""
-    absent = np.zeros_like(total) if missing is None else missing
-    return total + mean * absent, (dispersion + mean) * np.where(absent > 0.0, (1.0 + mean) ** 2, 1.0)
+def _log_error(flights: Array, total: Array, mean: Array, dispersion: Array, assumed: float | None, missing: Array) -> Array:
+    """Logarithm of what bounds the chance of so few excursions (c,) where ``mean`` is true; arguments of `upper_limits`."""
+    if assumed is not None:
+        return -log_e_below(flights, total, mean, dispersion, assumed, missing)
+    kappa = (dispersion + mean)[..., None]
+    s = _CHERNOFF_TILTS / kappa
+    charged = (total + mean * missing)[..., None]
+    logs = s * charged + flights[..., None] * np.log1p(mean[..., None] * np.expm1(-s * kappa) / kappa)
+    return np.asarray(logs.min(axis=-1))
+
+
+def dispersion_that_allows(
+    mean: float, flights: Array, total: Array, error: float, assumed: float | None = None, missing: Array | None = None
+) -> Array:
+    """Largest dispersions (c,) with which the upper limit of the mean count per flight is at most ``mean``; arguments of
+    `upper_limits`. 0 where no dispersion does."""
+    flights, total = np.asarray(flights, float), np.asarray(total, float)
+    absent = np.zeros_like(total) if missing is None else np.asarray(missing, float)
+    means = np.full_like(total, mean)
+    low, high = np.full_like(total, _DISPERSIONS[0]), np.full_like(total, _DISPERSIONS[1])
+    none = _log_error(flights, total, means, low, assumed, absent) > np.log(error)
+    for _ in range(_BISECTIONS):
+        middle = np.sqrt(low * high)
+        allowed = _log_error(flights, total, means, middle, assumed, absent) <= np.log(error)
+        low, high = np.where(allowed, middle, low), np.where(allowed, high, middle)
+    return np.where(none, 0.0, low)
 
 
 def upper_limits(
@@ -86,21 +116,14 @@ def upper_limits(
     whatever moment the flying was stopped, by the mixture over tilts.
 
     ``missing`` (c,): sums over flights of the share of its time that a flight did not fly. Limits are then of the count per
-    flight's length *flown*: with X the count and M the missing share, E X / (1 - E M) <= m where E[X + m M] <= m, so X + m M is
-    tested at each m. Where a part is missing X is at least 1, so E[(X + m M)^2] <= (1 + m)^2 E[X^2]. inf where too little was
-    flown to say.
+    flight's length *flown*, with ``dispersion`` at least the largest count of a flight that ended early (module's text). inf where
+    too little was flown to say.
     """
     flights, total, dispersion = (np.asarray(item, float) for item in (flights, total, dispersion))
     absent = np.zeros_like(total) if missing is None else np.asarray(missing, float)
 
     def log_error(mean: Array) -> Array:
-        if assumed is not None:
-            return -log_e_below(flights, total, mean, dispersion, assumed, absent)
-        charged, kappa = _charged(total, mean, dispersion, absent)
-        kappa = kappa[..., None]
-        s = _CHERNOFF_TILTS / kappa
-        logs = s * charged[..., None] + flights[..., None] * np.log1p(-mean[..., None] * -np.expm1(-s * kappa) / kappa)
-        return np.asarray(logs.min(axis=-1))
+        return _log_error(flights, total, mean, dispersion, assumed, absent)
 
     high = np.maximum(total / np.maximum(flights, 1.0), 1.0 / np.maximum(flights, 1.0))
     wanted = np.log(error)

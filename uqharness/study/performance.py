@@ -30,7 +30,9 @@ _QUANTITIES = (
     ("speed_median_mps", "speed error", "m/s"), ("heading_median_deg", "heading error", "deg"),
 )  # fmt: skip
 _LEVELS = {YES: GOOD, NO: BAD, OPEN: WARN}
-_ANSWERS = {YES: "yes", NO: "no", OPEN: "inconclusive (too few flight hours)"}
+_ANSWERS = {YES: "yes", NO: "no", OPEN: "inconclusive"}
+TOO_FEW = "too few flight hours"
+"""Why an answer is inconclusive whose statement gives no other reason."""
 CONDITIONS_TOLD = 4
 """Conditions that are told one by one; of more than that, the hardest, with all of them counted."""
 MUCH_OUTSIDE = 0.1
@@ -103,6 +105,11 @@ def asked_of(flown: Flown) -> list[Statement]:
     return [item for condition in conditions(flown.frame) for item in _asked(flown.signed, condition)]
 
 
+def answer_words(item: Statement) -> str:
+    """The answer in words; of an inconclusive one with the reason."""
+    return f"{_ANSWERS[item.answer]} ({item.reason or TOO_FEW})" if item.answer == OPEN else _ANSWERS[item.answer]
+
+
 def _asked(signed: Sequence[Statement], condition: Condition) -> list[Statement]:
     """The statement about the smallest radius, which is what is asked; none where no distance from a path is known."""
     here = [item for item in signed if item.cell.condition == condition and item.cell.distance == "horizontal"]
@@ -124,7 +131,7 @@ def _tally(flown: Flown) -> Sentence:
     for answer in (YES, NO, OPEN):
         named = [item.cell.condition.label for item in asked if item.answer == answer]
         if named:
-            words.append(f"{_ANSWERS[answer].split(' (')[0]} in {len(named)} ({', '.join(named)})")
+            words.append(f"{_ANSWERS[answer]} in {len(named)} ({', '.join(named)})")
     text = f"At most {asked[0].acceptable_per_h:g} excursions beyond {radius:g} m per flight hour at every corner? "
     text += f"Of {len(asked)} conditions: "
     answers = {item.answer for item in asked}
@@ -135,15 +142,13 @@ def _excursions(item: Statement, before: Statement | None) -> Sentence:
     cell = item.cell
     asked = (
         f"In {cell.condition.words}: at most {item.acceptable_per_h:g} excursions beyond {cell.radius_m:g} m per flight hour "
-        f"at every corner? {_ANSWERS[item.answer].capitalize()}: {_rates(item)}"
+        f"at every corner? {answer_words(item).capitalize()}: {_rates(item)}"
     )
-    if item.reason:
-        asked += f" ({item.reason})"
     if item.flight_share:
         asked += f"; {item.flight_share}"
     if before is None:
         return asked + ".", _LEVELS[item.answer]
-    return f"{asked}. Before refinement: {_ANSWERS[before.answer].split(' (')[0]}, {_rates(before)}.", _LEVELS[item.answer]
+    return f"{asked}. Before refinement: {_ANSWERS[before.answer]}, {_rates(before)}.", _LEVELS[item.answer]
 
 
 def _rates(item: Statement) -> str:

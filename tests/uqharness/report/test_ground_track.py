@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from lxml import etree
 
-from uqharness.report.ground_track import Circle, circle_of, equal_scales, flown_track, ground_track
+from uqharness.report.ground_track import Circle, circle_of, equal_scales, flown_track, ground_track, lap_of, track_distance
 from uqharness.report.svg import Chart
 
 TIME = np.arange(0.0, 200.0, 0.2)
@@ -56,45 +56,91 @@ def test_distances_from_something_else_are_no_circle():
     assert circle_of(flown["north_m"][:5], flown["east_m"][:5], flown["distance_m"][:5]) is None
 
 
-def test_one_lap_around_the_farthest_place_with_a_legend_for_every_line():
-    figure = ground_track("track", pair(), 15.0, "12 m/s wind")
-    svg = etree.fromstring(str(figure.svg))
-    words = {e.text for e in svg.iter("text")}
-    assert {
-        "commanded path",
-        "15 m from it",
-        "nominal, before",
-        "worst corner, before",
-        "nominal, after",
-        "worst corner, after",
-    } <= words
-    # The course turns a little faster or slower than the circle where the distance changes.
-    assert figure.caption.split(" in ")[0] in [f"One lap ({s} s)" for s in (39, 40, 41)]
+LINES = {"nominal, before", "worst corner, before", "nominal, after", "worst corner, after"}
+
+
+def words_in(figure):
+    return {e.text for e in etree.fromstring(str(figure.svg)).iter("text")}
+
+
+def lines_in(figure):
+    """Classes of the lines inside the axes, in the order in which they are drawn."""
+    (inside,) = [e for e in etree.fromstring(str(figure.svg)).iter("g") if e.get("clip-path")]
+    return [e.get("class").removeprefix("line ") for e in inside.iter("path") if e.get("class", "").startswith("line")]
+
+
+def test_the_track_has_a_line_and_a_legend_for_every_flight():
+    figure = ground_track("track", lap_of(pair()), 15.0, "12 m/s wind")
+    assert {"commanded path", "15 m from it"} | LINES <= words_in(figure)
+    # The path and two limits, worst corners below, and the dashed lines of before above those of after.
+    assert lines_in(figure) == ["third", "limit", "limit", "first", "second", "first thin", "second thin"]
     largest = 0.9 * np.abs(AWAY).max()
-    assert f"worst corner, after: {largest:.3g} m" in figure.caption
-    # The tracks, the path and two limits, each drawn once beside its key.
-    assert len([e for e in svg.iter("path") if e.get("class", "").startswith("line")]) == 4 + 3 + 6
+    assert f"{largest:.3g} m (worst corner, after)" in figure.svg
+
+
+def test_the_distance_over_the_lap_shows_each_flight_against_the_radius():
+    lap_found = lap_of(pair())
+    figure = track_distance("distance", lap_found, 15.0)
+    assert {"commanded path", "15 m from it", "time in the lap [s]", "distance from the path [m], outside positive"} <= words_in(
+        figure
+    )
+    assert words_in(figure) >= LINES
+    # No flight comes near the limit inside the circle, which is not drawn.
+    assert lines_in(figure) == ["third", "limit", "first", "second", "first thin", "second thin"]
+    assert f"in the whole flight {0.9 * np.abs(AWAY).max():.3g} m (worst corner, after)" in figure.caption
+    inside = table(**{"before_worst-corner": lap(-AWAY)})
+    assert lines_in(track_distance("distance", lap_of(inside), 15.0)) == ["third", "limit", "limit", "second"]
+
+
+def test_the_lap_is_the_one_in_which_the_flights_are_farthest_apart():
+    """Both flights go out by 20 m at 120 s, and differ by 3 m at 60 s."""
+    other = AWAY + 3.0 * np.exp(-(((TIME - 60.0) / 4.0) ** 2))
+    found = lap_of(table(**{"before_nominal": lap(AWAY), "before_worst-corner": lap(other)}))
+    assert (found.at_s, found.apart_m) == (pytest.approx(60.0, abs=0.2), pytest.approx(3.0, abs=0.01))
+    # The course turns a little faster or slower than the circle where the distance changes.
+    assert found.end_s - found.begin_s == pytest.approx(40.0, abs=2.0)
+    assert found.begin_s < 60.0 < found.end_s
+    assert found.largest_m == pytest.approx(np.abs(other).max())
+    assert "in which the lines are 3 m apart" in ground_track("track", found, 15.0, "calm").caption
+    same = lap_of(table(**{"before_nominal": lap(AWAY), "before_worst-corner": lap(AWAY)}))
+    assert same.at_s == pytest.approx(TIME[np.abs(AWAY).argmax()])
+    assert "in which the worst corner is farthest from its path" in ground_track("track", same, 15.0, "calm").caption
+
+
+def test_a_lap_at_the_end_of_a_flight_is_a_whole_one():
+    late = AWAY + 9.0 * np.exp(-(((TIME - 199.0) / 4.0) ** 2))
+    found = lap_of(table(**{"before_nominal": lap(AWAY), "before_worst-corner": lap(late)}))
+    assert found.end_s == pytest.approx(TIME[-1], abs=0.5)
+    assert found.end_s - found.begin_s == pytest.approx(40.0, abs=2.0)
+
+
+def test_a_flight_that_ended_early_is_compared_while_it_flew():
+    short = {name: values[TIME < 100.0] for name, values in lap(AWAY + 5.0 * (TIME > 80.0)).items()}
+    found = lap_of(table(**{"before_nominal": short, "before_worst-corner": lap(AWAY)}))
+    assert 80.0 <= found.at_s < 100.0
+    assert found.apart_m == pytest.approx(5.0)
 
 
 def test_without_refinement_there_is_no_before():
-    figure = ground_track("track", table(**{"before_nominal": lap(0.5 * AWAY), "before_worst-corner": lap(AWAY)}), 15.0, "calm")
-    assert {"nominal", "worst corner"} <= {e.text for e in etree.fromstring(str(figure.svg)).iter("text")}
+    found = lap_of(table(**{"before_nominal": lap(0.5 * AWAY), "before_worst-corner": lap(AWAY)}))
+    for figure in (ground_track("track", found, 15.0, "calm"), track_distance("distance", found, 15.0)):
+        assert {"nominal", "worst corner"} <= words_in(figure)
 
 
 def test_a_path_that_is_no_circle_is_not_drawn():
-    flown = lap(AWAY)
-    figure = ground_track("track", table(**{"before_worst-corner": flown | {"distance_m": np.abs(AWAY)}}), 15.0, "calm")
-    assert "commanded path" not in str(figure.svg)
+    found = lap_of(table(**{"before_worst-corner": lap(AWAY) | {"distance_m": np.abs(AWAY)}}))
+    assert "commanded path" not in words_in(ground_track("track", found, 15.0, "calm"))
+    assert "distance from the path [m]" in words_in(track_distance("distance", found, 15.0))
 
 
 def test_a_straight_flight_is_cut_to_two_minutes():
     straight = {"time_s": TIME, "north_m": 20.0 * TIME, "east_m": 0.0 * TIME, "distance_m": np.where(TIME == 100.0, 5.0, 0.0)}
-    assert "(120 s)" in ground_track("track", table(**{"before_worst-corner": straight}), 15.0, "calm").caption
+    assert "(120 s)" in ground_track("track", lap_of(table(**{"before_worst-corner": straight})), 15.0, "calm").caption
 
 
-def test_flights_without_a_distance_are_no_track():
-    flown = lap(AWAY) | {"distance_m": np.nan * TIME}
-    assert ground_track("track", table(**{"before_worst-corner": flown}), 15.0, "calm") is None
+def test_flights_without_a_distance_have_no_lap():
+    assert lap_of(table(**{"before_worst-corner": lap(AWAY) | {"distance_m": np.nan * TIME}})) is None
+    assert lap_of(table(before_nominal=lap(AWAY))) is None
 
 
 def test_a_metre_is_as_long_to_the_east_as_to_the_north():

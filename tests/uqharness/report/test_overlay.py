@@ -36,6 +36,10 @@ def test_each_quantity_in_common_has_a_figure_and_a_row(pair):
     (table,) = (block for block in section.blocks if isinstance(block, Table))
     assert len(figures.items) == len(table.rows) == len(pair[0].findings)
     assert all(len(figure.cursor["boxes"]) == 2 for figure in figures.items)
+    assert [box["name"] for box in figures.items[0].cursor["boxes"]] == ["after", "before"]
+    # A width is a fact, and no tick stands beside it.
+    changes = [row[-1] for row in table.rows]
+    assert all(change.level == ("warn" if change.small == "wider" else "") for change in changes)
     fewer = replace(pair[1], findings=pair[1].findings[:1])
     (left,) = (block for block in overlay_section(pair[0], fewer, NAMES).blocks if isinstance(block, Figures))
     assert len(left.items) == 1

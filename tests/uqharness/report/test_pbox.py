@@ -6,8 +6,9 @@ import json
 
 import numpy as np
 import pytest
+from lxml import etree
 
-from uqharness.report.pbox import DrawnBox, metric_label, pbox_figure
+from uqharness.report.pbox import DrawnBox, farthest, metric_label, pbox_figure, smooth_pbox, smooth_share
 from uqharness.statistics.pbox import Sample, pbox
 
 
@@ -22,6 +23,66 @@ def test_many_samples_make_no_large_page():
     (cursor,) = figure.cursor["boxes"]
     assert [cursor["corners"][k] for k in cursor["at_least"]] == [words[str(name)] for name in box.corner_lower]
     assert f'data-corner="0.{cursor["at_least"][0]}"' in figure.svg
+
+
+def drawn(flights, factor=1.0, unknown=0):
+    draw = np.random.default_rng(2)
+    return [Sample(f"s{k}", factor * (1.0 + k / 40.0) * draw.gamma(9.0, 0.3, size=flights), unknown) for k in range(20)]
+
+
+def test_a_smooth_share_rises_without_steps_from_0_to_1():
+    values = np.random.default_rng(3).gamma(9.0, 0.3, size=40)
+    at = np.linspace(0.0, 8.0, 400)
+    share = smooth_share(values, at)
+    assert np.all(np.diff(share) >= 0.0)
+    assert np.diff(share).max() < 0.5 / 40
+    assert (share[0], share[-1]) == (pytest.approx(0.0, abs=1e-9), pytest.approx(1.0, abs=1e-9))
+    # Near the true function as the steps are, which 40 flights leave off by 0.1 or so.
+    many = smooth_share(np.random.default_rng(4).gamma(9.0, 0.3, size=20000), at)
+    assert np.abs(share - many).max() < 0.2
+
+
+def test_nothing_is_put_below_an_error_of_0():
+    share = smooth_share(np.abs(np.random.default_rng(5).normal(size=100)), np.array([-1.0, 0.0, 0.1]))
+    assert share[:2].tolist() == [0.0, 0.0]
+    assert share[2] == pytest.approx(0.08, abs=0.03)
+
+
+@pytest.mark.parametrize("values", [[2.0], [2.0, 2.0, 2.0]])
+def test_values_without_a_spread_stay_a_step(values):
+    assert smooth_share(np.array(values), np.array([1.9, 2.0, 2.1])).tolist() == [0.0, 1.0, 1.0]
+
+
+def test_the_smooth_box_keeps_failed_flights_and_a_band_that_holds_the_steps():
+    samples = drawn(40, unknown=10)
+    box = pbox(samples)
+    curve = smooth_pbox(samples, box, np.linspace(0.0, 30.0, 160))
+    assert curve.lower[-1] == pytest.approx(0.8)
+    assert curve.upper[0] == pytest.approx(0.2)
+    assert 0.0 < farthest(samples, curve) < 0.1
+    places = np.searchsorted(box.value, curve.value, side="right") - 1
+    known = places >= 0
+    assert np.all(curve.band_lower[known] <= box.band_lower[places[known]] + 1e-12)
+    assert np.all(curve.band_upper[known] >= box.band_upper[places[known]] - 1e-12)
+
+
+@pytest.mark.parametrize("names", [("",), ("after", "before")])
+def test_smooth_curves_are_drawn_without_steps_and_say_how_far_they_are_from_them(names):
+    boxes = []
+    for name in names:
+        samples = drawn(40, 1.5 if name == "before" else 1.0)
+        boxes.append(DrawnBox(name, pbox(samples), samples, {}, smooth=True))
+    figure = pbox_figure("smooth", "error", "m", boxes, "Caption.")
+    (inside,) = [e for e in etree.fromstring(str(figure.svg)).iter("g") if e.get("clip-path")]
+    assert not any("V" in path.get("d") for path in inside.iter("path"))
+    assert "Caption. Curves are smoothed: within " in figure.caption
+    for cursor in figure.cursor["boxes"]:
+        assert np.all(np.diff(cursor["upper"]) >= 0.0)
+        # Lines of the samples are there to be picked where a box is alone.
+        assert bool(cursor["corners"]) == (len(names) == 1)
+    assert ('data-corner="0.0"' in figure.svg) == (len(names) == 1)
+    low, high = boxes[0].box.quantile(0.5)
+    assert f"{low:.3g} to {high:.3g} m" in figure.svg
 
 
 @pytest.mark.parametrize(

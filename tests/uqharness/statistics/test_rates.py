@@ -112,3 +112,51 @@ def test_nothing_counted_or_nothing_flown():
     lonely = np.zeros((1, 200_000))
     lonely[0, 0] = 1.0
     assert 0.0 <= lower_limits(lonely, 0.025)[0] < 0.05 / 200_000
+
+
+def ended_early(generator, campaigns, flights, rate, abort, cluster=1):
+    """Counts, shares of time not flown, and the true count per flight's length flown: an aborted flight adds one excursion."""
+    lost = generator.random((campaigns, flights)) < abort
+    missing = np.where(lost, generator.random((campaigns, flights)), 0.0)
+    counts = cluster * generator.poisson(rate / cluster * (1.0 - missing)) + 1.0 * lost
+    return counts, missing, rate + abort / (1.0 - abort / 2.0)
+
+
+def limits_of(counts, missing, dispersion, assumed=None):
+    flights = np.full(len(counts), float(counts.shape[1]))
+    ended = np.where(missing > 0.0, counts, 0.0).max(axis=1)
+    allowed = np.maximum(np.maximum(observed_dispersion(counts), dispersion), ended)
+    return upper_limits(flights, counts.sum(axis=1), allowed, 0.05, assumed, missing.sum(axis=1))
+
+
+def test_time_not_flown_costs_what_it_is_worth():
+    """Two excursions in 50 flights, one of them aborted halfway: hardly more than whole flights say."""
+    whole, ended = (upper_limits([50.0], [2.0], [2.0], 0.025, None, [missing])[0] for missing in (0.0, 0.5))
+    assert whole < ended < 1.05 * whole
+    # All flights ended as they began: no time was flown, no limit can be told.
+    assert upper_limits([50.0], [50.0], [1.0], 0.025, None, [50.0])[0] == np.inf
+
+
+@pytest.mark.parametrize(("rate", "abort", "cluster"), [(0.0, 0.05, 1), (0.3, 0.1, 1), (0.0, 0.6, 1), (0.4, 0.3, 4), (5.0, 0.5, 2)])
+def test_limits_per_time_flown_cover_the_truth_and_are_finite(rate, abort, cluster):
+    counts, missing, truth = ended_early(np.random.default_rng(8), 1500, 80, rate, abort, cluster)
+    for assumed in (None, float(cluster)):
+        found = limits_of(counts, missing, float(cluster), assumed)
+        assert np.mean(found >= truth) >= 0.95
+        assert np.isfinite(found).all()
+        assert np.median(found) < (5.0 if assumed is None else 8.0) * truth
+
+
+def test_limits_that_charge_nothing_for_time_not_flown_do_not_cover():
+    counts, missing, truth = ended_early(np.random.default_rng(8), 1500, 80, 0.0, 0.6)
+    assert np.mean(limits_of(counts, 0.0 * missing, 1.0) >= truth) < 0.8
+
+
+def test_evidence_with_flights_that_end_early_has_a_mean_of_one_at_most():
+    """At the true count per length flown, whatever the share of flights that end early."""
+    for rate, abort in ((0.0, 0.5), (0.5, 0.2)):
+        counts, missing, truth = ended_early(np.random.default_rng(9), 20_000, 30, rate, abort)
+        ended = np.where(missing > 0.0, counts, 0.0).max(axis=1)
+        flights = np.full(20_000, 30.0)
+        found = np.exp(log_e_below(flights, counts.sum(axis=1), truth, np.maximum(ended, 1.0), 1.0, missing.sum(axis=1)))
+        assert found.mean() <= 1.0 + 4.0 * found.std() / np.sqrt(found.size)

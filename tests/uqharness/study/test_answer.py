@@ -7,12 +7,13 @@ from dataclasses import replace
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
+from uqharness.campaign.carried import BEYOND, carried
 from uqharness.campaign.cases import Mission
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.spec.read import read_campaign
 from uqharness.study.answer import answer_of
-from uqharness.study.performance import read_flown
+from uqharness.study.performance import performance, read_flown
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
@@ -62,8 +63,13 @@ def _no_check_flight(monkeypatch):
     monkeypatch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)
 
 
-def answered(tmp_path, before, after=None, flights=40, winds="3", no=()):
+def clustered(*asked):
+    return replace(carried(*asked), beyond=True)
+
+
+def answered(tmp_path, before, after=None, flights=40, winds="3", no=(), air='"moderate"'):
     text = TWO_CORNERS.replace("flights = 3", f"flights = {flights}").replace("wind_mps = 3", f"wind_mps = {winds}")
+    text = text.replace('turbulence = "moderate"', f"turbulence = {air}")
     for name, fly in (("campaign-before", before), ("campaign-after", after)):
         if fly is not None:
             spec = read_campaign(fakes.campaign_file(tmp_path, text))
@@ -75,25 +81,27 @@ def answered(tmp_path, before, after=None, flights=40, winds="3", no=()):
 def test_quiet_flights_are_a_yes_with_the_limit_that_says_so(tmp_path):
     found = answered(tmp_path, quiet)
     assert found.level == "good"
-    assert found.answer == (
-        "Yes in 3 m/s wind with moderate turbulence: at most 2 excursions beyond 15 m per flight hour at every corner, "
-        "95 % confidence."
-    )
+    assert found.answer == "Yes in 3 m/s wind with moderate turbulence (95 % confidence)."
     # (1 - m/(D + m))^40 = 0.025 with 40 flights of 0.25 h and D = 2: m = 0.193 a flight.
-    assert "3 m/s moderate: 95 % upper limit 0.773/h at the worst corner; 20 h a condition, no flights aborted." in found.why
+    assert found.why == (
+        "Why: excursions beyond 15 m, worst corner: at most 0.773/h in 3 m/s; acceptable 2/h; 20 h a condition, no flights aborted."
+    )
     assert (found.lacked, found.next) == ("", "Next: nothing for this question.")
 
 
 def test_a_worse_model_is_a_no(tmp_path):
     found = answered(tmp_path, bad_corner)
     assert (found.level, found.answer[:9]) == ("bad", "No in 3 m")
-    assert "36/h at the worst corner, 95 % limits " in found.why
+    assert "worst corner: 36/h (" in found.why
     # The lower corner has none, so a better model may change it.
-    assert "a better model may change it" in found.next
+    assert "a better model may change the no in 3 m/s moderate: the best corner has 0/h." in found.next
 
 
 def test_a_no_at_every_corner_is_told_apart_from_one_that_a_better_model_may_change(tmp_path):
-    assert "fails at the best corner too" in answered(tmp_path, everywhere).next
+    found = answered(tmp_path, everywhere).next
+    assert "fails at the best corner too" in found
+    # A flight narrows the model, which changes nothing here.
+    assert found.endswith("so no better model changes it.")
 
 
 def test_too_few_hours_are_inconclusive_and_say_how_many_would_do(tmp_path):
@@ -116,24 +124,67 @@ def test_a_rate_near_the_acceptable_one_asks_for_hours_without_promising_a_numbe
 def test_aborted_flights_are_no_yes(tmp_path):
     found = answered(tmp_path, ends_early)
     assert found.level == "bad"
-    assert "80 flights aborted" in found.why
+    assert "80 flights aborted (diverged 80)" in found.why
 
 
 def test_conditions_are_grouped_by_answer_and_compared_with_those_before(tmp_path):
     found = answered(tmp_path, everywhere, windy, winds="[1, 3, 7]")
-    assert found.answer.startswith("Yes in 1 and 3 m/s wind with moderate turbulence; no in 7 m/s wind with moderate turbulence: ")
+    assert found.answer.startswith("Yes in 1 and 3 m/s, no in 7 m/s wind with moderate turbulence (95 % confidence).")
     assert found.level == "warn"
     assert found.answer.endswith(" Before refinement: no in 1 and 3 m/s wind with moderate turbulence.")
     same = answered(tmp_path / "same", windy, windy)
-    assert same.answer.endswith(" Before refinement: the same answers.")
+    assert "Before refinement" not in same.answer
+    assert same.lacked.endswith(", same answers.")
+    assert "same answers" not in found.lacked
 
 
 def test_what_the_model_lacked_and_what_adding_it_bought(tmp_path):
     found = answered(tmp_path, quiet, quiet)
     assert found.lacked == (
-        "The model lacked rolling moment due to elevator 0.0003 ± 1e-06 1/deg. Adding them: residual of p on the held-out flight "
-        "4 sigma before, 1 after; p-box of the cross-track error 0 % wider in 3 m/s moderate."
+        "The model lacked rolling moment due to elevator. With it: held-out residual of p from 4 to 1 sigma, cross-track p-box as "
+        "wide, same answers."
     )
+
+
+def test_conditions_of_several_turbulences_are_named_by_it(tmp_path):
+    found = answered(tmp_path, windy, winds="[3, 7]", air='["light", "moderate"]')
+    assert found.answer.startswith(
+        "Yes in 3 m/s wind with light turbulence, 3 m/s wind with moderate turbulence; "
+        "no in 7 m/s wind with light turbulence, 7 m/s wind with moderate turbulence ("
+    )
+    assert " in 3 m/s moderate, " in found.why
+
+
+def test_clusters_beyond_the_carried_limit_are_the_reason_and_more_hours_no_advice(tmp_path, monkeypatch):
+    monkeypatch.setattr("uqharness.campaign.statements.carried", clustered)
+    found = answered(tmp_path, quiet)
+    assert (found.level, found.answer[:52]) == ("warn", "Inconclusive (clusters beyond the carried limit) in ")
+    assert found.next == (
+        "Next: raise [metrics] dispersion for 3 m/s moderate: clusters beyond the carried limit, which more hours do not change."
+    )
+    (said, *_) = [text for text, _ in performance(read_flown(tmp_path, both=False)) if "at every corner?" in text]
+    assert "Inconclusive (clusters beyond the carried limit): " in said
+    assert "too few flight hours" not in said
+
+
+def test_hours_and_clusters_are_each_named_with_their_conditions(tmp_path):
+    answered(tmp_path, quiet, flights=4, winds="[1, 3]")
+    flown = read_flown(tmp_path, both=False)
+    first, *rest = flown["before"].signed
+    other = replace(first, reason=BEYOND, dispersion=replace(first.dispersion, beyond=True))
+    other = replace(flown["before"], signed=[other, *rest])
+    found = answer_of({"before": other}, None, [])
+    assert found.answer.startswith(
+        "Inconclusive (clusters beyond the carried limit) in 1 m/s, inconclusive (too few flight hours) in 3 m/s"
+    )
+    assert "4.25 h per corner in 3 m/s moderate" in found.next
+    assert "raise [metrics] dispersion for 1 m/s moderate" in found.next
+
+
+def test_lines_fit_two_rows_of_a_terminal(tmp_path):
+    question = "Can the E-SPAARO hold 15 m of the circle in moderate turbulence?"
+    found = answered(tmp_path, windy, windy, winds="[3, 7, 12]")
+    assert max(len(line) for line in (f"{question} {found.answer}", found.why, found.lacked, found.next)) <= 160
 
 
 def test_a_refinement_without_effect_and_stages_that_answered_no(tmp_path):

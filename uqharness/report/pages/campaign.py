@@ -113,8 +113,8 @@ def grid_section(signed: Sequence[Statement], title: str = "Where the answer is 
     acceptable = f"{signed[0].acceptable_per_h:g}" if signed else ""
     text = (
         f"The question of each cell: at most {acceptable} excursions per flight hour at every corner? ✓ yes: every corner lies at "
-        "or below; ✕ no: some corner lies above; ? inconclusive: too few flight hours. Below the answer stands the rate at the "
-        f"worst corner with its {_SURE} limits, in excursions per flight hour."
+        "or below; ✕ no: some corner lies above; ? inconclusive: too few flight hours, or for the reason in the cell. Below the "
+        f"answer stands the rate at the worst corner with its {_SURE} limits, in excursions per flight hour."
     )
     if not signed:
         return Section(title, (Words("This campaign counts no excursions.", note=True),))
@@ -141,7 +141,7 @@ def _grid_cell(item: Statement | None) -> Cell:
     limits = f"{item.worst.lower:.2g} to {shown(item.worst.upper)}"
     rate = "undefined: no flight was scored" if math.isnan(item.worst.rate) else f"{item.worst.rate:.3g} per h [{limits}]"
     level: Level = answer_level(item)
-    return Cell(item.answer, level, rate, mark=_MARKS[item.answer])
+    return Cell(item.answer, level, f"{item.reason}; {rate}" if item.reason else rate, mark=_MARKS[item.answer])
 
 
 def rate_sections(found: CampaignFound) -> list[Section]:
@@ -154,12 +154,14 @@ def rate_sections(found: CampaignFound) -> list[Section]:
         f'says that every corner lies at or below {acceptable} per hour, "no" that some corner lies above; each is wrong with '
         "a probability of at most the error rate of its condition."
     )
+    kinds = report_statements.aborted_kinds(signed)
     head = (
         "Condition", "Beyond", "Best corner [1/h]", "Worst corner [1/h]", f"At most {acceptable} per hour?", "Flight hours",
-        "Variance over mean", "Allowed for, and hours needed without excursions", "Time outside the data",
+        *report_statements.aborted_head(kinds), "Variance over mean", "Allowed for, and hours needed without excursions",
+        "Time outside the data",
     )  # fmt: skip
     words = corner_words(found.frame)
-    rows = tuple(_signed_row(item, words) for item in signed)
+    rows = tuple(_signed_row(item, words, kinds) for item in signed)
     first = Section(
         "Supportable claims",
         (
@@ -186,10 +188,10 @@ def rate_sections(found: CampaignFound) -> list[Section]:
     return [first, second]
 
 
-def _signed_row(item: Statement, words: dict[str, str]) -> tuple[str | Cell, ...]:
+def _signed_row(item: Statement, words: dict[str, str], kinds: Sequence[str]) -> tuple[str | Cell, ...]:
     row = report_statements.row(item)
     worst = Cell(row["worst"], small=words.get(row["worst_corner"], row["worst_corner"]))
-    answer = Cell(item.answer, answer_level(item), mark=_MARKS[item.answer])
+    answer = Cell(item.answer, answer_level(item), item.reason, mark=_MARKS[item.answer])
     return (
         row["condition"],
         row["radius"],
@@ -197,6 +199,7 @@ def _signed_row(item: Statement, words: dict[str, str]) -> tuple[str | Cell, ...
         worst,
         answer,
         row["hours"],
+        *report_statements.aborted_cells(kinds, [item]),
         row["dispersion"],
         row["carried"],
         row["outside"],

@@ -53,7 +53,7 @@ def _verdict(fit: Mapping[str, Any]) -> tuple[Say, ...]:
     known = [n for n, row in parameters.items() if row["status"] == _IDENTIFIED]
     missing = [n for n in parameters if n not in known]
     said = [
-        Say(f"Estimation converged ({fit.get('method', 'method not recorded')}).", "good")
+        Say(f"Estimation converged ({fit.get('method', 'method not recorded')}).")
         if fit.get("converged")
         else Say("Estimation did not converge: the estimates below are not valid.", "bad")
     ]
@@ -61,7 +61,7 @@ def _verdict(fit: Mapping[str, Any]) -> tuple[Say, ...]:
         text = f"{len(known)} of {len(parameters)} parameters are identified; not identified: {', '.join(missing)}."
         said.append(Say(text, "warn" if known else "bad"))
     else:
-        said.append(Say(f"All {len(parameters)} parameters are identified.", "good"))
+        said.append(Say(f"All {len(parameters)} parameters are identified."))
     said += _filter_left(fit["fit"]) if fit.get("method") == FILTER else _output_left(fit["fit"])
     return tuple(said)
 
@@ -106,7 +106,7 @@ def _parameter_section(parameters: Mapping[str, Mapping[str, Any]], prefix: str)
     rows = []
     for name, row in parameters.items():
         known = row["status"] == _IDENTIFIED
-        status = Cell(row["status"], "good" if known else "warn", row.get("reason") or "")
+        status = Cell(row["status"], "" if known else "warn", row.get("reason") or "")
         spread = (shown(row["std"], ".2g"), shown(row["std_crb"], ".2g")) if known else ("not identified", "not identified")
         value = shown(row["value"], ".5g")
         rows.append((Cell(name, code=True), shown(row.get("initial"), ".5g"), value, *spread, status))

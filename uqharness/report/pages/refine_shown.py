@@ -23,7 +23,7 @@ def interval_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
     rows = []
     for name, r in intervals["coefficients"].items():
         before, after = r["width_before"], r["width_after"]
-        level: Level = "" if before is None or after is None or before == after else "good" if after < before else "bad"
+        level: Level = "warn" if before is not None and after is not None and after > before else ""
         rows.append((name, shown(before), Cell(shown(after), level), *(_share(r, when) for when in ("before", "after"))))
     head = ("Coefficient [-]", "Mean width before", "After", "Test samples inside before [%]", "After [%]")
     caption = f"{100.0 * intervals['confidence']:g} % intervals of each model, fitted on the train flights."

@@ -21,7 +21,7 @@ from uqharness.report.parts import Block, Bullets, Cell, Code, Level, Page, Say,
 from uqharness.result_documents import Study, read_document
 
 STUDY = "study.json"
-_STATES: Mapping[str, Level] = {"done": "good", "running": "warn", "waiting": "", "failed": "bad"}
+_STATES: Mapping[str, Level] = {"done": "", "running": "warn", "waiting": "", "failed": "bad"}
 _KEPT: Mapping[str, tuple[str, ...]] = {
     "identify": ("Parameters",),
     "compare": ("Gap by channel", "Log against model"),

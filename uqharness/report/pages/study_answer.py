@@ -13,19 +13,21 @@ from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table
 from uqharness.refinement.showing import Refinement
 from uqharness.replay import HISTORIES, read_histories
-from uqharness.report.campaign import CampaignFound, answer_level
-from uqharness.report.ground_track import ground_track
+from uqharness.report.campaign import CampaignFound, answer_level, span
+from uqharness.report.ground_track import ground_track, lap_of, track_distance
 from uqharness.report.history import Model, farthest_figure
 from uqharness.report.pages.compare import ratio_figure
 from uqharness.report.pages.refine_effects import capital
 from uqharness.report.parts import Block, Cell, Figure, Figures, Level, Say, Section, Table, Words, shown
 from uqharness.report.pbox import DrawnBox, corner_words, pbox_figure
+from uqharness.report.statements import aborted_cells, aborted_head, aborted_kinds
 from uqharness.result_documents import read_document
 
 _SURE = f"{100 * CONFIDENCE:g} %"
 _MARKS = {"yes": "✓", "no": "✕", "open": "?"}
 _WORDS = {"yes": "yes", "no": "no", "open": "inconclusive"}
 _FIRST = ("cross_track_median_m", "altitude_median_m", "speed_median_mps", "heading_median_deg")
+_NONE_ABORTED = "No flight was aborted."
 _TRACK_COLUMNS = ("when", "model", "time_s", "north_m", "east_m", "distance_m")
 Sides = Mapping[str, CampaignFound]
 """Campaigns by when they were flown: before, after."""
@@ -39,26 +41,33 @@ def answer_says(answer: Mapping[str, Any]) -> tuple[Say, ...]:
 
 
 def first_figures(folder: Path, study: Mapping[str, Any], sides: Sides, missing: list[str]) -> tuple[Block, ...]:
-    """The ground track and the p-box of the hardest condition; those of the two that there are. Damage is told in ``missing``."""
+    """One lap as ground track and as distance over time, and the p-box, all of the hardest condition; those of them that there are.
+
+    Damage is told in ``missing``.
+    """
     try:
-        track = _track(folder / "tracks.parquet", study.get("tracks") or {})
+        drawn = _lap(folder / "tracks.parquet", study.get("tracks") or {})
     except BadInputError as error:
         missing.append(str(error))
-        track = None
+        drawn = []
     box = _pbox(sides)
-    figures = tuple(figure for figure in (track, box) if figure is not None)
-    return (Figures(figures),) if figures else ()
+    drawn += [] if box is None else [box]
+    return (Figures(tuple(drawn), narrow=True),) if drawn else ()
 
 
-def _track(path: Path, tracks: Mapping[str, Any]) -> Figure | None:
+def _lap(path: Path, tracks: Mapping[str, Any]) -> list[Figure]:
     if "radius_m" not in tracks:
-        return None
+        return []
     frame = read_table(path).to_pandas()
     lacking = [name for name in _TRACK_COLUMNS if name not in frame]
     if lacking:
         raise BadInputError(f"{path}: has no column {', '.join(lacking)}; run the study again")
+    lap, radius_m = lap_of(frame), float(tracks["radius_m"])
+    if lap is None:
+        return []
     condition = Condition(float(tracks["wind_mps"]), str(tracks["turbulence"]))
-    return ground_track("ground-track", frame, float(tracks["radius_m"]), condition.words)
+    track = ground_track("ground-track", lap, radius_m, condition.words)
+    return [track, track_distance("track-distance", lap, radius_m)]
 
 
 def _pbox(sides: Sides) -> Figure | None:
@@ -73,14 +82,14 @@ def _pbox(sides: Sides) -> Figure | None:
         if len(found) < len(sides):
             continue
         boxes = [
-            DrawnBox(when if len(found) > 1 else "", item.box, item.samples, corner_words(sides[when].frame))
+            DrawnBox(when if len(found) > 1 else "", item.box, item.samples, corner_words(sides[when].frame), smooth=True)
             for when, item in reversed(found.items())
         ]
         item = found[next(iter(found))]
-        flights = len(item.samples[0].values)
+        halves = ", ".join(f"{span(*f.box.quantile(0.5))} {f.unit}{f' ({when})' if when else ''}" for when, f in found.items())
         caption = (
-            f"{item.title}; {condition.words}. Envelope of {len(item.samples)} epistemic samples, {flights} flights each: the "
-            "distance between the two lines is epistemic uncertainty, their slope aleatory."
+            f"P-box of the {item.words} error, {condition.words}: {len(item.samples)} epistemic samples, "
+            f"{len(item.samples[0].values)} flights each. Half of the flights stay below {halves}."
         )
         return pbox_figure("answer-pbox", item.axis, item.unit, boxes, caption)
     return None
@@ -124,19 +133,22 @@ def cells_section(sides: Sides) -> Section:
         return Section("Cells of wind and turbulence", (Words("The campaign counts no excursions."),))
     acceptable = f"{last.signed[0].acceptable_per_h:g}"
     by_place = {when: {_place(item): item for item in side.signed} for when, side in sides.items()}
+    kinds = aborted_kinds([item for side in sides.values() for item in side.signed])
     rows: list[tuple[str | Cell, ...]] = []
     for item in last.signed:
         if item.cell.distance != "horizontal":
             continue
-        answers = [_answer(by_place[when].get(_place(item))) for when in sides]
+        here = [by_place[when].get(_place(item)) for when in sides]
         hours = f"{sum(rate.hours for rate in item.cell.rates):.4g}"
-        rows.append((item.cell.condition.label, f"{item.cell.radius_m:g} m", *answers, hours, str(sum(item.aborted.values()))))
+        place = (item.cell.condition.label, f"{item.cell.radius_m:g} m")
+        rows.append((*place, *(_answer(found) for found in here), hours, *aborted_cells(kinds, here)))
     names = [f"Answer {when}" for when in sides] if len(sides) > 1 else ["Answer"]
-    head = ("Wind, turbulence", "Radius", *names, "Flight hours", "Aborted flights")
+    head = ("Wind, turbulence", "Radius", *names, "Flight hours", *aborted_head(kinds))
     text = (
         f"At most {acceptable} excursions beyond the radius per flight hour at every corner? Below each answer the rate at the "
-        f"worst corner [1/h] and its {_SURE} limits."
+        f"worst corner [1/h] and its {_SURE} limits. "
     )
+    text += f"Aborted flights of all corners by kind{', before / after' if len(sides) > 1 else ''}." if kinds else _NONE_ABORTED
     table = Table("Answer by wind, turbulence and radius.", head, tuple(rows))
     return Section("Cells of wind and turbulence", (Words(text, note=True), table))
 
@@ -150,7 +162,9 @@ def _answer(item: Statement | None) -> Cell:
         return Cell("not flown")
     worst = item.worst
     rate = "no flight was scored" if math.isnan(worst.rate) else f"{worst.rate:.3g} [{worst.lower:.2g} to {shown(worst.upper)}]"
-    return Cell(_WORDS[item.answer], answer_level(item), rate, mark=_MARKS[item.answer])
+    return Cell(
+        _WORDS[item.answer], answer_level(item), f"{item.reason}; {rate}" if item.reason else rate, mark=_MARKS[item.answer]
+    )
 
 
 def read_side(folder: Path, missing: list[str], read: Any) -> CampaignFound | None:

@@ -27,7 +27,7 @@ function readOut(figure, svg, data) {
   const output = reader.appendChild(document.createElement("output"));
   figure.insertBefore(reader, figure.querySelector("figcaption"));
 
-  const percent = (p) => (100 * p).toFixed(p > 0 && p < 0.0995 ? 1 : 0) + " %";
+  const percent = (p) => (100 * p).toFixed(p >= 0.0005 && p < 0.0995 ? 1 : 0) + " %";
   function show() {
     const at = Number(slider.value);
     const u = left + (width * (at - low)) / (high - low);
@@ -38,10 +38,18 @@ function readOut(figure, svg, data) {
       while (k + 1 < box.value.length && box.value[k + 1] <= at) k += 1;
       const name = box.name ? box.name + ": " : "";
       if (k < 0) return `${name}below every value flown.`;
-      for (const corner of [box.at_least[k], box.at_most[k]])
+      // Steps hold until the next value, curves go on between two.
+      const next = box.smooth && k + 1 < box.value.length ? k + 1 : k;
+      const part = next > k ? (at - box.value[k]) / (box.value[next] - box.value[k]) : 0;
+      const side = (values) => percent(values[k] + part * (values[next] - values[k]));
+      const who = (places) => box.corners.length ? ` (${box.corners[places[k]]})` : "";
+      if (box.corners.length) for (const corner of [box.at_least[k], box.at_most[k]])
         for (const curve of svg.querySelectorAll(`[data-corner="${box.tag}${corner}"]`)) curve.classList.add("picked");
-      return `${name}${percent(box.lower[k])} (${box.corners[box.at_least[k]]}) to ${percent(box.upper[k])} `
-        + `(${box.corners[box.at_most[k]]}) of the flights; with the band ${percent(box.band_lower[k])} to ${percent(box.band_upper[k])}.`;
+      // A band from 0 to 100 % excludes nothing.
+      const band = [side(box.band_lower), side(box.band_upper)];
+      const sampled = band[0] === "0 %" && band[1] === "100 %" ? "" : `; band ${band[0]} to ${band[1]}`;
+      const ends = [side(box.lower) + who(box.at_least), side(box.upper) + who(box.at_most)];
+      return `${name}${ends[0] === ends[1] ? ends[0] : ends.join(" to ")} of the flights${sampled}.`;
     });
     lines[0] = `At most ${at.toPrecision(3)} ${data.unit}: ${lines[0]}`;
     output.replaceChildren(...lines.map((line) => Object.assign(document.createElement("div"), { textContent: line })));

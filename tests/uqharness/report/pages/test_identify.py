@@ -32,6 +32,17 @@ def test_an_identification(identified):
     assert "0.573" in words
 
 
+def test_a_tick_stands_only_where_residuals_were_compared_with_the_noise(identified):
+    fit = json.loads((identified / "fit.json").read_text())
+    known = {name: row for name, row in fit["parameters"].items() if row["status"] == "identified"}
+    within = {c: {**row, "rms": row["noise"]} for c, row in fit["fit"].items()}
+    said(identified, parameters=known, fit=within)
+    tree = html.document_fromstring(page_of(identified))
+    ticked = [e.text_content().split()[1] for e in tree.xpath("//*[@class='good']")]
+    # The sentence about the channels, and the channel.
+    assert ticked == ["Every", "1.00"]
+
+
 def said(folder, **changed):
     fit = json.loads((folder / "fit.json").read_text())
     (folder / "fit.json").write_text(json.dumps({**fit, **changed}))

@@ -49,6 +49,9 @@ def test_a_study_with_two_campaigns_over_each_other(tmp_path, campaigns, refined
         assert len(json.loads(figure.findtext("script"))["boxes"]) == 2
     assert "Not the same flights otherwise: flights differ" in words
     assert "ran, the answer is no" in words
+    # That a stage ran proves nothing.
+    (stages,) = [t for t in tree.iter("table") if t.findtext("caption") == "Stages in the order in which they run."]
+    assert not stages.xpath(".//td[@class='good']")
     assert "Pitching moment due to roll rate squared" in words
     # A stage whose folder cannot be read is named, not left out in silence.
     assert "What could not be read" in words

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 
-import numpy as np
 import pandas as pd
 import pytest
 from lxml import html
@@ -13,28 +13,18 @@ from lxml import html
 from tests.helpers import report_folders as folders
 from tests.helpers.page_checks import page_of
 from tests.helpers.report_folders import stage, study, written
+from uqharness.campaign.aborted import KINDS
+from uqharness.report.campaign import read_found
+from uqharness.report.pages.study_answer import cells_section
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
 ANSWER = {"level": "warn", "answer": "Yes in calm air.", "why": "Why: 0.1/h.", "lacked": "", "next": "Next: nothing."}
-TRACKS = {"wind_mps": 3.0, "turbulence": "moderate", "aleatory_id": 0, "radius_m": 15.0}
 
 
 @pytest.fixture(scope="module")
 def campaigns(tmp_path_factory):
     return folders.campaigns(tmp_path_factory.mktemp("campaigns"))
-
-
-def tracks(folder):
-    time_s = np.arange(0.0, 60.0, 0.2)
-    rows = []
-    for when in ("before", "after"):
-        for model, away in (("nominal", 2.0), ("worst corner", 9.0)):
-            distance = away * np.sin(0.3 * time_s)
-            north, east = ((120.0 + distance) * f(0.2 * time_s) for f in (np.cos, np.sin))
-            columns = {"when": when, "model": model, "epistemic_id": "1", "time_s": time_s}
-            rows.append(pd.DataFrame(columns | {"north_m": north, "east_m": east, "distance_m": distance}))
-    pd.concat(rows).to_parquet(folder / "tracks.parquet", index=False)
 
 
 MADE: dict[str, html.HtmlElement] = {}
@@ -56,9 +46,9 @@ def made(tmp_path, campaigns, effect_test=None, **changes):
     done["effects"][0]["test"] = effect_test
     folders.refined(folder / "refined")
     (folder / "refined" / "refinement.json").write_text(json.dumps(done))
-    tracks(folder)
+    folders.tracks(folder)
     stages = [stage(name, "campaign", name) for name in ("before", "after")] + [stage("refine", "refine", "refined")]
-    document = study(stages, before_after={"before": "before", "after": "after"}, answer=ANSWER, tracks=TRACKS) | changes
+    document = study(stages, before_after={"before": "before", "after": "after"}, answer=ANSWER, tracks=folders.TRACKS) | changes
     return html.document_fromstring(page_of(written(folder, "study.json", document)))
 
 
@@ -66,13 +56,13 @@ def shrank():
     return {"gap": "shrank", "change_of_twice_log_likelihood": 40.0, "std": 5.0}
 
 
-def test_the_question_the_answer_and_two_figures_stand_first(tmp_path, campaigns):
+def test_the_question_the_answer_and_three_figures_stand_first(tmp_path, campaigns):
     tree = page(tmp_path, campaigns, shrank())
     assert tree.findtext(".//h1") == "Is it good enough?"
     said = [e.text_content().strip() for e in tree.findall(".//section[@class='verdict']//li")]
     assert said == ["! Yes in calm air.", "Why: 0.1/h.", "Next: nothing."]
     main = [e for e in tree.find(".//main") if isinstance(e.tag, str)]
-    assert [e.get("id") for e in main[2].iter("figure")] == ["ground-track", "answer-pbox"]
+    assert [e.get("id") for e in main[2].iter("figure")] == ["ground-track", "track-distance", "answer-pbox"]
     assert [e.text for e in tree.findall(".//main/h2")] == ["The effect found", "Cells of wind and turbulence"]
 
 
@@ -104,9 +94,57 @@ def test_inconclusive_cells_have_no_tick(tmp_path, campaigns):
     assert [e.text_content() for e in table.findall("thead//th")][2:4] == ["Answer before", "Answer after"]
 
 
+def test_the_p_box_has_no_steps_and_the_reader_no_band_that_excludes_nothing(tmp_path, campaigns):
+    tree = page(tmp_path, campaigns)
+    (svg,) = tree.xpath("//figure[@id='answer-pbox']/svg")
+    drawn = [path.get("d") for path in svg.xpath("./g[@clip-path]/path") if (path.get("class") or "").startswith("line")]
+    assert len(drawn) == 4
+    assert not any("V" in way for way in drawn)
+    (figure,) = tree.xpath("//figure[@id='answer-pbox']")
+    assert all(box["smooth"] and not box["corners"] for box in json.loads(figure.findtext("script"))["boxes"])
+    assert "Half of the flights stay below" in figure.findtext("figcaption")
+
+
+def cells_of(tree):
+    (table,) = [t for t in tree.iter("table") if t.findtext("caption") == "Answer by wind, turbulence and radius."]
+    return [e.text_content() for e in table.findall("thead//th")], [
+        [e.text_content() for e in row] for row in table.findall("tbody/tr")
+    ]
+
+
+def test_aborted_flights_have_columns_only_where_there_are_some(tmp_path, campaigns):
+    tree = page(tmp_path, campaigns)
+    head, _ = cells_of(tree)
+    assert head == ["Wind, turbulence", "Radius", "Answer before", "Answer after", "Flight hours"]
+    assert "No flight was aborted." in tree.text_content()
+
+
+def test_aborted_flights_are_shown_by_kind_with_the_limit_of_their_rate(campaigns):
+    sides = {when: read_found(campaigns / when) for when in ("before", "after")}
+    item = sides["after"].signed[0]
+    lost = {"loss_of_control": 3, "ground_contact": 0, "diverged": 1, "other": 0}
+    after = replace(sides["after"], signed=(replace(item, aborted=lost, loss_upper_per_h=4.5), *sides["after"].signed[1:]))
+    table = cells_section(sides | {"after": after}).blocks[-1]
+    assert table.head[5:] == ("Loss of control", "Ground contact", "Diverged", "Aborted flights, 95 % upper limit [1/h]")
+    assert table.rows[0][5:8] == ("0 / 3", "0 / 0", "0 / 1")
+    assert table.rows[0][8].endswith(" / 4.5")
+    alone = cells_section({"": after}).blocks[-1]
+    assert alone.rows[0][4:] == ("3", "0", "1", "4.5")
+    assert tuple(item.aborted) == KINDS == tuple(lost)
+    other = replace(after, signed=(replace(item, aborted=lost | {"other": 2}),))
+    assert cells_section({"": other}).blocks[-1].head[-2] == "Ended otherwise"
+
+
+def test_an_inconclusive_cell_says_why(campaigns):
+    found = read_found(campaigns / "after")
+    item = replace(found.signed[0], reason="clusters beyond the carried limit")
+    cell = cells_section({"": replace(found, signed=(item,))}).blocks[-1].rows[0][2]
+    assert cell.small.startswith("clusters beyond the carried limit; ")
+
+
 def test_lines_of_the_first_figures_have_a_legend(tmp_path, campaigns):
     tree = page(tmp_path, campaigns)
-    for figure in ("ground-track", "answer-pbox", "effect-residuals"):
+    for figure in ("ground-track", "track-distance", "answer-pbox", "effect-residuals"):
         (svg,) = tree.xpath(f"//figure[@id='{figure}']/svg")
         keyed = {path.get("class") for key in svg.xpath(".//g[@class='key']") for path in key.iter("path")}
         drawn = {path.get("class") for path in svg.xpath("./g[@clip-path]/path") if (path.get("class") or "").startswith("line")}
@@ -126,7 +164,7 @@ def test_damaged_tracks_are_told_and_leave_the_p_box(tmp_path, campaigns, conten
         if content is not None:
             (folder / "tracks.parquet").write_bytes(content)
 
-    monkeypatch.setattr(f"{__name__}.tracks", damaged)
+    monkeypatch.setattr(folders, "tracks", damaged)
     tree = made(tmp_path, campaigns)
     assert not tree.xpath("//figure[@id='ground-track']")
     assert tree.xpath("//figure[@id='answer-pbox']")

@@ -1,0 +1,194 @@
+"""Do the answers of statements keep their level, from flights to yes or no? Simulated campaigns of four corners in common air.
+
+    python -m campaigns.levels.answers --out campaigns/levels [--repeats 400]
+
+A flight of an hour is aborted with probability q, at a moment that is uniform in it, in all corners alike. Clusters of k excursions
+arrive beyond a small radius at one rate; the strongest of them go on to the radius asked about, in a harder corner more of them. An
+aborted flight counts as one excursion, so that the worst corner has a + q/(1 - q/2) excursions per hour flown
+(levels/reproduce.py).
+
+Each campaign is asked four questions: whether excursions are at most a little less frequent than at the worst corner (a yes is
+wrong), whether aborted flights are (a yes is wrong), whether excursions are at most a little more frequent (a no is wrong), and
+whether both are at most four times as frequent, which is true: so often a yes is given. 5 in 100 may be wrong. Writes
+DIR/answers.csv. Exit code 0: every level is kept, and is not where the small radius is hidden; 1: otherwise; 2: bad input.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from uqharness.campaign.statements import statements
+from uqharness.files import write_bytes
+from uqharness.statistics import NO, YES
+from uqharness.text_tables import csv_text, text_table
+
+ERROR, SEED = 0.05, 20161225
+NEAR_M, ASKED_M = 10.0, 15.0
+REACH = (0.25, 0.5, 0.75, 1.0)
+"""Of each corner: the share of the worst corner's clusters that it has."""
+LITTLE, AMPLE = 1e-6, 4.0
+ASSUMED = 2.0
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A campaign's truth: clusters of ``cluster``; excursions per hour flown [1/h] beyond the small radius and, at the worst
+    corner, beyond the one asked about; chance ``abort``; ``near``: whether the campaign counts beyond the small radius."""
+
+    name: str
+    flights: int
+    cluster: int
+    near_per_h: float
+    rate: float
+    abort: float = 0.0
+    near: bool = True
+
+    @property
+    def loss_per_h(self) -> float:
+        """Aborted flights per hour flown."""
+        return self.abort / (1.0 - self.abort / 2.0)
+
+    @property
+    def worst_per_h(self) -> float:
+        """Excursions per hour flown at the worst corner, an aborted flight counted as one."""
+        return self.rate + self.loss_per_h
+
+    @property
+    def flight_share(self) -> float:
+        """Share of the worst corner's flights with an excursion."""
+        return 1.0 - (1.0 - self.abort) * float(np.exp(-self.rate / self.cluster))
+
+
+TRUTHS = (
+    Truth("single excursions", 80, 1, 0.6, 0.1),
+    Truth("single excursions, most campaigns silent", 300, 1, 0.2, 0.001),
+    Truth("clusters of 2", 80, 2, 0.6, 0.1),
+    Truth("clusters of 4", 150, 4, 0.8, 0.1),
+    Truth("clusters of 8", 300, 8, 0.8, 0.06),
+    Truth("aborted flights alone", 150, 1, 0.0, 0.0, 0.04),
+    Truth("single excursions and aborted flights", 200, 1, 0.6, 0.1, 0.03),
+    Truth("clusters of 4 and aborted flights", 200, 4, 0.8, 0.06, 0.02),
+    Truth("half of the flights aborted", 60, 1, 0.0, 0.0, 0.5),
+    Truth("clusters of 4, of which the campaign knows nothing", 80, 4, 0.8, 0.1, near=False),
+)
+
+
+@dataclass(frozen=True)
+class Level:
+    """Shares of repeats: wrong yes to excursions, to aborted flights, wrong no; share of flights with an excursion above its limit;
+    yes to four times the rate; no excursion at the worst corner; infinite upper limits. And the median upper limit over the truth.
+    """
+
+    wrong_yes: float
+    wrong_yes_losses: float
+    wrong_no: float
+    share: float
+    ample_yes: float
+    silent: float
+    infinite: float
+    over_truth: float
+
+
+def flown(truth: Truth, generator: np.random.Generator) -> pd.DataFrame:
+    """The case table of one campaign."""
+    n, corners = truth.flights, len(REACH)
+    lost = generator.random(n) < truth.abort
+    hours = np.where(lost, generator.random(n), 1.0)
+    near = generator.poisson(truth.near_per_h / truth.cluster * hours)
+    further = truth.rate / truth.near_per_h if truth.near_per_h else 0.0
+    # A cluster that a corner has, every harder corner has.
+    asked = generator.multinomial(near, [*np.diff([0.0, *REACH]) * further, 1.0 - further])[:, :-1].cumsum(axis=1).T
+    return pd.DataFrame({
+        "wind_mps": 3.0, "turbulence": "severe", "epistemic_id": np.repeat([f"{k}" for k in range(corners)], n),
+        "status": np.tile(np.where(lost, "diverged", "ok"), corners), "duration_s": np.tile(3600.0 * hours, corners),
+        f"excursions_{NEAR_M:g}m": np.tile(1.0 * truth.cluster * near, corners),
+        f"excursions_{ASKED_M:g}m": 1.0 * truth.cluster * asked.ravel(), f"excursions_{ASKED_M:g}m_3d": np.nan,
+        "extrapolated_share": 0.0, "loss_of_control": 0.0,
+    })  # fmt: skip
+
+
+def settings(truth: Truth, acceptable_per_h: float, acceptable_loss_per_h: float) -> Mapping[str, Any]:
+    """A campaign's settings, as its file has them."""
+    further = {"dispersion_radius_m": [NEAR_M]} if truth.near else {}
+    return {
+        "stop": {"rule": "flights"},
+        "aleatory": {"duration_s": 3600.0, "flights": truth.flights, "wind_mps": [3.0], "turbulence": ["severe"]},
+        "metrics": {
+            "excursion_radius_m": [ASKED_M], "dispersion": ASSUMED, "acceptable_per_h": acceptable_per_h,
+            "acceptable_loss_per_h": acceptable_loss_per_h, **further,
+        },
+    }  # fmt: skip
+
+
+def measured(truth: Truth, repeats: int, seed: int = SEED) -> Level:
+    """Fly and ask ``repeats`` campaigns."""
+    generator = np.random.default_rng([seed, truth.flights, truth.cluster, round(1e6 * truth.rate), round(1e6 * truth.abort)])
+    worst, loss = truth.worst_per_h, truth.loss_per_h
+    # What is not tested is asked with room: a yes needs both.
+    room = 100.0
+    less, more = (1.0 - LITTLE) * worst, (1.0 + LITTLE) * worst
+    questions = ((less, room), (room, (1.0 - LITTLE) * loss), (more, room), (AMPLE * worst, AMPLE * worst))
+    rows = []
+    for _ in range(repeats):
+        frame = flown(truth, generator)
+        below, losses, above, ample = (statements(frame, settings(truth, *question))[0] for question in questions)
+        upper = above.worst.upper
+        rows.append((
+            below.answer == YES, truth.abort > 0.0 and losses.answer == YES, above.answer == NO,
+            above.flight_share_upper < truth.flight_share, ample.answer == YES, above.worst.rate == 0.0, np.isinf(upper),
+            upper / worst,
+        ))  # fmt: skip
+    table = np.array(rows, dtype=float)
+    return Level(*table[:, :-1].mean(axis=0).tolist(), float(np.median(table[:, -1])))
+
+
+def kept(level: Level, repeats: int) -> bool:
+    """Whether no answer was wrong more often than allowed, chance in so many repeats (three standard deviations) granted, and
+    limits are mostly finite: an infinite one is never wrong."""
+    most = ERROR + 3.0 * float(np.sqrt(ERROR * (1.0 - ERROR) / repeats))
+    return max(level.wrong_yes, level.wrong_yes_losses, level.wrong_no, level.share) <= most and level.infinite <= 0.5
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the study; the process's exit code."""
+    parser = argparse.ArgumentParser(prog="python -m campaigns.levels.answers", description="Do answers keep their level?")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    parser.add_argument("--repeats", type=int, default=400)
+    args = parser.parse_args(argv)
+    if args.repeats < 100:
+        print("answers: error: --repeats: 100 at least, or nothing is shown", file=sys.stderr)
+        return 2
+    found = [(truth, measured(truth, args.repeats)) for truth in TRUTHS]
+    rows = [
+        {
+            "campaign": truth.name,
+            "flights": str(truth.flights),
+            "worst_per_h": f"{truth.worst_per_h:.4g}",
+            "wrong_yes": f"{level.wrong_yes:.4f}",
+            "wrong_yes_losses": f"{level.wrong_yes_losses:.4f}",
+            "wrong_no": f"{level.wrong_no:.4f}",
+            "missed_share": f"{level.share:.4f}",
+            "yes_to_four_times": f"{level.ample_yes:.3f}",
+            "silent": f"{level.silent:.3f}",
+            "infinite_limits": f"{level.infinite:.4f}",
+            "median_limit_over_truth": f"{level.over_truth:.3g}",
+            "kept": "yes" if kept(level, args.repeats) else "no",
+        }
+        for truth, level in found
+    ]
+    args.out.mkdir(parents=True, exist_ok=True)
+    write_bytes(args.out / "answers.csv", csv_text(rows).encode())
+    print("\n".join(text_table(rows)))
+    return 0 if all(kept(level, args.repeats) == truth.near for truth, level in found) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
