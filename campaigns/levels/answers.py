@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from campaigns.levels.reproduce import allowed
 from uqharness.campaign.statements import statements
 from uqharness.files import write_bytes
 from uqharness.statistics import NO, YES
@@ -153,8 +154,8 @@ def measured(truth: Truth, repeats: int, seed: int = SEED) -> Level:
 def kept(level: Level, repeats: int) -> bool:
     """Whether no answer was wrong more often than allowed, chance in so many repeats (three standard deviations) granted, and
     limits are mostly finite: an infinite one is never wrong."""
-    most = ERROR + 3.0 * float(np.sqrt(ERROR * (1.0 - ERROR) / repeats))
-    return max(level.wrong_yes, level.wrong_yes_losses, level.wrong_no, level.share) <= most and level.infinite <= 0.5
+    wrong = max(level.wrong_yes, level.wrong_yes_losses, level.wrong_no, level.share)
+    return wrong <= allowed(ERROR, repeats) and level.infinite <= 0.5
 
 
 def main(argv: Sequence[str] | None = None) -> int:

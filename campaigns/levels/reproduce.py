@@ -118,11 +118,15 @@ def measured(truth: Truth, repeats: int, seed: int = SEED) -> Level:
     )
 
 
+def allowed(error: float, repeats: int) -> float:
+    """Share of repeats that may be wrong where ``error`` is the chance of each: three standard deviations above it."""
+    return error + 3.0 * math.sqrt(error * (1.0 - error) / repeats)
+
+
 def kept(level: Level, repeats: int) -> bool:
     """Whether no limit was missed more often than allowed, chance in so many repeats (three standard deviations) granted, and
     limits are mostly finite: an infinite one is never wrong."""
-    most = ERROR + 3.0 * float(np.sqrt(ERROR * (1.0 - ERROR) / repeats))
-    return max(level.excursions, level.losses, level.share) <= most and level.infinite <= 0.5
+    return max(level.excursions, level.losses, level.share) <= allowed(ERROR, repeats) and level.infinite <= 0.5
 
 
 def main(argv: Sequence[str] | None = None) -> int:

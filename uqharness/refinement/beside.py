@@ -7,36 +7,16 @@ is strong, or nearly as strong as the strongest. Train flights alone decide.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from sysid.effects import COLOURED_P, COMPARABLE, DIFFERENT, OVERWHELMING, Choice
-from sysid.estimation import NOISE_FLOOR
+from sysid.effects import COMPARABLE, DIFFERENT, OVERWHELMING, Choice
 from sysid.parallel import Processes
 from uqharness.refinement.curves import bent
 from uqharness.refinement.find import Found
 from uqharness.refinement.judge import evidence_of, left_out, written_at
-from uqharness.refinement.showing.show import Shown, show, whiteness
-from uqharness.refinement.types import Setup, Side
+from uqharness.refinement.showing.show import left_in, show
+from uqharness.refinement.types import Side
 from uqharness.simulator import Aircraft
-
-
-@dataclass(frozen=True)
-class Left:
-    """What flights leave: channel -> rms over noise where that is above NOISE_FLOOR; channels whose residual is not white."""
-
-    above: dict[str, float]
-    coloured: tuple[str, ...]
-
-    def __bool__(self) -> bool:
-        return bool(self.above) or bool(self.coloured)
-
-
-def left_in(setup: Setup, shown: Shown, gusty: bool) -> Left:
-    """What a model leaves of flights, beyond noise."""
-    ratios = {c: shown.channel_rms(k) / float(shown.noise[k]) for k, c in enumerate(setup.outputs)}
-    # A gust spectrum is a model: the colour of one-step predictions says nothing of the aircraft.
-    p = {} if gusty else whiteness(setup, shown.residual)
-    return Left({c: r for c, r in ratios.items() if r > NOISE_FLOOR}, tuple(sorted(c for c, v in p.items() if v < COLOURED_P)))
 
 
 def too_weak(chosen: Sequence[Choice], limit: float) -> tuple[Choice, ...]:

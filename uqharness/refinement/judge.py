@@ -1,5 +1,6 @@
 """What test flights say of the effects that train flights chose: each effect without which the gap is no larger is withdrawn.
 
+Beside something that nothing explains, which goes with many candidates a little, an effect must be seen on the test flights.
 Nothing is chosen here. An effect stands or falls alone: the others and the parameters are estimated again without it, on the
 train flights, and the test flights are flown both ways.
 """
@@ -19,11 +20,12 @@ from uqharness.refinement.fit import merged
 from uqharness.refinement.gusts import GustFit, gust_evidence
 from uqharness.refinement.hold_out import Both, both_sides
 from uqharness.refinement.rounds import column_evidence
-from uqharness.refinement.showing.show import Shown, show, with_replays
+from uqharness.refinement.showing.show import Shown, left_in, show, with_replays
 from uqharness.refinement.types import Point, Setup, Side, in_dynamics
 from uqharness.simulator import Aircraft
 
 Write = Callable[[Found], Aircraft]
+CANNOT_TELL = "cannot tell"
 BLOCK_S = 2.0
 """Residuals this far apart count as independent."""
 BEYOND_CHANCE = 1.645
@@ -54,7 +56,7 @@ class Verdict:
             return "too far"
         # Both sides' evidence together must still be what is asked of an effect.
         against = self.change < 0.0 and self.beyond < 0.0
-        return "shrank" if self.z > BEYOND_CHANCE else "grew" if against or self.z < -BEYOND_CHANCE else "cannot tell"
+        return "shrank" if self.z > BEYOND_CHANCE else "grew" if against or self.z < -BEYOND_CHANCE else CANNOT_TELL
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,7 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
     everything = after
     evidence: Evidence | None = None
     both: Both | None = None
+    vague = found.bent is not None or bool(left_in(train.setup, fitted, found.gusty))
     verdicts: dict[str, Verdict] = {}
     gone: list[Choice] = []
     while standing.selection.chosen:
@@ -126,7 +129,10 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
             worst = replace(together, key=worst.key)
             verdicts[worst.key] = worst
         if worst.says != "grew":
-            break
+            unseen = [v for v in now.values() if v.says == CANNOT_TELL]
+            if not (vague and unseen):
+                break
+            worst = min(unseen, key=lambda v: v.z)
         gone.append(next(c for c in found.selection.chosen if c.key == worst.key))
         standing, after = without[worst.key]
     settled = fitted if not gone else flown(standing, train, own) if standing.selection.chosen else pair

@@ -21,11 +21,10 @@ from sysid.effects import (
 )
 from sysid.estimation import rms
 from sysid.parallel import Processes
-from uqharness.refinement.beside import left_in
 from uqharness.refinement.curves import STATES, About, Estimated, Inputs
 from uqharness.refinement.hold_out import linearised
 from uqharness.refinement.judge import Judged, Write, gap_change, written_at
-from uqharness.refinement.showing.show import Shown, gap_document, show, with_replays
+from uqharness.refinement.showing.show import Shown, gap_document, left_in, show, with_replays
 from uqharness.refinement.types import Array, Side
 from uqharness.refinement.writing.tables import GRID, property_of_table, write_table
 from uqharness.simulator import Aircraft

@@ -11,7 +11,8 @@ from scipy.signal import lfilter
 
 from sysid.effects.selection import Choice, Selection
 from uqharness.refinement import beside as refine_beside
-from uqharness.refinement.beside import Left, left_in, named_beside, too_weak
+from uqharness.refinement.beside import named_beside, too_weak
+from uqharness.refinement.showing.show import Left, left_in
 from uqharness.refinement.types import Bent
 
 LIMIT = 4.0

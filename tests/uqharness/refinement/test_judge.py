@@ -85,9 +85,9 @@ def test_predictions_of_another_damping_are_judged_by_their_likelihood():
     assert np.mean([v.says == "shrank" for v in found]) > 0.9
 
 
-def judged(monkeypatch, harm: dict[str, float], together: float = 0.0) -> list[str]:
+def judged(monkeypatch, harm: dict[str, float], together: float = 0.0, left: bool = False) -> list[str]:
     """Effects that stand after `judge`, the order of withdrawal before them; an effect of ``harm`` raises the cost, and so does
-    ``together`` where two or more are in."""
+    ``together`` where two or more are in. left: whether the train flights are left unexplained."""
     rng = np.random.default_rng(5)
     noise = rng.standard_normal((400, 2))
     wave = [np.sin(np.arange(400) / (9.0 + k)) for k in range(len(harm) + 1)]
@@ -111,6 +111,7 @@ def judged(monkeypatch, harm: dict[str, float], together: float = 0.0) -> list[s
     monkeypatch.setattr(refine_judge, "property_values", lambda *_: None)
     monkeypatch.setattr(refine_judge, "evidence_of", lambda *_: None)
     monkeypatch.setattr(refine_judge, "both_sides", lambda *_: None)
+    monkeypatch.setattr(refine_judge, "left_in", lambda *_: left)
     monkeypatch.setattr(refine_judge, "surer", lambda verdict, *_: verdict)
     monkeypatch.setattr(refine_judge, "left_out", lambda found, _, keys: without(found, keys))
     monkeypatch.setattr(refine_judge, "bare", lambda found: without(found, list(harm)))
@@ -127,6 +128,14 @@ def test_the_worst_goes_first_and_what_helps_stays(monkeypatch):
 def test_nothing_stands_where_nothing_helps(monkeypatch):
     assert judged(monkeypatch, {"alpha": 0.6}) == ["alpha", "|"]
     assert judged(monkeypatch, {"alpha": 0.3, "beta": 0.9}) == ["beta", "alpha", "|"]
+
+
+def test_beside_what_nothing_explains_an_effect_must_be_seen_on_the_test_flights(monkeypatch):
+    """One that changes nothing there stands where the train flights are explained, and goes where they are not."""
+    unseen = {"alpha": -0.6, "beta": 0.0, "p_hat": -0.5}
+    assert judged(monkeypatch, unseen) == ["|", *unseen]
+    assert judged(monkeypatch, unseen, left=True) == ["beta", "|", "alpha", "p_hat"]
+    assert judged(monkeypatch, {"alpha": -0.6, "beta": -0.5}, left=True) == ["|", "alpha", "beta"]
 
 
 def test_effects_that_harm_together_alone_do_not_all_stand(monkeypatch):

@@ -23,12 +23,11 @@ from sysid.effects import (
     disagreements,
 )
 from sysid.estimation import NOISE_FLOOR
-from uqharness.refinement.beside import left_in
 from uqharness.refinement.find import Found
 from uqharness.refinement.judge import Judged, Verdict
 from uqharness.refinement.rates import is_fastest
 from uqharness.refinement.showing.remains import NOTHING, nowhere, place_of
-from uqharness.refinement.showing.show import Shown, gap_document, state_ranges
+from uqharness.refinement.showing.show import Shown, gap_document, left_in, state_ranges
 from uqharness.refinement.showing.words import (
     another_form,
     contradicted,
@@ -124,10 +123,10 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
     remaining = _remaining(found, setup, after, left, controls)
     switches = {c.key: switch_of(chosen.effects[c.key], aircraft) for c in chosen.selection.chosen}
     effects = [_effect(found, c, judged.verdicts[c.key], switches) for c in found.selection.chosen]
-    withdrawn = [_effect(chosen, c, judged.verdicts[c.key], switches) for c in judged.withdrawn]
+    withdrawn = [_effect(chosen, c, judged.verdicts[c.key], switches, withdrawn=True) for c in judged.withdrawn]
     # What the train flights ask for and the test flights speak against is a disagreement without a name, unless chance asked.
     asked = [c for c in judged.withdrawn if abs(c.t) > chosen.limit + DIFFERENT]
-    remaining["where"] += [_contradicted(chosen.effects[c.key], c) for c in asked]
+    remaining["where"] += [_contradicted(chosen.effects[c.key], c, judged.verdicts[c.key]) for c in asked]
     remaining["where"] += [] if chosen.bent is None else [_bent(chosen.bent, [chosen.effects[k] for k in chosen.bent.instead])]
     remaining["where"] += [_unnamed(chosen.effects[c.key], c) for c in chosen.unnamed]
     told = {c.key for c in (*asked, *chosen.unnamed, *chosen.selection.chosen)}
@@ -199,8 +198,8 @@ def moments_of(chosen: Found) -> dict[str, dict[str, Any]]:
     }  # fmt: skip
 
 
-def _contradicted(effect: Effect, choice: Choice) -> dict[str, Any]:
-    return {**_label(effect), "t": choice.t, "words": contradicted(effect, choice)}
+def _contradicted(effect: Effect, choice: Choice, verdict: Verdict) -> dict[str, Any]:
+    return {**_label(effect), "t": choice.t, "words": contradicted(effect, choice, verdict.says)}
 
 
 def _bent(form: Bent, instead: Sequence[Effect]) -> dict[str, Any]:
@@ -232,7 +231,9 @@ def _label(effect: Effect) -> dict[str, str]:
     return {**where, "term": effect.term}
 
 
-def _effect(found: Found, c: Choice, verdict: Verdict | None, switches: Mapping[str, tuple[str, float] | None]) -> dict[str, Any]:
+def _effect(
+    found: Found, c: Choice, verdict: Verdict | None, switches: Mapping[str, tuple[str, float] | None], withdrawn: bool = False
+) -> dict[str, Any]:
     """One effect; what the test flights say of it is no part of what was chosen."""
     e, switch = found.effects[c.key], switches[c.key]
     value, std, unit = _as_written(found, e, c)
@@ -242,7 +243,7 @@ def _effect(found: Found, c: Choice, verdict: Verdict | None, switches: Mapping[
             "change_of_twice_log_likelihood": verdict.change, "std": verdict.std, "gap": verdict.says,
             "rms_over_that_of_train": verdict.far,
         }  # fmt: skip
-        test = {"withdrawn": verdict.says == "grew", "test": row}
+        test = {"withdrawn": withdrawn, "test": row}
     return {
         **_label(e),
         "name": e.name,

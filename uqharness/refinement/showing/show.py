@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics import COEFFICIENTS
-from sysid.effects import Gusts
-from sysid.estimation import channel_noise, ljung_box, rms, theil
+from sysid.effects import COLOURED_P, Gusts
+from sysid.estimation import NOISE_FLOOR, channel_noise, ljung_box, rms, theil
 from sysid.model_form import floor_of
 from sysid.parallel import Processes
 from uqharness.identification import coefficient_gaps, fit_replays
@@ -254,3 +254,22 @@ def write_bytes_tree(source: Path, target: Path) -> None:
     if target.exists():
         shutil.rmtree(target)
     beside.rename(target)
+
+
+@dataclass(frozen=True)
+class Left:
+    """What flights leave: channel -> rms over noise where that is above NOISE_FLOOR; channels whose residual is not white."""
+
+    above: dict[str, float]
+    coloured: tuple[str, ...]
+
+    def __bool__(self) -> bool:
+        return bool(self.above) or bool(self.coloured)
+
+
+def left_in(setup: Setup, shown: Shown, gusty: bool) -> Left:
+    """What a model leaves of flights, beyond noise."""
+    ratios = {c: shown.channel_rms(k) / float(shown.noise[k]) for k, c in enumerate(setup.outputs)}
+    # A gust spectrum is a model: the colour of one-step predictions says nothing of the aircraft.
+    p = {} if gusty else whiteness(setup, shown.residual)
+    return Left({c: r for c, r in ratios.items() if r > NOISE_FLOOR}, tuple(sorted(c for c, v in p.items() if v < COLOURED_P)))

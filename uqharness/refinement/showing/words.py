@@ -129,12 +129,14 @@ def smooth_says(smooth: Mapping[str, Any]) -> str:
     )
 
 
-def contradicted(effect: Effect, choice: Choice) -> str:
-    """What is said of an effect that the train flights ask for and the test flights speak against."""
-    return (
-        f"the train flights ask for {effect.name} (|t| {abs(choice.t):.1f}), and with it the gap on the test flights grew: it is "
-        "withdrawn; something differs between the flights that has no name here"
-    )
+def contradicted(effect: Effect, choice: Choice, says: str) -> str:
+    """What is said of an effect that the train flights ask for and the test flights speak against, or do not show beside what is
+    unexplained. says: what the test flights say (judge.Verdict)."""
+    asked = f"the train flights ask for {effect.name} (|t| {abs(choice.t):.1f}), and "
+    if says == "grew":
+        grew = "with it the gap on the test flights grew: it is withdrawn"
+        return f"{asked}{grew}; something differs between the flights that has no name here"
+    return f"{asked}the test flights do not show it: beside something that nothing explains it is withdrawn"
 
 
 def unnamed(effect: Effect, choice: Choice) -> str:
@@ -211,7 +213,8 @@ def test_says(effect: Mapping[str, Any]) -> str:
     if test["gap"] == "too far":
         far = f"{test['rms_over_that_of_train']:.0f} times as far from either model as the train flights"
         return f"the test flights do not tell: they lie {far}; look for what is wrong with them"
-    return f"the test flights do not tell whether the gap shrank: {number}"
+    gone = "; withdrawn beside what nothing explains" if effect.get("withdrawn") else ""
+    return f"the test flights do not tell whether the gap shrank: {number}{gone}"
 
 
 def _with_error(value: float, std: float) -> str:
