@@ -36,13 +36,22 @@ BEYOND_CHANCE = 1.645
 class Verdict:
     """Of one effect on the test flights: by how much minus twice the log likelihood is larger without it, and the standard error
     of that. far: rms of the better model's residuals over noise, over that of the train flights; beyond: by how much t^2 of both
-    sides is above the square of the limit asked."""
+    sides is above the square of the limit asked; between: sum of the squares of what lies between the two models' predictions,
+    whitened, and that of the model without less that of the model with it."""
 
     key: str
     change: float
     std: float
     far: float = 1.0
     beyond: float = np.inf
+    between: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def share(self) -> tuple[float, float]:
+        """Share of the effect's estimate that fits the test flights best, and its standard error: with a and b the residuals
+        without and with it and d = a - b, a.d / d.d = (1 + (a.a - b.b) / d.d) / 2. NaN where the models are the same."""
+        size, fall = self.between
+        return (0.5 + 0.5 * fall / size, 0.5 * self.std / size) if size > 0.0 else (np.nan, np.nan)
 
     @property
     def z(self) -> float:
@@ -203,16 +212,18 @@ def gap_change(key: str, without: Shown, with_: Shown, setup: Setup, fitted: Sho
     flights.
     """
     better = with_ if with_.surprise <= without.surprise else without
-    change, variance = 0.0, 0.0
+    change = variance = size = fall = 0.0
     wider = 2.0 * (np.array(without.logdet) - np.array(with_.logdet))
     rows = zip(without.white, with_.white, better.white, wider, setup.segments, strict=True)
     for a, b, e, logarithms, segment in rows:
-        change += float(np.nansum(a**2 - b**2)) + logarithms
+        fall += (own := float(np.nansum(a**2 - b**2)))
+        size += float(np.nansum((a - b) ** 2))
+        change += own + logarithms
         terms = np.nansum(2.0 * e * (a - b), axis=1) + logarithms / len(a)
         starts = np.arange(0, len(terms), max(1, round(BLOCK_S / segment.dt_s)))
         variance += float(np.sum(np.add.reduceat(terms, starts) ** 2))
     far = _mean_square(better) ** 0.5 / _mean_square(fitted) ** 0.5
-    return Verdict(key, change, float(np.sqrt(variance)), far, change + spare)
+    return Verdict(key, change, float(np.sqrt(variance)), far, change + spare, (size, fall))
 
 
 def _mean_square(shown: Shown) -> float:

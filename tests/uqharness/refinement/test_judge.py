@@ -52,6 +52,26 @@ def test_standard_error_of_the_change_is_that_of_the_draws():
             assert spread == pytest.approx(2.0 * np.sqrt(square), rel=0.2)
 
 
+def test_share_of_the_estimate_that_the_flights_have():
+    """An effect of which the flights have a part: that part, with its standard error, over draws."""
+    rng = np.random.default_rng(6)
+    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
+    d = np.zeros((300, 3))
+    d[:, 1] = 0.6 * np.sin(np.arange(300) / 20.0)
+    for part in (0.0, 0.4, 1.0, 1.3):
+        found = []
+        for _ in range(60):
+            noise = [rng.standard_normal((300, 3)) for _ in range(4)]
+            without, with_ = ([e + (part - taken) * d for e in noise] for taken in (0.0, 1.0))
+            found.append(gap_change("x", shown(without), shown(with_), setup, shown(noise)).share)
+        shares, errors = np.array(found).T
+        assert shares.mean() == pytest.approx(part, abs=4.0 * shares.std() / np.sqrt(60.0))
+        # What neither model explains is in the error, too: between none and all it is too large, never too small.
+        assert np.sqrt(np.mean(errors**2)) > 0.7 * shares.std()
+        if part in (0.0, 1.0):
+            assert np.sqrt(np.mean(errors**2)) == pytest.approx(shares.std(), rel=0.35)
+
+
 def test_chance_withdraws_seldom_and_a_contradiction_does():
     rng = np.random.default_rng(1)
     weak = [change(rng, 0.02, True) for _ in range(300)]
@@ -148,6 +168,7 @@ def test_what_changes_nothing_is_not_said_to_grow():
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
     verdict = gap_change("x", shown(white), shown(white), setup, shown(white))
     assert (verdict.change, verdict.std, verdict.says) == (0.0, 0.0, "cannot tell")
+    assert np.isnan(verdict.share).all()
     assert BEYOND_CHANCE > 1.0
 
 

@@ -50,6 +50,8 @@ class Trial(Part):
     change_of_twice_log_likelihood: float
     std: float
     rms_over_that_of_train: float = 0.0
+    share_of_estimate: float | None = None
+    share_std: float | None = None
 
     @model_validator(mode="after")
     def _told(self) -> Trial:

@@ -241,7 +241,7 @@ def _effect(
     if verdict is not None:
         row = {
             "change_of_twice_log_likelihood": verdict.change, "std": verdict.std, "gap": verdict.says,
-            "rms_over_that_of_train": verdict.far,
+            "rms_over_that_of_train": verdict.far, "share_of_estimate": verdict.share[0], "share_std": verdict.share[1],
         }  # fmt: skip
         test = {"withdrawn": withdrawn, "test": row}
     return {

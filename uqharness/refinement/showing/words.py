@@ -206,6 +206,10 @@ def test_says(effect: Mapping[str, Any]) -> str:
     test = effect["test"]
     change, std = test["change_of_twice_log_likelihood"], test["std"]
     number = f"twice the log likelihood {_with_error(change, std)} with it"
+    share, wide = test.get("share_of_estimate"), test.get("share_std")
+    # A standard error of half the way between none and all tells neither from the other.
+    if share is not None and wide is not None and math.isfinite(share) and wide < 0.5:
+        number += f", {share:.2f} ± {wide:.2f} of the estimate fits them best"
     if test["gap"] == "shrank":
         return f"on the test flights the gap shrank: {number}"
     if test["gap"] == "grew":
