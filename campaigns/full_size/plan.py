@@ -47,7 +47,7 @@ class Plan:
     """A campaign, and the flights of a shard: ``airs`` aleatory ids, ``samples`` epistemic ones (0: all), ``lanes`` side by side.
 
     ``resolution`` is that of the grid on which medians and maxima are kept (campaigns/full_size/sketch.py). Memory is bounded by
-    the lanes: 256 flights of an hour at 100 Hz take some 2 GB.
+    the lanes: a process that flies 256 flights of an hour at 100 Hz takes 1.15 GB at most.
     """
 
     spec: CampaignSpec

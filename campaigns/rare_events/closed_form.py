@@ -1,9 +1,10 @@
 """Level crossings of a first-order process: splitting in numpy beside what quadrature gives.
 
-    python -m campaigns.rare_events.closed_form [--repeats 100]
+    python -m campaigns.rare_events.closed_form [--repeats 100] [--out DIR]
 
 The probability that a path exceeds a threshold within so many steps, and its mean number of excursions, are integrals over the
 transition density; splitting has to find them from paths, with intervals that hold them 95 times in a hundred.
+Writes DIR/closed-form.csv, a row a repeat.
 Exit code 0: both intervals hold the truth in nine of ten repeats, and those of copies that begin elsewhere do not;
 1: otherwise; 2: bad input.
 """
@@ -15,10 +16,14 @@ import itertools
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from uqharness.files import write_bytes
 from uqharness.statistics import Seen, interval, pilot, run
+from uqharness.statistics.splitting import Interval
+from uqharness.text_tables import csv_text
 
 KEEP = 0.9
 """x' = KEEP x + sqrt(1 - KEEP^2) n, of variance 1: an Ornstein-Uhlenbeck process at steps of a tenth of its time constant."""
@@ -28,6 +33,7 @@ ROOTS, REPLICATES, SEED = 100, 8, 20161226
 EACH = 2
 """Steps between checkpoints: four jump over levels, and 90 of 100 intervals hold the probability instead of 96."""
 GRID = np.arange(-1.0, THRESHOLD + 0.05, 0.05)
+HOME, TABLE = Path(__file__).parent, "closed-form.csv"
 
 
 class Crossings:
@@ -95,26 +101,71 @@ class Careless(Crossings):
 
 
 @dataclass(frozen=True)
-class Coverage:
-    """Of ``repeats`` studies how many 95 % intervals held the probability, and the events of a path; their mean over the truth."""
+class Repeat:
+    """Limits of one study: of the probability, and of the events of a path."""
 
-    repeats: int
-    probability: int
-    events: int
-    ratio: float
+    probability: Interval
+    events: Interval
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Studies that were repeated, and what quadrature gives: probability and events."""
+
+    studies: tuple[Repeat, ...]
+    truth: tuple[float, float]
+
+    @property
+    def repeats(self) -> int:
+        """Number of studies."""
+        return len(self.studies)
+
+    @property
+    def probability(self) -> int:
+        """How many 95 % intervals hold the probability."""
+        return sum(holds(one.probability, self.truth[0]) for one in self.studies)
+
+    @property
+    def events(self) -> int:
+        """How many hold the events of a path."""
+        return sum(holds(one.events, self.truth[1]) for one in self.studies)
+
+    @property
+    def ratio(self) -> float:
+        """Mean of all estimates of the probability over the truth; a study without an event has none."""
+        known = [one.probability.estimate for one in self.studies]
+        return float(np.mean(np.nan_to_num(known)) / self.truth[0])
+
+    def rows(self, paths: str) -> list[dict[str, str]]:
+        """Rows of closed-form.csv; ``paths`` says which these are. Limits are empty where a replicate has no event."""
+        found = []
+        for number, one in enumerate(self.studies):
+            row = {"paths": paths, "repeat": str(number)}
+            for name, limits, true in (("probability", one.probability, self.truth[0]), ("events", one.events, self.truth[1])):
+                row |= {name: _shown(limits.estimate), f"{name}_lower": _shown(limits.lower), f"{name}_upper": _shown(limits.upper)}
+                row |= {f"{name}_true": _shown(true), f"{name}_held": "yes" if holds(limits, true) else "no"}
+            found.append(row)
+        return found
+
+
+def holds(limits: Interval, true: float) -> bool:
+    """Whether limits hold a number; those that are not defined do not."""
+    return limits.lower <= true <= limits.upper
+
+
+def _shown(value: float) -> str:
+    return "" if value != value else f"{value:.9g}"
 
 
 def coverage(repeats: int, made: type[Crossings] = Crossings) -> Coverage:
     """Repeat a study of REPLICATES replicates, the levels from one pilot that is not counted."""
     truth = exact(STEPS, THRESHOLD, REARM)
     levels = pilot(lambda number: _begun(Crossings, 10**6, number, 4 * ROOTS), 4 * ROOTS, 1, GRID, THRESHOLD)
-    held, means = np.zeros(2, int), []
+    studies = []
     for repeat in range(repeats):
         found = [run(_begun(made, repeat, number, ROOTS), ROOTS, levels, 1) for number in range(REPLICATES)]
-        limits = (interval([one.probability[0] for one in found]), interval([one.events[0] for one in found]))
-        held += [one.lower <= true <= one.upper for one, true in zip(limits, truth, strict=True)]
-        means.append(np.mean([one.probability[0] for one in found]))
-    return Coverage(repeats, int(held[0]), int(held[1]), float(np.mean(means) / truth[0]))
+        studies.append(Repeat(interval([one.probability[0] for one in found]), interval([one.events[0] for one in found])))
+    return Coverage(tuple(studies), truth)
 
 
 def _begun(made: type[Crossings], repeat: int, number: int, roots: int) -> Crossings:
@@ -122,9 +173,10 @@ def _begun(made: type[Crossings], repeat: int, number: int, roots: int) -> Cross
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Print the coverage of both."""
+    """Print the coverage of both, and write what each repeat found."""
     parser = argparse.ArgumentParser(prog="python -m campaigns.rare_events.closed_form", description="Coverage of splitting")
     parser.add_argument("--repeats", type=int, default=100, help="studies that are repeated (100)")
+    parser.add_argument("--out", type=Path, default=HOME, metavar="DIR", help=f"folder of {TABLE} (that of this module)")
     args = parser.parse_args(argv)
     if args.repeats < 20:
         print(f"closed_form: error: --repeats {args.repeats}: 20 at least tell nine of ten from less", file=sys.stderr)
@@ -132,7 +184,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     first, events = exact(STEPS, THRESHOLD, REARM)
     print(f"by quadrature: probability {first:.6g}, {events:.6g} events a path")
     good, bad = coverage(args.repeats), coverage(args.repeats, Careless)
-    for name, found in (("splitting", good), ("copies that begin elsewhere", bad)):
+    both = {"splitting": good, "copies that begin elsewhere": bad}
+    args.out.mkdir(parents=True, exist_ok=True)
+    write_bytes(args.out / TABLE, csv_text([row for name, found in both.items() for row in found.rows(name)]).encode())
+    for name, found in both.items():
         held = f"{found.probability} of {found.repeats} intervals hold the probability, {found.events} the events"
         print(f"{name}: {held}; mean over truth {found.ratio:.3f}")
     return 0 if min(good.probability, good.events) >= 0.9 * args.repeats > bad.probability else 1

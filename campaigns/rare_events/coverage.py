@@ -1,9 +1,10 @@
 """Do the 95 % intervals of splitting hold a rate that plain flights show? Many short studies of the real loiter.
 
-    python -m campaigns.rare_events.coverage [--repeats 100] [--roots 8]
+    python -m campaigns.rare_events.coverage [--repeats 100] [--roots 8] [--out DIR]
 
 A repeat is a study of eight means of eight roots each, flights of 300 s; its levels come from one pilot that is not counted, its
 predictions from the pilot of the default study (shards/). The truth is the share of plain flights of that length with an excursion.
+Writes DIR/coverage.csv, a row a repeat (coverage-N-roots.csv with another number of roots than eight).
 Exit code 0: nine of ten intervals hold the truth; 1: otherwise; 2: bad input; 130 interrupted.
 """
 
@@ -14,6 +15,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +29,10 @@ from campaigns.rare_events.study import GRID, TOP, Study
 from uqharness.campaign.execution.flying import BATCH, fly_group
 from uqharness.campaign.rare.paths import LoiterPaths, Watch
 from uqharness.errors import BadInputError
+from uqharness.files import write_bytes
 from uqharness.flight import FlightSpec
 from uqharness.statistics import Levels, interval, pilot, run
+from uqharness.text_tables import csv_text
 
 RADIUS_M, DURATION_S = 13.0, 300.0
 """Some one excursion per hour: a plain flight in ten has one, so that the truth is known within some per cent."""
@@ -38,6 +42,7 @@ SIDE_BY_SIDE = 25
 PILOT_ROOTS, PLAIN_A_GROUP = 256, 250
 FIRST_REPEAT, FIRST_PILOT, FIRST_PLAIN = 3_000_000, 4_000_000, 5_000_000
 SEED = 20161227
+TABLE = "coverage.csv"
 
 
 def flights(study: Study, first: int, count: int) -> tuple[list[FlightSpec], list[int]]:
@@ -68,19 +73,45 @@ def observed(study: Study, levels: Levels, watch: Watch, repeats: int, roots: in
     return np.concatenate(found), steps * watch.step_s / 3600.0
 
 
+def rows(values: NDArray[np.float64], hit: int, flown: int) -> list[dict[str, str]]:
+    """coverage.csv of (repeats, OBSERVATIONS) estimates and ``hit`` of ``flown`` plain flights: a repeat's means, its estimate with
+    limits, and whether these hold the share of plain flights. Limits are empty where a mean has no excursion."""
+    found = []
+    for number, means in enumerate(values):
+        one = interval(means)
+        row = {"repeat": str(number), "estimate": _shown(one.estimate), "lower": _shown(one.lower), "upper": _shown(one.upper)}
+        row |= {
+            "held": "yes" if one.lower <= hit / flown <= one.upper else "no",
+            "plain_hit": str(hit),
+            "plain_flights": str(flown),
+        }
+        found.append(row | {f"mean_{place}": _shown(value) for place, value in enumerate(map(float, means))})
+    return found
+
+
+def table_name(roots: int) -> str:
+    """The file of studies of so many roots a mean."""
+    return TABLE if roots == ROOTS else f"coverage-{roots}-roots.csv"
+
+
+def _shown(value: float) -> str:
+    return "" if value != value else f"{value:.9g}"
+
+
 def main(argv: Sequence[str] | None = None) -> int:
-    """Print the coverage."""
+    """Print the coverage, and write what each repeat found."""
     parser = argparse.ArgumentParser(prog="python -m campaigns.rare_events.coverage", description="Coverage of splitting in flight")
     parser.add_argument("--repeats", type=int, default=100, help="studies that are repeated (100)")
     parser.add_argument(
         "--roots", type=int, default=ROOTS, help=f"flights of a mean, of which a repeat has {OBSERVATIONS} ({ROOTS})"
     )
     parser.add_argument("--plain", type=int, default=4000, help="plain flights for the truth (4000)")
+    parser.add_argument("--out", type=Path, default=HOME, metavar="DIR", help=f"folder of {TABLE} (that of this module)")
     args = parser.parse_args(argv)
-    return ending(lambda: _run(args.repeats, args.roots, args.plain))
+    return ending(lambda: _run(args.repeats, args.roots, args.plain, args.out))
 
 
-def _run(repeats: int, roots: int, plain: int) -> int:
+def _run(repeats: int, roots: int, plain: int, out: Path) -> int:
     if repeats < 20 or min(roots, plain) < 1:
         raise BadInputError(f"--repeats {repeats} --roots {roots} --plain {plain}: 20 repeats, a root and a plain flight at least")
     begun = time.process_time()
@@ -103,6 +134,8 @@ def _run(repeats: int, roots: int, plain: int) -> int:
     limits = [interval(one) for one in values]
     print(f"{repeats} repeats, {hours:.0f} h of paths; {time.process_time() - begun:.0f} s of a core", flush=True)
     hit, flown = truth(study, plain)
+    out.mkdir(parents=True, exist_ok=True)
+    write_bytes(out / table_name(roots), csv_text(rows(values, hit, flown)).encode())
     true, error = hit / flown, float(np.sqrt(hit)) / flown
     held = sum(one.lower <= true <= one.upper for one in limits)
     undefined = sum(not one.lower > 0.0 for one in limits)

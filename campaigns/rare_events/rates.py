@@ -32,8 +32,8 @@ class Limits:
 @dataclass(frozen=True)
 class Rate:
     """Excursions of one radius. ``split``, ``plain``: probability of a first one in a flight; ``split_per_h``, ``plain_per_h``: all
-    of them per hour; ``cluster``: events of a flight that has one; ``observations``: means of replicates; ``ratio``: split
-    probability over plain; ``reason``: why limits of ``split`` are not defined."""
+    of them per hour; ``cluster``: events of a flight that has one; ``observations``: means of replicates; ``largest``: the share
+    that one replicate has of all first excursions, NaN without any; ``reason``: why limits of ``split`` are not defined."""
 
     radius_m: float
     split: Limits
@@ -46,6 +46,7 @@ class Rate:
     plain_hit: int
     p_value: float
     compared: int
+    largest: float
     reason: str
 
     @property
@@ -63,7 +64,12 @@ def rates(radii_m: Sequence[float], hours: float, split: Sequence[Counted], plai
     observed = pooled(split)
     found = [_rate(place, radius, hours, observed, plain) for place, radius in enumerate(radii_m)]
     compared = sum(not math.isnan(one.p_value) for one in found)
-    return [replace(one, compared=compared) for one in found]
+    return [replace(one, compared=compared, largest=_largest(split, place)) for place, one in enumerate(found)]
+
+
+def _largest(split: Sequence[Counted], place: int) -> float:
+    known = [one.probability[place] for one in split]
+    return max(known) / sum(known) if sum(known) > 0.0 else math.nan
 
 
 def pooled(split: Sequence[Counted]) -> list[Counted]:
@@ -102,6 +108,7 @@ def _rate(place: int, radius_m: float, hours: float, split: Sequence[Counted], p
         plain_hit=hit,
         p_value=_p_value(known, len(split), hit, flights),
         compared=0,
+        largest=math.nan,
         reason=probability.reason,
     )
 

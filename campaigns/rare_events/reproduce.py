@@ -33,7 +33,7 @@ CORNER, CELL = "100100", "moderate-4"
 RATES = "rates.csv"
 AIM_M = 21.0
 """Beyond it some 1e-5 excursions per hour are to be found in the default cell."""
-REPLICATES_WANTED, PLAIN_WANTED, PATHS = 12, 16, 20
+REPLICATES_WANTED, PLAIN_WANTED, PATHS = 24, 16, 20
 DIFFERENCE_M = 1e-6
 """Two engines whose paths differ by no more are alike: a branched path of a minute is within it."""
 
@@ -185,7 +185,7 @@ def tables(study: Study, folder: Folder) -> int:
 
 
 def _row(one: Rate) -> dict[str, str]:
-    row = {"radius_m": f"{one.radius_m:g}", "observations": str(one.observations)}
+    row = {"radius_m": f"{one.radius_m:g}", "observations": str(one.observations), "largest_share": _shown(one.largest)}
     for name in ("split", "split_per_h", "plain", "plain_per_h"):
         limits = getattr(one, name)
         row |= {name: _shown(limits.estimate), f"{name}_lower": _shown(limits.lower), f"{name}_upper": _shown(limits.upper)}
@@ -198,6 +198,7 @@ def _words(one: Rate) -> str:
     if one.reason:
         return f"{one.radius_m:g} m: no rate to use; {one.reason}; {one.plain_hit} of {one.plain_flights} plain flights have one"
     told = f"{one.radius_m:g} m: {_limits(one.split_per_h)} per hour by {one.observations} means, {_shown(one.cluster)} a cluster"
+    told += f", one replicate has {100.0 * one.largest:.2g} %"
     if one.plain_flights:
         told += f"; flights with one: {_limits(one.split)}, not split {_limits(one.plain)} ({one.plain_hit} of {one.plain_flights})"
     return told if one.agree is None else f"{told}: {'they agree' if one.agree else 'they differ'} (p = {_shown(one.p_value)})"

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +13,7 @@ import numpy as np
 import pytest
 
 from campaigns.full_size.plan import Plan
-from campaigns.rare_events import coverage, reproduce
+from campaigns.rare_events import closed_form, coverage, reproduce
 from campaigns.rare_events.folder import JSBSIM, LEVELS, PLAIN, REPLICATES, Folder
 from campaigns.rare_events.rates import rates
 from campaigns.rare_events.states import CENTRE_EAST_M, NAMES, PROPERTIES, regressors
@@ -21,7 +23,7 @@ from uqharness.campaign.rare.paths import Hit
 from uqharness.campaign.rare.predicted import Predicted
 from uqharness.errors import BadInputError
 from uqharness.flight import Split
-from uqharness.statistics import Levels
+from uqharness.statistics import Levels, interval
 
 SHORT = """
 [campaign]
@@ -162,6 +164,8 @@ def test_rates_agree_with_plain_flights_or_do_not():
     assert alike.plain_per_h.upper / 0.26 == pytest.approx(math.exp(1.96 * math.sqrt((0.18 - 0.13**2) / 1000) / 0.13), rel=1e-4)
     assert alike.observations == 8
     assert alike.compared == 1
+    known = [one.probability[0] for one in split]
+    assert alike.largest == pytest.approx(max(known) / sum(known))
     assert 0.05 < alike.p_value <= 1.0
     assert alike.split.estimate == pytest.approx(np.mean([one.probability for one in split]))
     (other,) = rates([15.0], 0.5, split, [counted(0.3, 0.33, 1000, 0.4)])
@@ -180,6 +184,8 @@ def test_rates_agree_with_plain_flights_or_do_not():
     assert without.agree is None
     (none,) = rates([15.0], 0.5, [counted(0.0, 0.0), *split[:3]], [])
     assert math.isnan(none.split.lower)
+    (nothing,) = rates([15.0], 0.5, [counted(0.0, 0.0)] * 4, [])
+    assert math.isnan(nothing.largest)
     assert "1 of 4 replicates have no event" in none.reason
 
 
@@ -229,14 +235,80 @@ def test_states_are_turned_into_the_axes_of_the_circle():
     assert found["one x sine"] == 1.0
 
 
-def test_intervals_that_hold_are_counted(monkeypatch, capsys):
+def test_intervals_that_hold_are_counted(monkeypatch, tmp_path, capsys):
     rng = np.random.default_rng(2)
     monkeypatch.setattr(coverage, "pilot", lambda *_: Levels((-2.0,)))
     right = 0.1 * np.exp(0.3 * rng.standard_normal((100, 8)))
     monkeypatch.setattr(coverage, "observed", lambda *_: (right, 1.0))
     monkeypatch.setattr(coverage, "truth", lambda *_: (418, 4000))
-    assert coverage.main([]) == 0
+    out = ["--out", str(tmp_path)]
+    assert coverage.main(out) == 0
+    found = rows_of(tmp_path / coverage.TABLE)
+    assert [number for row in found for number in wrong_in(row)] == []
+    assert 90 <= sum(row["held"] == "yes" for row in found) < 100
     monkeypatch.setattr(coverage, "observed", lambda *_: (0.5 * right, 1.0))
-    assert coverage.main([]) == 1
+    assert coverage.main([*out, "--roots", "4"]) == 1
     assert "of 100 intervals hold it" in capsys.readouterr().out
-    assert coverage.main(["--repeats", "5"]) == 2
+    assert sum(row["held"] == "yes" for row in rows_of(tmp_path / "coverage-4-roots.csv")) < 90
+    assert coverage.main([*out, "--repeats", "5"]) == 2
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def number(text: str) -> float:
+    return float(text or "nan")
+
+
+def wrong_in(row: Mapping[str, str]) -> list[str]:
+    """Columns of a row of coverage.csv that are not what its means, and the plain flights, say."""
+    one = interval([number(row[f"mean_{place}"]) for place in range(coverage.OBSERVATIONS)])
+    kept = {name: number(row[name]) for name in ("estimate", "lower", "upper")}
+    found = [name for name, value in kept.items() if value != pytest.approx(getattr(one, name), rel=1e-6, nan_ok=True)]
+    held = kept["lower"] <= int(row["plain_hit"]) / int(row["plain_flights"]) <= kept["upper"]
+    return found + (["held"] if row["held"] != ("yes" if held else "no") else [])
+
+
+def test_the_committed_intervals_hold_the_rate_of_plain_flights_nine_times_in_ten():
+    found = rows_of(reproduce.HOME / coverage.TABLE)
+    assert [row["repeat"] for row in found] == [str(number) for number in range(100)]
+    assert [name for row in found for name in wrong_in(row)] == []
+    assert len({(row["plain_hit"], row["plain_flights"]) for row in found}) == 1
+    assert int(found[0]["plain_flights"]) >= 4000
+    assert sum(row["held"] == "yes" for row in found) >= 90
+
+
+def test_a_row_that_was_changed_is_seen():
+    row = rows_of(reproduce.HOME / coverage.TABLE)[0]
+    assert wrong_in(row) == []
+    assert wrong_in({**row, "held": "no" if row["held"] == "yes" else "yes"}) == ["held"]
+    assert "upper" in wrong_in({**row, "upper": str(1.01 * float(row["upper"]))})
+    assert wrong_in({**row, "mean_3": str(2.0 * float(row["mean_3"]))}) == ["estimate", "lower", "upper"]
+
+
+def test_the_committed_intervals_hold_what_quadrature_gives():
+    truth = closed_form.exact(closed_form.STEPS, closed_form.THRESHOLD, closed_form.REARM)
+    found = rows_of(reproduce.HOME / closed_form.TABLE)
+    held = {(paths, name): 0 for paths in {row["paths"] for row in found} for name in ("probability", "events")}
+    for row in found:
+        for name, true in zip(("probability", "events"), truth, strict=True):
+            assert number(row[f"{name}_true"]) == pytest.approx(true, rel=1e-6)
+            holds = number(row[f"{name}_lower"]) <= true <= number(row[f"{name}_upper"])
+            assert row[f"{name}_held"] == ("yes" if holds else "no")
+            held[row["paths"], name] += holds
+    assert len(found) == 200
+    assert min(held["splitting", "probability"], held["splitting", "events"]) >= 90
+    assert held["copies that begin elsewhere", "probability"] <= 5
+
+
+def test_repeats_of_the_closed_form_are_kept_with_their_limits():
+    known, none = interval([0.003, 0.004, 0.005]), interval([0.0, 0.004, 0.005])
+    found = closed_form.Coverage((closed_form.Repeat(known, known), closed_form.Repeat(none, known)), (0.004, 0.05))
+    assert (found.repeats, found.probability, found.events) == (2, 1, 0)
+    assert found.ratio == pytest.approx((0.004 + 0.003) / 2 / 0.004)
+    first, second = found.rows("splitting")
+    assert (first["probability_held"], first["events_held"], second["probability_held"]) == ("yes", "no", "no")
+    assert second["probability_lower"] == ""
+    assert number(first["probability_upper"]) == pytest.approx(known.upper)

@@ -1,0 +1,155 @@
+"""Memory that tables of a million flights need: shards with made-up numbers, and the peak while tables are made of them.
+
+    python -m campaigns.full_size.memory corners [--flights 1000000]
+    python -m campaigns.full_size.memory walks [--flights 1000000]
+
+``corners`` are the 64 of Tables 3.1 and 3.2 in one cell: statements, p-boxes and shares. ``walks`` are the 2,000 of Fig 3.10, 500
+flights each at full number: containment beside the corners of campaigns/excursions, and how many walks are enough. Nothing flies;
+shards have the columns, types and digests of those that are flown. The peak is that of the whole process, and can be read on
+Linux and macOS. Exit code 0: the peak is below 2 GB; 1: above; 2: bad input.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from campaigns.excursions import full_size as excursions
+from campaigns.full_size.cells import flown_cell
+from campaigns.full_size.ending import ending
+from campaigns.full_size.folder import Line, add
+from campaigns.full_size.plan import Plan, cell_name, identity
+from campaigns.full_size.sketch import SKETCHED, coded
+from campaigns.loiter import full_size as loiter
+from sysid.digests import sha256_hex
+from uqharness.campaign.cases import Case
+from uqharness.campaign.columns import excursion_columns
+from uqharness.campaign.conditions import Condition
+from uqharness.errors import BadInputError
+from uqharness.parquet_files import table_bytes
+
+ALLOWED_MB = 2000.0
+CELL, CORNERS, WALKS = "severe-3", 64, 2000
+ENDS_EARLY = 1e-5
+"""Share of flights that are said to have diverged."""
+
+
+def made_up(cases: Sequence[Case], rng: np.random.Generator, resolution: float) -> pa.Table:
+    """A shard's table with numbers that no flight gave: a sample's and an air's part in every median, Poisson excursions."""
+    _, sample = np.unique([case.epistemic_id for case in cases], return_inverse=True)
+    _, air = np.unique([case.aleatory_id for case in cases], return_inverse=True)
+    of_sample = np.random.default_rng(1).normal(0.0, 0.05, len(cases))[sample]
+    of_air = rng.normal(0.0, 0.03, len(cases))[air]
+    ended = rng.random(len(cases)) < ENDS_EARLY
+    columns = {
+        "status": pa.array(np.where(ended, "diverged", "ok").tolist(), pa.string()),
+        "duration_s": pa.array(np.where(ended, 1800.0, np.nan), pa.float32(), from_pandas=True),
+    }
+    for name in (*excursion_columns(cases[0].flight.excursion_radius_m), "loss_of_control"):
+        columns[name] = pa.array(rng.poisson(0.0 if name == "loss_of_control" else 2.0, len(cases)), pa.int32())
+    for name in SKETCHED:
+        numbers = coded(2.0 * np.exp(of_sample + of_air + rng.normal(0.0, 0.02, len(cases))), resolution)
+        columns[name] = pa.array(numbers.data, pa.int16(), mask=np.ma.getmaskarray(numbers) | ended)
+    return pa.table(columns)
+
+
+def fill(plan: Plan, folder: Path, condition: Condition) -> int:
+    """Made-up shards of all flights of a condition; how many flights."""
+    flights = 0
+    for shard in plan.only([cell_name(condition)]):
+        cases = plan.cases(shard)
+        table = made_up(cases, np.random.default_rng([2, shard.number]), plan.resolution)
+        content = table_bytes(table)
+        ended = int(np.sum(np.array(table["status"].to_pylist()) != "ok"))
+        hours = sum(case.flight.duration_s for case in cases) / 3600.0 - 0.5 * ended
+        line = Line(
+            shard=shard.number,
+            first_air=shard.part.aleatory_ids.start,
+            airs=len(shard.part.aleatory_ids),
+            flights=len(cases),
+            failed=ended,
+            hours=hours,
+            core_s=0.0,
+            jsbsim_flights=0,
+            jsbsim_core_s=0.0,
+            jsbsim_excused=0,
+            jsbsim_difference=0.0,
+            jsbsim_worst="",
+            cases=identity(cases),
+            results="",
+            file=sha256_hex(content),
+            engine="",
+            version="",
+        )
+        add(folder, shard, line, content)
+        flights += len(cases)
+    return flights
+
+
+def corners(folder: Path, flights: int) -> int:
+    """Fill a cell of Tables 3.1 and 3.2 and make the tables that are made of it: how many flights these are of."""
+    plan = excursions.plan().with_flights(flights // CORNERS)
+    condition = plan.condition(CELL)
+    count = fill(plan, folder / "shards", condition)
+    _say(f"{count} flights lie in {folder}", peak_mb())
+    excursions.tables(plan, folder / "shards", folder)
+    _say("statements are made", peak_mb())
+    loiter.write_tables(flown_cell(plan, folder / "shards", condition)[0], folder)
+    return count
+
+
+def walks(folder: Path, flights: int) -> int:
+    """Fill the walks of Fig 3.10 and make the tables that are made of them: how many flights these are of."""
+    module = importlib.import_module("campaigns.time-varying.full_size")
+    plan = module.plan().with_flights(flights // WALKS)
+    (condition,) = plan.conditions
+    count = fill(plan, folder / "shards", condition)
+    _say(f"{count} flights lie in {folder}", peak_mb())
+    module.tables(plan, folder / "shards", folder)
+    return count
+
+
+def peak_mb() -> float:
+    """Largest resident memory of this process so far, in MB. Raises BadInputError where the system does not tell."""
+    try:
+        import resource
+    except ImportError as error:
+        raise BadInputError("the peak of the memory can be read on Linux and macOS only") from error
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Make the tables of one kind, and print the peak."""
+    parser = argparse.ArgumentParser(prog="python -m campaigns.full_size.memory", description="Memory of tables at full size")
+    parser.add_argument("kind", choices=["corners", "walks"])
+    parser.add_argument("--flights", type=int, default=1_000_000, metavar="N", help="made-up flights (1000000)")
+    args = parser.parse_args(argv)
+    return ending(lambda: _run(args.kind, args.flights))
+
+
+def _run(kind: str, flights: int) -> int:
+    if flights < WALKS:
+        raise BadInputError(f"--flights {flights}: {WALKS} at least, one of each walk")
+    begun, started = time.process_time(), peak_mb()
+    with tempfile.TemporaryDirectory() as folder:
+        count = {"corners": corners, "walks": walks}[kind](Path(folder), flights)
+    peak = peak_mb()
+    cost = time.process_time() - begun
+    print(f"{kind}: tables of {count} flights, {peak:.0f} MB at most ({started:.0f} MB before the first); {cost:.0f} s of a core")
+    return 0 if peak <= ALLOWED_MB else 1
+
+
+def _say(text: str, peak: float) -> None:
+    print(f"{text}: {peak:.0f} MB so far", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
