@@ -280,6 +280,12 @@ def test_the_committed_intervals_hold_the_rate_of_plain_flights_nine_times_in_te
     assert sum(row["held"] == "yes" for row in found) >= 90
 
 
+def test_means_of_fewer_flights_often_have_no_limits():
+    found = rows_of(reproduce.HOME / coverage.table_name(4))
+    assert [name for row in found for name in wrong_in(row)] == []
+    assert (sum(row["lower"] == "" for row in found), sum(row["held"] == "yes" for row in found)) == (33, 65)
+
+
 def test_a_row_that_was_changed_is_seen():
     row = rows_of(reproduce.HOME / coverage.TABLE)[0]
     assert wrong_in(row) == []
