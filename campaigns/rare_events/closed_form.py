@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from campaigns.rare_events.rates import shown
 from uqharness.files import write_bytes
 from uqharness.statistics import Seen, interval, pilot, run
 from uqharness.statistics.splitting import Interval
@@ -142,8 +143,12 @@ class Coverage:
         for number, one in enumerate(self.studies):
             row = {"paths": paths, "repeat": str(number)}
             for name, limits, true in (("probability", one.probability, self.truth[0]), ("events", one.events, self.truth[1])):
-                row |= {name: _shown(limits.estimate), f"{name}_lower": _shown(limits.lower), f"{name}_upper": _shown(limits.upper)}
-                row |= {f"{name}_true": _shown(true), f"{name}_held": "yes" if holds(limits, true) else "no"}
+                row |= {
+                    name: shown(limits.estimate, 9),
+                    f"{name}_lower": shown(limits.lower, 9),
+                    f"{name}_upper": shown(limits.upper, 9),
+                }
+                row |= {f"{name}_true": shown(true, 9), f"{name}_held": "yes" if holds(limits, true) else "no"}
             found.append(row)
         return found
 
@@ -151,10 +156,6 @@ class Coverage:
 def holds(limits: Interval, true: float) -> bool:
     """Whether limits hold a number; those that are not defined do not."""
     return limits.lower <= true <= limits.upper
-
-
-def _shown(value: float) -> str:
-    return "" if value != value else f"{value:.9g}"
 
 
 def coverage(repeats: int, made: type[Crossings] = Crossings) -> Coverage:

@@ -23,6 +23,7 @@ from scipy import stats
 
 from campaigns.full_size.ending import ending
 from campaigns.rare_events.folder import Folder
+from campaigns.rare_events.rates import shown
 from campaigns.rare_events.reproduce import CELL, CORNER, HOME, default_study
 from campaigns.rare_events.states import LoiterScore
 from campaigns.rare_events.study import GRID, TOP, Study
@@ -79,23 +80,24 @@ def rows(values: NDArray[np.float64], hit: int, flown: int) -> list[dict[str, st
     found = []
     for number, means in enumerate(values):
         one = interval(means)
-        row = {"repeat": str(number), "estimate": _shown(one.estimate), "lower": _shown(one.lower), "upper": _shown(one.upper)}
+        row = {
+            "repeat": str(number),
+            "estimate": shown(one.estimate, 9),
+            "lower": shown(one.lower, 9),
+            "upper": shown(one.upper, 9),
+        }
         row |= {
             "held": "yes" if one.lower <= hit / flown <= one.upper else "no",
             "plain_hit": str(hit),
             "plain_flights": str(flown),
         }
-        found.append(row | {f"mean_{place}": _shown(value) for place, value in enumerate(map(float, means))})
+        found.append(row | {f"mean_{place}": shown(value, 9) for place, value in enumerate(map(float, means))})
     return found
 
 
 def table_name(roots: int) -> str:
     """The file of studies of so many roots a mean."""
     return TABLE if roots == ROOTS else f"coverage-{roots}-roots.csv"
-
-
-def _shown(value: float) -> str:
-    return "" if value != value else f"{value:.9g}"
 
 
 def main(argv: Sequence[str] | None = None) -> int:

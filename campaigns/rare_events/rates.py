@@ -143,3 +143,8 @@ def _p_value(split: Limits, observations: int, hit: int, flights: int) -> float:
     few = float(stats.binom.cdf(hit, flights, shares).mean())
     many = float(stats.binom.sf(hit - 1, flights, shares).mean())
     return min(1.0, 2.0 * few, 2.0 * many)
+
+
+def shown(value: float, figures: int = 3) -> str:
+    """A number of a table to so many significant figures; empty where undefined."""
+    return "" if math.isnan(value) else f"{value:.{figures}g}"

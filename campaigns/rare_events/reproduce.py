@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import math
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -21,7 +20,7 @@ from campaigns.full_size.ending import ending
 from campaigns.full_size.folder import locked
 from campaigns.full_size.plan import Plan, identity
 from campaigns.rare_events.folder import JSBSIM, LEVELS, PLAIN, REPLICATES, Folder, Line
-from campaigns.rare_events.rates import Limits, Rate, rates
+from campaigns.rare_events.rates import Limits, Rate, rates, shown
 from campaigns.rare_events.study import Size, Study, chosen_hits
 from uqharness.campaign.rare.paths import Hit
 from uqharness.errors import BadInputError
@@ -185,31 +184,27 @@ def tables(study: Study, folder: Folder) -> int:
 
 
 def _row(one: Rate) -> dict[str, str]:
-    row = {"radius_m": f"{one.radius_m:g}", "observations": str(one.observations), "largest_share": _shown(one.largest)}
+    row = {"radius_m": f"{one.radius_m:g}", "observations": str(one.observations), "largest_share": shown(one.largest)}
     for name in ("split", "split_per_h", "plain", "plain_per_h"):
         limits = getattr(one, name)
-        row |= {name: _shown(limits.estimate), f"{name}_lower": _shown(limits.lower), f"{name}_upper": _shown(limits.upper)}
-    row |= {"cluster": _shown(one.cluster), "plain_flights": str(one.plain_flights), "plain_hit": str(one.plain_hit)}
-    row["p_value"] = _shown(one.p_value)
+        row |= {name: shown(limits.estimate), f"{name}_lower": shown(limits.lower), f"{name}_upper": shown(limits.upper)}
+    row |= {"cluster": shown(one.cluster), "plain_flights": str(one.plain_flights), "plain_hit": str(one.plain_hit)}
+    row["p_value"] = shown(one.p_value)
     return row | {"agree": {None: "", True: "yes", False: "no"}[one.agree], "reason": one.reason}
 
 
 def _words(one: Rate) -> str:
     if one.reason:
         return f"{one.radius_m:g} m: no rate to use; {one.reason}; {one.plain_hit} of {one.plain_flights} plain flights have one"
-    told = f"{one.radius_m:g} m: {_limits(one.split_per_h)} per hour by {one.observations} means, {_shown(one.cluster)} a cluster"
+    told = f"{one.radius_m:g} m: {_limits(one.split_per_h)} per hour by {one.observations} means, {shown(one.cluster)} a cluster"
     told += f", one replicate has {100.0 * one.largest:.2g} %"
     if one.plain_flights:
         told += f"; flights with one: {_limits(one.split)}, not split {_limits(one.plain)} ({one.plain_hit} of {one.plain_flights})"
-    return told if one.agree is None else f"{told}: {'they agree' if one.agree else 'they differ'} (p = {_shown(one.p_value)})"
+    return told if one.agree is None else f"{told}: {'they agree' if one.agree else 'they differ'} (p = {shown(one.p_value)})"
 
 
 def _limits(limits: Limits) -> str:
-    return f"{_shown(limits.estimate)} ({_shown(limits.lower)} to {_shown(limits.upper)})"
-
-
-def _shown(value: float) -> str:
-    return "" if math.isnan(value) else f"{value:.3g}"
+    return f"{shown(limits.estimate)} ({shown(limits.lower)} to {shown(limits.upper)})"
 
 
 def _say(text: str) -> None:

@@ -111,7 +111,6 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
     everything = after
     evidence: Evidence | None = None
     both: Both | None = None
-    vague = found.bent is not None or bool(left_in(train.setup, fitted, found.gusty))
     verdicts: dict[str, Verdict] = {}
     gone: list[Choice] = []
     while standing.selection.chosen:
@@ -139,7 +138,7 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
             verdicts[worst.key] = worst
         if worst.says != "grew":
             unseen = [v for v in now.values() if v.says == CANNOT_TELL]
-            if not (vague and unseen):
+            if not unseen or (found.bent is None and not left_in(train.setup, fitted, found.gusty)):
                 break
             worst = min(unseen, key=lambda v: v.z)
         gone.append(next(c for c in found.selection.chosen if c.key == worst.key))
