@@ -29,6 +29,7 @@ from sysid.aerodynamics.flight_equations import LENGTHS
 from sysid.aerodynamics.residuals import Cutoffs, Model, Passage, ResidualPiece, Residuals, steady_airspeed
 from sysid.aerodynamics.segmentation import Piece
 from sysid.aerodynamics.sensor_noise import RATES
+from sysid.linalg.recursions import first_order
 from sysid.record import FlightRecord
 from sysid.units import G0_MPS2
 
@@ -137,9 +138,7 @@ def _rotation(air: AirPiece, gusts: FloatArray, dt_s: float) -> FloatArray:
 
 def _lagged(x: FloatArray, time_s: float, dt_s: float) -> FloatArray:
     keep = float(np.exp(-dt_s / time_s))
-    from scipy.signal import lfilter  # loads scipy.stats, over a second
-
-    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], x))
+    return first_order((1.0 - keep) * x, keep)
 
 
 def _inner(x: FloatArray, n: int) -> FloatArray:

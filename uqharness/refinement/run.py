@@ -14,7 +14,6 @@ from sysid.effects import Effect
 from sysid.logs import FOUND
 from sysid.parallel import Processes
 from uqharness import __version__
-from uqharness.campaign.folder import MANIFEST
 from uqharness.files import inner_folder
 from uqharness.parallel import worker_map
 from uqharness.refinement.beside import named_beside
@@ -33,9 +32,9 @@ from uqharness.refinement.showing.intervals import (
     intervals_document,
     write_forms,
 )
-from uqharness.refinement.showing.mission import FOLDER as PBOX
-from uqharness.refinement.showing.mission import MissionResult, Model, campaign_for, fly_missions, no_pbox
 from uqharness.refinement.showing.notebook import refinement_view
+from uqharness.refinement.showing.pboxes import FOLDER as PBOX
+from uqharness.refinement.showing.pboxes import MissionResult, no_pbox
 from uqharness.refinement.showing.show import air_of, write_bytes_tree
 from uqharness.refinement.stages import FOLDER, Stages
 from uqharness.refinement.timing import later
@@ -113,6 +112,8 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
     aircraft = request.aircraft
     refuse_shared(request.train, request.test)
     if request.campaign is not None:
+        from uqharness.refinement.showing.mission import campaign_for
+
         campaign_for(aircraft, request.campaign)
     say("reading the flights")
     train, test = _read(request, request.train), _read(request, request.test)
@@ -272,10 +273,13 @@ def _put(made: Aircraft, given: Aircraft, root: Path) -> Aircraft:
 def _remove_stale(out: Path, aircraft: Aircraft) -> None:
     """What an earlier refinement with an effect left in the folder, and one without does not write over."""
     before = out / "before" / "aircraft" / aircraft.folder.name
-    mission = out / PBOX / "after"
-    for folder, mark in ((before, aircraft.xml.name), (mission, MANIFEST)):
-        if (folder / mark).is_file():
-            shutil.rmtree(folder)
+    if (before / aircraft.xml.name).is_file():
+        shutil.rmtree(before)
+    if (mission := out / PBOX / "after").is_dir():
+        from uqharness.campaign.folder import MANIFEST
+
+        if (mission / MANIFEST).is_file():
+            shutil.rmtree(mission)
     (out / INTERVALS / "after.json").unlink(missing_ok=True)
 
 
@@ -292,6 +296,9 @@ def _mission(
     lacking = [name for name in models if name not in forms]
     if lacking:
         return no_pbox(f"no intervals {' and '.join(lacking)} to fly within: see gap.test.intervals")
+    # Campaigns are much to load, and not every refinement flies one.
+    from uqharness.refinement.showing.mission import Model, fly_missions
+
     say("flying the mission with both models")
     both = {name: Model(aircraft, forms[name]) for name, aircraft in models.items()}
     return fly_missions(both, request.campaign, request.out, request.workers, say)

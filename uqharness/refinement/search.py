@@ -134,7 +134,8 @@ def instead_of(start: Start, now: Round, proposal: Selection, about: About) -> l
     new = [c for c in proposal.chosen if c.key not in about.flown]
     asked = [c for c in now.again.chosen if c.key not in now.keys]
     unexplained = now.gusts is not None and bool(np.any(now.gusts.moments > CERTAIN_T**2))
-    if len(new) != 1 or abs(new[0].t) <= OVERWHELMING or not (len(asked) >= SEVERAL or unexplained):
+    several = abs(new[0].t) > OVERWHELMING and len(asked) >= SEVERAL if new else False
+    if len(new) != 1 or not (several or unexplained):
         return []
     kept = [c.key for c in proposal.chosen if c.key != new[0].key]
     free = [*start.free, *kept]

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.linalg.recursions import first_order
 from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import Aircraft, open_aircraft, parse_xml
 
@@ -56,11 +57,9 @@ class Actuator:
         asked = np.repeat(commands, runs)[: (len(commands) - 1) * runs + 1].astype(float)
         out = asked
         if self.lag is not None:
-            from scipy.signal import lfilter  # loads scipy.stats, over a second
-
             half = step_s * self.lag
             gain, keep = half / (2.0 + half), (2.0 - half) / (2.0 + half)
-            out = lfilter([gain, gain], [1.0, -keep], asked, zi=[(gain + keep) * asked[0]])[0]
+            out = first_order(gain * (asked + np.concatenate([asked[:1], asked[:-1]])), keep, asked[0])
         out = _limited(out, self.rate * step_s)
         # The lag remembers its own output, the rate limit what it let through.
         np.clip(out, self.low, self.high, out=out)

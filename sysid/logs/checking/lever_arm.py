@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import Finding
+from sysid.logs.checking.spectra import band_passed
 from sysid.record import FlightRecord
 from sysid.units import G0_MPS2
 
 FloatArray = NDArray[np.float64]
 BAND_HZ = (0.08, 2.0)
 _MIN_SEGMENT_S = 20.0
-_MIN_ROWS = 20  # the band-pass needs 16; a log so slow that the band is not in it has nothing to compare
+_MIN_ROWS = 20  # a log so slow that the band is not in it has nothing to compare
 _LONGEST_S = 600.0
 _ATTITUDE = ("phi_rad", "theta_rad", "psi_rad")
 _RATES = ("p_radps", "q_radps", "r_radps")
@@ -34,12 +35,8 @@ def _longest(record: FlightRecord, names: tuple[str, ...]) -> FlightRecord | Non
 
 
 def _band(x: FloatArray, dt_s: float) -> FloatArray:
-    """Zero-phase band-pass over BAND_HZ (upper edge below 0.4 of the sampling rate)."""
-    from scipy import signal as dsp  # loads scipy.stats, over a second
-
-    high = min(BAND_HZ[1], 0.4 / dt_s)
-    sos = dsp.butter(2, [BAND_HZ[0], high], btype="bandpass", fs=1.0 / dt_s, output="sos")
-    return dsp.sosfiltfilt(sos, x - x.mean())
+    """(..., n) over BAND_HZ, the upper edge below 0.4 of the sampling rate."""
+    return band_passed(x, dt_s, BAND_HZ[0], min(BAND_HZ[1], 0.4 / dt_s))
 
 
 _BLOCK_S, _LEAST_BLOCKS = 4.0, 8
@@ -84,8 +81,8 @@ def lever_arm(record: FlightRecord) -> LeverArm | None:
             [p * r - dq, q * r + dp, -(p**2 + q**2)],
         ]
     )
-    a = np.concatenate([np.stack([_band(rows[i, j], dt) for j in range(3)], axis=1) for i in range(3)])
-    b = np.concatenate([_band(measured[i] - acceleration[i], dt) for i in range(3)])
+    a = np.concatenate(_band(rows, dt).swapaxes(1, 2))
+    b = _band(measured - acceleration, dt).ravel()
     weight = np.ones(b.size)
     for _ in range(2):
         information = (a * weight[:, None]).T @ a
@@ -105,7 +102,7 @@ def lever_arm(record: FlightRecord) -> LeverArm | None:
         return None
     inverse = np.linalg.inv(information)
     scatter = sums.T @ sums * len(sums) / (len(sums) - 3.0)
-    return LeverArm(position, np.sqrt(np.diag(inverse @ scatter @ inverse)))
+    return LeverArm(np.asarray(position, dtype=float), np.sqrt(np.diag(inverse @ scatter @ inverse)))
 
 
 def lever_arm_finding(record: FlightRecord) -> list[Finding]:

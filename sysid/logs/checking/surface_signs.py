@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from sysid.errors import Finding
 from sysid.logs.checking.mending import mend, spoils
+from sysid.logs.checking.spectra import band_passed
 from sysid.record import FlightRecord
 
 FloatArray = NDArray[np.float64]
@@ -29,6 +30,7 @@ _SURE = 6.0  # standard errors of a sign
 _SHARE = 0.15  # of what is left of the angular acceleration that the surface must explain
 _AGAINST = 0.3  # of that share, explained before with the other sign: a quick aircraft swings back within the lags tried
 _MOVING_DEG = 0.3  # rms in the band
+_TURNING = "angular acceleration"
 
 
 @dataclass(frozen=True)
@@ -81,14 +83,13 @@ def effect(record: FlightRecord, axis: Axis) -> Effect | None:
     parts = _parts(record, (column, axis.rate, *others), dt)
     if not parts or high < 2.0 * _BAND_HZ[0]:
         return None
-    from scipy import signal as dsp  # loads scipy.stats, over a second
-
-    sos = dsp.butter(2, [_BAND_HZ[0], high], btype="bandpass", fs=1.0 / dt, output="sos")
-    rows = [{n: dsp.sosfiltfilt(sos, c[n] - c[n].mean()) for n in c} for c in parts]
+    rows = [{n: band_passed(c[n], dt, _BAND_HZ[0], high) for n in c} for c in parts]
     if math.sqrt(float(np.mean(np.concatenate([c[column] for c in rows]) ** 2))) < _MOVING_DEG:
         return None
+    for c in rows:
+        c[_TURNING] = np.gradient(c[axis.rate], dt)
     lags = range(round(_LATEST_S / dt) + 1)
-    found = [e for lag in lags if (e := _regressed(rows, column, axis.rate, others, lag, dt)) is not None]
+    found = [e for lag in lags if (e := _regressed(rows, column, (axis.rate, *others), lag, dt)) is not None]
     if not found:
         return None
     best = max(found, key=lambda e: e.share)
@@ -132,22 +133,22 @@ def _parts(record: FlightRecord, names: tuple[str, ...], dt: float) -> list[dict
 
 
 def _regressed(
-    rows: list[dict[str, FloatArray]], column: str, rate: str, others: tuple[str, ...], lag: int, dt: float
-) -> Effect | None:
+    rows: list[dict[str, FloatArray]], column: str, others: tuple[str, ...], lag: int, dt: float
+) -> Effect | None:  # fmt: skip
     """Regression with the surface ``lag`` samples earlier; errors from sums over some seconds (Liang and Zeger 1986)."""
     targets, designs, blocks, first = [], [], [], 0
     for c in rows:
-        n = c[rate].size - lag
-        moved = [c[column][:n], *(c[o][:n] if o.endswith("_deg") else c[o][lag:] for o in (rate, *others))]
-        targets.append(np.gradient(c[rate], dt)[lag:])
+        n = c[column].size - lag
+        moved = [c[column][:n], *(c[o][:n] if o.endswith("_deg") else c[o][lag:] for o in others)]
+        targets.append(c[_TURNING][lag:])
         designs.append(np.column_stack(moved))
         block = first + (np.arange(n) * dt // _BLOCK_S).astype(int)
         blocks.append(block)
         first = int(block[-1]) + 1
     y, a, block = np.concatenate(targets), np.vstack(designs), np.concatenate(blocks)
     rest = a[:, 1:] / np.maximum(a[:, 1:].std(axis=0), 1e-12)
-    own = a[:, 0] - rest @ np.linalg.lstsq(rest, a[:, 0], rcond=1e-9)[0]
-    left = y - rest @ np.linalg.lstsq(rest, y, rcond=1e-9)[0]
+    both = np.column_stack([a[:, 0], y])
+    own, left = (both - rest @ np.linalg.lstsq(rest, both, rcond=1e-9)[0]).T
     power = float(own @ own)
     count = int(block[-1]) + 1
     if not power > 1e-6 * float(a[:, 0] @ a[:, 0]) or count < _LEAST_BLOCKS or not float(left @ left) > 0.0:

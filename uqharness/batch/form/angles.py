@@ -29,9 +29,7 @@ def without_angles(program: Program) -> Program:
         angles -= {name for name in angles if name in stored and not (SINE + name in stored and COSINE + name in stored)}
 
     def rule(builder: Builder, node: Node, arguments: list[Value]) -> Value:
-        prefix = _PREFIXES.get(node.operation)
-        if prefix is None:
-            return builder.op(node.operation, *arguments)
+        prefix = _PREFIXES[node.operation]
         of = builder.nodes[arguments[0].index]
         negative = of.operation == "neg"
         if negative:
@@ -43,4 +41,4 @@ def without_angles(program: Program) -> Program:
 
     if not angles:
         return program
-    return replace(program, sections=tuple(replace(s, function=rebuilt(s.function, rule)) for s in program.sections))
+    return replace(program, sections=tuple(replace(s, function=rebuilt(s.function, _PREFIXES, rule)) for s in program.sections))

@@ -8,8 +8,9 @@ stored value.
 
 from __future__ import annotations
 
+import math
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -142,11 +143,11 @@ class Builder:
         """A number: doubles are distinguished by their bits, so 0.0 is not -0.0."""
         if kind == F64:
             value = float(value)
-            key: Any = struct.pack("<d", value) if value == value else "nan"
+            key: Any = value or struct.pack("<d", value) if value == value else "nan"
         else:
             value = bool(value) if kind == I1 else (int(value) + 2**63) % 2**64 - 2**63
             key = value
-        return self._made(("const", kind, key), Node("const", kind, value=value))
+        return self._leaf(("const", kind, key), "const", kind, value)
 
     def integer(self, value: int) -> Value:
         """A constant of kind i64."""
@@ -161,17 +162,17 @@ class Builder:
         if not values:
             raise ValueError("a table has a number at least")
         numbers = tuple(float(x) for x in values)
-        return self._made(("const", TABLE, np.array(numbers).tobytes()), Node("const", TABLE, value=numbers))
+        return self._leaf(("const", TABLE, np.array(numbers).tobytes()), "const", TABLE, numbers)
 
     def input(self, name: str) -> Value:
         """A double that is given from outside, for each lane its own."""
-        return self._made(("input", name), Node("input", F64, name=name))
+        return self._leaf(("input", name), "input", F64, None, name)
 
     def load(self, slot: str) -> Value:
         """The double in a slot of the state: what was stored in this frame, else what the last frame left."""
         if slot in self.state:
             return self.state[slot]
-        return self._made(("load", slot), Node("load", F64, name=slot))
+        return self._leaf(("load", slot), "load", F64, None, slot)
 
     def store(self, slot: str, value: Value | float) -> None:
         """Put a double into a slot of the state."""
@@ -187,93 +188,117 @@ class Builder:
 
     def op(self, operation: str, *arguments: Value | float) -> Value:
         """The operation on the arguments, folded where they are constants. Raises ValueError for wrong kinds."""
-        values = [self.value(a) for a in arguments]
-        indices = tuple([v.index for v in values])
-        nodes = [self.nodes[i] for i in indices]
+        return Value(self, self._place(operation, tuple([self.value(a).index for a in arguments])))
+
+    def again(self, node: Node, values: Sequence[Value]) -> Value:
+        """A node of another builder in this one, made of this one's values for its arguments."""
+        if node.operation == "const":
+            assert node.value is not None
+            return self.table(node.value) if isinstance(node.value, tuple) else self.constant(node.value, node.kind)
+        if node.operation == "input":
+            return self.input(node.name)
+        if node.operation == "load":
+            return self.load(node.name)
+        return Value(self, self._place(node.operation, tuple([v.index for v in values])))
+
+    def _place(self, operation: str, arguments: tuple[int, ...]) -> int:
+        """The node of an operation on nodes."""
+        key = (operation, *arguments)
+        found = self._known.get(key)
+        if found is not None:
+            return found
+        nodes = [self.nodes[i] for i in arguments]
         meaning = OPERATIONS[operation]
         if tuple([node.kind for node in nodes]) != meaning.kinds:
             raise ValueError(f"{operation} takes {', '.join(meaning.kinds)}; received {', '.join(n.kind for n in nodes)}")
         if meaning.compute is not None and None not in [node.value for node in nodes]:
-            return self.constant(computed(operation, [known(node) for node in nodes]).item(), meaning.result)
-        simpler = self._simpler(operation, values)
-        if simpler is not None:
-            return simpler
-        return self._made((operation, *indices), Node(operation, meaning.result, indices))
+            made = self.constant(computed(operation, [known(node) for node in nodes]).item(), meaning.result).index
+        else:
+            simpler = self._simpler(operation, arguments, nodes)
+            made = len(self.nodes) if simpler is None else simpler
+            if simpler is None:
+                self.nodes.append(Node(operation, meaning.result, arguments))
+        self._known[key] = made
+        return made
 
     def finish(self, outputs: Mapping[str, Value], stores: Mapping[str, Value] | None = None) -> Function:
         """The function that computes ``outputs`` and the stored slots; what they do not need is left out."""
         stores = self.state if stores is None else stores
-        needed: set[int] = set()
-        open_nodes = [v.index for v in (*outputs.values(), *stores.values())]
-        while open_nodes:
-            index = open_nodes.pop()
-            if index not in needed:
-                needed.add(index)
-                open_nodes.extend(self.nodes[index].arguments)
-        kept = sorted(needed)
-        place = {old: new for new, old in enumerate(kept)}
-        nodes = tuple([_moved(self.nodes[old], place) for old in kept])
-        loads = [node.name for node in nodes if node.operation == "load"]
-        return Function(
-            nodes,
-            tuple(node.name for node in nodes if node.operation == "input"),
-            tuple(dict.fromkeys([*loads, *stores])),
-            {name: place[v.index] for name, v in outputs.items()},
-            {name: place[v.index] for name, v in stores.items()},
-        )
+        return _compact(self.nodes, {name: v.index for name, v in outputs.items()}, {name: v.index for name, v in stores.items()})
 
-    def _made(self, key: tuple[Any, ...], node: Node) -> Value:
+    def _leaf(self, key: tuple[Any, ...], operation: str, kind: str, value: Known | None, name: str = "") -> Value:
         index = self._known.get(key)
         if index is None:
             index = self._known[key] = len(self.nodes)
-            self.nodes.append(node)
+            self.nodes.append(Node(operation, kind, (), value, name))
         return Value(self, index)
 
-    def _simpler(self, operation: str, values: list[Value]) -> Value | None:
-        """The same value by less work, bit for bit; None if there is none."""
-        first, last = values[0], values[-1]
+    def _simpler(self, operation: str, arguments: tuple[int, ...], nodes: Sequence[Node]) -> int | None:
+        """The node of the same value by less work, bit for bit; None if there is none."""
+        first, last = arguments[0], arguments[-1]
+        begins, ends = nodes[0].value, nodes[-1].value
         if operation == "select":
-            if first.constant is not None:
-                return values[1] if first.constant else values[2]
-            return values[1] if values[1].index == values[2].index else None
-        if operation in ("and", "or") and (first.constant is not None or last.constant is not None):
-            known, other = (first, last) if first.constant is not None else (last, first)
-            return other if bool(known.constant) == (operation == "and") else known
-        if operation in ("neg", "not") and self.nodes[first.index].operation == operation:
-            return Value(self, self.nodes[first.index].arguments[0])
-        if last.kind != F64 or last.constant is None:
-            if operation == "mul" and first.constant in (1.0, -1.0):
-                return last if first.constant == 1.0 else self.op("neg", last)
+            if begins is not None:
+                return arguments[1] if begins else arguments[2]
+            return arguments[1] if arguments[1] == arguments[2] else None
+        if operation in ("and", "or") and (begins is not None or ends is not None):
+            value, known_one, other = (begins, first, last) if begins is not None else (ends, last, first)
+            return other if bool(value) == (operation == "and") else known_one
+        if operation in ("neg", "not") and nodes[0].operation == operation:
+            return nodes[0].arguments[0]
+        if nodes[-1].kind != F64 or ends is None:
+            if operation == "mul" and begins in (1.0, -1.0):
+                return last if begins == 1.0 else self._place("neg", (last,))
             return None
-        if (operation in ("mul", "div") and last.constant == 1.0) or (operation == "sub" and _same(last.constant, 0.0)):
+        assert isinstance(ends, float)
+        if (operation in ("mul", "div") and ends == 1.0) or (operation == "sub" and _same(ends, 0.0)):
             return first
-        if operation == "mul" and last.constant == -1.0:
-            return self.op("neg", first)
-        if operation == "add" and _same(last.constant, -0.0):
+        if operation == "mul" and ends == -1.0:
+            return self._place("neg", (first,))
+        if operation == "add" and _same(ends, -0.0):
             return first
-        if operation == "div" and _exact_reciprocal(float(last.constant)):
-            return self.op("mul", first, 1.0 / float(last.constant))
+        if operation == "div" and _exact_reciprocal(ends):
+            return self._place("mul", (first, self.constant(1.0 / ends).index))
         return None
 
 
-def rebuilt(function: Function, rule: Callable[[Builder, Node, list[Value]], Value]) -> Function:
-    """The function made again in a new builder, each operation by ``rule``; constants, inputs and loads stay."""
+def rebuilt(
+    function: Function, operations: Collection[str], rule: Callable[[Builder, Node, list[Value]], Value]
+) -> Function:  # fmt: skip
+    """The function with each of these ``operations`` made by ``rule`` in a new builder; all else stays."""
+    if not any(node.operation in operations for node in function.nodes):
+        return function
     builder = Builder()
     values: list[Value] = []
     for node in function.nodes:
-        values.append(replayed(builder, node) or rule(builder, node, [values[i] for i in node.arguments]))
+        arguments = [values[i] for i in node.arguments]
+        values.append(rule(builder, node, arguments) if node.operation in operations else builder.again(node, arguments))
     outputs = {name: values[i] for name, i in function.outputs.items()}
     return builder.finish(outputs, {name: values[i] for name, i in function.stores.items()})
 
 
-def replayed(builder: Builder, node: Node) -> Value | None:
-    """A constant, input or load in another builder; None for an operation."""
-    if node.operation == "const":
-        assert node.value is not None
-        return builder.table(node.value) if isinstance(node.value, tuple) else builder.constant(node.value, node.kind)
-    if node.operation == "input":
-        return builder.input(node.name)
-    return builder.load(node.name) if node.operation == "load" else None
+def storing(function: Function, slots: Collection[str]) -> Function:
+    """The function with the stores of these slots alone."""
+    return _compact(function.nodes, function.outputs, {name: i for name, i in function.stores.items() if name in slots})
+
+
+def _compact(nodes: Sequence[Node], outputs: Mapping[str, int], stores: Mapping[str, int]) -> Function:
+    """Those of the nodes that outputs and stores need, in the same order."""
+    needed = bytearray(len(nodes))
+    open_nodes = [*outputs.values(), *stores.values()]
+    while open_nodes:
+        index = open_nodes.pop()
+        if not needed[index]:
+            needed[index] = 1
+            open_nodes += nodes[index].arguments
+    kept = [index for index, used in enumerate(needed) if used]
+    if len(kept) < len(nodes):
+        place = dict(zip(kept, range(len(kept)), strict=True))
+        nodes = [_moved(nodes[old], place) for old in kept]
+        outputs, stores = ({name: place[i] for name, i in of.items()} for of in (outputs, stores))
+    loads = [node.name for node in nodes if node.operation == "load"]
+    inputs = tuple(node.name for node in nodes if node.operation == "input")
+    return Function(tuple(nodes), inputs, tuple(dict.fromkeys([*loads, *stores])), dict(outputs), dict(stores))
 
 
 def slots_read(function: Function) -> dict[str, frozenset[str]]:
@@ -345,5 +370,5 @@ def _same(a: Constant, b: float) -> bool:
 
 def _exact_reciprocal(x: float) -> bool:
     """Whether 1/x is a normal double without rounding: x is a power of two."""
-    mantissa, exponent = np.frexp(x)
+    mantissa, exponent = math.frexp(x)
     return abs(mantissa) == 0.5 and -1000 < exponent < 1000

@@ -28,7 +28,7 @@ from uqharness.batch.form.arithmetic import (
     with_sign_of,
 )
 from uqharness.batch.form.exponentials import exp, log, log2, log10, power
-from uqharness.batch.form.ir import Builder, Function, Node, Value, rebuilt
+from uqharness.batch.form.ir import Function, Value, rebuilt
 from uqharness.batch.form.semantics import TRANSCENDENTAL
 
 TRIGONOMETRIC_LIMIT = 1.6e6
@@ -41,12 +41,7 @@ _LEAST, _MOST = 2.0**-1074, sys.float_info.max
 def lower(function: Function) -> Function:
     """The function with every transcendental operation written out; what was constant becomes a constant."""
 
-    def rule(builder: Builder, node: Node, arguments: list[Value]) -> Value:
-        if node.operation in TRANSCENDENTAL:
-            return EXPANSIONS[node.operation](*arguments)
-        return builder.op(node.operation, *arguments)
-
-    return rebuilt(function, rule)
+    return rebuilt(function, TRANSCENDENTAL, lambda _, node, arguments: EXPANSIONS[node.operation](*arguments))
 
 
 def sin(x: Value) -> Value:

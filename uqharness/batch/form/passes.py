@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
-from uqharness.batch.form.ir import Builder, Function, Value, replayed, slots_read
+from uqharness.batch.form.ir import Builder, Function, Value, slots_read, storing
 from uqharness.batch.form.maths import lower
 from uqharness.batch.form.program import Program, Section, When
 from uqharness.batch.form.semantics import F64, I1
@@ -79,8 +79,7 @@ def _one(sections: Sequence[Section]) -> Section:
 def _replayed(builder: Builder, function: Function) -> list[Value]:
     values: list[Value] = []
     for node in function.nodes:
-        known = replayed(builder, node)
-        values.append(known if known is not None else builder.op(node.operation, *[values[i] for i in node.arguments]))
+        values.append(builder.again(node, [values[i] for i in node.arguments]))
     return values
 
 
@@ -99,17 +98,10 @@ def alive(program: Program, keep: Collection[str] = ()) -> Program:
             if len(stores) == len(section.function.stores):
                 sections.append(section)
             elif stores:
-                sections.append(replace(section, function=_storing(section.function, stores)))
+                sections.append(replace(section, function=storing(section.function, stores)))
         if tuple(sections) == program.sections:
             return program
         program = replace(program, sections=tuple(sections))
-
-
-def _storing(function: Function, stores: dict[str, int]) -> Function:
-    """The function with these stores alone."""
-    builder = Builder()
-    values = _replayed(builder, function)
-    return builder.finish({}, {slot: values[index] for slot, index in stores.items()})
 
 
 def _needed(program: Program, behind: frozenset[str]) -> list[frozenset[str]]:
@@ -179,13 +171,12 @@ def _hoisted(function: Function, changing: set[str], before: Builder, places: di
         return made
 
     for index, node in enumerate(function.nodes):
-        plain = replayed(builder, node)
-        late.append(plain)
+        late.append(None if node.arguments else builder.again(node, ()))
         early.append(None)
         if fixed[index]:
             arguments = [early[i] for i in node.arguments]
-            early[index] = replayed(before, node) or before.op(node.operation, *[a for a in arguments if a is not None])
-        elif plain is None:
+            early[index] = before.again(node, [a for a in arguments if a is not None])
+        elif node.arguments:
             value(index)
     return builder.finish({}, {slot: value(index) for slot, index in function.stores.items()})
 

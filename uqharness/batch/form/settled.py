@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from uqharness.batch.form.ir import Builder, Function, Value, replayed
+from uqharness.batch.form.ir import Builder, Function, Value
 from uqharness.batch.form.passes import lowered
 from uqharness.batch.form.program import Program, Section
 from uqharness.batch.form.semantics import F64, I1, I64, TABLE, computed
@@ -115,10 +115,7 @@ def _folded(section: Section, known: Mapping[str, float | None]) -> Section | No
     values: list[Value] = []
     for node in section.function.nodes:
         constant = known.get(node.name) if node.operation == "load" else None
-        if constant is not None:
-            values.append(builder.constant(constant))
-            continue
-        found = replayed(builder, node)
-        values.append(builder.op(node.operation, *(values[i] for i in node.arguments)) if found is None else found)
+        arguments = [values[i] for i in node.arguments]
+        values.append(builder.again(node, arguments) if constant is None else builder.constant(constant))
     stores = {name: values[i] for name, i in section.function.stores.items() if known.get(name) is None}
     return replace(section, function=builder.finish({}, stores), when=when)

@@ -10,7 +10,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from uqharness.batch.form.ir import Builder, Function, Value, replayed
+from uqharness.batch.form.ir import Builder, Function, Value
 from uqharness.batch.form.program import Program, Section, When
 from uqharness.batch.form.semantics import F64, I1
 
@@ -141,5 +141,5 @@ def _rebuilt(function: Function, wanted: Collection[int], slots: Mapping[int, st
         if index in slots:
             values[index] = builder.load(slots[index])
         else:
-            values[index] = replayed(builder, node) or builder.op(node.operation, *(values[i] for i in node.arguments))
+            values[index] = builder.again(node, [values[i] for i in node.arguments])
     return builder, values

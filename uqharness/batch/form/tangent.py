@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
-from uqharness.batch.form.ir import Builder, Function, Node, Value, replayed, slots_read
+from uqharness.batch.form.ir import Builder, Function, Node, Value, slots_read
 from uqharness.batch.form.program import Program
 from uqharness.batch.form.semantics import F64
 
@@ -41,7 +41,7 @@ def tangent(
     rates: dict[str, list[Rate]] = {d: [] for d in directions}
     for node in function.nodes:
         arguments = [values[i] for i in node.arguments]
-        value = replayed(builder, node) or builder.op(node.operation, *arguments)
+        value = builder.again(node, arguments)
         values.append(value)
         for direction, found in rates.items():
             if node.operation in ("input", "load"):

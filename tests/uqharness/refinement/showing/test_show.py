@@ -27,7 +27,8 @@ from uqharness.refinement.run import Refinement, Request, _put, refine
 from uqharness.refinement.setup import make_setup, setup_in_gusts
 from uqharness.refinement.showing.content import Place
 from uqharness.refinement.showing.intervals import FlightSet, IntervalJob, fit_intervals, intervals_document
-from uqharness.refinement.showing.mission import MissionPBox, Model, campaign_for, fly_missions
+from uqharness.refinement.showing.mission import Model, campaign_for, fly_missions
+from uqharness.refinement.showing.pboxes import MissionPBox
 from uqharness.refinement.showing.remains import Nearest
 from uqharness.refinement.showing.show import Shown, _told_noise, gap_document, with_replays
 from uqharness.refinement.showing.words import left_over, nowhere
