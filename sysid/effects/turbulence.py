@@ -69,6 +69,7 @@ class Gusts:
     process   noise that they make in each segment; gain: twice the log likelihood gained over calm air
     across    the part of it that is lost without gusts across the path, in alpha and beta
     moments   (3,) what is lost without moments about each axis that nothing explains; NaN where no filter follows without
+    factors   (m,) on the noise that the sensors are said to have; 1, or (): as it is said
     """
 
     states: tuple[GustStates, ...]
@@ -79,6 +80,7 @@ class Gusts:
     gain: float
     across: float = np.inf
     moments: FloatArray = field(default_factory=lambda: np.zeros(3))
+    factors: FloatArray = field(default_factory=lambda: np.ones(0))
 
     @property
     def air(self) -> bool:
@@ -137,27 +139,32 @@ def gust_intensity(
     flights: Sequence[str], states: GustStates, near: Gusts | None = None, by: Processes = ALONE, kinds: Sequence[str] = (),
 ) -> tuple[Gusts, FloatArray]:  # fmt: skip
     """The likeliest air of the segments, V their airspeeds, flights whose they are; found on at most ten of them, then of each
-    flight on at most six. And (m,) factors on the sensors' noise.
+    flight on at most six. And (m,) factors by which the sensors' noise changes.
 
-    states: what gusts do besides, to begin with; near: an estimate from which to search. Gusts pass at the airspeed, or at one
-    speed in each flight, which is then found with the rest, whichever is likelier. kinds: of each channel; the sensors of a
-    kind have one factor beside the air, about 1 by a prior (NOISE_PRIOR); none: their noise is known. In gusts the samples of a
-    channel do not tell its noise by themselves, and a filter that takes sensors for twice as noisy as they are follows them
-    late: that looks like a servo's lag.
+    states: what gusts do besides, to begin with; near: an estimate from which to search, its factors part of ``noise``. Gusts pass
+    at the airspeed, or at one speed in each flight, which is then found with the rest, whichever is likelier. kinds: of each
+    channel; the sensors of a kind have one factor beside the air, by a prior about what they are said to have (NOISE_PRIOR); none:
+    their noise is known. In gusts the samples of a channel do not tell its noise by themselves, and a filter that takes sensors for
+    twice as noisy as they are follows them late: that looks like a servo's lag.
     """
-    search = _Search(linear, measured, which, noise, V, by)
+    known = np.ones(len(noise)) if near is None or not len(near.factors) else near.factors
+    search = _Search(linear, measured, which, noise / known, V, by)
     some = _spread(range(len(measured)), _MOST_SEGMENTS)
     of = _members(flights)
     if near is None:
         alike = (states,) * len(measured)
-        first = search.best(some, [_Point(alike, f * _START, np.ones(len(noise))) for f in _FACTORS])
+        first = search.best(some, [_Point(alike, f * _START, known) for f in _FACTORS])
         here = search.descend(some, first, kinds)
         besides = [replace(here, cost=np.inf).acting(rotating=r, turning_with=t) for r, t in _OTHER_AIR]
         other = min((search.descend(some, point, (), _FEW) for point in besides), key=lambda point: point.cost)
         here = search.descend(some, other, kinds) if other.cost < here.cost else here
     else:
         near = near.in_other(V, flights)
-        here = search.descend(some, _Point(near.states, near.values, np.ones(len(noise))), kinds)
+        begin = _Point(near.states, near.values, known)
+        if len(kinds) and np.abs(np.log(known)).max() > NOISE_PRIOR:
+            # Far from what is stated no slope may lead back.
+            begin = search.best(some, [begin, replace(begin, factors=np.ones(len(noise)))])
+        here = search.descend(some, begin, kinds)
     if here.states[0].rotating:
         # Gusts tell how fast they pass by the moments of their rotation, and that only beside parameters that are near.
         other = search.best(some, [here.acting(passing_mps=0.0), search.passing(of, here)])
@@ -176,7 +183,7 @@ def gust_intensity(
         own[flight] = search.descend(part, _Point(here.states, begin, here.factors), ()).values
     process = _process([own[f] for f in flights], V, here.states)
     passing = {f: here.states[members[0]].passing_mps for f, members in of.items()}
-    return Gusts(here.states, here.values, own, passing, process, gain, across, moments), here.factors
+    return Gusts(here.states, here.values, own, passing, process, gain, across, moments, here.factors), here.factors / known
 
 
 @dataclass(frozen=True)
@@ -262,6 +269,8 @@ class _Search:
 
         prior = np.where(np.arange(size) < at, 0.0, NOISE_PRIOR**-2)
         none = np.zeros(size)
+        # From what the sensors are said to have to where the search begins.
+        off = np.concatenate([np.zeros(at), shared @ np.log(point.factors) / np.maximum(shared.sum(axis=1), 1.0)])
         first = self.score(some, point.states, *here(none))
         # A variance's logarithm bends as steeply as the logarithm's own slope, that of a deviation twice so.
         scale = np.sqrt(np.maximum(by_each(none, *first.bent) * np.where(np.arange(size) < at, 1.0, 2.0), _LEAST_BENT))
@@ -272,14 +281,15 @@ class _Search:
             if not np.isfinite(found.cost):
                 # A filter that fails is as unlikely as can be, and no slope.
                 return _FAILED, none
-            slope = by_each(x, found.noise, found.process, found.begin) + 2.0 * prior * x
-            return found.cost + float(prior @ x**2), slope / scale
+            slope = by_each(x, found.noise, found.process, found.begin) + 2.0 * prior * (x + off)
+            return found.cost + float(prior @ (x + off) ** 2), slope / scale
 
         options = {"maxiter": most, "ftol": _ENOUGH / max(abs(first.cost), 1.0), "gtol": 0.0}
         bounds = Bounds(-_REACH * scale, _REACH * scale)
         found = minimize(cost, none, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-        values, factors = here(found.x / scale)
-        return replace(point, values=values, factors=factors, cost=float(found.fun))
+        x = found.x / scale
+        values, factors = here(x)
+        return replace(point, values=values, factors=factors, cost=float(found.fun) - float(prior @ (x + off) ** 2))
 
     def calm(self, some: Sequence[int], point: _Point) -> float:
         """Minus twice the log likelihood in calm air."""

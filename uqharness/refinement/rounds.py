@@ -150,10 +150,12 @@ def _brief(effects: Sequence[Effect], free: Sequence[str], kept: Sequence[str], 
 
 
 def eligible(effects: Sequence[Effect], setup: Setup, free: Sequence[str], evidence: Evidence) -> dict[str, float]:
-    """Candidates worth scoring beside the columns ``free``, and their odds: delays that a replay cannot resolve are left out."""
-    found = scores(evidence, free, [e.key for e in effects])
+    """Candidates worth scoring beside the columns ``free``, and their odds: delays that a replay cannot resolve are left out, and
+    what the search did without, of which the evidence has no column."""
+    there = [e for e in effects if e.key in evidence.names]
+    found = scores(evidence, free, [e.key for e in there])
     out = {}
-    for e, estimate, share in zip(effects, found.estimate, found.share, strict=True):
+    for e, estimate, share in zip(there, found.estimate, found.share, strict=True):
         if not share > 0.0:
             continue
         if e.positive and not estimate > 0.0 and not may_be_faster(e, setup):

@@ -3,9 +3,9 @@
 1. The linearised likelihood about the model flown last proposes effects (sysid.effects.selection). Where one that
    enters is overwhelming, no other enters beside it until it has flown: what linearisation leaves of it looks like others.
 2. The model with them is flown and everything is estimated, what JSBSim reads once until it stands.
-3. Where it asks for several more, or leaves moments that nothing explains, what explains nearly as much in the newest one's place
-   flies, too, three times in all: an airspeed sensor that reads a quarter too much looks at first like thrust that is off, |t| 36
-   and 37. Flown, the sensor's fault leaves nothing to ask for.
+3. Where it asks for several more, leaves moments that nothing explains, or no filter follows it, what explains nearly as much in
+   the newest one's place flies, too, three times in all: an airspeed sensor that reads a quarter too much looks at first like
+   thrust that is off, |t| 36 and 37. Flown, the sensor's fault leaves nothing to ask for.
 4. The search ends with a model that proposes itself. The best by the log likelihood, less what each effect must earn, stands.
 """
 
@@ -95,21 +95,20 @@ def _search(start: Start, evidence: Evidence, odds: Mapping[str, float], folder:
             break
         here = folder.with_name(f"{folder.name}{number}")
         say(f"round {number}: flying with {_listed(c.key for c in proposal.chosen)}")
-        now = flight(proposal, about, here)
-        if now is None:
-            trail.append(f"round {number}: no filter follows flights with these effects; what was flown before stands")
-            break
-        trail += [f"round {number}: {line}" for line in now.again.trail]
-        others = instead_of(start, now, proposal, about)[: SEVERAL - doubted]
+        proposed = flight(proposal, about, here)
+        trail += [f"round {number}: {line}" for line in proposed.again.trail] if proposed is not None else []
+        others = instead_of(start, proposed, proposal, about)[: SEVERAL - doubted]
         doubted += len(others)
         if others:
             say(f"flying {'; '.join(_listed(c.key for c in o.chosen) for o in others)} instead")
-            folders = [here.with_name(f"{here.name}-instead{k}") for k in range(len(others))]
-            tried = [flight(o, about, f) for o, f in zip(others, folders, strict=True)]
-            better = likeliest([*(t for t in tried if t is not None), now])
-            if better is not None and better is not now:
-                trail.append(f"round {number}: {_listed(better.keys)} flies better than {_listed(now.keys)}")
-                now = better
+        folders = [here.with_name(f"{here.name}-instead{k}") for k in range(len(others))]
+        tried = [flight(o, about, f) for o, f in zip(others, folders, strict=True)]
+        now = likeliest([r for r in (*tried, proposed) if r is not None])
+        if now is None:
+            trail.append(f"round {number}: no filter follows flights with these effects; what was flown before stands")
+            break
+        if now is not proposed:
+            trail.append(f"round {number}: {_listed(now.keys)} flies better than {_listed(c.key for c in proposal.chosen)}")
         # Those that are not the best of what they judge would take the most memory.
         flown = [*(r for r in flown if r is likeliest([*flown, r])), now]
         if now.standing:
@@ -128,15 +127,16 @@ def _search(start: Start, evidence: Evidence, odds: Mapping[str, float], folder:
     return Searched(first, best, (*trail, *lines))
 
 
-def instead_of(start: Start, now: Round, proposal: Selection, about: About) -> list[Selection]:
-    """Proposals with another candidate in the place of an overwhelming new effect that left several to be asked for, or moments
-    that nothing explains."""
+def instead_of(start: Start, now: Round | None, proposal: Selection, about: About) -> list[Selection]:
+    """Proposals with another candidate in the place of the newest effect, where that is doubtful: no filter follows flights with it
+    (now: None), it leaves moments that nothing explains, or it is overwhelming and leaves several effects to be asked for."""
     new = [c for c in proposal.chosen if c.key not in about.flown]
-    asked = [c for c in now.again.chosen if c.key not in now.keys]
-    unexplained = now.gusts is not None and bool(np.any(now.gusts.moments > CERTAIN_T**2))
-    several = abs(new[0].t) > OVERWHELMING and len(asked) >= SEVERAL if new else False
-    if len(new) != 1 or not (several or unexplained):
+    if len(new) != 1:
         return []
+    if now is not None:
+        several = abs(new[0].t) > OVERWHELMING and sum(c.key not in now.keys for c in now.again.chosen) >= SEVERAL
+        if not several and (now.gusts is None or not np.any(now.gusts.moments > CERTAIN_T**2)):
+            return []
     kept = [c.key for c in proposal.chosen if c.key != new[0].key]
     free = [*start.free, *kept]
     odds = odds_at(start, [*start.free, *about.flown], about.evidence, kept)
@@ -160,7 +160,7 @@ def comparable(evidence: Evidence, free: Sequence[str], candidates: Sequence[str
 
 
 def likeliest(flown: Sequence[Round]) -> Round | None:
-    """The round of least merit among those that judge the same samples as the last."""
+    """The round of least merit among those that judge the same samples as the last; None of none."""
     same = [r for r in flown if _same_samples(r, flown[-1].keys)]
     return min(same, key=lambda r: r.merit, default=None)
 

@@ -97,16 +97,24 @@ def test_noise_that_is_half_of_what_is_stated_is_found_beside_the_gusts():
     rate = np.array([kind == "rate" for kind in kinds])
     stated = np.where(rate, 2.0, 1.0) * NOISE
 
-    def factors(kinds):
+    def searched(kinds, noise, near=None):
         return gust_intensity(
-            made, data, range(len(NOISE)), stated, [22.0] * 4, ["a"] * 4, GustStates(MASS.b),
+            made, data, range(len(NOISE)), noise, [22.0] * 4, ["a"] * 4, GustStates(MASS.b), near,
             kinds=kinds,
-        )[1]  # fmt: skip
+        )  # fmt: skip
 
-    found = factors(kinds)
+    gusts, found = searched(kinds, stated)
     np.testing.assert_allclose(found[rate], 0.5, rtol=0.1)
     np.testing.assert_allclose(found[~rate], 1.0, atol=0.1)
-    np.testing.assert_array_equal(factors(()), 1.0)
+    np.testing.assert_array_equal(searched((), stated)[1], 1.0)
+    # Searched again from there, the noise stays; from one that is lost, where no slope leads back, what is stated does.
+    again, change = searched(kinds, found * stated, gusts)
+    np.testing.assert_allclose(change, 1.0, atol=0.05)
+    np.testing.assert_allclose(again.factors, found, rtol=0.05)
+    lost = replace(gusts, factors=np.where(rate, 1e-5, found))
+    again, change = searched(kinds, lost.factors * stated, lost)
+    np.testing.assert_allclose(again.factors, found, rtol=0.1)
+    np.testing.assert_allclose(change * lost.factors, again.factors)
 
 
 def test_the_search_ends_where_no_number_makes_the_flights_likelier():

@@ -18,16 +18,17 @@ DT = 0.02
 EFFECTS = [e for e in subsystem_effects(["aileron"], [], []) if e.term in ("lag", "rate_limit")]
 
 
-def at(value: float, late: dict[str, list[str]], servos=None) -> dict[str, float]:
-    """Eligible effects where every one of them is estimated at ``value`` exactly; a doublet of 10 deg."""
+def at(value: float, late: dict[str, list[str]], servos=None, held=EFFECTS) -> dict[str, float]:
+    """Eligible effects where every one of them is estimated at ``value`` exactly; a doublet of 10 deg; held: of which the evidence
+    has columns."""
     rng = np.random.default_rng(1)
-    columns = rng.standard_normal((50, 2, len(EFFECTS)))
+    columns = rng.standard_normal((50, 2, len(held)))
     residual = value * columns.sum(axis=2)
     white = White(
-        residual, columns.astype(np.float32), 0.0, np.zeros((8, 1 + len(EFFECTS))), np.ones((50, 2), dtype=bool),
+        residual, columns.astype(np.float32), 0.0, np.zeros((8, 1 + len(held))), np.ones((50, 2), dtype=bool),
         np.ones(2), np.zeros((50, 11)),
     )  # fmt: skip
-    evidence = gather([white], [e.key for e in EFFECTS], [0], {})
+    evidence = gather([white], [e.key for e in held], [0], {})
     controls = np.zeros((50, 4))
     controls[10:20, 1], controls[20:30, 1] = 10.0, -10.0
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT, controls=controls)], late=late, servos=servos or {})
@@ -54,6 +55,11 @@ def test_the_largest_step_is_half_the_commands_range():
 )
 def test_what_the_rows_do_not_resolve_is_no_candidate(value, late, terms):
     assert {k.rpartition("/")[2] for k in at(value, late)} == terms
+
+
+def test_what_the_search_did_without_is_no_candidate():
+    """Where delays of single channels were not believed, the last flight's evidence has no columns of them."""
+    assert {k.rpartition("/")[2] for k in at(5e-3, {}, held=EFFECTS[:1])} == {EFFECTS[0].term}
 
 
 def test_a_servo_may_be_faster_than_its_xml_has_it_if_that_has_a_lag():
