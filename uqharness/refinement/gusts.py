@@ -204,12 +204,26 @@ def gust_refit(
         if (causal and length < TOLERANCE and not moving) or number == iterations or not gusts.air:
             break
         step = dict(zip(columns[0].names, (share * delta).tolist(), strict=True))
-        point = stepped(setup, point, step, limits)
+        last_point, point = point, stepped(setup, point, step, limits)
+        path = as_measured(setup, path, last_point, point)
     assert gusts is not None
     assert analytic is not None
     cost = float(sum(np.sum(w.residual**2) for w in white))
     fit = Fit(replace(flown, cost=cost), found, linearised, columns, evidence, analytic, number, length < 0.5)
     return GustFit(fit, gusts, white, setup)
+
+
+def as_measured(setup: Setup, path: Sequence[Array], before: Point, after: Point) -> list[Array]:
+    """[(n, 8)] states of which sensors as they are ``after`` show what those ``before`` showed, for a filter follows those."""
+    out = []
+    for segment, x in zip(setup.segments, path, strict=True):
+        felt = [
+            (x[:, k] * sensor_gain(c, before) + sensor_offset(c, segment, before) - sensor_offset(c, segment, after))
+            / sensor_gain(c, after)
+            for k, c in enumerate(X_STATES)
+        ]  # fmt: skip
+        out.append(np.column_stack(felt))
+    return out
 
 
 def _other_air(one: Gusts | None, two: Gusts) -> bool:

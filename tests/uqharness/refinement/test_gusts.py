@@ -24,7 +24,7 @@ from uqharness.refinement import gusts as refine_gusts
 from uqharness.refinement import rounds as refine_rounds
 from uqharness.refinement.candidates import effect_columns, later_controls
 from uqharness.refinement.fit import positions, step_from, stepped, steps_of
-from uqharness.refinement.gusts import in_step, moved, rows_late
+from uqharness.refinement.gusts import as_measured, in_step, moved, rows_late
 from uqharness.refinement.reference import Predicted, Probe
 from uqharness.refinement.sensed import as_sensed
 from uqharness.refinement.setup import make_setup
@@ -55,6 +55,21 @@ def test_rows_are_moved_whole_and_leave_nothing_behind(rows):
     known = np.isfinite(found)
     assert known.sum() == max(0, 10 - abs(rows))
     np.testing.assert_array_equal(found[known], (np.arange(10.0) - rows)[known])
+
+
+def test_a_path_goes_with_the_sensors_that_measured_it():
+    """An airspeed sensor that reads a quarter too much, a gyro with a bias: the states change, what was measured stays."""
+    x = np.abs(np.random.default_rng(2).standard_normal((N, len(STATES)))) + 1.0
+    setup = setup_of(np.zeros((N, 3)))
+    before = replace(point(V_mps__scale=0.1, alpha_rad__bias=0.02), nuisance={"bias/one/q_radps": 0.01})
+    after = replace(point(V_mps__scale=0.25), nuisance={"bias/one/q_radps": -0.03, "bias/other/q_radps": 9.0})
+    (found,) = as_measured(setup, [x], before, after)  # type: ignore[arg-type]
+    V, alpha, q = (STATES.index(c) for c in ("V_mps", "alpha_rad", "q_radps"))
+    np.testing.assert_allclose(1.25 * found[:, V], 1.1 * x[:, V])
+    np.testing.assert_allclose(found[:, alpha], x[:, alpha] + 0.02)
+    np.testing.assert_allclose(found[:, q], x[:, q] + 0.04)
+    rest = [k for k in range(len(STATES)) if k not in (V, alpha, q)]
+    np.testing.assert_allclose(found[:, rest], x[:, rest])
 
 
 def test_a_late_sensor_is_compared_with_what_it_was_to_measure():
