@@ -160,11 +160,11 @@ def gust_intensity(
         here = search.descend(some, other, kinds) if other.cost < here.cost else here
     else:
         near = near.in_other(V, flights)
-        begin = _Point(near.states, near.values, known)
+        last = _Point(near.states, near.values, known)
         if len(kinds) and np.abs(np.log(known)).max() > NOISE_PRIOR:
             # Far from what is stated no slope may lead back.
-            begin = search.best(some, [begin, replace(begin, factors=np.ones(len(noise)))])
-        here = search.descend(some, begin, kinds)
+            last = search.best(some, [last, replace(last, factors=np.ones(len(noise)))])
+        here = search.descend(some, last, kinds)
     if here.states[0].rotating:
         # Gusts tell how fast they pass by the moments of their rotation, and that only beside parameters that are near.
         other = search.best(some, [here.acting(passing_mps=0.0), search.passing(of, here)])

@@ -263,7 +263,7 @@ def iterated(monkeypatch, steps, strengths=(1.0,), quieter=(1.0,), air=True, **a
         "predict": predict, "named_terms": lambda *a: ("aero/Cm_q",),
         "_Linear": lambda *a: linear, "predicted": lambda *a: (a[1], a[2]), "parameter_columns": lambda *a: columns,
         "follow": lambda *a: [], "whitened": lambda *a: [], "gather": lambda *a: evidence, "replace": lambda x, **_: x,
-        "with_jumps": lambda setup, _: setup,
+        "with_jumps": lambda setup, _: setup, "as_measured": lambda setup, path, before, after: path,
         "_air": search,
         "stepped": lambda setup, point, step, limits: taken.append(step["aero/Cm_q"]) or point,
         "Fit": lambda *a: SimpleNamespace(iterations=a[6]),
