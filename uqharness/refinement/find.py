@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sysid.aerodynamics import COEFFICIENTS
 from sysid.effects import (
     CERTAIN_T,
     DIFFERENT,
@@ -254,17 +255,28 @@ def _not_borne_out(first: Selection, limit: float) -> Refusal | None:
 
 def with_resolution(selection: Selection, effects: Mapping[str, Effect], dt_s: float, gusty: bool) -> Selection:
     """Standard errors as they cover: of times with what a replay resolves added (a servo's lag by Tustin's rule at 10 ms is off
-    by a part of a ms), in turbulence of rates of the wind angles by RATES_IN_GUSTS, whose t stays the evidence's."""
+    by a part of a ms), in turbulence of rates of the wind angles by RATES_IN_GUSTS and of moments by MOMENTS_IN_GUSTS, whose t
+    stays the evidence's."""
 
     def widened(c: Choice) -> Choice:
         if gusty and like_turning_air(effects[c.key]):
             return replace(c, std=RATES_IN_GUSTS * c.std)
+        if gusty and effects[c.key].coefficient in COEFFICIENTS[3:]:
+            return replace(c, std=MOMENTS_IN_GUSTS * c.std)
         if effects[c.key].unit != "s":
             return c
         std = float(np.hypot(c.std, RESOLVED_ROWS * dt_s))
         return replace(c, std=std, t=c.value / std)
 
     return replace(selection, chosen=tuple(widened(c) for c in selection.chosen))
+
+
+def chosen_interval(choice: Choice, limit: float) -> tuple[float, float]:
+    """95 % interval of an effect, given that it was chosen at |t| above ``limit``; that t may be by a narrower standard error than
+    the one told."""
+    own = choice.t * choice.std
+    narrower = abs(choice.value / own) if own else 1.0
+    return conditional_interval(choice.value, choice.std, limit * narrower)
 
 
 def like_turning_air(effect: Effect) -> bool:
@@ -381,7 +393,7 @@ def _parameters(evidence: Evidence, names: Sequence[str], fit: Fit, selection: S
 
 def remark(choice: Choice, effect: Effect, flights: Sequence[str], command: str, limit: float) -> str:
     """What stands beside the number in the XML; limit: |t| above which it was chosen."""
-    low, high = conditional_interval(choice.value, choice.std, limit)
+    low, high = chosen_interval(choice, limit)
     return f"{effect.name}: {choice.value:.5g} +/- {choice.std:.2g}, 95 % [{low:.5g}, {high:.5g}]; from {', '.join(flights)}" + (
         f"; {command}" if command else ""
     )

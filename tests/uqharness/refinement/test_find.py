@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from sysid.effects import CERTAIN_T, MOMENTS_IN_GUSTS, RATES_IN_GUSTS
+from sysid.effects import CERTAIN_T, MOMENTS_IN_GUSTS, RATES_IN_GUSTS, conditional_interval
 from sysid.effects.catalogue import coefficient_effect
 from sysid.effects.score import Evidence
 from sysid.effects.selection import Choice, Selection
 from uqharness.refinement import find
-from uqharness.refinement.find import Clock, Found, in_one_step, left_beside, with_resolution
+from uqharness.refinement.find import Clock, Found, chosen_interval, in_one_step, left_beside, with_resolution
 from uqharness.refinement.showing.words import still_asked
 
 
@@ -46,14 +47,25 @@ def test_words_name_it_and_its_strength():
     assert still_asked(effect, -12.34).startswith(f"{effect.name} is still asked for (|t| 12.3)")
 
 
-def test_in_turbulence_rates_of_the_wind_angles_have_wider_errors_and_nothing_else_has():
-    rate, other = coefficient_effect("Cl", "betadot_hat"), coefficient_effect("Cm", "p_hat^2")
-    chosen = tuple(Choice(e.key, 2.0, 0.1, 20.0, 400.0, 1.0, 0.0) for e in (rate, other))
-    effects = {e.key: e for e in (rate, other)}
+def test_in_turbulence_rates_of_the_wind_angles_and_moments_have_wider_errors_and_forces_have_not():
+    some = [coefficient_effect(*of) for of in (("Cl", "betadot_hat"), ("Cm", "p_hat^2"), ("CZ", "p_hat^2"))]
+    chosen = tuple(Choice(e.key, 2.0, 0.1, 20.0, 400.0, 1.0, 0.0) for e in some)
+    effects = {e.key: e for e in some}
     calm, gusty = (with_resolution(Selection(chosen), effects, 0.02, gusty).chosen for gusty in (False, True))
-    assert [c.std for c in calm] == [0.1, 0.1]
-    assert [c.std for c in gusty] == [RATES_IN_GUSTS * 0.1, 0.1]
-    assert [c.t for c in gusty] == [20.0, 20.0]
+    assert [c.std for c in calm] == [0.1, 0.1, 0.1]
+    assert [c.std for c in gusty] == pytest.approx([RATES_IN_GUSTS * 0.1, MOMENTS_IN_GUSTS * 0.1, 0.1])
+    assert [c.t for c in gusty] == [20.0, 20.0, 20.0]
+
+
+def test_the_interval_knows_that_the_choice_was_made_by_a_narrower_error():
+    """|t| 6.2 of 6 asked, by an error of which 1.25 is told: 4.96 of 4.8 in errors told."""
+    chosen = Choice("effect/Cm/de", 0.62, 0.125, 6.2, 38.4, 1.0, 0.0)
+    low, high = chosen_interval(chosen, 6.0)
+    assert (low, high) == pytest.approx(conditional_interval(0.62, 0.125, 4.8))
+    assert low < 0.62 - 2.0 * 0.125
+    same = replace(chosen, std=0.1)
+    assert chosen_interval(same, 6.0) == pytest.approx(conditional_interval(0.62, 0.1, 6.0))
+    assert chosen_interval(replace(chosen, value=0.0, t=0.0), 6.0) == pytest.approx((-0.245, 0.245), abs=1e-3)
 
 
 def test_in_turbulence_parameters_of_moments_have_wider_errors_and_those_of_forces_have_not(monkeypatch):

@@ -18,12 +18,11 @@ from sysid.effects import (
     Disagreement,
     Effect,
     Refusal,
-    conditional_interval,
     dependence,
     disagreements,
 )
 from sysid.estimation import NOISE_FLOOR
-from uqharness.refinement.find import Found
+from uqharness.refinement.find import Found, chosen_interval
 from uqharness.refinement.judge import Judged, Verdict
 from uqharness.refinement.rates import is_fastest
 from uqharness.refinement.showing.remains import NOTHING, nowhere, place_of
@@ -264,7 +263,7 @@ def _effect(
 def _interval(found: Found, e: Effect, c: Choice) -> list[float | None]:
     """95 % interval of the number as it stands in the XML, given that it was chosen; open above where a servo is never asked for
     more than its rate limit."""
-    low, high = conditional_interval(c.value, c.std, found.limit)
+    low, high = chosen_interval(c, found.limit)
     ends = sorted(_as_written(found, e, replace(c, value=v))[0] for v in (low, high))
     return [ends[0], None if e.term == "rate_limit" and is_fastest(c, found.setup) else ends[1]]
 
