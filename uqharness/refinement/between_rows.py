@@ -8,11 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.aerodynamics.rigid_body import STATES
+from sysid.parallel import Processes
 from uqharness.identification import jumping_in
 from uqharness.refinement.candidates import sensor_gain
 from uqharness.refinement.reference import Probe
-from uqharness.refinement.types import Point, Setup
-from uqharness.replay import CONTROLS, FELT, ReplayModel, Segment, by_run, surface_positions
+from uqharness.refinement.types import Flown, Point, Setup
+from uqharness.replay import CONTROLS, FELT, ReplayModel, Segment, StatesOf, altitudes, by_run, force_all, surface_positions
 
 Array = NDArray[np.float64]
 
@@ -60,11 +62,23 @@ def _middle(
     return np.stack([middle - 0.5 * (ends[:-1] + ends[1:]), last - ends[1:]])
 
 
-def bend_of(p: Probe, away: Array) -> Array:
-    """(2, n - 1, 6) force and moment that the surfaces' paths add in the middle and at the end of a step."""
-    slopes = p.by_control * p.scale[:, :, None]
-    at = np.stack([0.5 * (slopes[:-1] + slopes[1:]), slopes[1:]])
-    return np.asarray(np.einsum("knij,knj->kni", at, away))
+def bends_of(
+    straight: ReplayModel, setup: Setup, flown: Flown, found: Sequence[Probe], away: Sequence[Array], map_: Processes
+) -> list[Array]:  # fmt: skip
+    """[(2, n - 1, 6)] by how much force and moment at the middle of a step differ from the mean of its ends, and at its end from
+    the next row's: what the model says there, the surfaces where they stand by their `middles`, the motion half-way."""
+    asked = []
+    for segment, p, height, (middle, end) in zip(setup.segments, found, flown.height, away, strict=True):
+        x, u, h = (np.concatenate([0.5 * (v[:-1] + v[1:]), v[1:]]) for v in (p.reference.x, p.controls, height))
+        motion = {name: x[:, k] for k, name in enumerate(STATES)}
+        asked.append(StatesOf(segment, motion, u + np.concatenate([middle, end]), altitudes(straight, segment, h)))
+    out = []
+    for p, forced in zip(found, force_all(straight, asked, setup.properties(flown.point), map_), strict=True):
+        own = np.hstack([p.reference.force, p.reference.moment])
+        there = np.hstack([forced.aero_force + forced.other_force, forced.aero_moment + forced.other_moment])
+        middle, end = np.split(there, 2)
+        out.append(np.stack([middle - 0.5 * (own[:-1] + own[1:]), end - own[1:]]))
+    return out
 
 
 def jumped(away: Array) -> Array | None:

@@ -30,7 +30,7 @@ from sysid.effects import (
     whitened,
 )
 from sysid.parallel import Processes
-from uqharness.refinement.between_rows import bend_of, jumped, jumps_unseen, middles, with_jumps
+from uqharness.refinement.between_rows import bends_of, jumped, jumps_unseen, middles, with_jumps
 from uqharness.refinement.candidates import at_vane, sensor_gain, sensor_offset, vane_place_m
 from uqharness.refinement.fit import PRIOR, Fit, parameter_columns, positions, probes, step_from, stepped, steps_of
 from uqharness.refinement.reference import Predicted, Probe, along, named_terms
@@ -124,12 +124,10 @@ def predict(
     late, rest = acting(model, setup, point)
     jumps = np.array([c in model.jumping for c in model.controls])
     controls = [_later(u, rows, jumps) for u, rows in zip(positions(model, late, point), rest, strict=True)]
-    bends = middles(model, late, point)
-    found = [
-        replace(along(p, bend=bend_of(p, b)), jumped=jumped(b))
-        for p, b in zip(probes(straight, setup, flown, controls, differ, map_, consistent=False), bends, strict=True)
-    ]
-    return flown, found
+    away = middles(model, late, point)
+    found = probes(straight, setup, flown, controls, differ, map_, consistent=False)
+    bends = bends_of(straight, setup, flown, found, away, map_)
+    return flown, [replace(along(p, bend=b), jumped=jumped(a)) for p, b, a in zip(found, bends, away, strict=True)]
 
 
 def acting(model: ReplayModel, setup: Setup, point: Point) -> tuple[Setup, list[float]]:

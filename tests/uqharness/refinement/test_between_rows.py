@@ -137,3 +137,33 @@ def test_flights_jump_where_the_models_controls_do():
         assert between_rows.with_jumps(setup, servos).jumping == ()
         # A sensor that is late says nothing of what a row has seen.
         assert between_rows.with_jumps(replace(setup, late={"f": ["gyros"]}), at_once).jumping == ()
+
+
+def test_forces_between_rows_are_the_models_own(monkeypatch):
+    """Rolling moment with the aileron cubed and the airspeed squared. An aileron that jumps from 0 to 8 lacks 512 before its row;
+    by its slope behind the jump it would lack 1,536."""
+
+    def loads(x, u):
+        return np.column_stack([u[:, 1] ** 3 + x[:, 0] ** 2, 0.0 * u[:, 0], 0.0 * u[:, 0]])
+
+    def forced(straight, asked, properties, map_):
+        for part in asked:
+            x = np.column_stack(list(part.states.values()))
+            none = np.zeros((len(x), 3))
+            yield SimpleNamespace(aero_force=none, other_force=none, aero_moment=loads(x, part.controls), other_moment=none)
+
+    monkeypatch.setattr(between_rows, "force_all", forced)
+    monkeypatch.setattr(between_rows, "altitudes", lambda model, segment, height: height)
+    x, u = np.full((4, 8), 20.0), np.zeros((4, 4))
+    x[2:, 0], u[2:, 1], u[3, 1] = 24.0, 8.0, 6.0
+    away = np.zeros((2, 3, 4))
+    away[:, 1, 1] = -4.0, -8.0  # stands at 0 until the third row
+    none = np.zeros((4, 3))
+    probe = SimpleNamespace(reference=SimpleNamespace(x=x, force=none, moment=loads(x, u)), controls=u)
+    setup = SimpleNamespace(segments=["one"], properties=lambda point: {})
+    (bend,) = between_rows.bends_of(None, setup, SimpleNamespace(height=[np.zeros(4)], point=None), [probe], [away], map)
+    assert bend.shape == (2, 3, 6)
+    np.testing.assert_allclose(bend[1, :, 3], [0.0, -512.0, 0.0])
+    np.testing.assert_allclose(bend[0, :, 3], [0.0, 22.0**2 - 0.5 * (400.0 + 512.0 + 576.0), 7.0**3 - 0.5 * (512.0 + 216.0)])
+    assert not bend[:, :, :3].any()
+    assert not bend[:, :, 4:].any()
