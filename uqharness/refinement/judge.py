@@ -54,6 +54,12 @@ class Verdict:
         return (0.5 + 0.5 * fall / size, 0.5 * self.std / size) if size > 0.0 else (np.nan, np.nan)
 
     @property
+    def seen(self) -> bool:
+        """Whether the test flights have more than half of the effect's estimate, and more than chance gives them."""
+        share, std = self.share
+        return share > max(0.5, BEYOND_CHANCE * std)
+
+    @property
     def z(self) -> float:
         """Change of the log likelihood over its standard deviation; 0 where there is none."""
         return self.change / self.std if self.std > 0.0 else 0.0
@@ -137,7 +143,7 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
             worst = replace(together, key=worst.key)
             verdicts[worst.key] = worst
         if worst.says != "grew":
-            unseen = [v for v in now.values() if v.says == CANNOT_TELL]
+            unseen = [v for v in now.values() if v.says == CANNOT_TELL and not v.seen]
             if not unseen or (found.bent is None and not left_in(train.setup, fitted, found.gusty)):
                 break
             worst = min(unseen, key=lambda v: v.z)

@@ -12,7 +12,7 @@ from sysid.effects.catalogue import Effect, coefficient_effect
 from sysid.effects.selection import Choice, Selection
 from uqharness.refinement import judge as refine_judge
 from uqharness.refinement.find import Found
-from uqharness.refinement.judge import BEYOND_CHANCE, gap_change
+from uqharness.refinement.judge import BEYOND_CHANCE, Verdict, gap_change
 from uqharness.refinement.types import Carrier
 
 
@@ -156,6 +156,17 @@ def test_beside_what_nothing_explains_an_effect_must_be_seen_on_the_test_flights
     assert judged(monkeypatch, unseen) == ["|", *unseen]
     assert judged(monkeypatch, unseen, left=True) == ["beta", "|", "alpha", "p_hat"]
     assert judged(monkeypatch, {"alpha": -0.6, "beta": -0.5}, left=True) == ["|", "alpha", "beta"]
+
+
+@pytest.mark.parametrize(
+    ("share", "std", "seen"), [(0.6, 0.14, True), (1.0, 0.2, True), (0.39, 0.21, False), (0.1, 0.04, False), (0.8, 0.6, False)]
+)
+def test_more_than_half_of_an_estimate_is_an_effect_that_is_seen(share, std, seen):
+    """Its change, though, is within chance: .6 +- .14 is not surely more than half, of which the change is none."""
+    size = 1e4
+    verdict = Verdict("x", size * (2.0 * share - 1.0), 2.0 * size * std, between=(size, size * (2.0 * share - 1.0)))
+    assert verdict.share == pytest.approx((share, std))
+    assert verdict.seen == seen
 
 
 def test_effects_that_harm_together_alone_do_not_all_stand(monkeypatch):
