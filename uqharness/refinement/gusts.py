@@ -79,13 +79,17 @@ def measured_states(setup: Setup, point: Point) -> list[Array]:
         columns = []
         for name in X_STATES:
             value = np.array(channels[name], dtype=float)
-            value = (value - sensor_offset(name, segment, point)) / sensor_gain(name, point)
-            value = smooth(value, segment.dt_s, _SMOOTH_HZ.get(name, 6.0))
+            value = smooth(_unsensed(value, name, segment, point), segment.dt_s, _SMOOTH_HZ.get(name, 6.0))
             late = sensor_late_s(name, segment, point)
             columns.append(moved_later(value, -late / segment.dt_s) if late else value)
         felt = np.column_stack(columns)
         x.append(felt - vane_place_m(point) * at_vane(felt, X_STATES))
     return x
+
+
+def _unsensed(shown: Array, channel: str, segment: Segment, point: Point) -> Array:
+    """(n,) what a sensor shows without what it adds and multiplies at a point."""
+    return (shown - sensor_offset(channel, segment, point)) / sensor_gain(channel, point)
 
 
 def rows_late(setup: Setup, segment: Segment, point: Point) -> dict[str, int]:
@@ -216,8 +220,7 @@ def as_measured(setup: Setup, path: Sequence[Array], before: Point, after: Point
     out = []
     for segment, x in zip(setup.segments, path, strict=True):
         felt = [
-            (x[:, k] * sensor_gain(c, before) + sensor_offset(c, segment, before) - sensor_offset(c, segment, after))
-            / sensor_gain(c, after)
+            _unsensed(x[:, k] * sensor_gain(c, before) + sensor_offset(c, segment, before), c, segment, after)
             for k, c in enumerate(X_STATES)
         ]  # fmt: skip
         out.append(np.column_stack(felt))

@@ -70,17 +70,12 @@ def joined(program: Program) -> Program:
 def _one(sections: Sequence[Section]) -> Section:
     builder = Builder()
     for section in sections:
-        values = _replayed(builder, section.function)
+        values: list[Value] = []
+        for node in section.function.nodes:
+            values.append(builder.again(node, [values[i] for i in node.arguments]))
         for slot, index in section.function.stores.items():
             builder.store(slot, values[index])
     return Section(", ".join(section.name for section in sections), builder.finish({}), sections[0].when)
-
-
-def _replayed(builder: Builder, function: Function) -> list[Value]:
-    values: list[Value] = []
-    for node in function.nodes:
-        values.append(builder.again(node, [values[i] for i in node.arguments]))
-    return values
 
 
 def alive(program: Program, keep: Collection[str] = ()) -> Program:

@@ -20,11 +20,12 @@ from uqharness.campaign.spec import CampaignSpec, campaign_from, read_campaign
 from uqharness.errors import BadInputError
 from uqharness.files import inner_folder
 from uqharness.parallel import usable_cores
-from uqharness.refinement.showing.pboxes import FOLDER, PROBABILITIES, MissionPBox, MissionResult, no_pbox
+from uqharness.refinement.showing.pboxes import FOLDER, MissionPBox, MissionResult, no_pbox
 from uqharness.simulator import STEADY, Aircraft, engine, find_script, open_aircraft, read_script
 from uqharness.toml import read_toml
 
 LOITER = "scripts/loiter.xml"
+PROBABILITIES = (0.05, 0.5, 0.95)
 _DEFAULT: dict[str, Any] = {
     "campaign": {"aircraft": "", "mission": LOITER, "seed": 20161201},
     "aleatory": {

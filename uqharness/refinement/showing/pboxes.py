@@ -11,7 +11,6 @@ import numpy as np
 from uqharness.statistics import Sample, envelope
 
 FOLDER = "pbox"
-PROBABILITIES = (0.05, 0.5, 0.95)
 
 
 @dataclass(frozen=True)
