@@ -59,8 +59,13 @@ def full_polynomial(count: int, order: int = 2) -> tuple[Term, ...]:
 
 def regressors(normalised: FloatArray, terms: Sequence[Term]) -> FloatArray:
     """(n, m) values of m terms at normalised states (n, k)."""
-    columns = [np.prod([normalised[:, k] ** p for k, p in enumerate(t) if p], axis=0) for t in terms]
-    return np.column_stack([np.broadcast_to(c, len(normalised)) for c in columns])
+    states = np.ascontiguousarray(normalised.T)
+    columns = np.ones((len(terms), len(normalised)))
+    for column, term in zip(columns, terms, strict=True):
+        for state, power in zip(states, term, strict=True):
+            if power:
+                column *= state**power
+    return np.ascontiguousarray(columns.T)
 
 
 def stack(states: Mapping[str, FloatArray], names: Sequence[str]) -> FloatArray:

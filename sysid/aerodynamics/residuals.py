@@ -156,25 +156,38 @@ def residual_piece(
     arm_m (3,) from the CG to the accelerometers, body axes
     Samples nearer to an end than the filter's half width are left out: their filter would be another one, and noisier.
     """
-    rows = piece.rows
-    time = record["time_s"][rows]
-    dt_s = float(time[-1] - time[0]) / (len(time) - 1)
-    m = half_width(dt_s, cutoff_hz)
+    time = record["time_s"][piece.rows]
+    dt_s, m = _filter_of(time, cutoff_hz)
     if len(time) < 2 * m + 3:
         return None
+    measured = {s: np.asarray(record[s][piece.rows], dtype=float) for s in STATES if s in record and "_pos_" not in s}
+    states = {**measured, **prediction.positions}
+    inner = slice(m, len(time) - m)
+    return ResidualPiece(
+        piece.label, time[inner], residual_rows(record, piece, prediction, arm_m, cutoff_hz),
+        {s: smooth(v, dt_s, cutoff_hz)[inner] for s, v in states.items() if np.isfinite(v).all()},
+    )  # fmt: skip
+
+
+def residual_rows(
+    record: FlightRecord, piece: Piece, prediction: Prediction, arm_m: Sequence[float], cutoff_hz: float = CUTOFF_HZ
+) -> FloatArray:
+    """(n, 6) residual coefficients of `residual_piece`, of a piece longer than the filter."""
+    rows = piece.rows
+    dt_s, m = _filter_of(record["time_s"][rows], cutoff_hz)
     rates = np.column_stack([record[f"{a}_radps"][rows] for a in "pqr"])
     flown = demanded(
         np.column_stack([record[f"a{a}_mps2"][rows] for a in "xyz"]), rates, prediction.qbar, prediction.mass,
         prediction.other_force, prediction.other_moment, dt_s, np.asarray(arm_m, dtype=float), cutoff_hz,
     )  # fmt: skip
     delta = flown - smooth(prediction.coefficients, dt_s, cutoff_hz)  # (2.11)-(2.16)
-    measured = {s: np.asarray(record[s][rows], dtype=float) for s in STATES if s in record and "_pos_" not in s}
-    states = {**measured, **prediction.positions}
-    inner = slice(m, len(time) - m)
-    return ResidualPiece(
-        piece.label, time[inner], delta[inner],
-        {s: smooth(v, dt_s, cutoff_hz)[inner] for s, v in states.items() if np.isfinite(v).all()},
-    )  # fmt: skip
+    return np.asarray(delta[m : len(delta) - m])
+
+
+def _filter_of(time: FloatArray, cutoff_hz: float) -> tuple[float, int]:
+    """Step [s] of a piece's rows, and half the filter's width in rows."""
+    dt_s = float(time[-1] - time[0]) / (len(time) - 1)
+    return dt_s, half_width(dt_s, cutoff_hz)
 
 
 def residual_coefficients(

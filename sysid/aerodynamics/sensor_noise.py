@@ -29,6 +29,7 @@ from sysid.aerodynamics.residuals import (
     Residuals,
     Way,
     residual_piece,
+    residual_rows,
     steady_airspeed,
 )
 from sysid.aerodynamics.segmentation import Piece
@@ -121,9 +122,8 @@ def _of_piece(
     for channel in (c for c in REACHING if c in std):
         offset, moved = _OFFSETS.get(channel, _OFFSET), _offset(record, channel)
         said = model(moved, piece) if channel in FORCED else prediction
-        other = residual_piece(moved, piece, said, arm, cutoffs.all_hz)
-        assert other is not None
-        gain = std[channel] / offset * (other.delta - plain.delta)
+        other = residual_rows(moved, piece, said, arm, cutoffs.all_hz)
+        gain = std[channel] / offset * (other - plain.delta)
         passages.append(Passage(channel, "smoothed", gain, filters.weights(channel, "smoothed"), spread.get(channel, 0.0)))
     for channel in (c for c in RATES if c in std):
         for way, gain in _differentiated(prediction, np.asarray(arm, dtype=float), slice(m, m + len(plain)), channel):

@@ -24,8 +24,8 @@ from sysid.estimation import STARTS, Gains, Process, Seen, Whitened, carried, ga
 FloatArray = NDArray[np.float64]
 _REMEMBERED = 24
 """Columns of a segment that are remembered of those made again: those that stand and the few that compete."""
-_AT_ONCE = 64
-"""Columns that are made orthogonal to the start states together, in double precision."""
+_AT_ONCE = 256
+"""Rows that are taken in double precision together, to make columns orthogonal to the start states."""
 
 
 @dataclass(frozen=True)
@@ -226,12 +226,11 @@ def _projected(found: Whitened, logdet: float, there: NDArray[np.bool_], deviati
 
 def _without_start(columns: NDArray[np.float32], q: FloatArray) -> tuple[NDArray[np.float32], FloatArray]:
     """Columns (n, m, K) less what the start's columns q (n m, 8) have of them, and that (8, K)."""
-    n, m, K = columns.shape
-    flat = columns.reshape(n * m, K)
-    inside, left = np.empty((STARTS, K)), np.empty((n * m, K), dtype=np.float32)
-    for first in range(0, K, _AT_ONCE):
-        part = slice(first, min(first + _AT_ONCE, K))
-        right = flat[:, part].astype(np.float64)
-        inside[:, part] = own = q.T @ right
-        left[:, part] = right - q @ own
-    return left.reshape(n, m, K), inside
+    flat = columns.reshape(len(q), columns.shape[2])
+    inside, left = np.zeros((STARTS, flat.shape[1])), np.empty_like(flat)
+    parts = [slice(first, first + _AT_ONCE) for first in range(0, len(q), _AT_ONCE)]
+    for rows in parts:
+        inside += q[rows].T @ flat[rows].astype(np.float64)
+    for rows in parts:
+        left[rows] = flat[rows] - q[rows] @ inside
+    return left.reshape(columns.shape), inside

@@ -299,8 +299,9 @@ def _start(record: FlightRecord, name: str, rows: slice) -> float:
     values = _unwrapped(name, values)
     if good.sum() < 3:
         return float(np.nanmean(values)) if good.any() else 0.0
-    at = np.arange(len(values))[good]
-    return float(np.polynomial.Polynomial.fit(at, values[good], 1)(0.0))
+    at, known = np.arange(len(values))[good], values[good]
+    away = at - at.mean()
+    return float(known.mean() - at.mean() * (away @ known) / (away @ away))
 
 
 def _altitude(record: FlightRecord, rows: slice, h: float) -> float:

@@ -51,15 +51,29 @@ def write_histories(folder: Path, segments: Sequence[Segment], columns: Mapping[
 def write_pieces(path: Path, pieces: Sequence[tuple[str, str, Array]], columns: Mapping[str, Sequence[Array]]) -> None:
     """The same for pieces (flight, manoeuvre, time_s) of any kind. Raises BadInputError."""
     counts = [len(time_s) for _, _, time_s in pieces]
-    table: dict[str, pa.Array] = {
-        "segment": pa.array(np.repeat(np.arange(len(pieces)), counts), pa.int64()),
-        "flight": pa.array([f for (f, _, _), n in zip(pieces, counts, strict=True) for _ in range(n)], pa.string()),
-        "manoeuvre": pa.array([m for (_, m, _), n in zip(pieces, counts, strict=True) for _ in range(n)], pa.string()),
-        "time_s": pa.array(np.concatenate([t for _, _, t in pieces]), pa.float64()),
+    number = np.repeat(np.arange(len(pieces)), counts)
+    table = {
+        "segment": pa.Array.from_buffers(pa.int64(), len(number), [None, pa.py_buffer(number)]),
+        "flight": _texts([f for f, _, _ in pieces], counts),
+        "manoeuvre": _texts([m for _, m, _ in pieces], counts),
+        "time_s": _numbers([t for _, _, t in pieces]),
     }
-    for name, parts in columns.items():
-        table[name] = pa.array(np.concatenate([np.asarray(p, dtype=float) for p in parts]), pa.float64())
-    write_table(pa.table(table), path)
+    write_table(pa.table(table | {name: _numbers(parts) for name, parts in columns.items()}), path)
+
+
+# pyarrow.array and pyarrow.scalar would load pandas, to see whether they are given one of its own.
+def _numbers(parts: Sequence[Array]) -> pa.Array:
+    values = np.concatenate([np.asarray(p, dtype=float) for p in parts])
+    return pa.Array.from_buffers(pa.float64(), len(values), [None, pa.py_buffer(values)])
+
+
+def _texts(values: Sequence[str], counts: Sequence[int]) -> pa.Array:
+    """Each text as often as its count says."""
+    encoded = [value.encode() for value in values]
+    ends = np.cumsum(np.repeat([len(text) for text in encoded], counts))
+    offsets = np.concatenate([[0], ends]).astype(np.int32)
+    content = b"".join(text * n for text, n in zip(encoded, counts, strict=True))
+    return pa.StringArray.from_buffers(len(ends), pa.py_buffer(offsets), pa.py_buffer(content))
 
 
 def read_histories(path: Path) -> list[History]:

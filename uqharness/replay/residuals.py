@@ -147,9 +147,10 @@ class ReplayPair:
 
         def near(record: FlightRecord, piece: Piece) -> Prediction:
             rows = (piece.rows.start, piece.rows.stop)
-            if rows not in own:
-                own[rows] = self._every_row(flight, record, piece)
-                return own[rows]
+            if rows not in own or self._key(flight, record, piece, 1) in self.said:
+                known = self._every_row(flight, record, piece)
+                own.setdefault(rows, known)
+                return known
             key = self._key(flight, record, piece, _EVERY)
             if key not in self.said:
                 self.ahead(flight, [record], [piece], _EVERY)

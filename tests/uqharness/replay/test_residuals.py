@@ -107,8 +107,11 @@ def test_changes_asked_for_at_some_rows_are_those_of_all_rows():
     with prediction_of(find_aircraft("espaaro"), ("elevator", "aileron", "rudder")) as pair:
         exact, near = pair.of(flown), pair.around(flown)
         base = near(record, piece)
-        assert base is exact(record, piece)
-        whole, some = exact(moved, piece), near(moved, piece)
+        assert near(record, piece) is base is exact(record, piece)
+        some, whole = near(moved, piece), exact(moved, piece)
+        # Its own states are not asked for again, and what is known of every row is not drawn between some.
+        assert len(pair.said) == 3
+        assert near(moved, piece) is whole
     change, error = (np.abs(a.coefficients - whole.coefficients).max(axis=0) for a in (base, some))
     assert (error <= 0.01 * change.max()).all()
     assert change.max() > 1e-4
